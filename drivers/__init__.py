@@ -1,0 +1,1 @@
+"""Sources of sample blocks: files now, buses next.  Knows nothing of ``monitor``."""

@@ -1,0 +1,211 @@
+"""Recordings: reads sample blocks of any number of MCAP files in time order; the writer stands beside."""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from drivers import codec
+from drivers.base import ACCELERATION, GROUND, TEMPERATURE, RecordingError, SampleBlock
+from drivers.mcap_records import McapFile, Message, Segment
+from drivers.mcap_writer import McapWriter
+from drivers.ros2_imu import IMU_SCHEMAS, ImuJoiner, ImuSample, decode_imu, split_target
+
+__all__ = ["McapWriter", "RecordingInfo", "read_recordings", "recording_info", "scan_messages"]
+
+_UNIT_OF = {ACCELERATION: "m/s^2", GROUND: "m/s^2", TEMPERATURE: "degC"}
+_MAX_INT = 1 << 62
+_Item = SampleBlock | ImuSample
+OnWarning = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingInfo:
+    """What a recording holds; rate, time and samples are those of `/acceleration`."""
+
+    topics: tuple[str, ...]
+    channels: dict[str, tuple[str, ...]]
+    """Topic -> channel names, in column order."""
+    sample_rate_hz: float
+    duration_s: float
+    """From the first sample to one sample after the last, gaps included."""
+    t_start_ns: int
+    n_samples: int
+
+
+def read_recordings(
+    paths: Iterable[Path],
+    topics: Sequence[str] = (ACCELERATION, GROUND, TEMPERATURE),
+    *,
+    topic_map: Mapping[str, str] | None = None,
+    on_warning: OnWarning = lambda _: None,
+) -> Iterator[SampleBlock]:
+    """Blocks of all files in the order of their times.
+
+    Every file is checked whole (checksums, every block decoded) before the first block is given; then
+    blocks are read again as they are asked for, so that memory grows by some 100 bytes a chunk only.
+
+    Parameters
+    ----------
+    topics
+        Topics to read.
+    topic_map
+        Topic of ROS 2 `sensor_msgs/msg/Imu` -> channel name, with axis if it is not x: "a1" or "a1.z".
+    on_warning
+        Called once for each file that ends early.
+
+    Raises
+    ------
+    RecordingMissingError
+        If a file cannot be opened.
+    RecordingError
+        If bytes are damaged or foreign, a wanted topic is absent, or a unit is wrong.  Errors of
+        joining ROS 2 topics come while blocks are taken.
+    """
+    topic_map = topic_map or {}
+    surveys = [_Survey(McapFile(Path(path)), topics, topic_map) for path in paths]
+    seen: set[str] = set()
+    for survey in surveys:
+        survey.run(on_warning)
+        seen |= survey.seen
+    wanted = ACCELERATION in topics and not topic_map
+    if surveys and ((wanted and ACCELERATION not in seen) or not topic_map.keys() <= seen):
+        names = ", ".join(str(survey.file.path) for survey in surveys)
+        absent = ", ".join(sorted(topic_map.keys() - seen)) or ACCELERATION
+        raise RecordingError(f"{names}: no messages of {absent}; the topics are {', '.join(sorted(seen))}")
+    return _joined(surveys, topic_map)
+
+
+def recording_info(path: Path, *, topic_map: Mapping[str, str] | None = None) -> RecordingInfo:
+    """What a recording holds (errors as `read_recordings`)."""
+    channels: dict[str, tuple[str, ...]] = {}
+    samples: dict[str, int] = {}
+    first: dict[str, SampleBlock] = {}
+    last: dict[str, SampleBlock] = {}
+    for block in read_recordings([path], topic_map=topic_map):
+        channels.setdefault(block.topic, block.channels)
+        samples[block.topic] = samples.get(block.topic, 0) + block.n_samples
+        first.setdefault(block.topic, block)
+        last[block.topic] = block
+    start, end = first[ACCELERATION], last[ACCELERATION]
+    duration = (end.t_ns - start.t_ns) / 1e9 + end.n_samples / end.sample_rate_hz
+    return RecordingInfo(
+        tuple(channels), channels, start.sample_rate_hz, duration, start.t_ns, samples[ACCELERATION]
+    )
+
+
+def scan_messages(path: Path) -> Iterator[tuple[str, int, bytes]]:
+    """Topic, log time (ns) and data of every message in file order (errors as `read_recordings`)."""
+    file = McapFile(Path(path))
+    for _, messages in file.segments():
+        for message in messages:
+            yield file.channels[message.channel_id].topic, message.log_time, message.data
+
+
+class _Survey:
+    """One file: which of its segments hold wanted messages, and from which time on."""
+
+    def __init__(self, file: McapFile, topics: Sequence[str], topic_map: Mapping[str, str]) -> None:
+        self.file = file
+        self.seen: set[str] = set()
+        self.segments: list[tuple[int, Segment]] = []
+        self._topics = frozenset(topics)
+        self._axes = {topic: split_target(target)[1] for topic, target in topic_map.items()}
+
+    def run(self, on_warning: OnWarning) -> None:
+        """Check the whole file."""
+        count = 0
+        for segment, messages in self.file.segments():
+            if items := self._items(messages):
+                self.segments.append((min(item.t_ns for item in items), segment))
+                count += len(items)
+        if not self.segments:
+            raise RecordingError(f"{self.file.path}: {self._foreign()}")
+        if self.file.cut:
+            on_warning(f"{self.file.path}: {self.file.cut}; the {count} whole blocks before it are used")
+
+    def load(self, segment: Segment) -> list[_Item]:
+        """The wanted messages of a segment."""
+        return self._items(self.file.load(segment))
+
+    def _items(self, messages: list[Message]) -> list[_Item]:
+        items: list[_Item] = []
+        for message in messages:
+            topic = self.file.channels[message.channel_id].topic
+            if topic in self._topics or topic in self._axes:
+                try:
+                    items.append(self._decode(message, topic))
+                except ValueError as error:
+                    place = f"{self.file.path}: {topic} at {message.log_time} ns"
+                    raise RecordingError(f"{place}: {error}; record or import it again") from error
+                self.seen.add(topic)
+        return items
+
+    def _decode(self, message: Message, topic: str) -> _Item:
+        channel = self.file.channels[message.channel_id]
+        schema = self.file.schema_name(channel)
+        if topic in self._axes:
+            if schema not in IMU_SCHEMAS or channel.message_encoding != "cdr":
+                raise ValueError(f"the topic map needs {IMU_SCHEMAS[0]} in cdr, not {schema!r}")
+            return decode_imu(message.data, topic, self._axes[topic])
+        if schema != codec.SCHEMA_NAME or channel.message_encoding != "protobuf":
+            raise ValueError(
+                f"schema {schema!r} ({channel.message_encoding}) where {codec.SCHEMA_NAME} is needed"
+            )
+        block = codec.decode(message.data, topic)
+        # Only damage or a foreign writer gives these; later arithmetic is in 64-bit integers.
+        if not (
+            0 <= block.t_ns < _MAX_INT and block.sequence < _MAX_INT and 1e-3 <= block.sample_rate_hz <= 1e7
+        ):
+            raise ValueError(
+                f"time {block.t_ns} ns, sequence {block.sequence} or {block.sample_rate_hz} Hz is absurd"
+            )
+        if block.unit != _UNIT_OF.get(topic, block.unit):
+            raise ValueError(f"unit {block.unit!r} where {_UNIT_OF[topic]!r} is needed")
+        return block
+
+    def _foreign(self) -> str:
+        held = ", ".join(
+            f"{channel.topic} ({self.file.schema_name(channel) or 'no schema'})"
+            for channel in list(self.file.channels.values())[:20]
+        )
+        cut = f" ({self.file.cut})" if self.file.cut else ""
+        return (
+            f"no block of {', '.join(sorted(self._topics | self._axes.keys()))}{cut}; "
+            f"it holds {held or 'no topics'}. Name ROS 2 Imu topics in a topic map, or import other data "
+            "with shm-monitor import"
+        )
+
+
+def _merged(surveys: list[_Survey]) -> Iterator[_Item]:
+    pool = [
+        (start, number, segment)
+        for number, survey in enumerate(surveys)
+        for start, segment in survey.segments
+    ]
+    pool.sort()
+    heap: list[tuple[int, int, int, _Item]] = []
+    serial = 0
+    for start, number, segment in pool:
+        while heap and heap[0][0] < start:
+            yield heapq.heappop(heap)[-1]
+        for item in surveys[number].load(segment):
+            heapq.heappush(heap, (item.t_ns, number, serial, item))
+            serial += 1
+    while heap:
+        yield heapq.heappop(heap)[-1]
+
+
+def _joined(surveys: list[_Survey], topic_map: Mapping[str, str]) -> Iterator[SampleBlock]:
+    joiner = (
+        ImuJoiner(topic_map, ", ".join(str(survey.file.path) for survey in surveys)) if topic_map else None
+    )
+    for item in _merged(surveys):
+        if isinstance(item, SampleBlock):
+            yield item
+        elif joiner:
+            yield from joiner.add(item)
+    if joiner:
+        yield from joiner.finish()

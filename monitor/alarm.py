@@ -1,0 +1,90 @@
+"""The only place that decides: alarm levels by significance, persistence and size."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from pydantic import Field
+
+from monitor.results import Alarm, DamageReading, Level
+from monitor.settings import Settings
+
+
+class AlarmSettings(Settings):
+    """When a loss of stiffness is announced."""
+
+    significance: float = Field(default=4.0, gt=0)
+    """DDI over its standard deviation from which a loss is significant (one-sided)."""
+    min_loss: float = Field(default=0.005, ge=0, lt=1)
+    """Losses below this are never announced."""
+    alarm_loss: float = Field(default=0.10, gt=0, lt=1)
+    """A confirmed loss of at least this is an `alarm`."""
+    confirm_s: float = Field(default=100.0, ge=0)
+    """On-delay: a loss is confirmed when it has stayed significant this long."""
+    clear_s: float = Field(default=100.0, ge=0)
+    """Off-delay: an announced loss is cleared when it has stayed insignificant this long."""
+    deadband: float = Field(default=1.0, ge=0)
+    """An announced loss stays significant down to `significance` less this."""
+
+
+@dataclass(frozen=True, slots=True)
+class StoryState:
+    """What the alarm remembers of one story."""
+
+    level: Level = Level.NORMAL
+    since_ns: int | None = None
+    """End of the first window of the unbroken run of significant ones."""
+    quiet_since_ns: int | None = None
+
+
+def start(n_stories: int) -> tuple[StoryState, ...]:
+    """State before the first window."""
+    return tuple(StoryState() for _ in range(n_stories))
+
+
+def step(
+    states: tuple[StoryState, ...], damage: DamageReading, t_ns: int, settings: AlarmSettings
+) -> tuple[tuple[StoryState, ...], Alarm]:
+    """Judge one window's damage reading.
+
+    A window that was skipped is not judged: the alarm stays as it was.
+    """
+    ddi, std = damage.ddi, np.maximum(damage.ddi_std, 1e-12)
+    states = tuple(
+        _judge(state, float(d), float(d / s), t_ns, settings) for state, d, s in zip(states, ddi, std, strict=True)
+    )
+    lost = {j: f"story {j} lost {100 * ddi[j - 1]:.1f} +- {100 * std[j - 1]:.1f} %" for j in range(1, ddi.size + 1)}
+    return states, _summarize(states, lost, "no significant loss")
+
+
+def hold(states: tuple[StoryState, ...]) -> Alarm:
+    """The alarm while nothing can be said: as it was."""
+    return _summarize(states, {}, "unchanged: the window was skipped")
+
+
+def _summarize(states: tuple[StoryState, ...], lost: dict[int, str], otherwise: str) -> Alarm:
+    active = {j + 1: s.level for j, s in enumerate(states) if s.level is not Level.NORMAL}
+    if not active:
+        return Alarm(Level.NORMAL, (), otherwise)
+    level = max(active.values(), key=lambda item: item.rank)
+    stories = tuple(j for j, item in active.items() if item is level)
+    words = ", ".join(lost[j] for j in stories if j in lost) or otherwise
+    return Alarm(level, stories, words + (", not confirmed yet" if level is Level.ADVISORY else ""), active)
+
+
+def _judge(state: StoryState, ddi: float, z: float, t_ns: int, settings: AlarmSettings) -> StoryState:
+    announced = state.level is not Level.NORMAL
+    threshold = settings.significance - (settings.deadband if announced else 0.0)
+    if z >= threshold and ddi >= settings.min_loss:
+        since = t_ns if state.since_ns is None else state.since_ns
+        if t_ns - since < settings.confirm_s * 1e9 and state.level.rank < Level.WARNING.rank:
+            return StoryState(Level.ADVISORY, since)
+        return StoryState(Level.ALARM if ddi >= settings.alarm_loss else Level.WARNING, since)
+    if not announced:
+        return StoryState()
+    quiet = t_ns if state.quiet_since_ns is None else state.quiet_since_ns
+    if t_ns - quiet >= settings.clear_s * 1e9:
+        return StoryState()
+    return StoryState(state.level, state.since_ns, quiet)
+

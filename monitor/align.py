@@ -1,0 +1,122 @@
+"""Blocks to one gapless run of samples in the structure's channel order; everything else is a gap."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from drivers.base import SampleBlock
+from monitor.errors import BadInputError
+from monitor.results import Array, Gap
+
+_MAX_CLOCK_OFFSET_S = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class AlignState:
+    """Where the stream stands."""
+
+    t_run_ns: int
+    """UTC of the current run's first sample."""
+    n_run: int
+    """Samples in the current run."""
+    next_sequence: int
+    rate_hz: float
+    dropped: int = 0
+    """Samples thrown away: repeated, late or not finite."""
+
+    def t_next_ns(self) -> int:
+        """When the next sample of the run is due."""
+        return self.t_run_ns + round(self.n_run / self.rate_hz * 1e9)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Piece:
+    """Consecutive finite samples; `gap` tells what was lost before them, if anything."""
+
+    t_ns: int
+    values: Array
+    """Shape (n_samples, c), m/s^2, float64."""
+    gap: Gap | None
+    rate_hz: float
+
+
+def select(block: SampleBlock, channels: tuple[str, ...]) -> Array:
+    """The structure's channels of a block, shape (n_samples, c), m/s^2.
+
+    Raises
+    ------
+    BadInputError
+        If a channel is missing or the unit is not m/s^2.
+    """
+    missing = [name for name in channels if name not in block.channels]
+    if missing:
+        raise BadInputError(
+            f"{block.topic}: channel {', '.join(missing)} of the structure file is not in the data, which has "
+            f"{', '.join(block.channels)}; name the channels alike"
+        )
+    if block.unit != "m/s^2":
+        raise BadInputError(f"{block.topic}: unit {block.unit!r}, expected 'm/s^2'")
+    columns = [block.channels.index(name) for name in channels]
+    if block.channels == channels:
+        return np.asarray(block.samples, dtype=np.float64)
+    return block.samples[:, columns].astype(np.float64)
+
+
+def step(
+    state: AlignState | None, block: SampleBlock, channels: tuple[str, ...]
+) -> tuple[AlignState | None, list[Piece]]:
+    """Place a block in the stream.
+
+    Returns
+    -------
+    state : AlignState or None
+        None until the first finite sample.
+    pieces : list of Piece
+        In order; empty if nothing of the block is new.
+    """
+    values = select(block, channels)
+    finite = np.isfinite(values).all(axis=1)
+    if finite.all():
+        return _place(state, block, values, 0)
+    pieces: list[Piece] = []
+    edges = np.flatnonzero(np.diff(finite)) + 1
+    for begin, end in zip([0, *edges], [*edges, len(finite)], strict=True):
+        if finite[begin]:
+            state, new = _place(state, block, values[begin:end], int(begin))
+            pieces.extend(new)
+        elif state is not None:
+            state = replace(state, dropped=state.dropped + int(end - begin))
+    return state, pieces
+
+
+def _place(
+    state: AlignState | None, block: SampleBlock, values: Array, offset: int
+) -> tuple[AlignState | None, list[Piece]]:
+    """One run of finite samples that begins `offset` samples into the block."""
+    rate = block.sample_rate_hz
+    t_ns, sequence = block.t_ns + round(offset / rate * 1e9), block.sequence + offset
+    n = values.shape[0]
+    if n == 0:
+        return state, []
+    if state is None:
+        return AlignState(t_ns, n, sequence + n, rate), [Piece(t_ns, values, None, rate)]
+    late_s = (t_ns - state.t_next_ns()) * 1e-9
+    if rate != state.rate_hz:
+        gap = Gap(state.t_next_ns(), max(late_s, 0.0), f"sample rate changed from {state.rate_hz:g} to {rate:g} Hz")
+        state = AlignState(t_ns, n, sequence + n, rate, state.dropped)
+        return state, [Piece(t_ns, values, gap, rate)]
+    in_sequence = sequence == state.next_sequence and abs(late_s) < _MAX_CLOCK_OFFSET_S
+    if in_sequence or abs(late_s) * rate <= 0.5:
+        t_ns = state.t_next_ns()
+        state = replace(state, n_run=state.n_run + n, next_sequence=sequence + n)
+        return state, [Piece(t_ns, values, None, rate)]
+    if late_s < 0:  # repeated or late: keep only what is new
+        known = min(n, round(-late_s * rate))
+        state = replace(state, dropped=state.dropped + known)
+        return _place(state, block, values[known:], offset + known)
+    reason = f"{sequence - state.next_sequence} samples missing" if sequence > state.next_sequence else "time jumped"
+    gap = Gap(state.t_next_ns(), late_s, reason)
+    state = AlignState(t_ns, n, sequence + n, rate, state.dropped)
+    return state, [Piece(t_ns, values, gap, rate)]

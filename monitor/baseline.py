@@ -1,0 +1,205 @@
+"""The healthy baseline: what later windows are compared with."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from monitor.config import Configuration
+from monitor.errors import BadInputError, MissingInputError
+from monitor.files import write_atomically
+from monitor.model import Model
+from monitor.results import Array, ModalEstimate
+from monitor.updating import Observation, Update, observe, predict, update
+
+FORMAT = 1
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Baseline:
+    """Modes, updated model and standing misfit of the healthy structure."""
+
+    model: Model
+    """Updated to the healthy modes."""
+    covariance: Array
+    """Of stiffnesses, then masses, relative to their values, shape (2 n, 2 n)."""
+    z: Array
+    """Measured vector of the healthy state, shape (n_data,) (see `updating.Observation`)."""
+    z_covariance: Array
+    """Shape (n_data, n_data)."""
+    misfit: Array
+    """z less the updated model's: the standing model error, which cancels from every change, shape (n_data,)."""
+    model_mode: tuple[int, ...]
+    gauges: tuple[int, ...]
+    log: bool
+    frequencies_hz: Array
+    frequencies_std_hz: Array
+    damping_ratio: Array
+    channels: tuple[str, ...]
+    windows: int
+    level_range_m_s2: tuple[float, float]
+    """Least and largest RMS of the windows, mean over channels."""
+    reference_temperature_degc: float | None = None
+    recordings: tuple[dict[str, Any], ...] = field(default=())
+    """Name, sha256 and start of every recording used."""
+
+    def target(self, observation: Observation) -> Observation:
+        """The observation with the standing misfit taken out: what the baseline's model should predict."""
+        return Observation(
+            observation.z - self.misfit,
+            observation.variance,
+            observation.deviations,
+            observation.model_mode,
+            observation.gauges,
+            observation.log,
+        )
+
+
+def learn(
+    config: Configuration,
+    windows: list[tuple[int, ModalEstimate]],
+    rms: Array,
+    recordings: tuple[dict[str, Any], ...],
+) -> tuple[Baseline, Update]:
+    """The baseline from the windows of healthy recordings.
+
+    Parameters
+    ----------
+    windows : list of (first_block, ModalEstimate)
+        `first_block` numbers the window's first block of data on the common grid, so that overlapping windows share
+        their blocks' influence and the mean's covariance comes out right.
+    rms : ndarray, shape (n_windows,)
+        Response level of each window, m/s^2.
+
+    Raises
+    ------
+    BadInputError
+        If there is no window.
+    """
+    if not windows:
+        raise BadInputError("no healthy window could be identified: nothing to learn a baseline from")
+    settings = config.updating
+    gauges = observe(windows[0][1], settings).gauges
+    observations = [(b, observe(m, settings, gauges if settings.use_shapes else None)) for b, m in windows]
+    influence: dict[int, Array] = {}
+    for first, o in observations:
+        for b, row in enumerate(o.deviations):
+            influence[first + b] = influence.get(first + b, 0.0) + row / len(windows)
+    deviations = np.array([influence[b] for b in sorted(influence)])
+    last = observations[-1][1]
+    mean = Observation(
+        z=np.mean([o.z for _, o in observations], axis=0),
+        variance=(deviations**2).sum(axis=0),
+        deviations=deviations,
+        model_mode=last.model_mode,
+        gauges=gauges,
+        log=last.log,
+    )
+    sensors = config.sensor_matrix()
+    fit = update(
+        config.model(),
+        sensors,
+        mean,
+        settings.model_copy(update={"penalty": "initial"}),
+        prior_std=config.prior_std(),
+        with_masses=True,
+    )
+    predicted, _ = predict(fit.model, sensors, mean, with_masses=False)
+    z_covariance = deviations.T @ deviations
+    gain = fit.gain / fit.parameters[:, None]
+    estimates = [m for _, m in windows]
+    f = np.mean([m.frequencies_hz for m in estimates], axis=0)
+    baseline = Baseline(
+        model=fit.model,
+        covariance=gain @ z_covariance @ gain.T,
+        z=mean.z,
+        z_covariance=z_covariance,
+        misfit=mean.z - predicted,
+        model_mode=mean.model_mode,
+        gauges=gauges,
+        log=mean.log,
+        frequencies_hz=f,
+        frequencies_std_hz=_frequency_std(f, z_covariance, mean.log),
+        damping_ratio=np.mean([m.damping_ratio for m in estimates], axis=0),
+        channels=config.channels,
+        windows=len(windows),
+        level_range_m_s2=(float(rms.min()), float(rms.max())),
+        recordings=recordings,
+    )
+    return baseline, fit
+
+
+def _frequency_std(f: Array, z_covariance: Array, log: bool) -> Array:
+    std = np.sqrt(np.diag(z_covariance)[: f.size])
+    return np.asarray(f * std / 2.0 if log else std / (8.0 * np.pi**2 * f))
+
+
+_ARRAYS = (
+    "covariance",
+    "z",
+    "z_covariance",
+    "misfit",
+    "frequencies_hz",
+    "frequencies_std_hz",
+    "damping_ratio",
+)
+_PLAIN = (
+    "model_mode",
+    "gauges",
+    "log",
+    "channels",
+    "windows",
+    "level_range_m_s2",
+    "reference_temperature_degc",
+    "recordings",
+)
+
+
+def save(baseline: Baseline, path: Path) -> None:
+    """Write the baseline as JSON, atomically."""
+    structure = baseline.model.structure
+    content = {
+        "format": FORMAT,
+        "stiffness_n_per_m": structure.stiffness_n_per_m.tolist(),
+        "masses_kg": structure.masses_kg.tolist(),
+        **{name: getattr(baseline, name).tolist() for name in _ARRAYS},
+        **{name: getattr(baseline, name) for name in _PLAIN},
+    }
+    write_atomically(path, json.dumps(content, indent=1, allow_nan=False) + "\n")
+
+
+def load(path: Path, config: Configuration) -> Baseline:
+    """Read a baseline and check that it belongs to this structure.
+
+    Raises
+    ------
+    MissingInputError, BadInputError
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except UnicodeDecodeError as error:
+        raise BadInputError(f"{path}: not a baseline file (no UTF-8 text); make one with 'calibrate'") from error
+    except OSError as error:
+        raise MissingInputError(f"{path}: {error.strerror}") from error
+    try:
+        content = json.loads(text)
+        if content["format"] != FORMAT:
+            raise BadInputError(f"{path}: baseline format {content['format']!r}, expected {FORMAT}; calibrate anew")
+        arrays = {name: np.array(content[name], dtype=float) for name in _ARRAYS}
+        stiffness, masses = (np.array(content[name], dtype=float) for name in ("stiffness_n_per_m", "masses_kg"))
+        plain = {name: content[name] for name in _PLAIN}
+        for name in ("model_mode", "gauges", "channels", "level_range_m_s2", "recordings"):
+            plain[name] = tuple(plain[name])
+    except (ValueError, KeyError, TypeError) as error:
+        raise BadInputError(f"{path}: not a baseline file ({error!r}); make one with 'calibrate'") from error
+    nominal = config.model()
+    if masses.size != nominal.structure.n_stories or plain["channels"] != config.channels:
+        raise BadInputError(
+            f"{path}: the baseline has {masses.size} stories and channels {', '.join(plain['channels'])}; the structure "
+            f"file has {nominal.structure.n_stories} and {', '.join(config.channels)}; calibrate with this structure file"
+        )
+    return Baseline(model=nominal.with_stiffness(stiffness).with_masses(masses), **arrays, **plain)

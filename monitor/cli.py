@@ -1,0 +1,252 @@
+"""The commands (CONTRACT: commands and exit codes)."""
+
+from __future__ import annotations
+
+import json
+import logging
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from threadpoolctl import threadpool_limits
+
+from monitor import __version__, config
+from monitor.errors import BadConfigurationError, MissingInputError, UserError
+
+app = typer.Typer(
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    help="Online structural health monitor: identification, model updating, damage index, alarms. SI units, UTC.",
+)
+
+Recordings = Annotated[list[Path], typer.Argument(metavar="REC.mcap...", help="Recordings, in any order.")]
+Structure = Annotated[Path, typer.Option(metavar="S.toml", help="Structure file.")]
+
+
+def _warn(message: str) -> None:
+    print(f"warning: {message}", file=sys.stderr)
+
+
+def _progress(label: str) -> Callable[[float], None]:
+    """Seconds of data done, on a terminal only."""
+    if not sys.stderr.isatty():
+        return lambda _: None
+    shown = [0.0]
+
+    def tell(seconds: float) -> None:
+        if seconds - shown[0] >= 60.0:
+            shown[0] = seconds
+            print(f"\r{label}: {seconds / 60.0:.0f} min of data", end="", file=sys.stderr, flush=True)
+
+    return tell
+
+
+@app.command()
+def replay(
+    recordings: Recordings,
+    structure: Structure,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the results.")],
+    baseline: Annotated[Path | None, typer.Option(metavar="B.json", help="Healthy baseline by 'calibrate'.")] = None,
+    speed: Annotated[str, typer.Option(help="'max', or times real time.")] = "max",
+) -> None:
+    """Run recordings through the monitor: results.jsonl, results.mcap, live.rrd and summary.json in DIR."""
+    from monitor import replay as run
+    from monitor.baseline import load
+
+    settings = config.load(structure)
+    healthy = None if baseline is None else load(baseline, settings)
+    outcome = run.replay(
+        recordings,
+        settings,
+        healthy,
+        out,
+        speed=_speed(speed),
+        on_warning=_warn,
+        on_progress=_progress("replay"),
+    )
+    print(_story(outcome.summary, has_baseline=healthy is not None))
+    print(f"results in {out}; look at them with: rerun {out / 'live.rrd'}")
+
+
+def _speed(text: str) -> float | None:
+    if text == "max":
+        return None
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0.0 < value < float("inf"):
+        raise typer.BadParameter(f"--speed: {text!r} is neither 'max' nor a positive number")
+    return value
+
+
+def _story(summary: dict, *, has_baseline: bool) -> str:  # type: ignore[type-arg]
+    """A replay in words."""
+    text = [f"{summary['windows']} windows, {summary['skipped']} skipped, {summary['realtime_factor']:.0f} x real time"]
+    if summary["frequencies_hz"] is not None:
+        pairs = zip(
+            summary["frequencies_hz"],
+            summary["structure_file_frequencies_hz"],
+            summary["frequency_misfit"],
+            strict=False,
+        )
+        for i, (measured, drawn, misfit) in enumerate(pairs, start=1):
+            text.append(
+                f"mode {i}: {measured:.4g} Hz measured, {drawn:.4g} Hz by the structure file "
+                f"(the data lie {100 * misfit:+.1f} % off)"
+            )
+    for a in summary["alarms"]:
+        text.append(
+            f"{a['level']}: story {a['story']} lost {100 * a['ddi']:.2f} +- {100 * a['ddi_std']:.2f} % "
+            f"({a['loss_n_per_m']:.4g} N/m)"
+        )
+    if not summary["alarms"]:
+        text.append("no alarm" if has_baseline else "no baseline, so no alarm can be raised; make one with 'calibrate'")
+    return "\n".join(text)
+
+
+@app.command()
+def calibrate(
+    recordings: Recordings,
+    structure: Structure,
+    out: Annotated[Path, typer.Option(metavar="B.json", help="Baseline file to write.")],
+) -> None:
+    """Learn the healthy baseline: updated stiffness with covariance, modes, the misfit that remains."""
+    from monitor import replay as run
+    from monitor.baseline import save
+
+    settings = config.load(structure)
+    baseline, fit = run.calibrate(recordings, settings, on_warning=_warn, on_progress=_progress("calibrate"))
+    try:
+        save(baseline, out)
+    except OSError as error:
+        raise MissingInputError(f"{out}: cannot be written: {error.strerror}") from error
+    drawn = settings.model().modes().frequencies_hz
+    print(f"{baseline.windows} windows; the updating {'converged' if fit.converged else 'did NOT converge'}")
+    for i, (f, std) in enumerate(zip(baseline.frequencies_hz, baseline.frequencies_std_hz, strict=True), start=1):
+        print(f"mode {i}: {f:.4f} +- {std:.4f} Hz; structure file {drawn[baseline.model_mode[i - 1]]:.4f} Hz")
+    for j, k in enumerate(baseline.model.structure.stiffness_n_per_m, start=1):
+        print(f"story {j}: {k:.1f} N/m; structure file {settings.structure.stiffness_n_per_m[j - 1]:.1f} N/m")
+    print(f"baseline in {out}")
+
+
+@app.command()
+def simulate(
+    structure: Structure,
+    out: Annotated[Path, typer.Option(metavar="REC.mcap", help="Recording to write.")],
+    duration: Annotated[float, typer.Option(min=0.01, help="Length in s.")] = 1200.0,
+    excitation: Annotated[str, typer.Option(help="ambient, impulse or ground.")] = "ambient",
+    noise: Annotated[float, typer.Option(min=0.0, help="Sensor noise, fraction of the mean RMS acceleration.")] = 0.05,
+    damage: Annotated[list[str], typer.Option(metavar="storyN=LOSS", help="Relative stiffness loss.")] = [],  # noqa: B006
+    effect: Annotated[list[str], typer.Option(metavar="NAME:LOCATION:PARAM=VALUE,...", help="Hidden effect.")] = [],  # noqa: B006
+    rate: Annotated[float, typer.Option(min=1.0, help="Sample rate in Hz.")] = 1024.0,
+    level_spread: Annotated[float, typer.Option(min=0.0, help="Relative spread of the excitation's level.")] = 0.0,
+    start: Annotated[str, typer.Option(help="UTC of the first sample, ISO 8601.")] = "2026-01-01T00:00:00",
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the random numbers.")] = 0,
+) -> None:
+    """Write a recording with known truth."""
+    from monitor import record
+
+    record.simulate_to(
+        out,
+        config.load(structure),
+        duration_s=duration,
+        excitation=excitation,
+        noise=noise,
+        damage=damage,
+        effects=effect,
+        rate_hz=rate,
+        level_spread=level_spread,
+        start=start,
+        seed=seed,
+    )
+    print(f"{duration:g} s in {out}")
+
+
+@app.command("import")
+def import_(
+    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="CSV, NPZ; several: one a level.")],
+    out: Annotated[Path, typer.Option(metavar="REC.mcap", help="Recording to write.")],
+    rate: Annotated[float | None, typer.Option(min=0.001, help="Sample rate in Hz, where the file has no time.")] = None,
+    unit: Annotated[str, typer.Option(help="Unit of the samples: m/s^2, g, mg or gal.")] = "m/s^2",
+    channel: Annotated[list[str], typer.Option(metavar="NAME=FILE[:COLUMN]", help="Channel of the recording.")] = [],  # noqa: B006
+    ground: Annotated[str | None, typer.Option(metavar="FILE[:COLUMN]", help="Measured base motion.")] = None,
+    start: Annotated[str | None, typer.Option(help="UTC of the first sample, ISO 8601.")] = None,
+) -> None:
+    """Foreign data to our recording format."""
+    from monitor.importers import import_files
+
+    channels = {}
+    for item in channel:
+        name, separator, place = item.partition("=")
+        if not separator or not name or not place:
+            raise typer.BadParameter(f"--channel: {item!r} is not NAME=FILE[:COLUMN]")
+        channels[name] = place
+    info = import_files(
+        files, out, rate_hz=rate, unit=unit, channels=channels or None, ground=ground, start=start, on_warning=_warn
+    )
+    names = "; ".join(f"{topic}: {', '.join(c)}" for topic, c in info.channels.items())
+    print(f"{info.duration_s:.2f} s at {info.sample_rate_hz:g} Hz in {out}: {names}")
+
+
+@app.command()
+def check(file: Annotated[Path, typer.Argument(metavar="CONFIG_OR_STRUCTURE.toml")]) -> None:
+    """List every problem of a configuration or structure file at once."""
+    settings = config.load(file)
+    frequencies = settings.model().modes().frequencies_hz
+    print(f"{file}: no problems; {len(settings.structure.masses_kg)} stories, channels {', '.join(settings.channels)}")
+    print("natural frequencies: " + ", ".join(f"{f:.4g}" for f in frequencies) + " Hz")
+    beyond = [f"{f:.4g}" for f in frequencies if f > settings.processing.cutoff_hz]
+    if beyond:
+        _warn(f"modes at {', '.join(beyond)} Hz lie beyond cutoff_hz = {settings.processing.cutoff_hz:g}")
+
+
+@app.command()
+def reproduce(
+    json_file: Annotated[Path | None, typer.Option("--json", metavar="F", help="Also write the figures here.")] = None,
+    seeds: Annotated[int, typer.Option(min=1, help="Simulated tests of each kind.")] = 100,
+) -> None:
+    """The paper's Tables 2-7 and DDI figures beside ours."""
+    from monitor import reproduce as paper
+
+    content = paper.reproduce(seeds, on_progress=_progress("reproduce"))
+    print(paper.report(content))
+    if json_file is not None:
+        from monitor.files import write_atomically
+
+        write_atomically(json_file, json.dumps(content, indent=1, allow_nan=False) + "\n")
+
+
+@app.command()
+def demo(
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the results.")] = Path("out/demo"),
+    recordings: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the shipped recordings.")] = Path("recordings"),
+) -> None:
+    """Calibrate, watch damage appear, and replay the measured frame, from the shipped recordings."""
+    from monitor import demo as tour
+
+    tour.run(recordings, out, say=print, on_warning=_warn)
+
+
+@app.callback(invoke_without_command=True)
+def _main(version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False) -> None:
+    if version:
+        print(__version__)
+        raise typer.Exit
+
+
+def main() -> None:
+    """Entry point: user errors become one message and the contract's exit code."""
+    logging.basicConfig(format="%(levelname)s %(name)s: %(message)s", level=logging.WARNING)
+    try:
+        # Small matrices: threads of the linear algebra only get in each other's way.
+        with threadpool_limits(limits=1):
+            app()
+    except BadConfigurationError as error:
+        print(f"error: bad configuration\n{error}", file=sys.stderr)
+        raise SystemExit(error.exit_code) from None
+    except UserError as error:
+        print(f"error: {error}", file=sys.stderr)
+        raise SystemExit(error.exit_code) from None

@@ -1,0 +1,228 @@
+"""TOML to settings; every problem is reported at once."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field, ValidationError, model_validator
+
+from monitor.alarm import AlarmSettings
+from monitor.effects import EFFECTS, Effect, EffectError
+from monitor.errors import BadConfigurationError, MissingInputError
+from monitor.model import Model
+from monitor.poles import SelectionSettings
+from monitor.quality import QualitySettings
+from monitor.results import Array
+from monitor.settings import Settings
+from monitor.ssi import SsiSettings
+from monitor.structures import STRUCTURES
+from monitor.updating import UpdatingSettings
+
+Positive = Annotated[float, Field(gt=0)]
+Range = tuple[Positive, Positive]
+
+
+class StructureTable(Settings):
+    """``[structure]``: the design drawing, never the truth."""
+
+    kind: Literal["shear_frame"]
+    name: str = ""
+    masses_kg: tuple[Positive, ...] = Field(min_length=1)
+    stiffness_n_per_m: tuple[Positive, ...] = Field(min_length=1)
+    damping_ratio: float = Field(default=0.01, gt=0, lt=1)
+    story_heights_m: tuple[Positive, ...] | None = None
+    masses_range_kg: tuple[Range, ...] | None = None
+    """Range of each mass as its prior (two standard deviations either way); 5 % either way by default."""
+    stiffness_range_n_per_m: tuple[Range, ...] | None = None
+    """Range of each stiffness as its prior; 40 % either way by default."""
+
+    @model_validator(mode="after")
+    def _same_length(self) -> StructureTable:
+        n = len(self.masses_kg)
+        for name in ("stiffness_n_per_m", "story_heights_m", "masses_range_kg", "stiffness_range_n_per_m"):
+            value = getattr(self, name)
+            if value is not None and len(value) != n:
+                raise ValueError(f"{name} has {len(value)} values for {n} masses")
+        return self
+
+
+class SensorTable(Settings):
+    """``[[sensors]]``: one accelerometer."""
+
+    channel: str = Field(min_length=1)
+    floor: int = Field(ge=1)
+
+
+class EffectTable(Settings):
+    """``[[effects]]``: one effect that extends the structure."""
+
+    effect: str
+    location: str
+    parameters: dict[str, float] = {}
+
+
+class ProcessingSettings(Settings):
+    """``[processing]``: from the source's samples to windows."""
+
+    rate_hz: Positive = 100.0
+    """After resampling; slower sources keep their own rate."""
+    cutoff_hz: Positive = 40.0
+    window_s: Positive = 400.0
+    hop_s: Positive = 10.0
+
+    @model_validator(mode="after")
+    def _consistent(self) -> ProcessingSettings:
+        if self.hop_s > self.window_s:
+            raise ValueError("hop_s is longer than window_s")
+        if self.cutoff_hz >= 0.5 * self.rate_hz:
+            raise ValueError("cutoff_hz must lie below half of rate_hz")
+        return self
+
+
+class SiteSettings(Settings):
+    """``[site]`` of the daemon's file."""
+
+    name: str = ""
+    baseline: str | None = None
+
+
+class OutputSettings(Settings):
+    """``[output]`` of the daemon's file."""
+
+    dir: str = "out"
+    serve: str | None = None
+
+
+class Configuration(Settings):
+    """Everything a structure file or a site file may hold."""
+
+    structure: StructureTable
+    sensors: tuple[SensorTable, ...] = Field(min_length=1)
+    effects: tuple[EffectTable, ...] = ()
+    processing: ProcessingSettings = ProcessingSettings()
+    quality: QualitySettings = QualitySettings()
+    identification: SsiSettings = SsiSettings()
+    selection: SelectionSettings = SelectionSettings()
+    updating: UpdatingSettings = UpdatingSettings()
+    alarm: AlarmSettings = AlarmSettings()
+    topics: dict[str, str] = {}
+    """Topic map for foreign recordings: ROS 2 Imu topic to channel, as ``"/imu/top" = "a1.x"``."""
+    site: SiteSettings = SiteSettings()
+    source: dict[str, Any] | None = None
+    output: OutputSettings = OutputSettings()
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Configuration:
+        problems = []
+        n = len(self.structure.masses_kg)
+        names = [s.channel for s in self.sensors]
+        problems += [f"sensors: channel {c!r} stands twice" for c in sorted({c for c in names if names.count(c) > 1})]
+        problems += [f"sensors: {s.channel!r} is on floor {s.floor} of {n}" for s in self.sensors if s.floor > n]
+        references = self.identification.reference_channels
+        problems += [f"identification: no channel {c!r}" for c in references if c not in names]
+        for table in self.effects:
+            try:
+                self._effect(table)
+            except EffectError as error:
+                problems.append(f"effects: {error}")
+        p, lags = self.processing, 2 * self.identification.block_rows
+        block = np.gcd(round(p.window_s * p.rate_hz), round(p.hop_s * p.rate_hz))
+        if block < lags:
+            problems.append(
+                f"processing: window_s and hop_s have a common step of {block / p.rate_hz:g} s; "
+                f"{lags / p.rate_hz:g} s (2 block_rows samples) is the least"
+            )
+        if problems:
+            raise ValueError("; ".join(problems))
+        return self
+
+    def _effect(self, table: EffectTable) -> Effect:
+        if table.effect not in EFFECTS:
+            raise EffectError(f"unknown effect {table.effect!r}; known: {', '.join(sorted(EFFECTS))}")
+        effect = EFFECTS[table.effect].create(table.location, table.parameters)
+        effect.check(self._structure())
+        return effect
+
+    def _structure(self):  # type: ignore[no-untyped-def]
+        s = self.structure
+        heights = None if s.story_heights_m is None else np.array(s.story_heights_m)
+        return STRUCTURES[s.kind](
+            np.array(s.masses_kg), np.array(s.stiffness_n_per_m), s.damping_ratio, heights
+        )
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Channel names in the structure file's order."""
+        return tuple(s.channel for s in self.sensors)
+
+    def model(self) -> Model:
+        """The nominal model with the file's effects."""
+        return Model(self._structure(), tuple(self._effect(t) for t in self.effects))
+
+    def sensor_matrix(self) -> Array:
+        """Picks the sensors out of the floors, shape (c, n)."""
+        matrix = np.zeros((len(self.sensors), len(self.structure.masses_kg)))
+        for row, sensor in enumerate(self.sensors):
+            matrix[row, sensor.floor - 1] = 1.0
+        return matrix
+
+    def prior_std(self) -> Array:
+        """Relative standard deviations of stiffnesses, then masses, shape (2 n,)."""
+        s, n = self.structure, len(self.structure.masses_kg)
+
+        def spread(ranges: tuple[Range, ...] | None, values: tuple[float, ...], default: float) -> Array:
+            if ranges is None:
+                return np.full(n, default)
+            return np.array([(hi - lo) / (4.0 * v) for (lo, hi), v in zip(ranges, values, strict=True)])
+
+        return np.concatenate(
+            [
+                spread(s.stiffness_range_n_per_m, s.stiffness_n_per_m, 0.2),
+                spread(s.masses_range_kg, s.masses_kg, 0.05),
+            ]
+        )
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """The tables of a TOML file.
+
+    Raises
+    ------
+    MissingInputError
+        If the file does not exist, cannot be read or is a directory.
+    BadConfigurationError
+        If it is not TOML.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, ValueError) as error:
+        if isinstance(error, UnicodeDecodeError):
+            raise BadConfigurationError(f"{path}: not UTF-8 text, so no TOML file") from error
+        raise MissingInputError(f"{path}: {getattr(error, 'strerror', None) or error}") from error
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise BadConfigurationError(f"{path}: not a TOML file: {error}") from error
+
+
+def load(path: Path) -> Configuration:
+    """Settings from a structure file or a site file.
+
+    Raises
+    ------
+    MissingInputError, BadConfigurationError
+        The latter lists every problem, one a line.
+    """
+    tables = read_toml(path)
+    try:
+        return Configuration.model_validate(tables)
+    except ValidationError as error:
+        lines = []
+        for problem in error.errors():
+            place = ".".join(str(part) for part in problem["loc"])
+            message = problem["msg"].removeprefix("Value error, ")
+            lines += [f"{path}: {place + ': ' if place else ''}{part}" for part in message.split("; ")]
+        raise BadConfigurationError("\n".join(lines)) from error

@@ -1,0 +1,61 @@
+"""The damage detection index: relative stiffness lost in each story since the baseline (paper, section 4)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from monitor.baseline import Baseline
+from monitor.model import Model
+from monitor.results import Array, DamageReading, ModalEstimate, StiffnessEstimate
+from monitor.updating import UpdatingSettings, observe, update
+
+
+def step(
+    modes: ModalEstimate, reference: Model, baseline: Baseline | None, sensors: Array, settings: UpdatingSettings
+) -> tuple[StiffnessEstimate, DamageReading]:
+    """Stiffness updated to a window's modes, and its loss since the baseline.
+
+    With a baseline the update starts from the baseline's model and aims at the measured modes less the standing
+    misfit, so that a model that is wrong from the start still gives a right change; to first order the loss is
+    ``gain (z - z_baseline)``, whose covariance is that of both.
+
+    Parameters
+    ----------
+    reference : Model
+        The baseline's model, or the structure file's where there is no baseline.
+    """
+    observation = observe(modes, settings, baseline.gauges if baseline is not None else None)
+    if baseline is not None:
+        observation = baseline.target(observation)
+    fit = update(reference, sensors, observation, settings)
+    influence = observation.deviations @ fit.gain.T
+    covariance = influence.T @ influence
+    estimate = StiffnessEstimate(
+        stiffness_n_per_m=fit.parameters,
+        covariance=covariance,
+        converged=fit.converged,
+        iterations=fit.iterations,
+        misfit=fit.residual / np.sqrt(np.maximum(observation.variance, 1e-300)),
+    )
+    healthy = reference.structure.stiffness_n_per_m
+    if baseline is not None:
+        covariance = covariance + fit.gain @ baseline.z_covariance @ fit.gain.T
+    reading = DamageReading(
+        ddi=1.0 - fit.parameters / healthy,
+        ddi_covariance=covariance / np.outer(healthy, healthy),
+        ddi_sequential=sequential_reading(reference.stiffness_matrix(), fit.model.stiffness_matrix()),
+        loss_n_per_m=healthy - fit.parameters,
+    )
+    return estimate, reading
+
+
+def sequential_reading(healthy: Array, now: Array) -> Array:
+    """DDI as the paper reads it from two stiffness matrices, shape (n,).
+
+    Story j < n stands alone in the term K[j, j+1] = -k_j; the last one is what K[n, n] lost beyond story n - 1.
+    """
+    n = healthy.shape[0]
+    before, after = -np.diag(healthy, 1), -np.diag(now, 1)
+    above = (before[-1], after[-1]) if n > 1 else (0.0, 0.0)
+    before, after = np.append(before, healthy[-1, -1] - above[0]), np.append(after, now[-1, -1] - above[1])
+    return np.asarray(1.0 - after / before)

@@ -1,0 +1,92 @@
+"""``Model = structure + effects``: the one idea that updating, simulation and diagnosis share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import eigh
+
+from monitor.effects import Effect
+from monitor.results import Array
+from monitor.structures import ShearFrame
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Modes:
+    """Undamped modes of a model, lowest first."""
+
+    eigenvalues: Array
+    """Shape (n,), (rad/s)^2."""
+    shapes: Array
+    """Shape (n, n): shapes[:, i] is mode i at the floors, with unit modal mass."""
+
+    @property
+    def frequencies_hz(self) -> Array:
+        """Shape (n,)."""
+        return np.asarray(np.sqrt(self.eigenvalues) / (2.0 * np.pi))
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Model:
+    """A structure and the effects that its drawing leaves out."""
+
+    structure: ShearFrame
+    effects: tuple[Effect, ...] = ()
+
+    def with_stiffness(self, stiffness_n_per_m: Array) -> Model:
+        """The same model with other story stiffnesses, shape (n,), N/m."""
+        return replace(self, structure=replace(self.structure, stiffness_n_per_m=stiffness_n_per_m))
+
+    def with_masses(self, masses_kg: Array) -> Model:
+        """The same model with other floor masses, shape (n,), kg."""
+        return replace(self, structure=replace(self.structure, masses_kg=masses_kg))
+
+    def mass_matrix(self) -> Array:
+        """Shape (n, n), kg."""
+        return self.structure.mass_matrix()
+
+    def stiffness_matrix(self) -> Array:
+        """Shape (n, n), N/m."""
+        stiffness = self.structure.stiffness_matrix()
+        for effect in self.effects:
+            stiffness = effect.stiffness_matrix(stiffness, self.structure)
+        return stiffness
+
+    def damping_matrix(self) -> Array:
+        """Rayleigh damping with the structure's ratio in modes 1 and 2, shape (n, n), N s/m."""
+        omega = np.sqrt(self.modes().eigenvalues)
+        first, second = omega[0], omega[min(1, omega.size - 1)]
+        ratio = self.structure.damping_ratio
+        if omega.size == 1:
+            return 2.0 * ratio * first * self.mass_matrix()
+        alpha = 2.0 * ratio * first * second / (first + second)
+        beta = 2.0 * ratio / (first + second)
+        return np.asarray(alpha * self.mass_matrix() + beta * self.stiffness_matrix())
+
+    def stiffness_derivatives(self) -> Array:
+        """dK / dk_j, shape (n_stories, n, n): exact for the bare structure, central differences with effects."""
+        if not self.effects:
+            return self.structure.stiffness_derivatives()
+        stiffness = self.structure.stiffness_n_per_m
+        step = 1e-5 * stiffness
+        pairs = [
+            (self.with_stiffness(stiffness + e), self.with_stiffness(stiffness - e)) for e in np.diag(step)
+        ]
+        return np.array(
+            [
+                (up.stiffness_matrix() - down.stiffness_matrix()) / (2.0 * h)
+                for (up, down), h in zip(pairs, step, strict=True)
+            ]
+        )
+
+    def modes(self) -> Modes:
+        """Solve K phi = lambda M phi.
+
+        Raises
+        ------
+        numpy.linalg.LinAlgError
+            If the mass matrix is not positive definite.
+        """
+        eigenvalues, shapes = eigh(self.stiffness_matrix(), self.mass_matrix())
+        return Modes(eigenvalues, shapes)

@@ -1,0 +1,205 @@
+"""Which poles are modes: stabilisation over orders, and the match to the model's modes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from pydantic import Field
+from scipy.optimize import linear_sum_assignment
+
+from monitor.model import Modes
+from monitor.results import Array, ComplexArray, ModalEstimate, Skipped, Window
+from monitor.settings import Settings
+from monitor.ssi import Realisation, SsiSettings, StateSpace, continuous, realise, state_spaces
+from monitor.ssi_covariance import mode_deviations
+
+
+class SelectionSettings(Settings):
+    """What makes a pole a mode."""
+
+    min_frequency_hz: float = Field(default=0.2, gt=0)
+    max_damping_ratio: float = Field(default=0.15, gt=0, lt=1)
+    stable_frequency: float = Field(default=0.01, gt=0)
+    """Largest relative change of frequency from one order to the next for a stable pole."""
+    stable_mac: float = Field(default=0.95, gt=0, lt=1)
+    """Least modal assurance criterion between the two."""
+    min_stable_share: float = Field(default=0.5, gt=0, le=1)
+    """Share of the orders above the first in which a mode must be stable."""
+    max_frequency_ratio: float = Field(default=1.5, gt=1)
+    """A mode farther than this factor from the model's is not its counterpart."""
+    min_model_mac: float = Field(default=0.5, ge=0, lt=1)
+    """A mode less like the model's shape than this is not its counterpart."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Poles:
+    """All plausible poles of all orders, one row each."""
+
+    space: list[int]
+    """Index of the state space."""
+    column: list[int]
+    """Index of the pole in it."""
+    frequency: Array
+    damping: Array
+    shape: ComplexArray
+    """Unit norm, shape (n_poles, c)."""
+    stable: Array
+    """1 if the order below has the same pole."""
+
+
+def mac(a: ComplexArray, b: ComplexArray) -> Array:
+    """Modal assurance criterion of every row of `a` with every row of `b`, shape (n_a, n_b), 0 to 1."""
+    power = np.einsum("ij,ij->i", a.conj(), a).real[:, None] * np.einsum("ij,ij->i", b.conj(), b).real
+    return np.asarray(np.abs(a.conj() @ b.T) ** 2 / power)
+
+
+def identify(
+    window: Window, past: tuple[int, ...], reference: Modes, sensors: Array, ssi: SsiSettings, select: SelectionSettings
+) -> ModalEstimate | Skipped:
+    """Modes of a window: every order, stabilisation, and the model's counterparts.
+
+    Parameters
+    ----------
+    past : tuple of int
+        Reference columns.
+    reference : Modes
+        The model's modes, to which the identified ones are matched.
+    sensors : ndarray, shape (c, n)
+        Picks the sensors out of the model's floors.
+
+    Returns
+    -------
+    ModalEstimate or Skipped
+        Skipped names the model's modes that no stable pole matches.
+    """
+    realisation = realise(window.sums, ssi, past, ssi.max_order)
+    spaces = state_spaces(realisation, range(2, ssi.max_order + 1, 2))
+    poles = _plausible(spaces, window.rate_hz, select)
+    in_band = reference.frequencies_hz < 0.45 * window.rate_hz
+    shapes = (sensors @ reference.shapes[:, in_band]).T
+    modes = _match(poles, len(spaces), reference.frequencies_hz[in_band], shapes, select)
+    missing = [str(i + 1) for i, m in enumerate(modes) if m is None]
+    if missing:
+        return Skipped(f"no stable pole for mode {', '.join(missing)} of the model")
+    clusters = [m for m in modes if m is not None]
+    chosen = _common_order(poles, clusters, spaces)
+    if chosen is None:
+        return Skipped("no order shows every mode")
+    return _estimate(window, realisation, spaces, poles, chosen)
+
+
+def _plausible(spaces: list[StateSpace], rate_hz: float, select: SelectionSettings) -> _Poles:
+    index: list[tuple[int, int]] = []
+    frequency: list[float] = []
+    damping: list[float] = []
+    shapes: list[ComplexArray] = []
+    for s, space in enumerate(spaces):
+        f, zeta = continuous(space.poles, rate_hz)
+        good = (
+            (space.poles.imag > 0)
+            & (f > select.min_frequency_hz)
+            & (f < 0.45 * rate_hz)
+            & (zeta > 0)
+            & (zeta < select.max_damping_ratio)
+        )
+        for q in np.flatnonzero(good):
+            index.append((s, int(q)))
+            frequency.append(float(f[q]))
+            damping.append(float(zeta[q]))
+            shapes.append(space.shapes[:, q] / np.linalg.norm(space.shapes[:, q]))
+    f_all = np.array(frequency)
+    shape = np.array(shapes).reshape(len(index), -1)
+    stable = np.zeros(len(index))
+    order = np.array([s for s, _ in index], dtype=int)
+    if index:
+        near = np.abs(f_all[:, None] / f_all[None, :] - 1.0) < select.stable_frequency
+        alike = mac(shape, shape) > select.stable_mac
+        below = order[:, None] == order[None, :] + 1
+        stable = (near & alike & below).any(axis=1).astype(float)
+    return _Poles([s for s, _ in index], [q for _, q in index], f_all, np.array(damping), shape, stable)
+
+
+def _match(
+    poles: _Poles, n_orders: int, frequencies: Array, shapes: Array, select: SelectionSettings
+) -> list[list[int] | None]:
+    """For every model mode, the stable poles of its counterpart; None where there is none."""
+    clusters = _clusters(poles, n_orders, select)
+    found: list[list[int] | None] = [None] * len(frequencies)
+    if not clusters:
+        return found
+    centre = np.array([np.median(poles.frequency[c]) for c in clusters])
+    shape = np.array([poles.shape[c[len(c) // 2]] for c in clusters])
+    likeness = mac(shapes.astype(complex), shape)
+    distance = np.abs(np.log(centre[None, :] / frequencies[:, None]))
+    forbidden = (distance > np.log(select.max_frequency_ratio)) | (likeness < select.min_model_mac)
+    support = np.array([len(c) for c in clusters]) / n_orders
+    cost = distance / np.log(select.max_frequency_ratio) + (1.0 - likeness) + 0.5 * (1.0 - support)
+    for i, j in zip(*linear_sum_assignment(np.where(forbidden, 1e3, cost)), strict=True):
+        if not forbidden[i, j]:
+            found[i] = clusters[j]
+    return found
+
+
+def _clusters(poles: _Poles, n_orders: int, select: SelectionSettings) -> list[list[int]]:
+    """Stable poles of the same mode, at most one an order, where enough orders agree."""
+    free = [int(p) for p in np.flatnonzero(poles.stable)]
+    likeness = mac(poles.shape, poles.shape)
+    clusters = []
+    while free:
+        # The pole with most companions is the best centre of a mode.
+        f = poles.frequency[free]
+        near = (np.abs(f[:, None] / f[None, :] - 1.0) < 2.0 * select.stable_frequency) & (
+            likeness[np.ix_(free, free)] > select.stable_mac
+        )
+        seed = int(near.sum(axis=1).argmax())
+        members = [free[j] for j in np.flatnonzero(near[seed])]
+        best: dict[int, int] = {}
+        for p in members:
+            s = poles.space[p]
+            closer = s not in best or abs(poles.frequency[p] - f[seed]) < abs(poles.frequency[best[s]] - f[seed])
+            if closer:
+                best[s] = p
+        if len(best) >= select.min_stable_share * (n_orders - 1):
+            clusters.append(sorted(best.values(), key=lambda p: poles.space[p]))
+        free = [p for p in free if p not in members]
+    return clusters
+
+
+def _common_order(poles: _Poles, clusters: list[list[int]], spaces: list[StateSpace]) -> list[int] | None:
+    """One pole a mode, all from the lowest order that shows them all with room for what is no mode.
+
+    The exact order is a trap for data-driven identification (bias in frequency and damping); two more pairs remove
+    it, and higher orders only add variance.
+    """
+    enough = 2 * len(clusters) + 4
+    for s, space in enumerate(spaces):
+        if space.order < enough:
+            continue
+        here = [next((p for p in c if poles.space[p] == s), None) for c in clusters]
+        if all(p is not None for p in here):
+            return [p for p in here if p is not None]
+    return None
+
+
+def _estimate(
+    window: Window, realisation: Realisation, spaces: list[StateSpace], poles: _Poles, chosen: list[int]
+) -> ModalEstimate:
+    by_frequency = sorted(range(len(chosen)), key=lambda i: poles.frequency[chosen[i]])
+    rows = [chosen[i] for i in by_frequency]
+    space = spaces[poles.space[rows[0]]]
+    largest = np.abs(poles.shape[rows]).argmax(axis=1)
+    shapes = poles.shape[rows] / poles.shape[rows, largest][:, None]
+    shapes[np.arange(len(rows)), largest] = 1.0
+    columns = [poles.column[r] for r in rows]
+    return ModalEstimate(
+        frequencies_hz=poles.frequency[rows],
+        damping_ratio=poles.damping[rows],
+        shapes=shapes,
+        model_mode=np.array(by_frequency, dtype=np.int64),
+        deviations=mode_deviations(window.sums, realisation, space, columns, shapes, window.rate_hz),
+        order=space.order,
+        poles=np.column_stack(
+            [[spaces[s].order for s in poles.space], poles.frequency, poles.damping, poles.stable]
+        ),
+    )

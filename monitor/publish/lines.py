@@ -1,0 +1,82 @@
+"""Results as JSON: one line a window, and the summary of a run (CONTRACT: results.jsonl, summary.json)."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from monitor.files import finish, partial
+from monitor.results import WindowResult
+
+
+def _rounded(values: Any) -> Any:
+    """Plain numbers with nine significant digits: more than the data hold, and lines stay short."""
+    array = np.asarray(values, dtype=float)
+    if array.ndim == 0:
+        return float(f"{float(array):.9g}") if math.isfinite(float(array)) else None
+    return [_rounded(v) for v in array]
+
+
+def window_line(result: WindowResult) -> dict[str, Any]:
+    """The line of a window, strict JSON; null where nothing was estimated."""
+    modes, stiffness, damage = result.modes, result.stiffness, result.damage
+    shapes = None
+    if modes is not None:
+        shapes = [[_rounded([c.real, c.imag]) for c in shape] for shape in modes.shapes]
+    return {
+        "window": result.index,
+        "t_end_ns": result.t_end_ns,
+        "window_s": _rounded(result.window_s),
+        "frequencies_hz": modes and _rounded(modes.frequencies_hz),
+        "frequencies_std_hz": modes and _rounded(modes.frequencies_std_hz),
+        "damping_ratio": modes and _rounded(modes.damping_ratio),
+        "damping_std": modes and _rounded(modes.damping_std),
+        "mode_shapes": shapes,
+        "order": modes and modes.order,
+        "stiffness_n_per_m": stiffness and _rounded(stiffness.stiffness_n_per_m),
+        "stiffness_std": stiffness and _rounded(np.sqrt(np.diag(stiffness.covariance))),
+        "ddi": damage and _rounded(damage.ddi),
+        "ddi_std": damage and _rounded(damage.ddi_std),
+        "ddi_sequential": damage and _rounded(damage.ddi_sequential),
+        "loss_n_per_m": damage and _rounded(damage.loss_n_per_m),
+        "alarm": {
+            "level": result.alarm.level.value,
+            "stories": list(result.alarm.stories),
+            "reason": result.alarm.reason,
+        },
+        "skipped": result.skipped and result.skipped.reason,
+    }
+
+
+def to_json(value: dict[str, Any]) -> str:
+    """Strict JSON on one line."""
+    return json.dumps(value, allow_nan=False, separators=(", ", ": "))
+
+
+class LinesFile:
+    """results.jsonl, under its final name only when closed."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._file = partial(path).open("w", encoding="utf-8")
+
+    def write(self, line: str) -> None:
+        """Add one line."""
+        self._file.write(line + "\n")
+
+    def close(self) -> None:
+        """Flush to the disk and take the final name."""
+        self._file.flush()
+        os.fsync(self._file.fileno())
+        self._file.close()
+        finish(self._path)
+
+    def abandon(self) -> None:
+        """Leave nothing behind."""
+        self._file.close()
+        partial(self._path).unlink(missing_ok=True)

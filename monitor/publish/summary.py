@@ -1,0 +1,92 @@
+"""What a run amounted to: counts, and every alarm episode at its highest level."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from monitor.results import Gap, Level, WindowResult
+
+
+@dataclass(slots=True)
+class Episode:
+    """One story's alarm from its first to its last window."""
+
+    level: str
+    story: int | None
+    t_first_ns: int
+    t_last_ns: int | None
+    """None while it lasts."""
+    ddi: float
+    """At the highest level, latest reading."""
+    ddi_std: float
+    loss_n_per_m: float
+
+
+@dataclass(slots=True)
+class Summary:
+    """Counts of a run; `content` is summary.json."""
+
+    n_stories: int
+    windows: int = 0
+    skipped: int = 0
+    gaps: int = 0
+    dropped_samples: int = 0
+    alarms: list[Episode] = field(default_factory=list)
+    frequencies_hz: list[float] | None = None
+    _n_frequencies: int = 0
+    _open: dict[int, Episode] = field(default_factory=dict)
+
+    def gap(self, gap: Gap) -> None:
+        """Count a gap."""
+        self.gaps += 1
+
+    def window(self, result: WindowResult) -> None:
+        """Count a window and follow the alarm episodes."""
+        self.windows += 1
+        if result.skipped is not None:
+            self.skipped += 1
+            return
+        if result.modes is not None:
+            self._average(result.modes.frequencies_hz.tolist())
+        assert result.damage is not None
+        active = result.alarm.active
+        for story in list(self._open):
+            if story not in active:
+                self._open.pop(story).t_last_ns = result.t_end_ns
+        for story, level in active.items():
+            j = story - 1
+            reading = (float(result.damage.ddi[j]), float(result.damage.ddi_std[j]), float(result.damage.loss_n_per_m[j]))
+            episode = self._open.get(story)
+            if episode is None:
+                episode = Episode(level.value, story, result.t_end_ns, None, *reading)
+                self._open[story] = episode
+                self.alarms.append(episode)
+            elif level.rank >= Level(episode.level).rank:
+                episode.level = level.value
+                episode.ddi, episode.ddi_std, episode.loss_n_per_m = reading
+
+    def _average(self, frequencies: list[float]) -> None:
+        self._n_frequencies += 1
+        if self.frequencies_hz is None or len(self.frequencies_hz) != len(frequencies):
+            self.frequencies_hz, self._n_frequencies = frequencies, 1
+            return
+        share = 1.0 / self._n_frequencies
+        self.frequencies_hz = [a + share * (b - a) for a, b in zip(self.frequencies_hz, frequencies, strict=True)]
+
+    def content(self, realtime_factor: float, model_frequencies_hz: list[float]) -> dict[str, Any]:
+        """summary.json."""
+        misfit = None
+        if self.frequencies_hz is not None:
+            misfit = [f / g - 1.0 for f, g in zip(self.frequencies_hz, model_frequencies_hz, strict=False)]
+        return {
+            "windows": self.windows,
+            "skipped": self.skipped,
+            "alarms": [asdict(e) for e in self.alarms],
+            "dropped_samples": self.dropped_samples,
+            "gaps": self.gaps,
+            "realtime_factor": round(realtime_factor, 1),
+            "frequencies_hz": self.frequencies_hz,
+            "structure_file_frequencies_hz": model_frequencies_hz,
+            "frequency_misfit": misfit,
+        }

@@ -1,0 +1,38 @@
+"""Is there anything in a window to identify?"""
+
+from __future__ import annotations
+
+import numpy as np
+from pydantic import Field
+
+from monitor.results import LagSums, Skipped
+from monitor.settings import Settings
+
+
+class QualitySettings(Settings):
+    """What keeps a window out."""
+
+    max_spectral_flatness: float = Field(default=0.8, gt=0, le=1)
+    """Geometric over arithmetic mean of the spectrum: 1 for white noise alone, about 0.1 for a vibrating frame."""
+
+
+def check(sums: LagSums, rate_hz: float, cutoff_hz: float, channels: tuple[str, ...], settings: QualitySettings) -> Skipped | None:
+    """Why this window cannot be identified, or None.
+
+    The spectrum is the lag window estimate (Bartlett) of the summed channels, from 1 Hz to 0.9 of the cutoff.
+    """
+    variance = np.diag(sums.blocks[:, 0].sum(axis=0)) / sums.counts.sum()
+    dead = [name for name, v in zip(channels, variance, strict=True) if not v > 1e-20]
+    if dead:
+        return Skipped(f"channel {', '.join(dead)} does not move")
+    # Each channel at unit variance, so that a loud one does not hide that the others are noise.
+    lags = np.einsum("btcc->tc", sums.blocks) / sums.counts.sum() / variance
+    n = lags.shape[0]
+    weights = (1.0 - np.arange(n) / n)[:, None] * lags
+    frequency = np.arange(1.0, 0.9 * cutoff_hz, 0.5)
+    cosines = np.cos(2.0 * np.pi * frequency[:, None] * np.arange(n) / rate_hz)
+    spectrum = np.clip(2.0 * cosines @ weights - weights[0], 1e-12, None).sum(axis=1)
+    flatness = float(np.exp(np.log(spectrum).mean()) / spectrum.mean())
+    if flatness > settings.max_spectral_flatness:
+        return Skipped(f"response too close to the noise (spectral flatness {flatness:.2f})")
+    return None

@@ -1,0 +1,185 @@
+"""The nouns: frozen values that stages hand on and publishers publish.
+
+Every field's doc gives its unit and shape; ``m`` modes, ``n`` stories, ``c`` channels.  Every estimate carries
+its covariance, and "cannot say" is a value (`Skipped`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+
+class Level(StrEnum):
+    """Alarm levels, in rising order."""
+
+    NORMAL = "normal"
+    ADVISORY = "advisory"
+    WARNING = "warning"
+    ALARM = "alarm"
+
+    @property
+    def rank(self) -> int:
+        return list(Level).index(self)
+
+
+@dataclass(frozen=True, slots=True)
+class Skipped:
+    """Nothing could be said about a window, and why."""
+
+    reason: str
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Samples:
+    """Conditioned samples, one common clock."""
+
+    t_ns: int
+    """UTC of the first sample."""
+    rate_hz: float
+    values: Array
+    """Shape (n_samples, c), m/s^2."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class LagSums:
+    """Lagged products of one window, split into blocks for the uncertainty.
+
+    ``blocks[b, tau] = sum_k y[k] y[k + tau]^T`` over the samples k of block b.
+    """
+
+    blocks: Array
+    """Shape (n_blocks, 2 i, c, c), (m/s^2)^2."""
+    counts: NDArray[np.int64]
+    """Shape (n_blocks,): the number of products in each block."""
+    head: Array
+    """Shape (2 i - 1, c): the window's first samples about its mean, m/s^2."""
+    tail: Array
+    """Shape (2 i - 1, c): the window's last samples about its mean."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Window:
+    """One sliding window, ready for identification."""
+
+    index: int
+    t_end_ns: int
+    """Exclusive end of the window, UTC."""
+    window_s: float
+    """Length of the data in the window."""
+    rate_hz: float
+    sums: LagSums
+
+    @property
+    def rms_m_s2(self) -> float:
+        """Response level: mean over channels of the RMS."""
+        variance = np.einsum("bcc->c", self.sums.blocks[:, 0]) / self.sums.counts.sum()
+        return float(np.sqrt(variance).mean())
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class ModalEstimate:
+    """Modes of one window, sorted by frequency, with their joint covariance."""
+
+    frequencies_hz: Array
+    """Shape (m,)."""
+    damping_ratio: Array
+    """Shape (m,)."""
+    shapes: ComplexArray
+    """Shape (m, c); each with its largest component 1."""
+    model_mode: NDArray[np.int64]
+    """Shape (m,): which mode of the model (0 = lowest) each one was matched to."""
+    deviations: Array
+    """Shape (n_blocks, m, 2 + 2 c): first-order influence of each block of data on (ln f, damping ratio, Re shape,
+    Im shape).  Their sum of squares is the covariance of the estimate."""
+    order: int
+    """State-space order that the estimate was taken from."""
+    poles: Array
+    """Shape (n_poles, 4): order, frequency in Hz, damping ratio, 1 if stable; the stabilisation diagram."""
+
+    @property
+    def frequencies_std_hz(self) -> Array:
+        """Shape (m,), Hz."""
+        return np.asarray(self.frequencies_hz * np.sqrt((self.deviations[:, :, 0] ** 2).sum(axis=0)))
+
+    @property
+    def damping_std(self) -> Array:
+        """Shape (m,)."""
+        return np.sqrt((self.deviations[:, :, 1] ** 2).sum(axis=0))
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class StiffnessEstimate:
+    """Story stiffness updated to a window's modes."""
+
+    stiffness_n_per_m: Array
+    """Shape (n,)."""
+    covariance: Array
+    """Shape (n, n), (N/m)^2."""
+    converged: bool
+    iterations: int
+    misfit: Array
+    """Shape (n_data,): what the updated model leaves unexplained, in standard deviations of the window's modes."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class DamageReading:
+    """Relative stiffness loss of each story since the baseline (0.2 = 20 % lost)."""
+
+    ddi: Array
+    """Shape (n,): the direct parameter ratio, 1 - k / k_baseline."""
+    ddi_covariance: Array
+    """Shape (n, n); contains the baseline's own uncertainty."""
+    ddi_sequential: Array
+    """Shape (n,): read from the difference of the stiffness matrices in the paper's sequence."""
+    loss_n_per_m: Array
+    """Shape (n,): stiffness lost since the baseline."""
+
+    @property
+    def ddi_std(self) -> Array:
+        """Shape (n,)."""
+        return np.sqrt(np.diag(self.ddi_covariance))
+
+
+@dataclass(frozen=True, slots=True)
+class Alarm:
+    """State of the alarm after a window."""
+
+    level: Level
+    stories: tuple[int, ...]
+    """Story numbers from 1 at this level; empty for the whole structure or none."""
+    reason: str
+    active: dict[int, Level] = field(default_factory=dict)
+    """Level of every story that is not normal."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class WindowResult:
+    """Everything said about one window: a line of results.jsonl."""
+
+    index: int
+    t_end_ns: int
+    window_s: float
+    modes: ModalEstimate | None
+    stiffness: StiffnessEstimate | None
+    damage: DamageReading | None
+    alarm: Alarm
+    skipped: Skipped | None
+    rms_m_s2: float | None = None
+    """Response level, mean over channels; None for a window with a hole."""
+
+
+@dataclass(frozen=True, slots=True)
+class Gap:
+    """Samples that never came, or a clock that jumped."""
+
+    t_ns: int
+    """UTC where the gap begins."""
+    duration_s: float
+    reason: str

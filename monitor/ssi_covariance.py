@@ -1,0 +1,90 @@
+"""First-order uncertainty of identified modes, from the scatter of the window's blocks.
+
+Each block's lag sums deviate a little from the window's mean; carried through the identification to first order, each
+deviation moves frequency, damping and shape of a mode by so much.  The sum of squares of those influences is the
+covariance of the estimate.  To first order the weights of Table 1 do not matter: with ``O = Y_f Y_p^T Z`` an error of
+the lag sums enters as ``dO = d(Y_f Y_p^T) Z``.
+
+References
+----------
+E. Reynders, R. Pintelon, G. De Roeck, Uncertainty bounds on modal parameters obtained from stochastic subspace
+identification, Mechanical Systems and Signal Processing 22 (2008) 948-969; M. Doehler, L. Mevel, Efficient
+multi-order uncertainty computation for stochastic subspace identification, MSSP 38 (2013) 346-366.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from monitor.results import Array, ComplexArray, LagSums
+from monitor.ssi import Realisation, StateSpace
+
+
+def mode_deviations(
+    sums: LagSums,
+    realisation: Realisation,
+    space: StateSpace,
+    chosen: list[int],
+    shapes: ComplexArray,
+    rate_hz: float,
+) -> Array:
+    """Influence of every block on the chosen modes.
+
+    Parameters
+    ----------
+    chosen : list of int
+        Indices of the modes' poles in `space`.
+    shapes : ndarray, shape (m, c)
+        The normalized shapes, one component exactly 1.
+
+    Returns
+    -------
+    ndarray, shape (n_blocks, m, 2 + 2 c)
+        Of ln f, damping ratio, real and imaginary part of the shape.
+    """
+    n, l = space.order, realisation.n_channels  # noqa: E741 - the paper's letters
+    observability = realisation.observability[:, :n]
+    d_o = _observability_deviations(sums, realisation, n)
+    up_inverse = np.linalg.pinv(observability[:-l])
+    d_a = up_inverse @ (d_o[:, l:] - d_o[:, :-l] @ space.a)
+    left = np.linalg.inv(space.right)
+    deviations = np.empty((d_o.shape[0], len(chosen), 2 + 2 * l))
+    for row, q in enumerate(chosen):
+        moved = left @ (d_a @ space.right[:, q]).T  # (n, n_blocks): w_j^H dA v_q
+        pole = space.poles[q]
+        mu = np.log(pole) * rate_hz
+        d_mu = moved[q] * rate_hz / pole
+        d_ln_f = (mu.conjugate() * d_mu).real / abs(mu) ** 2
+        deviations[:, row, 0] = d_ln_f
+        deviations[:, row, 1] = -d_mu.real / abs(mu) + mu.real / abs(mu) * d_ln_f
+        apart = pole - space.poles
+        apart[q] = 1.0
+        moved = moved / apart[:, None]
+        moved[q] = 0.0
+        d_shape = d_o[:, :l] @ space.right[:, q] + (space.shapes @ moved).T
+        gauge = int(np.argmin(np.abs(shapes[row] - 1.0)))
+        scale = space.shapes[gauge, q]
+        d_shape = (d_shape - shapes[row] * d_shape[:, gauge, None]) / scale
+        deviations[:, row, 2 : 2 + l] = d_shape.real
+        deviations[:, row, 2 + l :] = d_shape.imag
+    return deviations
+
+
+def _observability_deviations(sums: LagSums, realisation: Realisation, n: int) -> Array:
+    """dO of every block, shape (n_blocks, l i, n)."""
+    past = list(realisation.past)
+    l, r = realisation.n_channels, len(past)  # noqa: E741
+    i = realisation.right.shape[0] // r
+    n_blocks = sums.blocks.shape[0]
+    total = sums.counts.sum()
+    mean = sums.blocks.sum(axis=0) / total
+    # A mean of n_blocks blocks has been taken out, so the squares fall short by that degree of freedom.
+    inflate = np.sqrt(n_blocks / (n_blocks - 1.0)) if n_blocks > 1 else 1.0
+    deviation = (sums.blocks - sums.counts[:, None, None, None] * mean) * inflate
+    # Block (a, b) of d(Y_f Y_p^T) is the deviation at lag i + a - b, transposed: a convolution over past blocks.
+    z = realisation.right[:, :n].reshape(i, r, n)
+    by_lag = deviation[:, 1:, past].transpose(0, 3, 1, 2)  # (blocks, l, lag - 1, r)
+    flipped = np.ascontiguousarray(by_lag[:, :, ::-1])  # windows over it run along increasing b
+    views = np.lib.stride_tricks.sliding_window_view(flipped, i, axis=2)  # (blocks, l, i, r, i): start i - 1 - a
+    gathered = views[:, :, ::-1].transpose(0, 2, 1, 4, 3).reshape(n_blocks * i * l, i * r)
+    return np.asarray((gathered @ z.reshape(i * r, n)).reshape(n_blocks, i * l, n))

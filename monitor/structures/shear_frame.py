@@ -1,0 +1,48 @@
+"""A shear frame: rigid floors on columns that only shear (the paper's frame, section 4)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from monitor.results import Array
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class ShearFrame:
+    """Floors 1 (top) to n (lowest); story j joins floors j and j + 1, story n reaches the ground.
+
+    Its parameters are the story stiffnesses: K is linear in them.
+    """
+
+    masses_kg: Array
+    """Shape (n,)."""
+    stiffness_n_per_m: Array
+    """Shape (n,), story 1 first."""
+    damping_ratio: float
+    """Rayleigh damping: this ratio in modes 1 and 2 (in mode 1 alone for a single floor)."""
+    story_heights_m: Array | None = None
+    """Shape (n,)."""
+
+    @property
+    def n_stories(self) -> int:
+        return int(self.masses_kg.size)
+
+    def drift_matrix(self) -> Array:
+        """Drift of every story from the floors' displacements, shape (n, n): upper floor minus lower."""
+        return np.eye(self.n_stories) - np.eye(self.n_stories, k=1)
+
+    def mass_matrix(self) -> Array:
+        """Shape (n, n), kg."""
+        return np.diag(self.masses_kg)
+
+    def stiffness_matrix(self) -> Array:
+        """Shape (n, n), N/m."""
+        drift = self.drift_matrix()
+        return np.asarray(drift.T @ (self.stiffness_n_per_m[:, None] * drift))
+
+    def stiffness_derivatives(self) -> Array:
+        """dK / dk_j, shape (n, n, n): first axis is the story."""
+        drift = self.drift_matrix()
+        return np.einsum("ja,jb->jab", drift, drift)

@@ -1,0 +1,256 @@
+"""Iterative model updating by penalty functions (paper, section 3, eqs 18-33).
+
+The measured vector z holds, for each mode, its eigenvalue (or the eigenvalue's logarithm) and, if wanted, the
+components of its shape relative to a gauge component.  Parameters are story stiffnesses and, for a baseline, floor
+masses.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from monitor.model import Model, Modes
+from monitor.results import Array, ModalEstimate
+from monitor.settings import Settings
+
+Penalty = Literal["least_squares", "weighted", "step", "initial", "minimum_norm"]
+
+
+class UpdatingSettings(Settings):
+    """How stiffness follows from modes."""
+
+    penalty: Penalty = "weighted"
+    """least_squares: eqs 22-24; weighted: 25-27; step: 28-30; initial: 31-33; minimum_norm: 21."""
+    use_shapes: bool = True
+    """Use mode shapes besides frequencies; without them, as the paper, the fit loses most of the information."""
+    eigenvalue: Literal["log", "linear"] = "log"
+    """Compare eigenvalues by their logarithms (changes cancel a scale error of the masses) or as the paper does."""
+    parameter_std: float = Field(default=0.2, gt=0)
+    """Relative standard deviation that W_theta of `step` and `initial` gives every parameter."""
+    max_iterations: int = Field(default=50, ge=1)
+    tolerance: float = Field(default=1e-9, gt=0)
+    """Converged when no parameter moves by more than this fraction."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Observation:
+    """The measured vector z_m of eq. 27 and what it is made of."""
+
+    z: Array
+    """Shape (n_data,): eigenvalues (or logarithms), then shape components mode by mode."""
+    variance: Array
+    """Shape (n_data,): the diagonal of W^-1."""
+    deviations: Array
+    """Shape (n_blocks, n_data): influences whose squares sum to the covariance of z."""
+    model_mode: tuple[int, ...]
+    gauges: tuple[int, ...]
+    """Channel whose shape component is 1, for each mode; empty when shapes are not used."""
+    log: bool
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Update:
+    """Outcome of the iteration; not having converged is a value, not an error."""
+
+    model: Model
+    parameters: Array
+    """Shape (n_parameters,)."""
+    gain: Array
+    """Shape (n_parameters, n_data): d parameters / d z at the solution."""
+    residual: Array
+    """Shape (n_data,): z_m - z."""
+    converged: bool
+    iterations: int
+    history: Array
+    """Shape (iterations + 1, n_parameters), the initial values first."""
+
+
+def observe(modes: ModalEstimate, settings: UpdatingSettings, gauges: tuple[int, ...] | None = None) -> Observation:
+    """z_m with its variances from identified modes.
+
+    Parameters
+    ----------
+    gauges : tuple of int, optional
+        Channel to scale each shape by; by default the largest component.  A change since a baseline needs the
+        baseline's.
+    """
+    log = settings.eigenvalue == "log"
+    omega_squared = (2.0 * np.pi * modes.frequencies_hz) ** 2
+    scale = np.full(omega_squared.shape, 2.0) if log else 2.0 * omega_squared
+    z = [np.log(omega_squared) if log else omega_squared]
+    deviations = [modes.deviations[:, :, 0] * scale]
+    m, c = modes.shapes.shape
+    if not settings.use_shapes:
+        gauges = ()
+    elif gauges is None:
+        gauges = tuple(int(g) for g in np.abs(modes.shapes).argmax(axis=1))
+    for row, gauge in enumerate(gauges):
+        others = [j for j in range(c) if j != gauge]
+        shape = modes.shapes[row] / modes.shapes[row, gauge]
+        d_shape = modes.deviations[:, row, 2 : 2 + c] + 1j * modes.deviations[:, row, 2 + c :]
+        d_shape = (d_shape - shape * d_shape[:, gauge, None]) / modes.shapes[row, gauge]
+        z.append(shape.real[others])
+        deviations.append(d_shape.real[:, others])
+    stacked = np.concatenate(deviations, axis=1)
+    return Observation(
+        z=np.concatenate(z),
+        variance=(stacked**2).sum(axis=0),
+        deviations=stacked,
+        model_mode=tuple(int(i) for i in modes.model_mode),
+        gauges=gauges,
+        log=log,
+    )
+
+
+def predict(model: Model, sensors: Array, observation: Observation, with_masses: bool) -> tuple[Array, Array]:
+    """The model's z and its sensitivity S = dz / d theta (eqs 18-20).
+
+    Parameters
+    ----------
+    sensors : ndarray, shape (c, n)
+        Picks the sensors out of the floors.
+
+    Returns
+    -------
+    z : ndarray, shape (n_data,)
+    sensitivity : ndarray, shape (n_data, n_parameters)
+        Parameters are the stiffnesses, then the masses if `with_masses`.
+    """
+    modes = model.modes()
+    d_k, d_m = _matrix_derivatives(model, with_masses)
+    d_lambda, d_shapes = fox_kapoor(modes, d_k, d_m)
+    used = list(observation.model_mode)
+    lam = modes.eigenvalues[used]
+    z = [np.log(lam) if observation.log else lam]
+    rows = [d_lambda[used] / lam[:, None] if observation.log else d_lambda[used]]
+    for i, gauge in zip(used, observation.gauges, strict=False):
+        at_sensors, d_at_sensors = sensors @ modes.shapes[:, i], sensors @ d_shapes[i]
+        others = [j for j in range(sensors.shape[0]) if j != gauge]
+        ratio = at_sensors / at_sensors[gauge]
+        d_ratio = (d_at_sensors - ratio[:, None] * d_at_sensors[gauge]) / at_sensors[gauge]
+        z.append(ratio[others])
+        rows.append(d_ratio[others])
+    return np.concatenate(z), np.vstack(rows)
+
+
+def fox_kapoor(modes: Modes, d_k: Array, d_m: Array) -> tuple[Array, Array]:
+    """Derivatives of eigenvalues (eq. 20) and mode shapes (eq. 19, expanded in the modes).
+
+    Parameters
+    ----------
+    d_k, d_m : ndarray, shape (p, n, n)
+
+    Returns
+    -------
+    d_lambda : ndarray, shape (n, p)
+    d_shapes : ndarray, shape (n, n, p)
+        ``d_shapes[i]`` is the derivative of mode i, floors by parameters, at unit modal mass.
+
+    References
+    ----------
+    R. L. Fox, M. P. Kapoor, Rates of change of eigenvalues and eigenvectors, AIAA Journal 6 (1968) 2426-2429.
+    """
+    phi, lam = modes.shapes, modes.eigenvalues
+    k_modal = np.einsum("ar,pab,bi->pri", phi, d_k, phi)
+    m_modal = np.einsum("ar,pab,bi->pri", phi, d_m, phi)
+    mixed = k_modal - lam[None, None, :] * m_modal
+    d_lambda = np.einsum("pii->ip", mixed)
+    apart = lam[None, :] - lam[:, None]  # lambda_i - lambda_r at (r, i)
+    np.fill_diagonal(apart, 1.0)
+    coefficients = mixed / apart
+    diagonal = np.arange(lam.size)
+    coefficients[:, diagonal, diagonal] = -0.5 * m_modal[:, diagonal, diagonal]
+    return d_lambda, np.einsum("ar,pri->iap", phi, coefficients)
+
+
+def update(
+    model: Model,
+    sensors: Array,
+    observation: Observation,
+    settings: UpdatingSettings,
+    *,
+    prior_std: Array | None = None,
+    with_masses: bool = False,
+) -> Update:
+    """Iterate eq. 23, 27, 30 or 33 from the model's present parameters.
+
+    Parameters
+    ----------
+    prior_std : ndarray, shape (n_parameters,), optional
+        Relative standard deviations for W_theta; by default `settings.parameter_std` for all.
+    with_masses : bool
+        Update the floor masses too; their scale is held by the prior alone, so this wants penalty ``initial``.
+    """
+    structure = model.structure
+    theta = np.concatenate([structure.stiffness_n_per_m, structure.masses_kg][: 2 if with_masses else 1])
+    initial, history = theta.copy(), [theta]
+    relative = np.full(theta.size, settings.parameter_std) if prior_std is None else prior_std
+    w_theta = 1.0 / (relative * initial) ** 2
+    converged = False
+    for _ in range(settings.max_iterations):
+        z, sensitivity = predict(model, sensors, observation, with_masses)
+        gain = _gain(sensitivity, observation.variance, w_theta, settings.penalty)
+        step = gain @ (observation.z - z)
+        if settings.penalty == "initial":  # eq. 33 pulls towards the initial values, eq. 30 only brakes the step
+            step -= _prior_pull(sensitivity, observation.variance, w_theta) @ (theta - initial)
+        # A step that would make a stiffness negative is shortened: half way to zero at most.
+        shortest = np.min(np.where(step < 0, -0.5 * theta / np.minimum(step, -1e-300), 1.0))
+        theta = theta + min(1.0, float(shortest)) * step
+        history.append(theta)
+        model = _with_parameters(model, theta, with_masses)
+        if np.abs(step / theta).max() < settings.tolerance:
+            converged = True
+            break
+    z, sensitivity = predict(model, sensors, observation, with_masses)
+    return Update(
+        model=model,
+        parameters=theta,
+        gain=_gain(sensitivity, observation.variance, w_theta, settings.penalty),
+        residual=observation.z - z,
+        converged=converged,
+        iterations=len(history) - 1,
+        history=np.array(history),
+    )
+
+
+def _gain(sensitivity: Array, variance: Array, w_theta: Array, penalty: Penalty) -> Array:
+    """The matrix that turns z_m - z into a step of theta."""
+    if penalty in ("least_squares", "minimum_norm"):
+        return np.asarray(np.linalg.pinv(sensitivity))  # eq. 23; with too few data, the shortest step (eq. 21)
+    weighted = sensitivity.T / variance
+    normal = weighted @ sensitivity
+    if penalty in ("step", "initial"):
+        normal = normal + np.diag(w_theta)
+    return _solve_scaled(normal, weighted)
+
+
+def _prior_pull(sensitivity: Array, variance: Array, w_theta: Array) -> Array:
+    return _solve_scaled((sensitivity.T / variance) @ sensitivity + np.diag(w_theta), np.diag(w_theta))
+
+
+def _solve_scaled(normal: Array, right: Array) -> Array:
+    """Solve the normal equations after scaling their diagonal to one (stiffness and mass differ by 1e4)."""
+    scale = 1.0 / np.sqrt(np.diag(normal))
+    scaled = normal * scale[:, None] * scale
+    return np.asarray(scale[:, None] * np.linalg.lstsq(scaled, scale[:, None] * right, rcond=1e-13)[0])
+
+
+def _matrix_derivatives(model: Model, with_masses: bool) -> tuple[Array, Array]:
+    d_k = model.stiffness_derivatives()
+    d_m = np.zeros_like(d_k)
+    if with_masses:
+        n = model.structure.n_stories
+        unit = np.zeros((n, n, n))
+        unit[np.arange(n), np.arange(n), np.arange(n)] = 1.0
+        d_k, d_m = np.concatenate([d_k, np.zeros_like(unit)]), np.concatenate([d_m, unit])
+    return d_k, d_m
+
+
+def _with_parameters(model: Model, theta: Array, with_masses: bool) -> Model:
+    n = model.structure.n_stories
+    updated = model.with_stiffness(theta[:n])
+    return updated.with_masses(theta[n:]) if with_masses else updated

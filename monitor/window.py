@@ -1,0 +1,185 @@
+"""Sliding windows as lag sums: each hop costs one hop of products, however long the window.
+
+The time axis is cut into blocks of gcd(window, hop) samples on a fixed grid.  A block's lagged products are formed
+once; a window only adds up its blocks.  So the cost is the hop's, the sum never drifts, and the blocks are at hand
+for the uncertainty.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from math import gcd
+
+import numpy as np
+
+from monitor.results import Array, LagSums, Skipped, Window
+
+
+@dataclass(frozen=True, slots=True)
+class WindowGrid:
+    """Where windows lie on the axis of conditioned samples."""
+
+    rate_hz: float
+    window_n: int
+    hop_n: int
+    n_lags: int
+
+    @classmethod
+    def design(cls, rate_hz: float, window_s: float, hop_s: float, n_lags: int) -> WindowGrid:
+        """Grid of windows; lengths are rounded to whole samples."""
+        return cls(rate_hz, round(window_s * rate_hz), round(hop_s * rate_hz), n_lags)
+
+    @property
+    def block_n(self) -> int:
+        """Samples in a block: the largest that tiles windows and hops."""
+        return gcd(self.window_n, self.hop_n)
+
+    def end(self, k: int) -> int:
+        """Index just past window k's last sample."""
+        return k * self.hop_n + self.window_n
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Block:
+    """Lagged products of one block of samples."""
+
+    inner: Array
+    """Shape (n_lags, c, c): products wholly inside the block."""
+    seam: Array
+    """Same shape: products that begin in this block and end in the next."""
+    inner_first: Array
+    """Shape (c,): sum of the first factors of `inner`."""
+    seam_first: Array
+    inner_second: Array
+    """Shape (n_lags, c): sum of the second factors of `inner`."""
+    seam_second: Array
+    total: Array
+    """Shape (c,): sum of the block's samples."""
+    head: Array
+    """Shape (n_lags - 1, c): the block's first samples."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class WindowState:
+    """What the next samples need of those before; one run without gaps, and where older runs lay."""
+
+    start: int
+    """Grid index of the current run's first sample."""
+    n: int
+    """Samples in the current run."""
+    next_window: int
+    samples: Array
+    """Shape (<= 2 block_n, c): the latest samples of the run."""
+    blocks: tuple[_Block, ...]
+    """The latest complete blocks of the run, at most one window of them."""
+    past_runs: tuple[tuple[int, int], ...] = ()
+    """[start, end) of earlier runs that a coming window may still touch."""
+
+
+def start(grid: WindowGrid, n_channels: int, *, index: int, previous: WindowState | None = None) -> WindowState:
+    """State before the first sample of a run that begins at grid index `index`."""
+    runs: tuple[tuple[int, int], ...] = ()
+    next_window = 0
+    if previous is not None:
+        runs = (*previous.past_runs, (previous.start, previous.start + previous.n))
+        next_window = previous.next_window
+    return WindowState(index, 0, next_window, np.zeros((0, n_channels)), (), runs)
+
+
+def step(
+    grid: WindowGrid, state: WindowState, samples: Array, t0_ns: int
+) -> tuple[WindowState, list[Window | tuple[int, int, float, Skipped]]]:
+    """Add samples and emit every window that they complete.
+
+    Parameters
+    ----------
+    samples : ndarray, shape (n_samples, c), m/s^2
+    t0_ns : int
+        UTC of grid index 0.
+
+    Returns
+    -------
+    state : WindowState
+    list
+        Windows in order; one with a hole in it is ``(index, t_end_ns, data_s, Skipped)``.
+    """
+    results: list[Window | tuple[int, int, float, Skipped]] = []
+    while samples.shape[0]:
+        # Up to the next block boundary, so that each block is formed from the same samples however they came.
+        room = grid.block_n - (state.start + state.n) % grid.block_n
+        part, samples = samples[:room], samples[room:]
+        state = _append(grid, state, part)
+        end = state.start + state.n
+        if end % grid.block_n == 0:
+            state = _close_block(grid, state)
+        while grid.end(state.next_window) <= end:
+            k = state.next_window
+            state = replace(state, next_window=k + 1)
+            results.extend(_emit(grid, state, k, t0_ns))
+    return state, results
+
+
+def _append(grid: WindowGrid, state: WindowState, part: Array) -> WindowState:
+    joined = np.concatenate([state.samples, part])[-2 * grid.block_n :]
+    return replace(state, n=state.n + part.shape[0], samples=joined)
+
+
+def _products(first: Array, followed: Array, n_lags: int) -> tuple[Array, Array, Array]:
+    """Sums over k of first[k] followed[k + tau]^T, of first[k], and of followed[k + tau], for every lag."""
+    n = first.shape[0]
+    transposed = np.ascontiguousarray(first.T)
+    products = np.stack([transposed @ followed[tau : tau + n] for tau in range(n_lags)])
+    second = np.stack([followed[tau : tau + n].sum(axis=0) for tau in range(n_lags)])
+    return products, first.sum(axis=0), second
+
+
+def _close_block(grid: WindowGrid, state: WindowState) -> WindowState:
+    """Form the block that has just become complete, and the seam of the one before it."""
+    size, lags = grid.block_n, grid.n_lags
+    if state.n < size:  # the run began inside this block
+        return state
+    block = np.ascontiguousarray(state.samples[-size:])
+    inner = _products(block[: size - lags + 1], block, lags)
+    blocks = list(state.blocks)
+    if blocks:
+        around = np.ascontiguousarray(state.samples[-size - lags + 1 : -size + lags - 1])
+        seam = _products(around[: lags - 1], around, lags)
+        blocks[-1] = replace(blocks[-1], seam=seam[0], seam_first=seam[1], seam_second=seam[2])
+    nothing = [np.zeros_like(a) for a in inner]
+    blocks.append(
+        _Block(
+            inner[0], nothing[0], inner[1], nothing[1], inner[2], nothing[2], block.sum(axis=0), block[: lags - 1]
+        )
+    )
+    return replace(state, blocks=tuple(blocks[-(grid.window_n // size) :]))
+
+
+def _emit(
+    grid: WindowGrid, state: WindowState, k: int, t0_ns: int
+) -> Iterator[Window | tuple[int, int, float, Skipped]]:
+    end = grid.end(k)
+    begin = end - grid.window_n
+    t_end_ns = t0_ns + round(end / grid.rate_hz * 1e9)
+    if begin >= state.start:
+        yield Window(k, t_end_ns, grid.window_n / grid.rate_hz, grid.rate_hz, _sum_up(grid, state))
+        return
+    runs = (*state.past_runs, (state.start, state.start + state.n))
+    data_n = sum(max(0, min(e, end) - max(s, begin)) for s, e in runs)
+    if data_n:  # a window without any data is not worth a line
+        yield k, t_end_ns, data_n / grid.rate_hz, Skipped("gap in the data")
+
+
+def _sum_up(grid: WindowGrid, state: WindowState) -> LagSums:
+    """The lag sums, about its mean, of the window that the state's blocks make up."""
+    lags, blocks = grid.n_lags, state.blocks
+    counts = np.full(len(blocks), grid.block_n)
+    counts[-1] = grid.block_n - lags + 1
+    products = np.stack([b.inner + b.seam for b in blocks[:-1]] + [blocks[-1].inner])
+    first = np.stack([b.inner_first + b.seam_first for b in blocks[:-1]] + [blocks[-1].inner_first])
+    second = np.stack([b.inner_second + b.seam_second for b in blocks[:-1]] + [blocks[-1].inner_second])
+    mean = np.sum([b.total for b in blocks], axis=0) / grid.window_n
+    products -= first[:, None, :, None] * mean
+    products -= mean[:, None] * second[:, :, None, :]
+    products += counts[:, None, None, None] * np.outer(mean, mean)
+    return LagSums(products, counts, blocks[0].head - mean, state.samples[state.samples.shape[0] - lags + 1 :] - mean)
