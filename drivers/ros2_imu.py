@@ -83,13 +83,15 @@ class ImuJoiner:
         queue = self._queues[sample.topic]
         if queue and sample.t_ns <= queue[-1].t_ns:
             raise RecordingError(
-                f"{self._where}: topic {sample.topic}: stamps do not rise at {sample.t_ns} ns; record stamped messages"
+                f"{self._where}: topic {sample.topic}: stamps do not rise at {sample.t_ns} ns; "
+                "record stamped messages"
             )
         queue.append(sample)
         if len(queue) > _PENDING:
             silent = [topic for topic, waiting in self._queues.items() if not waiting]
             raise RecordingError(
-                f"{self._where}: topic {sample.topic} runs {_PENDING} samples ahead of {', '.join(silent) or 'the others'}; "
+                f"{self._where}: topic {sample.topic} runs {_PENDING} samples ahead of "
+                f"{', '.join(silent) or 'the others'}; "
                 "map only topics recorded at the same time"
             )
         if not self._step_ns:
@@ -106,7 +108,8 @@ class ImuJoiner:
         yield from self._emit()
         if not self._rows_in_all:
             raise RecordingError(
-                f"{self._where}: the stamps of {', '.join(self._queues)} never agree within half a sample; set the clocks"
+                f"{self._where}: the stamps of {', '.join(self._queues)} never agree within half a sample; "
+                "set the clocks"
             )
 
     def _learn(self) -> None:

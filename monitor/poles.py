@@ -90,34 +90,29 @@ def identify(
 
 
 def _plausible(spaces: list[StateSpace], rate_hz: float, select: SelectionSettings) -> _Poles:
-    index: list[tuple[int, int]] = []
-    frequency: list[float] = []
-    damping: list[float] = []
-    shapes: list[ComplexArray] = []
-    for s, space in enumerate(spaces):
-        f, zeta = continuous(space.poles, rate_hz)
-        good = (
-            (space.poles.imag > 0)
+    space: list[int] = []
+    column: list[int] = []
+    parts: list[tuple[Array, Array, ComplexArray]] = []
+    for number, state_space in enumerate(spaces):
+        f, zeta = continuous(state_space.poles, rate_hz)
+        good = np.flatnonzero(
+            (state_space.poles.imag > 0)
             & (f > select.min_frequency_hz)
             & (f < 0.45 * rate_hz)
             & (zeta > 0)
             & (zeta < select.max_damping_ratio)
         )
-        for q in np.flatnonzero(good):
-            index.append((s, int(q)))
-            frequency.append(float(f[q]))
-            damping.append(float(zeta[q]))
-            shapes.append(space.shapes[:, q] / np.linalg.norm(space.shapes[:, q]))
-    f_all = np.array(frequency)
-    shape = np.array(shapes).reshape(len(index), -1)
-    stable = np.zeros(len(index))
-    order = np.array([s for s, _ in index], dtype=int)
-    if index:
-        near = np.abs(f_all[:, None] / f_all[None, :] - 1.0) < select.stable_frequency
-        alike = mac(shape, shape) > select.stable_mac
-        below = order[:, None] == order[None, :] + 1
-        stable = (near & alike & below).any(axis=1).astype(float)
-    return _Poles([s for s, _ in index], [q for _, q in index], f_all, np.array(damping), shape, stable)
+        space += [number] * good.size
+        column += good.tolist()
+        parts.append((f[good], zeta[good], state_space.shapes[:, good].T))
+    frequency, damping = np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts])
+    shape = np.concatenate([p[2] for p in parts])
+    shape /= np.linalg.norm(shape, axis=1)[:, None]
+    order = np.array(space, dtype=int)
+    near = np.abs(frequency[:, None] / frequency[None, :] - 1.0) < select.stable_frequency
+    below = order[:, None] == order[None, :] + 1
+    stable = (near & (mac(shape, shape) > select.stable_mac) & below).any(axis=1).astype(float)
+    return _Poles(space, column, frequency, damping, shape, stable)
 
 
 def _match(
@@ -170,12 +165,12 @@ def _common_order(poles: _Poles, clusters: list[list[int]], spaces: list[StateSp
     """One pole a mode, all from the lowest order that shows them all with room for what is no mode.
 
     The exact order is a trap for data-driven identification (bias in frequency and damping); two more pairs remove
-    it, and higher orders only add variance.
+    it, and higher orders only add variance.  Noise-free data have no such orders: then the highest below.
     """
     enough = 2 * len(clusters) + 4
-    for s, space in enumerate(spaces):
-        if space.order < enough:
-            continue
+    above = [s for s, space in enumerate(spaces) if space.order >= enough]
+    below = [s for s, space in enumerate(spaces) if space.order < enough]
+    for s in above + below[::-1]:
         here = [next((p for p in c if poles.space[p] == s), None) for c in clusters]
         if all(p is not None for p in here):
             return [p for p in here if p is not None]

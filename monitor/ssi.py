@@ -19,6 +19,7 @@ from monitor.results import Array, ComplexArray, LagSums
 from monitor.settings import Settings
 
 _RANK_TOLERANCE = 1e-12
+_SINGULAR_TOLERANCE = 1e-9
 
 
 class SsiSettings(Settings):
@@ -115,9 +116,13 @@ def realise(sums: LagSums, settings: SsiSettings, past: tuple[int, ...], max_ord
             weighted = half_ff.T @ weighted
         left, values, right_t = svd(weighted)
         white = half_pp @ right_t[:max_order].T
-    values = values[:max_order]
-    scale = 1.0 / np.sqrt(np.maximum(values, _RANK_TOLERANCE * values[0]))
-    z = white * scale
+    # Noise-free data have no more singular values than the structure has states.
+    rank = max(2, int(np.count_nonzero(values[:max_order] > _SINGULAR_TOLERANCE * values[0])))
+    if rank < max_order and settings.variant == "CVA":
+        # Their canonical correlations are all one, which ranks nothing: weigh by energy instead.
+        return realise(sums, settings.model_copy(update={"variant": "UPC"}), past, max_order)
+    values = values[:rank]
+    z = white[:, :rank] / np.sqrt(np.maximum(values, 1e-300))
     states = _state_products(full, past_rows, i, l) if settings.algorithm == 1 else None
     return Realisation(g_fp @ z, z, values, past, l, states)
 
@@ -135,6 +140,8 @@ def state_spaces(realisation: Realisation, orders: range) -> list[StateSpace]:
         if n > o.shape[1]:
             break
         if realisation.states is None:
+            if np.abs(np.diag(r)[:n]).min() < _SINGULAR_TOLERANCE * abs(r[0, 0]):
+                break
             a, c = solve_triangular(r[:n, :n], shifted[:n, :n]), o[:l, :n]
         else:
             a, c = _algorithm_1(realisation.states, o[:, :n], l)

@@ -110,7 +110,7 @@ def test_an_irregular_clock_is_refused_unless_the_rate_is_given(tmp_path: Path) 
     chance = random.Random(1)
     times = np.cumsum([chance.uniform(0.005, 0.015) for _ in range(500)])
     content = "t,a1\n" + "".join(f"{t:.6f},{k}\n" for k, t in enumerate(times))
-    with pytest.raises(BadInputError, match="irregular.*--rate"):
+    with pytest.raises(BadInputError, match=r"irregular.*--rate"):
         convert(tmp_path / "a.csv", content)
     info, values, warnings = convert(tmp_path / "a.csv", content, rate_hz=100.0)
     assert (info.n_samples, info.sample_rate_hz) == (500, 100.0) and "irregular" in warnings[0]
@@ -204,7 +204,8 @@ def test_files_with_clocks_are_joined_where_they_overlap(tmp_path: Path) -> None
     np.testing.assert_array_equal(samples(tmp_path / "o.mcap"), np.column_stack([ramp, ramp]))
 
 
-DOT = "sep=,\nDeviceTag:,x\nStartTime: ,2025-03-06_12:26:07_000 PST\n\nPacketCounter,SampleTimeFine,Acc_X,Acc_Y\n"
+DOT = "sep=,\nDeviceTag:,x\nStartTime: ,2025-03-06_12:26:07_000 PST\n\n"
+DOT += "PacketCounter,SampleTimeFine,Acc_X,Acc_Y\n"
 
 
 def dot(first_tick: int, skip: tuple[int, ...] = ()) -> str:
@@ -240,7 +241,7 @@ def test_sensors_that_were_not_synchronised_are_refused_with_their_offsets(tmp_p
     files = sorted((DATA / "mini-shake-table").glob("*.csv"))
     assert len(files) == 4
     with pytest.raises(
-        BadInputError, match=r"share 0 of 2708.*floor2.csv starts \+790\.\d+ s.*ground.csv starts -196\.\d+ s"
+        BadInputError, match=r"share 0 of 2708.*floor2.csv starts \+790.*ground.csv starts -196"
     ):
         import_files(files, tmp_path / "o.mcap")
     assert not (tmp_path / "o.mcap").exists()
@@ -268,7 +269,7 @@ def test_an_archive_of_several_tables_is_refused_with_their_names(tmp_path: Path
     with zipfile.ZipFile(buffer, "w") as archive:
         archive.writestr("one.csv", "t,a\n")
         archive.writestr("two.csv", "t,a\n")
-    with pytest.raises(BadInputError, match="holds 2 tables.*one.csv, two.csv"):
+    with pytest.raises(BadInputError, match=r"holds 2 tables.*one.csv, two.csv"):
         convert(tmp_path / "a.zip", buffer.getvalue())
 
 

@@ -64,7 +64,7 @@ def test_cdr_of_either_byte_order_and_any_alignment(
 def test_damaged_messages_are_value_errors() -> None:
     whole = imu(_START, (1.0, 2.0, 3.0))
     for size in range(len(whole)):
-        with pytest.raises(ValueError, match="no plain CDR|too short"):
+        with pytest.raises(ValueError, match=r"no plain CDR|too short"):
             decode_imu(whole[:size], "/imu")
     chance = random.Random(1)
     for _ in range(2000):

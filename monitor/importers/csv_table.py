@@ -18,7 +18,7 @@ _NUMBER = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?|[+-]?(nan|inf)"
 _DATE = re.compile(r"\d{1,4}[-./]\d{1,2}[-./]\d{1,4}([ T_]\d{1,2}:\d{2}.*)?")
 _DATE_FORMATS = ("ISO", "%d.%m.%Y %H:%M:%S", "%Y/%m/%d %H:%M:%S", "%m/%d/%Y %H:%M:%S", "%d/%m/%Y %H:%M:%S")
 _HEADER = re.compile(r"(.*?)\s*(?:[\[(]([^\])]*)[\])])?\s*")
-_TIME = re.compile(r"(t|time.*|zeit.*|date.*|datum.*|sampletimefine|elapsed.*)", re.IGNORECASE)
+_TIME = re.compile(r"(t(_[mun]?s)?|time.*|zeit.*|date.*|datum.*|sampletimefine|elapsed.*)", re.IGNORECASE)
 _COUNTER = re.compile(r"(|#|index|sample|samples|counter|packetcounter|nr\.?|no\.?|n)", re.IGNORECASE)
 _TICKS = {"s": 10**9, "sec": 10**9, "ms": 10**6, "us": 1000, "µs": 1000, "ns": 1, "min": 60 * 10**9}
 
@@ -191,7 +191,7 @@ def _ticks(cells: Cells, column: int, name: str, unit: str) -> Ticks:
             f"{cells.path}: unknown unit {unit!r} of column {name!r}; known: {', '.join(_TICKS)}"
         )
     seconds = cells.numbers(column)
-    if not np.isfinite(seconds).all() or np.abs(seconds).max() * tick > 4e18:
+    if not np.isfinite(seconds).all() or np.abs(seconds).max() > 4e18 / tick:
         bad = int(np.argmax(~np.isfinite(seconds)))
         raise BadInputError(f"{cells.path}: line {cells.first_line + bad}: no time in column {name!r}")
     ticks: Ticks = np.rint(seconds * tick).astype(np.int64)
