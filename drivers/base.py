@@ -43,9 +43,7 @@ class SampleBlock:
 
     def __post_init__(self) -> None:
         if self.samples.ndim != 2 or self.samples.shape[1] != len(self.channels):
-            raise ValueError(
-                f"samples must have shape (n_samples, {len(self.channels)}), got {self.samples.shape}"
-            )
+            raise ValueError(f"samples must have shape (n_samples, {len(self.channels)}), got {self.samples.shape}")
         if not (np.isfinite(self.sample_rate_hz) and self.sample_rate_hz > 0):
             raise ValueError(f"sample rate must be positive and finite, got {self.sample_rate_hz}")
         if self.sequence < 0:
@@ -55,6 +53,7 @@ class SampleBlock:
 
     @property
     def n_samples(self) -> int:
+        """Number of samples of each channel."""
         return int(self.samples.shape[0])
 
 

@@ -5,6 +5,8 @@ The message type is built here rather than generated, so that a checkout needs n
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory, timestamp_pb2
 from google.protobuf.message import DecodeError
@@ -17,9 +19,7 @@ _NS = 1_000_000_000
 
 
 def _file_descriptor() -> descriptor_pb2.FileDescriptorProto:
-    file = descriptor_pb2.FileDescriptorProto(
-        name="shm/sample_block.proto", package="shm", syntax="proto3"
-    )
+    file = descriptor_pb2.FileDescriptorProto(name="shm/sample_block.proto", package="shm", syntax="proto3")
     file.dependency.append("google/protobuf/timestamp.proto")
     message = file.message_type.add(name="SampleBlock")
     for number, (name, kind, label) in enumerate(
@@ -47,8 +47,8 @@ def _schema_bytes() -> bytes:
 
 
 _pool = descriptor_pool.Default()
-_pool.Add(_file_descriptor())  # type: ignore[no-untyped-call]
-_Message = message_factory.GetMessageClass(_pool.FindMessageTypeByName(SCHEMA_NAME))  # type: ignore[no-untyped-call]
+_pool.Add(_file_descriptor())
+_Message: Any = message_factory.GetMessageClass(_pool.FindMessageTypeByName(SCHEMA_NAME))
 SCHEMA_BYTES = _schema_bytes()
 """FileDescriptorSet of `shm.SampleBlock` and what it depends on, as MCAP's protobuf encoding wants it."""
 

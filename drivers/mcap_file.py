@@ -91,9 +91,7 @@ def recording_info(path: Path, *, topic_map: Mapping[str, str] | None = None) ->
         last[block.topic] = block
     start, end = first[ACCELERATION], last[ACCELERATION]
     duration = (end.t_ns - start.t_ns) / 1e9 + end.n_samples / end.sample_rate_hz
-    return RecordingInfo(
-        tuple(channels), channels, start.sample_rate_hz, duration, start.t_ns, samples[ACCELERATION]
-    )
+    return RecordingInfo(tuple(channels), channels, start.sample_rate_hz, duration, start.t_ns, samples[ACCELERATION])
 
 
 def scan_messages(path: Path) -> Iterator[tuple[str, int, bytes]]:
@@ -151,17 +149,11 @@ class _Survey:
                 raise ValueError(f"the topic map needs {IMU_SCHEMAS[0]} in cdr, not {schema!r}")
             return decode_imu(message.data, topic, self._axes[topic])
         if schema != codec.SCHEMA_NAME or channel.message_encoding != "protobuf":
-            raise ValueError(
-                f"schema {schema!r} ({channel.message_encoding}) where {codec.SCHEMA_NAME} is needed"
-            )
+            raise ValueError(f"schema {schema!r} ({channel.message_encoding}) where {codec.SCHEMA_NAME} is needed")
         block = codec.decode(message.data, topic)
         # Only damage or a foreign writer gives these; later arithmetic is in 64-bit integers.
-        if not (
-            0 <= block.t_ns < _MAX_INT and block.sequence < _MAX_INT and 1e-3 <= block.sample_rate_hz <= 1e7
-        ):
-            raise ValueError(
-                f"time {block.t_ns} ns, sequence {block.sequence} or {block.sample_rate_hz} Hz is absurd"
-            )
+        if not (0 <= block.t_ns < _MAX_INT and block.sequence < _MAX_INT and 1e-3 <= block.sample_rate_hz <= 1e7):
+            raise ValueError(f"time {block.t_ns} ns, sequence {block.sequence} or {block.sample_rate_hz} Hz is absurd")
         if block.unit != _UNIT_OF.get(topic, block.unit):
             raise ValueError(f"unit {block.unit!r} where {_UNIT_OF[topic]!r} is needed")
         return block
@@ -180,11 +172,7 @@ class _Survey:
 
 
 def _merged(surveys: list[_Survey]) -> Iterator[_Item]:
-    pool = [
-        (start, number, segment)
-        for number, survey in enumerate(surveys)
-        for start, segment in survey.segments
-    ]
+    pool = [(start, number, segment) for number, survey in enumerate(surveys) for start, segment in survey.segments]
     pool.sort()
     heap: list[tuple[int, int, int, _Item]] = []
     serial = 0
@@ -199,9 +187,7 @@ def _merged(surveys: list[_Survey]) -> Iterator[_Item]:
 
 
 def _joined(surveys: list[_Survey], topic_map: Mapping[str, str]) -> Iterator[SampleBlock]:
-    joiner = (
-        ImuJoiner(topic_map, ", ".join(str(survey.file.path) for survey in surveys)) if topic_map else None
-    )
+    joiner = ImuJoiner(topic_map, ", ".join(str(survey.file.path) for survey in surveys)) if topic_map else None
     for item in _merged(surveys):
         if isinstance(item, SampleBlock):
             yield item

@@ -158,14 +158,10 @@ class McapFile:
                 opcode, length = _HEAD.unpack(head := self._take(file, _HEAD.size))
                 if opcode == 0:  # zeros: what a file system leaves of blocks that were never written
                     raise (
-                        _CutError(f"unwritten bytes from {offset}")
-                        if not closed
-                        else self._damage(offset, "opcode 0")
+                        _CutError(f"unwritten bytes from {offset}") if not closed else self._damage(offset, "opcode 0")
                     )
                 kept = opcode in _KEPT
-                if (kept or opcode == Opcode.CHUNK) and length > min(
-                    MAX_RECORD_BYTES, self._size - file.tell()
-                ):
+                if (kept or opcode == Opcode.CHUNK) and length > min(MAX_RECORD_BYTES, self._size - file.tell()):
                     raise _CutError(f"the record at byte {offset} claims {length} bytes")
                 body = self._take(file, length) if kept or opcode == Opcode.CHUNK else b""
             except _CutError:

@@ -73,9 +73,7 @@ class McapWriter:
         channel = self._channel(block.topic, "protobuf", codec.SCHEMA_NAME, "protobuf", codec.SCHEMA_BYTES)
         self._writer.add_message(channel, block.t_ns, codec.encode(block), block.t_ns)
 
-    def write_json(
-        self, topic: str, t_ns: int, data: bytes | str, schema: Mapping[str, object] | None = None
-    ) -> None:
+    def write_json(self, topic: str, t_ns: int, data: bytes | str, schema: Mapping[str, object] | None = None) -> None:
         """Append one JSON message; `schema` is its JSON schema, by default any object."""
         text = json.dumps(schema or {"type": "object"}, sort_keys=True).encode()
         name = "shm." + topic.strip("/").replace("/", ".")

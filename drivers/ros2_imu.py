@@ -83,8 +83,7 @@ class ImuJoiner:
         queue = self._queues[sample.topic]
         if queue and sample.t_ns <= queue[-1].t_ns:
             raise RecordingError(
-                f"{self._where}: topic {sample.topic}: stamps do not rise at {sample.t_ns} ns; "
-                "record stamped messages"
+                f"{self._where}: topic {sample.topic}: stamps do not rise at {sample.t_ns} ns; record stamped messages"
             )
         queue.append(sample)
         if len(queue) > _PENDING:
@@ -116,16 +115,12 @@ class ImuJoiner:
         steps = {}
         for topic, queue in self._queues.items():
             if len(queue) < 2:
-                raise RecordingError(
-                    f"{self._where}: topic {topic}: {len(queue)} Imu messages are too few to join"
-                )
+                raise RecordingError(f"{self._where}: topic {topic}: {len(queue)} Imu messages are too few to join")
             steps[topic] = float(np.median(np.diff([sample.t_ns for sample in queue])))
         self._step_ns = min(steps.values())
         if max(steps.values()) > 1.02 * self._step_ns:
             rates = ", ".join(f"{topic} {_NS / step:.2f} Hz" for topic, step in steps.items())
-            raise RecordingError(
-                f"{self._where}: the Imu topics run at different rates: {rates}; record them at one"
-            )
+            raise RecordingError(f"{self._where}: the Imu topics run at different rates: {rates}; record them at one")
 
     def _drain(self) -> Iterator[SampleBlock]:
         queues = list(self._queues.values())

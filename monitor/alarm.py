@@ -64,7 +64,7 @@ def hold(states: tuple[StoryState, ...]) -> Alarm:
 
 
 def _summarize(states: tuple[StoryState, ...], lost: dict[int, str], otherwise: str) -> Alarm:
-    active = {j + 1: s.level for j, s in enumerate(states) if s.level is not Level.NORMAL}
+    active: dict[int, Level] = {j + 1: s.level for j, s in enumerate(states) if s.level is not Level.NORMAL}
     if not active:
         return Alarm(Level.NORMAL, (), otherwise)
     level = max(active.values(), key=lambda item: item.rank)
@@ -87,4 +87,3 @@ def _judge(state: StoryState, ddi: float, z: float, t_ns: int, settings: AlarmSe
     if t_ns - quiet >= settings.clear_s * 1e9:
         return StoryState()
     return StoryState(state.level, state.since_ns, quiet)
-

@@ -77,7 +77,7 @@ def step(
         In order; empty if nothing of the block is new.
     """
     values = select(block, channels)
-    finite = np.isfinite(values).all(axis=1)
+    finite = np.asarray(np.isfinite(values).all(axis=1))
     if finite.all():
         return _place(state, block, values, 0)
     pieces: list[Piece] = []

@@ -189,7 +189,7 @@ def load(path: Path, config: Configuration) -> Baseline:
         content = json.loads(text)
         if content["format"] != FORMAT:
             raise BadInputError(f"{path}: baseline format {content['format']!r}, expected {FORMAT}; calibrate anew")
-        arrays = {name: np.array(content[name], dtype=float) for name in _ARRAYS}
+        arrays: dict[str, Any] = {name: np.array(content[name], dtype=float) for name in _ARRAYS}
         stiffness, masses = (np.array(content[name], dtype=float) for name in ("stiffness_n_per_m", "masses_kg"))
         plain = {name: content[name] for name in _PLAIN}
         for name in ("model_mode", "gauges", "channels", "level_range_m_s2", "recordings"):
@@ -199,7 +199,8 @@ def load(path: Path, config: Configuration) -> Baseline:
     nominal = config.model()
     if masses.size != nominal.structure.n_stories or plain["channels"] != config.channels:
         raise BadInputError(
-            f"{path}: the baseline has {masses.size} stories and channels {', '.join(plain['channels'])}; the structure "
-            f"file has {nominal.structure.n_stories} and {', '.join(config.channels)}; calibrate with this structure file"
+            f"{path}: the baseline has {masses.size} stories and channels {', '.join(plain['channels'])}; "
+            f"the structure file has {nominal.structure.n_stories} and {', '.join(config.channels)}; "
+            "calibrate with this structure file"
         )
     return Baseline(model=nominal.with_stiffness(stiffness).with_masses(masses), **arrays, **plain)

@@ -54,6 +54,7 @@ def replay(
     """Run recordings through the monitor: results.jsonl, results.mcap, live.rrd and summary.json in DIR."""
     from monitor import replay as run
     from monitor.baseline import load
+    from monitor.publish.lines import replay_story
 
     settings = config.load(structure)
     healthy = None if baseline is None else load(baseline, settings)
@@ -66,7 +67,7 @@ def replay(
         on_warning=_warn,
         on_progress=_progress("replay"),
     )
-    print(_story(outcome.summary, has_baseline=healthy is not None))
+    print(replay_story(outcome.summary, has_baseline=healthy is not None))
     print(f"results in {out}; look at them with: rerun {out / 'live.rrd'}")
 
 
@@ -80,31 +81,6 @@ def _speed(text: str) -> float | None:
     if not 0.0 < value < float("inf"):
         raise typer.BadParameter(f"--speed: {text!r} is neither 'max' nor a positive number")
     return value
-
-
-def _story(summary: dict, *, has_baseline: bool) -> str:  # type: ignore[type-arg]
-    """A replay in words."""
-    text = [f"{summary['windows']} windows, {summary['skipped']} skipped, {summary['realtime_factor']:.0f} x real time"]
-    if summary["frequencies_hz"] is not None:
-        pairs = zip(
-            summary["frequencies_hz"],
-            summary["structure_file_frequencies_hz"],
-            summary["frequency_misfit"],
-            strict=False,
-        )
-        for i, (measured, drawn, misfit) in enumerate(pairs, start=1):
-            text.append(
-                f"mode {i}: {measured:.4g} Hz measured, {drawn:.4g} Hz by the structure file "
-                f"(the data lie {100 * misfit:+.1f} % off)"
-            )
-    for a in summary["alarms"]:
-        text.append(
-            f"{a['level']}: story {a['story']} lost {100 * a['ddi']:.2f} +- {100 * a['ddi_std']:.2f} % "
-            f"({a['loss_n_per_m']:.4g} N/m)"
-        )
-    if not summary["alarms"]:
-        text.append("no alarm" if has_baseline else "no baseline, so no alarm can be raised; make one with 'calibrate'")
-    return "\n".join(text)
 
 
 @app.command()
@@ -169,7 +145,9 @@ def simulate(
 def import_(
     files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="CSV, NPZ; several: one a level.")],
     out: Annotated[Path, typer.Option(metavar="REC.mcap", help="Recording to write.")],
-    rate: Annotated[float | None, typer.Option(min=0.001, help="Sample rate in Hz, where the file has no time.")] = None,
+    rate: Annotated[
+        float | None, typer.Option(min=0.001, help="Sample rate in Hz, where the file has no time.")
+    ] = None,
     unit: Annotated[str, typer.Option(help="Unit of the samples: m/s^2, g, mg or gal.")] = "m/s^2",
     channel: Annotated[list[str], typer.Option(metavar="NAME=FILE[:COLUMN]", help="Channel of the recording.")] = [],  # noqa: B006
     ground: Annotated[str | None, typer.Option(metavar="FILE[:COLUMN]", help="Measured base motion.")] = None,
@@ -222,7 +200,9 @@ def reproduce(
 @app.command()
 def demo(
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the results.")] = Path("out/demo"),
-    recordings: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the shipped recordings.")] = Path("recordings"),
+    recordings: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the shipped recordings.")] = Path(
+        "recordings"
+    ),
 ) -> None:
     """Calibrate, watch damage appear, and replay the measured frame, from the shipped recordings."""
     from monitor import demo as tour

@@ -18,7 +18,7 @@ from monitor.quality import QualitySettings
 from monitor.results import Array
 from monitor.settings import Settings
 from monitor.ssi import SsiSettings
-from monitor.structures import STRUCTURES
+from monitor.structures import STRUCTURES, ShearFrame
 from monitor.updating import UpdatingSettings
 
 Positive = Annotated[float, Field(gt=0)]
@@ -61,7 +61,7 @@ class EffectTable(Settings):
 
     effect: str
     location: str
-    parameters: dict[str, float] = {}
+    parameters: dict[str, float] = Field(default_factory=dict)
 
 
 class ProcessingSettings(Settings):
@@ -108,7 +108,7 @@ class Configuration(Settings):
     selection: SelectionSettings = SelectionSettings()
     updating: UpdatingSettings = UpdatingSettings()
     alarm: AlarmSettings = AlarmSettings()
-    topics: dict[str, str] = {}
+    topics: dict[str, str] = Field(default_factory=dict)
     """Topic map for foreign recordings: ROS 2 Imu topic to channel, as ``"/imu/top" = "a1.x"``."""
     site: SiteSettings = SiteSettings()
     source: dict[str, Any] | None = None
@@ -146,12 +146,10 @@ class Configuration(Settings):
         effect.check(self._structure())
         return effect
 
-    def _structure(self):  # type: ignore[no-untyped-def]
+    def _structure(self) -> ShearFrame:
         s = self.structure
         heights = None if s.story_heights_m is None else np.array(s.story_heights_m)
-        return STRUCTURES[s.kind](
-            np.array(s.masses_kg), np.array(s.stiffness_n_per_m), s.damping_ratio, heights
-        )
+        return STRUCTURES[s.kind](np.array(s.masses_kg), np.array(s.stiffness_n_per_m), s.damping_ratio, heights)
 
     @property
     def channels(self) -> tuple[str, ...]:

@@ -47,7 +47,7 @@ def with_decay_deviations(modes: ModalEstimate, values: Array, rate_hz: float) -
     scale = np.linalg.norm(jacobian, axis=0)
     factor = sigma * np.linalg.pinv(jacobian / scale).T / scale  # rows: one a datum; squares sum to the covariance
     # The rows' R factor has the same squares and few rows.
-    factor = np.linalg.qr(factor, mode="r")
+    factor = np.asarray(np.linalg.qr(factor, mode="r"))
     d_amplitude = (factor[:, : m * c] + 1j * factor[:, m * c : 2 * m * c]).reshape(-1, m, c)
     d_pole = factor[:, 2 * m * c : 2 * m * c + m] + 1j * factor[:, 2 * m * c + m :]
     gauge = np.abs(modes.shapes - 1.0).argmin(axis=1)

@@ -59,7 +59,7 @@ class Model:
         first, second = omega[0], omega[min(1, omega.size - 1)]
         ratio = self.structure.damping_ratio
         if omega.size == 1:
-            return 2.0 * ratio * first * self.mass_matrix()
+            return np.asarray(2.0 * ratio * first * self.mass_matrix())
         alpha = 2.0 * ratio * first * second / (first + second)
         beta = 2.0 * ratio / (first + second)
         return np.asarray(alpha * self.mass_matrix() + beta * self.stiffness_matrix())
@@ -70,9 +70,7 @@ class Model:
             return self.structure.stiffness_derivatives()
         stiffness = self.structure.stiffness_n_per_m
         step = 1e-5 * stiffness
-        pairs = [
-            (self.with_stiffness(stiffness + e), self.with_stiffness(stiffness - e)) for e in np.diag(step)
-        ]
+        pairs = [(self.with_stiffness(stiffness + e), self.with_stiffness(stiffness - e)) for e in np.diag(step)]
         return np.array(
             [
                 (up.stiffness_matrix() - down.stiffness_matrix()) / (2.0 * h)

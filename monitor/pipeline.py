@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import ceil
 
 from drivers.base import ACCELERATION, SampleBlock
@@ -19,15 +19,23 @@ Result = Samples | Gap | WindowResult
 
 
 @dataclass(frozen=True, eq=False, slots=True)
+class Run:
+    """Filters and windows of the samples since the last gap."""
+
+    t0_ns: int
+    """UTC of the stream's first sample: grid index 0, also after gaps."""
+    grid: WindowGrid
+    conditioner: Conditioner
+    condition: ConditionState
+    window: WindowState
+
+
+@dataclass(frozen=True, eq=False, slots=True)
 class PipelineState:
     """All that the next block needs of those before; nothing else remembers anything."""
 
     align: align.AlignState | None
-    conditioner: Conditioner | None
-    condition: ConditionState | None
-    window: WindowState | None
-    t0_ns: int
-    """UTC of the stream's first sample: grid index 0."""
+    run: Run | None
     stories: tuple[alarm.StoryState, ...]
 
 
@@ -50,9 +58,7 @@ class Pipeline:
         self.sensors = config.sensor_matrix()
         names = config.identification.reference_channels or config.channels
         self.past = tuple(config.channels.index(name) for name in names)
-        self.grid: WindowGrid | None = None
-        n_stories = self.reference.structure.n_stories
-        self.state = PipelineState(None, None, None, None, 0, alarm.start(n_stories))
+        self.state = PipelineState(None, None, alarm.start(self.reference.structure.n_stories))
 
     def push(self, block: SampleBlock) -> list[Result]:
         """Everything that a block brings about, in order.
@@ -64,77 +70,56 @@ class Pipeline:
         """
         if block.topic != ACCELERATION:
             return []
-        results: list[Result] = []
         align_state, pieces = align.step(self.state.align, block, self.config.channels)
-        self._advance(align=align_state)
+        self.state = replace(self.state, align=align_state)
+        results: list[Result] = []
         for piece in pieces:
+            run = self.state.run
             if piece.gap is not None:
                 results.append(piece.gap)
-            if piece.gap is not None or self.state.conditioner is None:
-                self._begin_run(piece)
-            samples = self._condition(piece)
-            results.append(samples)
-            results += self._window(samples)
+            if run is None or piece.gap is not None:
+                run = self._begin(piece, run)
+            condition, values = run.conditioner.step_block(run.condition, piece.values)
+            first = run.window.start + run.window.n
+            t_ns = run.t0_ns + round(first / run.grid.rate_hz * 1e9)
+            results.append(Samples(t_ns, run.grid.rate_hz, values))
+            window_state, windows = window.step(run.grid, run.window, values, run.t0_ns)
+            run = replace(run, condition=condition, window=window_state)
+            self.state = replace(self.state, run=run)
+            for item in windows:
+                results.append(
+                    self._judge(item, run.conditioner.cutoff_hz) if isinstance(item, Window) else self._skip(*item)
+                )
         return results
 
-    def _advance(self, **changes: object) -> None:
-        fields = {name: getattr(self.state, name) for name in PipelineState.__slots__}
-        self.state = PipelineState(**{**fields, **changes})
-
-    def _begin_run(self, piece: align.Piece) -> None:
-        """A new run of samples: filters start at rest, windows on the same grid."""
-        p, previous = self.config.processing, self.state.window
+    def _begin(self, piece: align.Piece, previous: Run | None) -> Run:
+        """A new run of samples: filters start at rest, windows stay on the stream's grid."""
+        p, n_channels = self.config.processing, len(self.config.channels)
         conditioner = Conditioner.design(piece.rate_hz, p.rate_hz, p.cutoff_hz)
-        if self.grid is None:
+        if previous is None:
             n_lags = 2 * self.config.identification.block_rows
-            self.grid = WindowGrid.design(conditioner.rate_hz, p.window_s, p.hop_s, n_lags)
-            self._advance(t0_ns=piece.t_ns)
-        elif conditioner.rate_hz != self.grid.rate_hz:
-            raise BadInputError(
-                f"the source's rate changed to {piece.rate_hz:g} Hz, below the {self.grid.rate_hz:g} Hz of the windows; "
-                "replay the parts on their own"
-            )
-        index = ceil(round((piece.t_ns - self.state.t0_ns) * 1e-9 * self.grid.rate_hz, 6))
-        if previous is not None:
-            index = max(index, previous.start + previous.n)
-        n_channels = len(self.config.channels)
-        self._advance(
-            conditioner=conditioner,
-            condition=conditioner.start(n_channels),
-            window=window.start(self.grid, n_channels, index=index, previous=previous),
-        )
+            grid = WindowGrid.design(conditioner.rate_hz, p.window_s, p.hop_s, n_lags)
+            t0_ns, index, last = piece.t_ns, 0, None
+        else:
+            grid, t0_ns, last = previous.grid, previous.t0_ns, previous.window
+            if conditioner.rate_hz != grid.rate_hz:
+                raise BadInputError(
+                    f"the source's rate changed to {piece.rate_hz:g} Hz, where the windows run at {grid.rate_hz:g} Hz; "
+                    "replay the parts on their own"
+                )
+            # Rounding first keeps a start that lies on the grid from slipping one sample.
+            index = max(ceil(round((piece.t_ns - t0_ns) * 1e-9 * grid.rate_hz, 6)), last.start + last.n)
+        begun = window.start(grid, n_channels, index=index, previous=last)
+        return Run(t0_ns, grid, conditioner, conditioner.start(n_channels), begun)
 
-    def _condition(self, piece: align.Piece) -> Samples:
-        conditioner, state = self.state.conditioner, self.state.condition
-        assert conditioner is not None and state is not None and self.grid is not None and self.state.window is not None
-        state, values = conditioner.step_block(state, piece.values)
-        first = self.state.window.start + self.state.window.n
-        self._advance(condition=state)
-        t_ns = self.state.t0_ns + round(first / self.grid.rate_hz * 1e9)
-        return Samples(t_ns, conditioner.rate_hz, values)
-
-    def _window(self, samples: Samples) -> list[Result]:
-        assert self.grid is not None and self.state.window is not None
-        state, windows = window.step(self.grid, self.state.window, samples.values, self.state.t0_ns)
-        self._advance(window=state)
-        results: list[Result] = []
-        for item in windows:
-            if isinstance(item, Window):
-                results.append(self._judge(item))
-            else:
-                index, t_end_ns, data_s, skipped = item
-                results.append(self._skip(index, t_end_ns, data_s, skipped))
-        return results
-
-    def _judge(self, item: Window) -> WindowResult:
+    def _judge(self, item: Window, cutoff_hz: float) -> WindowResult:
         """One whole window: identification, updating, damage, alarm."""
         c = self.config
-        assert self.state.conditioner is not None
 
         def skip(reason: Skipped) -> WindowResult:
             return self._skip(item.index, item.t_end_ns, item.window_s, reason, item.rms_m_s2)
 
-        skipped = quality.check(item.sums, item.rate_hz, self.state.conditioner.cutoff_hz, c.channels, c.quality)
+        skipped = quality.check(item.sums, item.rate_hz, cutoff_hz, c.channels, c.quality)
         if skipped is not None:
             return skip(skipped)
         modes = identify(item, self.past, self.reference_modes, self.sensors, c.identification, c.selection)
@@ -149,7 +134,7 @@ class Pipeline:
             verdict = Alarm(Level.NORMAL, (), "no baseline: a difference from the structure file is no change")
         else:
             stories, verdict = alarm.step(self.state.stories, reading, item.t_end_ns, c.alarm)
-            self._advance(stories=stories)
+            self.state = replace(self.state, stories=stories)
         return WindowResult(
             item.index, item.t_end_ns, item.window_s, modes, stiffness, reading, verdict, None, item.rms_m_s2
         )
@@ -160,4 +145,3 @@ class Pipeline:
         """Nothing can be said: the alarm stays as it was."""
         verdict = alarm.hold(self.state.stories)
         return WindowResult(index, t_end_ns, data_s, None, None, None, verdict, skipped, rms)
-

@@ -75,7 +75,8 @@ def identify(
     """
     realisation = realise(window.sums, ssi, past, ssi.max_order)
     spaces = state_spaces(realisation, range(2, ssi.max_order + 1, 2))
-    poles = _plausible(spaces, window.rate_hz, select)
+    complete = realisation.singular_values.size < ssi.max_order
+    poles = _plausible(spaces, window.rate_hz, select, complete)
     in_band = reference.frequencies_hz < 0.45 * window.rate_hz
     shapes = (sensors @ reference.shapes[:, in_band]).T
     modes = _match(poles, len(spaces), reference.frequencies_hz[in_band], shapes, select)
@@ -89,7 +90,8 @@ def identify(
     return _estimate(window, realisation, spaces, poles, chosen)
 
 
-def _plausible(spaces: list[StateSpace], rate_hz: float, select: SelectionSettings) -> _Poles:
+def _plausible(spaces: list[StateSpace], rate_hz: float, select: SelectionSettings, complete: bool) -> _Poles:
+    """Poles that could be modes.  Where the data have no more states (`complete`), the last order's need no other."""
     space: list[int] = []
     column: list[int] = []
     parts: list[tuple[Array, Array, ComplexArray]] = []
@@ -112,6 +114,8 @@ def _plausible(spaces: list[StateSpace], rate_hz: float, select: SelectionSettin
     near = np.abs(frequency[:, None] / frequency[None, :] - 1.0) < select.stable_frequency
     below = order[:, None] == order[None, :] + 1
     stable = (near & (mac(shape, shape) > select.stable_mac) & below).any(axis=1).astype(float)
+    if complete:
+        stable[order == len(spaces) - 1] = 1.0
     return _Poles(space, column, frequency, damping, shape, stable)
 
 
@@ -194,7 +198,5 @@ def _estimate(
         model_mode=np.array(by_frequency, dtype=np.int64),
         deviations=mode_deviations(window.sums, realisation, space, columns, shapes, window.rate_hz),
         order=space.order,
-        poles=np.column_stack(
-            [[spaces[s].order for s in poles.space], poles.frequency, poles.damping, poles.stable]
-        ),
+        poles=np.column_stack([[spaces[s].order for s in poles.space], poles.frequency, poles.damping, poles.stable]),
     )

@@ -16,7 +16,9 @@ class QualitySettings(Settings):
     """Geometric over arithmetic mean of the spectrum: 1 for white noise alone, about 0.1 for a vibrating frame."""
 
 
-def check(sums: LagSums, rate_hz: float, cutoff_hz: float, channels: tuple[str, ...], settings: QualitySettings) -> Skipped | None:
+def check(
+    sums: LagSums, rate_hz: float, cutoff_hz: float, channels: tuple[str, ...], settings: QualitySettings
+) -> Skipped | None:
     """Why this window cannot be identified, or None.
 
     The spectrum is the lag window estimate (Bartlett) of the summed channels, from 1 Hz to 0.9 of the cutoff.

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator
-from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import cast, get_args
@@ -97,7 +96,9 @@ def simulate_to(
     metadata = {
         "simulated": {
             "structure": config.structure.model_dump_json(),
-            "effects": json.dumps([{"effect": e.name, **{k: getattr(e, k) for k in e.__dataclass_fields__}} for e in planted]),
+            "effects": json.dumps(
+                [{"effect": e.name, **{k: getattr(e, k) for k in e.__dataclass_fields__}} for e in planted]
+            ),
             "excitation": excitation,
             "noise": repr(noise),
             "level_spread": repr(level_spread),

@@ -209,8 +209,8 @@ def calibrate(
         raise BadInputError(f"no window could be identified, the last because: {reasons[-1]}")
     if reasons:
         on_warning(f"{len(reasons)} of {len(good) + len(reasons)} windows were left out, the last: {reasons[-1]}")
-    grid = pipeline.grid
-    assert grid is not None
+    assert pipeline.state.run is not None
+    grid = pipeline.state.run.grid
     step = grid.hop_n // grid.block_n
     recordings = tuple({"file": p.name, "sha256": sha256(p)} for p in paths)
     windows = [(r.index * step, r.modes) for r in good if r.modes is not None]

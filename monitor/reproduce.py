@@ -33,7 +33,7 @@ _DT = {"free": 1e-4, "ambient": 1e-3}
 _DURATION_S = {"free": 5.0, "ambient": 400.0}
 _BLOCK_S = {"free": 1.0, "ambient": 10.0}
 
-PAPER = {
+PAPER: dict[str, dict[str, Any]] = {
     "table_2": {"theory": [5.47, 16.04, 23.27], "measured": [5.2, 16.3, 23.0]},
     "table_3": {
         "2": [5.1505, 16.1450, 23.1201],
@@ -98,7 +98,9 @@ def forces(excitation: Excitation, rng: np.random.Generator) -> Array:
     return blow
 
 
-def identified(clean: Array, excitation: Excitation, noise: float, rng: np.random.Generator, like: Model) -> ModalEstimate | Skipped:
+def identified(
+    clean: Array, excitation: Excitation, noise: float, rng: np.random.Generator, like: Model
+) -> ModalEstimate | Skipped:
     """Add noise before the filter, filter, resample to 100 Hz, and identify (algorithm 2, CVA).
 
     Newmark's longer periods are taken out: they are the integrator's error, not the method's.
@@ -136,7 +138,7 @@ def damage_index(modes: ModalEstimate, healthy: Model, *, shapes: bool) -> Array
 def simulated_tests(seeds: int, on_progress: Callable[[float], None] = lambda _: None) -> list[dict[str, Any]]:
     """The twelve tests of Tables 6 and 7 and Figures 9 and 10, each over `seeds` draws of force and noise."""
     healthy = frame(convergence()[-1])
-    tests = []
+    tests: list[dict[str, Any]] = []
     for case, loss in CASES.items():
         damaged = frame(healthy.structure.stiffness_n_per_m * (1.0 - loss))
         for excitation in ("free", "ambient"):
@@ -153,9 +155,7 @@ def simulated_tests(seeds: int, on_progress: Callable[[float], None] = lambda _:
                     indices = [damage_index(modes, healthy, shapes=s) for s in (False, True)]
                     results[noise].append((modes.frequencies_hz, indices[0], indices[1]))
                 on_progress(60.0 * len(tests))
-            tests += [
-                _summarize(case, excitation, noise, loss, results[noise], failed[noise]) for noise in NOISES
-            ]
+            tests += [_summarize(case, excitation, noise, loss, results[noise], failed[noise]) for noise in NOISES]
     return tests
 
 
@@ -213,9 +213,7 @@ def reproduce(seeds: int, on_progress: Callable[[float], None] = lambda _: None)
         "table_3": {str(n): frame(after(n)).modes().frequencies_hz.tolist() for n in (2, 4, 6, 12, 20, 100)},
         "table_4": {str(n): after(n - 1).tolist() for n in (1, 2, 3, 4, 5, 6, 7, 8, 12, 20, 100)},
         "table_5": {"adjusted": healthy.modes().frequencies_hz.tolist()}
-        | {
-            case: frame(steps[-1] * (1.0 - loss)).modes().frequencies_hz.tolist() for case, loss in CASES.items()
-        },
+        | {case: frame(steps[-1] * (1.0 - loss)).modes().frequencies_hz.tolist() for case, loss in CASES.items()},
         "table_6": table("case_1"),
         "table_7": table("case_2"),
         "ddi": tests,
@@ -241,10 +239,12 @@ def report(content: dict[str, Any]) -> str:
     for row, printed in PAPER["table_5"].items():
         lines.append(f"  {row:<12}" + _pair(content["table_5"][row], printed, 4))
     for name, case in (("table_6", "case_1"), ("table_7", "case_2")):
-        lines.append(f"Table {name[-1]} ({case.replace('_', ' ')}), Hz: mean +- one standard deviation of ours; paper's one draw")
+        lines.append(
+            f"Table {name[-1]} ({case.replace('_', ' ')}), Hz: mean +- one standard deviation of ours; paper's one draw"
+        )
         for test in content["ddi"]:
             if test["case"] == case:
-                printed = PAPER[name][test["excitation"]][NOISES.index(test["noise"])]  # type: ignore[index]
+                printed = PAPER[name][test["excitation"]][NOISES.index(test["noise"])]
                 ours = "  ".join(
                     f"{f:.4f}+-{s:.4f}" for f, s in zip(test["frequencies_hz"], test["frequencies_std_hz"], strict=True)
                 )
@@ -255,7 +255,9 @@ def report(content: dict[str, Any]) -> str:
         alone, both = test["by_frequencies"], test["by_frequencies_and_shapes"]
         lines.append(
             f"  {test['case'].replace('_', ' ')} {_name(test)}"
-            + "".join(f"{100 * w['largest_error_median']:12.3f} / {100 * w['largest_error_95']:.3f}" for w in (alone, both))
+            + "".join(
+                f"{100 * w['largest_error_median']:12.3f} / {100 * w['largest_error_95']:.3f}" for w in (alone, both)
+            )
         )
     lines.append(f"Largest 95th percentile by frequencies and shapes: {100 * content['ddi_max_error']:.3f} points")
     return "\n".join(lines)

@@ -26,6 +26,7 @@ class Level(StrEnum):
 
     @property
     def rank(self) -> int:
+        """0 for normal to 3 for alarm."""
         return list(Level).index(self)
 
 
@@ -111,7 +112,7 @@ class ModalEstimate:
     @property
     def damping_std(self) -> Array:
         """Shape (m,)."""
-        return np.sqrt((self.deviations[:, :, 1] ** 2).sum(axis=0))
+        return np.asarray(np.sqrt((self.deviations[:, :, 1] ** 2).sum(axis=0)))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -144,7 +145,7 @@ class DamageReading:
     @property
     def ddi_std(self) -> Array:
         """Shape (n,)."""
-        return np.sqrt(np.diag(self.ddi_covariance))
+        return np.asarray(np.sqrt(np.diag(self.ddi_covariance)))
 
 
 @dataclass(frozen=True, slots=True)

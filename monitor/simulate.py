@@ -1,7 +1,7 @@
 """Integrates a Model in time: recordings with known truth.
 
 Two integrators for linear models, both exact recursions run as compiled IIR filters: the exact discretisation
-(zero-order hold of the force) for everything of ours, and Newmark's average acceleration at the paper's steps for
+(force linear between samples, so that nothing is delayed) for everything of ours, and Newmark's average acceleration at the paper's steps for
 `reproduce`, which lengthens periods to ``f_N = atan(pi f dt) / (pi dt)``.
 """
 
@@ -31,7 +31,7 @@ class Motion:
 
 
 def respond_exactly(model: Model, forces: Array, rate_hz: float) -> Array:
-    """Accelerations of the floors under forces held between samples.
+    """Accelerations of the floors under forces that run straight between samples.
 
     Parameters
     ----------
@@ -59,15 +59,13 @@ def respond_exactly(model: Model, forces: Array, rate_hz: float) -> Array:
     drive = np.linalg.solve(vectors, np.vstack([np.zeros((n, n)), minv]).astype(complex))
     output = dynamics[n:].astype(complex) @ vectors
     accelerations = forces @ minv.T
-    for q in np.flatnonzero(poles.imag > 0):
+    for q in np.flatnonzero(poles.imag >= 0):
         decay = np.exp(poles[q] * dt)
-        modal = forces @ ((decay - 1.0) / poles[q] * drive[q])
-        state = lfilter([0.0, 1.0], [1.0, -decay], modal)
-        accelerations += 2.0 * (state[:, None] * output[:, q]).real
-    for q in np.flatnonzero(poles.imag == 0):  # an overdamped mode
-        decay = np.exp(poles[q].real * dt)
-        modal = (forces @ ((decay - 1.0) / poles[q] * drive[q])).real
-        accelerations += lfilter([0.0, 1.0], [1.0, -decay], modal)[:, None] * output[:, q].real
+        held = (decay - 1.0) / poles[q]
+        ahead = (decay - 1.0 - poles[q] * dt) / (poles[q] ** 2 * dt)  # share of the force at the step's end
+        state = lfilter([ahead, held - ahead], [1.0, -decay], forces @ drive[q])
+        pair = 2.0 if poles[q].imag > 0 else 1.0  # its conjugate gives the same again
+        accelerations += pair * (state[:, None] * output[:, q]).real
     return np.asarray(accelerations)
 
 

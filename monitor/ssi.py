@@ -12,12 +12,14 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 from scipy.linalg import cholesky, eigh, qr, solve_triangular, svd
 
 from monitor.results import Array, ComplexArray, LagSums
 from monitor.settings import Settings
 
+Indices = NDArray[np.intp]
 _RANK_TOLERANCE = 1e-12
 _SINGULAR_TOLERANCE = 1e-9
 
@@ -106,7 +108,7 @@ def realise(sums: LagSums, settings: SsiSettings, past: tuple[int, ...], max_ord
         g_fp = _toeplitz(sums, i, past)
     if settings.variant in ("COV", "PC"):
         # PC's weight W2 turns the projection into Y_f Y_p^T, up to an orthogonal factor.
-        left, values, right_t = svd(g_fp)
+        _, values, right_t = svd(g_fp)
         white = right_t[:max_order].T
     else:
         half_pp = _inverse_root(g_pp)
@@ -114,7 +116,7 @@ def realise(sums: LagSums, settings: SsiSettings, past: tuple[int, ...], max_ord
         weighted = g_fp @ half_pp
         if half_ff is not None:
             weighted = half_ff.T @ weighted
-        left, values, right_t = svd(weighted)
+        _, values, right_t = svd(weighted)
         white = half_pp @ right_t[:max_order].T
     # Noise-free data have no more singular values than the structure has states.
     rank = max(2, int(np.count_nonzero(values[:max_order] > _SINGULAR_TOLERANCE * values[0])))
@@ -184,20 +186,24 @@ def _inverse_root(matrix: Array) -> Array:
     return np.asarray(vectors * inverse)
 
 
-def _state_products(full: Array, past_rows: Array, i: int, l: int) -> tuple[Array, Array, Array]:  # noqa: E741
+def _state_products(full: Array, past_rows: Indices, i: int, l: int) -> tuple[Array, Array, Array]:  # noqa: E741
     """Products of projections and outputs that algorithm 1 needs (eqs 9-11), free of the state basis."""
     future = np.arange(i * l, 2 * i * l)
     later = future[l:]
     now = future[:l]
     past_plus = np.concatenate([past_rows, i * l + past_rows[past_rows < l]])
 
-    def g(rows: Array, columns: Array) -> Array:
+    def g(rows: Indices, columns: Indices) -> Array:
         return np.asarray(full[np.ix_(rows, columns)])
 
     root, root_plus = _inverse_root(g(past_rows, past_rows)), _inverse_root(g(past_plus, past_plus))
     b = g(future, past_rows) @ root @ root.T
     b_plus = g(later, past_plus) @ root_plus @ root_plus.T
-    return b @ g(past_rows, future), b_plus @ g(past_plus, past_rows) @ b.T, g(now, past_rows) @ b.T
+    return (
+        np.asarray(b @ g(past_rows, future)),
+        np.asarray(b_plus @ g(past_plus, past_rows) @ b.T),
+        np.asarray(g(now, past_rows) @ b.T),
+    )
 
 
 def _algorithm_1(states: tuple[Array, Array, Array], o: Array, l: int) -> tuple[Array, Array]:  # noqa: E741

@@ -83,7 +83,7 @@ def observe(modes: ModalEstimate, settings: UpdatingSettings, gauges: tuple[int,
     scale = np.full(omega_squared.shape, 2.0) if log else 2.0 * omega_squared
     z = [np.log(omega_squared) if log else omega_squared]
     deviations = [modes.deviations[:, :, 0] * scale]
-    m, c = modes.shapes.shape
+    c = modes.shapes.shape[1]
     if not settings.use_shapes:
         gauges = ()
     elif gauges is None:

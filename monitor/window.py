@@ -148,9 +148,7 @@ def _close_block(grid: WindowGrid, state: WindowState) -> WindowState:
         blocks[-1] = replace(blocks[-1], seam=seam[0], seam_first=seam[1], seam_second=seam[2])
     nothing = [np.zeros_like(a) for a in inner]
     blocks.append(
-        _Block(
-            inner[0], nothing[0], inner[1], nothing[1], inner[2], nothing[2], block.sum(axis=0), block[: lags - 1]
-        )
+        _Block(inner[0], nothing[0], inner[1], nothing[1], inner[2], nothing[2], block.sum(axis=0), block[: lags - 1])
     )
     return replace(state, blocks=tuple(blocks[-(grid.window_n // size) :]))
 

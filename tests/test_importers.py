@@ -18,9 +18,7 @@ WHEN = "2026-01-02T03:04:05"
 WHEN_NS = 1_767_323_045 * 10**9
 
 
-def convert(
-    path: Path, content: str | bytes, **options: object
-) -> tuple[RecordingInfo, np.ndarray, list[str]]:
+def convert(path: Path, content: str | bytes, **options: object) -> tuple[RecordingInfo, np.ndarray, list[str]]:
     """Import one file of this content; its values come back as m/s^2, with the warnings."""
     path.write_bytes(content.encode() if isinstance(content, str) else content)
     warnings: list[str] = []
@@ -47,8 +45,7 @@ RAMP = np.arange(250) / 1000
         "time,a1,a2\n" + rows("{t},{a},{b}\n"),
         "time;a1;a2\r\n" + rows("{t};{a};{b}\r\n").replace(".", ","),
         "t [ms]\ta1\ta2\n" + rows("{ms}\t{a}\t{b}\n"),
-        "# logger 7\n# site: Z\u00fcrich, roof\nTime (s),a1 [m/s\u00b2],a2 [m/s\u00b2]\n"
-        + rows("{t},{a},{b}\n"),
+        "# logger 7\n# site: Z\u00fcrich, roof\nTime (s),a1 [m/s\u00b2],a2 [m/s\u00b2]\n" + rows("{t},{a},{b}\n"),
         "sep=;\nZeit [s];a1;a2;\n" + rows("{t};{a};{b}\n").replace(".", ","),
         '"time","a1","a2"\n' + rows('"{t}","{a}","{b}"\n'),
         "sample,t_ms,a1,a2\n" + rows("{k},{ms},{a},{b}\n"),
@@ -76,9 +73,7 @@ def test_dialects_of_one_table_give_one_recording(tmp_path: Path, content: str, 
         ("", "mg", 9.80665e-3),
     ],
 )
-def test_units_of_the_header_win_over_the_argument(
-    tmp_path: Path, head: str, unit: str, factor: float
-) -> None:
+def test_units_of_the_header_win_over_the_argument(tmp_path: Path, head: str, unit: str, factor: float) -> None:
     _, values, _ = convert(tmp_path / "a.csv", f"t,a1 {head}\n" + rows("{t},{a}\n"), unit=unit)
     np.testing.assert_allclose(values[:, 0], RAMP * factor, rtol=1e-6)
 
@@ -140,9 +135,7 @@ def test_an_irregular_clock_is_refused_unless_the_rate_is_given(tmp_path: Path) 
         ("t\n0\n1\n2\n", "no column besides"),
     ],
 )
-def test_what_cannot_be_used_is_named_with_file_and_place(
-    tmp_path: Path, content: str | bytes, reason: str
-) -> None:
+def test_what_cannot_be_used_is_named_with_file_and_place(tmp_path: Path, content: str | bytes, reason: str) -> None:
     with pytest.raises(BadInputError, match=rf"a\.csv: .*{reason}"):
         convert(tmp_path / "a.csv", content)
     assert list(tmp_path.iterdir()) == [tmp_path / "a.csv"]
@@ -182,9 +175,7 @@ def test_missing_files_and_folders(tmp_path: Path) -> None:
 
 def test_channels_and_ground_are_picked_and_renamed(tmp_path: Path) -> None:
     content = "time,low,top,table\n" + rows("{t},{a},{b},{k}\n")
-    info, values, _ = convert(
-        tmp_path / "a.csv", content, channels={"a1": "a:top", "a2": "a.csv:low"}, ground="table"
-    )
+    info, values, _ = convert(tmp_path / "a.csv", content, channels={"a1": "a:top", "a2": "a.csv:low"}, ground="table")
     assert info.channels == {ACCELERATION: ("a1", "a2"), GROUND: ("ground",)}
     np.testing.assert_allclose(values, np.column_stack([-RAMP, RAMP]), atol=1e-6)
     np.testing.assert_array_equal(samples(tmp_path / "a.mcap", GROUND)[:, 0], np.arange(250))
@@ -240,9 +231,7 @@ def test_a_zero_shift_of_summer_time(tmp_path: Path) -> None:
 def test_sensors_that_were_not_synchronised_are_refused_with_their_offsets(tmp_path: Path) -> None:
     files = sorted((DATA / "mini-shake-table").glob("*.csv"))
     assert len(files) == 4
-    with pytest.raises(
-        BadInputError, match=r"share 0 of 2708.*floor2.csv starts \+790.*ground.csv starts -196"
-    ):
+    with pytest.raises(BadInputError, match=r"share 0 of 2708.*floor2.csv starts \+790.*ground.csv starts -196"):
         import_files(files, tmp_path / "o.mcap")
     assert not (tmp_path / "o.mcap").exists()
 
@@ -332,9 +321,7 @@ def test_whatever_the_bytes_only_the_two_errors_escape(tmp_path: Path, kind: str
                 case 1:
                     del data[at : at + chance.randrange(1, 12)]
                 case 2:
-                    data[at:at] = chance.choice(
-                        [b"9" * 30, b"nan", b"-", b"\n", b",", b'"', b"1e308", b"\xff\xff"]
-                    )
+                    data[at:at] = chance.choice([b"9" * 30, b"nan", b"-", b"\n", b",", b'"', b"1e308", b"\xff\xff"])
                 case _:
                     data[at:at] = chance.randbytes(4)
         try:

@@ -27,9 +27,7 @@ _S = 10**9
 
 def block(second: int, topic: str = ACCELERATION, unit: str = "m/s^2") -> SampleBlock:
     samples = np.random.default_rng(second).normal(size=(100, 2)).astype(np.float32)
-    return SampleBlock(
-        topic, 1_700_000_000 * _S + second * _S, 100 * second, 100.0, ("a1", "a2"), unit, samples
-    )
+    return SampleBlock(topic, 1_700_000_000 * _S + second * _S, 100 * second, 100.0, ("a1", "a2"), unit, samples)
 
 
 def write(path: Path, *written: SampleBlock, chunk_every: int = 3) -> Path:
@@ -44,9 +42,7 @@ def write(path: Path, *written: SampleBlock, chunk_every: int = 3) -> Path:
 def foreign(path: Path, compression: CompressionType, chunked: bool, crcs: bool = False) -> Path:
     """The same ten blocks as another writer stores them."""
     with path.open("wb") as file:
-        writer = Writer(
-            file, compression=compression, use_chunking=chunked, chunk_size=2000, enable_crcs=crcs
-        )
+        writer = Writer(file, compression=compression, use_chunking=chunked, chunk_size=2000, enable_crcs=crcs)
         writer.start()
         schema = writer.register_schema(codec.SCHEMA_NAME, "protobuf", codec.SCHEMA_BYTES)
         channel = writer.register_channel(ACCELERATION, "protobuf", schema)
@@ -87,8 +83,7 @@ def test_the_reference_reader_accepts_our_files_with_metadata_and_json(tmp_path:
     with path.open("rb") as file:
         reader = make_reader(file, validate_crcs=True)
         found = [
-            (schema.name, schema.encoding, channel.message_encoding)
-            for schema, channel, _ in reader.iter_messages()
+            (schema.name, schema.encoding, channel.message_encoding) for schema, channel, _ in reader.iter_messages()
         ]
         summary = reader.get_summary()
         (metadata,) = reader.iter_metadata()
@@ -127,9 +122,7 @@ def test_what_was_flushed_survives_a_crash(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("compression", "chunked"), LAYOUTS)
 @pytest.mark.parametrize("crcs", [True, False])
-def test_every_layout_is_read(
-    tmp_path: Path, compression: CompressionType, chunked: bool, crcs: bool
-) -> None:
+def test_every_layout_is_read(tmp_path: Path, compression: CompressionType, chunked: bool, crcs: bool) -> None:
     path = foreign(tmp_path / "a.mcap", compression, chunked, crcs)
     assert all(same(read, block(second)) for second, read in enumerate(read_recordings([path])))
     assert recording_info(path).n_samples == 1000
@@ -254,9 +247,7 @@ def test_memory_does_not_grow_with_length(tmp_path: Path) -> None:
     with McapWriter(tmp_path / "a.mcap") as writer:
         for number in range(200):  # 240 MB
             t_ns = number * 1000 * _S
-            writer.write(
-                SampleBlock(ACCELERATION, t_ns, number * 100_000, 100.0, ("a", "b", "c"), "m/s^2", samples)
-            )
+            writer.write(SampleBlock(ACCELERATION, t_ns, number * 100_000, 100.0, ("a", "b", "c"), "m/s^2", samples))
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     assert sum(item.n_samples for item in read_recordings([tmp_path / "a.mcap"])) == 20_000_000
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 60_000  # KiB

@@ -26,9 +26,7 @@ def imu(t_ns: int, xyz: tuple[float, float, float], frame: bytes = b"imu", order
     return (b"\0\1\0\0" if order == "<" else b"\0\0\0\0") + head + struct.pack(order + "37d", *doubles)
 
 
-def record(
-    path: Path, stamps: dict[str, list[int]], value: Callable[[str, int], float] = lambda *_: 0.0
-) -> Path:
+def record(path: Path, stamps: dict[str, list[int]], value: Callable[[str, int], float] = lambda *_: 0.0) -> Path:
     """Topics written one after the other, so that the file's order is not time's."""
     with path.open("wb") as file:
         writer = Writer(file, chunk_size=20_000)
@@ -54,9 +52,7 @@ def times(count: int, offset: int = 0, step: int = _STEP) -> list[int]:
 @pytest.mark.parametrize("order", ["<", ">"])
 @pytest.mark.parametrize("frame", [b"", b"imu", b"base_link_7"])
 @pytest.mark.parametrize(("axis", "expected"), [("x", 1.5), ("y", -2.5), ("z", 9.81)])
-def test_cdr_of_either_byte_order_and_any_alignment(
-    order: str, frame: bytes, axis: str, expected: float
-) -> None:
+def test_cdr_of_either_byte_order_and_any_alignment(order: str, frame: bytes, axis: str, expected: float) -> None:
     sample = decode_imu(imu(_START + 7, (1.5, -2.5, 9.81), frame, order), "/imu", axis)
     assert (sample.t_ns, sample.topic, sample.value) == (_START + 7, "/imu", expected)
 
@@ -87,9 +83,7 @@ def test_topics_become_columns_in_the_order_of_the_map(tmp_path: Path) -> None:
     jitter = random.Random(2)
     shaken = [t_ns + jitter.randrange(-1_000_000, 1_000_000) for t_ns in times(1000)]
     stamps = {"/low": shaken, "/top": times(1000)}
-    path = record(
-        tmp_path / "a.mcap", stamps, lambda topic, t: (topic == "/top") + round((t - _START) / _STEP) / 1e3
-    )
+    path = record(tmp_path / "a.mcap", stamps, lambda topic, t: (topic == "/top") + round((t - _START) / _STEP) / 1e3)
     blocks = read(path, "/top", "/low")
     values = np.concatenate([block.samples for block in blocks])
     ramp = np.arange(1000) / 1e3
@@ -105,16 +99,12 @@ def test_a_lost_message_is_a_jump_of_the_sequence(tmp_path: Path) -> None:
     del holed[500:503]
     blocks = read(record(tmp_path / "a.mcap", {"/top": times(1000), "/low": holed}), "/top", "/low")
     ends = [block.sequence + block.n_samples for block in blocks]
-    jumps = [
-        (end, block.sequence) for end, block in zip(ends, blocks[1:], strict=False) if block.sequence != end
-    ]
+    jumps = [(end, block.sequence) for end, block in zip(ends, blocks[1:], strict=False) if block.sequence != end]
     assert jumps == [(500, 503)] and ends[-1] == 1000
 
 
 def test_a_topic_that_starts_late_only_shortens_the_recording(tmp_path: Path) -> None:
-    blocks = read(
-        record(tmp_path / "a.mcap", {"/top": times(1000), "/low": times(1000)[400:]}), "/top", "/low"
-    )
+    blocks = read(record(tmp_path / "a.mcap", {"/top": times(1000), "/low": times(1000)[400:]}), "/top", "/low")
     assert blocks[0].t_ns == times(1000)[400] and blocks[0].sequence == 0
     assert sum(block.n_samples for block in blocks) == 600
 

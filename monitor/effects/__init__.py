@@ -11,7 +11,7 @@ EFFECTS: dict[str, type[Effect]] = {
     "joint_flexibility": JointFlexibility,
 }
 
-__all__ = ["EFFECTS", "Effect", "EffectError", "parse_effect"]
+__all__ = ["EFFECTS", "Effect", "EffectError", "JointFlexibility", "StiffnessChange", "parse_effect"]
 
 
 def parse_effect(text: str) -> Effect:

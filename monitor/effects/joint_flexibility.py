@@ -31,6 +31,7 @@ class JointFlexibility(Effect):
     """(E I_g / L_g) / (E I_c / h), one girder and one column, E I_c / h the mean over stories."""
 
     def stiffness_matrix(self, stiffness: Array, structure: ShearFrame) -> Array:
+        """See `Effect.stiffness_matrix`."""
         n = structure.n_stories
         heights = np.ones(n) if structure.story_heights_m is None else structure.story_heights_m
         column = structure.stiffness_n_per_m * heights**2 / 24.0  # E I_c / h of one of the two columns

@@ -23,6 +23,7 @@ class StiffnessChange(Effect):
     """-0.2 = 20 % lost."""
 
     def stiffness_matrix(self, stiffness: Array, structure: ShearFrame) -> Array:
+        """See `Effect.stiffness_matrix`."""
         if self.location == "frame":
             return stiffness * (1.0 + self.relative)
         lost = self.relative * structure.stiffness_n_per_m[self.index]

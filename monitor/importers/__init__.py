@@ -85,9 +85,7 @@ def _load(path: Path, on_warning: OnWarning) -> Table:
             raise MissingInputError(f"{path}: {'is no file' if path.exists() else 'does not exist'}")
         raw = path.read_bytes()
     except (OSError, ValueError) as error:
-        raise MissingInputError(
-            f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}"
-        ) from error
+        raise MissingInputError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from error
     if path.suffix.lower() in _LOGS or raw.startswith(b"LOGG"):
         raise BadInputError(f"{path}: CAN logs are not supported yet; convert it to CSV")
     if raw.startswith(MAGIC):
@@ -119,9 +117,7 @@ def _members(path: Path, raw: bytes) -> list[str]:
 def _unzip(path: Path, raw: bytes, members: list[str]) -> bytes:
     tables = [name for name in members if ".csv" in name.lower()] or members
     if len(tables) != 1:
-        raise BadInputError(
-            f"{path}: holds {len(tables)} tables; unpack it and name one: {', '.join(tables)}"
-        )
+        raise BadInputError(f"{path}: holds {len(tables)} tables; unpack it and name one: {', '.join(tables)}")
     try:
         with zipfile.ZipFile(io.BytesIO(raw)) as archive, archive.open(tables[0]) as member:
             data = member.read(_MAX_UNZIPPED + 1)  # whatever size the archive claims
@@ -148,8 +144,7 @@ def _choose(
     names = [column if len(tables) == 1 else table.names[0] for table, column in rest]
     if len(set(names)) != len(names):
         raise BadInputError(
-            f"several columns would be channel {max(names, key=names.count)!r}; "
-            "name each: --channel NAME=FILE:COLUMN"
+            f"several columns would be channel {max(names, key=names.count)!r}; name each: --channel NAME=FILE:COLUMN"
         )
     if not rest:
         raise BadInputError(f"{tables[0].path}: no column is left for the floors besides the ground")
@@ -169,9 +164,7 @@ def _find(tables: list[Table], reference: str) -> _Column:
         return tables[0], reference
     if len(found) != 1:
         what = "names several files" if found else "names no file"
-        raise BadInputError(
-            f"{reference!r} {what}; the files are {', '.join(str(table.path) for table in tables)}"
-        )
+        raise BadInputError(f"{reference!r} {what}; the files are {', '.join(str(table.path) for table in tables)}")
     table, column = found[0]
     if column is None:
         if len(table.default) != 1:

@@ -50,8 +50,7 @@ class Cells:
         except ValueError:
             bad = next((at for at, cell in enumerate(cells) if not _NUMBER.fullmatch(cell)), 0)
             raise BadInputError(
-                f"{self.path}: line {self.first_line + bad}: {cells[bad][:40]!r} in column {column + 1} "
-                "is no number"
+                f"{self.path}: line {self.first_line + bad}: {cells[bad][:40]!r} in column {column + 1} is no number"
             ) from None
 
 
@@ -167,10 +166,7 @@ def to_table(cells: Cells, on_warning: OnWarning) -> Table:
 
 def _split(line: str, delimiter: str | None) -> list[str]:
     if delimiter and '"' in line:
-        return [
-            cell.strip()
-            for cell in next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [""])
-        ]
+        return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [""])]
     return [cell.strip(' \t"') for cell in (line.split(delimiter) if delimiter else line.split())]
 
 
@@ -187,9 +183,7 @@ def _ticks(cells: Cells, column: int, name: str, unit: str) -> Ticks:
     else:
         tick = _TICKS.get(unit.strip(" -") or suffix.casefold(), 0 if unit.strip(" -") else 10**9)
     if not tick:
-        raise BadInputError(
-            f"{cells.path}: unknown unit {unit!r} of column {name!r}; known: {', '.join(_TICKS)}"
-        )
+        raise BadInputError(f"{cells.path}: unknown unit {unit!r} of column {name!r}; known: {', '.join(_TICKS)}")
     seconds = cells.numbers(column)
     if not np.isfinite(seconds).all() or np.abs(seconds).max() > 4e18 / tick:
         bad = int(np.argmax(~np.isfinite(seconds)))
@@ -236,6 +230,4 @@ def _warn_swapped(path: Path, start_ns: int, on_warning: OnWarning) -> None:
         and (int(named[1]), int(named[2]), int(named[3])) == (day.year, day.day, day.month)
         and day.day != day.month
     ):
-        on_warning(
-            f"{path}: starts on {day}, but its name says {named[0]}: day and month seem swapped; see --start"
-        )
+        on_warning(f"{path}: starts on {day}, but its name says {named[0]}: day and month seem swapped; see --start")

@@ -40,9 +40,7 @@ def _build(path: Path, arrays: dict[str, NDArray[np.generic]]) -> Table:
     if "samples" in arrays:
         values = np.asarray(arrays["samples"], dtype=np.float64)
         values = values[:, None] if values.ndim == 1 else values
-        columns = (
-            tuple(str(name) for name in np.atleast_1d(arrays["channels"])) if "channels" in arrays else ()
-        )
+        columns = tuple(str(name) for name in np.atleast_1d(arrays["channels"])) if "channels" in arrays else ()
         columns = columns or tuple(f"a{at + 1}" for at in range(values.shape[-1]))
     else:
         columns = tuple(name for name in arrays if name not in _RESERVED and arrays[name].ndim == 1)

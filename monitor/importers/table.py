@@ -111,9 +111,7 @@ def join(tables: list[Table], on_warning: OnWarning) -> tuple[list[Table], Ticks
     shortest = min(len(table.values) for table in tables)
     if not clocks:
         if shortest != max(len(table.values) for table in tables):
-            on_warning(
-                f"files of different lengths without a clock: taken as begun together, cut to {shortest}"
-            )
+            on_warning(f"files of different lengths without a clock: taken as begun together, cut to {shortest}")
         return [_rows(table, np.arange(shortest)) for table in tables], None
     if len(clocks) != len(tables):
         without = ", ".join(str(table.path) for table in tables if table.time_ns is None)
@@ -122,8 +120,7 @@ def join(tables: list[Table], on_warning: OnWarning) -> tuple[list[Table], Ticks
     steps = [float(np.median(np.diff(clock))) for clock in clocks]
     if any((np.diff(clock) <= 0).any() for clock in clocks) or max(steps) > 1.02 * min(steps):
         each = "; ".join(
-            f"{table.path}: {1e9 / step if step else 0:.2f} Hz"
-            for table, step in zip(tables, steps, strict=True)
+            f"{table.path}: {1e9 / step if step else 0:.2f} Hz" for table, step in zip(tables, steps, strict=True)
         )
         raise BadInputError(f"the files' times must rise throughout and have one rate: {each}")
     half = steps[0] / 2

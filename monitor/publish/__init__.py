@@ -1,0 +1,1 @@
+"""Publishers: everything that shows or stores results.  Their failure never stops the monitor."""

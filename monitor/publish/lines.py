@@ -80,3 +80,28 @@ class LinesFile:
         """Leave nothing behind."""
         self._file.close()
         partial(self._path).unlink(missing_ok=True)
+
+
+def replay_story(summary: dict[str, Any], *, has_baseline: bool) -> str:
+    """A replay in words."""
+    text = [f"{summary['windows']} windows, {summary['skipped']} skipped, {summary['realtime_factor']:.0f} x real time"]
+    if summary["frequencies_hz"] is not None:
+        pairs = zip(
+            summary["frequencies_hz"],
+            summary["structure_file_frequencies_hz"],
+            summary["frequency_misfit"],
+            strict=False,
+        )
+        for i, (measured, drawn, misfit) in enumerate(pairs, start=1):
+            text.append(
+                f"mode {i}: {measured:.4g} Hz measured, {drawn:.4g} Hz by the structure file "
+                f"(the data lie {100 * misfit:+.1f} % off)"
+            )
+    for a in summary["alarms"]:
+        text.append(
+            f"{a['level']}: story {a['story']} lost {100 * a['ddi']:.2f} +- {100 * a['ddi_std']:.2f} % "
+            f"({a['loss_n_per_m']:.4g} N/m)"
+        )
+    if not summary["alarms"]:
+        text.append("no alarm" if has_baseline else "no baseline, so no alarm can be raised; make one with 'calibrate'")
+    return "\n".join(text)

@@ -56,7 +56,11 @@ class Summary:
                 self._open.pop(story).t_last_ns = result.t_end_ns
         for story, level in active.items():
             j = story - 1
-            reading = (float(result.damage.ddi[j]), float(result.damage.ddi_std[j]), float(result.damage.loss_n_per_m[j]))
+            reading = (
+                float(result.damage.ddi[j]),
+                float(result.damage.ddi_std[j]),
+                float(result.damage.loss_n_per_m[j]),
+            )
             episode = self._open.get(story)
             if episode is None:
                 episode = Episode(level.value, story, result.t_end_ns, None, *reading)

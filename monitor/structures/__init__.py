@@ -3,3 +3,5 @@
 from monitor.structures.shear_frame import ShearFrame
 
 STRUCTURES = {"shear_frame": ShearFrame}
+
+__all__ = ["STRUCTURES", "ShearFrame"]

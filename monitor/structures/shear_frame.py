@@ -27,6 +27,7 @@ class ShearFrame:
 
     @property
     def n_stories(self) -> int:
+        """Number of stories, and of floors."""
         return int(self.masses_kg.size)
 
     def drift_matrix(self) -> Array:
@@ -45,4 +46,4 @@ class ShearFrame:
     def stiffness_derivatives(self) -> Array:
         """dK / dk_j, shape (n, n, n): first axis is the story."""
         drift = self.drift_matrix()
-        return np.einsum("ja,jb->jab", drift, drift)
+        return np.asarray(np.einsum("ja,jb->jab", drift, drift))

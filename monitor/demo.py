@@ -1,0 +1,43 @@
+"""The tour behind `make demo`: calibrate, watch damage appear, replay a measured frame."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from monitor import baseline, config, replay
+from monitor.publish.lines import replay_story
+
+
+def run(recordings: Path, out: Path, *, say: Callable[[str], None], on_warning: Callable[[str], None]) -> None:
+    """Leave the demo's results in `out`.
+
+    Raises
+    ------
+    MissingInputError, BadInputError
+        If `recordings` does not hold the shipped recordings.
+    """
+    frame = config.load(recordings / "frame.toml")
+    say("1. Calibrating on a healthy recording of a simulated three-story frame whose drawing is wrong on purpose ...")
+    healthy, _ = replay.calibrate([recordings / "frame-healthy.mcap"], frame, on_warning=on_warning)
+    out.mkdir(parents=True, exist_ok=True)
+    baseline.save(healthy, out / "baseline.json")
+    say("2. Replaying 1000 s of it in which story 2 loses 12 % of its stiffness after 400 s ...")
+    parts = [recordings / "frame-before.mcap", recordings / "frame-after.mcap"]
+    outcome = replay.replay(parts, frame, healthy, out, on_warning=on_warning)
+    say(_indent(replay_story(outcome.summary, has_baseline=True)))
+    say("3. Replaying a measured frame (mini shake table, an earthquake record played by the table) ...")
+    measured = config.load(recordings / "mini-shake-table-flexible.toml")
+    target = out / "measured-frame"
+    outcome = replay.replay(
+        [recordings / "mini-shake-table-flexible.mcap"], measured, None, target, on_warning=on_warning
+    )
+    say(_indent(replay_story(outcome.summary, has_baseline=False)))
+    say("Look at it:")
+    for folder in (out, target):
+        say(f"   .venv/bin/rerun {folder / 'live.rrd'}")
+    say(f"Numbers: {out / 'results.jsonl'} (a line a window), {out / 'summary.json'}")
+
+
+def _indent(text: str) -> str:
+    return "\n".join(f"   {line}" for line in text.splitlines())

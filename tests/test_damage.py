@@ -1,0 +1,116 @@
+"""The damage index: differential, at the right story, honest about a wrong drawing."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from monitor import baseline, damage
+from monitor.config import Configuration
+from monitor.damage import sequential_reading
+from monitor.effects import parse_effect
+from monitor.model import Model
+from monitor.pipeline import Pipeline
+from monitor.record import blocks_of
+from monitor.results import ModalEstimate, WindowResult
+from monitor.simulate import simulate
+from monitor.structures import ShearFrame
+
+MASSES = np.array([0.3253, 0.3514, 0.3129])
+STIFFNESS = np.array([2909.4511, 1514.8507, 1897.6986])
+HEIGHTS = [0.093, 0.093, 0.1]
+JOINTS = (parse_effect("joint_flexibility:frame:girder_to_column_ratio=10"),)
+
+
+def truth(loss: tuple[float, float, float], effects: tuple = JOINTS) -> Model:
+    return Model(ShearFrame(MASSES, STIFFNESS * (1 - np.array(loss)), 0.01, np.array(HEIGHTS)), effects)
+
+
+def drawing(signs: tuple[int, int, int], **processing: float) -> Configuration:
+    return Configuration.model_validate(
+        {
+            "structure": {
+                "kind": "shear_frame",
+                "masses_kg": list(MASSES * (1 + 0.05 * np.array(signs))),
+                "stiffness_n_per_m": [2251.8509, 2251.8509, 1811.292],
+                "story_heights_m": HEIGHTS,
+            },
+            "sensors": [{"channel": f"a{i}", "floor": i} for i in (1, 2, 3)],
+            "processing": processing,
+        }
+    )
+
+
+def exact_modes(model: Model) -> ModalEstimate:
+    """Modes without error, weighted as a 400 s record would be."""
+    modes = model.modes()
+    shapes = modes.shapes.T / np.take_along_axis(modes.shapes.T, abs(modes.shapes.T).argmax(axis=1)[:, None], axis=1)
+    deviations = np.zeros((3 * 8, 3, 8))
+    for row, (mode, column) in enumerate(np.ndindex(3, 8)):
+        deviations[row, mode, column] = (9e-4, 5e-4, 5e-4)[mode] if column == 0 else 3e-3
+    return ModalEstimate(
+        modes.frequencies_hz, np.full(3, 0.01), shapes.astype(complex), np.arange(3), deviations, 10, np.zeros((0, 4))
+    )
+
+
+@pytest.mark.parametrize("signs", [(1, 1, 1), (1, -1, 1), (-1, 1, -1), (-1, -1, 1)])
+@pytest.mark.parametrize("story", [1, 2, 3])
+def test_wrong_masses_and_flexible_joints_bias_a_5_percent_loss_by_less_than_half_a_point(
+    signs: tuple[int, int, int], story: int
+) -> None:
+    config = drawing(signs)
+    healthy, _ = baseline.learn(config, [(0, exact_modes(truth((0, 0, 0))))], np.ones(1), ())
+    loss = tuple(0.05 if j + 1 == story else 0.0 for j in range(3))
+    _, reading = damage.step(exact_modes(truth(loss)), healthy.model, healthy, np.eye(3), config.updating)
+    assert np.abs(reading.ddi - loss).max() < 0.005
+    assert int(np.argmax(reading.ddi)) == story - 1
+
+
+def test_an_unchanged_structure_reads_zero_however_wrong_the_drawing() -> None:
+    config = drawing((1, -1, 1))
+    healthy, _ = baseline.learn(config, [(0, exact_modes(truth((0, 0, 0))))], np.ones(1), ())
+    assert np.abs(healthy.misfit).max() > 0.005  # the drawing is wrong indeed, and stays so
+    _, reading = damage.step(exact_modes(truth((0, 0, 0))), healthy.model, healthy, np.eye(3), config.updating)
+    assert np.abs(reading.ddi).max() < 1e-6
+
+
+@pytest.mark.parametrize("losses", [(0.2, 0.0, 0.0), (0.0, 0.2, 0.1), (0.3, 0.1, 0.4)])
+def test_the_papers_sequential_reading_is_the_ratio_of_stories_in_a_shear_frame(losses: tuple[float, ...]) -> None:
+    reading = sequential_reading(truth((0, 0, 0), ()).stiffness_matrix(), truth(losses, ()).stiffness_matrix())
+    np.testing.assert_allclose(reading, losses, atol=1e-12)
+
+
+def windows_of(model: Model, config: Configuration, healthy: baseline.Baseline | None, seed: int) -> list[WindowResult]:
+    floors = simulate(model, duration_s=500.0, rate_hz=200.0, noise=0.1, seed=seed).floors
+    pipeline = Pipeline(config, healthy)
+    results = [
+        r for b in blocks_of("/acceleration", floors, ("a1", "a2", "a3"), 200.0, 0, 997) for r in pipeline.push(b)
+    ]
+    return [r for r in results if isinstance(r, WindowResult)]
+
+
+def test_from_samples_a_5_percent_loss_is_found_at_the_right_story() -> None:
+    """Wrong masses, flexible joints, 10 % noise: the mean over windows lies within half a point, in one story."""
+    config = drawing((1, -1, 1), window_s=200.0, hop_s=50.0)
+    calm = windows_of(truth((0, 0, 0)), config, None, seed=1)
+    healthy, _ = baseline.learn(
+        config, [(r.index, r.modes) for r in calm if r.modes is not None], np.array([r.rms_m_s2 for r in calm]), ()
+    )
+    for story in (1, 2, 3):
+        loss = tuple(0.05 if j + 1 == story else 0.0 for j in range(3))
+        readings = [r.damage for r in windows_of(truth(loss), config, healthy, seed=1 + story) if r.damage is not None]
+        mean = np.mean([r.ddi for r in readings], axis=0)
+        spread = np.sqrt(np.mean([r.ddi_std**2 for r in readings], axis=0))
+        assert np.abs(mean - loss).max() < 0.005 + 2 * spread.max()
+        assert int(np.argmax(mean)) == story - 1
+
+
+def test_a_baseline_survives_its_file(tmp_path) -> None:
+    config = drawing((1, 1, -1))
+    healthy, _ = baseline.learn(config, [(0, exact_modes(truth((0, 0, 0))))], np.ones(1), ({"file": "x"},))
+    baseline.save(healthy, tmp_path / "b.json")
+    again = baseline.load(tmp_path / "b.json", config)
+    modes = exact_modes(truth((0.0, 0.05, 0.0)))
+    first, second = (damage.step(modes, b.model, b, np.eye(3), config.updating)[1] for b in (healthy, again))
+    np.testing.assert_array_equal(first.ddi, second.ddi)
+    np.testing.assert_array_equal(first.ddi_covariance, second.ddi_covariance)
