@@ -86,4 +86,4 @@ def _judge(state: StoryState, ddi: float, z: float, t_ns: int, settings: AlarmSe
     quiet = t_ns if state.quiet_since_ns is None else state.quiet_since_ns
     if t_ns - quiet >= settings.clear_s * 1e9:
         return StoryState()
-    return StoryState(state.level, state.since_ns, quiet)
+    return StoryState(state.level, None, quiet)

@@ -20,15 +20,20 @@ class AlignState:
     t_run_ns: int
     """UTC of the current run's first sample."""
     n_run: int
-    """Samples in the current run."""
+    """Samples in the current run; 0 before the first."""
     next_sequence: int
     rate_hz: float
-    dropped: int = 0
+    dropped: int
     """Samples thrown away: repeated, late or not finite."""
 
     def t_next_ns(self) -> int:
         """When the next sample of the run is due."""
         return self.t_run_ns + round(self.n_run / self.rate_hz * 1e9)
+
+
+def start() -> AlignState:
+    """State before the first sample."""
+    return AlignState(t_run_ns=0, n_run=0, next_sequence=0, rate_hz=1.0, dropped=0)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -64,15 +69,12 @@ def select(block: SampleBlock, channels: tuple[str, ...]) -> Array:
     return block.samples[:, columns].astype(np.float64)
 
 
-def step(
-    state: AlignState | None, block: SampleBlock, channels: tuple[str, ...]
-) -> tuple[AlignState | None, list[Piece]]:
+def step(state: AlignState, block: SampleBlock, channels: tuple[str, ...]) -> tuple[AlignState, list[Piece]]:
     """Place a block in the stream.
 
     Returns
     -------
-    state : AlignState or None
-        None until the first finite sample.
+    state : AlignState
     pieces : list of Piece
         In order; empty if nothing of the block is new.
     """
@@ -86,37 +88,35 @@ def step(
         if finite[begin]:
             state, new = _place(state, block, values[begin:end], int(begin))
             pieces.extend(new)
-        elif state is not None:
+        else:
             state = replace(state, dropped=state.dropped + int(end - begin))
     return state, pieces
 
 
-def _place(
-    state: AlignState | None, block: SampleBlock, values: Array, offset: int
-) -> tuple[AlignState | None, list[Piece]]:
+def _place(state: AlignState, block: SampleBlock, values: Array, offset: int) -> tuple[AlignState, list[Piece]]:
     """One run of finite samples that begins `offset` samples into the block."""
-    rate = block.sample_rate_hz
+    rate, n = block.sample_rate_hz, values.shape[0]
     t_ns, sequence = block.t_ns + round(offset / rate * 1e9), block.sequence + offset
-    n = values.shape[0]
     if n == 0:
         return state, []
-    if state is None:
-        return AlignState(t_ns, n, sequence + n, rate), [Piece(t_ns, values, None, rate)]
+    begun = AlignState(t_ns, n, sequence + n, rate, state.dropped)
+    if state.n_run == 0:
+        return begun, [Piece(t_ns, values, None, rate)]
     late_s = (t_ns - state.t_next_ns()) * 1e-9
     if rate != state.rate_hz:
-        gap = Gap(state.t_next_ns(), max(late_s, 0.0), f"sample rate changed from {state.rate_hz:g} to {rate:g} Hz")
-        state = AlignState(t_ns, n, sequence + n, rate, state.dropped)
-        return state, [Piece(t_ns, values, gap, rate)]
-    in_sequence = sequence == state.next_sequence and abs(late_s) < _MAX_CLOCK_OFFSET_S
-    if in_sequence or abs(late_s) * rate <= 0.5:
+        reason = f"sample rate changed from {state.rate_hz:g} to {rate:g} Hz"
+        return begun, [Piece(t_ns, values, Gap(state.t_next_ns(), max(late_s, 0.0), reason), rate)]
+    in_sequence = sequence == state.next_sequence
+    if (in_sequence and abs(late_s) < _MAX_CLOCK_OFFSET_S) or abs(late_s) * rate <= 0.5:
         t_ns = state.t_next_ns()
         state = replace(state, n_run=state.n_run + n, next_sequence=sequence + n)
         return state, [Piece(t_ns, values, None, rate)]
-    if late_s < 0:  # repeated or late: keep only what is new
-        known = min(n, round(-late_s * rate))
+    if late_s < 0 and sequence < state.next_sequence:  # repeated or late: keep only what is new
+        known = min(n, max(1, round(-late_s * rate)))
         state = replace(state, dropped=state.dropped + known)
         return _place(state, block, values[known:], offset + known)
-    reason = f"{sequence - state.next_sequence} samples missing" if sequence > state.next_sequence else "time jumped"
-    gap = Gap(state.t_next_ns(), late_s, reason)
-    state = AlignState(t_ns, n, sequence + n, rate, state.dropped)
-    return state, [Piece(t_ns, values, gap, rate)]
+    if sequence > state.next_sequence and late_s > 0:
+        reason = f"{sequence - state.next_sequence} samples missing"
+    else:
+        reason = f"the clock jumped by {late_s:+.3f} s"
+    return begun, [Piece(t_ns, values, Gap(state.t_next_ns(), max(late_s, 0.0), reason), rate)]

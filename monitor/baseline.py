@@ -40,6 +40,8 @@ class Baseline:
     frequencies_std_hz: Array
     damping_ratio: Array
     channels: tuple[str, ...]
+    floors: tuple[int, ...]
+    """Floor of each channel."""
     windows: int
     level_range_m_s2: tuple[float, float]
     """Least and largest RMS of the windows, mean over channels."""
@@ -51,7 +53,7 @@ class Baseline:
         """The observation with the standing misfit taken out: what the baseline's model should predict."""
         return Observation(
             observation.z - self.misfit,
-            observation.variance,
+            observation.weight,
             observation.deviations,
             observation.model_mode,
             observation.gauges,
@@ -61,7 +63,7 @@ class Baseline:
 
 def learn(
     config: Configuration,
-    windows: list[tuple[int, ModalEstimate]],
+    windows: list[ModalEstimate],
     rms: Array,
     recordings: tuple[dict[str, Any], ...],
 ) -> tuple[Baseline, Update]:
@@ -69,9 +71,8 @@ def learn(
 
     Parameters
     ----------
-    windows : list of (first_block, ModalEstimate)
-        `first_block` numbers the window's first block of data on the common grid, so that overlapping windows share
-        their blocks' influence and the mean's covariance comes out right.
+    windows : list of ModalEstimate
+        Overlapping windows share the influence of the data they share, so that the mean's covariance comes out right.
     rms : ndarray, shape (n_windows,)
         Response level of each window, m/s^2.
 
@@ -83,17 +84,21 @@ def learn(
     if not windows:
         raise BadInputError("no healthy window could be identified: nothing to learn a baseline from")
     settings = config.updating
-    gauges = observe(windows[0][1], settings).gauges
-    observations = [(b, observe(m, settings, gauges if settings.use_shapes else None)) for b, m in windows]
-    influence: dict[int, Array] = {}
-    for first, o in observations:
+    gauges = observe(windows[0], settings).gauges
+    observations = [observe(m, settings, gauges if settings.use_shapes else None) for m in windows]
+    influence: dict[tuple[bool, int], Array] = {}
+    for m, o in zip(windows, observations, strict=True):
         for b, row in enumerate(o.deviations):
-            influence[first + b] = influence.get(first + b, 0.0) + row / len(windows)
-    deviations = np.array([influence[b] for b in sorted(influence)])
-    last = observations[-1][1]
+            place = (m.refined, m.first + b)
+            influence[place] = influence.get(place, 0.0) + row / len(windows)
+    deviations = np.array(list(influence.values()))
+    last = observations[-1]
+    # The mean weighs its components as a window does, and as heavily as the scatter of the data says.
+    shape_of_weight = np.mean([o.weight for o in observations], axis=0)
+    shrink = np.mean((deviations**2).sum(axis=0) * np.diag(shape_of_weight)) if len(windows) > 1 else 1.0
     mean = Observation(
-        z=np.mean([o.z for _, o in observations], axis=0),
-        variance=(deviations**2).sum(axis=0),
+        z=np.mean([o.z for o in observations], axis=0),
+        weight=shape_of_weight / shrink,
         deviations=deviations,
         model_mode=last.model_mode,
         gauges=gauges,
@@ -111,8 +116,7 @@ def learn(
     predicted, _ = predict(fit.model, sensors, mean, with_masses=False)
     z_covariance = deviations.T @ deviations
     gain = fit.gain / fit.parameters[:, None]
-    estimates = [m for _, m in windows]
-    f = np.mean([m.frequencies_hz for m in estimates], axis=0)
+    f = np.mean([m.frequencies_hz for m in windows], axis=0)
     baseline = Baseline(
         model=fit.model,
         covariance=gain @ z_covariance @ gain.T,
@@ -124,8 +128,9 @@ def learn(
         log=mean.log,
         frequencies_hz=f,
         frequencies_std_hz=_frequency_std(f, z_covariance, mean.log),
-        damping_ratio=np.mean([m.damping_ratio for m in estimates], axis=0),
+        damping_ratio=np.mean([m.damping_ratio for m in windows], axis=0),
         channels=config.channels,
+        floors=tuple(s.floor for s in config.sensors),
         windows=len(windows),
         level_range_m_s2=(float(rms.min()), float(rms.max())),
         recordings=recordings,
@@ -152,6 +157,7 @@ _PLAIN = (
     "gauges",
     "log",
     "channels",
+    "floors",
     "windows",
     "level_range_m_s2",
     "reference_temperature_degc",
@@ -192,15 +198,42 @@ def load(path: Path, config: Configuration) -> Baseline:
         arrays: dict[str, Any] = {name: np.array(content[name], dtype=float) for name in _ARRAYS}
         stiffness, masses = (np.array(content[name], dtype=float) for name in ("stiffness_n_per_m", "masses_kg"))
         plain = {name: content[name] for name in _PLAIN}
-        for name in ("model_mode", "gauges", "channels", "level_range_m_s2", "recordings"):
+        for name in ("model_mode", "gauges", "channels", "floors", "level_range_m_s2", "recordings"):
             plain[name] = tuple(plain[name])
     except (ValueError, KeyError, TypeError) as error:
         raise BadInputError(f"{path}: not a baseline file ({error!r}); make one with 'calibrate'") from error
-    nominal = config.model()
-    if masses.size != nominal.structure.n_stories or plain["channels"] != config.channels:
-        raise BadInputError(
-            f"{path}: the baseline has {masses.size} stories and channels {', '.join(plain['channels'])}; "
-            f"the structure file has {nominal.structure.n_stories} and {', '.join(config.channels)}; "
-            "calibrate with this structure file"
-        )
-    return Baseline(model=nominal.with_stiffness(stiffness).with_masses(masses), **arrays, **plain)
+    loaded = Baseline(model=config.model().with_stiffness(stiffness).with_masses(masses), **arrays, **plain)
+    problem = _mismatch(loaded, config)
+    if problem is not None:
+        raise BadInputError(f"{path}: {problem}; calibrate with this structure file")
+    return loaded
+
+
+def _mismatch(b: Baseline, config: Configuration) -> str | None:
+    """Why a baseline does not belong to a configuration, or None."""
+    n, m, c = len(config.structure.masses_kg), len(b.model_mode), len(b.channels)
+    structure = b.model.structure
+    floors = tuple(s.floor for s in config.sensors)
+    if structure.masses_kg.shape != (n,) or structure.stiffness_n_per_m.shape != (n,):
+        return f"the baseline has {structure.masses_kg.size} stories, the structure file {n}"
+    if (b.channels, b.floors) != (config.channels, floors):
+        return f"the baseline's channels are {', '.join(b.channels)} on floors {b.floors}, not the structure file's"
+    if b.log != (config.updating.eigenvalue == "log") or bool(b.gauges) != config.updating.use_shapes:
+        return "the baseline was learned with another [updating] eigenvalue or use_shapes"
+    n_data = m + len(b.gauges) * (c - 1)
+    shapes = {"covariance": (2 * n, 2 * n), "z": (n_data,), "z_covariance": (n_data, n_data), "misfit": (n_data,)}
+    shapes |= {name: (m,) for name in ("frequencies_hz", "frequencies_std_hz", "damping_ratio")}
+    for name, shape in shapes.items():
+        value = getattr(b, name)
+        if value.shape != shape or not np.isfinite(value).all():
+            return f"the baseline's {name} is damaged"
+    positive = np.concatenate([structure.masses_kg, structure.stiffness_n_per_m])
+    if not (np.isfinite(positive).all() and positive.min() > 0):
+        return "the baseline's masses and stiffnesses are damaged"
+    if (
+        any(not 0 <= i < n for i in b.model_mode)
+        or any(not 0 <= g < c for g in b.gauges)
+        or len(b.gauges) not in (0, m)
+    ):
+        return "the baseline's modes are damaged"
+    return None

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from fractions import Fraction
+from math import floor
 
 import numpy as np
 from scipy.signal import cheby1, sosfilt
@@ -37,13 +38,16 @@ class Conditioner:
     """Shape (n_phases, n_taps): interpolation weights on the n_taps latest filtered samples, oldest first."""
 
     @classmethod
-    def design(cls, rate_in_hz: float, rate_hz: float, cutoff_hz: float) -> Conditioner:
+    def design(cls, rate_in_hz: float, rate_hz: float, cutoff_hz: float, step_s: float | None = None) -> Conditioner:
         """The conditioner from `rate_in_hz` to `rate_hz` with the lowpass at `cutoff_hz`.
 
+        A slower source keeps its own rate, or, where `step_s` must hold whole samples, the next lower one that does.
         A cutoff beyond 0.8 of the Nyquist frequency of the slower rate is lowered to it.  Rates are matched by a
         ratio of integers, exact to 1e-6.
         """
-        out_hz = min(rate_hz, rate_in_hz)
+        out_hz = rate_hz
+        if rate_in_hz < rate_hz:
+            out_hz = rate_in_hz if step_s is None else floor(rate_in_hz * step_s + 1e-9) / step_s
         cutoff_hz = min(cutoff_hz, 0.4 * out_hz)
         sos = cheby1(_ORDER, _RIPPLE_DB, cutoff_hz, fs=rate_in_hz, output="sos")
         step = 1 / Fraction(out_hz / rate_in_hz).limit_denominator(_MAX_PHASES)

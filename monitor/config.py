@@ -20,6 +20,8 @@ from monitor.settings import Settings
 from monitor.ssi import SsiSettings
 from monitor.structures import STRUCTURES, ShearFrame
 from monitor.updating import UpdatingSettings
+from monitor.whittle import RefinementSettings
+from monitor.window import common_step_s
 
 Positive = Annotated[float, Field(gt=0)]
 Range = tuple[Positive, Positive]
@@ -46,6 +48,10 @@ class StructureTable(Settings):
             value = getattr(self, name)
             if value is not None and len(value) != n:
                 raise ValueError(f"{name} has {len(value)} values for {n} masses")
+        for name in ("masses_range_kg", "stiffness_range_n_per_m"):
+            for i, (low, high) in enumerate(getattr(self, name) or ()):
+                if low >= high:
+                    raise ValueError(f"{name}.{i}: [{low:g}, {high:g}] is no range, the lower end comes first")
         return self
 
 
@@ -106,6 +112,7 @@ class Configuration(Settings):
     quality: QualitySettings = QualitySettings()
     identification: SsiSettings = SsiSettings()
     selection: SelectionSettings = SelectionSettings()
+    refinement: RefinementSettings = RefinementSettings()
     updating: UpdatingSettings = UpdatingSettings()
     alarm: AlarmSettings = AlarmSettings()
     topics: dict[str, str] = Field(default_factory=dict)
@@ -129,14 +136,18 @@ class Configuration(Settings):
             except EffectError as error:
                 problems.append(f"effects: {error}")
         p, lags = self.processing, 2 * self.identification.block_rows
-        block = np.gcd(round(p.window_s * p.rate_hz), round(p.hop_s * p.rate_hz))
-        if block < lags:
+        step_s = common_step_s(p.window_s, p.hop_s)
+        if step_s * p.rate_hz < lags:
             problems.append(
-                f"processing: window_s and hop_s have a common step of {block / p.rate_hz:g} s; "
-                f"{lags / p.rate_hz:g} s (2 block_rows samples) is the least"
+                f"processing: window_s and hop_s have a common step of {step_s:g} s, "
+                f"but {lags / p.rate_hz:g} s (2 block_rows samples) is the least: set a longer hop_s that divides window_s"
             )
+        elif abs(step_s * p.rate_hz - round(step_s * p.rate_hz)) > 1e-6:
+            problems.append(f"processing: window_s and hop_s must be whole numbers of samples at {p.rate_hz:g} Hz")
+        if not problems and np.linalg.eigvalsh(self.model().stiffness_matrix()).min() <= 0:
+            problems.append("effects: with them the structure would not stand (its stiffness is not positive)")
         if problems:
-            raise ValueError("; ".join(problems))
+            raise ValueError("\n".join(problems))
         return self
 
     def _effect(self, table: EffectTable) -> Effect:
@@ -222,5 +233,5 @@ def load(path: Path) -> Configuration:
         for problem in error.errors():
             place = ".".join(str(part) for part in problem["loc"])
             message = problem["msg"].removeprefix("Value error, ")
-            lines += [f"{path}: {place + ': ' if place else ''}{part}" for part in message.split("; ")]
+            lines += [f"{path}: {place + ': ' if place else ''}{part}" for part in message.split("\n")]
         raise BadConfigurationError("\n".join(lines)) from error

@@ -35,7 +35,7 @@ def step(
         covariance=covariance,
         converged=fit.converged,
         iterations=fit.iterations,
-        misfit=fit.residual / np.sqrt(np.maximum(observation.variance, 1e-300)),
+        misfit=fit.residual * np.sqrt(np.diag(observation.weight)),
     )
     healthy = reference.structure.stiffness_n_per_m
     if baseline is not None:

@@ -20,11 +20,15 @@ def finish(path: Path) -> None:
 def write_atomically(path: Path, text: str) -> None:
     """Write a small text file under its final name only when complete."""
     temporary = partial(path)
-    with temporary.open("w", encoding="utf-8") as file:
-        file.write(text)
-        file.flush()
-        os.fsync(file.fileno())
-    finish(path)
+    try:
+        with temporary.open("w", encoding="utf-8") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        finish(path)
+    except OSError:
+        temporary.unlink(missing_ok=True)
+        raise
 
 
 def sha256(path: Path) -> str:

@@ -12,7 +12,8 @@ from monitor.condition import Conditioner, ConditionState
 from monitor.config import Configuration
 from monitor.errors import BadInputError
 from monitor.poles import identify
-from monitor.results import Alarm, Gap, Level, Samples, Skipped, Window, WindowResult
+from monitor.results import Alarm, Gap, Level, ModalEstimate, Samples, Skipped, Window, WindowResult
+from monitor.whittle import refine
 from monitor.window import WindowGrid, WindowState
 
 Result = Samples | Gap | WindowResult
@@ -34,7 +35,7 @@ class Run:
 class PipelineState:
     """All that the next block needs of those before; nothing else remembers anything."""
 
-    align: align.AlignState | None
+    align: align.AlignState
     run: Run | None
     stories: tuple[alarm.StoryState, ...]
 
@@ -58,7 +59,7 @@ class Pipeline:
         self.sensors = config.sensor_matrix()
         names = config.identification.reference_channels or config.channels
         self.past = tuple(config.channels.index(name) for name in names)
-        self.state = PipelineState(None, None, alarm.start(self.reference.structure.n_stories))
+        self.state = PipelineState(align.start(), None, alarm.start(self.reference.structure.n_stories))
 
     def push(self, block: SampleBlock) -> list[Result]:
         """Everything that a block brings about, in order.
@@ -95,10 +96,23 @@ class Pipeline:
     def _begin(self, piece: align.Piece, previous: Run | None) -> Run:
         """A new run of samples: filters start at rest, windows stay on the stream's grid."""
         p, n_channels = self.config.processing, len(self.config.channels)
-        conditioner = Conditioner.design(piece.rate_hz, p.rate_hz, p.cutoff_hz)
+        step_s = window.common_step_s(p.window_s, p.hop_s)
+        conditioner = Conditioner.design(piece.rate_hz, p.rate_hz, p.cutoff_hz, step_s)
         if previous is None:
             n_lags = 2 * self.config.identification.block_rows
-            grid = WindowGrid.design(conditioner.rate_hz, p.window_s, p.hop_s, n_lags)
+            if step_s * conditioner.rate_hz < n_lags:
+                raise BadInputError(
+                    f"the source's {piece.rate_hz:g} Hz give {step_s * conditioner.rate_hz:.0f} samples in the common step "
+                    f"of window_s and hop_s; {n_lags} (2 block_rows) are the least: set a longer hop_s"
+                )
+            grid = WindowGrid.design(
+                conditioner.rate_hz,
+                p.window_s,
+                p.hop_s,
+                n_lags,
+                self.config.refinement.segment_s,
+                conditioner.cutoff_hz,
+            )
             t0_ns, index, last = piece.t_ns, 0, None
         else:
             grid, t0_ns, last = previous.grid, previous.t0_ns, previous.window
@@ -116,8 +130,8 @@ class Pipeline:
         """One whole window: identification, updating, damage, alarm."""
         c = self.config
 
-        def skip(reason: Skipped) -> WindowResult:
-            return self._skip(item.index, item.t_end_ns, item.window_s, reason, item.rms_m_s2)
+        def skip(reason: Skipped, seen: ModalEstimate | None = None) -> WindowResult:
+            return self._skip(item.index, item.t_end_ns, item.window_s, reason, item.rms_m_s2, seen)
 
         skipped = quality.check(item.sums, item.rate_hz, cutoff_hz, c.channels, c.quality)
         if skipped is not None:
@@ -125,11 +139,12 @@ class Pipeline:
         modes = identify(item, self.past, self.reference_modes, self.sensors, c.identification, c.selection)
         if isinstance(modes, Skipped):
             return skip(modes)
+        modes = refine(item, modes, c.refinement)
         if self.baseline is not None and tuple(modes.model_mode) != self.baseline.model_mode:
-            return skip(Skipped("modes are not the baseline's"))
+            return skip(Skipped("modes are not the baseline's"), modes)
         stiffness, reading = damage.step(modes, self.reference, self.baseline, self.sensors, c.updating)
         if not stiffness.converged:
-            return skip(Skipped("model updating did not converge"))
+            return skip(Skipped("model updating did not converge"), modes)
         if self.baseline is None:
             verdict = Alarm(Level.NORMAL, (), "no baseline: a difference from the structure file is no change")
         else:
@@ -140,8 +155,14 @@ class Pipeline:
         )
 
     def _skip(
-        self, index: int, t_end_ns: int, data_s: float, skipped: Skipped, rms: float | None = None
+        self,
+        index: int,
+        t_end_ns: int,
+        data_s: float,
+        skipped: Skipped,
+        rms: float | None = None,
+        modes: ModalEstimate | None = None,
     ) -> WindowResult:
-        """Nothing can be said: the alarm stays as it was."""
+        """Nothing can be said of damage: the alarm stays as it was."""
         verdict = alarm.hold(self.state.stories)
-        return WindowResult(index, t_end_ns, data_s, None, None, None, verdict, skipped, rms)
+        return WindowResult(index, t_end_ns, data_s, modes, None, None, verdict, skipped, rms)

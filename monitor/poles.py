@@ -133,7 +133,8 @@ def _match(
     distance = np.abs(np.log(centre[None, :] / frequencies[:, None]))
     forbidden = (distance > np.log(select.max_frequency_ratio)) | (likeness < select.min_model_mac)
     support = np.array([len(c) for c in clusters]) / n_orders
-    cost = distance / np.log(select.max_frequency_ratio) + (1.0 - likeness) + 0.5 * (1.0 - support)
+    # How many orders show a mode says more than how near the drawing it lies.
+    cost = 0.5 * distance / np.log(select.max_frequency_ratio) + 2.0 * (1.0 - likeness) + (1.0 - support)
     for i, j in zip(*linear_sum_assignment(np.where(forbidden, 1e3, cost)), strict=True):
         if not forbidden[i, j]:
             found[i] = clusters[j]
@@ -197,6 +198,7 @@ def _estimate(
         shapes=shapes,
         model_mode=np.array(by_frequency, dtype=np.int64),
         deviations=mode_deviations(window.sums, realisation, space, columns, shapes, window.rate_hz),
+        first=window.first_block,
         order=space.order,
         poles=np.column_stack([[spaces[s].order for s in poles.space], poles.frequency, poles.damping, poles.stable]),
     )

@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator
-from datetime import UTC, datetime
+from dataclasses import asdict
+from datetime import UTC, datetime, timedelta
+from math import isfinite
 from pathlib import Path
 from typing import cast, get_args
 
@@ -44,6 +46,14 @@ def parse_damage(text: str) -> StiffnessChange:
     return StiffnessChange.create(f"story {match[1]}", {"relative": -loss})
 
 
+def _nanoseconds(start: datetime) -> int:
+    """UTC nanoseconds; a time without zone is UTC."""
+    since = (start if start.tzinfo else start.replace(tzinfo=UTC)) - datetime(1970, 1, 1, tzinfo=UTC)
+    if since < timedelta(0):
+        raise ValueError(f"--start {start.isoformat()}: before 1970, which a recording cannot say")
+    return (since // timedelta(microseconds=1)) * 1000
+
+
 def simulate_to(
     out: Path,
     config: Configuration,
@@ -79,10 +89,15 @@ def simulate_to(
         model = config.model()
         for effect in planted:
             effect.check(model.structure)
+        t0_ns = _nanoseconds(t0)
+        if not (isfinite(duration_s) and round(duration_s * rate_hz) > 0):
+            raise ValueError(f"--duration {duration_s:g}: not even one sample at {rate_hz:g} Hz")
+        truth = Model(model.structure, (*model.effects, *planted))
+        if np.linalg.eigvalsh(truth.stiffness_matrix()).min() <= 0:
+            places = ", ".join(e.location for e in planted)
+            raise ValueError(f"a structure that lost so much ({places}) would not stand")
     except ValueError as error:  # EffectError among them
         raise BadConfigurationError(str(error)) from error
-    t0_ns = int((t0 if t0.tzinfo else t0.replace(tzinfo=UTC)).timestamp()) * 1_000_000_000
-    truth = Model(model.structure, (*model.effects, *planted))
     motion = simulate(
         truth,
         duration_s=duration_s,
@@ -96,9 +111,7 @@ def simulate_to(
     metadata = {
         "simulated": {
             "structure": config.structure.model_dump_json(),
-            "effects": json.dumps(
-                [{"effect": e.name, **{k: getattr(e, k) for k in e.__dataclass_fields__}} for e in planted]
-            ),
+            "effects": json.dumps([{"effect": e.name, **asdict(e)} for e in planted]),
             "excitation": excitation,
             "noise": repr(noise),
             "level_spread": repr(level_spread),

@@ -17,7 +17,7 @@ from monitor.baseline import Baseline, learn
 from monitor.config import Configuration
 from monitor.errors import BadInputError, MissingInputError
 from monitor.files import sha256, write_atomically
-from monitor.pipeline import Pipeline
+from monitor.pipeline import Pipeline, Result
 from monitor.publish.lines import LinesFile, to_json, window_line
 from monitor.publish.rerun_view import RerunPublisher, Scene
 from monitor.publish.summary import Summary
@@ -78,14 +78,66 @@ class _Progress:
             self.last = block
             self._tell(_duration_s(self.first, block))
 
-    def demand(self, config: Configuration, windows: int, paths: list[Path]) -> None:
+    def demand(self, pipeline: Pipeline, windows: int, paths: list[Path]) -> None:
         """Raise BadInputError if not even one window came about."""
-        if windows == 0:
-            duration, names = _duration_s(self.first, self.last), ", ".join(map(str, paths))
-            raise BadInputError(
-                f"{names}: {duration:.1f} s of data, but one window takes {config.processing.window_s:g} s; "
-                "record longer or set a shorter window_s under [processing]"
-            )
+        if windows:
+            return
+        state, window_s = pipeline.state.align, pipeline.config.processing.window_s
+        usable = state.n_run / state.rate_hz
+        lost = f" ({state.dropped} samples were repeated, late or not finite)" if state.dropped else ""
+        raise BadInputError(
+            f"{_names(paths)}: {usable:.1f} s of usable data without a gap{lost}, but one window takes {window_s:g} s; "
+            "record longer or set a shorter window_s under [processing]"
+        )
+
+
+def _names(paths: list[Path]) -> str:
+    return ", ".join(map(str, paths))
+
+
+def _pushed(pipeline: Pipeline, block: SampleBlock, paths: list[Path]) -> list[Result]:
+    """The pipeline's results; what it refuses is said of the recordings."""
+    try:
+        return pipeline.push(block)
+    except BadInputError as error:
+        raise BadInputError(f"{_names(paths)}: {error}") from error
+
+
+class _Outputs:
+    """The files of a replay: all under their final names, or none."""
+
+    def __init__(self, out: Path, scene: Scene) -> None:
+        try:
+            out.mkdir(parents=True, exist_ok=True)
+            for name in ("results.jsonl", "results.mcap", "live.rrd", "summary.json"):
+                if (out / name).is_dir():
+                    raise MissingInputError(f"{out / name}: is a folder; nothing can be written in its place")
+            self._lines = LinesFile(out / "results.jsonl")
+            self._results = McapWriter(out / "results.mcap")
+        except OSError as error:
+            raise MissingInputError(f"{out}: cannot be written: {error.strerror}") from error
+        self._out = out
+        self.view = RerunPublisher(scene, file=out / "live.rrd", serve=None, lossless=True)
+
+    def window(self, result: WindowResult) -> None:
+        line = to_json(window_line(result))
+        self._lines.write(line)
+        self._results.write_json("/results", result.t_end_ns, line)
+        self.view.window(result)
+
+    def close(self, summary: dict[str, Any]) -> None:
+        try:
+            self._lines.close()
+            self._results.close()
+            write_atomically(self._out / "summary.json", to_json(summary) + "\n")
+        except OSError as error:
+            raise MissingInputError(f"{self._out}: cannot be written: {error.strerror}") from error
+        self.view.close(timeout_s=120.0)
+
+    def abandon(self) -> None:
+        self._lines.abandon()
+        self._results.abort()
+        self.view.abort()
 
 
 def scene(config: Configuration, baseline: Baseline | None) -> Scene:
@@ -127,54 +179,38 @@ def replay(
     """
     pipeline, progress = Pipeline(config, baseline), _Progress(on_progress)
     source = blocks(paths, config, on_warning)
-    first = next(source, None)  # bad input shows before any output is begun
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise MissingInputError(f"{out}: cannot be made: {error.strerror}") from error
+    block = next(source, None)  # bad input shows before any output is begun
+    outputs = _Outputs(out, scene(config, baseline))
     summary, last = Summary(len(config.structure.masses_kg)), None
-    lines = LinesFile(out / "results.jsonl")
-    results = McapWriter(out / "results.mcap")
-    view = RerunPublisher(scene(config, baseline), file=out / "live.rrd", serve=None, lossless=True)
     began = time.monotonic()
     try:
-        while first is not None:
-            progress.saw(first)
+        while block is not None:
+            progress.saw(block)
             if speed is not None:
-                _wait(began, _duration_s(progress.first, first) / speed)
-            for result in pipeline.push(first):
+                _wait(began, _duration_s(progress.first, block) / speed)
+            for result in _pushed(pipeline, block, paths):
                 if isinstance(result, Samples):
-                    view.samples(result)
+                    outputs.view.samples(result)
                 elif isinstance(result, Gap):
                     summary.gap(result)
-                    view.gap(result)
+                    outputs.view.gap(result)
                 else:
                     summary.window(result)
-                    line = to_json(window_line(result))
-                    lines.write(line)
-                    results.write_json("/results", result.t_end_ns, line)
-                    view.window(result)
+                    outputs.window(result)
                     last = result
-            first = next(source, None)
-        progress.demand(config, summary.windows, paths)
+            block = next(source, None)
+        progress.demand(pipeline, summary.windows, paths)
+        summary.dropped_samples = pipeline.state.align.dropped
+        factor = _duration_s(progress.first, progress.last) / max(time.monotonic() - began, 1e-9)
+        content = summary.content(factor, config.model().modes().frequencies_hz.tolist())
+        outputs.close(content)
     except BaseException:
-        lines.abandon()
-        results.abort()
-        view.abort()
+        outputs.abandon()
         raise
-    lines.close()
-    results.close()
-    view.close(timeout_s=120.0)
-    if view.failed is not None:
-        on_warning(f"{out / 'live.rrd'} was not written: {view.failed}")
-    state = pipeline.state.align
-    summary.dropped_samples = 0 if state is None else state.dropped
+    if outputs.view.failed is not None:
+        on_warning(f"{out / 'live.rrd'} was not written: {outputs.view.failed}")
     if summary.dropped_samples:
         on_warning(f"{summary.dropped_samples} samples were repeated, late or not finite and were dropped")
-    elapsed = max(time.monotonic() - began, 1e-9)
-    factor = _duration_s(progress.first, progress.last) / elapsed
-    content = summary.content(factor, config.model().modes().frequencies_hz.tolist())
-    write_atomically(out / "summary.json", to_json(content) + "\n")
     return Outcome(content, last)
 
 
@@ -200,19 +236,16 @@ def calibrate(
     reasons: list[str] = []
     for block in blocks(paths, config, on_warning):
         progress.saw(block)
-        for result in pipeline.push(block):
+        for result in _pushed(pipeline, block, paths):
             if isinstance(result, WindowResult):
                 good += [result] if result.skipped is None else []
                 reasons += [result.skipped.reason] if result.skipped is not None else []
-    progress.demand(config, len(good) + len(reasons), paths)
+    progress.demand(pipeline, len(good) + len(reasons), paths)
     if not good:
-        raise BadInputError(f"no window could be identified, the last because: {reasons[-1]}")
+        raise BadInputError(f"{_names(paths)}: no window could be identified, the last because: {reasons[-1]}")
     if reasons:
         on_warning(f"{len(reasons)} of {len(good) + len(reasons)} windows were left out, the last: {reasons[-1]}")
-    assert pipeline.state.run is not None
-    grid = pipeline.state.run.grid
-    step = grid.hop_n // grid.block_n
     recordings = tuple({"file": p.name, "sha256": sha256(p)} for p in paths)
-    windows = [(r.index * step, r.modes) for r in good if r.modes is not None]
+    windows = [r.modes for r in good if r.modes is not None]
     rms = np.array([r.rms_m_s2 for r in good])
     return learn(config, windows, rms, recordings)

@@ -76,6 +76,14 @@ class Window:
     """Length of the data in the window."""
     rate_hz: float
     sums: LagSums
+    first_block: int
+    """Number of the first block of `sums` on the stream's grid."""
+    segments: ComplexArray
+    """Shape (n_segments, n_bins, c): tapered Fourier transforms of half-overlapping segments, m/s^2/sqrt(Hz)."""
+    segment_bin_hz: float
+    """Spacing of the bins, which begin at 0 Hz."""
+    first_segment: int
+    """Number of the first segment on the stream's grid."""
 
     @property
     def rms_m_s2(self) -> float:
@@ -99,10 +107,17 @@ class ModalEstimate:
     deviations: Array
     """Shape (n_blocks, m, 2 + 2 c): first-order influence of each block of data on (ln f, damping ratio, Re shape,
     Im shape).  Their sum of squares is the covariance of the estimate."""
+    first: int
+    """Number of the first deviation on the stream's grid: windows that overlap share what happened there."""
     order: int
     """State-space order that the estimate was taken from."""
     poles: Array
     """Shape (n_poles, 4): order, frequency in Hz, damping ratio, 1 if stable; the stabilisation diagram."""
+    weight_factor: Array | None = None
+    """Shape (n_rows, m, 2 + 2 c): rows whose squares sum to a covariance that weighs the updating; from the likelihood's
+    information, so well conditioned.  None: weigh by the deviations' variances."""
+    refined: bool = False
+    """Whether this is the maximum-likelihood estimate rather than the subspace one."""
 
     @property
     def frequencies_std_hz(self) -> Array:

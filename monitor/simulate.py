@@ -1,8 +1,8 @@
 """Integrates a Model in time: recordings with known truth.
 
-Two integrators for linear models, both exact recursions run as compiled IIR filters: the exact discretisation
-(force linear between samples, so that nothing is delayed) for everything of ours, and Newmark's average acceleration at the paper's steps for
-`reproduce`, which lengthens periods to ``f_N = atan(pi f dt) / (pi dt)``.
+Two integrators for linear models, both recursions run as compiled IIR filters: the exact discretisation (force linear
+between samples, so that nothing is delayed) for everything of ours, and Newmark's average acceleration at the paper's
+steps for `reproduce`, which lengthens periods to ``f_N = atan(pi f dt) / (pi dt)``.
 """
 
 from __future__ import annotations

@@ -32,7 +32,7 @@ class UpdatingSettings(Settings):
     parameter_std: float = Field(default=0.2, gt=0)
     """Relative standard deviation that W_theta of `step` and `initial` gives every parameter."""
     max_iterations: int = Field(default=50, ge=1)
-    tolerance: float = Field(default=1e-9, gt=0)
+    tolerance: float = Field(default=1e-7, gt=0)
     """Converged when no parameter moves by more than this fraction."""
 
 
@@ -42,8 +42,8 @@ class Observation:
 
     z: Array
     """Shape (n_data,): eigenvalues (or logarithms), then shape components mode by mode."""
-    variance: Array
-    """Shape (n_data,): the diagonal of W^-1."""
+    weight: Array
+    """Shape (n_data, n_data): W of eq. 27, the inverse of a covariance or of its diagonal."""
     deviations: Array
     """Shape (n_blocks, n_data): influences whose squares sum to the covariance of z."""
     model_mode: tuple[int, ...]
@@ -80,30 +80,34 @@ def observe(modes: ModalEstimate, settings: UpdatingSettings, gauges: tuple[int,
     """
     log = settings.eigenvalue == "log"
     omega_squared = (2.0 * np.pi * modes.frequencies_hz) ** 2
-    scale = np.full(omega_squared.shape, 2.0) if log else 2.0 * omega_squared
-    z = [np.log(omega_squared) if log else omega_squared]
-    deviations = [modes.deviations[:, :, 0] * scale]
-    c = modes.shapes.shape[1]
     if not settings.use_shapes:
         gauges = ()
     elif gauges is None:
         gauges = tuple(int(g) for g in np.abs(modes.shapes).argmax(axis=1))
+    z = [np.log(omega_squared) if log else omega_squared]
     for row, gauge in enumerate(gauges):
-        others = [j for j in range(c) if j != gauge]
+        z.append(np.delete((modes.shapes[row] / modes.shapes[row, gauge]).real, gauge))
+    scale = np.full(omega_squared.shape, 2.0) if log else 2.0 * omega_squared
+    deviations = _carried(modes, modes.deviations, scale, gauges)
+    if modes.weight_factor is None:
+        weight = np.diag(1.0 / (deviations**2).sum(axis=0))
+    else:
+        factor = _carried(modes, modes.weight_factor, scale, gauges)
+        weight = np.linalg.inv(factor.T @ factor)
+    model_mode = tuple(int(i) for i in modes.model_mode)
+    return Observation(np.concatenate(z), weight, deviations, model_mode, gauges, log)
+
+
+def _carried(modes: ModalEstimate, rows: Array, scale: Array, gauges: tuple[int, ...]) -> Array:
+    """What rows of (ln f, damping, Re shape, Im shape) do to z, shape (n_rows, n_data)."""
+    c = modes.shapes.shape[1]
+    parts = [rows[:, :, 0] * scale]
+    for row, gauge in enumerate(gauges):
         shape = modes.shapes[row] / modes.shapes[row, gauge]
-        d_shape = modes.deviations[:, row, 2 : 2 + c] + 1j * modes.deviations[:, row, 2 + c :]
+        d_shape = rows[:, row, 2 : 2 + c] + 1j * rows[:, row, 2 + c :]
         d_shape = (d_shape - shape * d_shape[:, gauge, None]) / modes.shapes[row, gauge]
-        z.append(shape.real[others])
-        deviations.append(d_shape.real[:, others])
-    stacked = np.concatenate(deviations, axis=1)
-    return Observation(
-        z=np.concatenate(z),
-        variance=(stacked**2).sum(axis=0),
-        deviations=stacked,
-        model_mode=tuple(int(i) for i in modes.model_mode),
-        gauges=gauges,
-        log=log,
-    )
+        parts.append(np.delete(d_shape.real, gauge, axis=1))
+    return np.concatenate(parts, axis=1)
 
 
 def predict(model: Model, sensors: Array, observation: Observation, with_masses: bool) -> tuple[Array, Array]:
@@ -191,15 +195,29 @@ def update(
     relative = np.full(theta.size, settings.parameter_std) if prior_std is None else prior_std
     w_theta = 1.0 / (relative * initial) ** 2
     converged = False
+
+    def objective(at: Model, where: Array) -> float:
+        """J of eqs 25 and 31 at a point."""
+        error = observation.z - predict(at, sensors, observation, with_masses)[0]
+        pull = (where - initial) if settings.penalty == "initial" else np.zeros_like(where)
+        return float(error @ observation.weight @ error + pull @ (w_theta * pull))
+
+    overdetermined = observation.z.size > theta.size
     for _ in range(settings.max_iterations):
         z, sensitivity = predict(model, sensors, observation, with_masses)
-        gain = _gain(sensitivity, observation.variance, w_theta, settings.penalty)
+        gain = _gain(sensitivity, observation.weight, w_theta, settings.penalty)
         step = gain @ (observation.z - z)
         if settings.penalty == "initial":  # eq. 33 pulls towards the initial values, eq. 30 only brakes the step
-            step -= _prior_pull(sensitivity, observation.variance, w_theta) @ (theta - initial)
+            step -= _prior_pull(sensitivity, observation.weight, w_theta) @ (theta - initial)
         # A step that would make a stiffness negative is shortened: half way to zero at most.
-        shortest = np.min(np.where(step < 0, -0.5 * theta / np.minimum(step, -1e-300), 1.0))
-        theta = theta + min(1.0, float(shortest)) * step
+        step *= min(1.0, float(np.min(np.where(step < 0, -0.5 * theta / np.minimum(step, -1e-300), 1.0))))
+        if overdetermined:  # the linearized step may overshoot where the model's form is wrong
+            now = objective(model, theta)
+            for _ in range(6):
+                if objective(_with_parameters(model, theta + step, with_masses), theta + step) <= now * (1 + 1e-9):
+                    break
+                step *= 0.5
+        theta = theta + step
         history.append(theta)
         model = _with_parameters(model, theta, with_masses)
         if np.abs(step / theta).max() < settings.tolerance:
@@ -209,7 +227,7 @@ def update(
     return Update(
         model=model,
         parameters=theta,
-        gain=_gain(sensitivity, observation.variance, w_theta, settings.penalty),
+        gain=_gain(sensitivity, observation.weight, w_theta, settings.penalty),
         residual=observation.z - z,
         converged=converged,
         iterations=len(history) - 1,
@@ -217,19 +235,19 @@ def update(
     )
 
 
-def _gain(sensitivity: Array, variance: Array, w_theta: Array, penalty: Penalty) -> Array:
+def _gain(sensitivity: Array, weight: Array, w_theta: Array, penalty: Penalty) -> Array:
     """The matrix that turns z_m - z into a step of theta."""
     if penalty in ("least_squares", "minimum_norm"):
         return np.asarray(np.linalg.pinv(sensitivity))  # eq. 23; with too few data, the shortest step (eq. 21)
-    weighted = sensitivity.T / variance
+    weighted = sensitivity.T @ weight
     normal = weighted @ sensitivity
     if penalty in ("step", "initial"):
         normal = normal + np.diag(w_theta)
     return _solve_scaled(normal, weighted)
 
 
-def _prior_pull(sensitivity: Array, variance: Array, w_theta: Array) -> Array:
-    return _solve_scaled((sensitivity.T / variance) @ sensitivity + np.diag(w_theta), np.diag(w_theta))
+def _prior_pull(sensitivity: Array, weight: Array, w_theta: Array) -> Array:
+    return _solve_scaled(sensitivity.T @ weight @ sensitivity + np.diag(w_theta), np.diag(w_theta))
 
 
 def _solve_scaled(normal: Array, right: Array) -> Array:

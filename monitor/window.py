@@ -13,7 +13,13 @@ from math import gcd
 
 import numpy as np
 
-from monitor.results import Array, LagSums, Skipped, Window
+from monitor.results import Array, ComplexArray, LagSums, Skipped, Window
+from monitor.spectrum import SegmentDesign, transform
+
+
+def common_step_s(window_s: float, hop_s: float) -> float:
+    """The largest step of time that tiles windows and hops, which count in milliseconds; 0 if shorter than one."""
+    return gcd(round(window_s * 1e3), round(hop_s * 1e3)) / 1e3 if round(hop_s * 1e3) else 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,16 +30,32 @@ class WindowGrid:
     window_n: int
     hop_n: int
     n_lags: int
+    segment_s: float = 20.0
+    max_hz: float = 40.0
+    """Highest frequency kept of the segments' transforms."""
 
     @classmethod
-    def design(cls, rate_hz: float, window_s: float, hop_s: float, n_lags: int) -> WindowGrid:
-        """Grid of windows; lengths are rounded to whole samples."""
-        return cls(rate_hz, round(window_s * rate_hz), round(hop_s * rate_hz), n_lags)
+    def design(
+        cls, rate_hz: float, window_s: float, hop_s: float, n_lags: int, segment_s: float = 20.0, max_hz: float = 40.0
+    ) -> WindowGrid:
+        """Grid of windows; `rate_hz` must give whole blocks (`common_step_s`)."""
+        return cls(rate_hz, round(window_s * rate_hz), round(hop_s * rate_hz), n_lags, segment_s, max_hz)
 
     @property
     def block_n(self) -> int:
         """Samples in a block: the largest that tiles windows and hops."""
         return gcd(self.window_n, self.hop_n)
+
+    @property
+    def segment_step(self) -> int:
+        """Blocks from one segment's start to the next; a segment is twice as long."""
+        return max(1, round(0.5 * self.segment_s * self.rate_hz / self.block_n))
+
+    @property
+    def segments(self) -> SegmentDesign:
+        """Length and frequencies of the segments."""
+        n = 2 * self.segment_step * self.block_n
+        return SegmentDesign(self.rate_hz, n, min(n // 2 + 1, round(self.max_hz * n / self.rate_hz) + 1))
 
     def end(self, k: int) -> int:
         """Index just past window k's last sample."""
@@ -70,9 +92,11 @@ class WindowState:
     """Samples in the current run."""
     next_window: int
     samples: Array
-    """Shape (<= 2 block_n, c): the latest samples of the run."""
+    """The latest samples of the run, two blocks or a segment of them, shape (.., c)."""
     blocks: tuple[_Block, ...]
     """The latest complete blocks of the run, at most one window of them."""
+    segments: tuple[tuple[int, ComplexArray], ...] = ()
+    """(number, transform) of the run's latest segments, at most one window of them."""
     past_runs: tuple[tuple[int, int], ...] = ()
     """[start, end) of earlier runs that a coming window may still touch."""
 
@@ -84,7 +108,13 @@ def start(grid: WindowGrid, n_channels: int, *, index: int, previous: WindowStat
     if previous is not None:
         runs = (*previous.past_runs, (previous.start, previous.start + previous.n))
         next_window = previous.next_window
-    return WindowState(index, 0, next_window, np.zeros((0, n_channels)), (), runs)
+        # A window that ends before the new run and begins after the last one holds nothing: no work for those.
+        beyond = -(-runs[-1][1] // grid.hop_n)
+        touching = (index - grid.window_n) // grid.hop_n + 1
+        if next_window >= beyond:
+            next_window = max(next_window, touching)
+        runs = tuple(r for r in runs if r[1] > next_window * grid.hop_n)
+    return WindowState(index, 0, next_window, np.zeros((0, n_channels)), (), (), runs)
 
 
 def step(
@@ -112,16 +142,25 @@ def step(
         state = _append(grid, state, part)
         end = state.start + state.n
         if end % grid.block_n == 0:
-            state = _close_block(grid, state)
+            state = _close_segment(grid, _close_block(grid, state))
         while grid.end(state.next_window) <= end:
             k = state.next_window
-            state = replace(state, next_window=k + 1)
+            state = replace(state, next_window=_after(grid, state, k))
             results.extend(_emit(grid, state, k, t0_ns))
     return state, results
 
 
+def _after(grid: WindowGrid, state: WindowState, k: int) -> int:
+    """The window to look at after window k; those that lie wholly in a gap are passed over at once."""
+    begin = (k + 1) * grid.hop_n
+    if any(end > begin for _, end in state.past_runs):
+        return k + 1
+    return max(k + 1, (state.start - grid.window_n) // grid.hop_n + 1)
+
+
 def _append(grid: WindowGrid, state: WindowState, part: Array) -> WindowState:
-    joined = np.concatenate([state.samples, part])[-2 * grid.block_n :]
+    keep = max(2 * grid.block_n, grid.segments.n)
+    joined = np.concatenate([state.samples, part])[-keep:]
     return replace(state, n=state.n + part.shape[0], samples=joined)
 
 
@@ -153,6 +192,17 @@ def _close_block(grid: WindowGrid, state: WindowState) -> WindowState:
     return replace(state, blocks=tuple(blocks[-(grid.window_n // size) :]))
 
 
+def _close_segment(grid: WindowGrid, state: WindowState) -> WindowState:
+    """Transform the segment that ends here, if one does and it lies wholly in the run."""
+    design = grid.segments
+    number, odd = divmod((state.start + state.n) // grid.block_n - 2 * grid.segment_step, grid.segment_step)
+    if odd or state.n < design.n:
+        return state
+    made = (number, transform(design, state.samples[-design.n :]))
+    fit = max(0, grid.window_n // (grid.segment_step * grid.block_n) - 1)
+    return replace(state, segments=(*state.segments, made)[-fit:] if fit else ())
+
+
 def _emit(
     grid: WindowGrid, state: WindowState, k: int, t0_ns: int
 ) -> Iterator[Window | tuple[int, int, float, Skipped]]:
@@ -160,7 +210,21 @@ def _emit(
     begin = end - grid.window_n
     t_end_ns = t0_ns + round(end / grid.rate_hz * 1e9)
     if begin >= state.start:
-        yield Window(k, t_end_ns, grid.window_n / grid.rate_hz, grid.rate_hz, _sum_up(grid, state))
+        design = grid.segments
+        step = grid.segment_step * grid.block_n
+        inside = [(i, x) for i, x in state.segments if i * step >= begin]
+        n_channels = state.samples.shape[1]
+        yield Window(
+            index=k,
+            t_end_ns=t_end_ns,
+            window_s=grid.window_n / grid.rate_hz,
+            rate_hz=grid.rate_hz,
+            sums=_sum_up(grid, state),
+            first_block=begin // grid.block_n,
+            segments=np.stack([x for _, x in inside]) if inside else np.zeros((0, design.n_bins, n_channels), complex),
+            segment_bin_hz=design.step_hz,
+            first_segment=inside[0][0] if inside else 0,
+        )
         return
     runs = (*state.past_runs, (state.start, state.start + state.n))
     data_n = sum(max(0, min(e, end) - max(s, begin)) for s, e in runs)

@@ -49,7 +49,14 @@ def exact_modes(model: Model) -> ModalEstimate:
     for row, (mode, column) in enumerate(np.ndindex(3, 8)):
         deviations[row, mode, column] = (9e-4, 5e-4, 5e-4)[mode] if column == 0 else 3e-3
     return ModalEstimate(
-        modes.frequencies_hz, np.full(3, 0.01), shapes.astype(complex), np.arange(3), deviations, 10, np.zeros((0, 4))
+        modes.frequencies_hz,
+        np.full(3, 0.01),
+        shapes.astype(complex),
+        np.arange(3),
+        deviations,
+        0,
+        10,
+        np.zeros((0, 4)),
     )
 
 
@@ -59,7 +66,7 @@ def test_wrong_masses_and_flexible_joints_bias_a_5_percent_loss_by_less_than_hal
     signs: tuple[int, int, int], story: int
 ) -> None:
     config = drawing(signs)
-    healthy, _ = baseline.learn(config, [(0, exact_modes(truth((0, 0, 0))))], np.ones(1), ())
+    healthy, _ = baseline.learn(config, [exact_modes(truth((0, 0, 0)))], np.ones(1), ())
     loss = tuple(0.05 if j + 1 == story else 0.0 for j in range(3))
     _, reading = damage.step(exact_modes(truth(loss)), healthy.model, healthy, np.eye(3), config.updating)
     assert np.abs(reading.ddi - loss).max() < 0.005
@@ -68,7 +75,7 @@ def test_wrong_masses_and_flexible_joints_bias_a_5_percent_loss_by_less_than_hal
 
 def test_an_unchanged_structure_reads_zero_however_wrong_the_drawing() -> None:
     config = drawing((1, -1, 1))
-    healthy, _ = baseline.learn(config, [(0, exact_modes(truth((0, 0, 0))))], np.ones(1), ())
+    healthy, _ = baseline.learn(config, [exact_modes(truth((0, 0, 0)))], np.ones(1), ())
     assert np.abs(healthy.misfit).max() > 0.005  # the drawing is wrong indeed, and stays so
     _, reading = damage.step(exact_modes(truth((0, 0, 0))), healthy.model, healthy, np.eye(3), config.updating)
     assert np.abs(reading.ddi).max() < 1e-6
@@ -94,7 +101,7 @@ def test_from_samples_a_5_percent_loss_is_found_at_the_right_story() -> None:
     config = drawing((1, -1, 1), window_s=200.0, hop_s=50.0)
     calm = windows_of(truth((0, 0, 0)), config, None, seed=1)
     healthy, _ = baseline.learn(
-        config, [(r.index, r.modes) for r in calm if r.modes is not None], np.array([r.rms_m_s2 for r in calm]), ()
+        config, [r.modes for r in calm if r.modes is not None], np.array([r.rms_m_s2 for r in calm]), ()
     )
     for story in (1, 2, 3):
         loss = tuple(0.05 if j + 1 == story else 0.0 for j in range(3))
@@ -107,7 +114,7 @@ def test_from_samples_a_5_percent_loss_is_found_at_the_right_story() -> None:
 
 def test_a_baseline_survives_its_file(tmp_path) -> None:
     config = drawing((1, 1, -1))
-    healthy, _ = baseline.learn(config, [(0, exact_modes(truth((0, 0, 0))))], np.ones(1), ({"file": "x"},))
+    healthy, _ = baseline.learn(config, [exact_modes(truth((0, 0, 0)))], np.ones(1), ({"file": "x"},))
     baseline.save(healthy, tmp_path / "b.json")
     again = baseline.load(tmp_path / "b.json", config)
     modes = exact_modes(truth((0.0, 0.05, 0.0)))

@@ -19,14 +19,14 @@ PAPER = UpdatingSettings(use_shapes=False, eigenvalue="linear")
 
 def frequencies(values: list[float]) -> Observation:
     lam = (2 * np.pi * np.array(values)) ** 2
-    return Observation(lam, lam**2, np.zeros((1, lam.size)), tuple(range(lam.size)), (), log=False)
+    return Observation(lam, np.diag(lam**-2.0), np.zeros((1, lam.size)), tuple(range(lam.size)), (), log=False)
 
 
 def everything(model: Model, gauges: tuple[int, ...], log: bool = True) -> Observation:
     n = model.structure.n_stories
-    empty = Observation(np.zeros(0), np.ones(n * n), np.zeros((1, n * n)), tuple(range(n)), gauges, log)
+    empty = Observation(np.zeros(0), np.eye(n * n), np.zeros((1, n * n)), tuple(range(n)), gauges, log)
     z, _ = predict(model, np.eye(n), empty, with_masses=False)
-    return Observation(z, np.full(z.size, 1e-6), np.zeros((1, z.size)), tuple(range(n)), gauges, log)
+    return Observation(z, 1e6 * np.eye(z.size), np.zeros((1, z.size)), tuple(range(n)), gauges, log)
 
 
 def frame(stiffness: np.ndarray, masses: np.ndarray = MASSES) -> Model:
@@ -73,7 +73,7 @@ def test_sensitivities_are_the_derivatives(factors: list[float], gauges: list[in
         g if abs(shapes[g, i]) > 0.2 * abs(shapes[:, i]).max() else int(abs(shapes[:, i]).argmax())
         for i, g in enumerate(gauges)
     )
-    observation = Observation(np.zeros(0), np.ones(16), np.zeros((1, 16)), (0, 1, 2, 3), safe, log)
+    observation = Observation(np.zeros(0), np.eye(16), np.zeros((1, 16)), (0, 1, 2, 3), safe, log)
     z, sensitivity = predict(model, np.eye(4), observation, with_masses=True)
     for j, value in enumerate(np.concatenate([stiffness, masses])):
         h = 1e-6 * value

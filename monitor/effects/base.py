@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from math import inf
 from typing import ClassVar, Self
 
 from monitor.results import Array
@@ -23,6 +24,9 @@ class Effect(ABC):
     places: ClassVar[tuple[str, ...]]
     """Kinds of place: ``story``, ``floor``, ``frame``."""
 
+    minimum: ClassVar[Mapping[str, float]]
+    """What each parameter must exceed to be physically possible."""
+
     location: str
     """As in the contract: ``story 2``, ``floor 1``, ``frame``."""
 
@@ -36,12 +40,16 @@ class Effect(ABC):
             If the place is not one of `places` or the parameters are not exactly the effect's.
         """
         kind, _, number = location.partition(" ")
-        if kind not in cls.places or (kind != "frame" and not (number.isdigit() and int(number) > 0)):
+        whole = location == "frame"
+        if kind not in cls.places or not (whole or (kind != "frame" and number.isdigit() and int(number) > 0)):
             allowed = ", ".join(p if p == "frame" else f"{p} N" for p in cls.places)
             raise EffectError(f"{cls.name}: no place {location!r}; allowed: {allowed}")
         wanted = {f.name for f in fields(cls)} - {"location"}
         if set(parameters) != wanted:
             raise EffectError(f"{cls.name}: needs exactly {', '.join(sorted(wanted)) or 'no parameters'}")
+        for name, value in parameters.items():
+            if not cls.minimum[name] < value < inf:
+                raise EffectError(f"{cls.name}: {name} = {value:g} must be finite and above {cls.minimum[name]:g}")
         return cls(location, **parameters)
 
     @property

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -26,6 +27,7 @@ class JointFlexibility(Effect):
 
     name: ClassVar[str] = "joint_flexibility"
     places: ClassVar[tuple[str, ...]] = ("frame",)
+    minimum: ClassVar[Mapping[str, float]] = {"girder_to_column_ratio": 0.0}
 
     girder_to_column_ratio: float
     """(E I_g / L_g) / (E I_c / h), one girder and one column, E I_c / h the mean over stories."""

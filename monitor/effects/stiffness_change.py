@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -18,6 +19,7 @@ class StiffnessChange(Effect):
 
     name: ClassVar[str] = "stiffness_change"
     places: ClassVar[tuple[str, ...]] = ("story", "frame")
+    minimum: ClassVar[Mapping[str, float]] = {"relative": -1.0}
 
     relative: float
     """-0.2 = 20 % lost."""

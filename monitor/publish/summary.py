@@ -18,7 +18,7 @@ class Episode:
     t_last_ns: int | None
     """None while it lasts."""
     ddi: float
-    """At the highest level, latest reading."""
+    """At the highest level, the latest reading that shows the loss."""
     ddi_std: float
     loss_n_per_m: float
 
@@ -66,7 +66,7 @@ class Summary:
                 episode = Episode(level.value, story, result.t_end_ns, None, *reading)
                 self._open[story] = episode
                 self.alarms.append(episode)
-            elif level.rank >= Level(episode.level).rank:
+            elif level.rank >= Level(episode.level).rank and reading[0] > 2.0 * reading[1]:
                 episode.level = level.value
                 episode.ddi, episode.ddi_std, episode.loss_n_per_m = reading
 

@@ -1,0 +1,244 @@
+"""The whole way: the same samples give the same results, however they were cut, filed or interrupted."""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from drivers.base import GROUND, SampleBlock
+from drivers.mcap_file import McapWriter, read_recordings
+from monitor import config
+from monitor.config import Configuration
+from monitor.errors import BadInputError, UserError
+from monitor.pipeline import Pipeline, Result
+from monitor.publish.lines import to_json, window_line
+from monitor.results import Gap, Samples, WindowResult
+from monitor.simulate import simulate
+from tests.conftest import T0_NS, Cut
+
+RATE = 128.0
+DURATION_S = 42.0
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory, frame_text: str) -> Configuration:
+    path = tmp_path_factory.mktemp("site") / "frame.toml"
+    path.write_text(frame_text)
+    return config.load(path)
+
+
+@pytest.fixture(scope="module")
+def record(site: Configuration) -> np.ndarray:
+    return simulate(site.model(), duration_s=DURATION_S, rate_hz=RATE, noise=0.03, seed=6).floors
+
+
+def push(pipeline: Pipeline, blocks: list[SampleBlock]) -> list[Result]:
+    return [result for block in blocks for result in pipeline.push(block)]
+
+
+def windows(results: list[Result]) -> list[WindowResult]:
+    return [r for r in results if isinstance(r, WindowResult)]
+
+
+def told(results: list[Result]) -> tuple[list[str], bytes, list[Gap]]:
+    """Everything that does not depend on how samples were cut: lines, all conditioned samples, gaps."""
+    samples = b"".join(r.values.tobytes() for r in results if isinstance(r, Samples))
+    return [to_json(window_line(r)) for r in windows(results)], samples, [r for r in results if isinstance(r, Gap)]
+
+
+@pytest.fixture(scope="module")
+def whole(site: Configuration, record: np.ndarray, cut: Cut) -> tuple[list[str], bytes, list[Gap]]:
+    return told(push(Pipeline(site), cut(record, RATE, [len(record)])))
+
+
+HOLE = slice(3000, 3131)
+
+
+def with_hole(record: np.ndarray, cut: Cut, sizes: list[int]) -> list[SampleBlock]:
+    after = cut(record[HOLE.stop :], RATE, sizes, first=HOLE.stop)
+    return cut(record[: HOLE.start], RATE, sizes) + after
+
+
+def test_a_record_without_gaps_has_the_contracts_windows(site: Configuration, record: np.ndarray, cut: Cut) -> None:
+    results = windows(push(Pipeline(site), cut(record, RATE)))
+    assert [r.index for r in results] == list(range(int((DURATION_S - 20.0) // 5.0) + 1))
+    assert [r.t_end_ns for r in results] == [T0_NS + (20 + 5 * k) * 10**9 for k in range(len(results))]
+    assert all(r.window_s == 20.0 for r in results)
+    truth = site.model().modes().frequencies_hz
+    for r in results:
+        assert r.skipped is None and r.modes is not None
+        np.testing.assert_allclose(r.modes.frequencies_hz, truth, rtol=0.02)
+
+
+@given(sizes=st.lists(st.integers(1, 1500), min_size=1, max_size=8))
+@settings(deadline=None, max_examples=12)
+def test_any_block_sizes_give_the_same_bits(
+    site: Configuration, record: np.ndarray, cut: Cut, whole: tuple[list[str], bytes, list[Gap]], sizes: list[int]
+) -> None:
+    assert told(push(Pipeline(site), cut(record, RATE, sizes))) == whole
+
+
+@given(sizes=st.lists(st.integers(20, 1500), min_size=1, max_size=5), files=st.integers(1, 4), order=st.randoms())
+@settings(deadline=None, max_examples=10)
+def test_files_split_anywhere_and_named_in_any_order_give_the_same_bits(
+    site: Configuration,
+    record: np.ndarray,
+    cut: Cut,
+    whole: tuple[list[str], bytes, list[Gap]],
+    sizes: list[int],
+    files: int,
+    order: object,
+) -> None:
+    blocks = cut(record, RATE, sizes)
+    with TemporaryDirectory() as folder:
+        paths = [Path(folder) / f"{number}.mcap" for number in range(files)]
+        for path, part in zip(paths, np.array_split(np.arange(len(blocks)), files), strict=True):
+            with McapWriter(path) as writer:
+                for k in part:
+                    writer.write(blocks[k])
+        paths = [p for p, part in zip(paths, np.array_split(np.arange(len(blocks)), files), strict=True) if part.size]
+        order.shuffle(paths)  # type: ignore[attr-defined]
+        assert told(push(Pipeline(site), list(read_recordings(paths)))) == whole
+
+
+def test_files_may_overlap_and_repeat(
+    site: Configuration, record: np.ndarray, cut: Cut, whole: tuple[list[str], bytes, list[Gap]], tmp_path: Path
+) -> None:
+    blocks = cut(record, RATE, [77])
+    for name, part in (("a", blocks[:40]), ("b", blocks[25:60]), ("c", blocks[55:])):
+        with McapWriter(tmp_path / f"{name}.mcap") as writer:
+            for block in part:
+                writer.write(block)
+    paths = [tmp_path / f"{name}.mcap" for name in "cabb"]
+    pipeline = Pipeline(site)
+    assert told(push(pipeline, list(read_recordings(paths)))) == whole
+    assert pipeline.state.align is not None
+    assert pipeline.state.align.dropped == (15 + 5 + 35) * 77
+
+
+@given(sizes=st.lists(st.integers(1, 1500), min_size=1, max_size=6))
+@settings(deadline=None, max_examples=8)
+def test_a_gap_is_the_same_gap_in_any_block_sizes(
+    site: Configuration, record: np.ndarray, cut: Cut, sizes: list[int]
+) -> None:
+    one = told(push(Pipeline(site), with_hole(record, cut, [5000])))
+    assert told(push(Pipeline(site), with_hole(record, cut, sizes))) == one
+    assert len(one[2]) == 1
+
+
+def test_windows_around_a_gap_are_skipped_with_their_data_length(
+    site: Configuration, record: np.ndarray, cut: Cut
+) -> None:
+    """131 samples are lost at 23.4 s: what touches them is skipped, what follows lies on the same grid."""
+    long = np.concatenate([record, record])
+    results = push(Pipeline(site), with_hole(long, cut, [200]))
+    (gap,) = [r for r in results if isinstance(r, Gap)]
+    assert gap.t_ns == T0_NS + round(HOLE.start / RATE * 1e9)
+    assert gap.duration_s == pytest.approx(131 / RATE)
+    found = windows(results)
+    assert [r.t_end_ns for r in found] == [T0_NS + (20 + 5 * k) * 10**9 for k in range(13)]
+    for r in found:
+        begin_s, end_s = 5.0 * r.index, 5.0 * r.index + 20.0
+        if end_s <= HOLE.start / RATE or begin_s >= HOLE.stop / RATE:
+            assert r.skipped is None and r.window_s == 20.0
+        else:
+            assert r.skipped is not None and "gap" in r.skipped.reason
+            assert r.window_s == pytest.approx(20.0 - 131 / RATE, abs=0.03)
+            assert r.modes is None and r.damage is None
+
+
+def test_samples_that_are_not_finite_are_a_gap_like_lost_ones(
+    site: Configuration, record: np.ndarray, cut: Cut
+) -> None:
+    spoilt = record.copy()
+    spoilt[HOLE, 1] = np.inf
+    pipeline = Pipeline(site)
+    spoilt_results = told(push(pipeline, cut(spoilt, RATE, [500])))
+    assert spoilt_results == told(push(Pipeline(site), with_hole(record, cut, [500])))
+    assert pipeline.state.align is not None
+    assert pipeline.state.align.dropped == 131
+
+
+@pytest.mark.parametrize("gap", [False, True])
+@given(at=st.integers(0, 60))
+@settings(deadline=None, max_examples=8)
+def test_a_copied_state_goes_on_as_the_original(
+    site: Configuration, record: np.ndarray, cut: Cut, gap: bool, at: int
+) -> None:
+    blocks = with_hole(record, cut, [90]) if gap else cut(record, RATE, [90])
+    original = Pipeline(site)
+    before = push(original, blocks[:at])
+    kept = copy.deepcopy(original)
+    restored = Pipeline(site)
+    restored.state = copy.deepcopy(original.state)
+    rest = told(push(original, blocks[at:]))
+    assert told(push(kept, blocks[at:])) == rest
+    assert told(push(restored, blocks[at:])) == rest
+    assert told(before)[0] + rest[0] == told(push(Pipeline(site), blocks))[0]
+
+
+def test_other_topics_change_nothing(
+    site: Configuration, record: np.ndarray, cut: Cut, whole: tuple[list[str], bytes, list[Gap]]
+) -> None:
+    blocks = [b for block in cut(record, RATE) for b in (replace(block, topic=GROUND), block)]
+    assert told(push(Pipeline(site), blocks)) == whole
+
+
+def test_permuted_and_extra_channels_give_the_same_bits(
+    site: Configuration, record: np.ndarray, cut: Cut, whole: tuple[list[str], bytes, list[Gap]]
+) -> None:
+    wide = np.column_stack([record[:, 2], np.full(len(record), np.nan), record[:, 0], record[:, 1]])
+    assert told(push(Pipeline(site), cut(wide, RATE, channels=("a3", "x", "a1", "a2")))) == whole
+
+
+def test_a_missing_channel_is_bad_input(site: Configuration, record: np.ndarray, cut: Cut) -> None:
+    with pytest.raises(BadInputError, match="a3"):
+        Pipeline(site).push(cut(record[:, :2], RATE, channels=("a1", "a2"))[0])
+
+
+def test_a_change_between_two_fast_rates_goes_on_and_to_a_slow_one_is_refused(
+    site: Configuration, record: np.ndarray, cut: Cut
+) -> None:
+    pipeline = Pipeline(site)
+    push(pipeline, cut(record, RATE))
+    later = T0_NS + 42 * 10**9
+    results = push(pipeline, cut(record, 200.0, t0_ns=later))
+    assert sum(isinstance(r, Gap) for r in results) == 1
+    assert windows(results)[-1].t_end_ns <= later + round(len(record) / 200.0 * 1e9)
+    with pytest.raises(BadInputError, match="50 Hz"):
+        push(pipeline, cut(record, 50.0, t0_ns=later + 60 * 10**9))
+
+
+@pytest.mark.parametrize("rate", [99.9, 95.37, 62.5])
+def test_a_source_slower_than_wanted_keeps_the_contracts_windows(site: Configuration, cut: Cut, rate: float) -> None:
+    """Window k covers [t0 + k hop_s, ...), at whatever rate below the wanted one the source runs."""
+    motion = simulate(site.model(), duration_s=41.0, rate_hz=rate, noise=0.03, seed=7)
+    results = windows(push(Pipeline(site), cut(motion.floors, rate)))
+    assert len(results) == 5
+    for k, r in enumerate(results):
+        assert r.t_end_ns == pytest.approx(T0_NS + (20 + 5 * k) * 10**9, abs=1e9 / rate)
+        assert r.window_s == pytest.approx(20.0, abs=1.0 / rate)
+    assert any(r.skipped is None for r in results)
+
+
+def test_a_hop_too_short_for_a_slow_source_is_told_as_such(tmp_path: Path, frame_text: str, cut: Cut) -> None:
+    """0.2 s hold 2 block_rows samples at 100 Hz, but not at 50 Hz."""
+    path = tmp_path / "frame.toml"
+    path.write_text(frame_text.replace("hop_s = 5.0", "hop_s = 0.2"))
+    slow = simulate(config.load(path).model(), duration_s=30.0, rate_hz=50.0, noise=0.03, seed=8).floors
+    with pytest.raises(UserError, match="hop_s"):
+        push(Pipeline(config.load(path)), cut(slow, 50.0))
+
+
+def test_without_a_baseline_nothing_is_ever_announced(site: Configuration, record: np.ndarray, cut: Cut) -> None:
+    drawn = site.model_copy(update={"structure": site.structure.model_copy(update={"masses_kg": (0.25, 0.25, 0.25)})})
+    results = windows(push(Pipeline(drawn), cut(record, RATE)))
+    assert any(r.damage is not None and np.abs(r.damage.ddi).max() > 0.1 for r in results)
+    assert {r.alarm.level.value for r in results} == {"normal"}

@@ -1,0 +1,75 @@
+"""What keeps a window out: nothing moves, or nothing but noise."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from monitor import quality, window
+from monitor.model import Model
+from monitor.quality import QualitySettings
+from monitor.results import Skipped, Window
+from monitor.simulate import simulate
+from monitor.structures import ShearFrame
+from monitor.window import WindowGrid
+
+CHANNELS = ("a1", "a2", "a3")
+FRAME = Model(ShearFrame(np.array([0.3253, 0.3514, 0.3129]), np.array([2909.4511, 1514.8507, 1897.6986]), 0.01))
+
+
+def check(samples: np.ndarray, settings: QualitySettings | None = None, lags: int = 20) -> Skipped | None:
+    grid = WindowGrid(100.0, len(samples), 500, lags)
+    _, (item,) = window.step(grid, window.start(grid, samples.shape[1], index=0), samples, 0)
+    assert isinstance(item, Window)
+    return quality.check(item.sums, 100.0, 40.0, CHANNELS, settings or QualitySettings())
+
+
+@pytest.fixture(scope="module")
+def frame() -> np.ndarray:
+    return simulate(FRAME, duration_s=20.0, rate_hz=100.0, noise=0.05, seed=1).floors
+
+
+@pytest.fixture(scope="module")
+def noise() -> np.ndarray:
+    return np.random.default_rng(2).normal(size=(2000, 3))
+
+
+@pytest.mark.parametrize("lags", [20, 50])
+@pytest.mark.parametrize("scale", [1e-6, 1.0, 1e4])
+def test_white_noise_alone_is_skipped_at_any_level(noise: np.ndarray, scale: float, lags: int) -> None:
+    verdict = check(scale * noise, lags=lags)
+    assert verdict is not None and "noise" in verdict.reason
+
+
+def test_white_noise_is_skipped_though_one_channel_is_louder_or_leans(noise: np.ndarray) -> None:
+    assert check(noise * [1.0, 1000.0, 0.01] + [0.0, 9.81, 0.0]) is not None
+
+
+@pytest.mark.parametrize("lags", [20, 50])
+@pytest.mark.parametrize("scale", [1e-6, 1.0, 1e4])
+def test_a_vibrating_frame_passes_at_any_level(frame: np.ndarray, scale: float, lags: int) -> None:
+    assert check(scale * frame, lags=lags) is None
+
+
+def test_a_frame_under_as_much_noise_as_motion_passes(frame: np.ndarray, noise: np.ndarray) -> None:
+    assert check(frame + 0.5 * frame.std() * noise) is None
+
+
+@pytest.mark.parametrize("value", [0.0, 9.81])
+def test_a_dead_channel_is_named(frame: np.ndarray, value: float) -> None:
+    dead = frame.copy()
+    dead[:, 1] = value
+    verdict = check(dead)
+    assert verdict is not None
+    assert "a2" in verdict.reason and "a1" not in verdict.reason
+
+
+def test_silence_names_every_channel() -> None:
+    verdict = check(np.zeros((2000, 3)))
+    assert verdict is not None
+    assert all(name in verdict.reason for name in CHANNELS)
+
+
+def test_the_limit_is_the_settings(frame: np.ndarray, noise: np.ndarray) -> None:
+    assert check(noise, QualitySettings(max_spectral_flatness=1.0)) is None
+    assert check(frame, QualitySettings(max_spectral_flatness=0.01)) is not None

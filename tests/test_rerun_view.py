@@ -1,0 +1,272 @@
+"""The Rerun view: what is published can be read back, and its troubles stay its own."""
+
+from __future__ import annotations
+
+import logging
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rerun.chunk import RrdReader
+
+from monitor.publish import rerun_view
+from monitor.publish.rerun_queue import Output
+from monitor.publish.rerun_view import RerunPublisher, Scene, severity
+from monitor.results import (
+    Alarm,
+    DamageReading,
+    Gap,
+    Level,
+    ModalEstimate,
+    Samples,
+    Skipped,
+    StiffnessEstimate,
+    WindowResult,
+)
+
+T0 = 1_772_359_200_000_000_000
+SCENE = Scene(
+    name="test frame",
+    channels=("a1", "a 2", "a3"),
+    sensor_floor=(1, 2, 3),
+    story_heights_m=np.array([0.093, 0.093, 0.1]),
+    baseline_frequencies_hz=np.array([5.1, 14.4, 20.6]),
+    has_baseline=True,
+    alarm_loss=0.1,
+)
+
+
+def second(k: int, n: int = 100) -> Samples:
+    return Samples(T0 + k * 10**9, 100.0, np.arange(3.0 * n).reshape(n, 3) + 1000 * k)
+
+
+def window(k: int, level: Level = Level.NORMAL, skipped: str | None = None) -> WindowResult:
+    alarm = Alarm(level, (2,) if level is not Level.NORMAL else (), f"because {level.value}")
+    t_end = T0 + (400 + 10 * k) * 10**9
+    if skipped is not None:
+        return WindowResult(k, t_end, 400.0, None, None, None, alarm, Skipped(skipped))
+    modes = ModalEstimate(
+        frequencies_hz=np.array([5.0, 20.0]),
+        damping_ratio=np.array([0.01, 0.02]),
+        shapes=np.array([[1, 0.8, 0.4], [0.3, -1, 0.9]], dtype=complex),
+        model_mode=np.array([0, 2]),
+        deviations=np.full((4, 2, 8), 0.001),
+        first=0,
+        order=20,
+        poles=np.array([[10, 5.0, 0.01, 1], [20, 5.0, 0.01, 1], [20, 31.0, 0.2, 0]]),
+    )
+    stiffness = StiffnessEstimate(np.full(3, 2000.0), np.eye(3), True, 4, np.zeros(4))
+    ddi = np.array([0.0, 0.08, 0.01])
+    damage = DamageReading(ddi, np.eye(3) * 0.01**2, ddi, ddi * 2000)
+    return WindowResult(k, t_end, 400.0, modes, stiffness, damage, alarm, None)
+
+
+def read(file: Path) -> dict[str, dict[int, object]]:
+    """For each entity its first column's value at each time; time 0 is static."""
+    found: dict[str, dict[int, object]] = {}
+    for chunk in RrdReader(file).stream():
+        if chunk.entity_path.startswith("/__"):
+            continue
+        batch = chunk.to_record_batch()
+        names = [c for c in batch.schema.names if ":" in c]
+        wanted = [c for c in names if c.endswith((":scalars", ":text", ":state", ":positions"))] or names
+        assert chunk.is_static or chunk.timeline_names == ["time"], "only the data's own clock"
+        times = [0] * len(batch) if chunk.is_static else batch["time"].cast("int64").to_pylist()
+        if chunk.is_static:
+            continue
+        rows = found.setdefault(chunk.entity_path, {})
+        rows.update(zip(times, batch[wanted[0]].to_pylist(), strict=True))
+    return found
+
+
+@pytest.fixture
+def stuck(monkeypatch: pytest.MonkeyPatch) -> Iterator[threading.Event]:
+    """A viewer that hangs until the event is set."""
+    release = threading.Event()
+    monkeypatch.setattr(rerun_view._Picture, "draw", lambda self, item: release.wait(30))
+    yield release
+    release.set()
+
+
+def test_a_file_holds_everything(tmp_path: Path) -> None:
+    file = tmp_path / "live.rrd"
+    view = RerunPublisher(SCENE, file=file, serve=None, lossless=True, queue_size=2)
+    for k in range(12):
+        view.samples(second(k, 37))  # neither whole seconds nor contiguous
+    view.gap(Gap(T0 + 30 * 10**9, 2.0, "sequence jumped"))
+    levels = [Level.NORMAL, Level.NORMAL, Level.ADVISORY, Level.ALARM, Level.ALARM, Level.NORMAL]
+    for k, level in enumerate(levels):
+        view.window(window(k, level))
+    view.window(window(6, skipped="channel a3 was stuck"))
+    assert not file.exists(), "named before it is complete"
+    view.close(60.0)
+    assert (view.failed, view.dropped) == (None, 0)
+    assert [p.name for p in tmp_path.iterdir()] == ["live.rrd"]
+
+    found = read(file)
+    expected = {T0 + k * 10**9 + i * 10**7: [1000.0 * k + 3 * i + 1] for k in range(12) for i in range(37)}
+    stream = found["/streams/a\\ 2"]
+    assert np.isnan(stream.pop(T0 + 30 * 10**9)), "the gap breaks the line"
+    assert stream == expected
+    ends = [T0 + (400 + 10 * k) * 10**9 for k in range(7)]
+    for entity in ("/ddi/story_2", "/stiffness/story_1", "/modes/frequency/1", "/modes/damping/3", "/status"):
+        assert sorted(found[entity]) == ends, entity
+    np.testing.assert_allclose(found["/ddi/story_2"][ends[0]], [8.0, 6.0, 10.0])
+    std = 5.0 * 0.002  # four deviations of 0.001 in ln f
+    np.testing.assert_allclose(found["/modes/frequency/1"][ends[0]], [5.0, 5 - 2 * std, 5 + 2 * std])
+    np.testing.assert_allclose(found["/modes/damping/3"][ends[0]][0], 2.0)
+    assert np.isnan(found["/modes/frequency/2"][ends[0]]).all(), "a mode that was not found"
+    assert np.isnan(found["/ddi/story_2"][ends[6]]).all(), "a skipped window leaves a hole"
+    np.testing.assert_allclose(found["/stabilisation"][ends[0]], [[5, 10], [5, 20], [31, 20]])
+    assert "story 2" in found["/alarms"][ends[2]][0]
+    assert sorted(found["/alarms"]) == [ends[2], ends[3], ends[5]], "changes only"
+    assert len(found["/events"]) == 2
+    assert "channel a3 was stuck" in found["/status"][ends[6]][0]
+    assert "| 2 | 8.0 ± 2.0 |" in found["/status"][ends[0]][0]
+    assert {"/frame/story_1", "/frame/modes/1", "/frame/modes/3", "/alarm_level"} <= set(found)
+    assert len(RrdReader(file).blueprints()) >= 1
+
+
+def test_the_block_size_does_not_matter(tmp_path: Path) -> None:
+    streams = []
+    whole = second(0, 2500)
+    for n in (1, 700, 2500):
+        view = RerunPublisher(SCENE, file=tmp_path / f"{n}.rrd", serve=None, lossless=True)
+        buffer = np.empty((n, 3))
+        for i in range(0, 2500, n):
+            block = whole.values[i : i + n]
+            buffer[: len(block)] = block
+            view.samples(Samples(T0 + i * 10**7, 100.0, buffer[: len(block)]))  # the caller's buffer is used again
+        view.close(60.0)
+        streams.append(read(tmp_path / f"{n}.rrd")["/streams/a1"])
+    assert streams[0] == streams[1] == streams[2]
+    assert len(streams[0]) == 2500
+
+
+def test_a_hung_viewer_costs_drops_not_time(tmp_path: Path, stuck: threading.Event) -> None:
+    view = RerunPublisher(SCENE, file=tmp_path / "live.rrd", serve=None, lossless=False, queue_size=4)
+    began = time.monotonic()
+    for k in range(50):
+        view.window(window(k))
+    assert time.monotonic() - began < 1.0
+    assert 45 <= view.dropped <= 46  # four wait, and one may be in hand
+    began = time.monotonic()
+    view.close(0.3)
+    assert time.monotonic() - began < 1.0
+    assert view.failed == "not finished within 0.3 s"
+    stuck.set()
+    view._worker._thread.join(10.0)
+    assert list(tmp_path.iterdir()) == [], "neither the name nor the partial file"
+
+
+def test_lossless_waits_for_a_slow_viewer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[int] = []
+    monkeypatch.setattr(rerun_view._Picture, "draw", lambda self, item: (time.sleep(0.01), seen.append(item.index)))
+    view = RerunPublisher(SCENE, file=tmp_path / "live.rrd", serve=None, lossless=True, queue_size=2)
+    for k in range(40):
+        view.window(window(k))
+    view.close(30.0)
+    assert (seen, view.dropped, view.failed) == (list(range(40)), 0, None)
+
+
+@pytest.mark.parametrize("lossless", [True, False])
+def test_a_failure_is_told_once_and_goes_no_further(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, lossless: bool
+) -> None:
+    file = tmp_path / "live.rrd"
+    file.write_text("of an earlier run")
+
+    def broken(self: object, item: object) -> None:
+        raise ValueError("no such colour")
+
+    monkeypatch.setattr(rerun_view._Picture, "draw", broken)
+    with caplog.at_level(logging.ERROR):
+        view = RerunPublisher(SCENE, file=file, serve=None, lossless=lossless, queue_size=2)
+        for k in range(50):
+            view.window(window(k))
+        view.close(30.0)
+    assert view.failed == "ValueError: no such colour"
+    assert len(caplog.records) == 1
+    assert file.read_text() == "of an earlier run"
+    assert [p.name for p in tmp_path.iterdir()] == ["live.rrd"]
+
+
+def test_a_wrong_shape_is_a_failure_not_a_warning(tmp_path: Path) -> None:
+    view = RerunPublisher(SCENE, file=tmp_path / "live.rrd", serve=None, lossless=True)
+    view.samples(Samples(T0, 100.0, np.zeros((2000, 2))))  # three channels were promised
+    view.close(30.0)
+    assert view.failed is not None
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_that_cannot_be_made(tmp_path: Path) -> None:
+    view = RerunPublisher(SCENE, file=tmp_path / "nowhere" / "live.rrd", serve=None, lossless=True, queue_size=1)
+    for k in range(5):
+        view.window(window(k))
+    view.close(30.0)
+    assert view.failed is not None
+    assert "No such file" in view.failed
+
+
+def test_an_incomplete_file_never_takes_the_name(tmp_path: Path) -> None:
+    output = Output("cut", tmp_path / "cut.rrd", None)
+    output.stream.disconnect()
+    part = tmp_path / "cut.rrd.part"
+    part.write_bytes(part.read_bytes()[:-20])  # as on a full disk
+    with pytest.raises(Exception, match=r"(?i)footer|rrd"):
+        output.close(5.0)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_abort_leaves_nothing(tmp_path: Path) -> None:
+    view = RerunPublisher(SCENE, file=tmp_path / "live.rrd", serve=None, lossless=True)
+    view.window(window(0))
+    view.abort()
+    assert list(tmp_path.iterdir()) == []
+
+
+def listening(port: int) -> set[str]:
+    """Addresses, hexadecimal as the kernel lists them, on which somebody listens to the port."""
+    found = set()
+    for table in ("/proc/net/tcp", "/proc/net/tcp6"):
+        for line in Path(table).read_text().splitlines()[1:]:
+            local, state = line.split()[1], line.split()[3]
+            address, _, number = local.partition(":")
+            if state == "0A" and int(number, 16) == port:
+                found.add(address)
+    return found
+
+
+@pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="needs Linux's /proc/net/tcp")
+def test_serves_only_where_told_and_stops() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as probe:
+        port = probe.getsockname()[1]
+    view = RerunPublisher(SCENE, file=None, serve=("127.0.0.1", port), lossless=False)
+    view.window(window(0))
+    until = time.monotonic() + 20
+    while not listening(port) and time.monotonic() < until:
+        time.sleep(0.05)
+    assert listening(port) == {"0100007F"}
+    view.close(20.0)
+    assert view.failed is None
+    assert not listening(port)
+
+
+def test_a_taken_port_is_a_failure() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        port = other.getsockname()[1]
+        view = RerunPublisher(SCENE, file=None, serve=("127.0.0.1", port), lossless=False)
+        view.close(20.0)
+    assert view.failed is not None
+    assert f"127.0.0.1:{port}" in view.failed
+
+
+def test_colours_of_a_story() -> None:
+    assert severity(0.0, 0.1) == severity(-0.2, 0.1) == rerun_view.GREEN
+    assert severity(0.05, 0.1) == rerun_view.AMBER
+    assert severity(0.1, 0.1) == severity(0.5, 0.1) == rerun_view.RED
+    assert severity(None, 0.1) == rerun_view.GREY
