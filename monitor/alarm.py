@@ -20,6 +20,8 @@ class AlarmSettings(Settings):
     """Losses below this are never announced."""
     alarm_loss: float = Field(default=0.10, gt=0, lt=1)
     """A confirmed loss of at least this is an `alarm`."""
+    model_form: float = Field(default=0.05, ge=0)
+    """Share of another story's loss that the model's wrong form may show here (one standard deviation)."""
     confirm_s: float = Field(default=100.0, ge=0)
     """On-delay: a loss is confirmed when it has stayed significant this long."""
     clear_s: float = Field(default=100.0, ge=0)
@@ -50,7 +52,9 @@ def step(
 
     A window that was skipped is not judged: the alarm stays as it was.
     """
-    ddi, std = damage.ddi, np.maximum(damage.ddi_std, 1e-12)
+    ddi = damage.ddi
+    elsewhere = np.array([np.delete(np.abs(ddi), j).max(initial=0.0) for j in range(ddi.size)])
+    std = np.sqrt(damage.ddi_std**2 + (settings.model_form * elsewhere) ** 2 + 1e-24)
     states = tuple(
         _judge(state, float(d), float(d / s), t_ns, settings) for state, d, s in zip(states, ddi, std, strict=True)
     )

@@ -7,7 +7,10 @@ import numpy as np
 from monitor.baseline import Baseline
 from monitor.model import Model
 from monitor.results import Array, DamageReading, ModalEstimate, StiffnessEstimate
-from monitor.updating import UpdatingSettings, observe, update
+from monitor.updating import Observation, Update, UpdatingSettings, observe, update
+
+_TOLERATED_MISFIT = 2.0
+"""Twice the expectation: with six degrees of freedom, reached by chance in 6 % of windows."""
 
 
 def step(
@@ -28,18 +31,23 @@ def step(
     if baseline is not None:
         observation = baseline.target(observation)
     fit = update(reference, sensors, observation, settings)
-    influence = observation.deviations @ fit.gain.T
-    covariance = influence.T @ influence
+    z_covariance = observation.deviations.T @ observation.deviations
+    if baseline is None:
+        misfit, uncertain = 1.0, z_covariance
+    else:
+        uncertain = z_covariance + baseline.z_covariance
+        misfit = _misfit_of_change(fit, observation, uncertain)
+    # A change that stiffness explains badly (a window across the onset, another cause) is known less well than its noise says.
+    widened = max(1.0, misfit / _TOLERATED_MISFIT)
+    healthy = reference.structure.stiffness_n_per_m
     estimate = StiffnessEstimate(
         stiffness_n_per_m=fit.parameters,
-        covariance=covariance,
+        covariance=widened * (fit.gain @ z_covariance @ fit.gain.T),
         converged=fit.converged,
         iterations=fit.iterations,
-        misfit=fit.residual * np.sqrt(np.diag(observation.weight)),
+        misfit=misfit,
     )
-    healthy = reference.structure.stiffness_n_per_m
-    if baseline is not None:
-        covariance = covariance + fit.gain @ baseline.z_covariance @ fit.gain.T
+    covariance = widened * (fit.gain @ uncertain @ fit.gain.T)
     reading = DamageReading(
         ddi=1.0 - fit.parameters / healthy,
         ddi_covariance=covariance / np.outer(healthy, healthy),
@@ -47,6 +55,13 @@ def step(
         loss_n_per_m=healthy - fit.parameters,
     )
     return estimate, reading
+
+
+def _misfit_of_change(fit: Update, observation: Observation, covariance: Array) -> float:
+    """Squared distance of the change from what stiffness can explain, over its expectation from both covariances."""
+    left_over = np.eye(fit.residual.size) - fit.sensitivity @ fit.gain
+    expected = float(np.trace(observation.weight @ left_over @ covariance @ left_over.T))
+    return float(fit.residual @ observation.weight @ fit.residual) / max(expected, 1e-300)
 
 
 def sequential_reading(healthy: Array, now: Array) -> Array:

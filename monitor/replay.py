@@ -19,7 +19,8 @@ from monitor.errors import BadInputError, MissingInputError
 from monitor.files import sha256, write_atomically
 from monitor.pipeline import Pipeline, Result
 from monitor.publish.lines import LinesFile, to_json, window_line
-from monitor.publish.rerun_view import RerunPublisher, Scene
+from monitor.publish.rerun_scene import Scene
+from monitor.publish.rerun_view import RerunPublisher
 from monitor.publish.summary import Summary
 from monitor.results import Gap, Samples, WindowResult
 from monitor.updating import Update

@@ -140,8 +140,8 @@ class StiffnessEstimate:
     """Shape (n, n), (N/m)^2."""
     converged: bool
     iterations: int
-    misfit: Array
-    """Shape (n_data,): what the updated model leaves unexplained, in standard deviations of the window's modes."""
+    misfit: float
+    """Goodness of fit of the change since the baseline: squared misfit over its expectation; 1 when stiffness explains it."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -61,6 +61,8 @@ class Update:
     """Shape (n_parameters,)."""
     gain: Array
     """Shape (n_parameters, n_data): d parameters / d z at the solution."""
+    sensitivity: Array
+    """Shape (n_data, n_parameters): S at the solution."""
     residual: Array
     """Shape (n_data,): z_m - z."""
     converged: bool
@@ -196,38 +198,40 @@ def update(
     w_theta = 1.0 / (relative * initial) ** 2
     converged = False
 
-    def objective(at: Model, where: Array) -> float:
-        """J of eqs 25 and 31 at a point."""
-        error = observation.z - predict(at, sensors, observation, with_masses)[0]
-        pull = (where - initial) if settings.penalty == "initial" else np.zeros_like(where)
-        return float(error @ observation.weight @ error + pull @ (w_theta * pull))
+    def objective(z: Array, where: Array) -> float:
+        """J of eqs 25 and 31."""
+        error, pull = observation.z - z, where - initial
+        held = float(pull @ (w_theta * pull)) if settings.penalty == "initial" else 0.0
+        return float(error @ observation.weight @ error) + held
 
+    # With as many parameters as data there is nothing to trade, and the plain iteration is the paper's.
     overdetermined = observation.z.size > theta.size
+    z, sensitivity = predict(model, sensors, observation, with_masses)
     for _ in range(settings.max_iterations):
-        z, sensitivity = predict(model, sensors, observation, with_masses)
         gain = _gain(sensitivity, observation.weight, w_theta, settings.penalty)
         step = gain @ (observation.z - z)
         if settings.penalty == "initial":  # eq. 33 pulls towards the initial values, eq. 30 only brakes the step
             step -= _prior_pull(sensitivity, observation.weight, w_theta) @ (theta - initial)
         # A step that would make a stiffness negative is shortened: half way to zero at most.
         step *= min(1.0, float(np.min(np.where(step < 0, -0.5 * theta / np.minimum(step, -1e-300), 1.0))))
-        if overdetermined:  # the linearized step may overshoot where the model's form is wrong
-            now = objective(model, theta)
-            for _ in range(6):
-                if objective(_with_parameters(model, theta + step, with_masses), theta + step) <= now * (1 + 1e-9):
-                    break
-                step *= 0.5
+        now, shortened = objective(z, theta), 0
+        while True:
+            model = _with_parameters(model, theta + step, with_masses)
+            z, sensitivity = predict(model, sensors, observation, with_masses)
+            better = objective(z, theta + step) <= now * (1.0 + 1e-9)
+            if better or not overdetermined or shortened == 6:
+                break
+            step, shortened = 0.5 * step, shortened + 1  # the linearized step overshot: the model's form is wrong
         theta = theta + step
         history.append(theta)
-        model = _with_parameters(model, theta, with_masses)
         if np.abs(step / theta).max() < settings.tolerance:
             converged = True
             break
-    z, sensitivity = predict(model, sensors, observation, with_masses)
     return Update(
         model=model,
         parameters=theta,
         gain=_gain(sensitivity, observation.weight, w_theta, settings.penalty),
+        sensitivity=sensitivity,
         residual=observation.z - z,
         converged=converged,
         iterations=len(history) - 1,

@@ -33,10 +33,10 @@ class RefinementSettings(Settings):
     enabled: bool = True
     segment_s: float = Field(default=20.0, gt=0)
     """Length of the segments whose cross-spectra are averaged; rounded to whole blocks."""
-    half_band: float = Field(default=4.0, gt=0)
+    half_band: float = Field(default=3.5, gt=0)
     """Spectra are fitted this many of its half-power bandwidths either side of each mode, and at least 8 bins."""
     max_iterations: int = Field(default=8, ge=1)
-    tolerance: float = Field(default=0.05, gt=0)
+    tolerance: float = Field(default=0.3, gt=0)
     """Converged when no parameter moves by more than this many of its standard deviations."""
     min_segments: int = Field(default=6, ge=3)
 

@@ -13,9 +13,10 @@ import numpy as np
 import pytest
 from rerun.chunk import RrdReader
 
-from monitor.publish import rerun_view
+from monitor.publish import rerun_picture, rerun_scene
 from monitor.publish.rerun_queue import Output
-from monitor.publish.rerun_view import RerunPublisher, Scene, severity
+from monitor.publish.rerun_scene import Scene, severity
+from monitor.publish.rerun_view import RerunPublisher
 from monitor.results import (
     Alarm,
     DamageReading,
@@ -87,7 +88,7 @@ def read(file: Path) -> dict[str, dict[int, object]]:
 def stuck(monkeypatch: pytest.MonkeyPatch) -> Iterator[threading.Event]:
     """A viewer that hangs until the event is set."""
     release = threading.Event()
-    monkeypatch.setattr(rerun_view._Picture, "draw", lambda self, item: release.wait(30))
+    monkeypatch.setattr(rerun_picture.Picture, "draw", lambda self, item: release.wait(30))
     yield release
     release.set()
 
@@ -165,7 +166,7 @@ def test_a_hung_viewer_costs_drops_not_time(tmp_path: Path, stuck: threading.Eve
 
 def test_lossless_waits_for_a_slow_viewer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     seen: list[int] = []
-    monkeypatch.setattr(rerun_view._Picture, "draw", lambda self, item: (time.sleep(0.01), seen.append(item.index)))
+    monkeypatch.setattr(rerun_picture.Picture, "draw", lambda self, item: (time.sleep(0.01), seen.append(item.index)))
     view = RerunPublisher(SCENE, file=tmp_path / "live.rrd", serve=None, lossless=True, queue_size=2)
     for k in range(40):
         view.window(window(k))
@@ -183,7 +184,7 @@ def test_a_failure_is_told_once_and_goes_no_further(
     def broken(self: object, item: object) -> None:
         raise ValueError("no such colour")
 
-    monkeypatch.setattr(rerun_view._Picture, "draw", broken)
+    monkeypatch.setattr(rerun_picture.Picture, "draw", broken)
     with caplog.at_level(logging.ERROR):
         view = RerunPublisher(SCENE, file=file, serve=None, lossless=lossless, queue_size=2)
         for k in range(50):
@@ -266,7 +267,7 @@ def test_a_taken_port_is_a_failure() -> None:
 
 
 def test_colours_of_a_story() -> None:
-    assert severity(0.0, 0.1) == severity(-0.2, 0.1) == rerun_view.GREEN
-    assert severity(0.05, 0.1) == rerun_view.AMBER
-    assert severity(0.1, 0.1) == severity(0.5, 0.1) == rerun_view.RED
-    assert severity(None, 0.1) == rerun_view.GREY
+    assert severity(0.0, 0.1) == severity(-0.2, 0.1) == rerun_scene.GREEN
+    assert severity(0.05, 0.1) == rerun_scene.AMBER
+    assert severity(0.1, 0.1) == severity(0.5, 0.1) == rerun_scene.RED
+    assert severity(None, 0.1) == rerun_scene.GREY

@@ -44,6 +44,7 @@ def window_line(result: WindowResult) -> dict[str, Any]:
         "ddi_std": damage and _rounded(damage.ddi_std),
         "ddi_sequential": damage and _rounded(damage.ddi_sequential),
         "loss_n_per_m": damage and _rounded(damage.loss_n_per_m),
+        "misfit": stiffness and _rounded(stiffness.misfit),
         "alarm": {
             "level": result.alarm.level.value,
             "stories": list(result.alarm.stories),

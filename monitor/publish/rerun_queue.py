@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 import socket
 import threading
 import time
@@ -43,7 +44,8 @@ class Output:
 
     def __init__(self, name: str, file: Path | None, serve: tuple[str, int] | None, memory: str = "64MB") -> None:
         rr.set_strict_mode(True)  # else a wrong call is only warned about
-        self.stream = rr.RecordingStream(name, recording_id=name, send_properties=False)
+        entry = re.sub(r"[^0-9A-Za-z_ -]+", "-", name)  # what Rerun takes as a name without a warning
+        self.stream = rr.RecordingStream(entry, recording_id=entry, send_properties=False)
         self._file = file
         sinks: list[rr.FileSink | rr.GrpcServerSink] = []
         if serve is not None:

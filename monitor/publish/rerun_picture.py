@@ -1,0 +1,235 @@
+"""Draws results into a Rerun recording; owned by one thread."""
+
+from __future__ import annotations
+
+import numpy as np
+import rerun as rr
+
+from monitor.publish.rerun_scene import (
+    COLUMNS,
+    GREEN,
+    GREY,
+    HOLE,
+    LEVELS,
+    RED,
+    SERIES,
+    STABILISATION,
+    Scene,
+    blueprint,
+    plus_minus,
+    rows,
+    severity,
+    status,
+    utc,
+)
+from monitor.results import DamageReading, Gap, Level, ModalEstimate, Samples, StiffnessEstimate, WindowResult
+
+
+class Picture:
+    """Draws on one recording; lives in the worker's thread."""
+
+    def __init__(self, scene: Scene, stream: rr.RecordingStream, block_s: float) -> None:
+        self._scene, self._stream, self._block_s = scene, stream, block_s
+        self._blocks: list[Samples] = []
+        self._level: Level | None = None
+        self._skipped: str | None = None
+        self._extent = (1.0, 1.0)
+        heights = np.asarray(scene.story_heights_m, dtype=float)
+        self._z = np.append(np.cumsum(heights[::-1])[::-1], 0.0) / heights.sum()
+        """Shape (n + 1,): height of floor 1 (top) .. n and of the ground, the whole frame 1 high."""
+
+    def begin(self) -> None:
+        """Names, colours and what never changes."""
+        self._stream.send_blueprint(blueprint(self._scene))
+        for i, channel in enumerate(self._scene.channels):
+            self._style(self._stream_path(channel), [channel], i)
+        for i in range(self._scene.n_stories):
+            for entity in ("ddi", "stiffness"):
+                self._style(f"/{entity}/story_{i + 1}", [f"story {i + 1}"] * 3, i)
+            for entity in ("frequency", "damping"):
+                self._style(f"/modes/{entity}/{i + 1}", [f"mode {i + 1}"] * 3, i)
+        threshold = rr.SeriesLines(names=["alarm"], colors=[RED], widths=[1.0])
+        self._stream.log("/ddi/alarm_loss", threshold, static=True)
+        words = [level.value for level in LEVELS]
+        states = rr.StateConfiguration(values=words, labels=words, colors=[colour for _, colour in LEVELS.values()])
+        self._stream.log("/alarm_level", states, static=True)
+        centres = [(0.3, 0.3, z) for z in self._z]
+        half = [(0.33, 0.33, 0.012)] * self._scene.n_stories + [(0.45, 0.45, 0.008)]
+        slabs = rr.Boxes3D(centers=centres, half_sizes=half, colors=[(150, 155, 165)], fill_mode="solid")
+        self._stream.log("/frame/floors", slabs, static=True)
+
+    @staticmethod
+    def _stream_path(channel: str) -> str:
+        return "/streams/" + rr.escape_entity_path_part(channel)
+
+    def _style(self, path: str, names: list[str], i: int) -> None:
+        """Name and colour a line, and its bounds fainter and thinner."""
+        colour = SERIES[i % len(SERIES)]
+        faint = (*colour, 110)
+        self._stream.log(
+            path,
+            rr.SeriesLines(names=names, colors=[(*colour, 255), faint, faint][: len(names)],
+                           widths=[2.0, 0.7, 0.7][: len(names)]),
+            static=True,
+        )  # fmt: skip
+
+    def draw(self, item: Samples | WindowResult | Gap) -> None:
+        """Whatever comes out of the queue."""
+        if isinstance(item, Samples):
+            self.samples(item)
+        elif isinstance(item, Gap):
+            self.gap(item)
+        else:
+            self.window(item)
+
+    def samples(self, samples: Samples) -> None:
+        """Collect blocks until they are long enough to send."""
+        if self._blocks:
+            last = self._blocks[-1]
+            due = last.t_ns + len(last.values) / last.rate_hz * 1e9
+            if samples.rate_hz != last.rate_hz or abs(samples.t_ns - due) > 0.5e9 / samples.rate_hz:
+                self.flush()
+        self._blocks.append(samples)
+        if sum(len(block.values) for block in self._blocks) >= self._block_s * samples.rate_hz:
+            self.flush()
+
+    def flush(self) -> None:
+        """Send the samples collected."""
+        if not self._blocks:
+            return
+        first = self._blocks[0]
+        values = np.concatenate([block.values for block in self._blocks])
+        self._blocks = []
+        t_ns = first.t_ns + np.round(np.arange(len(values)) * (1e9 / first.rate_hz)).astype(np.int64)
+        time = rr.TimeColumn("time", timestamp=t_ns.astype("datetime64[ns]"))
+        for channel, column in zip(self._scene.channels, values.T, strict=True):
+            self._stream.send_columns(self._stream_path(channel), [time], rr.Scalars.columns(scalars=column))
+
+    def gap(self, gap: Gap) -> None:
+        """Break the streams where samples are missing."""
+        self.flush()
+        self._at(gap.t_ns)
+        self._event(f"gap of {gap.duration_s:.3g} s: {gap.reason}", rr.TextLogLevel.WARN)
+        for channel in self._scene.channels:
+            self._stream.log(self._stream_path(channel), rr.Scalars(np.nan))
+
+    def window(self, result: WindowResult) -> None:
+        """Everything said about one window, at its end."""
+        self._at(result.t_end_ns)
+        self._stream.log("/status", rr.TextDocument(status(self._scene, result), media_type="text/markdown"))
+        self._alarm(result)
+        reason = result.skipped.reason if result.skipped else None
+        if reason != self._skipped:
+            self._event(f"no result: {reason}" if reason else "results again", rr.TextLogLevel.INFO)
+            self._skipped = reason
+        modes = {row[0]: row for row in rows(result.modes)} if result.modes else {}
+        for k in range(self._scene.n_stories):
+            _, f, fs, d, ds = modes.get(k, (k, *[None] * 4))
+            self._bounded(f"/modes/frequency/{k + 1}", f, fs)
+            self._bounded(f"/modes/damping/{k + 1}", d, ds, 100.0)
+        self._stiffness(result.stiffness)
+        self._damage(result.damage)
+        self._shapes(result.modes)
+        if result.modes is not None:
+            self._stabilisation(result.modes)
+
+    def _at(self, t_ns: int) -> None:
+        self._stream.set_time("time", timestamp=utc(t_ns))
+
+    def _event(self, text: str, level: rr.TextLogLevel) -> None:
+        self._stream.log("/events", rr.TextLog(text, level=level))
+
+    def _alarm(self, result: WindowResult) -> None:
+        """Tell changes of level only; a recording begins as normal."""
+        alarm = result.alarm
+        if alarm.level is self._level:
+            return
+        if self._level is not None or alarm.level is not Level.NORMAL:
+            level, colour = LEVELS[alarm.level]
+            where = f" (story {', '.join(map(str, alarm.stories))})" if alarm.stories else ""
+            text = f"{alarm.level.value}{where}: {alarm.reason}"
+            self._stream.log("/alarms", rr.TextLog(text, level=level, color=colour))
+        self._level = alarm.level
+        self._stream.log("/alarm_level", rr.StateChange(state=alarm.level.value))
+
+    def _bounded(self, path: str, value: float | None, std: float | None, scale: float = 1.0) -> None:
+        """One value with its two standard deviations either side, or a hole."""
+        if value is None or std is None:
+            self._stream.log(path, HOLE)
+        else:
+            bounds = np.array([value, value - 2 * std, value + 2 * std])
+            self._stream.log(path, rr.Scalars(scale * bounds))
+
+    def _stiffness(self, stiffness: StiffnessEstimate | None) -> None:
+        n = self._scene.n_stories
+        values = stiffness.stiffness_n_per_m.tolist() if stiffness else [None] * n
+        stds = np.sqrt(np.diag(stiffness.covariance)).tolist() if stiffness else [None] * n
+        for j in range(n):
+            self._bounded(f"/stiffness/story_{j + 1}", values[j], stds[j])
+
+    def _damage(self, damage: DamageReading | None) -> None:
+        """The index over time, and the frame coloured by it."""
+        loss_at, n = self._scene.alarm_loss, self._scene.n_stories
+        readings: list[tuple[float | None, float | None]] = [(None, None)] * n
+        if damage is not None:
+            readings = list(zip(damage.ddi.tolist(), damage.ddi_std.tolist(), strict=True))
+        if damage is not None:
+            self._stream.log("/ddi/alarm_loss", rr.Scalars(100.0 * loss_at))
+        for j, (ddi, std) in enumerate(readings):
+            self._bounded(f"/ddi/story_{j + 1}", ddi, std, 100.0)
+            top, foot = self._z[j], self._z[j + 1]
+            colour = severity(ddi, loss_at)
+            strips = [[(x, y, foot), (x, y, top)] for x, y in COLUMNS]
+            known = "unknown" if ddi is None or std is None else plus_minus(ddi, std, 100) + " %"
+            path = f"/frame/story_{j + 1}"
+            self._stream.log(path, rr.LineStrips3D(strips, colors=[colour], radii=[0.022]))
+            label = rr.Points3D([(-0.45, 0.0, (top + foot) / 2)], labels=[f"story {j + 1}: {known}"],
+                                colors=[colour], radii=[0.0001], show_labels=True)  # fmt: skip
+            self._stream.log(path + "/label", label)
+
+    def _shapes(self, modes: ModalEstimate | None) -> None:
+        """Mode shapes beside the frame: real part, floors without a sensor left out."""
+        lines = rows(modes) if modes else []
+        for k in set(range(self._scene.n_stories)).difference(row[0] for row in lines):
+            self._stream.log(f"/frame/modes/{k + 1}", rr.Clear(recursive=True))
+        if modes is None:
+            return
+        order = sorted(range(len(self._scene.sensor_floor)), key=self._scene.sensor_floor.__getitem__)
+        z = np.append(self._z[[self._scene.sensor_floor[c] - 1 for c in order]], 0.0)
+        for shape, row in zip(modes.shapes, lines, strict=True):
+            k, f = row[0], row[1]
+            x = 1.15 + 0.55 * k
+            deflection = np.append(np.real(shape[order]), 0.0)
+            deflection *= 0.2 / max(float(np.abs(deflection).max()), 1e-12)
+            shape_at = np.column_stack([x + deflection, np.zeros_like(z), z])
+            path, colour = f"/frame/modes/{k + 1}", SERIES[k % len(SERIES)]
+            strips = [np.array([(x, 0, 0), (x, 0, 1)]), shape_at]
+            self._stream.log(path, rr.LineStrips3D(strips, colors=[GREY, colour], radii=[0.004, 0.014]))
+            self._stream.log(path + "/floors", rr.Points3D(shape_at, colors=[colour], radii=[0.03]))
+            label = rr.Points3D([(x, 0, -0.12)], labels=[f"{f:.2f} Hz"], colors=[colour], radii=[0.0001],
+                                show_labels=True)  # fmt: skip
+            self._stream.log(path + "/label", label)
+
+    def _stabilisation(self, modes: ModalEstimate) -> None:
+        """Poles in (Hz, order), stretched to the canvas, with their axes and the modes chosen."""
+        poles = modes.poles
+        if not len(poles):
+            return
+        f_max = max(self._extent[0], 5.0 * np.ceil(poles[:, 1].max() / 5.0))
+        n_max = max(self._extent[1], 10.0 * np.ceil(poles[:, 0].max() / 10.0))
+        self._extent = (f_max, n_max)
+        width, height = STABILISATION
+        stretch = rr.Transform3D(scale=(width / f_max, -height / n_max, 1.0))
+        colours = np.where(poles[:, 3:] > 0, GREEN, GREY).astype(np.uint8)
+        points = rr.Points2D(poles[:, [1, 0]], colors=colours, radii=rr.Radius.ui_points(2.5), draw_order=2.0)
+        self._stream.log("/stabilisation", stretch, points)
+        frame = rr.LineStrips2D([[(0, n_max), (0, 0), (f_max, 0)]], colors=[GREY], draw_order=0.0)
+        self._stream.log("/stabilisation/axes", frame)
+        ticks = [(f, 0.0) for f in np.linspace(0, f_max, 6)] + [(-0.1 * f_max, n) for n in np.linspace(0, n_max, 3)[1:]]
+        texts = [f"{f:g} Hz" for f, _ in ticks[:6]] + [f"order {n:g}" for _, n in ticks[6:]]
+        marks = rr.Points2D(ticks, labels=texts, colors=[GREY], radii=rr.Radius.ui_points(2.0), show_labels=True)
+        self._stream.log("/stabilisation/ticks", marks)
+        chosen = [[(f, 0), (f, n_max)] for f in modes.frequencies_hz]
+        lines = rr.LineStrips2D(chosen, colors=[SERIES[k % len(SERIES)] for k in modes.model_mode],
+                                radii=rr.Radius.ui_points(0.8), draw_order=1.0)  # fmt: skip
+        self._stream.log("/stabilisation/modes", lines)

@@ -1,0 +1,105 @@
+"""`make demo` and the viewer's picture."""
+
+from __future__ import annotations
+
+import json
+import os
+import struct
+import subprocess
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from monitor import demo
+
+ROOT = Path(__file__).parents[1]
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    out = tmp_path_factory.mktemp("demo")
+    said: list[str] = []
+    demo.run(ROOT / "recordings", out, say=said.append, on_warning=pytest.fail)
+    return out, "\n".join(said)
+
+
+def test_the_demo_finds_the_damage_and_only_there(results: tuple[Path, str]) -> None:
+    out, said = results
+    alarms = json.loads((out / "summary.json").read_text())["alarms"]
+    assert [(a["level"], a["story"]) for a in alarms] == [("alarm", 2)]
+    assert alarms[0]["ddi"] == pytest.approx(0.12, abs=0.01)
+    assert "alarm: story 2 lost 12" in said
+
+
+def test_the_demo_says_how_far_a_shear_frame_misses_the_measured_one(results: tuple[Path, str]) -> None:
+    out, said = results
+    summary = json.loads((out / "measured-frame" / "summary.json").read_text())
+    np.testing.assert_allclose(summary["frequencies_hz"], [3.69, 11.13, 16.67], rtol=0.005)
+    assert summary["frequency_misfit"][2] > 0.1
+    assert "11.11 Hz measured, 10.24 Hz by the structure file" in said
+    assert summary["alarms"] == []
+
+
+def test_the_demo_leaves_what_the_readme_names(results: tuple[Path, str]) -> None:
+    out, _ = results
+    for name in ("baseline.json", "results.jsonl", "results.mcap", "live.rrd", "summary.json"):
+        assert (out / name).stat().st_size > 0
+    assert not list(out.rglob("*.part"))
+
+
+def pixels(path: Path) -> np.ndarray:
+    """Decode an 8-bit RGB or RGBA picture, shape (rows, columns, 3)."""
+    data, place, body = path.read_bytes(), 8, b""
+    while place < len(data):
+        length, kind = struct.unpack(">I4s", data[place : place + 8])
+        chunk = data[place + 8 : place + 8 + length]
+        if kind == b"IHDR":
+            width, height, depth, colour = struct.unpack(">IIBB", chunk[:10])
+        elif kind == b"IDAT":
+            body += chunk
+        place += 12 + length
+    assert depth == 8
+    size = {2: 3, 6: 4}[colour]
+    raw = np.frombuffer(zlib.decompress(body), np.uint8).reshape(height, 1 + width * size)
+    picture = np.zeros((height, width * size), np.int64)
+    above = np.zeros(width * size, np.int64)
+    for row in range(height):
+        kind, line = raw[row, 0], raw[row, 1:].astype(np.int64)
+        if kind == 1:
+            line = np.cumsum(line.reshape(-1, size), axis=0).reshape(-1)
+        elif kind == 2:
+            line = line + above
+        elif kind in (3, 4):
+            for x in range(line.size):
+                left, upper = (line[x - size] if x >= size else 0), above[x]
+                corner = above[x - size] if x >= size else 0
+                if kind == 3:
+                    guess = (left + upper) // 2
+                else:
+                    p = left + upper - corner
+                    guess = min((abs(p - left), 0, left), (abs(p - upper), 1, upper), (abs(p - corner), 2, corner))[2]
+                line[x] = (line[x] + guess) % 256
+        above = line % 256
+        picture[row] = above
+    return picture.reshape(height, width, size)[:, :, :3]
+
+
+def test_the_viewer_draws_the_demo(results: tuple[Path, str], tmp_path: Path) -> None:
+    """Red for the lost story, green for the others, and hardly an empty panel."""
+    if not list(Path("/usr/share/vulkan/icd.d").glob("lvp_icd*.json")):
+        reason = "Debian package mesa-vulkan-drivers is absent"
+        if os.environ.get("CI") == "true":
+            pytest.fail(reason)
+        pytest.skip(reason)
+    shot = tmp_path / "viewer.png"
+    subprocess.run(["bash", ROOT / "docs/shot.sh", results[0] / "live.rrd", shot], check=True, timeout=200)
+    picture = pixels(shot)
+    red = (picture[:, :, 0] > 180) & (picture[:, :, 1] < 90) & (picture[:, :, 2] < 90)
+    green = (picture[:, :, 1] > 140) & (picture[:, :, 0] < 120) & (picture[:, :, 2] < 160)
+    assert red.sum() > 2000, "the story that lost stiffness and the alarm are red"
+    assert green.sum() > 2000, "the sound stories are green"
+    # Twelve tiles of the window: each shows something, text or lines, on its dark ground.
+    tiles = [t for band in np.array_split(picture[60:-60], 3) for t in np.array_split(band, 4, axis=1)]
+    assert min(float((t.max(axis=2) > 100).mean()) for t in tiles) > 0.001
