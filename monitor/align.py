@@ -79,9 +79,9 @@ def step(state: AlignState, block: SampleBlock, channels: tuple[str, ...]) -> tu
         In order; empty if nothing of the block is new.
     """
     values = select(block, channels)
-    finite = np.asarray(np.isfinite(values).all(axis=1))
-    if finite.all():
+    if np.isfinite(values).all():
         return _place(state, block, values, 0)
+    finite = np.asarray(np.isfinite(values).all(axis=1))
     pieces: list[Piece] = []
     edges = np.flatnonzero(np.diff(finite)) + 1
     for begin, end in zip([0, *edges], [*edges, len(finite)], strict=True):

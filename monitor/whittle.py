@@ -33,7 +33,7 @@ class RefinementSettings(Settings):
     enabled: bool = True
     segment_s: float = Field(default=20.0, gt=0)
     """Length of the segments whose cross-spectra are averaged; rounded to whole blocks."""
-    half_band: float = Field(default=3.5, gt=0)
+    half_band: float = Field(default=3.0, gt=0)
     """Spectra are fitted this many of its half-power bandwidths either side of each mode, and at least 8 bins."""
     max_iterations: int = Field(default=8, ge=1)
     tolerance: float = Field(default=0.3, gt=0)
@@ -155,30 +155,33 @@ def _transfer(layout: _Layout, ln_f: Array, ln_damping: Array) -> tuple[ComplexA
     return g, -g * (2.0 * omega**2 + cross) / denominator, -g * cross / denominator
 
 
-def _model(layout: _Layout, p: _Parameters) -> tuple[ComplexArray, ComplexArray]:
+def _model(layout: _Layout, p: _Parameters, *, linear_only: bool = False) -> tuple[ComplexArray, ComplexArray]:
     """Blurred spectrum, shape (bins, c, c), and its derivatives, shape (parameters, bins, c, c).
 
-    Parameters are numbered ln f, ln damping, free shape components, Q's upper triangle, noise.
+    Parameters are numbered ln f, ln damping, free shape components, Q's upper triangle, noise; with `linear_only` the
+    last two kinds alone, in which the spectrum is linear.
     """
     m, c = len(layout.gauges), p.noise.size
     g, g_f, g_d = _transfer(layout, p.ln_f, p.ln_damping)
     a = p.shapes * g[:, None, :]
     aq = a @ p.forces
-    moved = [p.shapes[:, i] * g_f[:, i, None] for i in range(m)] + [p.shapes[:, i] * g_d[:, i, None] for i in range(m)]
-    mode_of = [*range(m), *range(m)]
-    for i, j in layout.free:
-        column = np.zeros((g.shape[0], c), dtype=complex)
-        column[:, j] = g[:, i]
-        moved.append(column)
-        mode_of.append(i)
-    half = np.stack(moved)[:, :, :, None] * aq.conj().transpose(2, 0, 1)[mode_of][:, :, None, :]
+    halves = []
+    if not linear_only:
+        moved = np.zeros((layout.n_modal, g.shape[0], c), dtype=complex)  # the column of A that a parameter moves
+        for i in range(m):
+            moved[i] = p.shapes[:, i] * g_f[:, i, None]
+            moved[m + i] = p.shapes[:, i] * g_d[:, i, None]
+        for row, (i, j) in enumerate(layout.free, start=2 * m):
+            moved[row, :, j] = g[:, i]
+        mode_of = [*range(m), *range(m), *(i for i, _ in layout.free)]
+        halves.append(moved[:, :, :, None] * aq.conj().transpose(2, 0, 1)[mode_of][:, :, None, :])
     first, second = [x for x, _ in layout.pairs], [y for _, y in layout.pairs]
     columns = a.transpose(2, 0, 1)
     force_half = columns[first][:, :, :, None] * columns[second].conj()[:, :, None, :]
     # On the diagonal of Q both halves are the same term.
     force_half *= np.where(np.equal(first, second), 0.5, 1.0)[:, None, None, None]
-    halves = np.concatenate([half, force_half, (0.5 * aq @ a.conj().transpose(0, 2, 1))[None]])
-    blurred = _blurred(layout, halves)
+    halves += [force_half, (0.5 * aq @ a.conj().transpose(0, 2, 1))[None]]
+    blurred = _blurred(layout, np.concatenate(halves))
     blurred = blurred + blurred.conj().swapaxes(-1, -2)
     noise = np.zeros((c, c, c), dtype=complex)
     noise[range(c), range(c), range(c)] = p.noise
@@ -200,7 +203,7 @@ def _start(layout: _Layout, modes: ModalEstimate, mean: ComplexArray) -> _Parame
         0.01 * power,
     )
     weight = np.linalg.inv(mean + 0.05 * np.einsum("kaa->k", mean).real[:, None, None] * np.eye(c) / c)
-    information, projection = _scoring(weight, _model(layout, p)[1][layout.n_modal :], mean)
+    information, projection = _scoring(weight, _model(layout, p, linear_only=True)[1], mean)
     x = np.linalg.solve(information, projection)
     n_pairs = len(layout.pairs)
     forces = np.zeros((m, m))

@@ -16,6 +16,8 @@ import numpy as np
 from monitor.results import Array, ComplexArray, LagSums, Skipped, Window
 from monitor.spectrum import SegmentDesign, transform
 
+_GROUP_COLUMNS = 256
+
 
 def common_step_s(window_s: float, hop_s: float) -> float:
     """The largest step of time that tiles windows and hops, which count in milliseconds; 0 if shorter than one."""
@@ -166,10 +168,19 @@ def _append(grid: WindowGrid, state: WindowState, part: Array) -> WindowState:
 
 def _products(first: Array, followed: Array, n_lags: int) -> tuple[Array, Array, Array]:
     """Sums over k of first[k] followed[k + tau]^T, of first[k], and of followed[k + tau], for every lag."""
-    n = first.shape[0]
-    transposed = np.ascontiguousarray(first.T)
-    products = np.stack([transposed @ followed[tau : tau + n] for tau in range(n_lags)])
-    second = np.stack([followed[tau : tau + n].sum(axis=0) for tau in range(n_lags)])
+    (n, c), width = first.shape, followed.shape[1]
+    transposed, flat = np.ascontiguousarray(first.T), np.ascontiguousarray(followed)
+    products = np.empty((n_lags, c, width))
+    # Row k of `lagged` is followed[k + tau], ..., over a group of lags side by side: one matrix product for them all.
+    group = max(1, _GROUP_COLUMNS // width)
+    for tau in range(0, n_lags, group):
+        lags = min(group, n_lags - tau)
+        lagged = np.lib.stride_tricks.as_strided(
+            flat[tau:], (n, lags * width), (flat.strides[0], flat.strides[1]), writeable=False
+        )
+        products[tau : tau + lags] = (transposed @ lagged).reshape(c, lags, width).transpose(1, 0, 2)
+    running = np.concatenate([np.zeros((1, width)), np.cumsum(flat, axis=0)])
+    second = running[n : n + n_lags] - running[:n_lags]
     return products, first.sum(axis=0), second
 
 

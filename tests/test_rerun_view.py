@@ -128,7 +128,7 @@ def test_a_file_holds_everything(tmp_path: Path) -> None:
     assert len(found["/events"]) == 2
     assert "channel a3 was stuck" in found["/status"][ends[6]][0]
     assert "| 2 | 8.0 ± 2.0 |" in found["/status"][ends[0]][0]
-    assert {"/frame/story_1", "/frame/modes/1", "/frame/modes/3", "/alarm_level"} <= set(found)
+    assert {"/frame/stories", "/frame/modes", "/frame/modes/floors", "/alarm_level"} <= set(found)
     assert len(RrdReader(file).blueprints()) >= 1
 
 

@@ -14,6 +14,7 @@ from monitor.publish.rerun_scene import (
     RED,
     SERIES,
     STABILISATION,
+    Colour,
     Scene,
     blueprint,
     plus_minus,
@@ -175,40 +176,45 @@ class Picture:
             readings = list(zip(damage.ddi.tolist(), damage.ddi_std.tolist(), strict=True))
         if damage is not None:
             self._stream.log("/ddi/alarm_loss", rr.Scalars(100.0 * loss_at))
+        strips, colours, places, labels = [], [], [], []
         for j, (ddi, std) in enumerate(readings):
             self._bounded(f"/ddi/story_{j + 1}", ddi, std, 100.0)
             top, foot = self._z[j], self._z[j + 1]
-            colour = severity(ddi, loss_at)
-            strips = [[(x, y, foot), (x, y, top)] for x, y in COLUMNS]
+            strips += [[(x, y, foot), (x, y, top)] for x, y in COLUMNS]
+            colours += [severity(ddi, loss_at)] * len(COLUMNS)
+            places.append((-0.45, 0.0, (top + foot) / 2))
             known = "unknown" if ddi is None or std is None else plus_minus(ddi, std, 100) + " %"
-            path = f"/frame/story_{j + 1}"
-            self._stream.log(path, rr.LineStrips3D(strips, colors=[colour], radii=[0.022]))
-            label = rr.Points3D([(-0.45, 0.0, (top + foot) / 2)], labels=[f"story {j + 1}: {known}"],
-                                colors=[colour], radii=[0.0001], show_labels=True)  # fmt: skip
-            self._stream.log(path + "/label", label)
+            labels.append(f"story {j + 1}: {known}")
+        self._stream.log("/frame/stories", rr.LineStrips3D(strips, colors=colours, radii=[0.022]))
+        self._label("/frame/stories/labels", places, labels, colours[:: len(COLUMNS)])
+
+    def _label(
+        self, path: str, places: list[tuple[float, float, float]], labels: list[str], colours: list[Colour]
+    ) -> None:
+        self._stream.log(path, rr.Points3D(places, labels=labels, colors=colours, radii=[0.0001], show_labels=True))
 
     def _shapes(self, modes: ModalEstimate | None) -> None:
         """Mode shapes beside the frame: real part, floors without a sensor left out."""
-        lines = rows(modes) if modes else []
-        for k in set(range(self._scene.n_stories)).difference(row[0] for row in lines):
-            self._stream.log(f"/frame/modes/{k + 1}", rr.Clear(recursive=True))
         if modes is None:
+            self._stream.log("/frame/modes", rr.Clear(recursive=True))
             return
         order = sorted(range(len(self._scene.sensor_floor)), key=self._scene.sensor_floor.__getitem__)
         z = np.append(self._z[[self._scene.sensor_floor[c] - 1 for c in order]], 0.0)
-        for shape, row in zip(modes.shapes, lines, strict=True):
-            k, f = row[0], row[1]
+        strips, floors, colours, places, labels = [], [], [], [], []
+        for shape, (k, f, *_) in zip(modes.shapes, rows(modes), strict=True):
             x = 1.15 + 0.55 * k
             deflection = np.append(np.real(shape[order]), 0.0)
             deflection *= 0.2 / max(float(np.abs(deflection).max()), 1e-12)
-            shape_at = np.column_stack([x + deflection, np.zeros_like(z), z])
-            path, colour = f"/frame/modes/{k + 1}", SERIES[k % len(SERIES)]
-            strips = [np.array([(x, 0, 0), (x, 0, 1)]), shape_at]
-            self._stream.log(path, rr.LineStrips3D(strips, colors=[GREY, colour], radii=[0.004, 0.014]))
-            self._stream.log(path + "/floors", rr.Points3D(shape_at, colors=[colour], radii=[0.03]))
-            label = rr.Points3D([(x, 0, -0.12)], labels=[f"{f:.2f} Hz"], colors=[colour], radii=[0.0001],
-                                show_labels=True)  # fmt: skip
-            self._stream.log(path + "/label", label)
+            floors.append(np.column_stack([x + deflection, np.zeros_like(z), z]))
+            strips += [np.array([(x, 0, 0), (x, 0, 1)]), floors[-1]]
+            colours.append(SERIES[k % len(SERIES)])
+            places.append((x, 0.0, -0.12))
+            labels.append(f"{f:.2f} Hz")
+        of_strips = [c for colour in colours for c in (GREY, colour)]
+        self._stream.log("/frame/modes", rr.LineStrips3D(strips, colors=of_strips, radii=[0.004, 0.014] * len(labels)))
+        of_floors = [colour for colour in colours for _ in z]
+        self._stream.log("/frame/modes/floors", rr.Points3D(np.concatenate(floors), colors=of_floors, radii=[0.03]))
+        self._label("/frame/modes/labels", places, labels, colours)
 
     def _stabilisation(self, modes: ModalEstimate) -> None:
         """Poles in (Hz, order), stretched to the canvas, with their axes and the modes chosen."""
@@ -217,19 +223,23 @@ class Picture:
             return
         f_max = max(self._extent[0], 5.0 * np.ceil(poles[:, 1].max() / 5.0))
         n_max = max(self._extent[1], 10.0 * np.ceil(poles[:, 0].max() / 10.0))
-        self._extent = (f_max, n_max)
-        width, height = STABILISATION
-        stretch = rr.Transform3D(scale=(width / f_max, -height / n_max, 1.0))
+        if (f_max, n_max) != self._extent:
+            self._extent = (f_max, n_max)
+            self._stabilisation_axes(f_max, n_max)
         colours = np.where(poles[:, 3:] > 0, GREEN, GREY).astype(np.uint8)
         points = rr.Points2D(poles[:, [1, 0]], colors=colours, radii=rr.Radius.ui_points(2.5), draw_order=2.0)
-        self._stream.log("/stabilisation", stretch, points)
+        self._stream.log("/stabilisation", points)
+        chosen = [[(f, 0), (f, n_max)] for f in modes.frequencies_hz]
+        lines = rr.LineStrips2D(chosen, colors=[SERIES[k % len(SERIES)] for k in modes.model_mode],
+                                radii=rr.Radius.ui_points(0.8), draw_order=1.0)  # fmt: skip
+        self._stream.log("/stabilisation/modes", lines)
+
+    def _stabilisation_axes(self, f_max: float, n_max: float) -> None:
+        width, height = STABILISATION
+        self._stream.log("/stabilisation", rr.Transform3D(scale=(width / f_max, -height / n_max, 1.0)))
         frame = rr.LineStrips2D([[(0, n_max), (0, 0), (f_max, 0)]], colors=[GREY], draw_order=0.0)
         self._stream.log("/stabilisation/axes", frame)
         ticks = [(f, 0.0) for f in np.linspace(0, f_max, 6)] + [(-0.1 * f_max, n) for n in np.linspace(0, n_max, 3)[1:]]
         texts = [f"{f:g} Hz" for f, _ in ticks[:6]] + [f"order {n:g}" for _, n in ticks[6:]]
         marks = rr.Points2D(ticks, labels=texts, colors=[GREY], radii=rr.Radius.ui_points(2.0), show_labels=True)
         self._stream.log("/stabilisation/ticks", marks)
-        chosen = [[(f, 0), (f, n_max)] for f in modes.frequencies_hz]
-        lines = rr.LineStrips2D(chosen, colors=[SERIES[k % len(SERIES)] for k in modes.model_mode],
-                                radii=rr.Radius.ui_points(0.8), draw_order=1.0)  # fmt: skip
-        self._stream.log("/stabilisation/modes", lines)
