@@ -50,6 +50,9 @@ def replay(
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the results.")],
     baseline: Annotated[Path | None, typer.Option(metavar="B.json", help="Healthy baseline by 'calibrate'.")] = None,
     speed: Annotated[str, typer.Option(help="'max', or times real time.")] = "max",
+    serve: Annotated[
+        str | None, typer.Option(metavar="HOST:PORT", help="Rerun viewers may join here, as 127.0.0.1:9876.")
+    ] = None,
 ) -> None:
     """Run recordings through the monitor: results.jsonl, results.mcap, live.rrd and summary.json in DIR."""
     from monitor import replay as run
@@ -64,11 +67,21 @@ def replay(
         healthy,
         out,
         speed=_speed(speed),
+        serve=_address(serve),
         on_warning=_warn,
         on_progress=_progress("replay"),
     )
     print(replay_story(outcome.summary, has_baseline=healthy is not None))
     print(f"results in {out}; look at them with: rerun {out / 'live.rrd'}")
+
+
+def _address(text: str | None) -> tuple[str, int] | None:
+    if text is None:
+        return None
+    host, _, port = text.rpartition(":")
+    if not host or not port.isdigit() or not 0 < int(port) < 65536:
+        raise typer.BadParameter(f"--serve: {text!r} is not HOST:PORT, as 127.0.0.1:9876")
+    return host, int(port)
 
 
 def _speed(text: str) -> float | None:

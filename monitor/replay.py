@@ -107,7 +107,7 @@ def _pushed(pipeline: Pipeline, block: SampleBlock, paths: list[Path]) -> list[R
 class _Outputs:
     """The files of a replay: all under their final names, or none."""
 
-    def __init__(self, out: Path, scene: Scene) -> None:
+    def __init__(self, out: Path, scene: Scene, serve: tuple[str, int] | None) -> None:
         try:
             out.mkdir(parents=True, exist_ok=True)
             for name in ("results.jsonl", "results.mcap", "live.rrd", "summary.json"):
@@ -118,7 +118,7 @@ class _Outputs:
         except OSError as error:
             raise MissingInputError(f"{out}: cannot be written: {error.strerror}") from error
         self._out = out
-        self.view = RerunPublisher(scene, file=out / "live.rrd", serve=None, lossless=True)
+        self.view = RerunPublisher(scene, file=out / "live.rrd", serve=serve, lossless=True)
 
     def window(self, result: WindowResult) -> None:
         line = to_json(window_line(result))
@@ -163,6 +163,7 @@ def replay(
     out: Path,
     *,
     speed: float | None = None,
+    serve: tuple[str, int] | None = None,
     on_warning: OnWarning = lambda _: None,
     on_progress: OnProgress = lambda _: None,
 ) -> Outcome:
@@ -172,6 +173,8 @@ def replay(
     ----------
     speed : float, optional
         Times real time; as fast as possible when None.
+    serve : (str, int), optional
+        Address and port where Rerun viewers may join meanwhile.
 
     Raises
     ------
@@ -181,7 +184,7 @@ def replay(
     pipeline, progress = Pipeline(config, baseline), _Progress(on_progress)
     source = blocks(paths, config, on_warning)
     block = next(source, None)  # bad input shows before any output is begun
-    outputs = _Outputs(out, scene(config, baseline))
+    outputs = _Outputs(out, scene(config, baseline), serve)
     summary, last = Summary(len(config.structure.masses_kg)), None
     began = time.monotonic()
     try:
