@@ -40,6 +40,15 @@ def transform(design: SegmentDesign, samples: Array) -> ComplexArray:
     return np.asarray(spectrum / np.sqrt(design.rate_hz))
 
 
+def overlap_correlation() -> float:
+    """Correlation of spectral estimates from two segments that share half their samples.
+
+    The squared tapers' product over their square: 3/70 for the Hann taper (P. D. Welch, IEEE Transactions on Audio and
+    Electroacoustics 15 (1967) 70-73).
+    """
+    return 3.0 / 70.0
+
+
 LEAKAGE_OFFSETS = np.arange(-3, 4)
 """Half bins over which the taper blurs; beyond them lies less than 1e-3 of the power."""
 

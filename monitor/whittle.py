@@ -22,7 +22,7 @@ from pydantic import Field
 
 from monitor.results import Array, ComplexArray, ModalEstimate, Window
 from monitor.settings import Settings
-from monitor.spectrum import LEAKAGE_OFFSETS, leakage
+from monitor.spectrum import LEAKAGE_OFFSETS, leakage, overlap_correlation
 
 _TAPS = len(LEAKAGE_OFFSETS)
 
@@ -260,9 +260,8 @@ def _estimate(
     n = layout.n_modal
     n_segments = scores.shape[0]
     psi = scores @ covariance[:, :n] / n_segments
-    # Segments share half their samples: sums over three neighbours carry their correlation (Bartlett weights).
-    padded = np.concatenate([np.zeros((2, n)), psi, np.zeros((2, n))])
-    merged = (padded[:-2] + padded[1:-1] + padded[2:]) / np.sqrt(3.0)
+    # A mean has been taken out, and neighbours share half their samples: each adds its share to the variance.
+    psi *= np.sqrt(n_segments / (n_segments - 1.0) * (1.0 + 2.0 * overlap_correlation()))
     factor = np.linalg.cholesky(covariance[:n, :n] / n_segments).T
 
     def spread(rows: Array) -> Array:
@@ -278,7 +277,7 @@ def _estimate(
         frequencies_hz=np.exp(p.ln_f),
         damping_ratio=np.exp(p.ln_damping),
         shapes=p.shapes.T + 1j * modes.shapes.imag,
-        deviations=spread(merged),
+        deviations=spread(psi),
         first=first_segment,
         weight_factor=spread(factor),
         refined=True,

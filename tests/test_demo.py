@@ -98,8 +98,8 @@ def test_the_viewer_draws_the_demo(results: tuple[Path, str], tmp_path: Path) ->
     picture = pixels(shot)
     red = (picture[:, :, 0] > 180) & (picture[:, :, 1] < 90) & (picture[:, :, 2] < 90)
     green = (picture[:, :, 1] > 140) & (picture[:, :, 0] < 120) & (picture[:, :, 2] < 160)
-    assert red.sum() > 2000, "the story that lost stiffness and the alarm are red"
-    assert green.sum() > 2000, "the sound stories are green"
+    assert red.sum() > 500, "the story that lost stiffness and the alarm are red"
+    assert green.sum() > 500, "the sound stories are green"
     # Twelve tiles of the window: each shows something, text or lines, on its dark ground.
     tiles = [t for band in np.array_split(picture[60:-60], 3) for t in np.array_split(band, 4, axis=1)]
     assert min(float((t.max(axis=2) > 100).mean()) for t in tiles) > 0.001

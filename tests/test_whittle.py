@@ -10,7 +10,7 @@ from monitor.model import Model
 from monitor.poles import SelectionSettings, identify
 from monitor.results import ModalEstimate, Window
 from monitor.simulate import simulate
-from monitor.spectrum import LEAKAGE_OFFSETS, SegmentDesign, leakage, taper, transform
+from monitor.spectrum import LEAKAGE_OFFSETS, SegmentDesign, leakage, overlap_correlation, taper, transform
 from monitor.ssi import SsiSettings
 from monitor.structures import ShearFrame
 from monitor.whittle import RefinementSettings, refine
@@ -38,6 +38,11 @@ def test_the_leakage_kernel_is_that_of_the_taper() -> None:
     power = np.abs(np.fft.fft(taper(n), 2 * n)) ** 2
     power /= power.sum()
     np.testing.assert_allclose(leakage(), power[LEAKAGE_OFFSETS], atol=1e-3)
+
+
+def test_the_overlap_correlation_is_that_of_the_taper() -> None:
+    power = taper(256) ** 2
+    assert overlap_correlation() == pytest.approx((power[:128] * power[128:]).sum() / (power**2).sum())
 
 
 def test_the_transform_has_the_density_of_white_noise() -> None:
