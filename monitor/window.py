@@ -1,6 +1,6 @@
 """Sliding windows as lag sums: each hop costs one hop of products, however long the window.
 
-The time axis is cut into blocks of gcd(window, hop) samples on a fixed grid.  A block's lagged products are formed
+The time axis is cut into blocks that tile windows and hops, on a fixed grid.  A block's lagged products are formed
 once; a window only adds up its blocks.  So the cost is the hop's, the sum never drifts, and the blocks are at hand
 for the uncertainty.
 """
@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from math import gcd
+from math import ceil, gcd
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from monitor.results import Array, ComplexArray, LagSums, Skipped, Window
 from monitor.spectrum import SegmentDesign, transform
 
 _GROUP_COLUMNS = 256
+_BLOCK_S = 10.0
 
 
 def common_step_s(window_s: float, hop_s: float) -> float:
@@ -45,8 +46,11 @@ class WindowGrid:
 
     @property
     def block_n(self) -> int:
-        """Samples in a block: the largest that tiles windows and hops."""
-        return gcd(self.window_n, self.hop_n)
+        """Samples in a block: the largest of at most 10 s that tiles windows and hops."""
+        step = gcd(self.window_n, self.hop_n)
+        least = max(1, ceil(step / (_BLOCK_S * self.rate_hz)))
+        parts = (q for q in range(least, step // self.n_lags + 1) if step % q == 0)
+        return step // next(parts, 1)
 
     @property
     def segment_step(self) -> int:

@@ -169,3 +169,14 @@ def test_a_clock_that_jumps_costs_no_work_for_every_window_that_is_not_there() -
     _, items = feed(grid, state, np.tile(RECORD, (8, 1)))
     assert [i.index for i in items if isinstance(i, Window)] == [away // 500 + k for k in range(3)]
     assert time.process_time() - began < 0.5
+
+
+@pytest.mark.parametrize(
+    ("window_s", "hop_s", "block"), [(400, 10, 1000), (400, 400, 1000), (60, 5, 500), (300, 30, 1000), (70, 7, 700)]
+)
+def test_blocks_last_at_most_ten_seconds_and_tile_windows_and_hops(window_s: float, hop_s: float, block: int) -> None:
+    """Windows that do not overlap have blocks too, or their uncertainty would be lost."""
+    grid = WindowGrid.design(100.0, window_s, hop_s, 50)
+    assert grid.block_n == block
+    assert grid.window_n % block == 0
+    assert grid.hop_n % block == 0

@@ -228,15 +228,15 @@ class Picture:
             self._stabilisation_axes(f_max, n_max)
         colours = np.where(poles[:, 3:] > 0, GREEN, GREY).astype(np.uint8)
         points = rr.Points2D(poles[:, [1, 0]], colors=colours, radii=rr.Radius.ui_points(2.5), draw_order=2.0)
-        self._stream.log("/stabilisation", points)
+        width, height = STABILISATION
+        self._stream.log("/stabilisation", rr.Transform3D(scale=(width / f_max, -height / n_max, 1.0)), points)
         chosen = [[(f, 0), (f, n_max)] for f in modes.frequencies_hz]
         lines = rr.LineStrips2D(chosen, colors=[SERIES[k % len(SERIES)] for k in modes.model_mode],
                                 radii=rr.Radius.ui_points(0.8), draw_order=1.0)  # fmt: skip
         self._stream.log("/stabilisation/modes", lines)
 
     def _stabilisation_axes(self, f_max: float, n_max: float) -> None:
-        width, height = STABILISATION
-        self._stream.log("/stabilisation", rr.Transform3D(scale=(width / f_max, -height / n_max, 1.0)))
+        """Drawn anew only when they grow."""
         frame = rr.LineStrips2D([[(0, n_max), (0, 0), (f_max, 0)]], colors=[GREY], draw_order=0.0)
         self._stream.log("/stabilisation/axes", frame)
         ticks = [(f, 0.0) for f in np.linspace(0, f_max, 6)] + [(-0.1 * f_max, n) for n in np.linspace(0, n_max, 3)[1:]]
