@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from pydantic import Field
 
-from monitor.results import Alarm, DamageReading, Level
+from monitor.results import WHOLE, Alarm, Array, DamageReading, Level
 from monitor.settings import Settings
+
+_UNIFORM_SIGNIFICANCE = 3.0
 
 
 class AlarmSettings(Settings):
@@ -22,6 +24,8 @@ class AlarmSettings(Settings):
     """A confirmed loss of at least this is an `alarm`."""
     model_form: float = Field(default=0.05, ge=0)
     """Share of another story's loss that the model's wrong form may show here (one standard deviation)."""
+    uniform_loss: float = Field(default=0.05, gt=0, lt=1)
+    """A change alike in all stories is announced, as `advisory` of the whole structure, from this loss on."""
     confirm_s: float = Field(default=100.0, ge=0)
     """On-delay: a loss is confirmed when it has stayed significant this long."""
     clear_s: float = Field(default=100.0, ge=0)
@@ -41,8 +45,23 @@ class StoryState:
 
 
 def start(n_stories: int) -> tuple[StoryState, ...]:
-    """State before the first window."""
-    return tuple(StoryState() for _ in range(n_stories))
+    """State before the first window: the stories, then the structure as a whole."""
+    return tuple(StoryState() for _ in range(n_stories + 1))
+
+
+def uniform_change(ddi: Array, std: Array) -> float:
+    """The part of a change that all stories share, or 0 where fewer stories changed than that would need.
+
+    Weather, added mass, a slow clock and a loss in every story alike look the same in accelerations.  With three or
+    more stories that all changed significantly, taking the least change out of all is the simpler story if fewer are
+    left over.
+    """
+    significant = np.abs(ddi) > _UNIFORM_SIGNIFICANCE * std
+    if ddi.size < 3 or not significant.all():
+        return 0.0
+    shared = float(ddi.min())
+    left_over = np.abs(ddi - shared) > _UNIFORM_SIGNIFICANCE * std
+    return shared if np.count_nonzero(left_over) < ddi.size - 1 else 0.0
 
 
 def step(
@@ -55,11 +74,22 @@ def step(
     ddi = damage.ddi
     elsewhere = np.array([np.delete(np.abs(ddi), j).max(initial=0.0) for j in range(ddi.size)])
     std = np.sqrt(damage.ddi_std**2 + (settings.model_form * elsewhere) ** 2 + 1e-24)
-    states = tuple(
-        _judge(state, float(d), float(d / s), t_ns, settings) for state, d, s in zip(states, ddi, std, strict=True)
+    shared = uniform_change(ddi, std)
+    own = ddi - shared
+    judged = [_judge(s, float(d), float(d / e), t_ns, settings) for s, d, e in zip(states, own, std, strict=False)]
+    whole = _judge(
+        states[-1], shared if shared >= settings.uniform_loss else 0.0, float(shared / std.max()), t_ns, settings
     )
-    lost = {j: f"story {j} lost {100 * ddi[j - 1]:.1f} +- {100 * std[j - 1]:.1f} %" for j in range(1, ddi.size + 1)}
-    return states, _summarize(states, lost, "no significant loss")
+    if whole.level is not Level.NORMAL:  # its cause is open, so it is never more than this
+        whole = replace(whole, level=Level.ADVISORY)
+    lost = {j: f"story {j} lost {100 * own[j - 1]:.1f} +- {100 * std[j - 1]:.1f} %" for j in range(1, ddi.size + 1)}
+    lost[WHOLE] = f"all stories lost {100 * shared:.1f} % alike (weather, mass, clock or stiffness)"
+    otherwise = "no significant loss"
+    if shared:
+        otherwise = (
+            f"all stories changed alike, stiffness by {-100 * shared:+.1f} % (weather, mass, clock or stiffness)"
+        )
+    return (*judged, whole), _summarize((*judged, whole), lost, otherwise)
 
 
 def hold(states: tuple[StoryState, ...]) -> Alarm:
@@ -68,13 +98,16 @@ def hold(states: tuple[StoryState, ...]) -> Alarm:
 
 
 def _summarize(states: tuple[StoryState, ...], lost: dict[int, str], otherwise: str) -> Alarm:
-    active: dict[int, Level] = {j + 1: s.level for j, s in enumerate(states) if s.level is not Level.NORMAL}
+    numbers = [*range(1, len(states)), WHOLE]
+    active: dict[int, Level] = {j: s.level for j, s in zip(numbers, states, strict=True) if s.level is not Level.NORMAL}
     if not active:
         return Alarm(Level.NORMAL, (), otherwise)
     level = max(active.values(), key=lambda item: item.rank)
-    stories = tuple(j for j, item in active.items() if item is level)
-    words = ", ".join(lost[j] for j in stories if j in lost) or otherwise
-    return Alarm(level, stories, words + (", not confirmed yet" if level is Level.ADVISORY else ""), active)
+    highest = [j for j, item in active.items() if item is level]
+    words = ", ".join(lost[j] for j in highest if j in lost) or otherwise
+    unconfirmed = level is Level.ADVISORY and highest != [WHOLE]
+    stories = tuple(j for j in highest if j != WHOLE)
+    return Alarm(level, stories, words + (", not confirmed yet" if unconfirmed else ""), active)
 
 
 def _judge(state: StoryState, ddi: float, z: float, t_ns: int, settings: AlarmSettings) -> StoryState:

@@ -16,6 +16,10 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 
+WHOLE = 0
+"""Story number of the structure as a whole."""
+
+
 class Level(StrEnum):
     """Alarm levels, in rising order."""
 
@@ -172,7 +176,7 @@ class Alarm:
     """Story numbers from 1 at this level; empty for the whole structure or none."""
     reason: str
     active: dict[int, Level] = field(default_factory=dict)
-    """Level of every story that is not normal."""
+    """Level of every story that is not normal; `WHOLE` stands for the structure as a whole."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)

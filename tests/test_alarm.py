@@ -173,7 +173,7 @@ def test_levels_rise_step_by_step_and_need_their_time(ddi: list[float]) -> None:
 
 
 def test_start_is_normal_everywhere() -> None:
-    assert alarm.start(4) == (StoryState(),) * 4
+    assert alarm.start(4) == (StoryState(),) * 5  # four stories and the structure as a whole
 
 
 @pytest.mark.parametrize("key", ["significance", "alarm_loss", "confirm_s", "clear_s", "deadband", "min_loss"])
@@ -181,3 +181,32 @@ def test_senseless_settings_are_refused(key: str) -> None:
     for value in (-1.0, float("nan"), float("inf")):
         with pytest.raises(ValidationError):
             AlarmSettings(**{key: value})
+
+
+def test_a_change_alike_in_all_stories_is_no_damage_of_one() -> None:
+    """Weather: all stories lose 3 % alike, and nothing is announced; the reason says what was seen."""
+    site = Site(3)
+    for _ in range(40):
+        verdict = site.one(0.031, 0.030, 0.0305, std=0.001)
+    assert verdict.level is Level.NORMAL
+    assert "all stories changed alike" in verdict.reason
+
+
+def test_damage_shows_through_a_uniform_change() -> None:
+    site = Site(3)
+    for _ in range(40):
+        verdict = site.one(-0.03, 0.03, -0.03, std=0.001)
+    assert set(verdict.active) == {2}
+    assert "story 2 lost 6.0" in verdict.reason
+
+
+def test_a_great_uniform_loss_is_an_advisory_of_the_whole_structure_and_no_more() -> None:
+    site = Site(3)
+    for _ in range(40):
+        verdict = site.one(0.2, 0.2, 0.2)
+    assert (verdict.level, verdict.stories, verdict.active) == (Level.ADVISORY, (), {0: Level.ADVISORY})
+
+
+@pytest.mark.parametrize("losses", [(0.0, 0.2, 0.1), (0.1, 0.1, 0.0), (-0.05, 0.0, 0.0), (0.1, 0.2, 0.3)])
+def test_what_needs_more_words_than_single_stories_is_no_uniform_change(losses: tuple[float, ...]) -> None:
+    assert alarm.uniform_change(np.array(losses), np.full(3, 0.001)) == 0.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from monitor.results import Gap, Level, WindowResult
+from monitor.results import WHOLE, DamageReading, Gap, Level, WindowResult
 
 
 @dataclass(slots=True)
@@ -55,15 +55,10 @@ class Summary:
             if story not in active:
                 self._open.pop(story).t_last_ns = result.t_end_ns
         for story, level in active.items():
-            j = story - 1
-            reading = (
-                float(result.damage.ddi[j]),
-                float(result.damage.ddi_std[j]),
-                float(result.damage.loss_n_per_m[j]),
-            )
+            reading = _reading(result.damage, story)
             episode = self._open.get(story)
             if episode is None:
-                episode = Episode(level.value, story, result.t_end_ns, None, *reading)
+                episode = Episode(level.value, None if story == WHOLE else story, result.t_end_ns, None, *reading)
                 self._open[story] = episode
                 self.alarms.append(episode)
             elif level.rank >= Level(episode.level).rank and reading[0] > 2.0 * reading[1]:
@@ -94,3 +89,9 @@ class Summary:
             "structure_file_frequencies_hz": model_frequencies_hz,
             "frequency_misfit": misfit,
         }
+
+
+def _reading(damage: DamageReading, story: int) -> tuple[float, float, float]:
+    """DDI, its standard deviation and the loss in N/m of a story; for the whole structure, of the story that lost least."""
+    j = int(damage.ddi.argmin()) if story == WHOLE else story - 1
+    return float(damage.ddi[j]), float(damage.ddi_std[j]), float(damage.loss_n_per_m[j])
