@@ -82,7 +82,10 @@ def step(
     )
     if whole.level is not Level.NORMAL:  # its cause is open, so it is never more than this
         whole = replace(whole, level=Level.ADVISORY)
-    lost = {j: f"story {j} lost {100 * own[j - 1]:.1f} +- {100 * std[j - 1]:.1f} %" for j in range(1, ddi.size + 1)}
+    lost = {
+        j: f"story {j} lost {100 * own[j - 1]:.1f} +- {100 * std[j - 1]:.1f} % (1 sigma)"
+        for j in range(1, ddi.size + 1)
+    }
     lost[WHOLE] = f"all stories lost {100 * shared:.1f} % alike (weather, mass, clock or stiffness)"
     otherwise = "no significant loss"
     if shared:

@@ -13,7 +13,8 @@ import typer
 from threadpoolctl import threadpool_limits
 
 from monitor import __version__, config
-from monitor.errors import BadConfigurationError, MissingInputError, UserError
+from monitor.errors import BadConfigurationError, UserError
+from monitor.files import demand_place, spare_inputs, write_atomically
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -59,6 +60,8 @@ def replay(
     from monitor.baseline import load
     from monitor.publish.lines import replay_story
 
+    names = ("results.jsonl", "results.mcap", "live.rrd", "summary.json")
+    spare_inputs([out / name for name in names], [*recordings, structure, baseline])
     settings = config.load(structure)
     healthy = None if baseline is None else load(baseline, settings)
     outcome = run.replay(
@@ -106,12 +109,11 @@ def calibrate(
     from monitor import replay as run
     from monitor.baseline import save
 
+    spare_inputs([out], [*recordings, structure])
     settings = config.load(structure)
+    demand_place(out)
     baseline, fit = run.calibrate(recordings, settings, on_warning=_warn, on_progress=_progress("calibrate"))
-    try:
-        save(baseline, out)
-    except OSError as error:
-        raise MissingInputError(f"{out}: cannot be written: {error.strerror}") from error
+    save(baseline, out)
     drawn = settings.model().modes().frequencies_hz
     print(f"{baseline.windows} windows; the updating {'converged' if fit.converged else 'did NOT converge'}")
     for i, (f, std) in enumerate(zip(baseline.frequencies_hz, baseline.frequencies_std_hz, strict=True), start=1):
@@ -138,6 +140,7 @@ def simulate(
     """Write a recording with known truth."""
     from monitor import record
 
+    spare_inputs([out], [structure])
     record.simulate_to(
         out,
         config.load(structure),
@@ -174,6 +177,8 @@ def import_(
         name, separator, place = item.partition("=")
         if not separator or not name or not place:
             raise typer.BadParameter(f"--channel: {item!r} is not NAME=FILE[:COLUMN]")
+        if name in channels:
+            raise typer.BadParameter(f"--channel: {name!r} stands twice")
         channels[name] = place
     info = import_files(
         files, out, rate_hz=rate, unit=unit, channels=channels or None, ground=ground, start=start, on_warning=_warn
@@ -202,11 +207,11 @@ def reproduce(
     """The paper's Tables 2-7 and DDI figures beside ours."""
     from monitor import reproduce as paper
 
+    if json_file is not None:
+        demand_place(json_file)
     content = paper.reproduce(seeds, on_progress=_progress("reproduce"))
     print(paper.report(content))
     if json_file is not None:
-        from monitor.files import write_atomically
-
         write_atomically(json_file, json.dumps(content, indent=1, allow_nan=False) + "\n")
 
 

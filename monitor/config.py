@@ -146,6 +146,10 @@ class Configuration(Settings):
             problems.append(f"processing: window_s and hop_s must be whole numbers of samples at {p.rate_hz:g} Hz")
         if not problems and np.linalg.eigvalsh(self.model().stiffness_matrix()).min() <= 0:
             problems.append("effects: with them the structure would not stand (its stiffness is not positive)")
+        if not problems and self.model().modes().frequencies_hz[0] > self.processing.cutoff_hz:
+            problems.append(
+                "structure: every natural frequency lies beyond cutoff_hz; are masses in kg, stiffness in N/m?"
+            )
         if problems:
             raise ValueError("\n".join(problems))
         return self

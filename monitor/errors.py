@@ -9,6 +9,12 @@ class UserError(Exception):
     exit_code = 1
 
 
+class WrongUsageError(UserError):
+    """The command was called in a way that makes no sense, as with an output in the place of an input."""
+
+    exit_code = 2
+
+
 class BadInputError(UserError):
     """The data cannot be used: missing channel, unknown unit, unreadable bytes, too short."""
 

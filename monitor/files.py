@@ -4,12 +4,47 @@ from __future__ import annotations
 
 import hashlib
 import os
+from collections.abc import Iterable
+from errno import EISDIR
 from pathlib import Path
+
+from monitor.errors import MissingInputError, WrongUsageError
 
 
 def partial(path: Path) -> Path:
     """Where a file is written before it takes its final name."""
     return path.with_name(path.name + ".part")
+
+
+def spare_inputs(outputs: Iterable[Path], inputs: Iterable[Path | None]) -> None:
+    """Refuse to write over what is read.
+
+    Raises
+    ------
+    WrongUsageError
+    """
+    taken = {path.resolve() for path in inputs if path is not None}
+    for path in outputs:
+        if path.resolve() in taken:
+            raise WrongUsageError(f"{path} is an input of this command; name another place for its output")
+
+
+def demand_place(path: Path) -> None:
+    """Make the folder of an output and see that a file can be written there.
+
+    Raises
+    ------
+    MissingInputError
+    """
+    try:
+        path.resolve().parent.mkdir(parents=True, exist_ok=True)
+        if path.is_dir():
+            raise IsADirectoryError(EISDIR, "is a folder")
+        with partial(path).open("w"):
+            pass
+        partial(path).unlink()
+    except OSError as error:
+        raise MissingInputError(f"{path}: cannot be written: {error.strerror}") from error
 
 
 def finish(path: Path) -> None:

@@ -78,11 +78,16 @@ def identify(
     complete = realisation.singular_values.size < ssi.max_order
     poles = _plausible(spaces, window.rate_hz, select, complete)
     in_band = reference.frequencies_hz < 0.45 * window.rate_hz
+    if not in_band.any():
+        return Skipped("every mode of the model lies beyond the band; check the units of masses and stiffness")
     shapes = (sensors @ reference.shapes[:, in_band]).T
     modes = _match(poles, len(spaces), reference.frequencies_hz[in_band], shapes, select)
     missing = [str(i + 1) for i, m in enumerate(modes) if m is None]
     if missing:
-        return Skipped(f"no stable pole for mode {', '.join(missing)} of the model")
+        return Skipped(
+            f"no stable pole for mode {', '.join(missing)} of the model (frequency and shape; "
+            "check floors, signs and units of the channels)"
+        )
     clusters = [m for m in modes if m is not None]
     chosen = _common_order(poles, clusters, spaces)
     if chosen is None:

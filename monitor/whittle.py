@@ -25,6 +25,7 @@ from monitor.settings import Settings
 from monitor.spectrum import LEAKAGE_OFFSETS, leakage, overlap_correlation
 
 _TAPS = len(LEAKAGE_OFFSETS)
+_LN_NOISE_STD = 3.0
 
 
 class RefinementSettings(Settings):
@@ -98,8 +99,13 @@ def refine(window: Window, modes: ModalEstimate, settings: RefinementSettings) -
             level = _levels(inverse, outer)
             mean = np.tensordot(1.0 / level, outer, axes=1) / level.size
             information, score = _scoring(inverse, slopes, mean - spectrum)
+            # Next to none may be known of a noise that hides below the response: a wide prior keeps it in bounds.
+            noise = np.arange(len(information) - point.noise.size, len(information))
+            information[noise, noise] += 1.0 / (_LN_NOISE_STD**2 * level.size)
             scale = 1.0 / np.sqrt(np.diag(information))
             covariance = scale[:, None] * np.linalg.inv(information * scale[:, None] * scale) * scale
+            if not (np.isfinite(covariance).all() and np.diag(covariance).min() > 0):
+                return modes
             step = covariance @ score
             moved = np.abs(step) / np.sqrt(np.diag(covariance) / level.size)
             point = _moved(layout, point, step)

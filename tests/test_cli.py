@@ -709,3 +709,46 @@ def test_a_recording_without_a_single_sample_is_refused(site: Site, tmp_path: Pa
 def test_a_partial_last_second_is_kept(site: Site, tmp_path: Path) -> None:
     assert_ok(site.simulate(tmp_path / "s.mcap", "--duration", 2.5))
     assert recording_info(tmp_path / "s.mcap").n_samples == round(2.5 * RATE)
+
+
+# --- outputs never take the place of inputs; what was not judged is not called healthy ---
+
+
+@pytest.mark.parametrize("victim", ["structure", "recording"])
+def test_an_output_in_the_place_of_an_input_is_refused_and_the_input_kept(
+    site: Site, victim: str, tmp_path: Path
+) -> None:
+    recording = site.write("kept.mcap", site.values(25))
+    structure = tmp_path / "kept.toml"
+    structure.write_text(site.quick.read_text())
+    target = {"structure": structure, "recording": recording}[victim]
+    before = target.read_bytes()
+    done = site.main("calibrate", recording, "--structure", structure, "--out", target)
+    assert done.returncode == 2
+    assert f"{target} is an input of this command" in done.stderr
+    assert target.read_bytes() == before
+
+
+def test_a_replay_never_overwrites_its_own_baseline(site: Site, tmp_path: Path) -> None:
+    recording, baseline = site.write("r.mcap", site.values(25)), tmp_path / "summary.json"
+    assert_ok(site.main("calibrate", recording, "--structure", site.quick, "--out", baseline))
+    done = site.main("replay", recording, "--structure", site.quick, "--baseline", baseline, "--out", tmp_path)
+    assert done.returncode == 2
+    assert f"{baseline} is an input of this command" in done.stderr
+
+
+def test_a_replay_that_judged_nothing_says_so_and_why(site: Site, tmp_path: Path) -> None:
+    values = site.values(25)
+    values[:, 1] = 0.0
+    done = site.main("replay", site.write("dead.mcap", values), "--structure", site.quick, "--out", tmp_path / "o")
+    assert done.returncode == 0
+    assert "channel a2 does not move" in done.stdout
+    assert "no alarm" not in done.stdout
+    summary = json.loads((tmp_path / "o" / "summary.json").read_text())
+    assert summary["skip_reasons"] == {"channel a2 does not move": summary["windows"]}
+
+
+def test_masses_in_tonnes_are_told_as_such(site: Site, tmp_path: Path, frame_text: str) -> None:
+    path = tmp_path / "wrong.toml"
+    path.write_text(frame_text.replace("masses_kg = [0.3253, 0.3514, 0.3129]", "masses_kg = [3e-4, 3e-4, 3e-4]"))
+    assert_refused(site.main("check", path), {78}, "kg")

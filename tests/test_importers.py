@@ -331,3 +331,10 @@ def test_whatever_the_bytes_only_the_two_errors_escape(tmp_path: Path, kind: str
             assert "a.csv" in str(error)
             outcomes.add("refused")
     assert outcomes == {"read", "refused"}
+
+
+def test_the_comment_mark_of_numpys_header_is_no_part_of_a_name(tmp_path: Path) -> None:
+    rows = "".join(f"{k / 100:.2f},{k},{-k}\n" for k in range(300))
+    info, values, _ = convert(tmp_path / "a.csv", "# t,a1,a2\n" + rows)
+    assert (info.channels[ACCELERATION], info.sample_rate_hz) == (("a1", "a2"), 100.0)
+    np.testing.assert_allclose(values[:, 0], np.arange(300))

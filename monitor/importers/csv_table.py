@@ -104,6 +104,7 @@ def cut(path: Path, text: str, on_warning: OnWarning) -> Cells:
     # Some loggers end the header, but no row, with a delimiter.
     if head is not None and (len(rows[head]) == width or rows[head][width:] == [""]):
         header = rows[head][:width]
+        header[0] = header[0].lstrip("#% ") or header[0]  # numpy.savetxt's mark of a comment
         if any(map(_NUMBER.fullmatch, header)) and not any(map(_TIME.fullmatch, header)):
             bad = next(cell for cell in header if not _NUMBER.fullmatch(cell))
             raise BadInputError(f"{path}: line {head + 1}: {bad[:40]!r} is no number")

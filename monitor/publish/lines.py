@@ -38,6 +38,7 @@ def window_line(result: WindowResult) -> dict[str, Any]:
         "damping_std": modes and _rounded(modes.damping_std),
         "mode_shapes": shapes,
         "order": modes and modes.order,
+        "refined": modes and modes.refined,
         "stiffness_n_per_m": stiffness and _rounded(stiffness.stiffness_n_per_m),
         "stiffness_std": stiffness and _rounded(np.sqrt(np.diag(stiffness.covariance))),
         "ddi": damage and _rounded(damage.ddi),
@@ -100,9 +101,17 @@ def replay_story(summary: dict[str, Any], *, has_baseline: bool) -> str:
             )
     for a in summary["alarms"]:
         text.append(
-            f"{a['level']}: story {a['story']} lost {100 * a['ddi']:.2f} +- {100 * a['ddi_std']:.2f} % "
-            f"({a['loss_n_per_m']:.4g} N/m)"
+            f"{a['level']}: {_place(a['story'])} lost {100 * a['ddi']:.2f} +- {100 * a['ddi_std']:.2f} % "
+            f"(1 sigma; {a['loss_n_per_m']:.4g} N/m)"
         )
-    if not summary["alarms"]:
+    for reason, count in summary["skip_reasons"].items():
+        text.append(f"{count} of {summary['windows']} windows could not be judged: {reason}")
+    if summary["skipped"] == summary["windows"]:
+        text.append("nothing could be judged, so nothing is said about the structure's health")
+    elif not summary["alarms"]:
         text.append("no alarm" if has_baseline else "no baseline, so no alarm can be raised; make one with 'calibrate'")
     return "\n".join(text)
+
+
+def _place(story: int | None) -> str:
+    return "every story" if story is None else f"story {story}"

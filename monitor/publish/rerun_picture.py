@@ -143,6 +143,8 @@ class Picture:
     def _alarm(self, result: WindowResult) -> None:
         """Tell changes of level only; a recording begins as normal."""
         alarm = result.alarm
+        if result.skipped is not None and alarm.level is Level.NORMAL:
+            return  # not judged is not normal
         if alarm.level is self._level:
             return
         if self._level is not None or alarm.level is not Level.NORMAL:

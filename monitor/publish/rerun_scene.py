@@ -74,7 +74,8 @@ def status(scene: Scene, result: WindowResult) -> str:
     """The state after a window in words, Markdown; intervals are two standard deviations."""
     end = datetime.fromtimestamp(result.t_end_ns * 1e-9, UTC)
     alarm, modes, damage = result.alarm, result.modes, result.damage
-    lines = [f"# {alarm.level.value.upper()}", alarm.reason, ""]
+    judged = result.skipped is None or alarm.level is not Level.NORMAL
+    lines = [f"# {alarm.level.value.upper() if judged else 'NOT JUDGED'}", alarm.reason, ""]
     if result.skipped is not None:
         lines += [f"**No result for this window:** {result.skipped.reason}", ""]
     if damage is not None:

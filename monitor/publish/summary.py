@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -32,6 +33,8 @@ class Summary:
     skipped: int = 0
     gaps: int = 0
     dropped_samples: int = 0
+    skip_reasons: dict[str, int] = field(default_factory=dict)
+    """How many windows were skipped for each reason."""
     alarms: list[Episode] = field(default_factory=list)
     frequencies_hz: list[float] | None = None
     _n_frequencies: int = 0
@@ -46,6 +49,8 @@ class Summary:
         self.windows += 1
         if result.skipped is not None:
             self.skipped += 1
+            reason = re.sub(r" \(.*", "", result.skipped.reason)  # figures in brackets would make each one its own
+            self.skip_reasons[reason] = self.skip_reasons.get(reason, 0) + 1
             return
         if result.modes is not None:
             self._average(result.modes.frequencies_hz.tolist())
@@ -81,6 +86,7 @@ class Summary:
         return {
             "windows": self.windows,
             "skipped": self.skipped,
+            "skip_reasons": self.skip_reasons,
             "alarms": [asdict(e) for e in self.alarms],
             "dropped_samples": self.dropped_samples,
             "gaps": self.gaps,
