@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from monitor import baseline, config, replay
+from monitor.errors import MissingInputError
 from monitor.publish.lines import replay_story
 
 
@@ -17,6 +18,8 @@ def run(recordings: Path, out: Path, *, say: Callable[[str], None], on_warning: 
     MissingInputError, BadInputError
         If `recordings` does not hold the shipped recordings.
     """
+    if not (recordings / "frame.toml").is_file():
+        raise MissingInputError(f"{recordings}: no recordings here; run in the project's folder or give --recordings")
     frame = config.load(recordings / "frame.toml")
     say("1. Calibrating on a healthy recording of a simulated three-story frame whose drawing is wrong on purpose ...")
     healthy, _ = replay.calibrate([recordings / "frame-healthy.mcap"], frame, on_warning=on_warning)
