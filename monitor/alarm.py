@@ -16,7 +16,7 @@ _UNIFORM_SIGNIFICANCE = 3.0
 class AlarmSettings(Settings):
     """When a loss of stiffness is announced."""
 
-    significance: float = Field(default=4.0, gt=0)
+    significance: float = Field(default=5.0, gt=0)
     """DDI over its standard deviation from which a loss is significant (one-sided)."""
     min_loss: float = Field(default=0.005, ge=0, lt=1)
     """Losses below this are never announced."""

@@ -47,7 +47,9 @@ class Baseline:
     """Least and largest RMS of the windows, mean over channels."""
     reference_temperature_degc: float | None = None
     recordings: tuple[dict[str, Any], ...] = field(default=())
-    """Name, sha256 and start of every recording used."""
+    """Name and sha256 of every recording used."""
+    span_ns: tuple[int, int] = (0, 0)
+    """UTC of the healthy data's first sample and of their end."""
 
     def target(self, observation: Observation) -> Observation:
         """The observation with the standing misfit taken out: what the baseline's model should predict."""
@@ -66,6 +68,7 @@ def learn(
     windows: list[ModalEstimate],
     rms: Array,
     recordings: tuple[dict[str, Any], ...],
+    span_ns: tuple[int, int] = (0, 0),
 ) -> tuple[Baseline, Update]:
     """The baseline from the windows of healthy recordings.
 
@@ -134,6 +137,7 @@ def learn(
         windows=len(windows),
         level_range_m_s2=(float(rms.min()), float(rms.max())),
         recordings=recordings,
+        span_ns=span_ns,
     )
     return baseline, fit
 
@@ -162,6 +166,7 @@ _PLAIN = (
     "level_range_m_s2",
     "reference_temperature_degc",
     "recordings",
+    "span_ns",
 )
 
 
@@ -198,7 +203,7 @@ def load(path: Path, config: Configuration) -> Baseline:
         arrays: dict[str, Any] = {name: np.array(content[name], dtype=float) for name in _ARRAYS}
         stiffness, masses = (np.array(content[name], dtype=float) for name in ("stiffness_n_per_m", "masses_kg"))
         plain = {name: content[name] for name in _PLAIN}
-        for name in ("model_mode", "gauges", "channels", "floors", "level_range_m_s2", "recordings"):
+        for name in ("model_mode", "gauges", "channels", "floors", "level_range_m_s2", "recordings", "span_ns"):
             plain[name] = tuple(plain[name])
     except (ValueError, KeyError, TypeError) as error:
         raise BadInputError(f"{path}: not a baseline file ({error!r}); make one with 'calibrate'") from error

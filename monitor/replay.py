@@ -252,4 +252,6 @@ def calibrate(
     recordings = tuple({"file": p.name, "sha256": sha256(p)} for p in paths)
     windows = [r.modes for r in good if r.modes is not None]
     rms = np.array([r.rms_m_s2 for r in good])
-    return learn(config, windows, rms, recordings)
+    assert progress.first is not None
+    span_ns = (progress.first.t_ns, pipeline.state.align.t_next_ns())
+    return learn(config, windows, rms, recordings, span_ns)
