@@ -14,7 +14,7 @@ from monitor.errors import BadInputError, MissingInputError
 from monitor.files import write_atomically
 from monitor.model import Model
 from monitor.results import Array, ModalEstimate
-from monitor.updating import Observation, Update, observe, predict, update
+from monitor.updating import Observation, Update, UpdatingSettings, observe, predict, update
 
 FORMAT = 1
 
@@ -87,26 +87,7 @@ def learn(
     if not windows:
         raise BadInputError("no healthy window could be identified: nothing to learn a baseline from")
     settings = config.updating
-    gauges = observe(windows[0], settings).gauges
-    observations = [observe(m, settings, gauges if settings.use_shapes else None) for m in windows]
-    influence: dict[tuple[bool, int], Array] = {}
-    for m, o in zip(windows, observations, strict=True):
-        for b, row in enumerate(o.deviations):
-            place = (m.refined, m.first + b)
-            influence[place] = influence.get(place, 0.0) + row / len(windows)
-    deviations = np.array(list(influence.values()))
-    last = observations[-1]
-    # The mean weighs its components as a window does, and as heavily as the scatter of the data says.
-    shape_of_weight = np.mean([o.weight for o in observations], axis=0)
-    shrink = np.mean((deviations**2).sum(axis=0) * np.diag(shape_of_weight)) if len(windows) > 1 else 1.0
-    mean = Observation(
-        z=np.mean([o.z for o in observations], axis=0),
-        weight=shape_of_weight / shrink,
-        deviations=deviations,
-        model_mode=last.model_mode,
-        gauges=gauges,
-        log=last.log,
-    )
+    mean = _mean(windows, settings)
     sensors = config.sensor_matrix()
     fit = update(
         config.model(),
@@ -117,7 +98,7 @@ def learn(
         with_masses=True,
     )
     predicted, _ = predict(fit.model, sensors, mean, with_masses=False)
-    z_covariance = deviations.T @ deviations
+    z_covariance = mean.deviations.T @ mean.deviations
     gain = fit.gain / fit.parameters[:, None]
     f = np.mean([m.frequencies_hz for m in windows], axis=0)
     baseline = Baseline(
@@ -127,7 +108,7 @@ def learn(
         z_covariance=z_covariance,
         misfit=mean.z - predicted,
         model_mode=mean.model_mode,
-        gauges=gauges,
+        gauges=mean.gauges,
         log=mean.log,
         frequencies_hz=f,
         frequencies_std_hz=_frequency_std(f, z_covariance, mean.log),
@@ -140,6 +121,30 @@ def learn(
         span_ns=span_ns,
     )
     return baseline, fit
+
+
+def _mean(windows: list[ModalEstimate], settings: UpdatingSettings) -> Observation:
+    """Mean over windows, with the influence of every stretch of data that they share."""
+    gauges = observe(windows[0], settings).gauges
+    observations = [observe(m, settings, gauges if settings.use_shapes else None) for m in windows]
+    influence: dict[tuple[bool, int], Array] = {}
+    for m, o in zip(windows, observations, strict=True):
+        for b, row in enumerate(o.deviations):
+            place = (m.refined, m.first + b)
+            influence[place] = influence.get(place, 0.0) + row / len(windows)
+    deviations = np.array(list(influence.values()))
+    last = observations[-1]
+    # The mean weighs its components as a window does, and as heavily as the scatter of the data says.
+    shape_of_weight = np.mean([o.weight for o in observations], axis=0)
+    shrink = np.mean((deviations**2).sum(axis=0) * np.diag(shape_of_weight)) if len(windows) > 1 else 1.0
+    return Observation(
+        z=np.mean([o.z for o in observations], axis=0),
+        weight=shape_of_weight / shrink,
+        deviations=deviations,
+        model_mode=last.model_mode,
+        gauges=gauges,
+        log=last.log,
+    )
 
 
 def _frequency_std(f: Array, z_covariance: Array, log: bool) -> Array:
