@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -53,14 +53,7 @@ class Baseline:
 
     def target(self, observation: Observation) -> Observation:
         """The observation with the standing misfit taken out: what the baseline's model should predict."""
-        return Observation(
-            observation.z - self.misfit,
-            observation.weight,
-            observation.deviations,
-            observation.model_mode,
-            observation.gauges,
-            observation.log,
-        )
+        return replace(observation, z=observation.z - self.misfit)
 
 
 def learn(

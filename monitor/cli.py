@@ -60,11 +60,10 @@ def replay(
     from monitor.baseline import load
     from monitor.publish.lines import replay_story
 
-    names = ("results.jsonl", "results.mcap", "live.rrd", "summary.json")
-    spare_inputs([out / name for name in names], [*recordings, structure, baseline])
+    spare_inputs([out / name for name in run.RESULT_FILES], [*recordings, structure, baseline])
     settings = config.load(structure)
     healthy = None if baseline is None else load(baseline, settings)
-    outcome = run.replay(
+    summary = run.replay(
         recordings,
         settings,
         healthy,
@@ -74,7 +73,7 @@ def replay(
         on_warning=_warn,
         on_progress=_progress("replay"),
     )
-    print(replay_story(outcome.summary, has_baseline=healthy is not None))
+    print(replay_story(summary, has_baseline=healthy is not None))
     print(f"results in {out}; look at them with: rerun {out / 'live.rrd'}")
 
 

@@ -27,15 +27,15 @@ def run(recordings: Path, out: Path, *, say: Callable[[str], None], on_warning: 
     baseline.save(healthy, out / "baseline.json")
     say("2. Replaying 1000 s of it in which story 2 loses 12 % of its stiffness after 400 s ...")
     parts = [recordings / "frame-before.mcap", recordings / "frame-after.mcap"]
-    outcome = replay.replay(parts, frame, healthy, out, on_warning=on_warning)
-    say(_indent(replay_story(outcome.summary, has_baseline=True)))
+    summary = replay.replay(parts, frame, healthy, out, on_warning=on_warning)
+    say(_indent(replay_story(summary, has_baseline=True)))
     say("3. Replaying a measured frame (mini shake table, an earthquake record played by the table) ...")
     measured = config.load(recordings / "mini-shake-table-flexible.toml")
     target = out / "measured-frame"
-    outcome = replay.replay(
+    summary = replay.replay(
         [recordings / "mini-shake-table-flexible.mcap"], measured, None, target, on_warning=on_warning
     )
-    say(_indent(replay_story(outcome.summary, has_baseline=False)))
+    say(_indent(replay_story(summary, has_baseline=False)))
     say("Look at it:")
     for folder in (out, target):
         say(f"   .venv/bin/rerun {folder / 'live.rrd'}")

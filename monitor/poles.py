@@ -14,6 +14,9 @@ from monitor.settings import Settings
 from monitor.ssi import Realisation, SsiSettings, StateSpace, continuous, realise, state_spaces
 from monitor.ssi_covariance import mode_deviations
 
+_BAND = 0.45
+"""Share of the sampling rate up to which modes are looked for: a little beyond the lowpass's edge."""
+
 
 class SelectionSettings(Settings):
     """What makes a pole a mode."""
@@ -77,7 +80,7 @@ def identify(
     spaces = state_spaces(realisation, range(2, ssi.max_order + 1, 2))
     complete = realisation.singular_values.size < ssi.max_order
     poles = _plausible(spaces, window.rate_hz, select, complete)
-    in_band = reference.frequencies_hz < 0.45 * window.rate_hz
+    in_band = reference.frequencies_hz < _BAND * window.rate_hz
     if not in_band.any():
         return Skipped("every mode of the model lies beyond the band; check the units of masses and stiffness")
     shapes = (sensors @ reference.shapes[:, in_band]).T
@@ -105,7 +108,7 @@ def _plausible(spaces: list[StateSpace], rate_hz: float, select: SelectionSettin
         good = np.flatnonzero(
             (state_space.poles.imag > 0)
             & (f > select.min_frequency_hz)
-            & (f < 0.45 * rate_hz)
+            & (f < _BAND * rate_hz)
             & (zeta > 0)
             & (zeta < select.max_damping_ratio)
         )

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +14,7 @@ from drivers.mcap_file import McapWriter, read_recordings
 from monitor.baseline import Baseline, learn
 from monitor.config import Configuration
 from monitor.errors import BadInputError, MissingInputError
-from monitor.files import sha256, write_atomically
+from monitor.files import demand_place, sha256, write_atomically
 from monitor.pipeline import Pipeline, Result
 from monitor.publish.lines import LinesFile, to_json, window_line
 from monitor.publish.rerun_scene import Scene
@@ -29,23 +27,8 @@ OnWarning = Callable[[str], None]
 OnProgress = Callable[[float], None]
 
 
-@dataclass(frozen=True, slots=True)
-class Outcome:
-    """What a replay came to."""
-
-    summary: dict[str, Any]
-    last: WindowResult | None
-
-
-@contextmanager
-def user_errors() -> Iterator[None]:
-    """Turn a driver's errors into the commands'."""
-    try:
-        yield
-    except RecordingMissingError as error:
-        raise MissingInputError(str(error)) from error
-    except RecordingError as error:
-        raise BadInputError(str(error)) from error
+RESULT_FILES = ("results.jsonl", "results.mcap", "live.rrd", "summary.json")
+"""What `replay` leaves in its folder."""
 
 
 def blocks(paths: list[Path], config: Configuration, on_warning: OnWarning) -> Iterator[SampleBlock]:
@@ -55,8 +38,12 @@ def blocks(paths: list[Path], config: Configuration, on_warning: OnWarning) -> I
     ------
     MissingInputError, BadInputError
     """
-    with user_errors():
+    try:
         yield from read_recordings(paths, topic_map=config.topics or None, on_warning=on_warning)
+    except RecordingMissingError as error:
+        raise MissingInputError(str(error)) from error
+    except RecordingError as error:
+        raise BadInputError(str(error)) from error
 
 
 def _duration_s(first: SampleBlock | None, last: SampleBlock | None) -> float:
@@ -105,18 +92,13 @@ def _pushed(pipeline: Pipeline, block: SampleBlock, paths: list[Path]) -> list[R
 
 
 class _Outputs:
-    """The files of a replay: all under their final names, or none."""
+    """The files of a replay; each takes its final name when it is whole, and none before the last window."""
 
     def __init__(self, out: Path, scene: Scene, serve: tuple[str, int] | None) -> None:
-        try:
-            out.mkdir(parents=True, exist_ok=True)
-            for name in ("results.jsonl", "results.mcap", "live.rrd", "summary.json"):
-                if (out / name).is_dir():
-                    raise MissingInputError(f"{out / name}: is a folder; nothing can be written in its place")
-            self._lines = LinesFile(out / "results.jsonl")
-            self._results = McapWriter(out / "results.mcap")
-        except OSError as error:
-            raise MissingInputError(f"{out}: cannot be written: {error.strerror}") from error
+        for name in RESULT_FILES:
+            demand_place(out / name)
+        self._lines = LinesFile(out / "results.jsonl")
+        self._results = McapWriter(out / "results.mcap")
         self._out = out
         self.view = RerunPublisher(scene, file=out / "live.rrd", serve=serve, lossless=True)
 
@@ -166,8 +148,8 @@ def replay(
     serve: tuple[str, int] | None = None,
     on_warning: OnWarning = lambda _: None,
     on_progress: OnProgress = lambda _: None,
-) -> Outcome:
-    """Run recordings through the pipeline and write results.jsonl, results.mcap, live.rrd and summary.json.
+) -> dict[str, Any]:
+    """Run recordings through the pipeline, write `RESULT_FILES` and return the content of summary.json.
 
     Parameters
     ----------
@@ -185,7 +167,7 @@ def replay(
     source = blocks(paths, config, on_warning)
     block = next(source, None)  # bad input shows before any output is begun
     outputs = _Outputs(out, scene(config, baseline), serve)
-    summary, last = Summary(len(config.structure.masses_kg)), None
+    summary = Summary()
     began = time.monotonic()
     try:
         while block is not None:
@@ -201,7 +183,6 @@ def replay(
                 else:
                     summary.window(result)
                     outputs.window(result)
-                    last = result
             block = next(source, None)
         progress.demand(pipeline, summary.windows, paths)
         summary.dropped_samples = pipeline.state.align.dropped
@@ -215,7 +196,7 @@ def replay(
         on_warning(f"{out / 'live.rrd'} was not written: {outputs.view.failed}")
     if summary.dropped_samples:
         on_warning(f"{summary.dropped_samples} samples were repeated, late or not finite and were dropped")
-    return Outcome(content, last)
+    return content
 
 
 def _wait(began: float, due_s: float) -> None:

@@ -180,7 +180,6 @@ def _summarize(
         "not_identified": failed,
         "frequencies_hz": frequencies.mean(axis=0).tolist(),
         "frequencies_std_hz": frequencies.std(axis=0).tolist(),
-        "first_seed_hz": frequencies[0].tolist(),
     }
     for name, column in (("by_frequencies", 1), ("by_frequencies_and_shapes", 2)):
         ddi = np.array([r[column] for r in results])

@@ -176,12 +176,12 @@ def _inverse_root(matrix: Array) -> Array:
     """
     try:
         lower = cholesky(matrix, lower=True)
-        if np.square(np.diag(lower)).min() > _RANK_TOLERANCE * np.diag(matrix).max():
-            return np.asarray(solve_triangular(lower, np.eye(len(matrix)), lower=True).T)
+        full_rank = np.square(np.diag(lower)).min() > _RANK_TOLERANCE * np.diag(matrix).max()
     except np.linalg.LinAlgError:
-        values, vectors = eigh(matrix)  # not positive definite: the pseudo-inverse of eq. 5
-    else:
-        values, vectors = eigh(matrix)
+        full_rank = False
+    if full_rank:
+        return np.asarray(solve_triangular(lower, np.eye(len(matrix)), lower=True).T)
+    values, vectors = eigh(matrix)  # the pseudo-inverse of eq. 5
     inverse = np.where(values > _RANK_TOLERANCE * values[-1], 1.0 / np.sqrt(np.abs(values) + 1e-300), 0.0)
     return np.asarray(vectors * inverse)
 

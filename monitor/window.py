@@ -113,12 +113,7 @@ def start(grid: WindowGrid, n_channels: int, *, index: int, previous: WindowStat
     next_window = 0
     if previous is not None:
         runs = (*previous.past_runs, (previous.start, previous.start + previous.n))
-        next_window = previous.next_window
-        # A window that ends before the new run and begins after the last one holds nothing: no work for those.
-        beyond = -(-runs[-1][1] // grid.hop_n)
-        touching = (index - grid.window_n) // grid.hop_n + 1
-        if next_window >= beyond:
-            next_window = max(next_window, touching)
+        next_window = _touching(grid, runs, index, previous.next_window)
         runs = tuple(r for r in runs if r[1] > next_window * grid.hop_n)
     return WindowState(index, 0, next_window, np.zeros((0, n_channels)), (), (), runs)
 
@@ -151,17 +146,19 @@ def step(
             state = _close_segment(grid, _close_block(grid, state))
         while grid.end(state.next_window) <= end:
             k = state.next_window
-            state = replace(state, next_window=_after(grid, state, k))
+            state = replace(state, next_window=_touching(grid, state.past_runs, state.start, k + 1))
             results.extend(_emit(grid, state, k, t0_ns))
     return state, results
 
 
-def _after(grid: WindowGrid, state: WindowState, k: int) -> int:
-    """The window to look at after window k; those that lie wholly in a gap are passed over at once."""
-    begin = (k + 1) * grid.hop_n
-    if any(end > begin for _, end in state.past_runs):
-        return k + 1
-    return max(k + 1, (state.start - grid.window_n) // grid.hop_n + 1)
+def _touching(grid: WindowGrid, runs: tuple[tuple[int, int], ...], start: int, k: int) -> int:
+    """The first window from k on that holds data of earlier `runs` or of the one that begins at `start`.
+
+    Windows that lie wholly in a gap are passed over at once, however long it was.
+    """
+    if any(end > k * grid.hop_n for _, end in runs):
+        return k
+    return max(k, (start - grid.window_n) // grid.hop_n + 1)
 
 
 def _append(grid: WindowGrid, state: WindowState, part: Array) -> WindowState:

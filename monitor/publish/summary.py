@@ -28,7 +28,6 @@ class Episode:
 class Summary:
     """Counts of a run; `content` is summary.json."""
 
-    n_stories: int
     windows: int = 0
     skipped: int = 0
     gaps: int = 0
