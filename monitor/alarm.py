@@ -1,4 +1,13 @@
-"""The only place that decides: alarm levels by significance, persistence and size."""
+"""The only place that decides: alarms by evidence, persistence and size, in the vocabulary of IEC 62682.
+
+An alarm for each story and one for the structure as a whole.  It becomes active when the evidence (`sequential`) has exceeded the
+threshold for the on-delay, and returns to normal when it has stayed below threshold less deadband for the off-delay.
+Operators acknowledge, shelve and reset it; none of this changes what is measured.
+
+References
+----------
+IEC 62682, Management of alarm systems for the process industries; ANSI/ISA-18.2, figure 3 (alarm state transition diagram).
+"""
 
 from __future__ import annotations
 
@@ -7,18 +16,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from pydantic import Field
 
-from monitor.results import WHOLE, Alarm, Array, DamageReading, Level
+from monitor import sequential
+from monitor.results import WHOLE, Alarm, Array, Condition, DamageReading, Level
+from monitor.sequential import Evidence, History
 from monitor.settings import Settings
-
-_UNIFORM_SIGNIFICANCE = 3.0
 
 
 class AlarmSettings(Settings):
     """When a loss of stiffness is announced."""
 
-    significance: float = Field(default=5.0, gt=0)
-    """DDI over its standard deviation from which a loss is significant (one-sided)."""
-    min_loss: float = Field(default=0.005, ge=0, lt=1)
+    significance: float = Field(default=6.25, gt=0)
+    """Evidence, in standard deviations, from which a loss is significant (one-sided)."""
+    min_loss: float = Field(default=0.002, ge=0, lt=1)
     """Losses below this are never announced."""
     alarm_loss: float = Field(default=0.10, gt=0, lt=1)
     """A confirmed loss of at least this is an `alarm`."""
@@ -26,104 +35,227 @@ class AlarmSettings(Settings):
     """Share of another story's loss that the model's wrong form may show here (one standard deviation)."""
     uniform_loss: float = Field(default=0.05, gt=0, lt=1)
     """A change alike in all stories is announced, as `advisory` of the whole structure, from this loss on."""
-    confirm_s: float = Field(default=100.0, ge=0)
+    confirm_s: float = Field(default=20.0, ge=0)
     """On-delay: a loss is confirmed when it has stayed significant this long."""
     clear_s: float = Field(default=100.0, ge=0)
     """Off-delay: an announced loss is cleared when it has stayed insignificant this long."""
     deadband: float = Field(default=1.0, ge=0)
-    """An announced loss stays significant down to `significance` less this."""
+    """Standard deviations by which an announced loss may fall below its thresholds before it counts as gone."""
+    latching: bool = False
+    """An alarm that returned to normal stays announced until it is reset."""
+
+
+@dataclass(frozen=True, slots=True)
+class Shelving:
+    """Taken out of the announcements by an operator, for a time."""
+
+    until_ns: int
+    reason: str
 
 
 @dataclass(frozen=True, slots=True)
 class StoryState:
-    """What the alarm remembers of one story."""
+    """One alarm: a story's, or that of the whole structure."""
 
     level: Level = Level.NORMAL
+    """As the data say now."""
     since_ns: int | None = None
     """End of the first window of the unbroken run of significant ones."""
     quiet_since_ns: int | None = None
+    latched: Level = Level.NORMAL
+    """Highest level since the last reset, where alarms latch."""
+    unacknowledged: bool = False
+    acknowledged_by: str = ""
+    shelved: Shelving | None = None
+
+    @property
+    def announced(self) -> Level:
+        """The level that operators see: none while shelved."""
+        if self.shelved is not None:
+            return Level.NORMAL
+        return max(self.level, self.latched, key=lambda level: level.rank)
+
+    @property
+    def condition(self) -> Condition:
+        """State in the standard's diagram."""
+        if self.shelved is not None:
+            return Condition.SHELVED
+        if self.level is not Level.NORMAL:
+            return Condition.UNACKNOWLEDGED if self.unacknowledged else Condition.ACKNOWLEDGED
+        if self.latched is not Level.NORMAL:
+            return Condition.LATCHED_UNACKNOWLEDGED if self.unacknowledged else Condition.LATCHED_ACKNOWLEDGED
+        return Condition.RETURNED_UNACKNOWLEDGED if self.unacknowledged else Condition.NORMAL
 
 
-def start(n_stories: int) -> tuple[StoryState, ...]:
-    """State before the first window: the stories, then the structure as a whole."""
-    return tuple(StoryState() for _ in range(n_stories + 1))
+@dataclass(frozen=True, eq=False, slots=True)
+class AlarmState:
+    """All that the next window needs."""
+
+    stories: tuple[StoryState, ...]
+    """The stories', then that of the structure as a whole."""
+    history: History
 
 
-def uniform_change(ddi: Array, std: Array) -> float:
-    """The part of a change that all stories share, or 0 where fewer stories changed than that would need.
+def start(n_stories: int, window_s: float = 400.0) -> AlarmState:
+    """State before the first window.
 
-    Weather, added mass, a slow clock and a loss in every story alike look the same in accelerations.  With three or
-    more stories that all changed significantly, taking the least change out of all is the simpler story if fewer are
-    left over.
+    Parameters
+    ----------
+    window_s : float
+        Length of the windows: readings further apart share no data.
     """
-    significant = np.abs(ddi) > _UNIFORM_SIGNIFICANCE * std
-    if ddi.size < 3 or not significant.all():
-        return 0.0
-    shared = float(ddi.min())
-    left_over = np.abs(ddi - shared) > _UNIFORM_SIGNIFICANCE * std
-    return shared if np.count_nonzero(left_over) < ddi.size - 1 else 0.0
+    return AlarmState((StoryState(),) * (n_stories + 1), sequential.begin(n_stories, window_s))
 
 
-def step(
-    states: tuple[StoryState, ...], damage: DamageReading, t_ns: int, settings: AlarmSettings
-) -> tuple[tuple[StoryState, ...], Alarm]:
-    """Judge one window's damage reading.
-
-    A window that was skipped is not judged: the alarm stays as it was.
-    """
-    ddi = damage.ddi
-    elsewhere = np.array([np.delete(np.abs(ddi), j).max(initial=0.0) for j in range(ddi.size)])
-    std = np.sqrt(damage.ddi_std**2 + (settings.model_form * elsewhere) ** 2 + 1e-24)
-    shared = uniform_change(ddi, std)
-    own = ddi - shared
-    judged = [_judge(s, float(d), float(d / e), t_ns, settings) for s, d, e in zip(states, own, std, strict=False)]
-    whole = _judge(
-        states[-1], shared if shared >= settings.uniform_loss else 0.0, float(shared / std.max()), t_ns, settings
-    )
-    if whole.level is not Level.NORMAL:  # its cause is open, so it is never more than this
-        whole = replace(whole, level=Level.ADVISORY)
+def step(state: AlarmState, damage: DamageReading, t_ns: int, settings: AlarmSettings) -> tuple[AlarmState, Alarm]:
+    """Judge one window's damage reading; `t_ns` is the window's end."""
+    history, evidence = sequential.look(state.history, damage, t_ns, settings.model_form)
+    shared = sequential.shared_change(evidence.loss, evidence.std)
+    own = evidence.loss - _shared_by_others(evidence)
+    *before, whole_before = state.stories
+    judged = [
+        _judge(s, float(loss), float(z), float(std), t_ns, settings)
+        for s, loss, z, std in zip(before, own, evidence.z, evidence.std, strict=True)
+    ]
+    std = float(evidence.std.max())
+    # Its cause is open, so it is never more than an advisory.
+    advisory_only = settings.model_copy(update={"confirm_s": np.inf, "min_loss": settings.uniform_loss})
+    whole = _judge(whole_before, shared, shared / std, std, t_ns, advisory_only)
     lost = {
-        j: f"story {j} lost {100 * own[j - 1]:.1f} +- {100 * std[j - 1]:.1f} % (1 sigma)"
-        for j in range(1, ddi.size + 1)
+        j: f"story {j} lost {100 * d:.1f} +- {100 * s:.1f} % (1 sigma)"
+        for j, (d, s) in enumerate(zip(own, evidence.std, strict=True), start=1)
     }
     lost[WHOLE] = f"all stories lost {100 * shared:.1f} % alike (weather, mass, clock or stiffness)"
-    otherwise = "no significant loss"
-    if shared:
-        otherwise = (
-            f"all stories changed alike, stiffness by {-100 * shared:+.1f} % (weather, mass, clock or stiffness)"
+    alike = f"all stories changed alike, stiffness by {-100 * shared:+.1f} % (weather, mass, clock or stiffness)"
+    state = AlarmState(tuple(_unshelved(s, t_ns) for s in (*judged, whole)), history)
+    return state, _summarize(state.stories, lost, alike if shared else "")
+
+
+def hold(state: AlarmState, t_ns: int) -> tuple[AlarmState, Alarm]:
+    """The alarm while nothing can be said: as it was, but for shelving whose time is over."""
+    stories = tuple(_unshelved(s, t_ns) for s in state.stories)
+    return replace(state, stories=stories), _summarize(stories, {}, "unchanged: the window was skipped")
+
+
+def acknowledge(state: AlarmState, story: int, who: str) -> AlarmState:
+    """An operator has seen a story's alarm (`WHOLE`: the structure's); one that rises later is to be seen again.
+
+    Raises
+    ------
+    ValueError
+        If there is no such story.
+    """
+    alarm = _of(state, story)
+    if not alarm.unacknowledged:
+        return state
+    return _with(state, story, replace(alarm, unacknowledged=False, acknowledged_by=who))
+
+
+def reset(state: AlarmState, story: int) -> AlarmState:
+    """Release a latched alarm that has returned to normal and was acknowledged; any other stays as it is.
+
+    Raises
+    ------
+    ValueError
+        If there is no such story.
+    """
+    alarm = _of(state, story)
+    if alarm.condition is not Condition.LATCHED_ACKNOWLEDGED:
+        return state
+    return _with(state, story, replace(alarm, latched=Level.NORMAL))
+
+
+def shelve(state: AlarmState, story: int, until_ns: int, reason: str) -> AlarmState:
+    """Announce a story's alarm no more until then; it is tracked on, and comes back when the time is over.
+
+    Raises
+    ------
+    ValueError
+        If there is no such story or no reason is given.
+    """
+    if not reason.strip():
+        raise ValueError("shelving needs a reason")
+    return _with(state, story, replace(_of(state, story), shelved=Shelving(until_ns, reason)))
+
+
+def unshelve(state: AlarmState, story: int) -> AlarmState:
+    """Announce a shelved alarm again.
+
+    Raises
+    ------
+    ValueError
+        If there is no such story.
+    """
+    return _with(state, story, replace(_of(state, story), shelved=None))
+
+
+def _of(state: AlarmState, story: int) -> StoryState:
+    if not 0 <= story < len(state.stories):
+        raise ValueError(f"no story {story}: there are {len(state.stories) - 1}, and {WHOLE} for the whole")
+    return state.stories[story - 1]  # the whole structure's is the last
+
+
+def _with(state: AlarmState, story: int, alarm: StoryState) -> AlarmState:
+    stories = list(state.stories)
+    stories[story - 1] = alarm
+    return replace(state, stories=tuple(stories))
+
+
+def _unshelved(alarm: StoryState, t_ns: int) -> StoryState:
+    return replace(alarm, shelved=None) if alarm.shelved is not None and t_ns >= alarm.shelved.until_ns else alarm
+
+
+def _shared_by_others(evidence: Evidence) -> Array:
+    """What all stories but one share, for each that one, shape (n,)."""
+    loss, std = evidence.loss, evidence.std
+    if loss.size == 1:
+        return np.zeros(1)
+    return np.array([sequential.shared_change(np.delete(loss, j), np.delete(std, j)) for j in range(loss.size)])
+
+
+def _judge(alarm: StoryState, loss: float, z: float, std: float, t_ns: int, settings: AlarmSettings) -> StoryState:
+    active = alarm.level is not Level.NORMAL
+    threshold = settings.significance - (settings.deadband if active else 0.0)
+    if z >= threshold and loss >= settings.min_loss:
+        since = t_ns if alarm.since_ns is None else alarm.since_ns
+        slack = settings.deadband * std if alarm.level is Level.ALARM else 0.0
+        if t_ns - since < settings.confirm_s * 1e9 and alarm.level.rank < Level.WARNING.rank:
+            level = Level.ADVISORY
+        else:
+            level = Level.ALARM if loss >= settings.alarm_loss - slack else Level.WARNING
+        latched = max(alarm.latched, level, key=lambda x: x.rank) if settings.latching else alarm.latched
+        risen = level.rank > alarm.level.rank
+        return replace(
+            alarm,
+            level=level,
+            since_ns=since,
+            quiet_since_ns=None,
+            latched=latched,
+            unacknowledged=alarm.unacknowledged or risen,
+            acknowledged_by="" if risen else alarm.acknowledged_by,
         )
-    return (*judged, whole), _summarize((*judged, whole), lost, otherwise)
+    quiet = t_ns if alarm.quiet_since_ns is None else alarm.quiet_since_ns
+    if active and t_ns - quiet < settings.clear_s * 1e9:
+        return replace(alarm, since_ns=None, quiet_since_ns=quiet)
+    return replace(alarm, level=Level.NORMAL, since_ns=None, quiet_since_ns=None)
 
 
-def hold(states: tuple[StoryState, ...]) -> Alarm:
-    """The alarm while nothing can be said: as it was."""
-    return _summarize(states, {}, "unchanged: the window was skipped")
-
-
-def _summarize(states: tuple[StoryState, ...], lost: dict[int, str], otherwise: str) -> Alarm:
-    numbers = [*range(1, len(states)), WHOLE]
-    active: dict[int, Level] = {j: s.level for j, s in zip(numbers, states, strict=True) if s.level is not Level.NORMAL}
-    if not active:
-        return Alarm(Level.NORMAL, (), otherwise)
-    level = max(active.values(), key=lambda item: item.rank)
+def _summarize(stories: tuple[StoryState, ...], lost: dict[int, str], otherwise: str) -> Alarm:
+    alarms = dict(zip([*range(1, len(stories)), WHOLE], stories, strict=True))
+    active: dict[int, Level] = {j: a.announced for j, a in alarms.items() if a.announced is not Level.NORMAL}
+    conditions: dict[int, Condition] = {
+        j: a.condition for j, a in alarms.items() if a.condition is not Condition.NORMAL
+    }
+    level = max(active.values(), key=lambda item: item.rank, default=Level.NORMAL)
     highest = [j for j, item in active.items() if item is level]
-    words = ", ".join(lost[j] for j in highest if j in lost) or otherwise
-    unconfirmed = level is Level.ADVISORY and highest != [WHOLE]
-    stories = tuple(j for j in highest if j != WHOLE)
-    return Alarm(level, stories, words + (", not confirmed yet" if unconfirmed else ""), active)
+    words = [lost[j] for j in highest if j in lost] or [otherwise or "no significant loss"]
+    if highest and WHOLE not in highest and otherwise and lost:
+        words.append(otherwise)
+    if level is Level.ADVISORY and highest != [WHOLE]:
+        words.append("not confirmed yet")
+    words += [f"{_name(j)} shelved: {a.shelved.reason}" for j, a in alarms.items() if a.shelved is not None]
+    return Alarm(level, tuple(j for j in highest if j != WHOLE), ", ".join(words), active, conditions)
 
 
-def _judge(state: StoryState, ddi: float, z: float, t_ns: int, settings: AlarmSettings) -> StoryState:
-    announced = state.level is not Level.NORMAL
-    threshold = settings.significance - (settings.deadband if announced else 0.0)
-    if z >= threshold and ddi >= settings.min_loss:
-        since = t_ns if state.since_ns is None else state.since_ns
-        if t_ns - since < settings.confirm_s * 1e9 and state.level.rank < Level.WARNING.rank:
-            return StoryState(Level.ADVISORY, since)
-        return StoryState(Level.ALARM if ddi >= settings.alarm_loss else Level.WARNING, since)
-    if not announced:
-        return StoryState()
-    quiet = t_ns if state.quiet_since_ns is None else state.quiet_since_ns
-    if t_ns - quiet >= settings.clear_s * 1e9:
-        return StoryState()
-    return StoryState(state.level, None, quiet)
+def _name(story: int) -> str:
+    return f"story {story}" if story != WHOLE else "the whole structure"

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from monitor import dependence
 from monitor.config import Configuration
+from monitor.dependence import Dependence
 from monitor.errors import BadInputError, MissingInputError
 from monitor.files import write_atomically
 from monitor.model import Model
-from monitor.results import Array, ModalEstimate
+from monitor.results import Array, ModalEstimate, Temperature
 from monitor.updating import Observation, Update, UpdatingSettings, observe, predict, update
 
 FORMAT = 1
@@ -46,10 +49,32 @@ class Baseline:
     level_range_m_s2: tuple[float, float]
     """Least and largest RMS of the windows, mean over channels."""
     reference_temperature_degc: float | None = None
+    """Mean over the windows; None without a temperature channel."""
+    temperature: Dependence | None = None
+    """How the healthy stiffness follows the temperature; None where nothing could be learned."""
     recordings: tuple[dict[str, Any], ...] = field(default=())
     """Name and sha256 of every recording used."""
     span_ns: tuple[int, int] = (0, 0)
     """UTC of the healthy data's first sample and of their end."""
+
+    def only(self, model_modes: tuple[int, ...]) -> Baseline:
+        """The baseline of those modes of the model alone, for a window that does not show them all."""
+        keep = [i for i, mode in enumerate(self.model_mode) if mode in model_modes]
+        m, others = len(self.model_mode), len(self.channels) - 1
+        if len(keep) == m:
+            return self
+        rows = keep + [m + i * others + s for i in keep for s in range(others) if self.gauges]
+        return replace(
+            self,
+            z=self.z[rows],
+            z_covariance=self.z_covariance[np.ix_(rows, rows)],
+            misfit=self.misfit[rows],
+            model_mode=tuple(self.model_mode[i] for i in keep),
+            gauges=tuple(self.gauges[i] for i in keep if self.gauges),
+            frequencies_hz=self.frequencies_hz[keep],
+            frequencies_std_hz=self.frequencies_std_hz[keep],
+            damping_ratio=self.damping_ratio[keep],
+        )
 
     def target(self, observation: Observation) -> Observation:
         """The observation with the standing misfit taken out: what the baseline's model should predict."""
@@ -62,6 +87,7 @@ def learn(
     rms: Array,
     recordings: tuple[dict[str, Any], ...],
     span_ns: tuple[int, int] = (0, 0),
+    temperatures: Sequence[Temperature | None] = (),
 ) -> tuple[Baseline, Update]:
     """The baseline from the windows of healthy recordings.
 
@@ -71,6 +97,8 @@ def learn(
         Overlapping windows share the influence of the data they share, so that the mean's covariance comes out right.
     rms : ndarray, shape (n_windows,)
         Response level of each window, m/s^2.
+    temperatures : sequence of Temperature or None
+        Of each window; empty without a temperature channel.
 
     Raises
     ------
@@ -113,7 +141,33 @@ def learn(
         recordings=recordings,
         span_ns=span_ns,
     )
+    if any(t is not None for t in temperatures):
+        baseline = _with_temperature(baseline, mean, windows, temperatures, config)
     return baseline, fit
+
+
+def _with_temperature(
+    baseline: Baseline,
+    mean: Observation,
+    windows: list[ModalEstimate],
+    temperatures: Sequence[Temperature | None],
+    config: Configuration,
+) -> Baseline:
+    """The baseline with what the windows' stiffness owes to the temperature, as `damage.step` would read it."""
+    fit = update(baseline.model, config.sensor_matrix(), baseline.target(mean), config.updating)
+    gain = fit.gain / fit.parameters[:, None]
+    changes = []
+    for m, felt in zip(windows, temperatures, strict=True):
+        o = observe(m, config.updating, mean.gauges if config.updating.use_shapes else None)
+        places = tuple((m.refined, m.first + b) for b in range(len(o.deviations)))
+        changes.append(dependence.Change(gain @ (o.z - mean.z), o.deviations @ gain.T, places, felt))
+    span_s = (baseline.span_ns[1] - baseline.span_ns[0]) * 1e-9
+    known = [float(t.lagged_degc[0]) for t in temperatures if t is not None]
+    return replace(
+        baseline,
+        reference_temperature_degc=float(np.mean(known)),
+        temperature=dependence.learn(changes, span_s, config.temperature),
+    )
 
 
 def _mean(windows: list[ModalEstimate], settings: UpdatingSettings) -> Observation:
@@ -177,6 +231,7 @@ def save(baseline: Baseline, path: Path) -> None:
         "masses_kg": structure.masses_kg.tolist(),
         **{name: getattr(baseline, name).tolist() for name in _ARRAYS},
         **{name: getattr(baseline, name) for name in _PLAIN},
+        "temperature": dependence.to_plain(baseline.temperature),
     }
     write_atomically(path, json.dumps(content, indent=1, allow_nan=False) + "\n")
 
@@ -203,6 +258,7 @@ def load(path: Path, config: Configuration) -> Baseline:
         plain = {name: content[name] for name in _PLAIN}
         for name in ("model_mode", "gauges", "channels", "floors", "level_range_m_s2", "recordings", "span_ns"):
             plain[name] = tuple(plain[name])
+        plain["temperature"] = dependence.from_plain(content.get("temperature"), stiffness.size)
     except (ValueError, KeyError, TypeError) as error:
         raise BadInputError(f"{path}: not a baseline file ({error!r}); make one with 'calibrate'") from error
     loaded = Baseline(model=config.model().with_stiffness(stiffness).with_masses(masses), **arrays, **plain)
@@ -214,17 +270,17 @@ def load(path: Path, config: Configuration) -> Baseline:
 
 def _mismatch(b: Baseline, config: Configuration) -> str | None:
     """Why a baseline does not belong to a configuration, or None."""
-    n, m, c = len(config.structure.masses_kg), len(b.model_mode), len(b.channels)
-    structure = b.model.structure
+    drawn, structure = config.structure.structure(), b.model.structure
+    n, p, m, c = drawn.n_dofs, drawn.n_stories, len(b.model_mode), len(b.channels)
     floors = tuple(s.floor for s in config.sensors)
-    if structure.masses_kg.shape != (n,) or structure.stiffness_n_per_m.shape != (n,):
-        return f"the baseline has {structure.masses_kg.size} stories, the structure file {n}"
+    if structure.masses_kg.shape != (n,) or structure.stiffness_n_per_m.shape != (p,):
+        return f"the baseline has {structure.stiffness_n_per_m.size} stories, the structure file {p}"
     if (b.channels, b.floors) != (config.channels, floors):
         return f"the baseline's channels are {', '.join(b.channels)} on floors {b.floors}, not the structure file's"
     if b.log != (config.updating.eigenvalue == "log") or bool(b.gauges) != config.updating.use_shapes:
         return "the baseline was learned with another [updating] eigenvalue or use_shapes"
     n_data = m + len(b.gauges) * (c - 1)
-    shapes = {"covariance": (2 * n, 2 * n), "z": (n_data,), "z_covariance": (n_data, n_data), "misfit": (n_data,)}
+    shapes = {"covariance": (p + n, p + n), "z": (n_data,), "z_covariance": (n_data, n_data), "misfit": (n_data,)}
     shapes |= {name: (m,) for name in ("frequencies_hz", "frequencies_std_hz", "damping_ratio")}
     for name, shape in shapes.items():
         value = getattr(b, name)

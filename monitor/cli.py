@@ -119,6 +119,14 @@ def calibrate(
         print(f"mode {i}: {f:.4f} +- {std:.4f} Hz; structure file {drawn[baseline.model_mode[i - 1]]:.4f} Hz")
     for j, k in enumerate(baseline.model.structure.stiffness_n_per_m, start=1):
         print(f"story {j}: {k:.1f} N/m; structure file {settings.structure.stiffness_n_per_m[j - 1]:.1f} N/m")
+    if (law := baseline.temperature) is not None:
+        slopes = ", ".join(f"{1e3 * a:+.2f}" for a in law.per_degc)
+        print(
+            f"stiffness follows the temperature by {slopes} per mille a kelvin, lag {law.lag_s:.0f} s; "
+            f"seen from {law.range_degc[0]:.1f} to {law.range_degc[1]:.1f} degC"
+        )
+    elif baseline.reference_temperature_degc is not None:
+        print("no dependence on the temperature learned: too narrow a range, too short a record, or nothing showed")
     print(f"baseline in {out}")
 
 
@@ -133,6 +141,14 @@ def simulate(
     effect: Annotated[list[str], typer.Option(metavar="NAME:LOCATION:PARAM=VALUE,...", help="Hidden effect.")] = [],  # noqa: B006
     rate: Annotated[float, typer.Option(min=1.0, help="Sample rate in Hz.")] = 1024.0,
     level_spread: Annotated[float, typer.Option(min=0.0, help="Relative spread of the excitation's level.")] = 0.0,
+    temperature: Annotated[
+        str | None,
+        typer.Option(
+            metavar="MEAN[,SWING[,PERIOD_S[,REFERENCE]]]",
+            help="Also record /temperature, in degC: a cosine, SWING from lowest to highest. With temperature_stiffness "
+            "20,10,DURATION by default; REFERENCE, by default MEAN, is where the stiffness is the structure file's.",
+        ),
+    ] = None,
     start: Annotated[str, typer.Option(help="UTC of the first sample, ISO 8601.")] = "2026-01-01T00:00:00",
     seed: Annotated[int, typer.Option(min=0, help="Seed of the random numbers.")] = 0,
 ) -> None:
@@ -152,6 +168,7 @@ def simulate(
         level_spread=level_spread,
         start=start,
         seed=seed,
+        temperature=temperature,
     )
     print(f"{duration:g} s in {out}")
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field, ValidationError, model_validator
@@ -12,47 +12,21 @@ from pydantic import Field, ValidationError, model_validator
 from monitor.alarm import AlarmSettings
 from monitor.effects import EFFECTS, Effect, EffectError
 from monitor.errors import BadConfigurationError, MissingInputError
+from monitor.matrix_files import read_matrices
 from monitor.model import Model
 from monitor.poles import SelectionSettings
 from monitor.quality import QualitySettings
 from monitor.results import Array
 from monitor.settings import Settings
 from monitor.ssi import SsiSettings
-from monitor.structures import STRUCTURES, ShearFrame
+from monitor.structures.tables import StructureTable
+from monitor.temperature import TemperatureSettings
+from monitor.track import TrackSettings
 from monitor.updating import UpdatingSettings
 from monitor.whittle import RefinementSettings
 from monitor.window import common_step_s
 
 Positive = Annotated[float, Field(gt=0)]
-Range = tuple[Positive, Positive]
-
-
-class StructureTable(Settings):
-    """``[structure]``: the design drawing, never the truth."""
-
-    kind: Literal["shear_frame"]
-    name: str = ""
-    masses_kg: tuple[Positive, ...] = Field(min_length=1)
-    stiffness_n_per_m: tuple[Positive, ...] = Field(min_length=1)
-    damping_ratio: float = Field(default=0.01, gt=0, lt=1)
-    story_heights_m: tuple[Positive, ...] | None = None
-    masses_range_kg: tuple[Range, ...] | None = None
-    """Range of each mass as its prior (two standard deviations either way); 5 % either way by default."""
-    stiffness_range_n_per_m: tuple[Range, ...] | None = None
-    """Range of each stiffness as its prior; 40 % either way by default."""
-
-    @model_validator(mode="after")
-    def _same_length(self) -> StructureTable:
-        n = len(self.masses_kg)
-        for name in ("stiffness_n_per_m", "story_heights_m", "masses_range_kg", "stiffness_range_n_per_m"):
-            value = getattr(self, name)
-            if value is not None and len(value) != n:
-                raise ValueError(f"{name} has {len(value)} values for {n} masses")
-        for name in ("masses_range_kg", "stiffness_range_n_per_m"):
-            for i, (low, high) in enumerate(getattr(self, name) or ()):
-                if low >= high:
-                    raise ValueError(f"{name}.{i}: [{low:g}, {high:g}] is no range, the lower end comes first")
-        return self
 
 
 class SensorTable(Settings):
@@ -113,7 +87,9 @@ class Configuration(Settings):
     identification: SsiSettings = SsiSettings()
     selection: SelectionSettings = SelectionSettings()
     refinement: RefinementSettings = RefinementSettings()
+    tracking: TrackSettings = TrackSettings()
     updating: UpdatingSettings = UpdatingSettings()
+    temperature: TemperatureSettings = TemperatureSettings()
     alarm: AlarmSettings = AlarmSettings()
     topics: dict[str, str] = Field(default_factory=dict)
     """Topic map for foreign recordings: ROS 2 Imu topic to channel, as ``"/imu/top" = "a1.x"``."""
@@ -158,13 +134,8 @@ class Configuration(Settings):
         if table.effect not in EFFECTS:
             raise EffectError(f"unknown effect {table.effect!r}; known: {', '.join(sorted(EFFECTS))}")
         effect = EFFECTS[table.effect].create(table.location, table.parameters)
-        effect.check(self._structure())
+        effect.check(self.structure.structure(), self.channels)
         return effect
-
-    def _structure(self) -> ShearFrame:
-        s = self.structure
-        heights = None if s.story_heights_m is None else np.array(s.story_heights_m)
-        return STRUCTURES[s.kind](np.array(s.masses_kg), np.array(s.stiffness_n_per_m), s.damping_ratio, heights)
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -173,7 +144,7 @@ class Configuration(Settings):
 
     def model(self) -> Model:
         """The nominal model with the file's effects."""
-        return Model(self._structure(), tuple(self._effect(t) for t in self.effects))
+        return Model(self.structure.structure(), tuple(self._effect(t) for t in self.effects))
 
     def sensor_matrix(self) -> Array:
         """Picks the sensors out of the floors, shape (c, n)."""
@@ -183,20 +154,8 @@ class Configuration(Settings):
         return matrix
 
     def prior_std(self) -> Array:
-        """Relative standard deviations of stiffnesses, then masses, shape (2 n,)."""
-        s, n = self.structure, len(self.structure.masses_kg)
-
-        def spread(ranges: tuple[Range, ...] | None, values: tuple[float, ...], default: float) -> Array:
-            if ranges is None:
-                return np.full(n, default)
-            return np.array([(hi - lo) / (4.0 * v) for (lo, hi), v in zip(ranges, values, strict=True)])
-
-        return np.concatenate(
-            [
-                spread(s.stiffness_range_n_per_m, s.stiffness_n_per_m, 0.2),
-                spread(s.masses_range_kg, s.masses_kg, 0.05),
-            ]
-        )
+        """Relative standard deviations of stiffnesses, then masses, shape (p + n,)."""
+        return self.structure.prior_std()
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -230,12 +189,23 @@ def load(path: Path) -> Configuration:
         The latter lists every problem, one a line.
     """
     tables = read_toml(path)
+    if isinstance(tables.get("structure"), dict):
+        tables["structure"] = read_matrices(tables["structure"], path.parent)
     try:
         return Configuration.model_validate(tables)
     except ValidationError as error:
         lines = []
         for problem in error.errors():
-            place = ".".join(str(part) for part in problem["loc"])
+            place = _place(problem["loc"], problem["type"])
             message = problem["msg"].removeprefix("Value error, ")
             lines += [f"{path}: {place + ': ' if place else ''}{part}" for part in message.split("\n")]
         raise BadConfigurationError("\n".join(lines)) from error
+
+
+def _place(loc: tuple[int | str, ...], kind: str) -> str:
+    """Where in the file a problem lies; of ``[structure]``, pydantic also names the table that its `kind` chose."""
+    if kind.startswith("union_tag"):
+        loc = (*loc, "kind")
+    elif loc[:1] == ("structure",):
+        loc = (*loc[:1], *loc[2:])
+    return ".".join(map(str, loc))

@@ -6,15 +6,22 @@ import numpy as np
 
 from monitor.baseline import Baseline
 from monitor.model import Model
-from monitor.results import Array, DamageReading, ModalEstimate, StiffnessEstimate
-from monitor.updating import Observation, Update, UpdatingSettings, observe, update
+from monitor.results import Array, DamageReading, ModalEstimate, StiffnessEstimate, Temperature
+from monitor.structures import ShearFrame
+from monitor.updating import UNSEEN, Observation, Update, UpdatingSettings, observe, update
 
 _TOLERATED_MISFIT = 2.0
 """Twice the expectation: with six degrees of freedom, reached by chance in 6 % of windows."""
 
 
 def step(
-    modes: ModalEstimate, reference: Model, baseline: Baseline | None, sensors: Array, settings: UpdatingSettings
+    modes: ModalEstimate,
+    reference: Model,
+    baseline: Baseline | None,
+    sensors: Array,
+    settings: UpdatingSettings,
+    temperature: Temperature | None = None,
+    prior_std: Array | None = None,
 ) -> tuple[StiffnessEstimate, DamageReading]:
     """Stiffness updated to a window's modes, and its loss since the baseline.
 
@@ -26,11 +33,19 @@ def step(
     ----------
     reference : Model
         The baseline's model, or the structure file's where there is no baseline.
+    temperature : Temperature, optional
+        Of the window: where the baseline knows the stiffness's dependence on it, the loss is against the healthy
+        stiffness at this temperature.
+    prior_std : ndarray, shape (p,), optional
+        How far each stiffness may be from the reference, relative, one standard deviation; holds, and bounds the
+        uncertainty of, what the modes do not see.  By default `settings.parameter_std` for all.
     """
     observation = observe(modes, settings, baseline.gauges if baseline is not None else None)
     if baseline is not None:
         observation = baseline.target(observation)
-    fit = update(reference, sensors, observation, settings)
+    if prior_std is None:
+        prior_std = np.full(reference.structure.n_stories, settings.parameter_std)
+    fit = update(reference, sensors, observation, settings, prior_std=prior_std)
     z_covariance = observation.deviations.T @ observation.deviations
     if baseline is None:
         misfit, uncertain = 1.0, z_covariance
@@ -39,20 +54,33 @@ def step(
         misfit = _misfit_of_change(fit, observation, uncertain)
     # A change that stiffness explains badly (a window across the onset, another cause) is known less well than its noise says.
     widened = max(1.0, misfit / _TOLERATED_MISFIT)
+    effect: Array | None = None
+    effect_covariance = np.zeros((fit.parameters.size, fit.parameters.size))
+    if baseline is not None and baseline.temperature is not None:
+        effect, effect_covariance = baseline.temperature.expected(temperature)
+        reference = reference.with_stiffness(reference.structure.stiffness_n_per_m * (1.0 + effect))
     healthy = reference.structure.stiffness_n_per_m
     estimate = StiffnessEstimate(
         stiffness_n_per_m=fit.parameters,
-        covariance=widened * (fit.gain @ z_covariance @ fit.gain.T),
+        covariance=widened * (fit.gain @ z_covariance @ fit.gain.T) + fit.prior_left,
         converged=fit.converged,
         iterations=fit.iterations,
         misfit=misfit,
     )
-    covariance = widened * (fit.gain @ uncertain @ fit.gain.T)
+    covariance = widened * (fit.gain @ uncertain @ fit.gain.T) + fit.prior_left
+    common = np.zeros_like(covariance) if baseline is None else fit.gain @ baseline.z_covariance @ fit.gain.T
+    common = common + fit.prior_left  # no averaging shows what the sensors do not see
+    is_chain = isinstance(reference.structure, ShearFrame)
+    healthy_k, now_k = reference.stiffness_matrix(), fit.model.stiffness_matrix()
+    ddi = 1.0 - fit.parameters / healthy
     reading = DamageReading(
-        ddi=1.0 - fit.parameters / healthy,
-        ddi_covariance=covariance / np.outer(healthy, healthy),
-        ddi_sequential=sequential_reading(reference.stiffness_matrix(), fit.model.stiffness_matrix()),
+        ddi=ddi,
+        ddi_covariance=covariance / np.outer(healthy, healthy) + effect_covariance,
+        ddi_sequential=sequential_reading(healthy_k, now_k) if is_chain else ddi,
         loss_n_per_m=healthy - fit.parameters,
+        common_covariance=common / np.outer(healthy, healthy) + effect_covariance,
+        temperature_effect=effect,
+        unidentified=tuple(int(j) + 1 for j in np.flatnonzero(fit.identifiable < 1.0 - UNSEEN**2)),
     )
     return estimate, reading
 

@@ -9,7 +9,7 @@ from scipy.linalg import eigh
 
 from monitor.effects import Effect
 from monitor.results import Array
-from monitor.structures import ShearFrame
+from monitor.structures import Structure
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -31,31 +31,50 @@ class Modes:
 class Model:
     """A structure and the effects that its drawing leaves out."""
 
-    structure: ShearFrame
+    structure: Structure
     effects: tuple[Effect, ...] = ()
+    correction: Array | None = None
+    """Stiffness that neither the structure's form nor an effect explains, shape (n, n), N/m: the standing model error."""
+    modal_damping: Array | None = None
+    """Damping ratio of every mode, shape (n,), in place of the structure's Rayleigh damping."""
 
     def with_stiffness(self, stiffness_n_per_m: Array) -> Model:
-        """The same model with other story stiffnesses, shape (n,), N/m."""
-        return replace(self, structure=replace(self.structure, stiffness_n_per_m=stiffness_n_per_m))
+        """The same model with other story stiffnesses, shape (p,), N/m."""
+        return replace(self, structure=self.structure.with_stiffness(stiffness_n_per_m))
 
     def with_masses(self, masses_kg: Array) -> Model:
         """The same model with other floor masses, shape (n,), kg."""
-        return replace(self, structure=replace(self.structure, masses_kg=masses_kg))
+        return replace(self, structure=self.structure.with_masses(masses_kg))
+
+    def structural_matrices(self) -> tuple[Array, Array]:
+        """Mass and stiffness matrices with the effects that are linear at every level, shape (n, n), kg and N/m."""
+        mass, stiffness = self.structure.mass_matrix(), self.structure.stiffness_matrix()
+        for effect in self.effects:
+            mass, stiffness = effect.structural(mass, stiffness, self.structure)
+        return mass, stiffness if self.correction is None else stiffness + self.correction
 
     def mass_matrix(self) -> Array:
         """Shape (n, n), kg."""
-        return self.structure.mass_matrix()
+        return self.structural_matrices()[0]
 
     def stiffness_matrix(self) -> Array:
         """Shape (n, n), N/m."""
-        stiffness = self.structure.stiffness_matrix()
-        for effect in self.effects:
-            stiffness = effect.stiffness_matrix(stiffness, self.structure)
-        return stiffness
+        return self.structural_matrices()[1]
+
+    def damping_ratios(self) -> Array:
+        """Damping ratio of every mode, shape (n,)."""
+        if self.modal_damping is not None:
+            return self.modal_damping
+        modes = self.modes()
+        modal = np.einsum("ai,ab,bi->i", modes.shapes, self.damping_matrix(), modes.shapes)
+        return np.asarray(modal / (2.0 * np.sqrt(modes.eigenvalues)))
 
     def damping_matrix(self) -> Array:
-        """Rayleigh damping with the structure's ratio in modes 1 and 2, shape (n, n), N s/m."""
+        """Rayleigh damping with the structure's ratio in modes 1 and 2, or the modal ratios where given, shape (n, n), N s/m."""
         omega = np.sqrt(self.modes().eigenvalues)
+        if self.modal_damping is not None:
+            carried = self.mass_matrix() @ self.modes().shapes
+            return np.asarray((carried * (2.0 * self.modal_damping * omega)) @ carried.T)
         first, second = omega[0], omega[min(1, omega.size - 1)]
         ratio = self.structure.damping_ratio
         if omega.size == 1:

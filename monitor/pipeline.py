@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from math import ceil
 
-from drivers.base import ACCELERATION, SampleBlock
-from monitor import alarm, align, damage, quality, window
+from drivers.base import ACCELERATION, TEMPERATURE, SampleBlock
+from monitor import alarm, align, damage, quality, temperature, track, window
 from monitor.baseline import Baseline
 from monitor.condition import Conditioner, ConditionState
 from monitor.config import Configuration
 from monitor.errors import BadInputError
-from monitor.poles import identify
-from monitor.results import Alarm, Gap, Level, ModalEstimate, Samples, Skipped, Window, WindowResult
+from monitor.poles import expected, identify
+from monitor.results import Alarm, Gap, Level, ModalEstimate, Samples, Skipped, Temperature, Window, WindowResult
 from monitor.whittle import refine
 from monitor.window import WindowGrid, WindowState
 
@@ -37,7 +37,9 @@ class PipelineState:
 
     align: align.AlignState
     run: Run | None
-    stories: tuple[alarm.StoryState, ...]
+    alarm: alarm.AlarmState
+    temperature: temperature.TemperatureState
+    track: track.TrackState
 
 
 class Pipeline:
@@ -57,9 +59,11 @@ class Pipeline:
         self.reference = config.model() if baseline is None else baseline.model
         self.reference_modes = self.reference.modes()
         self.sensors = config.sensor_matrix()
+        self.prior_std = config.prior_std()[: self.reference.structure.n_stories]
         names = config.identification.reference_channels or config.channels
         self.past = tuple(config.channels.index(name) for name in names)
-        self.state = PipelineState(align.start(), None, alarm.start(self.reference.structure.n_stories))
+        alarms = alarm.start(self.reference.structure.n_stories, config.processing.window_s)
+        self.state = PipelineState(align.start(), None, alarms, temperature.start(), track.TrackState())
 
     def push(self, block: SampleBlock) -> list[Result]:
         """Everything that a block brings about, in order.
@@ -69,6 +73,8 @@ class Pipeline:
         BadInputError
             If a channel of the structure file is missing or the unit is wrong.
         """
+        if block.topic == TEMPERATURE:
+            self._feel(block)
         if block.topic != ACCELERATION:
             return []
         align_state, pieces = align.step(self.state.align, block, self.config.channels)
@@ -126,6 +132,16 @@ class Pipeline:
         begun = window.start(grid, n_channels, index=index, previous=last)
         return Run(t0_ns, grid, conditioner, conditioner.start(n_channels), begun)
 
+    def _feel(self, block: SampleBlock) -> None:
+        """Keep the temperatures that windows to come may need."""
+        c, seen = self.config, self.state.align
+        oldest_ns = seen.t_next_ns() - temperature.reach_ns(c.processing.window_s, c.temperature) if seen.n_run else 0
+        self.state = replace(self.state, temperature=temperature.push(self.state.temperature, block, oldest_ns))
+
+    def _felt(self, t_end_ns: int) -> Temperature | None:
+        c = self.config
+        return temperature.felt(self.state.temperature, t_end_ns, c.processing.window_s, c.temperature)
+
     def _judge(self, item: Window, cutoff_hz: float) -> WindowResult:
         """One whole window: identification, updating, damage, alarm."""
         c = self.config
@@ -136,23 +152,39 @@ class Pipeline:
         skipped = quality.check(item.sums, item.rate_hz, cutoff_hz, c.channels, c.quality)
         if skipped is not None:
             return skip(skipped)
-        modes = identify(item, self.past, self.reference_modes, self.sensors, c.identification, c.selection)
+        if self.baseline is None:
+            wanted = expected(self.reference_modes, cutoff_hz, c.selection)
+        else:
+            wanted = tuple(sorted(self.baseline.model_mode))
+        modes = identify(item, self.past, self.reference_modes, self.sensors, c.identification, c.selection, wanted)
+        if not isinstance(modes, Skipped):
+            modes = refine(item, modes, c.refinement)
+        tracks = self._follow(None if isinstance(modes, Skipped) else modes, item)
         if isinstance(modes, Skipped):
             return skip(modes)
-        modes = refine(item, modes, c.refinement)
-        if self.baseline is not None and tuple(modes.model_mode) != self.baseline.model_mode:
+        shown = tuple(int(k) for k in modes.model_mode)
+        healthy = None if self.baseline is None else self.baseline.only(shown)
+        if healthy is not None and healthy.model_mode != shown:
             return skip(Skipped("modes are not the baseline's"), modes)
-        stiffness, reading = damage.step(modes, self.reference, self.baseline, self.sensors, c.updating)
+        felt = self._felt(item.t_end_ns)
+        stiffness, reading = damage.step(modes, self.reference, healthy, self.sensors, c.updating, felt, self.prior_std)
         if not stiffness.converged:
             return skip(Skipped("model updating did not converge"), modes)
         if self.baseline is None:
             verdict = Alarm(Level.NORMAL, (), "no baseline: a difference from the structure file is no change")
         else:
-            stories, verdict = alarm.step(self.state.stories, reading, item.t_end_ns, c.alarm)
-            self.state = replace(self.state, stories=stories)
+            alarms, verdict = alarm.step(self.state.alarm, reading, item.t_end_ns, c.alarm)
+            self.state = replace(self.state, alarm=alarms)
         return WindowResult(
-            item.index, item.t_end_ns, item.window_s, modes, stiffness, reading, verdict, None, item.rms_m_s2
+            item.index, item.t_end_ns, item.window_s, modes, stiffness, reading, verdict, None, item.rms_m_s2, felt, tracks
         )
+
+    def _follow(self, modes: ModalEstimate | None, item: Window) -> tuple[int, ...]:
+        """Identity of every mode over time; a window in which none was found is a look too."""
+        seen = track.observed(modes, item.window_s)
+        state, tracked = track.step(self.state.track, seen, item.t_end_ns, self.config.tracking)
+        self.state = replace(self.state, track=state)
+        return tuple(int(number) for number in tracked.observed)
 
     def _skip(
         self,
@@ -164,5 +196,7 @@ class Pipeline:
         modes: ModalEstimate | None = None,
     ) -> WindowResult:
         """Nothing can be said of damage: the alarm stays as it was."""
-        verdict = alarm.hold(self.state.stories)
-        return WindowResult(index, t_end_ns, data_s, modes, None, None, verdict, skipped, rms)
+        alarms, verdict = alarm.hold(self.state.alarm, t_end_ns)
+        self.state = replace(self.state, alarm=alarms)
+        felt = self._felt(t_end_ns)
+        return WindowResult(index, t_end_ns, data_s, modes, None, None, verdict, skipped, rms, felt)

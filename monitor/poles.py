@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 from pydantic import Field
@@ -16,6 +17,8 @@ from monitor.ssi_covariance import mode_deviations
 
 _BAND = 0.45
 """Share of the sampling rate up to which modes are looked for: a little beyond the lowpass's edge."""
+_ORDERS_PER_MODE = 6
+"""Least largest order for each mode looked for: a mode needs two, and must be seen in half of all orders."""
 
 
 class SelectionSettings(Settings):
@@ -33,6 +36,10 @@ class SelectionSettings(Settings):
     """A mode farther than this factor from the model's is not its counterpart."""
     min_model_mac: float = Field(default=0.5, ge=0, lt=1)
     """A mode less like the model's shape than this is not its counterpart."""
+    max_modes: int = Field(default=8, ge=1)
+    """So many of the model's lowest modes are looked for."""
+    required_modes: int = Field(default=4, ge=1)
+    """So many of the lowest must be found; higher ones are used where they show."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -57,8 +64,21 @@ def mac(a: ComplexArray, b: ComplexArray) -> Array:
     return np.asarray(np.abs(a.conj() @ b.T) ** 2 / power)
 
 
+def expected(reference: Modes, highest_hz: float, select: SelectionSettings) -> tuple[int, ...]:
+    """Which of the model's modes (0 = lowest) a recording up to `highest_hz` should show."""
+    n = min(int(np.count_nonzero(reference.frequencies_hz < highest_hz)), select.max_modes)
+    return tuple(range(n))
+
+
 def identify(
-    window: Window, past: tuple[int, ...], reference: Modes, sensors: Array, ssi: SsiSettings, select: SelectionSettings
+    window: Window,
+    past: tuple[int, ...],
+    reference: Modes,
+    sensors: Array,
+    ssi: SsiSettings,
+    select: SelectionSettings,
+    wanted: tuple[int, ...] | None = None,
+    refiner: Callable[[ModalEstimate], ModalEstimate] | None = None,
 ) -> ModalEstimate | Skipped:
     """Modes of a window: every order, stabilisation, and the model's counterparts.
 
@@ -70,32 +90,40 @@ def identify(
         The model's modes, to which the identified ones are matched.
     sensors : ndarray, shape (c, n)
         Picks the sensors out of the model's floors.
+    wanted : tuple of int, optional
+        The model's modes to look for; by default those in the band.
+    refiner : callable, optional
+        Betters an estimate that has no deviations yet and gives it its own; where it hands the same back, they follow from the
+        subspace identification, whose costly covariance is formed then alone.
 
     Returns
     -------
     ModalEstimate or Skipped
-        Skipped names the model's modes that no stable pole matches.
+        Skipped names the model's required modes that no stable pole matches.
     """
-    realisation = realise(window.sums, ssi, past, ssi.max_order)
-    spaces = state_spaces(realisation, range(2, ssi.max_order + 1, 2))
-    complete = realisation.singular_values.size < ssi.max_order
-    poles = _plausible(spaces, window.rate_hz, select, complete)
-    in_band = reference.frequencies_hz < _BAND * window.rate_hz
-    if not in_band.any():
+    if wanted is None:
+        wanted = expected(reference, _BAND * window.rate_hz, select)
+    if not wanted:
         return Skipped("every mode of the model lies beyond the band; check the units of masses and stiffness")
-    shapes = (sensors @ reference.shapes[:, in_band]).T
-    modes = _match(poles, len(spaces), reference.frequencies_hz[in_band], shapes, select)
-    missing = [str(i + 1) for i, m in enumerate(modes) if m is None]
+    max_order = max(ssi.max_order, _ORDERS_PER_MODE * len(wanted))
+    realisation = realise(window.sums, ssi, past, max_order)
+    spaces = state_spaces(realisation, range(2, max_order + 1, 2))
+    complete = realisation.singular_values.size < max_order
+    poles = _plausible(spaces, window.rate_hz, select, complete)
+    shapes = (sensors @ reference.shapes[:, list(wanted)]).T
+    modes = _match(poles, len(spaces), reference.frequencies_hz[list(wanted)], shapes, select)
+    missing = [str(i + 1) for i, m in zip(wanted[: select.required_modes], modes, strict=False) if m is None]
     if missing:
         return Skipped(
             f"no stable pole for mode {', '.join(missing)} of the model (frequency and shape; "
             "check floors, signs and units of the channels)"
         )
+    wanted = tuple(i for i, m in zip(wanted, modes, strict=True) if m is not None)
     clusters = [m for m in modes if m is not None]
     chosen = _common_order(poles, clusters, spaces)
     if chosen is None:
         return Skipped("no order shows every mode")
-    return _estimate(window, realisation, spaces, poles, chosen)
+    return _estimate(window, realisation, spaces, poles, chosen, wanted, refiner)
 
 
 def _plausible(spaces: list[StateSpace], rate_hz: float, select: SelectionSettings, complete: bool) -> _Poles:
@@ -191,7 +219,13 @@ def _common_order(poles: _Poles, clusters: list[list[int]], spaces: list[StateSp
 
 
 def _estimate(
-    window: Window, realisation: Realisation, spaces: list[StateSpace], poles: _Poles, chosen: list[int]
+    window: Window,
+    realisation: Realisation,
+    spaces: list[StateSpace],
+    poles: _Poles,
+    chosen: list[int],
+    wanted: tuple[int, ...],
+    refiner: Callable[[ModalEstimate], ModalEstimate] | None,
 ) -> ModalEstimate:
     by_frequency = sorted(range(len(chosen)), key=lambda i: poles.frequency[chosen[i]])
     rows = [chosen[i] for i in by_frequency]
@@ -200,13 +234,18 @@ def _estimate(
     shapes = poles.shape[rows] / poles.shape[rows, largest][:, None]
     shapes[np.arange(len(rows)), largest] = 1.0
     columns = [poles.column[r] for r in rows]
-    return ModalEstimate(
+    estimate = ModalEstimate(
         frequencies_hz=poles.frequency[rows],
         damping_ratio=poles.damping[rows],
         shapes=shapes,
-        model_mode=np.array(by_frequency, dtype=np.int64),
-        deviations=mode_deviations(window.sums, realisation, space, columns, shapes, window.rate_hz),
+        model_mode=np.array([wanted[i] for i in by_frequency], dtype=np.int64),
+        deviations=np.zeros((0, len(rows), 2 + 2 * shapes.shape[1])),
         first=window.first_block,
         order=space.order,
         poles=np.column_stack([[spaces[s].order for s in poles.space], poles.frequency, poles.damping, poles.stable]),
     )
+    better = estimate if refiner is None else refiner(estimate)
+    if better is not estimate:
+        return better
+    deviations = mode_deviations(window.sums, realisation, space, columns, shapes, window.rate_hz)
+    return replace(estimate, deviations=deviations)

@@ -12,7 +12,7 @@ from monitor.settings import Settings
 class QualitySettings(Settings):
     """What keeps a window out."""
 
-    max_spectral_flatness: float = Field(default=0.8, gt=0, le=1)
+    max_spectral_flatness: float = Field(default=0.95, gt=0, le=1)
     """Geometric over arithmetic mean of the spectrum: 1 for white noise alone, about 0.1 for a vibrating frame."""
 
 

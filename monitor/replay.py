@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,11 +23,15 @@ from monitor.publish.rerun_scene import Scene
 from monitor.publish.rerun_view import RerunPublisher
 from monitor.publish.summary import Summary
 from monitor.results import Gap, Samples, WindowResult
-from monitor.updating import Update
+from monitor.second_solutions import second_solutions
+from monitor.updating import Observation, Update
 
 OnWarning = Callable[[str], None]
 OnProgress = Callable[[float], None]
 
+
+_COMMON = 0.9
+"""A mode belongs to the baseline when this share of the windows shows it."""
 
 RESULT_FILES = ("results.jsonl", "results.mcap", "live.rrd", "summary.json")
 """What `replay` leaves in its folder."""
@@ -126,7 +132,7 @@ class _Outputs:
 def scene(config: Configuration, baseline: Baseline | None) -> Scene:
     """What the viewer needs to know of the site."""
     heights = config.structure.story_heights_m
-    n = len(config.structure.masses_kg)
+    n = max(len(config.structure.masses_kg), len(config.structure.stiffness_n_per_m))
     return Scene(
         name=config.site.name or config.structure.name or "structure",
         channels=config.channels,
@@ -230,9 +236,40 @@ def calibrate(
         raise BadInputError(f"{_names(paths)}: no window could be identified, the last because: {reasons[-1]}")
     if reasons:
         on_warning(f"{len(reasons)} of {len(good) + len(reasons)} windows were left out, the last: {reasons[-1]}")
+    good = _with_common_modes(good)
     recordings = tuple({"file": p.name, "sha256": sha256(p)} for p in paths)
     windows = [r.modes for r in good if r.modes is not None]
     rms = np.array([r.rms_m_s2 for r in good])
     assert progress.first is not None
     span_ns = (progress.first.t_ns, pipeline.state.align.t_next_ns())
-    return learn(config, windows, rms, recordings, span_ns)
+    temperatures = [r.temperature for r in good if r.modes is not None]
+    baseline, fit = learn(config, windows, rms, recordings, span_ns, temperatures)
+    _tell_doubts(baseline, config, good[-1], on_warning)
+    return baseline, fit
+
+
+def _with_common_modes(windows: list[WindowResult]) -> list[WindowResult]:
+    """The windows with those modes alone that nearly all of them show, without the few that do not."""
+    seen = Counter(int(k) for w in windows if w.modes is not None for k in w.modes.model_mode)
+    common = frozenset(k for k, count in seen.items() if count >= _COMMON * len(windows))
+    kept = [replace(w, modes=w.modes.only(common)) for w in windows if w.modes is not None]
+    return [w for w in kept if w.modes is not None and w.modes.model_mode.size == len(common)]
+
+
+def _tell_doubts(baseline: Baseline, config: Configuration, last: WindowResult, on_warning: OnWarning) -> None:
+    """What these sensors and modes cannot tell, said before anybody relies on it."""
+    unidentified = last.damage.unidentified if last.damage is not None else ()
+    if unidentified:
+        on_warning(
+            f"the modes say next to nothing about story {', '.join(map(str, unidentified))}: damage there "
+            "cannot be judged; more sensors or more modes would help"
+        )
+    if config.updating.use_shapes:
+        return
+    z = baseline.z - baseline.misfit
+    target = Observation(z, np.eye(z.size), np.zeros((1, z.size)), baseline.model_mode, (), baseline.log)
+    for other in second_solutions(baseline.model, config.sensor_matrix(), target, config.updating):
+        on_warning(
+            f"the same frequencies also follow from stiffnesses {', '.join(f'{k:.1f}' for k in other)} N/m: frequencies "
+            "alone cannot tell which is true; set use_shapes = true under [updating]"
+        )

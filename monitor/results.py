@@ -6,7 +6,7 @@ its covariance, and "cannot say" is a value (`Skipped`).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
 import numpy as np
@@ -32,6 +32,18 @@ class Level(StrEnum):
     def rank(self) -> int:
         """0 for normal to 3 for alarm."""
         return list(Level).index(self)
+
+
+class Condition(StrEnum):
+    """What became of an alarm, by the state diagram of IEC 62682 (ISA-18.2)."""
+
+    NORMAL = "normal"
+    UNACKNOWLEDGED = "active, unacknowledged"
+    ACKNOWLEDGED = "active, acknowledged"
+    RETURNED_UNACKNOWLEDGED = "returned to normal, unacknowledged"
+    LATCHED_UNACKNOWLEDGED = "latched, unacknowledged"
+    LATCHED_ACKNOWLEDGED = "latched, acknowledged"
+    SHELVED = "shelved"
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,6 +145,19 @@ class ModalEstimate:
         """Shape (m,)."""
         return np.asarray(np.sqrt((self.deviations[:, :, 1] ** 2).sum(axis=0)))
 
+    def only(self, model_modes: frozenset[int]) -> ModalEstimate:
+        """The estimate of these modes of the model (0 = lowest) alone."""
+        rows = [row for row, mode in enumerate(self.model_mode) if mode in model_modes]
+        return replace(
+            self,
+            frequencies_hz=self.frequencies_hz[rows],
+            damping_ratio=self.damping_ratio[rows],
+            shapes=self.shapes[rows],
+            model_mode=self.model_mode[rows],
+            deviations=self.deviations[:, rows],
+            weight_factor=None if self.weight_factor is None else self.weight_factor[:, rows],
+        )
+
 
 @dataclass(frozen=True, eq=False, slots=True)
 class StiffnessEstimate:
@@ -160,11 +185,26 @@ class DamageReading:
     """Shape (n,): read from the difference of the stiffness matrices in the paper's sequence."""
     loss_n_per_m: Array
     """Shape (n,): stiffness lost since the baseline."""
+    common_covariance: Array = field(default_factory=lambda: np.zeros(()))
+    """Shape (n, n): the part of `ddi_covariance` that all windows share, the baseline's own, which no averaging lessens."""
+    temperature_effect: Array | None = None
+    """Shape (n,): relative change of stiffness that the temperature explains, already taken out of the index; None where
+    no dependence is known."""
+    unidentified: tuple[int, ...] = ()
+    """Stories, from 1, of which the window's modes say next to nothing: their index is held by the prior alone."""
 
     @property
     def ddi_std(self) -> Array:
         """Shape (n,)."""
         return np.asarray(np.sqrt(np.diag(self.ddi_covariance)))
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Temperature:
+    """What a window felt."""
+
+    lagged_degc: Array
+    """Shape (n_lags,): mean over the window behind each of `temperature.LAGS_S`, degC; the first is as measured."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,7 +216,9 @@ class Alarm:
     """Story numbers from 1 at this level; empty for the whole structure or none."""
     reason: str
     active: dict[int, Level] = field(default_factory=dict)
-    """Level of every story that is not normal; `WHOLE` stands for the structure as a whole."""
+    """Announced level of every story that is not normal; `WHOLE` stands for the structure as a whole."""
+    conditions: dict[int, Condition] = field(default_factory=dict)
+    """Condition of every alarm that is not normal, shelved ones among them."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -193,6 +235,10 @@ class WindowResult:
     skipped: Skipped | None
     rms_m_s2: float | None = None
     """Response level, mean over channels; None for a window with a hole."""
+    temperature: Temperature | None = None
+    """None without a temperature channel, or where it is too old."""
+    mode_tracks: tuple[int, ...] = ()
+    """Identity over time of each of the modes, from 0; -1 for one not seen often enough yet."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,8 +1,9 @@
 """Integrates a Model in time: recordings with known truth.
 
-Two integrators for linear models, both recursions run as compiled IIR filters: the exact discretisation (force linear
-between samples, so that nothing is delayed) for everything of ours, and Newmark's average acceleration at the paper's
-steps for `reproduce`, which lengthens periods to ``f_N = atan(pi f dt) / (pi dt)``.
+Linear models go through two recursions, run as compiled IIR filters: the exact discretisation (force linear between
+samples, so that nothing is delayed) for everything of ours, and Newmark's average acceleration at the paper's steps for
+`reproduce`, which lengthens periods to ``f_N = atan(pi f dt) / (pi dt)``.  Models with nonlinear laws or a stiffness that
+changes in time are stepped by `monitor.stepping`, which adds to the same exact discretisation.
 """
 
 from __future__ import annotations
@@ -11,8 +12,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+from scipy.optimize import brentq
 from scipy.signal import lfilter
 
+from monitor.effects import Condition, Context, System
 from monitor.model import Model
 from monitor.results import Array
 
@@ -21,21 +24,35 @@ ExcitationKind = Literal["ambient", "impulse", "ground"]
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Motion:
-    """What the sensors of a simulated structure saw."""
+    """What the sensors of a simulated structure said."""
 
     rate_hz: float
     floors: Array
-    """Absolute accelerations, shape (n_samples, n), m/s^2."""
+    """Absolute accelerations, shape (n_samples, c), m/s^2; one channel a floor unless sensors were named."""
     ground: Array | None
-    """Ground acceleration, shape (n_samples,), m/s^2."""
+    """Ground acceleration, where it was measured, shape (n_samples,), m/s^2."""
+
+
+def linear_system(model: Model) -> System:
+    """Structure, its damping and what effects add that is linear at every level."""
+    n = model.structure.n_dofs
+    mass, stiffness = model.structural_matrices()
+    system = System(mass, model.damping_matrix(), stiffness)
+    context = Context(model.structure, (), np.zeros((0, n)), 1.0)
+    nowhere = Condition(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0))
+    for effect in model.effects:
+        if not (effect.conditional or effect.nonlinear):  # of those the exact law acts
+            system = effect.extend(system, context, nowhere)
+    return system
 
 
 def respond_exactly(model: Model, forces: Array, rate_hz: float) -> Array:
-    """Accelerations of the floors under forces that run straight between samples.
+    """Accelerations of the floors under forces that run straight between samples, nonlinear laws left out.
 
     Parameters
     ----------
     forces : ndarray, shape (n_samples, n), N
+        More columns act on the degrees of freedom that effects append.
     rate_hz : float
 
     Returns
@@ -45,20 +62,16 @@ def respond_exactly(model: Model, forces: Array, rate_hz: float) -> Array:
 
     Notes
     -----
-    The complex modes of the state matrix decouple it into n first-order recursions (one of each conjugate pair).
+    The complex modes of the state matrix decouple it into first-order recursions (one of each conjugate pair).
     """
-    n, dt = forces.shape[1], 1.0 / rate_hz
-    minv = np.linalg.inv(model.mass_matrix())
-    dynamics = np.block(
-        [
-            [np.zeros((n, n)), np.eye(n)],
-            [-minv @ model.stiffness_matrix(), -minv @ model.damping_matrix()],
-        ]
-    )
+    system, dt = linear_system(model), 1.0 / rate_hz
+    n, size, columns = model.structure.n_dofs, system.mass.shape[0], forces.shape[1]
+    minv = np.linalg.inv(system.mass)
+    dynamics = np.block([[np.zeros((size, size)), np.eye(size)], [-minv @ system.stiffness, -minv @ system.damping]])
     poles, vectors = np.linalg.eig(dynamics)
-    drive = np.linalg.solve(vectors, np.vstack([np.zeros((n, n)), minv]).astype(complex))
-    output = dynamics[n:].astype(complex) @ vectors
-    accelerations = forces @ minv.T
+    drive = np.linalg.solve(vectors, np.vstack([np.zeros((size, size)), minv]).astype(complex))[:, :columns]
+    output = dynamics[size : size + n].astype(complex) @ vectors
+    accelerations = forces @ minv[:n, :columns].T
     for q in np.flatnonzero(poles.imag >= 0):
         decay = np.exp(poles[q] * dt)
         held = (decay - 1.0) / poles[q]
@@ -113,6 +126,8 @@ def simulate(
     noise: float = 0.0,
     level_spread: float = 0.0,
     seed: int = 0,
+    context: Context | None = None,
+    excess_degc: Array | None = None,
 ) -> Motion:
     """A recording's worth of motion.
 
@@ -120,30 +135,104 @@ def simulate(
     ----------
     excitation : {"ambient", "impulse", "ground"}
         Independent white forces of 1 N on every floor; a hammer blow on the middle floor every 10 s; a white ground
-        acceleration of 0.5 m/s^2.
+        acceleration of 0.5 m/s^2, measured.
     noise : float
         Sensor noise, white at `rate_hz`, as a fraction of the mean over channels of the acceleration's RMS, the same
-        on every channel.
+        on every channel.  It passes the sensor effects as the motion does.
     level_spread : float
         Relative spread of the excitation's slowly wandering level (0.35 for wind).
+    context : Context, optional
+        Names and places of the sensors; by default one a floor, a1 to an.
+    excess_degc : ndarray, shape (n_samples,), optional
+        Temperature above the reference; none by default.
+
+    Raises
+    ------
+    ValueError
+        If an effect shapes the forces or moves the ground, and `excitation` is the ground.
     """
+    if excitation == "ground" and any(e.ground_share or np.ndim(e.colour(np.ones(1))) for e in model.effects):
+        raise ValueError("coloured_excitation and base_excitation need --excitation ambient or impulse")
+    n = model.structure.n_dofs
+    if context is None:
+        context = Context(model.structure, tuple(f"a{j + 1}" for j in range(n)), np.eye(n), rate_hz)
     rng = np.random.default_rng(seed)
-    n_samples, n = round(duration_s * rate_hz), model.structure.n_stories
+    own = rng.spawn(1)[0]  # of effects, so that the same seed gives the same forces and noise without them
+    n_samples = round(duration_s * rate_hz)
+    true_rate_hz = rate_hz * float(np.prod([e.clock_factor for e in model.effects]))
     level = level_wander(n_samples, rate_hz, level_spread, rng)[:, None]
-    ground = None
+    forces, ground = np.zeros((n_samples, n)), None
     if excitation == "ambient":
         forces = level * rng.standard_normal((n_samples, n))
     elif excitation == "impulse":
-        forces = np.zeros((n_samples, n))
         forces[:: max(1, round(10.0 * rate_hz)), n // 2] = rate_hz  # 1 N s within one sample
     else:
         ground = 0.5 * level[:, 0] * rng.standard_normal(n_samples)
-        forces = -ground[:, None] * model.mass_matrix().sum(axis=1)
-    floors = respond_exactly(model, forces, rate_hz)
-    if ground is not None:
-        floors = floors + ground[:, None]
-    rms = noise * float(np.sqrt((floors**2).mean(axis=0)).mean())
-    floors = floors + rms * rng.standard_normal(floors.shape)
+    for effect in model.effects:
+        forces = effect.drive(forces, true_rate_hz)
+    moving = _hidden_ground(model, forces, level[:, 0], true_rate_hz, context, own) if ground is None else ground
+    clean = respond(model, forces, moving, true_rate_hz, excess_degc) @ context.sensors.T
+    rms = noise * float(np.sqrt((clean**2).mean(axis=0)).mean())
+    samples = clean + rms * rng.standard_normal(clean.shape)
     if ground is not None:
         ground = ground + rms * rng.standard_normal(n_samples)
-    return Motion(rate_hz, floors, ground)
+    for effect in model.effects:
+        samples = effect.measure(samples, true_rate_hz, context, own)
+    return Motion(rate_hz, samples, ground)
+
+
+def respond(
+    model: Model, forces: Array, ground: Array | None, rate_hz: float, excess_degc: Array | None = None
+) -> Array:
+    """Absolute accelerations of the floors, shape (n_samples, n), every law at work.
+
+    Parameters
+    ----------
+    forces : ndarray, shape (n_samples, n), N
+    ground : ndarray, shape (n_samples,), m/s^2, or None for ground at rest
+    rate_hz : float
+    excess_degc : ndarray, shape (n_samples,), optional
+        Temperature above the reference.
+    """
+    if ground is not None:
+        forces = _with_inertia(model, forces, ground)
+    laws = [law for effect in model.effects for law in effect.laws(model.structure)]
+    factors = [] if excess_degc is None else [e.stiffness_factor(excess_degc, rate_hz) for e in model.effects]
+    changing = [f for f in factors if f is not None]
+    if laws or changing:
+        from monitor.stepping import march  # compiled code takes a while to load
+
+        factor = np.prod(changing, axis=0) if changing else None
+        floors = march(linear_system(model), model.structure.n_dofs, laws, forces, rate_hz, factor)
+    else:
+        floors = respond_exactly(model, forces, rate_hz)
+    return floors if ground is None else floors + ground[:, None]
+
+
+def _with_inertia(model: Model, forces: Array, ground: Array) -> Array:
+    """Forces on every degree of freedom in a frame that moves with the ground, shape (n_samples, N)."""
+    inertia = linear_system(model).mass.sum(axis=1)
+    padded = np.pad(forces, ((0, 0), (0, inertia.size - forces.shape[1])))
+    return np.asarray(padded - ground[:, None] * inertia)
+
+
+def _hidden_ground(
+    model: Model, forces: Array, level: Array, rate_hz: float, context: Context, rng: np.random.Generator
+) -> Array | None:
+    """Ground acceleration that causes the effects' share of the channels' variance, as the linear model answers."""
+    share = sum(e.ground_share for e in model.effects)
+    if share <= 0.0:
+        return None
+    if share >= 1.0:
+        raise ValueError(f"base_excitation: shares add up to {share:g}, not below 1")
+    ground = np.asarray(level * rng.standard_normal(level.size))
+    shaken = respond_exactly(model, _with_inertia(model, np.zeros_like(forces), ground), rate_hz) + ground[:, None]
+    by_ground = ((shaken @ context.sensors.T) ** 2).mean(axis=0)
+    by_force = ((respond_exactly(model, forces, rate_hz) @ context.sensors.T) ** 2).mean(axis=0)
+
+    def excess(ln_power: float) -> float:
+        part = np.exp(ln_power) * by_ground
+        return float((part / (part + by_force)).mean()) - share
+
+    middle = float(np.log(by_force.mean() / by_ground.mean()))
+    return np.asarray(ground * np.exp(0.5 * brentq(excess, middle - 25.0, middle + 25.0)))

@@ -60,7 +60,12 @@ def leakage() -> Array:
     The debiased Whittle likelihood, Biometrika 106 (2019) 251-266); half bins sample that convolution exactly, for
     covariances that die out within a segment.
     """
-    x = LEAKAGE_OFFSETS / 2.0
-    # Hann: half of one line and a quarter of each neighbour, with opposite sign.
-    amplitude = 0.5 * np.sinc(x) + 0.25 * (np.sinc(x - 1.0) + np.sinc(x + 1.0))
+    amplitude = hann_amplitude(LEAKAGE_OFFSETS / 2.0)
     return np.asarray(amplitude**2 / (amplitude**2).sum())
+
+
+def hann_amplitude(offset_bins: Array) -> Array:
+    """Transform of the Hann taper at an offset in bins, over the segment's length: half of one line and a quarter of each
+    neighbour, with opposite sign."""
+    x = offset_bins
+    return np.asarray(0.5 * np.sinc(x) + 0.25 * (np.sinc(x - 1.0) + np.sinc(x + 1.0)))

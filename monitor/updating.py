@@ -2,7 +2,7 @@
 
 The measured vector z holds, for each mode, its eigenvalue (or the eigenvalue's logarithm) and, if wanted, the
 components of its shape relative to a gauge component.  Parameters are story stiffnesses and, for a baseline, floor
-masses.
+masses.  Directions of theta that the data do not see are held by the prior, and said.
 """
 
 from __future__ import annotations
@@ -13,9 +13,15 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
-from monitor.model import Model, Modes
+from monitor.model import Model
 from monitor.results import Array, ModalEstimate
+from monitor.sensitivity import fox_kapoor
 from monitor.settings import Settings
+
+UNSEEN = 0.7
+"""A parameter, or a direction, is not identified when the data leave more than this share of its prior deviation."""
+_LOWEST = 1e-9
+"""Eigenvalues are kept above this share of the highest: a step may leave a structure that would not stand."""
 
 Penalty = Literal["least_squares", "weighted", "step", "initial", "minimum_norm"]
 
@@ -30,7 +36,7 @@ class UpdatingSettings(Settings):
     eigenvalue: Literal["log", "linear"] = "log"
     """Compare eigenvalues by their logarithms (changes cancel a scale error of the masses) or as the paper does."""
     parameter_std: float = Field(default=0.2, gt=0)
-    """Relative standard deviation that W_theta of `step` and `initial` gives every parameter."""
+    """Relative standard deviation that W_theta gives every parameter whose range is not known."""
     max_iterations: int = Field(default=50, ge=1)
     tolerance: float = Field(default=1e-7, gt=0)
     """Converged when no parameter moves by more than this fraction."""
@@ -69,6 +75,12 @@ class Update:
     iterations: int
     history: Array
     """Shape (iterations + 1, n_parameters), the initial values first."""
+    identifiable: Array
+    """Shape (n_parameters,): share of each parameter's prior variance that the data take away, 0 to 1."""
+    unseen: Array
+    """Shape (n_unseen, n_parameters): directions of relative change, of length 1, that the data do not see (`UNSEEN`)."""
+    prior_left: Array
+    """Shape (n_parameters, n_parameters): the part of the prior's covariance that the gain leaves in the parameters."""
 
 
 def observe(modes: ModalEstimate, settings: UpdatingSettings, gauges: tuple[int, ...] | None = None) -> Observation:
@@ -130,7 +142,7 @@ def predict(model: Model, sensors: Array, observation: Observation, with_masses:
     d_k, d_m = _matrix_derivatives(model, with_masses)
     d_lambda, d_shapes = fox_kapoor(modes, d_k, d_m)
     used = list(observation.model_mode)
-    lam = modes.eigenvalues[used]
+    lam = np.maximum(modes.eigenvalues, _LOWEST * modes.eigenvalues[-1])[used]
     z = [np.log(lam) if observation.log else lam]
     rows = [d_lambda[used] / lam[:, None] if observation.log else d_lambda[used]]
     for i, gauge in zip(used, observation.gauges, strict=False):
@@ -141,36 +153,6 @@ def predict(model: Model, sensors: Array, observation: Observation, with_masses:
         z.append(ratio[others])
         rows.append(d_ratio[others])
     return np.concatenate(z), np.vstack(rows)
-
-
-def fox_kapoor(modes: Modes, d_k: Array, d_m: Array) -> tuple[Array, Array]:
-    """Derivatives of eigenvalues (eq. 20) and mode shapes (eq. 19, expanded in the modes).
-
-    Parameters
-    ----------
-    d_k, d_m : ndarray, shape (p, n, n)
-
-    Returns
-    -------
-    d_lambda : ndarray, shape (n, p)
-    d_shapes : ndarray, shape (n, n, p)
-        ``d_shapes[i]`` is the derivative of mode i, floors by parameters, at unit modal mass.
-
-    References
-    ----------
-    R. L. Fox, M. P. Kapoor, Rates of change of eigenvalues and eigenvectors, AIAA Journal 6 (1968) 2426-2429.
-    """
-    phi, lam = modes.shapes, modes.eigenvalues
-    k_modal = np.einsum("ar,pab,bi->pri", phi, d_k, phi)
-    m_modal = np.einsum("ar,pab,bi->pri", phi, d_m, phi)
-    mixed = k_modal - lam[None, None, :] * m_modal
-    d_lambda = np.einsum("pii->ip", mixed)
-    apart = lam[None, :] - lam[:, None]  # lambda_i - lambda_r at (r, i)
-    np.fill_diagonal(apart, 1.0)
-    coefficients = mixed / apart
-    diagonal = np.arange(lam.size)
-    coefficients[:, diagonal, diagonal] = -0.5 * m_modal[:, diagonal, diagonal]
-    return d_lambda, np.einsum("ar,pri->iap", phi, coefficients)
 
 
 def update(
@@ -187,7 +169,8 @@ def update(
     Parameters
     ----------
     prior_std : ndarray, shape (n_parameters,), optional
-        Relative standard deviations for W_theta; by default `settings.parameter_std` for all.
+        Relative standard deviations for W_theta; by default `settings.parameter_std` for all.  With them, penalty
+        ``weighted`` turns into ``initial`` where the data leave a direction unseen, which nothing else would hold.
     with_masses : bool
         Update the floor masses too; their scale is held by the prior alone, so this wants penalty ``initial``.
     """
@@ -196,21 +179,27 @@ def update(
     initial, history = theta.copy(), [theta]
     relative = np.full(theta.size, settings.parameter_std) if prior_std is None else prior_std
     w_theta = 1.0 / (relative * initial) ** 2
-    converged = False
+    converged, penalty = False, settings.penalty
+    z, sensitivity = predict(model, sensors, observation, with_masses)
+    if (
+        penalty == "weighted"
+        and prior_std is not None
+        and _seen(sensitivity, observation.weight, initial, relative)[1].size
+    ):
+        penalty = "initial"
 
     def objective(z: Array, where: Array) -> float:
         """J of eqs 25 and 31."""
         error, pull = observation.z - z, where - initial
-        held = float(pull @ (w_theta * pull)) if settings.penalty == "initial" else 0.0
+        held = float(pull @ (w_theta * pull)) if penalty == "initial" else 0.0
         return float(error @ observation.weight @ error) + held
 
     # With as many parameters as data there is nothing to trade, and the plain iteration is the paper's.
-    overdetermined = observation.z.size > theta.size
-    z, sensitivity = predict(model, sensors, observation, with_masses)
+    overdetermined = observation.z.size > theta.size or penalty == "initial"
     for _ in range(settings.max_iterations):
-        gain = _gain(sensitivity, observation.weight, w_theta, settings.penalty)
+        gain = _gain(sensitivity, observation.weight, w_theta, penalty)
         step = gain @ (observation.z - z)
-        if settings.penalty == "initial":  # eq. 33 pulls towards the initial values, eq. 30 only brakes the step
+        if penalty == "initial":  # eq. 33 pulls towards the initial values, eq. 30 only brakes the step
             step -= _prior_pull(sensitivity, observation.weight, w_theta) @ (theta - initial)
         # A step that would make a stiffness negative is shortened: half way to zero at most.
         step *= min(1.0, float(np.min(np.where(step < 0, -0.5 * theta / np.minimum(step, -1e-300), 1.0))))
@@ -218,7 +207,7 @@ def update(
         while True:
             model = _with_parameters(model, theta + step, with_masses)
             z, sensitivity = predict(model, sensors, observation, with_masses)
-            better = objective(z, theta + step) <= now * (1.0 + 1e-9)
+            better = objective(z, theta + step) <= now
             if better or not overdetermined or shortened == 6:
                 break
             step, shortened = 0.5 * step, shortened + 1  # the linearized step overshot: the model's form is wrong
@@ -227,16 +216,35 @@ def update(
         if np.abs(step / theta).max() < settings.tolerance:
             converged = True
             break
+    gain = _gain(sensitivity, observation.weight, w_theta, penalty)
+    identifiable, unseen = _seen(sensitivity, observation.weight, initial, relative)
+    left = (np.eye(theta.size) - gain @ sensitivity) * (relative * initial)
     return Update(
         model=model,
         parameters=theta,
-        gain=_gain(sensitivity, observation.weight, w_theta, settings.penalty),
+        gain=gain,
         sensitivity=sensitivity,
         residual=observation.z - z,
         converged=converged,
         iterations=len(history) - 1,
         history=np.array(history),
+        identifiable=identifiable,
+        unseen=unseen,
+        prior_left=left @ left.T,
     )
+
+
+def _seen(sensitivity: Array, weight: Array, initial: Array, relative: Array) -> tuple[Array, Array]:
+    """`Update.identifiable` and `Update.unseen`: what the data's information adds to the prior's.
+
+    With parameters in units of their prior deviations the prior's information is one in every direction and the data's
+    has eigenvalues g along its eigenvectors; the posterior variance is 1 / (1 + g) of the prior's.
+    """
+    scaled = sensitivity * (relative * initial)
+    g, directions = np.linalg.eigh(scaled.T @ weight @ scaled)
+    share = 1.0 / (1.0 + np.maximum(g, 0.0))
+    unseen = (directions[:, np.sqrt(share) > UNSEEN] * relative[:, None]).T
+    return 1.0 - directions**2 @ share, unseen / np.linalg.norm(unseen, axis=1, keepdims=True)
 
 
 def _gain(sensitivity: Array, weight: Array, w_theta: Array, penalty: Penalty) -> Array:
@@ -263,16 +271,13 @@ def _solve_scaled(normal: Array, right: Array) -> Array:
 
 def _matrix_derivatives(model: Model, with_masses: bool) -> tuple[Array, Array]:
     d_k = model.stiffness_derivatives()
-    d_m = np.zeros_like(d_k)
-    if with_masses:
-        n = model.structure.n_stories
-        unit = np.zeros((n, n, n))
-        unit[np.arange(n), np.arange(n), np.arange(n)] = 1.0
-        d_k, d_m = np.concatenate([d_k, np.zeros_like(unit)]), np.concatenate([d_m, unit])
-    return d_k, d_m
+    if not with_masses:
+        return d_k, np.zeros_like(d_k)
+    d_m = model.structure.mass_derivatives()
+    return np.concatenate([d_k, np.zeros_like(d_m)]), np.concatenate([np.zeros_like(d_k), d_m])
 
 
 def _with_parameters(model: Model, theta: Array, with_masses: bool) -> Model:
-    n = model.structure.n_stories
-    updated = model.with_stiffness(theta[:n])
-    return updated.with_masses(theta[n:]) if with_masses else updated
+    p = model.structure.n_stories
+    updated = model.with_stiffness(theta[:p])
+    return updated.with_masses(theta[p:]) if with_masses else updated

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 from scipy.signal import csd
 
-from monitor.effects import EffectError, parse_effect
+from monitor.effects import Context, EffectError, parse_effect
 from monitor.model import Model
-from monitor.simulate import level_wander, respond_exactly, respond_newmark, simulate
+from monitor.simulate import level_wander, linear_system, respond, respond_exactly, respond_newmark, simulate
+from monitor.stepping import march
 from monitor.structures import ShearFrame
 
 FRAME = Model(
@@ -118,3 +119,122 @@ def test_joint_flexibility_of_one_story_is_the_textbook_portal() -> None:
 def test_effects_that_cannot_be_are_refused(text: str) -> None:
     with pytest.raises(EffectError):
         parse_effect(text)
+
+
+LAWS = (
+    "cubic_stiffness:story 2:k3_n_per_m3=6e7",
+    "cubic_stiffness:story 2:k3_n_per_m3=-6e7",
+    "gap_contact:story 2:gap_m=0.0014,contact_stiffness_n_per_m=3000",
+    "bilinear_stiffness:story 1:relative_drop=0.3",
+    "coulomb_friction:story 1:friction_force_n=0.026",
+    "coulomb_friction:story 3:friction_force_n=0.17",
+    "quadratic_damping:floor 2:coefficient_n_s2_per_m2=16",
+)
+
+
+def planted(*texts: str) -> Model:
+    return Model(FRAME.structure, tuple(parse_effect(text) for text in texts))
+
+
+def white(n: int, seed: int = 0) -> np.ndarray:
+    return np.random.default_rng(seed).standard_normal((n, 3))
+
+
+def test_stepping_a_linear_model_is_the_exact_recursion() -> None:
+    forces = white(2000)
+    model = planted("attached_oscillator:floor 2:mass_kg=0.02,frequency_hz=11,damping_ratio=0.02",
+                    "story_damper:story 3:damping_n_s_per_m=2")  # fmt: skip
+    stepped = march(linear_system(model), 3, (), forces, 1024.0)
+    np.testing.assert_allclose(stepped, respond_exactly(model, forces, 1024.0), atol=1e-9)
+
+
+@pytest.mark.parametrize("text", LAWS)
+def test_steps_are_short_enough(text: str) -> None:
+    """Halving them changes the motion by less than 0.1 %."""
+    model, forces = planted(text), white(20_480)
+    system, laws = linear_system(model), model.effects[0].laws(model.structure)
+    coarse = respond(model, forces, None, 1024.0)
+    fine = march(system, 3, laws, forces, 1024.0, step_hz=8192.0)
+    assert (coarse - fine).std() < 1e-3 * fine.std()
+    assert (fine - respond_exactly(model, forces, 1024.0)).std() > 0.05 * fine.std(), "the law does nothing"
+
+
+def test_a_stiffness_that_changes_in_time_is_that_stiffness() -> None:
+    forces = white(8192)
+    warm = respond(
+        planted("temperature_stiffness:frame:per_degc=0.002,lag_s=0"), forces, None, 1024.0, np.full(8192, 10.0)
+    )
+    damping = FRAME.damping_matrix()  # which does not follow the temperature
+    stiff = linear_system(planted("stiffness_change:frame:relative=0.02"))
+    exact = march(type(stiff)(stiff.mass, damping, stiff.stiffness), 3, (), forces, 1024.0)
+    np.testing.assert_allclose(warm, exact, atol=1e-3 * exact.std())
+
+
+def test_the_lag_of_the_temperature_is_first_order() -> None:
+    effect = parse_effect("temperature_stiffness:frame:per_degc=0.01,lag_s=5")
+    step = np.where(np.arange(400) >= 100, 1.0, 0.0)
+    factor = effect.stiffness_factor(step, 10.0)
+    assert factor is not None
+    t = (np.arange(400) - 99) / 10.0
+    np.testing.assert_allclose(factor - 1.0, 0.01 * np.where(t > 0, 1.0 - np.exp(-t / 5.0), 0.0), atol=1e-12)
+
+
+def story_force(text: str) -> np.ndarray:
+    """Drift and force of the story that the effect is on, shape (2, 2001)."""
+    from monitor.effects.laws import phi
+
+    effect = parse_effect(text)
+    law = effect.laws(FRAME.structure)[0]
+    k = FRAME.structure.stiffness_n_per_m[effect.index]
+    d = np.linspace(-0.01, 0.01, 2001)
+    return np.array([d, k * d + [phi(int(law.kind), *law.parameters, float(x), 0.0) for x in d]])
+
+
+def test_a_softening_cubic_is_the_cubic_and_never_runs_away() -> None:
+    d, force = story_force("cubic_stiffness:story 2:k3_n_per_m3=-4e7")
+    k = FRAME.structure.stiffness_n_per_m[1]
+    near = np.abs(d) < 3e-3
+    np.testing.assert_allclose(force[near], (k * d - 4e7 * d**3)[near], rtol=1e-9, atol=1e-12)
+    assert np.diff(force).min() > 0.09 * k * (d[1] - d[0])
+
+
+def test_one_sided_laws_act_on_their_side() -> None:
+    k = FRAME.structure.stiffness_n_per_m[1]
+    d, force = story_force("gap_contact:story 2:gap_m=-0.002,contact_stiffness_n_per_m=500")
+    np.testing.assert_allclose(force, k * d + 500.0 * np.minimum(d + 0.002, 0.0), atol=1e-9)
+    d, force = story_force("gap_contact:story 2:gap_m=0.002,contact_stiffness_n_per_m=500")
+    np.testing.assert_allclose(force, k * d + 500.0 * np.maximum(d - 0.002, 0.0), atol=1e-9)
+    d, force = story_force("bilinear_stiffness:story 2:relative_drop=0.2")
+    np.testing.assert_allclose(force, k * d * np.where(d > 0, 0.8, 1.0), atol=1e-9)
+
+
+def test_the_hidden_ground_causes_its_share_and_is_not_recorded() -> None:
+    model = planted("base_excitation:base:share=0.6")
+    both = simulate(model, duration_s=60, rate_hz=256, seed=2)
+    forced = simulate(FRAME, duration_s=60, rate_hz=256, seed=2)
+    assert both.ground is None
+    share = 1.0 - (forced.floors**2).mean(axis=0) / (both.floors**2).mean(axis=0)
+    assert share.mean() == pytest.approx(0.6, abs=0.05)
+
+
+def test_noise_passes_the_sensor_effects_and_each_sensor_has_its_own() -> None:
+    context = Context(FRAME.structure, ("top", "same"), np.array([[1.0, 0.0, 0.0]] * 2), 256.0)
+    model = planted("sensor_gain:channel same:gain=2")
+    said = simulate(model, duration_s=20, rate_hz=256, noise=0.1, seed=2, context=context).floors
+    clean = simulate(FRAME, duration_s=20, rate_hz=256, seed=2).floors[:, 0]
+    noise = said / [1.0, 2.0] - clean[:, None]
+    np.testing.assert_allclose(noise.std(axis=0), 0.1 * clean.std(), rtol=0.05)
+    assert abs(np.corrcoef(noise.T)[0, 1]) < 0.05
+
+
+def test_a_late_channel_is_late() -> None:
+    late = simulate(planted("time_offset:channel a2:seconds=0.03125"), duration_s=8, rate_hz=256, seed=2).floors
+    clean = simulate(FRAME, duration_s=8, rate_hz=256, seed=2).floors
+    np.testing.assert_allclose(late[8:, 1], clean[:-8, 1], atol=1e-9)  # a whole number of samples
+    np.testing.assert_array_equal(late[:, [0, 2]], clean[:, [0, 2]])
+
+
+@pytest.mark.parametrize("text", ["coloured_excitation:frame:corner_hz=8", "base_excitation:base:share=0.5"])
+def test_what_the_ground_excitation_leaves_no_room_for_is_refused(text: str) -> None:
+    with pytest.raises(ValueError, match="ambient"):
+        simulate(planted(text), duration_s=1, rate_hz=128, excitation="ground")

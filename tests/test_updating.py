@@ -9,7 +9,9 @@ from hypothesis import strategies as st
 
 from monitor.effects import parse_effect
 from monitor.model import Model
-from monitor.structures import ShearFrame
+from monitor.reproduce import convergence
+from monitor.second_solutions import second_solutions
+from monitor.structures import MatrixStructure, ShearFrame
 from monitor.updating import Observation, UpdatingSettings, predict, update
 
 MASSES = np.array([0.3253, 0.3514, 0.3129])
@@ -130,3 +132,76 @@ def test_not_converging_is_a_value() -> None:
     )
     assert not fit.converged
     assert (fit.parameters > 0).all()
+
+
+def measured(model: Model, sensors: np.ndarray, modes: tuple[int, ...], std: float) -> Observation:
+    """The first modes at few sensors, each number with standard deviation `std`; no error yet."""
+    gauges = tuple(int(np.abs(sensors @ model.modes().shapes[:, i]).argmax()) for i in modes)
+    size = len(modes) * len(sensors)
+    blank = Observation(np.zeros(size), np.eye(size), np.zeros((1, size)), modes, gauges, True)
+    z, _ = predict(model, sensors, blank, with_masses=False)
+    return Observation(z, np.eye(size) / std**2, std * np.eye(size), modes, gauges, True)
+
+
+def test_three_sensors_see_every_story_and_the_prior_changes_nothing() -> None:
+    target = measured(frame(INITIAL * [1.0, 0.8, 1.1]), np.eye(3), (0, 1, 2), 2e-3)
+    plain = update(frame(INITIAL), np.eye(3), target, UpdatingSettings())
+    held = update(frame(INITIAL), np.eye(3), target, UpdatingSettings(), prior_std=np.full(3, 0.2))
+    np.testing.assert_array_equal(held.parameters, plain.parameters)
+    np.testing.assert_array_equal(held.gain, plain.gain)
+    assert held.unseen.shape == (0, 3)
+    assert held.identifiable.min() > 0.999
+    assert np.abs(held.prior_left).max() < 1e-9 * (0.2 * INITIAL.max()) ** 2
+
+
+def test_what_two_springs_in_parallel_share_is_seen_and_what_they_trade_is_not() -> None:
+    spring = np.array([[1.0, -1.0], [-1.0, 1.0]])
+    slopes = np.array([spring, spring, np.diag([0.0, 1.0])])
+    nominal = np.array([500.0, 500.0, 1500.0])
+    structure = MatrixStructure.create(np.eye(2), np.tensordot(nominal, slopes, axes=1), slopes, nominal, 0.01)
+    truth = Model(structure.with_stiffness(np.array([400.0, 500.0, 1500.0])))
+    fit = update(
+        Model(structure), np.eye(2), measured(truth, np.eye(2), (0, 1), 1e-3), UpdatingSettings(),
+        prior_std=np.full(3, 0.2),
+    )  # fmt: skip
+    assert fit.converged
+    assert fit.parameters[:2].sum() == pytest.approx(900.0, rel=1e-3)
+    assert fit.parameters[2] == pytest.approx(1500.0, rel=1e-3)
+    np.testing.assert_allclose(np.abs(fit.unseen), [[np.sqrt(0.5), np.sqrt(0.5), 0.0]], atol=1e-3)
+    np.testing.assert_allclose(fit.identifiable, [0.5, 0.5, 1.0], atol=1e-3)
+    np.testing.assert_allclose(np.sqrt(np.diag(fit.prior_left)) / nominal, [np.sqrt(0.02), np.sqrt(0.02), 0], atol=1e-3)
+
+
+def test_few_sensors_on_a_tall_frame_leave_an_honest_uncertainty() -> None:
+    """Truths drawn from the prior lie within the stated deviation, also where nearly nothing is seen."""
+    n, sensors, prior, std = 8, np.eye(8)[[0, 4]], 0.1, 4e-3
+    drawn = Model(ShearFrame(np.full(n, 0.3), np.full(n, 5000.0), 0.01))
+    rng = np.random.default_rng(3)
+    scores = []
+    for _ in range(60):
+        change = prior * rng.standard_normal(n)
+        target = measured(drawn.with_stiffness(5000.0 * (1.0 + change)), sensors, (0, 1, 2), std)
+        noisy = Observation(target.z + std * rng.standard_normal(target.z.size), target.weight, target.deviations,
+                            target.model_mode, target.gauges, True)  # fmt: skip
+        fit = update(drawn, sensors, noisy, UpdatingSettings(), prior_std=np.full(n, prior))
+        covariance = std**2 * fit.gain @ fit.gain.T + fit.prior_left
+        scores.append((fit.parameters / 5000.0 - 1.0 - change) * 5000.0 / np.sqrt(np.diag(covariance)))
+        assert fit.converged
+    assert len(fit.unseen) >= 2
+    assert fit.identifiable.min() < 0.5 < fit.identifiable.max()
+    assert 0.93 < np.mean(np.abs(scores) < 1.96) < 0.98
+    assert np.sqrt(np.mean(np.square(scores), axis=0)).max() < 1.35
+
+
+def test_the_second_exact_solution_is_found_from_the_first_and_back() -> None:
+    first, target = frame(convergence()[-1]), frequencies([5.2, 16.3, 23.0])
+    (other,) = second_solutions(first, np.eye(3), target, PAPER)
+    np.testing.assert_allclose(other, [1603.03, 978.68, 5331.21], atol=0.01)
+    (back,) = second_solutions(frame(other), np.eye(3), target, PAPER)
+    np.testing.assert_allclose(back, convergence()[-1], rtol=1e-6)
+
+
+def test_shapes_leave_no_second_solution() -> None:
+    first = frame(convergence()[-1])
+    target = measured(first, np.eye(3), (0, 1, 2), 1e-3)
+    assert second_solutions(first, np.eye(3), target, UpdatingSettings()).shape == (0, 3)

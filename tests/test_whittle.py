@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from monitor import whittle, window
+from monitor import whittle, whittle_model, window
 from monitor.model import Model
 from monitor.poles import SelectionSettings, identify
 from monitor.results import ModalEstimate, Window
@@ -14,6 +14,7 @@ from monitor.spectrum import LEAKAGE_OFFSETS, SegmentDesign, leakage, overlap_co
 from monitor.ssi import SsiSettings
 from monitor.structures import ShearFrame
 from monitor.whittle import RefinementSettings, refine
+from monitor.whittle_model import cross_spectra, layout_of, predict
 from monitor.window import WindowGrid
 
 FRAME = Model(ShearFrame(np.array([0.3253, 0.3514, 0.3129]), np.array([2909.4511, 1514.8507, 1897.6986]), 0.01))
@@ -53,18 +54,36 @@ def test_the_transform_has_the_density_of_white_noise() -> None:
 
 
 def test_slopes_are_the_derivatives_of_the_model(one: tuple[Window, ModalEstimate]) -> None:
-    layout = whittle._layout(*one, RefinementSettings())
-    outer = one[0].segments[:, layout.bins]
-    mean = np.einsum("ska,skb->kab", outer, outer.conj()) / len(outer)
-    point = whittle._start(layout, one[1], mean)
-    spectrum, slopes = whittle._model(layout, point)
+    item, modes = one
+    layout = layout_of(modes, 12.0, item.segments.shape[1], item.segment_bin_hz)
+    point = whittle._start(layout, modes, cross_spectra(layout, item.segments).mean(axis=0))
+    spectrum = predict(layout, point)
+    half = np.einsum("ap,kbp->pkab", spectrum.u, spectrum.v.conj())
+    slopes = half + half.conj().swapaxes(-1, -2)
     for i in range(len(slopes)):
         step = np.zeros(len(slopes))
-        size = min(1e-4, 1e-6 * np.abs(spectrum).max() / np.abs(slopes[i]).max())
+        size = min(1e-4, 1e-6 * np.abs(spectrum.value).max() / np.abs(slopes[i]).max())
         step[i] = size
-        up, _ = whittle._model(layout, whittle._moved(layout, point, step))
-        down, _ = whittle._model(layout, whittle._moved(layout, point, -step))
+        up = predict(layout, whittle._moved(layout, point, step)).value
+        down = predict(layout, whittle._moved(layout, point, -step)).value
         np.testing.assert_allclose((up - down) / (2 * size), slopes[i], atol=2e-4 * np.abs(slopes[i]).max())
+
+
+def test_a_pool_of_the_model_is_the_mean_of_its_bins(
+    one: tuple[Window, ModalEstimate], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    item, modes = one
+    pooled = layout_of(modes, 12.0, item.segments.shape[1], item.segment_bin_hz)
+    point = whittle._start(pooled, modes, cross_spectra(pooled, item.segments).mean(axis=0))
+    monkeypatch.setattr(whittle_model, "_POOL", 0.0)
+    single = layout_of(modes, 12.0, item.segments.shape[1], item.segment_bin_hz)
+    np.testing.assert_array_equal(single.bins, pooled.bins)
+    assert single.first.size == single.bins.size > 3 * pooled.first.size
+    means = np.add.reduceat(predict(single, point).value, pooled.first) / pooled.sizes[:, None, None]
+    size = np.einsum("kaa->k", means).real
+    error = np.abs(predict(pooled, point).value - means).max(axis=(1, 2)) / size
+    # To a small part of what a pool's own scatter over 400 s leaves uncertain.
+    assert error.max() < 0.01
 
 
 def test_refinement_gains_where_the_level_wanders() -> None:
@@ -81,6 +100,45 @@ def test_refinement_gains_where_the_level_wanders() -> None:
     bound = np.array([0.88e-3, 0.50e-3, 0.47e-3])  # Cramer-Rao, 400 s
     assert (rms[1] / bound).mean() < (rms[0] / bound).mean()
     assert (rms[1] / bound).mean() < 1.3
+
+
+def test_the_covariance_is_the_models_where_the_scatter_agrees_with_it() -> None:
+    """A covariance read off 39 segments alone has standard deviations that scatter by 11 %; shrunk, by less than half."""
+    rng = np.random.default_rng(5)
+    mix = rng.standard_normal((12, 12))
+    model = mix @ mix.T
+    scattered, shrunk = [], []
+    for _ in range(200):
+        influence = rng.standard_normal((39, 12)) @ mix.T / np.sqrt(39.0)
+        influence -= influence.mean(axis=0)
+        rows, factor = whittle._uncertainty(influence, model)
+        np.testing.assert_allclose(factor.T @ factor, model)
+        scattered.append(np.sqrt(np.diag(influence.T @ influence)))
+        shrunk.append(np.sqrt(np.diag(rows.T @ rows)))
+    spread = [np.mean(np.std(x, axis=0) / np.mean(x, axis=0)) for x in (scattered, shrunk)]
+    assert spread[1] < 0.5 * spread[0]
+    truth = np.sqrt((1.0 + 2.0 * overlap_correlation()) * np.diag(model))
+    np.testing.assert_allclose(np.mean(shrunk, axis=0) / truth, 1.0, atol=0.02)
+
+
+def test_the_covariance_is_the_scatters_where_the_model_is_wrong() -> None:
+    rng = np.random.default_rng(6)
+    wide = np.array([4.0] + [1.0] * 11)  # one direction scatters four times as much as the model says
+    rows, _ = whittle._uncertainty(rng.standard_normal((400, 12)) * wide / 20.0, np.eye(12))
+    std = np.sqrt((rows**2).sum(axis=0)) / np.sqrt(1.0 + 2.0 * overlap_correlation())
+    assert std[0] == pytest.approx(4.0, rel=0.15)
+    np.testing.assert_allclose(std[1:], 1.0, atol=0.2)
+
+
+def test_the_covariance_stands_where_segments_are_few() -> None:
+    rng = np.random.default_rng(7)
+    variance = []
+    for _ in range(100):
+        influence = rng.standard_normal((8, 12)) / np.sqrt(8.0)
+        rows, _ = whittle._uncertainty(influence - influence.mean(axis=0), np.eye(12))
+        assert rows.shape == (8, 12)
+        variance.append((rows**2).sum(axis=0))
+    np.testing.assert_allclose(np.mean(variance, axis=0), 1.0 + 2.0 * overlap_correlation(), rtol=0.15)
 
 
 def test_too_few_segments_leave_the_subspace_estimate(one: tuple[Window, ModalEstimate]) -> None:

@@ -2,16 +2,86 @@
 
 from __future__ import annotations
 
-from monitor.effects.base import Effect, EffectError
+from monitor.effects.added_mass import AddedMass
+from monitor.effects.attached_oscillator import AttachedOscillator
+from monitor.effects.base import (
+    Condition,
+    Context,
+    Effect,
+    EffectError,
+    Law,
+    LawKind,
+    Line,
+    System,
+    locations,
+)
+from monitor.effects.base_excitation import BaseExcitation
+from monitor.effects.base_flexibility import BaseFlexibility
+from monitor.effects.bilinear_stiffness import BilinearStiffness
+from monitor.effects.channel_swap import ChannelSwap
+from monitor.effects.clock_rate import ClockRate
+from monitor.effects.coloured_excitation import ColouredExcitation
+from monitor.effects.coulomb_friction import CoulombFriction
+from monitor.effects.cubic_stiffness import CubicStiffness
+from monitor.effects.gap_contact import GapContact
+from monitor.effects.gravity_softening import GravitySoftening
+from monitor.effects.harmonic_excitation import HarmonicExcitation
 from monitor.effects.joint_flexibility import JointFlexibility
+from monitor.effects.parameter import Parameter
+from monitor.effects.quadratic_damping import QuadraticDamping
+from monitor.effects.sensor_clipping import SensorClipping
+from monitor.effects.sensor_gain import SensorGain
+from monitor.effects.sensor_noise import SensorNoise
+from monitor.effects.sensor_polarity import SensorPolarity
 from monitor.effects.stiffness_change import StiffnessChange
+from monitor.effects.story_damper import StoryDamper
+from monitor.effects.temperature_stiffness import TemperatureStiffness
+from monitor.effects.time_offset import TimeOffset
 
 EFFECTS: dict[str, type[Effect]] = {
-    "stiffness_change": StiffnessChange,
-    "joint_flexibility": JointFlexibility,
+    effect.name: effect
+    for effect in (
+        StiffnessChange,
+        AddedMass,
+        TemperatureStiffness,
+        CubicStiffness,
+        GapContact,
+        BilinearStiffness,
+        CoulombFriction,
+        QuadraticDamping,
+        StoryDamper,
+        BaseFlexibility,
+        JointFlexibility,
+        GravitySoftening,
+        AttachedOscillator,
+        HarmonicExcitation,
+        ColouredExcitation,
+        BaseExcitation,
+        SensorGain,
+        SensorPolarity,
+        ChannelSwap,
+        TimeOffset,
+        ClockRate,
+        SensorClipping,
+        SensorNoise,
+    )
 }
 
-__all__ = ["EFFECTS", "Effect", "EffectError", "JointFlexibility", "StiffnessChange", "parse_effect"]
+__all__ = [
+    "EFFECTS",
+    "Condition",
+    "Context",
+    "Effect",
+    "EffectError",
+    "Law",
+    "LawKind",
+    "Line",
+    "Parameter",
+    "StiffnessChange",
+    "System",
+    "locations",
+    "parse_effect",
+]
 
 
 def parse_effect(text: str) -> Effect:

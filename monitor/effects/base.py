@@ -1,37 +1,145 @@
-"""What every effect is: a place, parameters, and how it changes the structure's matrices."""
+"""What every effect is: a place, parameters, and one law with two faces.
+
+The spectral face says how the effect changes a linear model's matrices, excitation and sensors at a condition (level of
+vibration, temperature); the likelihood, the updating and the alarms use it.  The time face is the exact law that the
+simulator integrates.  An effect overrides only what it changes.
+"""
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from abc import ABC
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields, replace
+from enum import IntEnum
 from math import inf
-from typing import ClassVar, Self
+from typing import ClassVar, Literal, Self
 
-from monitor.results import Array
-from monitor.structures import ShearFrame
+import numpy as np
+
+from monitor.effects.parameter import Parameter
+from monitor.results import Array, ComplexArray
+from monitor.structures import Structure
 
 
 class EffectError(ValueError):
     """Name, place or parameters of an effect are wrong; the message says which and what is allowed."""
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class Context:
+    """Where an effect acts."""
+
+    structure: Structure
+    channels: tuple[str, ...]
+    sensors: Array
+    """Shape (c, n): picks the channels out of the floors."""
+    rate_hz: float
+    """Of the source's samples."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Condition:
+    """The motion and weather at which nonlinear laws are made linear: one level class of a recording."""
+
+    drift_m: Array
+    """RMS drift of every story, shape (n,)."""
+    drift_velocity_m_s: Array
+    """RMS rate of every story's drift, shape (n,)."""
+    floor_velocity_m_s: Array
+    """RMS velocity of every floor, shape (n,)."""
+    channel_m_s2: Array
+    """RMS of every channel's samples, shape (c,)."""
+    excess_degc: Callable[[float], float] = field(default=lambda lag_s: 0.0)
+    """Temperature above the reference after a first-order lag in s."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class System:
+    """A linear system: the structure's dofs first, then those that effects add."""
+
+    mass: Array
+    """Shape (N, N), kg."""
+    damping: Array
+    """Shape (N, N), N s/m."""
+    stiffness: Array
+    """Shape (N, N), N/m."""
+
+    def plus(self, *, damping: Array | float = 0.0, stiffness: Array | float = 0.0) -> System:
+        """With terms on the structure's dofs, shape (n, n)."""
+
+        def padded(base: Array, term: Array | float) -> Array:
+            out = base.copy()
+            if not np.isscalar(term):
+                n = np.asarray(term).shape[0]
+                out[:n, :n] += term
+            return out
+
+        return replace(self, damping=padded(self.damping, damping), stiffness=padded(self.stiffness, stiffness))
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """A harmonic force."""
+
+    floor: int
+    """Index from 0."""
+    frequency_hz: float
+    force_n: float
+    """Amplitude."""
+
+
+class LawKind(IntEnum):
+    """Which phi of `monitor.effects.laws`; its two parameters in brackets."""
+
+    CUBIC = 0
+    """(k3, drift beyond which the tangent stays as it is there)"""
+    CONTACT = 1
+    """(gap, stiffness that comes in beyond it)"""
+    FRICTION = 2
+    """(force, velocity that regularizes its sign)"""
+    QUADRATIC = 3
+    """(coefficient, unused)"""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Law:
+    """An exact nonlinear force: ``-direction * phi(direction . x, direction . v)`` on the structure's dofs.
+
+    `kind` picks phi in `monitor.effects.laws`, compiled once for all of them.
+    """
+
+    kind: LawKind
+    direction: Array
+    """Shape (n,): a story's drift or a floor."""
+    parameters: tuple[float, float]
+
+
 @dataclass(frozen=True)
 class Effect(ABC):
-    """A term that the drawing leaves out.  Subclasses add one float field a parameter, with its unit in the name."""
+    """A term that the drawing leaves out.  Subclasses add one float field a parameter, in `parameters`' order."""
 
     name: ClassVar[str]
+    family: ClassVar[Literal["structure", "excitation", "sensor"]]
     places: ClassVar[tuple[str, ...]]
-    """Kinds of place: ``story``, ``floor``, ``frame``."""
+    """Kinds of place: ``story``, ``floor``, ``channel``, ``channels`` (a pair), ``base``, ``frame``."""
+    parameters: ClassVar[tuple[Parameter, ...]]
+    signature: ClassVar[str]
+    """How it shows in the accelerations, in one sentence."""
+    conditional: ClassVar[bool] = False
+    """Whether its spectral face depends on the condition."""
+    nonlinear: ClassVar[bool] = False
+    """Whether its spectral face is a linearization (parameters are polished by simulation)."""
 
-    minimum: ClassVar[Mapping[str, float]]
-    """What each parameter must exceed to be physically possible."""
+    proportional: ClassVar[bool] = True
+    """Whether twice its amplitude makes about twice the change, so that a score test can tell its size."""
 
     location: str
-    """As in the contract: ``story 2``, ``floor 1``, ``frame``."""
+    """As in the contract: ``story 2``, ``floor 1``, ``channel a2``, ``base``, ``frame``."""
+
+    # --- identity -------------------------------------------------------------------------------------------
 
     @classmethod
-    def create(cls, location: str, parameters: Mapping[str, float]) -> Self:
+    def create(cls, location: str, parameters: Mapping[str, float]) -> Effect:
         """The effect at `location`.
 
         Raises
@@ -39,29 +147,153 @@ class Effect(ABC):
         EffectError
             If the place is not one of `places` or the parameters are not exactly the effect's.
         """
-        kind, _, number = location.partition(" ")
-        whole = location == "frame"
-        if kind not in cls.places or not (whole or (kind != "frame" and number.isdigit() and int(number) > 0)):
-            allowed = ", ".join(p if p == "frame" else f"{p} N" for p in cls.places)
+        if _kind(location) not in cls.places:
+            forms = {"story": "story N", "floor": "floor N", "channel": "channel NAME", "channels": "channel NAME,NAME"}
+            allowed = ", ".join(forms.get(p, p) for p in cls.places)
             raise EffectError(f"{cls.name}: no place {location!r}; allowed: {allowed}")
-        wanted = {f.name for f in fields(cls)} - {"location"}
-        if set(parameters) != wanted:
-            raise EffectError(f"{cls.name}: needs exactly {', '.join(sorted(wanted)) or 'no parameters'}")
-        for name, value in parameters.items():
-            if not cls.minimum[name] < value < inf:
-                raise EffectError(f"{cls.name}: {name} = {value:g} must be finite and above {cls.minimum[name]:g}")
+        wanted = [p.name for p in cls.parameters]
+        if set(parameters) != set(wanted):
+            raise EffectError(f"{cls.name}: needs exactly {', '.join(wanted) or 'no parameters'}")
+        for p in cls.parameters:
+            value = parameters[p.name]
+            if not p.allows(value):
+                lower = f", {'at least' if p.closed else 'above'} {p.low:g}" if p.low > -inf else ""
+                upper = f", below {p.high:g}" if p.high < inf else ""
+                raise EffectError(f"{cls.name}: {p.name} = {value:g} must be finite{lower}{upper}")
         return cls(location, **parameters)
+
+    def values(self) -> dict[str, float]:
+        """Parameters by name."""
+        return {f.name: getattr(self, f.name) for f in fields(self) if f.name != "location"}
+
+    @property
+    def coordinates(self) -> Array:
+        """Parameters in the coordinates of estimation, shape (p,)."""
+        return np.array([p.coordinate(getattr(self, p.name)) for p in self.parameters])
+
+    def at(self, coordinates: Array) -> Self:
+        """The same effect elsewhere in its parameters' space, kept within their bounds."""
+        values = {p.name: p.value(float(x)) for p, x in zip(self.parameters, coordinates, strict=True)}
+        return type(self)(self.location, **values)
 
     @property
     def index(self) -> int:
-        """Place as an index from 0.  Meaningless for ``frame``."""
+        """Story or floor as an index from 0.  Meaningless elsewhere."""
         return int(self.location.partition(" ")[2]) - 1
 
-    def check(self, structure: ShearFrame) -> None:
-        """Raises EffectError if the structure has no such place."""
-        if not self.location.startswith("frame") and self.index >= structure.n_stories:
-            raise EffectError(f"{self.name}: {self.location!r} does not exist; {structure.n_stories} stories")
+    def direction(self, structure: Structure) -> Array:
+        """Picks the story's drift or the floor's motion out of the floors', shape (n,)."""
+        rows = structure.drift_matrix() if self.location.startswith("story") else np.eye(structure.n_dofs)
+        return np.asarray(rows[self.index])
 
-    @abstractmethod
-    def stiffness_matrix(self, stiffness: Array, structure: ShearFrame) -> Array:
-        """The stiffness matrix with this effect in place of `stiffness`, shape (n, n), N/m."""
+    def pattern(self, structure: Structure) -> Array:
+        """Matrix of a unit spring or damper there, shape (n, n)."""
+        direction = self.direction(structure)
+        return np.outer(direction, direction)
+
+    def channel_indices(self, context: Context) -> tuple[int, ...]:
+        """Places of the named channels in the structure file's order."""
+        return tuple(context.channels.index(name) for name in self.location.partition(" ")[2].split(","))
+
+    def check(self, structure: Structure, channels: tuple[str, ...]) -> None:
+        """Raises EffectError if the structure has no such place."""
+        kind, _, which = self.location.partition(" ")
+        counts = {"story": (structure.n_stories, "stories"), "floor": (structure.n_dofs, "floors")}
+        if kind in counts and self.index >= counts[kind][0]:
+            raise EffectError("{}: {!r} does not exist; {} {}".format(self.name, self.location, *counts[kind]))
+        if kind == "channel":
+            for name in which.split(","):
+                if name not in channels:
+                    raise EffectError(f"{self.name}: no channel {name!r}; the structure file has {', '.join(channels)}")
+
+    # --- spectral face --------------------------------------------------------------------------------------
+
+    def structural(self, mass: Array, stiffness: Array, structure: Structure) -> tuple[Array, Array]:
+        """Mass and stiffness matrices with this effect, shape (n, n) each; the structure's damping follows them."""
+        return mass, stiffness
+
+    def extend(self, system: System, context: Context, condition: Condition) -> System:
+        """The system with what does not enter the structure's own damping: dampers, dofs, linearized laws."""
+        return system
+
+    def colour(self, hz: Array) -> Array | float:
+        """Factor on the power density of the floors' forces at frequencies `hz`."""
+        return 1.0
+
+    @property
+    def ground_share(self) -> float:
+        """Share of the acceleration's variance that comes from a common ground motion."""
+        return 0.0
+
+    def lines(self) -> tuple[Line, ...]:
+        """Harmonic forces."""
+        return ()
+
+    def response(self, hz: Array, context: Context, condition: Condition) -> ComplexArray | None:
+        """What the acquisition makes of true channels, shape (n_hz or 1, c, c); None leaves them."""
+        return None
+
+    def noise_variance(self, context: Context, condition: Condition) -> Array | float:
+        """Variance of white noise at the source's rate that is added to each channel, shape (c,), (m/s^2)^2."""
+        return 0.0
+
+    @property
+    def clock_factor(self) -> float:
+        """True rate over nominal rate."""
+        return 1.0
+
+    # --- time face ------------------------------------------------------------------------------------------
+
+    def laws(self, structure: Structure) -> tuple[Law, ...]:
+        """Exact nonlinear forces."""
+        return ()
+
+    def stiffness_factor(self, excess_degc: Array, rate_hz: float) -> Array | None:
+        """Factor on the stiffness matrix at every sample, shape (n_samples,), from the temperature above its reference."""
+        return None
+
+    def drive(self, forces: Array, rate_hz: float) -> Array:
+        """The floors' forces with this effect, shape (n_samples, n), N."""
+        return forces
+
+    def measure(self, samples: Array, rate_hz: float, context: Context, rng: np.random.Generator) -> Array:
+        """What the acquisition makes of true samples, shape (n_samples, c), m/s^2."""
+        return samples
+
+    # --- search ---------------------------------------------------------------------------------------------
+
+    @classmethod
+    def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Effect, ...]:
+        """Small sizes of the effect at a place, one for each shape that must be tried (both signs share one)."""
+        raise NotImplementedError
+
+    @classmethod
+    def at_frequency(cls, location: str, hz: float, context: Context, condition: Condition) -> Effect | None:
+        """A small size of the effect at a frequency where the spectra show too much power; None where it has none."""
+        return None
+
+
+def _kind(location: str) -> str:
+    """Which kind of place a location names, or the empty string."""
+    kind, _, which = location.partition(" ")
+    if kind in ("frame", "base") and not which:
+        return kind
+    if kind in ("story", "floor") and which.isdigit() and int(which) > 0:
+        return kind
+    if kind == "channel" and which:
+        names = which.split(",")
+        return {1: "channel", 2: "channels"}.get(len(names), "") if all(names) else ""
+    return ""
+
+
+def locations(kind: str, context: Context) -> tuple[str, ...]:
+    """Every place of a kind."""
+    if kind in ("frame", "base"):
+        return (kind,)
+    if kind in ("story", "floor"):
+        count = context.structure.n_stories if kind == "story" else context.structure.n_dofs
+        return tuple(f"{kind} {j + 1}" for j in range(count))
+    names = context.channels
+    if kind == "channel":
+        return tuple(f"channel {name}" for name in names)
+    return tuple(f"channel {a},{b}" for i, a in enumerate(names) for b in names[i + 1 :])

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
+from math import inf
+from typing import ClassVar, Literal, Self
 
 import numpy as np
 
-from monitor.effects.base import Effect
+from monitor.effects.base import Condition, Context, Effect, EffectError
+from monitor.effects.parameter import Parameter
 from monitor.results import Array
-from monitor.structures import ShearFrame
+from monitor.structures import ShearFrame, Structure
 
 
 @dataclass(frozen=True)
@@ -26,14 +27,25 @@ class JointFlexibility(Effect):
     """
 
     name: ClassVar[str] = "joint_flexibility"
+    family: ClassVar[Literal["structure", "excitation", "sensor"]] = "structure"
     places: ClassVar[tuple[str, ...]] = ("frame",)
-    minimum: ClassVar[Mapping[str, float]] = {"girder_to_column_ratio": 0.0}
+    parameters: ClassVar[tuple[Parameter, ...]] = (Parameter("girder_to_column_ratio", 0.0, inf, "inverse", inf),)
+    signature: ClassVar[str] = "frequency ratios above a uniform shear frame's, and shapes that no set of stories gives"
 
     girder_to_column_ratio: float
     """(E I_g / L_g) / (E I_c / h), one girder and one column, E I_c / h the mean over stories."""
 
-    def stiffness_matrix(self, stiffness: Array, structure: ShearFrame) -> Array:
-        """See `Effect.stiffness_matrix`."""
+    def check(self, structure: Structure, channels: tuple[str, ...]) -> None:
+        """See `Effect.check`."""
+        if not isinstance(structure, ShearFrame):
+            raise EffectError(
+                f"{self.name}: needs a shear frame, a structure given by matrices has its girders in them"
+            )
+
+    def structural(self, mass: Array, stiffness: Array, structure: Structure) -> tuple[Array, Array]:
+        """See `Effect.structural`."""
+        if self.girder_to_column_ratio == inf:
+            return mass, stiffness
         n = structure.n_stories
         heights = np.ones(n) if structure.story_heights_m is None else structure.story_heights_m
         column = structure.stiffness_n_per_m * heights**2 / 24.0  # E I_c / h of one of the two columns
@@ -49,4 +61,9 @@ class JointFlexibility(Effect):
                     k_theta[a, b] += column[j] * (8.0 if a == b else 4.0)
         coupling = -(drift.T * (12.0 * column / heights)) @ rotation_sum
         condensed = coupling @ np.linalg.solve(k_theta, coupling.T)
-        return np.asarray(stiffness - condensed)
+        return mass, np.asarray(stiffness - condensed)
+
+    @classmethod
+    def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
+        """See `Effect.starts`."""
+        return (cls(location, 50.0),)

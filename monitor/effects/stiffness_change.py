@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, Literal, Self
 
 import numpy as np
 
-from monitor.effects.base import Effect
+from monitor.effects.base import Condition, Context, Effect
+from monitor.effects.parameter import Parameter
 from monitor.results import Array
-from monitor.structures import ShearFrame
+from monitor.structures import Structure
 
 
 @dataclass(frozen=True)
@@ -18,15 +18,24 @@ class StiffnessChange(Effect):
     """Stiffness k becomes k (1 + relative)."""
 
     name: ClassVar[str] = "stiffness_change"
+    family: ClassVar[Literal["structure", "excitation", "sensor"]] = "structure"
     places: ClassVar[tuple[str, ...]] = ("story", "frame")
-    minimum: ClassVar[Mapping[str, float]] = {"relative": -1.0}
+    parameters: ClassVar[tuple[Parameter, ...]] = (Parameter("relative", -1.0, 10.0, absent=0.0),)
+    signature: ClassVar[str] = (
+        "frequencies and shapes move in the pattern of one story (of the frame: all frequencies alike), at every level"
+    )
 
     relative: float
     """-0.2 = 20 % lost."""
 
-    def stiffness_matrix(self, stiffness: Array, structure: ShearFrame) -> Array:
-        """See `Effect.stiffness_matrix`."""
+    def structural(self, mass: Array, stiffness: Array, structure: Structure) -> tuple[Array, Array]:
+        """See `Effect.structural`."""
         if self.location == "frame":
-            return stiffness * (1.0 + self.relative)
+            return mass, stiffness * (1.0 + self.relative)
         lost = self.relative * structure.stiffness_n_per_m[self.index]
-        return np.asarray(stiffness + lost * structure.stiffness_derivatives()[self.index])
+        return mass, np.asarray(stiffness + lost * structure.stiffness_derivatives()[self.index])
+
+    @classmethod
+    def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
+        """See `Effect.starts`."""
+        return (cls(location, -0.02),)

@@ -45,7 +45,13 @@ def window_line(result: WindowResult) -> dict[str, Any]:
         "ddi_std": damage and _rounded(damage.ddi_std),
         "ddi_sequential": damage and _rounded(damage.ddi_sequential),
         "loss_n_per_m": damage and _rounded(damage.loss_n_per_m),
+        "unidentified": damage and list(damage.unidentified),
+        "mode_tracks": list(result.mode_tracks),
         "misfit": stiffness and _rounded(stiffness.misfit),
+        "temperature_degc": result.temperature and _rounded(result.temperature.lagged_degc[0]),
+        "temperature_effect": None
+        if damage is None or damage.temperature_effect is None
+        else _rounded(damage.temperature_effect),
         "alarm": {
             "level": result.alarm.level.value,
             "stories": list(result.alarm.stories),

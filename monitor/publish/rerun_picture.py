@@ -167,8 +167,8 @@ class Picture:
         n = self._scene.n_stories
         values = stiffness.stiffness_n_per_m.tolist() if stiffness else [None] * n
         stds = np.sqrt(np.diag(stiffness.covariance)).tolist() if stiffness else [None] * n
-        for j in range(n):
-            self._bounded(f"/stiffness/story_{j + 1}", values[j], stds[j])
+        for j, (value, std) in enumerate(zip(values, stds, strict=True)):
+            self._bounded(f"/stiffness/story_{j + 1}", value, std)
 
     def _damage(self, damage: DamageReading | None) -> None:
         """The index over time, and the frame coloured by it."""

@@ -36,6 +36,8 @@ class Summary:
     """How many windows were skipped for each reason."""
     alarms: list[Episode] = field(default_factory=list)
     frequencies_hz: list[float] | None = None
+    temperature_range_degc: tuple[float, float] | None = None
+    """Least and highest mean over a window."""
     _n_frequencies: int = 0
     _open: dict[int, Episode] = field(default_factory=dict)
 
@@ -46,6 +48,10 @@ class Summary:
     def window(self, result: WindowResult) -> None:
         """Count a window and follow the alarm episodes."""
         self.windows += 1
+        if result.temperature is not None:
+            degc = float(result.temperature.lagged_degc[0])
+            low, high = self.temperature_range_degc or (degc, degc)
+            self.temperature_range_degc = min(low, degc), max(high, degc)
         if result.skipped is not None:
             self.skipped += 1
             reason = re.sub(r" \(.*", "", result.skipped.reason)  # figures in brackets would make each one its own
@@ -93,6 +99,7 @@ class Summary:
             "frequencies_hz": self.frequencies_hz,
             "structure_file_frequencies_hz": model_frequencies_hz,
             "frequency_misfit": misfit,
+            "temperature_range_degc": self.temperature_range_degc,
         }
 
 

@@ -1,7 +1,7 @@
-"""Structures by the name that a structure file's ``kind`` gives."""
+"""Structures: how masses and stiffnesses make matrices.  One file a kind; `tables` reads them from TOML."""
 
+from monitor.structures.base import Structure
+from monitor.structures.matrices import MatrixStructure
 from monitor.structures.shear_frame import ShearFrame
 
-STRUCTURES = {"shear_frame": ShearFrame}
-
-__all__ = ["STRUCTURES", "ShearFrame"]
+__all__ = ["MatrixStructure", "ShearFrame", "Structure"]

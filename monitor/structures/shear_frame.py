@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 
@@ -30,6 +31,19 @@ class ShearFrame:
         """Number of stories, and of floors."""
         return int(self.masses_kg.size)
 
+    @property
+    def n_dofs(self) -> int:
+        """Number of floors, and of stories."""
+        return int(self.masses_kg.size)
+
+    def with_stiffness(self, stiffness_n_per_m: Array) -> Self:
+        """See `Structure.with_stiffness`."""
+        return replace(self, stiffness_n_per_m=stiffness_n_per_m)
+
+    def with_masses(self, masses_kg: Array) -> Self:
+        """See `Structure.with_masses`."""
+        return replace(self, masses_kg=masses_kg)
+
     def drift_matrix(self) -> Array:
         """Drift of every story from the floors' displacements, shape (n, n): upper floor minus lower."""
         return np.eye(self.n_stories) - np.eye(self.n_stories, k=1)
@@ -42,6 +56,13 @@ class ShearFrame:
         """Shape (n, n), N/m."""
         drift = self.drift_matrix()
         return np.asarray(drift.T @ (self.stiffness_n_per_m[:, None] * drift))
+
+    def mass_derivatives(self) -> Array:
+        """dM / dm_i, shape (n, n, n): first axis is the floor."""
+        n = self.n_dofs
+        unit = np.zeros((n, n, n))
+        unit[np.arange(n), np.arange(n), np.arange(n)] = 1.0
+        return unit
 
     def stiffness_derivatives(self) -> Array:
         """dK / dk_j, shape (n, n, n): first axis is the story."""

@@ -1,0 +1,183 @@
+"""What a simulation gets wrong: the causes that measured data name, or why they name none."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from monitor.effects import Context, Effect
+from monitor.evidence import Evidence
+from monitor.likelihood import Fit, Problem
+from monitor.reference import Reference
+from monitor.results import Array
+from monitor.search import Candidate, best_of_each, conditions, judge, prepare, rank, starts
+from monitor.settings import Settings
+
+Verdict = Literal["none", "named", "ambiguous", "unexplained"]
+
+
+class DiagnosisSettings(Settings):
+    """``[diagnosis]``: when a cause is named."""
+
+    margin: float = Field(default=7.0, gt=0)
+    """Evidence above the model without the cause, nats, over all candidates (calibrated on clean records)."""
+    rival: float = Field(default=4.6, gt=0)
+    """A rival less than this many nats behind cannot be told from the winner (odds of 100 to 1)."""
+    tried: int = Field(default=10, ge=1)
+    """How many candidates of the score test are fitted."""
+    max_causes: int = Field(default=3, ge=1)
+    misfit: float = Field(default=6.0, gt=0)
+    """Standard deviations from which what is left over in a band is a misfit."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Cause:
+    """An effect with what is known of its size."""
+
+    effect: Effect
+    std: dict[str, float]
+    """Standard deviation of each parameter."""
+
+
+@dataclass(frozen=True, slots=True)
+class Misfit:
+    """Where measured and modelled spectra differ."""
+
+    where: str
+    size: float
+    """Standard deviations."""
+    says: str
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Diagnosis:
+    """The answer, and everything that it was judged by."""
+
+    verdict: Verdict
+    causes: tuple[Cause, ...]
+    alternatives: tuple[tuple[Candidate, float], ...]
+    """Candidates that cannot be told apart, with their probabilities."""
+    misfit: tuple[Misfit, ...]
+    """What the model without causes got wrong."""
+    left_over: tuple[Misfit, ...]
+    """What is still wrong with them."""
+    tried: tuple[Candidate, ...]
+    problem: Problem
+    null: Fit
+    """The old model form, refitted."""
+    final: Fit
+    """With the causes (the most probable alternative where the answer is ambiguous)."""
+    rounds: tuple[tuple[Candidate, ...], ...] = field(default=())
+
+
+def diagnose(evidence: Evidence, reference: Reference, context: Context, settings: DiagnosisSettings) -> Diagnosis:
+    """Search the catalogue for what explains a recording.
+
+    After a cause is accepted the search is repeated on the extended model, until nothing is left that it explains.
+    """
+    problem, null = prepare(evidence, reference, context)
+    at, rounds = null, []
+    alternatives: tuple[tuple[Candidate, float], ...] = ()
+    accepted: list[Candidate] = []
+    while len(accepted) < settings.max_causes:
+        candidates = _round(problem, at, settings)
+        rounds.append(tuple(candidates))
+        if not candidates or candidates[0].evidence < settings.margin:
+            break
+        best = candidates[0]
+        close = [c for c in candidates if c.evidence > best.evidence - settings.rival]
+        if len(close) > 1:
+            odds = np.exp([c.evidence - best.evidence for c in close])
+            alternatives = tuple(zip(close, (odds / odds.sum()).tolist(), strict=True))
+            at = best.fit
+            break
+        accepted.append(best)
+        at = best.fit
+        problem = replace(problem, conditions=conditions(problem, at.x, at.effects))
+    left_over = _misfits(problem, at, settings)
+    if alternatives:
+        verdict: Verdict = "ambiguous"
+    elif left_over:
+        verdict = "unexplained"
+    else:
+        verdict = "named" if accepted else "none"
+    return Diagnosis(
+        verdict=verdict,
+        causes=_causes(problem, at, len(accepted)),
+        alternatives=alternatives,
+        misfit=_misfits(problem, null, settings),
+        left_over=left_over,
+        tried=rounds[0] if rounds else (),
+        problem=problem,
+        null=null,
+        final=at,
+        rounds=tuple(rounds),
+    )
+
+
+def _round(problem: Problem, at: Fit, settings: DiagnosisSettings) -> list[Candidate]:
+    """The best candidates beside what was accepted, by evidence."""
+    taken = [(e.name, e.location) for e in (*problem.reference.effects(at.x), *at.effects)]
+    ranked = best_of_each(rank(problem, at, starts(problem, at, taken)))
+    fitted = [judge(problem, at, effect) for gain, effect in ranked[: settings.tried] if gain > 1.0]
+    return sorted(fitted, key=lambda c: -c.evidence)
+
+
+def _causes(problem: Problem, fitted: Fit, n: int) -> tuple[Cause, ...]:
+    """The accepted effects with the standard deviations of their parameters."""
+    out, first = [], problem.n_nuisance
+    for effect in fitted.effects[:n]:
+        std = {}
+        for i, p in enumerate(effect.parameters):
+            deviation = float(np.sqrt(max(fitted.covariance[first + i, first + i], 0.0)))
+            x = float(effect.coordinates[i])
+            value = getattr(effect, p.name)
+            slope = {"linear": 1.0, "log": value, "inverse": value**2}[p.scale]
+            std[p.name] = min(deviation * slope, 1e300) if np.isfinite(x) else 0.0
+        first += len(effect.parameters)
+        out.append(Cause(effect, std))
+    return tuple(out)
+
+
+def residual_bands(problem: Problem, fitted: Fit, width_hz: float = 1.0) -> tuple[Array, Array]:
+    """Misfit in bands as standard deviations, shape (bands, c, c), and the bands' middles in Hz.
+
+    The diagonal is too much (positive) or too little power in the whitened channels, below it the real and above it the
+    imaginary part of their coherence.
+    """
+    c = problem.evidence.spectra.shape[-1]
+    bins = problem.evidence.band.n_bins
+    rows = fitted.residual.reshape(problem.n_classes, bins, c * c)
+    per = max(1, round(width_hz / problem.evidence.band.bin_hz))
+    n = bins // per
+    z = rows[:, : n * per].reshape(problem.n_classes, n, per, c * c).sum(axis=(0, 2)) / np.sqrt(problem.n_classes * per)
+    matrix = np.zeros((n, c, c))
+    at = 0
+    for i in range(c):
+        for j in range(i):
+            matrix[:, i, j], matrix[:, j, i] = z[:, at], z[:, at + 1]
+            at += 2
+        matrix[:, i, i] = z[:, at]
+        at += 1
+    return matrix, problem.evidence.band.hz[: n * per].reshape(n, per).mean(axis=1)
+
+
+def _misfits(problem: Problem, fitted: Fit, settings: DiagnosisSettings) -> tuple[Misfit, ...]:
+    """Bands in which the model is wrong, worst first."""
+    z, hz = residual_bands(problem, fitted)
+    names = [*problem.context.channels, "ground"]
+    out = []
+    for band, i, j in np.argwhere(np.abs(z) > settings.misfit):
+        size = float(z[band, i, j])
+        where = f"f = {hz[band] - 0.5:.1f}-{hz[band] + 0.5:.1f} Hz, "
+        if i == j:
+            says = f"{'more' if size > 0 else 'less'} power than the model has, given the channels before it"
+            where += f"channel {names[i]}"
+        else:
+            says = f"the {'real' if i > j else 'imaginary'} part of their coherence is not the model's"
+            where += f"channels {names[i]} and {names[j]}"
+        out.append(Misfit(where, abs(size), says))
+    return tuple(sorted(out, key=lambda m: -m.size))

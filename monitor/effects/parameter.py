@@ -1,0 +1,47 @@
+"""One parameter of an effect: its name, bounds, and the coordinate in which it is estimated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import inf
+from typing import Literal
+
+import numpy as np
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """One parameter of an effect."""
+
+    name: str
+    """With its unit as suffix."""
+    low: float
+    """Exclusive bounds of what is physically possible."""
+    high: float
+    scale: Literal["linear", "log", "inverse"] = "linear"
+    """In which coordinate it is estimated: itself, its logarithm, or its reciprocal."""
+    absent: float | None = None
+    """Value at which the effect vanishes; None if it can only take shape, not vanish, by this parameter."""
+    closed: bool = False
+    """Whether the lower bound itself is allowed."""
+
+    def coordinate(self, value: float) -> float:
+        """The value in the coordinate of estimation."""
+        if self.scale == "log":
+            return float(np.log(value))
+        return 1.0 / value if self.scale == "inverse" else value
+
+    def value(self, coordinate: float) -> float:
+        """Inverse of `coordinate`, kept within the bounds."""
+        if self.scale == "log":
+            coordinate = float(np.exp(min(coordinate, 300.0)))
+        elif self.scale == "inverse":
+            coordinate = 1.0 / coordinate if coordinate > 0 else 1e300
+        low, high = self.low, self.high - 1e-9 * abs(self.high) if self.high < inf else 1e300
+        if not self.closed and low > -inf:
+            low = low + 1e-9 * abs(low) if low != 0.0 else 1e-300
+        return float(np.clip(coordinate, low, high))
+
+    def allows(self, value: float) -> bool:
+        """Whether the value is finite and within the bounds."""
+        return abs(value) < inf and value < self.high and (value > self.low or (self.closed and value == self.low))

@@ -1,0 +1,83 @@
+"""A sensor whose range is too small."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import erf, erfc, exp, inf, pi, sqrt
+from typing import ClassVar, Literal, Self
+
+import numpy as np
+
+from monitor.effects.base import Condition, Context, Effect
+from monitor.effects.parameter import Parameter
+from monitor.effects.sensor_gain import on_channel
+from monitor.results import Array, ComplexArray
+
+_NEVER = 10.0
+"""Limit over RMS that is never met."""
+_ALWAYS = 0.05
+"""Least limit over RMS: all that is left of the signal is its sign."""
+
+
+@dataclass(frozen=True)
+class SensorClipping(Effect):
+    """Samples end at +-limit_m_s2.
+
+    Linearized by Bussgang's theorem for a normal signal of RMS s: a gain erf(a / sqrt(2)), a = limit / s, and a distortion,
+    uncorrelated with the signal and taken to be white, that makes up the rest of the clipped signal's variance.  What is
+    known is the RMS of the clipped samples; s follows from it.
+    """
+
+    name: ClassVar[str] = "sensor_clipping"
+    family: ClassVar[Literal["structure", "excitation", "sensor"]] = "sensor"
+    proportional: ClassVar[bool] = False
+    places: ClassVar[tuple[str, ...]] = ("channel",)
+    parameters: ClassVar[tuple[Parameter, ...]] = (Parameter("limit_m_s2", 0.0, inf, "inverse", inf),)
+    signature: ClassVar[str] = "one channel with flat tops, its kurtosis below 3"
+    conditional: ClassVar[bool] = True
+    nonlinear: ClassVar[bool] = True
+
+    limit_m_s2: float
+
+    def response(self, hz: Array, context: Context, condition: Condition) -> ComplexArray | None:
+        """See `Effect.response`."""
+        j = self.channel_indices(context)[0]
+        return on_channel(erf(self._limit(condition, j) / sqrt(2.0)), j, context)
+
+    def noise_variance(self, context: Context, condition: Condition) -> Array | float:
+        """See `Effect.noise_variance`."""
+        j = self.channel_indices(context)[0]
+        a = self._limit(condition, j)
+        distortion = clipped_power(a) - erf(a / sqrt(2.0)) ** 2
+        variance = np.zeros(len(context.channels))
+        variance[j] = max(distortion, 0.0) * condition.channel_m_s2[j] ** 2 / clipped_power(a)
+        return variance
+
+    def measure(self, samples: Array, rate_hz: float, context: Context, rng: np.random.Generator) -> Array:
+        """See `Effect.measure`."""
+        j = self.channel_indices(context)[0]
+        measured = samples.copy()
+        measured[:, j] = np.clip(measured[:, j], -self.limit_m_s2, self.limit_m_s2)
+        return measured
+
+    def _limit(self, condition: Condition, channel: int) -> float:
+        """The limit over the unclipped signal's RMS."""
+        ratio = self.limit_m_s2 / float(condition.channel_m_s2[channel])
+        if ratio >= _NEVER:
+            return _NEVER
+        low, high = 0.0, ratio  # a / sqrt(power) falls with a to 1, where all samples are clipped
+        for _ in range(50):
+            a = 0.5 * (low + high)
+            low, high = (a, high) if a < ratio * sqrt(clipped_power(a)) else (low, a)
+        return max(high, _ALWAYS)
+
+    @classmethod
+    def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
+        """See `Effect.starts`."""
+        j = context.channels.index(location.partition(" ")[2])
+        return (cls(location, 2.0 * float(condition.channel_m_s2[j])),)
+
+
+def clipped_power(a: float) -> float:
+    """Variance of a unit normal variable clipped at +-a."""
+    return erf(a / sqrt(2.0)) - sqrt(2.0 / pi) * a * exp(-0.5 * a**2) + a**2 * erfc(a / sqrt(2.0))

@@ -1,0 +1,285 @@
+"""What a recording says: averaged cross-spectra of its segments in classes of level and of temperature."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.base import ACCELERATION, GROUND, TEMPERATURE, SampleBlock
+from monitor import align
+from monitor.condition import Conditioner
+from monitor.config import Configuration
+from monitor.errors import BadInputError
+from monitor.prediction import Band
+from monitor.results import Array, ComplexArray
+from monitor.spectrum import SegmentDesign, overlap_correlation, transform
+from monitor.window import WindowGrid, common_step_s
+
+_LOW = 0.05
+_HIGH = 0.9
+"""Band as shares of the cutoff."""
+_LEVEL_CLASSES = 5
+_MIN_SEGMENTS_A_CLASS = 12
+_TEMPERATURE_CLASSES = 4
+_MIN_RANGE_DEGC = 2.0
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Segments:
+    """Tapered transforms of a recording's half-overlapping segments."""
+
+    values: ComplexArray
+    """Shape (n_segments, n_bins, c), m/s^2/sqrt(Hz)."""
+    t_s: Array
+    """Middle of each, s since the recording's first sample, shape (n_segments,)."""
+    rms: Array
+    """RMS of every channel's source samples, shape (n_segments, c), m/s^2."""
+    peak: Array
+    """Largest magnitude of every channel's source samples, shape (c,)."""
+    drive: ComplexArray | None
+    """The measured ground's transforms, shape (n_segments, n_bins)."""
+    temperature: Array
+    """Shape (n_readings, 2): s since the recording's first sample, degC; no rows where none was measured."""
+    band: Band
+    rate_hz: float
+    """Of the source's samples."""
+    samples: int
+    """Source samples an the channels that the segments cover, counted once."""
+
+    def part(self, chosen: NDArray[np.bool_]) -> Segments:
+        """The chosen segments alone."""
+        share = float(chosen.mean()) if chosen.size else 0.0
+        return replace(
+            self,
+            values=self.values[chosen],
+            t_s=self.t_s[chosen],
+            rms=self.rms[chosen],
+            drive=None if self.drive is None else self.drive[chosen],
+            samples=round(self.samples * share),
+        )
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Evidence:
+    """Cross-spectra of one recording by class: what every model is scored against."""
+
+    spectra: ComplexArray
+    """Shape (classes, n_bins, c, c), (m/s^2)^2/Hz; the measured ground is the last channel where there is one."""
+    counts: Array
+    """Shape (classes,): segments in each class."""
+    weight: float
+    """Independent pieces of information a segment and bin: overlap and taper correlate neighbours."""
+    rms: Array
+    """RMS of every channel's source samples, shape (classes, c)."""
+    peak: Array
+    """Largest magnitude of every channel's source samples, shape (c,)."""
+    members: tuple[NDArray[np.intp], ...]
+    """Segments of every class."""
+    t_s: Array
+    """Middle of every segment."""
+    temperature: Array
+    """Readings, shape (n, 2)."""
+    band: Band
+    rate_hz: float
+    samples: int
+    ground: Array | None
+    """Density of the measured ground motion on the fine grid, shape (classes, n_fine)."""
+
+
+_BIN_CORRELATION = (2.0 / 3.0) ** 2, (1.0 / 6.0) ** 2
+"""Squared correlations of the Hann taper's neighbouring bins, one and two apart."""
+
+
+def _information_weight() -> float:
+    return 1.0 / ((1.0 + 2.0 * sum(_BIN_CORRELATION)) * (1.0 + 2.0 * overlap_correlation()))
+
+
+def gather(blocks: Iterable[SampleBlock], config: Configuration) -> Segments:
+    """Condition a recording as the pipeline does and cut it into segments.
+
+    Raises
+    ------
+    BadInputError
+        If there is less than a minute of usable data.
+    """
+    floors = _Stream(config, config.channels)
+    ground = _Stream(config, None)
+    temperature: list[tuple[int, float]] = []
+    for block in blocks:
+        if block.topic == ACCELERATION:
+            floors.push(block)
+        elif block.topic == GROUND:
+            ground.push(block)
+        elif block.topic == TEMPERATURE:
+            step_ns = 1e9 / block.sample_rate_hz
+            temperature += [(block.t_ns + round(i * step_ns), float(v)) for i, v in enumerate(block.samples[:, 0])]
+    if len(floors.segments) < 6:
+        raise BadInputError(
+            f"{floors.seconds:.0f} s of usable data without a gap; a diagnosis takes at least {floors.least_s:.0f} s"
+        )
+    assert floors.design is not None
+    design, conditioner = floors.design, floors.conditioner
+    first, last = (round(x * conditioner.cutoff_hz / design.step_hz) for x in (_LOW, _HIGH))
+    first = max(first, 4)
+    t0 = floors.t0_ns
+    drive = None
+    if ground.segments and all(t in ground.segments for t in floors.segments):
+        drive = np.stack([ground.segments[t][0] for t in floors.segments])[:, first : last + 1, 0]
+    band = Band(first, last - first + 1, design.step_hz, _filter_gain(conditioner, first, last, design.step_hz))
+    readings = np.array([((t - t0) * 1e-9, v) for t, v in temperature if np.isfinite(v)]).reshape(-1, 2)
+    return Segments(
+        values=np.stack([x for x, _ in floors.segments.values()])[:, first : last + 1],
+        t_s=np.array([(t - t0) * 1e-9 for t in floors.segments]) + 0.5 / design.step_hz,
+        rms=np.stack([r for _, r in floors.segments.values()]),
+        peak=floors.peak,
+        drive=drive,
+        temperature=readings,
+        band=band,
+        rate_hz=conditioner.rate_in_hz,
+        samples=round(floors.seconds * conditioner.rate_hz),
+    )
+
+
+class _Stream:
+    """One topic on its way from blocks to segments."""
+
+    def __init__(self, config: Configuration, channels: tuple[str, ...] | None) -> None:
+        self._config, self._channels = config, channels
+        self._align = align.start()
+        self._rest: Array | None = None
+        self._run_ns = 0
+        self._done = 0
+        self.design: SegmentDesign | None = None
+        self.least_s = 3.5 * config.refinement.segment_s
+        self.segments: dict[int, tuple[ComplexArray, Array]] = {}
+        """By the time of their first sample, UTC ns."""
+        self.t0_ns = 0
+        self.seconds = 0.0
+        self.peak = np.zeros(len(channels or ("ground",)))
+        self._raw: list[Array] = []
+        """Source samples of the segment to come."""
+
+    def push(self, block: SampleBlock) -> None:
+        """Add a block's samples."""
+        self._channels = self._channels or block.channels[:1]
+        self._align, pieces = align.step(self._align, block, self._channels)
+        for piece in pieces:
+            if self._rest is None or piece.gap is not None:
+                self._begin(piece)
+            self._state, values = self.conditioner.step_block(self._state, piece.values)
+            self.seconds += values.shape[0] / self.conditioner.rate_hz
+            self.peak = np.maximum(self.peak, np.abs(piece.values).max(axis=0, initial=0.0))
+            self._raw.append(piece.values)
+            self._cut(values)
+
+    def _begin(self, piece: align.Piece) -> None:
+        p = self._config.processing
+        self.conditioner = Conditioner.design(
+            piece.rate_hz, p.rate_hz, p.cutoff_hz, common_step_s(p.window_s, p.hop_s)
+        )
+        self._state = self.conditioner.start(len(self._channels or ()))
+        self._rest = np.zeros((0, len(self._channels or ())))
+        if self.design is None:
+            lags = 2 * self._config.identification.block_rows
+            self.design = WindowGrid.design(
+                self.conditioner.rate_hz, p.window_s, p.hop_s, lags, self._config.refinement.segment_s, self.conditioner.cutoff_hz
+            ).segments
+            self.t0_ns = piece.t_ns
+        self._run_ns, self._done, self._raw = piece.t_ns, 0, []
+
+    def _cut(self, values: Array) -> None:
+        assert self._rest is not None and self.design is not None
+        n = self.design.n
+        rest = np.concatenate([self._rest, values])
+        while rest.shape[0] >= n:
+            t_ns = self._run_ns + round(self._done / self.design.rate_hz * 1e9)
+            raw = np.concatenate(self._raw)
+            if self._done:  # the first half segment holds the filter's start from rest
+                self.segments[t_ns] = transform(self.design, rest[:n]), raw.std(axis=0)
+            rest, self._done = rest[n // 2 :], self._done + n // 2
+            self._raw = [raw[round(n / 2 * self.conditioner.rate_in_hz / self.design.rate_hz) :]]
+        self._rest = rest
+
+
+def _filter_gain(conditioner: Conditioner, first: int, last: int, step_hz: float) -> Array:
+    from scipy.signal import sosfreqz
+
+    hz = np.arange(first, last + 1) * step_hz
+    _, answer = sosfreqz(conditioner.sos, worN=hz, fs=conditioner.rate_in_hz)
+    return np.abs(answer) ** 2
+
+
+def classify(segments: Segments) -> Evidence:
+    """Average the segments' cross-spectra in classes of level and, where it was measured and varies, of temperature."""
+    x = segments.values if segments.drive is None else np.concatenate([segments.values, segments.drive[:, :, None]], axis=2)
+    mean = np.einsum("ska,skb->kab", x, x.conj()) / x.shape[0]
+    floor = 1e-6 * np.einsum("kaa->k", mean).real / mean.shape[1]
+    inverse = np.linalg.inv(mean + floor[:, None, None] * np.eye(mean.shape[1]))
+    # Whitened by the mean spectrum every bin counts alike, so that the class follows the excitation, not one mode's chance.
+    level = np.einsum("ska,kab,skb->s", x.conj(), inverse, x).real
+    label = _quantiles(level, min(_LEVEL_CLASSES, max(1, level.size // _MIN_SEGMENTS_A_CLASS)))
+    degc = _temperature_at(segments.temperature, segments.t_s)
+    if degc is not None and np.ptp(degc) > _MIN_RANGE_DEGC:
+        n_degc = max(1, min(_TEMPERATURE_CLASSES, level.size // (2 * _MIN_SEGMENTS_A_CLASS)))
+        n_level = max(1, min(3, level.size // (n_degc * _MIN_SEGMENTS_A_CLASS)))
+        label = n_level * _quantiles(degc, n_degc) + _quantiles(level, n_level)
+    members = tuple(np.flatnonzero(label == k) for k in np.unique(label))
+    spectra = np.stack([np.einsum("ska,skb->kab", x[m], x[m].conj()) / m.size for m in members])
+    ground = None
+    if segments.drive is not None:
+        power = np.abs(segments.drive) ** 2
+        ground = np.stack([_fine_ground(power[m].mean(axis=0)) for m in members])
+    return Evidence(
+        spectra=spectra,
+        counts=np.array([float(m.size) for m in members]),
+        weight=_information_weight(),
+        rms=np.stack([np.sqrt((segments.rms[m] ** 2).mean(axis=0)) for m in members]),
+        peak=segments.peak,
+        members=members,
+        t_s=segments.t_s,
+        temperature=segments.temperature,
+        band=segments.band,
+        rate_hz=segments.rate_hz,
+        samples=segments.samples,
+        ground=ground,
+    )
+
+
+def _quantiles(value: Array, n: int) -> NDArray[np.intp]:
+    """Class of every value, equally many in each."""
+    rank = np.argsort(np.argsort(value, kind="stable"), kind="stable")
+    return np.asarray(rank * n // value.size)
+
+
+def _temperature_at(readings: Array, t_s: Array, lag_s: float = 0.0) -> Array | None:
+    """Temperature at times, after a first-order lag; None without readings."""
+    if readings.shape[0] < 2:
+        return None
+    order = np.argsort(readings[:, 0], kind="stable")
+    t, value = readings[order].T
+    if lag_s > 0.0:
+        lagged = value.copy()
+        for i in range(1, t.size):
+            keep = np.exp(-(t[i] - t[i - 1]) / lag_s)
+            lagged[i] = keep * lagged[i - 1] + (1.0 - keep) * value[i]
+        value = lagged
+    return np.asarray(np.interp(t_s, t, value))
+
+
+def class_temperature(evidence: Evidence, k: int, lag_s: float) -> float | None:
+    """Mean temperature of class k after a first-order lag of `lag_s`, degC; None where none was measured."""
+    degc = _temperature_at(evidence.temperature, evidence.t_s[evidence.members[k]], lag_s)
+    return None if degc is None else float(degc.mean())
+
+
+def _fine_ground(density: Array) -> Array:
+    """The measured ground's density on the half-bin grid, smoothed over a few bins."""
+    width = 5
+    padded = np.pad(density, width // 2 + 2, mode="edge")
+    smooth = np.convolve(padded, np.ones(width) / width, mode="same")[2:-2]
+    n = density.size
+    x = np.arange(-3, 2 * (n - 1) + 4) / 2.0
+    return np.asarray(np.interp(x, np.arange(n), smooth[width // 2 : width // 2 + n]))

@@ -1,0 +1,412 @@
+"""The one score for all causes: debiased Whittle likelihood of a recording's cross-spectra under a model.
+
+Nuisances (stiffness and mass within what is known of them, damping, excitation, noise) compete with every effect.  What is
+known of the structure, from its drawing or from its baseline, is a normal prior on the structural nuisances.
+
+References
+----------
+P. Whittle, Arkiv foer Matematik 2 (1953) 423-434; A. M. Sykulski et al., The debiased Whittle likelihood, Biometrika 106
+(2019) 251-266.  Statistical linearization: J. B. Roberts, P. D. Spanos, Random Vibration and Statistical Linearization (1990).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numba import njit
+from scipy.linalg import block_diag
+
+from monitor.effects import Condition, Context, Effect
+from monitor.evidence import Evidence, class_temperature
+from monitor.model import Model
+from monitor.prediction import Excitation, assemble, cross_spectra
+from monitor.reference import Reference
+from monitor.results import Array, ComplexArray
+
+_FORCE_STD, _LEVEL_STD, _NOISE_STD = 1.0, 5.0, 3.0
+"""Prior of the logarithm of the floors' forces about their mean, of the classes' levels, of the common noise."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Fit:
+    """A model fitted to evidence."""
+
+    x: Array
+    """Structural nuisances, excitation, then the extra effects' coordinates."""
+    effects: tuple[Effect, ...]
+    """The extra effects."""
+    log_likelihood: float
+    """Tempered for correlated bins and segments, nats; without the prior."""
+    log_prior: float
+    covariance: Array
+    """Of x."""
+    converged: bool
+    jacobian: Array
+    """Whitened slopes, shape (classes * bins * c * c, p), each row weighed by the root of its information."""
+    residual: Array
+    """Whitened and weighed residual of the same rows."""
+
+    @property
+    def log_posterior(self) -> float:
+        """Of the fit, up to a constant."""
+        return self.log_likelihood + self.log_prior
+
+    @property
+    def n_effect(self) -> int:
+        """Coordinates of the extra effects."""
+        return sum(len(e.parameters) for e in self.effects)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Problem:
+    """Evidence, what is known before it, and where effects act."""
+
+    evidence: Evidence
+    reference: Reference
+    context: Context
+    conditions: tuple[Condition, ...]
+    """One a class."""
+    smoothing: Array | None = None
+    """Averages bins into coarse ones, shape (n_coarse, n_bins), for a start from far away."""
+
+    @property
+    def n_classes(self) -> int:
+        return self.evidence.counts.size
+
+    @property
+    def n_nuisance(self) -> int:
+        return self.reference.mean.size + self.context.structure.mass_matrix().shape[0] + self.n_classes + 1
+
+    def widths(self) -> Array:
+        """Bins in each (coarse) bin."""
+        n = self.evidence.band.n_bins
+        return np.ones(n) if self.smoothing is None else 1.0 / (self.smoothing**2).sum(axis=1)
+
+    def data(self) -> ComplexArray:
+        """Measured cross-spectra, (classes, bins, c, c)."""
+        return self.smooth(self.evidence.spectra)
+
+    def smooth(self, spectra: ComplexArray) -> ComplexArray:
+        """Average bins, the third axis from the end."""
+        if self.smoothing is None:
+            return spectra
+        return np.asarray(np.moveaxis(np.tensordot(self.smoothing, spectra, axes=(1, -3)), 0, -3))
+
+    # --- prediction -----------------------------------------------------------------------------------------
+
+    def spectra(self, x: Array, effects: Sequence[Effect], *, classes: Sequence[int] | None = None) -> ComplexArray:
+        """Predicted cross-spectra of the classes, shape (classes, n_bins, c, c)."""
+        effects = (*self.reference.effects(x), *effects)
+        mass, stiffness, damping = self.matrices(x, effects)
+        p = self.reference.mean.size
+        n = mass.shape[0]
+        force, level, noise = np.exp(x[p : p + n]), np.exp(x[p + n : p + n + self.n_classes]), self.noise(x)
+        wanted = range(self.n_classes) if classes is None else classes
+        ground = self.evidence.ground
+        varied = ground is not None or any(e.conditional or e.lines() for e in effects)
+        out = []
+        shared: ComplexArray | None = None
+        for k in wanted:
+            if varied or shared is None:
+                system = assemble(mass, stiffness, damping, effects, self.context, self.conditions[k])
+                drive = None if ground is None else ground[k]
+                e = Excitation(force * (level[k] if varied else 1.0), noise * (1.0 if varied else 0.0), drive)
+                shared = cross_spectra(system, effects, e, self.evidence.band, self.context, self.conditions[k])
+            if varied:
+                out.append(shared)
+            else:
+                out.append(self._scaled(shared, level[k], noise, effects))
+        return np.stack(out)
+
+    def _scaled(self, unit: ComplexArray, level: float, noise: Array, effects: Sequence[Effect]) -> ComplexArray:
+        """Another class's spectra where only the level differs: everything but the noise scales."""
+        extra = sum((e.noise_variance(self.context, self.conditions[0]) for e in effects), np.zeros(noise.size))
+        extra = np.asarray(extra) / self.context.rate_hz
+        diagonal = np.arange(noise.size)
+        gain = self.evidence.band.gain[:, None]
+        out = unit.copy()
+        out[:, diagonal, diagonal] -= extra * gain
+        out *= level
+        out[:, diagonal, diagonal] += (noise + extra) * gain
+        return out
+
+    def matrices(self, x: Array, effects: Sequence[Effect]) -> tuple[Array, Array, Array]:
+        """Mass, stiffness and modal damping ratios at a vector of nuisances."""
+        return self.model(x, effects).structural_matrices() + (np.exp(self.reference.parts(x)[2]),)
+
+    def model(self, x: Array, effects: Sequence[Effect]) -> Model:
+        """The model at a vector of nuisances; `effects` are all of its effects."""
+        ln_k, ln_m, ln_damping, _, correction, _ = self.reference.parts(x)
+        base = self.reference.model
+        change = np.tensordot(correction, self.reference.basis, axes=1) if correction.size else None
+        if base.correction is not None:
+            change = base.correction if change is None else base.correction + change
+        model = base.with_stiffness(np.exp(ln_k)).with_masses(np.exp(ln_m))
+        return replace(model, effects=tuple(effects), correction=change, modal_damping=np.exp(ln_damping))
+
+    def noise(self, x: Array) -> Array:
+        """Noise density of every channel."""
+        return np.asarray(np.exp(x[self.n_nuisance - 1] + self.reference.parts(x)[3]))
+
+    # --- score ----------------------------------------------------------------------------------------------
+
+    def prior(self, x: Array) -> tuple[Array, Array]:
+        """Mean and precision of the nuisances, given the forces' mean level."""
+        n_extra = x.size - self.n_nuisance
+        n = self.context.structure.mass_matrix().shape[0]
+        centred = np.eye(n) - 1.0 / n
+        precision = block_diag(
+            self.reference.precision,
+            centred / _FORCE_STD**2 + np.full((n, n), 1.0 / n) / _LEVEL_STD**2,
+            np.eye(self.n_classes) / _LEVEL_STD**2,
+            np.eye(1) / _NOISE_STD**2,
+            np.zeros((n_extra, n_extra)),
+        )
+        p = self.reference.mean.size
+        mean = np.concatenate([self.reference.mean, np.full(n, x[p : p + n].mean()), np.zeros(self.n_classes), [x[self.n_nuisance - 1]], x[self.n_nuisance :]])
+        return mean, precision
+
+    def log_likelihood(self, spectra: ComplexArray, data: ComplexArray | None = None) -> float:
+        """Tempered Whittle log likelihood, nats; -inf where a spectrum is not positive definite."""
+        data = self.data() if data is None else data
+        each = _log_wishart(spectra, data)
+        total = (each * self.widths()).sum(axis=1) @ self.evidence.counts * self.evidence.weight
+        return float(total) if np.isfinite(total) else -np.inf
+
+    def score(self, x: Array, effects: tuple[Effect, ...]) -> tuple[float, float]:
+        """Log likelihood and log prior at a point."""
+        ll = self.log_likelihood(self.smooth(self.spectra(x, effects)))
+        mean, precision = self.prior(x)
+        return ll, -0.5 * float((x - mean) @ precision @ (x - mean))
+
+    def slopes(self, x: Array, effects: tuple[Effect, ...], spectra: ComplexArray) -> ComplexArray:
+        """Derivatives of the (smoothed) spectra, shape (p, classes, bins, c, c), by finite differences.
+
+        Those of the nuisances are taken at the middle class and scaled by level: they only weigh the residual.
+        """
+        middle = self.n_classes // 2
+        p, n = self.reference.mean.size, self.context.structure.mass_matrix().shape[0]
+        level = np.exp(x[p + n : p + n + self.n_classes])
+        scale = (level / level[middle])[:, None, None, None] if self.evidence.ground is None else np.ones((self.n_classes, 1, 1, 1))
+        c = len(self.context.channels)
+        diagonal = np.arange(c)
+        noise = self.noise(x)
+        noise_slope = np.zeros((c, *spectra.shape[1:]), dtype=complex)
+        noise_slope[diagonal, :, diagonal, diagonal] = noise[:, None]
+        out = np.empty((x.size, *spectra.shape), dtype=complex)
+        first_noise = sum(self.reference.sizes[:3])
+        for i in range(x.size):
+            if first_noise <= i < first_noise + c:
+                out[i] = noise_slope[i - first_noise]
+            elif p + n <= i < p + n + self.n_classes:
+                out[i] = 0.0
+                k = i - p - n
+                out[i, k] = spectra[k]
+                out[i, k, :, diagonal, diagonal] -= noise[:, None]
+            elif i == self.n_nuisance - 1:
+                out[i] = noise_slope.sum(axis=0)
+            else:
+                h = 1e-5 if i < self.n_nuisance else 1e-4 * max(abs(x[i]), 1e-9)
+                moved = x.copy()
+                moved[i] += h
+                if i < self.n_nuisance:
+                    change = self.smooth(self.spectra(moved, effects, classes=[middle]))[0] - spectra[middle]
+                    out[i] = change / h * scale
+                else:
+                    out[i] = (self.smooth(self.spectra(moved, _placed(effects, moved[self.n_nuisance :]))) - spectra) / h
+        return out
+
+    def whitened(self, spectra: ComplexArray, slopes: ComplexArray, data: ComplexArray | None = None) -> tuple[Array, Array]:
+        """Slopes and residual as real rows of unit information, shapes (rows, p) and (rows,)."""
+        data = self.data() if data is None else data
+        root = np.sqrt(self.evidence.weight * self.evidence.counts[:, None] * self.widths())
+        stacked = np.concatenate([slopes, (data - spectra)[None]])
+        rows = _whiten(spectra, stacked, root)
+        return rows[:, :-1], rows[:, -1]
+
+
+def _placed(effects: Sequence[Effect], coordinates: Array) -> tuple[Effect, ...]:
+    """Effects at a joint vector of coordinates."""
+    out = []
+    for e in effects:
+        out.append(e.at(coordinates[: len(e.parameters)]))
+        coordinates = coordinates[len(e.parameters) :]
+    return tuple(out)
+
+
+def fit(
+    problem: Problem, x: Array, effects: tuple[Effect, ...] = (), *, iterations: int = 12, tolerance: float = 0.02, frozen: Array | None = None
+) -> Fit:
+    """Most probable parameters near `x` by Fisher scoring with Levenberg-Marquardt steps.
+
+    Parameters
+    ----------
+    x : ndarray
+        Nuisances; the effects' coordinates are taken from `effects`.
+    tolerance : float
+        Converged when a step promises less gain than this, nats.
+    frozen : ndarray, optional
+        Whitened slopes of the nuisances, shape (rows, n_nuisance), taken as they are: quicker, for a ranking.
+    """
+    x = np.concatenate([x[: problem.n_nuisance], *[e.coordinates for e in effects]])
+    data = problem.data()
+    spectra = problem.smooth(problem.spectra(x, effects))
+    ll, lp = problem.log_likelihood(spectra, data), problem.score(x, effects)[1]
+    damping, converged = 1e-3, False
+    rows, residual, normal = np.zeros((0, x.size)), np.zeros(0), np.eye(x.size)
+    for _ in range(iterations):
+        slopes = _effect_slopes(problem, x, effects, spectra) if frozen is not None else problem.slopes(x, effects, spectra)
+        rows, residual = problem.whitened(spectra, slopes, data)
+        if frozen is not None:
+            rows = np.concatenate([frozen, rows], axis=1)
+        mean, precision = problem.prior(x)
+        normal = rows.T @ rows + precision
+        gradient = rows.T @ residual - precision @ (x - mean)
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
+        accepted = False
+        for _ in range(6):
+            step = scale * np.linalg.solve(normal * scale[:, None] * scale + (damping + 1e-12) * np.eye(x.size), scale * gradient)
+            moved = _limited(problem, x, step)
+            placed = _placed(effects, moved[problem.n_nuisance :])
+            moved = np.concatenate([moved[: problem.n_nuisance], *[e.coordinates for e in placed]])
+            candidate = problem.smooth(problem.spectra(moved, placed))
+            new_ll = problem.log_likelihood(candidate, data)
+            m, q = problem.prior(moved)
+            new_lp = -0.5 * float((moved - m) @ q @ (moved - m))
+            if new_ll + new_lp > ll + lp - 1e-9:
+                accepted = True
+                break
+            damping = max(10.0 * damping, 1e-2)
+        if not accepted:
+            converged = float(gradient @ step) < 10.0 * tolerance
+            break
+        gain = new_ll + new_lp - ll - lp
+        x, effects, spectra, ll, lp = moved, placed, candidate, new_ll, new_lp
+        damping *= 0.1
+        if gain < tolerance:
+            converged = True
+            break
+    covariance = _inverse(normal)
+    return Fit(x, effects, ll, lp, covariance, converged, rows, residual)
+
+
+def _effect_slopes(problem: Problem, x: Array, effects: tuple[Effect, ...], spectra: ComplexArray) -> ComplexArray:
+    out = []
+    for i in range(problem.n_nuisance, x.size):
+        h = 1e-4 * max(abs(x[i]), 1e-9)
+        moved = x.copy()
+        moved[i] += h
+        out.append((problem.smooth(problem.spectra(moved, _placed(effects, moved[problem.n_nuisance :]))) - spectra) / h)
+    return np.array(out).reshape(-1, *spectra.shape)
+
+
+def _limited(problem: Problem, x: Array, step: Array) -> Array:
+    """A step bounded so that a bad start cannot run away."""
+    bound = np.full(x.size, np.inf)
+    k, m, d, c, e = problem.reference.sizes
+    p = problem.reference.mean.size
+    bound[: k + m] = 0.1
+    bound[k + m : k + m + d] = 1.0
+    bound[k + m + d + c : p] = 0.1
+    bound[p : problem.n_nuisance] = 2.0
+    return np.asarray(x + np.clip(step, -bound, bound))
+
+
+def _inverse(normal: Array) -> Array:
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    return np.asarray(scale[:, None] * np.linalg.pinv(normal * scale[:, None] * scale, hermitian=True) * scale)
+
+
+@njit(cache=True)
+def _cholesky(a: ComplexArray, out: ComplexArray) -> bool:
+    c = a.shape[0]
+    for j in range(c):
+        total = a[j, j].real
+        for k in range(j):
+            total -= out[j, k].real ** 2 + out[j, k].imag ** 2
+        if not total > 0.0:
+            return False
+        root = np.sqrt(total)
+        out[j, j] = root
+        for i in range(j + 1, c):
+            value = a[i, j]
+            for k in range(j):
+                value -= out[i, k] * np.conj(out[j, k])
+            out[i, j] = value / root
+    return True
+
+
+@njit(cache=True)
+def _log_wishart(spectra: ComplexArray, data: ComplexArray) -> Array:
+    """``-ln det S - tr(S^-1 data)`` of every class and bin."""
+    classes, bins, c, _ = spectra.shape
+    out = np.empty((classes, bins))
+    lower = np.zeros((c, c), dtype=np.complex128)
+    inverse = np.zeros((c, c), dtype=np.complex128)
+    for k in range(classes):
+        for f in range(bins):
+            if not _cholesky(spectra[k, f], lower):
+                out[k, f] = -np.inf
+                continue
+            _invert_lower(lower, inverse)
+            total = 0.0
+            for i in range(c):
+                total -= 2.0 * np.log(lower[i, i].real)
+            for i in range(c):
+                for a in range(i + 1):
+                    for b in range(i + 1):
+                        total -= (inverse[i, a] * data[k, f, a, b] * np.conj(inverse[i, b])).real
+            out[k, f] = total
+    return out
+
+
+@njit(cache=True)
+def _invert_lower(lower: ComplexArray, out: ComplexArray) -> None:
+    c = lower.shape[0]
+    for j in range(c):
+        out[j, j] = 1.0 / lower[j, j]
+        for i in range(j + 1, c):
+            total = 0j
+            for k in range(j, i):
+                total -= lower[i, k] * out[k, j]
+            out[i, j] = total / lower[i, i]
+
+
+@njit(cache=True)
+def _whiten(spectra: ComplexArray, slopes: ComplexArray, root: Array) -> Array:
+    """Rows ``root L^-1 dS L^-H`` as reals, shape (classes * bins * c * c, p)."""
+    p, classes, bins, c, _ = slopes.shape
+    out = np.empty((classes * bins * c * c, p))
+    lower = np.zeros((c, c), dtype=np.complex128)
+    inverse = np.zeros((c, c), dtype=np.complex128)
+    half = np.empty((c, c), dtype=np.complex128)
+    for k in range(classes):
+        for f in range(bins):
+            row = (k * bins + f) * c * c
+            if not _cholesky(spectra[k, f], lower):
+                out[row : row + c * c] = 0.0
+                continue
+            _invert_lower(lower, inverse)
+            for q in range(p):
+                for i in range(c):
+                    for b in range(c):
+                        total = 0j
+                        for a in range(i + 1):
+                            total += inverse[i, a] * slopes[q, k, f, a, b]
+                        half[i, b] = total
+                at = row
+                for i in range(c):
+                    for j in range(i + 1):
+                        total = 0j
+                        for b in range(j + 1):
+                            total += half[i, b] * np.conj(inverse[j, b])
+                        if i == j:
+                            out[at, q] = root[k, f] * total.real
+                            at += 1
+                        else:
+                            out[at, q] = root[k, f] * np.sqrt(2.0) * total.real
+                            out[at + 1, q] = root[k, f] * np.sqrt(2.0) * total.imag
+                            at += 2
+    return out

@@ -1,0 +1,230 @@
+"""Cross-spectra that a model predicts for a recording's segments: ``S = R T H Q H^H T^H R^H + lines + noise``.
+
+H is the acceleration the floors answer forces with, T picks the channels, R is what the acquisition makes of them; the
+result is blurred as the segments' taper blurs it (debiased Whittle), so that it may be compared with their mean.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from scipy.linalg import eigh
+from scipy.optimize import brentq
+
+from monitor.effects import Condition, Context, Effect, System
+from monitor.results import Array, ComplexArray
+from monitor.spectrum import LEAKAGE_OFFSETS, hann_amplitude, leakage
+
+_TAPS = leakage()
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Band:
+    """The frequencies that are compared."""
+
+    first: int
+    """Index of the first bin."""
+    n_bins: int
+    bin_hz: float
+    """Spacing of the bins, the reciprocal of the segments' length."""
+    gain: Array
+    """Power gain of the anti-alias filter at the bins, shape (n_bins,)."""
+
+    @property
+    def hz(self) -> Array:
+        """Shape (n_bins,)."""
+        return np.asarray((self.first + np.arange(self.n_bins)) * self.bin_hz)
+
+    @property
+    def fine_hz(self) -> Array:
+        """Half-bin grid that reaches as far beyond the band as the taper blurs."""
+        low, high = LEAKAGE_OFFSETS[0], 2 * (self.n_bins - 1) + LEAKAGE_OFFSETS[-1]
+        return np.asarray((2 * self.first + np.arange(low, high + 1)) * (0.5 * self.bin_hz))
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Excitation:
+    """What drives the structure and its sensors, as two-sided power densities."""
+
+    force: Array
+    """White forces on the floors, shape (n,), N^2/Hz."""
+    noise: Array
+    """White noise of the channels, shape (c,), (m/s^2)^2/Hz."""
+    ground: Array | None = None
+    """Density of a ground motion that was measured, on the fine grid, (m/s^2)^2/Hz; the spectra then have one more
+    channel, the ground's."""
+
+
+def assemble(
+    mass: Array,
+    stiffness: Array,
+    damping_ratio: Array,
+    effects: Sequence[Effect],
+    context: Context,
+    condition: Condition,
+) -> System:
+    """The linear system at a condition: the structure's matrices, its modal damping, then what effects add.
+
+    Parameters
+    ----------
+    mass, stiffness : ndarray, shape (n, n)
+        With the effects' `structural` part.
+    damping_ratio : ndarray, shape (n,)
+        Of every mode.
+    """
+    eigenvalues, shapes = eigh(stiffness, mass)
+    carried = mass @ shapes
+    damping = (carried * (2.0 * damping_ratio * np.sqrt(np.maximum(eigenvalues, 0.0)))) @ carried.T
+    system = System(mass, damping, stiffness)
+    for effect in effects:
+        system = effect.extend(system, context, condition)
+    return system
+
+
+def cross_spectra(
+    system: System,
+    effects: Sequence[Effect],
+    excitation: Excitation,
+    band: Band,
+    context: Context,
+    condition: Condition,
+) -> ComplexArray:
+    """Expected cross-spectra of the segments, shape (n_bins, c, c), (m/s^2)^2/Hz, two-sided."""
+    clock = float(np.prod([e.clock_factor for e in effects]))
+    fine = band.fine_hz
+    seen = _seen(system, effects, fine, clock, context, condition)
+    force = excitation.force
+    colour = np.ones(fine.size)
+    for effect in effects:
+        colour = colour * effect.colour(fine * clock)
+    share = sum(e.ground_share for e in effects)
+    ground = np.zeros(fine.size)
+    if share > 0.0:
+        ground += _ground_density(share, system, force, context)
+    n = force.size
+    columns = np.concatenate([seen[:, :, :n] * np.sqrt(force * colour[:, None])[:, None, :], seen[:, :, n:] * np.sqrt(ground)[:, None, None]], axis=2)
+    if excitation.ground is not None:
+        columns = _with_ground(columns, seen[:, :, n], excitation.ground)
+    spectra = blurred_products(columns, _TAPS)
+    for effect in effects:
+        for line in effect.lines():
+            at = np.array([line.frequency_hz / clock])
+            y = _seen(system, effects, at, clock, context, condition)[0, :, line.floor]
+            offset = (band.hz - at) / band.bin_hz
+            power = line.force_n**2 / 4.0 * (8.0 / 3.0) / band.bin_hz * hann_amplitude(offset) ** 2
+            spectra[:, : y.size, : y.size] += power[:, None, None] * np.outer(y, y.conj())
+    extra = sum((e.noise_variance(context, condition) for e in effects), np.zeros(len(context.channels)))
+    noise = excitation.noise + np.asarray(extra) / context.rate_hz
+    diagonal = np.arange(noise.size)
+    spectra[:, diagonal, diagonal] += noise
+    return np.asarray(spectra * band.gain[:, None, None])
+
+
+def _seen(
+    system: System, effects: Sequence[Effect], hz: Array, clock: float, context: Context, condition: Condition
+) -> ComplexArray:
+    """Channels' response to forces on the floors and, last, to a ground acceleration, shape (n_hz, c, n + 1)."""
+    n = context.structure.n_stories
+    inertia = system.mass.sum(axis=1)
+    right = np.zeros((system.mass.shape[0], n + 1))
+    right[:n, :n] = np.eye(n)
+    right[:, n] = -inertia
+    floors = accelerance(system.mass, system.damping, system.stiffness, 2.0 * np.pi * clock * hz, right)[:, :n]
+    floors[:, :, n] += 1.0  # absolute: the ground's own motion too
+    seen: ComplexArray = context.sensors @ floors
+    for effect in effects:
+        response = effect.response(hz * clock, context, condition)
+        if response is not None:
+            seen = response @ seen
+    return seen
+
+
+def _with_ground(columns: ComplexArray, answer: ComplexArray, density: Array) -> ComplexArray:
+    """One more row, the measured ground's, and the column by which it drives all channels."""
+    f, c, n = columns.shape
+    out = np.zeros((f, c + 1, n + 1), dtype=complex)
+    out[:, :c, :n] = columns
+    root = np.sqrt(density)
+    out[:, :c, n] = answer * root[:, None]
+    out[:, c, n] = root
+    return out
+
+
+def _ground_density(share: float, system: System, force: Array, context: Context) -> float:
+    """White ground acceleration that causes `share` of the channels' variance, mean over channels, beside the forces."""
+    hz = np.arange(0.05, context.rate_hz / 2.0, 0.05)
+    seen = np.abs(_seen(system, (), hz, 1.0, context, _NO_CONDITION)) ** 2
+    n = force.size
+    by_force = (seen[:, :, :n] @ force).sum(axis=0)
+    by_ground = seen[:, :, n].sum(axis=0)
+    share = min(share, 0.999)
+
+    def excess(ln_density: float) -> float:
+        part = np.exp(ln_density) * by_ground
+        return float((part / (part + by_force)).mean()) - share
+
+    middle = float(np.log(by_force.mean() / by_ground.mean()))
+    return float(np.exp(brentq(excess, middle - 25.0, middle + 25.0, xtol=1e-10)))
+
+
+_NO_CONDITION = Condition(np.ones(1), np.ones(1), np.ones(1), np.ones(1))
+
+
+@njit(cache=True)
+def accelerance(mass: Array, damping: Array, stiffness: Array, omega: Array, right: Array) -> ComplexArray:
+    """Acceleration per force, ``-w^2 (K + i w C - w^2 M)^-1 right``, shape (n_omega, N, columns)."""
+    size, columns = right.shape
+    out = np.empty((omega.size, size, columns), dtype=np.complex128)
+    a = np.empty((size, size), dtype=np.complex128)
+    for k in range(omega.size):
+        w = omega[k]
+        for i in range(size):
+            for j in range(size):
+                a[i, j] = stiffness[i, j] - w * w * mass[i, j] + 1j * w * damping[i, j]
+        x = out[k]
+        for i in range(size):
+            for j in range(columns):
+                x[i, j] = -w * w * right[i, j]
+        for p in range(size):  # the matrix is symmetric with a definite imaginary part: no pivot vanishes
+            inverse = 1.0 / a[p, p]
+            for i in range(p + 1, size):
+                factor = a[i, p] * inverse
+                for j in range(p + 1, size):
+                    a[i, j] -= factor * a[p, j]
+                for j in range(columns):
+                    x[i, j] -= factor * x[p, j]
+        for p in range(size - 1, -1, -1):
+            for j in range(columns):
+                total = x[p, j]
+                for i in range(p + 1, size):
+                    total -= a[p, i] * x[i, j]
+                x[p, j] = total / a[p, p]
+    return out
+
+
+@njit(cache=True)
+def blurred_products(columns: ComplexArray, taps: Array) -> ComplexArray:
+    """Products ``columns columns^H`` on the half-bin grid, blurred into bins, shape (n_bins, c, c)."""
+    n_fine, c, n = columns.shape
+    n_bins = (n_fine - taps.size) // 2 + 1
+    fine = np.empty((n_fine, c, c), dtype=np.complex128)
+    for k in range(n_fine):
+        for a in range(c):
+            for b in range(a + 1):
+                total = 0j
+                for j in range(n):
+                    total += columns[k, a, j] * np.conj(columns[k, b, j])
+                fine[k, a, b] = total
+    out = np.empty((n_bins, c, c), dtype=np.complex128)
+    for k in range(n_bins):
+        for a in range(c):
+            for b in range(a + 1):
+                total = 0j
+                for t in range(taps.size):
+                    total += taps[t] * fine[2 * k + t, a, b]
+                out[k, a, b] = total
+                out[k, b, a] = np.conj(total)
+    return out

@@ -1,0 +1,92 @@
+"""What is known of the structure before a recording is seen: from its drawing, or from its healthy baseline."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from monitor.effects import Effect
+from monitor.model import Model
+from monitor.results import Array
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Reference:
+    """What is known of the structure before the recording is seen."""
+
+    model: Model
+    mean: Array
+    """Of ln stiffness, ln mass, ln damping ratio of every mode, ln noise of every channel over their mean, standing stiffness
+    correction in the modes' coordinates; then the standing effects' coordinates."""
+    precision: Array
+    """Shape (p, p)."""
+    basis: Array
+    """Stiffness corrections that the standing misfit may be made of, shape (e, n, n), N/m; e = 0 for none."""
+    reference_degc: float | None = None
+
+    @property
+    def sizes(self) -> tuple[int, int, int, int, int]:
+        """Lengths of the parts of `mean` before the standing effects'."""
+        s = self.model.structure
+        n = s.mass_matrix().shape[0]
+        corrections = self.basis.shape[0]
+        channels = self.mean.size - s.stiffness_n_per_m.size - 2 * n - corrections - self.n_standing
+        return s.stiffness_n_per_m.size, n, n, channels, corrections
+
+    @property
+    def n_standing(self) -> int:
+        """Coordinates of the standing effects."""
+        return sum(len(e.parameters) for e in self.model.effects)
+
+    def parts(self, x: Array) -> list[Array]:
+        """Cut a vector of structural nuisances into its six parts."""
+        ends = np.cumsum(self.sizes)
+        return np.split(x[: self.mean.size], ends)
+
+    def effects(self, x: Array) -> tuple[Effect, ...]:
+        """The standing effects at a vector of nuisances."""
+        last, out = self.parts(x)[5], []
+        for e in self.model.effects:
+            out.append(e.at(last[: len(e.parameters)]))
+            last = last[len(e.parameters) :]
+        return tuple(out)
+
+
+def correction_basis(model: Model, n_modes: int) -> Array:
+    """Symmetric corrections of the stiffness within the lowest modes, each of relative size one, shape (e, n, n)."""
+    modes = model.modes()
+    carried = model.mass_matrix() @ modes.shapes[:, :n_modes] * np.sqrt(np.maximum(modes.eigenvalues[:n_modes], 0.0))
+    pairs = [(a, b) for a in range(n_modes) for b in range(a, n_modes)]
+    outer = [np.outer(carried[:, a], carried[:, b]) for a, b in pairs]
+    n = carried.shape[0]
+    return np.array([0.5 * (o + o.T) for o in outer]).reshape(-1, n, n)
+
+
+def nominal(
+    model: Model, prior_std: Array, n_channels: int, n_modes: int = 0, correction_std: float = 0.1
+) -> Reference:
+    """What the structure file alone says.
+
+    Parameters
+    ----------
+    prior_std : ndarray, shape (n_stiffness + n,)
+        Relative standard deviations of stiffness and masses.
+    """
+    s = model.structure
+    n = s.mass_matrix().shape[0]
+    mean = np.concatenate(
+        [
+            np.log(s.stiffness_n_per_m),
+            np.log(np.diag(s.mass_matrix())),
+            np.log(model.damping_ratios()),
+            np.zeros(n_channels + n_modes * (n_modes + 1) // 2),
+            *[e.coordinates for e in model.effects],
+        ]
+    )
+    std = np.concatenate(
+        [prior_std, np.full(n, 0.7), np.full(n_channels, 0.1), np.full(n_modes * (n_modes + 1) // 2, correction_std)]
+    )
+    fixed = np.full(mean.size - std.size, 1e12)  # effects that the file states are taken as stated
+    basis = correction_basis(model, n_modes)
+    return Reference(model, mean, np.diag(np.concatenate([std**-2.0, fixed])), basis)

@@ -1,0 +1,218 @@
+"""Which effect explains what the model leaves over: a score test ranks every candidate, a fit judges the best of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from monitor.effects import EFFECTS, Condition, Context, Effect, locations
+from monitor.evidence import Evidence, class_temperature
+from monitor.likelihood import Fit, Problem, fit
+from monitor.prediction import accelerance, assemble
+from monitor.reference import Reference
+from monitor.results import Array
+
+_MIN_STEP, _MAX_STEP = 0.05, 20.0
+"""How far from its start size an effect is first tried, as factors."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Candidate:
+    """One effect at one place, fitted."""
+
+    effect: Effect
+    fit: Fit
+    gain: float
+    """Log posterior above the model without it, nats."""
+    evidence: float
+    """The gain less half the logarithm of the information for every parameter."""
+
+    @property
+    def key(self) -> tuple[str, str]:
+        """Name and place."""
+        return self.effect.name, self.effect.location
+
+
+def prepare(evidence: Evidence, reference: Reference, context: Context) -> tuple[Problem, Fit]:
+    """The problem without extra effects, fitted, with the motion of every class known.
+
+    Nonlinear laws are made linear at the motion of the fitted model, so the fit is made twice where standing effects
+    need it.
+    """
+    n, c = context.structure.n_dofs, len(context.channels)
+    unknown = Condition(np.ones(context.structure.n_stories), np.ones(context.structure.n_stories), np.ones(n), np.ones(c))
+    plain = replace(reference, model=replace(reference.model, effects=()), mean=reference.mean[: reference.mean.size - reference.n_standing])
+    plain = replace(plain, precision=reference.precision[: plain.mean.size, : plain.mean.size])
+    problem = Problem(evidence, plain, context, (unknown,) * evidence.counts.size)
+    null = fit(problem, _first_guess(problem))
+    problem = replace(problem, conditions=conditions(problem, null.x, ()))
+    if not reference.n_standing:
+        return problem, null
+    x = np.concatenate([null.x[: plain.mean.size], reference.mean[plain.mean.size :], null.x[plain.mean.size :]])
+    for _ in range(2):
+        problem = replace(problem, reference=reference)
+        null = fit(problem, x)
+        x = null.x
+        problem = replace(problem, conditions=conditions(problem, x, ()))
+    return problem, null
+
+
+def _first_guess(problem: Problem) -> Array:
+    """Nuisances as known before, forces and noise from the power of the spectra."""
+    e, n = problem.evidence, problem.context.structure.n_dofs
+    c = len(problem.context.channels)
+    power = np.einsum("kfaa->kfa", e.spectra[:, :, :c, :c]).real
+    noise = np.log(max(0.3 * float(np.quantile(power.mean(axis=(0, 2)), 0.02)), 1e-300))
+    x = np.concatenate([problem.reference.mean, np.zeros(n), np.zeros(problem.n_classes), [noise - 10.0]])
+    predicted = np.einsum("kfaa->kfa", problem.spectra(x, ())[:, :, :c, :c]).real
+    # Medians over frequency: peaks that do not lie where they should must not set the level.
+    ratio = np.median(power / predicted, axis=(1, 2))
+    p = problem.reference.mean.size
+    x[p : p + n] = np.log(ratio.mean())
+    x[p + n : p + n + problem.n_classes] = np.log(ratio / ratio.mean())
+    x[-1] = noise
+    return x
+
+
+def conditions(problem: Problem, x: Array, effects: tuple[Effect, ...]) -> tuple[Condition, ...]:
+    """RMS motion of every class under the fitted model, and its temperature."""
+    e, context = problem.evidence, problem.context
+    effects = (*problem.reference.effects(x), *effects)
+    mass, stiffness, damping = problem.matrices(x, effects)
+    n, p = mass.shape[0], problem.reference.mean.size
+    force, level = np.exp(x[p : p + n]), np.exp(x[p + n : p + n + problem.n_classes])
+    drift = context.structure.drift_matrix()
+    out = []
+    for k in range(problem.n_classes):
+        system = assemble(mass, stiffness, damping, effects, context, problem.conditions[k])
+        lowest = np.sqrt(max(np.linalg.eigvalsh(np.linalg.solve(mass, stiffness)).min(), 1e-6)) / (2.0 * np.pi)
+        step = min(0.25 * e.band.bin_hz, 0.25 * damping.min() * lowest)
+        hz = np.arange(max(0.2 * lowest, step), e.band.hz[-1] * 1.2, step)
+        size = system.mass.shape[0]
+        right = np.zeros((size, n + 1))
+        right[:n, :n] = np.eye(n)
+        right[:, n] = -system.mass.sum(axis=1)
+        w = 2.0 * np.pi * hz
+        motion = accelerance(system.mass, system.damping, system.stiffness, w, right)[:, :n] / (-(w**2))[:, None, None]
+        colour = np.ones(hz.size)
+        for effect in effects:
+            colour = colour * effect.colour(hz)
+        root = np.sqrt(force * level[k] * colour[:, None])
+        columns = motion[:, :, :n] * root[:, None, :]
+        if e.ground is not None:
+            ground = np.interp(hz, e.band.fine_hz, e.ground[k])
+            columns = np.concatenate([columns, motion[:, :, n:] * np.sqrt(ground)[:, None, None]], axis=2)
+
+        def rms(rows: Array, weight: Array, columns: Array = columns, step: float = step) -> Array:
+            power = np.abs(rows @ columns) ** 2
+            return np.sqrt(2.0 * step * (power.sum(axis=2) * weight[:, None]).sum(axis=0))
+
+        def excess(lag_s: float, k: int = k) -> float:
+            value = class_temperature(e, k, lag_s)
+            return 0.0 if value is None else value - _reference_degc(problem, lag_s)
+
+        flat = np.ones(hz.size)
+        out.append(Condition(rms(drift, flat), rms(drift, w**2), rms(np.eye(n), w**2), e.rms[k], excess))
+    return tuple(out)
+
+
+def _reference_degc(problem: Problem, lag_s: float) -> float:
+    """The baseline's mean temperature, else the recording's."""
+    if problem.reference.reference_degc is not None:
+        return problem.reference.reference_degc
+    return float(problem.evidence.temperature[:, 1].mean())
+
+
+def starts(problem: Problem, null: Fit, taken: Iterable[tuple[str, str]] = ()) -> list[Effect]:
+    """A small size of every effect at every place, and of every shape that must be tried."""
+    typical = problem.conditions[problem.n_classes // 2]
+    skip, found = set(taken), peaks(problem, null)
+    out: list[Effect] = []
+    for name, kind in EFFECTS.items():
+        for place in (p for k in kind.places for p in locations(k, problem.context)):
+            if (name, place) not in skip:
+                out.extend(kind.starts(place, problem.context, typical))
+                near = (kind.at_frequency(place, float(f), problem.context, typical) for f in found)
+                out.extend(e for e in near if e is not None)
+    return out
+
+
+def peaks(problem: Problem, null: Fit, n: int = 3) -> Array:
+    """Frequencies at which the measured power exceeds the model's the most, Hz."""
+    c = problem.evidence.spectra.shape[-1]
+    shape = (problem.n_classes, problem.evidence.band.n_bins, c * c)
+    diagonal = np.cumsum([1, *(2 * np.arange(1, c) + 1)]) - 1
+    over = null.residual.reshape(shape)[:, :, diagonal].sum(axis=(0, 2)).copy()
+    found = []
+    for _ in range(n):
+        at = int(over.argmax())
+        found.append(problem.evidence.band.hz[at])
+        over[max(0, at - 4) : at + 5] = -np.inf
+    return np.array(found)
+
+
+def rank(problem: Problem, null: Fit, candidates: list[Effect]) -> list[tuple[float, Effect]]:
+    """Gain that the score test promises for every start, best first; each effect moved to the size that it suggests.
+
+    The change of the spectra that a small effect makes, less what the nuisances explain, is compared with the residual.
+    """
+    spectra = problem.smooth(problem.spectra(null.x, null.effects))
+    _, precision = problem.prior(null.x)
+    tangent = null.jacobian
+    normal = np.linalg.inv(tangent.T @ tangent + precision)
+    residual = null.residual - tangent @ (normal @ (tangent.T @ null.residual))
+    tangent = np.asfortranarray(tangent)
+    out = []
+    here = problem.log_likelihood(spectra)
+    for effect in candidates:
+        moved = problem.smooth(problem.spectra(null.x, (*null.effects, effect)))
+        if not effect.proportional:  # all or nothing
+            out.append((problem.log_likelihood(moved) - here, effect))
+            continue
+        change, _ = problem.whitened(spectra, (moved - spectra)[None])
+        v = change[:, 0]
+        along = tangent.T @ v
+        information, score = float(v @ v - along @ normal @ along), float(v @ residual)
+        if information < 1e-9:
+            continue
+        amount = score / information
+        grown = _grown(effect, amount)
+        if grown is not None:
+            out.append((0.5 * score**2 / information, grown))
+    return sorted(out, key=lambda item: -item[0])
+
+
+def _grown(effect: Effect, amount: float) -> Effect | None:
+    """The effect with its amplitude times `amount`, or None where that is not possible physically."""
+    x = effect.coordinates
+    size = float(np.clip(abs(amount), _MIN_STEP, _MAX_STEP)) * (1.0 if amount >= 0 else -1.0)
+    for i, p in enumerate(effect.parameters):
+        if p.absent is not None:
+            zero = p.coordinate(p.absent) if np.isfinite(p.absent) else 0.0
+            x[i] = zero + size * (x[i] - zero)
+            value = p.value(x[i])
+            if abs(p.coordinate(value) - x[i]) > 1e-6 * abs(x[i]) + 1e-12:
+                return None
+    return effect.at(x)
+
+
+def best_of_each(ranked: list[tuple[float, Effect]]) -> list[tuple[float, Effect]]:
+    """The best start of every effect and place."""
+    seen: set[tuple[str, str]] = set()
+    out = []
+    for gain, effect in ranked:
+        if (effect.name, effect.location) not in seen:
+            seen.add((effect.name, effect.location))
+            out.append((gain, effect))
+    return out
+
+
+def judge(problem: Problem, null: Fit, effect: Effect, *, quick: bool = False) -> Candidate:
+    """Fit an effect beside the nuisances."""
+    frozen = null.jacobian if quick else None
+    fitted = fit(problem, null.x, (*null.effects, effect), iterations=5 if quick else 15, frozen=frozen)
+    gain = fitted.log_posterior - null.log_posterior
+    n = problem.evidence.counts.sum() * problem.evidence.band.n_bins * problem.evidence.weight
+    return Candidate(fitted.effects[-1], fitted, gain, gain - 0.5 * len(effect.parameters) * np.log(n))

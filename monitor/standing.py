@@ -1,0 +1,53 @@
+"""What calibration learns of the healthy structure for later diagnoses: its model, and what that model misses from the start."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from monitor.effects import Context
+from monitor.evidence import Evidence
+from monitor.reference import Reference, correction_basis
+from monitor.results import Array
+from monitor.search import prepare
+
+_FIXED = 1e-4
+_CORRECTION_STD = 0.1
+
+
+def learn(evidence: Evidence, known: Reference, context: Context) -> tuple[Reference, Array]:
+    """The reference that healthy evidence makes of what was known before.
+
+    First the model form alone is fitted.  Then its stiffnesses stay, and a symmetric correction within the modes in the
+    band, with the masses' ratios, takes up what it misses.  So every direction that is left free is one that data fix, and the
+    posterior is close to normal.
+
+    Returns
+    -------
+    Reference
+    ndarray, shape (e,)
+        The correction, relative to the modes' stiffness.
+    """
+    _, form = prepare(evidence, known, context)
+    k, m, d, c, _ = known.sizes
+    x = form.x[: known.mean.size]
+    model = known.model.with_stiffness(np.exp(x[:k])).with_masses(np.exp(x[k : k + m]))
+    n_modes = int(np.count_nonzero(model.modes().frequencies_hz < evidence.band.hz[-1]))
+    basis = correction_basis(model, n_modes)
+    effects = np.concatenate([[], *[e.coordinates for e in known.effects(x)]])
+    mean = np.concatenate([x[: k + m + d + c], np.zeros(basis.shape[0]), effects])
+    prior = block_diag(
+        np.eye(k) / _FIXED**2,
+        known.precision[k : k + m, k : k + m] + 1.0 / (m * _FIXED) ** 2,  # their common scale cannot be seen
+        known.precision[k + m : k + m + d + c, k + m : k + m + d + c],
+        np.eye(basis.shape[0]) / _CORRECTION_STD**2,
+        known.precision[known.mean.size - effects.size :, known.mean.size - effects.size :],
+    )
+    wider = replace(known, mean=mean, precision=prior, basis=basis)
+    problem, fitted = prepare(evidence, wider, context)
+    p = mean.size
+    precision = np.linalg.inv(fitted.covariance[:p, :p])
+    learnt = replace(wider, mean=fitted.x[:p], precision=0.5 * (precision + precision.T))
+    return learnt, learnt.parts(learnt.mean)[4]

@@ -1,0 +1,224 @@
+"""Run lengths and detection of the alarm, on a twin of the window readings and on raw records.
+
+    .venv/bin/python -m tests.statistics.alarms [YEARS]
+
+prints the false alarms in so many years of an intact frame and how many trials find a loss in time, and draws
+docs/alarms-run-length.svg.
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.base import ACCELERATION
+from monitor.alarm import AlarmSettings
+from monitor.baseline import Baseline, learn
+from monitor.pipeline import Pipeline
+from monitor.record import blocks_of
+from monitor.results import Array, Level, WindowResult
+from monitor.simulate import simulate
+from tests.statistics.alarm_twin import HOP_S, MONTH, TWIN, WINDOW_S, Twin, episodes, evidence
+from tests.statistics.estimates import STIFFNESS, configuration
+
+BASELINE_S = 14400.0
+SEED = 20261121
+THRESHOLD = AlarmSettings().significance
+
+
+@dataclass(frozen=True)
+class Detection:
+    """Outcome of detection trials."""
+
+    found: float
+    """Share whose warning names the story in time."""
+    wrong: float
+    """Share in which another story was announced."""
+    median_s: float
+    """Median delay, s."""
+
+
+def false_alarms(
+    years: float,
+    thresholds: Array,
+    *,
+    baseline_s: float = BASELINE_S,
+    weather: float = 0.0,
+    seed: int = SEED,
+    twin: Twin = TWIN,
+) -> NDArray[np.int64]:
+    """False alarms of an intact frame at each threshold; a new baseline every month.
+
+    Parameters
+    ----------
+    weather : float
+        Amplitude of a daily relative change of stiffness, alike in all stories, of which no channel tells.
+    """
+    count = np.zeros(thresholds.size, dtype=np.int64)
+    day = np.sin(2.0 * np.pi * HOP_S * np.arange(MONTH) / 86400.0)[:, None]
+    for rng in np.random.default_rng(seed).spawn(round(12 * years)):
+        ddi, variance, common = twin.readings(MONTH, baseline_s, rng)
+        z = evidence(ddi + weather * day, variance, common, float(thresholds.min()))
+        count += [episodes(z, threshold) for threshold in thresholds]
+    return count
+
+
+def ramp(onset_s: float, hops: int) -> Array:
+    """Share of each window that lies after the onset, shape (hops,); the first window ends after `WINDOW_S`."""
+    end = WINDOW_S + HOP_S * np.arange(hops)
+    return np.clip((end - onset_s) / WINDOW_S, 0.0, 1.0)
+
+
+def delay(z: Array, story: int, first: int, settings: AlarmSettings) -> int:
+    """Hops from `first` until the story's warning is confirmed, as `alarm.step` does it; the series' length if never."""
+    keeps = z[first:, story] >= settings.significance - settings.deadband
+    rises = z[first:, story] >= settings.significance
+    need, since = int(np.ceil(settings.confirm_s / HOP_S)), None
+    for k in range(keeps.size):
+        since = (k if rises[k] else None) if since is None else (since if keeps[k] else None)
+        if since is not None and k - since >= need:
+            return k
+    return len(z)
+
+
+def detection(
+    loss: float,
+    story: int,
+    within_s: float,
+    trials: int,
+    *,
+    baseline_s: float = BASELINE_S,
+    seed: int = SEED,
+    twin: Twin = TWIN,
+) -> Detection:
+    """Trials of a loss that begins at any time between two hops, after 1.5 h without; `story` from 0.
+
+    A warning counts when the window that brings it ends within the time.
+    """
+    settings = AlarmSettings()
+    quiet_s = 5400.0
+    hops = round((quiet_s + within_s - WINDOW_S) / HOP_S) + 1
+    first = round((quiet_s - WINDOW_S) / HOP_S)
+    delays, wrong = [], 0
+    for rng in np.random.default_rng(seed).spawn(trials):
+        ddi, variance, common = twin.readings(hops, baseline_s, rng)
+        onset = quiet_s - rng.uniform(0.0, HOP_S)
+        ddi[:, story] += loss * ramp(onset, hops)
+        z = evidence(ddi, variance, common, settings.significance - settings.deadband)
+        taken = first + delay(z, story, first, settings)
+        end = WINDOW_S + HOP_S * taken
+        delays.append(end - onset if end <= onset + within_s else np.inf)
+        wrong += bool((np.delete(z, story, axis=1) >= settings.significance).any())
+    return Detection(float(np.isfinite(delays).mean()), wrong / trials, float(np.median(delays)))
+
+
+def raw_readings(
+    pieces: list[tuple[float, dict[int, float]]], seed: int, healthy: Baseline | None, hop_s: float = HOP_S
+) -> list[WindowResult]:
+    """Windows of one record simulated piece by piece: (seconds, {story: relative loss})."""
+    config = configuration(hop_s)
+    model, floors = config.model(), []
+    for number, (seconds, losses) in enumerate(pieces):
+        left = [1.0 - losses.get(j, 0.0) for j in range(1, 4)]
+        motion = simulate(
+            model.with_stiffness(STIFFNESS * np.array(left)),
+            duration_s=seconds,
+            rate_hz=1000.0,
+            noise=0.1,
+            seed=int(np.random.SeedSequence([seed, number]).generate_state(1)[0]),
+        )
+        floors.append(motion.floors)
+    pipeline = Pipeline(config, healthy)
+    blocks = blocks_of(ACCELERATION, np.concatenate(floors), config.channels, 1000.0, 0, 10_000)
+    return [r for block in blocks for r in pipeline.push(block) if isinstance(r, WindowResult)]
+
+
+def raw_baseline(seconds: float, seed: int) -> Baseline:
+    """Learned from a simulated record of the intact frame."""
+    calm = raw_readings([(seconds, {})], seed, None, hop_s=WINDOW_S / 2.0)
+    healthy, _ = learn(configuration(HOP_S), [r.modes for r in calm if r.modes is not None], np.ones(1), ())
+    return healthy
+
+
+def raw_detection(loss: float, within_s: float, trials: int, seed: int = SEED) -> list[str]:
+    """Raw records with the loss in stories 1, 2, 3 in turn: what was announced and when, one line a trial."""
+    lines = []
+    for trial in range(trials):
+        if trial % 12 == 0:
+            healthy = raw_baseline(BASELINE_S, seed + 1000 * trial)
+        story, onset_s = 1 + trial % 3, 800.0
+        windows = raw_readings([(onset_s, {}), (within_s, {story: loss})], seed + 1000 * trial + story, healthy)
+        warned = [r for r in windows if r.alarm.level.rank >= Level.WARNING.rank]
+        named = sorted({j for r in windows for j in r.alarm.active})
+        when = f"{warned[0].t_end_ns * 1e-9 - onset_s:.0f} s" if warned else "never"
+        lines.append(f"{100 * loss:g} % in story {story}: warning after {when}, named {named}")
+    return lines
+
+
+def plot(path: Path, thresholds: Array, counts: dict[str, tuple[float, NDArray[np.int64]]]) -> None:
+    """Mean time between false alarms over the threshold, as SVG; a line to zero where none was seen."""
+    width, height, left, top = 640.0, 400.0, 70.0, 20.0
+    low, high = -2.0, 3.0
+
+    def place(threshold: float, years: float) -> str:
+        x = left + (width - left - 20) * (threshold - thresholds[0]) / (thresholds[-1] - thresholds[0])
+        y = top + (height - top - 50) * (high - np.log10(years)) / (high - low)
+        return f"{x:.1f},{y:.1f}"
+
+    text = [
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:g} {height:g}" font-family="sans-serif" font-size="12">',
+        f'<rect width="{width:g}" height="{height:g}" fill="white"/>',
+    ]
+    for exponent in range(int(low), int(high) + 1):
+        x, y = place(thresholds[0], 10.0**exponent).split(",")
+        text.append(f'<path d="M{x},{y}H{width - 20:g}" stroke="#ddd"/>')
+        text.append(f'<text x="{left - 8:g}" y="{y}" text-anchor="end">{10.0**exponent:g}</text>')
+    for threshold in thresholds[::2]:
+        x, y = place(threshold, 10.0**low).split(",")
+        text.append(f'<text x="{x}" y="{float(y) + 18:g}" text-anchor="middle">{threshold:g}</text>')
+    text.append(
+        f'<text x="{width / 2:g}" y="{height - 8:g}" text-anchor="middle">significance, standard deviations</text>'
+    )
+    text.append(
+        f'<text transform="translate(16,{height / 2:g})rotate(-90)" text-anchor="middle">years between false alarms</text>'
+    )
+    for (name, (years, count)), colour in zip(counts.items(), ("#1f5fa8", "#2a8a4a", "#c0392b"), strict=False):
+        seen = [place(t, years / c) for t, c in zip(thresholds, count, strict=True) if c]
+        text.append(f'<polyline points="{" ".join(seen)}" fill="none" stroke="{colour}" stroke-width="2"/>')
+        x, y = seen[-1].split(",")
+        text.append(f'<text x="{float(x) - 6:g}" y="{float(y) - 6:g}" text-anchor="end" fill="{colour}">{name}</text>')
+    path.write_text("\n".join([*text, "</svg>"]) + "\n", encoding="utf-8")
+
+
+def main(years: float) -> None:
+    """Everything, with the plot."""
+    thresholds = np.arange(4.0, 6.51, 0.25)
+    print(f"false alarms of an intact frame in {years:g} years, a new baseline every month; standing at {THRESHOLD:g}")
+    print(f"{'significance':<44}", *(f"{t:7.2f}" for t in thresholds))
+    counts = {}
+    for name, share, more in (
+        ("baseline 20 min", 1.0, {"baseline_s": 1200.0}),
+        ("baseline 4 h", 1.0, {"baseline_s": 14400.0}),
+        ("4 h, daily +-1.5 % alike", 0.1, {"baseline_s": 14400.0, "weather": 0.015}),
+    ):
+        counts[name] = share * years, false_alarms(share * years, thresholds, **more)
+        print(f"{name + f', {share * years:g} years':<44}", *(f"{c:7d}" for c in counts[name][1]), flush=True)
+    plot(Path(__file__).parents[2] / "docs" / "alarms-run-length.svg", thresholds, counts)
+    for baseline_s in (1200.0, 3600.0, 14400.0, 86400.0):
+        for loss, within_s in ((0.01, 800.0), (0.005, 3600.0)):
+            found = [detection(loss, j, within_s, 1000, baseline_s=baseline_s) for j in range(3)]
+            shares = ", ".join(f"{100 * d.found:.1f} % (median {d.median_s:.0f} s)" for d in found)
+            wrong = sum(d.wrong for d in found) / 3
+            print(
+                f"baseline {baseline_s:g} s, {100 * loss:g} % within {within_s:g} s: {shares}; wrong {100 * wrong:g} %",
+                flush=True,
+            )
+    print(*raw_detection(0.01, 800.0, 12), *raw_detection(0.005, 3600.0, 3), sep="\n")
+
+
+if __name__ == "__main__":
+    main(float(sys.argv[1]) if len(sys.argv) > 1 else 30.0)

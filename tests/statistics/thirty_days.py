@@ -1,0 +1,288 @@
+"""Thirty days of weather over the paper's frame, with and without a temperature channel.
+
+    .venv/bin/python -m tests.statistics.thirty_days [DAYS] [SEED] [PLOT.png]
+
+The air swings by +-10 K a day, over a slow wave of +-4 K and a drift of 5 K; the frame follows it after 15 minutes and
+its stiffness changes by 1.5e-3 a kelvin.  Raw: 400 s of samples each hour (10 % noise), through the whole pipeline.  Twin:
+readings every 10 s, drawn with the covariance that the raw ones state, overlapping as windows do; what the channel
+explains and what calibration got wrong are the raw run's own.
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from PIL import Image, ImageDraw
+from threadpoolctl import threadpool_limits
+
+from drivers.base import ACCELERATION, TEMPERATURE, SampleBlock
+from monitor import alarm, damage, temperature
+from monitor.baseline import Baseline, learn
+from monitor.pipeline import Pipeline
+from monitor.record import blocks_of
+from monitor.results import WHOLE, DamageReading, Temperature, WindowResult
+from monitor.simulate import simulate
+from tests.statistics.estimates import STIFFNESS, configuration
+
+HOUR_S, DAY_S, WINDOW_S, HOP_S = 3600, 86_400, 400, 10
+RATE_HZ, BURN_IN_S = 200.0, 5.0
+PER_DEGC, LAG_S, MEAN_DEGC = 1.5e-3, 900.0, 15.0
+WAVES = ((10.0, 1.0, -0.375), (4.0, 11.0, 0.1))
+"""Amplitude (K), period (days), phase (turns)."""
+DRIFT_K_PER_DAY = 5.0 / 30.0
+CONFIG = configuration(float(WINDOW_S))
+NO_LOSS = np.zeros(3)
+
+
+def weather(t_s: np.ndarray, lag_s: float = 0.0) -> np.ndarray:
+    """Temperature in degC, of the air or behind a first-order lag."""
+    omega = [2.0 * np.pi / (period * DAY_S) for _, period, _ in WAVES]
+    slow = MEAN_DEGC + DRIFT_K_PER_DAY * (t_s - lag_s) / DAY_S
+    return slow + sum(
+        a * (np.exp(1j * (w * t_s + 2.0 * np.pi * phase)) / (1.0 + 1j * w * lag_s)).imag
+        for (a, _, phase), w in zip(WAVES, omega, strict=True)
+    )
+
+
+def healthy_ratio(t_s: np.ndarray) -> np.ndarray:
+    """Stiffness over that at `MEAN_DEGC`, at the end of windows."""
+    return np.exp(PER_DEGC * (weather(t_s - 0.5 * WINDOW_S, LAG_S) - MEAN_DEGC))
+
+
+def raw(hours: range, seed: int, loss: np.ndarray = NO_LOSS) -> list[WindowResult]:
+    """A window of samples each hour through the pipeline, without a baseline."""
+    pipeline = Pipeline(CONFIG)
+    results: list[WindowResult] = []
+    for hour in hours:
+        minutes = hour * HOUR_S + 60 * np.arange(60)
+        degc = weather(minutes)[:, None].astype(np.float32)
+        pipeline.push(
+            SampleBlock(TEMPERATURE, hour * HOUR_S * 10**9, int(minutes[0]) // 60, 1 / 60, ("air",), "degC", degc)
+        )
+        end_s = hour * HOUR_S + WINDOW_S
+        motion = simulate(
+            CONFIG.model().with_stiffness(STIFFNESS * healthy_ratio(np.array(end_s)) * (1.0 - loss)),
+            duration_s=WINDOW_S + BURN_IN_S,
+            rate_hz=RATE_HZ,
+            noise=0.1,
+            seed=int(np.random.SeedSequence([seed, hour]).generate_state(1)[0]),
+        )
+        floors = motion.floors[round(BURN_IN_S * RATE_HZ) :]
+        first = round(hour * HOUR_S * RATE_HZ)
+        for block in blocks_of(ACCELERATION, floors, CONFIG.channels, RATE_HZ, 0, 10_000, first=first):
+            results += [r for r in pipeline.push(block) if isinstance(r, WindowResult) and r.modes is not None]
+    return results
+
+
+def calibrated(windows: list[WindowResult], channel: bool) -> Baseline:
+    span_ns = (windows[0].t_end_ns - WINDOW_S * 10**9, windows[-1].t_end_ns)
+    felt = [r.temperature for r in windows] if channel else []
+    return learn(CONFIG, [r.modes for r in windows if r.modes], np.ones(1), (), span_ns, felt)[0]
+
+
+@dataclass(frozen=True)
+class Watch:
+    """Readings of a stretch of time and what was announced."""
+
+    t_s: np.ndarray
+    ddi: np.ndarray
+    std: np.ndarray
+    story_alarms: tuple[tuple[float, int], ...]
+    """Time and story of every window with an announced story."""
+    whole_alarms: int
+    covariance: np.ndarray
+    """Mean over windows."""
+
+
+def watch(readings: list[tuple[int, DamageReading]]) -> Watch:
+    """The alarm over readings at their times."""
+    state, stories, whole = alarm.start(3), [], 0
+    for t_ns, reading in readings:
+        state, verdict = alarm.step(state, reading, t_ns, CONFIG.alarm)
+        stories += [(t_ns * 1e-9, story) for story in verdict.active if story != WHOLE]
+        whole += WHOLE in verdict.active
+    return Watch(
+        np.array([t_ns for t_ns, _ in readings]) * 1e-9,
+        np.array([r.ddi for _, r in readings]),
+        np.array([r.ddi_std for _, r in readings]),
+        tuple(stories),
+        whole,
+        np.mean([r.ddi_covariance for _, r in readings], axis=0),
+    )
+
+
+def readings(windows: list[WindowResult], baseline: Baseline) -> list[tuple[int, DamageReading]]:
+    sensors = CONFIG.sensor_matrix()
+    return [
+        (r.t_end_ns, damage.step(r.modes, baseline.model, baseline, sensors, CONFIG.updating, r.temperature)[1])
+        for r in windows
+        if r.modes is not None
+    ]
+
+
+def explained(t_s: np.ndarray, baseline: Baseline, onset_s: float, loss: np.ndarray) -> np.ndarray:
+    """The index that windows without noise would read, shape (n, 3): what temperature leaves unexplained, and a loss."""
+    dependence = baseline.temperature
+    expected = np.zeros((t_s.size, 3))
+    if dependence is not None:
+        felt = weather(t_s - 0.5 * WINDOW_S - CONFIG.temperature.patience_s, dependence.lag_s)
+        expected = np.expm1((felt - dependence.reference_degc)[:, None] * dependence.per_degc)
+    ramp = np.clip((t_s - onset_s) / WINDOW_S, 0.0, 1.0)[:, None] * loss
+    begin_s, end_s = (t_ns // 10**9 for t_ns in baseline.span_ns)
+    at_calibration = healthy_ratio(np.arange(begin_s + WINDOW_S, end_s + 1, HOUR_S)).mean()
+    return 1.0 - healthy_ratio(t_s)[:, None] * (1.0 - ramp) / (at_calibration * (1.0 + expected))
+
+
+def twin(
+    days: tuple[float, float], like: DamageReading, baseline: Baseline, seed: int, loss: np.ndarray = NO_LOSS
+) -> Watch:
+    """Readings every 10 s from one day to another; a loss begins half way."""
+    t_s = np.arange(days[0] * DAY_S + WINDOW_S, days[1] * DAY_S, HOP_S)
+    mean = explained(t_s, baseline, 0.5 * DAY_S * (days[0] + days[1]), loss)
+    own = like.ddi_covariance - like.common_covariance
+    per_window = WINDOW_S // HOP_S
+    rng = np.random.default_rng(seed)
+    white = rng.multivariate_normal(np.zeros(3), own / per_window, t_s.size + per_window)
+    sums = np.cumsum(white, axis=0)
+    noise = sums[per_window:] - sums[:-per_window] + rng.multivariate_normal(np.zeros(3), like.common_covariance)
+    made = []
+    for t, ddi in zip(t_s, mean + noise, strict=True):
+        common = like.common_covariance
+        if baseline.temperature is not None:
+            degc = weather(np.array(t - 0.5 * WINDOW_S - CONFIG.temperature.patience_s), baseline.temperature.lag_s)
+            common = common + baseline.temperature.expected(Temperature(np.full(len(temperature.LAGS_S), degc)))[1]
+        made.append((round(t * 1e9), replace(like, ddi=ddi, ddi_covariance=own + common, common_covariance=common)))
+    return watch(made)
+
+
+@dataclass(frozen=True)
+class Month:
+    """What thirty days said; `raw` hourly, `twin` every 10 s; keys are with and without the channel."""
+
+    baselines: dict[str, Baseline]
+    raw: dict[str, Watch]
+    twin: dict[str, Watch]
+    unexplained: dict[str, np.ndarray]
+    """Of the raw windows: (reading - twin's mean) / stated standard deviation, shape (n, 3)."""
+    raw_loss: dict[str, Watch]
+    twin_loss: dict[str, Watch]
+    onset_s: float
+    """Of the losses, of `LOSS` in story 2."""
+
+    def report(self) -> str:
+        """Figures, one case after the other."""
+        return "\n".join(self._case(name) for name in self.raw)
+
+    def _case(self, name: str) -> str:
+        b, r, t, z = self.baselines[name], self.raw[name], self.twin[name], self.unexplained[name]
+        d = b.temperature
+        law = (
+            "nothing learned"
+            if d is None
+            else (
+                f"learned {np.round(1e3 * d.per_degc, 3)} +- {np.round(1e3 * np.sqrt(np.diag(d.covariance)), 3)} 1e-3/K, "
+                f"lag {d.lag_s:.0f} s, seen {d.range_degc[0]:.1f} to {d.range_degc[1]:.1f} degC"
+            )
+        )
+        return "\n".join(
+            [
+                f"{name}: {law}",
+                f"  raw windows {len(r.t_s)}: DDI {_spread(r.ddi)} %, |z| > 5 in {_beyond(r)}; "
+                f"windows with a story alarm {len(r.story_alarms)}, of the whole structure {r.whole_alarms}",
+                f"  raw less twin's mean, over stated deviation: RMS {np.round(np.sqrt((z**2).mean(axis=0)), 2)}, "
+                f"mean {np.round(z.mean(axis=0), 2)}",
+                f"  twin windows {len(t.t_s)}: DDI {_spread(t.ddi)} %; with a story alarm {len(t.story_alarms)}, "
+                f"of the whole structure {t.whole_alarms}",
+                f"  loss of {100 * LOSS.max():.0f} % in story 2: raw {_found(self.raw_loss[name], self.onset_s)}, "
+                f"twin {_found(self.twin_loss[name], self.onset_s)}",
+            ]
+        )
+
+
+LOSS = np.array([0.0, 0.05, 0.0])
+
+
+def _spread(ddi: np.ndarray) -> str:
+    return f"{100 * ddi.min():+.2f} to {100 * ddi.max():+.2f}, deviation {np.round(100 * ddi.std(axis=0), 3)}"
+
+
+def _beyond(w: Watch) -> int:
+    return int((np.abs(w.ddi / w.std) > 5.0).any(axis=1).sum())
+
+
+def _found(w: Watch, onset_s: float) -> str:
+    """When story 2 was announced after the onset, and what else was."""
+    first = min((t - onset_s for t, story in w.story_alarms if story == 2 and t > onset_s), default=np.nan)
+    wrong = sum(story != 2 or t <= onset_s for t, story in w.story_alarms)
+    return f"announced {first:.0f} s after the onset, {wrong} wrong windows"
+
+
+def month(days: int, seed: int, calibration_days: int = 2, loss_hours: int = 24, twin_days: float = np.inf) -> Month:
+    """Calibrate on the first days, then watch the rest; a second run loses stiffness in its last third."""
+    n_calm = 24 * calibration_days
+    onset_hour = n_calm + (24 * days - n_calm) * 2 // 3
+    onset_s = float(onset_hour * HOUR_S)
+    windows = raw(range(24 * days), seed)
+    hurt = windows[n_calm:onset_hour] + raw(range(onset_hour, min(onset_hour + loss_hours, 24 * days)), seed + 1, LOSS)
+    out = Month({}, {}, {}, {}, {}, {}, onset_s)
+    for name in ("with the channel", "without it"):
+        b = calibrated(windows[:n_calm], name == "with the channel")
+        calm = readings(windows[n_calm:], b)
+        plain = [r for _, r in readings(windows[n_calm : n_calm + 48], replace(b, temperature=None))]
+        like = replace(
+            plain[0],
+            ddi_covariance=np.mean([r.ddi_covariance for r in plain], axis=0),
+            common_covariance=np.mean([r.common_covariance for r in plain], axis=0),
+        )
+        seen = watch(calm)
+        out.baselines[name], out.raw[name] = b, seen
+        out.unexplained[name] = (seen.ddi - explained(seen.t_s, b, np.inf, NO_LOSS)) / np.sqrt(
+            np.diag(like.ddi_covariance)
+        )
+        out.twin[name] = twin((calibration_days, min(days, calibration_days + twin_days)), like, b, seed + 2)
+        out.raw_loss[name] = watch(readings(hurt, b))
+        out.twin_loss[name] = twin((onset_s / DAY_S - 0.1, onset_s / DAY_S + 0.1), like, b, seed + 3, LOSS)
+    return out
+
+
+_INK = {"air": "#999999", "with the channel": "#1f77b4", "without it": "#d62728"}
+
+
+def draw(result: Month, path: str) -> None:
+    """The index of each story over the days, with and without the channel, under the temperature."""
+    width, height, left = 1200, 190, 90
+    picture = Image.new("RGB", (width, 4 * height + 30), "white")
+    pen = ImageDraw.Draw(picture)
+    t = next(iter(result.raw.values())).t_s
+    panels = [("air, degC", {"air": weather(t)})] + [
+        (f"DDI story {j + 1}, %", {name: 100.0 * w.ddi[:, j] for name, w in result.raw.items()}) for j in range(3)
+    ]
+    for row, (title, lines) in enumerate(panels):
+        top, values = row * height + 25, np.concatenate(list(lines.values()))
+        low, high = np.floor(values.min()), np.ceil(values.max())
+        for mark in np.linspace(low, high, 5):
+            y = top + (high - mark) / (high - low) * (height - 40)
+            pen.line([(left, y), (width - 10, y)], fill="#e0e0e0")
+            pen.text((10, y - 6), f"{mark:.1f}", fill="black")
+        pen.text((left, top - 18), title, fill="black")
+        for name in sorted(lines, reverse=True):
+            x = left + (t - t[0]) / (t[-1] - t[0]) * (width - 10 - left)
+            y = top + (high - lines[name]) / (high - low) * (height - 40)
+            for a, b in pairwise(zip(x, y, strict=True)):
+                pen.line([a, b], fill=_INK[name], width=2)
+    for k, name in enumerate(result.raw):
+        pen.text((left + 300 + 160 * k, 7 + height), name, fill=_INK[name])
+    pen.text((left, 4 * height + 8), f"day {t[0] / DAY_S:.0f} to day {t[-1] / DAY_S:.0f}", fill="black")
+    picture.save(path)
+
+
+if __name__ == "__main__":
+    arguments = [*sys.argv[1:], *["30", "20261201"][len(sys.argv) - 1 :]]
+    with threadpool_limits(limits=1):
+        outcome = month(int(arguments[0]), int(arguments[1]))
+    print(outcome.report())
+    if len(arguments) > 2:
+        draw(outcome, arguments[2])
