@@ -25,7 +25,7 @@ from monitor.settings import Settings
 class AlarmSettings(Settings):
     """When a loss of stiffness is announced."""
 
-    significance: float = Field(default=6.25, gt=0)
+    significance: float = Field(default=6.5, gt=0)
     """Evidence, in standard deviations, from which a loss is significant (one-sided)."""
     min_loss: float = Field(default=0.002, ge=0, lt=1)
     """Losses below this are never announced."""
@@ -35,7 +35,7 @@ class AlarmSettings(Settings):
     """Share of another story's loss that the model's wrong form may show here (one standard deviation)."""
     uniform_loss: float = Field(default=0.05, gt=0, lt=1)
     """A change alike in all stories is announced, as `advisory` of the whole structure, from this loss on."""
-    confirm_s: float = Field(default=20.0, ge=0)
+    confirm_s: float = Field(default=10.0, ge=0)
     """On-delay: a loss is confirmed when it has stayed significant this long."""
     clear_s: float = Field(default=100.0, ge=0)
     """Off-delay: an announced loss is cleared when it has stayed insignificant this long."""

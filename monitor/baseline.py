@@ -10,14 +10,16 @@ from typing import Any
 
 import numpy as np
 
-from monitor import dependence
+from monitor import dependence, reference_file
 from monitor.config import Configuration
 from monitor.dependence import Dependence
 from monitor.errors import BadInputError, MissingInputError
 from monitor.files import write_atomically
 from monitor.model import Model
+from monitor.observations import mean_observation
+from monitor.reference import Reference
 from monitor.results import Array, ModalEstimate, Temperature
-from monitor.updating import Observation, Update, UpdatingSettings, observe, predict, update
+from monitor.updating import Observation, Update, observe, predict, update
 
 FORMAT = 1
 
@@ -56,6 +58,8 @@ class Baseline:
     """Name and sha256 of every recording used."""
     span_ns: tuple[int, int] = (0, 0)
     """UTC of the healthy data's first sample and of their end."""
+    reference: Reference | None = None
+    """What a diagnosis starts from; None where the healthy data were too short for one."""
 
     def only(self, model_modes: tuple[int, ...]) -> Baseline:
         """The baseline of those modes of the model alone, for a window that does not show them all."""
@@ -108,7 +112,7 @@ def learn(
     if not windows:
         raise BadInputError("no healthy window could be identified: nothing to learn a baseline from")
     settings = config.updating
-    mean = _mean(windows, settings)
+    mean = mean_observation(windows, settings)
     sensors = config.sensor_matrix()
     fit = update(
         config.model(),
@@ -170,30 +174,6 @@ def _with_temperature(
     )
 
 
-def _mean(windows: list[ModalEstimate], settings: UpdatingSettings) -> Observation:
-    """Mean over windows, with the influence of every stretch of data that they share."""
-    gauges = observe(windows[0], settings).gauges
-    observations = [observe(m, settings, gauges if settings.use_shapes else None) for m in windows]
-    influence: dict[tuple[bool, int], Array] = {}
-    for m, o in zip(windows, observations, strict=True):
-        for b, row in enumerate(o.deviations):
-            place = (m.refined, m.first + b)
-            influence[place] = influence.get(place, 0.0) + row / len(windows)
-    deviations = np.array(list(influence.values()))
-    last = observations[-1]
-    # The mean weighs its components as a window does, and as heavily as the scatter of the data says.
-    shape_of_weight = np.mean([o.weight for o in observations], axis=0)
-    shrink = np.mean((deviations**2).sum(axis=0) * np.diag(shape_of_weight)) if len(windows) > 1 else 1.0
-    return Observation(
-        z=np.mean([o.z for o in observations], axis=0),
-        weight=shape_of_weight / shrink,
-        deviations=deviations,
-        model_mode=last.model_mode,
-        gauges=gauges,
-        log=last.log,
-    )
-
-
 def _frequency_std(f: Array, z_covariance: Array, log: bool) -> Array:
     std = np.sqrt(np.diag(z_covariance)[: f.size])
     return np.asarray(f * std / 2.0 if log else std / (8.0 * np.pi**2 * f))
@@ -232,6 +212,10 @@ def save(baseline: Baseline, path: Path) -> None:
         **{name: getattr(baseline, name).tolist() for name in _ARRAYS},
         **{name: getattr(baseline, name) for name in _PLAIN},
         "temperature": dependence.to_plain(baseline.temperature),
+        "stiffness_correction_n_per_m": None
+        if baseline.model.correction is None
+        else baseline.model.correction.tolist(),
+        "reference": reference_file.to_plain(baseline.reference),
     }
     write_atomically(path, json.dumps(content, indent=1, allow_nan=False) + "\n")
 
@@ -259,9 +243,16 @@ def load(path: Path, config: Configuration) -> Baseline:
         for name in ("model_mode", "gauges", "channels", "floors", "level_range_m_s2", "recordings", "span_ns"):
             plain[name] = tuple(plain[name])
         plain["temperature"] = dependence.from_plain(content.get("temperature"), stiffness.size)
+        # As the calibration knew it: what a diagnosis wrote into the file since then stands in `misfit` already.
+        correction = content.get("stiffness_correction_n_per_m")
+        model = config.model()
+        size = model.structure.n_dofs
+        known = None if correction is None else np.array(correction, dtype=float).reshape(size, size)
+        model = replace(model, correction=known)
+        plain["reference"] = reference_file.from_plain(content.get("reference"), model, config.channels)
     except (ValueError, KeyError, TypeError) as error:
         raise BadInputError(f"{path}: not a baseline file ({error!r}); make one with 'calibrate'") from error
-    loaded = Baseline(model=config.model().with_stiffness(stiffness).with_masses(masses), **arrays, **plain)
+    loaded = Baseline(model=model.with_stiffness(stiffness).with_masses(masses), **arrays, **plain)
     problem = _mismatch(loaded, config)
     if problem is not None:
         raise BadInputError(f"{path}: {problem}; calibrate with this structure file")

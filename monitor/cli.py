@@ -5,14 +5,14 @@ from __future__ import annotations
 import json
 import logging
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
 import typer
 from threadpoolctl import threadpool_limits
 
-from monitor import __version__, config
+from monitor import __version__, cli_diagnose, config
+from monitor.cli_common import Recordings, Structure, progress, warn
 from monitor.errors import BadConfigurationError, UserError
 from monitor.files import demand_place, spare_inputs, write_atomically
 
@@ -22,26 +22,9 @@ app = typer.Typer(
     help="Online structural health monitor: identification, model updating, damage index, alarms. SI units, UTC.",
 )
 
-Recordings = Annotated[list[Path], typer.Argument(metavar="REC.mcap...", help="Recordings, in any order.")]
-Structure = Annotated[Path, typer.Option(metavar="S.toml", help="Structure file.")]
-
-
-def _warn(message: str) -> None:
-    print(f"warning: {message}", file=sys.stderr)
-
-
-def _progress(label: str) -> Callable[[float], None]:
-    """Seconds of data done, on a terminal only."""
-    if not sys.stderr.isatty():
-        return lambda _: None
-    shown = [0.0]
-
-    def tell(seconds: float) -> None:
-        if seconds - shown[0] >= 60.0:
-            shown[0] = seconds
-            print(f"\r{label}: {seconds / 60.0:.0f} min of data", end="", file=sys.stderr, flush=True)
-
-    return tell
+app.command()(cli_diagnose.diagnose)
+app.command()(cli_diagnose.evaluate)
+app.command()(cli_diagnose.accept)
 
 
 @app.command()
@@ -70,8 +53,9 @@ def replay(
         out,
         speed=_speed(speed),
         serve=_address(serve),
-        on_warning=_warn,
-        on_progress=_progress("replay"),
+        files=(structure, baseline),
+        on_warning=warn,
+        on_progress=progress("replay"),
     )
     print(replay_story(summary, has_baseline=healthy is not None))
     print(f"results in {out}; look at them with: rerun {out / 'live.rrd'}")
@@ -105,13 +89,13 @@ def calibrate(
     out: Annotated[Path, typer.Option(metavar="B.json", help="Baseline file to write.")],
 ) -> None:
     """Learn the healthy baseline: updated stiffness with covariance, modes, the misfit that remains."""
-    from monitor import replay as run
     from monitor.baseline import save
+    from monitor.calibrate import calibrate as learn
 
     spare_inputs([out], [*recordings, structure])
     settings = config.load(structure)
     demand_place(out)
-    baseline, fit = run.calibrate(recordings, settings, on_warning=_warn, on_progress=_progress("calibrate"))
+    baseline, fit = learn(recordings, settings, on_warning=warn, on_progress=progress("calibrate"))
     save(baseline, out)
     drawn = settings.model().modes().frequencies_hz
     print(f"{baseline.windows} windows; the updating {'converged' if fit.converged else 'did NOT converge'}")
@@ -197,7 +181,7 @@ def import_(
             raise typer.BadParameter(f"--channel: {name!r} stands twice")
         channels[name] = place
     info = import_files(
-        files, out, rate_hz=rate, unit=unit, channels=channels or None, ground=ground, start=start, on_warning=_warn
+        files, out, rate_hz=rate, unit=unit, channels=channels or None, ground=ground, start=start, on_warning=warn
     )
     names = "; ".join(f"{topic}: {', '.join(c)}" for topic, c in info.channels.items())
     print(f"{info.duration_s:.2f} s at {info.sample_rate_hz:g} Hz in {out}: {names}")
@@ -212,7 +196,7 @@ def check(file: Annotated[Path, typer.Argument(metavar="CONFIG_OR_STRUCTURE.toml
     print("natural frequencies: " + ", ".join(f"{f:.4g}" for f in frequencies) + " Hz")
     beyond = [f"{f:.4g}" for f in frequencies if f > settings.processing.cutoff_hz]
     if beyond:
-        _warn(f"modes at {', '.join(beyond)} Hz lie beyond cutoff_hz = {settings.processing.cutoff_hz:g}")
+        warn(f"modes at {', '.join(beyond)} Hz lie beyond cutoff_hz = {settings.processing.cutoff_hz:g}")
 
 
 @app.command()
@@ -225,7 +209,7 @@ def reproduce(
 
     if json_file is not None:
         demand_place(json_file)
-    content = paper.reproduce(seeds, on_progress=_progress("reproduce"))
+    content = paper.reproduce(seeds, on_progress=progress("reproduce"))
     print(paper.report(content))
     if json_file is not None:
         write_atomically(json_file, json.dumps(content, indent=1, allow_nan=False) + "\n")
@@ -241,7 +225,7 @@ def demo(
     """Calibrate, watch damage appear, and replay the measured frame, from the shipped recordings."""
     from monitor import demo as tour
 
-    tour.run(recordings, out, say=print, on_warning=_warn)
+    tour.run(recordings, out, say=print, on_warning=warn)
 
 
 @app.callback(invoke_without_command=True)

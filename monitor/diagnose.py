@@ -11,6 +11,7 @@ from pydantic import Field
 from monitor.effects import Context, Effect
 from monitor.evidence import Evidence
 from monitor.likelihood import Fit, Problem
+from monitor.polish import Polished, polish, skewness
 from monitor.reference import Reference
 from monitor.results import Array
 from monitor.search import Candidate, best_of_each, conditions, judge, prepare, rank, starts
@@ -26,9 +27,17 @@ class DiagnosisSettings(Settings):
     """Evidence above the model without the cause, nats, over all candidates (calibrated on clean records)."""
     rival: float = Field(default=4.6, gt=0)
     """A rival less than this many nats behind cannot be told from the winner (odds of 100 to 1)."""
-    tried: int = Field(default=10, ge=1)
-    """How many candidates of the score test are fitted."""
+    worth: float = Field(default=4.0, ge=0)
+    """Gain that the score test must promise for a candidate to be fitted, nats."""
+    ranked: int = Field(default=20, ge=1)
+    """How many of those are fitted roughly."""
+    tried: int = Field(default=6, ge=1)
+    """How many of those are fitted to the end."""
+    favourites: int = Field(default=3, ge=0)
+    """How many of the score test's best are fitted to the end in any case."""
     max_causes: int = Field(default=3, ge=1)
+    linearization: float = Field(default=0.05, ge=0, lt=1)
+    """Share of the gain by which a linearized law may misjudge itself: rivals within it are simulated."""
     misfit: float = Field(default=6.0, gt=0)
     """Standard deviations from which what is left over in a band is a misfit."""
 
@@ -82,20 +91,23 @@ def diagnose(evidence: Evidence, reference: Reference, context: Context, setting
     at, rounds = null, []
     alternatives: tuple[tuple[Candidate, float], ...] = ()
     accepted: list[Candidate] = []
+    lean = np.zeros(context.structure.n_stories)
     while len(accepted) < settings.max_causes:
         candidates = _round(problem, at, settings)
+        polished = _polished(problem, at, candidates, lean, settings)
+        candidates = sorted((p.candidate for p in polished), key=lambda c: -c.evidence)
         rounds.append(tuple(candidates))
         if not candidates or candidates[0].evidence < settings.margin:
             break
         best = candidates[0]
+        (chosen,) = (p for p in polished if p.candidate is best)
+        problem, at, lean = chosen.problem, best.fit, chosen.skewness
         close = [c for c in candidates if c.evidence > best.evidence - settings.rival]
         if len(close) > 1:
             odds = np.exp([c.evidence - best.evidence for c in close])
             alternatives = tuple(zip(close, (odds / odds.sum()).tolist(), strict=True))
-            at = best.fit
             break
         accepted.append(best)
-        at = best.fit
         problem = replace(problem, conditions=conditions(problem, at.x, at.effects))
     left_over = _misfits(problem, at, settings)
     if alternatives:
@@ -106,7 +118,7 @@ def diagnose(evidence: Evidence, reference: Reference, context: Context, setting
         verdict = "named" if accepted else "none"
     return Diagnosis(
         verdict=verdict,
-        causes=_causes(problem, at, len(accepted)),
+        causes=_causes(problem, at, accepted),
         alternatives=alternatives,
         misfit=_misfits(problem, null, settings),
         left_over=left_over,
@@ -121,22 +133,59 @@ def diagnose(evidence: Evidence, reference: Reference, context: Context, setting
 def _round(problem: Problem, at: Fit, settings: DiagnosisSettings) -> list[Candidate]:
     """The best candidates beside what was accepted, by evidence."""
     taken = [(e.name, e.location) for e in (*problem.reference.effects(at.x), *at.effects)]
-    ranked = best_of_each(rank(problem, at, starts(problem, at, taken)))
-    fitted = [judge(problem, at, effect) for gain, effect in ranked[: settings.tried] if gain > 1.0]
-    return sorted(fitted, key=lambda c: -c.evidence)
+    ranked = [item for item in best_of_each(rank(problem, at, starts(problem, at, taken))) if item[0] > settings.worth]
+    rough = sorted((judge(problem, at, e, quick=True) for _, e in ranked[: settings.ranked]), key=lambda c: -c.evidence)
+    chosen = {c.key: c.effect for c in rough[: settings.tried]}
+    # A rough fit may fail from far away, so the score test's own favourites are fitted too.
+    chosen |= {(e.name, e.location): e for _, e in ranked[: settings.favourites] if (e.name, e.location) not in chosen}
+    return sorted((judge(problem, at, e) for e in chosen.values()), key=lambda c: -c.evidence)
 
 
-def _causes(problem: Problem, fitted: Fit, n: int) -> tuple[Cause, ...]:
+def _polished(
+    problem: Problem, at: Fit, candidates: list[Candidate], lean: Array, settings: DiagnosisSettings
+) -> list[Polished]:
+    """Candidates as they compare once nonlinear laws near the top were simulated and the drifts' skewness was heard.
+
+    A one-sided law leaves the drift skewed; no linear cause and no symmetric law does.
+    """
+    if not candidates or candidates[0].evidence < settings.margin:
+        return [Polished(c, problem, lean) for c in candidates]
+    best = candidates[0]
+    reach = best.evidence - max(settings.rival, settings.linearization * best.gain)
+    doubtful = [c for c in candidates if c.evidence > reach]
+    if not any(c.effect.nonlinear for c in doubtful):
+        return [Polished(c, problem, lean) for c in candidates]
+    measured, std = skewness(problem.evidence.segments.values, problem)
+    out = []
+    for c in candidates:
+        made, spread = Polished(c, problem, lean), 1.0
+        if c.effect.nonlinear and c.evidence > reach:
+            made, spread = polish(problem, at, c), 2.0  # the simulation has as much chance in it as the recording
+        mirror = made.candidate.effect.mirrored()
+        size = [float(-0.5 * (((measured - s) / std) ** 2).sum() / spread) for s in (made.skewness, 2 * lean - made.skewness)]
+        candidate = made.candidate
+        if mirror is not None and size[1] > size[0]:
+            fitted = replace(candidate.fit, effects=(*candidate.fit.effects[:-1], mirror), x=_mirrored(candidate.fit, mirror))
+            candidate, size = replace(candidate, effect=mirror, fit=fitted), size[::-1]
+        out.append(replace(made, candidate=replace(candidate, evidence=candidate.evidence + size[0])))
+    return out
+
+
+def _mirrored(fitted: Fit, mirror: Effect) -> Array:
+    return np.concatenate([fitted.x[: -len(mirror.parameters)], mirror.coordinates])
+
+
+def _causes(problem: Problem, fitted: Fit, accepted: list[Candidate]) -> tuple[Cause, ...]:
     """The accepted effects with the standard deviations of their parameters."""
     out, first = [], problem.n_nuisance
-    for effect in fitted.effects[:n]:
+    for effect, candidate in zip(fitted.effects, accepted, strict=False):
         std = {}
+        doubt = np.zeros(len(effect.parameters)) if candidate.doubt is None else candidate.doubt
         for i, p in enumerate(effect.parameters):
-            deviation = float(np.sqrt(max(fitted.covariance[first + i, first + i], 0.0)))
-            x = float(effect.coordinates[i])
+            deviation = float(np.hypot(np.sqrt(max(fitted.covariance[first + i, first + i], 0.0)), doubt[i]))
             value = getattr(effect, p.name)
             slope = {"linear": 1.0, "log": value, "inverse": value**2}[p.scale]
-            std[p.name] = min(deviation * slope, 1e300) if np.isfinite(x) else 0.0
+            std[p.name] = min(deviation * slope, 1e300)
         first += len(effect.parameters)
         out.append(Cause(effect, std))
     return tuple(out)
@@ -168,6 +217,8 @@ def residual_bands(problem: Problem, fitted: Fit, width_hz: float = 1.0) -> tupl
 def _misfits(problem: Problem, fitted: Fit, settings: DiagnosisSettings) -> tuple[Misfit, ...]:
     """Bands in which the model is wrong, worst first."""
     z, hz = residual_bands(problem, fitted)
+    if problem.offset is not None:
+        z = z / np.sqrt(2.0)  # the simulation has as much chance in it as the recording
     names = [*problem.context.channels, "ground"]
     out = []
     for band, i, j in np.argwhere(np.abs(z) > settings.misfit):

@@ -85,6 +85,10 @@ class Evidence:
     band: Band
     rate_hz: float
     samples: int
+    segments: Segments
+    """What was averaged."""
+    level: Array
+    """Level of every segment over its class's, shape (n_segments,)."""
     ground: Array | None
     """Density of the measured ground motion on the fine grid, shape (classes, n_fine)."""
 
@@ -228,6 +232,9 @@ def classify(segments: Segments) -> Evidence:
         label = n_level * _quantiles(degc, n_degc) + _quantiles(level, n_level)
     members = tuple(np.flatnonzero(label == k) for k in np.unique(label))
     spectra = np.stack([np.einsum("ska,skb->kab", x[m], x[m].conj()) / m.size for m in members])
+    relative = np.ones(level.size)
+    for m in members:
+        relative[m] = level[m] / level[m].mean()
     ground = None
     if segments.drive is not None:
         power = np.abs(segments.drive) ** 2
@@ -244,6 +251,8 @@ def classify(segments: Segments) -> Evidence:
         band=segments.band,
         rate_hz=segments.rate_hz,
         samples=segments.samples,
+        segments=segments,
+        level=relative,
         ground=ground,
     )
 

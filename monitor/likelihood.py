@@ -68,6 +68,8 @@ class Problem:
     context: Context
     conditions: tuple[Condition, ...]
     """One a class."""
+    offset: ComplexArray | None = None
+    """What simulation adds to the spectra of a linearized law, shape (classes, n_bins, c, c)."""
     smoothing: Array | None = None
     """Averages bins into coarse ones, shape (n_coarse, n_bins), for a start from far away."""
 
@@ -118,7 +120,8 @@ class Problem:
                 out.append(shared)
             else:
                 out.append(self._scaled(shared, level[k], noise, effects))
-        return np.stack(out)
+        stacked = np.stack(out)
+        return stacked if self.offset is None else stacked + self.offset[list(wanted)]
 
     def _scaled(self, unit: ComplexArray, level: float, noise: Array, effects: Sequence[Effect]) -> ComplexArray:
         """Another class's spectra where only the level differs: everything but the noise scales."""
@@ -175,6 +178,11 @@ class Problem:
         total = (each * self.widths()).sum(axis=1) @ self.evidence.counts * self.evidence.weight
         return float(total) if np.isfinite(total) else -np.inf
 
+    def level_of(self, spectra: ComplexArray, data: ComplexArray) -> Array:
+        """Factor by which each class's spectra fit the data best, shape (classes,)."""
+        white = np.linalg.solve(spectra, data)
+        return np.asarray(np.einsum("kfaa->k", white).real / (white.shape[1] * white.shape[2]))
+
     def score(self, x: Array, effects: tuple[Effect, ...]) -> tuple[float, float]:
         """Log likelihood and log prior at a point."""
         ll = self.log_likelihood(self.smooth(self.spectra(x, effects)))
@@ -201,10 +209,9 @@ class Problem:
             if first_noise <= i < first_noise + c:
                 out[i] = noise_slope[i - first_noise]
             elif p + n <= i < p + n + self.n_classes:
-                out[i] = 0.0
                 k = i - p - n
-                out[i, k] = spectra[k]
-                out[i, k, :, diagonal, diagonal] -= noise[:, None]
+                out[i] = 0.0
+                out[i, k] = out[p : p + n, k].sum(axis=0)  # all forces at once, but neither lines nor noise
             elif i == self.n_nuisance - 1:
                 out[i] = noise_slope.sum(axis=0)
             else:
@@ -215,7 +222,7 @@ class Problem:
                     change = self.smooth(self.spectra(moved, effects, classes=[middle]))[0] - spectra[middle]
                     out[i] = change / h * scale
                 else:
-                    out[i] = (self.smooth(self.spectra(moved, _placed(effects, moved[self.n_nuisance :]))) - spectra) / h
+                    out[i] = (self.smooth(self.spectra(moved, placed(effects, moved[self.n_nuisance :]))) - spectra) / h
         return out
 
     def whitened(self, spectra: ComplexArray, slopes: ComplexArray, data: ComplexArray | None = None) -> tuple[Array, Array]:
@@ -227,7 +234,7 @@ class Problem:
         return rows[:, :-1], rows[:, -1]
 
 
-def _placed(effects: Sequence[Effect], coordinates: Array) -> tuple[Effect, ...]:
+def placed(effects: Sequence[Effect], coordinates: Array) -> tuple[Effect, ...]:
     """Effects at a joint vector of coordinates."""
     out = []
     for e in effects:
@@ -269,9 +276,9 @@ def fit(
         for _ in range(6):
             step = scale * np.linalg.solve(normal * scale[:, None] * scale + (damping + 1e-12) * np.eye(x.size), scale * gradient)
             moved = _limited(problem, x, step)
-            placed = _placed(effects, moved[problem.n_nuisance :])
-            moved = np.concatenate([moved[: problem.n_nuisance], *[e.coordinates for e in placed]])
-            candidate = problem.smooth(problem.spectra(moved, placed))
+            there = placed(effects, moved[problem.n_nuisance :])
+            moved = np.concatenate([moved[: problem.n_nuisance], *[e.coordinates for e in there]])
+            candidate = problem.smooth(problem.spectra(moved, there))
             new_ll = problem.log_likelihood(candidate, data)
             m, q = problem.prior(moved)
             new_lp = -0.5 * float((moved - m) @ q @ (moved - m))
@@ -283,12 +290,12 @@ def fit(
             converged = float(gradient @ step) < 10.0 * tolerance
             break
         gain = new_ll + new_lp - ll - lp
-        x, effects, spectra, ll, lp = moved, placed, candidate, new_ll, new_lp
+        x, effects, spectra, ll, lp = moved, there, candidate, new_ll, new_lp
         damping *= 0.1
         if gain < tolerance:
             converged = True
             break
-    covariance = _inverse(normal)
+    covariance = inverse(normal)
     return Fit(x, effects, ll, lp, covariance, converged, rows, residual)
 
 
@@ -298,7 +305,7 @@ def _effect_slopes(problem: Problem, x: Array, effects: tuple[Effect, ...], spec
         h = 1e-4 * max(abs(x[i]), 1e-9)
         moved = x.copy()
         moved[i] += h
-        out.append((problem.smooth(problem.spectra(moved, _placed(effects, moved[problem.n_nuisance :]))) - spectra) / h)
+        out.append((problem.smooth(problem.spectra(moved, placed(effects, moved[problem.n_nuisance :]))) - spectra) / h)
     return np.array(out).reshape(-1, *spectra.shape)
 
 
@@ -314,7 +321,8 @@ def _limited(problem: Problem, x: Array, step: Array) -> Array:
     return np.asarray(x + np.clip(step, -bound, bound))
 
 
-def _inverse(normal: Array) -> Array:
+def inverse(normal: Array) -> Array:
+    """Inverse of a normal matrix whose parameters have different units; directions without information get none."""
     scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
     return np.asarray(scale[:, None] * np.linalg.pinv(normal * scale[:, None] * scale, hermitian=True) * scale)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from math import ceil
 
 from drivers.base import ACCELERATION, TEMPERATURE, SampleBlock
@@ -156,9 +157,10 @@ class Pipeline:
             wanted = expected(self.reference_modes, cutoff_hz, c.selection)
         else:
             wanted = tuple(sorted(self.baseline.model_mode))
-        modes = identify(item, self.past, self.reference_modes, self.sensors, c.identification, c.selection, wanted)
-        if not isinstance(modes, Skipped):
-            modes = refine(item, modes, c.refinement)
+        refiner = partial(refine, item, settings=c.refinement)
+        modes = identify(
+            item, self.past, self.reference_modes, self.sensors, c.identification, c.selection, wanted, refiner
+        )
         tracks = self._follow(None if isinstance(modes, Skipped) else modes, item)
         if isinstance(modes, Skipped):
             return skip(modes)

@@ -103,7 +103,7 @@ def cross_spectra(
     share = sum(e.ground_share for e in effects)
     ground = np.zeros(fine.size)
     if share > 0.0:
-        ground += _ground_density(share, system, force, context)
+        ground += ground_density(share, system, force, context)
     n = force.size
     columns = np.concatenate([seen[:, :, :n] * np.sqrt(force * colour[:, None])[:, None, :], seen[:, :, n:] * np.sqrt(ground)[:, None, None]], axis=2)
     if excitation.ground is not None:
@@ -127,7 +127,7 @@ def _seen(
     system: System, effects: Sequence[Effect], hz: Array, clock: float, context: Context, condition: Condition
 ) -> ComplexArray:
     """Channels' response to forces on the floors and, last, to a ground acceleration, shape (n_hz, c, n + 1)."""
-    n = context.structure.n_stories
+    n = context.structure.n_dofs
     inertia = system.mass.sum(axis=1)
     right = np.zeros((system.mass.shape[0], n + 1))
     right[:n, :n] = np.eye(n)
@@ -153,7 +153,7 @@ def _with_ground(columns: ComplexArray, answer: ComplexArray, density: Array) ->
     return out
 
 
-def _ground_density(share: float, system: System, force: Array, context: Context) -> float:
+def ground_density(share: float, system: System, force: Array, context: Context) -> float:
     """White ground acceleration that causes `share` of the channels' variance, mean over channels, beside the forces."""
     hz = np.arange(0.05, context.rate_hz / 2.0, 0.05)
     seen = np.abs(_seen(system, (), hz, 1.0, context, _NO_CONDITION)) ** 2

@@ -1,100 +1,34 @@
-"""Recordings through the pipeline: replay writes results, calibrate learns a baseline."""
+"""Recordings through the pipeline, with results as files."""
 
 from __future__ import annotations
 
 import time
-from collections import Counter
-from collections.abc import Callable, Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from drivers.base import ACCELERATION, RecordingError, RecordingMissingError, SampleBlock
-from drivers.mcap_file import McapWriter, read_recordings
-from monitor.baseline import Baseline, learn
+from drivers.base import SampleBlock
+from drivers.mcap_file import McapWriter
+from monitor import watch
+from monitor.baseline import Baseline
+from monitor.calibrate import calibrate
 from monitor.config import Configuration
-from monitor.errors import BadInputError, MissingInputError
-from monitor.files import demand_place, sha256, write_atomically
-from monitor.pipeline import Pipeline, Result
+from monitor.errors import MissingInputError
+from monitor.files import demand_place, write_atomically
+from monitor.pipeline import Pipeline
 from monitor.publish.lines import LinesFile, to_json, window_line
 from monitor.publish.rerun_scene import Scene
 from monitor.publish.rerun_view import RerunPublisher
 from monitor.publish.summary import Summary
+from monitor.recordings import OnProgress, OnWarning, Progress, blocks, duration_s, pushed
 from monitor.results import Gap, Samples, WindowResult
-from monitor.second_solutions import second_solutions
-from monitor.updating import Observation, Update
+from monitor.worker import Diagnoser, Recent
 
-OnWarning = Callable[[str], None]
-OnProgress = Callable[[float], None]
-
-
-_COMMON = 0.9
-"""A mode belongs to the baseline when this share of the windows shows it."""
+__all__ = ["RESULT_FILES", "calibrate", "replay", "scene"]
 
 RESULT_FILES = ("results.jsonl", "results.mcap", "live.rrd", "summary.json")
 """What `replay` leaves in its folder."""
-
-
-def blocks(paths: list[Path], config: Configuration, on_warning: OnWarning) -> Iterator[SampleBlock]:
-    """All blocks of the recordings in time order.
-
-    Raises
-    ------
-    MissingInputError, BadInputError
-    """
-    try:
-        yield from read_recordings(paths, topic_map=config.topics or None, on_warning=on_warning)
-    except RecordingMissingError as error:
-        raise MissingInputError(str(error)) from error
-    except RecordingError as error:
-        raise BadInputError(str(error)) from error
-
-
-def _duration_s(first: SampleBlock | None, last: SampleBlock | None) -> float:
-    if first is None or last is None:
-        return 0.0
-    return (last.t_ns - first.t_ns) * 1e-9 + last.n_samples / last.sample_rate_hz
-
-
-class _Progress:
-    """Follows the data's time, to say when there was too little of it."""
-
-    def __init__(self, on_progress: OnProgress) -> None:
-        self.first: SampleBlock | None = None
-        self.last: SampleBlock | None = None
-        self._tell = on_progress
-
-    def saw(self, block: SampleBlock) -> None:
-        if block.topic == ACCELERATION:
-            self.first = self.first or block
-            self.last = block
-            self._tell(_duration_s(self.first, block))
-
-    def demand(self, pipeline: Pipeline, windows: int, paths: list[Path]) -> None:
-        """Raise BadInputError if not even one window came about."""
-        if windows:
-            return
-        state, window_s = pipeline.state.align, pipeline.config.processing.window_s
-        usable = state.n_run / state.rate_hz
-        lost = f" ({state.dropped} samples were repeated, late or not finite)" if state.dropped else ""
-        raise BadInputError(
-            f"{_names(paths)}: {usable:.1f} s of usable data without a gap{lost}, but one window takes {window_s:g} s; "
-            "record longer or set a shorter window_s under [processing]"
-        )
-
-
-def _names(paths: list[Path]) -> str:
-    return ", ".join(map(str, paths))
-
-
-def _pushed(pipeline: Pipeline, block: SampleBlock, paths: list[Path]) -> list[Result]:
-    """The pipeline's results; what it refuses is said of the recordings."""
-    try:
-        return pipeline.push(block)
-    except BadInputError as error:
-        raise BadInputError(f"{_names(paths)}: {error}") from error
 
 
 class _Outputs:
@@ -114,8 +48,10 @@ class _Outputs:
         self._results.write_json("/results", result.t_end_ns, line)
         self.view.window(result)
 
-    def close(self, summary: dict[str, Any]) -> None:
+    def close(self, summary: dict[str, Any], findings: list[dict[str, Any]]) -> None:
         try:
+            for finding in findings:
+                self._results.write_json("/findings", finding["t_ns"], to_json(finding))
             self._lines.close()
             self._results.close()
             write_atomically(self._out / "summary.json", to_json(summary) + "\n")
@@ -152,6 +88,7 @@ def replay(
     *,
     speed: float | None = None,
     serve: tuple[str, int] | None = None,
+    files: tuple[Path, Path | None] | None = None,
     on_warning: OnWarning = lambda _: None,
     on_progress: OnProgress = lambda _: None,
 ) -> dict[str, Any]:
@@ -163,24 +100,28 @@ def replay(
         Times real time; as fast as possible when None.
     serve : (str, int), optional
         Address and port where Rerun viewers may join meanwhile.
+    files : (Path, Path or None), optional
+        Structure and baseline file, for the diagnoses that alarms ask for; none are made without.
 
     Raises
     ------
     MissingInputError, BadInputError
         Too short for one window, missing channels, unreadable files.
     """
-    pipeline, progress = Pipeline(config, baseline), _Progress(on_progress)
+    pipeline, progress = Pipeline(config, baseline), Progress(on_progress)
     source = blocks(paths, config, on_warning)
     block = next(source, None)  # bad input shows before any output is begun
     outputs = _Outputs(out, scene(config, baseline), serve)
     summary = Summary()
+    watcher = _Watcher(config, files, out / "findings")
     began = time.monotonic()
     try:
         while block is not None:
             progress.saw(block)
+            watcher.saw(block)
             if speed is not None:
-                _wait(began, _duration_s(progress.first, block) / speed)
-            for result in _pushed(pipeline, block, paths):
+                _wait(began, duration_s(progress.first, block) / speed)
+            for result in pushed(pipeline, block, paths):
                 if isinstance(result, Samples):
                     outputs.view.samples(result)
                 elif isinstance(result, Gap):
@@ -189,15 +130,22 @@ def replay(
                 else:
                     summary.window(result)
                     outputs.window(result)
+                    watcher.window(result)
             block = next(source, None)
         progress.demand(pipeline, summary.windows, paths)
         summary.dropped_samples = pipeline.state.align.dropped
-        factor = _duration_s(progress.first, progress.last) / max(time.monotonic() - began, 1e-9)
-        content = summary.content(factor, config.model().modes().frequencies_hz.tolist())
-        outputs.close(content)
+        factor = duration_s(progress.first, progress.last) / max(time.monotonic() - began, 1e-9)
+        findings = watcher.finish()
+        content = _with_findings(summary.content(factor, config.model().modes().frequencies_hz.tolist()), findings)
+        outputs.close(content, findings)
     except BaseException:
         outputs.abandon()
         raise
+    finally:
+        watcher.close()
+    for finding in findings:
+        if "error" in finding:
+            on_warning(f"finding {finding['id']} ({finding['reason']}) came to nothing: {finding['error']}")
     if outputs.view.failed is not None:
         on_warning(f"{out / 'live.rrd'} was not written: {outputs.view.failed}")
     if summary.dropped_samples:
@@ -205,71 +153,54 @@ def replay(
     return content
 
 
+class _Watcher:
+    """Asks for a diagnosis where the results call for one."""
+
+    def __init__(self, config: Configuration, files: tuple[Path, Path | None] | None, folder: Path) -> None:
+        self._settings, self._window_s = config.watch, config.processing.window_s
+        self._recent = Recent(max(self._settings.longest_s, 2.0 * self._window_s))
+        self._state, self._t_ns = watch.WatchState(), 0
+        self._found: list[dict[str, Any]] = []
+        self._diagnoser = Diagnoser(*files, folder, self._settings.time_limit_s) if files is not None else None
+
+    def saw(self, block: SampleBlock) -> None:
+        if self._diagnoser is not None:
+            self._recent.push(block)
+            self._found += self._diagnoser.poll()
+
+    def window(self, result: WindowResult) -> None:
+        self._t_ns = result.t_end_ns
+        self._state, request = watch.step(self._state, result, self._settings, self._window_s)
+        self._ask(request)
+
+    def finish(self) -> list[dict[str, Any]]:
+        """All findings, once the last one is there."""
+        self._ask(watch.finish(self._state, self._t_ns, self._settings, self._window_s))
+        if self._diagnoser is not None:
+            self._found += self._diagnoser.wait()
+        return self._found
+
+    def close(self) -> None:
+        if self._diagnoser is not None:
+            self._diagnoser.close()
+
+    def _ask(self, request: watch.Request | None) -> None:
+        if request is not None and self._diagnoser is not None:
+            self._diagnoser.ask(request, self._recent.between(request.from_ns, request.to_ns))
+
+
+def _with_findings(summary: dict[str, Any], findings: list[dict[str, Any]]) -> dict[str, Any]:
+    """summary.json with the findings, and beside every alarm what a diagnosis of its time said."""
+    keys = ("id", "t_ns", "from_ns", "reason", "verdict", "says", "causes")
+    for alarm in summary["alarms"]:
+        told = (
+            f["says"]
+            for f in findings
+            if alarm["t_first_ns"] <= f["t_ns"] and (alarm["t_last_ns"] is None or f["from_ns"] <= alarm["t_last_ns"])
+        )
+        alarm["verdict"] = next(told, None) or None
+    return {**summary, "findings": [{key: f[key] for key in keys} for f in findings]}
+
+
 def _wait(began: float, due_s: float) -> None:
     time.sleep(max(0.0, began + due_s - time.monotonic()))
-
-
-def calibrate(
-    paths: list[Path],
-    config: Configuration,
-    *,
-    on_warning: OnWarning = lambda _: None,
-    on_progress: OnProgress = lambda _: None,
-) -> tuple[Baseline, Update]:
-    """The healthy baseline from recordings.
-
-    Raises
-    ------
-    MissingInputError, BadInputError
-    """
-    pipeline, progress = Pipeline(config), _Progress(on_progress)
-    good: list[WindowResult] = []
-    reasons: list[str] = []
-    for block in blocks(paths, config, on_warning):
-        progress.saw(block)
-        for result in _pushed(pipeline, block, paths):
-            if isinstance(result, WindowResult):
-                good += [result] if result.skipped is None else []
-                reasons += [result.skipped.reason] if result.skipped is not None else []
-    progress.demand(pipeline, len(good) + len(reasons), paths)
-    if not good:
-        raise BadInputError(f"{_names(paths)}: no window could be identified, the last because: {reasons[-1]}")
-    if reasons:
-        on_warning(f"{len(reasons)} of {len(good) + len(reasons)} windows were left out, the last: {reasons[-1]}")
-    good = _with_common_modes(good)
-    recordings = tuple({"file": p.name, "sha256": sha256(p)} for p in paths)
-    windows = [r.modes for r in good if r.modes is not None]
-    rms = np.array([r.rms_m_s2 for r in good])
-    assert progress.first is not None
-    span_ns = (progress.first.t_ns, pipeline.state.align.t_next_ns())
-    temperatures = [r.temperature for r in good if r.modes is not None]
-    baseline, fit = learn(config, windows, rms, recordings, span_ns, temperatures)
-    _tell_doubts(baseline, config, good[-1], on_warning)
-    return baseline, fit
-
-
-def _with_common_modes(windows: list[WindowResult]) -> list[WindowResult]:
-    """The windows with those modes alone that nearly all of them show, without the few that do not."""
-    seen = Counter(int(k) for w in windows if w.modes is not None for k in w.modes.model_mode)
-    common = frozenset(k for k, count in seen.items() if count >= _COMMON * len(windows))
-    kept = [replace(w, modes=w.modes.only(common)) for w in windows if w.modes is not None]
-    return [w for w in kept if w.modes is not None and w.modes.model_mode.size == len(common)]
-
-
-def _tell_doubts(baseline: Baseline, config: Configuration, last: WindowResult, on_warning: OnWarning) -> None:
-    """What these sensors and modes cannot tell, said before anybody relies on it."""
-    unidentified = last.damage.unidentified if last.damage is not None else ()
-    if unidentified:
-        on_warning(
-            f"the modes say next to nothing about story {', '.join(map(str, unidentified))}: damage there "
-            "cannot be judged; more sensors or more modes would help"
-        )
-    if config.updating.use_shapes:
-        return
-    z = baseline.z - baseline.misfit
-    target = Observation(z, np.eye(z.size), np.zeros((1, z.size)), baseline.model_mode, (), baseline.log)
-    for other in second_solutions(baseline.model, config.sensor_matrix(), target, config.updating):
-        on_warning(
-            f"the same frequencies also follow from stiffnesses {', '.join(f'{k:.1f}' for k in other)} N/m: frequencies "
-            "alone cannot tell which is true; set use_shapes = true under [updating]"
-        )

@@ -9,7 +9,7 @@ import numpy as np
 
 from monitor.effects import EFFECTS, Condition, Context, Effect, locations
 from monitor.evidence import Evidence, class_temperature
-from monitor.likelihood import Fit, Problem, fit
+from monitor.likelihood import Fit, Problem, fit, inverse
 from monitor.prediction import accelerance, assemble
 from monitor.reference import Reference
 from monitor.results import Array
@@ -28,6 +28,8 @@ class Candidate:
     """Log posterior above the model without it, nats."""
     evidence: float
     """The gain less half the logarithm of the information for every parameter."""
+    doubt: Array | None = None
+    """Standard deviation of the coordinates that a linearized law's own error adds, shape (p,)."""
 
     @property
     def key(self) -> tuple[str, str]:
@@ -114,7 +116,7 @@ def conditions(problem: Problem, x: Array, effects: tuple[Effect, ...]) -> tuple
             return 0.0 if value is None else value - _reference_degc(problem, lag_s)
 
         flat = np.ones(hz.size)
-        out.append(Condition(rms(drift, flat), rms(drift, w**2), rms(np.eye(n), w**2), e.rms[k], excess))
+        out.append(Condition(rms(drift, flat), rms(drift, w**2), rms(np.eye(n), w**2), e.rms[k], e.peak, excess))
     return tuple(out)
 
 
@@ -161,15 +163,19 @@ def rank(problem: Problem, null: Fit, candidates: list[Effect]) -> list[tuple[fl
     spectra = problem.smooth(problem.spectra(null.x, null.effects))
     _, precision = problem.prior(null.x)
     tangent = null.jacobian
-    normal = np.linalg.inv(tangent.T @ tangent + precision)
+    normal = inverse(tangent.T @ tangent + precision)
     residual = null.residual - tangent @ (normal @ (tangent.T @ null.residual))
     tangent = np.asfortranarray(tangent)
     out = []
-    here = problem.log_likelihood(spectra)
+    data = problem.data()
     for effect in candidates:
         moved = problem.smooth(problem.spectra(null.x, (*null.effects, effect)))
-        if not effect.proportional:  # all or nothing
-            out.append((problem.log_likelihood(moved) - here, effect))
+        if not effect.proportional:  # all or nothing: what is gained once levels and nuisances have followed
+            moved = moved * problem.level_of(moved, data)[:, None, None, None]
+            _, left = problem.whitened(moved, moved[None], data)
+            pull = tangent.T @ left
+            gain = problem.log_likelihood(moved, data) - null.log_likelihood + 0.5 * float(pull @ normal @ pull)
+            out.append((gain, effect))
             continue
         change, _ = problem.whitened(spectra, (moved - spectra)[None])
         v = change[:, 0]
@@ -211,8 +217,14 @@ def best_of_each(ranked: list[tuple[float, Effect]]) -> list[tuple[float, Effect
 
 def judge(problem: Problem, null: Fit, effect: Effect, *, quick: bool = False) -> Candidate:
     """Fit an effect beside the nuisances."""
-    frozen = null.jacobian if quick else None
+    frozen = null.jacobian[:, : problem.n_nuisance] if quick else None
     fitted = fit(problem, null.x, (*null.effects, effect), iterations=5 if quick else 15, frozen=frozen)
+    return evidence_of(problem, null, fitted)
+
+
+def evidence_of(problem: Problem, null: Fit, fitted: Fit) -> Candidate:
+    """What a fit with one more effect gains."""
+    effect = fitted.effects[-1]
     gain = fitted.log_posterior - null.log_posterior
     n = problem.evidence.counts.sum() * problem.evidence.band.n_bins * problem.evidence.weight
-    return Candidate(fitted.effects[-1], fitted, gain, gain - 0.5 * len(effect.parameters) * np.log(n))
+    return Candidate(effect, fitted, gain, gain - 0.5 * len(effect.parameters) * np.log(n))

@@ -47,7 +47,12 @@ def linear_system(model: Model) -> System:
 
 
 def respond_exactly(model: Model, forces: Array, rate_hz: float) -> Array:
-    """Accelerations of the floors under forces that run straight between samples, nonlinear laws left out.
+    """Accelerations of the floors, shape (n_samples, n), nonlinear laws left out; see `respond_linear`."""
+    return respond_linear(linear_system(model), model.structure.n_dofs, forces, rate_hz)
+
+
+def respond_linear(system: System, n: int, forces: Array, rate_hz: float) -> Array:
+    """Accelerations of a linear system's first n degrees of freedom under forces that run straight between samples.
 
     Parameters
     ----------
@@ -64,8 +69,7 @@ def respond_exactly(model: Model, forces: Array, rate_hz: float) -> Array:
     -----
     The complex modes of the state matrix decouple it into first-order recursions (one of each conjugate pair).
     """
-    system, dt = linear_system(model), 1.0 / rate_hz
-    n, size, columns = model.structure.n_dofs, system.mass.shape[0], forces.shape[1]
+    dt, size, columns = 1.0 / rate_hz, system.mass.shape[0], forces.shape[1]
     minv = np.linalg.inv(system.mass)
     dynamics = np.block([[np.zeros((size, size)), np.eye(size)], [-minv @ system.stiffness, -minv @ system.damping]])
     poles, vectors = np.linalg.eig(dynamics)

@@ -26,7 +26,7 @@ from monitor.settings import Settings
 from monitor.spectrum import overlap_correlation
 from monitor.whittle_model import Layout, Point, Spectrum, cross_spectra, layout_of, packed, predict, product, upper
 
-_LN_NOISE_STD = 3.0
+_WEAK_STD = 3.0
 
 
 class RefinementSettings(Settings):
@@ -66,8 +66,8 @@ def refine(window: Window, modes: ModalEstimate, settings: RefinementSettings) -
             mean = np.tensordot(1.0 / level, data, axes=1) / n_segments
             score = product((mean - upper(model.value))[None], curve)[0]
             # Next to none may be known of a noise that hides below the response: a wide prior keeps it in bounds.
-            noise = np.arange(len(information) - point.noise.size, len(information))
-            information[noise, noise] += 1.0 / (_LN_NOISE_STD**2 * n_segments)
+            weak = np.arange(n_modal + len(layout.pairs), len(information))
+            information[weak, weak] += 1.0 / (_WEAK_STD**2 * n_segments)
             scale = 1.0 / np.sqrt(np.diag(information))
             covariance = scale[:, None] * np.linalg.inv(information * scale[:, None] * scale) * scale
             if not (np.isfinite(covariance).all() and np.diag(covariance).min() > 0):
@@ -89,8 +89,8 @@ def refine(window: Window, modes: ModalEstimate, settings: RefinementSettings) -
 
 def _curve(layout: Layout, inverse: ComplexArray, model: Spectrum) -> tuple[ComplexArray, Array]:
     """What a packed spectrum is multiplied by for its score, and the Fisher information of one segment."""
-    curve = packed(inverse @ model.u, inverse @ model.v) * layout.counts
-    return curve, product(curve, packed(model.u[None], model.v))
+    curve = packed(layout, inverse @ model.u, inverse @ model.v) * layout.counts
+    return curve, product(curve, packed(layout, model.u[None], model.v))
 
 
 def _start(layout: Layout, modes: ModalEstimate, mean: ComplexArray) -> Point:
@@ -105,13 +105,14 @@ def _start(layout: Layout, modes: ModalEstimate, mean: ComplexArray) -> Point:
         (modes.shapes / gauge[:, None]).real.T,
         np.eye(m),
         0.01 * (power @ layout.sizes) / layout.sizes.sum(),
+        np.zeros(2),
     )
     rough = np.zeros((mean.shape[1], c, c), dtype=complex)
     rough[:, i, j] = mean.T
     rough[:, j, i] = mean.conj().T
     rough[:, range(c), range(c)] = (power + 0.05 * power.mean(axis=0)).T
     curve, information = _curve(layout, np.asarray(np.linalg.inv(rough)), predict(layout, p))
-    linear = slice(layout.n_modal, None)
+    linear = slice(layout.n_modal, -2)
     x = np.linalg.solve(information[linear, linear], product(mean[None], curve[linear])[0])
     n_pairs = len(layout.pairs)
     forces = np.zeros((m, m))
@@ -139,9 +140,16 @@ def _moved(layout: Layout, p: Point, step: Array) -> Point:
     for (i, j), value in zip(layout.pairs, step[2 * m + n_free :], strict=False):
         forces[i, j] += value
         forces[j, i] = forces[i, j]
-    noise = p.noise * np.exp(np.clip(step[-p.noise.size :], -1.0, 1.0))
+    ln_noise, colour = np.split(np.clip(step[2 * m + n_free + len(layout.pairs) :], -1.0, 1.0), [p.noise.size])
     ln_damping = p.ln_damping + np.clip(step[m : 2 * m], -0.5, 0.5)
-    return Point(p.ln_f + np.clip(step[:m], -0.02, 0.02), ln_damping, shapes, forces, noise)
+    return Point(
+        p.ln_f + np.clip(step[:m], -0.02, 0.02),
+        ln_damping,
+        shapes,
+        forces,
+        p.noise * np.exp(ln_noise),
+        p.colour + colour,
+    )
 
 
 def _uncertainty(influence: Array, covariance: Array) -> tuple[Array, Array]:

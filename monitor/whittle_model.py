@@ -1,6 +1,7 @@
 """The modal model of a window's cross-spectra: ``S = A Q A^H + N`` with its slopes, pooled as the data are.
 
-A holds shapes times modal transfer functions of acceleration, Q is the covariance of the modal forces, N the sensors' noise.
+A holds shapes times modal transfer functions of acceleration, Q is the covariance of the modal forces, whose spectrum
+may slope and bend (excitation is seldom white over a wide band), N the sensors' noise.
 Away from the modes, where the spectrum is smooth, bins are pooled, so that a wide band costs little.  Hermitian matrices are
 packed as their upper triangles.
 """
@@ -33,6 +34,8 @@ class Point:
     """Q, shape (m, m), symmetric."""
     noise: Array
     """Shape (c,), two-sided density."""
+    colour: Array
+    """Shape (2,), tilt and curvature: forces have amplitude ``exp(tilt x + curvature x^2)``, x = ln f about mid-band."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -45,6 +48,8 @@ class Layout:
     """Where in `bins` each pool begins."""
     sizes: NDArray[np.intp]
     """Bins in each pool."""
+    columns: NDArray[np.intp]
+    """Where each parameter's columns begin in `Spectrum`."""
     nodes_hz: Array
     """Shape (pools, taps): a pool's spectrum is the mean of the true one over these, weighed by `leakage`."""
     counts: Array
@@ -63,17 +68,17 @@ class Layout:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Spectrum:
-    """The model at a point; its slope by parameter p is ``u_p v_p^H`` plus the conjugate transpose of that.
+    """The model at a point; its slope by a parameter is the sum over its columns of ``u v^H`` and the conjugate transposes.
 
-    Parameters are numbered ln f, ln damping, free shape components, Q's upper triangle, ln noise.
+    Parameters are numbered ln f, ln damping, free shape components, Q's upper triangle, ln noise, tilt, curvature.
     """
 
     value: ComplexArray
     """Shape (pools, c, c)."""
     u: Array
-    """Shape (c, parameters)."""
+    """Shape (c, columns)."""
     v: ComplexArray
-    """Shape (pools, c, parameters)."""
+    """Shape (pools, c, columns)."""
 
 
 def layout_of(modes: ModalEstimate, half_band: float, n_bins: int, bin_hz: float) -> Layout:
@@ -100,14 +105,16 @@ def layout_of(modes: ModalEstimate, half_band: float, n_bins: int, bin_hz: float
     # A pool blurs besides the taper: one kernel of the taper's form and of both their spreads stands for the two.
     offsets = LEAKAGE_OFFSETS / 2.0
     stretch = np.sqrt(1.0 + (sizes**2 - 1.0) / 12.0 / (leakage() @ offsets**2))
-    nodes = (bins[first] + (sizes - 1.0) / 2.0)[:, None] + offsets * stretch[:, None]
+    nodes = np.maximum(0.5, (bins[first] + (sizes - 1.0) / 2.0)[:, None] + offsets * stretch[:, None])
     gauges = tuple(int(g) for g in np.abs(modes.shapes).argmax(axis=1))
     m, c = modes.shapes.shape
     free = tuple((i, j) for i in range(m) for j in range(c) if j != gauges[i])
     pairs = tuple((a, b) for a in range(m) for b in range(a, m))
     i, j = np.triu_indices(c)
+    single = 2 * m + len(free) + len(pairs) + c
+    columns = np.array([*range(single), single, single + m])  # the forces' colour moves every mode
     counts = np.where(i == j, 1.0, 2.0)[:, None] * sizes
-    return Layout(bins, np.array(first), sizes, nodes * bin_hz, counts, gauges, free, pairs)
+    return Layout(bins, np.array(first), sizes, columns, nodes * bin_hz, counts, gauges, free, pairs)
 
 
 def cross_spectra(layout: Layout, segments: ComplexArray) -> ComplexArray:
@@ -121,29 +128,33 @@ def cross_spectra(layout: Layout, segments: ComplexArray) -> ComplexArray:
 
 def predict(layout: Layout, p: Point) -> Spectrum:
     """The spectrum that a point of the fit gives, blurred by taper and pools, and its slopes."""
-    m, c = len(layout.gauges), p.noise.size
+    c = p.noise.size
     w = 2.0 * np.pi * layout.nodes_hz[:, None, :]
     omega = 2.0 * np.pi * np.exp(p.ln_f)[:, None]
     cross = 2j * np.exp(p.ln_damping)[:, None] * omega * w
     denominator = omega**2 - w**2 + cross
-    g = -(w**2) / denominator  # modal transfer functions of acceleration, (pools, m, taps)
-    by_f, by_damping = -g * (2.0 * omega**2 + cross) / denominator, -g * cross / denominator
+    x = np.log(w / w.mean())
+    # Modal transfer functions of acceleration times the forces' amplitude, (pools, m, taps), and their slopes.
+    g = -(w**2) * np.exp(p.colour[0] * x + p.colour[1] * x**2) / denominator
+    slopes = [-g * (2.0 * omega**2 + cross) / denominator, -g * cross / denominator, g * x, g * x**2]
     # Shapes are constant over frequency, so blurring the modes' products blurs the spectrum and all its slopes.
-    blurred = (np.concatenate([g, by_f, by_damping], axis=1) * leakage()) @ g.conj().swapaxes(-1, -2)
-    products, by_f, by_damping = blurred[:, :m], blurred[:, m : 2 * m], blurred[:, 2 * m :]
+    blurred = (np.concatenate([g, *slopes], axis=1) * leakage()) @ g.conj().swapaxes(-1, -2)
+    products, by_f, by_damping, by_tilt, by_curvature = np.split(blurred, 5, axis=1)
     half = p.forces * products @ p.shapes.T
     value = p.shapes @ half + np.diag(p.noise)
     mode, channel = [i for i, _ in layout.free], [j for _, j in layout.free]
     first, second = [a for a, _ in layout.pairs], [b for _, b in layout.pairs]
     once = np.where(np.equal(first, second), 0.5, 1.0)  # on the diagonal of Q both halves are the same term
     unit = np.eye(c)
-    u = [p.shapes, p.shapes, unit[:, channel], p.shapes[:, first], unit]
+    u = [p.shapes, p.shapes, unit[:, channel], p.shapes[:, first], unit, p.shapes, p.shapes]
     rows = [
         p.forces * by_f @ p.shapes.T,
         p.forces * by_damping @ p.shapes.T,
         half[:, mode],
         (once * products[:, first, second])[:, :, None] * p.shapes.T[second],
         np.broadcast_to(0.5 * np.diag(p.noise), (len(value), c, c)),
+        p.forces * by_tilt @ p.shapes.T,
+        p.forces * by_curvature @ p.shapes.T,
     ]
     return Spectrum(value, np.concatenate(u, axis=1), np.concatenate(rows, axis=1).conj().swapaxes(-1, -2))
 
@@ -154,11 +165,11 @@ def upper(matrices: ComplexArray) -> ComplexArray:
     return matrices[:, i, j].T
 
 
-def packed(u: Array | ComplexArray, v: ComplexArray) -> ComplexArray:
-    """Packed ``u v^H + v u^H`` for columns of shape (.., c, parameters), shape (parameters, pairs, pools)."""
+def packed(layout: Layout, u: Array | ComplexArray, v: ComplexArray) -> ComplexArray:
+    """Packed ``u v^H + v u^H`` from columns of shape (.., c, columns), shape (parameters, pairs, pools)."""
     i, j = np.triu_indices(v.shape[1])
     u, v = u.transpose(2, 1, 0), np.ascontiguousarray(v.transpose(2, 1, 0))
-    return np.asarray(u[:, i] * v.conj()[:, j] + v[:, i] * u.conj()[:, j])
+    return np.asarray(np.add.reduceat(u[:, i] * v.conj()[:, j] + v[:, i] * u.conj()[:, j], layout.columns))
 
 
 def product(a: ComplexArray, b: ComplexArray) -> Array:

@@ -49,6 +49,8 @@ class Condition:
     """RMS velocity of every floor, shape (n,)."""
     channel_m_s2: Array
     """RMS of every channel's samples, shape (c,)."""
+    channel_peak_m_s2: Array = field(default_factory=lambda: np.full(1, np.inf))
+    """Largest magnitude of every channel's samples in the whole recording, shape (c,)."""
     excess_degc: Callable[[float], float] = field(default=lambda lag_s: 0.0)
     """Temperature above the reference after a first-order lag in s."""
 
@@ -175,6 +177,10 @@ class Effect(ABC):
         """The same effect elsewhere in its parameters' space, kept within their bounds."""
         values = {p.name: p.value(float(x)) for p, x in zip(self.parameters, coordinates, strict=True)}
         return type(self)(self.location, **values)
+
+    def mirrored(self) -> Effect | None:
+        """The same law with left and right exchanged, which no spectrum tells from it; None where that is itself."""
+        return None
 
     @property
     def index(self) -> int:

@@ -23,6 +23,7 @@ class ColouredExcitation(Effect):
 
     name: ClassVar[str] = "coloured_excitation"
     family: ClassVar[Literal["structure", "excitation", "sensor"]] = "excitation"
+    proportional: ClassVar[bool] = False
     places: ClassVar[tuple[str, ...]] = ("frame",)
     parameters: ClassVar[tuple[Parameter, ...]] = (Parameter("corner_hz", 0.0, inf, "inverse", inf),)
     signature: ClassVar[str] = "frequencies and shapes as they were, the whole spectrum tilted"

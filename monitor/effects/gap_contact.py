@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import erfc, exp, inf, pi, sqrt
 from typing import ClassVar, Literal, Self
 
@@ -46,6 +46,10 @@ class GapContact(Effect):
         """See `Effect.laws`."""
         parameters = (self.gap_m, self.contact_stiffness_n_per_m)
         return (Law(LawKind.CONTACT, self.direction(structure), parameters),)
+
+    def mirrored(self) -> Effect | None:
+        """See `Effect.mirrored`."""
+        return replace(self, gap_m=-self.gap_m)
 
     @classmethod
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:

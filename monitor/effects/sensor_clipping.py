@@ -19,6 +19,10 @@ _ALWAYS = 0.05
 """Least limit over RMS: all that is left of the signal is its sign."""
 
 
+_UNCLIPPED = 4.5
+"""RMS values that a signal exceeds somewhere in a recording if nothing stops it."""
+
+
 @dataclass(frozen=True)
 class SensorClipping(Effect):
     """Samples end at +-limit_m_s2.
@@ -75,7 +79,10 @@ class SensorClipping(Effect):
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
         """See `Effect.starts`."""
         j = context.channels.index(location.partition(" ")[2])
-        return (cls(location, 2.0 * float(condition.channel_m_s2[j])),)
+        rms, peak = float(condition.channel_m_s2[j]), float(condition.channel_peak_m_s2[min(j, condition.channel_peak_m_s2.size - 1)])
+        if peak > _UNCLIPPED * rms:
+            return (cls(location, 2.0 * rms),) if peak == inf else ()
+        return (cls(location, 0.8 * peak), cls(location, 0.999 * peak))
 
 
 def clipped_power(a: float) -> float:

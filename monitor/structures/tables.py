@@ -29,6 +29,12 @@ class _Drawing(Settings):
     """Range of each mass as its prior (two standard deviations either way); 5 % either way by default."""
     stiffness_range_n_per_m: tuple[Range, ...] | None = None
     """Range of each stiffness as its prior; 40 % either way by default."""
+    modal_damping_ratio: tuple[Annotated[float, Field(gt=0, lt=1)], ...] | None = None
+    """Damping ratio of every mode, in place of `damping_ratio`; as a diagnosis writes it."""
+    stiffness_correction_n_per_m: Matrix | None = None
+    """Stiffness that the structure's form cannot show, a symmetric matrix; as a diagnosis writes it."""
+    reference_temperature_degc: float | None = None
+    """Where the stiffnesses are those stated; the recording's mean by default."""
 
     def structure(self) -> Structure:
         """The structure as drawn."""
@@ -49,6 +55,17 @@ class _Drawing(Settings):
                 spread(self.masses_range_kg, structure.masses_kg, 0.05),
             ]
         )
+
+    def correction(self) -> Array | None:
+        """`stiffness_correction_n_per_m`, shape (N, N)."""
+        if self.stiffness_correction_n_per_m is None:
+            return None
+        size = self.structure().n_dofs
+        return _symmetric("stiffness_correction_n_per_m", self.stiffness_correction_n_per_m, size)
+
+    def modal_damping(self) -> Array | None:
+        """`modal_damping_ratio`, shape (N,)."""
+        return None if self.modal_damping_ratio is None else np.array(self.modal_damping_ratio)
 
     def _check_lengths(self, wanted: dict[str, int], what: str) -> None:
         for name, n in wanted.items():
@@ -71,7 +88,8 @@ class ShearFrameTable(_Drawing):
     @model_validator(mode="after")
     def _same_length(self) -> ShearFrameTable:
         names = ("stiffness_n_per_m", "story_heights_m", "masses_range_kg", "stiffness_range_n_per_m")
-        self._check_lengths(dict.fromkeys(names, len(self.masses_kg)), "masses")
+        self._check_lengths(dict.fromkeys((*names, "modal_damping_ratio"), len(self.masses_kg)), "masses")
+        self.correction()
         return self
 
     def structure(self) -> ShearFrame:
@@ -116,7 +134,8 @@ class MatricesTable(_Drawing):
         for name, matrix in (("mass_matrix", mass), ("stiffness_matrix", stiffness)):
             if np.linalg.eigvalsh(matrix)[0] <= 0:
                 raise ValueError(f"{name} is not positive definite")
-        self._check_lengths({"masses_range_kg": n}, "degrees of freedom")
+        self._check_lengths({"masses_range_kg": n, "modal_damping_ratio": n}, "degrees of freedom")
+        self.correction()
         return self
 
     def structure(self) -> MatrixStructure:

@@ -48,7 +48,7 @@ def test_the_twin_judges_as_the_alarm_does(monkeypatch: pytest.MonkeyPatch) -> N
 
 def test_the_twin_confirms_as_the_alarm_does() -> None:
     ddi, variance, common = readings(400, 4)
-    ddi[:, 2] += 0.007 * ramp(2000.0, 400)
+    ddi[:, 2] += 0.01 * ramp(2000.0, 400)
     z = evidence(ddi, variance, common, 0.0)
     state = alarm.start(3, WINDOW_S)
     warned = None
@@ -61,8 +61,8 @@ def test_the_twin_confirms_as_the_alarm_does() -> None:
 
 def test_no_false_alarm_in_half_a_year_and_as_many_at_lower_thresholds_as_stated() -> None:
     counts = false_alarms(0.5, np.array([4.5, 5.0, THRESHOLD]), seed=101)
-    assert 1 <= counts[0] <= 12, "about nine a year at 4.5"
-    assert counts[1] <= 3, "about one a year at 5"
+    assert 4 <= counts[0] <= 24, "about 23 a year at 4.5"
+    assert counts[1] <= 6, "about three a year at 5"
     assert counts[2] == 0
 
 
@@ -87,7 +87,7 @@ def test_a_raw_record_is_judged_like_the_twin() -> None:
 
 @pytest.mark.slow
 def test_thirty_years_without_a_false_alarm() -> None:
-    thresholds = np.array([4.5, 5.0, 5.5, THRESHOLD])
+    thresholds = np.array([5.0, 5.5, 6.0, THRESHOLD])
     for baseline_s in (1200.0, 14400.0):
         counts = false_alarms(30.0, thresholds, baseline_s=baseline_s, seed=107)
         print(f"\nbaseline {baseline_s:g} s, 30 years at {thresholds}: {counts}")

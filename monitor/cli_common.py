@@ -1,0 +1,32 @@
+"""What the commands share."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+Recordings = Annotated[list[Path], typer.Argument(metavar="REC.mcap...", help="Recordings, in any order.")]
+Structure = Annotated[Path, typer.Option(metavar="S.toml", help="Structure file.")]
+
+
+def warn(message: str) -> None:
+    """Say it on standard error."""
+    print(f"warning: {message}", file=sys.stderr)
+
+
+def progress(label: str) -> Callable[[float], None]:
+    """Seconds of data done, on a terminal only."""
+    if not sys.stderr.isatty():
+        return lambda _: None
+    shown = [0.0]
+
+    def tell(seconds: float) -> None:
+        if seconds - shown[0] >= 60.0:
+            shown[0] = seconds
+            print(f"\r{label}: {seconds / 60.0:.0f} min of data", end="", file=sys.stderr, flush=True)
+
+    return tell

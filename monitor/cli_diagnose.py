@@ -1,0 +1,96 @@
+"""The commands on what a simulation gets wrong: diagnose, evaluate, accept."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from monitor import config
+from monitor.cli_common import Recordings, Structure, progress, warn
+from monitor.files import demand_place, spare_inputs, write_atomically
+
+Healthy = Annotated[Path | None, typer.Option(metavar="B.json", help="Healthy baseline by 'calibrate'.")]
+
+
+def diagnose(
+    recordings: Recordings,
+    structure: Structure,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the results.")],
+    baseline: Healthy = None,
+) -> None:
+    """What the simulation gets wrong, and why: diagnosis.json, report.html, diagnosis.rrd and the extended model in DIR."""
+    from monitor import discrepancy
+    from monitor.baseline import load
+    from monitor.diagnosis_files import structure_text
+    from monitor.publish.diagnosis_view import write_view
+    from monitor.publish.report import write_report
+
+    names = ("diagnosis.json", "report.html", "structure.updated.toml", "structure.extended.toml", "diagnosis.rrd")
+    content, report, updated, extended, view = (out / name for name in names)
+    spare_inputs([content, report, updated, extended, view], [*recordings, structure, baseline])
+    settings = config.load(structure)
+    healthy = None if baseline is None else load(baseline, settings)
+    for path in (content, report, updated, extended, view):
+        demand_place(path)
+    found = discrepancy.find(recordings, settings, healthy, warn, progress("diagnose"))
+    text = structure.read_text(encoding="utf-8")
+    write_atomically(content, json.dumps(found.content, indent=1, allow_nan=False) + "\n")
+    write_atomically(updated, structure_text(text, found.updated, found.reference_degc))
+    write_atomically(extended, structure_text(text, found.extended, found.reference_degc))
+    write_report(report, found.diagnosis, found.content, found.segments)
+    write_view(view, found.diagnosis, found.content, found.segments)
+    print(f"{found.diagnosis.verdict}: {found.content['says']}")
+    for cause in found.content["standing"]:
+        print(f"already so at calibration: {cause['says']}")
+    if found.diagnosis.verdict != "none":
+        low, high = found.gain.ci95
+        print(f"gain on held-out data: {found.gain.value:.3g} nats a sample (95 %: {low:.3g} to {high:.3g})")
+    print(f"report in {report}")
+
+
+def evaluate(recordings: Recordings, structure: Structure) -> None:
+    """How well a model predicts recordings, as JSON: nothing but the excitation's level and the noise is fitted.
+
+    log_score_per_sample: nats per sample instant, all channels together, in the band from 5 to 90 % of cutoff_hz, by the
+    debiased Whittle likelihood.  csd_error: squared error of the mean cross-spectra over their own square.
+    """
+    from monitor import discrepancy
+
+    score = discrepancy.evaluate(recordings, config.load(structure), warn, progress("evaluate"))
+    plain = {
+        "log_score_per_sample": score.log_score_per_sample,
+        "csd_error": score.csd_error,
+        "samples": score.samples,
+    }
+    print(json.dumps(plain, allow_nan=False))
+
+
+def accept(
+    finding: Annotated[Path, typer.Argument(metavar="FINDING.json", help="diagnosis.json, or one of DIR/findings.")],
+    structure: Structure,
+    out: Annotated[Path, typer.Option(metavar="OUT.toml", help="Structure file to write, with the causes.")],
+    baseline: Healthy = None,
+    by: Annotated[str | None, typer.Option(metavar="NAME", help="Who decides; the login name by default.")] = None,
+) -> None:
+    """Take a named cause into the structure file, and write the decision into ledger.jsonl beside it.
+
+    With the baseline that the finding refers to, the causes alone are added: the baseline brings the healthy stiffness.
+    """
+    from monitor import ledger
+    from monitor.baseline import load
+
+    spare_inputs([out, out.parent / ledger.LEDGER], [finding, structure, baseline])
+    content = ledger.read_finding(finding)
+    settings = config.load(structure)
+    if baseline is not None:
+        load(baseline, settings)
+    text = structure.read_text(encoding="utf-8")
+    extended = ledger.extended_text(finding, content, text, settings, with_baseline=baseline is not None)
+    demand_place(out)
+    write_atomically(out, extended)
+    files = {"finding": finding, "structure": structure, "baseline": baseline, "out": out}
+    kept = ledger.record(out, content, files, by)
+    print(f"{content['says']}\nextended model in {out}; noted in {kept}")

@@ -1,0 +1,134 @@
+"""What a simulation gets wrong, from recordings: the work behind `diagnose`, `evaluate` and the online diagnosis."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drivers.base import SampleBlock
+from monitor import standing
+from monitor.baseline import Baseline
+from monitor.compensation import ddi_effect
+from monitor.config import Configuration
+from monitor.diagnose import Diagnosis, diagnose
+from monitor.diagnosis_files import content, model_to_plain
+from monitor.effects import Context, Effect
+from monitor.errors import BadInputError
+from monitor.evidence import Segments, classify, gather
+from monitor.gain import Gain, Score, demand_gain, fitted_model, heldout_gain, score
+from monitor.model import Model
+from monitor.recordings import OnProgress, OnWarning, Progress, blocks, names
+from monitor.reference import Reference, nominal
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Finding:
+    """A diagnosis with all that is published of it."""
+
+    diagnosis: Diagnosis
+    gain: Gain
+    content: dict[str, Any]
+    """diagnosis.json."""
+    segments: Segments
+    updated: Model
+    """The old model form, refitted."""
+    extended: Model
+    """With the causes."""
+    reference_degc: float | None
+    """Temperature at which the models' stiffnesses hold."""
+
+
+def find(
+    paths: list[Path],
+    config: Configuration,
+    baseline: Baseline | None,
+    on_warning: OnWarning,
+    on_progress: OnProgress = lambda _: None,
+) -> Finding:
+    """Diagnose recordings against the baseline, or against the structure file without one.
+
+    Raises
+    ------
+    MissingInputError, BadInputError
+    """
+    segments = _read(paths, config, on_warning, on_progress)
+    context = _context(segments, config)
+    if baseline is not None and baseline.reference is None:
+        raise BadInputError(
+            "the baseline holds nothing for a diagnosis to start from; calibrate anew, on a minute or more"
+        )
+    reference = _nominal(config) if baseline is None or baseline.reference is None else baseline.reference
+    diagnosis = diagnose(classify(segments), reference, context, config.diagnosis_settings())
+    gain = heldout_gain(segments, diagnosis, config)
+    settled = demand_gain(diagnosis, gain)
+    gain = gain if settled is diagnosis else Gain()
+    updated, extended = (fitted_model(settled.problem, at) for at in (settled.null, settled.final))
+    degc = reference.reference_degc
+    if degc is None and segments.temperature.size:
+        degc = float(segments.temperature[:, 1].mean())
+    plain = content(settled, gain, config.model().effects, ddi_effect(settled))
+    plain |= {"model": model_to_plain(extended, degc), "since_calibration": baseline is not None}
+    return Finding(settled, gain, plain, segments, updated, extended, degc)
+
+
+def learn(segments: Segments, config: Configuration) -> Reference:
+    """What healthy data say of the structure: the reference of later diagnoses, with what is wrong from the start."""
+    evidence, context, known = classify(segments), _context(segments, config), _nominal(config)
+    if segments.temperature.size:
+        known = replace(known, reference_degc=float(segments.temperature[:, 1].mean()))
+    found = diagnose(evidence, known, context, config.diagnosis_settings())
+    if found.verdict == "named":
+        known = _with_standing(known, tuple(c.effect for c in found.causes))
+    return standing.learn(evidence, known, context)[0]
+
+
+def evaluate(
+    paths: list[Path], config: Configuration, on_warning: OnWarning, on_progress: OnProgress = lambda _: None
+) -> Score:
+    """How well the structure file's model predicts recordings.
+
+    Raises
+    ------
+    MissingInputError, BadInputError
+    """
+    segments = _read(paths, config, on_warning, on_progress)
+    degc = config.structure.reference_temperature_degc
+    return score(segments, config.model(), _context(segments, config), config, degc)
+
+
+def _read(paths: list[Path], config: Configuration, on_warning: OnWarning, on_progress: OnProgress) -> Segments:
+    progress = Progress(on_progress)
+
+    def passing() -> Iterator[SampleBlock]:
+        for block in blocks(paths, config, on_warning):
+            progress.saw(block)
+            yield block
+
+    try:
+        return gather(passing(), config)
+    except BadInputError as error:
+        told = str(error)
+        raise BadInputError(told if str(paths[0]) in told else f"{names(paths)}: {told}") from error
+
+
+def _context(segments: Segments, config: Configuration) -> Context:
+    return Context(config.model().structure, config.channels, config.sensor_matrix(), segments.rate_hz)
+
+
+def _nominal(config: Configuration) -> Reference:
+    known = nominal(config.model(), config.prior_std(), len(config.channels))
+    return replace(known, reference_degc=config.structure.reference_temperature_degc)
+
+
+def _with_standing(known: Reference, effects: tuple[Effect, ...]) -> Reference:
+    """The reference with effects whose sizes healthy data are yet to tell."""
+    coordinates = np.concatenate([[], *[e.coordinates for e in effects]])
+    size = known.mean.size
+    precision = np.zeros((size + coordinates.size, size + coordinates.size))
+    precision[:size, :size] = known.precision
+    model = replace(known.model, effects=(*known.model.effects, *effects))
+    return replace(known, model=model, mean=np.concatenate([known.mean, coordinates]), precision=precision)

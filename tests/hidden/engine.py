@@ -1,0 +1,69 @@
+"""The engine as a stranger uses it: a drawing, a healthy recording, a recording; an answer in the contract's words."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from drivers.base import SampleBlock
+from monitor import evidence, reference, standing
+from monitor.config import Configuration
+from monitor.diagnose import Diagnosis, DiagnosisSettings, diagnose
+from monitor.effects import Context
+from monitor.reference import Reference
+
+
+@dataclass(frozen=True, eq=False)
+class Baseline:
+    """What calibration keeps."""
+
+    config: Configuration
+    reference: Reference
+
+
+def _context(config: Configuration, rate_hz: float) -> Context:
+    return Context(config.model().structure, config.channels, config.sensor_matrix(), rate_hz)
+
+
+def calibrate(drawing: str, blocks: Iterable[SampleBlock]) -> Baseline:
+    """Learn the healthy structure."""
+    config = Configuration.model_validate(tomllib.loads(drawing))
+    segments = evidence.gather(blocks, config)
+    drawn = reference.nominal(config.model(), config.prior_std(), len(config.channels))
+    learnt, _ = standing.learn(evidence.classify(segments), drawn, _context(config, segments.rate_hz))
+    if segments.temperature.size:
+        learnt = replace(learnt, reference_degc=float(segments.temperature[:, 1].mean()))
+    return Baseline(config, learnt)
+
+
+def answer(baseline: Baseline, blocks: Iterable[SampleBlock]) -> dict[str, Any]:
+    """What `diagnosis.json` says."""
+    segments = evidence.gather(blocks, baseline.config)
+    context = _context(baseline.config, segments.rate_hz)
+    d = diagnose(evidence.classify(segments), baseline.reference, context, DiagnosisSettings())
+    return {
+        "verdict": d.verdict,
+        "causes": _causes(d),
+        "alternatives": [
+            {"effect": c.effect.name, "location": c.effect.location, "probability": float(p)} for c, p in d.alternatives
+        ],
+        "left_over": [[m.where, round(float(m.size), 1)] for m in d.left_over[:3]],
+    }
+
+
+def _causes(d: Diagnosis) -> list[dict[str, Any]]:
+    return [
+        {
+            "effect": c.effect.name,
+            "location": c.effect.location,
+            "parameters": {
+                name: {"value": float(value), "std": float(np.nan_to_num(c.std.get(name, 0.0), posinf=1e300))}
+                for name, value in c.effect.values().items()
+            },
+        }
+        for c in d.causes
+    ]

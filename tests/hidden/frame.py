@@ -1,0 +1,123 @@
+"""The true structure of a hidden-effect test: its matrices from the contract's text, its stationary motion by Lyapunov."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import eigh, solve_continuous_lyapunov
+
+GRAVITY = 9.81
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """A one-bay frame, floors from the top down.  `joint` is its girders' stiffness E I_g / L_g (None: rigid)."""
+
+    masses: np.ndarray
+    stories: np.ndarray
+    heights: np.ndarray
+    ratio: float
+    joint: float | None = None
+
+    def girder(self, to_column: float) -> float:
+        """E I_g / L_g for a girder-to-column ratio."""
+        return to_column * float((self.stories * self.heights**2 / 24.0).mean())
+
+    def stiffness(self) -> np.ndarray:
+        """Floors' stiffness, the columns' and girders' beam elements assembled and the rotations condensed, N/m."""
+        n = self.stories.size
+        if self.joint is None:
+            return sum((k * np.outer(d, d) for k, d in zip(self.stories, drifts(n), strict=True)), np.zeros((n, n)))
+        full = np.zeros((2 * n + 2, 2 * n + 2))  # translations then rotations, the clamped ground last of each
+        for j, (k, h) in enumerate(zip(self.stories, self.heights, strict=True)):
+            ei = k * h**3 / 12.0  # of the two columns together
+            beam = ei * np.array(
+                [
+                    [12 / h**3, 6 / h**2, -12 / h**3, 6 / h**2],
+                    [6 / h**2, 4 / h, -6 / h**2, 2 / h],
+                    [-12 / h**3, -6 / h**2, 12 / h**3, -6 / h**2],
+                    [6 / h**2, 2 / h, -6 / h**2, 4 / h],
+                ]
+            )
+            at = np.array([j + 1, n + 1 + j + 1, j, n + 1 + j])  # lower end, then upper
+            full[np.ix_(at, at)] += beam
+            full[n + 1 + j, n + 1 + j] += 12.0 * self.joint  # 2 ends x (4 + 2) E I_g / L_g
+        u, r = np.arange(n), n + 1 + np.arange(n)
+        kut = full[np.ix_(u, r)]
+        return full[np.ix_(u, u)] - kut @ np.linalg.solve(full[np.ix_(r, r)], kut.T)
+
+    def rayleigh(self) -> tuple[float, float]:
+        """Factors on M and K that give modes 1 and 2 the damping ratio."""
+        w = np.sqrt(eigh(self.stiffness(), np.diag(self.masses), eigvals_only=True)[:2])
+        return tuple(2.0 * self.ratio * np.array([w[0] * w[1], 1.0]) / w.sum())
+
+    def hz(self) -> np.ndarray:
+        """Natural frequencies."""
+        return np.sqrt(eigh(self.stiffness(), np.diag(self.masses), eigvals_only=True)) / (2.0 * np.pi)
+
+    def modal(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """M, C, K."""
+        a, b = self.rayleigh()
+        mass, stiffness = np.diag(self.masses), self.stiffness()
+        return mass, a * mass + b * stiffness, stiffness
+
+
+def drifts(n: int) -> np.ndarray:
+    """Rows that pick the stories' drifts out of the floors' displacements."""
+    return np.eye(n) - np.eye(n, k=1)
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """RMS of a healthy frame's stationary response, level 1."""
+
+    drift: np.ndarray
+    drift_velocity: np.ndarray
+    floor_velocity: np.ndarray
+    story_force: np.ndarray
+    channel: np.ndarray
+    """Absolute acceleration as recorded."""
+    ground_variance: np.ndarray
+    """Of the channels, for a white ground acceleration of two-sided density 1 (m/s^2)^2/Hz."""
+
+
+def motion(frame: Frame, force: np.ndarray, direct: np.ndarray) -> Motion:
+    """Stationary response to white forces.
+
+    Parameters
+    ----------
+    force : ndarray, shape (n,)
+        Two-sided densities, N^2/Hz.
+    direct : ndarray, shape (n,)
+        Variance of each force within the recorded band, N^2: what a floor answers at once.
+    """
+    mass, damping, stiffness = frame.modal()
+    n = frame.masses.size
+    minv = np.linalg.inv(mass)
+    rows = np.hstack([-minv @ stiffness, -minv @ damping])
+    dynamics = np.vstack([np.eye(2 * n)[n:], rows])
+
+    def covariance(entry: np.ndarray, density: np.ndarray) -> np.ndarray:
+        b = np.vstack([np.zeros_like(entry), entry])
+        return solve_continuous_lyapunov(dynamics, -(b * density) @ b.T)
+
+    p = covariance(minv, force)
+    shaken = covariance(-np.ones((n, 1)), np.ones(1))
+    d = drifts(n)
+    drift = np.sqrt(np.diag(d @ p[:n, :n] @ d.T))
+    return Motion(
+        drift=drift,
+        drift_velocity=np.sqrt(np.diag(d @ p[n:, n:] @ d.T)),
+        floor_velocity=np.sqrt(np.diag(p[n:, n:])),
+        story_force=frame.stories * drift,
+        channel=np.sqrt(np.diag(rows @ p @ rows.T) + direct * np.diag(minv) ** 2),
+        ground_variance=np.diag(rows @ shaken @ rows.T),
+    )
+
+
+def answer(frame: Frame, floor: int, hz: float) -> float:
+    """Magnitude of a floor's own acceleration per force there."""
+    mass, damping, stiffness = frame.modal()
+    w = 2.0 * np.pi * hz
+    return float(abs(w**2 * np.linalg.inv(stiffness + 1j * w * damping - w**2 * mass)[floor, floor]))

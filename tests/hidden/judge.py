@@ -1,0 +1,108 @@
+"""Compares an answer with what was sealed."""
+
+from __future__ import annotations
+
+from typing import Any
+
+UNIFORM = frozenset({("stiffness_change", "frame"), ("added_mass", "frame"), ("clock_rate", "frame")})
+BASE = frozenset({("stiffness_change", "story 3"), ("base_flexibility", "base")})
+NONLINEAR = frozenset({"cubic_stiffness", "gap_contact", "bilinear_stiffness", "coulomb_friction", "quadratic_damping"})
+_ABSENT = {("sensor_gain", "gain"): 1.0}
+_LEAST = {"lag_s": 600.0}
+"""Sizes below which an error counts relative to this."""
+
+Key = tuple[str, str]
+
+
+def key(item: dict[str, Any]) -> Key:
+    """Effect and place."""
+    return item["effect"], item["location"]
+
+
+def tie(hidden: dict[str, Any], *, weather_unseen: bool) -> frozenset[Key]:
+    """Answers that no data can tell from this one; empty where it must be named."""
+    if key(hidden) in UNIFORM or (weather_unseen and hidden["effect"] == "temperature_stiffness"):
+        return UNIFORM
+    loss = hidden["parameters"].get("relative", -1.0) < 0.0
+    return BASE if key(hidden) in BASE and loss else frozenset()
+
+
+def outcome(sealed: dict[str, Any], answer: dict[str, Any]) -> str:
+    """One word: ``right``, or what went wrong.
+
+    ``among``: the truth is one of alternatives that the data could tell apart; ``certain``: a tie was named; ``part``: one of
+    two; ``extra``: the truth and something more; ``place``: right effect, wrong place; ``wrong``: something else is
+    named or listed; ``missed``: none; ``unexplained``; ``crashed``; ``close``: outside the catalogue, but the neighbour is named.
+    """
+    verdict, kind = answer["verdict"], sealed["kind"]
+    found = [key(c) for c in answer["causes"]]
+    offered = {key(a) for a in answer["alternatives"]}
+    truth = [key(h) for h in sealed["hidden"]]
+    if verdict == "crashed":
+        return verdict
+    if kind == "clean":
+        return {"none": "right", "named": "wrong"}.get(verdict, verdict)
+    if kind == "outside":
+        if verdict == "named" and not set(found) - set(truth):
+            return "close"
+        return {"unexplained": "right", "none": "missed", "named": "wrong"}.get(verdict, verdict)
+    if verdict == "none":
+        return "missed"
+    if verdict == "unexplained":
+        return "unexplained"
+    ties = tie(sealed["hidden"][0], weather_unseen=sealed["name"] == "warm_day") if kind == "single" else frozenset()
+    if verdict == "ambiguous":
+        return _ambiguous(truth, found, offered, ties)
+    if ties:
+        return "certain" if set(found) <= ties | set(truth) else "wrong"
+    if set(found) == set(truth):
+        return "right"
+    if set(truth) < set(found):
+        return "extra"
+    if found and set(found) < set(truth):
+        return "part"
+    return "place" if {e for e, _ in found} == {e for e, _ in truth} else "wrong"
+
+
+def _ambiguous(truth: list[Key], found: list[Key], offered: set[Key], ties: frozenset[Key]) -> str:
+    if ties:
+        known = set(truth) if set(truth) <= ties else set(ties)
+        return "right" if known & offered and not set(found) - known - ties else "wrong"
+    if set(truth) <= set(found) | offered and not set(found) - set(truth):
+        return "among"
+    if set(truth) <= set(found):
+        return "extra"
+    return "wrong"
+
+
+def false_causes(sealed: dict[str, Any], answer: dict[str, Any]) -> list[Key]:
+    """Causes that are stated and are not so (nor their ties)."""
+    allowed = {key(h) for h in sealed["hidden"]}
+    for h in sealed["hidden"]:
+        allowed |= tie(h, weather_unseen=sealed["name"] == "warm_day")
+    return [key(c) for c in answer["causes"] if key(c) not in allowed]
+
+
+def sizes(sealed: dict[str, Any], answer: dict[str, Any]) -> list[dict[str, Any]]:
+    """Every parameter of every cause that was found at its place: relative error, relative std, whether both hold."""
+    found = {key(c): c["parameters"] for c in answer["causes"]}
+    rows = []
+    for h in sealed["hidden"]:
+        for name, true in h["parameters"].items() if key(h) in found else ():
+            value, std = (float(found[key(h)][name][x]) for x in ("value", "std"))
+            size = max(abs(true - _ABSENT.get((h["effect"], name), 0.0)), _LEAST.get(name, 0.0))
+            error, relative = (value - true) / size, std / size
+            allowed = max(0.10 if h["effect"] in NONLINEAR else 0.05, 2.0 * relative)
+            rows.append(
+                {
+                    "effect": h["effect"],
+                    "parameter": name,
+                    "true": true,
+                    "value": value,
+                    "error": error,
+                    "std": relative,
+                    "right": abs(error) <= allowed,
+                    "covered": abs(error) <= 1.96 * relative,
+                }
+            )
+    return rows

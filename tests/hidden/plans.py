@@ -1,0 +1,124 @@
+"""Trials: one effect, two at once, none, or something that is in no catalogue."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tests.hidden import world
+from tests.hidden.catalogue import CATALOGUE, stiffness_change
+from tests.hidden.frame import drifts
+from tests.hidden.truth import CHANNELS, Hidden, Site, Truth, healthy
+from tests.hidden.world import Act
+
+RECORD_S = 1200.0
+TEMPERATURE_S = 7200.0
+FIRST = ("stiffness_change", "added_mass", "story_damper", "cubic_stiffness", "coulomb_friction")
+SECOND = (
+    "sensor_gain", "time_offset", "sensor_noise", "harmonic_excitation", "base_excitation", "attached_oscillator",
+)  # fmt: skip
+"""Pairs take one of each."""
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """One trial: what is hidden and how the recording is made."""
+
+    kind: str
+    """``single``, ``pair``, ``clean`` or ``outside``."""
+    hidden: tuple[Hidden, ...]
+    act: Act
+    duration_s: float
+
+
+Outside = Callable[[Site], tuple[tuple[Hidden, ...], Act]]
+"""The first are answers of the catalogue that come close and are not held wrong."""
+
+
+def _loss(s: Site, course: np.ndarray) -> tuple[tuple[Hidden, ...], Act]:
+    j = int(s.rng.integers(3))
+    d = drifts(3)[j]
+    close = (Hidden("stiffness_change", f"story {j + 1}"), *((Hidden("base_flexibility", "base"),) if j == 2 else ()))
+    return close, replace(s.act, moving=float(s.truth.frame.stories[j]) * np.outer(d, d), course=course)
+
+
+def drifting_stiffness(s: Site) -> tuple[tuple[Hidden, ...], Act]:
+    return _loss(s, -s.between(0.05, 0.2) * np.linspace(0.0, 1.0, round(s.duration_s) + 1))
+
+
+def sudden_loss(s: Site) -> tuple[tuple[Hidden, ...], Act]:
+    t = np.linspace(0.0, 1.0, round(s.duration_s) + 1)
+    return _loss(s, -s.between(0.05, 0.2) * (t > s.rng.uniform(0.3, 0.7)))
+
+
+def impacts(s: Site) -> tuple[tuple[Hidden, ...], Act]:
+    return (), replace(s.act, impacts=(int(s.rng.integers(3)), s.between(0.05, 0.2), s.rng.uniform(3.0, 6.0)))
+
+
+def run_up(s: Site) -> tuple[tuple[Hidden, ...], Act]:
+    return (), replace(s.act, chirp=(int(s.rng.integers(3)), 3.0, 32.0, s.between(0.1, 0.5)))
+
+
+def swinging_gain(s: Site) -> tuple[tuple[Hidden, ...], Act]:
+    j = int(s.rng.integers(3))
+    close = (Hidden("sensor_gain", f"channel {CHANNELS[j]}"),)
+    return close, replace(s.act, gain_swing=s.between(0.1, 0.4) * np.eye(3)[j])
+
+
+def rattle(s: Site) -> tuple[tuple[Hidden, ...], Act]:
+    """A loose part between two stops on a floor."""
+    j = int(s.rng.integers(3))
+    mass = s.between(0.05, 0.15) * float(s.truth.frame.masses[j])
+    act = world.with_dof(s.act, j, mass, mass * (2.0 * np.pi) ** 2, 0.02 * mass * 2.0 * np.pi)
+    link = np.zeros(act.mass.shape[0])
+    link[j], link[-1] = -1.0, 1.0
+    play, stop = s.rng.uniform(0.3, 1.0) * float(s.motion.drift.mean()), mass * (2.0 * np.pi * 60.0) ** 2
+    laws = tuple((world.CONTACT, link, sign * play, stop) for sign in (1.0, -1.0))
+    return (), replace(act, laws=(*act.laws, *laws))
+
+
+def dropouts(s: Site) -> tuple[tuple[Hidden, ...], Act]:
+    j = int(s.rng.integers(3))
+    close = (Hidden("sensor_gain", f"channel {CHANNELS[j]}"),)
+    return close, replace(s.act, dropouts=s.between(1.0, 6.0) * np.eye(3)[j])
+
+
+OUTSIDE: dict[str, Outside] = {
+    d.__name__: d for d in (drifting_stiffness, sudden_loss, impacts, run_up, swinging_gain, rattle, dropouts)
+}
+NAMES = (*CATALOGUE, *OUTSIDE, *("pair",) * 5, *("clean",) * 4)
+"""One round of trials."""
+
+
+def draw(truth: Truth, name: str, seed: int) -> Plan:
+    """The trial `name`; place, sign and size from the seed."""
+    duration_s = TEMPERATURE_S if name == "temperature" else RECORD_S
+    act, motion = healthy(truth, seed)
+    site = Site(truth, motion, act, np.random.default_rng([seed, 103]), duration_s)
+    if name == "clean":
+        return Plan("clean", (), act, duration_s)
+    if name in OUTSIDE:
+        close, act = OUTSIDE[name](site)
+        return Plan("outside", close, act, duration_s)
+    if name != "pair":
+        hidden, act = CATALOGUE[name](site)
+        return Plan("single", (hidden,), act, duration_s)
+    first, second = str(site.rng.choice(FIRST)), str(site.rng.choice(SECOND))
+    if first == "stiffness_change":  # of the lowest story is a base's tie
+        one, act = stiffness_change(site, int(site.rng.integers(2)))
+    else:
+        one, act = CATALOGUE[first](site)
+    other, act = CATALOGUE[second](replace(site, act=act))
+    return Plan("pair", (one, other), act, duration_s)
+
+
+def rounds(n: int, seed: int, only: tuple[str, ...] = ()) -> list[tuple[int, str]]:
+    """Seeds and names of `n` trials, every name as often as the others, in an order that the seed shuffles."""
+    names = [x for x in NAMES if not only or x in only]
+    out: list[tuple[int, str]] = []
+    while len(out) < n:
+        turn = np.random.default_rng([seed, len(out)]).permutation(len(names))
+        out += [(seed * 100_000 + len(out) + i, names[k]) for i, k in enumerate(turn)]
+    return out[:n]

@@ -1,0 +1,102 @@
+"""A structure as it stands, its drawing, and what the sizes of hidden effects refer to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from tests.hidden import world
+from tests.hidden.frame import Frame, Motion, motion
+from tests.hidden.world import Act
+
+CHANNELS = ("a1", "a2", "a3")
+RECORD_S = 1200.0
+NOISE = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """A structure as it stands, and the drawing that is off by a few percent."""
+
+    frame: Frame
+    standing: str
+    drawn_masses: np.ndarray
+    drawn_stories: np.ndarray
+    damping_follows: bool
+    """Whether damping stays Rayleigh's when an effect changes mass or stiffness, or stays as it was."""
+
+    def drawing(self) -> str:
+        """The structure file."""
+        lists = {
+            "masses_kg": self.drawn_masses,
+            "stiffness_n_per_m": self.drawn_stories,
+            "story_heights_m": self.frame.heights,
+        }
+        rows = "\n".join(f"{k} = [{', '.join(f'{x:.6g}' for x in v)}]" for k, v in lists.items())
+        sensors = "\n".join(f'[[sensors]]\nchannel = "{c}"\nfloor = {j + 1}' for j, c in enumerate(CHANNELS))
+        return f'[structure]\nkind = "shear_frame"\ndamping_ratio = 0.01\n{rows}\n\n{sensors}\n'
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """One effect: the sealed answer."""
+
+    effect: str
+    location: str
+    parameters: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Site:
+    """Everything a size may refer to: the truth and its healthy motion under this record's forces."""
+
+    truth: Truth
+    motion: Motion
+    act: Act
+    rng: np.random.Generator
+    duration_s: float
+
+    def matrices(self, frame: Frame) -> Act:
+        """The record's act with another frame."""
+        mass, damping, stiffness = frame.modal()
+        if self.truth.damping_follows:
+            a, b = self.truth.frame.rayleigh()
+            damping = a * mass + b * stiffness
+        else:
+            damping = self.truth.frame.modal()[1]
+        return replace(self.act, mass=mass, damping=damping, stiffness=stiffness)
+
+    def sign(self) -> float:
+        return float(self.rng.choice([-1.0, 1.0]))
+
+    def pick(self, *values: float) -> float:
+        return float(self.rng.choice(values))
+
+    def between(self, low: float, high: float) -> float:
+        """Log-uniform."""
+        return float(np.exp(self.rng.uniform(np.log(low), np.log(high))))
+
+
+def draw_truth(seed: int) -> Truth:
+    """A frame near the paper's; a quarter have flexible joints, a quarter a mass that the drawing misses."""
+    rng = np.random.default_rng([seed, 101])
+    masses = np.array([0.3253, 0.3514, 0.3129]) * np.exp(0.05 * rng.standard_normal(3))
+    stories = np.array([2900.0, 1700.0, 1900.0]) * np.exp(0.1 * rng.standard_normal(3))
+    frame = Frame(masses, stories, np.array([0.093, 0.093, 0.1]), float(rng.uniform(0.007, 0.014)))
+    drawn_masses = masses * np.exp(0.015 * rng.standard_normal(3))
+    drawn_stories = stories * np.exp(0.04 * rng.standard_normal(3))
+    standing = str(rng.choice(["none", "none", "joint", "mass"]))
+    if standing == "joint":
+        frame = replace(frame, joint=frame.girder(15.0))
+    elif standing == "mass":
+        drawn_masses[rng.integers(3)] *= 0.94
+    return Truth(frame, standing, drawn_masses, drawn_stories, bool(rng.integers(2)))
+
+
+def healthy(truth: Truth, seed: int) -> tuple[Act, Motion]:
+    """A record of the truth alone, with its own unequal forces; noise as of a sensor that stays the same."""
+    strength = np.exp(np.random.default_rng([seed, 102]).uniform(-0.26, 0.26, 3))
+    moving = motion(truth.frame, strength**2 / world.RATE_HZ, strength**2 * world.DIRECT)
+    usual = motion(truth.frame, np.full(3, 1.0 / world.RATE_HZ), np.full(3, world.DIRECT))
+    return world.healthy(truth.frame, strength, NOISE * float(usual.channel.mean())), moving

@@ -1,0 +1,254 @@
+"""The diagnosis's page and view say what was found, whole, by themselves and in safety."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, replace
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from rerun.chunk import RrdReader
+
+from drivers.base import ACCELERATION
+from monitor.config import Configuration
+from monitor.diagnose import Cause, Diagnosis, DiagnosisSettings, diagnose
+from monitor.diagnosis_files import content as content_of
+from monitor.effects import EFFECTS, Context, Effect, parse_effect
+from monitor.evidence import Segments, classify, gather
+from monitor.gain import Gain
+from monitor.publish.charts import decades, ticks
+from monitor.publish.comparison import compare, level_dependence
+from monitor.publish.diagnosis_view import write_view
+from monitor.publish.report import write_report
+from monitor.publish.words import in_words, interval, separating_measurement
+from monitor.record import blocks_of
+from monitor.reference import nominal
+from monitor.search import judge, prepare
+from monitor.simulate import simulate
+
+CONFIG = Configuration.model_validate(
+    {
+        "structure": {
+            "kind": "shear_frame",
+            "masses_kg": [0.3253, 0.3514, 0.3129],
+            "stiffness_n_per_m": [2909.4511, 1514.8507, 1897.6986],
+        },
+        "sensors": [{"channel": name, "floor": i} for i, name in enumerate(("a1", "a2 <b>&", "a3"), 1)],
+    }
+)
+REFERENCE = nominal(CONFIG.model(), 0.01 * CONFIG.prior_std(), 3)
+"""Known so well that its stiffnesses cannot take up a cause."""
+GAIN = Gain(1.0, 1.05, (0.04, 0.06), 0.2, 0.1, "every block judged by the fit to the others")
+LOSS = "stiffness_change:story 2:relative=-0.1"
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    diagnosis: Diagnosis
+    segments: Segments
+
+    @property
+    def content(self):
+        gain = GAIN if self.diagnosis.final.effects else Gain()
+        return content_of(self.diagnosis, gain, (), {"without": [], "with": []})
+
+
+def recorded(*effects: Effect, rate_hz: float = 100.0) -> tuple[Segments, Context]:
+    model = replace(CONFIG.model(), effects=effects)
+    motion = simulate(model, duration_s=400.0, rate_hz=rate_hz, noise=0.05, level_spread=0.35, seed=5)
+    context = Context(model.structure, CONFIG.channels, CONFIG.sensor_matrix(), rate_hz)
+    samples = motion.floors
+    segments = gather(blocks_of(ACCELERATION, samples, CONFIG.channels, rate_hz, 10**18, 1000), CONFIG)
+    return segments, context
+
+
+def searched(truth: tuple[str, ...], tried: tuple[str, ...], verdict: str, *, causes: int = 0) -> Case:
+    """A diagnosis whose candidates are given, so that the search's choice is not what is tested here."""
+    segments, context = recorded(*(parse_effect(t) for t in truth))
+    problem, null = prepare(classify(segments), REFERENCE, context)
+    candidates = tuple(judge(problem, null, parse_effect(t)) for t in tried)
+    blank = diagnose(classify(segments), REFERENCE, context, DiagnosisSettings(worth=1e9))
+    best = candidates[0]
+    std = dict.fromkeys(best.effect.values(), 0.001)
+    ambiguous = verdict == "ambiguous"
+    return Case(
+        replace(
+            blank,
+            verdict=verdict,
+            causes=(Cause(best.effect, std),) * causes,
+            alternatives=tuple((c, 1.0 / len(candidates)) for c in candidates) if ambiguous else (),
+            left_over=blank.misfit if verdict == "unexplained" else (),
+            tried=candidates,
+            final=best.fit if causes or ambiguous else blank.null,
+            problem=problem,
+            rounds=(candidates,),
+        ),
+        segments,
+    )
+
+
+@pytest.fixture(scope="module")
+def cases() -> dict[str, Case]:
+    return {
+        "named": searched((LOSS,), (LOSS, "added_mass:floor 3:mass_kg=0.01"), "named", causes=1),
+        "none": searched((), ("added_mass:floor 3:mass_kg=0.01",), "none"),
+        "ambiguous": searched(
+            ("stiffness_change:story 3:relative=-0.1",),
+            ("stiffness_change:story 3:relative=-0.05", "base_flexibility:base:stiffness_n_per_m=20000"),
+            "ambiguous",
+        ),
+        "unexplained": searched(
+            ("harmonic_excitation:floor 1:frequency_hz=11,force_n=0.5",),
+            ("sensor_noise:channel a1:rms_m_s2=0.1",),
+            "unexplained",
+        ),
+    }
+
+
+def parsed(path: Path) -> ElementTree.Element:
+    text = path.read_text(encoding="utf-8")
+    assert not re.search(r"https?:|//|<script|<link|<img|url\(|@import|NaN|nan\b", text)
+    return ElementTree.fromstring(text.removeprefix("<!DOCTYPE html>").replace("&#160;", " "))
+
+
+def test_the_page_of_each_verdict_is_whole(cases: dict[str, Case], tmp_path: Path) -> None:
+    sentences = {
+        "named": r"^Story 2 is (9|10)\.\d+ ± 0\.20 % softer than the structure file says\.$",
+        "none": r"^Nothing wrong",
+        "ambiguous": r"^These data cannot tell which: story 3 .* \(50 %\); or the base gives way .* \(50 %\)\.$",
+        "unexplained": r"^Something is wrong at 1[01]\.\d-1[12]\.\d Hz, channel.* that no known effect explains\.$",
+    }
+    for verdict, case in cases.items():
+        path = tmp_path / f"{verdict}.html"
+        write_report(path, case.diagnosis, case.content, case.segments)
+        assert path.stat().st_size < 3_000_000
+        root = parsed(path)
+        text = "\n".join(root.itertext())
+        assert re.search(sentences[verdict], root.find("body/h1").text), verdict
+        assert all(channel in text for channel in CONFIG.channels)
+        assert ("To tell them apart" in text) == (verdict == "ambiguous")
+        assert (GAIN.heldout in text) == (verdict in ("named", "ambiguous"))
+        lines = root.findall(".//polyline")
+        assert len(lines) == 3 * (5 if case.diagnosis.final.effects else 3)
+        for line in lines:
+            y = [float(p.split(",")[1]) for p in line.get("points").split()]
+            assert len(y) > 20 and np.isfinite(y).all() and np.ptp(y) > 0.0
+
+
+def test_the_page_shows_where_the_misfit_was_and_that_the_cause_removes_it(cases: dict[str, Case]) -> None:
+    c = compare(cases["named"].diagnosis)
+    assert np.abs(c.z_before).max() > c.limit > np.abs(c.z_after).max()
+    before, after = (float(np.abs(r - 1.0).max()) for r in (c.ratio_before, c.ratio_after))
+    assert before > 2.0 * c.chance > after / 1.5
+
+
+def test_power_is_what_was_measured(cases: dict[str, Case]) -> None:
+    segments = cases["none"].segments
+    c = compare(cases["none"].diagnosis)
+    np.testing.assert_allclose(c.measured.T, 2.0 * (np.abs(segments.values) ** 2).mean(axis=0))
+
+
+def test_level_dependence_is_shown_for_a_cause_that_has_one_and_follows_it() -> None:
+    case = searched((), ("cubic_stiffness:story 2:k3_n_per_m3=1e6",), "named", causes=1)
+    assert level_dependence(case.diagnosis) is not None
+    hard = parse_effect("cubic_stiffness:story 2:k3_n_per_m3=2e6")
+    fit = replace(case.diagnosis.final, effects=(hard,))
+    fit = replace(fit, x=np.append(fit.x[:-1], hard.coordinates))
+    by = level_dependence(replace(case.diagnosis, final=fit))
+    assert by is not None
+    assert (np.diff(by.at) > 0).all() and (np.diff(by.model_frequency_hz, axis=0).max(axis=1) > 0).all()
+    assert (np.ptp(by.frequency_hz, axis=0) < 5.0 * by.frequency_std.max(axis=0)).all()
+
+
+def test_no_level_dependence_without_a_cause_that_has_one(cases: dict[str, Case]) -> None:
+    assert level_dependence(cases["named"].diagnosis) is None
+
+
+def test_the_view_has_every_channel_and_the_verdict(cases: dict[str, Case], tmp_path: Path) -> None:
+    case, path = cases["ambiguous"], tmp_path / "diagnosis.rrd"
+    write_view(path, case.diagnosis, case.content, case.segments)
+    (recording,) = RrdReader(path).recordings()
+    entities = {chunk.entity_path for chunk in RrdReader(path).stream()}
+    assert recording is not None
+    assert {"/verdict", "/misfit/before", "/misfit/after", "/worst/after"} <= entities
+    assert sum(bool(re.fullmatch(r"/spectra/.*/(measured|before|after)", e)) for e in entities) == 9
+
+
+VALUES = {"relative": -0.05, "per_degc": -1e-3, "gain": 1.05, "gap_m": -0.001, "share": 0.3, "damping_ratio": 0.02}
+
+
+def test_every_effect_has_words_with_its_place_and_its_unit() -> None:
+    places = {
+        "story": "story 2",
+        "floor": "floor 2",
+        "channel": "channel a1",
+        "channels": "channel a1,a3",
+        "base": "base",
+        "frame": "frame",
+    }
+    for name, effect in EFFECTS.items():
+        for kind in effect.places:
+            names = ["relative"] if (name, kind) == ("added_mass", "frame") else [p.name for p in effect.parameters]
+            values = {n: {"value": VALUES.get(n, 12.0), "std": 0.0001} for n in names}
+            words = in_words(name, places[kind], values, REFERENCE)
+            if kind in ("story", "floor", "channel"):
+                assert places[kind] in words, name
+            assert "\n" not in words and not words.endswith(".") and "_" not in words
+
+
+@pytest.mark.parametrize(
+    ("effect", "place", "values", "words"),
+    [
+        ("stiffness_change", "story 2", {"relative": (-0.082, 0.0005)}, "story 2 is 8.20 ± 0.10 % softer than"),
+        ("stiffness_change", "frame", {"relative": (0.02, 0.001)}, "all stories are 2.00 ± 0.20 % stiffer than"),
+        ("sensor_gain", "channel a2", {"gain": (0.95, 0.001)}, "channel a2 reads 5.00 ± 0.20 % too little"),
+        ("time_offset", "channel a2", {"seconds": (0.002, 1e-5)}, "channel a2 comes 2.000 ± 0.020 ms late"),
+        ("added_mass", "floor 1", {"mass_kg": (0.03253, 1e-4)}, "0.03253 ± 0.00020 kg more than the structure file says (10.0 %"),
+        ("base_flexibility", "base", {"stiffness_n_per_m": (1897.6986, 1.0)}, "takes 50.0 % from the lowest story"),
+        ("gap_contact", "story 1", {"gap_m": (-1e-3, 1e-5), "contact_stiffness_n_per_m": (900.0, 10.0)}, "1.000 ± 0.020 mm"),
+    ],
+)  # fmt: skip
+def test_words_have_the_size_and_the_direction(effect: str, place: str, values: dict, words: str) -> None:
+    entries = {name: {"value": v, "std": s} for name, (v, s) in values.items()}
+    assert words in in_words(effect, place, entries, REFERENCE)
+
+
+@pytest.mark.parametrize(
+    ("value", "std", "text"),
+    [
+        (3.9e8, 3.5e6, "(3.900 ± 0.070)·10⁸ N"),
+        (21946.0, 600.0, "21900 ± 1200 N"),
+        (2.0, 1e200, "about 2 N (hardly determined)"),
+        (2.0, 0.0, "2 N"),
+        (0.0, 0.0, "0 N"),
+        (0.0, 1e-5, "(0.0 ± 2.0)·10⁻⁵ N"),
+    ],
+)
+def test_intervals_have_the_digits_that_are_known(value: float, std: float, text: str) -> None:
+    assert interval({"value": value, "std": std}, 1.0, "N") == text
+
+
+def test_the_separating_measurement_speaks_of_the_rivals() -> None:
+    def alternatives(*pairs: tuple[str, str]) -> list[dict[str, str]]:
+        return [{"effect": e, "location": p} for e, p in pairs]
+
+    assert separating_measurement([]) is None
+    assert separating_measurement(alternatives(("clock_rate", "frame"))) is None
+    base = separating_measurement(alternatives(("base_flexibility", "base"), ("stiffness_change", "story 3")))
+    assert base is not None and "footing" in base and "drift" not in base
+    uniform = separating_measurement(
+        alternatives(("clock_rate", "frame"), ("added_mass", "frame"), ("stiffness_change", "frame"))
+    )
+    assert uniform is not None and "clock" in uniform and "mass" in uniform
+    where = separating_measurement(alternatives(("story_damper", "story 1"), ("story_damper", "story 2")))
+    assert where is not None and "story 1 and story 2" in where
+    for effect in EFFECTS:
+        assert separating_measurement(alternatives((effect, "x"), ("stiffness_change", "story 1")))
+
+
+def test_ticks_are_round_and_within() -> None:
+    assert ticks((1.9, 36.0)).tolist() == [5, 10, 15, 20, 25, 30, 35]
+    assert decades((0.004, 120.0)).tolist() == [0.01, 0.1, 1.0, 10.0, 100.0]
+    assert 1.0 in decades((0.7, 1.5)) and decades((0.7, 1.5)).size >= 3
