@@ -17,7 +17,7 @@ import numpy as np
 from pydantic import Field
 
 from monitor import sequential
-from monitor.results import WHOLE, Alarm, Array, Condition, DamageReading, Level
+from monitor.results import WHOLE, Alarm, AlarmCondition, Array, DamageReading, Level
 from monitor.sequential import Evidence, History
 from monitor.settings import Settings
 
@@ -76,15 +76,15 @@ class StoryState:
         return max(self.level, self.latched, key=lambda level: level.rank)
 
     @property
-    def condition(self) -> Condition:
+    def condition(self) -> AlarmCondition:
         """State in the standard's diagram."""
         if self.shelved is not None:
-            return Condition.SHELVED
+            return AlarmCondition.SHELVED
         if self.level is not Level.NORMAL:
-            return Condition.UNACKNOWLEDGED if self.unacknowledged else Condition.ACKNOWLEDGED
+            return AlarmCondition.UNACKNOWLEDGED if self.unacknowledged else AlarmCondition.ACKNOWLEDGED
         if self.latched is not Level.NORMAL:
-            return Condition.LATCHED_UNACKNOWLEDGED if self.unacknowledged else Condition.LATCHED_ACKNOWLEDGED
-        return Condition.RETURNED_UNACKNOWLEDGED if self.unacknowledged else Condition.NORMAL
+            return AlarmCondition.LATCHED_UNACKNOWLEDGED if self.unacknowledged else AlarmCondition.LATCHED_ACKNOWLEDGED
+        return AlarmCondition.RETURNED_UNACKNOWLEDGED if self.unacknowledged else AlarmCondition.NORMAL
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -114,8 +114,8 @@ def step(state: AlarmState, damage: DamageReading, t_ns: int, settings: AlarmSet
     own = evidence.loss - _shared_by_others(evidence)
     *before, whole_before = state.stories
     judged = [
-        _judge(s, float(loss), float(z), float(std), t_ns, settings)
-        for s, loss, z, std in zip(before, own, evidence.z, evidence.std, strict=True)
+        s if j in damage.unidentified else _judge(s, float(loss), float(z), float(std), t_ns, settings)
+        for j, (s, loss, z, std) in enumerate(zip(before, own, evidence.z, evidence.std, strict=True), start=1)
     ]
     std = float(evidence.std.max())
     # Its cause is open, so it is never more than an advisory.
@@ -160,7 +160,7 @@ def reset(state: AlarmState, story: int) -> AlarmState:
         If there is no such story.
     """
     alarm = _of(state, story)
-    if alarm.condition is not Condition.LATCHED_ACKNOWLEDGED:
+    if alarm.condition is not AlarmCondition.LATCHED_ACKNOWLEDGED:
         return state
     return _with(state, story, replace(alarm, latched=Level.NORMAL))
 
@@ -243,8 +243,8 @@ def _judge(alarm: StoryState, loss: float, z: float, std: float, t_ns: int, sett
 def _summarize(stories: tuple[StoryState, ...], lost: dict[int, str], otherwise: str) -> Alarm:
     alarms = dict(zip([*range(1, len(stories)), WHOLE], stories, strict=True))
     active: dict[int, Level] = {j: a.announced for j, a in alarms.items() if a.announced is not Level.NORMAL}
-    conditions: dict[int, Condition] = {
-        j: a.condition for j, a in alarms.items() if a.condition is not Condition.NORMAL
+    conditions: dict[int, AlarmCondition] = {
+        j: a.condition for j, a in alarms.items() if a.condition is not AlarmCondition.NORMAL
     }
     level = max(active.values(), key=lambda item: item.rank, default=Level.NORMAL)
     highest = [j for j, item in active.items() if item is level]

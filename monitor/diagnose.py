@@ -10,11 +10,11 @@ from pydantic import Field
 
 from monitor.effects import Context, Effect
 from monitor.evidence import Evidence
-from monitor.likelihood import Fit, Problem
+from monitor.likelihood import Fit, Problem, fit
 from monitor.polish import Polished, polish, skewness
 from monitor.reference import Reference
 from monitor.results import Array
-from monitor.search import Candidate, best_of_each, conditions, judge, prepare, rank, starts
+from monitor.search import Candidate, best_of_each, conditions, evidence_of, judge, prepare, rank, starts
 from monitor.settings import Settings
 
 Verdict = Literal["none", "named", "ambiguous", "unexplained"]
@@ -109,6 +109,7 @@ def diagnose(evidence: Evidence, reference: Reference, context: Context, setting
             break
         accepted.append(best)
         problem = replace(problem, conditions=conditions(problem, at.x, at.effects))
+    at, accepted = _pruned(problem, at, accepted, settings)
     left_over = _misfits(problem, at, settings)
     if alternatives:
         verdict: Verdict = "ambiguous"
@@ -162,13 +163,31 @@ def _polished(
         if c.effect.nonlinear and c.evidence > reach:
             made, spread = polish(problem, at, c), 2.0  # the simulation has as much chance in it as the recording
         mirror = made.candidate.effect.mirrored()
-        size = [float(-0.5 * (((measured - s) / std) ** 2).sum() / spread) for s in (made.skewness, 2 * lean - made.skewness)]
+        size = [
+            float(-0.5 * (((measured - s) / std) ** 2).sum() / spread)
+            for s in (made.skewness, 2 * lean - made.skewness)
+        ]
         candidate = made.candidate
         if mirror is not None and size[1] > size[0]:
-            fitted = replace(candidate.fit, effects=(*candidate.fit.effects[:-1], mirror), x=_mirrored(candidate.fit, mirror))
+            fitted = replace(
+                candidate.fit, effects=(*candidate.fit.effects[:-1], mirror), x=_mirrored(candidate.fit, mirror)
+            )
             candidate, size = replace(candidate, effect=mirror, fit=fitted), size[::-1]
         out.append(replace(made, candidate=replace(candidate, evidence=candidate.evidence + size[0])))
     return out
+
+
+def _pruned(
+    problem: Problem, at: Fit, accepted: list[Candidate], settings: DiagnosisSettings
+) -> tuple[Fit, list[Candidate]]:
+    """Without the causes that later ones made superfluous."""
+    for cause in list(accepted[:-1]):
+        rest = tuple(e for e in at.effects if (e.name, e.location) != cause.key)
+        x = np.concatenate([at.x[: problem.n_nuisance], *[e.coordinates for e in rest]])
+        without = fit(problem, x, rest)
+        if evidence_of(problem, without, at, len(cause.effect.parameters)).evidence < settings.margin:
+            at, accepted = without, [c for c in accepted if c is not cause]
+    return at, accepted
 
 
 def _mirrored(fitted: Fit, mirror: Effect) -> Array:

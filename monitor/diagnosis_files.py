@@ -11,7 +11,7 @@ import tomlkit
 from tomlkit.items import AoT
 
 from monitor.diagnose import Diagnosis
-from monitor.effects import Effect
+from monitor.effects import EFFECTS, Effect
 from monitor.gain import Gain
 from monitor.model import Model
 from monitor.publish.words import headline, in_words, separating_measurement
@@ -104,18 +104,19 @@ def _gain(gain: Gain) -> dict[str, Any]:
 
 
 def model_to_plain(model: Model, reference_degc: float | None) -> dict[str, Any]:
-    """A fitted model without its effects."""
+    """A fitted model."""
     return {
         "stiffness_n_per_m": _plain(model.structure.stiffness_n_per_m),
         "masses_kg": _plain(model.structure.masses_kg),
         "modal_damping_ratio": None if model.modal_damping is None else _plain(model.modal_damping),
         "stiffness_correction_n_per_m": None if model.correction is None else _plain(model.correction),
         "reference_temperature_degc": reference_degc,
+        "effects": [{"effect": e.name, "location": e.location, "parameters": e.values()} for e in model.effects],
     }
 
 
-def model_from_plain(content: Mapping[str, Any], drawn: Model, effects: tuple[Effect, ...]) -> Model:
-    """The fitted model on the structure file's, with effects beside the file's own.
+def model_from_plain(content: Mapping[str, Any], drawn: Model) -> Model:
+    """The fitted model, on the structure file's.
 
     Raises
     ------
@@ -132,7 +133,7 @@ def model_from_plain(content: Mapping[str, Any], drawn: Model, effects: tuple[Ef
         raise ValueError("no stiffnesses or no masses")
     return replace(
         drawn.with_stiffness(stiffness).with_masses(masses),
-        effects=(*drawn.effects, *effects),
+        effects=tuple(EFFECTS[e["effect"]].create(e["location"], e["parameters"]) for e in content["effects"]),
         correction=array("stiffness_correction_n_per_m", n, n),
         modal_damping=array("modal_damping_ratio", n),
     )

@@ -24,6 +24,9 @@ from monitor.model import Model
 from monitor.recordings import OnProgress, OnWarning, Progress, blocks, names
 from monitor.reference import Reference, nominal
 
+_TRIALS = np.errstate(over="ignore", invalid="ignore")
+"""A fit's trial step that overflows has no likelihood, and is refused for that."""
+
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Finding:
@@ -42,6 +45,7 @@ class Finding:
     """Temperature at which the models' stiffnesses hold."""
 
 
+@_TRIALS
 def find(
     paths: list[Path],
     config: Configuration,
@@ -75,6 +79,7 @@ def find(
     return Finding(settled, gain, plain, segments, updated, extended, degc)
 
 
+@_TRIALS
 def learn(segments: Segments, config: Configuration) -> Reference:
     """What healthy data say of the structure: the reference of later diagnoses, with what is wrong from the start."""
     evidence, context, known = classify(segments), _context(segments, config), _nominal(config)

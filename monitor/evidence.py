@@ -25,6 +25,8 @@ _LEVEL_CLASSES = 5
 _MIN_SEGMENTS_A_CLASS = 12
 _TEMPERATURE_CLASSES = 4
 _MIN_RANGE_DEGC = 2.0
+_SAME = 1e-6
+"""Relative difference of magnitudes that rounding explains."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -39,6 +41,8 @@ class Segments:
     """RMS of every channel's source samples, shape (n_segments, c), m/s^2."""
     peak: Array
     """Largest magnitude of every channel's source samples, shape (c,)."""
+    piled: NDArray[np.int64]
+    """How many of a channel's samples share it, shape (c,)."""
     drive: ComplexArray | None
     """The measured ground's transforms, shape (n_segments, n_bins)."""
     temperature: Array
@@ -76,6 +80,8 @@ class Evidence:
     """RMS of every channel's source samples, shape (classes, c)."""
     peak: Array
     """Largest magnitude of every channel's source samples, shape (c,)."""
+    piled: NDArray[np.int64]
+    """How many of a channel's samples share it, shape (c,)."""
     members: tuple[NDArray[np.intp], ...]
     """Segments of every class."""
     t_s: Array
@@ -139,6 +145,7 @@ def gather(blocks: Iterable[SampleBlock], config: Configuration) -> Segments:
         t_s=np.array([(t - t0) * 1e-9 for t in floors.segments]) + 0.5 / design.step_hz,
         rms=np.stack([r for _, r in floors.segments.values()]),
         peak=floors.peak,
+        piled=floors.piled,
         drive=drive,
         temperature=readings,
         band=band,
@@ -163,6 +170,7 @@ class _Stream:
         self.t0_ns = 0
         self.seconds = 0.0
         self.peak = np.zeros(len(channels or ("ground",)))
+        self.piled = np.zeros(self.peak.size, dtype=np.int64)
         self._raw: list[Array] = []
         """Source samples of the segment to come."""
 
@@ -175,27 +183,40 @@ class _Stream:
                 self._begin(piece)
             self._state, values = self.conditioner.step_block(self._state, piece.values)
             self.seconds += values.shape[0] / self.conditioner.rate_hz
-            self.peak = np.maximum(self.peak, np.abs(piece.values).max(axis=0, initial=0.0))
+            self._heap(np.abs(piece.values))
             self._raw.append(piece.values)
             self._cut(values)
 
+    def _heap(self, magnitude: Array) -> None:
+        """Follow the largest magnitude and how many samples share it."""
+        if not magnitude.size:
+            return
+        top = magnitude.max(axis=0)
+        self.piled[top > self.peak * (1.0 + _SAME)] = 0
+        self.peak = np.maximum(self.peak, top)
+        self.piled += (magnitude >= self.peak * (1.0 - _SAME)).sum(axis=0)
+
     def _begin(self, piece: align.Piece) -> None:
         p = self._config.processing
-        self.conditioner = Conditioner.design(
-            piece.rate_hz, p.rate_hz, p.cutoff_hz, common_step_s(p.window_s, p.hop_s)
-        )
+        self.conditioner = Conditioner.design(piece.rate_hz, p.rate_hz, p.cutoff_hz, common_step_s(p.window_s, p.hop_s))
         self._state = self.conditioner.start(len(self._channels or ()))
         self._rest = np.zeros((0, len(self._channels or ())))
         if self.design is None:
             lags = 2 * self._config.identification.block_rows
             self.design = WindowGrid.design(
-                self.conditioner.rate_hz, p.window_s, p.hop_s, lags, self._config.refinement.segment_s, self.conditioner.cutoff_hz
+                self.conditioner.rate_hz,
+                p.window_s,
+                p.hop_s,
+                lags,
+                self._config.refinement.segment_s,
+                self.conditioner.cutoff_hz,
             ).segments
             self.t0_ns = piece.t_ns
         self._run_ns, self._done, self._raw = piece.t_ns, 0, []
 
     def _cut(self, values: Array) -> None:
-        assert self._rest is not None and self.design is not None
+        assert self._rest is not None
+        assert self.design is not None
         n = self.design.n
         rest = np.concatenate([self._rest, values])
         while rest.shape[0] >= n:
@@ -213,12 +234,16 @@ def _filter_gain(conditioner: Conditioner, first: int, last: int, step_hz: float
 
     hz = np.arange(first, last + 1) * step_hz
     _, answer = sosfreqz(conditioner.sos, worN=hz, fs=conditioner.rate_in_hz)
-    return np.abs(answer) ** 2
+    return np.asarray(np.abs(answer) ** 2)
 
 
 def classify(segments: Segments) -> Evidence:
     """Average the segments' cross-spectra in classes of level and, where it was measured and varies, of temperature."""
-    x = segments.values if segments.drive is None else np.concatenate([segments.values, segments.drive[:, :, None]], axis=2)
+    x = (
+        segments.values
+        if segments.drive is None
+        else np.concatenate([segments.values, segments.drive[:, :, None]], axis=2)
+    )
     mean = np.einsum("ska,skb->kab", x, x.conj()) / x.shape[0]
     floor = 1e-6 * np.einsum("kaa->k", mean).real / mean.shape[1]
     inverse = np.linalg.inv(mean + floor[:, None, None] * np.eye(mean.shape[1]))
@@ -245,6 +270,7 @@ def classify(segments: Segments) -> Evidence:
         weight=_information_weight(),
         rms=np.stack([np.sqrt((segments.rms[m] ** 2).mean(axis=0)) for m in members]),
         peak=segments.peak,
+        piled=segments.piled,
         members=members,
         t_s=segments.t_s,
         temperature=segments.temperature,

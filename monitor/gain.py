@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtri, stdtrit
 
 from monitor.condition import Conditioner
 from monitor.config import Configuration
@@ -27,6 +28,8 @@ from monitor.window import common_step_s
 _MAX_BLOCKS = 20
 _BLOCK_SEGMENTS = 3.0
 """Least length of a held-out block, as lengths of a segment: long enough that levels of excitation differ between blocks."""
+_FOLDS = 4
+_ORDINAL = {2: "second", 4: "fourth"}
 _BOOTSTRAPS = 4000
 _LEVEL_STD = 5.0
 
@@ -69,28 +72,41 @@ class Gain:
 
 
 def score(
-    segments: Segments, model: Model, context: Context, config: Configuration, reference_degc: float | None = None
+    segments: Segments,
+    model: Model,
+    context: Context,
+    config: Configuration,
+    reference_degc: float | None = None,
+    held: NDArray[np.bool_] | None = None,
 ) -> Score:
     """Score a model on a recording.
 
     Band, segments, classes and samples depend on the recording and on ``[processing]`` alone, so that the scores of two
     models may be subtracted.
+
+    Parameters
+    ----------
+    held : ndarray of bool, shape (n_segments,), optional
+        The segments that count; levels and noise are those of the whole recording all the same.
     """
     evidence = classify(segments)
+    held = np.ones(segments.t_s.size, dtype=bool) if held is None else held
     problem, x = _excited(evidence, model, replace(context, structure=model.structure), reference_degc)
     predicted = problem.spectra(x, ())
-    c = len(context.channels)
-    share = evidence.counts / evidence.counts.sum()
-    measured, modelled = (np.tensordot(share, s[:, :, :c, :c], axes=1) for s in (evidence.spectra, predicted))
+    seen = segments.values[held]
+    measured = np.einsum("ska,skb->kab", seen, seen.conj()) / len(seen)
+    share = np.array([np.count_nonzero(held[m]) for m in evidence.members]) / len(seen)
+    c = measured.shape[-1]
+    modelled = np.tensordot(share, predicted[:, :, :c, :c], axes=1)
     error = float((np.abs(measured - modelled) ** 2).sum() / (np.abs(measured) ** 2).sum())
-    return Score(_segment_nats(segments, evidence, predicted), sample_instants(segments, config), error)
+    return Score(_segment_nats(segments, evidence, predicted)[held], _sample_instants(segments, held, config), error)
 
 
-def sample_instants(segments: Segments, config: Configuration) -> int:
-    """Sample instants, at the rate of the processing, that the segments stand for: half of each, as they overlap by half."""
+def _sample_instants(segments: Segments, held: NDArray[np.bool_], config: Configuration) -> int:
+    """Sample instants, at the rate of the processing, that segments stand for: half of each, as they overlap by half."""
     p = config.processing
     rate_hz = Conditioner.design(segments.rate_hz, p.rate_hz, p.cutoff_hz, common_step_s(p.window_s, p.hop_s)).rate_hz
-    return round(0.5 * segments.t_s.size * rate_hz / segments.band.bin_hz)
+    return round(0.5 * np.count_nonzero(held) * rate_hz / segments.band.bin_hz)
 
 
 def _segment_nats(segments: Segments, evidence: Evidence, predicted: ComplexArray) -> Array:
@@ -182,45 +198,57 @@ def _fit_levels(problem: Problem, x: Array, iterations: int = 40) -> Array:
 def heldout_gain(segments: Segments, diagnosis: Diagnosis, config: Configuration) -> Gain:
     """Gain of a diagnosis's extended model over the old form, each judged on blocks that it was not fitted to.
 
-    The recording is cut into contiguous blocks; both forms are fitted to the even ones and judged by `score` on the odd ones,
-    and the other way round.  A segment that straddles a border belongs to none.
+    The recording is cut into contiguous blocks; both forms are judged by `score` on every fourth of them, fitted to the
+    others, four times over (every second one where the recording is short).  A segment
+    that straddles a border belongs to none.
     """
     effects = diagnosis.final.effects
     if not effects:
         return Gain()
     block, n_blocks, block_s = _blocks(segments)
-    if any(np.count_nonzero((block >= 0) & (block % 2 == odd)) < 2 for odd in (0, 1)):
+    folds = min(_FOLDS, n_blocks)
+    if any(np.count_nonzero((block >= 0) & (block % folds == fold)) < 2 for fold in range(folds)):
         return Gain(heldout="none: the recording is too short to hold any of it out")
     context, reference = diagnosis.problem.context, diagnosis.problem.reference
     nats, samples, errors = np.zeros((2, n_blocks)), np.zeros(n_blocks), np.zeros(2)
-    for odd in (0, 1):
-        chosen, held = ((block >= 0) & (block % 2 == parity) for parity in (1 - odd, odd))
-        part = segments.part(held)
-        for i, model in enumerate(_forms(classify(segments.part(chosen)), reference, context, effects)):
-            judged = score(part, model, context, config, diagnosis.problem.reference.reference_degc)
+    for fold in range(folds):
+        held = (block >= 0) & (block % folds == fold)
+        for i, model in enumerate(_forms(classify(segments.part((block >= 0) & ~held)), reference, context, effects)):
+            judged = score(segments, model, context, config, reference.reference_degc, held)
             nats[i] += np.bincount(block[held], judged.nats, n_blocks)
-            errors[i] += 0.5 * judged.csd_error
-    for b in np.unique(block[block >= 0]):
-        samples[b] = sample_instants(segments.part(block == b), config)
+            errors[i] += judged.csd_error / folds
+        samples += np.bincount(block[held], minlength=n_blocks) * (judged.samples / np.count_nonzero(held))
     total = samples.sum()
     drawn = np.random.default_rng(0).integers(0, n_blocks, (_BOOTSTRAPS, n_blocks))
     gains = (nats[1] - nats[0])[drawn].sum(axis=1) / np.maximum(samples[drawn].sum(axis=1), 1.0)
-    low, high = np.quantile(gains, [0.025, 0.975])
+    value = (nats[1] - nats[0]).sum() / total
+    low, high = value + _widening(n_blocks) * (np.quantile(gains, [0.025, 0.975]) - value)
     return Gain(
         before=float(nats[0].sum() / total),
         after=float(nats[1].sum() / total),
         ci95=(float(low), float(high)),
         csd_error_before=float(errors[0]),
         csd_error_after=float(errors[1]),
-        heldout=f"each half of {n_blocks} contiguous blocks of {block_s:.0f} s by a fit to the other half",
+        heldout=f"{n_blocks} contiguous blocks of {block_s:.0f} s, every {_ORDINAL[folds]} by a fit to the others",
     )
+
+
+def _widening(n_blocks: int) -> float:
+    """What a bootstrap of few blocks lacks: Student's t over the normal, and the root of n / (n - 1).
+
+    Of two blocks the interval is their range, which is no 95 % of anything.
+    """
+    if n_blocks < _FOLDS:
+        return 1.0
+    return float(stdtrit(n_blocks - 1, 0.975) / ndtri(0.975) * np.sqrt(n_blocks / (n_blocks - 1)))
 
 
 def _blocks(segments: Segments) -> tuple[NDArray[np.intp], int, float]:
     """Block of every segment (-1 for one that straddles a border), how many there are, and their length in s."""
     half = 0.5 / segments.band.bin_hz
     start, end = segments.t_s.min() - half, segments.t_s.max() + half
-    n = 2 * max(1, int(min(_MAX_BLOCKS, (end - start) / (2.0 * half * _BLOCK_SEGMENTS))) // 2)
+    n = int(min(_MAX_BLOCKS, (end - start) / (2.0 * half * _BLOCK_SEGMENTS)))
+    n = _FOLDS * (n // _FOLDS) or 2
     length = (end - start) / n
     first, last = (
         np.floor((segments.t_s + d - start) / length + e).astype(int) for d, e in ((-half, 1e-9), (half, -1e-9))

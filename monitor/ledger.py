@@ -65,8 +65,9 @@ def extended_text(
         causes = tuple(_effect(c, config) for c in finding["causes"])
         if with_baseline:
             return effects_text(structure, (*config.model().effects, *causes))
-        standing = tuple(_effect(c, config) for c in finding["standing"])
-        model = model_from_plain(finding["model"], config.model(), (*standing, *causes))
+        model = model_from_plain(finding["model"], config.model())
+        for effect in model.effects:
+            effect.check(model.structure, config.channels)
         return structure_text(structure, model, finding["model"]["reference_temperature_degc"])
     except (KeyError, TypeError, ValueError) as error:  # EffectError among them
         raise BadInputError(f"{path}: not a finding of this structure ({error})") from error

@@ -15,15 +15,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numba import njit
 from scipy.linalg import block_diag
 
 from monitor.effects import Condition, Context, Effect
-from monitor.evidence import Evidence, class_temperature
+from monitor.evidence import Evidence
 from monitor.model import Model
 from monitor.prediction import Excitation, assemble, cross_spectra
 from monitor.reference import Reference
 from monitor.results import Array, ComplexArray
+from monitor.wishart import log_wishart, whiten
 
 _FORCE_STD, _LEVEL_STD, _NOISE_STD = 1.0, 5.0, 3.0
 """Prior of the logarithm of the floors' forces about their mean, of the classes' levels, of the common noise."""
@@ -75,10 +75,12 @@ class Problem:
 
     @property
     def n_classes(self) -> int:
-        return self.evidence.counts.size
+        """Classes of level and temperature."""
+        return int(self.evidence.counts.size)
 
     @property
     def n_nuisance(self) -> int:
+        """Length of the vector before the extra effects' coordinates."""
         return self.reference.mean.size + self.context.structure.mass_matrix().shape[0] + self.n_classes + 1
 
     def widths(self) -> Array:
@@ -137,7 +139,7 @@ class Problem:
 
     def matrices(self, x: Array, effects: Sequence[Effect]) -> tuple[Array, Array, Array]:
         """Mass, stiffness and modal damping ratios at a vector of nuisances."""
-        return self.model(x, effects).structural_matrices() + (np.exp(self.reference.parts(x)[2]),)
+        return (*self.model(x, effects).structural_matrices(), np.exp(self.reference.parts(x)[2]))
 
     def model(self, x: Array, effects: Sequence[Effect]) -> Model:
         """The model at a vector of nuisances; `effects` are all of its effects."""
@@ -155,9 +157,9 @@ class Problem:
 
     # --- score ----------------------------------------------------------------------------------------------
 
-    def prior(self, x: Array) -> tuple[Array, Array]:
-        """Mean and precision of the nuisances, given the forces' mean level."""
-        n_extra = x.size - self.n_nuisance
+    def prior(self, x: Array, effects: Sequence[Effect]) -> tuple[Array, Array]:
+        """Mean and precision of the nuisances, given the forces' mean level, and of the effects' coordinates."""
+        known = [e.known(self.context, self.conditions[self.n_classes // 2]) for e in effects]
         n = self.context.structure.mass_matrix().shape[0]
         centred = np.eye(n) - 1.0 / n
         precision = block_diag(
@@ -165,16 +167,24 @@ class Problem:
             centred / _FORCE_STD**2 + np.full((n, n), 1.0 / n) / _LEVEL_STD**2,
             np.eye(self.n_classes) / _LEVEL_STD**2,
             np.eye(1) / _NOISE_STD**2,
-            np.zeros((n_extra, n_extra)),
+            *[np.diag(precision) for _, precision in known],
         )
         p = self.reference.mean.size
-        mean = np.concatenate([self.reference.mean, np.full(n, x[p : p + n].mean()), np.zeros(self.n_classes), [x[self.n_nuisance - 1]], x[self.n_nuisance :]])
+        mean = np.concatenate(
+            [
+                self.reference.mean,
+                np.full(n, x[p : p + n].mean()),
+                np.zeros(self.n_classes),
+                [x[self.n_nuisance - 1]],
+                *[m for m, _ in known],
+            ]
+        )
         return mean, precision
 
     def log_likelihood(self, spectra: ComplexArray, data: ComplexArray | None = None) -> float:
         """Tempered Whittle log likelihood, nats; -inf where a spectrum is not positive definite."""
         data = self.data() if data is None else data
-        each = _log_wishart(spectra, data)
+        each = log_wishart(spectra, data)
         total = (each * self.widths()).sum(axis=1) @ self.evidence.counts * self.evidence.weight
         return float(total) if np.isfinite(total) else -np.inf
 
@@ -186,7 +196,7 @@ class Problem:
     def score(self, x: Array, effects: tuple[Effect, ...]) -> tuple[float, float]:
         """Log likelihood and log prior at a point."""
         ll = self.log_likelihood(self.smooth(self.spectra(x, effects)))
-        mean, precision = self.prior(x)
+        mean, precision = self.prior(x, effects)
         return ll, -0.5 * float((x - mean) @ precision @ (x - mean))
 
     def slopes(self, x: Array, effects: tuple[Effect, ...], spectra: ComplexArray) -> ComplexArray:
@@ -197,7 +207,11 @@ class Problem:
         middle = self.n_classes // 2
         p, n = self.reference.mean.size, self.context.structure.mass_matrix().shape[0]
         level = np.exp(x[p + n : p + n + self.n_classes])
-        scale = (level / level[middle])[:, None, None, None] if self.evidence.ground is None else np.ones((self.n_classes, 1, 1, 1))
+        scale = (
+            (level / level[middle])[:, None, None, None]
+            if self.evidence.ground is None
+            else np.ones((self.n_classes, 1, 1, 1))
+        )
         c = len(self.context.channels)
         diagonal = np.arange(c)
         noise = self.noise(x)
@@ -225,12 +239,14 @@ class Problem:
                     out[i] = (self.smooth(self.spectra(moved, placed(effects, moved[self.n_nuisance :]))) - spectra) / h
         return out
 
-    def whitened(self, spectra: ComplexArray, slopes: ComplexArray, data: ComplexArray | None = None) -> tuple[Array, Array]:
+    def whitened(
+        self, spectra: ComplexArray, slopes: ComplexArray, data: ComplexArray | None = None
+    ) -> tuple[Array, Array]:
         """Slopes and residual as real rows of unit information, shapes (rows, p) and (rows,)."""
         data = self.data() if data is None else data
         root = np.sqrt(self.evidence.weight * self.evidence.counts[:, None] * self.widths())
         stacked = np.concatenate([slopes, (data - spectra)[None]])
-        rows = _whiten(spectra, stacked, root)
+        rows = whiten(spectra, stacked, root)
         return rows[:, :-1], rows[:, -1]
 
 
@@ -244,7 +260,13 @@ def placed(effects: Sequence[Effect], coordinates: Array) -> tuple[Effect, ...]:
 
 
 def fit(
-    problem: Problem, x: Array, effects: tuple[Effect, ...] = (), *, iterations: int = 12, tolerance: float = 0.02, frozen: Array | None = None
+    problem: Problem,
+    x: Array,
+    effects: tuple[Effect, ...] = (),
+    *,
+    iterations: int = 12,
+    tolerance: float = 0.02,
+    frozen: Array | None = None,
 ) -> Fit:
     """Most probable parameters near `x` by Fisher scoring with Levenberg-Marquardt steps.
 
@@ -264,23 +286,27 @@ def fit(
     damping, converged = 1e-3, False
     rows, residual, normal = np.zeros((0, x.size)), np.zeros(0), np.eye(x.size)
     for _ in range(iterations):
-        slopes = _effect_slopes(problem, x, effects, spectra) if frozen is not None else problem.slopes(x, effects, spectra)
+        slopes = (
+            _effect_slopes(problem, x, effects, spectra) if frozen is not None else problem.slopes(x, effects, spectra)
+        )
         rows, residual = problem.whitened(spectra, slopes, data)
         if frozen is not None:
             rows = np.concatenate([frozen, rows], axis=1)
-        mean, precision = problem.prior(x)
+        mean, precision = problem.prior(x, effects)
         normal = rows.T @ rows + precision
         gradient = rows.T @ residual - precision @ (x - mean)
         scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
         accepted = False
         for _ in range(6):
-            step = scale * np.linalg.solve(normal * scale[:, None] * scale + (damping + 1e-12) * np.eye(x.size), scale * gradient)
+            step = scale * np.linalg.solve(
+                normal * scale[:, None] * scale + (damping + 1e-12) * np.eye(x.size), scale * gradient
+            )
             moved = _limited(problem, x, step)
             there = placed(effects, moved[problem.n_nuisance :])
             moved = np.concatenate([moved[: problem.n_nuisance], *[e.coordinates for e in there]])
             candidate = problem.smooth(problem.spectra(moved, there))
             new_ll = problem.log_likelihood(candidate, data)
-            m, q = problem.prior(moved)
+            m, q = problem.prior(moved, there)
             new_lp = -0.5 * float((moved - m) @ q @ (moved - m))
             if new_ll + new_lp > ll + lp - 1e-9:
                 accepted = True
@@ -312,10 +338,10 @@ def _effect_slopes(problem: Problem, x: Array, effects: tuple[Effect, ...], spec
 def _limited(problem: Problem, x: Array, step: Array) -> Array:
     """A step bounded so that a bad start cannot run away."""
     bound = np.full(x.size, np.inf)
-    k, m, d, c, e = problem.reference.sizes
+    k, m, d, c, _ = problem.reference.sizes
     p = problem.reference.mean.size
     bound[: k + m] = 0.1
-    bound[k + m : k + m + d] = 1.0
+    bound[k + m : k + m + d + c] = 1.0
     bound[k + m + d + c : p] = 0.1
     bound[p : problem.n_nuisance] = 2.0
     return np.asarray(x + np.clip(step, -bound, bound))
@@ -325,96 +351,3 @@ def inverse(normal: Array) -> Array:
     """Inverse of a normal matrix whose parameters have different units; directions without information get none."""
     scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
     return np.asarray(scale[:, None] * np.linalg.pinv(normal * scale[:, None] * scale, hermitian=True) * scale)
-
-
-@njit(cache=True)
-def _cholesky(a: ComplexArray, out: ComplexArray) -> bool:
-    c = a.shape[0]
-    for j in range(c):
-        total = a[j, j].real
-        for k in range(j):
-            total -= out[j, k].real ** 2 + out[j, k].imag ** 2
-        if not total > 0.0:
-            return False
-        root = np.sqrt(total)
-        out[j, j] = root
-        for i in range(j + 1, c):
-            value = a[i, j]
-            for k in range(j):
-                value -= out[i, k] * np.conj(out[j, k])
-            out[i, j] = value / root
-    return True
-
-
-@njit(cache=True)
-def _log_wishart(spectra: ComplexArray, data: ComplexArray) -> Array:
-    """``-ln det S - tr(S^-1 data)`` of every class and bin."""
-    classes, bins, c, _ = spectra.shape
-    out = np.empty((classes, bins))
-    lower = np.zeros((c, c), dtype=np.complex128)
-    inverse = np.zeros((c, c), dtype=np.complex128)
-    for k in range(classes):
-        for f in range(bins):
-            if not _cholesky(spectra[k, f], lower):
-                out[k, f] = -np.inf
-                continue
-            _invert_lower(lower, inverse)
-            total = 0.0
-            for i in range(c):
-                total -= 2.0 * np.log(lower[i, i].real)
-            for i in range(c):
-                for a in range(i + 1):
-                    for b in range(i + 1):
-                        total -= (inverse[i, a] * data[k, f, a, b] * np.conj(inverse[i, b])).real
-            out[k, f] = total
-    return out
-
-
-@njit(cache=True)
-def _invert_lower(lower: ComplexArray, out: ComplexArray) -> None:
-    c = lower.shape[0]
-    for j in range(c):
-        out[j, j] = 1.0 / lower[j, j]
-        for i in range(j + 1, c):
-            total = 0j
-            for k in range(j, i):
-                total -= lower[i, k] * out[k, j]
-            out[i, j] = total / lower[i, i]
-
-
-@njit(cache=True)
-def _whiten(spectra: ComplexArray, slopes: ComplexArray, root: Array) -> Array:
-    """Rows ``root L^-1 dS L^-H`` as reals, shape (classes * bins * c * c, p)."""
-    p, classes, bins, c, _ = slopes.shape
-    out = np.empty((classes * bins * c * c, p))
-    lower = np.zeros((c, c), dtype=np.complex128)
-    inverse = np.zeros((c, c), dtype=np.complex128)
-    half = np.empty((c, c), dtype=np.complex128)
-    for k in range(classes):
-        for f in range(bins):
-            row = (k * bins + f) * c * c
-            if not _cholesky(spectra[k, f], lower):
-                out[row : row + c * c] = 0.0
-                continue
-            _invert_lower(lower, inverse)
-            for q in range(p):
-                for i in range(c):
-                    for b in range(c):
-                        total = 0j
-                        for a in range(i + 1):
-                            total += inverse[i, a] * slopes[q, k, f, a, b]
-                        half[i, b] = total
-                at = row
-                for i in range(c):
-                    for j in range(i + 1):
-                        total = 0j
-                        for b in range(j + 1):
-                            total += half[i, b] * np.conj(inverse[j, b])
-                        if i == j:
-                            out[at, q] = root[k, f] * total.real
-                            at += 1
-                        else:
-                            out[at, q] = root[k, f] * np.sqrt(2.0) * total.real
-                            out[at + 1, q] = root[k, f] * np.sqrt(2.0) * total.imag
-                            at += 2
-    return out

@@ -6,16 +6,17 @@ is little disturbed by chance and is added to the prediction, so that the fit th
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from monitor.effects import Effect
 from monitor.likelihood import Fit, Problem, fit, placed
-from monitor.prediction import assemble, ground_density
+from monitor.prediction import assemble, channel_response, ground_density
 from monitor.results import Array, ComplexArray
 from monitor.search import Candidate, conditions, evidence_of
-from monitor.simulate import respond, respond_linear
+from monitor.simulate import respond
 from monitor.spectrum import taper
 
 _ROUNDS = 5
@@ -23,6 +24,12 @@ _STEEPEST = 0.7
 """Largest ratio of successive steps that is trusted in extrapolation."""
 _SETTLED = 0.5
 """Standard deviations by which the parameters may still move when the polish ends."""
+_STEP_HZ = 2048.0
+"""Steps of the simulation: spectra in the band need no more."""
+_BANDS = 1.3
+"""Highest frequency kept of the simulations, over the band's last."""
+_SMOOTH = 0.006
+"""Width over which the correction is smoothed, as a share of the frequency: about a half-power bandwidth."""
 _DEEPEST = -0.7
 """Share of a predicted spectrum that the correction may take away."""
 _LINEAR_SHARE = 0.2
@@ -47,8 +54,12 @@ def polish(problem: Problem, null: Fit, candidate: Candidate, seed: int = 0) -> 
     drift_skewness = np.zeros(problem.context.structure.n_stories)
     for round_ in range(_ROUNDS):
         problem = replace(problem, conditions=conditions(problem, at.x, at.effects))
-        offset, drift_skewness = _simulated(problem, at, seed)
-        problem = replace(problem, offset=offset)
+        made = [_simulated(problem, at, seed + k) for k in range(1 if round_ == 0 else 2)]
+        drift_skewness = np.mean([s for _, s in made], axis=0)
+        plain = replace(problem, offset=None).spectra(at.x, at.effects)
+        problem = replace(
+            problem, offset=_bounded(plain, np.mean([o for o, _ in made], axis=0), problem.evidence.band.hz)
+        )
         at = fit(problem, at.x, at.effects, iterations=8)
         path.append(at.x[n:])
         std = np.sqrt(np.diag(at.covariance)[n:])
@@ -82,7 +93,9 @@ def _simulated(problem: Problem, at: Fit, seed: int) -> tuple[ComplexArray, Arra
     force, level = np.exp(at.x[p : p + n]), np.exp(at.x[p + n : p + n + problem.n_classes])
     for k, members in enumerate(e.members):
         density[members] = force * level[k] * e.level[members][:, None]
-    middle = (np.arange(n_segments) + 2) * step  # one segment to swing in, then half a segment to the first one's middle
+    middle = (
+        np.arange(n_segments) + 2
+    ) * step  # one segment to swing in, then half a segment to the first one's middle
     at_sample = np.arange((n_segments + 2) * step)
     rng = np.random.default_rng(seed)
     root = np.stack([np.interp(at_sample, middle, np.sqrt(density[:, j] * rate)) for j in range(n)], axis=1)
@@ -96,53 +109,67 @@ def _simulated(problem: Problem, at: Fit, seed: int) -> tuple[ComplexArray, Arra
         ratio = ground_density(share, system, force, context) / force.mean()
         ground = np.sqrt(ratio) * root.mean(axis=1) * rng.standard_normal(root.shape[0])
     noise = np.sqrt(problem.noise(at.x) * rate) * rng.standard_normal((root.shape[0], len(context.channels)))
-    exact = respond(problem.model(at.x, effects), forces, ground, rate) @ context.sensors.T + noise
-    for effect in effects:
+    exact = respond(problem.model(at.x, effects), forces, ground, rate, step_hz=_STEP_HZ) @ context.sensors.T + noise
+    bent = [effect for effect in effects if effect.family == "sensor" and effect.nonlinear]
+    straight = [effect for effect in effects if effect not in bent]
+    for effect in bent:
         exact = effect.measure(exact, rate, context, rng)
-    x = _transformed(exact, problem, step, range(n_segments))
+    hz = np.arange(round(_BANDS * e.band.hz[-1] / rate * len(root))) * rate / len(root)
+    x = _transformed(_spectrum(exact, hz.size), problem, range(n_segments))
+    hold = np.sinc(hz / rate)[:, None] ** 2  # forces run straight between samples
+    driven = _spectrum(forces if ground is None else np.column_stack([forces, ground]), hz.size) * hold
+    heard = _spectrum(noise, hz.size)
     offset = np.empty_like(e.spectra)
     for k, members in enumerate(e.members):
         system = assemble(mass, stiffness, damping, effects, context, problem.conditions[k])
-        driven = forces if ground is None else _with_inertia(forces, ground, system.mass)
-        linear = respond_linear(system, n, driven, rate)
-        linear = (linear if ground is None else linear + ground[:, None]) @ context.sensors.T + noise
-        y = _transformed(linear, problem, step, members)
-        for effect in effects:
-            response = effect.response(e.band.hz, context, problem.conditions[k])
-            if response is not None:
-                y = np.einsum("fab,sfb->sfa", np.broadcast_to(response, (e.band.n_bins, *response.shape[1:])), y)
-        extra = sum((f.noise_variance(context, problem.conditions[k]) for f in effects), np.zeros(len(context.channels)))
-        z = x[members]
+        answer = channel_response(system, hz, context)[:, :, : driven.shape[1]]
+        y = _transformed(np.einsum("fcj,fj->fc", answer, driven) + heard, problem, members)
+        y = _through(_through(y, bent, problem, k), straight, problem, k)
+        z = _through(x[members], straight, problem, k)
+        # Noise that linear sensors add is the same on both sides; what clipping adds is on the exact one.
+        extra = sum((f.noise_variance(context, problem.conditions[k]) for f in bent), np.zeros(len(context.channels)))
         offset[k] = (np.einsum("sfa,sfb->fab", z, z.conj()) - np.einsum("sfa,sfb->fab", y, y.conj())) / members.size
         offset[k] -= np.diag(np.asarray(extra) / rate)
         offset[k] *= e.band.gain[:, None, None]
-    plain = replace(problem, offset=None).spectra(at.x, at.effects)
-    return _bounded(plain, offset), skewness(x, problem)[0]
+    return offset, skewness(x, problem)[0]
 
 
-def _with_inertia(forces: Array, ground: Array, mass: Array) -> Array:
-    padded = np.pad(forces, ((0, 0), (0, mass.shape[0] - forces.shape[1])))
-    return np.asarray(padded - ground[:, None] * mass.sum(axis=1))
+def _through(transforms: ComplexArray, effects: list[Effect], problem: Problem, k: int) -> ComplexArray:
+    """Transforms after the effects' responses."""
+    for effect in effects:
+        response = effect.response(problem.evidence.band.hz, problem.context, problem.conditions[k])
+        if response is not None:
+            full = np.broadcast_to(response, (transforms.shape[1], *response.shape[1:]))
+            transforms = np.einsum("fab,sfb->sfa", full, transforms)
+    return transforms
 
 
-def _transformed(samples: Array, problem: Problem, step: int, wanted: range | Array) -> ComplexArray:
-    """Tapered transforms of the wanted segments in the band, shape (n_wanted, n_bins, c)."""
+def _spectrum(samples: Array, n: int) -> ComplexArray:
+    """The lowest n frequencies of whole series, shape (n, columns), scaled so that n / 2 samples keep the amplitude."""
+    return np.asarray(np.fft.rfft(samples, axis=0)[:n] * (2.0 * (n - 1) / samples.shape[0]))
+
+
+def _transformed(spectrum: ComplexArray, problem: Problem, wanted: Iterable[int]) -> ComplexArray:
+    """Tapered transforms of the wanted segments in the band, shape (n_wanted, n_bins, c), of a series at a lower rate."""
     band = problem.evidence.band
-    window = taper(2 * step)[:, None] / np.sqrt(problem.evidence.rate_hz)
-    out = []
-    for i in wanted:
-        part = samples[(i + 1) * step : (i + 3) * step]
-        if part.shape[0] < 2 * step:
-            part = np.pad(part, ((0, 2 * step - part.shape[0]), (0, 0)))
-        out.append(np.fft.rfft(window * part, axis=0)[band.first : band.first + band.n_bins])
-    return np.array(out)
+    samples = np.fft.irfft(spectrum, n=2 * (spectrum.shape[0] - 1), axis=0)
+    total = (problem.evidence.segments.values.shape[0] + 2) / 2.0  # segments one after the other
+    rate = samples.shape[0] / total * band.bin_hz
+    length = samples.shape[0] / total
+    window = taper(round(length))[:, None] / np.sqrt(rate)
+    begin = [round((i + 1) * length / 2.0) for i in wanted]
+    parts = np.stack([samples[i : i + len(window)] for i in begin])
+    return np.asarray(np.fft.rfft(window * parts, axis=1)[:, band.first : band.first + band.n_bins])
 
 
-def _bounded(spectra: ComplexArray, offset: ComplexArray) -> ComplexArray:
-    """The offset, kept from taking away so much that a spectrum would lose its positive definiteness."""
+def _bounded(spectra: ComplexArray, offset: ComplexArray, hz: Array) -> ComplexArray:
+    """The offset, smoothed relative to the spectra, and kept from taking away so much that none would be left."""
     lower = np.linalg.cholesky(spectra)
     inverse = np.linalg.inv(lower)
-    values, vectors = np.linalg.eigh(inverse @ offset @ inverse.conj().swapaxes(-1, -2))
+    relative = inverse @ offset @ inverse.conj().swapaxes(-1, -2)
+    near = np.exp(-0.5 * ((hz[:, None] - hz) / np.maximum(_SMOOTH * hz[:, None], 1e-9)) ** 2)
+    near /= near.sum(axis=1, keepdims=True)
+    values, vectors = np.linalg.eigh(np.einsum("fg,kgab->kfab", near, relative))
     carried = lower @ vectors
     return np.asarray((carried * np.maximum(values, _DEEPEST)[..., None, :]) @ carried.conj().swapaxes(-1, -2))
 

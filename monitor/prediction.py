@@ -105,7 +105,13 @@ def cross_spectra(
     if share > 0.0:
         ground += ground_density(share, system, force, context)
     n = force.size
-    columns = np.concatenate([seen[:, :, :n] * np.sqrt(force * colour[:, None])[:, None, :], seen[:, :, n:] * np.sqrt(ground)[:, None, None]], axis=2)
+    columns = np.concatenate(
+        [
+            seen[:, :, :n] * np.sqrt(force * colour[:, None])[:, None, :],
+            seen[:, :, n:] * np.sqrt(ground)[:, None, None],
+        ],
+        axis=2,
+    )
     if excitation.ground is not None:
         columns = _with_ground(columns, seen[:, :, n], excitation.ground)
     spectra = blurred_products(columns, _TAPS)
@@ -127,19 +133,23 @@ def _seen(
     system: System, effects: Sequence[Effect], hz: Array, clock: float, context: Context, condition: Condition
 ) -> ComplexArray:
     """Channels' response to forces on the floors and, last, to a ground acceleration, shape (n_hz, c, n + 1)."""
-    n = context.structure.n_dofs
-    inertia = system.mass.sum(axis=1)
-    right = np.zeros((system.mass.shape[0], n + 1))
-    right[:n, :n] = np.eye(n)
-    right[:, n] = -inertia
-    floors = accelerance(system.mass, system.damping, system.stiffness, 2.0 * np.pi * clock * hz, right)[:, :n]
-    floors[:, :, n] += 1.0  # absolute: the ground's own motion too
-    seen: ComplexArray = context.sensors @ floors
+    seen = channel_response(system, clock * hz, context)
     for effect in effects:
         response = effect.response(hz * clock, context, condition)
         if response is not None:
             seen = response @ seen
     return seen
+
+
+def channel_response(system: System, hz: Array, context: Context) -> ComplexArray:
+    """True acceleration at the sensors for forces on the floors and, last, a ground acceleration, shape (n_hz, c, n + 1)."""
+    n = context.structure.n_dofs
+    right = np.zeros((system.mass.shape[0], n + 1))
+    right[:n, :n] = np.eye(n)
+    right[:, n] = -system.mass.sum(axis=1)
+    floors = accelerance(system.mass, system.damping, system.stiffness, 2.0 * np.pi * hz, right)[:, :n]
+    floors[:, :, n] += 1.0  # absolute: the ground's own motion too
+    return np.asarray(context.sensors @ floors)
 
 
 def _with_ground(columns: ComplexArray, answer: ComplexArray, density: Array) -> ComplexArray:
@@ -173,7 +183,7 @@ def ground_density(share: float, system: System, force: Array, context: Context)
 _NO_CONDITION = Condition(np.ones(1), np.ones(1), np.ones(1), np.ones(1))
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def accelerance(mass: Array, damping: Array, stiffness: Array, omega: Array, right: Array) -> ComplexArray:
     """Acceleration per force, ``-w^2 (K + i w C - w^2 M)^-1 right``, shape (n_omega, N, columns)."""
     size, columns = right.shape
@@ -205,7 +215,7 @@ def accelerance(mass: Array, damping: Array, stiffness: Array, omega: Array, rig
     return out
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def blurred_products(columns: ComplexArray, taps: Array) -> ComplexArray:
     """Products ``columns columns^H`` on the half-bin grid, blurred into bins, shape (n_bins, c, c)."""
     n_fine, c, n = columns.shape

@@ -34,7 +34,7 @@ class Level(StrEnum):
         return list(Level).index(self)
 
 
-class Condition(StrEnum):
+class AlarmCondition(StrEnum):
     """What became of an alarm, by the state diagram of IEC 62682 (ISA-18.2)."""
 
     NORMAL = "normal"
@@ -217,8 +217,8 @@ class Alarm:
     reason: str
     active: dict[int, Level] = field(default_factory=dict)
     """Announced level of every story that is not normal; `WHOLE` stands for the structure as a whole."""
-    conditions: dict[int, Condition] = field(default_factory=dict)
-    """Condition of every alarm that is not normal, shelved ones among them."""
+    conditions: dict[int, AlarmCondition] = field(default_factory=dict)
+    """AlarmCondition of every alarm that is not normal, shelved ones among them."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -14,6 +14,8 @@ from monitor.prediction import accelerance, assemble
 from monitor.reference import Reference
 from monitor.results import Array
 
+_PILE = 20
+"""Samples that share the largest magnitude only where something clips them."""
 _MIN_STEP, _MAX_STEP = 0.05, 20.0
 """How far from its start size an effect is first tried, as factors."""
 
@@ -44,8 +46,14 @@ def prepare(evidence: Evidence, reference: Reference, context: Context) -> tuple
     need it.
     """
     n, c = context.structure.n_dofs, len(context.channels)
-    unknown = Condition(np.ones(context.structure.n_stories), np.ones(context.structure.n_stories), np.ones(n), np.ones(c))
-    plain = replace(reference, model=replace(reference.model, effects=()), mean=reference.mean[: reference.mean.size - reference.n_standing])
+    unknown = Condition(
+        np.ones(context.structure.n_stories), np.ones(context.structure.n_stories), np.ones(n), np.ones(c)
+    )
+    plain = replace(
+        reference,
+        model=replace(reference.model, effects=()),
+        mean=reference.mean[: reference.mean.size - reference.n_standing],
+    )
     plain = replace(plain, precision=reference.precision[: plain.mean.size, : plain.mean.size])
     problem = Problem(evidence, plain, context, (unknown,) * evidence.counts.size)
     null = fit(problem, _first_guess(problem))
@@ -109,14 +117,18 @@ def conditions(problem: Problem, x: Array, effects: tuple[Effect, ...]) -> tuple
 
         def rms(rows: Array, weight: Array, columns: Array = columns, step: float = step) -> Array:
             power = np.abs(rows @ columns) ** 2
-            return np.sqrt(2.0 * step * (power.sum(axis=2) * weight[:, None]).sum(axis=0))
+            return np.asarray(np.sqrt(2.0 * step * (power.sum(axis=2) * weight[:, None]).sum(axis=0)))
 
         def excess(lag_s: float, k: int = k) -> float:
             value = class_temperature(e, k, lag_s)
             return 0.0 if value is None else value - _reference_degc(problem, lag_s)
 
         flat = np.ones(hz.size)
-        out.append(Condition(rms(drift, flat), rms(drift, w**2), rms(np.eye(n), w**2), e.rms[k], e.peak, excess))
+        out.append(
+            Condition(
+                rms(drift, flat), rms(drift, w**2), rms(np.eye(n), w**2), e.rms[k], e.peak, e.piled >= _PILE, excess
+            )
+        )
     return tuple(out)
 
 
@@ -161,7 +173,7 @@ def rank(problem: Problem, null: Fit, candidates: list[Effect]) -> list[tuple[fl
     The change of the spectra that a small effect makes, less what the nuisances explain, is compared with the residual.
     """
     spectra = problem.smooth(problem.spectra(null.x, null.effects))
-    _, precision = problem.prior(null.x)
+    _, precision = problem.prior(null.x, null.effects)
     tangent = null.jacobian
     normal = inverse(tangent.T @ tangent + precision)
     residual = null.residual - tangent @ (normal @ (tangent.T @ null.residual))
@@ -222,9 +234,10 @@ def judge(problem: Problem, null: Fit, effect: Effect, *, quick: bool = False) -
     return evidence_of(problem, null, fitted)
 
 
-def evidence_of(problem: Problem, null: Fit, fitted: Fit) -> Candidate:
-    """What a fit with one more effect gains."""
+def evidence_of(problem: Problem, null: Fit, fitted: Fit, n_more: int | None = None) -> Candidate:
+    """What a fit gains by its last effect, or by `n_more` parameters."""
     effect = fitted.effects[-1]
+    n_more = len(effect.parameters) if n_more is None else n_more
     gain = fitted.log_posterior - null.log_posterior
     n = problem.evidence.counts.sum() * problem.evidence.band.n_bins * problem.evidence.weight
-    return Candidate(effect, fitted, gain, gain - 0.5 * len(effect.parameters) * np.log(n))
+    return Candidate(effect, fitted, gain, gain - 0.5 * n_more * np.log(n))

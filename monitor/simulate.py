@@ -186,7 +186,12 @@ def simulate(
 
 
 def respond(
-    model: Model, forces: Array, ground: Array | None, rate_hz: float, excess_degc: Array | None = None
+    model: Model,
+    forces: Array,
+    ground: Array | None,
+    rate_hz: float,
+    excess_degc: Array | None = None,
+    step_hz: float = 4096.0,
 ) -> Array:
     """Absolute accelerations of the floors, shape (n_samples, n), every law at work.
 
@@ -197,6 +202,8 @@ def respond(
     rate_hz : float
     excess_degc : ndarray, shape (n_samples,), optional
         Temperature above the reference.
+    step_hz : float
+        Least rate at which nonlinear laws are stepped.
     """
     if ground is not None:
         forces = _with_inertia(model, forces, ground)
@@ -207,7 +214,7 @@ def respond(
         from monitor.stepping import march  # compiled code takes a while to load
 
         factor = np.prod(changing, axis=0) if changing else None
-        floors = march(linear_system(model), model.structure.n_dofs, laws, forces, rate_hz, factor)
+        floors = march(linear_system(model), model.structure.n_dofs, laws, forces, rate_hz, factor, step_hz)
     else:
         floors = respond_exactly(model, forces, rate_hz)
     return floors if ground is None else floors + ground[:, None]

@@ -46,7 +46,7 @@ def learn(evidence: Evidence, known: Reference, context: Context) -> tuple[Refer
         known.precision[known.mean.size - effects.size :, known.mean.size - effects.size :],
     )
     wider = replace(known, mean=mean, precision=prior, basis=basis)
-    problem, fitted = prepare(evidence, wider, context)
+    _, fitted = prepare(evidence, wider, context)
     p = mean.size
     precision = np.linalg.inv(fitted.covariance[:p, :p])
     learnt = replace(wider, mean=fitted.x[:p], precision=0.5 * (precision + precision.T))

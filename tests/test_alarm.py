@@ -10,7 +10,7 @@ from pydantic import ValidationError
 
 from monitor import alarm
 from monitor.alarm import AlarmSettings, AlarmState, StoryState
-from monitor.results import WHOLE, Alarm, Condition, DamageReading, Level
+from monitor.results import WHOLE, Alarm, AlarmCondition, DamageReading, Level
 from monitor.sequential import shared_change
 
 HOP_NS = 10_000_000_000
@@ -329,10 +329,10 @@ def damaged(settings: AlarmSettings = SETTINGS) -> Site:
 
 def test_an_alarm_waits_to_be_acknowledged_also_after_it_has_gone() -> None:
     site = damaged()
-    assert site.one(0.0, 0.05).conditions == {2: Condition.UNACKNOWLEDGED}
+    assert site.one(0.0, 0.05).conditions == {2: AlarmCondition.UNACKNOWLEDGED}
     site.see(0.0, 0.0, times=6)
     verdict = site.one(0.0, 0.0)
-    assert (verdict.level, verdict.conditions) == (Level.NORMAL, {2: Condition.RETURNED_UNACKNOWLEDGED})
+    assert (verdict.level, verdict.conditions) == (Level.NORMAL, {2: AlarmCondition.RETURNED_UNACKNOWLEDGED})
     site.states = alarm.acknowledge(site.states, 2, "A. Smith")
     assert site.one(0.0, 0.0).conditions == {}
 
@@ -341,20 +341,20 @@ def test_an_acknowledged_alarm_is_new_again_when_it_rises() -> None:
     site = damaged()
     site.states = alarm.acknowledge(site.states, 2, "A. Smith")
     verdict = site.one(0.0, 0.05)
-    assert (verdict.level, verdict.conditions) == (Level.WARNING, {2: Condition.ACKNOWLEDGED})
+    assert (verdict.level, verdict.conditions) == (Level.WARNING, {2: AlarmCondition.ACKNOWLEDGED})
     assert site.states.stories[1].acknowledged_by == "A. Smith"
-    assert site.one(0.0, 0.15).conditions == {2: Condition.UNACKNOWLEDGED}
+    assert site.one(0.0, 0.15).conditions == {2: AlarmCondition.UNACKNOWLEDGED}
 
 
 def test_a_latched_alarm_stays_until_it_is_acknowledged_and_reset() -> None:
     site = damaged(SETTINGS.model_copy(update={"latching": True}))
     site.see(0.0, 0.0, times=6)
     verdict = site.one(0.0, 0.0)
-    assert (verdict.level, verdict.conditions) == (Level.WARNING, {2: Condition.LATCHED_UNACKNOWLEDGED})
+    assert (verdict.level, verdict.conditions) == (Level.WARNING, {2: AlarmCondition.LATCHED_UNACKNOWLEDGED})
     site.states = alarm.reset(site.states, 2)
     assert site.one(0.0, 0.0).level is Level.WARNING, "nobody has seen it"
     site.states = alarm.acknowledge(site.states, 2, "A. Smith")
-    assert site.one(0.0, 0.0).conditions == {2: Condition.LATCHED_ACKNOWLEDGED}
+    assert site.one(0.0, 0.0).conditions == {2: AlarmCondition.LATCHED_ACKNOWLEDGED}
     site.states = alarm.reset(site.states, 2)
     assert (site.one(0.0, 0.0).level, site.one(0.0, 0.0).conditions) == (Level.NORMAL, {})
 
@@ -370,7 +370,7 @@ def test_a_shelved_alarm_is_tracked_unannounced_and_comes_back() -> None:
     site = damaged()
     site.states = alarm.shelve(site.states, 2, site.t_ns + 3 * HOP_NS, "works on story 2")
     verdict = site.one(0.0, 0.15)
-    assert (verdict.level, verdict.active, verdict.conditions) == (Level.NORMAL, {}, {2: Condition.SHELVED})
+    assert (verdict.level, verdict.active, verdict.conditions) == (Level.NORMAL, {}, {2: AlarmCondition.SHELVED})
     assert "works on story 2" in verdict.reason
     assert site.see(0.0, 0.15, times=3) == ["normal", "normal", "alarm"]
 

@@ -10,6 +10,9 @@ import numpy as np
 
 from monitor.effects.base import Condition, Context, Effect, System
 from monitor.effects.parameter import Parameter
+from monitor.results import Array
+
+_DAMPING, _LN_DAMPING_STD = 0.03, 0.8
 
 
 @dataclass(frozen=True)
@@ -49,6 +52,12 @@ class AttachedOscillator(Effect):
             np.asarray(damping + 2.0 * self.damping_ratio * omega * self.mass_kg * joint),
             np.asarray(stiffness + omega**2 * self.mass_kg * joint),
         )
+
+    def known(self, context: Context, condition: Condition) -> tuple[Array, Array]:
+        """See `Effect.known`: a few percent of damping, give or take a factor of two."""
+        mean = self.coordinates
+        mean[2] = np.log(_DAMPING)
+        return mean, np.array([0.0, 0.0, _LN_DAMPING_STD**-2])
 
     @classmethod
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:

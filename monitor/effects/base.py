@@ -15,6 +15,7 @@ from math import inf
 from typing import ClassVar, Literal, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from monitor.effects.parameter import Parameter
 from monitor.results import Array, ComplexArray
@@ -51,6 +52,8 @@ class Condition:
     """RMS of every channel's samples, shape (c,)."""
     channel_peak_m_s2: Array = field(default_factory=lambda: np.full(1, np.inf))
     """Largest magnitude of every channel's samples in the whole recording, shape (c,)."""
+    channel_piled: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(1, dtype=bool))
+    """Whether many of a channel's samples share its largest magnitude, shape (c,)."""
     excess_degc: Callable[[float], float] = field(default=lambda lag_s: 0.0)
     """Temperature above the reference after a first-order lag in s."""
 
@@ -177,6 +180,10 @@ class Effect(ABC):
         """The same effect elsewhere in its parameters' space, kept within their bounds."""
         values = {p.name: p.value(float(x)) for p, x in zip(self.parameters, coordinates, strict=True)}
         return type(self)(self.location, **values)
+
+    def known(self, context: Context, condition: Condition) -> tuple[Array, Array]:
+        """What the recording tells of the coordinates besides its spectra: mean and precision, shape (p,) each."""
+        return self.coordinates, np.zeros(len(self.parameters))
 
     def mirrored(self) -> Effect | None:
         """The same law with left and right exchanged, which no spectrum tells from it; None where that is itself."""

@@ -7,6 +7,7 @@ from math import erf, erfc, exp, inf, pi, sqrt
 from typing import ClassVar, Literal, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from monitor.effects.base import Condition, Context, Effect
 from monitor.effects.parameter import Parameter
@@ -19,6 +20,8 @@ _ALWAYS = 0.05
 """Least limit over RMS: all that is left of the signal is its sign."""
 
 
+_PILE_STD = 1e-3
+"""Relative standard deviation of the limit where samples pile up at it."""
 _UNCLIPPED = 4.5
 """RMS values that a signal exceeds somewhere in a recording if nothing stops it."""
 
@@ -79,10 +82,25 @@ class SensorClipping(Effect):
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
         """See `Effect.starts`."""
         j = context.channels.index(location.partition(" ")[2])
-        rms, peak = float(condition.channel_m_s2[j]), float(condition.channel_peak_m_s2[min(j, condition.channel_peak_m_s2.size - 1)])
+        rms, peak = float(condition.channel_m_s2[j]), _of(condition.channel_peak_m_s2, j)
+        if _of(condition.channel_piled, j):
+            return (cls(location, peak),)
         if peak > _UNCLIPPED * rms:
             return (cls(location, 2.0 * rms),) if peak == inf else ()
         return (cls(location, 0.8 * peak), cls(location, 0.999 * peak))
+
+    def known(self, context: Context, condition: Condition) -> tuple[Array, Array]:
+        """See `Effect.known`: where samples pile up at the largest magnitude, that is the limit."""
+        j = self.channel_indices(context)[0]
+        if not _of(condition.channel_piled, j):
+            return self.coordinates, np.zeros(1)
+        peak = _of(condition.channel_peak_m_s2, j)
+        return np.array([1.0 / peak]), np.array([(peak / _PILE_STD) ** 2])
+
+
+def _of(values: Array | NDArray[np.bool_], channel: int) -> float:
+    """A channel's value; where the condition says nothing there is one for all."""
+    return float(values[min(channel, values.size - 1)])
 
 
 def clipped_power(a: float) -> float:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from monitor.diagnose import Diagnosis, DiagnosisSettings, residual_bands
-from monitor.evidence import class_temperature
+from monitor.evidence import Segments, class_temperature
 from monitor.likelihood import Problem, fit
 from monitor.results import Array, ComplexArray
 
@@ -83,8 +83,8 @@ class LevelDependence:
     model_damping: Array
 
 
-def compare(diagnosis: Diagnosis) -> Comparison:
-    """The diagnosis's spectra and misfit."""
+def compare(diagnosis: Diagnosis, segments: Segments) -> Comparison:
+    """The diagnosis's spectra and misfit; `segments` are what it judged."""
     problem, e = diagnosis.problem, diagnosis.problem.evidence
     share = e.counts / e.counts.sum()
 
@@ -100,6 +100,8 @@ def compare(diagnosis: Diagnosis) -> Comparison:
     def averaged(values: Array) -> Array:
         return np.asarray(values[..., :n].reshape(*values.shape[:-1], -1, per).mean(axis=-1))
 
+    level = np.einsum("sfa,af->s", np.abs(segments.values) ** 2, 1.0 / measured[: segments.values.shape[2]])
+    alike = level.sum() ** 2 / (level @ level)  # segments of one level that would scatter as these do
     z_before, band_hz = residual_bands(problem, diagnosis.null)
     chance = 1.0 if problem.offset is None else np.sqrt(0.5)  # a simulation has as much chance in it as the recording
     return Comparison(
@@ -111,7 +113,7 @@ def compare(diagnosis: Diagnosis) -> Comparison:
         ratio_hz=averaged(e.band.hz),
         ratio_before=averaged(measured / before),
         ratio_after=averaged(measured / after),
-        chance=float(2.0 / np.sqrt(e.counts.sum() * per * e.weight) / chance),
+        chance=float(2.0 / np.sqrt(alike * per * e.weight) / chance),
         band_hz=band_hz,
         z_before=chance * z_before,
         z_after=chance * residual_bands(problem, diagnosis.final)[0],

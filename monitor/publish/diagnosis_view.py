@@ -40,7 +40,7 @@ def write_view(path: Path, diagnosis: Diagnosis, content: Mapping[str, Any], seg
     OSError, RuntimeError
         The file cannot be written.
     """
-    compared = compare(diagnosis)
+    compared = compare(diagnosis, segments)
     output = Output("diagnosis", path, None)
     try:
         output.stream.send_blueprint(_blueprint(compared))
@@ -92,9 +92,14 @@ def _status(diagnosis: Diagnosis, content: Mapping[str, Any], segments: Segments
     lines += [f"| {t['effect']} | {t['location']} | {t['log_evidence_over_none']:.1f} |" for t in content["tried"]]
     lines += ["", "| misfit before | std. dev. | what it says |", "|---|---|---|"]
     lines += [f"| {m['where']} | {m['size']:.1f} | {m['says']} |" for m in content["misfit"][:10]]
+    rows = "; ".join(name for name, _, _ in compared.rows())
     lines += [
         "",
-        f"{segments.t_s.size} segments, source at {segments.rate_hz:g} Hz. The time axis is frequency in mHz.",
+        f"{segments.t_s.size} segments, source at {segments.rate_hz:g} Hz; the time axis is frequency in mHz.",
+    ]
+    lines += [
+        "",
+        f"Power in dB re 1 (m/s²)²/Hz; ratio: measured over simulated; rows of the maps from the top: {rows}.",
     ]
     return "\n".join(lines)
 

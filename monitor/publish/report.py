@@ -64,7 +64,7 @@ def write_report(path: Path, diagnosis: Diagnosis, content: Content, segments: S
 
 def page(diagnosis: Diagnosis, content: Content, segments: Segments) -> str:
     """The page, which is well-formed XML as well."""
-    compared, by_level = compare(diagnosis), level_dependence(diagnosis)
+    compared, by_level = compare(diagnosis, segments), level_dependence(diagnosis)
     told = headline(diagnosis, content)
     parts = [
         _head(told, content, compared, segments),
@@ -168,12 +168,12 @@ def _misfit(c: Comparison, diagnosis: Diagnosis) -> str:
         out.append(f"<figure>{charts.heat(values, x, [r[0] for r in rows], 12.0, title, f'Misfit {when}')}</figure>")
     out.append(
         "</div><p class='muted'>Red: measured more than simulated, blue: less; full colour at 12 standard deviations, "
-        f"real beyond {c.limit:g}. Power is counted given the channels above; the other rows compare how two channels "
+        f"chance up to {c.limit:g}. Power is counted given the channels above; the other rows compare how two channels "
         "move together.</p>"
     )
     for when, _, found in stages:
         if found:
-            worst = [(m.where, f"{m.size:.1f}", m.says) for m in found[:_SHOWN]]
+            worst = [(m.where.removeprefix("f = "), f"{m.size:.1f}", m.says) for m in found[:_SHOWN]]
             more = f"<p class='muted'>and {len(found) - _SHOWN} more</p>" if len(found) > _SHOWN else ""
             out.append(_table([f"Misfit {when}", "#std. dev.", "what it says"], worst) + more)
         else:
@@ -256,7 +256,7 @@ def _parameters(diagnosis: Diagnosis, content: Content) -> str:
     index = content.get("ddi_effect", {})
     if index.get("with"):
         pairs = enumerate(zip(index["without"], index["with"], strict=True), 1)
-        losses = [(f"story {j}", f"{100 * a:.1f} %", f"{100 * b:.1f} %") for j, (a, b) in pairs]
+        losses = [(f"story {j}", *(f"{round(100 * v, 1) + 0.0:.1f} %" for v in pair)) for j, pair in pairs]
         head = ["damage index (stiffness lost)", "#by refitting stiffness alone", "#beside the causes"]
         out.append("<h2>What it does to the damage index</h2>" + _table(head, losses))
     return "".join(out)

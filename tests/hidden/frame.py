@@ -19,16 +19,24 @@ class Frame:
     heights: np.ndarray
     ratio: float
     joint: float | None = None
+    lean: float = 0.0
+    """What gravity takes of every story: this times the weight above over the height."""
 
     def girder(self, to_column: float) -> float:
         """E I_g / L_g for a girder-to-column ratio."""
         return to_column * float((self.stories * self.heights**2 / 24.0).mean())
 
     def stiffness(self) -> np.ndarray:
-        """Floors' stiffness, the columns' and girders' beam elements assembled and the rotations condensed, N/m."""
-        n = self.stories.size
+        """Of the floors, N/m."""
+        d = drifts(self.stories.size)
+        lost = self.lean * GRAVITY * np.cumsum(self.masses) / self.heights
         if self.joint is None:
-            return sum((k * np.outer(d, d) for k, d in zip(self.stories, drifts(n), strict=True)), np.zeros((n, n)))
+            return d.T @ ((self.stories - lost)[:, None] * d)
+        return self._jointed() - d.T @ (lost[:, None] * d)
+
+    def _jointed(self) -> np.ndarray:
+        """The columns' and girders' beam elements assembled, the rotations condensed."""
+        n = self.stories.size
         full = np.zeros((2 * n + 2, 2 * n + 2))  # translations then rotations, the clamped ground last of each
         for j, (k, h) in enumerate(zip(self.stories, self.heights, strict=True)):
             ei = k * h**3 / 12.0  # of the two columns together

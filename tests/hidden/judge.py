@@ -43,7 +43,7 @@ def outcome(sealed: dict[str, Any], answer: dict[str, Any]) -> str:
     if kind == "clean":
         return {"none": "right", "named": "wrong"}.get(verdict, verdict)
     if kind == "outside":
-        if verdict == "named" and not set(found) - set(truth):
+        if verdict in ("named", "ambiguous") and set(found) | offered <= set(truth):
             return "close"
         return {"unexplained": "right", "none": "missed", "named": "wrong"}.get(verdict, verdict)
     if verdict == "none":

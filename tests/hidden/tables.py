@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from tests.hidden.judge import key
 from tests.hidden.plans import NAMES
 
 OUTCOMES = (
@@ -54,23 +55,28 @@ def _outcomes(results: Sequence[dict[str, Any]]) -> str:
 
 
 def _confusion(results: Sequence[dict[str, Any]]) -> str:
-    """What was stated for every trial of which something else was true: the confusion matrix off its diagonal."""
-    rows = ["stated although something else was true (cause or most probable alternative)"]
+    """The confusion matrix, row by row: what was said of each hidden effect."""
+    rows = ["said (@: at the wrong place; |: ambiguous; ?: unexplained, with these causes)"]
     for name in dict.fromkeys(NAMES):
-        stated: Counter[str] = Counter()
-        for r in results:
-            if r["name"] == name and r["outcome"] not in ("right", "among"):
-                answer = r["answer"]
-                top = (
-                    max(answer["alternatives"], key=lambda a: a["probability"])["effect"]
-                    if answer["alternatives"]
-                    else ""
-                )
-                false = [effect for effect, _ in r["false"]]
-                stated[", ".join([*false, *([f"? {top}"] if top else [])]) or answer["verdict"]] += 1
-        if stated:
-            rows.append(f"  {name:22s}" + "; ".join(f"{what} {n}" for what, n in stated.most_common()))
+        said = Counter(_said(r) for r in results if r["name"] == name)
+        if said:
+            rows.append(f"{name:22s}" + "; ".join(f"{what} {n}" for what, n in said.most_common()))
     return "\n".join(rows)
+
+
+def _said(result: dict[str, Any]) -> str:
+    answer, true = result["answer"], {tuple(key(h)) for h in result["hidden"]}
+
+    def word(item: dict[str, Any]) -> str:
+        elsewhere = item["effect"] in {e for e, _ in true} and key(item) not in true
+        return item["effect"] + ("@" if elsewhere else "")
+
+    stated = [word(c) for c in answer["causes"]]
+    if answer["verdict"] == "ambiguous":
+        return " + ".join([*stated, "|".join(sorted(word(a) for a in answer["alternatives"]))])
+    if answer["verdict"] == "named":
+        return " + ".join(stated)
+    return answer["verdict"] if not stated else "? " + " + ".join(stated)
 
 
 def _sizes(results: Sequence[dict[str, Any]]) -> str:

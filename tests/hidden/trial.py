@@ -49,7 +49,7 @@ def run(seed: int, name: str) -> dict[str, Any]:
         sealed = json.loads(seal.read_text())
     return {
         "seed": seed,
-        "standing": structure.standing,
+        "standing": f"{structure.standing}, damping {structure.damping}",
         **sealed,
         "answer": answer,
         "outcome": judge.outcome(sealed, answer),

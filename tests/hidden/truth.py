@@ -23,8 +23,8 @@ class Truth:
     standing: str
     drawn_masses: np.ndarray
     drawn_stories: np.ndarray
-    damping_follows: bool
-    """Whether damping stays Rayleigh's when an effect changes mass or stiffness, or stays as it was."""
+    damping: str
+    """What stays of Rayleigh's damping when an effect changes mass or stiffness: ``ratios``, ``factors`` or ``matrix``."""
 
     def drawing(self) -> str:
         """The structure file."""
@@ -60,10 +60,10 @@ class Site:
     def matrices(self, frame: Frame) -> Act:
         """The record's act with another frame."""
         mass, damping, stiffness = frame.modal()
-        if self.truth.damping_follows:
+        if self.truth.damping == "factors":
             a, b = self.truth.frame.rayleigh()
             damping = a * mass + b * stiffness
-        else:
+        elif self.truth.damping == "matrix":
             damping = self.truth.frame.modal()[1]
         return replace(self.act, mass=mass, damping=damping, stiffness=stiffness)
 
@@ -91,7 +91,7 @@ def draw_truth(seed: int) -> Truth:
         frame = replace(frame, joint=frame.girder(15.0))
     elif standing == "mass":
         drawn_masses[rng.integers(3)] *= 0.94
-    return Truth(frame, standing, drawn_masses, drawn_stories, bool(rng.integers(2)))
+    return Truth(frame, standing, drawn_masses, drawn_stories, str(rng.choice(["ratios", "factors", "matrix"])))
 
 
 def healthy(truth: Truth, seed: int) -> tuple[Act, Motion]:

@@ -1,7 +1,7 @@
 """A second simulator, made from the contract's text alone: what it and the engine agree on is not a shared mistake.
 
-Runge-Kutta at 8192 Hz with every law exact, forces white at 4096 Hz and straight between their samples, a sharp FIR
-before 1024 Hz.  Whatever acts is plain numbers in an `Act`; nothing of the monitor's model or effects is used.
+Runge-Kutta at 4096 Hz with every law exact, forces white there and straight between their samples, a sharp FIR before
+1024 Hz.  Whatever acts is plain numbers in an `Act`; nothing of the monitor's model or effects is used.
 """
 
 from __future__ import annotations
@@ -19,7 +19,6 @@ from tests.hidden.frame import Frame
 
 RATE_HZ = 1024.0
 KNOT_HZ = 4096.0
-_SUBSTEPS = 2
 _TAPS = firwin(161, 470.0, fs=KNOT_HZ)
 _DOWN = round(KNOT_HZ / RATE_HZ)
 FORCE_VARIANCE = KNOT_HZ / RATE_HZ
@@ -145,7 +144,7 @@ def _floors(act: Act, duration_s: float, rng: np.random.Generator, other: np.ran
             last = drive[:1]
         raw, state = _march(
             minv, act.damping, act.stiffness, moving, kinds, directions, parameters,
-            np.concatenate([last, drive]), state, dt, _SUBSTEPS, n,
+            np.concatenate([last, drive]), state, dt, n,
         )  # fmt: skip
         last = drive[-1:]
         padded = np.concatenate([tail, raw])
@@ -240,28 +239,27 @@ def _slope(minv, damping, stiffness, moving, kinds, directions, parameters, u, z
 
 
 @njit(cache=True)
-def _march(minv, damping, stiffness, moving, kinds, directions, parameters, drive, state, dt, substeps, n):
+def _march(minv, damping, stiffness, moving, kinds, directions, parameters, drive, state, dt, n):
     """Classical Runge-Kutta from knot to knot, what drives running straight between them."""
     size, width = minv.shape[0], drive.shape[1]
     seen = np.empty((drive.shape[0] - 1, n))
-    z, h = state.copy(), dt / substeps
+    z = state.copy()
     reach = np.array([0.0, 0.5, 0.5, 1.0])
-    weight = np.array([1.0, 2.0, 2.0, 1.0]) * h / 6.0
+    weight = np.array([1.0, 2.0, 2.0, 1.0]) * dt / 6.0
     rate, trial, total = np.zeros(2 * size), np.empty(2 * size), np.empty(2 * size)
     net, floors, u = np.empty(size), np.empty(size), np.empty(width)
     for k in range(1, drive.shape[0]):
-        for s in range(substeps):
-            total[:] = z
-            for r in range(4):
-                part = (s + reach[r]) / substeps
-                for i in range(width):
-                    u[i] = drive[k - 1, i] + part * (drive[k, i] - drive[k - 1, i])
-                for i in range(2 * size):
-                    trial[i] = z[i] + reach[r] * h * rate[i]
-                _slope(minv, damping, stiffness, moving, kinds, directions, parameters, u, trial, net, floors, rate)
-                for i in range(2 * size):
-                    total[i] += weight[r] * rate[i]
-            z[:] = total
+        total[:] = z
+        for r in range(4):
+            part = reach[r]
+            for i in range(width):
+                u[i] = drive[k - 1, i] + part * (drive[k, i] - drive[k - 1, i])
+            for i in range(2 * size):
+                trial[i] = z[i] + reach[r] * dt * rate[i]
+            _slope(minv, damping, stiffness, moving, kinds, directions, parameters, u, trial, net, floors, rate)
+            for i in range(2 * size):
+                total[i] += weight[r] * rate[i]
+        z[:] = total
         _slope(minv, damping, stiffness, moving, kinds, directions, parameters, drive[k], z, net, floors, rate)
         for i in range(n):
             seen[k - 1, i] = floors[i]

@@ -1,0 +1,104 @@
+"""Hidden effects: a seeded sample in CI; the whole, behind the slow marker, by ``python -m tests.hidden``."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from tests.hidden import judge, plans, tables, trial
+
+SEED = 4001 * trial.TRIALS_A_TRUTH
+"""The sample shares one truth, so that one calibration does."""
+SAMPLE = (
+    "stiffness_change",
+    "added_mass",
+    "story_damper",
+    "sensor_gain",
+    "time_offset",
+    "clock_rate",
+    "clean",
+    "clean",
+)
+
+
+def told(results: list[dict[str, Any]]) -> str:
+    return "\n" + "\n".join(tables.line(r) for r in results)
+
+
+def test_what_is_hidden_is_found() -> None:
+    results = [trial.run(SEED + i, name) for i, name in enumerate(SAMPLE)]
+    right = [r["outcome"] in ("right", "among") for r in results]
+    assert all(right[6:]), told(results)  # clean
+    assert sum(right[:6]) >= 5, told(results)
+    sizes = [s["right"] for r in results for s in r["sizes"]]
+    assert sizes.count(False) <= 1, told(results)
+
+
+@pytest.mark.slow
+def test_the_whole() -> None:
+    results = [trial.run(seed, name) for seed, name in plans.rounds(3 * len(plans.NAMES), 7)]
+    print(tables.report(results))
+    single = [r for r in results if r["kind"] == "single"]
+    named = [r for r in results if r["answer"]["verdict"] == "named"]
+    assert not [r for r in results if r["outcome"] == "crashed"]
+    assert sum(r["outcome"] == "right" for r in single) >= 0.8 * len(single)
+    assert sum(bool(r["false"]) for r in named) <= 0.05 * len(results)
+    sizes = [s["right"] for r in single for s in r["sizes"]]
+    assert sum(sizes) >= 0.9 * len(sizes)
+
+
+def answer(verdict: str, *causes: tuple[str, str], among: tuple[tuple[str, str], ...] = ()) -> dict[str, Any]:
+    def item(effect: str, location: str) -> dict[str, Any]:
+        return {"effect": effect, "location": location, "parameters": {}, "probability": 0.5}
+
+    return {"verdict": verdict, "causes": [item(*c) for c in causes], "alternatives": [item(*a) for a in among]}
+
+
+def sealed(kind: str, *hidden: tuple[str, str]) -> dict[str, Any]:
+    items = [{"effect": e, "location": at, "parameters": {"relative": -0.1}} for e, at in hidden]
+    return {"kind": kind, "name": "", "hidden": items}
+
+
+LOSS, BASE, GAIN = ("stiffness_change", "story 3"), ("base_flexibility", "base"), ("sensor_gain", "channel a1")
+LOSS_1, LOSS_2 = ("stiffness_change", "story 1"), ("stiffness_change", "story 2")
+
+
+@pytest.mark.parametrize(
+    ("truth", "said", "outcome"),
+    [
+        (sealed("clean"), answer("none"), "right"),
+        (sealed("clean"), answer("named", GAIN), "wrong"),
+        (sealed("single", LOSS_1), answer("named", LOSS_1), "right"),
+        (sealed("single", LOSS_1), answer("named", LOSS_2), "place"),
+        (sealed("single", LOSS_1), answer("named", LOSS_1, GAIN), "extra"),
+        (sealed("single", LOSS_1), answer("ambiguous", among=(LOSS_1, GAIN)), "among"),
+        (sealed("single", LOSS_1), answer("ambiguous", among=(LOSS_2, GAIN)), "wrong"),
+        (sealed("single", LOSS_1), answer("none"), "missed"),
+        (sealed("single", LOSS), answer("ambiguous", among=(LOSS, BASE)), "right"),
+        (sealed("single", LOSS), answer("ambiguous", among=(BASE, GAIN)), "wrong"),
+        (sealed("single", LOSS), answer("named", LOSS), "certain"),
+        (sealed("pair", LOSS_1, GAIN), answer("named", GAIN, LOSS_1), "right"),
+        (sealed("pair", LOSS_1, GAIN), answer("named", GAIN), "part"),
+        (sealed("pair", LOSS_1, GAIN), answer("ambiguous", GAIN, among=(LOSS_1, LOSS_2)), "among"),
+        (sealed("outside", LOSS_1), answer("unexplained"), "right"),
+        (sealed("outside", LOSS_1), answer("named", LOSS_1), "close"),
+        (sealed("outside", LOSS_1), answer("named", LOSS_1, GAIN), "wrong"),
+    ],
+)
+def test_the_judge(truth: dict[str, Any], said: dict[str, Any], outcome: str) -> None:
+    assert judge.outcome(truth, said) == outcome
+
+
+def test_sizes_are_judged_by_the_contract() -> None:
+    truth = sealed("single", LOSS_1)
+    said = answer("named", LOSS_1)
+
+    def judged(value: float, std: float) -> tuple[bool, bool]:
+        said["causes"][0]["parameters"] = {"relative": {"value": value, "std": std}}
+        (row,) = judge.sizes(truth, said)
+        return row["right"], row["covered"]
+
+    assert judged(-0.104, 0.001) == (True, False)
+    assert judged(-0.106, 0.001) == (False, False)
+    assert judged(-0.106, 0.004) == (True, True)

@@ -1,0 +1,215 @@
+"""diagnosis.json and the structure files of a diagnosis: complete, strict, and nothing of the input lost (CONTRACT)."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from monitor import config
+from monitor.diagnose import Cause, Diagnosis, Misfit
+from monitor.diagnosis_files import content, effects_text, model_from_plain, model_to_plain, structure_text
+from monitor.effects import parse_effect
+from monitor.errors import BadConfigurationError
+from monitor.evidence import Segments, classify
+from monitor.gain import Gain, fitted_model, score
+from monitor.likelihood import fit
+from monitor.model import Model
+from monitor.reference import nominal
+from monitor.reference_file import from_plain, to_plain
+from monitor.search import Candidate, prepare
+from monitor.standing import learn
+from tests.test_gain import DAMPER, context_of, recorded, settings
+
+KEYS = {"verdict", "cause", "causes", "alternatives", "separating_measurement", "misfit", "gain", "standing", "tried"}
+TEXT = """# The drawing.
+[structure]
+kind = "shear_frame"   # no shear frame, really
+masses_kg = [0.33, 0.35, 0.31]
+stiffness_n_per_m = [2900.0, 1500.0, 1900.0]  # by hand
+
+[site]
+name = "lab"  # second floor
+
+[[sensors]]
+channel = "a1"
+floor = 1
+[[sensors]]
+channel = "a2"
+floor = 2
+[[sensors]]
+channel = "a3"
+floor = 3
+
+[[effects]]  # known since long
+effect = "added_mass"
+location = "floor 2"
+parameters = { mass_kg = 0.01 }
+"""
+
+
+@pytest.fixture(scope="module")
+def damped() -> Segments:
+    return recorded((parse_effect(DAMPER),), seed=51)
+
+
+@pytest.fixture(scope="module")
+def named(damped: Segments) -> Diagnosis:
+    site = settings()
+    problem, null = prepare(classify(damped), nominal(site.model(), site.prior_std(), 3), context_of(site))
+    final = fit(problem, null.x, (parse_effect(DAMPER),))
+    cause = Cause(final.effects[0], {"damping_n_s_per_m": 0.1})
+    tried = (Candidate(final.effects[0], final, 50.0, 45.0),)
+    misfit = (Misfit("f = 5.0-6.0 Hz, channel a1", 9.0, "less power"),)
+    return Diagnosis("named", (cause,), (), misfit, (), tried, problem, null, final)
+
+
+def plain(diagnosis: Diagnosis, gain: Gain | None = None) -> dict:
+    out = content(diagnosis, gain or Gain(), (), {"without": [], "with": []})
+    return json.loads(json.dumps(out, allow_nan=False))
+
+
+def test_a_named_cause_has_its_size_and_every_key_is_there(named: Diagnosis) -> None:
+    out = plain(named, Gain(1.0, 1.5, (0.4, 0.6), 0.2, 0.1, "blocks"))
+    assert out.keys() >= KEYS
+    assert out["cause"] == out["causes"][0]
+    assert (out["cause"]["effect"], out["cause"]["location"]) == ("story_damper", "story 1")
+    assert out["cause"]["parameters"]["damping_n_s_per_m"]["value"] == pytest.approx(1.5, rel=0.3)
+    assert out["gain"]["log_score_per_sample"] == {"before": 1.0, "after": 1.5, "gain": 0.5, "ci95": [0.4, 0.6]}
+    assert out["gain"]["csd_error"] == {"before": 0.2, "after": 0.1}
+    assert out["tried"] == [{"effect": "story_damper", "location": "story 1", "log_evidence_over_none": 45.0}]
+
+
+def test_nothing_found_is_null_empty_and_zero(named: Diagnosis) -> None:
+    out = plain(replace(named, verdict="none", causes=(), misfit=(), tried=(), final=named.null))
+    assert out["cause"] is None
+    assert all(out[key] == [] for key in ("causes", "alternatives", "misfit", "standing", "tried"))
+    assert out["gain"]["log_score_per_sample"] == {"before": 0.0, "after": 0.0, "gain": 0.0, "ci95": [0.0, 0.0]}
+
+
+def test_rivals_are_listed_with_what_would_tell_them_apart(named: Diagnosis) -> None:
+    rivals = tuple(
+        (Candidate(parse_effect(f"sensor_gain:channel {c}:gain=1.1"), named.final, 9.0, 9.0), 0.5) for c in ("a1", "a2")
+    )
+    out = plain(replace(named, verdict="ambiguous", causes=(), alternatives=rivals))
+    assert out["cause"] is None
+    assert sum(a["probability"] for a in out["alternatives"]) == pytest.approx(1.0)
+    assert out["separating_measurement"]
+
+
+def test_what_is_not_determined_stays_finite(named: Diagnosis) -> None:
+    cause = replace(named.causes[0], std={"damping_n_s_per_m": np.inf})
+    assert np.isfinite(plain(replace(named, causes=(cause,)))["causes"][0]["parameters"]["damping_n_s_per_m"]["std"])
+
+
+def loaded(folder: Path, text: str) -> config.Configuration:
+    path = folder / "s.toml"
+    path.write_text(text)
+    return config.load(path)
+
+
+def test_a_structure_file_keeps_tables_and_comments_and_holds_the_model(tmp_path: Path) -> None:
+    before = loaded(tmp_path, TEXT).model()
+    fitted = replace(
+        before.with_stiffness(np.array([2800.0, 1510.0, 1903.123456])).with_masses(np.array([0.34, 0.36, 0.32])),
+        effects=(parse_effect("added_mass:floor 2:mass_kg=0.012"), parse_effect("sensor_gain:channel a2:gain=1.05")),
+        correction=np.array([[1.0, -2.0, 0.0], [-2.0, 3.0, 0.0], [0.0, 0.0, -4.0]]),
+        modal_damping=np.array([0.01, 0.02, 0.03]),
+    )
+    text = structure_text(TEXT, fitted)
+    for comment in ("# The drawing.", "# no shear frame, really", "# by hand", "# second floor", "# known since long"):
+        assert comment in text
+    after = loaded(tmp_path, text)
+    assert after.site.name == "lab"
+    model = after.model()
+    assert model.effects == fitted.effects
+    np.testing.assert_allclose(model.stiffness_matrix(), fitted.stiffness_matrix(), rtol=1e-9)
+    np.testing.assert_allclose(model.mass_matrix(), fitted.mass_matrix(), rtol=1e-9)
+    np.testing.assert_allclose(model.damping_matrix(), fitted.damping_matrix(), rtol=1e-8)
+    again = model_from_plain(json.loads(json.dumps(model_to_plain(fitted, None))), before)
+    np.testing.assert_allclose(again.stiffness_matrix(), fitted.stiffness_matrix(), rtol=1e-9)
+
+
+def test_an_effect_is_added_once() -> None:
+    effect = parse_effect("sensor_polarity:channel a2:")
+    text = effects_text(effects_text(TEXT, (effect,)), (effect,))
+    assert text.count("sensor_polarity") == 1
+    assert effects_text(TEXT, ()) == TEXT
+
+
+def test_matrices_are_written_out_where_the_input_names_files(tmp_path: Path) -> None:
+    site = settings()
+    drawn = site.model().structure
+    slopes = drawn.stiffness_derivatives()
+    np.savez(
+        tmp_path / "m.npz",
+        mass_matrix=drawn.mass_matrix(),
+        stiffness_matrix=drawn.stiffness_matrix(),
+        stiffness_derivatives=slopes,
+    )
+    sensors = "".join(f'[[sensors]]\nchannel = "a{i}"\nfloor = {i}\n' for i in (1, 2, 3))
+    text = (
+        '[structure]\nkind = "matrices"\nstiffness_n_per_m = [2900.0, 1500.0, 1900.0]\n'
+        + "".join(f'{k} = "m.npz"\n' for k in ("mass_matrix", "stiffness_matrix", "stiffness_derivatives"))
+        + sensors
+    )
+    fitted = loaded(tmp_path, text).model().with_stiffness(np.array([2800.0, 1500.0, 1900.0]))
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    model = loaded(elsewhere, structure_text(text, fitted)).model()
+    np.testing.assert_allclose(model.stiffness_matrix(), fitted.stiffness_matrix(), rtol=1e-9)
+
+
+def test_the_file_scores_what_the_fit_does(tmp_path: Path, named: Diagnosis, damped: Segments) -> None:
+    site = settings()
+    bare = TEXT[: TEXT.index("[[effects]]")]
+    fitted = fitted_model(named.problem, named.final)
+    from_file = loaded(tmp_path, structure_text(bare, fitted))
+    one = score(damped, fitted, context_of(site), site)
+    other = score(damped, from_file.model(), context_of(from_file), from_file)
+    assert other.log_score_per_sample == pytest.approx(one.log_score_per_sample, abs=1e-6)
+    assert other.csd_error == pytest.approx(one.csd_error, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("line", "word"),
+    [
+        ("modal_damping_ratio = [0.01, 0.02]", "modal_damping_ratio"),
+        ("modal_damping_ratio = [0.01, 0.02, 1.5]", "modal_damping_ratio"),
+        ("stiffness_correction_n_per_m = [[1.0, 2.0], [2.0, 1.0]]", "stiffness_correction_n_per_m"),
+        ("stiffness_correction_n_per_m = [[1, 2, 0], [0, 1, 0], [0, 0, 1]]", "not symmetric"),
+        ("stiffness_correction_n_per_m = [[-9000, 0, 0], [0, 0, 0], [0, 0, 0]]", "would not stand"),
+    ],
+)
+def test_a_wrong_correction_or_damping_is_a_problem_of_the_file(tmp_path: Path, line: str, word: str) -> None:
+    with pytest.raises(BadConfigurationError, match=word):
+        loaded(tmp_path, TEXT.replace("[site]", f"{line}\n[site]"))
+
+
+def test_diagnosis_settings_are_checked_with_the_rest(tmp_path: Path) -> None:
+    assert loaded(tmp_path, TEXT + "\n[diagnosis]\nmargin = 9.0\n").diagnosis_settings().margin == 9.0
+    with pytest.raises(BadConfigurationError, match=r"diagnosis\.margin"):
+        loaded(tmp_path, TEXT + "\n[diagnosis]\nmargin = -1.0\n")
+    with pytest.raises(BadConfigurationError, match=r"diagnosis\.magrin"):
+        loaded(tmp_path, TEXT + "\n[diagnosis]\nmagrin = 9.0\n")
+
+
+def test_a_reference_survives_the_baseline_file(damped: Segments) -> None:
+    site = settings()
+    model = Model(site.model().structure, (parse_effect(DAMPER),))
+    known = nominal(model, site.prior_std(), 3)
+    learnt, _ = learn(classify(damped), known, context_of(site))
+    again = from_plain(json.loads(json.dumps(to_plain(learnt), allow_nan=False)), site.model(), site.channels)
+    assert again is not None
+    assert [e.name for e in again.effects(again.mean)] == ["story_damper"]
+    for name in ("mean", "precision", "basis"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(learnt, name))
+    accepted = Model(site.model().structure, (parse_effect("sensor_gain:channel a2:gain=1.05"),))
+    wider = from_plain(to_plain(learnt), accepted, site.channels)
+    assert wider is not None
+    assert [e.name for e in wider.effects(wider.mean)] == ["story_damper", "sensor_gain"]
+    with pytest.raises(ValueError, match="shapes"):
+        from_plain(to_plain(learnt), site.model(), ("a1", "a2"))

@@ -1,0 +1,143 @@
+"""The held-out gain and the score behind it: more for the truth, nothing for a cause that is not there."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from drivers.base import ACCELERATION
+from monitor.config import Configuration
+from monitor.diagnose import Diagnosis
+from monitor.effects import Context, Effect, parse_effect
+from monitor.evidence import Segments, classify, gather
+from monitor.gain import demand_gain, fitted_model, heldout_gain, score
+from monitor.likelihood import fit
+from monitor.model import Model
+from monitor.record import blocks_of
+from monitor.reference import nominal
+from monitor.search import prepare
+from monitor.simulate import simulate
+
+RATE = 100.0
+TRUTH = {"kind": "shear_frame", "masses_kg": [0.33, 0.35, 0.31], "stiffness_n_per_m": [2900.0, 1500.0, 1900.0]}
+DAMPER = "story_damper:story 1:damping_n_s_per_m=1.5"
+
+
+def settings(**changes: object) -> Configuration:
+    sensors = [{"channel": f"a{i}", "floor": i} for i in (1, 2, 3)]
+    return Configuration.model_validate({"structure": {**TRUTH, **changes}, "sensors": sensors})
+
+
+def recorded(effects: tuple[Effect, ...], seed: int, duration_s: float = 400.0, **more: object) -> Segments:
+    config = settings()
+    model = Model(config.model().structure, effects)
+    context = Context(model.structure, config.channels, config.sensor_matrix(), RATE)
+    motion = simulate(
+        model, duration_s=duration_s, rate_hz=RATE, noise=0.05, level_spread=0.35, seed=seed, context=context, **more
+    )
+    return gather(blocks_of(ACCELERATION, motion.floors, config.channels, RATE, 10**18, 100), config)
+
+
+def context_of(config: Configuration) -> Context:
+    return Context(config.model().structure, config.channels, config.sensor_matrix(), RATE)
+
+
+def explained_by(effect: Effect, segments: Segments) -> Diagnosis:
+    """What an engine that believes in `effect` would say."""
+    config = settings()
+    reference = nominal(config.model(), config.prior_std(), 3)
+    problem, null = prepare(classify(segments), reference, context_of(config))
+    final = fit(problem, null.x, (effect,))
+    return Diagnosis("named", (), (), (), (), (), problem, null, final)
+
+
+@pytest.fixture(scope="module")
+def damped() -> Segments:
+    return recorded((parse_effect(DAMPER),), seed=41)
+
+
+@pytest.fixture(scope="module")
+def clean() -> Segments:
+    return recorded((), seed=42)
+
+
+def test_the_truth_scores_above_a_drawing_that_is_off(clean: Segments) -> None:
+    config, off = settings(), settings(stiffness_n_per_m=[2900.0, 1500.0, 2000.0])
+    true, wrong = (score(clean, c.model(), context_of(c), c) for c in (config, off))
+    assert true.log_score_per_sample > wrong.log_score_per_sample + 0.01
+    assert true.csd_error < 0.5 * wrong.csd_error
+    assert true.samples == wrong.samples == pytest.approx(39_000, abs=1000)
+
+
+def test_a_score_does_not_depend_on_the_unit_of_force_or_mass(clean: Segments) -> None:
+    """Twice the masses and stiffnesses move as the forces allow: only the level changes, and that is fitted."""
+    twice = settings(masses_kg=[0.66, 0.70, 0.62], stiffness_n_per_m=[5800.0, 3000.0, 3800.0])
+    one, other = (score(clean, c.model(), context_of(c), c) for c in (settings(), twice))
+    assert other.log_score_per_sample == pytest.approx(one.log_score_per_sample, abs=1e-5)
+
+
+def test_a_measured_ground_is_the_input() -> None:
+    """With the ground measured the model predicts the floors; a wrong one cannot hide behind a fitted level."""
+    config = settings()
+    motion = simulate(config.model(), duration_s=200.0, rate_hz=RATE, excitation="ground", noise=0.02, seed=5)
+    assert motion.ground is not None
+    blocks = [
+        *blocks_of("/acceleration/ground", motion.ground[:, None], ("g",), RATE, 10**18, 100),
+        *blocks_of(ACCELERATION, motion.floors, config.channels, RATE, 10**18, 100),
+    ]
+    segments = gather(blocks, config)
+    assert segments.drive is not None
+    true = score(segments, config.model(), context_of(config), config)
+    heavier = settings(masses_kg=[0.36, 0.35, 0.31])
+    assert true.csd_error < 0.2
+    assert (
+        score(segments, heavier.model(), context_of(heavier), heavier).log_score_per_sample < true.log_score_per_sample
+    )
+
+
+def test_a_level_dependent_law_is_judged_at_the_level_that_the_model_shows(clean: Segments) -> None:
+    config = settings()
+    model = replace(config.model(), effects=(parse_effect("cubic_stiffness:story 2:k3_n_per_m3=1e9"),))
+    with_cubic = score(clean, model, context_of(config), config)
+    assert np.isfinite(with_cubic.nats).all()
+    assert (
+        with_cubic.log_score_per_sample < score(clean, config.model(), context_of(config), config).log_score_per_sample
+    )
+
+
+def test_a_true_cause_gains_on_data_that_it_was_not_fitted_to(damped: Segments) -> None:
+    found = explained_by(parse_effect(DAMPER), damped)
+    gain = heldout_gain(damped, found, settings())
+    assert 0.0 < gain.ci95[0] < gain.value < gain.ci95[1]
+    assert gain.value == pytest.approx(gain.after - gain.before)
+    assert "blocks" in gain.heldout
+    assert demand_gain(found, gain) is found
+
+
+def test_the_gain_is_what_the_fitted_models_score(damped: Segments) -> None:
+    config = settings()
+    found = explained_by(parse_effect(DAMPER), damped)
+    gain = heldout_gain(damped, found, config)
+    before, after = (
+        score(damped, fitted_model(found.problem, at), context_of(config), config).log_score_per_sample
+        for at in (found.null, found.final)
+    )
+    assert gain.before == pytest.approx(before, abs=0.02)
+    assert gain.after == pytest.approx(after, abs=0.02)
+
+
+def test_a_cause_that_is_not_there_gains_nothing_and_is_not_named(clean: Segments) -> None:
+    found = explained_by(parse_effect("sensor_gain:channel a2:gain=1.02"), clean)
+    gain = heldout_gain(clean, found, settings())
+    assert gain.ci95[0] <= 0.0
+    settled = demand_gain(found, gain)
+    assert (settled.verdict, settled.causes, settled.final) == ("none", (), found.null)
+
+
+def test_too_short_a_recording_holds_nothing_out(clean: Segments) -> None:
+    found = explained_by(parse_effect(DAMPER), clean)
+    gain = heldout_gain(clean.part(np.arange(clean.t_s.size) < 3), found, settings())
+    assert (gain.value, gain.ci95) == (0.0, (0.0, 0.0))
+    assert "too short" in gain.heldout
