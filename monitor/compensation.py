@@ -10,6 +10,7 @@ import numpy as np
 from monitor.diagnose import Diagnosis
 from monitor.effects import Effect
 from monitor.likelihood import Fit, Problem, fit
+from monitor.results import Array
 from monitor.search import conditions
 
 _STIFFNESS_STD = 0.2

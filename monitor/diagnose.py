@@ -10,7 +10,7 @@ from pydantic import Field
 
 from monitor.effects import Context, Effect
 from monitor.evidence import Evidence
-from monitor.likelihood import Fit, Problem, fit
+from monitor.likelihood import Fit, Problem, fit, inverse
 from monitor.polish import Polished, polish, skewness
 from monitor.reference import Reference
 from monitor.results import Array
@@ -93,28 +93,27 @@ def diagnose(evidence: Evidence, reference: Reference, context: Context, setting
     accepted: list[Candidate] = []
     lean = np.zeros(context.structure.n_stories)
     while len(accepted) < settings.max_causes:
-        candidates = _round(problem, at, settings)
-        polished = _polished(problem, at, candidates, lean, settings)
-        candidates = sorted((p.candidate for p in polished), key=lambda c: -c.evidence)
-        rounds.append(tuple(candidates))
-        if not candidates or candidates[0].evidence < settings.margin:
+        tried = _round(problem, at, lean, settings)
+        rounds.append(tuple(p.candidate for p in tried))
+        if not tried or tried[0].candidate.evidence < settings.margin:
             break
-        best = candidates[0]
-        (chosen,) = (p for p in polished if p.candidate is best)
-        problem, at, lean = chosen.problem, best.fit, chosen.skewness
-        close = [c for c in candidates if c.evidence > best.evidence - settings.rival]
+        close = _together(tried, settings)
         if len(close) > 1:
-            odds = np.exp([c.evidence - best.evidence for c in close])
-            alternatives = tuple(zip(close, (odds / odds.sum()).tolist(), strict=True))
+            close = _looked_ahead(close, settings)
+        best = close[0]
+        problem, at, lean = best.problem, best.candidate.fit, best.skewness
+        if len(close) > 1:
+            odds = np.exp([p.candidate.evidence - best.candidate.evidence for p in close])
+            alternatives = tuple(zip((p.candidate for p in close), (odds / odds.sum()).tolist(), strict=True))
             break
-        accepted.append(best)
-        problem = replace(problem, conditions=conditions(problem, at.x, at.effects))
+        accepted.append(best.candidate)
+        problem = _extended(problem, at)
     at, accepted = _pruned(problem, at, accepted, settings)
     left_over = _misfits(problem, at, settings)
-    if alternatives:
-        verdict: Verdict = "ambiguous"
-    elif left_over:
-        verdict = "unexplained"
+    if left_over:
+        verdict: Verdict = "unexplained"
+    elif alternatives:
+        verdict = "ambiguous"
     else:
         verdict = "named" if accepted else "none"
     return Diagnosis(
@@ -131,7 +130,46 @@ def diagnose(evidence: Evidence, reference: Reference, context: Context, setting
     )
 
 
-def _round(problem: Problem, at: Fit, settings: DiagnosisSettings) -> list[Candidate]:
+def _together(tried: list[Polished], settings: DiagnosisSettings) -> list[Polished]:
+    """Those that the best of them does not clearly beat, best first."""
+    tried = sorted(tried, key=lambda p: -p.candidate.evidence)
+    return [p for p in tried if p.candidate.evidence > tried[0].candidate.evidence - settings.rival]
+
+
+def _looked_ahead(close: list[Polished], settings: DiagnosisSettings) -> list[Polished]:
+    """Rivals of which each leaves something unexplained, judged with the best second cause beside each."""
+    if not _misfits(close[0].problem, close[0].candidate.fit, settings):
+        return close
+    total = []
+    for p in close[: settings.tried]:
+        second = _round(_extended(p.problem, p.candidate.fit), p.candidate.fit, p.skewness, settings)
+        more = second[0].candidate.evidence if second else 0.0
+        total.append(p.candidate.evidence + (more if more > settings.margin else 0.0))
+    best = int(np.argmax(total))
+    near = [p for p, t in zip(close, total, strict=False) if t > total[best] - settings.rival]
+    return sorted(near, key=lambda p: p is not close[best])
+
+
+def _extended(problem: Problem, at: Fit) -> Problem:
+    """The problem once its last cause is accepted.
+
+    The motion follows the new model; a simulated law stays within what was found of it, since its correction was made for
+    that size; and damping, which is known for the healthy modes, is known less well of modes that have moved.
+    """
+    effect = at.effects[-1]
+    problem = replace(problem, conditions=conditions(problem, at.x, at.effects))
+    if problem.offset is not None and effect.nonlinear:
+        n = len(effect.parameters)
+        precision = inverse(at.covariance[-n:, -n:])
+        problem = replace(
+            problem, pins={**problem.pins, (effect.name, effect.location): (effect.coordinates, precision)}
+        )
+    before = problem.model(at.x, (*problem.reference.effects(at.x), *at.effects[:-1])).modes().frequencies_hz
+    after = problem.model(at.x, (*problem.reference.effects(at.x), *at.effects)).modes().frequencies_hz
+    return replace(problem, reference=problem.reference.with_looser_damping(np.log(after / before)))
+
+
+def _round(problem: Problem, at: Fit, lean: Array, settings: DiagnosisSettings) -> list[Polished]:
     """The best candidates beside what was accepted, by evidence."""
     taken = [(e.name, e.location) for e in (*problem.reference.effects(at.x), *at.effects)]
     ranked = [item for item in best_of_each(rank(problem, at, starts(problem, at, taken))) if item[0] > settings.worth]
@@ -139,7 +177,8 @@ def _round(problem: Problem, at: Fit, settings: DiagnosisSettings) -> list[Candi
     chosen = {c.key: c.effect for c in rough[: settings.tried]}
     # A rough fit may fail from far away, so the score test's own favourites are fitted too.
     chosen |= {(e.name, e.location): e for _, e in ranked[: settings.favourites] if (e.name, e.location) not in chosen}
-    return sorted((judge(problem, at, e) for e in chosen.values()), key=lambda c: -c.evidence)
+    fitted = sorted((judge(problem, at, e) for e in chosen.values()), key=lambda c: -c.evidence)
+    return sorted(_polished(problem, at, fitted, lean, settings), key=lambda p: -p.candidate.evidence)
 
 
 def _polished(

@@ -42,8 +42,15 @@ class Score:
     """Tempered log likelihood of every segment, shape (n_segments,)."""
     samples: int
     """Sample instants, at the rate of the processing."""
-    csd_error: float
-    """Squared Frobenius norm of measured less modelled mean cross-spectra over that of the measured, summed over the band."""
+    measured: ComplexArray
+    """Mean cross-spectra of the segments, shape (n_bins, c, c)."""
+    modelled: ComplexArray
+    """The model's."""
+
+    @property
+    def csd_error(self) -> float:
+        """Squared Frobenius norm of measured less modelled over that of the measured, each summed over the band."""
+        return _csd_error(self.measured, self.modelled)
 
     @property
     def log_score_per_sample(self) -> float:
@@ -98,8 +105,12 @@ def score(
     share = np.array([np.count_nonzero(held[m]) for m in evidence.members]) / len(seen)
     c = measured.shape[-1]
     modelled = np.tensordot(share, predicted[:, :, :c, :c], axes=1)
-    error = float((np.abs(measured - modelled) ** 2).sum() / (np.abs(measured) ** 2).sum())
-    return Score(_segment_nats(segments, evidence, predicted)[held], _sample_instants(segments, held, config), error)
+    nats = _segment_nats(segments, evidence, predicted)[held]
+    return Score(nats, _sample_instants(segments, held, config), measured, modelled)
+
+
+def _csd_error(measured: ComplexArray, modelled: ComplexArray) -> float:
+    return float((np.abs(measured - modelled) ** 2).sum() / (np.abs(measured) ** 2).sum())
 
 
 def _sample_instants(segments: Segments, held: NDArray[np.bool_], config: Configuration) -> int:
@@ -210,13 +221,17 @@ def heldout_gain(segments: Segments, diagnosis: Diagnosis, config: Configuration
     if any(np.count_nonzero((block >= 0) & (block % folds == fold)) < 2 for fold in range(folds)):
         return Gain(heldout="none: the recording is too short to hold any of it out")
     context, reference = diagnosis.problem.context, diagnosis.problem.reference
-    nats, samples, errors = np.zeros((2, n_blocks)), np.zeros(n_blocks), np.zeros(2)
+    nats, samples = np.zeros((2, n_blocks)), np.zeros(n_blocks)
+    spectra = np.zeros((2, 2, *segments.values.shape[1:], segments.values.shape[2]), dtype=complex)
     for fold in range(folds):
         held = (block >= 0) & (block % folds == fold)
-        for i, model in enumerate(_forms(classify(segments.part((block >= 0) & ~held)), reference, context, effects)):
+        others = classify(segments.part((block >= 0) & ~held))
+        # Weighed as the whole recording, so that what was known before pulls these fits no more than the published one.
+        others = replace(others, counts=others.counts * segments.t_s.size / others.counts.sum())
+        for i, model in enumerate(_forms(others, reference, context, effects)):
             judged = score(segments, model, context, config, reference.reference_degc, held)
             nats[i] += np.bincount(block[held], judged.nats, n_blocks)
-            errors[i] += judged.csd_error / folds
+            spectra[i] += np.count_nonzero(held) * np.stack([judged.measured, judged.modelled])
         samples += np.bincount(block[held], minlength=n_blocks) * (judged.samples / np.count_nonzero(held))
     total = samples.sum()
     drawn = np.random.default_rng(0).integers(0, n_blocks, (_BOOTSTRAPS, n_blocks))
@@ -227,8 +242,8 @@ def heldout_gain(segments: Segments, diagnosis: Diagnosis, config: Configuration
         before=float(nats[0].sum() / total),
         after=float(nats[1].sum() / total),
         ci95=(float(low), float(high)),
-        csd_error_before=float(errors[0]),
-        csd_error_after=float(errors[1]),
+        csd_error_before=_csd_error(*spectra[0]),
+        csd_error_after=_csd_error(*spectra[1]),
         heldout=f"{n_blocks} contiguous blocks of {block_s:.0f} s, every {_ORDINAL[folds]} by a fit to the others",
     )
 

@@ -11,8 +11,8 @@ P. Whittle, Arkiv foer Matematik 2 (1953) 423-434; A. M. Sykulski et al., The de
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -70,6 +70,8 @@ class Problem:
     """One a class."""
     offset: ComplexArray | None = None
     """What simulation adds to the spectra of a linearized law, shape (classes, n_bins, c, c)."""
+    pins: Mapping[tuple[str, str], tuple[Array, Array]] = field(default_factory=dict)
+    """Mean and precision of the coordinates of effects, by name and place, whose offset was simulated at that mean."""
     smoothing: Array | None = None
     """Averages bins into coarse ones, shape (n_coarse, n_bins), for a start from far away."""
 
@@ -159,7 +161,12 @@ class Problem:
 
     def prior(self, x: Array, effects: Sequence[Effect]) -> tuple[Array, Array]:
         """Mean and precision of the nuisances, given the forces' mean level, and of the effects' coordinates."""
-        known = [e.known(self.context, self.conditions[self.n_classes // 2]) for e in effects]
+        middle = self.conditions[self.n_classes // 2]
+        told = [e.known(self.context, middle) for e in effects]
+        known = [
+            self.pins.get((e.name, e.location), (mean, np.diag(precision)))
+            for e, (mean, precision) in zip(effects, told, strict=True)
+        ]
         n = self.context.structure.mass_matrix().shape[0]
         centred = np.eye(n) - 1.0 / n
         precision = block_diag(
@@ -167,7 +174,7 @@ class Problem:
             centred / _FORCE_STD**2 + np.full((n, n), 1.0 / n) / _LEVEL_STD**2,
             np.eye(self.n_classes) / _LEVEL_STD**2,
             np.eye(1) / _NOISE_STD**2,
-            *[np.diag(precision) for _, precision in known],
+            *[precision for _, precision in known],
         )
         p = self.reference.mean.size
         mean = np.concatenate(

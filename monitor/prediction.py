@@ -198,7 +198,10 @@ def accelerance(mass: Array, damping: Array, stiffness: Array, omega: Array, rig
         for i in range(size):
             for j in range(columns):
                 x[i, j] = -w * w * right[i, j]
-        for p in range(size):  # the matrix is symmetric with a definite imaginary part: no pivot vanishes
+        for p in range(size):  # symmetric with a definite imaginary part: a pivot vanishes only with its mass
+            if a[p, p] == 0.0:
+                out[:] = np.nan
+                return out
             inverse = 1.0 / a[p, p]
             for i in range(p + 1, size):
                 factor = a[i, p] * inverse
@@ -206,6 +209,9 @@ def accelerance(mass: Array, damping: Array, stiffness: Array, omega: Array, rig
                     a[i, j] -= factor * a[p, j]
                 for j in range(columns):
                     x[i, j] -= factor * x[p, j]
+        if a[size - 1, size - 1] == 0.0:
+            out[:] = np.nan
+            return out
         for p in range(size - 1, -1, -1):
             for j in range(columns):
                 total = x[p, j]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -51,6 +51,15 @@ class Reference:
             out.append(e.at(last[: len(e.parameters)]))
             last = last[len(e.parameters) :]
         return tuple(out)
+
+    def with_looser_damping(self, ln_std: Array) -> Reference:
+        """Where the damping of every mode may differ by so much more, shape (n,)."""
+        k, m, d, *_ = self.sizes
+        covariance = np.linalg.inv(self.precision)
+        modes = np.arange(k + m, k + m + d)
+        covariance[modes, modes] += ln_std**2
+        precision = np.linalg.inv(covariance)
+        return replace(self, precision=0.5 * (precision + precision.T))
 
 
 def correction_basis(model: Model, n_modes: int) -> Array:

@@ -16,7 +16,7 @@ from monitor.calibrate import calibrate
 from monitor.config import Configuration
 from monitor.errors import MissingInputError
 from monitor.files import demand_place, write_atomically
-from monitor.pipeline import Pipeline
+from monitor.pipeline import Pipeline, Result
 from monitor.publish.lines import LinesFile, to_json, window_line
 from monitor.publish.rerun_scene import Scene
 from monitor.publish.rerun_view import RerunPublisher
@@ -39,7 +39,7 @@ class _Outputs:
             demand_place(out / name)
         self._lines = LinesFile(out / "results.jsonl")
         self._results = McapWriter(out / "results.mcap")
-        self._out = out
+        self.out = out
         self.view = RerunPublisher(scene, file=out / "live.rrd", serve=serve, lossless=True)
 
     def window(self, result: WindowResult) -> None:
@@ -54,9 +54,9 @@ class _Outputs:
                 self._results.write_json("/findings", finding["t_ns"], to_json(finding))
             self._lines.close()
             self._results.close()
-            write_atomically(self._out / "summary.json", to_json(summary) + "\n")
+            write_atomically(self.out / "summary.json", to_json(summary) + "\n")
         except OSError as error:
-            raise MissingInputError(f"{self._out}: cannot be written: {error.strerror}") from error
+            raise MissingInputError(f"{self.out}: cannot be written: {error.strerror}") from error
         self.view.close(timeout_s=120.0)
 
     def abandon(self) -> None:
@@ -122,15 +122,7 @@ def replay(
             if speed is not None:
                 _wait(began, duration_s(progress.first, block) / speed)
             for result in pushed(pipeline, block, paths):
-                if isinstance(result, Samples):
-                    outputs.view.samples(result)
-                elif isinstance(result, Gap):
-                    summary.gap(result)
-                    outputs.view.gap(result)
-                else:
-                    summary.window(result)
-                    outputs.window(result)
-                    watcher.window(result)
+                _publish(result, summary, outputs, watcher)
             block = next(source, None)
         progress.demand(pipeline, summary.windows, paths)
         summary.dropped_samples = pipeline.state.align.dropped
@@ -143,14 +135,32 @@ def replay(
         raise
     finally:
         watcher.close()
+    _tell_losses(outputs, findings, summary, on_warning)
+    return content
+
+
+def _publish(result: Result, summary: Summary, outputs: _Outputs, watcher: _Watcher) -> None:
+    """Hand a result to whoever takes it."""
+    if isinstance(result, Samples):
+        outputs.view.samples(result)
+    elif isinstance(result, Gap):
+        summary.gap(result)
+        outputs.view.gap(result)
+    else:
+        summary.window(result)
+        outputs.window(result)
+        watcher.window(result)
+
+
+def _tell_losses(outputs: _Outputs, findings: list[dict[str, Any]], summary: Summary, on_warning: OnWarning) -> None:
+    """What went wrong on the way without ending the replay."""
     for finding in findings:
         if "error" in finding:
             on_warning(f"finding {finding['id']} ({finding['reason']}) came to nothing: {finding['error']}")
     if outputs.view.failed is not None:
-        on_warning(f"{out / 'live.rrd'} was not written: {outputs.view.failed}")
+        on_warning(f"{outputs.out / 'live.rrd'} was not written: {outputs.view.failed}")
     if summary.dropped_samples:
         on_warning(f"{summary.dropped_samples} samples were repeated, late or not finite and were dropped")
-    return content
 
 
 class _Watcher:

@@ -16,6 +16,10 @@ from monitor.results import Array
 
 _PILE = 20
 """Samples that share the largest magnitude only where something clips them."""
+_DRAGGED = -20.0
+"""Log prior below which the model without the effect was dragged far from what was known, where a fit starts better."""
+_HELD = 1e8
+"""Precision that holds the structure while an effect's size is found."""
 _MIN_STEP, _MAX_STEP = 0.05, 20.0
 """How far from its start size an effect is first tried, as factors."""
 
@@ -205,7 +209,7 @@ def rank(problem: Problem, null: Fit, candidates: list[Effect]) -> list[tuple[fl
 def _grown(effect: Effect, amount: float) -> Effect | None:
     """The effect with its amplitude times `amount`, or None where that is not possible physically."""
     x = effect.coordinates
-    size = float(np.clip(abs(amount), _MIN_STEP, _MAX_STEP)) * (1.0 if amount >= 0 else -1.0)
+    size = float(np.clip(abs(amount) ** (1.0 / effect.order), _MIN_STEP, _MAX_STEP)) * (1.0 if amount >= 0 else -1.0)
     for i, p in enumerate(effect.parameters):
         if p.absent is not None:
             zero = p.coordinate(p.absent) if np.isfinite(p.absent) else 0.0
@@ -231,6 +235,13 @@ def judge(problem: Problem, null: Fit, effect: Effect, *, quick: bool = False) -
     """Fit an effect beside the nuisances."""
     frozen = null.jacobian[:, : problem.n_nuisance] if quick else None
     fitted = fit(problem, null.x, (*null.effects, effect), iterations=5 if quick else 15, frozen=frozen)
+    if not quick and null.log_prior < _DRAGGED:
+        x = np.concatenate([problem.reference.mean, null.x[problem.reference.mean.size :]])
+        known = problem.reference
+        held = replace(problem, reference=replace(known, precision=known.precision + _HELD * np.eye(known.mean.size)))
+        near = fit(held, x, (*null.effects, effect), iterations=6)
+        other = fit(problem, near.x, near.effects, iterations=15)
+        fitted = max(fitted, other, key=lambda f: f.log_posterior)
     return evidence_of(problem, null, fitted)
 
 

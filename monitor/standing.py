@@ -15,6 +15,8 @@ from monitor.search import prepare
 
 _FIXED = 1e-4
 _CORRECTION_STD = 0.1
+_DAMPING_DRIFT = 0.05
+"""Relative change of a mode's damping that needs no cause."""
 
 
 def learn(evidence: Evidence, known: Reference, context: Context) -> tuple[Reference, Array]:
@@ -50,4 +52,5 @@ def learn(evidence: Evidence, known: Reference, context: Context) -> tuple[Refer
     p = mean.size
     precision = np.linalg.inv(fitted.covariance[:p, :p])
     learnt = replace(wider, mean=fitted.x[:p], precision=0.5 * (precision + precision.T))
+    learnt = learnt.with_looser_damping(np.full(d, _DAMPING_DRIFT))
     return learnt, learnt.parts(learnt.mean)[4]

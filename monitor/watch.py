@@ -19,7 +19,7 @@ class WatchSettings(Settings):
     """``[watch]``: diagnosis in the course of a replay or of the daemon."""
 
     diagnose: bool = True
-    misfit: float = Field(default=10.0, gt=1)
+    misfit: float = Field(default=5.0, gt=1)
     """Goodness of fit of the change (1 when stiffness explains it) from which stiffness explains too little."""
     longest_s: float = Field(default=1200.0, gt=0)
     """Most of the latest data that one diagnosis is given."""

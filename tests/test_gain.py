@@ -126,6 +126,7 @@ def test_the_gain_is_what_the_fitted_models_score(damped: Segments) -> None:
     )
     assert gain.before == pytest.approx(before, abs=0.02)
     assert gain.after == pytest.approx(after, abs=0.02)
+    assert gain.value == pytest.approx(after - before, rel=0.25)
 
 
 def test_a_cause_that_is_not_there_gains_nothing_and_is_not_named(clean: Segments) -> None:

@@ -138,6 +138,9 @@ class Effect(ABC):
     proportional: ClassVar[bool] = True
     """Whether twice its amplitude makes about twice the change, so that a score test can tell its size."""
 
+    order: ClassVar[int] = 1
+    """Power of its amplitude with which the spectra change."""
+
     location: str
     """As in the contract: ``story 2``, ``floor 1``, ``channel a2``, ``base``, ``frame``."""
 

@@ -19,6 +19,7 @@ class SensorNoise(Effect):
 
     name: ClassVar[str] = "sensor_noise"
     family: ClassVar[Literal["structure", "excitation", "sensor"]] = "sensor"
+    order: ClassVar[int] = 2
     places: ClassVar[tuple[str, ...]] = ("channel",)
     parameters: ClassVar[tuple[Parameter, ...]] = (Parameter("rms_m_s2", 0.0, inf, absent=0.0),)
     signature: ClassVar[str] = "a raised floor between the peaks of one channel, its coherence down"

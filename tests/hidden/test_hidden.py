@@ -15,7 +15,7 @@ SAMPLE = (
     "added_mass",
     "story_damper",
     "sensor_gain",
-    "time_offset",
+    "coloured_excitation",
     "clock_rate",
     "clean",
     "clean",
