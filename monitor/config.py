@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import tomllib
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field, ValidationError, model_validator
 
 from monitor.alarm import AlarmSettings
+from monitor.diagnosis_settings import DiagnosisSettings
 from monitor.effects import EFFECTS, Effect, EffectError
 from monitor.errors import BadConfigurationError, MissingInputError
 from monitor.matrix_files import read_matrices
@@ -26,9 +27,6 @@ from monitor.updating import UpdatingSettings
 from monitor.watch import WatchSettings
 from monitor.whittle import RefinementSettings
 from monitor.window import common_step_s
-
-if TYPE_CHECKING:
-    from monitor.diagnose import DiagnosisSettings
 
 Positive = Annotated[float, Field(gt=0)]
 
@@ -95,8 +93,7 @@ class Configuration(Settings):
     updating: UpdatingSettings = UpdatingSettings()
     temperature: TemperatureSettings = TemperatureSettings()
     alarm: AlarmSettings = AlarmSettings()
-    diagnosis: dict[str, Any] = Field(default_factory=dict)
-    """See `diagnosis_settings`."""
+    diagnosis: DiagnosisSettings = DiagnosisSettings()
     watch: WatchSettings = WatchSettings()
     topics: dict[str, str] = Field(default_factory=dict)
     """Topic map for foreign recordings: ROS 2 Imu topic to channel, as ``"/imu/top" = "a1.x"``."""
@@ -118,10 +115,6 @@ class Configuration(Settings):
                 self._effect(table)
             except EffectError as error:
                 problems.append(f"effects: {error}")
-        try:
-            self.diagnosis_settings()
-        except ValidationError as error:
-            problems += [f"diagnosis.{_place(e['loc'], e['type'])}: {e['msg']}" for e in error.errors()]
         p, lags = self.processing, 2 * self.identification.block_rows
         step_s = common_step_s(p.window_s, p.hop_s)
         if step_s * p.rate_hz < lags:
@@ -165,17 +158,6 @@ class Configuration(Settings):
         for row, sensor in enumerate(self.sensors):
             matrix[row, sensor.floor - 1] = 1.0
         return matrix
-
-    def diagnosis_settings(self) -> DiagnosisSettings:
-        """``[diagnosis]``.
-
-        Raises
-        ------
-        pydantic.ValidationError
-        """
-        from monitor.diagnose import DiagnosisSettings  # not above: what it works on is read with a Configuration
-
-        return DiagnosisSettings.model_validate(self.diagnosis)
 
     def prior_std(self) -> Array:
         """Relative standard deviations of stiffnesses, then masses, shape (p + n,)."""

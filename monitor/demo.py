@@ -27,7 +27,8 @@ def run(recordings: Path, out: Path, *, say: Callable[[str], None], on_warning: 
     baseline.save(healthy, out / "baseline.json")
     say("2. Replaying 1000 s of it in which story 2 loses 12 % of its stiffness after 400 s ...")
     parts = [recordings / "frame-before.mcap", recordings / "frame-after.mcap"]
-    summary = replay.replay(parts, frame, healthy, out, on_warning=on_warning)
+    files = (recordings / "frame.toml", out / "baseline.json")
+    summary = replay.replay(parts, frame, healthy, out, files=files, on_warning=on_warning)
     say(_indent(replay_story(summary, has_baseline=True)))
     say("3. Replaying a measured frame (mini shake table, an earthquake record played by the table) ...")
     measured = config.load(recordings / "mini-shake-table-flexible.toml")

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
-from pydantic import Field
 
+from monitor.diagnosis_settings import DiagnosisSettings
 from monitor.effects import Context, Effect
 from monitor.evidence import Evidence
 from monitor.likelihood import Fit, Problem, fit, inverse
@@ -15,31 +15,8 @@ from monitor.polish import Polished, polish, skewness
 from monitor.reference import Reference
 from monitor.results import Array
 from monitor.search import Candidate, best_of_each, conditions, evidence_of, judge, prepare, rank, starts
-from monitor.settings import Settings
 
 Verdict = Literal["none", "named", "ambiguous", "unexplained"]
-
-
-class DiagnosisSettings(Settings):
-    """``[diagnosis]``: when a cause is named."""
-
-    margin: float = Field(default=7.0, gt=0)
-    """Evidence above the model without the cause, nats, over all candidates (calibrated on clean records)."""
-    rival: float = Field(default=4.6, gt=0)
-    """A rival less than this many nats behind cannot be told from the winner (odds of 100 to 1)."""
-    worth: float = Field(default=4.0, ge=0)
-    """Gain that the score test must promise for a candidate to be fitted, nats."""
-    ranked: int = Field(default=20, ge=1)
-    """How many of those are fitted roughly."""
-    tried: int = Field(default=6, ge=1)
-    """How many of those are fitted to the end."""
-    favourites: int = Field(default=3, ge=0)
-    """How many of the score test's best are fitted to the end in any case."""
-    max_causes: int = Field(default=3, ge=1)
-    linearization: float = Field(default=0.05, ge=0, lt=1)
-    """Share of the gain by which a linearized law may misjudge itself: rivals within it are simulated."""
-    misfit: float = Field(default=6.0, gt=0)
-    """Standard deviations from which what is left over in a band is a misfit."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -91,11 +68,11 @@ def diagnose(evidence: Evidence, reference: Reference, context: Context, setting
     at, rounds = null, []
     alternatives: tuple[tuple[Candidate, float], ...] = ()
     accepted: list[Candidate] = []
-    lean = np.zeros(context.structure.n_stories)
+    lean, margin = np.zeros(context.structure.n_stories), settings.margin
     while len(accepted) < settings.max_causes:
         tried = _round(problem, at, lean, settings)
         rounds.append(tuple(p.candidate for p in tried))
-        if not tried or tried[0].candidate.evidence < settings.margin:
+        if not tried or tried[0].candidate.evidence < margin:
             break
         close = _together(tried, settings)
         if len(close) > 1:
@@ -108,6 +85,8 @@ def diagnose(evidence: Evidence, reference: Reference, context: Context, setting
             break
         accepted.append(best.candidate)
         problem = _extended(problem, at)
+        if best.candidate.effect.nonlinear:
+            margin = max(margin, settings.aftermath * best.candidate.gain)
     at, accepted = _pruned(problem, at, accepted, settings)
     left_over = _misfits(problem, at, settings)
     if left_over:

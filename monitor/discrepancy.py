@@ -66,7 +66,7 @@ def find(
             "the baseline holds nothing for a diagnosis to start from; calibrate anew, on a minute or more"
         )
     reference = _nominal(config) if baseline is None or baseline.reference is None else baseline.reference
-    diagnosis = diagnose(classify(segments), reference, context, config.diagnosis_settings())
+    diagnosis = diagnose(classify(segments), reference, context, config.diagnosis)
     gain = heldout_gain(segments, diagnosis, config)
     settled = demand_gain(diagnosis, gain)
     gain = gain if settled is diagnosis else Gain()
@@ -85,7 +85,7 @@ def learn(segments: Segments, config: Configuration) -> Reference:
     evidence, context, known = classify(segments), _context(segments, config), _nominal(config)
     if segments.temperature.size:
         known = replace(known, reference_degc=float(segments.temperature[:, 1].mean()))
-    found = diagnose(evidence, known, context, config.diagnosis_settings())
+    found = diagnose(evidence, known, context, config.diagnosis)
     if found.verdict == "named":
         known = _with_standing(known, tuple(c.effect for c in found.causes))
     return standing.learn(evidence, known, context)[0]

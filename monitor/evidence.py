@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from drivers.base import ACCELERATION, GROUND, TEMPERATURE, SampleBlock
 from monitor import align
-from monitor.condition import Conditioner
+from monitor.condition import Conditioner, ConditionState
 from monitor.config import Configuration
 from monitor.errors import BadInputError
 from monitor.prediction import Band
@@ -161,6 +161,7 @@ class _Stream:
         self._config, self._channels = config, channels
         self._align = align.start()
         self._rest: Array | None = None
+        self._state: ConditionState
         self._run_ns = 0
         self._done = 0
         self.design: SegmentDesign | None = None

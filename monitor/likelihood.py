@@ -83,7 +83,7 @@ class Problem:
     @property
     def n_nuisance(self) -> int:
         """Length of the vector before the extra effects' coordinates."""
-        return self.reference.mean.size + self.context.structure.mass_matrix().shape[0] + self.n_classes + 1
+        return int(self.reference.mean.size) + self.context.structure.n_dofs + self.n_classes + 1
 
     def widths(self) -> Array:
         """Bins in each (coarse) bin."""
@@ -106,6 +106,7 @@ class Problem:
         """Predicted cross-spectra of the classes, shape (classes, n_bins, c, c)."""
         effects = (*self.reference.effects(x), *effects)
         mass, stiffness, damping = self.matrices(x, effects)
+        context = self.context_at(x)
         p = self.reference.mean.size
         n = mass.shape[0]
         force, level, noise = np.exp(x[p : p + n]), np.exp(x[p + n : p + n + self.n_classes]), self.noise(x)
@@ -116,10 +117,10 @@ class Problem:
         shared: ComplexArray | None = None
         for k in wanted:
             if varied or shared is None:
-                system = assemble(mass, stiffness, damping, effects, self.context, self.conditions[k])
+                system = assemble(mass, stiffness, damping, effects, context, self.conditions[k])
                 drive = None if ground is None else ground[k]
                 e = Excitation(force * (level[k] if varied else 1.0), noise * (1.0 if varied else 0.0), drive)
-                shared = cross_spectra(system, effects, e, self.evidence.band, self.context, self.conditions[k])
+                shared = cross_spectra(system, effects, e, self.evidence.band, context, self.conditions[k])
             if varied:
                 out.append(shared)
             else:
@@ -142,6 +143,10 @@ class Problem:
     def matrices(self, x: Array, effects: Sequence[Effect]) -> tuple[Array, Array, Array]:
         """Mass, stiffness and modal damping ratios at a vector of nuisances."""
         return (*self.model(x, effects).structural_matrices(), np.exp(self.reference.parts(x)[2]))
+
+    def context_at(self, x: Array) -> Context:
+        """Where effects act, with the structure at a vector of nuisances: relative sizes refer to it."""
+        return replace(self.context, structure=self.model(x, ()).structure)
 
     def model(self, x: Array, effects: Sequence[Effect]) -> Model:
         """The model at a vector of nuisances; `effects` are all of its effects."""
@@ -167,7 +172,7 @@ class Problem:
             self.pins.get((e.name, e.location), (mean, np.diag(precision)))
             for e, (mean, precision) in zip(effects, told, strict=True)
         ]
-        n = self.context.structure.mass_matrix().shape[0]
+        n = self.context.structure.n_dofs
         centred = np.eye(n) - 1.0 / n
         precision = block_diag(
             self.reference.precision,
@@ -212,7 +217,7 @@ class Problem:
         Those of the nuisances are taken at the middle class and scaled by level: they only weigh the residual.
         """
         middle = self.n_classes // 2
-        p, n = self.reference.mean.size, self.context.structure.mass_matrix().shape[0]
+        p, n = self.reference.mean.size, self.context.structure.n_dofs
         level = np.exp(x[p + n : p + n + self.n_classes])
         scale = (
             (level / level[middle])[:, None, None, None]

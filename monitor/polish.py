@@ -83,7 +83,7 @@ def _ahead(first: Array, second: Array, third: Array) -> Array:
 
 def _simulated(problem: Problem, at: Fit, seed: int) -> tuple[ComplexArray, Array]:
     """Exact less linearized spectra of every class, and the drifts' skewness under the exact laws."""
-    e, context = problem.evidence, problem.context
+    e, context = problem.evidence, problem.context_at(at.x)
     effects: tuple[Effect, ...] = (*problem.reference.effects(at.x), *at.effects)
     mass, stiffness, damping = problem.matrices(at.x, effects)
     n, p, rate = mass.shape[0], problem.reference.mean.size, e.rate_hz

@@ -6,7 +6,7 @@ import heapq
 import json
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from math import isfinite
 from pathlib import Path
@@ -130,7 +130,7 @@ def simulate_to(
         t0_ns = _nanoseconds(datetime.fromisoformat(start))
         model = config.model()
         planted = [*map(parse_damage, damage), *map(parse_effect, effects)]
-        truth = _standing(Model(model.structure, (*model.effects, *planted)), config.channels)
+        truth = _standing(replace(model, effects=(*model.effects, *planted)), config.channels)
         n_samples = round(duration_s * rate_hz) if isfinite(duration_s) else 0
         if n_samples <= 0:
             raise ValueError(f"--duration {duration_s:g}: not even one sample at {rate_hz:g} Hz")

@@ -92,7 +92,7 @@ def _first_guess(problem: Problem) -> Array:
 
 def conditions(problem: Problem, x: Array, effects: tuple[Effect, ...]) -> tuple[Condition, ...]:
     """RMS motion of every class under the fitted model, and its temperature."""
-    e, context = problem.evidence, problem.context
+    e, context = problem.evidence, problem.context_at(x)
     effects = (*problem.reference.effects(x), *effects)
     mass, stiffness, damping = problem.matrices(x, effects)
     n, p = mass.shape[0], problem.reference.mean.size

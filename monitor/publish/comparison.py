@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from monitor.diagnose import Diagnosis, DiagnosisSettings, residual_bands
+from monitor.diagnose import Diagnosis, residual_bands
+from monitor.diagnosis_settings import DiagnosisSettings
 from monitor.evidence import Segments, class_temperature
 from monitor.likelihood import Problem, fit
 from monitor.results import Array, ComplexArray
