@@ -11,11 +11,14 @@ from monitor.diagnosis_settings import DiagnosisSettings
 from monitor.effects import Context, Effect
 from monitor.evidence import Evidence
 from monitor.likelihood import Fit, Problem, fit, inverse
+from monitor.misfit import Misfit, misfits
 from monitor.polish import Polished, polish, skewness
 from monitor.reference import Reference
 from monitor.results import Array
 from monitor.search import Candidate, best_of_each, conditions, evidence_of, judge, prepare, rank, starts
 
+_TIED = 1.0
+"""Nats between two predictions that are one and the same."""
 Verdict = Literal["none", "named", "ambiguous", "unexplained"]
 
 
@@ -26,16 +29,6 @@ class Cause:
     effect: Effect
     std: dict[str, float]
     """Standard deviation of each parameter."""
-
-
-@dataclass(frozen=True, slots=True)
-class Misfit:
-    """Where measured and modelled spectra differ."""
-
-    where: str
-    size: float
-    """Standard deviations."""
-    says: str
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -88,8 +81,11 @@ def diagnose(evidence: Evidence, reference: Reference, context: Context, setting
         if best.candidate.effect.nonlinear:
             margin = max(margin, settings.aftermath * best.candidate.gain)
     at, accepted = _pruned(problem, at, accepted, settings)
-    left_over = _misfits(problem, at, settings)
-    if left_over:
+    misfit, left_over = misfits(problem, null, settings), misfits(problem, at, settings)
+    share = sum(m.size**2 for m in left_over) / max(sum(m.size**2 for m in misfit), 1.0)
+    # The exact form of a nonlinear law far from rest is not known; what little that leaves is no cause of its own.
+    bent = any(c.effect.nonlinear for c in accepted)
+    if left_over and not (bent and share < settings.remainder):
         verdict: Verdict = "unexplained"
     elif alternatives:
         verdict = "ambiguous"
@@ -99,7 +95,7 @@ def diagnose(evidence: Evidence, reference: Reference, context: Context, setting
         verdict=verdict,
         causes=_causes(problem, at, accepted),
         alternatives=alternatives,
-        misfit=_misfits(problem, null, settings),
+        misfit=misfit,
         left_over=left_over,
         tried=rounds[0] if rounds else (),
         problem=problem,
@@ -117,7 +113,7 @@ def _together(tried: list[Polished], settings: DiagnosisSettings) -> list[Polish
 
 def _looked_ahead(close: list[Polished], settings: DiagnosisSettings) -> list[Polished]:
     """Rivals of which each leaves something unexplained, judged with the best second cause beside each."""
-    if not _misfits(close[0].problem, close[0].candidate.fit, settings):
+    if not misfits(close[0].problem, close[0].candidate.fit, settings):
         return close
     total = []
     for p in close[: settings.tried]:
@@ -125,8 +121,19 @@ def _looked_ahead(close: list[Polished], settings: DiagnosisSettings) -> list[Po
         more = second[0].candidate.evidence if second else 0.0
         total.append(p.candidate.evidence + (more if more > settings.margin else 0.0))
     best = int(np.argmax(total))
-    near = [p for p, t in zip(close, total, strict=False) if t > total[best] - settings.rival]
+    near = [
+        p
+        for p, t in zip(close, total, strict=False)
+        if t > total[best] - settings.rival or _same(p.problem, p.candidate.fit, close[best].candidate.fit)
+    ]
     return sorted(near, key=lambda p: p is not close[best])
+
+
+def _same(problem: Problem, one: Fit, other: Fit) -> bool:
+    """Whether two fits predict spectra that these data cannot tell apart, whatever else is added."""
+    here = problem.spectra(one.x, one.effects)
+    _, apart = problem.whitened(here, here[None], problem.spectra(other.x, other.effects))
+    return bool(0.5 * float(apart @ apart) < _TIED)
 
 
 def _extended(problem: Problem, at: Fit) -> Problem:
@@ -226,46 +233,3 @@ def _causes(problem: Problem, fitted: Fit, accepted: list[Candidate]) -> tuple[C
         first += len(effect.parameters)
         out.append(Cause(effect, std))
     return tuple(out)
-
-
-def residual_bands(problem: Problem, fitted: Fit, width_hz: float = 1.0) -> tuple[Array, Array]:
-    """Misfit in bands as standard deviations, shape (bands, c, c), and the bands' middles in Hz.
-
-    The diagonal is too much (positive) or too little power in the whitened channels, below it the real and above it the
-    imaginary part of their coherence.
-    """
-    c = problem.evidence.spectra.shape[-1]
-    bins = problem.evidence.band.n_bins
-    rows = fitted.residual.reshape(problem.n_classes, bins, c * c)
-    per = max(1, round(width_hz / problem.evidence.band.bin_hz))
-    n = bins // per
-    z = rows[:, : n * per].reshape(problem.n_classes, n, per, c * c).sum(axis=(0, 2)) / np.sqrt(problem.n_classes * per)
-    matrix = np.zeros((n, c, c))
-    at = 0
-    for i in range(c):
-        for j in range(i):
-            matrix[:, i, j], matrix[:, j, i] = z[:, at], z[:, at + 1]
-            at += 2
-        matrix[:, i, i] = z[:, at]
-        at += 1
-    return matrix, problem.evidence.band.hz[: n * per].reshape(n, per).mean(axis=1)
-
-
-def _misfits(problem: Problem, fitted: Fit, settings: DiagnosisSettings) -> tuple[Misfit, ...]:
-    """Bands in which the model is wrong, worst first."""
-    z, hz = residual_bands(problem, fitted)
-    if problem.offset is not None:
-        z = z / np.sqrt(2.0)  # the simulation has as much chance in it as the recording
-    names = [*problem.context.channels, "ground"]
-    out = []
-    for band, i, j in np.argwhere(np.abs(z) > settings.misfit):
-        size = float(z[band, i, j])
-        where = f"f = {hz[band] - 0.5:.1f}-{hz[band] + 0.5:.1f} Hz, "
-        if i == j:
-            says = f"{'more' if size > 0 else 'less'} power than the model has, given the channels before it"
-            where += f"channel {names[i]}"
-        else:
-            says = f"the {'real' if i > j else 'imaginary'} part of their coherence is not the model's"
-            where += f"channels {names[i]} and {names[j]}"
-        out.append(Misfit(where, abs(size), says))
-    return tuple(sorted(out, key=lambda m: -m.size))

@@ -152,7 +152,9 @@ class Problem:
         """The model at a vector of nuisances; `effects` are all of its effects."""
         ln_k, ln_m, ln_damping, _, correction, _ = self.reference.parts(x)
         base = self.reference.model
-        change = np.tensordot(correction, self.reference.basis, axes=1) if correction.size else None
+        # The scale of all masses and stiffnesses cannot be seen; the correction shares it.
+        scale = np.exp((ln_m - self.reference.parts(self.reference.mean)[1]).mean())
+        change = scale * np.tensordot(correction, self.reference.basis, axes=1) if correction.size else None
         if base.correction is not None:
             change = base.correction if change is None else base.correction + change
         model = base.with_stiffness(np.exp(ln_k)).with_masses(np.exp(ln_m))
@@ -313,7 +315,7 @@ def fit(
             step = scale * np.linalg.solve(
                 normal * scale[:, None] * scale + (damping + 1e-12) * np.eye(x.size), scale * gradient
             )
-            moved = _limited(problem, x, step)
+            moved = _limited(problem, x, step, effects)
             there = placed(effects, moved[problem.n_nuisance :])
             moved = np.concatenate([moved[: problem.n_nuisance], *[e.coordinates for e in there]])
             candidate = problem.smooth(problem.spectra(moved, there))
@@ -347,7 +349,7 @@ def _effect_slopes(problem: Problem, x: Array, effects: tuple[Effect, ...], spec
     return np.array(out).reshape(-1, *spectra.shape)
 
 
-def _limited(problem: Problem, x: Array, step: Array) -> Array:
+def _limited(problem: Problem, x: Array, step: Array, effects: Sequence[Effect]) -> Array:
     """A step bounded so that a bad start cannot run away."""
     bound = np.full(x.size, np.inf)
     k, m, d, c, _ = problem.reference.sizes
@@ -356,6 +358,8 @@ def _limited(problem: Problem, x: Array, step: Array) -> Array:
     bound[k + m : k + m + d + c] = 1.0
     bound[k + m + d + c : p] = 0.1
     bound[p : problem.n_nuisance] = 2.0
+    logarithms = [p.scale == "log" for e in effects for p in e.parameters]
+    bound[problem.n_nuisance :] = np.where(logarithms, 0.5, np.inf)
     return np.asarray(x + np.clip(step, -bound, bound))
 
 

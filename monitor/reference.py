@@ -52,6 +52,14 @@ class Reference:
             last = last[len(e.parameters) :]
         return tuple(out)
 
+    def with_unseen_scale(self, std: float) -> Reference:
+        """Where all masses and stiffnesses together may be larger or smaller by so much, which no output shows."""
+        k, m, *_ = self.sizes
+        scale = np.zeros(self.mean.size)
+        scale[: k + m] = std
+        precision = np.linalg.inv(np.linalg.inv(self.precision) + np.outer(scale, scale))
+        return replace(self, precision=0.5 * (precision + precision.T))
+
     def with_looser_damping(self, ln_std: Array) -> Reference:
         """Where the damping of every mode may differ by so much more, shape (n,)."""
         k, m, d, *_ = self.sizes

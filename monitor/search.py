@@ -12,7 +12,7 @@ from monitor.evidence import Evidence, class_temperature
 from monitor.likelihood import Fit, Problem, fit, inverse
 from monitor.prediction import accelerance, assemble
 from monitor.reference import Reference
-from monitor.results import Array
+from monitor.results import Array, ComplexArray
 
 _PILE = 20
 """Samples that share the largest magnitude only where something clips them."""
@@ -186,12 +186,8 @@ def rank(problem: Problem, null: Fit, candidates: list[Effect]) -> list[tuple[fl
     data = problem.data()
     for effect in candidates:
         moved = problem.smooth(problem.spectra(null.x, (*null.effects, effect)))
-        if not effect.proportional:  # all or nothing: what is gained once levels and nuisances have followed
-            moved = moved * problem.level_of(moved, data)[:, None, None, None]
-            _, left = problem.whitened(moved, moved[None], data)
-            pull = tangent.T @ left
-            gain = problem.log_likelihood(moved, data) - null.log_likelihood + 0.5 * float(pull @ normal @ pull)
-            out.append((gain, effect))
+        out.append((_whole_gain(problem, null, tangent, normal, moved, data), effect))
+        if not effect.proportional:
             continue
         change, _ = problem.whitened(spectra, (moved - spectra)[None])
         v = change[:, 0]
@@ -199,11 +195,20 @@ def rank(problem: Problem, null: Fit, candidates: list[Effect]) -> list[tuple[fl
         information, score = float(v @ v - along @ normal @ along), float(v @ residual)
         if information < 1e-9:
             continue
-        amount = score / information
-        grown = _grown(effect, amount)
+        grown = _grown(effect, score / information)
         if grown is not None:
             out.append((0.5 * score**2 / information, grown))
     return sorted(out, key=lambda item: -item[0])
+
+
+def _whole_gain(
+    problem: Problem, null: Fit, tangent: Array, normal: Array, moved: ComplexArray, data: ComplexArray
+) -> float:
+    """What the effect gains as it stands, once levels and nuisances have followed."""
+    moved = moved * problem.level_of(moved, data)[:, None, None, None]
+    _, left = problem.whitened(moved, moved[None], data)
+    pull = tangent.T @ left
+    return problem.log_likelihood(moved, data) - null.log_likelihood + 0.5 * float(pull @ normal @ pull)
 
 
 def _grown(effect: Effect, amount: float) -> Effect | None:

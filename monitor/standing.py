@@ -42,7 +42,8 @@ def learn(evidence: Evidence, known: Reference, context: Context) -> tuple[Refer
     mean = np.concatenate([x[: k + m + d + c], np.zeros(basis.shape[0]), effects])
     prior = block_diag(
         np.eye(k) / _FIXED**2,
-        known.precision[k : k + m, k : k + m] + 1.0 / (m * _FIXED) ** 2,  # their common scale cannot be seen
+        known.precision[k : k + m, k : k + m]
+        + 1.0 / (m * _FIXED) ** 2,  # their common scale cannot be seen: fixed for now
         known.precision[k + m : k + m + d + c, k + m : k + m + d + c],
         np.eye(basis.shape[0]) / _CORRECTION_STD**2,
         known.precision[known.mean.size - effects.size :, known.mean.size - effects.size :],
@@ -53,4 +54,5 @@ def learn(evidence: Evidence, known: Reference, context: Context) -> tuple[Refer
     precision = np.linalg.inv(fitted.covariance[:p, :p])
     learnt = replace(wider, mean=fitted.x[:p], precision=0.5 * (precision + precision.T))
     learnt = learnt.with_looser_damping(np.full(d, _DAMPING_DRIFT))
+    learnt = learnt.with_unseen_scale(float(np.sqrt(np.linalg.inv(known.precision[k : k + m, k : k + m]).sum()) / m))
     return learnt, learnt.parts(learnt.mean)[4]

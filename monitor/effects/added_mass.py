@@ -44,9 +44,10 @@ class AddedMass(Effect):
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Effect, ...]:
         """See `Effect.starts`."""
         if location == "frame":
-            return (AddedMassEverywhere(location, 0.02),)
+            return tuple(AddedMassEverywhere(location, r) for r in (0.02, 0.08))
         start = cls(location, 0.0)
-        return (cls(location, 0.02 * float(context.structure.masses_kg[start.index])),)
+        mass = float(context.structure.masses_kg[start.index])
+        return (cls(location, 0.02 * mass), cls(location, 0.1 * mass))
 
 
 @dataclass(frozen=True)

@@ -29,4 +29,4 @@ class ClockRate(Effect):
     @classmethod
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
         """See `Effect.starts`."""
-        return (cls(location, 1e-3),)
+        return tuple(cls(location, r) for r in (1e-3, 6e-3, -6e-3, 1.5e-2, -1.5e-2))

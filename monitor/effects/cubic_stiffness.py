@@ -53,4 +53,4 @@ class CubicStiffness(Effect):
         """See `Effect.starts`."""
         j = int(location.partition(" ")[2]) - 1
         k, s = float(context.structure.stiffness_n_per_m[j]), float(condition.drift_m[j])
-        return (cls(location, 0.03 * k / (3.0 * s**2)),)
+        return tuple(cls(location, size * k / (3.0 * s**2)) for size in (0.03, 0.1, -0.03, -0.08))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import ceil, inf, pi
+from math import ceil, pi
 from typing import ClassVar, Literal, Self
 
 import numpy as np
@@ -25,7 +25,7 @@ class TimeOffset(Effect):
     name: ClassVar[str] = "time_offset"
     family: ClassVar[Literal["structure", "excitation", "sensor"]] = "sensor"
     places: ClassVar[tuple[str, ...]] = ("channel",)
-    parameters: ClassVar[tuple[Parameter, ...]] = (Parameter("seconds", 0.0, inf, absent=0.0),)
+    parameters: ClassVar[tuple[Parameter, ...]] = (Parameter("seconds", -1.0, 1.0, absent=0.0),)
     signature: ClassVar[str] = "the phase of one channel falls in proportion to the frequency"
 
     seconds: float
@@ -48,4 +48,4 @@ class TimeOffset(Effect):
     @classmethod
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
         """See `Effect.starts`."""
-        return (cls(location, 0.5e-3),)
+        return tuple(cls(location, s) for s in (0.5e-3, 1.5e-3, -1.5e-3, 3e-3, -3e-3, 4.5e-3, -4.5e-3))

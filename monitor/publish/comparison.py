@@ -6,10 +6,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from monitor.diagnose import Diagnosis, residual_bands
+from monitor.diagnose import Diagnosis
 from monitor.diagnosis_settings import DiagnosisSettings
 from monitor.evidence import Segments, class_temperature
 from monitor.likelihood import Problem, fit
+from monitor.misfit import residual_bands
 from monitor.results import Array, ComplexArray
 
 _RATIO_HZ = 0.25

@@ -1,0 +1,99 @@
+"""Where a recording and a fitted model differ, in bands, over the whole recording and between its halves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from monitor.diagnosis_settings import DiagnosisSettings
+from monitor.likelihood import Fit, Problem
+from monitor.results import Array
+
+
+@dataclass(frozen=True, slots=True)
+class Misfit:
+    """Where measured and modelled spectra differ."""
+
+    where: str
+    size: float
+    """Standard deviations."""
+    says: str
+
+
+def drift_bands(problem: Problem, fitted: Fit, width_hz: float = 1.0) -> Array:
+    """What the later half of a recording shows more than the earlier one, as `residual_bands`.
+
+    Each half is compared with the model's spectra of its own classes, so that a change of level or weather is no drift.
+    """
+    e = problem.evidence
+    x = e.segments.values
+    if e.segments.drive is not None:
+        x = np.concatenate([x, e.segments.drive[:, :, None]], axis=2)
+    predicted = problem.spectra(fitted.x, fitted.effects)
+    late = e.t_s > np.median(e.t_s)
+    label = np.empty(late.size, dtype=int)
+    for k, members in enumerate(e.members):
+        label[members] = k
+    z = []
+    for half in (late, ~late):
+        share = np.bincount(label[half], minlength=predicted.shape[0]) / np.count_nonzero(half)
+        model = np.einsum("k,kfab->fab", share, predicted)[None]
+        data = np.einsum("sfa,sfb->fab", x[half], x[half].conj())[None] / np.count_nonzero(half)
+        model = model * problem.level_of(model, data)[:, None, None, None]
+        halved = replace(problem, evidence=replace(e, counts=np.array([float(np.count_nonzero(half))])))
+        z.append(_banded(halved.whitened(model, model[None], data)[1], 1, problem, width_hz)[0])
+    return np.asarray((z[0] - z[1]) / np.sqrt(2.0))
+
+
+def residual_bands(problem: Problem, fitted: Fit, width_hz: float = 1.0) -> tuple[Array, Array]:
+    """Misfit in bands as standard deviations, shape (bands, c, c), and the bands' middles in Hz.
+
+    The diagonal is too much (positive) or too little power in the whitened channels, below it the real and above it the
+    imaginary part of their coherence.
+    """
+    return _banded(fitted.residual, problem.n_classes, problem, width_hz)
+
+
+def _banded(residual: Array, n_classes: int, problem: Problem, width_hz: float) -> tuple[Array, Array]:
+    """Whitened rows summed in bands."""
+    c = problem.evidence.spectra.shape[-1]
+    bins = problem.evidence.band.n_bins
+    rows = residual.reshape(n_classes, bins, c * c)
+    per = max(1, round(width_hz / problem.evidence.band.bin_hz))
+    n = bins // per
+    z = rows[:, : n * per].reshape(n_classes, n, per, c * c).sum(axis=(0, 2)) / np.sqrt(n_classes * per)
+    matrix = np.zeros((n, c, c))
+    at = 0
+    for i in range(c):
+        for j in range(i):
+            matrix[:, i, j], matrix[:, j, i] = z[:, at], z[:, at + 1]
+            at += 2
+        matrix[:, i, i] = z[:, at]
+        at += 1
+    return matrix, problem.evidence.band.hz[: n * per].reshape(n, per).mean(axis=1)
+
+
+def misfits(problem: Problem, fitted: Fit, settings: DiagnosisSettings) -> tuple[Misfit, ...]:
+    """Bands in which the model is wrong, worst first."""
+    z, hz = residual_bands(problem, fitted)
+    if problem.offset is not None:
+        z = z / np.sqrt(2.0)  # the simulation has as much chance in it as the recording
+    late = _listed(drift_bands(problem, fitted), hz, problem, settings, ", more so late in the recording than early")
+    return tuple(sorted(_listed(z, hz, problem, settings, "") + late, key=lambda m: -m.size))
+
+
+def _listed(z: Array, hz: Array, problem: Problem, settings: DiagnosisSettings, when: str) -> tuple[Misfit, ...]:
+    names = [*problem.context.channels, "ground"]
+    out = []
+    for band, i, j in np.argwhere(np.abs(z) > settings.misfit):
+        size = float(z[band, i, j])
+        where = f"f = {hz[band] - 0.5:.1f}-{hz[band] + 0.5:.1f} Hz, "
+        if i == j:
+            says = f"{'more' if size > 0 else 'less'} power than the model has, given the channels before it"
+            where += f"channel {names[i]}"
+        else:
+            says = f"the {'real' if i > j else 'imaginary'} part of their coherence is not the model's"
+            where += f"channels {names[i]} and {names[j]}"
+        out.append(Misfit(where, abs(size), says + when))
+    return tuple(out)
