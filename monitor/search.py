@@ -130,7 +130,7 @@ def conditions(problem: Problem, x: Array, effects: tuple[Effect, ...]) -> tuple
         flat = np.ones(hz.size)
         out.append(
             Condition(
-                rms(drift, flat), rms(drift, w**2), rms(np.eye(n), w**2), e.rms[k], e.peak, e.piled >= _PILE, excess
+                rms(drift, flat), rms(drift, w**2), rms(np.eye(n), w**2), e.rms[k], excess, e.peak, e.piled >= _PILE
             )
         )
     return tuple(out)

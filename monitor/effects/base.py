@@ -50,12 +50,12 @@ class Condition:
     """RMS velocity of every floor, shape (n,)."""
     channel_m_s2: Array
     """RMS of every channel's samples, shape (c,)."""
+    excess_degc: Callable[[float], float] = field(default=lambda lag_s: 0.0)
+    """Temperature above the reference after a first-order lag in s."""
     channel_peak_m_s2: Array = field(default_factory=lambda: np.full(1, np.inf))
     """Largest magnitude of every channel's samples in the whole recording, shape (c,)."""
     channel_piled: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(1, dtype=bool))
     """Whether many of a channel's samples share its largest magnitude, shape (c,)."""
-    excess_degc: Callable[[float], float] = field(default=lambda lag_s: 0.0)
-    """Temperature above the reference after a first-order lag in s."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
