@@ -19,6 +19,8 @@ from monitor.results import Array, ComplexArray
 from monitor.spectrum import LEAKAGE_OFFSETS, hann_amplitude, leakage
 
 _TAPS = leakage()
+_LEAST_SHARE = 1e-9
+"""Of the variance that comes from the ground: less is none."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -170,6 +172,8 @@ def ground_density(share: float, system: System, force: Array, context: Context)
     n = force.size
     by_force = (seen[:, :, :n] @ force).sum(axis=0)
     by_ground = seen[:, :, n].sum(axis=0)
+    if share < _LEAST_SHARE:
+        return 0.0
     share = min(share, 0.999)
 
     def excess(ln_density: float) -> float:

@@ -186,7 +186,7 @@ def rank(problem: Problem, null: Fit, candidates: list[Effect]) -> list[tuple[fl
     data = problem.data()
     for effect in candidates:
         moved = problem.smooth(problem.spectra(null.x, (*null.effects, effect)))
-        out.append((_whole_gain(problem, null, tangent, normal, moved, data), effect))
+        out.append((_whole_gain(problem, null, moved, data), effect))
         if not effect.proportional:
             continue
         change, _ = problem.whitened(spectra, (moved - spectra)[None])
@@ -201,14 +201,10 @@ def rank(problem: Problem, null: Fit, candidates: list[Effect]) -> list[tuple[fl
     return sorted(out, key=lambda item: -item[0])
 
 
-def _whole_gain(
-    problem: Problem, null: Fit, tangent: Array, normal: Array, moved: ComplexArray, data: ComplexArray
-) -> float:
-    """What the effect gains as it stands, once levels and nuisances have followed."""
+def _whole_gain(problem: Problem, null: Fit, moved: ComplexArray, data: ComplexArray) -> float:
+    """What the effect gains as it stands, once the levels have followed: for starts that happen to lie near the truth."""
     moved = moved * problem.level_of(moved, data)[:, None, None, None]
-    _, left = problem.whitened(moved, moved[None], data)
-    pull = tangent.T @ left
-    return problem.log_likelihood(moved, data) - null.log_likelihood + 0.5 * float(pull @ normal @ pull)
+    return problem.log_likelihood(moved, data) - null.log_likelihood
 
 
 def _grown(effect: Effect, amount: float) -> Effect | None:
