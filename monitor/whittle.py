@@ -68,6 +68,8 @@ def refine(window: Window, modes: ModalEstimate, settings: RefinementSettings) -
             # Next to none may be known of a noise that hides below the response: a wide prior keeps it in bounds.
             weak = np.arange(n_modal + len(layout.pairs), len(information))
             information[weak, weak] += 1.0 / (_WEAK_STD**2 * n_segments)
+            if not np.diag(information).min() > 0.0:  # more modes than the channels can tell apart
+                return modes
             scale = 1.0 / np.sqrt(np.diag(information))
             covariance = scale[:, None] * np.linalg.inv(information * scale[:, None] * scale) * scale
             if not (np.isfinite(covariance).all() and np.diag(covariance).min() > 0):

@@ -190,7 +190,7 @@ def test_a_wrong_correction_or_damping_is_a_problem_of_the_file(tmp_path: Path, 
 
 
 def test_diagnosis_settings_are_checked_with_the_rest(tmp_path: Path) -> None:
-    assert loaded(tmp_path, TEXT + "\n[diagnosis]\nmargin = 9.0\n").diagnosis_settings().margin == 9.0
+    assert loaded(tmp_path, TEXT + "\n[diagnosis]\nmargin = 9.0\n").diagnosis.margin == 9.0
     with pytest.raises(BadConfigurationError, match=r"diagnosis\.margin"):
         loaded(tmp_path, TEXT + "\n[diagnosis]\nmargin = -1.0\n")
     with pytest.raises(BadConfigurationError, match=r"diagnosis\.magrin"):
