@@ -80,6 +80,13 @@ class Baseline:
             damping_ratio=self.damping_ratio[keep],
         )
 
+    @property
+    def model_form(self) -> float:
+        """How far a change's pattern may be wrong, relative: twice the standing misfit of ln eigenvalues and shapes beyond
+        its noise (joints of ratio 10 leave 2.6 %, and falsify a loss by 4 to 8 % of it)."""
+        excess = float((self.misfit**2).mean() - np.diag(self.z_covariance).mean())
+        return 2.0 * float(np.sqrt(max(excess, 0.0)))
+
     def target(self, observation: Observation) -> Observation:
         """The observation with the standing misfit taken out: what the baseline's model should predict."""
         return replace(observation, z=observation.z - self.misfit)

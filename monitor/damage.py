@@ -73,9 +73,12 @@ def step(
     is_chain = isinstance(reference.structure, ShearFrame)
     healthy_k, now_k = reference.stiffness_matrix(), fit.model.stiffness_matrix()
     ddi = 1.0 - fit.parameters / healthy
+    form = 0.0 if baseline is None else baseline.model_form
+    falsified = (form * np.abs(ddi).max()) ** 2 * np.eye(ddi.size)
     reading = DamageReading(
         ddi=ddi,
-        ddi_covariance=covariance / np.outer(healthy, healthy) + effect_covariance,
+        ddi_covariance=covariance / np.outer(healthy, healthy) + effect_covariance + falsified,
+        model_form=form,
         ddi_sequential=sequential_reading(healthy_k, now_k) if is_chain else ddi,
         loss_n_per_m=healthy - fit.parameters,
         common_covariance=common / np.outer(healthy, healthy) + effect_covariance,

@@ -187,6 +187,9 @@ class DamageReading:
     """Shape (n,): stiffness lost since the baseline."""
     common_covariance: Array = field(default_factory=lambda: np.zeros(()))
     """Shape (n, n): the part of `ddi_covariance` that all windows share, the baseline's own, which no averaging lessens."""
+    model_form: float = 0.0
+    """Share of the largest loss by which the model's standing misfit may falsify any story's, one standard deviation; it
+    is in `ddi_covariance`, but says nothing against a story that lost nothing."""
     temperature_effect: Array | None = None
     """Shape (n,): relative change of stiffness that the temperature explains, already taken out of the index; None where
     no dependence is known."""
@@ -197,6 +200,11 @@ class DamageReading:
     def ddi_std(self) -> Array:
         """Shape (n,)."""
         return np.asarray(np.sqrt(np.diag(self.ddi_covariance)))
+
+    @property
+    def form_variance(self) -> float:
+        """The part of every story's variance that the model's form adds, in proportion to the largest loss."""
+        return float((self.model_form * np.abs(self.ddi).max(initial=0.0)) ** 2)
 
 
 @dataclass(frozen=True, eq=False, slots=True)

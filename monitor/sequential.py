@@ -76,7 +76,9 @@ def look(history: History, reading: DamageReading, t_ns: int, model_form: float)
     model_form : float
         Share of another story's loss that may show in a story (one standard deviation).
     """
-    own = reading.ddi_covariance - reading.common_covariance + 1e-24 * np.eye(reading.ddi.size)
+    n = reading.ddi.size
+    own = reading.ddi_covariance - reading.common_covariance + (1e-24 - reading.form_variance) * np.eye(n)
+    model_form = max(model_form, reading.model_form)
     variance = np.diag(own)
     history = _remembered(history, reading.ddi, variance, t_ns)
     chain = _disjoint(history)
