@@ -17,6 +17,8 @@ from monitor.reference import Reference
 from monitor.results import Array
 from monitor.search import Candidate, best_of_each, conditions, evidence_of, judge, prepare, rank, starts
 
+_SMALL, _NEAR = 200.0, 0.4
+"""Promised gain, nats, below which all that promise this share of it are fitted."""
 _TIED = 1.0
 """Nats between two predictions that are one and the same."""
 Verdict = Literal["none", "named", "ambiguous", "unexplained"]
@@ -162,7 +164,12 @@ def _round(problem: Problem, at: Fit, lean: Array, settings: DiagnosisSettings) 
     rough = sorted((judge(problem, at, e, quick=True) for _, e in ranked[: settings.ranked]), key=lambda c: -c.evidence)
     chosen = {c.key: c.effect for c in rough[: settings.tried]}
     # A rough fit may fail from far away, so the score test's own favourites are fitted too.
-    chosen |= {(e.name, e.location): e for _, e in ranked[: settings.favourites] if (e.name, e.location) not in chosen}
+    favourites = ranked[: settings.favourites]
+    if (
+        ranked and ranked[0][0] < _SMALL
+    ):  # a small effect: its rivals promise nearly as much, and none may be passed over
+        favourites = [item for item in ranked if item[0] > _NEAR * ranked[0][0]]
+    chosen = {(e.name, e.location): e for _, e in favourites} | chosen
     fitted = sorted((judge(problem, at, e) for e in chosen.values()), key=lambda c: -c.evidence)
     return sorted(_polished(problem, at, fitted, lean, settings), key=lambda p: -p.candidate.evidence)
 

@@ -14,7 +14,7 @@ class DiagnosisSettings(Settings):
     """Evidence above the model without the cause, nats, over all candidates (calibrated on clean records)."""
     rival: float = Field(default=4.6, gt=0)
     """A rival less than this many nats behind cannot be told from the winner (odds of 100 to 1)."""
-    worth: float = Field(default=4.0, ge=0)
+    worth: float = Field(default=2.0, ge=0)
     """Gain that the score test must promise for a candidate to be fitted, nats."""
     ranked: int = Field(default=20, ge=1)
     """How many of those are fitted roughly."""
@@ -25,7 +25,7 @@ class DiagnosisSettings(Settings):
     max_causes: int = Field(default=3, ge=1)
     linearization: float = Field(default=0.05, ge=0, lt=1)
     """Share of the gain by which a linearized law may misjudge itself: rivals within it are simulated."""
-    aftermath: float = Field(default=0.002, ge=0, lt=1)
+    aftermath: float = Field(default=0.005, ge=0, lt=1)
     """Share of a nonlinear cause's gain that its simulation may still miss: less than that is no further cause."""
     remainder: float = Field(default=0.03, ge=0, lt=1)
     """Share of the squared misfit that a nonlinear cause may leave."""

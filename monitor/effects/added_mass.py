@@ -44,10 +44,10 @@ class AddedMass(Effect):
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Effect, ...]:
         """See `Effect.starts`."""
         if location == "frame":
-            return tuple(AddedMassEverywhere(location, r) for r in (0.02, 0.08))
+            return tuple(AddedMassEverywhere(location, r) for r in (0.003, 0.02, 0.08))
         start = cls(location, 0.0)
         mass = float(context.structure.masses_kg[start.index])
-        return (cls(location, 0.02 * mass), cls(location, 0.1 * mass))
+        return tuple(cls(location, share * mass) for share in (0.003, 0.02, 0.1))
 
 
 @dataclass(frozen=True)

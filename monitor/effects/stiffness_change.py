@@ -38,4 +38,4 @@ class StiffnessChange(Effect):
     @classmethod
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
         """See `Effect.starts`."""
-        return tuple(cls(location, r) for r in (-0.02, -0.08, 0.08, -0.14))
+        return tuple(cls(location, r) for r in (-0.003, -0.02, -0.08, 0.08, -0.14))
