@@ -178,7 +178,17 @@ class Pipeline:
             alarms, verdict = alarm.step(self.state.alarm, reading, item.t_end_ns, c.alarm)
             self.state = replace(self.state, alarm=alarms)
         return WindowResult(
-            item.index, item.t_end_ns, item.window_s, modes, stiffness, reading, verdict, None, item.rms_m_s2, felt, tracks
+            item.index,
+            item.t_end_ns,
+            item.window_s,
+            modes,
+            stiffness,
+            reading,
+            verdict,
+            None,
+            item.rms_m_s2,
+            felt,
+            tracks,
         )
 
     def _follow(self, modes: ModalEstimate | None, item: Window) -> tuple[int, ...]:
