@@ -15,7 +15,7 @@ from monitor.misfit import Misfit, misfits
 from monitor.polish import Polished, polish, skewness
 from monitor.reference import Reference
 from monitor.results import Array
-from monitor.search import Candidate, best_of_each, conditions, evidence_of, judge, prepare, rank, starts
+from monitor.search import Candidate, best_of_each, change, conditions, evidence_of, judge, prepare, rank, starts
 
 _SMALL, _NEAR = 200.0, 0.4
 """Promised gain, nats, below which all that promise this share of it are fitted."""
@@ -133,8 +133,7 @@ def _looked_ahead(close: list[Polished], settings: DiagnosisSettings) -> list[Po
 
 def _same(problem: Problem, one: Fit, other: Fit) -> bool:
     """Whether two fits predict spectra that these data cannot tell apart, whatever else is added."""
-    here = problem.spectra(one.x, one.effects)
-    _, apart = problem.whitened(here, here[None], problem.spectra(other.x, other.effects))
+    apart = change(problem, problem.predict(one.x, one.effects), problem.predict(other.x, other.effects))
     return bool(0.5 * float(apart @ apart) < _TIED)
 
 

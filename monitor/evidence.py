@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.base import ACCELERATION, GROUND, TEMPERATURE, SampleBlock
-from monitor import align
+from monitor import align, driven
 from monitor.condition import Conditioner, ConditionState
 from monitor.config import Configuration
+from monitor.driven import Drive
 from monitor.errors import BadInputError
 from monitor.prediction import Band
 from monitor.results import Array, ComplexArray
@@ -43,8 +44,8 @@ class Segments:
     """Largest magnitude of every channel's source samples, shape (c,)."""
     piled: NDArray[np.int64]
     """How many of a channel's samples share it, shape (c,)."""
-    drive: ComplexArray | None
-    """The measured ground's transforms, shape (n_segments, n_bins)."""
+    drive: Drive | None
+    """The measured ground motion."""
     temperature: Array
     """Shape (n_readings, 2): s since the recording's first sample, degC; no rows where none was measured."""
     band: Band
@@ -61,7 +62,7 @@ class Segments:
             values=self.values[chosen],
             t_s=self.t_s[chosen],
             rms=self.rms[chosen],
-            drive=None if self.drive is None else self.drive[chosen],
+            drive=None if self.drive is None else self.drive.part(chosen),
             samples=round(self.samples * share),
         )
 
@@ -71,7 +72,7 @@ class Evidence:
     """Cross-spectra of one recording by class: what every model is scored against."""
 
     spectra: ComplexArray
-    """Shape (classes, n_bins, c, c), (m/s^2)^2/Hz; the measured ground is the last channel where there is one."""
+    """Shape (classes, n_bins, c, c), (m/s^2)^2/Hz."""
     counts: Array
     """Shape (classes,): segments in each class."""
     weight: float
@@ -95,8 +96,10 @@ class Evidence:
     """What was averaged."""
     level: Array
     """Level of every segment over its class's, shape (n_segments,)."""
-    ground: Array | None
-    """Density of the measured ground motion on the fine grid, shape (classes, n_fine)."""
+    power: Array | None
+    """Where the ground was measured: the channels' power in which a model's own error is told, shape (n_bins, c)."""
+    drive: Drive | None
+    """The measured ground motion, which `segments` no longer hold."""
 
 
 _BIN_CORRELATION = (2.0 / 3.0) ** 2, (1.0 / 6.0) ** 2
@@ -135,10 +138,9 @@ def gather(blocks: Iterable[SampleBlock], config: Configuration) -> Segments:
     first, last = (round(x * conditioner.cutoff_hz / design.step_hz) for x in (_LOW, _HIGH))
     first = max(first, 4)
     t0 = floors.t0_ns
-    drive = None
-    if ground.segments and all(t in ground.segments for t in floors.segments):
-        drive = np.stack([ground.segments[t][0] for t in floors.segments])[:, first : last + 1, 0]
     band = Band(first, last - first + 1, design.step_hz, _filter_gain(conditioner, first, last, design.step_hz))
+    runs = [(t, np.concatenate(values)[:, 0]) for t, values in ground.runs]
+    drive = driven.locate(runs, list(floors.segments), design, band) if runs else None
     readings = np.array([((t - t0) * 1e-9, v) for t, v in temperature if np.isfinite(v)]).reshape(-1, 2)
     return Segments(
         values=np.stack([x for x, _ in floors.segments.values()])[:, first : last + 1],
@@ -172,6 +174,9 @@ class _Stream:
         self.seconds = 0.0
         self.peak = np.zeros(len(channels or ("ground",)))
         self.piled = np.zeros(self.peak.size, dtype=np.int64)
+        self.runs: list[tuple[int, list[Array]]] = []
+        """Conditioned samples without a gap, each with the time of its first one, UTC ns; of the ground only."""
+        self._keep = channels is None
         self._raw: list[Array] = []
         """Source samples of the segment to come."""
 
@@ -183,6 +188,8 @@ class _Stream:
             if self._rest is None or piece.gap is not None:
                 self._begin(piece)
             self._state, values = self.conditioner.step_block(self._state, piece.values)
+            if self._keep:
+                self.runs[-1][1].append(values)
             self.seconds += values.shape[0] / self.conditioner.rate_hz
             self._heap(np.abs(piece.values))
             self._raw.append(piece.values)
@@ -214,6 +221,8 @@ class _Stream:
             ).segments
             self.t0_ns = piece.t_ns
         self._run_ns, self._done, self._raw = piece.t_ns, 0, []
+        if self._keep:
+            self.runs.append((piece.t_ns, []))
 
     def _cut(self, values: Array) -> None:
         assert self._rest is not None
@@ -240,11 +249,7 @@ def _filter_gain(conditioner: Conditioner, first: int, last: int, step_hz: float
 
 def classify(segments: Segments) -> Evidence:
     """Average the segments' cross-spectra in classes of level and, where it was measured and varies, of temperature."""
-    x = (
-        segments.values
-        if segments.drive is None
-        else np.concatenate([segments.values, segments.drive[:, :, None]], axis=2)
-    )
+    x = segments.values
     mean = np.einsum("ska,skb->kab", x, x.conj()) / x.shape[0]
     floor = 1e-6 * np.einsum("kaa->k", mean).real / mean.shape[1]
     inverse = np.linalg.inv(mean + floor[:, None, None] * np.eye(mean.shape[1]))
@@ -261,10 +266,7 @@ def classify(segments: Segments) -> Evidence:
     relative = np.ones(level.size)
     for m in members:
         relative[m] = level[m] / level[m].mean()
-    ground = None
-    if segments.drive is not None:
-        power = np.abs(segments.drive) ** 2
-        ground = np.stack([_fine_ground(power[m].mean(axis=0)) for m in members])
+    power = None if segments.drive is None else driven.smooth_power(x)
     return Evidence(
         spectra=spectra,
         counts=np.array([float(m.size) for m in members]),
@@ -278,9 +280,10 @@ def classify(segments: Segments) -> Evidence:
         band=segments.band,
         rate_hz=segments.rate_hz,
         samples=segments.samples,
-        segments=segments,
+        segments=replace(segments, drive=None),
         level=relative,
-        ground=ground,
+        power=power,
+        drive=segments.drive,
     )
 
 
@@ -309,13 +312,3 @@ def class_temperature(evidence: Evidence, k: int, lag_s: float) -> float | None:
     """Mean temperature of class k after a first-order lag of `lag_s`, degC; None where none was measured."""
     degc = _temperature_at(evidence.temperature, evidence.t_s[evidence.members[k]], lag_s)
     return None if degc is None else float(degc.mean())
-
-
-def _fine_ground(density: Array) -> Array:
-    """The measured ground's density on the half-bin grid, smoothed over a few bins."""
-    width = 5
-    padded = np.pad(density, width // 2 + 2, mode="edge")
-    smooth = np.convolve(padded, np.ones(width) / width, mode="same")[2:-2]
-    n = density.size
-    x = np.arange(-3, 2 * (n - 1) + 4) / 2.0
-    return np.asarray(np.interp(x, np.arange(n), smooth[width // 2 : width // 2 + n]))

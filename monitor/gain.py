@@ -32,6 +32,8 @@ _FOLDS = 4
 _ORDINAL = {2: "second", 4: "fourth"}
 _BOOTSTRAPS = 4000
 _LEVEL_STD = 5.0
+_FORCED = 1e-3
+"""With the ground measured: power that forces cause, as a share of what is seen, where the model is all wrong."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -99,13 +101,15 @@ def score(
     evidence = classify(segments)
     held = np.ones(segments.t_s.size, dtype=bool) if held is None else held
     problem, x = _excited(evidence, model, replace(context, structure=model.structure), reference_degc)
-    predicted = problem.spectra(x, ())
+    predicted, mean = problem.scatter(x, ()), problem.mean(x, ())
+    left = segments.values if mean is None else segments.values - mean
     seen = segments.values[held]
     measured = np.einsum("ska,skb->kab", seen, seen.conj()) / len(seen)
     share = np.array([np.count_nonzero(held[m]) for m in evidence.members]) / len(seen)
-    c = measured.shape[-1]
-    modelled = np.tensordot(share, predicted[:, :, :c, :c], axes=1)
-    nats = _segment_nats(segments, evidence, predicted)[held]
+    modelled = np.tensordot(share, predicted, axes=1)
+    if mean is not None:
+        modelled = modelled + np.einsum("ska,skb->kab", mean[held], mean[held].conj()) / len(seen)
+    nats = _segment_nats(left, evidence, predicted)[held]
     return Score(nats, _sample_instants(segments, held, config), measured, modelled)
 
 
@@ -120,11 +124,8 @@ def _sample_instants(segments: Segments, held: NDArray[np.bool_], config: Config
     return round(0.5 * np.count_nonzero(held) * rate_hz / segments.band.bin_hz)
 
 
-def _segment_nats(segments: Segments, evidence: Evidence, predicted: ComplexArray) -> Array:
+def _segment_nats(x: ComplexArray, evidence: Evidence, predicted: ComplexArray) -> Array:
     """Log likelihood of every segment under its class's spectra; their sum is that of the classes' means."""
-    x = segments.values
-    if segments.drive is not None:
-        x = np.concatenate([x, segments.drive[:, :, None]], axis=2)
     out = np.empty(x.shape[0])
     for spectra, members in zip(predicted, evidence.members, strict=True):
         _, log_det = np.linalg.slogdet(spectra)
@@ -160,9 +161,15 @@ def _first_guess(problem: Problem) -> Array:
     noise = np.log(max(0.3 * float(np.quantile(power.mean(axis=(0, 2)), 0.02)), 1e-300))
     levels = np.zeros(problem.context.structure.n_dofs + problem.n_classes)
     x = np.concatenate([problem.reference.mean, levels, [noise - 10.0]])
-    predicted = np.einsum("kfaa->kfa", problem.spectra(x, ())[:, :, :c, :c]).real
-    x[-problem.n_classes - 1 : -1] = np.log(np.median(power / predicted, axis=(1, 2)))
+    predicted = np.einsum("kfaa->kfa", problem.scatter(x, ())[:, :, :c, :c]).real
+    level = np.log(np.median(power / predicted, axis=(1, 2)))
     x[-1] = noise
+    if e.power is None:
+        x[-problem.n_classes - 1 : -1] = level
+    else:  # the level is the model's own error; what forces move beside the ground goes with it
+        p = problem.reference.mean.size
+        x[p:-1] = np.r_[np.full(problem.context.structure.n_dofs, level.mean()), np.zeros(problem.n_classes)]
+        x[p : -problem.n_classes - 1] += np.log(_FORCED)
     return x
 
 
@@ -170,13 +177,14 @@ def _fit_levels(problem: Problem, x: Array, iterations: int = 40) -> Array:
     """Most probable levels of the classes and noise, the rest of `x` kept: Fisher scoring with Levenberg-Marquardt steps."""
     k, damping = problem.n_classes, 1e-3
     first = x[-k - 1 :].copy()
+    data = problem.predict(x, ()).data  # levels move no mean
 
     def moved(by: Array) -> tuple[Array, ComplexArray, float]:
         at = x.copy()
         at[-k - 1 :] += by
-        spectra = problem.spectra(at, ())
+        spectra = problem.scatter(at, ())
         prior = -0.5 * float(((at[-k - 1 :] - first) ** 2).sum()) / _LEVEL_STD**2
-        return at, spectra, problem.log_likelihood(spectra) + prior
+        return at, spectra, problem.log_likelihood(spectra, data) + prior
 
     x, spectra, value = moved(np.zeros(k + 1))
     for _ in range(iterations):
@@ -184,7 +192,7 @@ def _fit_levels(problem: Problem, x: Array, iterations: int = 40) -> Array:
         slopes = (
             np.stack([moved(np.r_[np.full(k, h), 0.0])[1] - spectra, moved(np.r_[np.zeros(k), h])[1] - spectra]) / h
         )
-        rows, residual = problem.whitened(spectra, slopes)
+        rows, residual = problem.whitened(spectra, slopes, data)
         rows, residual = rows.reshape(k, -1, 2), residual.reshape(k, -1)
         normal = np.diag(np.r_[(rows[:, :, 0] ** 2).sum(axis=1), (rows[:, :, 1] ** 2).sum()])
         normal[:k, k] = normal[k, :k] = (rows[:, :, 0] * rows[:, :, 1]).sum(axis=1)
@@ -228,7 +236,7 @@ def heldout_gain(segments: Segments, diagnosis: Diagnosis, config: Configuration
         others = classify(segments.part((block >= 0) & ~held))
         # Weighed as the whole recording, so that what was known before pulls these fits no more than the published one.
         others = replace(others, counts=others.counts * segments.t_s.size / others.counts.sum())
-        for i, model in enumerate(_forms(others, reference, context, effects)):
+        for i, model in enumerate(_forms(others, reference, context, effects, diagnosis.final.x)):
             judged = score(segments, model, context, config, reference.reference_degc, held)
             nats[i] += np.bincount(block[held], judged.nats, n_blocks)
             spectra[i] += np.count_nonzero(held) * np.stack([judged.measured, judged.modelled])
@@ -272,11 +280,14 @@ def _blocks(segments: Segments) -> tuple[NDArray[np.intp], int, float]:
 
 
 def _forms(
-    evidence: Evidence, reference: Reference, context: Context, effects: tuple[Effect, ...]
+    evidence: Evidence, reference: Reference, context: Context, effects: tuple[Effect, ...], near: Array
 ) -> tuple[Model, Model]:
-    """The old model form and the extended one, fitted."""
+    """The old model form and the extended one, fitted; the extended one lies near the nuisances of the whole recording."""
     problem, null = prepare(evidence, reference, context)
-    at = fit(problem, null.x, effects)
+    x = null.x
+    if evidence.drive is not None:  # a response's phases lead back from nearby only
+        x = np.concatenate([near[: reference.mean.size], x[reference.mean.size :]])
+    at = fit(problem, x, effects)
     problem = replace(problem, conditions=conditions(problem, at.x, at.effects))  # the motion that the causes leave
     return fitted_model(problem, null), fitted_model(problem, fit(problem, at.x, at.effects))
 

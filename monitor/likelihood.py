@@ -11,12 +11,13 @@ P. Whittle, Arkiv foer Matematik 2 (1953) 423-434; A. M. Sykulski et al., The de
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.linalg import block_diag
 
+from monitor import driven
 from monitor.effects import Condition, Context, Effect
 from monitor.evidence import Evidence
 from monitor.model import Model
@@ -44,9 +45,12 @@ class Fit:
     """Of x."""
     converged: bool
     jacobian: Array
-    """Whitened slopes, shape (classes * bins * c * c, p), each row weighed by the root of its information."""
+    """Whitened slopes, each row weighed by the root of its information, shape (rows, p): classes * bins * c * c rows of
+    the spectra, then those of the segments' means where the ground was measured."""
     residual: Array
-    """Whitened and weighed residual of the same rows."""
+    """Whitened and weighed residual of the spectra's rows."""
+    mean_residual: Array
+    """That of the means' rows."""
 
     @property
     def log_posterior(self) -> float:
@@ -60,6 +64,21 @@ class Fit:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
+class Prediction:
+    """What parameters say of the segments, beside what was measured.
+
+    Without a measured ground all is chance.  With one, the segments' means are its response, `spectra` are those of what
+    is left, and so are `data`, which therefore depend on the parameters.
+    """
+
+    spectra: ComplexArray
+    """Shape (classes, bins, c, c)."""
+    data: ComplexArray
+    left: ComplexArray | None = None
+    """Segments less their means, shape (n_segments, n_bins, c)."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
 class Problem:
     """Evidence, what is known before it, and where effects act."""
 
@@ -70,6 +89,8 @@ class Problem:
     """One a class."""
     offset: ComplexArray | None = None
     """What simulation adds to the spectra of a linearized law, shape (classes, n_bins, c, c)."""
+    shift: ComplexArray | None = None
+    """What simulation adds to its response to a measured ground, shape (n_segments, n_bins, c)."""
     pins: Mapping[tuple[str, str], tuple[Array, Array]] = field(default_factory=dict)
     """Mean and precision of the coordinates of effects, by name and place, whose offset was simulated at that mean."""
     smoothing: Array | None = None
@@ -102,8 +123,43 @@ class Problem:
 
     # --- prediction -----------------------------------------------------------------------------------------
 
-    def spectra(self, x: Array, effects: Sequence[Effect], *, classes: Sequence[int] | None = None) -> ComplexArray:
+    def predict(self, x: Array, effects: Sequence[Effect]) -> Prediction:
+        """The segments' (smoothed) spectra about their means."""
+        spectra, mean = self.smooth(self.scatter(x, effects)), self.mean(x, effects)
+        if mean is None:
+            return Prediction(spectra, self.data())
+        left = self.evidence.segments.values - mean
+        return Prediction(spectra, self.smooth(driven.products(left, self.evidence.members)), left)
+
+    def mean(self, x: Array, effects: Sequence[Effect]) -> ComplexArray | None:
+        """The response of the segments to a measured ground, shape (n_segments, n_bins, c); None without one."""
+        e = self.evidence
+        if e.drive is None:
+            return None
+        effects = (*self.reference.effects(x), *effects)
+        matrices, context = self.matrices(x, effects), self.context_at(x)
+        out = np.zeros_like(e.segments.values)
+        if not any(effect.conditional for effect in effects):
+            system = assemble(*matrices, effects, context, self.conditions[0])
+            out[:] = driven.response(e.drive, system, effects, e.band, context, self.conditions[0])
+        else:
+            for members, condition in zip(e.members, self.conditions, strict=True):
+                system = assemble(*matrices, effects, context, condition)
+                out[members] = driven.response(e.drive.part(members), system, effects, e.band, context, condition)
+        return out if self.shift is None else out + self.shift
+
+    def spectra(self, x: Array, effects: Sequence[Effect]) -> ComplexArray:
         """Predicted cross-spectra of the classes, shape (classes, n_bins, c, c)."""
+        mean = self.mean(x, effects)
+        scatter = self.scatter(x, effects)
+        return scatter if mean is None else scatter + driven.products(mean, self.evidence.members)
+
+    def scatter(self, x: Array, effects: Sequence[Effect], *, classes: Sequence[int] | None = None) -> ComplexArray:
+        """Predicted cross-spectra of the segments about their means, shape (classes, n_bins, c, c).
+
+        Where the ground was measured, a class's level scales the forces and the model's own error, a share of the measured
+        power that is independent between channels; the ground's sensor is as noisy as the others.
+        """
         effects = (*self.reference.effects(x), *effects)
         mass, stiffness, damping = self.matrices(x, effects)
         context = self.context_at(x)
@@ -111,18 +167,21 @@ class Problem:
         n = mass.shape[0]
         force, level, noise = np.exp(x[p : p + n]), np.exp(x[p + n : p + n + self.n_classes]), self.noise(x)
         wanted = range(self.n_classes) if classes is None else classes
-        ground = self.evidence.ground
+        ground = self.evidence.power
         varied = ground is not None or any(e.conditional or e.lines() for e in effects)
         out = []
         shared: ComplexArray | None = None
         for k in wanted:
             if varied or shared is None:
                 system = assemble(mass, stiffness, damping, effects, context, self.conditions[k])
-                drive = None if ground is None else ground[k]
-                e = Excitation(force * (level[k] if varied else 1.0), noise * (1.0 if varied else 0.0), drive)
+                e = Excitation(
+                    force * (level[k] if varied else 1.0),
+                    noise * (1.0 if varied else 0.0),
+                    0.0 if ground is None else float(noise.mean()),
+                )
                 shared = cross_spectra(system, effects, e, self.evidence.band, context, self.conditions[k])
             if varied:
-                out.append(shared)
+                out.append(shared if ground is None else shared + level[k] * _diagonal(ground))
             else:
                 out.append(self._scaled(shared, level[k], noise, effects))
         stacked = np.stack(out)
@@ -209,7 +268,8 @@ class Problem:
 
     def score(self, x: Array, effects: tuple[Effect, ...]) -> tuple[float, float]:
         """Log likelihood and log prior at a point."""
-        ll = self.log_likelihood(self.smooth(self.spectra(x, effects)))
+        here = self.predict(x, effects)
+        ll = self.log_likelihood(here.spectra, here.data)
         mean, precision = self.prior(x, effects)
         return ll, -0.5 * float((x - mean) @ precision @ (x - mean))
 
@@ -223,7 +283,7 @@ class Problem:
         level = np.exp(x[p + n : p + n + self.n_classes])
         scale = (
             (level / level[middle])[:, None, None, None]
-            if self.evidence.ground is None
+            if self.evidence.power is None
             else np.ones((self.n_classes, 1, 1, 1))
         )
         c = len(self.context.channels)
@@ -240,6 +300,8 @@ class Problem:
                 k = i - p - n
                 out[i] = 0.0
                 out[i, k] = out[p : p + n, k].sum(axis=0)  # all forces at once, but neither lines nor noise
+                if self.evidence.power is not None:
+                    out[i, k] += self.smooth(level[k] * _diagonal(self.evidence.power))
             elif i == self.n_nuisance - 1:
                 out[i] = noise_slope.sum(axis=0)
             else:
@@ -247,11 +309,49 @@ class Problem:
                 moved = x.copy()
                 moved[i] += h
                 if i < self.n_nuisance:
-                    change = self.smooth(self.spectra(moved, effects, classes=[middle]))[0] - spectra[middle]
+                    change = self.smooth(self.scatter(moved, effects, classes=[middle]))[0] - spectra[middle]
                     out[i] = change / h * scale
                 else:
-                    out[i] = (self.smooth(self.spectra(moved, placed(effects, moved[self.n_nuisance :]))) - spectra) / h
+                    out[i] = (self.smooth(self.scatter(moved, placed(effects, moved[self.n_nuisance :]))) - spectra) / h
         return out
+
+    def mean_slopes(self, x: Array, effects: tuple[Effect, ...], wanted: Iterable[int]) -> ComplexArray:
+        """Derivatives of the segments' means by the wanted coordinates, shape (n_wanted, n_segments, n_bins, c)."""
+        mean = self.mean(x, effects)
+        assert mean is not None
+        k, m, d, noise, _ = self.reference.sizes
+        p = self.reference.mean.size
+        still = {*range(k + m + d, k + m + d + noise), *range(p, self.n_nuisance)}  # noise and forces move no mean
+        out = []
+        for i in wanted:
+            moved = x.copy()
+            h = 1e-5 if i < self.n_nuisance else 1e-4 * max(abs(x[i]), 1e-9)
+            moved[i] += h
+            there = None if i in still else self.mean(moved, placed(effects, moved[self.n_nuisance :]))
+            out.append(np.zeros_like(mean) if there is None else (there - mean) / h)
+        return np.array(out, dtype=complex).reshape(-1, *mean.shape)
+
+    def mean_rows(self, here: Prediction, slopes: ComplexArray) -> tuple[Array, Array]:
+        """As `whitened`, for the segments' means; no rows without a measured ground."""
+        if here.left is None:
+            return np.zeros((0, len(slopes))), np.zeros(0)
+        e = self.evidence
+        weight = e.weight * e.counts / [m.size for m in e.members]
+        rows = driven.mean_rows(here.spectra, np.concatenate([slopes, here.left[None]]), e.members, weight)
+        return rows[:, :-1], rows[:, -1]
+
+    def jacobian(
+        self, x: Array, effects: tuple[Effect, ...], here: Prediction, first: int = 0
+    ) -> tuple[Array, Array, Array]:
+        """Whitened slopes by the coordinates from `first` on, and the residuals of the spectra's and of the means' rows."""
+        slopes = _effect_slopes(self, x, effects, here.spectra) if first else self.slopes(x, effects, here.spectra)
+        rows, residual = self.whitened(here.spectra, slopes, here.data)
+        moving = () if here.left is None else range(first, x.size)
+        mean_slopes = (
+            self.mean_slopes(x, effects, moving) if moving else np.zeros((len(slopes), 0, 0, 0), dtype=complex)
+        )
+        mean_rows, mean_residual = self.mean_rows(here, mean_slopes)
+        return np.concatenate([rows, mean_rows]), residual, mean_residual
 
     def whitened(
         self, spectra: ComplexArray, slopes: ComplexArray, data: ComplexArray | None = None
@@ -262,6 +362,11 @@ class Problem:
         stacked = np.concatenate([slopes, (data - spectra)[None]])
         rows = whiten(spectra, stacked, root)
         return rows[:, :-1], rows[:, -1]
+
+
+def _diagonal(power: Array) -> Array:
+    """Diagonal matrices, shape (n_bins, c, c)."""
+    return power[:, :, None] * np.eye(power.shape[1])
 
 
 def placed(effects: Sequence[Effect], coordinates: Array) -> tuple[Effect, ...]:
@@ -294,21 +399,19 @@ def fit(
         Whitened slopes of the nuisances, shape (rows, n_nuisance), taken as they are: quicker, for a ranking.
     """
     x = np.concatenate([x[: problem.n_nuisance], *[e.coordinates for e in effects]])
-    data = problem.data()
-    spectra = problem.smooth(problem.spectra(x, effects))
-    ll, lp = problem.log_likelihood(spectra, data), problem.score(x, effects)[1]
+    here = problem.predict(x, effects)
+    ll, lp = problem.log_likelihood(here.spectra, here.data), problem.score(x, effects)[1]
     damping, converged = 1e-3, False
-    rows, residual, normal = np.zeros((0, x.size)), np.zeros(0), np.eye(x.size)
+    rows, residual, mean_residual, normal = np.zeros((0, x.size)), np.zeros(0), np.zeros(0), np.eye(x.size)
     for _ in range(iterations):
-        slopes = (
-            _effect_slopes(problem, x, effects, spectra) if frozen is not None else problem.slopes(x, effects, spectra)
+        rows, residual, mean_residual = problem.jacobian(
+            x, effects, here, first=0 if frozen is None else problem.n_nuisance
         )
-        rows, residual = problem.whitened(spectra, slopes, data)
         if frozen is not None:
             rows = np.concatenate([frozen, rows], axis=1)
         mean, precision = problem.prior(x, effects)
         normal = rows.T @ rows + precision
-        gradient = rows.T @ residual - precision @ (x - mean)
+        gradient = rows.T @ np.concatenate([residual, mean_residual]) - precision @ (x - mean)
         scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
         accepted = False
         for _ in range(6):
@@ -318,8 +421,8 @@ def fit(
             moved = _limited(problem, x, step, effects)
             there = placed(effects, moved[problem.n_nuisance :])
             moved = np.concatenate([moved[: problem.n_nuisance], *[e.coordinates for e in there]])
-            candidate = problem.smooth(problem.spectra(moved, there))
-            new_ll = problem.log_likelihood(candidate, data)
+            candidate = problem.predict(moved, there)
+            new_ll = problem.log_likelihood(candidate.spectra, candidate.data)
             m, q = problem.prior(moved, there)
             new_lp = -0.5 * float((moved - m) @ q @ (moved - m))
             if new_ll + new_lp > ll + lp - 1e-9:
@@ -330,13 +433,13 @@ def fit(
             converged = float(gradient @ step) < 10.0 * tolerance
             break
         gain = new_ll + new_lp - ll - lp
-        x, effects, spectra, ll, lp = moved, there, candidate, new_ll, new_lp
+        x, effects, here, ll, lp = moved, there, candidate, new_ll, new_lp
         damping *= 0.1
         if gain < tolerance:
             converged = True
             break
     covariance = inverse(normal)
-    return Fit(x, effects, ll, lp, covariance, converged, rows, residual)
+    return Fit(x, effects, ll, lp, covariance, converged, rows, residual, mean_residual)
 
 
 def _effect_slopes(problem: Problem, x: Array, effects: tuple[Effect, ...], spectra: ComplexArray) -> ComplexArray:
@@ -345,7 +448,7 @@ def _effect_slopes(problem: Problem, x: Array, effects: tuple[Effect, ...], spec
         h = 1e-4 * max(abs(x[i]), 1e-9)
         moved = x.copy()
         moved[i] += h
-        out.append((problem.smooth(problem.spectra(moved, placed(effects, moved[problem.n_nuisance :]))) - spectra) / h)
+        out.append((problem.smooth(problem.scatter(moved, placed(effects, moved[problem.n_nuisance :]))) - spectra) / h)
     return np.array(out).reshape(-1, *spectra.shape)
 
 

@@ -27,10 +27,9 @@ def drift_bands(problem: Problem, fitted: Fit, width_hz: float = 1.0) -> Array:
     Each half is compared with the model's spectra of its own classes, so that a change of level or weather is no drift.
     """
     e = problem.evidence
-    x = e.segments.values
-    if e.segments.drive is not None:
-        x = np.concatenate([x, e.segments.drive[:, :, None]], axis=2)
-    predicted = problem.spectra(fitted.x, fitted.effects)
+    mean = problem.mean(fitted.x, fitted.effects)
+    x = e.segments.values if mean is None else e.segments.values - mean
+    predicted = problem.scatter(fitted.x, fitted.effects)
     late = e.t_s > np.median(e.t_s)
     label = np.empty(late.size, dtype=int)
     for k, members in enumerate(e.members):

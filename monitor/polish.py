@@ -50,13 +50,17 @@ class Polished:
 def polish(problem: Problem, null: Fit, candidate: Candidate, seed: int = 0) -> Polished:
     """Refit a candidate with nonlinear laws, its linearization corrected by simulation at the fitted size."""
     n, at = problem.n_nuisance, candidate.fit
+    if (
+        problem.evidence.drive is not None
+    ):  # linear in every class: good enough where the model's own error is fitted too
+        return Polished(candidate, problem, np.zeros(problem.context.structure.n_stories))
     path = [at.x[n:]]
     drift_skewness = np.zeros(problem.context.structure.n_stories)
     for round_ in range(_ROUNDS):
         problem = replace(problem, conditions=conditions(problem, at.x, at.effects))
         made = [_simulated(problem, at, seed + k) for k in range(1 if round_ == 0 else 2)]
         drift_skewness = np.mean([s for _, s in made], axis=0)
-        plain = replace(problem, offset=None).spectra(at.x, at.effects)
+        plain = replace(problem, offset=None).scatter(at.x, at.effects)
         problem = replace(
             problem, offset=_bounded(plain, np.mean([o for o, _ in made], axis=0), problem.evidence.band.hz)
         )

@@ -55,9 +55,8 @@ class Excitation:
     """White forces on the floors, shape (n,), N^2/Hz."""
     noise: Array
     """White noise of the channels, shape (c,), (m/s^2)^2/Hz."""
-    ground: Array | None = None
-    """Density of a ground motion that was measured, on the fine grid, (m/s^2)^2/Hz; the spectra then have one more
-    channel, the ground's."""
+    ground_noise: float = 0.0
+    """White noise of a measured ground motion, which the prediction takes for motion, (m/s^2)^2/Hz."""
 
 
 def assemble(
@@ -97,30 +96,28 @@ def cross_spectra(
     """Expected cross-spectra of the segments, shape (n_bins, c, c), (m/s^2)^2/Hz, two-sided."""
     clock = float(np.prod([e.clock_factor for e in effects]))
     fine = band.fine_hz
-    seen = _seen(system, effects, fine, clock, context, condition)
+    answer = seen(system, effects, fine, clock, context, condition)
     force = excitation.force
     colour = np.ones(fine.size)
     for effect in effects:
         colour = colour * effect.colour(fine * clock)
     share = sum(e.ground_share for e in effects)
-    ground = np.zeros(fine.size)
+    ground = np.full(fine.size, excitation.ground_noise)
     if share > 0.0:
         ground += ground_density(share, system, force, context)
     n = force.size
     columns = np.concatenate(
         [
-            seen[:, :, :n] * np.sqrt(force * colour[:, None])[:, None, :],
-            seen[:, :, n:] * np.sqrt(ground)[:, None, None],
+            answer[:, :, :n] * np.sqrt(force * colour[:, None])[:, None, :],
+            answer[:, :, n:] * np.sqrt(ground)[:, None, None],
         ],
         axis=2,
     )
-    if excitation.ground is not None:
-        columns = _with_ground(columns, seen[:, :, n], excitation.ground)
     spectra = blurred_products(columns, _TAPS)
     for effect in effects:
         for line in effect.lines():
             at = np.array([line.frequency_hz / clock])
-            y = _seen(system, effects, at, clock, context, condition)[0, :, line.floor]
+            y = seen(system, effects, at, clock, context, condition)[0, :, line.floor]
             offset = (band.hz - at) / band.bin_hz
             power = line.force_n**2 / 4.0 * (8.0 / 3.0) / band.bin_hz * hann_amplitude(offset) ** 2
             spectra[:, : y.size, : y.size] += power[:, None, None] * np.outer(y, y.conj())
@@ -131,16 +128,16 @@ def cross_spectra(
     return np.asarray(spectra * band.gain[:, None, None])
 
 
-def _seen(
+def seen(
     system: System, effects: Sequence[Effect], hz: Array, clock: float, context: Context, condition: Condition
 ) -> ComplexArray:
     """Channels' response to forces on the floors and, last, to a ground acceleration, shape (n_hz, c, n + 1)."""
-    seen = channel_response(system, clock * hz, context)
+    answer = channel_response(system, clock * hz, context)
     for effect in effects:
         response = effect.response(hz * clock, context, condition)
         if response is not None:
-            seen = response @ seen
-    return seen
+            answer = response @ answer
+    return answer
 
 
 def channel_response(system: System, hz: Array, context: Context) -> ComplexArray:
@@ -154,24 +151,13 @@ def channel_response(system: System, hz: Array, context: Context) -> ComplexArra
     return np.asarray(context.sensors @ floors)
 
 
-def _with_ground(columns: ComplexArray, answer: ComplexArray, density: Array) -> ComplexArray:
-    """One more row, the measured ground's, and the column by which it drives all channels."""
-    f, c, n = columns.shape
-    out = np.zeros((f, c + 1, n + 1), dtype=complex)
-    out[:, :c, :n] = columns
-    root = np.sqrt(density)
-    out[:, :c, n] = answer * root[:, None]
-    out[:, c, n] = root
-    return out
-
-
 def ground_density(share: float, system: System, force: Array, context: Context) -> float:
     """White ground acceleration that causes `share` of the channels' variance, mean over channels, beside the forces."""
     hz = np.arange(0.05, context.rate_hz / 2.0, 0.05)
-    seen = np.abs(_seen(system, (), hz, 1.0, context, _NO_CONDITION)) ** 2
+    power = np.abs(seen(system, (), hz, 1.0, context, _NO_CONDITION)) ** 2
     n = force.size
-    by_force = (seen[:, :, :n] @ force).sum(axis=0)
-    by_ground = seen[:, :, n].sum(axis=0)
+    by_force = (power[:, :, :n] @ force).sum(axis=0)
+    by_ground = power[:, :, n].sum(axis=0)
     if share < _LEAST_SHARE:
         return 0.0
     share = min(share, 0.999)

@@ -7,19 +7,26 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from monitor.effects import EFFECTS, Condition, Context, Effect, locations
+from monitor.driven import Drive, motion_rms
+from monitor.effects import EFFECTS, Condition, Context, Effect, System, locations
 from monitor.evidence import Evidence, class_temperature
-from monitor.likelihood import Fit, Problem, fit, inverse
+from monitor.likelihood import Fit, Prediction, Problem, fit, inverse
 from monitor.prediction import accelerance, assemble
 from monitor.reference import Reference
-from monitor.results import Array, ComplexArray
+from monitor.results import Array
 
+_FAR = 40
+"""Iterations of a first fit to driven motion, whose phases tell more and lead on a longer way."""
+_STATIONARY = ("sensor_clipping",)
+"""Effects whose linearization takes samples for normal, which an earthquake's are not."""
 _PILE = 20
 """Samples that share the largest magnitude only where something clips them."""
 _DRAGGED = -20.0
 """Log prior below which the model without the effect was dragged far from what was known, where a fit starts better."""
 _HELD = 1e8
 """Precision that holds the structure while an effect's size is found."""
+_FORCED, _MODEL_ERROR = 0.01, 0.5
+"""With the ground measured: power that forces cause, and error of the model, as shares of what is seen, at the start."""
 _MIN_STEP, _MAX_STEP = 0.05, 20.0
 """How far from its start size an effect is first tried, as factors."""
 
@@ -60,7 +67,7 @@ def prepare(evidence: Evidence, reference: Reference, context: Context) -> tuple
     )
     plain = replace(plain, precision=reference.precision[: plain.mean.size, : plain.mean.size])
     problem = Problem(evidence, plain, context, (unknown,) * evidence.counts.size)
-    null = fit(problem, _first_guess(problem))
+    null = fit(problem, _first_guess(problem), iterations=12 if evidence.drive is None else _FAR)
     problem = replace(problem, conditions=conditions(problem, null.x, ()))
     if not reference.n_standing:
         return problem, null
@@ -80,13 +87,16 @@ def _first_guess(problem: Problem) -> Array:
     power = np.einsum("kfaa->kfa", e.spectra[:, :, :c, :c]).real
     noise = np.log(max(0.3 * float(np.quantile(power.mean(axis=(0, 2)), 0.02)), 1e-300))
     x = np.concatenate([problem.reference.mean, np.zeros(n), np.zeros(problem.n_classes), [noise - 10.0]])
-    predicted = np.einsum("kfaa->kfa", problem.spectra(x, ())[:, :, :c, :c]).real
+    predicted = np.einsum("kfaa->kfa", problem.scatter(x, ())[:, :, :c, :c]).real
     # Medians over frequency: peaks that do not lie where they should must not set the level.
     ratio = np.median(power / predicted, axis=(1, 2))
     p = problem.reference.mean.size
     x[p : p + n] = np.log(ratio.mean())
     x[p + n : p + n + problem.n_classes] = np.log(ratio / ratio.mean())
     x[-1] = noise
+    if e.power is not None:
+        x[p : p + n] += np.log(_FORCED)
+        x[p + n : p + n + problem.n_classes] = np.log(power / e.power).mean(axis=(1, 2)) + 2.0 * np.log(_MODEL_ERROR)
     return x
 
 
@@ -115,23 +125,32 @@ def conditions(problem: Problem, x: Array, effects: tuple[Effect, ...]) -> tuple
             colour = colour * effect.colour(hz)
         root = np.sqrt(force * level[k] * colour[:, None])
         columns = motion[:, :, :n] * root[:, None, :]
-        if e.ground is not None:
-            ground = np.interp(hz, e.band.fine_hz, e.ground[k])
-            columns = np.concatenate([columns, motion[:, :, n:] * np.sqrt(ground)[:, None, None]], axis=2)
+        drive = None if e.drive is None else e.drive.part(e.members[k])
 
-        def rms(rows: Array, weight: Array, columns: Array = columns, step: float = step) -> Array:
+        def rms(
+            rows: Array,
+            order: int,
+            columns: Array = columns,
+            w: Array = w,
+            step: float = step,
+            drive: Drive | None = drive,
+            system: System = system,
+            least_hz: float = 0.2 * lowest,
+        ) -> Array:
             power = np.abs(rows @ columns) ** 2
-            return np.asarray(np.sqrt(2.0 * step * (power.sum(axis=2) * weight[:, None]).sum(axis=0)))
+            random = 2.0 * step * (power.sum(axis=2) * (w ** (2 * order))[:, None]).sum(axis=0)
+            if drive is None:
+                return np.asarray(np.sqrt(random))
+            return np.asarray(
+                np.hypot(np.sqrt(random), motion_rms(drive, system, e.band, context, rows, order, least_hz))
+            )
 
         def excess(lag_s: float, k: int = k) -> float:
             value = class_temperature(e, k, lag_s)
             return 0.0 if value is None else value - _reference_degc(problem, lag_s)
 
-        flat = np.ones(hz.size)
         out.append(
-            Condition(
-                rms(drift, flat), rms(drift, w**2), rms(np.eye(n), w**2), e.rms[k], excess, e.peak, e.piled >= _PILE
-            )
+            Condition(rms(drift, 0), rms(drift, 1), rms(np.eye(n), 1), e.rms[k], excess, e.peak, e.piled >= _PILE)
         )
     return tuple(out)
 
@@ -149,6 +168,8 @@ def starts(problem: Problem, null: Fit, taken: Iterable[tuple[str, str]] = ()) -
     skip, found = set(taken), peaks(problem, null)
     out: list[Effect] = []
     for name, kind in EFFECTS.items():
+        if problem.evidence.drive is not None and (kind.family == "excitation" or name in _STATIONARY):
+            continue  # the input is measured; another one would only excuse what the model's response lacks
         for place in (p for k in kind.places for p in locations(k, problem.context)):
             if (name, place) not in skip:
                 out.extend(kind.starts(place, problem.context, typical))
@@ -176,21 +197,20 @@ def rank(problem: Problem, null: Fit, candidates: list[Effect]) -> list[tuple[fl
 
     The change of the spectra that a small effect makes, less what the nuisances explain, is compared with the residual.
     """
-    spectra = problem.smooth(problem.spectra(null.x, null.effects))
+    here = problem.predict(null.x, null.effects)
     _, precision = problem.prior(null.x, null.effects)
     tangent = null.jacobian
     normal = inverse(tangent.T @ tangent + precision)
-    residual = null.residual - tangent @ (normal @ (tangent.T @ null.residual))
+    residual = np.concatenate([null.residual, null.mean_residual])
+    residual = residual - tangent @ (normal @ (tangent.T @ residual))
     tangent = np.asfortranarray(tangent)
     out = []
-    data = problem.data()
     for effect in candidates:
-        moved = problem.smooth(problem.spectra(null.x, (*null.effects, effect)))
-        out.append((_whole_gain(problem, null, moved, data), effect))
+        moved = problem.predict(null.x, (*null.effects, effect))
+        out.append((_whole_gain(problem, null, moved), effect))
         if not effect.proportional:
             continue
-        change, _ = problem.whitened(spectra, (moved - spectra)[None])
-        v = change[:, 0]
+        v = change(problem, here, moved)
         along = tangent.T @ v
         information, score = float(v @ v - along @ normal @ along), float(v @ residual)
         if information < 1e-9:
@@ -201,10 +221,19 @@ def rank(problem: Problem, null: Fit, candidates: list[Effect]) -> list[tuple[fl
     return sorted(out, key=lambda item: -item[0])
 
 
-def _whole_gain(problem: Problem, null: Fit, moved: ComplexArray, data: ComplexArray) -> float:
+def change(problem: Problem, here: Prediction, there: Prediction) -> Array:
+    """Whitened change from one prediction to another."""
+    change, _ = problem.whitened(here.spectra, (there.spectra - here.spectra)[None], here.data)
+    if here.left is None or there.left is None:
+        return change[:, 0]
+    mean, _ = problem.mean_rows(here, (here.left - there.left)[None])
+    return np.concatenate([change, mean])[:, 0]
+
+
+def _whole_gain(problem: Problem, null: Fit, moved: Prediction) -> float:
     """What the effect gains as it stands, once the levels have followed: for starts that happen to lie near the truth."""
-    moved = moved * problem.level_of(moved, data)[:, None, None, None]
-    return problem.log_likelihood(moved, data) - null.log_likelihood
+    level = problem.level_of(moved.spectra, moved.data)[:, None, None, None]
+    return problem.log_likelihood(moved.spectra * level, moved.data) - null.log_likelihood
 
 
 def _grown(effect: Effect, amount: float) -> Effect | None:

@@ -107,7 +107,7 @@ def compare(diagnosis: Diagnosis, segments: Segments) -> Comparison:
     z_before, band_hz = residual_bands(problem, diagnosis.null)
     chance = 1.0 if problem.offset is None else np.sqrt(0.5)  # a simulation has as much chance in it as the recording
     return Comparison(
-        channels=(*problem.context.channels, *(["ground"] if e.ground is not None else [])),
+        channels=problem.context.channels,
         hz=e.band.hz,
         measured=measured,
         before=before,
@@ -157,7 +157,6 @@ def _equivalent(problem: Problem, spectra: ComplexArray, x: Array, k: int) -> tu
         counts=e.counts[k : k + 1],
         rms=e.rms[k : k + 1],
         members=e.members[k : k + 1],
-        ground=None if e.ground is None else e.ground[k : k + 1],
     )
     p, n = reference.mean.size, problem.context.structure.n_dofs
     n_k, n_m, n_d, n_noise, _ = reference.sizes

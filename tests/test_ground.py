@@ -1,0 +1,116 @@
+"""A measured ground motion is the input: what the floors answer tells the model's errors, with the drawing alone before it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from drivers.base import ACCELERATION, GROUND
+from monitor.config import Configuration
+from monitor.diagnose import diagnose
+from monitor.diagnosis_settings import DiagnosisSettings
+from monitor.effects import Context, parse_effect
+from monitor.evidence import Segments, classify, gather
+from monitor.gain import score
+from monitor.likelihood import Problem
+from monitor.model import Model
+from monitor.record import blocks_of
+from monitor.reference import nominal
+from monitor.results import Array
+from monitor.search import conditions, prepare
+from monitor.simulate import simulate
+
+RATE = 1000.0  # the simulated ground runs straight between samples: its slight lowpass must stay far above the band
+STRUCTURE = {"kind": "shear_frame", "masses_kg": [0.33, 0.35, 0.31], "stiffness_n_per_m": [2900.0, 1500.0, 1900.0]}
+T0_NS = 10**18
+
+
+def settings(**changes: object) -> Configuration:
+    sensors = [{"channel": f"a{i}", "floor": i} for i in (1, 2, 3)]
+    processing = {"rate_hz": 50.0, "cutoff_hz": 20.0, "window_s": 60.0, "hop_s": 5.0}
+    return Configuration.model_validate(
+        {"structure": {**STRUCTURE, **changes}, "sensors": sensors, "processing": processing}
+    )
+
+
+DRAWING = settings(masses_kg=[0.335, 0.345, 0.31], stiffness_n_per_m=[2800.0, 1550.0, 1950.0])
+CONTEXT = Context(DRAWING.model().structure, DRAWING.channels, DRAWING.sensor_matrix(), RATE)
+
+
+def recorded(*effects: str, seed: int, earlier_s: float = 0.0, hole_s: int | None = None) -> Segments:
+    """A frame on a shaken ground; the ground's recording may begin earlier, and both may lack a second."""
+    model = Model(settings().model().structure, tuple(parse_effect(e) for e in effects))
+    motion = simulate(
+        model, duration_s=120.0, rate_hz=RATE, excitation="ground", noise=0.01, level_spread=0.5, seed=seed
+    )
+    assert motion.ground is not None
+    late = round(earlier_s * RATE)
+    streams = []
+    for topic, x, names, start in (
+        (GROUND, motion.ground[:, None], ("g",), 0),
+        (ACCELERATION, motion.floors, DRAWING.channels, late),
+    ):
+        blocks = list(blocks_of(topic, x, names, RATE, T0_NS, 1000))[start // 1000 :]
+        streams += [b for i, b in enumerate(blocks) if hole_s is None or i != hole_s - start // 1000]
+    return gather(streams, DRAWING)
+
+
+@pytest.mark.parametrize(
+    ("effects", "name", "parameter"),
+    [
+        ((), None, None),
+        (("joint_flexibility:frame:girder_to_column_ratio=6",), "joint_flexibility", 6.0),
+    ],
+)
+def test_a_driven_frame_tells_its_cause(effects: tuple[str, ...], name: str | None, parameter: float | None) -> None:
+    segments = recorded(*effects, seed=11)
+    known = nominal(DRAWING.model(), DRAWING.prior_std(), 3)
+    found = diagnose(classify(segments), known, CONTEXT, DiagnosisSettings())
+    assert [c.effect.name for c in found.causes] == ([] if name is None else [name])
+    assert not found.alternatives
+    if parameter is not None:
+        assert next(iter(found.causes[0].effect.values().values())) == pytest.approx(parameter, rel=0.05)
+
+
+def test_the_response_explains_the_floors_and_a_wrong_frame_does_not() -> None:
+    segments = recorded(seed=12)
+    true, off = (score(segments, c.model(), CONTEXT, c) for c in (settings(), DRAWING))
+    assert true.csd_error < 5e-3
+    assert true.csd_error < off.csd_error
+    assert true.log_score_per_sample > off.log_score_per_sample + 1.0
+
+
+def test_a_ground_that_began_earlier_and_a_hole_in_both_change_nothing() -> None:
+    """Each stretch without a hole is answered from its own beginning, at its own place in the ground's recording."""
+    problem, x = _true_problem(recorded(seed=13, earlier_s=2.0, hole_s=70))
+    assert problem.evidence.drive is not None
+    assert np.unique(problem.evidence.drive.run).size == 2
+    mean = problem.mean(x, ())
+    assert mean is not None
+    left = np.abs(problem.evidence.segments.values - mean) ** 2
+    share = left.mean(axis=(1, 2)) / (np.abs(mean) ** 2).mean(axis=(1, 2))
+    assert np.median(share) < 0.01
+    assert share.max() < 0.3  # a stretch begins with motion that came before it
+
+
+def test_drifts_follow_the_measured_ground() -> None:
+    problem, x = _true_problem(recorded(seed=14))
+    motion = simulate(
+        settings().model(), duration_s=120.0, rate_hz=RATE, excitation="ground", noise=0.0, level_spread=0.5, seed=14
+    )
+    assert motion.ground is not None
+    floors = motion.floors - motion.ground[:, None]
+    spectrum = np.fft.rfft(floors, axis=0)
+    hz = np.fft.rfftfreq(len(floors), 1.0 / RATE)
+    spectrum[hz < 0.3] = 0.0
+    spectrum[1:] /= -((2.0 * np.pi * hz[1:]) ** 2)[:, None]
+    drift = np.fft.irfft(spectrum, n=len(floors), axis=0) @ CONTEXT.structure.drift_matrix().T
+    (condition,) = conditions(problem, x, ())
+    np.testing.assert_allclose(condition.drift_m, drift.std(axis=0), rtol=0.15)
+
+
+def _true_problem(segments: Segments) -> tuple[Problem, Array]:
+    """The true structure's problem, fitted so closely to what is known that it stays true."""
+    known = nominal(settings().model(), np.full(6, 1e-6), 3)
+    problem, null = prepare(classify(segments), known, CONTEXT)
+    return problem, null.x
