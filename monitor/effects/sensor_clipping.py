@@ -105,4 +105,5 @@ def _of(values: Array | NDArray[np.bool_], channel: int) -> float:
 
 def clipped_power(a: float) -> float:
     """Variance of a unit normal variable clipped at +-a."""
-    return erf(a / sqrt(2.0)) - sqrt(2.0 / pi) * a * exp(-0.5 * a**2) + a**2 * erfc(a / sqrt(2.0))
+    power = erf(a / sqrt(2.0)) - sqrt(2.0 / pi) * a * exp(-0.5 * a**2) + a**2 * erfc(a / sqrt(2.0))
+    return max(power, 0.0)  # rounding, where next to nothing is left
