@@ -80,6 +80,8 @@ def diagnose(evidence: Evidence, reference: Reference, context: Context, setting
             break
         accepted.append(best.candidate)
         problem = _extended(problem, at)
+        if best.candidate.effect.ground_share:
+            at = fit(problem, at.x, at.effects)  # how far up the forces reach is known only now
         if best.candidate.effect.nonlinear:
             margin = max(margin, settings.aftermath * best.candidate.gain)
     at, accepted = _pruned(problem, at, accepted, settings)

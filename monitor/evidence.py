@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import sosfreqz
 
 from drivers.base import ACCELERATION, GROUND, TEMPERATURE, SampleBlock
 from monitor import align, driven
@@ -16,7 +17,7 @@ from monitor.driven import Drive
 from monitor.errors import BadInputError
 from monitor.prediction import Band
 from monitor.results import Array, ComplexArray
-from monitor.spectrum import SegmentDesign, overlap_correlation, transform
+from monitor.spectrum import SegmentDesign, overlap_correlation, taper, transform
 from monitor.window import WindowGrid, common_step_s
 
 _LOW = 0.05
@@ -40,6 +41,8 @@ class Segments:
     """Middle of each, s since the recording's first sample, shape (n_segments,)."""
     rms: Array
     """RMS of every channel's source samples, shape (n_segments, c), m/s^2."""
+    above: Array
+    """Variance of the tapered source samples above the band, shape (n_segments, c), (m/s^2)^2."""
     peak: Array
     """Largest magnitude of every channel's source samples, shape (c,)."""
     piled: NDArray[np.int64]
@@ -62,6 +65,7 @@ class Segments:
             values=self.values[chosen],
             t_s=self.t_s[chosen],
             rms=self.rms[chosen],
+            above=self.above[chosen],
             drive=None if self.drive is None else self.drive.part(chosen),
             samples=round(self.samples * share),
         )
@@ -138,14 +142,18 @@ def gather(blocks: Iterable[SampleBlock], config: Configuration) -> Segments:
     first, last = (round(x * conditioner.cutoff_hz / design.step_hz) for x in (_LOW, _HIGH))
     first = max(first, 4)
     t0 = floors.t0_ns
-    band = Band(first, last - first + 1, design.step_hz, _filter_gain(conditioner, first, last, design.step_hz))
+    gain = _filter_gain(conditioner, last + 1, design.step_hz)
+    band = Band(first, last - first + 1, design.step_hz, gain[first:])
     runs = [(t, np.concatenate(values)[:, 0]) for t, values in ground.runs]
     drive = driven.locate(runs, list(floors.segments), design, band) if runs else None
     readings = np.array([((t - t0) * 1e-9, v) for t, v in temperature if np.isfinite(v)]).reshape(-1, 2)
+    transforms, rms, tapered = (np.stack(x) for x in zip(*floors.segments.values(), strict=True))
+    below = 2.0 * design.step_hz * (np.abs(transforms[:, 1 : last + 1]) ** 2 / gain[1:, None]).sum(axis=1)
     return Segments(
-        values=np.stack([x for x, _ in floors.segments.values()])[:, first : last + 1],
+        values=transforms[:, first : last + 1],
         t_s=np.array([(t - t0) * 1e-9 for t in floors.segments]) + 0.5 / design.step_hz,
-        rms=np.stack([r for _, r in floors.segments.values()]),
+        rms=rms,
+        above=np.maximum(tapered - below, 0.0),
         peak=floors.peak,
         piled=floors.piled,
         drive=drive,
@@ -168,8 +176,8 @@ class _Stream:
         self._done = 0
         self.design: SegmentDesign | None = None
         self.least_s = 3.5 * config.refinement.segment_s
-        self.segments: dict[int, tuple[ComplexArray, Array]] = {}
-        """By the time of their first sample, UTC ns."""
+        self.segments: dict[int, tuple[ComplexArray, Array, Array]] = {}
+        """Transform, RMS and tapered variance of the source samples by the time of their first sample, UTC ns."""
         self.t0_ns = 0
         self.seconds = 0.0
         self.peak = np.zeros(len(channels or ("ground",)))
@@ -232,18 +240,19 @@ class _Stream:
         while rest.shape[0] >= n:
             t_ns = self._run_ns + round(self._done / self.design.rate_hz * 1e9)
             raw = np.concatenate(self._raw)
+            n_raw = round(n * self.conditioner.rate_in_hz / self.design.rate_hz)
             if self._done:  # the first half segment holds the filter's start from rest
-                self.segments[t_ns] = transform(self.design, rest[:n]), raw.std(axis=0)
+                own = raw[:n_raw] - raw[:n_raw].mean(axis=0)
+                tapered = ((taper(len(own))[:, None] * own) ** 2).sum(axis=0)
+                self.segments[t_ns] = transform(self.design, rest[:n]), own.std(axis=0), tapered
             rest, self._done = rest[n // 2 :], self._done + n // 2
-            self._raw = [raw[round(n / 2 * self.conditioner.rate_in_hz / self.design.rate_hz) :]]
+            self._raw = [raw[n_raw // 2 :]]
         self._rest = rest
 
 
-def _filter_gain(conditioner: Conditioner, first: int, last: int, step_hz: float) -> Array:
-    from scipy.signal import sosfreqz
-
-    hz = np.arange(first, last + 1) * step_hz
-    _, answer = sosfreqz(conditioner.sos, worN=hz, fs=conditioner.rate_in_hz)
+def _filter_gain(conditioner: Conditioner, n: int, step_hz: float) -> Array:
+    """Power gain of the anti-alias filter at the first n bins."""
+    _, answer = sosfreqz(conditioner.sos, worN=np.arange(n) * step_hz, fs=conditioner.rate_in_hz)
     return np.asarray(np.abs(answer) ** 2)
 
 
@@ -297,13 +306,14 @@ def _temperature_at(readings: Array, t_s: Array, lag_s: float = 0.0) -> Array | 
     """Temperature at times, after a first-order lag; None without readings."""
     if readings.shape[0] < 2:
         return None
-    order = np.argsort(readings[:, 0], kind="stable")
-    t, value = readings[order].T
+    t, first = np.unique(readings[:, 0], return_index=True)
+    value = readings[first, 1]
     if lag_s > 0.0:
         lagged = value.copy()
-        for i in range(1, t.size):
+        for i in range(1, t.size):  # straight between readings
             keep = np.exp(-(t[i] - t[i - 1]) / lag_s)
-            lagged[i] = keep * lagged[i - 1] + (1.0 - keep) * value[i]
+            behind = lag_s * (value[i] - value[i - 1]) / (t[i] - t[i - 1])
+            lagged[i] = value[i] - behind + keep * (lagged[i - 1] - value[i - 1] + behind)
         value = lagged
     return np.asarray(np.interp(t_s, t, value))
 

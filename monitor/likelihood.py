@@ -305,7 +305,7 @@ class Problem:
             elif i == self.n_nuisance - 1:
                 out[i] = noise_slope.sum(axis=0)
             else:
-                h = 1e-5 if i < self.n_nuisance else 1e-4 * max(abs(x[i]), 1e-9)
+                h = _step(x, i, self.n_nuisance, effects)
                 moved = x.copy()
                 moved[i] += h
                 if i < self.n_nuisance:
@@ -325,7 +325,7 @@ class Problem:
         out = []
         for i in wanted:
             moved = x.copy()
-            h = 1e-5 if i < self.n_nuisance else 1e-4 * max(abs(x[i]), 1e-9)
+            h = _step(x, i, self.n_nuisance, effects)
             moved[i] += h
             there = None if i in still else self.mean(moved, placed(effects, moved[self.n_nuisance :]))
             out.append(np.zeros_like(mean) if there is None else (there - mean) / h)
@@ -362,6 +362,14 @@ class Problem:
         stacked = np.concatenate([slopes, (data - spectra)[None]])
         rows = whiten(spectra, stacked, root)
         return rows[:, :-1], rows[:, -1]
+
+
+def _step(x: Array, i: int, n_nuisance: int, effects: Sequence[Effect]) -> float:
+    """Finite difference for coordinate i."""
+    if i < n_nuisance:
+        return 1e-5
+    least = [p.least for e in effects for p in e.parameters]
+    return float(1e-4 * max(abs(x[i]), least[i - n_nuisance]))
 
 
 def _diagonal(power: Array) -> Array:
@@ -445,7 +453,7 @@ def fit(
 def _effect_slopes(problem: Problem, x: Array, effects: tuple[Effect, ...], spectra: ComplexArray) -> ComplexArray:
     out = []
     for i in range(problem.n_nuisance, x.size):
-        h = 1e-4 * max(abs(x[i]), 1e-9)
+        h = _step(x, i, problem.n_nuisance, effects)
         moved = x.copy()
         moved[i] += h
         out.append((problem.smooth(problem.scatter(moved, placed(effects, moved[problem.n_nuisance :]))) - spectra) / h)

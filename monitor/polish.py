@@ -110,7 +110,9 @@ def _simulated(problem: Problem, at: Fit, seed: int) -> tuple[ComplexArray, Arra
     ground = None
     if share > 0.0:
         system = assemble(mass, stiffness, damping, effects, context, problem.conditions[0])
-        ratio = ground_density(share, system, force, context) / force.mean()
+        ratio = (
+            ground_density(share, system, force * level[0], context, problem.conditions[0]) / (force * level[0]).mean()
+        )
         ground = np.sqrt(ratio) * root.mean(axis=1) * rng.standard_normal(root.shape[0])
     noise = np.sqrt(problem.noise(at.x) * rate) * rng.standard_normal((root.shape[0], len(context.channels)))
     exact = respond(problem.model(at.x, effects), forces, ground, rate, step_hz=_STEP_HZ) @ context.sensors.T + noise

@@ -19,8 +19,10 @@ from monitor.results import Array, ComplexArray
 from monitor.spectrum import LEAKAGE_OFFSETS, hann_amplitude, leakage
 
 _TAPS = leakage()
-_LEAST_SHARE = 1e-9
-"""Of the variance that comes from the ground: less is none."""
+_LEAST_SHARE, _MOST = 1e-9, 0.999
+"""Of the variance that comes from the ground: less is none, more is this."""
+_LOWEST_HZ, _LOG_STEPS = 0.05, 4000
+"""Where the ground's variance is summed up from, and in how many steps."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -104,7 +106,7 @@ def cross_spectra(
     share = sum(e.ground_share for e in effects)
     ground = np.full(fine.size, excitation.ground_noise)
     if share > 0.0:
-        ground += ground_density(share, system, force, context)
+        ground += ground_density(share, system, force, context, condition)
     n = force.size
     columns = np.concatenate(
         [
@@ -151,16 +153,13 @@ def channel_response(system: System, hz: Array, context: Context) -> ComplexArra
     return np.asarray(context.sensors @ floors)
 
 
-def ground_density(share: float, system: System, force: Array, context: Context) -> float:
+def ground_density(share: float, system: System, force: Array, context: Context, condition: Condition) -> float:
     """White ground acceleration that causes `share` of the channels' variance, mean over channels, beside the forces."""
-    hz = np.arange(0.05, context.rate_hz / 2.0, 0.05)
-    power = np.abs(seen(system, (), hz, 1.0, context, _NO_CONDITION)) ** 2
-    n = force.size
-    by_force = (power[:, :, :n] @ force).sum(axis=0)
-    by_ground = power[:, :, n].sum(axis=0)
+    by_force, by_ground, above = variances(system, force, context, condition.band_hz)
+    by_force = by_force + (condition.beyond - 1.0) * above
+    share = min(share, _MOST)
     if share < _LEAST_SHARE:
         return 0.0
-    share = min(share, 0.999)
 
     def excess(ln_density: float) -> float:
         part = np.exp(ln_density) * by_ground
@@ -170,7 +169,15 @@ def ground_density(share: float, system: System, force: Array, context: Context)
     return float(np.exp(brentq(excess, middle - 25.0, middle + 25.0, xtol=1e-10)))
 
 
-_NO_CONDITION = Condition(np.ones(1), np.ones(1), np.ones(1), np.ones(1))
+def variances(system: System, force: Array, context: Context, band_hz: float) -> tuple[Array, Array, Array]:
+    """Variance of every channel, shape (c,): by white forces, by a ground acceleration of density one, and by the forces
+    above a frequency, all up to half the source's rate."""
+    low, high = np.log(_LOWEST_HZ), np.log(0.5 * context.rate_hz)
+    hz = np.exp(np.linspace(low, high, _LOG_STEPS))  # equal steps of the logarithm follow the peaks' width
+    power = np.abs(channel_response(system, hz, context)) ** 2
+    n, weight = force.size, 2.0 * hz * np.gradient(np.log(hz))
+    by_force = power[:, :, :n] @ force
+    return weight @ by_force, weight @ power[:, :, n], (weight * (hz > band_hz)) @ by_force
 
 
 @njit(cache=True, error_model="numpy")

@@ -11,7 +11,7 @@ from monitor.driven import Drive, motion_rms
 from monitor.effects import EFFECTS, Condition, Context, Effect, System, locations
 from monitor.evidence import Evidence, class_temperature
 from monitor.likelihood import Fit, Prediction, Problem, fit, inverse
-from monitor.prediction import accelerance, assemble
+from monitor.prediction import accelerance, assemble, variances
 from monitor.reference import Reference
 from monitor.results import Array
 
@@ -108,7 +108,12 @@ def conditions(problem: Problem, x: Array, effects: tuple[Effect, ...]) -> tuple
     n, p = mass.shape[0], problem.reference.mean.size
     force, level = np.exp(x[p : p + n]), np.exp(x[p + n : p + n + problem.n_classes])
     drift = context.structure.drift_matrix()
-    out = []
+    beyond, out = 1.0, []
+    if any(effect.ground_share for effect in effects):  # without it the forces would be taken for what the ground does
+        system = assemble(mass, stiffness, damping, effects, context, problem.conditions[0])
+        white = variances(system, force * (e.counts @ level) / e.counts.sum(), context, e.band.hz[-1])[2]
+        noise = problem.noise(x) * (e.rate_hz - 2.0 * e.band.hz[-1])
+        beyond = float((np.maximum(e.segments.above.mean(axis=0) - noise, 0.0) / white).mean())
     for k in range(problem.n_classes):
         system = assemble(mass, stiffness, damping, effects, context, problem.conditions[k])
         lowest = np.sqrt(max(np.linalg.eigvalsh(np.linalg.solve(mass, stiffness)).min(), 1e-6)) / (2.0 * np.pi)
@@ -150,7 +155,17 @@ def conditions(problem: Problem, x: Array, effects: tuple[Effect, ...]) -> tuple
             return 0.0 if value is None else value - _reference_degc(problem, lag_s)
 
         out.append(
-            Condition(rms(drift, 0), rms(drift, 1), rms(np.eye(n), 1), e.rms[k], excess, e.peak, e.piled >= _PILE)
+            Condition(
+                rms(drift, 0),
+                rms(drift, 1),
+                rms(np.eye(n), 1),
+                e.rms[k],
+                excess,
+                e.peak,
+                e.piled >= _PILE,
+                beyond,
+                float(e.band.hz[-1]),
+            )
         )
     return tuple(out)
 

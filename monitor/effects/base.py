@@ -56,6 +56,10 @@ class Condition:
     """Largest magnitude of every channel's samples in the whole recording, shape (c,)."""
     channel_piled: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(1, dtype=bool))
     """Whether many of a channel's samples share its largest magnitude, shape (c,)."""
+    beyond: float = 1.0
+    """What the forces cause above the band that is compared, over what white ones would up to half the source's rate."""
+    band_hz: float = np.inf
+    """Where that begins."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)

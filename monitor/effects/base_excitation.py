@@ -19,6 +19,8 @@ class BaseExcitation(Effect):
     parameters: ClassVar[tuple[Parameter, ...]] = (Parameter("share", 0.0, 1.0, absent=0.0),)
     signature: ClassVar[str] = "one common input: coherent channels, each with the ground's own motion in it"
 
+    conditional: ClassVar[bool] = True
+
     share: float
     """Fraction of a channel's acceleration variance at the source's rate that the ground causes, mean over channels."""
 

@@ -24,6 +24,8 @@ class Parameter:
     """Value at which the effect vanishes; None if it can only take shape, not vanish, by this parameter."""
     closed: bool = False
     """Whether the lower bound itself is allowed."""
+    least: float = 1e-9
+    """Coordinate below which finite differences no longer shrink with it."""
 
     def coordinate(self, value: float) -> float:
         """The value in the coordinate of estimation."""

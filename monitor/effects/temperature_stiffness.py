@@ -26,7 +26,7 @@ class TemperatureStiffness(Effect):
     places: ClassVar[tuple[str, ...]] = ("frame",)
     parameters: ClassVar[tuple[Parameter, ...]] = (
         Parameter("per_degc", -1.0, 1.0, absent=0.0),
-        Parameter("lag_s", 0.0, inf, closed=True),
+        Parameter("lag_s", 0.0, inf, closed=True, least=60.0),
     )
     signature: ClassVar[str] = (
         "all frequencies by the same factor, shapes untouched, following the temperature, equal at every level"
