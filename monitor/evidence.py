@@ -27,6 +27,8 @@ _LEVEL_CLASSES = 5
 _MIN_SEGMENTS_A_CLASS = 12
 _TEMPERATURE_CLASSES = 4
 _MIN_RANGE_DEGC = 2.0
+_WITHIN = 21
+"""Times at which a segment's temperature is read."""
 _SAME = 1e-6
 """Relative difference of magnitudes that rounding explains."""
 
@@ -265,7 +267,7 @@ def classify(segments: Segments) -> Evidence:
     # Whitened by the mean spectrum every bin counts alike, so that the class follows the excitation, not one mode's chance.
     level = np.einsum("ska,kab,skb->s", x.conj(), inverse, x).real
     label = _quantiles(level, min(_LEVEL_CLASSES, max(1, level.size // _MIN_SEGMENTS_A_CLASS)))
-    degc = _temperature_at(segments.temperature, segments.t_s)
+    degc = _temperature_at(segments.temperature, segments.t_s, 1.0 / segments.band.bin_hz)
     if degc is not None and np.ptp(degc) > _MIN_RANGE_DEGC:
         n_degc = max(1, min(_TEMPERATURE_CLASSES, level.size // (2 * _MIN_SEGMENTS_A_CLASS)))
         n_level = max(1, min(3, level.size // (n_degc * _MIN_SEGMENTS_A_CLASS)))
@@ -302,8 +304,11 @@ def _quantiles(value: Array, n: int) -> NDArray[np.intp]:
     return np.asarray(rank * n // value.size)
 
 
-def _temperature_at(readings: Array, t_s: Array, lag_s: float = 0.0) -> Array | None:
-    """Temperature at times, after a first-order lag; None without readings."""
+def _temperature_at(readings: Array, t_s: Array, length_s: float, lag_s: float = 0.0) -> Array | None:
+    """Mean temperature of segments about times, after a first-order lag; None without readings.
+
+    Means, since the slope that a short lag works on drowns in the noise of single readings.
+    """
     if readings.shape[0] < 2:
         return None
     t, first = np.unique(readings[:, 0], return_index=True)
@@ -315,10 +320,12 @@ def _temperature_at(readings: Array, t_s: Array, lag_s: float = 0.0) -> Array | 
             behind = lag_s * (value[i] - value[i - 1]) / (t[i] - t[i - 1])
             lagged[i] = value[i] - behind + keep * (lagged[i - 1] - value[i - 1] + behind)
         value = lagged
-    return np.asarray(np.interp(t_s, t, value))
+    within = t_s[:, None] + length_s * np.linspace(-0.5, 0.5, _WITHIN)
+    return np.asarray(np.interp(within, t, value).mean(axis=1))
 
 
 def class_temperature(evidence: Evidence, k: int, lag_s: float) -> float | None:
     """Mean temperature of class k after a first-order lag of `lag_s`, degC; None where none was measured."""
-    degc = _temperature_at(evidence.temperature, evidence.t_s[evidence.members[k]], lag_s)
+    length_s = 1.0 / evidence.band.bin_hz
+    degc = _temperature_at(evidence.temperature, evidence.t_s[evidence.members[k]], length_s, lag_s)
     return None if degc is None else float(degc.mean())
