@@ -7,10 +7,11 @@ from functools import partial
 from math import ceil
 
 from drivers.base import ACCELERATION, TEMPERATURE, SampleBlock
-from monitor import alarm, align, damage, quality, temperature, track, window
+from monitor import acquisition, alarm, align, damage, quality, temperature, track, window
 from monitor.baseline import Baseline
 from monitor.condition import Conditioner, ConditionState
 from monitor.config import Configuration
+from monitor.effects import Context
 from monitor.errors import BadInputError
 from monitor.poles import expected, identify
 from monitor.results import Alarm, Gap, Level, ModalEstimate, Samples, Skipped, Temperature, Window, WindowResult
@@ -60,6 +61,9 @@ class Pipeline:
         self.reference = config.model() if baseline is None else baseline.model
         self.reference_modes = self.reference.modes()
         self.sensors = config.sensor_matrix()
+        self.acquisition = tuple(e for e in config.model().effects if e.family == "sensor")
+        self.context = Context(self.reference.structure, config.channels, self.sensors, config.processing.rate_hz)
+        self.shown = acquisition.sensed(self.acquisition, self.context)
         self.prior_std = config.prior_std()[: self.reference.structure.n_stories]
         names = config.identification.reference_channels or config.channels
         self.past = tuple(config.channels.index(name) for name in names)
@@ -159,8 +163,10 @@ class Pipeline:
             wanted = tuple(sorted(self.baseline.model_mode))
         refiner = partial(refine, item, settings=c.refinement)
         modes = identify(
-            item, self.past, self.reference_modes, self.sensors, c.identification, c.selection, wanted, refiner
+            item, self.past, self.reference_modes, self.shown, c.identification, c.selection, wanted, refiner
         )
+        if self.acquisition and not isinstance(modes, Skipped):
+            modes = acquisition.undo(modes, self.acquisition, self.context)
         tracks = self._follow(None if isinstance(modes, Skipped) else modes, item)
         if isinstance(modes, Skipped):
             return skip(modes)

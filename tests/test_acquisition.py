@@ -1,0 +1,99 @@
+"""Sensor faults that the structure file states are taken out of the modes, online as anywhere."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from monitor.acquisition import sensed, undo
+from monitor.baseline import load, save
+from monitor.calibrate import calibrate
+from monitor.config import load as load_config
+from monitor.effects import Context, parse_effect
+from monitor.pipeline import Pipeline
+from monitor.record import simulate_to
+from monitor.recordings import blocks
+from monitor.results import ModalEstimate, WindowResult
+from monitor.structures import ShearFrame
+
+CONTEXT = Context(ShearFrame(np.ones(3), 1000.0 * np.ones(3), 0.01), ("a1", "a2", "a3"), np.eye(3), 100.0)
+FAULTS = tuple(
+    parse_effect(text)
+    for text in (
+        "sensor_gain:channel a2:gain=1.1",
+        "time_offset:channel a1:seconds=0.002",
+        "channel_swap:channel a1,a3",
+        "sensor_polarity:channel a3",
+        "clock_rate:frame:relative=0.01",
+    )
+)
+
+
+def _estimate(shapes: np.ndarray, hz: np.ndarray, deviations: np.ndarray) -> ModalEstimate:
+    return ModalEstimate(hz, np.full(2, 0.01), shapes, np.arange(2), deviations, 0, 6, np.zeros((0, 4)))
+
+
+def _seen(shapes: np.ndarray, hz: np.ndarray) -> np.ndarray:
+    """True shapes through the faults, written out once more."""
+    out = shapes.astype(complex) * [1.0, 1.1, 1.0]
+    out[:, 0] *= np.exp(-2j * np.pi * hz * 0.002)
+    out = out[:, [2, 1, 0]] * [1.0, 1.0, -1.0]
+    return out
+
+
+def test_true_modes_come_back_with_their_deviations() -> None:
+    rng = np.random.default_rng(3)
+    hz, true = np.array([5.0, 16.0]), np.array([[1.0, 0.7, 0.3], [0.8, -0.4, 1.0]])
+    seen = _seen(true, hz)
+    scale = seen[np.arange(2), np.abs(seen).argmax(axis=1)][:, None]
+    small = 1e-6 * rng.standard_normal((4, 2, 3))
+    moved = [(_seen(true + d, hz) / _seen(true + d, hz)[[0, 1], np.abs(seen).argmax(axis=1)][:, None]) for d in small]
+    change = np.array(moved) - seen / scale
+    deviations = np.concatenate([np.zeros((4, 2, 2)), change.real, change.imag], axis=2)
+    back = undo(_estimate(seen / scale, hz / 1.01, deviations), FAULTS, CONTEXT)
+    np.testing.assert_allclose(back.frequencies_hz, hz)
+    np.testing.assert_allclose(back.shapes, true, atol=1e-12)
+    expected = small - true * small[:, [0, 1], [0, 2]][:, :, None]  # the largest component stays 1
+    np.testing.assert_allclose(back.deviations[:, :, 2:5], expected, atol=1e-11)
+
+
+def test_measured_shapes_are_recognized_through_swap_and_sign() -> None:
+    np.testing.assert_allclose(sensed(FAULTS[2:4], CONTEXT), [[0, 0, 1], [0, 1, 0], [-1, 0, 0]])
+
+
+@pytest.mark.parametrize(
+    "fault", ["sensor_gain:channel a2:gain=1.2", "sensor_polarity:channel a1", "channel_swap:channel a2,a3"]
+)
+def test_an_accepted_sensor_fault_no_longer_moves_the_index(fault: str, tmp_path: Path) -> None:
+    text = (
+        '[structure]\nkind = "shear_frame"\nmasses_kg = [0.3253, 0.3514, 0.3129]\n'
+        "stiffness_n_per_m = [2900.0, 1700.0, 1900.0]\n"
+        + "".join(f'[[sensors]]\nchannel = "a{j}"\nfloor = {j}\n' for j in (1, 2, 3))
+        + "[processing]\nwindow_s = 200.0\nhop_s = 50.0\n"
+    )
+    plain, extended = tmp_path / "frame.toml", tmp_path / "extended.toml"
+    plain.write_text(text)
+    effect = parse_effect(fault)
+    rows = "".join(f"{k} = {v}\n" for k, v in effect.values().items())
+    extended.write_text(
+        f'{text}[[effects]]\neffect = "{effect.name}"\nlocation = "{effect.location}"\n[effects.parameters]\n{rows}'
+    )
+    config = load_config(plain)
+    healthy, faulty = tmp_path / "healthy.mcap", tmp_path / "faulty.mcap"
+    common = {"excitation": "ambient", "noise": 0.05, "damage": [], "rate_hz": 200.0, "level_spread": 0.0}
+    common |= {"start": "2026-01-01T00:00:00", "temperature": None}
+    simulate_to(healthy, config, duration_s=600.0, effects=[], seed=1, **common)
+    simulate_to(faulty, config, duration_s=250.0, effects=[fault], seed=2, **common)
+    save(calibrate([healthy], config)[0], tmp_path / "b.json")
+
+    def index(path: Path) -> list[WindowResult]:
+        settings = load_config(path)
+        pipeline = Pipeline(settings, load(tmp_path / "b.json", settings))
+        found = (r for block in blocks([faulty], settings, print) for r in pipeline.push(block))
+        return [r for r in found if isinstance(r, WindowResult)]
+
+    for result in index(extended):
+        assert result.skipped is None and result.damage is not None
+        assert np.abs(result.damage.ddi).max() < 0.02
+    blamed = index(plain)
+    assert any(r.damage is None or np.abs(r.damage.ddi).max() > 0.04 for r in blamed)
