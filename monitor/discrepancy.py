@@ -60,16 +60,12 @@ def find(
     MissingInputError, BadInputError
     """
     segments = _read(paths, config, on_warning, on_progress)
-    context = _context(segments, config)
     if baseline is not None and baseline.reference is None:
         raise BadInputError(
             "the baseline holds nothing for a diagnosis to start from; calibrate anew, on a minute or more"
         )
     reference = _nominal(config) if baseline is None or baseline.reference is None else baseline.reference
-    diagnosis = diagnose(classify(segments), reference, context, config.diagnosis)
-    gain = heldout_gain(segments, diagnosis, config)
-    settled = demand_gain(diagnosis, gain)
-    gain = gain if settled is diagnosis else Gain()
+    settled, gain = judged(segments, reference, config)
     updated, extended = (fitted_model(settled.problem, at) for at in (settled.null, settled.final))
     degc = reference.reference_degc
     if degc is None and segments.temperature.size:
@@ -77,6 +73,15 @@ def find(
     plain = content(settled, gain, config.model().effects, ddi_effect(settled))
     plain |= {"model": model_to_plain(extended, degc), "since_calibration": baseline is not None}
     return Finding(settled, gain, plain, segments, updated, extended, degc)
+
+
+@_TRIALS
+def judged(segments: Segments, reference: Reference, config: Configuration) -> tuple[Diagnosis, Gain]:
+    """The diagnosis as it stands before held-out data, and its gain there."""
+    diagnosis = diagnose(classify(segments), reference, _context(segments, config), config.diagnosis)
+    gain = heldout_gain(segments, diagnosis, config)
+    settled = demand_gain(diagnosis, gain)
+    return settled, gain if settled is diagnosis else Gain()
 
 
 @_TRIALS

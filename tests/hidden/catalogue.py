@@ -138,14 +138,15 @@ def base_flexibility(s: Site) -> tuple[Hidden, Act]:
 
 
 def gravity_softening(s: Site) -> tuple[Hidden, Act]:
-    factor = s.rng.uniform(0.6, 2.4)
+    factor = s.within(0.6, 2.4)
     return Hidden("gravity_softening", "frame", {"factor": factor}), s.matrices(replace(s.truth.frame, lean=factor))
 
 
 def joint_flexibility(s: Site) -> tuple[Hidden, Act]:
-    ratio = s.between(1.5, 10.0)
-    moved = s.matrices(replace(s.truth.frame, joint=s.truth.frame.girder(ratio)))
-    return Hidden("joint_flexibility", "frame", {"girder_to_column_ratio": ratio}), moved
+    """The size is sealed where the healthy frame's joints were stiff: elsewhere only their change is to be found."""
+    ratio, frame = s.between(1.5, 10.0), s.truth.frame
+    size = {"girder_to_column_ratio": ratio} if frame.joint is None else {}
+    return Hidden("joint_flexibility", "frame", size), s.matrices(replace(frame, joint=frame.girder(ratio)))
 
 
 def attached_oscillator(s: Site) -> tuple[Hidden, Act]:
@@ -174,7 +175,7 @@ def coloured_excitation(s: Site) -> tuple[Hidden, Act]:
 
 
 def base_excitation(s: Site) -> tuple[Hidden, Act]:
-    share = s.rng.uniform(0.2, 0.9)
+    share = s.within(0.2, 0.9)
     by_force, by_ground = s.motion.channel**2, s.motion.ground_variance
     trial = np.exp(np.linspace(-25.0, 25.0, 20001)) * by_force.mean() / by_ground.mean()
     shares = (trial[:, None] * by_ground / (trial[:, None] * by_ground + by_force)).mean(axis=1)
@@ -220,7 +221,7 @@ def clock_rate(s: Site) -> tuple[Hidden, Act]:
 
 def sensor_clipping(s: Site) -> tuple[Hidden, Act]:
     j = _channel(s)
-    limit = s.rng.uniform(1.5, 2.5) * float(s.motion.channel[j])
+    limit = s.within(1.5, 2.5) * float(s.motion.channel[j])
     return Hidden("sensor_clipping", f"channel {CHANNELS[j]}", {"limit_m_s2": limit}), replace(
         s.act, limit=np.where(np.arange(3) == j, limit, np.inf)
     )

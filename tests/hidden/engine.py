@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from drivers.base import SampleBlock
-from monitor import evidence, reference, standing
+from monitor import discrepancy, evidence
 from monitor.config import Configuration
-from monitor.diagnose import Diagnosis, DiagnosisSettings, diagnose
-from monitor.effects import Context
+from monitor.diagnose import Diagnosis
 from monitor.reference import Reference
 
 
@@ -25,32 +24,22 @@ class Baseline:
     reference: Reference
 
 
-def _context(config: Configuration, rate_hz: float) -> Context:
-    return Context(config.model().structure, config.channels, config.sensor_matrix(), rate_hz)
-
-
 def calibrate(drawing: str, blocks: Iterable[SampleBlock]) -> Baseline:
     """Learn the healthy structure."""
     config = Configuration.model_validate(tomllib.loads(drawing))
-    segments = evidence.gather(blocks, config)
-    drawn = reference.nominal(config.model(), config.prior_std(), len(config.channels))
-    learnt, _ = standing.learn(evidence.classify(segments), drawn, _context(config, segments.rate_hz))
-    if segments.temperature.size:
-        learnt = replace(learnt, reference_degc=float(segments.temperature[:, 1].mean()))
-    return Baseline(config, learnt)
+    return Baseline(config, discrepancy.learn(evidence.gather(blocks, config), config))
 
 
 def answer(baseline: Baseline, blocks: Iterable[SampleBlock]) -> dict[str, Any]:
     """What `diagnosis.json` says."""
-    segments = evidence.gather(blocks, baseline.config)
-    context = _context(baseline.config, segments.rate_hz)
-    d = diagnose(evidence.classify(segments), baseline.reference, context, DiagnosisSettings())
+    d, gain = discrepancy.judged(evidence.gather(blocks, baseline.config), baseline.reference, baseline.config)
     return {
         "verdict": d.verdict,
         "causes": _causes(d),
         "alternatives": [
             {"effect": c.effect.name, "location": c.effect.location, "probability": float(p)} for c, p in d.alternatives
         ],
+        "gain": [gain.after - gain.before, *gain.ci95],
         "left_over": [[m.where, round(float(m.size), 1)] for m in d.left_over[:3]],
     }
 

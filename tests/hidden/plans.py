@@ -92,11 +92,13 @@ NAMES = (*CATALOGUE, *OUTSIDE, *("pair",) * 5, *("clean",) * 4)
 """One round of trials."""
 
 
-def draw(truth: Truth, name: str, seed: int) -> Plan:
-    """The trial `name`; place, sign and size from the seed."""
+def draw(truth: Truth, name: str, seed: int, size: float | None = None) -> Plan:
+    """The trial `name`; place, sign and size (its first one, unless it is given) from the seed."""
     duration_s = TEMPERATURE_S if name == "temperature" else RECORD_S
     act, motion = healthy(truth, seed)
-    site = Site(truth, motion, act, np.random.default_rng([seed, 103]), duration_s)
+    site = Site(
+        truth, motion, act, np.random.default_rng([seed, 103]), duration_s, iter(() if size is None else (size,))
+    )
     if name == "clean":
         return Plan("clean", (), act, duration_s)
     if name in OUTSIDE:

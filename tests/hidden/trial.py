@@ -30,11 +30,11 @@ def calibrated(seed: int) -> tuple[truth.Truth, engine.Baseline]:
     return structure, engine.calibrate(structure.drawing(), world.blocks(samples, degc))
 
 
-def run(seed: int, name: str) -> dict[str, Any]:
-    """What came of trial `name` with this seed, as plain data."""
+def run(seed: int, name: str, size: float | None = None) -> dict[str, Any]:
+    """What came of trial `name` with this seed (and size), as plain data."""
     structure, baseline = calibrated(seed // TRIALS_A_TRUTH)
     began = time.perf_counter()
-    plan = plans.draw(structure, name, seed)
+    plan = plans.draw(structure, name, seed, size)
     recording = world.blocks(world.record(plan.act, plan.duration_s, seed), plan.act.degc)
     made = time.perf_counter()
     with tempfile.TemporaryDirectory() as folder:

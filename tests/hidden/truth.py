@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -56,6 +57,8 @@ class Site:
     act: Act
     rng: np.random.Generator
     duration_s: float
+    sizes: Iterator[float] = field(default_factory=lambda: iter(()))
+    """Sizes in place of the first ones to be drawn."""
 
     def matrices(self, frame: Frame) -> Act:
         """The record's act with another frame."""
@@ -71,11 +74,18 @@ class Site:
         return float(self.rng.choice([-1.0, 1.0]))
 
     def pick(self, *values: float) -> float:
-        return float(self.rng.choice(values))
+        drawn = float(self.rng.choice(values))
+        return next(self.sizes, drawn)
+
+    def within(self, low: float, high: float) -> float:
+        """Uniform."""
+        drawn = float(self.rng.uniform(low, high))
+        return next(self.sizes, drawn)
 
     def between(self, low: float, high: float) -> float:
         """Log-uniform."""
-        return float(np.exp(self.rng.uniform(np.log(low), np.log(high))))
+        drawn = float(np.exp(self.rng.uniform(np.log(low), np.log(high))))
+        return next(self.sizes, drawn)
 
 
 def draw_truth(seed: int) -> Truth:
