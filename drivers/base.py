@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Protocol
 
 import numpy as np
@@ -57,8 +59,58 @@ class SampleBlock:
         return int(self.samples.shape[0])
 
 
+@dataclass(frozen=True, slots=True)
+class ClockHealth:
+    """A sensor node's clock against this machine's (or the recording's) UTC."""
+
+    node: str
+    """Channel, CAN identifier or key that the clock belongs to."""
+    offset_s: float
+    """UTC of arrival minus the time that samples carry, smoothed."""
+    drift_ppm: float
+    """How much faster than nominal the node samples."""
+    drift_std_ppm: float
+    steps: int
+    """Jumps seen."""
+
+
+@dataclass(frozen=True, slots=True)
+class SourceHealth:
+    """What a source has seen since it was made; counts only grow."""
+
+    connected: bool
+    counts: Mapping[str, int]
+    """Event -> times, as ``samples``, ``lost_samples``, ``repeated``, ``foreign``, ``undecodable``, ``error_frames``."""
+    clocks: tuple[ClockHealth, ...] = ()
+    detail: str = ""
+    """One sentence on the present state."""
+
+
+@dataclass(frozen=True, slots=True)
+class SourceContext:
+    """What a driver is told besides its own table of the site file."""
+
+    channels: tuple[str, ...]
+    """The structure file's channels, in order."""
+    folder: Path = field(default_factory=Path)
+    """Where relative paths of the site file begin."""
+
+
 class Source(Protocol):
-    """What a reader thread needs of a driver."""
+    """What a reader thread needs of a driver.
+
+    A driver is a class ``Driver(settings, context)`` that opens nothing before `open`, with a class attribute
+    ``Settings``: a frozen pydantic model of its ``[source]`` table that forbids unknown keys.
+    """
+
+    def open(self) -> None:
+        """Connect; called again after a `SourceError` to reconnect, with all counts kept.
+
+        Raises
+        ------
+        SourceError
+            It cannot be reached now.
+        """
 
     def read(self, timeout_s: float) -> SampleBlock | None:
         """The next block; None if none came in time.
@@ -70,6 +122,9 @@ class Source(Protocol):
         SourceError
             The source failed; reopening may help.
         """
+
+    def health(self) -> SourceHealth:
+        """Counts and clocks so far; may be called from any thread."""
 
     def close(self) -> None:
         """Release everything; calling it twice does no harm."""

@@ -10,7 +10,7 @@ from pathlib import Path
 from drivers import codec
 from drivers.base import ACCELERATION, GROUND, TEMPERATURE, RecordingError, SampleBlock
 from drivers.mcap_records import McapFile, Message, Segment
-from drivers.mcap_writer import McapWriter
+from drivers.mcap_writer import AS_ARRIVED, ORDER, McapWriter
 from drivers.ros2_imu import IMU_SCHEMAS, ImuJoiner, ImuSample, decode_imu, split_target
 
 __all__ = ["McapWriter", "RecordingInfo", "read_recordings", "recording_info", "scan_messages"]
@@ -42,7 +42,7 @@ def read_recordings(
     topic_map: Mapping[str, str] | None = None,
     on_warning: OnWarning = lambda _: None,
 ) -> Iterator[SampleBlock]:
-    """Blocks of all files in the order of their times.
+    """Blocks of all files in the order of their times; those of live records in the order in which they arrived.
 
     Every file is checked whole (checksums, every block decoded) before the first block is given; then
     blocks are read again as they are asked for, so that memory grows by some 100 bytes a chunk only.
@@ -117,24 +117,27 @@ class _Survey:
         count = 0
         for segment, messages in self.file.segments():
             if items := self._items(messages):
-                self.segments.append((min(item.t_ns for item in items), segment))
+                self.segments.append((min(t_ns for t_ns, _ in items), segment))
                 count += len(items)
         if not self.segments:
             raise RecordingError(f"{self.file.path}: {self._foreign()}")
         if self.file.cut:
             on_warning(f"{self.file.path}: {self.file.cut}; the {count} whole blocks before it are used")
 
-    def load(self, segment: Segment) -> list[_Item]:
-        """The wanted messages of a segment."""
+    def load(self, segment: Segment) -> list[tuple[int, _Item]]:
+        """The wanted messages of a segment, each with the time that orders it."""
         return self._items(self.file.load(segment))
 
-    def _items(self, messages: list[Message]) -> list[_Item]:
-        items: list[_Item] = []
+    def _items(self, messages: list[Message]) -> list[tuple[int, _Item]]:
+        items: list[tuple[int, _Item]] = []
         for message in messages:
-            topic = self.file.channels[message.channel_id].topic
+            channel = self.file.channels[message.channel_id]
+            topic = channel.topic
             if topic in self._topics or topic in self._axes:
                 try:
-                    items.append(self._decode(message, topic))
+                    item = self._decode(message, topic)
+                    as_arrived = channel.metadata.get(ORDER) == AS_ARRIVED
+                    items.append((message.log_time if as_arrived else item.t_ns, item))
                 except ValueError as error:
                     place = f"{self.file.path}: {topic} at {message.log_time} ns"
                     raise RecordingError(f"{place}: {error}; record or import it again") from error
@@ -179,8 +182,8 @@ def _merged(surveys: list[_Survey]) -> Iterator[_Item]:
     for start, number, segment in pool:
         while heap and heap[0][0] < start:
             yield heapq.heappop(heap)[-1]
-        for item in surveys[number].load(segment):
-            heapq.heappush(heap, (item.t_ns, number, serial, item))
+        for t_ns, item in surveys[number].load(segment):
+            heapq.heappush(heap, (t_ns, number, serial, item))
             serial += 1
     while heap:
         yield heapq.heappop(heap)[-1]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 from collections.abc import Mapping
@@ -15,6 +16,8 @@ from drivers import codec
 from drivers.base import SampleBlock
 
 _CHUNK_BYTES = 256 * 1024
+ORDER, AS_ARRIVED = "order", "as arrived"
+"""Channel metadata that tells a live record from others."""
 
 
 class McapWriter:
@@ -28,11 +31,15 @@ class McapWriter:
         Final name; its folder is made if need be.
     metadata
         MCAP metadata records, name -> keys and values.
+    as_arrived
+        Readers are to give the blocks in the order of their log times, not of their own: a live record.
 
     Raises ``OSError`` if the file cannot be written.
     """
 
-    def __init__(self, path: Path, metadata: Mapping[str, Mapping[str, str]] | None = None) -> None:
+    def __init__(
+        self, path: Path, metadata: Mapping[str, Mapping[str, str]] | None = None, *, as_arrived: bool = False
+    ) -> None:
         """Open the part file."""
         self.path = Path(path)
         self.part_path = self.path.with_name(self.path.name + ".part")
@@ -41,6 +48,7 @@ class McapWriter:
         self._writer = Writer(
             self._file, chunk_size=_CHUNK_BYTES, compression=CompressionType.ZSTD, enable_data_crcs=True
         )
+        self._tags = {ORDER: AS_ARRIVED} if as_arrived else {}
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
         self._writer.start(profile="", library="shm-monitor")
@@ -60,8 +68,8 @@ class McapWriter:
         else:
             self.abort()
 
-    def write(self, block: SampleBlock) -> None:
-        """Append a block.
+    def write(self, block: SampleBlock, log_time_ns: int | None = None) -> None:
+        """Append a block; its log time is its own time unless another is given.
 
         Raises
         ------
@@ -71,7 +79,8 @@ class McapWriter:
         if block.t_ns < 0:
             raise ValueError(f"block of {block.topic} at {block.t_ns} ns: before 1970")
         channel = self._channel(block.topic, "protobuf", codec.SCHEMA_NAME, "protobuf", codec.SCHEMA_BYTES)
-        self._writer.add_message(channel, block.t_ns, codec.encode(block), block.t_ns)
+        log_time_ns = block.t_ns if log_time_ns is None else log_time_ns
+        self._writer.add_message(channel, log_time_ns, codec.encode(block), block.t_ns)
 
     def write_json(self, topic: str, t_ns: int, data: bytes | str, schema: Mapping[str, object] | None = None) -> None:
         """Append one JSON message; `schema` is its JSON schema, by default any object."""
@@ -99,6 +108,12 @@ class McapWriter:
             self.abort()
             raise
 
+    def keep(self) -> None:
+        """Give the file its name as it stands, readable up to the last whole chunk: what to do when the disk is full."""
+        with contextlib.suppress(OSError):
+            self._file.close()
+        os.replace(self.part_path, self.path)
+
     def abort(self) -> None:
         """Remove the unfinished file."""
         self._file.close()
@@ -108,5 +123,6 @@ class McapWriter:
         if topic not in self._channels:
             if name not in self._schemas:
                 self._schemas[name] = self._writer.register_schema(name, schema_encoding, schema)
-            self._channels[topic] = self._writer.register_channel(topic, encoding, self._schemas[name])
+            tags = self._tags if encoding == "protobuf" else {}
+            self._channels[topic] = self._writer.register_channel(topic, encoding, self._schemas[name], tags)
         return self._channels[topic]

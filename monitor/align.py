@@ -11,6 +11,16 @@ from monitor.errors import BadInputError
 from monitor.results import Array, Gap
 
 _MAX_CLOCK_OFFSET_S = 1.0
+"""Jump of the clock, from one block to the next in sequence, from which samples may have been lost."""
+_MAX_DRIFT = 1e-3
+"""No clock is further off than this: a stream that is has another rate than it says."""
+_RELABEL_NS = 250_000_000
+"""Times of samples follow the clock in steps of at least this; less is jitter."""
+_PATIENCE_S = 60.0
+"""Length of late data after which the clock was set back rather than blocks delayed."""
+_MOST_CHANNELS = 1024
+_MOST_RATE_HZ = 1e6
+_MAX_INT = 1 << 62
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,10 +35,16 @@ class AlignState:
     rate_hz: float
     dropped: int
     """Samples thrown away: repeated, late or not finite."""
+    offset_ns: int = 0
+    """By how much the clock has drifted in this run: the latest block's time less that counted from the run's first."""
+    label_ns: int = 0
+    """How much of that the times given to samples have taken over."""
+    late: int = 0
+    """Samples in a row that were dropped for coming late."""
 
     def t_next_ns(self) -> int:
         """When the next sample of the run is due."""
-        return self.t_run_ns + round(self.n_run / self.rate_hz * 1e9)
+        return self.t_run_ns + round(self.n_run / self.rate_hz * 1e9) + self.label_ns
 
 
 def start() -> AlignState:
@@ -45,6 +61,8 @@ class Piece:
     """Shape (n_samples, c), m/s^2, float64."""
     gap: Gap | None
     rate_hz: float
+    shift_ns: int = 0
+    """What times of samples from here on are later than those before would have it: the clock drifts."""
 
 
 def select(block: SampleBlock, channels: tuple[str, ...]) -> Array:
@@ -53,8 +71,14 @@ def select(block: SampleBlock, channels: tuple[str, ...]) -> Array:
     Raises
     ------
     BadInputError
-        If a channel is missing or the unit is not m/s^2.
+        If a channel is missing, the unit is not m/s^2, or a number is absurd.
     """
+    if len(block.channels) > _MOST_CHANNELS:
+        raise BadInputError(f"{block.topic}: {len(block.channels)} channels, {_MOST_CHANNELS} are the most")
+    if block.sample_rate_hz > _MOST_RATE_HZ:
+        raise BadInputError(f"{block.topic}: a rate of {block.sample_rate_hz:g} Hz, {_MOST_RATE_HZ:g} Hz is the most")
+    if not (0 <= block.t_ns < _MAX_INT and block.sequence < _MAX_INT):
+        raise BadInputError(f"{block.topic}: time {block.t_ns} ns or sequence {block.sequence} is absurd")
     missing = [name for name in channels if name not in block.channels]
     if missing:
         raise BadInputError(
@@ -77,6 +101,12 @@ def step(state: AlignState, block: SampleBlock, channels: tuple[str, ...]) -> tu
     state : AlignState
     pieces : list of Piece
         In order; empty if nothing of the block is new.
+
+    Notes
+    -----
+    Blocks in sequence are one run as long as the clock does not jump between two of them: a clock some parts in a million off
+    makes no gap.  Times of samples count on from the run's first; when the clock has left that by a quarter of a second
+    they follow it in one step.  A source whose times are exact never makes one.
     """
     values = select(block, channels)
     if np.isfinite(values).all():
@@ -102,21 +132,38 @@ def _place(state: AlignState, block: SampleBlock, values: Array, offset: int) ->
     begun = AlignState(t_ns, n, sequence + n, rate, state.dropped)
     if state.n_run == 0:
         return begun, [Piece(t_ns, values, None, rate)]
-    late_s = (t_ns - state.t_next_ns()) * 1e-9
+    due_ns = state.t_next_ns()
+    late_s = (t_ns - due_ns) * 1e-9
     if rate != state.rate_hz:
         reason = f"sample rate changed from {state.rate_hz:g} to {rate:g} Hz"
-        return begun, [Piece(t_ns, values, Gap(state.t_next_ns(), max(late_s, 0.0), reason), rate)]
-    in_sequence = sequence == state.next_sequence
-    if (in_sequence and abs(late_s) < _MAX_CLOCK_OFFSET_S) or abs(late_s) * rate <= 0.5:
-        t_ns = state.t_next_ns()
-        state = replace(state, n_run=state.n_run + n, next_sequence=sequence + n)
-        return state, [Piece(t_ns, values, None, rate)]
-    if late_s < 0 and sequence < state.next_sequence:  # repeated or late: keep only what is new
-        known = min(n, max(1, round(-late_s * rate)))
-        state = replace(state, dropped=state.dropped + known)
+        return begun, [Piece(t_ns, values, Gap(due_ns, max(late_s, 0.0), reason), rate)]
+    offset_ns = t_ns - due_ns + state.label_ns
+    jump_s = (offset_ns - state.offset_ns) * 1e-9
+    drifted_s = abs(offset_ns) * 1e-9 - _MAX_DRIFT * state.n_run / rate
+    follows = (sequence == state.next_sequence and abs(jump_s) < _MAX_CLOCK_OFFSET_S) or abs(jump_s) * rate <= 0.5
+    if follows and drifted_s < _MAX_CLOCK_OFFSET_S:
+        shift_ns = offset_ns - state.label_ns if abs(offset_ns - state.label_ns) >= _RELABEL_NS else 0
+        state = replace(
+            state,
+            n_run=state.n_run + n,
+            next_sequence=sequence + n,
+            offset_ns=offset_ns,
+            label_ns=state.label_ns + shift_ns,
+            late=0,
+        )
+        return state, [Piece(due_ns + shift_ns, values, None, rate, shift_ns)]
+    if not follows and jump_s < 0 and sequence < state.next_sequence and state.late < _PATIENCE_S * rate:
+        # Repeated or late: keep only what is new.  The sequence says what is, unless it has begun anew with another file.
+        behind = state.next_sequence - sequence
+        if abs(jump_s + behind / rate) >= _MAX_CLOCK_OFFSET_S:
+            behind = round(-jump_s * rate)
+        known = min(n, max(1, behind))
+        state = replace(state, dropped=state.dropped + known, late=state.late + known)
         return _place(state, block, values[known:], offset + known)
-    if sequence > state.next_sequence and late_s > 0:
+    if follows:
+        reason = f"the clock and the stated rate are at odds: {offset_ns * 1e-9:+.3f} s in {state.n_run / rate:.0f} s"
+    elif sequence > state.next_sequence and jump_s > 0:
         reason = f"{sequence - state.next_sequence} samples missing"
     else:
         reason = f"the clock jumped by {late_s:+.3f} s"
-    return begun, [Piece(t_ns, values, Gap(state.t_next_ns(), max(late_s, 0.0), reason), rate)]
+    return begun, [Piece(t_ns, values, Gap(due_ns, max(late_s, 0.0), reason), rate)]

@@ -11,7 +11,7 @@ from typing import Annotated
 import typer
 from threadpoolctl import threadpool_limits
 
-from monitor import __version__, cli_diagnose, config
+from monitor import __version__, cli_diagnose, cli_emulate, cli_run, config, outlets
 from monitor.cli_common import Recordings, Structure, progress, warn
 from monitor.errors import BadConfigurationError, UserError
 from monitor.files import demand_place, spare_inputs, write_atomically
@@ -25,6 +25,8 @@ app = typer.Typer(
 app.command()(cli_diagnose.diagnose)
 app.command()(cli_diagnose.evaluate)
 app.command()(cli_diagnose.accept)
+app.command()(cli_run.run)
+app.command()(cli_emulate.emulate)
 
 
 @app.command()
@@ -51,7 +53,7 @@ def replay(
         settings,
         healthy,
         out,
-        speed=_speed(speed),
+        speed=cli_emulate.parse_speed(speed),
         serve=_address(serve),
         files=(structure, baseline),
         on_warning=warn,
@@ -68,18 +70,6 @@ def _address(text: str | None) -> tuple[str, int] | None:
     if not host or not port.isdigit() or not 0 < int(port) < 65536:
         raise typer.BadParameter(f"--serve: {text!r} is not HOST:PORT, as 127.0.0.1:9876")
     return host, int(port)
-
-
-def _speed(text: str) -> float | None:
-    if text == "max":
-        return None
-    try:
-        value = float(text)
-    except ValueError:
-        value = 0.0
-    if not 0.0 < value < float("inf"):
-        raise typer.BadParameter(f"--speed: {text!r} is neither 'max' nor a positive number")
-    return value
 
 
 @app.command()
@@ -117,7 +107,7 @@ def calibrate(
 @app.command()
 def simulate(
     structure: Structure,
-    out: Annotated[Path, typer.Option(metavar="REC.mcap", help="Recording to write.")],
+    out: Annotated[Path | None, typer.Option(metavar="REC.mcap", help="Recording to write; or give --to.")] = None,
     duration: Annotated[float, typer.Option(min=0.01, help="Length in s.")] = 1200.0,
     excitation: Annotated[str, typer.Option(help="ambient, impulse or ground.")] = "ambient",
     noise: Annotated[float, typer.Option(min=0.0, help="Sensor noise, fraction of the mean RMS acceleration.")] = 0.05,
@@ -135,31 +125,38 @@ def simulate(
     ] = None,
     start: Annotated[str, typer.Option(help="UTC of the first sample, ISO 8601.")] = "2026-01-01T00:00:00",
     seed: Annotated[int, typer.Option(min=0, help="Seed of the random numbers.")] = 0,
+    to: cli_emulate.OptionalTo = None,
+    dbc: cli_emulate.Dbc = None,
+    speed: cli_emulate.Speed = "1.0",
 ) -> None:
-    """Write a recording with known truth."""
+    """Write a recording with known truth, or send it as sensor nodes would (--to)."""
     from monitor import record
 
-    spare_inputs([out], [structure])
-    record.simulate_to(
-        out,
-        config.load(structure),
-        duration_s=duration,
-        excitation=excitation,
-        noise=noise,
-        damage=damage,
-        effects=effect,
-        rate_hz=rate,
-        level_spread=level_spread,
-        start=start,
-        seed=seed,
-        temperature=temperature,
-    )
-    print(f"{duration:g} s in {out}")
+    if out is None and to is None:
+        raise typer.BadParameter("name a recording to write (--out), a destination (--to), or both")
+    spare_inputs([] if out is None else [out], [structure])
+    with cli_emulate.recording_for(out, to, dbc, speed) as file:
+        record.simulate_to(
+            file,
+            config.load(structure),
+            duration_s=duration,
+            excitation=excitation,
+            noise=noise,
+            damage=damage,
+            effects=effect,
+            rate_hz=rate,
+            level_spread=level_spread,
+            start=start,
+            seed=seed,
+            temperature=temperature,
+        )
+    if out is not None:
+        print(f"{duration:g} s in {out}")
 
 
 @app.command("import")
 def import_(
-    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="CSV, NPZ; several: one a level.")],
+    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="CSV, NPZ, CAN log; several: one a level.")],
     out: Annotated[Path, typer.Option(metavar="REC.mcap", help="Recording to write.")],
     rate: Annotated[
         float | None, typer.Option(min=0.001, help="Sample rate in Hz, where the file has no time.")
@@ -168,6 +165,7 @@ def import_(
     channel: Annotated[list[str], typer.Option(metavar="NAME=FILE[:COLUMN]", help="Channel of the recording.")] = [],  # noqa: B006
     ground: Annotated[str | None, typer.Option(metavar="FILE[:COLUMN]", help="Measured base motion.")] = None,
     start: Annotated[str | None, typer.Option(help="UTC of the first sample, ISO 8601.")] = None,
+    dbc: Annotated[Path | None, typer.Option(metavar="FILE.dbc", help="What the frames of a CAN log mean.")] = None,
 ) -> None:
     """Foreign data to our recording format."""
     from monitor.importers import import_files
@@ -181,7 +179,15 @@ def import_(
             raise typer.BadParameter(f"--channel: {name!r} stands twice")
         channels[name] = place
     info = import_files(
-        files, out, rate_hz=rate, unit=unit, channels=channels or None, ground=ground, start=start, on_warning=warn
+        files,
+        out,
+        rate_hz=rate,
+        unit=unit,
+        channels=channels or None,
+        ground=ground,
+        start=start,
+        dbc=dbc,
+        on_warning=warn,
     )
     names = "; ".join(f"{topic}: {', '.join(c)}" for topic, c in info.channels.items())
     print(f"{info.duration_s:.2f} s at {info.sample_rate_hz:g} Hz in {out}: {names}")
@@ -191,6 +197,7 @@ def import_(
 def check(file: Annotated[Path, typer.Argument(metavar="CONFIG_OR_STRUCTURE.toml")]) -> None:
     """List every problem of a configuration or structure file at once."""
     settings = config.load(file)
+    outlets.make_outlets(file, settings, dry=True)
     frequencies = settings.model().modes().frequencies_hz
     print(f"{file}: no problems; {len(settings.structure.masses_kg)} stories, channels {', '.join(settings.channels)}")
     print("natural frequencies: " + ", ".join(f"{f:.4g}" for f in frequencies) + " Hz")

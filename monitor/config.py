@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field, ValidationError, model_validator
 
+from drivers.base import Source, SourceContext, SourceError
+from drivers.recorder import RecorderSettings
+from drivers.registry import UnknownSourceError, source_type
 from monitor.alarm import AlarmSettings
 from monitor.diagnosis_settings import DiagnosisSettings
 from monitor.effects import EFFECTS, Effect, EffectError
 from monitor.errors import BadConfigurationError, MissingInputError
+from monitor.health import HealthSettings
 from monitor.matrix_files import read_matrices
 from monitor.model import Model
 from monitor.poles import SelectionSettings
@@ -69,6 +74,7 @@ class SiteSettings(Settings):
 
     name: str = ""
     baseline: str | None = None
+    """Relative to the site file, as all its paths."""
 
 
 class OutputSettings(Settings):
@@ -76,6 +82,24 @@ class OutputSettings(Settings):
 
     dir: str = "out"
     serve: str | None = None
+    """HOST:PORT where Rerun viewers may join."""
+    zenoh: dict[str, Any] | None = None
+    """Where results, alarms and health are published (`monitor.outlets`)."""
+
+    @model_validator(mode="after")
+    def _serves(self) -> OutputSettings:
+        host, _, port = (self.serve or "host:1").rpartition(":")
+        if not host or not port.isdigit() or not 0 < int(port) < 65536:
+            raise ValueError(f"serve: {self.serve!r} is not HOST:PORT, as 127.0.0.1:9876")
+        return self
+
+    @property
+    def address(self) -> tuple[str, int] | None:
+        """Host and port of `serve`."""
+        if self.serve is None:
+            return None
+        host, _, port = self.serve.rpartition(":")
+        return host, int(port)
 
 
 class Configuration(Settings):
@@ -86,6 +110,7 @@ class Configuration(Settings):
     effects: tuple[EffectTable, ...] = ()
     processing: ProcessingSettings = ProcessingSettings()
     quality: QualitySettings = QualitySettings()
+    health: HealthSettings = HealthSettings()
     identification: SsiSettings = SsiSettings()
     selection: SelectionSettings = SelectionSettings()
     refinement: RefinementSettings = RefinementSettings()
@@ -100,6 +125,7 @@ class Configuration(Settings):
     site: SiteSettings = SiteSettings()
     source: dict[str, Any] | None = None
     output: OutputSettings = OutputSettings()
+    recorder: RecorderSettings = RecorderSettings()
 
     @model_validator(mode="after")
     def _consistent(self) -> Configuration:
@@ -197,15 +223,49 @@ def load(path: Path) -> Configuration:
     tables = read_toml(path)
     if isinstance(tables.get("structure"), dict):
         tables["structure"] = read_matrices(tables["structure"], path.parent)
+    problems: list[str] = []
     try:
-        return Configuration.model_validate(tables)
+        config = Configuration.model_validate(tables)
     except ValidationError as error:
-        lines = []
         for problem in error.errors():
             place = _place(problem["loc"], problem["type"])
             message = problem["msg"].removeprefix("Value error, ")
-            lines += [f"{path}: {place + ': ' if place else ''}{part}" for part in message.split("\n")]
+            problems += [f"{place + ': ' if place else ''}{part}" for part in message.split("\n")]
+    if isinstance(tables.get("source"), dict):
+        channels = () if problems else config.channels
+        try:
+            make_source(tables["source"], SourceContext(channels, path.parent))
+        except BadConfigurationError as error:
+            problems += str(error).split("\n")
+    if problems:
+        raise BadConfigurationError("\n".join(f"{path}: {problem}" for problem in problems))
+    return config
+
+
+def make_source(table: Mapping[str, Any], context: SourceContext) -> Source:
+    """The driver of a ``[source]`` table, not yet open.
+
+    Raises
+    ------
+    BadConfigurationError
+        One problem a line.
+    """
+    try:
+        driver = source_type(str(table.get("kind", "")))
+        settings = driver.Settings.model_validate(table)
+        source: Source = driver(settings, context)
+        return source
+    except UnknownSourceError as error:
+        raise BadConfigurationError(f"source.kind: {error}") from error
+    except ImportError as error:
+        raise BadConfigurationError(f"source.kind: {table['kind']!r} cannot be loaded: {error}") from error
+    except ValidationError as error:
+        lines = (
+            f"{_place(('source', *p['loc']), '')}: {p['msg'].removeprefix('Value error, ')}" for p in error.errors()
+        )
         raise BadConfigurationError("\n".join(lines)) from error
+    except (OSError, ValueError, SourceError) as error:
+        raise BadConfigurationError(f"source: {error}") from error
 
 
 def _place(loc: tuple[int | str, ...], kind: str) -> str:

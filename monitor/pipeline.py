@@ -4,21 +4,26 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import partial
-from math import ceil
+from math import ceil, floor
 
 from drivers.base import ACCELERATION, TEMPERATURE, SampleBlock
-from monitor import acquisition, alarm, align, damage, quality, temperature, track, window
+from monitor import acquisition, alarm, align, damage, health, quality, temperature, track, window
 from monitor.baseline import Baseline
 from monitor.condition import Conditioner, ConditionState
 from monitor.config import Configuration
 from monitor.effects import Context
 from monitor.errors import BadInputError
+from monitor.health import Health, HealthState
 from monitor.poles import expected, identify
 from monitor.results import Alarm, Gap, Level, ModalEstimate, Samples, Skipped, Temperature, Window, WindowResult
 from monitor.whittle import refine
 from monitor.window import WindowGrid, WindowState
 
-Result = Samples | Gap | WindowResult
+_MOST_DECIMATION = 1000
+_SET_BACK_S = 0.25
+"""A clock that was set back by at least this takes the windows' times along."""
+
+Result = Samples | Gap | WindowResult | Health
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -26,7 +31,7 @@ class Run:
     """Filters and windows of the samples since the last gap."""
 
     t0_ns: int
-    """UTC of the stream's first sample: grid index 0, also after gaps."""
+    """UTC of grid index 0: the stream's first sample, as today's clock would have stamped it.  Kept over gaps."""
     grid: WindowGrid
     conditioner: Conditioner
     condition: ConditionState
@@ -42,6 +47,7 @@ class PipelineState:
     alarm: alarm.AlarmState
     temperature: temperature.TemperatureState
     track: track.TrackState
+    health: HealthState
 
 
 class Pipeline:
@@ -68,7 +74,7 @@ class Pipeline:
         names = config.identification.reference_channels or config.channels
         self.past = tuple(config.channels.index(name) for name in names)
         alarms = alarm.start(self.reference.structure.n_stories, config.processing.window_s)
-        self.state = PipelineState(align.start(), None, alarms, temperature.start(), track.TrackState())
+        self.state = PipelineState(align.start(), None, alarms, temperature.start(), track.TrackState(), HealthState())
 
     def push(self, block: SampleBlock) -> list[Result]:
         """Everything that a block brings about, in order.
@@ -76,8 +82,17 @@ class Pipeline:
         Raises
         ------
         BadInputError
-            If a channel of the structure file is missing or the unit is wrong.
+            If a channel of the structure file is missing, the unit is wrong, or the rate too low; the block is then as
+            if it had never come.
         """
+        before = self.state
+        try:
+            return self._advance(block)
+        except BadInputError:
+            self.state = before
+            raise
+
+    def _advance(self, block: SampleBlock) -> list[Result]:
         if block.topic == TEMPERATURE:
             self._feel(block)
         if block.topic != ACCELERATION:
@@ -91,6 +106,9 @@ class Pipeline:
                 results.append(piece.gap)
             if run is None or piece.gap is not None:
                 run = self._begin(piece, run)
+            elif piece.shift_ns:
+                run = replace(run, t0_ns=run.t0_ns + piece.shift_ns)
+            results += self._examine(piece, align_state.dropped)
             condition, values = run.conditioner.step_block(run.condition, piece.values)
             first = run.window.start + run.window.n
             t_ns = run.t0_ns + round(first / run.grid.rate_hz * 1e9)
@@ -107,35 +125,43 @@ class Pipeline:
     def _begin(self, piece: align.Piece, previous: Run | None) -> Run:
         """A new run of samples: filters start at rest, windows stay on the stream's grid."""
         p, n_channels = self.config.processing, len(self.config.channels)
-        step_s = window.common_step_s(p.window_s, p.hop_s)
-        conditioner = Conditioner.design(piece.rate_hz, p.rate_hz, p.cutoff_hz, step_s)
-        if previous is None:
-            n_lags = 2 * self.config.identification.block_rows
-            if step_s * conditioner.rate_hz < n_lags:
-                raise BadInputError(
-                    f"the source's {piece.rate_hz:g} Hz give {step_s * conditioner.rate_hz:.0f} samples in the common step "
-                    f"of window_s and hop_s; {n_lags} (2 block_rows) are the least: set a longer hop_s"
-                )
-            grid = WindowGrid.design(
-                conditioner.rate_hz,
-                p.window_s,
-                p.hop_s,
-                n_lags,
-                self.config.refinement.segment_s,
-                conditioner.cutoff_hz,
+        if piece.rate_hz > _MOST_DECIMATION * p.rate_hz:
+            raise BadInputError(
+                f"the source's {piece.rate_hz:g} Hz are more than {_MOST_DECIMATION} times rate_hz = {p.rate_hz:g}"
             )
-            t0_ns, index, last = piece.t_ns, 0, None
+        step_s, n_lags = window.common_step_s(p.window_s, p.hop_s), 2 * self.config.identification.block_rows
+        n_step = floor(step_s * min(piece.rate_hz, p.rate_hz) + 1e-9)
+        if n_step < n_lags:
+            raise BadInputError(
+                f"the source's {piece.rate_hz:g} Hz give {n_step} samples in the common step "
+                f"of window_s and hop_s; {n_lags} (2 block_rows) are the least: set a longer hop_s"
+            )
+        conditioner = Conditioner.design(piece.rate_hz, p.rate_hz, p.cutoff_hz, step_s)
+        rate_hz = conditioner.rate_hz
+        if previous is not None and rate_hz == previous.grid.rate_hz:
+            grid = previous.grid
         else:
-            grid, t0_ns, last = previous.grid, previous.t0_ns, previous.window
-            if conditioner.rate_hz != grid.rate_hz:
-                raise BadInputError(
-                    f"the source's rate changed to {piece.rate_hz:g} Hz, where the windows run at {grid.rate_hz:g} Hz; "
-                    "replay the parts on their own"
-                )
+            segment_s = self.config.refinement.segment_s
+            grid = WindowGrid.design(rate_hz, p.window_s, p.hop_s, n_lags, segment_s, conditioner.cutoff_hz)
+        t0_ns, index, last = piece.t_ns, 0, None
+        if previous is not None:
+            t0_ns, last = previous.t0_ns, _at_rate(previous.window, rate_hz / previous.grid.rate_hz)
+            end = last.start + last.n
             # Rounding first keeps a start that lies on the grid from slipping one sample.
-            index = max(ceil(round((piece.t_ns - t0_ns) * 1e-9 * grid.rate_hz, 6)), last.start + last.n)
+            index = ceil(round((piece.t_ns - t0_ns) * 1e-9 * rate_hz, 6))
+            if (end - index) / rate_hz >= _SET_BACK_S:  # the grid goes on, and times with the clock
+                t0_ns = piece.t_ns - round(end / rate_hz * 1e9)
+            index = max(index, end)
         begun = window.start(grid, n_channels, index=index, previous=last)
         return Run(t0_ns, grid, conditioner, conditioner.start(n_channels), begun)
+
+    def _examine(self, piece: align.Piece, dropped: int) -> list[Health]:
+        """What the sensors are like, every so often."""
+        c = self.config
+        spans_s = c.processing.window_s + c.health.span_s
+        state, found = health.step(self.state.health, piece, dropped, c.channels, c.health, spans_s)
+        self.state = replace(self.state, health=state)
+        return found
 
     def _feel(self, block: SampleBlock) -> None:
         """Keep the temperatures that windows to come may need."""
@@ -155,6 +181,8 @@ class Pipeline:
             return self._skip(item.index, item.t_end_ns, item.window_s, reason, item.rms_m_s2, seen)
 
         skipped = quality.check(item.sums, item.rate_hz, cutoff_hz, c.channels, c.quality)
+        begin_ns = item.t_end_ns - round(item.window_s * 1e9)
+        skipped = skipped or health.check(self.state.health, begin_ns, item.t_end_ns, c.health)
         if skipped is not None:
             return skip(skipped)
         if self.baseline is None:
@@ -218,3 +246,14 @@ class Pipeline:
         self.state = replace(self.state, alarm=alarms)
         felt = self._felt(t_end_ns)
         return WindowResult(index, t_end_ns, data_s, modes, None, None, verdict, skipped, rms, felt)
+
+
+def _at_rate(state: WindowState, ratio: float) -> WindowState:
+    """Where runs lay, counted in samples of another rate; at the same rate nothing changes."""
+    if ratio == 1.0:
+        return state
+    runs = tuple(
+        (floor(a * ratio), ceil(b * ratio)) for a, b in (*state.past_runs, (state.start, state.start + state.n))
+    )
+    start, end = runs[-1]
+    return replace(state, start=start, n=end - start, past_runs=runs[:-1])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Protocol
 
 from drivers.base import ACCELERATION, RecordingError, RecordingMissingError, SampleBlock
 from drivers.mcap_file import read_recordings
@@ -70,9 +71,16 @@ def names(paths: list[Path]) -> str:
     return ", ".join(map(str, paths))
 
 
-def pushed(pipeline: Pipeline, block: SampleBlock, paths: list[Path]) -> list[Result]:
-    """The pipeline's results; what it refuses is said of the recordings."""
+class Taker(Protocol):
+    """A pipeline, or what stands before one."""
+
+    def push(self, block: SampleBlock) -> list[Result]:
+        """Take a block in."""
+
+
+def pushed(taker: Taker, block: SampleBlock, paths: list[Path]) -> list[Result]:
+    """The results; what is refused is said of the recordings."""
     try:
-        return pipeline.push(block)
+        return taker.push(block)
     except BadInputError as error:
         raise BadInputError(f"{names(paths)}: {error}") from error

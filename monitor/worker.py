@@ -9,13 +9,14 @@ import sys
 import tempfile
 import time
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from threadpoolctl import threadpool_limits
 
-from drivers.base import SampleBlock
+from drivers.base import ACCELERATION, SampleBlock
 from drivers.mcap_file import McapWriter
 from monitor import baseline, config, discrepancy
 from monitor.errors import UserError
@@ -24,24 +25,31 @@ from monitor.recordings import OnWarning
 from monitor.watch import Request
 
 _POLL_S = 0.05
+_MOST_BLOCKS = 200_000
 
 
 class Recent:
     """The latest blocks as they came, for a diagnosis."""
 
     def __init__(self, longest_s: float) -> None:
-        self._longest_ns = round(longest_s * 1e9)
+        self._longest_s = longest_s
+        self._seconds = 0.0
         self._blocks: deque[SampleBlock] = deque()
 
     def push(self, block: SampleBlock) -> None:
-        """Keep a block, forget those too old."""
+        """Keep a block, forget those too old: by the length of data since, as clocks may stand still or be set back."""
         self._blocks.append(block)
-        while block.t_ns - self._blocks[0].t_ns > self._longest_ns:
-            self._blocks.popleft()
+        self._seconds += _length_s(block)
+        while self._seconds - _length_s(self._blocks[0]) > self._longest_s or len(self._blocks) > _MOST_BLOCKS:
+            self._seconds -= _length_s(self._blocks.popleft())
 
     def between(self, from_ns: int, to_ns: int) -> list[SampleBlock]:
         """Blocks that begin within the span."""
         return [b for b in self._blocks if from_ns <= b.t_ns < to_ns]
+
+
+def _length_s(block: SampleBlock) -> float:
+    return block.n_samples / block.sample_rate_hz if block.topic == ACCELERATION else 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,10 +115,10 @@ class Diagnoser:
             self._running = job, self._start(job), time.monotonic()
         return found
 
-    def wait(self) -> list[dict[str, Any]]:
-        """Findings of everything that was asked for."""
+    def wait(self, stop: Callable[[], bool] = lambda: False) -> list[dict[str, Any]]:
+        """Findings of everything that was asked for, or of what is ready when `stop` says so."""
         found = self.poll()
-        while self._running is not None:
+        while self._running is not None and not stop():
             time.sleep(_POLL_S)
             found += self.poll()
         return found

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import pairwise
 
@@ -227,3 +228,98 @@ def test_a_clock_set_back_while_the_sequence_goes_on_is_told_as_a_gap() -> None:
     passed = joined(pieces)
     whole = len(passed) == 1000 and np.array_equal(passed, VALUES)
     assert whole or any(p.gap is not None for p in pieces)
+
+
+def stream(
+    count: int, offset_ns: Callable[[int], int], *, size: int = 100, rate: float = RATE
+) -> Iterator[tuple[AlignState, list[Piece]]]:
+    """Blocks in sequence whose times are off by what `offset_ns` says of each one's number."""
+    zeros, state = np.zeros((size, 2), dtype=np.float32), align.start()
+    for k in range(count):
+        t_ns = T0 + round(k * size / rate * 1e9) + offset_ns(k)
+        state, pieces = align.step(
+            state, SampleBlock(ACCELERATION, t_ns, k * size, rate, CHANNELS, "m/s^2", zeros), CHANNELS
+        )
+        yield state, pieces
+
+
+@pytest.mark.parametrize("ppm", [100, -100])
+def test_a_clock_that_drifts_for_days_makes_no_gap_and_times_follow_it(ppm: int) -> None:
+    """Three days, a minute a block: 26 s off in the end."""
+    drift_ns = lambda k: round(k * 60e9 * ppm * 1e-6)  # noqa: E731
+    state = align.start()
+    for k, (state, pieces) in enumerate(stream(3 * 1440, drift_ns, size=6000)):  # noqa: B007
+        (piece,) = pieces
+        assert piece.gap is None
+        assert abs(piece.t_ns - (T0 + k * 60 * 10**9 + drift_ns(k))) <= 250_000_000
+    assert state.dropped == 0
+
+
+def test_a_clock_set_anew_by_less_than_a_second_is_followed_and_small_jitter_is_not() -> None:
+    shifts = [0, 5_000_000, -90_000_000, 400_000_000, 410_000_000, 380_000_000]
+    pieces = [piece for _, found in stream(6, lambda k: shifts[k]) for piece in found]
+    assert [p.gap for p in pieces] == [None] * 6
+    assert [p.shift_ns for p in pieces] == [0, 0, 0, 400_000_000, 0, 0]
+    labels = [p.t_ns - T0 - k * 10**9 for k, p in enumerate(pieces)]
+    assert labels == [0, 0, 0, 400_000_000, 400_000_000, 400_000_000]
+
+
+@pytest.mark.parametrize("jump_s", [-5.0, -1.0, 1.0, 3600.0])
+def test_a_jump_of_the_clock_in_sequence_is_one_gap(jump_s: float) -> None:
+    pieces = [piece for _, found in stream(20, lambda k: round(jump_s * 1e9) * (k >= 10)) for piece in found]
+    assert [p.gap is not None for p in pieces] == [k == 10 for k in range(20)]
+    assert pieces[10].gap is not None and f"{jump_s:+.3f}" in pieces[10].gap.reason
+    assert all(p.t_ns == T0 + k * 10**9 + (k >= 10) * round(jump_s * 1e9) for k, p in enumerate(pieces))
+
+
+@pytest.mark.parametrize("true_rate", [99.0, 200.0, 1e9])
+def test_a_rate_that_its_own_times_deny_is_told(true_rate: float) -> None:
+    """Times that advance otherwise than rate and samples say: never windows of the wrong length in silence."""
+    pieces = [
+        piece for _, found in stream(300, lambda k: round(k * 100 * (1e9 / true_rate - 1e9 / RATE))) for piece in found
+    ]
+    assert any(p.gap is not None for p in pieces[:200])
+
+
+def test_jitter_does_not_make_a_repeated_block_look_new() -> None:
+    _, pieces = feed(block(0, 100), block(100, 200), block(100, 200, t_ns=T0 + 10**9 + 50_000_000), block(200, 300))
+    assert_record(pieces, (0, 300))
+
+
+def test_a_clock_set_back_with_a_sequence_begun_anew_is_believed_after_a_minute() -> None:
+    """A node restarts without the time: its blocks are late, but they go on being late."""
+    state, _ = feed(block(0, 1000, sequence=100_000))
+    anew, accepted = [], 0
+    for k in range(70):
+        item = block(0, 100, t_ns=T0 - 86400 * 10**9 + k * 10**9, sequence=100 * k)
+        state, pieces = align.step(state, item, CHANNELS)
+        anew += [p.gap for p in pieces if p.gap is not None]
+        accepted += sum(len(p.values) for p in pieces)
+    assert len(anew) == 1
+    assert accepted == 1000 and state.dropped == 6000
+
+
+def test_one_forged_block_does_not_stop_the_stream() -> None:
+    century_ns = 80 * 365 * 86400 * 10**9
+    forged = block(0, 100, t_ns=T0 + century_ns, sequence=1 << 61)
+    state, _ = feed(block(0, 1000), forged)
+    accepted = 0
+    for k in range(70):
+        state, pieces = align.step(state, block(0, 100, t_ns=T0 + (10 + k) * 10**9, sequence=1000 + 100 * k), CHANNELS)
+        accepted += sum(len(p.values) for p in pieces)
+    assert accepted >= 1000
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"t_ns": -1},
+        {"t_ns": 1 << 62},
+        {"sequence": (1 << 64) - 1},
+        {"sample_rate_hz": 1e9},
+        {"channels": tuple(f"c{k}" for k in range(10_000)), "samples": np.zeros((1, 10_000), np.float32)},
+    ],
+)
+def test_absurd_numbers_are_bad_input(changes: dict[str, object]) -> None:
+    with pytest.raises(BadInputError, match=str(ACCELERATION)):
+        feed(block(0, 100, **changes))

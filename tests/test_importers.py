@@ -159,8 +159,8 @@ def test_options_that_do_not_fit_are_refused(tmp_path: Path, options: dict[str, 
 
 
 @pytest.mark.parametrize("name", ["a.blf", "a.asc", "a.log"])
-def test_can_logs_are_not_supported_yet(tmp_path: Path, name: str) -> None:
-    with pytest.raises(BadInputError, match="not supported yet"):
+def test_can_logs_need_a_dbc(tmp_path: Path, name: str) -> None:
+    with pytest.raises(BadInputError, match="--dbc"):
         convert(tmp_path / name, "(0.0) can0 100#00")
 
 

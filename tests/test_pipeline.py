@@ -203,17 +203,33 @@ def test_a_missing_channel_is_bad_input(site: Configuration, record: np.ndarray,
         Pipeline(site).push(cut(record[:, :2], RATE, channels=("a1", "a2"))[0])
 
 
-def test_a_change_between_two_fast_rates_goes_on_and_to_a_slow_one_is_refused(
-    site: Configuration, record: np.ndarray, cut: Cut
-) -> None:
+def test_a_changed_rate_starts_over_on_the_same_grid(site: Configuration, record: np.ndarray, cut: Cut) -> None:
     pipeline = Pipeline(site)
     push(pipeline, cut(record, RATE))
     later = T0_NS + 42 * 10**9
     results = push(pipeline, cut(record, 200.0, t0_ns=later))
     assert sum(isinstance(r, Gap) for r in results) == 1
     assert windows(results)[-1].t_end_ns <= later + round(len(record) / 200.0 * 1e9)
-    with pytest.raises(BadInputError, match="50 Hz"):
-        push(pipeline, cut(record, 50.0, t0_ns=later + 60 * 10**9))
+    slow = simulate(site.model(), duration_s=60.0, rate_hz=50.0, noise=0.03, seed=7).floors
+    results = windows(push(pipeline, cut(slow, 50.0, t0_ns=later + 60 * 10**9)))
+    assert all((r.t_end_ns - T0_NS) % (5 * 10**9) == 0 for r in results)
+    good = [r for r in results if r.skipped is None]
+    assert len(good) >= 7  # 102 s to 162 s: windows that end at 125, 130, .. 160 s
+    assert good[0].t_end_ns == T0_NS + 125 * 10**9
+    assert good[0].modes is not None
+    np.testing.assert_allclose(good[0].modes.frequencies_hz[:2], site.model().modes().frequencies_hz[:2], rtol=0.02)
+
+
+def test_a_rate_too_slow_for_the_windows_is_refused_as_if_it_had_never_come(
+    site: Configuration, record: np.ndarray, cut: Cut, whole: tuple[list[str], bytes, list[Gap]]
+) -> None:
+    pipeline, results = Pipeline(site), []
+    for k, block in enumerate(cut(record, RATE)):
+        if k == 30:
+            with pytest.raises(BadInputError, match="hop_s"):
+                pipeline.push(replace(block, sample_rate_hz=2.0))
+        results += pipeline.push(block)
+    assert told(results) == whole
 
 
 @pytest.mark.parametrize("rate", [99.9, 95.37, 62.5])

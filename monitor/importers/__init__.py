@@ -1,4 +1,4 @@
-"""Foreign data to recordings: CSV of any dialect, Xsens DOT, zipped CSV, NPZ."""
+"""Foreign data to recordings: CSV of any dialect, Xsens DOT, zipped CSV, NPZ, CAN logs."""
 
 from __future__ import annotations
 
@@ -13,11 +13,10 @@ from drivers.base import ACCELERATION, GROUND, RecordingError, SampleBlock
 from drivers.mcap_file import McapWriter, RecordingInfo, recording_info
 from drivers.mcap_records import MAGIC
 from monitor.errors import BadInputError, MissingInputError
-from monitor.importers import csv_table, npz, xsens_dot
+from monitor.importers import can_log, csv_table, npz, xsens_dot
 from monitor.importers.table import Array, OnWarning, Table, Ticks, join, sample_numbers
 
 __all__ = ["import_files"]
-_LOGS = (".blf", ".asc", ".log")
 _MAX_UNZIPPED = 1 << 31
 
 
@@ -30,6 +29,7 @@ def import_files(
     channels: dict[str, str] | None = None,
     ground: str | None = None,
     start: str | None = None,
+    dbc: Path | None = None,
     on_warning: OnWarning = lambda _: None,
 ) -> RecordingInfo:
     """Write the readings of `files` as one recording and say what it holds.
@@ -47,6 +47,8 @@ def import_files(
         "FILE" or "FILE:COLUMN" of the base motion.
     start
         UTC of the first sample, ISO; 1970 if neither this nor a file tells.
+    dbc
+        What the frames of CAN logs mean.
 
     Raises
     ------
@@ -59,6 +61,13 @@ def import_files(
         raise BadInputError(f"--rate {rate_hz}: must be a positive number of Hz")
     if not files or out in files:
         raise BadInputError(f"{out}: name at least one file to import, and another one to write")
+    if any(map(can_log.is_log, files)):
+        can_log.check_options(files, dbc, channels, ground, start)
+        assert dbc is not None
+        try:
+            return can_log.import_log(files[0], out, dbc=dbc, rate_hz=rate_hz, on_warning=on_warning)
+        except OSError as error:
+            raise MissingInputError(f"{out}: cannot be written: {error.strerror or error}") from error
     tables, clock = join([_load(path, on_warning) for path in files], on_warning)
     chosen, base = _choose(tables, channels, ground)
     rate, numbers = _timing(tables, clock, rate_hz, on_warning)
@@ -86,8 +95,8 @@ def _load(path: Path, on_warning: OnWarning) -> Table:
         raw = path.read_bytes()
     except (OSError, ValueError) as error:
         raise MissingInputError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from error
-    if path.suffix.lower() in _LOGS or raw.startswith(b"LOGG"):
-        raise BadInputError(f"{path}: CAN logs are not supported yet; convert it to CSV")
+    if raw.startswith(b"LOGG"):
+        raise BadInputError(f"{path}: is a CAN log; name it with the suffix .blf")
     if raw.startswith(MAGIC):
         raise BadInputError(f"{path}: is an MCAP recording already; use it as it is")
     if raw.startswith(b"PK\x03\x04"):

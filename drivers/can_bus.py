@@ -1,0 +1,219 @@
+"""CAN as a source: any interface of python-can, or a log file, through a DBC to blocks of samples."""
+
+from __future__ import annotations
+
+import contextlib
+from collections import deque
+from collections.abc import Iterator
+from time import monotonic
+from typing import IO, Any
+
+import can
+import numpy as np
+
+from drivers import frames
+from drivers.base import ACCELERATION, EndOfStream, SampleBlock, SourceContext, SourceError, SourceHealth
+from drivers.can_open import PARSE_ERRORS, CanSettings, hung_up, open_bus, open_log
+from drivers.nodes import Joiner, Node, Rows
+
+_BUS_OFF = 0x40
+_CONTROLLER = 0x04
+_OVERRUN = 0x01
+_WAIT_S = 0.2
+
+
+class CanSource:
+    """Frames of the DBC's messages as blocks (`drivers.base.Source`).
+
+    Raises
+    ------
+    FrameError
+        If the DBC cannot be read or does not carry the channels; it is a `ValueError`.
+    """
+
+    Settings = CanSettings
+
+    def __init__(self, settings: CanSettings, context: SourceContext) -> None:
+        self._settings, self._folder = settings, context.folder
+        self.layouts = frames.load(context.folder / settings.dbc, context.channels)
+        self.channels = context.channels or tuple(name for layout in self.layouts for name in layout.channels)
+        rate, by_frame = settings.sample_rate_hz, settings.counter_counts == "frames"
+        self._nodes = tuple(Node(layout, rate, by_frame) for layout in self.layouts)
+        self._joiner = Joiner(self._nodes, self.channels, rate, settings.realign)
+        self._by_id = {(node.layout.frame_id, node.layout.extended): node for node in self._nodes}
+        self._batch = sum(-(-settings.block_samples // node.layout.n_samples) for node in self._nodes)
+        self._bus: can.BusABC | None = None
+        self._log: Iterator[can.Message] | None = None
+        self._file: IO[Any] | None = None
+        self._failed = ""
+        self._ended = False
+        self._pending, self._since = 0, 0.0
+        self._ready: deque[SampleBlock] = deque()
+        self._counts = dict.fromkeys(("frames", "foreign", "undecodable", "error_frames", "overruns", "bus_off"), 0)
+        self._samples = 0
+
+    def open(self) -> None:
+        """Connect, or open the log file."""
+        self.close()
+        self._failed = ""
+        if self._settings.interface == "log":
+            if self._ended:
+                return
+            self._file, self._log = open_log(self._folder / str(self._settings.channel))
+            return
+        self._bus = open_bus(self._settings, tuple(self._by_id))
+        self._joiner.reset()
+
+    def read(self, timeout_s: float) -> SampleBlock | None:
+        """The next block; shorter than `block_samples` where samples are lost or the bus is slow."""
+        deadline = monotonic() + timeout_s
+        while not self._ready:
+            if self._failed:
+                raise SourceError(self._failed)
+            if self._ended:
+                raise EndOfStream
+            if self._log is not None:
+                self._read_log()
+            elif self._bus is None:
+                raise SourceError("not open")
+            elif not self._receive(self._bus, deadline):
+                break
+        return self._ready.popleft() if self._ready else None
+
+    def health(self) -> SourceHealth:
+        """Counts and clocks so far."""
+        counts = dict(self._counts)
+        counts["samples"] = self._samples
+        for node in self._nodes:
+            sequencer, n = node.sequencer, node.layout.n_samples
+            for name, value in (
+                ("lost_samples", sequencer.lost * n),
+                ("repeated", sequencer.repeated),
+                ("late", sequencer.late),
+                ("stray", sequencer.stray),
+                ("restarts", sequencer.restarts),
+                ("bad_times", node.bad_times),
+                ("untimed", node.untimed),
+                ("steps", node.clock.steps),
+            ):
+                counts[name] = counts.get(name, 0) + value
+        counts["unmatched"], counts["realigned"] = self._joiner.unmatched, self._joiner.realigned
+        connected = self._bus is not None or self._log is not None
+        clocks = tuple(node.health() for node in self._nodes if node.line is not None)
+        return SourceHealth(connected and not self._failed, counts, clocks, self._failed or self._detail())
+
+    def close(self) -> None:
+        """Leave the bus."""
+        bus, self._bus, self._log = self._bus, None, None
+        if self._file is not None:
+            self._file.close()
+        if bus is not None:
+            with contextlib.suppress(can.CanError, OSError):
+                bus.shutdown()
+
+    def _detail(self) -> str:
+        said = [self._joiner.detail] if len(self._nodes) > 1 and self._joiner.detail else []
+        free = [n.layout.name for n in self._nodes if len(n.clock.offsets) >= 5 and not n.clock.real_time]
+        if free:
+            said.append(f"{', '.join(free)} does not run in real time at the nominal rate: time is its count")
+        return "; ".join(said)
+
+    def _receive(self, bus: can.BusABC, deadline: float) -> bool:
+        """Take frames until a block's worth is there; False if the time is over first."""
+        seen = 0
+        try:
+            while self._pending < self._batch:
+                message = bus.recv(max(0.0, min(_WAIT_S, deadline - monotonic())))
+                seen += 1
+                if message is not None:
+                    self._sort(message)
+                elif hung_up(bus):
+                    self._failed = "the server closed the connection"
+                if self._failed:
+                    break
+                if (message is None or seen % 64 == 0) and monotonic() >= deadline:
+                    # Not in small pieces, if the caller is impatient.
+                    if not self._pending or monotonic() - self._since < self._patience_s():
+                        return False
+                    break
+        except (can.CanError, OSError, ValueError) as error:
+            self._failed = str(error).splitlines()[0] if str(error) else type(error).__name__
+        self._process()
+        return bool(self._ready or self._failed) or monotonic() < deadline
+
+    def _patience_s(self) -> float:
+        return min(0.25, 2.0 * self._settings.block_samples / self._settings.sample_rate_hz)
+
+    def _read_log(self) -> None:
+        assert self._log is not None
+        try:
+            while self._pending < self._batch:
+                message = next(self._log, None)
+                if message is None:
+                    self._ended = True
+                    break
+                self._sort(message, fatal=False)
+        except PARSE_ERRORS as error:
+            self._counts["undecodable"] += 1
+            self._joiner.detail = f"the log is damaged: {error or type(error).__name__}"
+            self._ended = True
+        self._process(everything=self._ended)
+
+    def _sort(self, message: can.Message, *, fatal: bool = True) -> None:
+        if message.is_error_frame:
+            self._counts["error_frames"] += 1
+            kind = message.arbitration_id
+            if kind & _CONTROLLER and len(message.data) > 1 and message.data[1] & _OVERRUN:
+                self._counts["overruns"] += 1
+            if kind & _BUS_OFF:
+                self._counts["bus_off"] += 1
+                self._failed = "bus off" if fatal else ""
+            return
+        node = self._by_id.get((message.arbitration_id, message.is_extended_id))
+        if node is None:
+            self._counts["foreign"] += 1
+            return
+        n, data = node.layout.n_bytes, message.data
+        # FD frames come in certain lengths only and are padded.
+        if message.is_remote_frame or len(data) < n or (len(data) > n and n < 8):
+            self._counts["undecodable"] += 1
+            return
+        if not self._pending:
+            self._since = monotonic()
+        self._pending += 1
+        self._counts["frames"] += 1
+        node.frames.append(bytes(data[:n]))
+        node.times.append(message.timestamp)
+
+    def _process(self, *, everything: bool = False) -> None:
+        """Frames to blocks."""
+        self._pending = 0
+        try:
+            self._cut(self._joiner.join(everything=everything))
+        except SourceError as error:
+            self._failed = str(error)
+            self._ended = self._log is not None
+
+    def _cut(self, rows: Rows) -> None:
+        """Blocks of consecutive samples under one anchor."""
+        index, samples = rows
+        line = self._nodes[0].line
+        if line is None:
+            return
+        start, last = 0, len(index)
+        while start < last:
+            first = int(index[start])
+            stop = min(start + self._settings.block_samples, last)
+            broken = np.flatnonzero(np.diff(index[start:stop]) != 1)
+            stop = start + int(broken[0]) + 1 if len(broken) else stop
+            shift = line.next_shift(first)
+            if shift is not None:
+                stop = min(stop, start + shift - first)
+            block = samples[start:stop]
+            rate = self._settings.sample_rate_hz
+            if first >= 0 and line.at(first) >= 0:
+                self._ready.append(
+                    SampleBlock(ACCELERATION, line.at(first), first, rate, self.channels, "m/s^2", block)
+                )
+                self._samples += len(block)
+            start = stop

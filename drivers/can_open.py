@@ -1,0 +1,135 @@
+"""Opens what CAN frames come from: a bus of python-can, or a log file."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import socket
+import struct
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import IO, Annotated, Any, Literal, cast
+
+import can
+from can.io.generic import TextIOMessageReader
+from can.io.player import MESSAGE_READERS
+from pydantic import BaseModel, ConfigDict, Field
+
+from drivers.base import SourceError
+
+PARSE_ERRORS = (
+    OSError,
+    ValueError,
+    LookupError,
+    TypeError,
+    AssertionError,
+    EOFError,
+    struct.error,
+    zlib.error,
+    can.CanError,
+    can.io.blf.BLFParseError,
+)
+"""What python-can's readers raise on a damaged log."""
+LOG_SUFFIXES = (".blf", ".asc", ".log", ".trc", ".mf4")
+
+
+class CanSettings(BaseModel):
+    """``[source]`` with ``kind = "can"``."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    kind: Literal["can"] = "can"
+    interface: str = Field(min_length=1)
+    """Of python-can, as socketcan, socketcand, slcan; or "log", then `channel` is a file."""
+    channel: str | int
+    options: dict[str, Any] = Field(default_factory=dict)
+    """Handed to python-can as they are."""
+    dbc: str = Field(min_length=1)
+    sample_rate_hz: Annotated[float, Field(gt=0, le=1e6)]
+    """Nominal, of each channel."""
+    block_samples: Annotated[int, Field(ge=1, le=65536)] = 128
+    fd: bool = False
+    receive_buffer_bytes: Annotated[int, Field(ge=4096)] = 1 << 22
+    """Of the socket, where the interface has one."""
+    counter_counts: Literal["samples", "frames"] = "samples"
+    """What the signal `counter` counts, for frames of several samples."""
+    realign: bool = False
+    """Nodes whose counts differ are shifted by whole samples instead of refused."""
+
+
+def open_bus(settings: CanSettings, ids: tuple[tuple[int, bool], ...]) -> can.BusABC:
+    """The bus; kernel or hardware, if they can, let pass the given identifiers (and whether they are extended) only.
+
+    Raises
+    ------
+    SourceError
+        If it cannot be opened now.
+    """
+    if settings.interface == "socketcand":
+        _knock(settings.options.get("host"), settings.options.get("port"))
+    masks: list[Any] = [{"can_id": i, "can_mask": 0x1FFFFFFF if ext else 0x7FF, "extended": ext} for i, ext in ids]
+    options: dict[str, Any] = {**({"fd": True} if settings.fd else {}), **settings.options}
+    try:
+        bus = can.Bus(interface=settings.interface, channel=settings.channel, **options)
+        # Where python-can would filter itself, it would save nothing and keep back error frames.
+        if type(bus)._apply_filters is not can.BusABC._apply_filters:
+            bus.set_filters(masks)
+    except (can.CanError, OSError, ValueError, TypeError, ImportError) as error:
+        raise SourceError(f"{settings.interface} {settings.channel}: {error}") from error
+    opened = getattr(bus, "socket", None)
+    if isinstance(opened, socket.socket):
+        with contextlib.suppress(OSError):
+            opened.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, settings.receive_buffer_bytes)
+    return bus
+
+
+def _knock(host: object, port: object) -> None:
+    """See that a server answers: python-can's client would try in a busy loop, and wait for the answer for ever."""
+    if not (isinstance(host, str) and isinstance(port, int)):
+        raise SourceError("socketcand needs options = {host = ..., port = ...}")
+    # It also warns of every frame that two packets share.
+    logging.getLogger("can.interfaces.socketcand").setLevel(logging.CRITICAL)
+    try:
+        with socket.create_connection((host, port), timeout=2.0) as probe:
+            if not probe.recv(64).startswith(b"< hi"):
+                raise SourceError(f"{host}:{port} is no socketcand server")
+    except OSError as error:
+        raise SourceError(f"socketcand at {host}:{port}: {error}") from error
+
+
+def open_log(path: Path) -> tuple[IO[Any], Iterator[can.Message]]:
+    """A log file of CAN frames, to be closed by the caller, and its frames with absolute times.
+
+    Raises
+    ------
+    SourceError
+        If it cannot be read; the message names file and mend.
+    """
+    reader = MESSAGE_READERS.get(path.suffix.lower())
+    if path.suffix.lower() not in LOG_SUFFIXES or reader is None:
+        raise SourceError(f"{path}: known logs are {', '.join(LOG_SUFFIXES)}")
+    try:
+        text = issubclass(reader, TextIOMessageReader)
+        file: IO[Any] = path.open(encoding="utf-8", errors="replace") if text else path.open("rb")
+    except OSError as error:
+        raise SourceError(f"{path}: {error.strerror or error}") from error
+    try:
+        return file, iter(reader(file=cast(Any, file), relative_timestamp=False))
+    except NotImplementedError as error:
+        file.close()
+        raise SourceError(f"{path}: reading .mf4 needs the package asammdf; install it") from error
+    except PARSE_ERRORS as error:
+        file.close()
+        raise SourceError(f"{path}: is no CAN log: {error or type(error).__name__}") from error
+
+
+def hung_up(bus: can.BusABC) -> bool:
+    """Whether the server is gone, which python-can's socketcand client does not notice."""
+    peer = getattr(bus, "_SocketCanDaemonBus__socket", None)
+    if peer is None:
+        return False
+    try:
+        return not peer.recv(1, socket.MSG_PEEK | socket.MSG_DONTWAIT)
+    except BlockingIOError:
+        return False

@@ -1,0 +1,239 @@
+"""CAN frames <-> samples: a DBC compiled once to array operations, for classic and FD frames of either byte order."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cantools
+import numpy as np
+from numpy.typing import NDArray
+
+Bytes = NDArray[np.uint8]
+Ints = NDArray[np.int64]
+Floats = NDArray[np.float64]
+
+COUNTER = "counter"
+"""Name of the signal that counts."""
+_UNITS = {"": 1.0, "m/s^2": 1.0, "m/s2": 1.0, "m/s²": 1.0, "m/s/s": 1.0, "g": 9.80665, "mg": 9.80665e-3, "gal": 1e-2}
+_WINDOW = 8
+
+
+class FrameError(ValueError):
+    """A DBC that cannot be read, or cannot carry the channels; the message names file, message and mend."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Field:
+    """Where one number stands in a frame, and what it means."""
+
+    start: int
+    """First byte of the eight that hold it."""
+    shift: int
+    """Its lowest bit within these, read as one integer."""
+    length: int
+    """Bits."""
+    big_endian: bool
+    signed: bool
+    real: bool
+    """An IEEE number of 32 or 64 bits."""
+    scale: float
+    offset: float
+
+    def columns(self) -> Ints:
+        """The eight bytes, least significant first."""
+        order = np.arange(_WINDOW)
+        return self.start + (order[::-1] if self.big_endian else order)
+
+    def unpack(self, padded: Bytes) -> NDArray[Any]:
+        """Raw numbers, shape (n,), of frames padded by eight bytes, shape (n, bytes + 8)."""
+        window = np.ascontiguousarray(padded[:, self.columns()]).view("<u8")[:, 0]
+        top = window << np.uint64(64 - self.shift - self.length)
+        if self.signed:
+            return top.view(np.int64) >> np.int64(64 - self.length)
+        raw = top >> np.uint64(64 - self.length)
+        if self.real:
+            return raw.view(np.float64) if self.length == 64 else raw.astype(np.uint32).view(np.float32)
+        return raw
+
+    def pack(self, padded: Bytes, raw: NDArray[Any]) -> None:
+        """Write raw numbers, shape (n,), into frames of zeros, shape (n, bytes + 8)."""
+        if self.real:
+            kind = np.float64 if self.length == 64 else np.float32
+            bits = raw.astype(kind).view(np.uint64 if self.length == 64 else np.uint32).astype(np.uint64)
+        else:
+            bits = raw.astype(np.int64).view(np.uint64) & np.uint64((1 << self.length) - 1)
+        window = (bits << np.uint64(self.shift)).astype("<u8")
+        padded[:, self.columns()] |= window.view(np.uint8).reshape(-1, _WINDOW)
+
+    def limits(self) -> tuple[float, float]:
+        """Least and greatest raw number."""
+        if self.real:
+            return -np.inf, np.inf
+        low = -(1 << (self.length - 1)) if self.signed else 0
+        return float(low), float(low + (1 << self.length) - 1)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Layout:
+    """One message: what a node sends."""
+
+    name: str
+    frame_id: int
+    extended: bool
+    n_bytes: int
+    channels: tuple[str, ...]
+    n_samples: int
+    """Samples of each channel in a frame."""
+    fields: tuple[Field, ...]
+    """Sample by sample, and within a sample in the order of `channels`; they yield m/s^2."""
+    counter: Field | None
+
+    @property
+    def counter_bits(self) -> int:
+        """0 if nothing counts."""
+        return 0 if self.counter is None else self.counter.length
+
+    def decode(self, frames: bytes) -> tuple[NDArray[np.float32], Ints]:
+        """Frames laid end to end, each `n_bytes` long.
+
+        Returns
+        -------
+        samples : ndarray, shape (n * n_samples, n_channels)
+            m/s^2.
+        counters : ndarray, shape (n,)
+            Raw; zeros if nothing counts.
+        """
+        data = np.frombuffer(frames, dtype=np.uint8).reshape(-1, self.n_bytes)
+        padded = np.zeros((len(data), self.n_bytes + _WINDOW), dtype=np.uint8)
+        padded[:, : self.n_bytes] = data
+        samples = np.empty((len(data), len(self.fields)), dtype=np.float32)
+        with np.errstate(over="ignore", invalid="ignore"):  # a real field may hold anything
+            for at, field in enumerate(self.fields):
+                samples[:, at] = field.unpack(padded) * field.scale + field.offset
+        counters = np.zeros(len(data), np.int64) if self.counter is None else self.counter.unpack(padded)
+        return samples.reshape(-1, len(self.channels)), counters.astype(np.int64)
+
+    def encode(self, samples: Floats, counters: Ints) -> tuple[Bytes, int]:
+        """The other way about; also how many numbers did not fit and were set to the nearest that does."""
+        values = np.asarray(samples, dtype=np.float64).reshape(-1, len(self.fields))
+        padded = np.zeros((len(values), self.n_bytes + _WINDOW), dtype=np.uint8)
+        saturated = 0
+        for at, field in enumerate(self.fields):
+            raw = (values[:, at] - field.offset) / field.scale
+            if not field.real:
+                low, high = field.limits()
+                whole = np.rint(np.nan_to_num(raw))
+                raw = np.clip(whole, low, high)
+                saturated += int(np.count_nonzero(raw != whole))
+            field.pack(padded, raw)
+        if self.counter is not None:
+            self.counter.pack(padded, counters)
+        return padded[:, : self.n_bytes], saturated
+
+
+def load(path: Path, channels: tuple[str, ...] = ()) -> tuple[Layout, ...]:
+    """The messages of a DBC that carry `channels`; every acceleration in it if none are named.
+
+    A channel is a signal of its name, or, of frames with several samples, the signals NAME_0, NAME_1, ...
+
+    Raises
+    ------
+    FrameError
+        If the file cannot be read, or does not carry them.
+    """
+    try:
+        database: Any = cantools.database.load_file(path, database_format="dbc")
+        messages: list[Any] = list(database.messages)
+    except OSError as error:
+        raise FrameError(f"{path}: {error.strerror or error}") from error
+    except (cantools.errors.Error, ValueError) as error:
+        raise FrameError(f"{path}: is no DBC: {error}") from error
+    found: dict[str, list[Any]] = {}
+    groups: dict[str, dict[str, list[Any]]] = {}
+    for message in messages:
+        names = channels or _accelerations(message)
+        groups[message.name] = {name: signals for name in names if (signals := _signals(message, name))}
+        for name in groups[message.name]:
+            found.setdefault(name, []).append(message.name)
+    wanted = channels or tuple(found)
+    problems = [f"no signal {name!r}" for name in wanted if name not in found]
+    problems += [f"{name!r} stands in {', '.join(where)}" for name, where in found.items() if len(where) > 1]
+    if problems or not wanted:
+        known = ", ".join(signal.name for message in messages for signal in message.signals)
+        raise FrameError(f"{path}: {'; '.join(problems) or 'no acceleration'}; the signals are {known or 'none'}")
+    layouts = [_layout(path, message, groups[message.name]) for message in messages if groups[message.name]]
+    return tuple(sorted(layouts, key=lambda layout: wanted.index(layout.channels[0])))
+
+
+def _accelerations(message: Any) -> tuple[str, ...]:
+    """Names of the channels that a message seems to carry."""
+    names = [s.name for s in message.signals if s.name != COUNTER and s.unit and _unit(s) is not None]
+    stems = {name: name.removesuffix("_0") for name in names if name.endswith("_0")}
+    several = {stem: len(_signals(message, stem)) for stem in stems.values()}
+    parts = {f"{stem}_{at}" for stem, count in several.items() for at in range(count)}
+    return tuple(dict.fromkeys(stems.get(name, name) for name in names if name in stems or name not in parts))
+
+
+def _signals(message: Any, name: str) -> list[Any]:
+    signals = {signal.name: signal for signal in message.signals}
+    if name in signals:
+        return [signals[name]]
+    several: list[Any] = []
+    while f"{name}_{len(several)}" in signals:
+        several.append(signals[f"{name}_{len(several)}"])
+    return several
+
+
+def _unit(signal: Any) -> float | None:
+    return _UNITS.get((signal.unit or "").strip().casefold().replace(" ", "").replace("**", "^"))
+
+
+def _layout(path: Path, message: Any, groups: dict[str, list[Any]]) -> Layout:
+    place = f"{path}: {message.name}"
+    if not 0 < message.length <= 64:
+        raise FrameError(f"{place}: {message.length} bytes; a frame has 1 to 64")
+    counts = {len(signals) for signals in groups.values()}
+    if len(counts) > 1:
+        each = ", ".join(f"{name}: {len(signals)}" for name, signals in groups.items())
+        raise FrameError(f"{place}: samples of each channel in a frame must be as many ({each})")
+    for signals in groups.values():
+        for signal in signals:
+            if _unit(signal) is None:
+                raise FrameError(f"{place}: {signal.name} has unit {signal.unit!r}; known: m/s^2, g, mg, gal")
+    counter = next((signal for signal in message.signals if signal.name == COUNTER), None)
+    if counter is not None and (counter.is_float or counter.is_signed or not 4 <= counter.length <= 32):
+        raise FrameError(f"{place}: {COUNTER} must be unsigned, of 4 to 32 bits; 16 or more are advised")
+    n_samples = counts.pop()
+    return Layout(
+        name=message.name,
+        frame_id=message.frame_id,
+        extended=bool(message.is_extended_frame),
+        n_bytes=message.length,
+        channels=tuple(groups),
+        n_samples=n_samples,
+        fields=tuple(_field(place, signals[at]) for at in range(n_samples) for signals in groups.values()),
+        counter=None if counter is None else _field(place, counter),
+    )
+
+
+def _field(place: str, signal: Any) -> Field:
+    if signal.is_multiplexer or signal.multiplexer_ids is not None:
+        raise FrameError(f"{place}: {signal.name} is multiplexed; give each sample its own bits")
+    big = signal.byte_order == "big_endian"
+    if big:  # the DBC names the most significant bit
+        start, into = divmod(8 * (signal.start // 8) + 7 - signal.start % 8, 8)
+        shift = 64 - into - signal.length
+    else:
+        start, shift = divmod(signal.start, 8)
+    if shift < 0 or shift + signal.length > 64:
+        raise FrameError(f"{place}: {signal.name} lies across nine bytes; shorten it or begin it on a whole byte")
+    factor = _unit(signal) or 1.0
+    if not signal.scale:
+        raise FrameError(f"{place}: {signal.name} has factor 0")
+    scale, offset = float(signal.scale) * factor, float(signal.offset) * factor
+    real = bool(signal.is_float)
+    if real and signal.length not in (32, 64):
+        raise FrameError(f"{place}: {signal.name} is a real number of {signal.length} bits; 32 or 64 are known")
+    return Field(start, shift, signal.length, big, bool(signal.is_signed) and not real, real, scale, offset)

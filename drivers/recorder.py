@@ -1,0 +1,231 @@
+"""Everything received, as rolling recordings: readable after a power cut, within the disk's limits, in order of arrival."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import shutil
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from drivers.base import ACCELERATION, GROUND, TEMPERATURE, RecordingError, SampleBlock
+from drivers.mcap_file import scan_messages
+from drivers.mcap_writer import McapWriter
+
+_UNIT_OF = {ACCELERATION: "m/s^2", GROUND: "m/s^2", TEMPERATURE: "degC"}
+_MB, _GB = 1 << 20, 1 << 30
+_NAME = re.compile(r"\d{8}T\d{6}\.\d{6}Z-\d{4}\.mcap")
+_MOST_UNFLUSHED_BYTES = 8 * _MB
+_MOST_BLOCK_BYTES = 64 * _MB
+_LEAST_FLUSH_S = 1.0
+_MAX_INT = 1 << 62
+
+
+class RecorderSettings(BaseModel):
+    """``[recorder]`` of the site file."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    enabled: bool = True
+    file_mb: float = Field(default=64.0, gt=0)
+    """A new file is begun when one has this size, in MiB."""
+    file_s: float = Field(default=3600.0, gt=0)
+    """... or this length of data."""
+    keep_gb: float = Field(default=20.0, gt=0)
+    """Most disk space for recordings, in GiB; then the oldest go."""
+    min_free_gb: float = Field(default=0.2, ge=0)
+    """Recording pauses while the disk has less free space, in GiB; nothing is removed for it."""
+    flush_s: float = Field(default=10.0, gt=0)
+    """Data that a power cut may cost."""
+
+
+@dataclass(frozen=True, slots=True)
+class RecorderHealth:
+    """How recording goes; counts only grow."""
+
+    recording: bool
+    detail: str
+    """Why not, or empty."""
+    blocks: int
+    lost_blocks: int
+    """Blocks that came while nothing could be written, or that a failed file took along."""
+    files: int
+    """Files begun."""
+    removed_files: int
+
+
+def unfit(block: SampleBlock) -> str | None:
+    """Why a recording cannot hold a block, or None."""
+    if not (0 <= block.t_ns < _MAX_INT and block.sequence < _MAX_INT and 1e-3 <= block.sample_rate_hz <= 1e7):
+        return f"time {block.t_ns} ns, sequence {block.sequence} or {block.sample_rate_hz:g} Hz is absurd"
+    if block.unit != _UNIT_OF.get(block.topic):
+        return f"topic {block.topic!r} in {block.unit!r}; known: {', '.join(_UNIT_OF)}"
+    if not block.channels or block.samples.nbytes > _MOST_BLOCK_BYTES:
+        return f"a block of {len(block.channels)} channels and {block.samples.nbytes} bytes"
+    return None
+
+
+class Recorder:
+    """Writes blocks to files named by the time of their first one, so that names sort by time.
+
+    Messages bear a log time that rises strictly in the order of arrival: reading the files gives the blocks as they came.
+    Trouble with the disk pauses recording and never raises; it is tried again after `flush_s`.
+
+    Parameters
+    ----------
+    clock : callable
+        Seconds that only rise.
+
+    Raises ``OSError`` if the folder cannot be made.
+    """
+
+    def __init__(self, folder: Path, settings: RecorderSettings, clock: Callable[[], float] = time.monotonic) -> None:
+        self._folder, self._settings, self._clock = folder, settings, clock
+        self._writer: McapWriter | None = None
+        self._stamp_ns = self._begun_ns = self._flushed_ns = 0
+        self._flushed_s = self._retry_s = clock()
+        self._unflushed_bytes = self._unflushed_blocks = 0
+        self._holds = False
+        """Whether the file has anything on the disk."""
+        self._detail = ""
+        self._received = self._lost = self._files = self._removed = 0
+        folder.mkdir(parents=True, exist_ok=True)
+        recover(folder)
+
+    def write(self, block: SampleBlock) -> None:
+        """Record a block that is not `unfit`."""
+        self._stamp_ns = max(self._stamp_ns + 1, block.t_ns)
+        self._received += 1
+        try:
+            if self._writer is None and not self._begin():
+                self._lost += 1
+                return
+            assert self._writer is not None
+            self._unflushed_blocks += 1
+            self._unflushed_bytes += block.samples.nbytes
+            self._writer.write(block, self._stamp_ns)
+            self.tick()
+        except OSError as error:
+            self._pause(f"cannot write: {error.strerror or error}")
+
+    def tick(self) -> None:
+        """Flush if it is time; call now and then when no block comes."""
+        if self._writer is None or not self._unflushed_blocks:
+            return
+        waited_s, data_s = self._clock() - self._flushed_s, (self._stamp_ns - self._flushed_ns) * 1e-9
+        flush_s = self._settings.flush_s
+        due = waited_s >= flush_s or (data_s >= flush_s and waited_s >= min(_LEAST_FLUSH_S, flush_s))
+        if not due and self._unflushed_bytes < _MOST_UNFLUSHED_BYTES:
+            return
+        try:
+            self._flush(self._writer)
+        except OSError as error:
+            self._pause(f"cannot write: {error.strerror or error}")
+
+    def health(self) -> RecorderHealth:
+        """Counts so far; may be called from any thread."""
+        written = self._received - self._lost
+        return RecorderHealth(not self._detail, self._detail, written, self._lost, self._files, self._removed)
+
+    def close(self) -> None:
+        """Finish the file; calling it again does no harm."""
+        writer, self._writer = self._writer, None
+        if writer is None:
+            return
+        try:
+            writer.close()
+            _sync(self._folder)
+        except OSError as error:
+            self._detail = f"cannot write: {error.strerror or error}"
+
+    def _begin(self) -> bool:
+        if self._clock() < self._retry_s:
+            return False
+        free = shutil.disk_usage(self._folder).free
+        if free < self._settings.min_free_gb * _GB:
+            self._pause(f"only {free / _GB:.2f} GiB free")
+            return False
+        self._writer = McapWriter(_new_name(self._folder, self._stamp_ns), as_arrived=True)
+        self._begun_ns = self._flushed_ns = self._stamp_ns
+        self._flushed_s = self._clock()
+        self._files += 1
+        self._holds = False
+        self._detail = ""
+        return True
+
+    def _flush(self, writer: McapWriter) -> None:
+        writer.flush()
+        self._holds = True
+        self._flushed_ns, self._flushed_s = self._stamp_ns, self._clock()
+        self._unflushed_blocks = self._unflushed_bytes = 0
+        size, s = writer.part_path.stat().st_size, self._settings
+        self._limit(size)
+        full = size >= s.file_mb * _MB or self._stamp_ns - self._begun_ns >= s.file_s * 1e9
+        short = shutil.disk_usage(self._folder).free < s.min_free_gb * _GB
+        if full or short:
+            self._writer = None
+            writer.close()
+            _sync(self._folder)
+        if short:
+            self._pause("too little free space")
+
+    def _limit(self, current: int) -> None:
+        """Remove the oldest files beyond the space for recordings."""
+        names = sorted(path for path in self._folder.iterdir() if _NAME.fullmatch(path.name))
+        sizes = [path.stat().st_size for path in names]
+        total = current + sum(sizes)
+        for path, size in zip(names, sizes, strict=True):
+            if total <= self._settings.keep_gb * _GB:
+                return
+            path.unlink()
+            self._removed += 1
+            total -= size
+
+    def _pause(self, detail: str) -> None:
+        self._detail = detail
+        self._retry_s = self._clock() + self._settings.flush_s
+        self._lost += self._unflushed_blocks
+        self._unflushed_blocks = self._unflushed_bytes = 0
+        writer, self._writer = self._writer, None
+        if writer is not None:
+            with contextlib.suppress(OSError):
+                writer.keep() if self._holds else writer.abort()
+
+
+def recover(folder: Path) -> None:
+    """Give what a crash left its name: the whole blocks of each file can be read; one without any is removed."""
+    for part in sorted(folder.glob("*.mcap.part")):
+        name = part.with_suffix("")
+        try:
+            blocks = sum(1 for _ in scan_messages(part)) if part.stat().st_size else 0
+        except RecordingError:
+            os.replace(part, name.with_suffix(".damaged"))
+            continue
+        if blocks:
+            os.replace(part, name)
+        else:
+            part.unlink()
+    _sync(folder)
+
+
+def _new_name(folder: Path, t_ns: int) -> Path:
+    """A name that is free, by UTC to the microsecond."""
+    seconds, rest = divmod(t_ns, 1_000_000_000)
+    time_text = f"{datetime.fromtimestamp(seconds, UTC):%Y%m%dT%H%M%S}.{rest // 1000:06d}Z"
+    numbered = (folder / f"{time_text}-{number:04d}.mcap" for number in range(1, 10_000))
+    return next(p for p in numbered if not p.exists() and not p.with_name(p.name + ".part").exists())
+
+
+def _sync(folder: Path) -> None:
+    """See that names are on the disk too."""
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)

@@ -1,0 +1,285 @@
+"""Sample blocks over Zenoh: the source that the daemon reads, and the publisher that a sensor node is."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import Counter, deque
+from datetime import timedelta
+from pathlib import Path
+from typing import Any, Literal
+
+import zenoh
+from pydantic import Field
+from zenoh import ext
+
+from drivers import codec
+from drivers.base import (
+    ACCELERATION,
+    GROUND,
+    TEMPERATURE,
+    EndOfStream,
+    SampleBlock,
+    SourceContext,
+    SourceError,
+    SourceHealth,
+)
+from drivers.inbox import Inbox
+from drivers.reorder import Reorder
+from drivers.zenoh_session import Key, SessionSettings, open_session, where
+
+ENCODING = f"application/protobuf;{codec.SCHEMA_NAME}"
+_UNITS = {ACCELERATION: "m/s^2", GROUND: "m/s^2", TEMPERATURE: "degC"}
+_ASK_AGAIN: Any = timedelta(seconds=10)
+"""How often publishers are asked whether more came.  (Heartbeats instead would stop the stream for good: where the publisher
+is a direct peer and the reader slow, the subscriber's handling of a heartbeat deadlocks in Zenoh 1.10.)"""
+_LIMIT = 1 << 62
+"""Times in ns and sequence numbers from here on are nonsense; sums of two still fit 64 bits."""
+_EVENTS = ("blocks", "samples", "lost_samples", "gaps", "repeated", "reordered", "late", "restarts", "undecodable", "oversized",
+           "missed", "links_lost", "sensors_lost")  # fmt: skip
+
+
+class StreamSettings(SessionSettings):
+    """Keys of a stream of blocks; those not given are not carried."""
+
+    key: Key
+    """Accelerations of the floors, as ``shm/lab-frame/acceleration``."""
+    temperature_key: Key | None = None
+    ground_key: Key | None = None
+
+    @property
+    def topics(self) -> dict[str, str]:
+        """Topic -> key."""
+        keys = {ACCELERATION: self.key, GROUND: self.ground_key, TEMPERATURE: self.temperature_key}
+        return {topic: key for topic, key in keys.items() if key is not None}
+
+
+def _beside(key: str, name: str) -> str:
+    return "/".join([*key.split("/")[:-1], name])
+
+
+def _received_key(key: str) -> str:
+    """Asked by a publisher that ends: a reader answers when it has taken all that came before."""
+    return f"{key}/received"
+
+
+class ZenohSettings(StreamSettings):
+    """``[source]`` table of kind ``zenoh``."""
+
+    kind: Literal["zenoh"] = "zenoh"
+    history_blocks: int = Field(default=512, ge=0)
+    """Blocks asked of the publishers' caches when the source is opened."""
+    hold_blocks: int = Field(default=4, ge=0, le=64)
+    """Blocks that may wait for an earlier one before its place is given up as lost."""
+    queue_bytes: int = Field(default=32 << 20, ge=1 << 12)
+    """What may wait to be read; then the network waits."""
+    max_payload_bytes: int = Field(default=1 << 20, ge=1, le=16 << 20)
+    max_channels: int = Field(default=256, ge=1)
+    max_rate_hz: float = Field(default=100e3, gt=0)
+
+
+class ZenohSource:
+    """Reads the sample blocks of any publisher, plain or advanced; see `drivers.base.Source`.
+
+    A publisher with a cache is asked again for what a broken link lost.  The session joins again by itself when a router
+    comes back.  After `close`, `read` still hands out what had arrived, then raises `EndOfStream`.
+    """
+
+    Settings = ZenohSettings
+
+    def __init__(self, settings: ZenohSettings, context: SourceContext) -> None:
+        self._settings, self._context = settings, context
+        self._inbox = Inbox(settings.queue_bytes)
+        self._counts: Counter[str] = Counter(dict.fromkeys(_EVENTS, 0))
+        self._lock = threading.Lock()
+        self._orders = {topic: Reorder(self._counts, settings.hold_blocks) for topic in settings.topics}
+        self._ready: deque[SampleBlock] = deque()
+        self._session: zenoh.Session | None = None
+        self._entities: list[Any] = []
+        self._alive: set[str] = set()
+
+    def open(self) -> None:
+        """Join and subscribe; see `drivers.base.Source.open`."""
+        self.close()
+        session = open_session(self._settings, self._context.folder)
+        self._session = session
+        self._inbox.open()
+        try:
+            for topic, key in self._settings.topics.items():
+                self._subscribe(session, topic, key)
+            alive = _beside(self._settings.key, "alive/*")
+            self._entities += [
+                session.liveliness().declare_subscriber(alive, self._on_alive, history=True),
+                session.info.declare_transport_events_listener(self._on_transport, history=False),
+            ]
+        except zenoh.ZError as error:
+            self.close()
+            raise SourceError(f"cannot subscribe: {error}") from error
+
+    def _subscribe(self, session: zenoh.Session, topic: str, key: str) -> None:
+        def on_sample(sample: zenoh.Sample) -> None:
+            if sample.kind != zenoh.SampleKind.PUT:
+                return
+            if len(sample.payload) > self._settings.max_payload_bytes:
+                self._count("oversized")
+            else:
+                self._inbox.put(topic, sample.payload.to_bytes())
+
+        history = self._settings.history_blocks
+        subscriber = ext.declare_advanced_subscriber(
+            session,
+            key,
+            on_sample,
+            history=ext.HistoryConfig(detect_late_publishers=True, max_samples=history) if history else None,
+            recovery=ext.RecoveryConfig(periodic_queries=_ASK_AGAIN, heartbeat=None),
+        )
+        self._entities += [
+            subscriber,
+            subscriber.sample_miss_listener(self._on_miss),
+            session.declare_queryable(_received_key(key), self._on_received),
+        ]
+
+    def read(self, timeout_s: float) -> SampleBlock | None:
+        """The next block in order; see `drivers.base.Source.read`."""
+        deadline = time.monotonic() + timeout_s
+        while not self._ready:
+            item = self._inbox.get(max(0.0, deadline - time.monotonic()))
+            if item is not None:
+                self._accept(*item)
+            elif self._session is not None:
+                return None
+            elif not self._flush():
+                raise EndOfStream
+        block = self._ready.popleft()
+        self._counts["blocks"] += 1
+        self._counts["samples"] += block.n_samples
+        return block
+
+    def _accept(self, topic: str, data: bytes) -> None:
+        try:
+            block = self._decoded(data, topic)
+        except ValueError:
+            self._counts["undecodable"] += 1
+        else:
+            self._ready.extend(self._orders[topic].push(block))
+
+    def _decoded(self, data: bytes, topic: str) -> SampleBlock:
+        block = codec.decode(data, topic)
+        limits = self._settings
+        if not (
+            0 < len(block.channels) <= limits.max_channels
+            and len(set(block.channels)) == len(block.channels)
+            and block.n_samples > 0
+            and block.sample_rate_hz <= limits.max_rate_hz
+            and 0 <= block.t_ns < _LIMIT
+            and block.sequence < _LIMIT
+            and block.unit == _UNITS[topic]
+        ):
+            raise ValueError(f"{topic}: a block beyond the limits of the settings")
+        return block
+
+    def _flush(self) -> bool:
+        for order in self._orders.values():
+            self._ready.extend(order.flush())
+        return bool(self._ready)
+
+    def health(self) -> SourceHealth:
+        """Counts so far, whether anyone is connected, and which sensors are alive."""
+        session, alive = self._session, sorted(self._alive)
+        connected = session is not None and not session.is_closed() and bool(session.info.transports())
+        place = where(self._settings)
+        link = f"connected by {place}" if connected else f"no router or peer at {place}"
+        return SourceHealth(
+            connected, dict(self._counts), (), f"{link}; alive: {', '.join(alive) or 'no sensor says so'}"
+        )
+
+    def close(self) -> None:
+        """Leave the network; see `drivers.base.Source.close`."""
+        self._inbox.close()  # first, so that no callback waits while it is undeclared
+        session, self._session = self._session, None
+        entities, self._entities = self._entities, []
+        for entity in reversed(entities):  # a callback outlives its object otherwise
+            entity.undeclare()
+        if session is not None:
+            session.close()  # type: ignore[no-untyped-call]
+        self._alive.clear()
+
+    def _count(self, event: str, times: int = 1) -> None:
+        with self._lock:  # Zenoh calls back from several threads; the reader has other events
+            self._counts[event] += times
+
+    def _on_miss(self, miss: ext.Miss) -> None:
+        self._count("missed", miss.nb)
+
+    def _on_alive(self, sample: zenoh.Sample) -> None:
+        name = str(sample.key_expr)
+        if sample.kind == zenoh.SampleKind.PUT:
+            self._alive.add(name)
+        elif name in self._alive:
+            self._alive.discard(name)
+            self._count("sensors_lost")
+
+    def _on_transport(self, event: zenoh.TransportEvent) -> None:
+        if event.kind == zenoh.SampleKind.DELETE:
+            self._count("links_lost")
+
+    def _on_received(self, query: zenoh.Query) -> None:
+        with query:
+            query.reply(query.key_expr, b"")
+
+
+class PublisherSettings(StreamSettings):
+    """What a sensor node's publisher needs to know."""
+
+    name: str = Field(default="sensor", pattern=r"^[A-Za-z0-9._-]+$")
+    """The node's; it shows as ``<site>/alive/<name>`` while it lives."""
+    cache_blocks: int = Field(default=512, ge=1)
+    """Kept for readers that come late or lost their link."""
+
+
+class ZenohPublisher:
+    """Publishes sample blocks, loses none on a link that stands, and keeps the latest for one that broke.
+
+    Raises
+    ------
+    SourceError
+        The network cannot be joined.
+    """
+
+    def __init__(self, settings: PublisherSettings, folder: Path = Path()) -> None:
+        self._settings = settings
+        self._session = open_session(settings, folder)
+        self._token = self._session.liveliness().declare_token(_beside(settings.key, f"alive/{settings.name}"))
+        self._publishers = {
+            topic: ext.declare_advanced_publisher(
+                self._session,
+                key,
+                encoding=ENCODING,
+                congestion_control=zenoh.CongestionControl.BLOCK,
+                reliability=zenoh.Reliability.RELIABLE,
+                cache=ext.CacheConfig(settings.cache_blocks),
+                sample_miss_detection=ext.MissDetectionConfig(heartbeat=None, sporadic_heartbeat=None),
+                publisher_detection=True,
+            )
+            for topic, key in settings.topics.items()
+        }
+
+    def send(self, block: SampleBlock) -> None:
+        """Publish a block; waits while readers are behind.  Blocks of a topic without a key are left out."""
+        if (publisher := self._publishers.get(block.topic)) is not None:
+            publisher.put(codec.encode(block))
+
+    put = send
+
+    def close(self, timeout_s: float = 10.0) -> None:
+        """Wait until the readers have taken everything, no longer than `timeout_s` a key, and leave."""
+        if self._session.is_closed():
+            return
+        # Zenoh itself forgets what is still under way.  A query stays behind the data that went before it.
+        for key in self._settings.topics.values():
+            for _ in self._session.get(
+                _received_key(key), target=zenoh.QueryTarget.ALL, timeout=timeout_s,
+                congestion_control=zenoh.CongestionControl.BLOCK,
+            ):  # fmt: skip
+                pass
+        self._session.close()  # type: ignore[no-untyped-call]

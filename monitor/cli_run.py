@@ -1,0 +1,20 @@
+"""The command `run`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def run(
+    file: Annotated[Path, typer.Argument(metavar="CONFIG.toml", help="Site file: structure, source, output.")],
+) -> None:
+    """Monitor a live source until it ends or SIGTERM comes: results.jsonl, summary.json and recordings in [output] dir.
+
+    Prints READY on standard error when the source is open.
+    """
+    from monitor.daemon import Daemon
+
+    Daemon(file).run()

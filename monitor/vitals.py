@@ -1,0 +1,95 @@
+"""How the daemon itself fares, as lines of health.jsonl; the only place that reads the wall clock."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any
+
+from drivers.base import ACCELERATION, SampleBlock
+from drivers.recorder import RecorderHealth
+from monitor.health import Health
+from monitor.reader import Reader
+
+LATENCY_MS = (5, 10, 20, 50, 100, 200, 500, 1000)
+"""Upper edges of the histogram's bins; one more holds the rest."""
+_MOST_TEXT = 300
+
+
+class Vitals:
+    """Counts since the daemon began."""
+
+    def __init__(self) -> None:
+        self.refused = 0
+        """Blocks that neither the recorder nor the pipeline could take."""
+        self.refusal = ""
+        """The latest reason."""
+        self.unprocessed = 0
+        """Blocks that shutting down left no time for."""
+        self._bins = [0] * (len(LATENCY_MS) + 1)
+        self._latest_ms = self._most_ms = 0.0
+        self._delay_s: float | None = None
+
+    def refuse(self, reason: str) -> None:
+        """A block was turned away."""
+        self.refused += 1
+        self.refusal = reason[:_MOST_TEXT]
+
+    def received(self, block: SampleBlock) -> None:
+        """A block was taken from the queue."""
+        if block.topic == ACCELERATION:
+            self._delay_s = time.time() - block.t_ns * 1e-9 - block.n_samples / block.sample_rate_hz
+
+    def published(self, arrived_s: float) -> None:
+        """A window's line is written; its last sample came at `arrived_s` (monotonic)."""
+        ms = self._latest_ms = 1e3 * (time.monotonic() - arrived_s)
+        self._most_ms = max(self._most_ms, ms)
+        self._bins[sum(ms > edge for edge in LATENCY_MS)] += 1
+
+    def latency(self) -> dict[str, Any]:
+        """Milliseconds from the arrival of a window's last sample to its published line."""
+        names = (*(f"<= {edge}" for edge in LATENCY_MS), f"> {LATENCY_MS[-1]}")
+        counts = dict(zip(names, self._bins, strict=True))
+        return {"latest": round(self._latest_ms, 2), "max": round(self._most_ms, 2), "windows": counts}
+
+    def line(
+        self, health: Health | None, reader: Reader, recorder: RecorderHealth | None, publishers: Mapping[str, str]
+    ) -> dict[str, Any]:
+        """A line of health.jsonl; `health` is None when no data came."""
+        source = reader.source.health()
+        line: dict[str, Any] = plain(
+            {
+                "t_ns": None if health is None else health.t_end_ns,
+                "wall_ns": time.time_ns(),
+                "stream": None if health is None else {k: v for k, v in asdict(health).items() if k != "channels"},
+                "channels": [] if health is None else [asdict(c) for c in health.channels],
+                "source": {
+                    "connected": source.connected,
+                    "detail": source.detail,
+                    "counts": dict(source.counts),
+                    "clocks": [asdict(c) for c in source.clocks],
+                    "lost": reader.lost,
+                    "error": reader.error,
+                },
+                "delay_s": self._delay_s,
+                "refused": {"blocks": self.refused, "latest": self.refusal},
+                "queue": len(reader.queue),
+                "latency_ms": self.latency(),
+                "recorder": None if recorder is None else asdict(recorder),
+                "failed": dict(publishers),
+            }
+        )
+        return line
+
+
+def plain(value: Any) -> Any:
+    """The same as strict JSON can say it: None for what is not finite."""
+    if isinstance(value, dict):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(v) for v in value]
+    if isinstance(value, float):
+        return float(f"{value:.9g}") if math.isfinite(value) else None
+    return value

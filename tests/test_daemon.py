@@ -1,0 +1,532 @@
+"""The daemon: live is replay, bit for bit; what goes wrong is counted and told; it ends when asked, with whole files."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from drivers.base import GROUND, TEMPERATURE, EndOfStream, SampleBlock, SourceError, SourceHealth
+from drivers.mcap_file import McapWriter, read_recordings
+from drivers.recorder import unfit
+from monitor import config
+from monitor.appended import AppendedLines
+from monitor.daemon import Daemon
+from monitor.errors import BadConfigurationError, BadInputError, MissingInputError
+from monitor.outputs import Session
+from monitor.publish.lines import to_json
+from monitor.publish.requests import Request
+from monitor.reader import BlockQueue, Reader
+from monitor.results import Gap, WindowResult
+from monitor.simulate import simulate
+from monitor.vitals import plain
+from tests.conftest import T0_NS, Cli, Cut
+
+RATE = 128.0
+SITE = """
+[site]
+name = "bench"
+
+[source]
+kind = "mcap"
+files = ["rec.mcap"]
+
+[output]
+dir = "out"
+
+[recorder]
+min_free_gb = 0.0
+
+[watch]
+diagnose = false
+"""
+
+Step = SampleBlock | Exception | None
+
+
+class Scripted:
+    """A source that gives what it was told to: blocks, errors, or nothing in time."""
+
+    def __init__(self, script: Sequence[Step], hold: threading.Event | None = None) -> None:
+        self._script: Iterator[Step] = iter(script)
+        self._hold = hold
+        self.opened = self.closed = self.given = 0
+
+    def open(self) -> None:
+        self.opened += 1
+
+    def read(self, timeout_s: float) -> SampleBlock | None:
+        item = next(self._script, None if self._hold is not None else EndOfStream())
+        if isinstance(item, Exception):
+            raise item
+        if item is None:
+            time.sleep(min(timeout_s, 0.02))
+        else:
+            self.given += 1
+        return item
+
+    def health(self) -> SourceHealth:
+        return SourceHealth(self.opened > self.closed, {"blocks": self.given})
+
+    def close(self) -> None:
+        self.closed += 1
+
+
+@pytest.fixture(scope="module")
+def record(frame_text: str, tmp_path_factory: pytest.TempPathFactory) -> np.ndarray:
+    path = tmp_path_factory.mktemp("s") / "s.toml"
+    path.write_text(frame_text)
+    return simulate(config.load(path).model(), duration_s=60.0, rate_hz=RATE, noise=0.03, seed=6).floors
+
+
+@pytest.fixture
+def site(tmp_path: Path, frame_text: str) -> Path:
+    path = tmp_path / "site.toml"
+    path.write_text(SITE + frame_text)
+    return path
+
+
+def lines(folder: Path) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in (folder / "results.jsonl").read_text().splitlines()]
+
+
+def health(folder: Path) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in (folder / "health.jsonl").read_text().splitlines()]
+
+
+def summary(folder: Path) -> dict[str, Any]:
+    return dict(json.loads((folder / "summary.json").read_text()))
+
+
+def replayed(main: Cli, site: Path, recordings: Sequence[Path], out: Path) -> bytes:
+    done = main("replay", *recordings, "--structure", site, "--out", out)
+    assert done.returncode == 0, done.stderr
+    return (out / "results.jsonl").read_bytes()
+
+
+def own(out: Path) -> list[Path]:
+    return sorted((out / "recordings").glob("*.mcap"))
+
+
+def write(path: Path, blocks: Sequence[SampleBlock]) -> Path:
+    with McapWriter(path) as writer:
+        for block in blocks:
+            writer.write(block)
+    return path
+
+
+def test_run_gives_what_replay_gives_of_source_and_of_own_recordings(
+    site: Path, record: np.ndarray, cut: Cut, main: Cli
+) -> None:
+    folder = site.parent
+    recording = write(folder / "rec.mcap", cut(record, RATE))
+    done = main("run", site)
+    assert done.returncode == 0 and done.stderr.splitlines() == ["READY"]
+    live = (folder / "out" / "results.jsonl").read_bytes()
+    assert live.count(b"\n") == 9
+    assert replayed(main, site, [recording], folder / "a") == live
+    assert replayed(main, site, own(folder / "out"), folder / "b") == live
+    told, again = summary(folder / "out"), summary(folder / "a")
+    assert told["windows"] == 9
+    assert told["frequencies_hz"] == pytest.approx(again["frequencies_hz"])
+    assert told["quality"]["samples"] == again["quality"]["samples"]
+    assert told.keys() - again.keys() == {"refused_blocks", "unprocessed_blocks", "latency_ms"}
+
+
+@pytest.mark.parametrize("sizes", [[7], [128], [1000, 3]])
+def test_live_is_replay_with_losses_repeats_late_blocks_steps_of_the_clock_and_other_topics(
+    site: Path, record: np.ndarray, cut: Cut, main: Cli, sizes: list[int]
+) -> None:
+    blocks = cut(np.concatenate([record, record]), RATE, sizes)
+    third = len(blocks) // 3
+    warm = np.full((1, 1), 20.0, dtype=np.float32)
+    extra = [
+        SampleBlock(TEMPERATURE, T0_NS + s * 10**9, s, 1.0, ("t",), "degC", warm + s / 10) for s in range(0, 100, 5)
+    ]
+    stepped = [replace(b, t_ns=b.t_ns - 5 * 10**9) for b in blocks[2 * third + 4 :]]
+    script: list[Step] = [*blocks[:third], blocks[third - 1], blocks[third + 1], blocks[third]]
+    script += [*blocks[third + 2 : 2 * third], *stepped]
+    for k, item in enumerate(extra):
+        script.insert(5 * k, item)
+    script.insert(9, replace(blocks[0], topic=GROUND, channels=("g1", "g2", "g3")))
+    Daemon(site, Scripted(script)).run()
+    out = site.parent / "out"
+    live = (out / "results.jsonl").read_bytes()
+    assert b"gap in the data" in live and live.count(b'"skipped": null') > 3
+    assert summary(out)["gaps"] >= 2 and summary(out)["dropped_samples"] > 0
+    assert replayed(main, site, own(out), site.parent / "again") == live
+
+
+def test_a_lost_source_is_opened_again_with_counts_kept_and_told(site: Path, record: np.ndarray, cut: Cut) -> None:
+    blocks = cut(record, RATE)
+    source = Scripted([*blocks[:30], SourceError("bus off"), *blocks[33:]])
+    daemon = Daemon(site, source)
+    daemon.run()
+    out = site.parent / "out"
+    assert source.opened == 2 and source.closed == 2
+    assert health(out)[-1]["source"]["lost"] == 1
+    assert health(out)[-1]["source"]["counts"]["blocks"] == len(blocks) - 3
+    assert summary(out)["gaps"] == 1
+    assert [line["skipped"] for line in lines(out)].count("gap in the data") == 5  # 23.4 to 25.8 s
+
+
+def test_garbage_is_refused_and_counted_and_changes_nothing(
+    site: Path, record: np.ndarray, cut: Cut, main: Cli
+) -> None:
+    blocks = cut(record, RATE)
+    good = blocks[20]
+    wide = np.zeros((1, 20_000), dtype=np.float32)
+    garbage = [
+        replace(good, channels=("x", "y", "z")),
+        replace(good, unit="degC"),
+        replace(good, topic="/foreign"),
+        replace(good, t_ns=1 << 62),
+        replace(good, t_ns=-5),
+        replace(good, sequence=(1 << 64) - 1),
+        replace(good, sample_rate_hz=1e9),
+        replace(good, sample_rate_hz=1e-9),
+        replace(good, sample_rate_hz=0.5),
+        replace(good, channels=tuple(f"c{k}" for k in range(20_000)), samples=wide),
+        replace(good, topic=TEMPERATURE),
+    ]
+    empty = replace(good, samples=good.samples[:0])
+    script = [garbage[4], *blocks[:20], *garbage, empty, *blocks[20:]]
+    Daemon(site, Scripted(script)).run()
+    out = site.parent / "out"
+    live = (out / "results.jsonl").read_bytes()
+    told = summary(out)
+    assert told["refused_blocks"] == len(garbage) + 1
+    assert len(health(out)[-1]["refused"]["latest"]) <= 300
+    assert told["gaps"] == 0 and told["skipped"] == 0 and told["windows"] == 9
+    assert replayed(main, site, [write(site.parent / "rec.mcap", blocks)], site.parent / "a") == live
+    assert replayed(main, site, own(out), site.parent / "b") == live
+
+
+def test_a_changed_rate_starts_over_and_a_forged_time_does_not_stop_it(
+    site: Path, record: np.ndarray, cut: Cut, main: Cli
+) -> None:
+    blocks = cut(record, RATE)
+    forged = replace(blocks[0], t_ns=T0_NS + 80 * 365 * 86400 * 10**9, sequence=1 << 61)
+    slower = cut(record[::2], RATE / 2, t0_ns=T0_NS + 70 * 10**9)
+    Daemon(site, Scripted([*blocks[:50], forged, *blocks[50:], *slower])).run()
+    out = site.parent / "out"
+    found = lines(out)
+    ends_s = [(line["t_end_ns"] - T0_NS) / 1e9 for line in found if line["skipped"] is None]
+    assert min(ends_s) == 20.0 and 125.0 <= max(ends_s) <= 130.1
+    assert sum(end > 90.0 for end in ends_s) >= 7  # windows of the slower stream alone
+    assert replayed(main, site, own(out), site.parent / "again") == (out / "results.jsonl").read_bytes()
+
+
+def test_a_stream_faster_than_the_monitor_waits_and_loses_nothing(site: Path, record: np.ndarray, cut: Cut) -> None:
+    """The reader waits, in bounded memory, while a publisher is slow."""
+    most = [0]
+    blocks = cut(record, RATE, [16])
+    source = Scripted(blocks)
+
+    class Slow:
+        failed: str | None = None
+
+        def window(self, result: WindowResult, line: str) -> None:
+            time.sleep(0.1)
+            most[0] = max(most[0], len(daemon.reader.queue))
+
+        def gap(self, gap: Gap) -> None: ...
+
+        def health(self, health: Mapping[str, Any]) -> None: ...
+
+        def take_requests(self) -> list[Request]:
+            return []
+
+        def close(self, timeout_s: float) -> None: ...
+
+    daemon = Daemon(site, source, [Slow()])
+    daemon.reader = Reader(source, BlockQueue(most_blocks=10))
+    daemon.run()
+    told = summary(site.parent / "out")
+    assert told["quality"]["samples"] >= len(record) - round(10 * RATE) and told["gaps"] == 0
+    assert told["windows"] == 9
+    assert 0 < most[0] <= 10
+
+
+def test_queues_are_bounded_in_bytes_and_give_way_when_lifted() -> None:
+    block = SampleBlock(GROUND, 0, 0, 1.0, ("g",), "m/s^2", np.zeros((1000, 1), np.float32))
+    queue = BlockQueue(100, 10_000)
+    giver = threading.Thread(target=lambda: [queue.put(block) for _ in range(5)], daemon=True)
+    giver.start()
+    deadline = time.monotonic() + 10.0
+    while len(queue) < 2 and time.monotonic() < deadline:
+        time.sleep(0.01)
+    giver.join(0.1)
+    assert giver.is_alive() and len(queue) == 2
+    queue.lift()
+    giver.join(10.0)
+    assert not giver.is_alive() and len(queue) == 5
+    queue.close()
+    assert [queue.take(0.0) is not None for _ in range(6)] == [True] * 5 + [False]
+    assert queue.over
+
+
+def test_a_full_disk_stops_the_recorder_not_the_monitor(
+    site: Path, record: np.ndarray, cut: Cut, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object) -> None:
+        raise OSError(28, os.strerror(28))
+
+    monkeypatch.setattr(McapWriter, "write", full)
+    Daemon(site, Scripted(cut(record, RATE))).run()
+    out = site.parent / "out"
+    assert len(lines(out)) == 9
+    recorder = health(out)[-1]["recorder"]
+    assert not recorder["recording"] and "space" in recorder["detail"]
+    assert recorder["lost_blocks"] > 0
+
+
+def test_lines_that_the_disk_refuses_come_when_it_takes_them_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    room, really = [10_000], os.write
+
+    def write_some(handle: int, data: bytes) -> int:
+        if not room[0]:
+            raise OSError(28, os.strerror(28))
+        done = really(handle, data[: room[0]])
+        room[0] -= done
+        return done
+
+    monkeypatch.setattr(os, "write", write_some)
+    file = AppendedLines(tmp_path / "lines")
+    for k in range(200):
+        if k == 150:
+            room[0] = 10_000
+        file.write(f"{k:099d}")
+        assert bool(file.failed) == (100 <= k < 150)
+    file.close()
+    assert [int(line) for line in (tmp_path / "lines").read_text().splitlines()] == list(range(200))
+    assert file.lost == 0
+
+
+def test_lines_roll_over_to_one_older_file(tmp_path: Path) -> None:
+    file = AppendedLines(tmp_path / "lines", most_bytes=1000)
+    for k in range(100):
+        file.write(f"{k:099d}")
+    file.close()
+    kept = [int(t) for name in ("lines.1", "lines") for t in (tmp_path / name).read_text().splitlines()]
+    assert kept == list(range(100 - len(kept), 100)) and 10 <= len(kept) < 30
+
+
+def test_a_restart_appends_after_removing_half_a_line(site: Path, record: np.ndarray, cut: Cut) -> None:
+    out = site.parent / "out"
+    Daemon(site, Scripted(cut(record, RATE))).run()
+    first = (out / "results.jsonl").read_bytes()
+    (out / "results.jsonl").write_bytes(first + b'{"window": 9, "t_e')
+    Daemon(site, Scripted(cut(record, RATE))).run()
+    assert (out / "results.jsonl").read_bytes() == first * 2
+
+
+def test_two_daemons_do_not_share_a_folder(site: Path) -> None:
+    first = Daemon(site, Scripted([]))
+    with pytest.raises(BadConfigurationError, match="another daemon"):
+        Daemon(site, Scripted([]))
+    first.run()
+    Daemon(site, Scripted([])).run()
+
+
+def test_another_baseline_is_noted_in_the_ledger(site: Path, record: np.ndarray, cut: Cut, main: Cli) -> None:
+    folder = site.parent
+    recording = write(folder / "rec.mcap", cut(record, RATE))
+    bare = site.read_text()
+    for name, more in (("one", []), ("two", [write(folder / "more.mcap", cut(record[:4000], RATE, first=20_000))])):
+        done = main("calibrate", recording, *more, "--structure", site, "--out", folder / f"{name}.json")
+        assert done.returncode == 0, done.stderr
+    for name in ("one", "one", "two"):
+        site.write_text(bare.replace('name = "bench"', f'name = "bench"\nbaseline = "{name}.json"'))
+        Daemon(site, Scripted([])).run()
+    (line,) = (folder / "out" / "ledger.jsonl").read_text().splitlines()
+    assert json.loads(line)["files"]["baseline"]["file"].endswith("two.json")
+    site.write_text(bare.replace('name = "bench"', 'name = "bench"\nbaseline = "none.json"'))
+    with pytest.raises(MissingInputError, match=r"none\.json"):
+        Daemon(site, Scripted([]))
+
+
+def test_what_operators_ask_for_is_done_and_noted(site: Path, record: np.ndarray, cut: Cut) -> None:
+    class Desk:
+        failed: str | None = "router gone"
+        asked = 0
+        gaps: list[Gap] = []  # noqa: RUF012
+
+        def window(self, result: WindowResult, line: str) -> None: ...
+
+        def gap(self, gap: Gap) -> None:
+            self.gaps.append(gap)
+
+        def health(self, health: Mapping[str, Any]) -> None: ...
+
+        def take_requests(self) -> list[Request]:
+            self.asked += 1
+            wish = Request(action="shelve", story=2, who="Ada", note="works on floor 2", seconds=1e6)
+            return [wish, wish.model_copy(update={"story": 9})] if self.asked == 3 else []
+
+        def close(self, timeout_s: float) -> None: ...
+
+    blocks = cut(record, RATE)
+    daemon = Daemon(site, Scripted(blocks[:20] + blocks[25:]), [Desk()])
+    daemon.run()
+    shelved = daemon.session.pipeline.state.alarm.stories[1].shelved
+    assert shelved is not None and "Ada" in shelved.reason
+    (line,) = (site.parent / "out" / "ledger.jsonl").read_text().splitlines()
+    assert json.loads(line)["who"] == "Ada" and "shelve" in json.loads(line)["what"]
+    assert len(Desk.gaps) == 1
+    assert health(site.parent / "out")[-1]["failed"] == {"Desk": "router gone"}
+
+
+def test_stages_and_latency_are_told(site: Path, record: np.ndarray, cut: Cut) -> None:
+    Daemon(site, Scripted(cut(record, RATE))).run()
+    told = health(site.parent / "out")
+    spans = [line for line in told if line["stream"] is not None]
+    assert [line["t_ns"] - T0_NS for line in spans] == [k * 10 * 10**9 for k in range(1, 7)]
+    assert all([c["channel"] for c in line["channels"]] == ["a1", "a2", "a3"] for line in spans)
+    assert all(line["stream"]["availability"] == 1.0 for line in spans)
+    assert sum(told[-1]["latency_ms"]["windows"].values()) == 9
+    assert told[-1]["failed"] == {}
+
+
+@pytest.mark.parametrize(
+    ("table", "says"),
+    [
+        ('kind = "serial"', "source.kind"),
+        ('kind = "mcap"', "source.files"),
+        ('kind = "mcap"\nfiles = ["a.mcap"]\nspede = 2.0', "source.spede"),
+    ],
+)
+def test_check_and_run_refuse_a_wrong_source(site: Path, main: Cli, table: str, says: str) -> None:
+    site.write_text(site.read_text().replace('kind = "mcap"\nfiles = ["rec.mcap"]', table, 1))
+    for command in ("check", "run"):
+        done = main(command, site)
+        assert done.returncode == 78
+        assert says in done.stderr and str(site) in done.stderr
+    assert not (site.parent / "out").exists()
+
+
+def test_exit_codes_of_run(site: Path, main: Cli, tmp_path: Path) -> None:
+    assert main("run", site).returncode == 66  # rec.mcap is not there
+    (site.parent / "rec.mcap").write_bytes(b"nonsense" * 10)
+    assert main("run", site).returncode == 65
+    assert main("run", tmp_path / "none.toml").returncode == 66
+    site.write_text(site.read_text().replace("[source]", "[sauce]"))
+    assert main("run", site).returncode == 78
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_in_the_middle_ends_it_with_whole_files(
+    site: Path, record: np.ndarray, cut: Cut, main: Cli, number: int
+) -> None:
+    folder = site.parent
+    write(folder / "rec.mcap", cut(np.tile(record, (20, 1)), RATE, [64]))
+    site.write_text(site.read_text().replace('files = ["rec.mcap"]', 'files = ["rec.mcap"]\nspeed = 60.0'))
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as systemd:
+        systemd.bind(str(folder / "notify"))
+        environment = {**os.environ, "NOTIFY_SOCKET": str(folder / "notify"), "WATCHDOG_USEC": "400000"}
+        command = [str(Path(sys.executable).with_name("shm-monitor")), "run", str(site)]
+        process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=environment)
+        assert process.stderr is not None
+        assert process.stderr.readline() == "READY\n"
+        deadline = time.monotonic() + 60.0
+        while not ((folder / "out" / "results.jsonl").read_bytes().count(b"\n") >= 3) and time.monotonic() < deadline:
+            time.sleep(0.05)
+        process.send_signal(number)
+        _, err = process.communicate(timeout=60.0)
+        systemd.setblocking(False)
+        told = set()
+        with pytest.raises(BlockingIOError):
+            while True:
+                told.add(systemd.recv(100).decode())
+    assert process.returncode == 0, err
+    assert {"READY=1", "WATCHDOG=1", "STOPPING=1"} <= told
+    out = folder / "out"
+    assert not list(out.rglob("*.part"))
+    found = lines(out)
+    assert 3 <= len(found) < 237
+    assert summary(out)["windows"] == len(found)
+    read = sum(b.n_samples for b in read_recordings(own(out)))
+    assert read / RATE >= (found[-1]["t_end_ns"] - T0_NS) / 1e9
+    assert replayed(main, site, own(out), folder / "again") == (out / "results.jsonl").read_bytes()
+
+
+def test_a_source_that_hangs_does_not_keep_it_from_ending(site: Path, record: np.ndarray, cut: Cut) -> None:
+    released = threading.Event()
+
+    class Hanging(Scripted):
+        def read(self, timeout_s: float) -> SampleBlock | None:
+            block = super().read(timeout_s)
+            if block is None:
+                os.kill(os.getpid(), signal.SIGTERM)
+                released.wait(60.0)
+            return block
+
+    Daemon(site, Hanging(cut(record, RATE), hold=released)).run()
+    released.set()
+    assert len(lines(site.parent / "out")) == 9
+
+
+def test_a_drivers_bug_is_not_swallowed(site: Path) -> None:
+    with pytest.raises(ZeroDivisionError):
+        Daemon(site, Scripted([ZeroDivisionError()])).run()
+    assert summary(site.parent / "out")["windows"] == 0
+
+
+TIMES = st.one_of(st.integers(-(10**9), 10**9), st.sampled_from([-(10**13), 10**13, 2 * 10**18, -(10**18)]))
+
+
+@given(
+    hostile=st.lists(
+        st.tuples(
+            st.integers(0, 39),
+            st.one_of(TIMES, st.none()),
+            st.one_of(st.integers(-3, 3000), st.sampled_from([2**61, 2**64 - 1])),
+            st.sampled_from([RATE, RATE, 50.0, 7.3, 999_999.0, 1e6, 1e-3, 1e300]),
+            st.sampled_from([1.0, np.nan, np.inf, 1e36, 0.0]),
+            st.integers(0, 130),
+        ),
+        max_size=12,
+    )
+)
+@settings(deadline=None, max_examples=15)
+def test_no_block_whatever_it_says_ends_the_monitor_or_comes_back_as_nonsense(
+    frame_text: str, record: np.ndarray, cut: Cut, tmp_path_factory: pytest.TempPathFactory, hostile: list[Any]
+) -> None:
+    path = tmp_path_factory.getbasetemp() / "hostile.toml"
+    path.write_text(frame_text)
+    blocks = cut(record, RATE)[:40]
+    session = Session(config.load(path), None, (), None, path.parent / "findings")
+    for k, block in enumerate(blocks):
+        for place, t_ns, sequence, rate, factor, n in hostile:
+            if place == k:
+                samples = (block.samples[:n] * np.float32(factor)).astype(np.float32)
+                forged = replace(
+                    block,
+                    t_ns=block.t_ns + (t_ns or 0),
+                    sequence=max(0, block.sequence + sequence),
+                    sample_rate_hz=rate,
+                    samples=samples,
+                )
+                if unfit(forged) is None:
+                    with contextlib.suppress(BadInputError):
+                        session.push(forged)
+        session.push(block)
+    to_json(plain(session.content(1.0)))
+    assert len(session.pipeline.state.health.spans) < 200

@@ -1,0 +1,206 @@
+"""What is said of sensors and stream, and which faults keep a window out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from monitor import config, health
+from monitor.effects import EFFECTS
+from monitor.health import ChannelHealth, Health, HealthSettings, HealthState
+from monitor.model import Model
+from monitor.pipeline import Pipeline
+from monitor.results import Gap, WindowResult
+from monitor.simulate import simulate
+from monitor.structures import ShearFrame
+from tests.conftest import CHANNELS, Cut
+
+RATE = 200.0
+SETTINGS = HealthSettings()
+FRAME = Model(ShearFrame(np.array([0.3253, 0.3514, 0.3129]), np.array([2909.4511, 1514.8507, 1897.6986]), 0.01))
+
+
+@dataclass(frozen=True)
+class Piece:
+    t_ns: int
+    values: np.ndarray
+    gap: Gap | None = None
+    rate_hz: float = RATE
+
+
+@pytest.fixture(scope="module")
+def motion() -> np.ndarray:
+    """60 s; the sensors resolve 1 mm/s^2."""
+    floors = simulate(FRAME, duration_s=60.0, rate_hz=RATE, noise=0.05, seed=1).floors
+    return np.asarray(np.round(floors, 3))
+
+
+def run(*pieces: Piece, dropped: int = 0, keep_s: float = 1e3) -> tuple[HealthState, list[Health]]:
+    state, found = HealthState(), []
+    for piece in pieces:
+        state, new = health.step(state, piece, dropped, CHANNELS, SETTINGS, keep_s)
+        found += new
+    return state, found
+
+
+def cut_up(values: np.ndarray, sizes: list[int]) -> list[Piece]:
+    pieces, start, k = [], 0, 0
+    while start < len(values):
+        part = values[start : start + sizes[k % len(sizes)]]
+        pieces.append(Piece(round(start / RATE * 1e9), part))
+        start, k = start + len(part), k + 1
+    return pieces
+
+
+def channel(values: np.ndarray, which: int = 1) -> ChannelHealth:
+    """The second span of one channel."""
+    return run(Piece(0, values))[1][1].channels[which]
+
+
+def verdict(values: np.ndarray) -> str:
+    state, _ = run(Piece(0, values))
+    skipped = health.check(state, 0, round(len(values) / RATE * 1e9), SETTINGS)
+    return "" if skipped is None else skipped.reason
+
+
+@given(sizes=st.lists(st.integers(1, 5000), min_size=1, max_size=6))
+@settings(deadline=None, max_examples=25)
+def test_spans_do_not_depend_on_how_the_samples_came(motion: np.ndarray, sizes: list[int]) -> None:
+    _, whole = run(Piece(0, motion))
+    _, parts = run(*cut_up(motion, sizes))
+    assert [h.channels for h in parts] == [h.channels for h in whole]
+    assert [(h.samples, h.availability) for h in parts] == [(2000, 1.0)] * 6
+    for h, k in zip(parts, range(6), strict=True):
+        assert (h.t_ns, h.t_end_ns) == (pytest.approx(k * 10**10, abs=10), pytest.approx((k + 1) * 10**10, abs=2000))
+
+
+def test_figures_of_a_good_channel(motion: np.ndarray) -> None:
+    told, x = channel(motion), motion[2000:4000, 1]
+    assert told.channel == "a2"
+    assert told.mean_m_s2 == pytest.approx(x.mean())
+    assert told.rms_m_s2 == pytest.approx(x.std())
+    assert told.peak_m_s2 == pytest.approx(np.abs(x - x.mean()).max())
+    assert (told.spikes, told.clipped) == (0, 0.0) and told.repeated < 0.01
+
+
+def test_the_noise_floor_is_that_of_white_noise() -> None:
+    floors = []
+    for seed in range(20):
+        noise = np.random.default_rng(seed).normal(scale=0.5, size=(4000, 3))
+        floors += [c.noise_floor for h in run(Piece(0, noise))[1] for c in h.channels]
+    assert np.mean(floors) == pytest.approx(0.5 * np.sqrt(2 / RATE), rel=0.05)
+
+
+@pytest.mark.parametrize("lost_s", [2.0, 3600.0])
+def test_gaps_and_overlaps_are_told(motion: np.ndarray, lost_s: float) -> None:
+    after = round((5.0 + lost_s) * 1e9)
+    _, told = run(
+        Piece(0, motion[:1000]), Piece(after, motion[1000:], Gap(5 * 10**9, lost_s, "lost")), dropped=7, keep_s=1e9
+    )
+    assert sum(h.gaps for h in told) == 1 and sum(h.lost_s for h in told) == lost_s
+    assert told[0].overlaps == 7 and told[1].overlaps == 0
+    assert told[0].availability == pytest.approx(told[0].samples / (told[0].samples + lost_s * RATE))
+    assert told[1].availability == 1.0
+    assert told[1].t_ns >= after
+
+
+def test_another_rate_ends_the_span(motion: np.ndarray) -> None:
+    _, told = run(Piece(0, motion[:100]), Piece(10**9, motion[:4000], Gap(0, 0.0, "rate"), 2 * RATE))
+    assert [h.samples for h in told] == [100, 4000]
+    assert [h.rate_hz for h in told] == [RATE, 2 * RATE]
+
+
+def test_memory_is_bounded_by_the_window_and_at_any_rate(motion: np.ndarray) -> None:
+    state, _ = run(*(Piece(k * 10**9, motion[:200]) for k in range(500)), keep_s=50.0)
+    assert len(state.spans) <= 7
+    state, told = run(Piece(0, np.zeros((600_000, 3)), None, 1e6))
+    assert len(told) == 2 and state.n < 1 << 18
+
+
+def test_spikes_are_counted_and_do_not_keep_a_window_out(motion: np.ndarray) -> None:
+    spoilt = motion.copy()
+    spoilt[2500:4000:500, 1] += 500.0
+    assert channel(spoilt).spikes == 3 and channel(spoilt, 0).spikes == 0
+    assert verdict(spoilt) == ""
+
+
+def test_steps_of_a_coarse_sensor_between_rests_are_no_spikes() -> None:
+    x = np.zeros((4000, 3))
+    x[::700] = 0.001
+    assert channel(x).spikes == 0
+
+
+@pytest.mark.parametrize("level", [0.002, 0.02, 1.0])
+def test_coarse_resolution_is_no_clipping(level: float) -> None:
+    floors = simulate(FRAME, duration_s=20.0, rate_hz=RATE, noise=0.05, seed=3).floors
+    coarse = np.round(floors * level / floors.std(), 3)
+    told = run(Piece(0, coarse))[1]
+    assert all(c.clipped == 0.0 for h in told for c in h.channels)
+
+
+@pytest.mark.parametrize("sigmas", [1.0, 2.0])
+def test_a_clipped_channel_is_told_and_left_to_the_diagnosis(motion: np.ndarray, sigmas: float) -> None:
+    spoilt = motion.copy()
+    limit = round(sigmas * spoilt[:, 1].std(), 3)
+    spoilt[:, 1] = spoilt[:, 1].clip(-limit, limit)
+    x = spoilt[2000:4000, 1]
+    assert channel(spoilt).clipped == pytest.approx(np.mean(np.abs(x) == limit), rel=0.01)
+    assert channel(spoilt, 0).clipped == 0.0
+    assert verdict(spoilt) == ""
+
+
+def test_a_channel_mostly_at_its_limits_keeps_the_window_out(motion: np.ndarray) -> None:
+    spoilt = motion.copy()
+    spoilt[:, 1] = spoilt[:, 1].clip(-0.05 * spoilt[:, 1].std(), 0.05 * spoilt[:, 1].std())
+    assert "a2 is clipped" in verdict(spoilt)
+
+
+def test_a_channel_that_stays_constant_for_long_keeps_the_window_out(motion: np.ndarray) -> None:
+    spoilt = motion.copy()
+    spoilt[4000:8000, 2] = spoilt[4000, 2]
+    assert "a3 is stuck (33 %" in verdict(spoilt)
+    assert channel(spoilt, 2).repeated < 0.01
+    brief = motion.copy()
+    brief[4000:5000, 2] = brief[4000, 2]
+    assert verdict(brief) == ""
+
+
+def test_a_structure_at_rest_is_not_stuck(motion: np.ndarray) -> None:
+    """All channels constant: a hammer test between two blows, in steps of the sensor's resolution."""
+    resting = motion.copy()
+    resting[4000:8000] = 0.0
+    assert verdict(resting) == ""
+
+
+@pytest.mark.parametrize(
+    ("name", "parameters"),
+    [
+        ("sensor_gain", {"gain": 0.7}),
+        ("sensor_polarity", {}),
+        ("time_offset", {"seconds": 0.02}),
+        ("sensor_noise", {"rms_m_s2": 2.0}),
+        ("sensor_clipping", {"limit_m_s2": 12.0}),
+    ],
+)
+def test_sensor_faults_that_a_diagnosis_explains_keep_their_windows(name: str, parameters: dict[str, float]) -> None:
+    effect = EFFECTS[name].create("channel a2", parameters)
+    faulty = Model(FRAME.structure, (effect,))
+    floors = simulate(faulty, duration_s=60.0, rate_hz=RATE, noise=0.03, seed=4).floors
+    assert verdict(floors) == ""
+
+
+def test_the_pipeline_skips_with_the_reason_and_goes_on(frame_text: str, tmp_path: object, cut: Cut) -> None:
+    path = tmp_path / "s.toml"  # type: ignore[operator]
+    path.write_text(frame_text)
+    site = config.load(path)
+    spoilt = simulate(site.model(), duration_s=80.0, rate_hz=RATE, noise=0.03, seed=5).floors
+    spoilt[4000:8000, 0] = 1.0
+    pipeline = Pipeline(site)
+    found = [r for b in cut(spoilt, RATE) for r in pipeline.push(b) if isinstance(r, WindowResult)]
+    reasons = {5 * r.index: r.skipped.reason if r.skipped else "" for r in found}
+    assert "stuck" in reasons[15] and "a1" in reasons[15]
+    assert reasons[0] == "" and reasons[40] == "" and reasons[60] == ""

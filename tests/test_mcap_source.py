@@ -1,0 +1,103 @@
+"""Recordings as a source: all blocks, in order, at the pace that is asked for."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pydantic import ValidationError
+
+from drivers import mcap_source as module
+from drivers.base import EndOfStream, RecordingError, RecordingMissingError, SampleBlock, SourceContext
+from drivers.mcap_file import McapWriter
+from drivers.mcap_source import McapSource
+from drivers.registry import source_type
+from tests.conftest import CHANNELS, Cut
+
+
+@pytest.fixture
+def parts(tmp_path: Path, cut: Cut) -> list[SampleBlock]:
+    """20 s in two files."""
+    made = cut(np.random.default_rng(1).normal(size=(2000, 3)), 100.0)
+    for name, some in (("a", made[:8]), ("b", made[8:])):
+        with McapWriter(tmp_path / f"{name}.mcap") as writer:
+            for block in some:
+                writer.write(block)
+    return made
+
+
+def source(folder: Path, **settings: object) -> McapSource:
+    made = source_type("mcap").Settings(kind="mcap", **settings)
+    return McapSource(made, SourceContext(CHANNELS, folder))
+
+
+def drain(opened: McapSource) -> list[SampleBlock]:
+    got = []
+    with pytest.raises(EndOfStream):
+        while True:
+            block = opened.read(0.01)
+            if block is not None:
+                got.append(block)
+    return got
+
+
+@pytest.mark.parametrize("files", [["a.mcap", "b.mcap"], ["b.mcap", "a.mcap"], ["*.mcap"]])
+def test_all_blocks_in_order_then_the_end(tmp_path: Path, parts: list[SampleBlock], files: list[str]) -> None:
+    opened = source(tmp_path, files=files)
+    assert not opened.health().connected
+    opened.open()
+    assert [b.sequence for b in drain(opened)] == [b.sequence for b in parts]
+    assert opened.health().counts == {"blocks": 20, "samples": 2000}
+    with pytest.raises(EndOfStream):
+        opened.read(0.0)
+    opened.close()
+    opened.close()
+
+
+def test_absolute_patterns(tmp_path: Path, parts: list[SampleBlock]) -> None:
+    opened = source(Path("/"), files=[str(tmp_path / "*.mcap")])
+    opened.open()
+    assert len(drain(opened)) == len(parts)
+
+
+def test_it_keeps_the_pace_and_waits_no_longer_than_asked(
+    tmp_path: Path, parts: list[SampleBlock], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now, waits = [0.0], []
+
+    def sleep(seconds: float) -> None:
+        waits.append(seconds)
+        now[0] += seconds
+
+    monkeypatch.setattr(module.time, "sleep", sleep)
+    opened = McapSource(
+        source_type("mcap").Settings(kind="mcap", files=["*.mcap"], speed=2.0),
+        SourceContext(CHANNELS, tmp_path),
+        clock=lambda: now[0],
+    )
+    opened.open()
+    times = []
+    while len(times) < len(parts):
+        if opened.read(0.3) is not None:
+            times.append(now[0])
+    np.testing.assert_allclose(times, 0.5 * np.arange(1, 21))  # a block is there when its last sample is
+    assert max(waits) <= 0.3
+
+
+@pytest.mark.parametrize("files", [["none.mcap"], ["none*.mcap"]])
+def test_missing_files_are_no_loss_that_reopening_mends(tmp_path: Path, files: list[str]) -> None:
+    with pytest.raises(RecordingMissingError, match="none"):
+        source(tmp_path, files=files).open()
+
+
+def test_damaged_files_are_told(tmp_path: Path) -> None:
+    (tmp_path / "a.mcap").write_bytes(b"nonsense" * 10)
+    with pytest.raises(RecordingError):
+        source(tmp_path, files=["a.mcap"]).open()
+
+
+@pytest.mark.parametrize("wrong", [{"files": []}, {"files": ["a"], "speed": 0.0}, {"files": ["a"], "spede": 1.0}])
+def test_wrong_settings_are_refused(tmp_path: Path, wrong: dict[str, object]) -> None:
+    with pytest.raises(ValidationError):
+        source(tmp_path, **wrong)

@@ -1,0 +1,225 @@
+"""Rolling recordings: in order of arrival, within limits, whole after a crash or a full disk."""
+
+from __future__ import annotations
+
+import errno
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drivers import recorder as module
+from drivers.base import TEMPERATURE, SampleBlock
+from drivers.mcap_file import read_recordings, scan_messages
+from drivers.mcap_writer import McapWriter
+from drivers.recorder import Recorder, RecorderSettings, unfit
+from tests.conftest import T0_NS, Cut
+
+RATE = 100.0
+
+
+class Clock:
+    now = 0.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+@pytest.fixture
+def clock() -> Clock:
+    return Clock()
+
+
+def make(folder: Path, clock: Clock, **settings: object) -> Recorder:
+    return Recorder(folder, RecorderSettings(**{"min_free_gb": 0.0, **settings}), clock)  # type: ignore[arg-type]
+
+
+def blocks(cut: Cut, seconds: float = 60.0, seed: int = 0) -> list[SampleBlock]:
+    return cut(np.random.default_rng(seed).normal(size=(int(seconds * RATE), 3)), RATE)
+
+
+def same(a: SampleBlock, b: SampleBlock) -> bool:
+    return (a.topic, a.t_ns, a.sequence, a.channels) == (
+        b.topic,
+        b.t_ns,
+        b.sequence,
+        b.channels,
+    ) and a.samples.tobytes() == b.samples.tobytes()
+
+
+def recorded(folder: Path) -> list[SampleBlock]:
+    return list(read_recordings(sorted(folder.glob("*.mcap"))))
+
+
+def assert_recorded(folder: Path, wanted: list[SampleBlock]) -> None:
+    got = recorded(folder)
+    assert len(got) == len(wanted)
+    assert all(same(a, b) for a, b in zip(got, wanted, strict=True))
+
+
+def test_blocks_come_back_as_they_came_late_repeated_and_stepping_clocks_too(
+    tmp_path: Path, cut: Cut, clock: Clock
+) -> None:
+    """Order of arrival is what the results depended on; the files may be named in any order."""
+    parts = blocks(cut)
+    warm = replace(parts[3], topic=TEMPERATURE, unit="degC", t_ns=T0_NS)
+    back = [replace(b, t_ns=b.t_ns - 40 * 10**9) for b in parts[45:]]  # the clock was set back
+    arrived = [*parts[:10], parts[12], parts[11], parts[11], warm, *parts[13:45], *back, parts[5]]
+    recorder = make(tmp_path, clock, flush_s=2.0, file_s=7.0)
+    for block in arrived:
+        clock.now += 1.0
+        recorder.write(block)
+    recorder.close()
+    assert len(list(tmp_path.glob("*.mcap"))) > 3
+    assert_recorded(tmp_path, arrived)
+    got = list(read_recordings(sorted(tmp_path.glob("*.mcap"), reverse=True)))
+    assert all(same(a, b) for a, b in zip(got, arrived, strict=True))
+
+
+def test_names_sort_by_time_and_files_roll_by_length_and_by_size(tmp_path: Path, cut: Cut, clock: Clock) -> None:
+    for name, limits in (("s", {"file_s": 10.0}), ("mb", {"file_mb": 0.02})):
+        recorder = make(tmp_path / name, clock, flush_s=1.0, **limits)
+        for block in blocks(cut):
+            clock.now += 1.0
+            recorder.write(block)
+        recorder.close()
+        files = sorted((tmp_path / name).glob("*.mcap"))
+        firsts = [next(scan_messages(path))[1] for path in files]
+        assert firsts == sorted(firsts)
+        assert 4 <= len(files) <= 12
+        assert not list((tmp_path / name).glob("*.part"))
+
+
+def test_the_oldest_files_go_and_others_stay(tmp_path: Path, cut: Cut, clock: Clock) -> None:
+    (tmp_path / "notes.mcap").write_bytes(b"mine")
+    recorder = make(tmp_path, clock, flush_s=1.0, file_s=5.0, keep_gb=50e3 / 2**30)
+    arrived = blocks(cut, 300.0)
+    for block in arrived:
+        clock.now += 1.0
+        recorder.write(block)
+    recorder.close()
+    assert recorder.health().removed_files > 5
+    assert (tmp_path / "notes.mcap").read_bytes() == b"mine"
+    (tmp_path / "notes.mcap").unlink()
+    assert sum(p.stat().st_size for p in tmp_path.iterdir()) < 70e3
+    got = recorded(tmp_path)
+    assert got and all(same(a, b) for a, b in zip(got, arrived[-len(got) :], strict=True))
+
+
+def test_a_power_cut_costs_no_more_than_flush_s_and_the_next_start_names_the_file(
+    tmp_path: Path, cut: Cut, clock: Clock
+) -> None:
+    arrived = blocks(cut)
+    recorder = make(tmp_path / "live", clock, flush_s=5.0)
+    for block in arrived[:58]:
+        clock.now += 1.0
+        recorder.write(block)
+    (part,) = (tmp_path / "live").iterdir()
+    after = tmp_path / "after"
+    after.mkdir()
+    (after / part.name).write_bytes(part.read_bytes() + b"\0" * 100)  # what the disk holds at this moment
+    (after / "20000101T000000.000000Z-0001.mcap.part").write_bytes(b"")
+    make(after, clock).close()
+    assert [p.name for p in after.iterdir()] == [part.name.removesuffix(".part")]
+    got = recorded(after)
+    assert len(got) >= 53
+    assert all(same(a, b) for a, b in zip(got, arrived, strict=False))
+    recorder.close()
+
+
+def test_quiet_sources_are_flushed_by_the_clock(tmp_path: Path, cut: Cut, clock: Clock) -> None:
+    recorder = make(tmp_path, clock, flush_s=5.0)
+    recorder.write(blocks(cut)[0])
+    (part,) = tmp_path.iterdir()
+    clock.now = 4.0
+    recorder.tick()
+    assert part.stat().st_size == 0
+    clock.now = 6.0
+    recorder.tick()
+    assert len(list(scan_messages(part))) == 1
+    recorder.close()
+
+
+def test_a_full_disk_pauses_recording_and_what_was_written_stays(
+    tmp_path: Path, cut: Cut, clock: Clock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    full, told = [False], set()
+    flush = McapWriter.flush
+
+    def failing(writer: McapWriter) -> None:
+        if full[0]:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        flush(writer)
+
+    monkeypatch.setattr(McapWriter, "flush", failing)
+    arrived = blocks(cut)
+    recorder = make(tmp_path, clock, flush_s=2.0)
+    for k, block in enumerate(arrived):
+        full[0] = 20 <= k < 40
+        clock.now += 1.0
+        recorder.write(block)
+        told.add(recorder.health().detail)
+    assert any("space" in detail for detail in told)
+    assert recorder.health().recording
+    recorder.close()
+    health = recorder.health()
+    got = recorded(tmp_path)
+    assert health.lost_blocks == len(arrived) - len(got)
+    assert 15 <= health.lost_blocks < 30
+    assert health.blocks == len(got)
+    assert [b.sequence for b in got] == sorted(b.sequence for b in got)
+    assert same(got[-1], arrived[-1]) and same(got[0], arrived[0])
+
+
+def test_too_little_free_space_pauses_and_removes_nothing(
+    tmp_path: Path, cut: Cut, clock: Clock, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    free = [2 << 30]
+
+    class Usage:
+        @property
+        def free(self) -> int:
+            return free[0]
+
+    monkeypatch.setattr(module.shutil, "disk_usage", lambda _: Usage())
+    recorder = make(tmp_path, clock, flush_s=1.0, min_free_gb=1.0)
+    arrived = blocks(cut)
+    for k, block in enumerate(arrived):
+        free[0] = (1 << 29) if 20 <= k < 40 else (2 << 30)
+        clock.now += 1.0
+        recorder.write(block)
+        if k == 30:
+            assert "free" in recorder.health().detail
+    recorder.close()
+    got = recorded(tmp_path)
+    assert recorder.health().lost_blocks == len(arrived) - len(got)
+    assert same(got[0], arrived[0]) and same(got[-1], arrived[-1])
+    assert len(got) > 35
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"t_ns": -1},
+        {"t_ns": 1 << 62},
+        {"sequence": (1 << 64) - 1},
+        {"sample_rate_hz": 1e9},
+        {"unit": "degC"},
+        {"topic": "/foreign"},
+        {"channels": (), "samples": np.zeros((5, 0), np.float32)},
+    ],
+)
+def test_what_would_spoil_a_recording_is_unfit(cut: Cut, change: dict[str, object]) -> None:
+    block = blocks(cut)[0]
+    assert unfit(block) is None
+    assert unfit(replace(block, **change)) is not None
+
+
+def test_two_runs_of_the_same_data_do_not_overwrite_each_other(tmp_path: Path, cut: Cut, clock: Clock) -> None:
+    for _ in range(2):
+        recorder = make(tmp_path, clock)
+        recorder.write(blocks(cut)[0])
+        recorder.close()
+    assert len(list(tmp_path.glob("*.mcap"))) == 2
