@@ -175,7 +175,8 @@ def test_only_operators_may_acknowledge(join: Callable[[str], zenoh.Session], as
         return [reply.ok.payload.to_string() for reply in replies if reply.ok is not None]
 
     viewer, operator = join("viewer"), join("operator")
-    until(lambda: ask(viewer, "state"), "the viewer sees the state")
+    for session in (viewer, operator):
+        until(lambda session=session: ask(session, "state"), "both see the state")
     assert ask(viewer, "ack", wish) == []
     assert out.take_requests() == []
     (answer,) = ask(operator, "ack", wish)
