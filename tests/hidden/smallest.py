@@ -1,6 +1,6 @@
 """``python -m tests.hidden.smallest [--effects a,b] [--trials 10] [--seed S] [--out FILE]``: the smallest size that is found.
 
-The held-out gain of a few clear trials says how far an effect may shrink until its gain is no more than what it takes to be named;
+The held-out gain of a few clear trials says how far an effect may shrink until that is no more than what it takes to be named;
 there (and, where that fails, at half as much again) it must be found at its right place in nine of ten new trials.
 """
 
