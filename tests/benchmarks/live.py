@@ -17,11 +17,22 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
+import tomlkit
+
 ROOT = Path(__file__).resolve().parents[2]
 sys.path = [str(ROOT), *(p for p in sys.path if p != str(Path(__file__).parent))]
 
 from tests.live_rig import (  # noqa: E402
-    Command, Site, blocks, make_site, quantised, router_for, samples, shm_monitor, until, write,
+    Command,
+    Site,
+    blocks,
+    make_site,
+    quantised,
+    router_for,
+    samples,
+    shm_monitor,
+    until,
+    write,
 )  # fmt: skip
 
 MOST_CPU_PERCENT = 10.0
@@ -36,7 +47,7 @@ def measure(
     processing = {"window_s": window_s, "hop_s": 5.0}
     site = make_site(folder, kind, processing, site={"baseline": "baseline.json"})
     healthy = write(folder / "healthy.mcap", blocks(calibration_s, 1))
-    shm_monitor("calibrate", healthy, "--structure", DEPLOYED(site), "--out", folder / "baseline.json")
+    shm_monitor("calibrate", healthy, "--structure", _unjudged(site), "--out", folder / "baseline.json")
     stream = blocks(seconds, 2, "story2=0.08")
     sent = write(folder / "sent.mcap", stream)
     truth = write(folder / "truth.mcap", quantised(stream)) if kind == "can" else sent
@@ -65,10 +76,8 @@ def measure(
     }
 
 
-def DEPLOYED(site: Site) -> Path:  # noqa: N802
+def _unjudged(site: Site) -> Path:
     """The site file without its baseline, which is yet to be made."""
-    import tomlkit
-
     table: Any = tomlkit.parse(site.path.read_text())
     del table["site"]["baseline"]
     path = site.path.with_name(f"calibrate-{site.kind}.toml")
