@@ -6,9 +6,8 @@ import json
 import random
 import signal
 import threading
-import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -24,14 +23,22 @@ from drivers.socketcand_server import SocketcandServer, frame_text
 from drivers.zenoh_bus import PublisherSettings, ZenohPublisher
 from drivers.zenoh_session import SessionSettings, open_session
 from monitor import config
-from monitor.daemon import Daemon
 from monitor.emulate import CanSink, pieces
-from monitor.health import Health
 from monitor.outputs import Publisher, Session
-from monitor.publish.requests import Request
-from monitor.results import Gap, WindowResult
+from monitor.results import WindowResult
 from tests.live_rig import (
-    DEPLOY, KEY, RATE_HZ, T0_NS, Command, Site, blocks, make_site, quantised, router_for, until, write,
+    DEPLOY,
+    KEY,
+    RATE_HZ,
+    T0_NS,
+    Command,
+    Site,
+    blocks,
+    make_site,
+    quantised,
+    router_for,
+    until,
+    write,
 )  # fmt: skip
 from tests.zenoh_router import Router
 
