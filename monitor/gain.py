@@ -18,7 +18,8 @@ from monitor.config import Configuration
 from monitor.diagnose import Diagnosis
 from monitor.effects import Condition, Context, Effect
 from monitor.evidence import Evidence, Segments, classify
-from monitor.likelihood import Fit, Problem, fit
+from monitor.fitting import Fit, fit
+from monitor.likelihood import Problem
 from monitor.model import Model
 from monitor.motion import conditions
 from monitor.reference import Reference, nominal

@@ -14,7 +14,8 @@ import numpy as np
 from monitor.corrected import Corrected, corrected
 from monitor.effects import Effect
 from monitor.exact import exact, forces, offset
-from monitor.likelihood import Fit, Problem, fit, placed
+from monitor.fitting import Fit, fit
+from monitor.likelihood import Problem, placed
 from monitor.motion import conditions
 from monitor.results import Array, ComplexArray
 from monitor.search import Candidate, evidence_of
