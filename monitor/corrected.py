@@ -63,11 +63,8 @@ class Corrected(Problem):
         key = sizes.tobytes()
         if key not in self.kept:
             relative = np.tensordot(np.concatenate([[1.0], sizes - self.centre]), self.relative, axes=1)
-            large = np.einsum("kfab,kfab->kf", relative, relative.conj()).real > _DEEPEST**2
-            values, vectors = np.linalg.eigh(relative[large])  # some of every spectrum is left
-            relative[large] = (vectors * np.maximum(values, _DEEPEST)[:, None, :]) @ vectors.conj().swapaxes(-1, -2)
             self.kept.clear()
-            self.kept[key] = self.base @ relative @ self.base.conj().swapaxes(-1, -2)
+            self.kept[key] = self.base @ _bounded(relative) @ self.base.conj().swapaxes(-1, -2)
         return self.kept[key]
 
     def mirrored(self, law: Effect) -> Corrected:
@@ -98,6 +95,23 @@ def _smooth(relative: ComplexArray, hz: Array) -> ComplexArray:
     near = np.exp(-0.5 * ((hz[:, None] - hz) / np.maximum(_SMOOTH * hz[:, None], 1e-9)) ** 2)
     near /= near.sum(axis=1, keepdims=True)
     return np.asarray(np.moveaxis(np.tensordot(near, relative, axes=(1, -3)), 0, -3))
+
+
+def _bounded(relative: ComplexArray) -> ComplexArray:
+    """Corrections that leave some of every spectrum."""
+    large = np.einsum("kfab,kfab->kf", relative, relative.conj()).real > _DEEPEST**2
+    values, vectors = np.linalg.eigh(relative[large])
+    out = relative.copy()
+    out[large] = (vectors * np.maximum(values, _DEEPEST)[:, None, :]) @ vectors.conj().swapaxes(-1, -2)
+    return out
+
+
+def smoothed(problem: Problem, x: Array, offset: ComplexArray) -> ComplexArray:
+    """A simulated offset with less chance in it: smooth relative to the spectra, shape (classes, n_bins, c, c)."""
+    base = np.linalg.cholesky(problem.scatter(x, ()))
+    inverse = np.linalg.inv(base)
+    relative = _bounded(_smooth(inverse @ offset @ inverse.conj().swapaxes(-1, -2), problem.evidence.band.hz))
+    return np.asarray(base @ relative @ base.conj().swapaxes(-1, -2))
 
 
 def corrected(

@@ -9,7 +9,12 @@ import numpy as np
 from monitor.diagnosis_settings import DiagnosisSettings
 from monitor.fitting import Fit
 from monitor.likelihood import Problem
-from monitor.results import Array
+from monitor.results import Array, ComplexArray
+
+_NO_NOISE = -100.0
+"""Logarithm of a noise density that is none."""
+_LEVELLINGS = 4
+"""Fisher scoring's steps to a level; from nearby it converges in two."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,25 +30,40 @@ class Misfit:
 def drift_bands(problem: Problem, fitted: Fit, width_hz: float = 1.0) -> Array:
     """What the later half of a recording shows more than the earlier one, as `residual_bands`.
 
-    Each half is compared with the model's spectra of its own classes, so that a change of level or weather is no drift.
+    Each half is compared with the model's spectra of its own classes, each at its own level, so that a change of level or
+    weather is no drift.
     """
     e = problem.evidence
     mean = problem.mean(fitted.x, fitted.effects)
     x = e.segments.values if mean is None else e.segments.values - mean
     predicted = problem.scatter(fitted.x, fitted.effects)
+    quiet = fitted.x.copy()
+    quiet[problem.n_nuisance - 1] = _NO_NOISE
+    signal = problem.scatter(quiet, fitted.effects)
     late = e.t_s > np.median(e.t_s)
-    label = np.empty(late.size, dtype=int)
-    for k, members in enumerate(e.members):
-        label[members] = k
     z = []
     for half in (late, ~late):
-        share = np.bincount(label[half], minlength=predicted.shape[0]) / np.count_nonzero(half)
-        model = np.einsum("k,kfab->fab", share, predicted)[None]
-        data = np.einsum("sfa,sfb->fab", x[half], x[half].conj())[None] / np.count_nonzero(half)
-        model = model * problem.level_of(model, data)[:, None, None, None]
-        halved = replace(problem, evidence=replace(e, counts=np.array([float(np.count_nonzero(half))])))
-        z.append(_banded(halved.whitened(model, model[None], data)[1], 1, problem, width_hz)[0])
+        model, data, counts = predicted.copy(), predicted.copy(), np.zeros(problem.n_classes)
+        for k, members in enumerate(e.members):
+            own = x[members[half[members]]]
+            counts[k] = len(own)
+            if len(own):
+                data[k] = np.einsum("sfa,sfb->fab", own, own.conj()) / len(own)
+                model[k] = _levelled(signal[k], predicted[k] - signal[k], data[k])
+        halved = replace(problem, evidence=replace(e, counts=counts))
+        z.append(_banded(halved.whitened(model, model[None], data)[1], problem.n_classes, problem, width_hz)[0])
     return np.asarray((z[0] - z[1]) / np.sqrt(2.0))
+
+
+def _levelled(signal: ComplexArray, noise: ComplexArray, data: ComplexArray) -> ComplexArray:
+    """The model of spectra, shape (n_bins, c, c), at the level that fits them best; the noise has its own."""
+    level = 1.0
+    for _ in range(_LEVELLINGS):
+        inverse = np.linalg.inv(level * signal + noise)
+        slope = inverse @ signal
+        rise = np.einsum("fab,fba->", slope @ inverse, data - level * signal - noise).real
+        level = max(level + rise / np.einsum("fab,fba->", slope, slope).real, 0.1 * level)
+    return level * signal + noise
 
 
 def residual_bands(problem: Problem, fitted: Fit, width_hz: float = 1.0) -> tuple[Array, Array]:
