@@ -142,6 +142,7 @@ class Session:
             **summary,
             "findings": [{key: f[key] for key in keys} for f in findings],
             "quality": self._quality.content(),
+            "thresholds": self.config.alarm.model_dump(include={"significance", "min_loss", "alarm_loss"}),
         }
 
     def _publish(self, result: Result) -> None:

@@ -28,9 +28,12 @@ svg .accepted, svg .dot { fill: var(--after); }
 svg .rival { fill: var(--before); }
 svg .off { fill: var(--before); opacity: .16; }
 svg .still { fill: var(--bad); opacity: .25; }
+svg .band { fill: var(--after); opacity: .25; }
+svg .limit { stroke: var(--bad); }
+svg .good { fill: var(--good); opacity: .6; }
 svg .chance { fill: var(--quiet); opacity: .25; }
 """
-"""Uses the page's colours --ink, --muted, --line, --quiet, --before, --after and --bad."""
+"""Uses the page's colours --ink, --muted, --line, --quiet, --before, --after, --good and --bad."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,11 +63,11 @@ class Axes:
         """Frame, grid, ticks and titles."""
         left, top, width, height = self.box
         out = []
-        for value in ticks(self.x):
+        for value, label in self.x_ticks():
             at = float(self.px(value))
             out.append(f'<path class="grid" d="M{at:.1f} {top:g}v{height:g}"/>')
             if numbers:
-                out.append(text(at, top + height + 14, f"{value:.6g}", "middle"))
+                out.append(text(at, top + height + 14, label, "middle"))
         for value in decades(self.y) if self.log_y else ticks(self.y, 4):
             at = float(self.py(value))
             out.append(f'<path class="grid" d="M{left:g} {at:.1f}h{width:g}"/>')
@@ -74,6 +77,15 @@ class Axes:
         if x_title:
             out.append(text(left + width, top + height + 28, x_title, "end"))
         return "".join(out)
+
+    def x_ticks(self) -> list[tuple[float, str]]:
+        """Places and labels along x."""
+        return [(float(value), f"{value:.6g}") for value in ticks(self.x)]
+
+    def band(self, x: Array, low: Array, high: Array, kind: str) -> str:
+        """The area between two lines."""
+        sides = (*zip(self.px(x), self.py(high), strict=True), *zip(self.px(x)[::-1], self.py(low)[::-1], strict=True))
+        return f'<polygon class="{kind}" points="{" ".join(f"{a:.1f},{b:.1f}" for a, b in sides)}"/>'
 
     def line(self, x: Array, y: Array, kind: str) -> str:
         """A polyline."""
