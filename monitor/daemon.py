@@ -26,7 +26,7 @@ from monitor.outputs import Publisher, Session, View, scene
 from monitor.publish.lines import to_json
 from monitor.publish.requests import apply
 from monitor.publish.rerun_view import RerunPublisher
-from monitor.reader import Reader, Recording
+from monitor.reader import Chores, Reader, Recording
 from monitor.recordings import Progress, duration_s
 from monitor.results import Gap, WindowResult
 from monitor.vitals import Vitals, plain
@@ -36,8 +36,8 @@ _log = logging.getLogger(__name__)
 _TICK_S = 0.2
 _QUIET_S = 10.0
 """Without data, health is told this often; the summary is written no more often."""
-_STOP_S, _DRAIN_S, _CLOSE_S = 1.5, 3.0, 1.0
-"""Longest waits when stopping: for the source, and from the signal on for the queue; then for each of the rest."""
+_STOP_S, _DRAIN_S, _END_S = 1.5, 2.5, 4.5
+"""From the signal on, the source is waited for until the first, the queue until the second, all the rest until the last."""
 _HEALTH_FILE_BYTES = 16 << 20
 
 
@@ -70,7 +70,7 @@ class Daemon(Publisher):
         self.out = folder / settings.output.dir
         self._vitals, self._progress = Vitals(), Progress(lambda _: None)
         self._begun_s = self._health_s = self._summary_s = self._sync_s = time.monotonic()
-        self._stopping = False
+        self._stopping, self._end_s = False, float("inf")
         self._outlets: tuple[Outlet, ...] = (*make_outlets(path, settings), *outlets)
         try:
             (self.out / "state").mkdir(parents=True, exist_ok=True)
@@ -90,6 +90,7 @@ class Daemon(Publisher):
         )
         views = () if self._view is None else (View(self._view),)
         findings = self.out / "findings" / f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}"
+        self._chores = Chores()
         self.session = Session(settings, healthy, (*publishers, *views), (path, healthy_path), findings)
         self.reader = Reader(source)
 
@@ -139,11 +140,11 @@ class Daemon(Publisher):
             outlet.health(line)
 
     def _signal(self, number: int, _: object) -> None:
-        self._stopping = True
+        self._stopping, self._end_s = True, time.monotonic() + _END_S
         signal.signal(number, signal.SIG_DFL)  # the next one ends at once
 
     def _loop(self) -> None:
-        ready, stop_by = False, float("inf")
+        ready, told = False, False
         watchdog_s, barked_s = systemd.watchdog_s(), time.monotonic()
         while not self.reader.queue.over:
             item = self.reader.queue.take(_TICK_S)
@@ -155,15 +156,15 @@ class Daemon(Publisher):
             if watchdog_s is not None and now - barked_s >= watchdog_s:
                 barked_s = now
                 systemd.notify("WATCHDOG=1")
-            if item is not None and now < stop_by:
+            if item is not None and now < self._end_s - (_END_S - _DRAIN_S):
                 self._take(*item)
             elif item is not None:
                 self._vitals.unprocessed += 1
             self._now_and_then(now)
-            if self._stopping and stop_by == float("inf"):
+            if self._stopping and not told:
+                told = True
                 systemd.notify("STOPPING=1")
-                stop_by = now + _DRAIN_S
-                self.reader.stop(_STOP_S)
+                self.reader.stop(max(0.0, self._end_s - (_END_S - _STOP_S) - time.monotonic()))
 
     def _take(self, block: SampleBlock, arrived_s: float) -> None:
         """Evaluate, publish, then record what was taken in: the recordings replayed are this run again."""
@@ -202,7 +203,7 @@ class Daemon(Publisher):
         if now - self._sync_s >= self.settings.recorder.flush_s:
             self._sync_s = now
             self._lines.flush()
-            self._lines.sync()
+            self._chores.do("sync", self._lines.sync)
         if now - self._summary_s >= _QUIET_S:
             self._write_summary()
 
@@ -212,10 +213,7 @@ class Daemon(Publisher):
         content = self.session.content(seconds / max(self._summary_s - self._begun_s, 1e-9))
         v = self._vitals
         content |= {"refused_blocks": v.refused, "unprocessed_blocks": v.unprocessed, "latency_ms": v.latency()}
-        try:
-            write_atomically(self.out / "summary.json", to_json(plain(content)) + "\n")
-        except OSError as error:
-            _log.warning("%s: %s", self.out / "summary.json", error.strerror)
+        self._chores.do("summary", partial(_write, self.out / "summary.json", to_json(plain(content)) + "\n"))
 
     def _failures(self) -> dict[str, str]:
         """Which ways out are blocked, and why."""
@@ -225,19 +223,33 @@ class Daemon(Publisher):
         return {**view, **{name: why for name, why in files.items() if why}, **outlets}
 
     def _close(self) -> None:
-        self.reader.stop(0.2)  # it has ended, but for an error
-        self.session.watcher.close()
+        self._end_s = min(self._end_s, time.monotonic() + _END_S)
+        self.reader.stop(0.1)  # it has ended, but for an error
         if self._recording is not None:
-            self._recording.close(_CLOSE_S)
+            self._recording.close(self._share_s())
+        self.session.watcher.close(self._share_s())
         self.health(None)
-        for outlet in reversed(self._outlets):
-            outlet.close(_CLOSE_S)
-        if self._view is not None:
-            self._view.close(_CLOSE_S)
         self._write_summary()
-        self._health_lines.close()
-        self._lines.close()
+        for lines in (self._lines, self._health_lines):
+            self._chores.do(f"close {id(lines)}", lines.close)
+        for outlet in reversed(self._outlets):
+            outlet.close(self._share_s())
+        if self._view is not None:
+            self._view.close(self._share_s())
+        self._chores.close(self._share_s())
         os.close(self._lock)
+
+    def _share_s(self) -> float:
+        """How long one more may take to close: half of what is left, so that who hangs leaves time to the others."""
+        return max(0.0, self._end_s - time.monotonic()) / 2.0
+
+
+def _write(path: Path, text: str) -> None:
+    """A file that may fail without harm."""
+    try:
+        write_atomically(path, text)
+    except OSError as error:
+        _log.warning("%s: %s", path, error.strerror)
 
 
 def _locked(path: Path, out: Path) -> int:

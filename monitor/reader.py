@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import threading
 import time
@@ -110,7 +111,7 @@ class Reader:
         self._thread.start()
 
     def stop(self, timeout_s: float) -> None:
-        """Read no more; waits for the source to close, but no longer than `timeout_s`."""
+        """Read no more but what has arrived; waits for the source to close, but no longer than `timeout_s`."""
         self._stop.set()
         self.queue.lift()
         self._thread.join(timeout_s)
@@ -136,7 +137,14 @@ class Reader:
             finally:
                 self.source.close()
             self._stop.wait(wait_s)
+        self._drain()
         self.queue.close()
+
+    def _drain(self) -> None:
+        """What a closed source still holds."""
+        with contextlib.suppress(EndOfStream, SourceError):
+            while (block := self.source.read(0.0)) is not None:
+                self.queue.put(block)
 
     def _read(self) -> None:
         self.source.open()
@@ -176,3 +184,39 @@ class Recording:
             else:
                 self._recorder.write(item[0])
         self._recorder.close()
+
+
+class Chores:
+    """Small jobs that may wait for the disk, done in a thread of their own so that nobody else waits.
+
+    Of jobs of one name only the latest is done.
+    """
+
+    def __init__(self) -> None:
+        self._jobs: dict[str, Callable[[], None]] = {}
+        self._changed = threading.Condition()
+        self._closed = False
+        self._thread = threading.Thread(target=self._work, name="chores", daemon=True)
+        self._thread.start()
+
+    def do(self, name: str, job: Callable[[], None]) -> None:
+        """Do a job soon; it must not raise."""
+        with self._changed:
+            self._jobs[name] = job
+            self._changed.notify_all()
+
+    def close(self, timeout_s: float) -> None:
+        """Do what is left, no longer than that."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+        self._thread.join(timeout_s)
+
+    def _work(self) -> None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._jobs or self._closed)
+                if not self._jobs:
+                    return
+                job = self._jobs.pop(next(iter(self._jobs)))
+            job()
