@@ -38,7 +38,7 @@ def report(
     write_period(out, period)
     r = period.results
     if r.damaged:
-        warn(f"{folder / 'results.jsonl'}: {r.damaged} lines cannot be read and were left out")
+        warn(f"{folder / 'results.jsonl'}: unreadable lines left out: {r.damaged}")
     told = {
         "report": str(out),
         "from_ns": r.grid.from_ns,
@@ -52,7 +52,7 @@ def report(
     if as_json:
         print(json.dumps(told))
         return
-    print(f"{told['judged']} of {r.due} windows judged, {told['alarms']} alarms, {told['findings']} findings")
+    print(f"{told['judged']} of {r.due} windows judged, alarms: {told['alarms']}, findings: {told['findings']}")
     print(f"report in {out}")
 
 

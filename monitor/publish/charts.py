@@ -68,7 +68,7 @@ class Axes:
             out.append(f'<path class="grid" d="M{at:.1f} {top:g}v{height:g}"/>')
             if numbers:
                 out.append(text(at, top + height + 14, label, "middle"))
-        for value in decades(self.y) if self.log_y else ticks(self.y, 4):
+        for value in (decades(self.y) if self.log_y else ticks(self.y, 4)) if height > 40.0 else ():
             at = float(self.py(value))
             out.append(f'<path class="grid" d="M{left:g} {at:.1f}h{width:g}"/>')
             out.append(text(left - 6, at + 4, f"{value:.6g}", "end"))
@@ -125,7 +125,8 @@ def ticks(span: Range, n: int = 8) -> Array:
     raw = (span[1] - span[0]) / n
     power = 10.0 ** np.floor(np.log10(raw))
     step = power * min((m for m in (1.0, 2.0, 5.0, 10.0) if m * power >= raw * 0.999), default=10.0)
-    return np.asarray(np.arange(np.ceil(span[0] / step - 1e-9), np.floor(span[1] / step + 1e-9) + 1.0) * step)
+    places = np.arange(np.ceil(span[0] / step - 1e-9), np.floor(span[1] / step + 1e-9) + 1.0)
+    return np.asarray((places + 0.0) * step)  # never -0
 
 
 def decades(span: Range) -> Array:

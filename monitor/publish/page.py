@@ -20,7 +20,8 @@ p { max-width: 80ch; margin: .4rem 0; } .muted, figcaption, th { color: var(--mu
 figure { margin: .6rem 0; break-inside: avoid; } figcaption { font-size: .87rem; }
 table { border-collapse: collapse; font-size: .9rem; margin: .5rem 0; }
 td, th { text-align: left; padding: .2rem 1rem .2rem 0; border-bottom: 1px solid var(--line); vertical-align: top; }
-td.n, th.n { text-align: right; font-variant-numeric: tabular-nums; }
+td.n, th.n { text-align: right; white-space: nowrap; font-variant-numeric: tabular-nums; }
+td.t { white-space: nowrap; }
 .verdict { display: inline-block; padding: .1rem .6rem; border-radius: 1rem; color: #fff; font-weight: 600;
   background: var(--bad); } .verdict.none { background: var(--good); } .verdict.named { background: var(--after); }
 .verdict.ambiguous { background: var(--before); }
@@ -41,9 +42,9 @@ def document(title: str, parts: Sequence[str]) -> str:
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A table; a heading that begins with # stands over numbers."""
-    numeric = [' class="n"' if h.startswith("#") else "" for h in head] or [""] * max(map(len, rows))
-    top = "".join(f"<th{n}>{escape(h.lstrip('#'))}</th>" for h, n in zip(head, numeric, strict=False))
+    """A table; a heading that begins with # stands over numbers, one with @ over times, which stay on their line."""
+    numeric = [{"#": ' class="n"', "@": ' class="t"'}.get(h[:1], "") for h in head] or [""] * max(map(len, rows))
+    top = "".join(f"<th{n}>{escape(h.lstrip('#@'))}</th>" for h, n in zip(head, numeric, strict=False))
     body = "".join(
         "<tr>" + "".join(f"<td{n}>{escape(str(v))}</td>" for v, n in zip(row, numeric, strict=True)) + "</tr>"
         for row in rows

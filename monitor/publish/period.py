@@ -13,15 +13,12 @@ import numpy as np
 
 from monitor.files import write_atomically
 from monitor.publish import period_notes as notes
-from monitor.publish.charts import Axes, svg
 from monitor.publish.page import document, table
-from monitor.publish.period_data import Curve, Envelope, Episode, Results, read_results, utc
+from monitor.publish.period_data import Episode, Results, read_results, utc
 from monitor.publish.period_notes import Decision, Quality, story_name
+from monitor.publish.time_charts import HEIGHT, TimeAxes, draw, figure, panel, time_axes
 from monitor.results import WHOLE, Level
 
-_WIDTH, _LEFT, _HEIGHT = 1080.0, 62.0, 110.0
-_STEPS_S = (1, 5, 15, 60, 300, 900, 1800, 3600, 10800, 21600, 43200)
-_STEPS_DAYS = (1, 2, 7, 14, 28, 91, 182, 364)
 _SHOWN = 200
 """Rows of a table."""
 
@@ -103,7 +100,8 @@ def _head(period: Period) -> str:
     worst = max(period.episodes, key=lambda e: (Level(e.level).rank, e.ddi), default=None)
     if worst is not None:
         kind, word = ("ambiguous" if worst.level == "advisory" else ""), worst.level
-        says = f"{story_name(worst.story)} lost {_percent(worst.ddi, worst.ddi_std)} of its stiffness"
+        ended = "" if worst.t_last_ns is None else f", until {utc(worst.t_last_ns)[:16]} UTC"
+        says = f"{story_name(worst.story)} lost {_percent(worst.ddi, worst.ddi_std)} of its stiffness{ended}"
     elif not sum(r.judged):
         kind, word, says = "ambiguous", "cannot say", "nothing could be judged"
     elif r.no_baseline:
@@ -112,7 +110,7 @@ def _head(period: Period) -> str:
         kind, word, says = "none", "no alarm", "no change beyond chance since the baseline"
     figures = [
         (f"{100 * sum(r.judged) / r.due:.1f} %", f"of {r.due} windows due were judged, one every {r.hop_s:g} s"),
-        (f"{len(period.episodes)}", "alarms"),
+        (f"{len(period.episodes)}", "alarm" if len(period.episodes) == 1 else "alarms"),
     ]
     if period.quality is not None and period.quality.availability is not None:
         figures.insert(0, (f"{100 * period.quality.availability:.2f} %", "of the samples due came"))
@@ -129,55 +127,6 @@ def _head(period: Period) -> str:
     )
 
 
-class TimeAxes(Axes):
-    """Axes over time: x in s from 1970 UTC."""
-
-    __slots__ = ()
-
-    def x_ticks(self) -> list[tuple[float, str]]:
-        """At most nine round times."""
-        start, stop = self.x
-        step = next((s for s in (*_STEPS_S, *(86400 * d for d in _STEPS_DAYS)) if (stop - start) / s <= 9), None)
-        step = step or 86400 * 364 * int((stop - start) / (86400 * 364 * 9) + 1)
-        places = np.arange(np.ceil(start / step), np.floor(stop / step) + 1) * step
-        texts = [utc(1e9 * t) for t in places]
-        cut = slice(0, 10) if step >= 86400 else slice(11, 19) if step < 60 else slice(5, 16)
-        return [(float(t), text[cut].replace("T", " ")) for t, text in zip(places, texts, strict=True)]
-
-
-def _axes(period: Period, low: float, high: float, height: float = _HEIGHT) -> TimeAxes:
-    grid = period.results.grid
-    margin = 0.06 * (high - low) or 0.01 * abs(high) or 1.0
-    box = (_LEFT, 22.0, _WIDTH - _LEFT - 8.0, height)
-    return TimeAxes((grid.from_ns * 1e-9, grid.to_ns * 1e-9), (low - margin, high + margin), box)
-
-
-def _figure(label: str, height: float, *marks: str) -> str:
-    return f"<figure>{svg(_WIDTH, height + 42.0, label, *marks)}</figure>"
-
-
-def _draw(axes: Axes, e: Envelope, scale: float = 1.0) -> list[str]:
-    marks = []
-    for piece in e.pieces():
-        t = e.t_ns[piece] * 1e-9
-        if t.size == 1:
-            half = scale * np.maximum(e.high[piece] - e.mean[piece], 0.0)
-            marks.append(axes.dots(t, scale * e.mean[piece], half))
-            continue
-        marks.append(axes.band(t, scale * e.low[piece], scale * e.high[piece], "band"))
-        marks.append(axes.line(t, scale * e.mean[piece], "after"))
-    return marks
-
-
-def _panel(period: Period, curve: Curve | None, title: str) -> str:
-    """One quantity over the period."""
-    if curve is None or not curve.values:
-        return ""
-    e = curve.envelope()
-    axes = _axes(period, float(e.low.min()), float(e.high.max()))
-    return _figure(title, _HEIGHT, axes.frame(title), *_draw(axes, e))
-
-
 def _damage(period: Period) -> str:
     """The index of every story on one scale, with alarms and threshold."""
     if not period.results.ddi:
@@ -188,7 +137,7 @@ def _damage(period: Period) -> str:
     high = 100 * max(limit or 0.0, 0.001, *(float(e.high.max()) for e in curves))
     out = ["<h2>Damage index</h2>"]
     for j, e in enumerate(curves, 1):
-        axes = _axes(period, low, high)
+        axes = time_axes(period.results.grid, low, high)
         marks = [
             axes.shade(_clipped(axes, a.t_first_ns, a.t_last_ns), "still" if a.level == "alarm" else "off")
             for a in period.episodes
@@ -198,7 +147,7 @@ def _damage(period: Period) -> str:
         marks += [axes.line(np.array(axes.x), np.full(2, y), kind) for y, kind in lines]
         seen = "; the modes say next to nothing of it" if j in r.unidentified else ""
         title = f"story {j}: stiffness lost, %{seen}"
-        out.append(_figure(title, _HEIGHT, axes.frame(title), *marks, *_draw(axes, e, 100.0)))
+        out.append(figure(title, HEIGHT, axes.frame(title), *marks, *draw(axes, e, 100.0)))
     return "".join(out) + f"<p class='muted'>{_thresholds(period.thresholds)}</p>"
 
 
@@ -208,11 +157,12 @@ def _thresholds(thresholds: Mapping[str, float]) -> str:
         return f"{shades} The run did not note its thresholds."
     return (
         f"{shades} Announced from {thresholds['significance']:g} standard deviations of the evidence and a loss of "
-        f"{100 * thresholds['min_loss']:g} % on; dashed red: a confirmed loss of {100 * thresholds['alarm_loss']:g} % is an alarm."
+        f"{100 * thresholds['min_loss']:g} % on; dashed red: a confirmed loss of "
+        f"{100 * thresholds['alarm_loss']:g} % is an alarm."
     )
 
 
-def _clipped(axes: Axes, from_ns: int, to_ns: int | None) -> tuple[float, float]:
+def _clipped(axes: TimeAxes, from_ns: int, to_ns: int | None) -> tuple[float, float]:
     start, stop = axes.x
     return max(start, from_ns * 1e-9), min(stop, stop if to_ns is None else to_ns * 1e-9)
 
@@ -229,7 +179,7 @@ def _alarms(period: Period) -> str:
         ended = "lasts" if e.t_last_ns is None else utc(e.t_last_ns)
         said = notes.verdict(e, period.findings) or "not diagnosed"
         rows.append((e.level, story_name(e.story), utc(e.t_first_ns), ended, _percent(e.ddi, e.ddi_std), said, done))
-    head = ["level", "where", "from, UTC", "to, UTC", "#stiffness lost", "diagnosis", "acknowledged"]
+    head = ["level", "where", "@from, UTC", "@to, UTC", "#stiffness lost", "diagnosis", "acknowledged"]
     return "<h2>Alarms</h2>" + table(head, rows) + _more(len(period.episodes))
 
 
@@ -242,8 +192,10 @@ def _modes(period: Period) -> str:
     curves = period.results.common_modes()
     if not curves:
         return ""
-    panels = [_panel(period, c, f"mode {i}: frequency, Hz") for i, c in enumerate(curves, 1)]
-    return "<h2>Modes</h2>" + "".join(panels) + _panel(period, period.results.temperature, "temperature, degC")
+    panels = [panel(period.results.grid, c, f"mode {i}: frequency, Hz") for i, c in enumerate(curves, 1)]
+    return (
+        "<h2>Modes</h2>" + "".join(panels) + panel(period.results.grid, period.results.temperature, "temperature, degC")
+    )
 
 
 def _trust(period: Period) -> str:
@@ -256,7 +208,7 @@ def _trust(period: Period) -> str:
     out = ["<h2>Can it be trusted</h2>", _strip(period)]
     out.append(table(["windows that say nothing, and why", "#windows"], rows) if rows else "")
     title = "goodness of fit: squared misfit over its expectation (1: stiffness explains the change)"
-    out.append(_panel(period, r.misfit, title))
+    out.append(panel(period.results.grid, r.misfit, title))
     if q is None:
         return "".join([*out, "<p class='muted'>No record of the sensors' quality in this period.</p>"])
     out.append(f"<h2>Sensors</h2><p class='muted'>From {escape(q.says)}.</p>")
@@ -282,7 +234,7 @@ def _known(value: float | None) -> str:
 def _strip(period: Period) -> str:
     """Where windows were judged, where nothing could be said, and where there is nothing."""
     r = period.results
-    axes = _axes(period, 0.0, 1.0, 26.0)
+    axes = time_axes(period.results.grid, 0.0, 1.0, 26.0)
     width = (axes.x[1] - axes.x[0]) / r.grid.n
     kinds = ["good" if j and not s else "off" if s else "" for j, s in zip(r.judged, r.refused, strict=True)]
     marks, start = [], 0
@@ -293,7 +245,7 @@ def _strip(period: Period) -> str:
             marks.append(axes.shade(span, kind))
         start = stop
     title = "windows: green judged, orange skipped in part or whole, blank none"
-    return _figure(title, 26.0, axes.frame(title), *marks)
+    return figure(title, 26.0, axes.frame(title), *marks)
 
 
 def _findings(period: Period) -> str:
@@ -305,9 +257,9 @@ def _findings(period: Period) -> str:
              f.get("says") or f.get("error") or "")
             for f in period.findings[:_SHOWN]
         ]  # fmt: skip
-        out.append("<h2>Findings</h2>" + table(["no.", "data until, UTC", "asked because", "verdict", "says"], rows))
+        out.append("<h2>Findings</h2>" + table(["no.", "@data until, UTC", "asked because", "verdict", "says"], rows))
         out.append(_more(len(period.findings)))
     if period.decisions:
-        rows = [(utc(d.t_ns), d.who, d.what) for d in period.decisions[:_SHOWN]]
-        out.append("<h2>Ledger</h2>" + table(["when, UTC", "who", "what"], rows) + _more(len(period.decisions)))
+        lines = [(utc(d.t_ns), d.who, d.what) for d in period.decisions[:_SHOWN]]
+        out.append("<h2>Ledger</h2>" + table(["@when, UTC", "who", "what"], lines) + _more(len(period.decisions)))
     return "".join(out)

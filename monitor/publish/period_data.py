@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from monitor.errors import BadInputError, MissingInputError
 from monitor.results import WHOLE, Array, Level
@@ -32,7 +33,7 @@ class Envelope:
 
     t_ns: Array
     """Shape (n,): middles of the bins, UTC."""
-    index: Array
+    index: NDArray[np.intp]
     """Shape (n,): numbers of the bins."""
     low: Array
     """Shape (n,): least value less its half-interval."""
@@ -81,8 +82,9 @@ class Curve:
         count = np.array(self._count)
         use = np.flatnonzero(count)
         width = (self._grid.to_ns - self._grid.from_ns) / self._grid.n
-        low, total, high = (np.array(v, dtype=float)[use] for v in (self._low, self._total, self._high))
-        return Envelope(self._grid.from_ns + (use + 0.5) * width, use, low, total / count[use], high)
+        low, total, high = (np.array(v, dtype=np.float64)[use] for v in (self._low, self._total, self._high))
+        middles = np.asarray(self._grid.from_ns + (use + 0.5) * width)
+        return Envelope(middles, use, low, total / count[use], high)
 
 
 @dataclass(slots=True)
@@ -254,4 +256,4 @@ def _extent(path: Path) -> tuple[int, int, float]:
 
 def utc(t_ns: float) -> str:
     """A time to the second, ISO 8601 without its zone."""
-    return str(np.datetime64(round(t_ns * 1e-9), "s"))
+    return str(np.datetime64(round(t_ns * 1e-9), "s")).replace("T", " ")

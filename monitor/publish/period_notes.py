@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from monitor.publish.period_data import Episode
+from monitor.publish.period_data import Episode, utc
 from monitor.results import WHOLE
 
 _REQUEST = re.compile(r"(acknowledge|reset|shelve|unshelve) alarm of story (\d+): ?(.*)", re.DOTALL)
@@ -124,7 +124,7 @@ class Health:
             )
             for name, s in self._sums.items()
         )
-        ends = [np.datetime64(round(t * 1e-9), "s") for t in (min(self._ends), max(self._ends))]
+        ends = [utc(t) for t in (min(self._ends), max(self._ends))]
         says = f"health.jsonl, {len(self._ends)} spans that end from {ends[0]} to {ends[1]} UTC"
         share = self._seconds / max(self._seconds + self._lost_s, 1e-9)
         clocks = tuple((node, *c) for node, c in self._clocks.items())
