@@ -18,21 +18,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-_FLAGS = [
-    "--headless=new",
-    "--no-sandbox",
-    "--disable-quic",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-sync",
-    "--disable-component-update",
-    "--disable-default-apps",
-    "--hide-scrollbars",
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-    "--ignore-gpu-blocklist",
-    "--remote-debugging-pipe",
-]
+_FLAGS = """--headless=new --no-sandbox --disable-quic --no-first-run --disable-background-networking --disable-sync
+--disable-component-update --disable-default-apps --hide-scrollbars --use-angle=swiftshader
+--enable-unsafe-swiftshader --ignore-gpu-blocklist --remote-debugging-pipe""".split()  # noqa: SIM905
 
 
 class Page:
