@@ -9,7 +9,8 @@ import numpy as np
 
 from monitor.diagnose import Diagnosis
 from monitor.effects import Effect
-from monitor.likelihood import Fit, Problem, fit
+from monitor.fitting import Fit, fit
+from monitor.likelihood import Problem
 from monitor.motion import conditions
 from monitor.results import Array
 

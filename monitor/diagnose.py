@@ -11,7 +11,8 @@ from monitor.corrected import Corrected
 from monitor.diagnosis_settings import DiagnosisSettings
 from monitor.effects import Context, Effect
 from monitor.evidence import Evidence
-from monitor.likelihood import Fit, Problem, fit
+from monitor.fitting import Fit, fit
+from monitor.likelihood import Problem
 from monitor.misfit import Misfit, misfits
 from monitor.motion import conditions
 from monitor.polish import FINE, Polished, finish, form_doubt, polish, settle, skewness

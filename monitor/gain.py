@@ -18,7 +18,8 @@ from monitor.config import Configuration
 from monitor.diagnose import Diagnosis
 from monitor.effects import Condition, Context, Effect
 from monitor.evidence import Evidence, Segments, classify
-from monitor.likelihood import Fit, Problem, fit
+from monitor.fitting import Fit, fit
+from monitor.likelihood import Problem
 from monitor.model import Model
 from monitor.motion import conditions
 from monitor.reference import Reference, nominal
@@ -32,7 +33,10 @@ _BLOCK_SEGMENTS = 3.0
 _FOLDS = 4
 _ORDINAL = {2: "second", 4: "fourth"}
 _BOOTSTRAPS = 4000
-_LEVEL_STD = 5.0
+_FORCE_STD, _LEVEL_STD = 1.0, 5.0
+"""Prior of the logarithms of the floors' forces about one level, of the classes' levels and of the noise."""
+_NUDGE = 1e-5
+"""Finite difference of those."""
 _FORCED = 1e-3
 """With the ground measured: power that forces cause, as a share of what is seen, where the model is all wrong."""
 
@@ -175,31 +179,30 @@ def _first_guess(problem: Problem) -> Array:
 
 
 def _fit_levels(problem: Problem, x: Array, iterations: int = 40) -> Array:
-    """Most probable levels of the classes and noise, the rest of `x` kept: Fisher scoring with Levenberg-Marquardt steps."""
-    k, damping = problem.n_classes, 1e-3
-    first = x[-k - 1 :].copy()
-    data = problem.predict(x, ()).data  # levels move no mean
+    """Most probable forces, levels of the classes and noise, the rest of `x` kept: Fisher scoring, Levenberg-Marquardt steps.
+
+    How strongly each floor is shaken belongs to the recording as its level does; were it held equal, a wrong structure that
+    makes up for it would score best.
+    """
+    p, n, k, damping = problem.reference.mean.size, problem.context.structure.n_dofs, problem.n_classes, 1e-3
+    first, data = x[p:].copy(), problem.predict(x, ()).data  # levels move no mean
+    precision = np.r_[np.full(n, _FORCE_STD), np.full(k + 1, _LEVEL_STD)] ** -2.0
 
     def moved(by: Array) -> tuple[Array, ComplexArray, float]:
-        at = x.copy()
-        at[-k - 1 :] += by
+        at = np.r_[x[:p], x[p:] + by]
         spectra = problem.scatter(at, ())
-        prior = -0.5 * float(((at[-k - 1 :] - first) ** 2).sum()) / _LEVEL_STD**2
-        return at, spectra, problem.log_likelihood(spectra, data) + prior
+        return at, spectra, problem.log_likelihood(spectra, data) - 0.5 * float(precision @ (at[p:] - first) ** 2)
 
-    x, spectra, value = moved(np.zeros(k + 1))
+    x, spectra, value = moved(np.zeros(first.size))
     for _ in range(iterations):
-        h = 1e-5
-        slopes = (
-            np.stack([moved(np.r_[np.full(k, h), 0.0])[1] - spectra, moved(np.r_[np.zeros(k), h])[1] - spectra]) / h
-        )
+        slopes = np.zeros((first.size, *spectra.shape), dtype=complex)
+        for i in (*range(n), first.size - 1):
+            slopes[i] = (moved(_NUDGE * np.eye(first.size)[i])[1] - spectra) / _NUDGE
+        every = (moved(_NUDGE * np.r_[np.zeros(n), np.ones(k), 0.0])[1] - spectra) / _NUDGE
+        slopes[n + np.arange(k), np.arange(k)] = every  # a class's level moves its spectra alone
         rows, residual = problem.whitened(spectra, slopes, data)
-        rows, residual = rows.reshape(k, -1, 2), residual.reshape(k, -1)
-        normal = np.diag(np.r_[(rows[:, :, 0] ** 2).sum(axis=1), (rows[:, :, 1] ** 2).sum()])
-        normal[:k, k] = normal[k, :k] = (rows[:, :, 0] * rows[:, :, 1]).sum(axis=1)
-        normal += np.eye(k + 1) / _LEVEL_STD**2
-        gradient = np.r_[(rows[:, :, 0] * residual).sum(axis=1), (rows[:, :, 1] * residual).sum()]
-        gradient -= (x[-k - 1 :] - first) / _LEVEL_STD**2
+        normal = rows.T @ rows + np.diag(precision)
+        gradient = rows.T @ residual - precision * (x[p:] - first)
         for _ in range(8):
             step = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), gradient)
             there, its_spectra, its_value = moved(np.clip(step, -2.0, 2.0))

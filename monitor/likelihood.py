@@ -12,218 +12,29 @@ P. Whittle, Arkiv foer Matematik 2 (1953) 423-434; A. M. Sykulski et al., The de
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.linalg import block_diag
 
 from monitor import driven
-from monitor.effects import Condition, Context, Effect
-from monitor.evidence import Evidence
-from monitor.model import Model
-from monitor.prediction import Excitation, assemble, cross_spectra
-from monitor.reference import Reference
+from monitor.effects import Effect
+from monitor.forward import Forward, Prediction, diagonal_of
 from monitor.results import Array, ComplexArray
 from monitor.wishart import log_wishart, whiten
 
 _FORCE_STD, _LEVEL_STD, _NOISE_STD = 1.0, 5.0, 3.0
 """Prior of the logarithm of the floors' forces about their mean, of the classes' levels, of the common noise."""
+_NUDGE = 1e-5
+"""Finite difference of a nuisance, most of which are logarithms."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Fit:
-    """A model fitted to evidence."""
+class Problem(Forward):
+    """Evidence, what is known before it, and where effects act: how likely parameters are."""
 
-    x: Array
-    """Structural nuisances, excitation, then the extra effects' coordinates."""
-    effects: tuple[Effect, ...]
-    """The extra effects."""
-    log_likelihood: float
-    """Tempered for correlated bins and segments, nats; without the prior."""
-    log_prior: float
-    covariance: Array
-    """Of x."""
-    converged: bool
-    jacobian: Array
-    """Whitened slopes, each row weighed by the root of its information, shape (rows, p): classes * bins * c * c rows of
-    the spectra, then those of the segments' means where the ground was measured."""
-    residual: Array
-    """Whitened and weighed residual of the spectra's rows."""
-    mean_residual: Array
-    """That of the means' rows."""
-
-    @property
-    def log_posterior(self) -> float:
-        """Of the fit, up to a constant."""
-        return self.log_likelihood + self.log_prior
-
-    @property
-    def n_effect(self) -> int:
-        """Coordinates of the extra effects."""
-        return sum(len(e.parameters) for e in self.effects)
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class Prediction:
-    """What parameters say of the segments, beside what was measured.
-
-    Without a measured ground all is chance.  With one, the segments' means are its response, `spectra` are those of what
-    is left, and so are `data`, which therefore depend on the parameters.
-    """
-
-    spectra: ComplexArray
-    """Shape (classes, bins, c, c)."""
-    data: ComplexArray
-    left: ComplexArray | None = None
-    """Segments less their means, shape (n_segments, n_bins, c)."""
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class Problem:
-    """Evidence, what is known before it, and where effects act."""
-
-    evidence: Evidence
-    reference: Reference
-    context: Context
-    conditions: tuple[Condition, ...]
-    """One a class."""
-    offset: ComplexArray | None = None
-    """What simulation adds to the spectra of a linearized law, shape (classes, n_bins, c, c)."""
-    shift: ComplexArray | None = None
-    """What simulation adds to its response to a measured ground, shape (n_segments, n_bins, c)."""
     pins: Mapping[tuple[str, str], tuple[Array, Array]] = field(default_factory=dict)
     """Mean and precision of the coordinates of effects, by name and place, whose offset was simulated at that mean."""
-    smoothing: Array | None = None
-    """Averages bins into coarse ones, shape (n_coarse, n_bins), for a start from far away."""
-
-    @property
-    def n_classes(self) -> int:
-        """Classes of level and temperature."""
-        return int(self.evidence.counts.size)
-
-    @property
-    def n_nuisance(self) -> int:
-        """Length of the vector before the extra effects' coordinates."""
-        return int(self.reference.mean.size) + self.context.structure.n_dofs + self.n_classes + 1
-
-    def widths(self) -> Array:
-        """Bins in each (coarse) bin."""
-        n = self.evidence.band.n_bins
-        return np.ones(n) if self.smoothing is None else 1.0 / (self.smoothing**2).sum(axis=1)
-
-    def data(self) -> ComplexArray:
-        """Measured cross-spectra, (classes, bins, c, c)."""
-        return self.smooth(self.evidence.spectra)
-
-    def smooth(self, spectra: ComplexArray) -> ComplexArray:
-        """Average bins, the third axis from the end."""
-        if self.smoothing is None:
-            return spectra
-        return np.asarray(np.moveaxis(np.tensordot(self.smoothing, spectra, axes=(1, -3)), 0, -3))
-
-    # --- prediction -----------------------------------------------------------------------------------------
-
-    def predict(self, x: Array, effects: Sequence[Effect]) -> Prediction:
-        """The segments' (smoothed) spectra about their means."""
-        spectra, mean = self.smooth(self.scatter(x, effects)), self.mean(x, effects)
-        if mean is None:
-            return Prediction(spectra, self.data())
-        left = self.evidence.segments.values - mean
-        return Prediction(spectra, self.smooth(driven.products(left, self.evidence.members)), left)
-
-    def mean(self, x: Array, effects: Sequence[Effect]) -> ComplexArray | None:
-        """The response of the segments to a measured ground, shape (n_segments, n_bins, c); None without one."""
-        e = self.evidence
-        if e.drive is None:
-            return None
-        effects = (*self.reference.effects(x), *effects)
-        matrices, context = self.matrices(x, effects), self.context_at(x)
-        out = np.zeros_like(e.segments.values)
-        if not any(effect.conditional for effect in effects):
-            system = assemble(*matrices, effects, context, self.conditions[0])
-            out[:] = driven.response(e.drive, system, effects, e.band, context, self.conditions[0])
-        else:
-            for members, condition in zip(e.members, self.conditions, strict=True):
-                system = assemble(*matrices, effects, context, condition)
-                out[members] = driven.response(e.drive.part(members), system, effects, e.band, context, condition)
-        return out if self.shift is None else out + self.shift
-
-    def spectra(self, x: Array, effects: Sequence[Effect]) -> ComplexArray:
-        """Predicted cross-spectra of the classes, shape (classes, n_bins, c, c)."""
-        mean = self.mean(x, effects)
-        scatter = self.scatter(x, effects)
-        return scatter if mean is None else scatter + driven.products(mean, self.evidence.members)
-
-    def scatter(self, x: Array, effects: Sequence[Effect], *, classes: Sequence[int] | None = None) -> ComplexArray:
-        """Predicted cross-spectra of the segments about their means, shape (classes, n_bins, c, c).
-
-        Where the ground was measured, a class's level scales the forces and the model's own error, a share of the measured
-        power that is independent between channels; the ground's sensor is as noisy as the others.
-        """
-        effects = (*self.reference.effects(x), *effects)
-        mass, stiffness, damping = self.matrices(x, effects)
-        context = self.context_at(x)
-        p = self.reference.mean.size
-        n = mass.shape[0]
-        force, level, noise = np.exp(x[p : p + n]), np.exp(x[p + n : p + n + self.n_classes]), self.noise(x)
-        wanted = range(self.n_classes) if classes is None else classes
-        ground = self.evidence.power
-        varied = ground is not None or any(e.conditional or e.lines() for e in effects)
-        out = []
-        shared: ComplexArray | None = None
-        for k in wanted:
-            if varied or shared is None:
-                system = assemble(mass, stiffness, damping, effects, context, self.conditions[k])
-                e = Excitation(
-                    force * (level[k] if varied else 1.0),
-                    noise * (1.0 if varied else 0.0),
-                    0.0 if ground is None else float(noise.mean()),
-                )
-                shared = cross_spectra(system, effects, e, self.evidence.band, context, self.conditions[k])
-            if varied:
-                out.append(shared if ground is None else shared + level[k] * _diagonal(ground))
-            else:
-                out.append(self._scaled(shared, level[k], noise, effects))
-        stacked = np.stack(out)
-        return stacked if self.offset is None else stacked + self.offset[list(wanted)]
-
-    def _scaled(self, unit: ComplexArray, level: float, noise: Array, effects: Sequence[Effect]) -> ComplexArray:
-        """Another class's spectra where only the level differs: everything but the noise scales."""
-        extra = sum((e.noise_variance(self.context, self.conditions[0]) for e in effects), np.zeros(noise.size))
-        extra = np.asarray(extra) / self.context.rate_hz
-        diagonal = np.arange(noise.size)
-        gain = self.evidence.band.gain[:, None]
-        out = unit.copy()
-        out[:, diagonal, diagonal] -= extra * gain
-        out *= level
-        out[:, diagonal, diagonal] += (noise + extra) * gain
-        return out
-
-    def matrices(self, x: Array, effects: Sequence[Effect]) -> tuple[Array, Array, Array]:
-        """Mass, stiffness and modal damping ratios at a vector of nuisances."""
-        return (*self.model(x, effects).structural_matrices(), np.exp(self.reference.parts(x)[2]))
-
-    def context_at(self, x: Array) -> Context:
-        """Where effects act, with the structure at a vector of nuisances: relative sizes refer to it."""
-        return replace(self.context, structure=self.model(x, ()).structure)
-
-    def model(self, x: Array, effects: Sequence[Effect]) -> Model:
-        """The model at a vector of nuisances; `effects` are all of its effects."""
-        ln_k, ln_m, ln_damping, _, correction, _ = self.reference.parts(x)
-        base = self.reference.model
-        # The scale of all masses and stiffnesses cannot be seen; the correction shares it.
-        scale = np.exp((ln_m - self.reference.parts(self.reference.mean)[1]).mean())
-        change = scale * np.tensordot(correction, self.reference.basis, axes=1) if correction.size else None
-        if base.correction is not None:
-            change = base.correction if change is None else base.correction + change
-        model = base.with_stiffness(np.exp(ln_k)).with_masses(np.exp(ln_m))
-        return replace(model, effects=tuple(effects), correction=change, modal_damping=np.exp(ln_damping))
-
-    def noise(self, x: Array) -> Array:
-        """Noise density of every channel."""
-        return np.asarray(np.exp(x[self.n_nuisance - 1] + self.reference.parts(x)[3]))
-
-    # --- score ----------------------------------------------------------------------------------------------
 
     def prior(self, x: Array, effects: Sequence[Effect]) -> tuple[Array, Array]:
         """Mean and precision of the nuisances, given the forces' mean level, and of the effects' coordinates."""
@@ -292,8 +103,9 @@ class Problem:
         noise_slope = np.zeros((c, *spectra.shape[1:]), dtype=complex)
         noise_slope[diagonal, :, diagonal, diagonal] = noise[:, None]
         out = np.empty((x.size, *spectra.shape), dtype=complex)
+        out[self.n_nuisance :] = self.effect_slopes(x, effects, spectra)
         first_noise = sum(self.reference.sizes[:3])
-        for i in range(x.size):
+        for i in range(self.n_nuisance):
             if first_noise <= i < first_noise + c:
                 out[i] = noise_slope[i - first_noise]
             elif p + n <= i < p + n + self.n_classes:
@@ -301,18 +113,22 @@ class Problem:
                 out[i] = 0.0
                 out[i, k] = out[p : p + n, k].sum(axis=0)  # all forces at once, but neither lines nor noise
                 if self.evidence.power is not None:
-                    out[i, k] += self.smooth(level[k] * _diagonal(self.evidence.power))
+                    out[i, k] += self.smooth(level[k] * diagonal_of(self.evidence.power))
             elif i == self.n_nuisance - 1:
                 out[i] = noise_slope.sum(axis=0)
             else:
-                h = _step(x, i, self.n_nuisance, effects)
                 moved = x.copy()
-                moved[i] += h
-                if i < self.n_nuisance:
-                    change = self.smooth(self.scatter(moved, effects, classes=[middle]))[0] - spectra[middle]
-                    out[i] = change / h * scale
-                else:
-                    out[i] = (self.smooth(self.scatter(moved, placed(effects, moved[self.n_nuisance :]))) - spectra) / h
+                moved[i] += _NUDGE
+                change = self.smooth(self.scatter(moved, effects, classes=[middle]))[0] - spectra[middle]
+                out[i] = change / _NUDGE * scale
+        return out
+
+    def effect_slopes(self, x: Array, effects: tuple[Effect, ...], spectra: ComplexArray) -> ComplexArray:
+        """As `slopes`, by the extra effects' coordinates alone."""
+        out = np.empty((x.size - self.n_nuisance, *spectra.shape), dtype=complex)
+        for j in range(len(out)):
+            h, moved = self._nudged(x, self.n_nuisance + j, effects)
+            out[j] = (self.smooth(self.scatter(moved, placed(effects, moved[self.n_nuisance :]))) - spectra) / h
         return out
 
     def mean_slopes(self, x: Array, effects: tuple[Effect, ...], wanted: Iterable[int]) -> ComplexArray:
@@ -324,9 +140,7 @@ class Problem:
         still = {*range(k + m + d, k + m + d + noise), *range(p, self.n_nuisance)}  # noise and forces move no mean
         out = []
         for i in wanted:
-            moved = x.copy()
-            h = _step(x, i, self.n_nuisance, effects)
-            moved[i] += h
+            h, moved = self._nudged(x, i, effects)
             there = None if i in still else self.mean(moved, placed(effects, moved[self.n_nuisance :]))
             out.append(np.zeros_like(mean) if there is None else (there - mean) / h)
         return np.array(out, dtype=complex).reshape(-1, *mean.shape)
@@ -344,7 +158,7 @@ class Problem:
         self, x: Array, effects: tuple[Effect, ...], here: Prediction, first: int = 0
     ) -> tuple[Array, Array, Array]:
         """Whitened slopes by the coordinates from `first` on, and the residuals of the spectra's and of the means' rows."""
-        slopes = _effect_slopes(self, x, effects, here.spectra) if first else self.slopes(x, effects, here.spectra)
+        slopes = (self.effect_slopes if first else self.slopes)(x, effects, here.spectra)
         rows, residual = self.whitened(here.spectra, slopes, here.data)
         moving = () if here.left is None else range(first, x.size)
         mean_slopes = (
@@ -363,18 +177,13 @@ class Problem:
         rows = whiten(spectra, stacked, root)
         return rows[:, :-1], rows[:, -1]
 
-
-def _step(x: Array, i: int, n_nuisance: int, effects: Sequence[Effect]) -> float:
-    """Finite difference for coordinate i."""
-    if i < n_nuisance:
-        return 1e-5
-    least = [p.least for e in effects for p in e.parameters]
-    return float(1e-4 * max(abs(x[i]), least[i - n_nuisance]))
-
-
-def _diagonal(power: Array) -> Array:
-    """Diagonal matrices, shape (n_bins, c, c)."""
-    return power[:, :, None] * np.eye(power.shape[1])
+    def _nudged(self, x: Array, i: int, effects: Sequence[Effect]) -> tuple[float, Array]:
+        """Finite difference for coordinate i, and x moved by it."""
+        j, least = i - self.n_nuisance, [p.least for e in effects for p in e.parameters]
+        h = _NUDGE if j < 0 else 1e-4 * max(abs(x[i]), least[j])
+        moved = x.copy()
+        moved[i] += h
+        return h, moved
 
 
 def placed(effects: Sequence[Effect], coordinates: Array) -> tuple[Effect, ...]:
@@ -384,97 +193,3 @@ def placed(effects: Sequence[Effect], coordinates: Array) -> tuple[Effect, ...]:
         out.append(e.at(coordinates[: len(e.parameters)]))
         coordinates = coordinates[len(e.parameters) :]
     return tuple(out)
-
-
-def fit(
-    problem: Problem,
-    x: Array,
-    effects: tuple[Effect, ...] = (),
-    *,
-    iterations: int = 12,
-    tolerance: float = 0.02,
-    frozen: Array | None = None,
-) -> Fit:
-    """Most probable parameters near `x` by Fisher scoring with Levenberg-Marquardt steps.
-
-    Parameters
-    ----------
-    x : ndarray
-        Nuisances; the effects' coordinates are taken from `effects`.
-    tolerance : float
-        Converged when a step promises less gain than this, nats.
-    frozen : ndarray, optional
-        Whitened slopes of the nuisances, shape (rows, n_nuisance), taken as they are: quicker, for a ranking.
-    """
-    x = np.concatenate([x[: problem.n_nuisance], *[e.coordinates for e in effects]])
-    here = problem.predict(x, effects)
-    ll, lp = problem.log_likelihood(here.spectra, here.data), problem.score(x, effects)[1]
-    damping, converged = 1e-3, False
-    rows, residual, mean_residual, normal = np.zeros((0, x.size)), np.zeros(0), np.zeros(0), np.eye(x.size)
-    for _ in range(iterations):
-        rows, residual, mean_residual = problem.jacobian(
-            x, effects, here, first=0 if frozen is None else problem.n_nuisance
-        )
-        if frozen is not None:
-            rows = np.concatenate([frozen, rows], axis=1)
-        mean, precision = problem.prior(x, effects)
-        normal = rows.T @ rows + precision
-        gradient = rows.T @ np.concatenate([residual, mean_residual]) - precision @ (x - mean)
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
-        accepted = False
-        for _ in range(6):
-            step = scale * np.linalg.solve(
-                normal * scale[:, None] * scale + (damping + 1e-12) * np.eye(x.size), scale * gradient
-            )
-            moved = _limited(problem, x, step, effects)
-            there = placed(effects, moved[problem.n_nuisance :])
-            moved = np.concatenate([moved[: problem.n_nuisance], *[e.coordinates for e in there]])
-            candidate = problem.predict(moved, there)
-            new_ll = problem.log_likelihood(candidate.spectra, candidate.data)
-            m, q = problem.prior(moved, there)
-            new_lp = -0.5 * float((moved - m) @ q @ (moved - m))
-            if new_ll + new_lp > ll + lp - 1e-9:
-                accepted = True
-                break
-            damping = max(10.0 * damping, 1e-2)
-        if not accepted:
-            converged = float(gradient @ step) < 10.0 * tolerance
-            break
-        gain = new_ll + new_lp - ll - lp
-        x, effects, here, ll, lp = moved, there, candidate, new_ll, new_lp
-        damping *= 0.1
-        if gain < tolerance:
-            converged = True
-            break
-    covariance = inverse(normal)
-    return Fit(x, effects, ll, lp, covariance, converged, rows, residual, mean_residual)
-
-
-def _effect_slopes(problem: Problem, x: Array, effects: tuple[Effect, ...], spectra: ComplexArray) -> ComplexArray:
-    out = []
-    for i in range(problem.n_nuisance, x.size):
-        h = _step(x, i, problem.n_nuisance, effects)
-        moved = x.copy()
-        moved[i] += h
-        out.append((problem.smooth(problem.scatter(moved, placed(effects, moved[problem.n_nuisance :]))) - spectra) / h)
-    return np.array(out).reshape(-1, *spectra.shape)
-
-
-def _limited(problem: Problem, x: Array, step: Array, effects: Sequence[Effect]) -> Array:
-    """A step bounded so that a bad start cannot run away."""
-    bound = np.full(x.size, np.inf)
-    k, m, d, c, _ = problem.reference.sizes
-    p = problem.reference.mean.size
-    bound[: k + m] = 0.1
-    bound[k + m : k + m + d + c] = 1.0
-    bound[k + m + d + c : p] = 0.1
-    bound[p : problem.n_nuisance] = 2.0
-    logarithms = [p.scale == "log" for e in effects for p in e.parameters]
-    bound[problem.n_nuisance :] = np.where(logarithms, 0.5, np.inf)
-    return np.asarray(x + np.clip(step, -bound, bound))
-
-
-def inverse(normal: Array) -> Array:
-    """Inverse of a normal matrix whose parameters have different units; directions without information get none."""
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
-    return np.asarray(scale[:, None] * np.linalg.pinv(normal * scale[:, None] * scale, hermitian=True) * scale)

@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from monitor.diagnosis_settings import DiagnosisSettings
-from monitor.likelihood import Fit, Problem
+from monitor.fitting import Fit
+from monitor.likelihood import Problem
 from monitor.results import Array
 
 

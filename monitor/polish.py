@@ -14,7 +14,8 @@ import numpy as np
 from monitor.corrected import Corrected, corrected
 from monitor.effects import Effect
 from monitor.exact import exact, forces, offset
-from monitor.likelihood import Fit, Problem, fit, placed
+from monitor.fitting import Fit, fit
+from monitor.likelihood import Problem, placed
 from monitor.motion import conditions
 from monitor.results import Array, ComplexArray
 from monitor.search import Candidate, evidence_of
@@ -70,9 +71,7 @@ def polish(problem: Problem, null: Fit, candidate: Candidate, rounds: Rounds = R
     made = settle(problem, candidate.fit, rounds)
     drift_skewness = skewness(made.transforms, problem)[0]
     better = evidence_of(made.problem, null, made.fit)
-    if (
-        better.gain < candidate.gain
-    ):  # a law so strong that its simulation does not settle; the linearized one is closer
+    if better.gain < candidate.gain <= better.gain + made.lost:  # the simulations' chance decides nothing
         return Polished(candidate, problem, drift_skewness)
     better = replace(better, gain=better.gain + made.lost, evidence=better.evidence + made.lost)
     return Polished(better, made.problem, drift_skewness)

@@ -9,7 +9,9 @@ import numpy as np
 
 from monitor.effects import EFFECTS, Condition, Context, Effect, locations
 from monitor.evidence import Evidence
-from monitor.likelihood import Fit, Prediction, Problem, fit, inverse
+from monitor.fitting import Fit, fit, inverse
+from monitor.forward import Prediction
+from monitor.likelihood import Problem
 from monitor.motion import conditions
 from monitor.reference import Reference
 from monitor.results import Array

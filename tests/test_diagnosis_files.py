@@ -15,8 +15,8 @@ from monitor.diagnosis_files import content, effects_text, model_from_plain, mod
 from monitor.effects import parse_effect
 from monitor.errors import BadConfigurationError
 from monitor.evidence import Segments, classify
+from monitor.fitting import fit
 from monitor.gain import Gain, fitted_model, score
-from monitor.likelihood import fit
 from monitor.model import Model
 from monitor.reference import nominal
 from monitor.reference_file import from_plain, to_plain

@@ -12,8 +12,8 @@ from monitor.config import Configuration
 from monitor.diagnose import Diagnosis
 from monitor.effects import Context, Effect, parse_effect
 from monitor.evidence import Segments, classify, gather
+from monitor.fitting import fit
 from monitor.gain import demand_gain, fitted_model, heldout_gain, score
-from monitor.likelihood import fit
 from monitor.model import Model
 from monitor.record import blocks_of
 from monitor.reference import nominal

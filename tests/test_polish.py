@@ -13,7 +13,8 @@ from monitor.corrected import corrected
 from monitor.effects import Context, Effect, parse_effect
 from monitor.evidence import classify, gather
 from monitor.exact import exact, forces, offset
-from monitor.likelihood import Fit, Problem, fit
+from monitor.fitting import Fit, fit
+from monitor.likelihood import Problem
 from monitor.model import Model
 from monitor.motion import conditions
 from monitor.polish import FINE, settle

@@ -9,7 +9,8 @@ import numpy as np
 from monitor.diagnose import Diagnosis
 from monitor.diagnosis_settings import DiagnosisSettings
 from monitor.evidence import Segments, class_temperature
-from monitor.likelihood import Problem, fit
+from monitor.fitting import fit
+from monitor.likelihood import Problem
 from monitor.misfit import residual_bands
 from monitor.results import Array, ComplexArray
 

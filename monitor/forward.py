@@ -1,0 +1,178 @@
+"""What parameters predict of a recording's segments: their spectra, and their response where the ground was measured."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from monitor import driven
+from monitor.effects import Condition, Context, Effect
+from monitor.evidence import Evidence
+from monitor.model import Model
+from monitor.prediction import Excitation, assemble, cross_spectra
+from monitor.reference import Reference
+from monitor.results import Array, ComplexArray
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Prediction:
+    """What parameters say of the segments, beside what was measured.
+
+    Without a measured ground all is chance.  With one, the segments' means are its response, `spectra` are those of what
+    is left, and so are `data`, which therefore depend on the parameters.
+    """
+
+    spectra: ComplexArray
+    """Shape (classes, bins, c, c)."""
+    data: ComplexArray
+    left: ComplexArray | None = None
+    """Segments less their means, shape (n_segments, n_bins, c)."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Forward:
+    """From nuisances and effects to what the segments should be."""
+
+    evidence: Evidence
+    reference: Reference
+    context: Context
+    conditions: tuple[Condition, ...]
+    """One a class."""
+    offset: ComplexArray | None = None
+    """What simulation adds to the spectra of a linearized law, shape (classes, n_bins, c, c)."""
+    shift: ComplexArray | None = None
+    """What simulation adds to its response to a measured ground, shape (n_segments, n_bins, c)."""
+    smoothing: Array | None = None
+    """Averages bins into coarse ones, shape (n_coarse, n_bins), for a start from far away."""
+
+    @property
+    def n_classes(self) -> int:
+        """Classes of level and temperature."""
+        return int(self.evidence.counts.size)
+
+    @property
+    def n_nuisance(self) -> int:
+        """Length of the vector before the extra effects' coordinates."""
+        return int(self.reference.mean.size) + self.context.structure.n_dofs + self.n_classes + 1
+
+    def widths(self) -> Array:
+        """Bins in each (coarse) bin."""
+        n = self.evidence.band.n_bins
+        return np.ones(n) if self.smoothing is None else 1.0 / (self.smoothing**2).sum(axis=1)
+
+    def data(self) -> ComplexArray:
+        """Measured cross-spectra, (classes, bins, c, c)."""
+        return self.smooth(self.evidence.spectra)
+
+    def smooth(self, spectra: ComplexArray) -> ComplexArray:
+        """Average bins, the third axis from the end."""
+        if self.smoothing is None:
+            return spectra
+        return np.asarray(np.moveaxis(np.tensordot(self.smoothing, spectra, axes=(1, -3)), 0, -3))
+
+    def predict(self, x: Array, effects: Sequence[Effect]) -> Prediction:
+        """The segments' (smoothed) spectra about their means."""
+        spectra, mean = self.smooth(self.scatter(x, effects)), self.mean(x, effects)
+        if mean is None:
+            return Prediction(spectra, self.data())
+        left = self.evidence.segments.values - mean
+        return Prediction(spectra, self.smooth(driven.products(left, self.evidence.members)), left)
+
+    def mean(self, x: Array, effects: Sequence[Effect]) -> ComplexArray | None:
+        """The response of the segments to a measured ground, shape (n_segments, n_bins, c); None without one."""
+        e = self.evidence
+        if e.drive is None:
+            return None
+        effects = (*self.reference.effects(x), *effects)
+        matrices, context = self.matrices(x, effects), self.context_at(x)
+        out = np.zeros_like(e.segments.values)
+        if not any(effect.conditional for effect in effects):
+            system = assemble(*matrices, effects, context, self.conditions[0])
+            out[:] = driven.response(e.drive, system, effects, e.band, context, self.conditions[0])
+        else:
+            for members, condition in zip(e.members, self.conditions, strict=True):
+                system = assemble(*matrices, effects, context, condition)
+                out[members] = driven.response(e.drive.part(members), system, effects, e.band, context, condition)
+        return out if self.shift is None else out + self.shift
+
+    def spectra(self, x: Array, effects: Sequence[Effect]) -> ComplexArray:
+        """Predicted cross-spectra of the classes, shape (classes, n_bins, c, c)."""
+        mean = self.mean(x, effects)
+        scatter = self.scatter(x, effects)
+        return scatter if mean is None else scatter + driven.products(mean, self.evidence.members)
+
+    def scatter(self, x: Array, effects: Sequence[Effect], *, classes: Sequence[int] | None = None) -> ComplexArray:
+        """Predicted cross-spectra of the segments about their means, shape (classes, n_bins, c, c).
+
+        Where the ground was measured, a class's level scales the forces and the model's own error, a share of the measured
+        power that is independent between channels; the ground's sensor is as noisy as the others.
+        """
+        effects = (*self.reference.effects(x), *effects)
+        mass, stiffness, damping = self.matrices(x, effects)
+        context = self.context_at(x)
+        p = self.reference.mean.size
+        n = mass.shape[0]
+        force, level, noise = np.exp(x[p : p + n]), np.exp(x[p + n : p + n + self.n_classes]), self.noise(x)
+        wanted = range(self.n_classes) if classes is None else classes
+        ground = self.evidence.power
+        varied = ground is not None or any(e.conditional or e.lines() for e in effects)
+        out = []
+        shared: ComplexArray | None = None
+        for k in wanted:
+            if varied or shared is None:
+                system = assemble(mass, stiffness, damping, effects, context, self.conditions[k])
+                e = Excitation(
+                    force * (level[k] if varied else 1.0),
+                    noise * (1.0 if varied else 0.0),
+                    0.0 if ground is None else float(noise.mean()),
+                )
+                shared = cross_spectra(system, effects, e, self.evidence.band, context, self.conditions[k])
+            if varied:
+                out.append(shared if ground is None else shared + level[k] * diagonal_of(ground))
+            else:
+                out.append(self._scaled(shared, level[k], noise, effects))
+        stacked = np.stack(out)
+        return stacked if self.offset is None else stacked + self.offset[list(wanted)]
+
+    def _scaled(self, unit: ComplexArray, level: float, noise: Array, effects: Sequence[Effect]) -> ComplexArray:
+        """Another class's spectra where only the level differs: everything but the noise scales."""
+        extra = sum((e.noise_variance(self.context, self.conditions[0]) for e in effects), np.zeros(noise.size))
+        extra = np.asarray(extra) / self.context.rate_hz
+        diagonal = np.arange(noise.size)
+        gain = self.evidence.band.gain[:, None]
+        out = unit.copy()
+        out[:, diagonal, diagonal] -= extra * gain
+        out *= level
+        out[:, diagonal, diagonal] += (noise + extra) * gain
+        return out
+
+    def matrices(self, x: Array, effects: Sequence[Effect]) -> tuple[Array, Array, Array]:
+        """Mass, stiffness and modal damping ratios at a vector of nuisances."""
+        return (*self.model(x, effects).structural_matrices(), np.exp(self.reference.parts(x)[2]))
+
+    def context_at(self, x: Array) -> Context:
+        """Where effects act, with the structure at a vector of nuisances: relative sizes refer to it."""
+        return replace(self.context, structure=self.model(x, ()).structure)
+
+    def model(self, x: Array, effects: Sequence[Effect]) -> Model:
+        """The model at a vector of nuisances; `effects` are all of its effects."""
+        ln_k, ln_m, ln_damping, _, correction, _ = self.reference.parts(x)
+        base = self.reference.model
+        # The scale of all masses and stiffnesses cannot be seen; the correction shares it.
+        scale = np.exp((ln_m - self.reference.parts(self.reference.mean)[1]).mean())
+        change = scale * np.tensordot(correction, self.reference.basis, axes=1) if correction.size else None
+        if base.correction is not None:
+            change = base.correction if change is None else base.correction + change
+        model = base.with_stiffness(np.exp(ln_k)).with_masses(np.exp(ln_m))
+        return replace(model, effects=tuple(effects), correction=change, modal_damping=np.exp(ln_damping))
+
+    def noise(self, x: Array) -> Array:
+        """Noise density of every channel."""
+        return np.asarray(np.exp(x[self.n_nuisance - 1] + self.reference.parts(x)[3]))
+
+
+def diagonal_of(power: Array) -> Array:
+    """Diagonal matrices, shape (n_bins, c, c)."""
+    return power[:, :, None] * np.eye(power.shape[1])
