@@ -15,6 +15,8 @@ from monitor.results import Array, ComplexArray
 
 _PILE = 20
 """Samples that share the largest magnitude only where something clips them."""
+_MOST_BINS = 1 << 16
+"""Frequencies at which the model's motion is summed."""
 _SLOW, _LEAST_MOTION = 0.4, 0.3
 """Share of the lowest frequency below which motion is not heard; least share of the model's variance that is left."""
 
@@ -41,6 +43,7 @@ def conditions(
         system = assemble(mass, stiffness, damping, everything, context, problem.conditions[k])
         lowest = np.sqrt(max(np.linalg.eigvalsh(np.linalg.solve(mass, stiffness)).min(), 1e-6)) / (2.0 * np.pi)
         step = min(0.25 * e.band.bin_hz, 0.25 * damping.min() * lowest)
+        step = max(step, e.band.hz[-1] / _MOST_BINS)  # a damping that the fit lets go to nothing
         hz = np.arange(max(0.2 * lowest, step), e.band.hz[-1] * 1.2, step)
         motion, _ = _moved(system, everything, hz, force * level[k], rows, order, context)
         variance = 2.0 * step * (np.abs(motion) ** 2).sum(axis=(0, 2))

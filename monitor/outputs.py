@@ -42,6 +42,9 @@ class Publisher:
     def health(self, health: Health) -> None:
         """The sensors in a span."""
 
+    def finding(self, finding: dict[str, Any]) -> None:
+        """A diagnosis is there."""
+
 
 class View(Publisher):
     """The Rerun view as a publisher."""
@@ -60,6 +63,14 @@ class View(Publisher):
     def window(self, result: WindowResult, line: str) -> None:
         """Draw it."""
         self.view.window(result)
+
+    def health(self, health: Health) -> None:
+        """Draw it."""
+        self.view.health(health)
+
+    def finding(self, finding: dict[str, Any]) -> None:
+        """Show what it says."""
+        self.view.finding(finding)
 
 
 class Session:
@@ -142,6 +153,7 @@ class Session:
             **summary,
             "findings": [{key: f[key] for key in keys} for f in findings],
             "quality": self._quality.content(),
+            "thresholds": self.config.alarm.model_dump(include={"significance", "min_loss", "alarm_loss"}),
         }
 
     def _publish(self, result: Result) -> None:
@@ -260,4 +272,7 @@ def scene(config: Configuration, baseline: Baseline | None) -> Scene:
         baseline_frequencies_hz=None if baseline is None else baseline.frequencies_hz,
         has_baseline=baseline is not None,
         alarm_loss=config.alarm.alarm_loss,
+        model=config.model() if baseline is None else baseline.model,
+        cutoff_hz=config.processing.cutoff_hz,
+        misfit_asks=config.watch.misfit,
     )

@@ -99,6 +99,8 @@ def replay(
         progress.demand(session.pipeline, session.windows, paths)
         factor = duration_s(progress.first, progress.last) / max(time.monotonic() - began, 1e-9)
         session.watcher.finish()
+        for finding in session.watcher.found:
+            view.finding(finding)
         content = session.content(factor)
         written.close(content, session.watcher.found)
         view.close(timeout_s=120.0)

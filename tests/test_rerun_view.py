@@ -7,15 +7,22 @@ import socket
 import threading
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from rerun.chunk import RrdReader
+from scipy.signal import welch
 
+from drivers.base import ClockHealth
+from monitor.health import ChannelHealth, Health
+from monitor.model import Model
 from monitor.publish import rerun_picture, rerun_scene
 from monitor.publish.rerun_queue import Output
 from monitor.publish.rerun_scene import Scene, severity
+from monitor.publish.rerun_spectra import predicted
+from monitor.publish.rerun_tiers import TIER, WHOLE_NS, Thinning
 from monitor.publish.rerun_view import RerunPublisher
 from monitor.results import (
     Alarm,
@@ -28,6 +35,8 @@ from monitor.results import (
     StiffnessEstimate,
     WindowResult,
 )
+from monitor.simulate import simulate
+from monitor.structures import ShearFrame
 
 T0 = 1_772_359_200_000_000_000
 SCENE = Scene(
@@ -60,7 +69,7 @@ def window(k: int, level: Level = Level.NORMAL, skipped: str | None = None) -> W
         order=20,
         poles=np.array([[10, 5.0, 0.01, 1], [20, 5.0, 0.01, 1], [20, 31.0, 0.2, 0]]),
     )
-    stiffness = StiffnessEstimate(np.full(3, 2000.0), np.eye(3), True, 4, np.zeros(4))
+    stiffness = StiffnessEstimate(np.full(3, 2000.0), np.eye(3), True, 4, 1.5)
     ddi = np.array([0.0, 0.08, 0.01])
     damage = DamageReading(ddi, np.eye(3) * 0.01**2, ddi, ddi * 2000)
     return WindowResult(k, t_end, 400.0, modes, stiffness, damage, alarm, None)
@@ -70,7 +79,7 @@ def read(file: Path) -> dict[str, dict[int, object]]:
     """For each entity its first column's value at each time; time 0 is static."""
     found: dict[str, dict[int, object]] = {}
     for chunk in RrdReader(file).stream():
-        if chunk.entity_path.startswith("/__"):
+        if chunk.entity_path.startswith("/__") or chunk.timeline_names == ["phase"]:
             continue
         batch = chunk.to_record_batch()
         names = [c for c in batch.schema.names if ":" in c]
@@ -271,3 +280,107 @@ def test_colours_of_a_story() -> None:
     assert severity(0.05, 0.1) == rerun_scene.AMBER
     assert severity(0.1, 0.1) == severity(0.5, 0.1) == rerun_scene.RED
     assert severity(None, 0.1) == rerun_scene.GREY
+
+
+# --- can I trust it, what does it do now ---
+
+
+FRAME = Model(ShearFrame(np.array([0.3253, 0.3514, 0.3129]), np.array([2909.45, 1514.85, 1897.7]), 0.01))
+
+
+def test_sensors_clocks_and_verdicts_are_shown(tmp_path: Path) -> None:
+    file = tmp_path / "live.rrd"
+    view = RerunPublisher(SCENE, file=file, serve=None, lossless=True)
+    channels = tuple(ChannelHealth(c, 0.0, 1.0 + i, 3.0, 0, 0.0, 0.25, 1e-4) for i, c in enumerate(SCENE.channels))
+    view.health(Health(T0, T0 + 10**10, 100.0, 990, 0.99, 1, 0.1, 0, channels))
+    view.clocks(T0 + 10**10, [ClockHealth("node 7", 0.002, 12.0, 1.0, 0)])
+    view.finding({"t_ns": T0 + 10**10, "verdict": "ambiguous", "says": "story 1 or 2", "reason": "warning",
+                  "separating_measurement": "push each"})  # fmt: skip
+    view.window(window(0))
+    view.close(60.0)
+    assert view.failed is None
+    found = read(file)
+    at = T0 + 10**10
+    assert found["/quality/availability"][at] == [99.0]
+    assert found["/quality/rms/a\\ 2"][at] == [2.0]
+    assert found["/quality/clipped/a1"][at] == [25.0]
+    assert found["/clock/node\\ 7"][at] == [2.0]
+    text = found["/verdict"][at][0]
+    assert all(words in text for words in ("ambiguous", "story 1 or 2", "push each"))
+    assert found["/trust/misfit/line"][window(0).t_end_ns] == [1.5]
+
+
+def test_the_models_spectrum_lies_on_a_simulated_one(tmp_path: Path) -> None:
+    """Same peaks, same relative size of the channels, within the scatter of forty segments."""
+    scene = replace(SCENE, model=FRAME)
+    motion = simulate(FRAME, duration_s=800.0, rate_hz=100.0, noise=0.0, seed=3)
+    hz, power = welch(motion.floors, 100.0, nperseg=2000, axis=0)
+    band = (hz > 2) & (hz < 30)
+    quiet = replace(window(0), modes=None, stiffness=None)
+    model = predicted(scene, quiet, hz[band])
+    ratio = np.log(power[band] / model)
+    assert np.std(ratio.mean(axis=0)) < 0.1
+    assert np.std(ratio) < 0.4
+    softer = predicted(
+        scene,
+        replace(
+            quiet, stiffness=replace(window(0).stiffness, stiffness_n_per_m=FRAME.structure.stiffness_n_per_m * 0.81)
+        ),
+        hz[band],
+    )
+    peaks = [hz[band][spectrum[:, 0][hz[band] < 8].argmax()] for spectrum in (model, softer)]
+    assert peaks[1] / peaks[0] == pytest.approx(0.9, abs=0.02)
+
+
+def test_spectra_are_drawn_with_the_models(tmp_path: Path) -> None:
+    file = tmp_path / "live.rrd"
+    view = RerunPublisher(replace(SCENE, model=FRAME), file=file, serve=None, lossless=True)
+    rng = np.random.default_rng(0)
+    for k in range(60):
+        view.samples(Samples(T0 + k * 10**9, 100.0, rng.normal(size=(100, 3))))
+    for k in range(8):
+        view.window(replace(window(k), t_end_ns=T0 + (60 + 10 * k) * 10**9))
+    view.close(60.0)
+    assert view.failed is None
+    chunks = [c for c in RrdReader(file).stream() if c.entity_path in ("/spectra/measured", "/spectra/model")]
+    assert sum(c.num_rows for c in chunks) == 4, "both, twice in 70 s"
+
+
+def test_before_a_diagnosis_the_view_says_that_there_was_none(tmp_path: Path) -> None:
+    view = RerunPublisher(SCENE, file=tmp_path / "live.rrd", serve=None, lossless=True)
+    view.window(window(0))
+    view.window(window(1))
+    view.close(60.0)
+    verdicts = read(tmp_path / "live.rrd")["/verdict"]
+    assert list(verdicts) == [window(0).t_end_ns], "nothing before the data begin"
+    assert "No diagnosis" in verdicts[window(0).t_end_ns][0]
+
+
+def test_mode_shapes_move_on_a_timeline_of_their_own(tmp_path: Path) -> None:
+    file = tmp_path / "live.rrd"
+    view = RerunPublisher(SCENE, file=file, serve=None, lossless=True)
+    view.window(window(0))
+    view.close(60.0)
+    moving = [
+        c for c in RrdReader(file).stream() if c.timeline_names == ["phase"] and c.entity_path == "/frame/modes/floors"
+    ]
+    column = next(n for n in moving[0].to_record_batch().schema.names if n.endswith(":positions"))
+    steps = np.array([p for c in moving for p in c.to_record_batch()[column].to_pylist()])
+    assert len(steps) == 24
+    top = steps[:, 0, 0]
+    np.testing.assert_allclose(top - 1.15, 0.2 * np.cos(2 * np.pi * np.arange(24) / 24), atol=1e-5)
+
+
+def test_a_long_history_grows_slowly_and_keeps_what_matters() -> None:
+    thin = Thinning()
+    kept = [k for k in range(100_000) if thin.window(window(k, Level.ALARM if k == 77_777 else Level.NORMAL))]
+    assert kept[:TIER] == list(range(TIER))
+    assert {77_777, 77_778} <= set(kept)
+    assert len(kept) < 8 * TIER
+    values = np.random.default_rng(1).normal(size=(1000, 2))
+    t_ns = T0 + np.arange(1000) * 10**7
+    assert thin.samples(t_ns, values)[1] is values
+    times, few = thin.samples(t_ns + WHOLE_NS, values)
+    assert few.shape == (4, 2)
+    assert np.all(np.diff(times) > 0)
+    np.testing.assert_array_equal([few.min(axis=0), few.max(axis=0)], [values.min(axis=0), values.max(axis=0)])

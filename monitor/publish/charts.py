@@ -28,9 +28,12 @@ svg .accepted, svg .dot { fill: var(--after); }
 svg .rival { fill: var(--before); }
 svg .off { fill: var(--before); opacity: .16; }
 svg .still { fill: var(--bad); opacity: .25; }
+svg .band { fill: var(--after); opacity: .25; }
+svg .limit { stroke: var(--bad); }
+svg .good { fill: var(--good); opacity: .6; }
 svg .chance { fill: var(--quiet); opacity: .25; }
 """
-"""Uses the page's colours --ink, --muted, --line, --quiet, --before, --after and --bad."""
+"""Uses the page's colours --ink, --muted, --line, --quiet, --before, --after, --good and --bad."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,12 +63,12 @@ class Axes:
         """Frame, grid, ticks and titles."""
         left, top, width, height = self.box
         out = []
-        for value in ticks(self.x):
+        for value, label in self.x_ticks():
             at = float(self.px(value))
             out.append(f'<path class="grid" d="M{at:.1f} {top:g}v{height:g}"/>')
             if numbers:
-                out.append(text(at, top + height + 14, f"{value:.6g}", "middle"))
-        for value in decades(self.y) if self.log_y else ticks(self.y, 4):
+                out.append(text(at, top + height + 14, label, "middle"))
+        for value in (decades(self.y) if self.log_y else ticks(self.y, 4)) if height > 40.0 else ():
             at = float(self.py(value))
             out.append(f'<path class="grid" d="M{left:g} {at:.1f}h{width:g}"/>')
             out.append(text(left - 6, at + 4, f"{value:.6g}", "end"))
@@ -74,6 +77,15 @@ class Axes:
         if x_title:
             out.append(text(left + width, top + height + 28, x_title, "end"))
         return "".join(out)
+
+    def x_ticks(self) -> list[tuple[float, str]]:
+        """Places and labels along x."""
+        return [(float(value), f"{value:.6g}") for value in ticks(self.x)]
+
+    def band(self, x: Array, low: Array, high: Array, kind: str) -> str:
+        """The area between two lines."""
+        sides = (*zip(self.px(x), self.py(high), strict=True), *zip(self.px(x)[::-1], self.py(low)[::-1], strict=True))
+        return f'<polygon class="{kind}" points="{" ".join(f"{a:.1f},{b:.1f}" for a, b in sides)}"/>'
 
     def line(self, x: Array, y: Array, kind: str) -> str:
         """A polyline."""
@@ -113,7 +125,8 @@ def ticks(span: Range, n: int = 8) -> Array:
     raw = (span[1] - span[0]) / n
     power = 10.0 ** np.floor(np.log10(raw))
     step = power * min((m for m in (1.0, 2.0, 5.0, 10.0) if m * power >= raw * 0.999), default=10.0)
-    return np.asarray(np.arange(np.ceil(span[0] / step - 1e-9), np.floor(span[1] / step + 1e-9) + 1.0) * step)
+    places = np.arange(np.ceil(span[0] / step - 1e-9), np.floor(span[1] / step + 1e-9) + 1.0)
+    return np.asarray((places + 0.0) * step)  # never -0
 
 
 def decades(span: Range) -> Array:

@@ -13,8 +13,9 @@ import rerun.blueprint as rrb
 from monitor.diagnose import Diagnosis
 from monitor.evidence import Segments
 from monitor.publish.comparison import Comparison, compare
+from monitor.publish.rerun_layout import ALL_TIME
 from monitor.publish.rerun_queue import Output
-from monitor.publish.rerun_scene import ALL_TIME, GREY, Colour
+from monitor.publish.rerun_scene import GREY, Colour
 from monitor.publish.words import headline, in_words
 from monitor.results import Array
 

@@ -15,35 +15,13 @@ from monitor.files import write_atomically
 from monitor.publish import charts
 from monitor.publish.charts import Axes, svg
 from monitor.publish.comparison import Comparison, LevelDependence, compare, level_dependence
+from monitor.publish.page import document, table
 from monitor.publish.words import headline, in_words, interval, separating_measurement, unit
 
 __all__ = ["headline", "in_words", "page", "separating_measurement", "write_report"]
 
 Content = Mapping[str, Any]
 
-_STYLE = """
-:root { color-scheme: light dark; --paper: #fff; --ink: #1d232b; --muted: #5c6673; --line: #d5dae0; --quiet: #aab2bd;
-  --before: #d1690a; --after: #1668b8; --bad: #c2352b; --good: #2c7d46; }
-@media screen and (prefers-color-scheme: dark) { :root { --paper: #16191e; --ink: #e8ebef; --muted: #9aa5b3;
-  --line: #343b45; --quiet: #5d6774; --before: #f09a4a; --after: #5aa9f0; --bad: #ee6b60; --good: #62bd80; } }
-body { max-width: 1080px; margin: 2rem auto; padding: 0 1rem; background: var(--paper); color: var(--ink);
-  font: 15px/1.5 system-ui, sans-serif; }
-h1 { font-size: 1.7rem; line-height: 1.25; margin: .3rem 0 .6rem; }
-h2 { font-size: 1.15rem; margin: 2.2rem 0 .4rem; border-bottom: 1px solid var(--line); }
-p { max-width: 80ch; margin: .4rem 0; } .muted, figcaption, th { color: var(--muted); }
-figure { margin: .6rem 0; break-inside: avoid; } figcaption { font-size: .87rem; }
-table { border-collapse: collapse; font-size: .9rem; margin: .5rem 0; }
-td, th { text-align: left; padding: .2rem 1rem .2rem 0; border-bottom: 1px solid var(--line); vertical-align: top; }
-td.n, th.n { text-align: right; font-variant-numeric: tabular-nums; }
-.verdict { display: inline-block; padding: .1rem .6rem; border-radius: 1rem; color: #fff; font-weight: 600;
-  background: var(--bad); } .verdict.none { background: var(--good); } .verdict.named { background: var(--after); }
-.verdict.ambiguous { background: var(--before); }
-.figures { display: flex; flex-wrap: wrap; gap: .6rem 2.4rem; margin: 1rem 0; }
-.figures div { font-size: .87rem; color: var(--muted); max-width: 19rem; }
-.figures b { display: block; font-size: 1.15rem; white-space: nowrap; color: var(--ink); }
-.pair { display: grid; grid-template-columns: 1fr 1fr; gap: 1rem; } .key { font-weight: 600; white-space: nowrap; }
-@media print { body { margin: 0; font-size: 11pt; } h2 { break-after: avoid; } }
-"""
 _NAMES = {"none": "nothing wrong", "named": "cause named", "ambiguous": "ambiguous", "unexplained": "unexplained"}
 _SHOWN = 12
 """Rows of the misfit's table, bars of a ranking."""
@@ -75,10 +53,7 @@ def page(diagnosis: Diagnosis, content: Content, segments: Segments) -> str:
         _parameters(diagnosis, content),
         _data(diagnosis, content, segments, compared),
     ]
-    viewport = '<meta name="viewport" content="width=device-width"/>'
-    style = f"<style>{_STYLE}{charts.STYLE}</style>"
-    head = f'<head><meta charset="utf-8"/>{viewport}<title>Diagnosis: {escape(told)}</title>{style}</head>'
-    return f'<!DOCTYPE html>\n<html lang="en">{head}\n<body>{"".join(parts)}</body></html>\n'
+    return document(f"Diagnosis: {told}", parts)
 
 
 def _head(told: str, content: Content, compared: Comparison, segments: Segments) -> str:
@@ -175,7 +150,7 @@ def _misfit(c: Comparison, diagnosis: Diagnosis) -> str:
         if found:
             worst = [(m.where.removeprefix("f = "), f"{m.size:.1f}", m.says) for m in found[:_SHOWN]]
             more = f"<p class='muted'>and {len(found) - _SHOWN} more</p>" if len(found) > _SHOWN else ""
-            out.append(_table([f"Misfit {when}", "#std. dev.", "what it says"], worst) + more)
+            out.append(table([f"Misfit {when}", "#std. dev.", "what it says"], worst) + more)
         else:
             out.append(f"<p>No misfit {when if c.extended else 'beyond chance'}.</p>")
     return "".join(out)
@@ -245,20 +220,20 @@ def _parameters(diagnosis: Diagnosis, content: Content) -> str:
                 rows.append((c["effect"], c["location"], name, value, first))
                 first = ""
         if rows:
-            out.append(f"<h2>{title}</h2>" + _table(["effect", "place", "parameter", "value", "in words"], rows))
+            out.append(f"<h2>{title}</h2>" + table(["effect", "place", "parameter", "value", "in words"], rows))
     if content["alternatives"]:
         rivals = [
             (a["effect"], a["location"], f"{100 * a['probability']:.0f} %",
              in_words(a["effect"], a["location"], a["parameters"], reference))
             for a in content["alternatives"]
         ]  # fmt: skip
-        out.append("<h2>Alternatives</h2>" + _table(["effect", "place", "#probability", "in words"], rivals))
+        out.append("<h2>Alternatives</h2>" + table(["effect", "place", "#probability", "in words"], rivals))
     index = content.get("ddi_effect", {})
     if index.get("with"):
         pairs = enumerate(zip(index["without"], index["with"], strict=True), 1)
         losses = [(f"story {j}", *(f"{round(100 * v, 1) + 0.0:.1f} %" for v in pair)) for j, pair in pairs]
         head = ["damage index (stiffness lost)", "#by refitting stiffness alone", "#beside the causes"]
-        out.append("<h2>What it does to the damage index</h2>" + _table(head, losses))
+        out.append("<h2>What it does to the damage index</h2>" + table(head, losses))
     return "".join(out)
 
 
@@ -277,21 +252,10 @@ def _data(diagnosis: Diagnosis, content: Content, segments: Segments, c: Compari
         ("reference", "baseline" if diagnosis.problem.reference.basis.shape[0] else "structure file"),
         ("held out", content["gain"]["heldout"]),
     ]  # fmt: skip
-    return "<h2>The data judged</h2>" + _table([], rows)
+    return "<h2>The data judged</h2>" + table([], rows)
 
 
 def _minutes(segments: Segments) -> str:
     """Length of the data, from the segments' middles."""
     seconds = float(np.ptp(segments.t_s)) + 1.0 / segments.band.bin_hz
     return f"{seconds / 60.0:.1f} min"
-
-
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A table; a heading that begins with # stands over numbers."""
-    numeric = [' class="n"' if h.startswith("#") else "" for h in head] or [""] * max(map(len, rows))
-    top = "".join(f"<th{n}>{escape(h.lstrip('#'))}</th>" for h, n in zip(head, numeric, strict=False))
-    body = "".join(
-        "<tr>" + "".join(f"<td{n}>{escape(str(v))}</td>" for v, n in zip(row, numeric, strict=True)) + "</tr>"
-        for row in rows
-    )
-    return "<table>" + (f"<tr>{top}</tr>" if head else "") + body + "</table>"

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import rerun as rr
 
+from monitor.health import Health
+from monitor.publish.rerun_layout import blueprint
 from monitor.publish.rerun_scene import (
     COLUMNS,
     GREEN,
@@ -14,34 +18,43 @@ from monitor.publish.rerun_scene import (
     RED,
     SERIES,
     STABILISATION,
-    Colour,
     Scene,
-    blueprint,
     plus_minus,
     rows,
     severity,
     status,
     utc,
 )
+from monitor.publish.rerun_shapes import Shapes, label
+from monitor.publish.rerun_spectra import Spectra
+from monitor.publish.rerun_tiers import Thinning
+from monitor.publish.rerun_trust import Clocks, Trust
 from monitor.results import DamageReading, Gap, Level, ModalEstimate, Samples, StiffnessEstimate, WindowResult
+
+Item = Samples | WindowResult | Gap | Health | Clocks | dict[str, Any]
+"""What can be drawn; a dict is a finding."""
 
 
 class Picture:
     """Draws on one recording; lives in the worker's thread."""
 
-    def __init__(self, scene: Scene, stream: rr.RecordingStream, block_s: float) -> None:
+    def __init__(self, scene: Scene, stream: rr.RecordingStream, block_s: float, *, thin: bool = False) -> None:
         self._scene, self._stream, self._block_s = scene, stream, block_s
         self._blocks: list[Samples] = []
         self._level: Level | None = None
         self._skipped: str | None = None
         self._extent = (1.0, 1.0)
+        self._spectra, self._trust = Spectra(scene, stream), Trust(scene, stream)
         heights = np.asarray(scene.story_heights_m, dtype=float)
         self._z = np.append(np.cumsum(heights[::-1])[::-1], 0.0) / heights.sum()
         """Shape (n + 1,): height of floor 1 (top) .. n and of the ground, the whole frame 1 high."""
+        self._shapes = Shapes(scene, stream, self._z)
+        self._thin = Thinning() if thin else None
 
     def begin(self) -> None:
         """Names, colours and what never changes."""
         self._stream.send_blueprint(blueprint(self._scene))
+        self._trust.begin()
         for i, channel in enumerate(self._scene.channels):
             self._style(self._stream_path(channel), [channel], i)
         for i in range(self._scene.n_stories):
@@ -74,10 +87,16 @@ class Picture:
             static=True,
         )  # fmt: skip
 
-    def draw(self, item: Samples | WindowResult | Gap) -> None:
+    def draw(self, item: Item) -> None:
         """Whatever comes out of the queue."""
         if isinstance(item, Samples):
             self.samples(item)
+        elif isinstance(item, Health):
+            self._trust.health(item)
+        elif isinstance(item, Clocks):
+            self._trust.clocks(item)
+        elif isinstance(item, dict):
+            self._trust.finding(item)
         elif isinstance(item, Gap):
             self.gap(item)
         else:
@@ -85,6 +104,7 @@ class Picture:
 
     def samples(self, samples: Samples) -> None:
         """Collect blocks until they are long enough to send."""
+        self._spectra.samples(samples)
         if self._blocks:
             last = self._blocks[-1]
             due = last.t_ns + len(last.values) / last.rate_hz * 1e9
@@ -94,6 +114,11 @@ class Picture:
         if sum(len(block.values) for block in self._blocks) >= self._block_s * samples.rate_hz:
             self.flush()
 
+    def finish(self) -> None:
+        """Send what is left, and the latest mode shapes as a motion."""
+        self.flush()
+        self._shapes.animate()
+
     def flush(self) -> None:
         """Send the samples collected."""
         if not self._blocks:
@@ -102,6 +127,8 @@ class Picture:
         values = np.concatenate([block.values for block in self._blocks])
         self._blocks = []
         t_ns = first.t_ns + np.round(np.arange(len(values)) * (1e9 / first.rate_hz)).astype(np.int64)
+        if self._thin is not None:
+            t_ns, values = self._thin.samples(t_ns, values)
         time = rr.TimeColumn("time", timestamp=t_ns.astype("datetime64[ns]"))
         for channel, column in zip(self._scene.channels, values.T, strict=True):
             self._stream.send_columns(self._stream_path(channel), [time], rr.Scalars.columns(scalars=column))
@@ -116,6 +143,8 @@ class Picture:
 
     def window(self, result: WindowResult) -> None:
         """Everything said about one window, at its end."""
+        if self._thin is not None and not self._thin.window(result):
+            return
         self._at(result.t_end_ns)
         self._stream.log("/status", rr.TextDocument(status(self._scene, result), media_type="text/markdown"))
         self._alarm(result)
@@ -130,7 +159,9 @@ class Picture:
             self._bounded(f"/modes/damping/{k + 1}", d, ds, 100.0)
         self._stiffness(result.stiffness)
         self._damage(result.damage)
-        self._shapes(result.modes)
+        self._shapes.draw(result.modes)
+        self._trust.misfit(None if result.stiffness is None else result.stiffness.misfit)
+        self._spectra.window(result)
         if result.modes is not None:
             self._stabilisation(result.modes)
 
@@ -188,35 +219,7 @@ class Picture:
             known = "unknown" if ddi is None or std is None else plus_minus(ddi, std, 100) + " %"
             labels.append(f"story {j + 1}: {known}")
         self._stream.log("/frame/stories", rr.LineStrips3D(strips, colors=colours, radii=[0.022]))
-        self._label("/frame/stories/labels", places, labels, colours[:: len(COLUMNS)])
-
-    def _label(
-        self, path: str, places: list[tuple[float, float, float]], labels: list[str], colours: list[Colour]
-    ) -> None:
-        self._stream.log(path, rr.Points3D(places, labels=labels, colors=colours, radii=[0.0001], show_labels=True))
-
-    def _shapes(self, modes: ModalEstimate | None) -> None:
-        """Mode shapes beside the frame: real part, floors without a sensor left out."""
-        if modes is None:
-            self._stream.log("/frame/modes", rr.Clear(recursive=True))
-            return
-        order = sorted(range(len(self._scene.sensor_floor)), key=self._scene.sensor_floor.__getitem__)
-        z = np.append(self._z[[self._scene.sensor_floor[c] - 1 for c in order]], 0.0)
-        strips, floors, colours, places, labels = [], [], [], [], []
-        for shape, (k, f, *_) in zip(modes.shapes, rows(modes), strict=True):
-            x = 1.15 + 0.55 * k
-            deflection = np.append(np.real(shape[order]), 0.0)
-            deflection *= 0.2 / max(float(np.abs(deflection).max()), 1e-12)
-            floors.append(np.column_stack([x + deflection, np.zeros_like(z), z]))
-            strips += [np.array([(x, 0, 0), (x, 0, 1)]), floors[-1]]
-            colours.append(SERIES[k % len(SERIES)])
-            places.append((x, 0.0, -0.12))
-            labels.append(f"{f:.2f} Hz")
-        of_strips = [c for colour in colours for c in (GREY, colour)]
-        self._stream.log("/frame/modes", rr.LineStrips3D(strips, colors=of_strips, radii=[0.004, 0.014] * len(labels)))
-        of_floors = [colour for colour in colours for _ in z]
-        self._stream.log("/frame/modes/floors", rr.Points3D(np.concatenate(floors), colors=of_floors, radii=[0.03]))
-        self._label("/frame/modes/labels", places, labels, colours)
+        label(self._stream, "/frame/stories/labels", places, labels, colours[:: len(COLUMNS)])
 
     def _stabilisation(self, modes: ModalEstimate) -> None:
         """Poles in (Hz, order), stretched to the canvas, with their axes and the modes chosen."""

@@ -1,4 +1,4 @@
-"""What stands in the viewer and where: the site, the status text, the layout.  Pure functions."""
+"""What stands in the viewer: the site, the status text, colours.  Pure functions."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from datetime import UTC, datetime
 
 import numpy as np
 import rerun as rr
-import rerun.blueprint as rrb
 
+from monitor.model import Model
 from monitor.results import Array, Level, ModalEstimate, WindowResult
 
 Colour = tuple[int, int, int]
@@ -44,6 +44,12 @@ class Scene:
     has_baseline: bool
     alarm_loss: float
     """Relative stiffness loss that counts as an alarm."""
+    model: Model | None = None
+    """Predicts spectra; none are without."""
+    cutoff_hz: float = 40.0
+    """Highest frequency that is looked at."""
+    misfit_asks: float = 5.0
+    """Goodness of fit at which a diagnosis is asked for."""
 
     @property
     def n_stories(self) -> int:
@@ -103,63 +109,3 @@ def rows(modes: ModalEstimate) -> list[tuple[int, float, float, float, float]]:
 
 HOLE = rr.Scalars([np.nan] * 3)
 """No value: breaks a line and its bounds, where no row would be bridged, and a Clear or an empty row drags the axis to 0."""
-ALL_TIME = rrb.TimeAxis(
-    view_range=rr.TimeRange(start=rr.TimeRangeBoundary.infinite(), end=rr.TimeRangeBoundary.infinite())
-)
-"""Otherwise plots show one minute about the cursor."""
-
-
-def _plot(origin: str, name: str, *, legend: bool = True) -> rrb.TimeSeriesView:
-    """Series over all the time there is."""
-    corner = rrb.PlotLegend("LeftTop", visible=legend)
-    return rrb.TimeSeriesView(origin=origin, name=name, plot_legend=corner, axis_x=ALL_TIME)
-
-
-def blueprint(scene: Scene) -> rrb.Blueprint:
-    """The state at the left, how it came about at the right."""
-    n = scene.n_stories
-    modes = [_plot(f"/modes/frequency/{i}", f"Mode {i}, Hz", legend=False) for i in range(1, n + 1)]
-    together = _plot("/modes/frequency", "Frequencies, Hz")
-    since = "since the baseline" if scene.has_baseline else "against the structure file"
-    width, height = STABILISATION
-    bounds = rrb.VisualBounds2D(x_range=[-0.2 * width, 1.06 * width], y_range=[-1.06 * height, 0.14 * height])
-    centre = 0.275 * n
-    eye = rrb.EyeControls3D(position=(centre, -1.1 - 0.5 * n, 0.75), look_target=(centre, 0.0, 0.42))
-    left = rrb.Vertical(
-        rrb.Spatial3DView(
-            origin="/frame", name="Stiffness lost and mode shapes", eye_controls=eye,
-            line_grid=rrb.LineGrid3D(visible=False), background=(24, 26, 30),
-        ),
-        rrb.TextDocumentView(origin="/status", name="Status"),
-        row_shares=[1, 1],
-    )  # fmt: skip
-    right = rrb.Vertical(
-        rrb.Tabs(
-            _plot("/ddi", f"Stiffness lost {since} (DDI), %"),
-            _plot("/stiffness", "Stiffness, N/m"),
-            active_tab=0 if scene.has_baseline else 1,
-        ),
-        rrb.StateTimelineView(origin="/alarm_level", name="Alarm level", time_view=ALL_TIME),
-        rrb.Horizontal(
-            rrb.Vertical(*modes) if n <= 3 else together,
-            rrb.Tabs(
-                rrb.Spatial2DView(
-                    origin="/", contents="/stabilisation/**", visual_bounds=bounds, background=(24, 26, 30),
-                    name="Stabilisation diagram: order over frequency, Hz",
-                ),
-                _plot("/modes/damping", "Damping, %"),
-            ),
-        ),
-        rrb.Horizontal(
-            _plot("/streams", "Acceleration, m/s²"),
-            rrb.TextLogView(origin="/", contents=["/alarms", "/events"], name="Alarms and events",
-                            columns=rrb.TextLogColumns(text_log_columns=["LogLevel", "Body"])),
-        ),
-        row_shares=[5, 2, 6, 3],
-    )  # fmt: skip
-    return rrb.Blueprint(
-        rrb.Horizontal(left, right, column_shares=[2, 3]),
-        rrb.TimePanel(state="collapsed", timeline="time", play_state="following"),
-        rrb.BlueprintPanel(state="collapsed"),
-        rrb.SelectionPanel(state="collapsed"),
-    )

@@ -5,13 +5,17 @@ The only clock is the data's: everything stands on the timeline ``time``, in UTC
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
-from monitor.publish.rerun_picture import Picture
+from drivers.base import ClockHealth
+from monitor.health import Health
+from monitor.publish.rerun_picture import Item, Picture
 from monitor.publish.rerun_queue import Output, Worker
 from monitor.publish.rerun_scene import FILE_BLOCK_S, LIVE_BLOCK_S, Scene
+from monitor.publish.rerun_trust import Clocks
 from monitor.results import Gap, Samples, WindowResult
 
 
@@ -40,7 +44,7 @@ class RerunPublisher:
     ) -> None:
         self._scene, self._file, self._serve = scene, file, serve
         self._timeout_s = 10.0
-        self._worker: Worker[Samples | WindowResult | Gap] = Worker("rerun", self._run, queue_size, lossless)
+        self._worker: Worker[Item] = Worker("rerun", self._run, queue_size, lossless)
 
     @property
     def dropped(self) -> int:
@@ -64,6 +68,18 @@ class RerunPublisher:
         """Publish that samples are missing."""
         self._worker.put(gap)
 
+    def health(self, health: Health) -> None:
+        """Publish what the sensors are like."""
+        self._worker.put(health)
+
+    def clocks(self, t_ns: int, clocks: Sequence[ClockHealth]) -> None:
+        """Publish what the sensor nodes' clocks are like."""
+        self._worker.put(Clocks(t_ns, tuple(clocks)))
+
+    def finding(self, finding: dict[str, Any]) -> None:
+        """Publish what a diagnosis said."""
+        self._worker.put(finding)
+
     def close(self, timeout_s: float = 10.0) -> None:
         """Publish what waits and finish the file; gives up after `timeout_s`."""
         self._timeout_s = timeout_s
@@ -73,15 +89,16 @@ class RerunPublisher:
         """Stop at once and leave no file."""
         self._worker.close(timeout_s, cancel=True)
 
-    def _run(self, take: Callable[[], Samples | WindowResult | Gap | None]) -> None:
+    def _run(self, take: Callable[[], Item | None]) -> None:
         """Work of the thread: open, draw until the queue is closed, finish."""
         output = Output(self._scene.name, self._file, self._serve)
         try:
-            picture = Picture(self._scene, output.stream, LIVE_BLOCK_S if self._serve else FILE_BLOCK_S)
+            block_s = LIVE_BLOCK_S if self._serve else FILE_BLOCK_S
+            picture = Picture(self._scene, output.stream, block_s, thin=self._file is not None)
             picture.begin()
             while (item := take()) is not None:
                 picture.draw(item)
-            picture.flush()
+            picture.finish()
             if not self._worker.cancelled:
                 output.close(self._timeout_s)
         finally:

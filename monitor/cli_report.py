@@ -1,0 +1,67 @@
+"""The command `report`."""
+
+from __future__ import annotations
+
+import json
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from monitor.cli_common import warn
+from monitor.files import demand_place, spare_inputs
+
+_INPUTS = ("results.jsonl", "summary.json", "health.jsonl", "health.jsonl.1", "ledger.jsonl")
+
+
+def report(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="What 'replay --out' or [output] dir names.")],
+    out: Annotated[Path, typer.Option(metavar="REPORT.html", help="Page to write.")],
+    start: Annotated[
+        str | None, typer.Option("--from", metavar="T", help="UTC, ISO 8601; the first window's by default.")
+    ] = None,
+    end: Annotated[
+        str | None, typer.Option("--to", metavar="T", help="UTC, ISO 8601; the last window's by default.")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Say what is in it as JSON.")] = False,
+) -> None:
+    """A period of a run as one page: availability, damage, alarms, modes, quality, findings.  Windows count where they end."""
+    from monitor.publish.period import read_period, write_period
+
+    from_ns, to_ns = _utc_ns(start, "--from"), _utc_ns(end, "--to")
+    if from_ns is not None and to_ns is not None and from_ns >= to_ns:
+        raise typer.BadParameter("--from is not before --to")
+    spare_inputs([out], [folder / name for name in _INPUTS])
+    period = read_period(folder, from_ns, to_ns)
+    demand_place(out)
+    write_period(out, period)
+    r = period.results
+    if r.damaged:
+        warn(f"{folder / 'results.jsonl'}: unreadable lines left out: {r.damaged}")
+    told = {
+        "report": str(out),
+        "from_ns": r.grid.from_ns,
+        "to_ns": r.grid.to_ns,
+        "windows": r.windows,
+        "windows_due": r.due,
+        "judged": sum(r.judged),
+        "alarms": len(period.episodes),
+        "findings": len(period.findings),
+    }
+    if as_json:
+        print(json.dumps(told))
+        return
+    print(f"{told['judged']} of {r.due} windows judged, alarms: {told['alarms']}, findings: {told['findings']}")
+    print(f"report in {out}")
+
+
+def _utc_ns(text: str | None, option: str) -> int | None:
+    """A time in ns since 1970; without a zone it is UTC."""
+    if text is None:
+        return None
+    try:
+        time = datetime.fromisoformat(text)
+    except ValueError as error:
+        raise typer.BadParameter(f"{option}: {text!r} is no time; write 2026-12-31 or 2026-12-31T23:59:00") from error
+    return round((time if time.tzinfo else time.replace(tzinfo=UTC)).timestamp()) * 1_000_000_000

@@ -1,0 +1,103 @@
+"""The viewer's spectra: what the sensors say lately, and what the model that fits the window says they should."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+import rerun as rr
+from scipy.signal import welch
+
+from monitor.model import Model
+from monitor.publish.rerun_scene import GREY, SERIES, STABILISATION, Scene
+from monitor.results import Array, Samples, WindowResult
+
+_EVERY_NS = 60_000_000_000
+_SEGMENT_S, _LONGEST_S = 20.0, 400.0
+_DECADES = 7.0
+"""Of power, shown of each channel."""
+_MOST_CHANNELS = 6
+MODEL = (235, 235, 235)
+
+
+def predicted(scene: Scene, result: WindowResult, hz: Array) -> Array:
+    """Power of the channels under equal white forces on all floors, shape (n_hz, c), up to their level.
+
+    Modes superposed: the model at the window's stiffnesses, with the window's damping where it was measured.
+    """
+    assert isinstance(scene.model, Model)
+    k = result.stiffness
+    model = scene.model if k is None else scene.model.with_stiffness(k.stiffness_n_per_m)
+    modes, damping = model.modes(), np.array(model.damping_ratios())
+    if result.modes is not None:
+        damping[result.modes.model_mode] = result.modes.damping_ratio
+    w = 2.0 * np.pi * hz[:, None]
+    modal = w**2 / (modes.eigenvalues - w**2 + 2j * damping * np.sqrt(modes.eigenvalues) * w)
+    seen = modes.shapes[[floor - 1 for floor in scene.sensor_floor]]
+    return np.asarray((np.abs(np.einsum("cm,fm,nm->fcn", seen, modal, modes.shapes)) ** 2).sum(axis=2))
+
+
+class Spectra:
+    """Draws both, one channel over the other, at most once a minute of data."""
+
+    def __init__(self, scene: Scene, stream: rr.RecordingStream) -> None:
+        self._scene, self._stream = scene, stream
+        self._blocks: deque[Samples] = deque()
+        self._drawn_ns, self._axes = -_EVERY_NS, False
+
+    def samples(self, samples: Samples) -> None:
+        """Keep the latest; what stands before a gap or another rate is let go."""
+        if self._blocks:
+            last = self._blocks[-1]
+            due = last.t_ns + len(last.values) / last.rate_hz * 1e9
+            if samples.rate_hz != last.rate_hz or abs(samples.t_ns - due) > 0.5e9 / samples.rate_hz:
+                self._blocks.clear()
+        self._blocks.append(samples)
+        while samples.t_ns - self._blocks[0].t_ns > _LONGEST_S * 1e9:
+            self._blocks.popleft()
+
+    def window(self, result: WindowResult) -> None:
+        """Draw, if it is time; the stream stands at the window's end."""
+        if not self._blocks or result.t_end_ns - self._drawn_ns < _EVERY_NS:
+            return
+        rate, values = self._blocks[0].rate_hz, np.concatenate([b.values for b in self._blocks])
+        if len(values) < _SEGMENT_S * rate:
+            return
+        self._drawn_ns = result.t_end_ns
+        hz, power = welch(values, rate, nperseg=round(_SEGMENT_S * rate), axis=0)
+        band = (hz > 0.01 * self._scene.cutoff_hz) & (hz <= self._scene.cutoff_hz)
+        hz, power = hz[band], power[band][:, :_MOST_CHANNELS]
+        lanes = power.shape[1]
+        width, height = STABILISATION
+        scale = rr.Transform3D(scale=(width / self._scene.cutoff_hz, -height / lanes, 1.0))
+        colours = [SERIES[c % len(SERIES)] for c in range(lanes)]
+        top = np.log10(power.max(axis=0) * 3.0)
+        lines = [_lane(hz, p, t, lanes - 1 - c) for c, (p, t) in enumerate(zip(power.T, top, strict=True))]
+        self._stream.log("/spectra", scale)
+        self._stream.log("/spectra/measured", rr.LineStrips2D(lines, colors=colours, radii=rr.Radius.ui_points(0.7)))
+        if self._scene.model is not None:
+            model = predicted(self._scene, result, hz)[:, :lanes]
+            model *= power.sum() / model.sum()
+            lines = [_lane(hz, p, t, lanes - 1 - c) for c, (p, t) in enumerate(zip(model.T, top, strict=True))]
+            self._stream.log("/spectra/model", rr.LineStrips2D(lines, colors=[MODEL], radii=rr.Radius.ui_points(0.4)))
+        if not self._axes:
+            self._axes = True
+            self._draw_axes(lanes)
+
+    def _draw_axes(self, lanes: int) -> None:
+        f_max = self._scene.cutoff_hz
+        frame = [[(0, c), (f_max, c)] for c in range(lanes + 1)]
+        self._stream.log(
+            "/spectra/axes", rr.LineStrips2D(frame, colors=[GREY], radii=rr.Radius.ui_points(0.3)), static=True
+        )
+        places = [(f, 0.0) for f in np.linspace(0, f_max, 5)]
+        places += [(-0.09 * f_max, lanes - 0.5 - c) for c in range(lanes)]
+        labels = [f"{f:g} Hz" for f, _ in places[:5]] + list(self._scene.channels[:lanes])
+        marks = rr.Points2D(places, labels=labels, colors=[GREY], radii=rr.Radius.ui_points(1.5), show_labels=True)
+        self._stream.log("/spectra/ticks", marks, static=True)
+
+
+def _lane(hz: Array, power: Array, top: float, lane: int) -> Array:
+    """Logarithm of a channel's power in a lane 1 high, `_DECADES` below `top` at its foot."""
+    level = (np.log10(np.maximum(power, 1e-300)) - top) / _DECADES + 1.0
+    return np.column_stack([hz, lane + np.clip(level, 0.0, 1.0)])

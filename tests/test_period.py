@@ -1,0 +1,198 @@
+"""The period report: its page is whole, by itself, says the run's figures, and stays light over months."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+from monitor.publish.period import read_period, write_period
+from tests.conftest import Cli
+
+T0 = 1_767_225_600 * 10**9  # 2026-01-01
+HOP = 600 * 10**9
+DAY = 86400 * 10**9
+WINDOWS = 90 * 144
+ALARM = range(10_000, 10_200)
+SKIPPED = range(3_000, 3_144)
+AWAY = range(6_000, 6_720)
+
+
+def line_of(k: int) -> dict[str, object]:
+    """A window of a frame that follows the weather, loses 8 % of story 2 for a day and a half, and once cannot say."""
+    line = dict.fromkeys(
+        ("frequencies_hz", "frequencies_std_hz", "ddi", "ddi_std", "temperature_degc", "misfit", "mode_tracks"), None
+    )
+    alarm = {"level": "normal", "stories": [], "reason": "no significant loss"}
+    out = {"window": k, "t_end_ns": T0 + (k + 1) * HOP, **line, "skipped": None, "alarm": alarm}
+    if k in SKIPPED:
+        return {**out, "skipped": f"channel a3 was stuck (for {k} s)"}
+    warmth = 5.0 + 10.0 * np.sin(2 * np.pi * k / 144) + 0.001 * k
+    f = np.array([2.5, 7.25, 11.5]) * (1 - 0.001 * warmth)
+    ddi = np.array([0.0, 0.08 if k in ALARM else 0.0, 0.0]) + 0.003 * np.sin(k * np.arange(1.0, 4.0))
+    if k in ALARM:
+        alarm |= {"level": "warning" if k < ALARM[-1] else "alarm", "stories": [2], "reason": "story 2 lost 8 %"}
+    figures = {"frequencies_hz": f.tolist(), "frequencies_std_hz": [0.002] * 3, "mode_tracks": [0, 1, 2]}
+    figures |= {"ddi": ddi.tolist(), "ddi_std": [0.002] * 3, "temperature_degc": warmth, "misfit": 1.0}
+    return {**out, **figures}
+
+
+def json_lines(path: Path, rows: list[dict[str, object]]) -> None:
+    path.write_text("".join(json.dumps(row) + "\n" for row in rows))
+
+
+@pytest.fixture(scope="module")
+def months(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Ninety days as the daemon leaves them: away for five, blind for one, one alarm diagnosed and acknowledged."""
+    folder = tmp_path_factory.mktemp("months") / "bridge-7 <b>&"
+    (folder / "findings" / "one").mkdir(parents=True)
+    json_lines(folder / "results.jsonl", [line_of(k) for k in range(WINDOWS) if k not in AWAY])
+    alarm_ns = T0 + (ALARM[0] + 1) * HOP
+    finding = {"id": "001", "t_ns": alarm_ns + HOP, "from_ns": alarm_ns - HOP, "reason": "warning: story 2 lost 8 %",
+               "verdict": "named", "says": "story 2 is 8.0 % softer <than> before"}  # fmt: skip
+    json_lines(folder / "findings" / "one" / "001.json", [finding])
+    channel = {"rms_m_s2": 3.0, "peak_m_s2": 7.5, "spikes": 2, "repeated": 0.0, "clipped": 0.0, "noise_floor": 1e-4}
+    health = [
+        {
+            "t_ns": T0 + d * DAY,
+            "wall_ns": T0 + d * DAY,
+            "stream": {"rate_hz": 100.0, "samples": 8_640_000, "gaps": 1, "lost_s": 864.0, "overlaps": 0},
+            "channels": [{"channel": "a1", **channel}],
+            "source": {"clocks": [{"node": "n1", "offset_s": 0.001 * d, "drift_ppm": 12.0}]},
+        }
+        for d in range(1, 91)
+    ]
+    json_lines(folder / "health.jsonl", health)
+    when = np.datetime64(alarm_ns + 2 * HOP, "ns").astype("datetime64[s]")
+    asked = {"when": f"{when}+00:00", "who": "ada", "what": "acknowledge alarm of story 2: seen on site"}
+    json_lines(folder / "ledger.jsonl", [asked])
+    limits = {"significance": 5.0, "min_loss": 0.01, "alarm_loss": 0.1}
+    (folder / "summary.json").write_text(json.dumps({"alarms": [], "thresholds": limits}))
+    return folder
+
+
+def parsed(path: Path) -> ElementTree.Element:
+    text = path.read_text(encoding="utf-8")
+    assert not re.search(r"https?:|//|<script|<link|<img|url\(|@import|NaN|nan\b|inf\b", text)
+    return ElementTree.fromstring(text.removeprefix("<!DOCTYPE html>"))
+
+
+def words(page: ElementTree.Element) -> str:
+    return " ".join(t.strip() for t in page.itertext() if t.strip())
+
+
+def chart(page: ElementTree.Element, begins: str) -> ElementTree.Element:
+    return next(s for s in page.iter("svg") if s.get("aria-label", "").startswith(begins))
+
+
+def points(mark: ElementTree.Element) -> np.ndarray:
+    return np.array([[float(v) for v in p.split(",")] for p in mark.get("points", "").split()])
+
+
+@pytest.fixture(scope="module")
+def page(months: Path, tmp_path_factory: pytest.TempPathFactory) -> ElementTree.Element:
+    out = tmp_path_factory.mktemp("page") / "report.html"
+    write_period(out, read_period(months, None, None))
+    assert out.stat().st_size < 1_000_000
+    return parsed(out)
+
+
+def test_the_figures_of_the_run_are_said(page: ElementTree.Element) -> None:
+    said = words(page)
+    judged = WINDOWS - len(AWAY) - len(SKIPPED)
+    for wanted in (
+        f"{100 * judged / WINDOWS:.1f} %", "99.01 %", "Story 2 lost 8", "channel a3 was stuck",
+        f"{len(SKIPPED)}", f"{len(AWAY)}", "acknowledge by ada", "story 2 is 8.0 % softer <than> before",
+        "seen on site", "5 standard deviations", "10 % is an alarm", "bridge-7 <b>&", "n1", "12",
+    ):  # fmt: skip
+        assert wanted in said, wanted
+    assert not any((th.text or "").startswith(("#", "@")) for th in page.iter("th"))
+
+
+def test_curves_are_light_and_drawn_where_the_values_are(page: ElementTree.Element) -> None:
+    """Every curve at most 2000 points, inside its frame, in the right place, broken where nothing was seen."""
+    for svg in page.iter("svg"):
+        _, _, width, height = (float(v) for v in svg.get("viewBox", "").split())
+        for mark in (*svg.iter("polyline"), *svg.iter("polygon")):
+            xy = points(mark)
+            assert len(xy) <= 2000
+            assert np.all((xy >= 0) & (xy <= (width, height)))
+    lost = chart(page, "story 2: stiffness lost")
+    line = [points(p) for p in lost.iter("polyline") if p.get("class") == "line after"]
+    assert len(line) == 3, "broken where the channel was stuck and where the monitor was away"
+    frame = next(r for r in lost.iter("rect") if r.get("class") == "frame")
+    left, width = float(frame.get("x", "")), float(frame.get("width", ""))
+    at = (np.concatenate(line)[:, 0] - left) / width
+    high = np.concatenate(line)[:, 1] < np.concatenate(line)[:, 1].min() + 10
+    assert abs(at[high].min() - ALARM[0] / WINDOWS) < 0.002
+    assert abs(at[high].max() - ALARM[-1] / WINDOWS) < 0.002
+    shaded = [r for r in lost.iter("rect") if r.get("class") == "still"]
+    assert len(shaded) == 1
+    assert not [r for r in chart(page, "story 1").iter("rect") if r.get("class") in ("still", "off")]
+    axis = [t.text for t in chart(page, "temperature").iter("text")]
+    assert any("2026-01" in (t or "") for t in axis)
+
+
+def test_modes_are_three_curves_at_their_frequencies(page: ElementTree.Element) -> None:
+    for i, f in enumerate((2.5, 7.25, 11.5), 1):
+        svg = chart(page, f"mode {i}: frequency")
+        labels = [float(t.text or "") for t in svg.iter("text") if re.fullmatch(r"\d+\.?\d*", t.text or "")]
+        assert labels
+        assert all(abs(v / f - 1) < 0.03 for v in labels)
+
+
+def test_a_period_is_cut_out_and_reads_alike(months: Path, tmp_path: Path) -> None:
+    period = read_period(months, T0 + 10 * DAY, T0 + 20 * DAY)
+    assert (period.results.windows, period.results.due, period.episodes, period.findings) == (1440, 1440, [], [])
+    assert period.quality is not None
+    assert period.quality.gaps == 10
+    assert np.isclose(period.quality.availability, 0.990099, atol=1e-6)
+    write_period(tmp_path / "r.html", period)
+    assert "no alarm" in words(parsed(tmp_path / "r.html"))
+
+
+def test_months_take_little_memory(months: Path) -> None:
+    """What is kept does not grow with the period: as many bins for ninety days as for nine."""
+    sizes = [read_period(months, T0, T0 + d * DAY).results.grid.n for d in (9, 90)]
+    assert sizes == [1000, 1000]
+
+
+def test_damaged_and_unfinished_lines_are_left_out_and_told(months: Path, tmp_path: Path, main: Cli) -> None:
+    good = [json.dumps(line_of(k)) for k in range(5)]
+    (tmp_path / "results.jsonl").write_text("\n".join([*good, '{"t_end_ns": 1767228600000000001, oops', good[0][:90]]))
+    done = main("report", tmp_path, "--out", tmp_path / "r.html", "--json", "--to", "2026-01-02")
+    assert (done.returncode, json.loads(done.stdout)["windows"]) == (0, 5)
+    assert "unreadable lines left out: 1" in done.stderr
+    assert "No record of the sensors" in words(parsed(tmp_path / "r.html"))
+
+
+@pytest.mark.parametrize(
+    ("more", "code", "says"),
+    [
+        (("--from", "2027-01-01"), 65, "2026-01-01"),
+        (("--from", "yesterday"), 2, "2026-12-31"),
+        (("--from", "2026-02-01", "--to", "2026-01-01"), 2, "--from"),
+    ],
+)
+def test_a_wrong_period_is_refused(
+    months: Path, tmp_path: Path, main: Cli, more: tuple[str, ...], code: int, says: str
+) -> None:
+    done: subprocess.CompletedProcess[str] = main("report", months, "--out", tmp_path / "r.html", *more)
+    assert done.returncode == code
+    assert says in done.stderr
+    assert "Traceback" not in done.stderr
+    assert not (tmp_path / "r.html").exists()
+
+
+def test_a_folder_without_results_is_66_and_an_input_is_never_overwritten(
+    months: Path, tmp_path: Path, main: Cli
+) -> None:
+    assert main("report", tmp_path, "--out", tmp_path / "r.html").returncode == 66
+    before = (months / "summary.json").read_bytes()
+    assert main("report", months, "--out", months / "summary.json").returncode != 0
+    assert (months / "summary.json").read_bytes() == before
