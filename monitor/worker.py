@@ -85,18 +85,25 @@ class Diagnoser:
         self._scratch = tempfile.TemporaryDirectory(prefix="shm-diagnosis-")
         self._waiting: deque[_Job] = deque()
         self._running: tuple[_Job, subprocess.Popen[bytes], float] | None = None
-        self._asked = 0
+        self.asked = 0
+        """How many so far; findings are numbered by it."""
         for old in folder.glob("*.json"):
             old.unlink()
 
+    @property
+    def pending(self) -> tuple[Request, ...]:
+        """What was asked for and is not found yet."""
+        running = () if self._running is None else (self._running[0],)
+        return tuple(job.request for job in (*running, *self._waiting))
+
     def ask(self, request: Request, blocks: list[SampleBlock]) -> None:
         """Queue a diagnosis of some blocks."""
-        self._asked += 1
-        recording = Path(self._scratch.name) / f"{self._asked:03d}.mcap"
+        self.asked += 1
+        recording = Path(self._scratch.name) / f"{self.asked:03d}.mcap"
         with McapWriter(recording) as writer:
             for block in blocks:
                 writer.write(block)
-        self._waiting.append(_Job(self._asked, request, recording, recording.with_suffix(".json")))
+        self._waiting.append(_Job(self.asked, request, recording, recording.with_suffix(".json")))
 
     def poll(self) -> list[dict[str, Any]]:
         """Findings that became ready; never waits."""
