@@ -129,7 +129,10 @@ class Source(Protocol):
         """Counts and clocks so far; may be called from any thread."""
 
     def close(self) -> None:
-        """Release everything; calling it twice does no harm."""
+        """Release everything; calling it twice does no harm.
+
+        What had arrived may still be handed out by `read`, which then raises `EndOfStream` or `SourceError`.
+        """
 
 
 class SourceError(Exception):

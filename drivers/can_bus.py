@@ -103,8 +103,10 @@ class CanSource:
         return SourceHealth(connected and not self._failed, counts, clocks, self._failed or self._detail())
 
     def close(self) -> None:
-        """Leave the bus."""
+        """Leave the bus; `read` still hands out what had arrived."""
         bus, self._bus, self._log = self._bus, None, None
+        if self._pending:
+            self._process()
         if self._file is not None:
             self._file.close()
         if bus is not None:

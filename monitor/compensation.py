@@ -10,8 +10,8 @@ import numpy as np
 from monitor.diagnose import Diagnosis
 from monitor.effects import Effect
 from monitor.likelihood import Fit, Problem, fit
+from monitor.motion import conditions
 from monitor.results import Array
-from monitor.search import conditions
 
 _STIFFNESS_STD = 0.2
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import lru_cache
 from math import floor
 
 import numpy as np
@@ -38,6 +39,7 @@ class Conditioner:
     """Shape (n_phases, n_taps): interpolation weights on the n_taps latest filtered samples, oldest first."""
 
     @classmethod
+    @lru_cache(maxsize=16)  # every gap asks anew, and a stream may have hundreds a second
     def design(cls, rate_in_hz: float, rate_hz: float, cutoff_hz: float, step_s: float | None = None) -> Conditioner:
         """The conditioner from `rate_in_hz` to `rate_hz` with the lowpass at `cutoff_hz`.
 

@@ -20,7 +20,6 @@ from drivers.recorder import unfit
 from monitor import baseline, config, ledger, resume, systemd
 from monitor.appended import AppendedLines
 from monitor.errors import BadConfigurationError, BadInputError, MissingInputError
-from monitor.files import write_atomically
 from monitor.health import Health
 from monitor.history import History
 from monitor.outlets import Outlet, make_outlets
@@ -29,7 +28,7 @@ from monitor.pipeline import Result
 from monitor.publish.lines import standing_line, to_json
 from monitor.publish.requests import apply
 from monitor.publish.rerun_view import RerunPublisher
-from monitor.reader import Reader, Recording
+from monitor.reader import Chores, Reader, Recording
 from monitor.recordings import Progress, duration_s
 from monitor.reload import reread
 from monitor.results import Gap, WindowResult
@@ -40,8 +39,8 @@ _log = logging.getLogger(__name__)
 _TICK_S = 0.2
 _QUIET_S = 10.0
 """Without data, health is told this often; the summary is written no more often."""
-_STOP_S, _DRAIN_S, _CLOSE_S = 1.5, 3.0, 1.0
-"""Longest waits when stopping: for the source, and from the signal on for the queue; then for each of the rest."""
+_STOP_S, _DRAIN_S, _END_S = 1.5, 2.5, 4.5
+"""From the signal on, the source is waited for until the first, the queue until the second, all the rest until the last."""
 _DURABLE_S = 0.5
 """Longest wait for the disk before an alarm's change is told."""
 _LATEST = 50
@@ -75,7 +74,7 @@ class Daemon(Publisher):
         self.out = folder / settings.output.dir
         self._vitals, self._progress = Vitals(self.out), Progress(lambda _: None)
         self._begun_s = self._health_s = self._summary_s = self._sync_s = time.monotonic()
-        self._path, self._stopping, self._changed = path, False, False
+        self._path, self._stopping, self._changed, self._end_s = path, False, False, float("inf")
         self._outlets: tuple[Outlet, ...] = (*make_outlets(path, settings), *outlets)
         try:
             (self.out / "state").mkdir(parents=True, exist_ok=True)
@@ -88,15 +87,13 @@ class Daemon(Publisher):
         except OSError as error:
             raise MissingInputError(f"{self.out}: cannot be written: {error.strerror}") from error
         address, publishers = settings.output.address, [self]
-        self._view = (
-            None
-            if address is None
-            else RerunPublisher(scene(settings, healthy), file=None, serve=address, lossless=False)
-        )
+        view = partial(RerunPublisher, scene(settings, healthy), file=None, lossless=False)
+        self._view = None if address is None else view(serve=address)
         views = () if self._view is None else (View(self._view),)
         findings = self.out / "findings" / f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}"
         self._begin = partial(Session, settings, healthy, (*publishers, *views), (path, healthy_path), findings)
         spans = settings.processing.hop_s, settings.health.span_s
+        self._chores = Chores()
         self._history = History(self.out / "state" / "history.db", settings.state, *spans)
         self._alarm: object = None
         known_ns = self._keeper.resume(self._new_session, self._history.window)
@@ -176,14 +173,14 @@ class Daemon(Publisher):
             outlet.finding(finding)
 
     def _signal(self, number: int, _: object) -> None:
-        self._stopping = True
+        self._stopping, self._end_s = True, time.monotonic() + _END_S
         signal.signal(number, signal.SIG_DFL)  # the next one ends at once
 
     def _hang_up(self, number: int, _: object) -> None:
         self._changed = True
 
     def _loop(self) -> None:
-        ready, stop_by = False, float("inf")
+        ready, told = False, False
         watchdog_s, barked_s = systemd.watchdog_s(), time.monotonic()
         while not self.reader.queue.over:
             item = self.reader.queue.take(_TICK_S)
@@ -195,15 +192,15 @@ class Daemon(Publisher):
             if watchdog_s is not None and now - barked_s >= watchdog_s:
                 barked_s = now
                 systemd.notify("WATCHDOG=1")
-            if item is not None and now < stop_by:
+            if item is not None and now < self._end_s - (_END_S - _DRAIN_S):
                 self._take(*item)
             elif item is not None:
                 self._vitals.unprocessed += 1
             self._now_and_then(now)
-            if self._stopping and stop_by == float("inf"):
+            if self._stopping and not told:
+                told = True
                 systemd.notify("STOPPING=1")
-                stop_by = now + _DRAIN_S
-                self.reader.stop(_STOP_S)
+                self.reader.stop(max(0.0, self._end_s - (_END_S - _STOP_S) - time.monotonic()))
 
     def _take(self, block: SampleBlock, arrived_s: float) -> None:
         """Evaluate, record what was taken in, then publish: the recordings replayed are this run again."""
@@ -259,7 +256,7 @@ class Daemon(Publisher):
         if now - self._sync_s >= self.settings.recorder.flush_s:
             self._sync_s = now
             self._lines.flush()
-            self._lines.sync()
+            self._chores.do("sync", self._lines.sync)
         if now - self._summary_s >= _QUIET_S:
             self._write_summary()
 
@@ -270,10 +267,7 @@ class Daemon(Publisher):
         v = self._vitals
         content |= {"refused_blocks": v.refused, "unprocessed_blocks": v.unprocessed, "latency_ms": v.latency()}
         content["alarm"] = standing_line(self.session.pipeline.state.alarm)
-        try:
-            write_atomically(self.out / "summary.json", to_json(plain(content)) + "\n")
-        except OSError as error:
-            _log.warning("%s: %s", self.out / "summary.json", error.strerror)
+        self._chores.write(self.out / "summary.json", to_json(plain(content)) + "\n")
 
     def _failures(self) -> dict[str, str]:
         """Which ways out are blocked, and why."""
@@ -284,16 +278,22 @@ class Daemon(Publisher):
         return {**view, **{name: why for name, why in files.items() if why}, **outlets}
 
     def _close(self) -> None:
-        self.reader.stop(0.2)  # it has ended, but for an error
-        self.session.watcher.close()
-        self._recording.close(_CLOSE_S)
+        self._end_s = min(self._end_s, time.monotonic() + _END_S)
+        self.reader.stop(0.1)  # it has ended, but for an error
+        self._recording.close(self._share_s())
+        self.session.watcher.close(self._share_s())
         self.health(None)
-        for outlet in reversed(self._outlets):
-            outlet.close(_CLOSE_S)
-        if self._view is not None:
-            self._view.close(_CLOSE_S)
         self._write_summary()
-        self._history.close(_CLOSE_S)
-        self._health_lines.close()
-        self._lines.close()
+        self._history.close(self._share_s())
+        for lines in (self._lines, self._health_lines):
+            self._chores.do(f"close {id(lines)}", lines.close)
+        for outlet in reversed(self._outlets):
+            outlet.close(self._share_s())
+        if self._view is not None:
+            self._view.close(self._share_s())
+        self._chores.close(self._share_s())
         os.close(self._lock)
+
+    def _share_s(self) -> float:
+        """How long one more may take to close: half of what is left, so that who hangs leaves time to the others."""
+        return max(0.0, self._end_s - time.monotonic()) / 2.0

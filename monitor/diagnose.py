@@ -7,18 +7,22 @@ from typing import Literal
 
 import numpy as np
 
+from monitor.corrected import Corrected
 from monitor.diagnosis_settings import DiagnosisSettings
 from monitor.effects import Context, Effect
 from monitor.evidence import Evidence
-from monitor.likelihood import Fit, Problem, fit, inverse
+from monitor.likelihood import Fit, Problem, fit
 from monitor.misfit import Misfit, misfits
-from monitor.polish import Polished, polish, skewness
+from monitor.motion import conditions
+from monitor.polish import FINE, Polished, finish, form_doubt, polish, settle, skewness
 from monitor.reference import Reference
 from monitor.results import Array
-from monitor.search import Candidate, best_of_each, change, conditions, evidence_of, judge, prepare, rank, starts
+from monitor.search import Candidate, best_of_each, change, evidence_of, judge, prepare, rank, starts
 
 _SMALL, _NEAR = 200.0, 0.4
 """Promised gain, nats, below which all that promise this share of it are fitted."""
+_UNSURE = 0.1
+"""Share of a gain by which a rough simulation may misjudge it."""
 _TIED = 1.0
 """Nats between two predictions that are one and the same."""
 Verdict = Literal["none", "named", "ambiguous", "unexplained"]
@@ -65,7 +69,7 @@ def diagnose(evidence: Evidence, reference: Reference, context: Context, setting
     accepted: list[Candidate] = []
     lean, margin = np.zeros(context.structure.n_stories), settings.margin
     while len(accepted) < settings.max_causes:
-        tried = _round(problem, at, lean, settings)
+        tried = _round(problem, at, lean, settings, settings.worth * margin / settings.margin)
         rounds.append(tuple(p.candidate for p in tried))
         if not tried or tried[0].candidate.evidence < margin:
             break
@@ -82,9 +86,16 @@ def diagnose(evidence: Evidence, reference: Reference, context: Context, setting
         problem = _extended(problem, at)
         if best.candidate.effect.ground_share:
             at = fit(problem, at.x, at.effects)  # how far up the forces reach is known only now
+        if len(accepted) > 1 and _bent(at):  # the laws' correction was made without the newest cause
+            made = settle(problem, at, FINE)
+            problem, at, lean = made.problem, made.fit, skewness(made.transforms, problem)[0]
         if best.candidate.effect.nonlinear:
             margin = max(margin, settings.aftermath * best.candidate.gain)
-    at, accepted = _pruned(problem, at, accepted, settings)
+    problem, at, accepted = _pruned(problem, at, accepted, settings)
+    doubt = np.zeros(at.n_effect)
+    if _bent(at) and evidence.drive is None:
+        made = finish(problem, at)
+        problem, at, doubt = made.problem, made.fit, made.doubt
     misfit, left_over = misfits(problem, null, settings), misfits(problem, at, settings)
     share = sum(m.size**2 for m in left_over) / max(sum(m.size**2 for m in misfit), 1.0)
     # The exact form of a nonlinear law far from rest is not known; what little that leaves is no cause of its own.
@@ -97,7 +108,7 @@ def diagnose(evidence: Evidence, reference: Reference, context: Context, setting
         verdict = "named" if accepted else "none"
     return Diagnosis(
         verdict=verdict,
-        causes=_causes(problem, at, accepted),
+        causes=_causes(problem, at, accepted, doubt),
         alternatives=alternatives,
         misfit=misfit,
         left_over=left_over,
@@ -121,7 +132,7 @@ def _looked_ahead(close: list[Polished], settings: DiagnosisSettings) -> list[Po
         return close
     total = []
     for p in close[: settings.tried]:
-        second = _round(_extended(p.problem, p.candidate.fit), p.candidate.fit, p.skewness, settings)
+        second = _round(_extended(p.problem, p.candidate.fit), p.candidate.fit, p.skewness, settings, settings.worth)
         more = second[0].candidate.evidence if second else 0.0
         total.append(p.candidate.evidence + (more if more > settings.margin else 0.0))
     best = int(np.argmax(total))
@@ -142,26 +153,23 @@ def _same(problem: Problem, one: Fit, other: Fit) -> bool:
 def _extended(problem: Problem, at: Fit) -> Problem:
     """The problem once its last cause is accepted.
 
-    The motion follows the new model; a simulated law stays within what was found of it, since its correction was made for
-    that size; and damping, which is known for the healthy modes, is known less well of modes that have moved.
+    The motion follows the new model, and damping, which is known for the healthy modes, is known less well of modes that have
+    moved.
     """
-    effect = at.effects[-1]
     problem = replace(problem, conditions=conditions(problem, at.x, at.effects))
-    if problem.offset is not None and effect.nonlinear:
-        n = len(effect.parameters)
-        precision = inverse(at.covariance[-n:, -n:])
-        problem = replace(
-            problem, pins={**problem.pins, (effect.name, effect.location): (effect.coordinates, precision)}
-        )
     before = problem.model(at.x, (*problem.reference.effects(at.x), *at.effects[:-1])).modes().frequencies_hz
     after = problem.model(at.x, (*problem.reference.effects(at.x), *at.effects)).modes().frequencies_hz
     return replace(problem, reference=problem.reference.with_looser_damping(np.log(after / before)))
 
 
-def _round(problem: Problem, at: Fit, lean: Array, settings: DiagnosisSettings) -> list[Polished]:
-    """The best candidates beside what was accepted, by evidence."""
+def _bent(at: Fit) -> bool:
+    return any(e.nonlinear for e in at.effects)
+
+
+def _round(problem: Problem, at: Fit, lean: Array, settings: DiagnosisSettings, worth: float) -> list[Polished]:
+    """The best candidates beside what was accepted, by evidence, of those that promise a gain of `worth`."""
     taken = [(e.name, e.location) for e in (*problem.reference.effects(at.x), *at.effects)]
-    ranked = [item for item in best_of_each(rank(problem, at, starts(problem, at, taken))) if item[0] > settings.worth]
+    ranked = [item for item in best_of_each(rank(problem, at, starts(problem, at, taken))) if item[0] > worth]
     rough = sorted((judge(problem, at, e, quick=True) for _, e in ranked[: settings.ranked]), key=lambda c: -c.evidence)
     chosen = {c.key: c.effect for c in rough[: settings.tried]}
     # A rough fit may fail from far away, so the score test's own favourites are fitted too.
@@ -190,29 +198,39 @@ def _polished(
     if not any(c.effect.nonlinear for c in doubtful):
         return [Polished(c, problem, lean) for c in candidates]
     measured, std = skewness(problem.evidence.segments.values, problem)
+    rough = {c.key: polish(problem, at, c) for c in doubtful if c.effect.nonlinear}
+    first = max(p.candidate.evidence for p in (*rough.values(), *(Polished(c, problem, lean) for c in candidates)))
     out = []
     for c in candidates:
-        made, spread = Polished(c, problem, lean), 1.0
-        if c.effect.nonlinear and c.evidence > reach:
-            made, spread = polish(problem, at, c), 2.0  # the simulation has as much chance in it as the recording
-        mirror = made.candidate.effect.mirrored()
-        size = [
-            float(-0.5 * (((measured - s) / std) ** 2).sum() / spread)
-            for s in (made.skewness, 2 * lean - made.skewness)
-        ]
-        candidate = made.candidate
-        if mirror is not None and size[1] > size[0]:
-            fitted = replace(
-                candidate.fit, effects=(*candidate.fit.effects[:-1], mirror), x=_mirrored(candidate.fit, mirror)
-            )
-            candidate, size = replace(candidate, effect=mirror, fit=fitted), size[::-1]
-        out.append(replace(made, candidate=replace(candidate, evidence=candidate.evidence + size[0])))
+        made = rough.get(c.key, Polished(c, problem, lean))
+        if c.key in rough and made.candidate.evidence > first - _UNSURE * max(made.candidate.gain, _SMALL):
+            made = polish(made.problem, at, made.candidate, FINE)
+        out.append(_heard(made, lean, measured, std, 2.0 if c.key in rough else 1.0))
     return out
+
+
+def _heard(made: Polished, lean: Array, measured: Array, std: Array, spread: float) -> Polished:
+    """A candidate with what the drifts' skewness says of it, turned round where that fits better.
+
+    `spread` is 2 where the law was simulated, since a simulation has as much chance in it as the recording.
+    """
+    problem, candidate = made.problem, made.candidate
+    size = [
+        float(-0.5 * (((measured - s) / std) ** 2).sum() / spread) for s in (made.skewness, 2 * lean - made.skewness)
+    ]
+    mirror = candidate.effect.mirrored()
+    if mirror is not None and size[1] > size[0]:
+        old = candidate.fit
+        turned = replace(old, effects=(*old.effects[:-1], mirror), x=_mirrored(old, mirror))
+        candidate, size = replace(candidate, effect=mirror, fit=turned), size[::-1]
+        if isinstance(problem, Corrected):
+            problem = problem.mirrored(mirror)
+    return replace(made, problem=problem, candidate=replace(candidate, evidence=candidate.evidence + size[0]))
 
 
 def _pruned(
     problem: Problem, at: Fit, accepted: list[Candidate], settings: DiagnosisSettings
-) -> tuple[Fit, list[Candidate]]:
+) -> tuple[Problem, Fit, list[Candidate]]:
     """Without the causes that later ones made superfluous."""
     for cause in list(accepted[:-1]):
         rest = tuple(e for e in at.effects if (e.name, e.location) != cause.key)
@@ -220,21 +238,23 @@ def _pruned(
         without = fit(problem, x, rest)
         if evidence_of(problem, without, at, len(cause.effect.parameters)).evidence < settings.margin:
             at, accepted = without, [c for c in accepted if c is not cause]
-    return at, accepted
+    return problem if _bent(at) else replace(problem, offset=None), at, accepted
 
 
 def _mirrored(fitted: Fit, mirror: Effect) -> Array:
     return np.concatenate([fitted.x[: -len(mirror.parameters)], mirror.coordinates])
 
 
-def _causes(problem: Problem, fitted: Fit, accepted: list[Candidate]) -> tuple[Cause, ...]:
+def _causes(problem: Problem, fitted: Fit, accepted: list[Candidate], doubt: Array) -> tuple[Cause, ...]:
     """The accepted effects with the standard deviations of their parameters."""
     out, first = [], problem.n_nuisance
-    for effect, candidate in zip(fitted.effects, accepted, strict=False):
+    for effect, _ in zip(fitted.effects, accepted, strict=False):
         std = {}
-        doubt = np.zeros(len(effect.parameters)) if candidate.doubt is None else candidate.doubt
+        more = np.hypot(
+            doubt[first - problem.n_nuisance :][: len(effect.parameters)], form_doubt(problem, fitted, effect)
+        )
         for i, p in enumerate(effect.parameters):
-            deviation = float(np.hypot(np.sqrt(max(fitted.covariance[first + i, first + i], 0.0)), doubt[i]))
+            deviation = float(np.hypot(np.sqrt(max(fitted.covariance[first + i, first + i], 0.0)), more[i]))
             value = getattr(effect, p.name)
             slope = {"linear": 1.0, "log": value, "inverse": value**2}[p.scale]
             std[p.name] = min(deviation * slope, 1e300)

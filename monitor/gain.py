@@ -20,9 +20,10 @@ from monitor.effects import Condition, Context, Effect
 from monitor.evidence import Evidence, Segments, classify
 from monitor.likelihood import Fit, Problem, fit
 from monitor.model import Model
+from monitor.motion import conditions
 from monitor.reference import Reference, nominal
 from monitor.results import Array, ComplexArray
-from monitor.search import conditions, prepare
+from monitor.search import prepare
 from monitor.window import common_step_s
 
 _MAX_BLOCKS = 20

@@ -276,10 +276,10 @@ class Watcher:
         self.found += found
         return found
 
-    def close(self) -> None:
-        """End what still runs."""
+    def close(self, timeout_s: float = 5.0) -> None:
+        """End what still runs; waits no longer than `timeout_s`."""
         if self._diagnoser is not None:
-            self._diagnoser.close()
+            self._diagnoser.close(timeout_s)
 
     def _ask(self, request: watch.Request | None) -> None:
         if request is not None and self._diagnoser is not None:

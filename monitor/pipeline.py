@@ -252,8 +252,6 @@ def _at_rate(state: WindowState, ratio: float) -> WindowState:
     """Where runs lay, counted in samples of another rate; at the same rate nothing changes."""
     if ratio == 1.0:
         return state
-    runs = tuple(
-        (floor(a * ratio), ceil(b * ratio)) for a, b in (*state.past_runs, (state.start, state.start + state.n))
-    )
-    start, end = runs[-1]
-    return replace(state, start=start, n=end - start, past_runs=runs[:-1])
+    start, end = floor(state.start * ratio), ceil((state.start + state.n) * ratio)
+    past = tuple((floor(a * ratio), ceil(b * ratio), round(n * ratio)) for a, b, n in state.past_runs)
+    return replace(state, start=start, n=end - start, past_runs=past)

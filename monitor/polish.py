@@ -1,39 +1,39 @@
 """What statistical linearization leaves out, measured by simulating the exact law, and the skewness that tells laws apart.
 
 The same forces drive the exact law and the linearized systems of every class; the difference of their averaged spectra
-is little disturbed by chance and is added to the prediction, so that the fit that follows is as good as the exact law's.
+is little disturbed by chance and is added to the prediction, with its slopes by the law's sizes, so that the fit that
+follows is as good as the exact law's.  What chance is left shows in the spread between simulations, and goes into the doubt.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from monitor.corrected import Corrected, corrected
 from monitor.effects import Effect
+from monitor.exact import exact, forces, offset
 from monitor.likelihood import Fit, Problem, fit, placed
-from monitor.prediction import assemble, channel_response, ground_density
+from monitor.motion import conditions
 from monitor.results import Array, ComplexArray
-from monitor.search import Candidate, conditions, evidence_of
-from monitor.simulate import respond
-from monitor.spectrum import taper
+from monitor.search import Candidate, evidence_of
 
-_ROUNDS = 5
-_STEEPEST = 0.7
-"""Largest ratio of successive steps that is trusted in extrapolation."""
-_SETTLED = 0.5
-"""Standard deviations by which the parameters may still move when the polish ends."""
-_STEP_HZ = 2048.0
-"""Steps of the simulation: spectra in the band need no more."""
-_BANDS = 1.3
-"""Highest frequency kept of the simulations, over the band's last."""
-_SMOOTH = 0.006
-"""Width over which the correction is smoothed, as a share of the frequency: about a half-power bandwidth."""
-_DEEPEST = -0.7
-"""Share of a predicted spectrum that the correction may take away."""
-_LINEAR_SHARE = 0.2
-"""Share of the correction that is counted as its own standard deviation."""
+Rounds = tuple[tuple[int, bool], ...]
+"""Simulations in each round, and whether slopes are taken too."""
+ROUGH: Rounds = ((1, False), (1, True))
+FINE: Rounds = ((2, True),)
+"""For a rival, and for the best."""
+_LEAST, _MOST, _LOSS = 3, 10, 100.0
+"""Simulations for what is published: one for so many nats that the chance of a single one takes away."""
+_STEP = 0.1
+"""Relative change of a size by which slopes are taken."""
+_UNSETTLED = 0.5
+"""Share of the last move that is a standard deviation."""
+_OTHER = 1000
+"""First seed of the simulations that slopes come from: chance that they shared with the offset would pull the fit."""
+_FORM = 2.0
+"""What is not known of a story's stiffness, over the RMS of the relative correction that the drawing's form needs."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -47,137 +47,152 @@ class Polished:
     """Of every story's drift in the simulation, shape (n,)."""
 
 
-def polish(problem: Problem, null: Fit, candidate: Candidate, seed: int = 0) -> Polished:
+@dataclass(frozen=True, eq=False, slots=True)
+class Settled:
+    """A fit whose laws were simulated where it lies."""
+
+    problem: Problem
+    fit: Fit
+    transforms: ComplexArray
+    """Of one simulation's segments, shape (n_segments, n_bins, c)."""
+    lost: float
+    """Log likelihood that the simulations' chance takes away, nats."""
+    doubt: Array
+    """Standard deviation of the effects' coordinates beyond the fit's own, shape (p,)."""
+
+
+def polish(problem: Problem, null: Fit, candidate: Candidate, rounds: Rounds = ROUGH) -> Polished:
     """Refit a candidate with nonlinear laws, its linearization corrected by simulation at the fitted size."""
-    n, at = problem.n_nuisance, candidate.fit
     if (
         problem.evidence.drive is not None
     ):  # linear in every class: good enough where the model's own error is fitted too
         return Polished(candidate, problem, np.zeros(problem.context.structure.n_stories))
-    path = [at.x[n:]]
-    drift_skewness = np.zeros(problem.context.structure.n_stories)
-    for round_ in range(_ROUNDS):
+    made = settle(problem, candidate.fit, rounds)
+    drift_skewness = skewness(made.transforms, problem)[0]
+    better = evidence_of(made.problem, null, made.fit)
+    if (
+        better.gain < candidate.gain
+    ):  # a law so strong that its simulation does not settle; the linearized one is closer
+        return Polished(candidate, problem, drift_skewness)
+    better = replace(better, gain=better.gain + made.lost, evidence=better.evidence + made.lost)
+    return Polished(better, made.problem, drift_skewness)
+
+
+def settle(problem: Problem, at: Fit, rounds: Rounds) -> Settled:
+    """Refit with all nonlinear laws simulated, a round for every number of simulations.
+
+    Slopes of the offset by the sizes matter since a linearized law may be far more or far less sensitive to its size than the
+    exact one; a round without them keeps those that the problem has.
+    """
+    offsets = free = transforms = np.zeros(0, dtype=complex)
+    slopes = _slopes(problem, at)
+    for count, sloped in rounds:
+        problem = replace(problem, offset=None)
         problem = replace(problem, conditions=conditions(problem, at.x, at.effects))
-        made = [_simulated(problem, at, seed + k) for k in range(1 if round_ == 0 else 2)]
-        drift_skewness = np.mean([s for _, s in made], axis=0)
-        plain = replace(problem, offset=None).scatter(at.x, at.effects)
-        problem = replace(
-            problem, offset=_bounded(plain, np.mean([o for o, _ in made], axis=0), problem.evidence.band.hz)
-        )
+        made = [_simulated(problem, at, seed) for seed in range(count)]
+        offsets, free = np.array([m[0] for m in made]), np.array([m[1] for m in made])
+        if sloped:
+            slopes = np.mean([_sloped(problem, at, _OTHER + seed) for seed in range(count)], axis=0)
+        transforms = made[0][2]
+        problem = corrected(problem, at.x, at.effects, offsets.mean(axis=0), slopes)
         at = fit(problem, at.x, at.effects, iterations=8)
-        path.append(at.x[n:])
-        std = np.sqrt(np.diag(at.covariance)[n:])
-        if (np.abs(path[-1] - path[-2]) < _SETTLED * std).all():
-            break
-        if len(path) >= 3 and round_ < _ROUNDS - 1:
-            at = replace(at, x=np.concatenate([at.x[:n], _ahead(*path[-3:])]))
-            at = replace(at, effects=placed(at.effects, at.x[n:]))
-            path = [at.x[n:]]
-    moved = np.abs(at.x[n:] - candidate.fit.x[n:])[-len(candidate.effect.parameters) :]
-    polished = replace(evidence_of(problem, null, at), doubt=_LINEAR_SHARE * moved)
-    return Polished(polished, problem, drift_skewness)
+    return Settled(problem, at, transforms, *_chance(problem, at, offsets, free))
 
 
-def _ahead(first: Array, second: Array, third: Array) -> Array:
-    """Where a sequence of fits is bound (Aitken's extrapolation)."""
-    step, before = third - second, second - first
-    ratio = np.clip(step / np.where(before == 0.0, 1.0, before), -0.5, _STEEPEST)
-    return np.asarray(third + step * ratio / (1.0 - ratio))
+def finish(problem: Problem, at: Fit) -> Settled:
+    """As `settle`, for what is published: the more chance the simulations have, the more of them.
 
-
-def _simulated(problem: Problem, at: Fit, seed: int) -> tuple[ComplexArray, Array]:
-    """Exact less linearized spectra of every class, and the drifts' skewness under the exact laws."""
-    e, context = problem.evidence, problem.context_at(at.x)
-    effects: tuple[Effect, ...] = (*problem.reference.effects(at.x), *at.effects)
-    mass, stiffness, damping = problem.matrices(at.x, effects)
-    n, p, rate = mass.shape[0], problem.reference.mean.size, e.rate_hz
-    step = round(rate / e.band.bin_hz / 2)
-    n_segments = e.segments.values.shape[0]
-    density = np.empty((n_segments, n))
-    force, level = np.exp(at.x[p : p + n]), np.exp(at.x[p + n : p + n + problem.n_classes])
-    for k, members in enumerate(e.members):
-        density[members] = force * level[k] * e.level[members][:, None]
-    middle = (
-        np.arange(n_segments) + 2
-    ) * step  # one segment to swing in, then half a segment to the first one's middle
-    at_sample = np.arange((n_segments + 2) * step)
-    rng = np.random.default_rng(seed)
-    root = np.stack([np.interp(at_sample, middle, np.sqrt(density[:, j] * rate)) for j in range(n)], axis=1)
-    forces = root * rng.standard_normal(root.shape)
-    for effect in effects:
-        forces = effect.drive(forces, rate)
-    share = sum(x.ground_share for x in effects)
-    ground = None
-    if share > 0.0:
-        system = assemble(mass, stiffness, damping, effects, context, problem.conditions[0])
-        ratio = (
-            ground_density(share, system, force * level[0], context, problem.conditions[0]) / (force * level[0]).mean()
+    What the sizes still move in it is a doubt, and where the fit gets worse, the one that it began with stands.
+    """
+    if all(e.family == "sensor" for e in at.effects if e.nonlinear):
+        return settle(problem, at, ((_LEAST, False),))
+    made = settle(problem, at, FINE)
+    count = int(np.clip(np.ceil(2.0 * made.lost / _LOSS), _LEAST, _MOST))
+    rounds: Rounds = ((count, False),) if count == _LEAST else ((count // 2, True), (count, False))
+    last = settle(made.problem, made.fit, rounds)
+    moved = np.abs(last.fit.x - made.fit.x)[problem.n_nuisance :]
+    if last.fit.log_posterior + last.lost < at.log_posterior:
+        return replace(
+            last, problem=problem, fit=at, doubt=np.hypot(last.doubt, np.abs(last.fit.x - at.x)[problem.n_nuisance :])
         )
-        ground = np.sqrt(ratio) * root.mean(axis=1) * rng.standard_normal(root.shape[0])
-    noise = np.sqrt(problem.noise(at.x) * rate) * rng.standard_normal((root.shape[0], len(context.channels)))
-    exact = respond(problem.model(at.x, effects), forces, ground, rate, step_hz=_STEP_HZ) @ context.sensors.T + noise
-    bent = [effect for effect in effects if effect.family == "sensor" and effect.nonlinear]
-    straight = [effect for effect in effects if effect not in bent]
-    for effect in bent:
-        exact = effect.measure(exact, rate, context, rng)
-    hz = np.arange(round(_BANDS * e.band.hz[-1] / rate * len(root))) * rate / len(root)
-    x = _transformed(_spectrum(exact, hz.size), problem, range(n_segments))
-    hold = np.sinc(hz / rate)[:, None] ** 2  # forces run straight between samples
-    driven = _spectrum(forces if ground is None else np.column_stack([forces, ground]), hz.size) * hold
-    heard = _spectrum(noise, hz.size)
-    offset = np.empty_like(e.spectra)
-    for k, members in enumerate(e.members):
-        system = assemble(mass, stiffness, damping, effects, context, problem.conditions[k])
-        answer = channel_response(system, hz, context)[:, :, : driven.shape[1]]
-        y = _transformed(np.einsum("fcj,fj->fc", answer, driven) + heard, problem, members)
-        y = _through(_through(y, bent, problem, k), straight, problem, k)
-        z = _through(x[members], straight, problem, k)
-        # Noise that linear sensors add is the same on both sides; what clipping adds is on the exact one.
-        extra = sum((f.noise_variance(context, problem.conditions[k]) for f in bent), np.zeros(len(context.channels)))
-        offset[k] = (np.einsum("sfa,sfb->fab", z, z.conj()) - np.einsum("sfa,sfb->fab", y, y.conj())) / members.size
-        offset[k] -= np.diag(np.asarray(extra) / rate)
-        offset[k] *= e.band.gain[:, None, None]
-    return offset, skewness(x, problem)[0]
+    return replace(last, doubt=np.hypot(last.doubt, _UNSETTLED * moved))
 
 
-def _through(transforms: ComplexArray, effects: list[Effect], problem: Problem, k: int) -> ComplexArray:
-    """Transforms after the effects' responses."""
-    for effect in effects:
-        response = effect.response(problem.evidence.band.hz, problem.context, problem.conditions[k])
-        if response is not None:
-            full = np.broadcast_to(response, (transforms.shape[1], *response.shape[1:]))
-            transforms = np.einsum("fab,sfb->sfa", full, transforms)
-    return transforms
+def _simulated(problem: Problem, at: Fit, seed: int) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+    """Offset, the same without a control variate, and the transforms of one simulation."""
+    acting = forces(problem, at.x, at.effects, seed)
+    transforms = exact(problem, at.x, at.effects, acting)
+    free = offset(problem, at.x, at.effects, acting, transforms, controlled=False)
+    return offset(problem, at.x, at.effects, acting, transforms), free, transforms
 
 
-def _spectrum(samples: Array, n: int) -> ComplexArray:
-    """The lowest n frequencies of whole series, shape (n, columns), scaled so that n / 2 samples keep the amplitude."""
-    return np.asarray(np.fft.rfft(samples, axis=0)[:n] * (2.0 * (n - 1) / samples.shape[0]))
+def _sloped(problem: Problem, at: Fit, seed: int) -> ComplexArray:
+    """Slopes of the offset by the laws' sizes, shape (p, classes, n_bins, c, c)."""
+    acting, out = forces(problem, at.x, at.effects, seed), []
+    here = offset(problem, at.x, at.effects, acting, exact(problem, at.x, at.effects, acting), controlled=False)
+    wanted = [e for e in at.effects for _ in e.parameters]
+    for i, effect in enumerate(wanted, start=problem.n_nuisance):
+        if not effect.nonlinear:
+            continue
+        if effect.family == "sensor":  # its size is told by the samples
+            out.append(np.zeros_like(here))
+            continue
+        x = at.x.copy()
+        x[i] += _STEP * abs(x[i])
+        effects = placed(at.effects, x[problem.n_nuisance :])
+        there = offset(problem, x, effects, acting, exact(problem, x, effects, acting), controlled=False)
+        out.append((there - here) / (x[i] - at.x[i]))
+    return np.array(out)
 
 
-def _transformed(spectrum: ComplexArray, problem: Problem, wanted: Iterable[int]) -> ComplexArray:
-    """Tapered transforms of the wanted segments in the band, shape (n_wanted, n_bins, c), of a series at a lower rate."""
-    band = problem.evidence.band
-    samples = np.fft.irfft(spectrum, n=2 * (spectrum.shape[0] - 1), axis=0)
-    total = (problem.evidence.segments.values.shape[0] + 2) / 2.0  # segments one after the other
-    rate = samples.shape[0] / total * band.bin_hz
-    length = samples.shape[0] / total
-    window = taper(round(length))[:, None] / np.sqrt(rate)
-    begin = [round((i + 1) * length / 2.0) for i in wanted]
-    parts = np.stack([samples[i : i + len(window)] for i in begin])
-    return np.asarray(np.fft.rfft(window * parts, axis=1)[:, band.first : band.first + band.n_bins])
+def _slopes(problem: Problem, at: Fit) -> ComplexArray:
+    """Those that a problem has for the laws of a fit; none otherwise."""
+    if isinstance(problem, Corrected) and problem.laws == tuple(
+        (e.name, e.location) for e in at.effects if e.nonlinear
+    ):
+        return problem.slopes_by_size
+    return np.zeros((0, *problem.evidence.spectra.shape), dtype=complex)
 
 
-def _bounded(spectra: ComplexArray, offset: ComplexArray, hz: Array) -> ComplexArray:
-    """The offset, smoothed relative to the spectra, and kept from taking away so much that none would be left."""
-    lower = np.linalg.cholesky(spectra)
-    inverse = np.linalg.inv(lower)
-    relative = inverse @ offset @ inverse.conj().swapaxes(-1, -2)
-    near = np.exp(-0.5 * ((hz[:, None] - hz) / np.maximum(_SMOOTH * hz[:, None], 1e-9)) ** 2)
-    near /= near.sum(axis=1, keepdims=True)
-    values, vectors = np.linalg.eigh(np.einsum("fg,kgab->kfab", near, relative))
-    carried = lower @ vectors
-    return np.asarray((carried * np.maximum(values, _DEEPEST)[..., None, :]) @ carried.conj().swapaxes(-1, -2))
+def _chance(problem: Problem, at: Fit, offsets: ComplexArray, free: ComplexArray) -> tuple[float, Array]:
+    """What the simulations' chance costs in log likelihood, and what it adds to the sizes' standard deviation.
+
+    A nonlinear response is not normal, so a recording's spectra scatter more than the likelihood knows: as the spectra of
+    simulations without a control variate do.
+    """
+    n, k = problem.n_nuisance, len(offsets)
+    if k < 2 or not isinstance(problem, Corrected):
+        return 0.0, np.zeros(at.x.size - n)
+    here = problem.predict(at.x, at.effects)
+    rows = at.jacobian[: at.residual.size]
+    steps, lost = [], 0.0
+    for each in (offsets, free):
+        apart, _ = problem.whitened(here.spectra, problem.spread(each - each.mean(axis=0)), here.data)
+        steps.append((at.covariance @ (rows.T @ apart))[n:])
+        if each is offsets:
+            lost = 0.5 * float((apart**2).sum()) / (k * (k - 1))
+    own, whole = (s.var(axis=1, ddof=1) for s in steps)
+    expected = np.diag(at.covariance @ (rows.T @ rows) @ at.covariance)[n:]
+    return lost, np.sqrt(own / k + np.maximum(whole - expected, 0.0))
+
+
+def form_doubt(problem: Problem, at: Fit, effect: Effect) -> Array:
+    """What the model's form leaves open of an effect's coordinates, as standard deviations, shape (p,).
+
+    A size relative to a story's stiffness is known no better than that stiffness, which a frame that is no shear frame blurs.
+    How softening goes on beyond the third order is not known: with a fifth order like that of tanh, a size would differ by
+    twice the relative softening.
+    """
+    size = np.abs(effect.coordinates)
+    if effect.name == "bilinear_stiffness":
+        correction = problem.reference.parts(at.x)[4]
+        rms = float(np.sqrt((correction**2).mean())) if correction.size else 0.0
+        return np.asarray(_FORM * rms * size)
+    if effect.name == "cubic_stiffness" and effect.coordinates[0] < 0.0:
+        drift = problem.conditions[problem.n_classes // 2].drift_m[effect.index]
+        stiffness = problem.context_at(at.x).structure.stiffness_n_per_m[effect.index]
+        return np.asarray(size * 3.0 * size * drift**2 / stiffness)
+    return np.zeros(size.size)
 
 
 def skewness(transforms: ComplexArray, problem: Problem) -> tuple[Array, Array]:

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Generic, TypeVar
 
 from drivers.base import EndOfStream, SampleBlock, Source, SourceError
 from drivers.recorder import Recorder, RecorderHealth, RecorderSettings
+from monitor.files import write_atomically
 
 _log = logging.getLogger(__name__)
 
@@ -118,7 +121,7 @@ class Reader:
         self._thread.start()
 
     def stop(self, timeout_s: float) -> None:
-        """Read no more; waits for the source to close, but no longer than `timeout_s`."""
+        """Read no more but what has arrived; waits for the source to close, but no longer than `timeout_s`."""
         self._stop.set()
         self.queue.lift()
         self._thread.join(timeout_s)
@@ -144,7 +147,14 @@ class Reader:
             finally:
                 self.source.close()
             self._stop.wait(wait_s)
+        self._drain()
         self.queue.close()
+
+    def _drain(self) -> None:
+        """What a closed source still holds."""
+        with contextlib.suppress(EndOfStream, SourceError):
+            while (block := self.source.read(0.0)) is not None:
+                self.queue.put(block)
 
     def _read(self) -> None:
         self.source.open()
@@ -213,3 +223,50 @@ class Recording:
                 item[0](0 if recorder is None else recorder.stamp_ns)
         if recorder is not None:
             recorder.close()
+
+
+class Chores:
+    """Small jobs that may wait for the disk, done in a thread of their own so that nobody else waits.
+
+    Of jobs of one name only the latest is done.
+    """
+
+    def __init__(self) -> None:
+        self._jobs: dict[str, Callable[[], None]] = {}
+        self._changed = threading.Condition()
+        self._closed = False
+        self._thread = threading.Thread(target=self._work, name="chores", daemon=True)
+        self._thread.start()
+
+    def do(self, name: str, job: Callable[[], None]) -> None:
+        """Do a job soon; it must not raise."""
+        with self._changed:
+            self._jobs[name] = job
+            self._changed.notify_all()
+
+    def write(self, path: Path, text: str) -> None:
+        """Write a small file soon; it does no harm if the disk refuses."""
+        self.do(str(path), partial(_write, path, text))
+
+    def close(self, timeout_s: float) -> None:
+        """Do what is left, no longer than that."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+        self._thread.join(timeout_s)
+
+    def _work(self) -> None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._jobs or self._closed)
+                if not self._jobs:
+                    return
+                job = self._jobs.pop(next(iter(self._jobs)))
+            job()
+
+
+def _write(path: Path, text: str) -> None:
+    try:
+        write_atomically(path, text)
+    except OSError as error:
+        _log.warning("%s: %s", path, error.strerror)

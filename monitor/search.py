@@ -7,11 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from monitor.driven import Drive, motion_rms
-from monitor.effects import EFFECTS, Condition, Context, Effect, System, locations
-from monitor.evidence import Evidence, class_temperature
+from monitor.effects import EFFECTS, Condition, Context, Effect, locations
+from monitor.evidence import Evidence
 from monitor.likelihood import Fit, Prediction, Problem, fit, inverse
-from monitor.prediction import accelerance, assemble, variances
+from monitor.motion import conditions
 from monitor.reference import Reference
 from monitor.results import Array
 
@@ -19,8 +18,6 @@ _FAR = 40
 """Iterations of a first fit to driven motion, whose phases tell more and lead on a longer way."""
 _STATIONARY = ("sensor_clipping",)
 """Effects whose linearization takes samples for normal, which an earthquake's are not."""
-_PILE = 20
-"""Samples that share the largest magnitude only where something clips them."""
 _DRAGGED = -20.0
 """Log prior below which the model without the effect was dragged far from what was known, where a fit starts better."""
 _HELD = 1e8
@@ -98,83 +95,6 @@ def _first_guess(problem: Problem) -> Array:
         x[p : p + n] += np.log(_FORCED)
         x[p + n : p + n + problem.n_classes] = np.log(power / e.power).mean(axis=(1, 2)) + 2.0 * np.log(_MODEL_ERROR)
     return x
-
-
-def conditions(problem: Problem, x: Array, effects: tuple[Effect, ...]) -> tuple[Condition, ...]:
-    """RMS motion of every class under the fitted model, and its temperature."""
-    e, context = problem.evidence, problem.context_at(x)
-    effects = (*problem.reference.effects(x), *effects)
-    mass, stiffness, damping = problem.matrices(x, effects)
-    n, p = mass.shape[0], problem.reference.mean.size
-    force, level = np.exp(x[p : p + n]), np.exp(x[p + n : p + n + problem.n_classes])
-    drift = context.structure.drift_matrix()
-    beyond, out = 1.0, []
-    if any(effect.ground_share for effect in effects):  # without it the forces would be taken for what the ground does
-        system = assemble(mass, stiffness, damping, effects, context, problem.conditions[0])
-        white = variances(system, force * (e.counts @ level) / e.counts.sum(), context, e.band.hz[-1])[2]
-        noise = problem.noise(x) * (e.rate_hz - 2.0 * e.band.hz[-1])
-        beyond = float((np.maximum(e.segments.above.mean(axis=0) - noise, 0.0) / white).mean())
-    for k in range(problem.n_classes):
-        system = assemble(mass, stiffness, damping, effects, context, problem.conditions[k])
-        lowest = np.sqrt(max(np.linalg.eigvalsh(np.linalg.solve(mass, stiffness)).min(), 1e-6)) / (2.0 * np.pi)
-        step = min(0.25 * e.band.bin_hz, 0.25 * damping.min() * lowest)
-        hz = np.arange(max(0.2 * lowest, step), e.band.hz[-1] * 1.2, step)
-        size = system.mass.shape[0]
-        right = np.zeros((size, n + 1))
-        right[:n, :n] = np.eye(n)
-        right[:, n] = -system.mass.sum(axis=1)
-        w = 2.0 * np.pi * hz
-        motion = accelerance(system.mass, system.damping, system.stiffness, w, right)[:, :n] / (-(w**2))[:, None, None]
-        colour = np.ones(hz.size)
-        for effect in effects:
-            colour = colour * effect.colour(hz)
-        root = np.sqrt(force * level[k] * colour[:, None])
-        columns = motion[:, :, :n] * root[:, None, :]
-        drive = None if e.drive is None else e.drive.part(e.members[k])
-
-        def rms(
-            rows: Array,
-            order: int,
-            columns: Array = columns,
-            w: Array = w,
-            step: float = step,
-            drive: Drive | None = drive,
-            system: System = system,
-            least_hz: float = 0.2 * lowest,
-        ) -> Array:
-            power = np.abs(rows @ columns) ** 2
-            random = 2.0 * step * (power.sum(axis=2) * (w ** (2 * order))[:, None]).sum(axis=0)
-            if drive is None:
-                return np.asarray(np.sqrt(random))
-            return np.asarray(
-                np.hypot(np.sqrt(random), motion_rms(drive, system, e.band, context, rows, order, least_hz))
-            )
-
-        def excess(lag_s: float, k: int = k) -> float:
-            value = class_temperature(e, k, lag_s)
-            return 0.0 if value is None else value - _reference_degc(problem, lag_s)
-
-        out.append(
-            Condition(
-                rms(drift, 0),
-                rms(drift, 1),
-                rms(np.eye(n), 1),
-                e.rms[k],
-                excess,
-                e.peak,
-                e.piled >= _PILE,
-                beyond,
-                float(e.band.hz[-1]),
-            )
-        )
-    return tuple(out)
-
-
-def _reference_degc(problem: Problem, lag_s: float) -> float:
-    """The baseline's mean temperature, else the recording's."""
-    if problem.reference.reference_degc is not None:
-        return problem.reference.reference_degc
-    return float(problem.evidence.temperature[:, 1].mean())
 
 
 def starts(problem: Problem, null: Fit, taken: Iterable[tuple[str, str]] = ()) -> list[Effect]:

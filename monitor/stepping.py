@@ -7,18 +7,35 @@ Within a step the forces run straight; so do the laws' forces, from those at its
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import ceil
+from math import ceil, tanh
 
 import numpy as np
 from numba import njit
 from scipy.linalg import expm
 
-from monitor.effects import Law, System
-from monitor.effects.laws import phi
+from monitor.effects import Law, LawKind, System
 from monitor.results import Array
 
 STEP_HZ = 4096.0
 """Least rate of steps."""
+
+_CUBIC, _CONTACT, _FRICTION = int(LawKind.CUBIC), int(LawKind.CONTACT), int(LawKind.FRICTION)
+
+
+@njit(cache=True)
+def phi(kind: int, p0: float, p1: float, d: float, v: float) -> float:
+    """Force of a law at displacement d and velocity v; `LawKind` says what the parameters are, each effect why.
+
+    Here, not with the effects: a compiled function that calls one of another file is not compiled anew when that changes.
+    """
+    if kind == _CUBIC:
+        return p0 * d * d * d / (1.0 + (d / p1) ** 4)
+    if kind == _CONTACT:
+        closed = d > p0 if p0 >= 0.0 else d < p0
+        return p1 * (d - p0) if closed else 0.0
+    if kind == _FRICTION:
+        return p0 * tanh(v / p1)
+    return p0 * v * abs(v)
 
 
 def march(

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 import shutil
+import statistics
 import time
+from collections import deque
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -17,6 +19,8 @@ from monitor.reader import Reader
 
 LATENCY_MS = (5, 10, 20, 50, 100, 200, 500, 1000)
 """Upper edges of the histogram's bins; one more holds the rest."""
+_RECENT = 1000
+"""Windows that the median is of."""
 _MOST_TEXT = 300
 
 
@@ -33,6 +37,7 @@ class Vitals:
         """Blocks that shutting down left no time for."""
         self._bins = [0] * (len(LATENCY_MS) + 1)
         self._latest_ms = self._most_ms = 0.0
+        self._recent_ms: deque[float] = deque(maxlen=_RECENT)
         self._delay_s: float | None = None
 
     def refuse(self, reason: str) -> None:
@@ -49,13 +54,16 @@ class Vitals:
         """A window's line is written; its last sample came at `arrived_s` (monotonic)."""
         ms = self._latest_ms = 1e3 * (time.monotonic() - arrived_s)
         self._most_ms = max(self._most_ms, ms)
+        self._recent_ms.append(ms)
         self._bins[sum(ms > edge for edge in LATENCY_MS)] += 1
 
     def latency(self) -> dict[str, Any]:
         """Milliseconds from the arrival of a window's last sample to its published line."""
         names = (*(f"<= {edge}" for edge in LATENCY_MS), f"> {LATENCY_MS[-1]}")
         counts = dict(zip(names, self._bins, strict=True))
-        return {"latest": round(self._latest_ms, 2), "max": round(self._most_ms, 2), "windows": counts}
+        median = statistics.median(self._recent_ms) if self._recent_ms else 0.0
+        said = {"latest": self._latest_ms, "median": median, "max": self._most_ms}
+        return {**{name: round(ms, 2) for name, ms in said.items()}, "windows": counts}
 
     def line(
         self, health: Health | None, reader: Reader, recorder: RecorderHealth | None, publishers: Mapping[str, str]

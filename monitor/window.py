@@ -103,19 +103,30 @@ class WindowState:
     """The latest complete blocks of the run, at most one window of them."""
     segments: tuple[tuple[int, ComplexArray], ...] = ()
     """(number, transform) of the run's latest segments, at most one window of them."""
-    past_runs: tuple[tuple[int, int], ...] = ()
-    """[start, end) of earlier runs that a coming window may still touch."""
+    past_runs: tuple[tuple[int, int, int], ...] = ()
+    """(start, end, samples) of earlier runs that a coming window may still touch; those within one block are one entry, so
+    that a storm of gaps is carried as lightly as one."""
 
 
 def start(grid: WindowGrid, n_channels: int, *, index: int, previous: WindowState | None = None) -> WindowState:
     """State before the first sample of a run that begins at grid index `index`."""
-    runs: tuple[tuple[int, int], ...] = ()
+    runs: tuple[tuple[int, int, int], ...] = ()
     next_window = 0
     if previous is not None:
-        runs = (*previous.past_runs, (previous.start, previous.start + previous.n))
+        runs = _all_runs(grid, previous)
         next_window = _touching(grid, runs, index, previous.next_window)
-        runs = tuple(r for r in runs if r[1] > next_window * grid.hop_n)
+        if runs and runs[0][1] <= next_window * grid.hop_n:
+            runs = tuple(r for r in runs if r[1] > next_window * grid.hop_n)
     return WindowState(index, 0, next_window, np.zeros((0, n_channels)), (), (), runs)
+
+
+def _all_runs(grid: WindowGrid, state: WindowState) -> tuple[tuple[int, int, int], ...]:
+    """Earlier runs and the current one, in order."""
+    runs, begin, end, n = state.past_runs, state.start, state.start + state.n, state.n
+    if n and runs and runs[-1][0] // grid.block_n == (end - 1) // grid.block_n:
+        begin, n = runs[-1][0], n + runs[-1][2]
+        runs = runs[:-1]
+    return (*runs, (begin, end, n)) if n else runs
 
 
 def step(
@@ -151,12 +162,12 @@ def step(
     return state, results
 
 
-def _touching(grid: WindowGrid, runs: tuple[tuple[int, int], ...], start: int, k: int) -> int:
+def _touching(grid: WindowGrid, runs: tuple[tuple[int, int, int], ...], start: int, k: int) -> int:
     """The first window from k on that holds data of earlier `runs` or of the one that begins at `start`.
 
     Windows that lie wholly in a gap are passed over at once, however long it was.
     """
-    if any(end > k * grid.hop_n for _, end in runs):
+    if runs and runs[-1][1] > k * grid.hop_n:
         return k
     return max(k, (start - grid.window_n) // grid.hop_n + 1)
 
@@ -238,8 +249,7 @@ def _emit(
             first_segment=inside[0][0] if inside else 0,
         )
         return
-    runs = (*state.past_runs, (state.start, state.start + state.n))
-    data_n = sum(max(0, min(e, end) - max(s, begin)) for s, e in runs)
+    data_n = sum(max(0, min(n, end - s, e - begin, grid.window_n)) for s, e, n in _all_runs(grid, state))
     if data_n:  # a window without any data is not worth a line
         yield k, t_end_ns, data_n / grid.rate_hz, Skipped("gap in the data")
 

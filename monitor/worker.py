@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import logging
 import os
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from queue import Empty, SimpleQueue
 from typing import Any
 
 from threadpoolctl import threadpool_limits
@@ -24,7 +28,11 @@ from monitor.files import demand_place, write_atomically
 from monitor.recordings import OnWarning
 from monitor.watch import Request
 
+_log = logging.getLogger(__name__)
+
 _POLL_S = 0.05
+_BREATH_S = 50e-6
+"""Between two blocks written: the evaluation, which wants the interpreter too, goes first."""
 _MOST_BLOCKS = 200_000
 
 
@@ -69,7 +77,8 @@ class Diagnoser:
     """Runs the diagnoses that are asked for, one after the other, each in a new process.
 
     Every request gives one finding, a dict: diagnosis.json's content with `id`, `t_ns`, `from_ns` and `reason`, kept as
-    ``FOLDER/ID.json``; where the diagnosis failed its `verdict` is None and `error` says why.
+    ``FOLDER/ID.json``; where the diagnosis failed its `verdict` is None and `error` says why.  Whoever asks never waits for
+    a disk: a thread writes what the process reads, waits for it and keeps what it found.
 
     Parameters
     ----------
@@ -82,82 +91,113 @@ class Diagnoser:
     def __init__(self, structure: Path, healthy: Path | None, folder: Path, time_limit_s: float) -> None:
         self._structure, self._healthy, self._folder = structure, healthy, folder
         self._time_limit_s = time_limit_s
-        self._scratch = tempfile.TemporaryDirectory(prefix="shm-diagnosis-")
-        self._waiting: deque[_Job] = deque()
-        self._running: tuple[_Job, subprocess.Popen[bytes], float] | None = None
+        self._scratch = tempfile.TemporaryDirectory(prefix="shm-diagnosis-", ignore_cleanup_errors=True)
+        self._jobs: SimpleQueue[tuple[_Job, list[SampleBlock]] | None] = SimpleQueue()
+        self._ready: SimpleQueue[tuple[int, dict[str, Any]]] = SimpleQueue()
+        self._pending: dict[int, Request] = {}
         self.asked = 0
         """How many so far; findings are numbered by it."""
+        self._process: subprocess.Popen[bytes] | None = None
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._work, name="diagnoser", daemon=True)
+        self._thread.start()
         for old in folder.glob("*.json"):
             old.unlink()
 
     @property
     def pending(self) -> tuple[Request, ...]:
         """What was asked for and is not found yet."""
-        running = () if self._running is None else (self._running[0],)
-        return tuple(job.request for job in (*running, *self._waiting))
+        return tuple(self._pending.values())
 
     def ask(self, request: Request, blocks: list[SampleBlock]) -> None:
         """Queue a diagnosis of some blocks."""
         self.asked += 1
+        self._pending[self.asked] = request
         recording = Path(self._scratch.name) / f"{self.asked:03d}.mcap"
-        with McapWriter(recording) as writer:
-            for block in blocks:
-                writer.write(block)
-        self._waiting.append(_Job(self.asked, request, recording, recording.with_suffix(".json")))
+        self._jobs.put((_Job(self.asked, request, recording, recording.with_suffix(".json")), blocks))
 
     def poll(self) -> list[dict[str, Any]]:
         """Findings that became ready; never waits."""
         found = []
-        if self._running is not None:
-            job, process, began = self._running
-            late = time.monotonic() - began > self._time_limit_s
-            if late and process.poll() is None:
-                process.kill()
-                process.wait()
-            if process.poll() is not None:
-                found.append(self._collect(job, f"took longer than {self._time_limit_s:g} s" if late else ""))
-                self._running = None
-        if self._running is None and self._waiting:
-            job = self._waiting.popleft()
-            self._running = job, self._start(job), time.monotonic()
+        with contextlib.suppress(Empty):
+            while True:
+                number, finding = self._ready.get_nowait()
+                del self._pending[number]
+                found.append(finding)
         return found
 
     def wait(self, stop: Callable[[], bool] = lambda: False) -> list[dict[str, Any]]:
         """Findings of everything that was asked for, or of what is ready when `stop` says so."""
         found = self.poll()
-        while self._running is not None and not stop():
+        while self._pending and not stop():
             time.sleep(_POLL_S)
             found += self.poll()
         return found
 
-    def close(self) -> None:
-        """End what still runs."""
-        if self._running is not None:
-            self._running[1].kill()
-            self._running[1].wait()
-        self._running = None
-        self._waiting.clear()
+    def close(self, timeout_s: float = 5.0) -> None:
+        """End what still runs; waits no longer than `timeout_s`."""
+        self._over.set()
+        self._jobs.put(None)
+        if self._process is not None:
+            self._process.kill()
+        self._thread.join(timeout_s)
         self._scratch.cleanup()
 
-    def _start(self, job: _Job) -> subprocess.Popen[bytes]:
+    def _work(self) -> None:
+        while (item := self._jobs.get()) is not None and not self._over.is_set():
+            job, blocks = item
+            try:
+                error = self._run(job, blocks)
+            except OSError as failure:
+                error = f"{failure.filename or job.recording}: {failure.strerror or failure}"
+            if not self._over.is_set():
+                self._ready.put((job.number, self._collect(job, error)))
+
+    def _run(self, job: _Job, blocks: list[SampleBlock]) -> str:
+        """Let a process diagnose; why it came to nothing, or an empty text."""
+        with McapWriter(job.recording) as writer:
+            for block in blocks:
+                writer.write(block)
+                time.sleep(_BREATH_S)
         # A new interpreter, never a fork: threads of this one may hold locks.
         healthy = [] if self._healthy is None else [str(self._healthy)]
         command = [sys.executable, "-m", "monitor.worker", str(job.recording), str(job.result), str(self._structure)]
         with job.recording.with_suffix(".log").open("wb") as log:
-            return subprocess.Popen([*command, *healthy], stdin=subprocess.DEVNULL, stdout=log, stderr=log)
+            process = subprocess.Popen([*command, *healthy], stdin=subprocess.DEVNULL, stdout=log, stderr=log)
+        self._process = process
+        if self._over.is_set():  # `close` may have come before it was there to be ended
+            process.kill()
+        try:
+            process.wait(self._time_limit_s)
+            return ""
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+            return f"took longer than {self._time_limit_s:g} s"
 
     def _collect(self, job: _Job, error: str) -> dict[str, Any]:
         finding = {**job.head, "verdict": None, "says": "", "causes": []}
         try:
             finding |= json.loads(job.result.read_text(encoding="utf-8"))
         except (OSError, ValueError):
-            log = job.recording.with_suffix(".log").read_text(encoding="utf-8", errors="replace").strip()
-            finding["error"] = error or (log.splitlines() or ["ended without a result"])[-1]
+            finding["error"] = error or _last_line(job.recording.with_suffix(".log"))
         place = self._folder / f"{finding['id']}.json"
-        demand_place(place)
-        write_atomically(place, json.dumps(finding, indent=1, allow_nan=False) + "\n")
-        job.recording.unlink(missing_ok=True)
+        try:
+            demand_place(place)
+            write_atomically(place, json.dumps(finding, indent=1, allow_nan=False) + "\n")
+            job.recording.unlink(missing_ok=True)
+        except (OSError, UserError) as failure:
+            _log.warning("%s is not kept: %s", place, failure)
         return finding
+
+
+def _last_line(log: Path) -> str:
+    """The last thing that a diagnosis said."""
+    try:
+        lines = log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
+    except OSError:
+        lines = []
+    return (lines or ["ended without a result"])[-1]
 
 
 def main(arguments: list[str]) -> int:

@@ -14,10 +14,11 @@ from monitor.evidence import Segments, classify, gather
 from monitor.gain import score
 from monitor.likelihood import Problem
 from monitor.model import Model
+from monitor.motion import conditions
 from monitor.record import blocks_of
 from monitor.reference import nominal
 from monitor.results import Array
-from monitor.search import conditions, prepare
+from monitor.search import prepare
 from monitor.simulate import simulate
 
 RATE = 1000.0  # the simulated ground runs straight between samples: its slight lowpass must stay far above the band

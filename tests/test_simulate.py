@@ -181,7 +181,7 @@ def test_the_lag_of_the_temperature_is_first_order() -> None:
 
 def story_force(text: str) -> np.ndarray:
     """Drift and force of the story that the effect is on, shape (2, 2001)."""
-    from monitor.effects.laws import phi
+    from monitor.stepping import phi
 
     effect = parse_effect(text)
     law = effect.laws(FRAME.structure)[0]
@@ -193,8 +193,8 @@ def story_force(text: str) -> np.ndarray:
 def test_a_softening_cubic_is_the_cubic_and_never_runs_away() -> None:
     d, force = story_force("cubic_stiffness:story 2:k3_n_per_m3=-4e7")
     k = FRAME.structure.stiffness_n_per_m[1]
-    near = np.abs(d) < 3e-3
-    np.testing.assert_allclose(force[near], (k * d - 4e7 * d**3)[near], rtol=1e-9, atol=1e-12)
+    near = np.abs(d) < 1e-3  # (d / q)^4 = 7e-4, of a cubic that takes off 3 %
+    np.testing.assert_allclose(force[near], (k * d - 4e7 * d**3)[near], rtol=3e-5, atol=1e-12)
     assert np.diff(force).min() > 0.09 * k * (d[1] - d[0])
 
 

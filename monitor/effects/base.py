@@ -98,10 +98,10 @@ class Line:
 
 
 class LawKind(IntEnum):
-    """Which phi of `monitor.effects.laws`; its two parameters in brackets."""
+    """Which phi of `monitor.stepping`; its two parameters in brackets."""
 
     CUBIC = 0
-    """(k3, drift beyond which the tangent stays as it is there)"""
+    """(k3, drift at which its force has faded to half)"""
     CONTACT = 1
     """(gap, stiffness that comes in beyond it)"""
     FRICTION = 2
@@ -114,7 +114,7 @@ class LawKind(IntEnum):
 class Law:
     """An exact nonlinear force: ``-direction * phi(direction . x, direction . v)`` on the structure's dofs.
 
-    `kind` picks phi in `monitor.effects.laws`, compiled once for all of them.
+    `kind` picks phi in `monitor.stepping`, compiled once for all of them.
     """
 
     kind: LawKind

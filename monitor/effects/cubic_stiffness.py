@@ -3,21 +3,27 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import erf, erfc, exp, inf, pi, sqrt
+from math import inf, sqrt
 from typing import ClassVar, Literal, Self
+
+import numpy as np
 
 from monitor.effects.base import Condition, Context, Effect, Law, LawKind, System
 from monitor.effects.parameter import Parameter
 from monitor.structures import Structure
+
+_NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(40)
+_WEIGHTS /= _WEIGHTS.sum()
+"""Mean over a standard normal variable."""
 
 
 @dataclass(frozen=True)
 class CubicStiffness(Effect):
     """Story force k d + k3 d^3.
 
-    A softening cubic would run away, so beyond the drift at which its tangent has fallen to a tenth of k it goes on
-    straight with that tangent; below, it is the cubic exactly.  Linearized: k + 3 k3 E min(d^2, d_max^2) for a normal
-    drift, which is k + 3 k3 s_d^2 for any hardening cubic.
+    A softening cubic would run away, so its force fades as 1 / (1 + (d / q)^4), q^2 = k / |k3|: up to the sixth order it is the
+    cubic, and the tangent stays positive.  Linearized: k + E[d phi(d)] / s_d^2 for a normal drift, k + 3 k3 s_d^2 where it
+    hardens.
     """
 
     name: ClassVar[str] = "cubic_stiffness"
@@ -32,21 +38,19 @@ class CubicStiffness(Effect):
 
     def extend(self, system: System, context: Context, condition: Condition) -> System:
         """See `Effect.extend`."""
-        s, limit = float(condition.drift_m[self.index]), self._limit_m(context.structure)
-        a = limit / s
-        within = erf(a / sqrt(2.0)) - sqrt(2.0 / pi) * a * exp(-0.5 * a**2)
-        mean_square = s**2 * within + limit**2 * erfc(a / sqrt(2.0))
-        return system.plus(stiffness=3.0 * self.k3_n_per_m3 * mean_square * self.pattern(context.structure))
+        s, faded = float(condition.drift_m[self.index]), self._faded_m(context.structure)
+        fourth = float(_WEIGHTS @ (_NODES**4 / (1.0 + (s * _NODES / faded) ** 4)))
+        return system.plus(stiffness=self.k3_n_per_m3 * s**2 * fourth * self.pattern(context.structure))
 
     def laws(self, structure: Structure) -> tuple[Law, ...]:
         """See `Effect.laws`."""
-        return (Law(LawKind.CUBIC, self.direction(structure), (self.k3_n_per_m3, self._limit_m(structure))),)
+        return (Law(LawKind.CUBIC, self.direction(structure), (self.k3_n_per_m3, self._faded_m(structure))),)
 
-    def _limit_m(self, structure: Structure) -> float:
-        """Drift at which the cubic goes over into its tangent."""
+    def _faded_m(self, structure: Structure) -> float:
+        """Drift at which the cubic's force has faded to half."""
         if self.k3_n_per_m3 >= 0.0:
             return 1e30
-        return sqrt(0.9 * float(structure.stiffness_n_per_m[self.index]) / (-3.0 * self.k3_n_per_m3))
+        return sqrt(float(structure.stiffness_n_per_m[self.index]) / -self.k3_n_per_m3)
 
     @classmethod
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:

@@ -20,7 +20,7 @@ _ALWAYS = 0.05
 """Least limit over RMS: all that is left of the signal is its sign."""
 
 
-_PILE_STD = 1e-3
+_PILE_STD = 1e-4
 """Relative standard deviation of the limit where samples pile up at it."""
 _UNCLIPPED = 4.5
 """RMS values that a signal exceeds somewhere in a recording if nothing stops it."""

@@ -145,7 +145,7 @@ def test_of_no_size_it_changes_not_a_bit(none: Effect) -> None:
 
 
 def force(law: Law, displacement: float, velocity: float) -> float:
-    from monitor.effects.laws import phi
+    from monitor.stepping import phi
 
     return float(phi(int(law.kind), *law.parameters, displacement, velocity))
 

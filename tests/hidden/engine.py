@@ -32,14 +32,15 @@ def calibrate(drawing: str, blocks: Iterable[SampleBlock]) -> Baseline:
 
 def answer(baseline: Baseline, blocks: Iterable[SampleBlock]) -> dict[str, Any]:
     """What `diagnosis.json` says."""
-    d, gain = discrepancy.judged(evidence.gather(blocks, baseline.config), baseline.reference, baseline.config)
+    segments = evidence.gather(blocks, baseline.config)
+    d, gain = discrepancy.judged(segments, baseline.reference, baseline.config)
     return {
         "verdict": d.verdict,
         "causes": _causes(d),
         "alternatives": [
             {"effect": c.effect.name, "location": c.effect.location, "probability": float(p)} for c, p in d.alternatives
         ],
-        "gain": [gain.after - gain.before, *gain.ci95],
+        "nats": (gain.after - gain.before) * segments.samples,
         "left_over": [[m.where, round(float(m.size), 1)] for m in d.left_over[:3]],
     }
 

@@ -1,0 +1,118 @@
+"""The motion of a recording's classes, at which nonlinear laws are made linear."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from monitor.driven import motion_rms
+from monitor.effects import Condition, Context, Effect, System
+from monitor.evidence import class_temperature
+from monitor.likelihood import Problem
+from monitor.prediction import accelerance, assemble, seen, variances
+from monitor.results import Array, ComplexArray
+
+_PILE = 20
+"""Samples that share the largest magnitude only where something clips them."""
+_SLOW, _LEAST_MOTION = 0.4, 0.3
+"""Share of the lowest frequency below which motion is not heard; least share of the model's variance that is left."""
+
+
+def conditions(
+    problem: Problem, x: Array, effects: tuple[Effect, ...], spectra: ComplexArray | None = None
+) -> tuple[Condition, ...]:
+    """RMS motion of every class, as its spectra (by default the measured ones) tell it under the fitted model, and its
+    temperature.
+
+    A class's narrow modes swing more or less by chance than its forces' level says, and nonlinear laws follow the motion:
+    the model's variance is corrected by what a Wiener filter sees of the motion in the spectra.
+    """
+    e, context = problem.evidence, problem.context_at(x)
+    everything = (*problem.reference.effects(x), *effects)
+    mass, stiffness, damping = problem.matrices(x, everything)
+    n, p = mass.shape[0], problem.reference.mean.size
+    force, level = np.exp(x[p : p + n]), np.exp(x[p + n : p + n + problem.n_classes])
+    drift = context.structure.drift_matrix()
+    rows, order = np.vstack([drift, drift, np.eye(n)]), np.repeat([0, 1, 1], [len(drift), len(drift), n])
+    excess = None if e.drive is not None else (e.spectra if spectra is None else spectra) - problem.scatter(x, effects)
+    beyond, out = _beyond(problem, x, everything), []
+    for k in range(problem.n_classes):
+        system = assemble(mass, stiffness, damping, everything, context, problem.conditions[k])
+        lowest = np.sqrt(max(np.linalg.eigvalsh(np.linalg.solve(mass, stiffness)).min(), 1e-6)) / (2.0 * np.pi)
+        step = min(0.25 * e.band.bin_hz, 0.25 * damping.min() * lowest)
+        hz = np.arange(max(0.2 * lowest, step), e.band.hz[-1] * 1.2, step)
+        motion, _ = _moved(system, everything, hz, force * level[k], rows, order, context)
+        variance = 2.0 * step * (np.abs(motion) ** 2).sum(axis=(0, 2))
+        if excess is not None:
+            motion, seen_there = _moved(
+                system, everything, e.band.hz, force * level[k], rows, order, context, problem, k
+            )
+            channels = seen_there @ seen_there.conj().swapaxes(-1, -2) + np.diag(problem.noise(x))
+            wiener = np.linalg.solve(channels, seen_there @ motion.conj().swapaxes(-1, -2)).conj().swapaxes(-1, -2)
+            # What is slower than the structure is the noise of sensors that are integrated twice.
+            heard = (e.band.hz > _SLOW * lowest)[:, None, None] / e.band.gain[:, None, None] * excess[k]
+            more = np.einsum("fra,fab,frb->r", wiener, heard, wiener.conj()).real
+            variance = np.maximum(variance + 2.0 * e.band.bin_hz * more, _LEAST_MOTION * variance)
+        else:
+            assert e.drive is not None
+            drive = e.drive.part(e.members[k])
+            driven = [motion_rms(drive, system, e.band, context, rows[order == o], o, 0.2 * lowest) for o in (0, 1)]
+            variance = variance + np.concatenate(driven) ** 2
+        rms = np.sqrt(variance)
+
+        def warmer(lag_s: float, k: int = k) -> float:
+            value = class_temperature(e, k, lag_s)
+            return 0.0 if value is None else value - _reference_degc(problem)
+
+        m = len(drift)
+        piled, band_hz = e.piled >= _PILE, float(e.band.hz[-1])
+        moved = rms[:m], rms[m : 2 * m], rms[2 * m :]
+        out.append(Condition(*moved, e.rms[k], warmer, e.peak, piled, beyond, band_hz))
+    return tuple(out)
+
+
+def _beyond(problem: Problem, x: Array, effects: Sequence[Effect]) -> float:
+    """See `Condition.beyond`; 1 without a shaken ground, whose motion would be taken for what forces cause."""
+    if not any(effect.ground_share for effect in effects):
+        return 1.0
+    e, n, p = problem.evidence, problem.context.structure.n_dofs, problem.reference.mean.size
+    force, level = np.exp(x[p : p + n]), np.exp(x[p + n : p + n + problem.n_classes])
+    context = problem.context_at(x)
+    system = assemble(*problem.matrices(x, effects), effects, context, problem.conditions[0])
+    white = variances(system, force * (e.counts @ level) / e.counts.sum(), context, e.band.hz[-1])[2]
+    noise = problem.noise(x) * (e.rate_hz - 2.0 * e.band.hz[-1])
+    return float((np.maximum(e.segments.above.mean(axis=0) - noise, 0.0) / white).mean())
+
+
+def _moved(
+    system: System, effects: Sequence[Effect], hz: Array, force: Array, rows: Array, order: Array, context: Context,
+    problem: Problem | None = None, k: int = 0,
+) -> tuple[ComplexArray, ComplexArray]:  # fmt: skip
+    """Roots of the density of displacements (order 0) and velocities (1) in given rows, and of the channels.
+
+    Shapes (n_hz, rows, n) and (n_hz, c, n), for independent white forces.
+    """
+    n = force.size
+    size = system.mass.shape[0]
+    right = np.zeros((size, n + 1))
+    right[:n, :n] = np.eye(n)
+    right[:, n] = -system.mass.sum(axis=1)
+    w = 2.0 * np.pi * hz
+    colour = np.ones(hz.size)
+    for effect in effects:
+        colour = colour * effect.colour(hz)
+    root = np.sqrt(force * colour[:, None])[:, None, :]
+    floors = accelerance(system.mass, system.damping, system.stiffness, w, right)[:, :n, :n] * root
+    motion = (rows @ floors) * w[:, None, None] ** (order - 2.0)[:, None] * (-1j) ** (2 - order)[:, None]
+    if problem is None:
+        return motion, motion
+    clock = float(np.prod([effect.clock_factor for effect in effects]))
+    return motion, seen(system, effects, hz, clock, context, problem.conditions[k])[:, :, :n] * root
+
+
+def _reference_degc(problem: Problem) -> float:
+    """The baseline's mean temperature, else the recording's."""
+    if problem.reference.reference_degc is not None:
+        return problem.reference.reference_degc
+    return float(problem.evidence.temperature[:, 1].mean())

@@ -1,0 +1,96 @@
+"""Simulated corrections of linearized laws: nothing where nothing bends, the truth where something does."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from drivers.base import ACCELERATION
+from monitor.config import Configuration
+from monitor.corrected import corrected
+from monitor.effects import Context, Effect, parse_effect
+from monitor.evidence import classify, gather
+from monitor.exact import exact, forces, offset
+from monitor.likelihood import Fit, Problem, fit
+from monitor.model import Model
+from monitor.motion import conditions
+from monitor.polish import FINE, settle
+from monitor.record import blocks_of
+from monitor.reference import nominal
+from monitor.search import prepare
+from monitor.simulate import simulate
+
+RATE = 128.0
+FRAME = {"kind": "shear_frame", "masses_kg": [0.33, 0.35, 0.31], "stiffness_n_per_m": [2900.0, 1500.0, 1900.0]}
+CUBIC = "cubic_stiffness:story 2:k3_n_per_m3={:g}"
+STRONG = 1e8
+CONFIG = Configuration.model_validate(
+    {"structure": FRAME, "sensors": [{"channel": f"a{i}", "floor": i} for i in (1, 2, 3)]}
+)
+
+
+def posed(effect: Effect, seed: int = 5) -> tuple[Problem, Fit]:
+    """A recording with the effect, and the model without it fitted."""
+    model = Model(CONFIG.model().structure, (effect,))
+    context = Context(CONFIG.model().structure, CONFIG.channels, CONFIG.sensor_matrix(), RATE)
+    motion = simulate(model, duration_s=400.0, rate_hz=RATE, noise=0.05, level_spread=0.35, seed=seed, context=context)
+    blocks = blocks_of(ACCELERATION, motion.floors, CONFIG.channels, RATE, 10**18, 128)
+    known = nominal(CONFIG.model(), np.full(6, 0.002), 3)
+    return prepare(classify(gather(blocks, CONFIG)), known, context)
+
+
+@pytest.fixture(scope="module")
+def bent() -> tuple[Problem, Fit]:
+    return posed(parse_effect(CUBIC.format(STRONG)))
+
+
+def whitened_rms(problem: Problem, at: Fit, change: np.ndarray) -> float:
+    rows, _ = problem.whitened(problem.scatter(at.x, at.effects), change[None])
+    return float(np.sqrt((rows**2).mean()))
+
+
+def test_a_law_that_hardly_bends_has_no_offset(bent: tuple[Problem, Fit]) -> None:
+    problem, null = bent
+    sizes = []
+    for size in (1e3, STRONG):
+        at = replace(null, effects=(parse_effect(CUBIC.format(size)),))
+        acting = forces(problem, at.x, at.effects, 3)
+        made = offset(problem, at.x, at.effects, acting, exact(problem, at.x, at.effects, acting))
+        sizes.append(whitened_rms(problem, at, made))
+    assert sizes[0] < 0.05 < 4.0 * sizes[0] < sizes[1]
+
+
+def test_classes_that_swing_more_than_the_model_says_are_heard(bent: tuple[Problem, Fit]) -> None:
+    problem, null = bent
+    predicted = problem.scatter(null.x, ())
+    plain = conditions(problem, null.x, (), predicted)
+    factors = np.ones((problem.n_classes, 1, 1, 1))
+    factors[-1] = 4.0
+    louder = conditions(problem, null.x, (), predicted * factors)
+    assert louder[0].drift_m == pytest.approx(plain[0].drift_m)
+    assert louder[-1].drift_m == pytest.approx(2.0 * plain[-1].drift_m, rel=0.1)
+    assert louder[-1].floor_velocity_m_s == pytest.approx(2.0 * plain[-1].floor_velocity_m_s, rel=0.1)
+
+
+def test_a_correction_follows_its_slopes_and_leaves_other_effects_alone(bent: tuple[Problem, Fit]) -> None:
+    problem, null = bent
+    law = parse_effect(CUBIC.format(STRONG))
+    plain = problem.scatter(null.x, (law,))
+    made = corrected(problem, null.x, (law,), 0.1 * plain, (0.2 / STRONG) * plain[None])
+    assert made.scatter(null.x, (law,)) == pytest.approx(1.1 * plain)
+    more = parse_effect(CUBIC.format(1.5 * STRONG))
+    assert made.scatter(null.x, (more,)) == pytest.approx(problem.scatter(null.x, (more,)) + 0.2 * plain)
+    assert made.scatter(null.x, ()) == pytest.approx(problem.scatter(null.x, ()))
+
+
+def test_simulation_mends_what_linearization_misses(bent: tuple[Problem, Fit]) -> None:
+    problem, null = bent
+    at = fit(problem, null.x, (parse_effect(CUBIC.format(0.3 * STRONG)),))
+    first = settle(problem, at, FINE)
+    made = settle(first.problem, first.fit, ((2, False),))
+    n = problem.n_nuisance
+    std = float(np.hypot(np.sqrt(made.fit.covariance[n, n]), made.doubt[0]))
+    assert abs(made.fit.x[n] - STRONG) < 3.0 * std
+    assert std < 0.15 * STRONG
