@@ -17,10 +17,15 @@ from typing import Any
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_limits
 
 from drivers.mcap_file import McapWriter, read_recordings
-from monitor import config
+from drivers.recorder import recorded
+from monitor import baseline, checkpoint, config
+from monitor.outputs import Session
+from monitor.resume import Saved
 from monitor.simulate import simulate
+from monitor.vitals import plain
 from tests.conftest import T0_NS, Cli, Cut
 from tests.live_site import RATE, SIZE, given
 
@@ -159,13 +164,29 @@ def check(site: Path, main: Cli, toll: Toll) -> None:
             assert line["alarm"]["level"] == level  # nothing that an operator would miss
             toll.not_replayed += 1
         level = line["alarm"]["level"]
-    told, wanted = (json.loads((p / "summary.json").read_text()) for p in (out, again))
+    told, wanted = (plain(json.loads((p / "summary.json").read_text())) for p in (out, again))
     same = ("alarms", "windows", "skipped", "gaps", "frequencies_hz", "skip_reasons", "quality", "dropped_samples")
     assert {k: told[k] for k in same} == {k: wanted[k] for k in same}
     episodes = [(a["story"], a["t_first_ns"], a["t_last_ns"], a["level"]) for a in told["alarms"]]
     assert alarms_in_history(out) == sorted(episodes, key=lambda e: (e[1], e[0] or 0))
     assert episodes
+    check_state(site)
     toll.windows, toll.episodes = len(live), len(episodes)
+
+
+def check_state(site: Path) -> None:
+    """What the last checkpoint holds is bit for bit what all recordings up to it give."""
+    settings = config.load(site)
+    session = Session(settings, baseline.load(site.parent / "baseline.json", settings), (), None, site.parent)
+    file = (site.parent / "out" / "state" / "checkpoint").read_bytes()
+    saved = checkpoint.from_bytes(file, json.loads(file.partition(b"\n")[0])["key"], Saved)
+    with threadpool_limits(limits=1):
+        for stamp_ns, block in recorded(site.parent / "out" / "recordings", 0):
+            if stamp_ns <= saved.stamp_ns:
+                session.push(block)
+    for name in ("pipeline", "summary", "quality"):
+        known, wanted = (checkpoint.to_bytes("", getattr(state, name)) for state in (saved.session, session.state))
+        assert known == wanted, name
 
 
 def run_with_kills(site: Path, stream: np.ndarray, main: Cli, kills: int, seed: int, pace_s: float) -> Toll:
