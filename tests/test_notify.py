@@ -20,6 +20,7 @@ from monitor.notify import Addresses, Notifier, NotifySettings, addresses
 from monitor.outbox import Outbox
 from monitor.publish.notices import Notice, NoticeSettings, Told, of_finding, of_health, of_window
 from monitor.results import Alarm, AlarmCondition, Level, Skipped, WindowResult
+from tests.zenoh_router import free_port
 
 SETTINGS = NoticeSettings()
 
@@ -232,10 +233,10 @@ def test_mail(tmp_path: Path) -> None:
             letters.append(envelope)
             return "250 OK"
 
-    box = Controller(Box(), hostname="127.0.0.1", port=0)
+    port = free_port()
+    box = Controller(Box(), hostname="127.0.0.1", port=port)
     box.start()
     try:
-        port = box.server.sockets[0].getsockname()[1]
         one = notifier(tmp_path / "outbox.jsonl", f"mailto://127.0.0.1:{port}?from=shm@lab.test&to=ann@lab.test")
         one.window(window(0, s2=Level.ALARM), "")
         until(lambda: letters, "a letter")
