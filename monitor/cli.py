@@ -29,6 +29,7 @@ app.command()(cli_run.run)
 app.command()(cli_emulate.emulate)
 app.command()(cli_operate.status)
 app.command()(cli_operate.ack)
+app.command()(cli_operate.export)
 
 
 @app.command()

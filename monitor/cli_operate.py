@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import time
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Annotated
 
@@ -16,6 +17,7 @@ from monitor.config import Configuration
 from monitor.errors import BadConfigurationError, MissingInputError, WrongUsageError
 
 _WAIT_S = 5.0
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 
 def status(
@@ -29,8 +31,7 @@ def status(
     """
     from monitor import status as reader
 
-    out = place if place.is_dir() else place.resolve().parent / config.load(place).output.dir
-    found = reader.look(out)
+    found = reader.look(_folder(place))
     print(json.dumps(found, allow_nan=False) if as_json else reader.tell(found))
     raise typer.Exit(found["exit_code"])
 
@@ -72,6 +73,38 @@ def ack(
     if settings.output.zenoh is not None and _over_zenoh(file, settings, request.model_dump_json()):
         return
     _by_file(file.resolve().parent / settings.output.dir, request)
+
+
+def export(
+    place: Annotated[Path, typer.Argument(metavar="SITE.toml|DIR", help="Site file, or the daemon's output folder.")],
+    out: Annotated[Path, typer.Option(metavar="FILE.parquet|FILE.csv", help="Written when whole.")],
+    table: Annotated[
+        str, typer.Option(help="windows, alarms, requests (acknowledgements), findings, gaps or health.")
+    ] = "windows",
+    begin: Annotated[str | None, typer.Option("--from", metavar="TIME", help="ISO 8601, UTC; included.")] = None,
+    end: Annotated[str | None, typer.Option("--to", metavar="TIME", help="ISO 8601, UTC; not included.")] = None,
+) -> None:
+    """The history as a table: SI units, times in UTC as ns since 1970; a running daemon is not disturbed."""
+    from monitor import export as writer
+
+    span = _ns("--from", begin, 0), _ns("--to", end, (1 << 63) - 1)
+    rows = writer.export(_folder(place) / "state" / "history.db", table, out, span)
+    print(f"{rows} rows of {table} in {out}")
+
+
+def _ns(option: str, text: str | None, default: int) -> int:
+    try:
+        moment = None if text is None else datetime.fromisoformat(text)
+    except ValueError as error:
+        raise WrongUsageError(f"{option} {text}: write it as 2026-05-01 or 2026-05-01T12:00:00") from error
+    if moment is None:
+        return default
+    return (moment.replace(tzinfo=moment.tzinfo or UTC) - _EPOCH) // timedelta(microseconds=1) * 1000
+
+
+def _folder(place: Path) -> Path:
+    """The daemon's output folder."""
+    return place if place.is_dir() else place.resolve().parent / config.load(place).output.dir
 
 
 def _over_zenoh(file: Path, settings: Configuration, request: str) -> bool:
