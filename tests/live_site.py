@@ -15,6 +15,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from drivers.base import SampleBlock, SourceHealth
+from monitor import config, logs
 from monitor.daemon import Daemon
 from tests.conftest import CHANNELS, T0_NS
 
@@ -53,6 +54,8 @@ class Live:
 
 def main() -> None:
     site, stream, position, pace_s, missed = sys.argv[1:]
+    settings = config.load(Path(site))
+    logs.begin(settings.log, settings.site_name)
     source = Live(np.load(stream), Path(position), float(pace_s), int(missed))
     with threadpool_limits(limits=1):
         Daemon(Path(site), source).run()
