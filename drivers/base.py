@@ -94,6 +94,8 @@ class SourceContext:
     """The structure file's channels, in order."""
     folder: Path = field(default_factory=Path)
     """Where relative paths of the site file begin."""
+    known_ns: int = 0
+    """UTC up to which samples were taken in by an earlier run; a recording as source goes on from there."""
 
 
 class Source(Protocol):

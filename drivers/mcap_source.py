@@ -54,7 +54,8 @@ class McapSource:
         RecordingMissingError, RecordingError
             A file is not there or not whole; waiting mends neither.
         """
-        self._blocks = read_recordings(self._paths(), topic_map=self._settings.topics or None, on_warning=_log.warning)
+        blocks = read_recordings(self._paths(), topic_map=self._settings.topics or None, on_warning=_log.warning)
+        self._blocks = (block for block in blocks if not self._known(block))
         self._next, self._first_ns, self._begun_s = None, None, self._clock()
 
     def read(self, timeout_s: float) -> SampleBlock | None:
@@ -89,6 +90,10 @@ class McapSource:
     def close(self) -> None:
         """Let go of the files."""
         self._blocks = None
+
+    def _known(self, block: SampleBlock) -> bool:
+        """Whether its last sample was taken before."""
+        return block.t_ns + (block.n_samples - 0.5) / block.sample_rate_hz * 1e9 < self._context.known_ns
 
     def _paths(self) -> list[Path]:
         paths: list[Path] = []

@@ -3,21 +3,26 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import os
 import re
 import shutil
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from drivers import codec
 from drivers.base import ACCELERATION, GROUND, TEMPERATURE, RecordingError, SampleBlock
 from drivers.mcap_file import scan_messages
 from drivers.mcap_writer import McapWriter
 
+_log = logging.getLogger(__name__)
+
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _UNIT_OF = {ACCELERATION: "m/s^2", GROUND: "m/s^2", TEMPERATURE: "degC"}
 _MB, _GB = 1 << 20, 1 << 30
 _NAME = re.compile(r"\d{8}T\d{6}\.\d{6}Z-\d{4}\.mcap")
@@ -74,7 +79,8 @@ def unfit(block: SampleBlock) -> str | None:
 class Recorder:
     """Writes blocks to files named by the time of their first one, so that names sort by time.
 
-    Messages bear a log time that rises strictly in the order of arrival: reading the files gives the blocks as they came.
+    Messages bear a log time that rises strictly in the order of arrival, from one run to the next too: reading the files
+    gives the blocks as they came.
     Trouble with the disk pauses recording and never raises; it is tried again after `flush_s`.
 
     Parameters
@@ -88,7 +94,7 @@ class Recorder:
     def __init__(self, folder: Path, settings: RecorderSettings, clock: Callable[[], float] = time.monotonic) -> None:
         self._folder, self._settings, self._clock = folder, settings, clock
         self._writer: McapWriter | None = None
-        self._stamp_ns = self._begun_ns = self._flushed_ns = 0
+        self._begun_ns = self._flushed_ns = 0
         self._flushed_s = self._retry_s = clock()
         self._unflushed_bytes = self._unflushed_blocks = 0
         self._holds = False
@@ -97,10 +103,12 @@ class Recorder:
         self._received = self._lost = self._files = self._removed = 0
         folder.mkdir(parents=True, exist_ok=True)
         recover(folder)
+        self.stamp_ns = max((stamp for stamp, _ in _messages(_names(folder)[-1:])), default=0)
+        """Log time of the latest block."""
 
     def write(self, block: SampleBlock) -> None:
         """Record a block that is not `unfit`."""
-        self._stamp_ns = max(self._stamp_ns + 1, block.t_ns)
+        self.stamp_ns = max(self.stamp_ns + 1, block.t_ns)
         self._received += 1
         try:
             if self._writer is None and not self._begin():
@@ -109,7 +117,7 @@ class Recorder:
             assert self._writer is not None
             self._unflushed_blocks += 1
             self._unflushed_bytes += block.samples.nbytes
-            self._writer.write(block, self._stamp_ns)
+            self._writer.write(block, self.stamp_ns)
             self.tick()
         except OSError as error:
             self._pause(f"cannot write: {error.strerror or error}")
@@ -118,10 +126,15 @@ class Recorder:
         """Flush if it is time; call now and then when no block comes."""
         if self._writer is None or not self._unflushed_blocks:
             return
-        waited_s, data_s = self._clock() - self._flushed_s, (self._stamp_ns - self._flushed_ns) * 1e-9
+        waited_s, data_s = self._clock() - self._flushed_s, (self.stamp_ns - self._flushed_ns) * 1e-9
         flush_s = self._settings.flush_s
         due = waited_s >= flush_s or (data_s >= flush_s and waited_s >= min(_LEAST_FLUSH_S, flush_s))
-        if not due and self._unflushed_bytes < _MOST_UNFLUSHED_BYTES:
+        if due or self._unflushed_bytes >= _MOST_UNFLUSHED_BYTES:
+            self.flush()
+
+    def flush(self) -> None:
+        """See that all so far outlasts a power cut."""
+        if self._writer is None or not self._unflushed_blocks:
             return
         try:
             self._flush(self._writer)
@@ -151,8 +164,8 @@ class Recorder:
         if free < self._settings.min_free_gb * _GB:
             self._pause(f"only {free / _GB:.2f} GiB free")
             return False
-        self._writer = McapWriter(_new_name(self._folder, self._stamp_ns), as_arrived=True)
-        self._begun_ns = self._flushed_ns = self._stamp_ns
+        self._writer = McapWriter(_new_name(self._folder, self.stamp_ns), as_arrived=True)
+        self._begun_ns = self._flushed_ns = self.stamp_ns
         self._flushed_s = self._clock()
         self._files += 1
         self._holds = False
@@ -162,11 +175,11 @@ class Recorder:
     def _flush(self, writer: McapWriter) -> None:
         writer.flush()
         self._holds = True
-        self._flushed_ns, self._flushed_s = self._stamp_ns, self._clock()
+        self._flushed_ns, self._flushed_s = self.stamp_ns, self._clock()
         self._unflushed_blocks = self._unflushed_bytes = 0
         size, s = writer.part_path.stat().st_size, self._settings
         self._limit(size)
-        full = size >= s.file_mb * _MB or self._stamp_ns - self._begun_ns >= s.file_s * 1e9
+        full = size >= s.file_mb * _MB or self.stamp_ns - self._begun_ns >= s.file_s * 1e9
         short = shutil.disk_usage(self._folder).free < s.min_free_gb * _GB
         if full or short:
             self._writer = None
@@ -177,7 +190,7 @@ class Recorder:
 
     def _limit(self, current: int) -> None:
         """Remove the oldest files beyond the space for recordings."""
-        names = sorted(path for path in self._folder.iterdir() if _NAME.fullmatch(path.name))
+        names = _names(self._folder)
         sizes = [path.stat().st_size for path in names]
         total = current + sum(sizes)
         for path, size in zip(names, sizes, strict=True):
@@ -212,6 +225,39 @@ def recover(folder: Path) -> None:
         else:
             part.unlink()
     _sync(folder)
+
+
+def recorded(folder: Path, after_ns: int) -> Iterator[tuple[int, SampleBlock]]:
+    """Log time and content of the blocks with a log time after that, in the order of arrival.
+
+    What is damaged is logged and left out.
+    """
+    paths = _names(folder)
+    later = [_begun_ns(path) for path in paths[1:]]
+    for stamp_ns, (topic, data) in _messages(
+        [p for p, end in zip(paths, [*later, _MAX_INT], strict=True) if end > after_ns]
+    ):
+        if stamp_ns > after_ns:
+            yield stamp_ns, codec.decode(data, topic)
+
+
+def _messages(paths: Sequence[Path]) -> Iterator[tuple[int, tuple[str, bytes]]]:
+    for path in paths:
+        try:
+            for topic, stamp_ns, data in scan_messages(path):
+                yield stamp_ns, (topic, data)
+        except RecordingError as error:
+            _log.warning("%s; the rest of it is left out", error)
+
+
+def _names(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.iterdir() if _NAME.fullmatch(path.name))
+
+
+def _begun_ns(path: Path) -> int:
+    """Log time of a file's first block, to the microsecond below."""
+    begun = datetime.strptime(path.name[:22], "%Y%m%dT%H%M%S.%f").replace(tzinfo=UTC)
+    return (begun - _EPOCH) // timedelta(microseconds=1) * 1000
 
 
 def _new_name(folder: Path, t_ns: int) -> Path:

@@ -32,6 +32,11 @@ class AppendedLines:
         """Why lines wait; empty while all is well."""
         self._open()
 
+    @property
+    def size(self) -> int:
+        """Bytes that the file has."""
+        return os.fstat(self._handle).st_size
+
     def write(self, line: str) -> None:
         """Add one line; never raises OSError."""
         data = line.encode() + b"\n"

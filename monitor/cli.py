@@ -11,7 +11,17 @@ from typing import Annotated
 import typer
 from threadpoolctl import threadpool_limits
 
-from monitor import __version__, cli_diagnose, cli_emulate, cli_report, cli_run, config, outlets
+from monitor import (
+    __version__,
+    cli_diagnose,
+    cli_emulate,
+    cli_operate,
+    cli_report,
+    cli_run,
+    config,
+    exposure,
+    outlets,
+)
 from monitor.cli_common import Recordings, Structure, progress, warn
 from monitor.errors import BadConfigurationError, UserError
 from monitor.files import demand_place, spare_inputs, write_atomically
@@ -28,6 +38,9 @@ app.command()(cli_diagnose.accept)
 app.command()(cli_run.run)
 app.command()(cli_emulate.emulate)
 app.command()(cli_report.report)
+app.command()(cli_operate.status)
+app.command()(cli_operate.ack)
+app.command()(cli_operate.export)
 
 
 @app.command()
@@ -199,6 +212,8 @@ def check(file: Annotated[Path, typer.Argument(metavar="CONFIG_OR_STRUCTURE.toml
     """List every problem of a configuration or structure file at once."""
     settings = config.load(file)
     outlets.make_outlets(file, settings, dry=True)
+    for open_door in exposure.warnings(file, settings):
+        warn(open_door)
     frequencies = settings.model().modes().frequencies_hz
     print(f"{file}: no problems; {len(settings.structure.masses_kg)} stories, channels {', '.join(settings.channels)}")
     print("natural frequencies: " + ", ".join(f"{f:.4g}" for f in frequencies) + " Hz")

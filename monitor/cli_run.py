@@ -15,6 +15,9 @@ def run(
 
     Prints READY on standard error when the source is open.
     """
+    from monitor import config, logs
     from monitor.daemon import Daemon
 
+    settings = config.load(file)
+    logs.begin(settings.log, settings.site_name)
     Daemon(file).run()

@@ -18,6 +18,7 @@ from monitor.diagnosis_settings import DiagnosisSettings
 from monitor.effects import EFFECTS, Effect, EffectError
 from monitor.errors import BadConfigurationError, MissingInputError
 from monitor.health import HealthSettings
+from monitor.logs import LogSettings
 from monitor.matrix_files import read_matrices
 from monitor.model import Model
 from monitor.poles import SelectionSettings
@@ -25,6 +26,7 @@ from monitor.quality import QualitySettings
 from monitor.results import Array
 from monitor.settings import Settings
 from monitor.ssi import SsiSettings
+from monitor.state_settings import StateSettings
 from monitor.structures.tables import StructureTable
 from monitor.temperature import TemperatureSettings
 from monitor.track import TrackSettings
@@ -85,6 +87,8 @@ class OutputSettings(Settings):
     """HOST:PORT where Rerun viewers may join."""
     zenoh: dict[str, Any] | None = None
     """Where results, alarms and health are published (`monitor.outlets`)."""
+    metrics: dict[str, Any] | None = None
+    """Where Prometheus may ask (`monitor.outlets`)."""
 
     @model_validator(mode="after")
     def _serves(self) -> OutputSettings:
@@ -126,6 +130,10 @@ class Configuration(Settings):
     source: dict[str, Any] | None = None
     output: OutputSettings = OutputSettings()
     recorder: RecorderSettings = RecorderSettings()
+    state: StateSettings = StateSettings()
+    log: LogSettings = LogSettings()
+    notify: dict[str, Any] = Field(default_factory=dict)
+    """Whom to tell (`monitor.outlets`)."""
 
     @model_validator(mode="after")
     def _consistent(self) -> Configuration:
@@ -171,6 +179,11 @@ class Configuration(Settings):
     def channels(self) -> tuple[str, ...]:
         """Channel names in the structure file's order."""
         return tuple(s.channel for s in self.sensors)
+
+    @property
+    def site_name(self) -> str:
+        """What the site is called in messages and keys."""
+        return self.site.name or self.structure.name or "site"
 
     def model(self) -> Model:
         """The nominal model with the file's effects."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import json
 import logging
 import os
@@ -10,24 +9,28 @@ import signal
 import sys
 import time
 from collections.abc import Sequence
+from dataclasses import asdict
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from drivers.base import RecordingError, RecordingMissingError, SampleBlock, Source, SourceContext
 from drivers.recorder import unfit
-from monitor import baseline, config, ledger, systemd
+from monitor import baseline, config, ledger, resume, systemd
 from monitor.appended import AppendedLines
 from monitor.errors import BadConfigurationError, BadInputError, MissingInputError
-from monitor.files import sha256, write_atomically
 from monitor.health import Health
+from monitor.history import History
 from monitor.outlets import Outlet, make_outlets
 from monitor.outputs import Publisher, Session, View, scene
-from monitor.publish.lines import to_json
+from monitor.pipeline import Result
+from monitor.publish.lines import standing_line, to_json
 from monitor.publish.requests import apply
 from monitor.publish.rerun_view import RerunPublisher
 from monitor.reader import Chores, Reader, Recording
 from monitor.recordings import Progress, duration_s
+from monitor.reload import reread
 from monitor.results import Gap, WindowResult
 from monitor.vitals import Vitals, plain
 
@@ -38,6 +41,9 @@ _QUIET_S = 10.0
 """Without data, health is told this often; the summary is written no more often."""
 _STOP_S, _DRAIN_S, _END_S = 1.5, 2.5, 4.5
 """From the signal on, the source is waited for until the first, the queue until the second, all the rest until the last."""
+_DURABLE_S = 0.5
+"""Longest wait for the disk before an alarm's change is told."""
+_LATEST = 50
 _HEALTH_FILE_BYTES = 16 << 20
 
 
@@ -61,38 +67,44 @@ class Daemon(Publisher):
     def __init__(self, path: Path, source: Source | None = None, outlets: Sequence[Outlet] = ()) -> None:
         self.settings = settings = config.load(path)
         folder = path.resolve().parent
-        if source is None:
-            if settings.source is None:
-                raise BadConfigurationError(f"{path}: source: missing; name a kind, as in deploy/*.toml")
-            source = config.make_source(settings.source, SourceContext(settings.channels, folder))
+        if source is None and settings.source is None:
+            raise BadConfigurationError(f"{path}: source: missing; name a kind, as in deploy/*.toml")
         healthy_path = None if settings.site.baseline is None else folder / settings.site.baseline
         healthy = None if healthy_path is None else baseline.load(healthy_path, settings)
         self.out = folder / settings.output.dir
-        self._vitals, self._progress = Vitals(), Progress(lambda _: None)
+        self._vitals, self._progress = Vitals(self.out), Progress(lambda _: None)
         self._begun_s = self._health_s = self._summary_s = self._sync_s = time.monotonic()
-        self._stopping, self._end_s = False, float("inf")
+        self._path, self._stopping, self._changed, self._end_s = path, False, False, float("inf")
         self._outlets: tuple[Outlet, ...] = (*make_outlets(path, settings), *outlets)
         try:
             (self.out / "state").mkdir(parents=True, exist_ok=True)
-            self._lock = _locked(self.out / "state" / "lock", self.out)
+            self._lock = resume.lock(self.out / "state" / "lock", self.out)
             self._lines = AppendedLines(self.out / "results.jsonl")
             self._health_lines = AppendedLines(self.out / "health.jsonl", _HEALTH_FILE_BYTES)
-            enabled = settings.recorder.enabled
-            self._recording = Recording(self.out / "recordings", settings.recorder) if enabled else None
-            _note_baseline(self.out, path, healthy_path)
+            self._recording = Recording(self.out / "recordings", settings.recorder)
+            self._keeper = resume.Keeper(self.out, settings, healthy_path, self._recording, self._lines)
+            resume.note_baseline(self.out, path, healthy_path)
         except OSError as error:
             raise MissingInputError(f"{self.out}: cannot be written: {error.strerror}") from error
         address, publishers = settings.output.address, [self]
-        self._view = (
-            None
-            if address is None
-            else RerunPublisher(scene(settings, healthy), file=None, serve=address, lossless=False)
-        )
+        view = partial(RerunPublisher, scene(settings, healthy), file=None, lossless=False)
+        self._view = None if address is None else view(serve=address)
         views = () if self._view is None else (View(self._view),)
         findings = self.out / "findings" / f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}"
+        self._begin = partial(Session, settings, healthy, (*publishers, *views), (path, healthy_path), findings)
+        spans = settings.processing.hop_s, settings.health.span_s
         self._chores = Chores()
-        self.session = Session(settings, healthy, (*publishers, *views), (path, healthy_path), findings)
+        self._history = History(self.out / "state" / "history.db", settings.state, *spans)
+        self._alarm: object = None
+        known_ns = self._keeper.resume(self._new_session, self._history.window)
+        if source is None:
+            assert settings.source is not None
+            source = config.make_source(settings.source, SourceContext(settings.channels, folder, known_ns))
         self.reader = Reader(source)
+
+    def _new_session(self) -> Session:
+        self.session = self._begin()
+        return self.session
 
     def run(self) -> None:
         """Until the source ends or a signal comes.
@@ -103,11 +115,16 @@ class Daemon(Publisher):
             The source's files are missing or unusable.
         """
         previous = {number: signal.signal(number, self._signal) for number in (signal.SIGTERM, signal.SIGINT)}
+        previous[signal.SIGHUP] = signal.signal(signal.SIGHUP, self._hang_up)
         try:
             self.reader.start()
             self._loop()
             if self.reader.ended:
-                self.session.watcher.finish(lambda: self._stopping)
+                for finding in self.session.watcher.finish(lambda: self._stopping):
+                    self.finding(finding)
+                self._keeper.forget()
+            else:
+                self._keeper.save(self.session)
         finally:
             self._close()
             for number, handler in previous.items():
@@ -120,28 +137,47 @@ class Daemon(Publisher):
             raise self.reader.failure
 
     def window(self, result: WindowResult, line: str) -> None:
-        """Write and send it."""
+        """Write and send it, unless a former run did."""
+        self._history.episodes([asdict(e) for e in self.session.episodes[-_LATEST:]])
+        if result.index in self._keeper.written:
+            return
+        self._history.window(json.loads(line))
         self._lines.write(line)
         for outlet in self._outlets:
             outlet.window(result, line)
 
     def gap(self, gap: Gap) -> None:
         """Send it."""
+        self._history.gap(gap.t_ns, gap.duration_s, gap.reason)
+        if self._keeper.resuming:
+            return
         for outlet in self._outlets:
             outlet.gap(gap)
 
     def health(self, health: Health | None) -> None:
         """Write and send it with the rest that there is to say."""
+        if health is not None:
+            self._history.health(asdict(health))
+        if self._keeper.resuming:
+            return
         self._health_s = time.monotonic()
-        recorder = None if self._recording is None else self._recording.health()
-        line = self._vitals.line(health, self.reader, recorder, self._failures())
+        line = self._vitals.line(health, self.reader, self._recording.health(), self._failures())
         self._health_lines.write(json.dumps(line, allow_nan=False))
         for outlet in self._outlets:
             outlet.health(line)
 
+    def finding(self, finding: dict[str, Any]) -> None:
+        """Send it."""
+        self._history.finding(finding)
+        for outlet in self._outlets:
+            outlet.finding(finding)
+
     def _signal(self, number: int, _: object) -> None:
         self._stopping, self._end_s = True, time.monotonic() + _END_S
         signal.signal(number, signal.SIG_DFL)  # the next one ends at once
+
+    def _hang_up(self, number: int, _: object) -> None:
+        self._changed = True
 
     def _loop(self) -> None:
         ready, told = False, False
@@ -167,7 +203,7 @@ class Daemon(Publisher):
                 self.reader.stop(max(0.0, self._end_s - (_END_S - _STOP_S) - time.monotonic()))
 
     def _take(self, block: SampleBlock, arrived_s: float) -> None:
-        """Evaluate, publish, then record what was taken in: the recordings replayed are this run again."""
+        """Evaluate, record what was taken in, then publish: the recordings replayed are this run again."""
         self._vitals.received(block)
         reason = unfit(block)
         if reason is not None:
@@ -175,15 +211,22 @@ class Daemon(Publisher):
             return
         before = self.session.windows
         try:
-            self.session.push(block)
+            self.session.push(block, partial(self._accepted, block))
         except BadInputError as error:
             self._vitals.refuse(str(error))
             return
         self._progress.saw(block)
         if self.session.windows > before:
             self._vitals.published(arrived_s)
-        if self._recording is not None:
-            self._recording.write(block)
+        self._keeper.took(self.session, block)
+
+    def _accepted(self, block: SampleBlock, results: Sequence[Result]) -> None:
+        """Record it; what makes an alarm come or go is on the disk before anybody hears of it."""
+        self._recording.write(block)
+        alarms = [(r.alarm.active, r.alarm.conditions) for r in results if isinstance(r, WindowResult)]
+        if any(alarm != self._alarm for alarm in alarms):
+            self._alarm = alarms[-1]
+            self._recording.flush(_DURABLE_S)
 
     def _serve(self, outlet: Outlet) -> None:
         """Apply what operators asked for, and note it in the ledger."""
@@ -192,10 +235,20 @@ class Daemon(Publisher):
                 self.session.alter_alarm(partial(apply, request=request, t_ns=self.session.now_ns))
                 says = f"{request.action} alarm of story {request.story}: {request.note}"
                 ledger.record(self.out / "results.jsonl", {"says": says, "causes": []}, {}, request.who)
+                self._history.request(self.session.now_ns, request.model_dump())
+                self._keeper.save_now(self.session)
             except (ValueError, MissingInputError) as error:
                 _log.warning("request of %s: %s", request.who, error)
 
+    def _reread(self) -> None:
+        """Go on with the site file's thresholds as they are now."""
+        self._changed = False
+        self.settings = reread(self._path, self.settings, self._outlets, self.out)
+        self.session.reconfigure(self.settings)
+
     def _now_and_then(self, now: float) -> None:
+        if self._changed:
+            self._reread()
         for outlet in self._outlets if self._progress.first is not None else ():  # wishes count from the data's time
             self._serve(outlet)
         if now - self._health_s >= _QUIET_S:
@@ -213,23 +266,25 @@ class Daemon(Publisher):
         content = self.session.content(seconds / max(self._summary_s - self._begun_s, 1e-9))
         v = self._vitals
         content |= {"refused_blocks": v.refused, "unprocessed_blocks": v.unprocessed, "latency_ms": v.latency()}
-        self._chores.do("summary", partial(_write, self.out / "summary.json", to_json(plain(content)) + "\n"))
+        content["alarm"] = standing_line(self.session.pipeline.state.alarm)
+        self._chores.write(self.out / "summary.json", to_json(plain(content)) + "\n")
 
     def _failures(self) -> dict[str, str]:
         """Which ways out are blocked, and why."""
         view = {"viewer": self._view.failed} if self._view is not None and self._view.failed else {}
         files = {"results.jsonl": self._lines.failed, "health.jsonl": self._health_lines.failed}
+        files |= {"checkpoint": self._keeper.failed or "", "history": self._history.failed or ""}
         outlets = {type(outlet).__name__: outlet.failed for outlet in self._outlets if outlet.failed}
         return {**view, **{name: why for name, why in files.items() if why}, **outlets}
 
     def _close(self) -> None:
         self._end_s = min(self._end_s, time.monotonic() + _END_S)
         self.reader.stop(0.1)  # it has ended, but for an error
-        if self._recording is not None:
-            self._recording.close(self._share_s())
+        self._recording.close(self._share_s())
         self.session.watcher.close(self._share_s())
         self.health(None)
         self._write_summary()
+        self._history.close(self._share_s())
         for lines in (self._lines, self._health_lines):
             self._chores.do(f"close {id(lines)}", lines.close)
         for outlet in reversed(self._outlets):
@@ -242,44 +297,3 @@ class Daemon(Publisher):
     def _share_s(self) -> float:
         """How long one more may take to close: half of what is left, so that who hangs leaves time to the others."""
         return max(0.0, self._end_s - time.monotonic()) / 2.0
-
-
-def _write(path: Path, text: str) -> None:
-    """A file that may fail without harm."""
-    try:
-        write_atomically(path, text)
-    except OSError as error:
-        _log.warning("%s: %s", path, error.strerror)
-
-
-def _locked(path: Path, out: Path) -> int:
-    """A lock that ends with the process.
-
-    Raises
-    ------
-    BadConfigurationError
-        Another daemon holds it.
-    """
-    handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError as error:
-        os.close(handle)
-        raise BadConfigurationError(f"{out}: another daemon writes here; name another dir under [output]") from error
-    return handle
-
-
-def _note_baseline(out: Path, site: Path, healthy: Path | None) -> None:
-    """A line in the ledger when the reference for damage is not the one of the run before."""
-    place = out / "state" / "baseline.json"
-    now = {"baseline_sha256": None if healthy is None else sha256(healthy)}
-    try:
-        before = json.loads(place.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        before = None
-    if before == now:
-        return
-    if before is not None:
-        finding = {"says": "monitoring goes on from another baseline", "causes": []}
-        ledger.record(out / "results.jsonl", finding, {"site": site, "baseline": healthy}, None)
-    write_atomically(place, json.dumps(now) + "\n")

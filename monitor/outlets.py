@@ -1,4 +1,4 @@
-"""Publishers that leave this machine, by the site file's tables; each is imported only when it is asked for."""
+"""Publishers that leave this machine or its process, by the site file's tables; each is imported only when it is asked for."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ from pydantic import ValidationError
 
 from monitor.config import Configuration
 from monitor.errors import BadConfigurationError
+from monitor.notify import Addresses, Notifier, NotifySettings, addresses
+from monitor.publish.inbox import Inbox
 from monitor.results import Gap, WindowResult
 
 if TYPE_CHECKING:
@@ -32,8 +34,11 @@ class Outlet(Protocol):
     def health(self, health: Mapping[str, Any]) -> None:
         """A line of health.jsonl."""
 
+    def finding(self, finding: Mapping[str, Any]) -> None:
+        """A diagnosis that was asked for is there."""
+
     def take_requests(self) -> Sequence[Request]:
-        """What operators asked for since the last call."""
+        """What operators asked for since the last call; by now, that is applied."""
 
     def close(self, timeout_s: float) -> None:
         """Hand over what waits, no longer than that."""
@@ -47,17 +52,85 @@ def make_outlets(path: Path, config: Configuration, *, dry: bool = False) -> tup
     BadConfigurationError
         One problem a line.
     """
-    table = config.output.zenoh
-    if table is None:
+    folder, name = path.resolve().parent, config.site_name
+    state = folder / config.output.dir / "state"
+    problems: list[str] = []
+    makers = [_zenoh(config, folder, problems), _metrics(config, folder, problems)]
+    settings, to = _notify(config, folder, problems)
+    if problems:
+        raise BadConfigurationError("\n".join(f"{path}: {problem}" for problem in problems))
+    if dry:
         return ()
+    made = tuple(make(name) for make in makers if make is not None)
+    return Inbox(state / "requests"), *made, Notifier(name, settings, to, state / "outbox.jsonl")
+
+
+def change_outlets(path: Path, config: Configuration, outlets: Sequence[Outlet]) -> None:
+    """Let those of a running monitor that can go on with the settings of a file that was read again.
+
+    Raises
+    ------
+    BadConfigurationError
+        One problem a line; nothing has changed then.
+    """
+    problems: list[str] = []
+    settings, to = _notify(config, path.resolve().parent, problems)
+    if problems:
+        raise BadConfigurationError("\n".join(f"{path}: {problem}" for problem in problems))
+    for outlet in outlets:
+        if isinstance(outlet, Notifier):
+            outlet.change(settings, to)
+
+
+def _notify(config: Configuration, folder: Path, problems: list[str]) -> tuple[NotifySettings, Addresses]:
+    try:
+        settings = NotifySettings.model_validate(config.notify)
+        return settings, addresses(settings, folder)
+    except ValidationError as error:
+        problems += _told("notify", error)
+    except ValueError as error:
+        problems += [f"notify.{line}" for line in str(error).split("\n")]
+    return NotifySettings(), Addresses()
+
+
+def _zenoh(config: Configuration, folder: Path, problems: list[str]) -> _Maker | None:
+    if config.output.zenoh is None:
+        return None
     try:
         from monitor.publish.zenoh_out import ZenohOut, ZenohOutSettings
 
-        settings = ZenohOutSettings.model_validate(table)
+        settings = ZenohOutSettings.model_validate(config.output.zenoh)
     except ImportError as error:
-        raise BadConfigurationError(f"{path}: output.zenoh: cannot be loaded: {error}") from error
+        problems.append(f"output.zenoh: cannot be loaded: {error}")
     except ValidationError as error:
-        lines = (f"{path}: output.zenoh.{'.'.join(map(str, p['loc']))}: {p['msg']}" for p in error.errors())
-        raise BadConfigurationError("\n".join(lines)) from error
-    name = config.site.name or config.structure.name or "site"
-    return () if dry else (ZenohOut(name, settings, path.resolve().parent),)
+        problems += _told("output.zenoh", error)
+    else:
+        return lambda name: ZenohOut(name, settings, folder)
+    return None
+
+
+def _metrics(config: Configuration, folder: Path, problems: list[str]) -> _Maker | None:
+    if config.output.metrics is None:
+        return None
+    try:
+        from monitor.publish.metrics import Metrics, MetricsSettings
+
+        settings = MetricsSettings.model_validate(config.output.metrics)
+    except ImportError as error:
+        problems.append(f"output.metrics: cannot be loaded: {error}")
+    except ValidationError as error:
+        problems += _told("output.metrics", error)
+    else:
+        return lambda name: Metrics(name, settings, folder)
+    return None
+
+
+class _Maker(Protocol):
+    def __call__(self, name: str) -> Outlet: ...
+
+
+def _told(table: str, error: ValidationError) -> list[str]:
+    """What is wrong, without the values: they may be secret."""
+    return [
+        f"{'.'.join(map(str, (table, *p['loc'])))}: {p['msg'].removeprefix('Value error, ')}" for p in error.errors()
+    ]

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import copy
+import json
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,15 +18,16 @@ from monitor.alarm import AlarmState
 from monitor.baseline import Baseline
 from monitor.config import Configuration
 from monitor.health import Health
-from monitor.pipeline import Pipeline, Result
+from monitor.pipeline import Pipeline, PipelineState, Result
 from monitor.publish.lines import to_json, window_line
 from monitor.publish.rerun_scene import Scene
 from monitor.publish.rerun_view import RerunPublisher
-from monitor.publish.summary import Summary
+from monitor.publish.summary import Episode, Quality, Summary
 from monitor.results import Gap, Samples, WindowResult
 from monitor.worker import Diagnoser, Recent
 
 _MOST_FINDINGS = 1000
+_FINDING_KEYS = ("id", "t_ns", "from_ns", "reason", "verdict", "says", "causes")
 
 
 class Publisher:
@@ -73,6 +76,28 @@ class View(Publisher):
         self.view.finding(finding)
 
 
+@dataclass(frozen=True, slots=True)
+class WatcherState:
+    """Diagnoses: which episode is watched, what is known, and what is still to be made."""
+
+    episode: watch.WatchState
+    t_ns: int
+    found: tuple[str, ...]
+    """Findings, each as JSON."""
+    pending: tuple[watch.Request, ...]
+    asked: int
+
+
+@dataclass(frozen=True, slots=True)
+class SessionState:
+    """All that a session knows; what is given is never changed any more."""
+
+    pipeline: PipelineState
+    summary: Summary
+    quality: Quality
+    watcher: WatcherState
+
+
 class Session:
     """The pipeline, and everything that its results go to.
 
@@ -116,8 +141,30 @@ class Session:
         """UTC of the data: just past the latest sample."""
         return self.pipeline.state.align.t_next_ns()
 
-    def push(self, block: SampleBlock) -> list[Result]:
+    @property
+    def episodes(self) -> Sequence[Episode]:
+        """Alarms so far, in the order in which they began."""
+        return self._summary.alarms
+
+    @property
+    def state(self) -> SessionState:
+        """What to restore to go on from here."""
+        summary, quality = copy.deepcopy((self._summary, self._quality))
+        return SessionState(self.pipeline.state, summary, quality, self.watcher.state)
+
+    def restore(self, state: SessionState) -> None:
+        """Go on from there."""
+        self.pipeline.state = state.pipeline
+        self._summary, self._quality = copy.deepcopy((state.summary, state.quality))
+        self.watcher.restore(state.watcher)
+
+    def push(self, block: SampleBlock, accepted: Callable[[list[Result]], None] = lambda _: None) -> list[Result]:
         """Take a block in and publish what it brings about.
+
+        Parameters
+        ----------
+        accepted : callable
+            Told the results before anybody else is.
 
         Raises
         ------
@@ -125,7 +172,10 @@ class Session:
             The pipeline refuses it; it is then as if it had never come.
         """
         results = self.pipeline.push(block)
-        self.watcher.saw(block)
+        accepted(results)
+        for finding in self.watcher.saw(block):
+            for publisher in self._publishers:
+                publisher.finding(finding)
         for result in results:
             self._publish(result)
         return results
@@ -134,6 +184,11 @@ class Session:
         """Apply an operator's wish (`monitor.alarm`: acknowledge, shelve, reset)."""
         state = self.pipeline.state
         self.pipeline.state = replace(state, alarm=change(state.alarm))
+
+    def reconfigure(self, config: Configuration) -> None:
+        """Go on with other thresholds; nothing else of the configuration may differ (`monitor.reload`)."""
+        self.config = self.pipeline.config = config
+        self.watcher.settings = config.watch
 
     def content(self, realtime_factor: float) -> dict[str, Any]:
         """summary.json: the run so far with its findings, and beside every alarm what a diagnosis of its time said."""
@@ -148,10 +203,9 @@ class Session:
                 and (alarm["t_last_ns"] is None or f["from_ns"] <= alarm["t_last_ns"])
             )
             alarm["verdict"] = next(told, None) or None
-        keys = ("id", "t_ns", "from_ns", "reason", "verdict", "says", "causes")
         return {
             **summary,
-            "findings": [{key: f[key] for key in keys} for f in findings],
+            "findings": [{key: f[key] for key in _FINDING_KEYS} for f in findings],
             "quality": self._quality.content(),
             "thresholds": self.config.alarm.model_dump(include={"significance", "min_loss", "alarm_loss"}),
         }
@@ -180,30 +234,56 @@ class Watcher:
     """Asks for a diagnosis where the results call for one."""
 
     def __init__(self, config: Configuration, files: tuple[Path, Path | None] | None, folder: Path) -> None:
-        self._settings, self._window_s = config.watch, config.processing.window_s
-        self._recent = Recent(max(self._settings.longest_s, 2.0 * self._window_s))
+        self.settings, self._window_s = config.watch, config.processing.window_s
+        self.longest_s = max(self.settings.longest_s, 2.0 * self._window_s)
+        """Length of data that a diagnosis may be given."""
+        self._recent = Recent(self.longest_s)
         self._state, self._t_ns = watch.WatchState(), 0
         self.found: deque[dict[str, Any]] = deque(maxlen=_MOST_FINDINGS)
         """The latest findings."""
-        self._diagnoser = Diagnoser(*files, folder, self._settings.time_limit_s) if files is not None else None
+        self._diagnoser = Diagnoser(*files, folder, self.settings.time_limit_s) if files is not None else None
 
-    def saw(self, block: SampleBlock) -> None:
-        """Keep a block for a diagnosis."""
+    @property
+    def state(self) -> WatcherState:
+        """What to restore; blocks are to be remembered again besides."""
+        found = tuple(json.dumps({key: f[key] for key in _FINDING_KEYS}) for f in self.found)
+        pending, asked = ((), 0) if self._diagnoser is None else (self._diagnoser.pending, self._diagnoser.asked)
+        return WatcherState(self._state, self._t_ns, found, pending, asked)
+
+    def restore(self, state: WatcherState) -> None:
+        """Go on from there; what was being diagnosed is asked for anew, of the blocks remembered."""
+        self._state, self._t_ns = state.episode, state.t_ns
+        self.found.extend(json.loads(text) for text in state.found)
         if self._diagnoser is not None:
-            self._recent.push(block)
-            self.found += self._diagnoser.poll()
+            self._diagnoser.asked = state.asked - len(state.pending)
+            for request in state.pending:
+                self._ask(request)
+
+    def remember(self, block: SampleBlock) -> None:
+        """Keep a block for a diagnosis."""
+        self._recent.push(block)
+
+    def saw(self, block: SampleBlock) -> list[dict[str, Any]]:
+        """Keep a block for a diagnosis; findings that became ready."""
+        if self._diagnoser is None:
+            return []
+        self.remember(block)
+        found = self._diagnoser.poll()
+        self.found += found
+        return found
 
     def window(self, result: WindowResult) -> None:
         """Follow the results."""
         self._t_ns = result.t_end_ns
-        self._state, request = watch.step(self._state, result, self._settings, self._window_s)
+        self._state, request = watch.step(self._state, result, self.settings, self._window_s)
         self._ask(request)
 
-    def finish(self, stop: Callable[[], bool] = lambda: False) -> None:
-        """Wait for the last finding, unless `stop` says otherwise."""
-        self._ask(watch.finish(self._state, self._t_ns, self._settings, self._window_s))
-        if self._diagnoser is not None:
-            self.found += self._diagnoser.wait(stop)
+    def finish(self, stop: Callable[[], bool] = lambda: False) -> list[dict[str, Any]]:
+        """Wait for the last findings, unless `stop` says otherwise."""
+        self._ask(watch.finish(self._state, self._t_ns, self.settings, self._window_s))
+        found = [] if self._diagnoser is None else self._diagnoser.wait(stop)
+        self.found += found
+        return found
 
     def close(self, timeout_s: float = 5.0) -> None:
         """End what still runs; waits no longer than `timeout_s`."""
@@ -213,51 +293,6 @@ class Watcher:
     def _ask(self, request: watch.Request | None) -> None:
         if request is not None and self._diagnoser is not None:
             self._diagnoser.ask(request, self._recent.between(request.from_ns, request.to_ns))
-
-
-class Quality:
-    """All spans of a run in one table."""
-
-    def __init__(self) -> None:
-        self._samples = self._gaps = self._overlaps = 0
-        self._lost_s = self._seconds = 0.0
-        self._channels: dict[str, dict[str, float]] = {}
-
-    def add(self, health: Health) -> None:
-        """Take a span in."""
-        self._samples += health.samples
-        self._gaps += health.gaps
-        self._overlaps += health.overlaps
-        self._lost_s += health.lost_s
-        seconds = health.samples / health.rate_hz
-        self._seconds += seconds
-        for c in health.channels:
-            total = self._channels.setdefault(c.channel, dict.fromkeys(("power", "spikes", "stuck_s", "clipped"), 0.0))
-            total["power"] += c.rms_m_s2**2 * seconds
-            total["spikes"] += c.spikes
-            total["stuck_s"] += seconds if c.repeated == 1.0 else 0.0
-            total["clipped"] += c.clipped * health.samples
-
-    def content(self) -> dict[str, Any]:
-        """Table for summary.json."""
-        channels = {
-            name: {
-                "rms_m_s2": float(np.sqrt(c["power"] / self._seconds)),
-                "spikes": int(c["spikes"]),
-                "stuck_s": c["stuck_s"],
-                "clipped_samples": round(c["clipped"]),
-            }
-            for name, c in self._channels.items()
-        }
-        wanted_s = self._seconds + self._lost_s
-        return {
-            "availability": self._seconds / wanted_s if wanted_s else None,
-            "samples": self._samples,
-            "gaps": self._gaps,
-            "lost_s": self._lost_s,
-            "overlaps": self._overlaps,
-            "channels": channels,
-        }
 
 
 def scene(config: Configuration, baseline: Baseline | None) -> Scene:

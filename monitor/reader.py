@@ -8,10 +8,13 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
+from typing import Generic, TypeVar
 
 from drivers.base import EndOfStream, SampleBlock, Source, SourceError
 from drivers.recorder import Recorder, RecorderHealth, RecorderSettings
+from monitor.files import write_atomically
 
 _log = logging.getLogger(__name__)
 
@@ -20,33 +23,36 @@ _LEAST_WAIT_S, _LONGEST_WAIT_S = 0.5, 30.0
 _MOST_TEXT = 300
 
 
-class BlockQueue:
-    """Blocks in order, bounded in number and bytes; a full queue makes the giver wait, so nothing is lost here."""
+T = TypeVar("T")
+
+
+class BlockQueue(Generic[T]):
+    """Blocks, or what stands among them, in order; full, in number or bytes, it makes the giver wait, so nothing is lost."""
 
     def __init__(self, most_blocks: int = 1024, most_bytes: int = 8 << 20) -> None:
         self._most_blocks, self._most_bytes = most_blocks, most_bytes
-        self._items: deque[tuple[SampleBlock, float]] = deque()
+        self._items: deque[tuple[T, float]] = deque()
         self._bytes = 0
         self._closed = self._unbounded = False
         self._changed = threading.Condition()
 
-    def put(self, block: SampleBlock) -> None:
+    def put(self, block: T) -> None:
         """Hand a block over, once there is room."""
         arrived_s = time.monotonic()
         with self._changed:
-            self._changed.wait_for(lambda: self._closed or self._unbounded or self._has_room(block.samples.nbytes))
+            self._changed.wait_for(lambda: self._closed or self._unbounded or self._has_room(_size(block)))
             self._items.append((block, arrived_s))
-            self._bytes += block.samples.nbytes
+            self._bytes += _size(block)
             self._changed.notify_all()
 
-    def take(self, timeout_s: float) -> tuple[SampleBlock, float] | None:
+    def take(self, timeout_s: float) -> tuple[T, float] | None:
         """The next block and when it came (monotonic s); None if none came in time or none will."""
         with self._changed:
             self._changed.wait_for(lambda: self._items or self._closed, timeout_s)
             if not self._items:
                 return None
             block, arrived_s = self._items.popleft()
-            self._bytes -= block.samples.nbytes
+            self._bytes -= _size(block)
             self._changed.notify_all()
             return block, arrived_s
 
@@ -76,6 +82,10 @@ class BlockQueue:
         return few or not self._items  # one block, however large, always fits
 
 
+def _size(item: object) -> int:
+    return item.samples.nbytes if isinstance(item, SampleBlock) else 0
+
+
 class Reader:
     """Reads a source in a thread of its own, and opens it again whenever it is lost.
 
@@ -95,9 +105,9 @@ class Reader:
         Why, the last time; empty while all is well.
     """
 
-    def __init__(self, source: Source, queue: BlockQueue | None = None) -> None:
+    def __init__(self, source: Source, queue: BlockQueue[SampleBlock] | None = None) -> None:
         self.source = source
-        self.queue = BlockQueue() if queue is None else queue
+        self.queue: BlockQueue[SampleBlock] = BlockQueue() if queue is None else queue
         self.opened = self.ended = False
         self.failure: Exception | None = None
         self.lost = 0
@@ -157,19 +167,40 @@ class Reader:
                 self.queue.put(block)
 
 
+Job = Callable[[int], None]
+"""Something to be done when all blocks before it are on the disk; told the log time of the last one."""
+
+
 class Recording:
-    """The recorder in a thread of its own, behind a queue of minutes: a slow disk holds up nothing."""
+    """The recorder in a thread of its own, behind a queue of minutes: a slow disk holds up nothing.
+
+    Not `enabled`, it records nothing but still does jobs.
+    """
 
     def __init__(self, folder: Path, settings: RecorderSettings) -> None:
-        self._recorder = Recorder(folder, settings)
-        self._queue = BlockQueue(4096, 64 << 20)
+        self._recorder = Recorder(folder, settings) if settings.enabled else None
+        self._queue: BlockQueue[SampleBlock | Job] = BlockQueue(4096, 64 << 20)
         self._thread = threading.Thread(target=self._work, name="recorder", daemon=True)
         self._thread.start()
-        self.health: Callable[[], RecorderHealth] = self._recorder.health
+
+    def health(self) -> RecorderHealth | None:
+        """How recording goes; None if nothing is to be recorded."""
+        return None if self._recorder is None else self._recorder.health()
 
     def write(self, block: SampleBlock) -> None:
         """Hand a block over."""
-        self._queue.put(block)
+        if self._recorder is not None:
+            self._queue.put(block)
+
+    def then(self, job: Job) -> None:
+        """Do this, in the recorder's thread, once all blocks so far are on the disk."""
+        self._queue.put(job)
+
+    def flush(self, timeout_s: float) -> bool:
+        """Wait until all blocks so far are on the disk; whether they are in time."""
+        done = threading.Event()
+        self.then(lambda _: done.set())
+        return done.wait(timeout_s)
 
     def close(self, timeout_s: float) -> None:
         """Write what waits and finish the file."""
@@ -177,13 +208,21 @@ class Recording:
         self._thread.join(timeout_s)
 
     def _work(self) -> None:
+        recorder = self._recorder
         while not self._queue.over:
             item = self._queue.take(1.0)
             if item is None:
-                self._recorder.tick()
+                if recorder is not None:
+                    recorder.tick()
+            elif isinstance(item[0], SampleBlock):
+                assert recorder is not None
+                recorder.write(item[0])
             else:
-                self._recorder.write(item[0])
-        self._recorder.close()
+                if recorder is not None:
+                    recorder.flush()
+                item[0](0 if recorder is None else recorder.stamp_ns)
+        if recorder is not None:
+            recorder.close()
 
 
 class Chores:
@@ -205,6 +244,10 @@ class Chores:
             self._jobs[name] = job
             self._changed.notify_all()
 
+    def write(self, path: Path, text: str) -> None:
+        """Write a small file soon; it does no harm if the disk refuses."""
+        self.do(str(path), partial(_write, path, text))
+
     def close(self, timeout_s: float) -> None:
         """Do what is left, no longer than that."""
         with self._changed:
@@ -220,3 +263,10 @@ class Chores:
                     return
                 job = self._jobs.pop(next(iter(self._jobs)))
             job()
+
+
+def _write(path: Path, text: str) -> None:
+    try:
+        write_atomically(path, text)
+    except OSError as error:
+        _log.warning("%s: %s", path, error.strerror)

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+import shutil
 import statistics
 import time
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
 from drivers.base import ACCELERATION, SampleBlock
@@ -23,9 +25,10 @@ _MOST_TEXT = 300
 
 
 class Vitals:
-    """Counts since the daemon began."""
+    """Counts since the daemon began; `out` is where results go."""
 
-    def __init__(self) -> None:
+    def __init__(self, out: Path) -> None:
+        self._out, self._begun_s = out, time.monotonic()
         self.refused = 0
         """Blocks that neither the recorder nor the pipeline could take."""
         self.refusal = ""
@@ -84,12 +87,21 @@ class Vitals:
                 "delay_s": self._delay_s,
                 "refused": {"blocks": self.refused, "latest": self.refusal},
                 "queue": len(reader.queue),
+                "uptime_s": time.monotonic() - self._begun_s,
+                "disk_free_bytes": _free(self._out),
                 "latency_ms": self.latency(),
                 "recorder": None if recorder is None else asdict(recorder),
                 "failed": dict(publishers),
             }
         )
         return line
+
+
+def _free(place: Path) -> int | None:
+    try:
+        return shutil.disk_usage(place).free
+    except OSError:
+        return None
 
 
 def plain(value: Any) -> Any:

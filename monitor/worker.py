@@ -93,8 +93,10 @@ class Diagnoser:
         self._time_limit_s = time_limit_s
         self._scratch = tempfile.TemporaryDirectory(prefix="shm-diagnosis-", ignore_cleanup_errors=True)
         self._jobs: SimpleQueue[tuple[_Job, list[SampleBlock]] | None] = SimpleQueue()
-        self._ready: SimpleQueue[dict[str, Any]] = SimpleQueue()
-        self._asked = self._told = 0
+        self._ready: SimpleQueue[tuple[int, dict[str, Any]]] = SimpleQueue()
+        self._pending: dict[int, Request] = {}
+        self.asked = 0
+        """How many so far; findings are numbered by it."""
         self._process: subprocess.Popen[bytes] | None = None
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._work, name="diagnoser", daemon=True)
@@ -102,25 +104,32 @@ class Diagnoser:
         for old in folder.glob("*.json"):
             old.unlink()
 
+    @property
+    def pending(self) -> tuple[Request, ...]:
+        """What was asked for and is not found yet."""
+        return tuple(self._pending.values())
+
     def ask(self, request: Request, blocks: list[SampleBlock]) -> None:
         """Queue a diagnosis of some blocks."""
-        self._asked += 1
-        recording = Path(self._scratch.name) / f"{self._asked:03d}.mcap"
-        self._jobs.put((_Job(self._asked, request, recording, recording.with_suffix(".json")), blocks))
+        self.asked += 1
+        self._pending[self.asked] = request
+        recording = Path(self._scratch.name) / f"{self.asked:03d}.mcap"
+        self._jobs.put((_Job(self.asked, request, recording, recording.with_suffix(".json")), blocks))
 
     def poll(self) -> list[dict[str, Any]]:
         """Findings that became ready; never waits."""
         found = []
         with contextlib.suppress(Empty):
             while True:
-                found.append(self._ready.get_nowait())
-        self._told += len(found)
+                number, finding = self._ready.get_nowait()
+                del self._pending[number]
+                found.append(finding)
         return found
 
     def wait(self, stop: Callable[[], bool] = lambda: False) -> list[dict[str, Any]]:
         """Findings of everything that was asked for, or of what is ready when `stop` says so."""
         found = self.poll()
-        while self._told < self._asked and not stop():
+        while self._pending and not stop():
             time.sleep(_POLL_S)
             found += self.poll()
         return found
@@ -142,7 +151,7 @@ class Diagnoser:
             except OSError as failure:
                 error = f"{failure.filename or job.recording}: {failure.strerror or failure}"
             if not self._over.is_set():
-                self._ready.put(self._collect(job, error))
+                self._ready.put((job.number, self._collect(job, error)))
 
     def _run(self, job: _Job, blocks: list[SampleBlock]) -> str:
         """Let a process diagnose; why it came to nothing, or an empty text."""

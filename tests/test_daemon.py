@@ -145,7 +145,7 @@ def test_run_gives_what_replay_gives_of_source_and_of_own_recordings(
     assert told["windows"] == 9
     assert told["frequencies_hz"] == pytest.approx(again["frequencies_hz"])
     assert told["quality"]["samples"] == again["quality"]["samples"]
-    assert told.keys() - again.keys() == {"refused_blocks", "unprocessed_blocks", "latency_ms"}
+    assert told.keys() - again.keys() == {"refused_blocks", "unprocessed_blocks", "latency_ms", "alarm"}
 
 
 @pytest.mark.parametrize("sizes", [[7], [128], [1000, 3]])

@@ -99,7 +99,7 @@ def test_results_as_in_the_file_and_alarms_when_they_change(out: ZenohOut, perso
 
 def test_the_state_is_the_latest_of_everything(out: ZenohOut, person: zenoh.Session) -> None:
     until(lambda: ask(person, "state"), "the monitor is there")
-    assert ask(person, "state") == {"results": None, "alarm": None, "health": None, "gap": None}
+    assert ask(person, "state") == {"results": None, "alarm": None, "health": None, "gap": None, "finding": None}
     for k in range(3):
         result, line = window(k, Level.ALARM)
         out.window(result, line)

@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from monitor.alarm import AlarmState, hold
 from monitor.files import finish, partial
-from monitor.results import WindowResult
+from monitor.results import Alarm, WindowResult
 
 
 def _rounded(values: Any) -> Any:
@@ -59,6 +60,23 @@ def window_line(result: WindowResult) -> dict[str, Any]:
         },
         "skipped": result.skipped and result.skipped.reason,
     }
+
+
+def alarm_line(alarm: Alarm) -> dict[str, Any]:
+    """An alarm as JSON; story ``0`` is the structure as a whole."""
+    return {
+        "level": alarm.level.value,
+        "stories": list(alarm.stories),
+        "reason": alarm.reason,
+        "active": {str(story): level.value for story, level in alarm.active.items()},
+        "conditions": {str(story): condition.value for story, condition in alarm.conditions.items()},
+    }
+
+
+def standing_line(state: AlarmState) -> dict[str, Any]:
+    """What stands now, operators' wishes since the latest window included."""
+    _, standing = hold(state, 0)
+    return {key: value for key, value in alarm_line(standing).items() if key != "reason"}
 
 
 def to_json(value: dict[str, Any]) -> str:

@@ -6,6 +6,9 @@ import re
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+import numpy as np
+
+from monitor.health import Health
 from monitor.results import WHOLE, DamageReading, Gap, Level, WindowResult
 
 
@@ -38,8 +41,12 @@ class Summary:
     frequencies_hz: list[float] | None = None
     temperature_range_degc: tuple[float, float] | None = None
     """Least and highest mean over a window."""
-    _n_frequencies: int = 0
-    _open: dict[int, Episode] = field(default_factory=dict)
+    n_frequencies: int = 0
+    """Windows that `frequencies_hz` is the mean of."""
+    _open: dict[int, Episode] = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._open = {WHOLE if e.story is None else e.story: e for e in self.alarms if e.t_last_ns is None}
 
     def gap(self, gap: Gap) -> None:
         """Count a gap."""
@@ -76,11 +83,11 @@ class Summary:
                 episode.ddi, episode.ddi_std, episode.loss_n_per_m = reading
 
     def _average(self, frequencies: list[float]) -> None:
-        self._n_frequencies += 1
+        self.n_frequencies += 1
         if self.frequencies_hz is None or len(self.frequencies_hz) != len(frequencies):
-            self.frequencies_hz, self._n_frequencies = frequencies, 1
+            self.frequencies_hz, self.n_frequencies = frequencies, 1
             return
-        share = 1.0 / self._n_frequencies
+        share = 1.0 / self.n_frequencies
         self.frequencies_hz = [a + share * (b - a) for a, b in zip(self.frequencies_hz, frequencies, strict=True)]
 
     def content(self, realtime_factor: float, model_frequencies_hz: list[float]) -> dict[str, Any]:
@@ -107,3 +114,51 @@ def _reading(damage: DamageReading, story: int) -> tuple[float, float, float]:
     """DDI, its standard deviation and the loss in N/m of a story; for the whole structure, of the story that lost least."""
     j = int(damage.ddi.argmin()) if story == WHOLE else story - 1
     return float(damage.ddi[j]), float(damage.ddi_std[j]), float(damage.loss_n_per_m[j])
+
+
+@dataclass(slots=True)
+class Quality:
+    """All spans of a run in one table."""
+
+    samples: int = 0
+    gaps: int = 0
+    overlaps: int = 0
+    lost_s: float = 0.0
+    seconds: float = 0.0
+    channels: dict[str, dict[str, float]] = field(default_factory=dict)
+
+    def add(self, health: Health) -> None:
+        """Take a span in."""
+        self.samples += health.samples
+        self.gaps += health.gaps
+        self.overlaps += health.overlaps
+        self.lost_s += health.lost_s
+        seconds = health.samples / health.rate_hz
+        self.seconds += seconds
+        for c in health.channels:
+            total = self.channels.setdefault(c.channel, dict.fromkeys(("power", "spikes", "stuck_s", "clipped"), 0.0))
+            total["power"] += c.rms_m_s2**2 * seconds
+            total["spikes"] += c.spikes
+            total["stuck_s"] += seconds if c.repeated == 1.0 else 0.0
+            total["clipped"] += c.clipped * health.samples
+
+    def content(self) -> dict[str, Any]:
+        """Table for summary.json."""
+        channels = {
+            name: {
+                "rms_m_s2": float(np.sqrt(c["power"] / self.seconds)),
+                "spikes": int(c["spikes"]),
+                "stuck_s": c["stuck_s"],
+                "clipped_samples": round(c["clipped"]),
+            }
+            for name, c in self.channels.items()
+        }
+        wanted_s = self.seconds + self.lost_s
+        return {
+            "availability": self.seconds / wanted_s if wanted_s else None,
+            "samples": self.samples,
+            "gaps": self.gaps,
+            "lost_s": self.lost_s,
+            "overlaps": self.overlaps,
+            "channels": channels,
+        }

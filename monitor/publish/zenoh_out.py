@@ -5,6 +5,7 @@ Keys stand in `docs/zenoh.md`.  The session is its own: the source's may be held
 
 from __future__ import annotations
 
+import json
 import logging
 import re
 import threading
@@ -19,13 +20,13 @@ from pydantic import Field, ValidationError
 from zenoh import ext
 
 from drivers.zenoh_session import Key, SessionSettings, open_session
-from monitor.publish.lines import to_json
+from monitor.publish.lines import alarm_line, to_json
 from monitor.publish.requests import MAX_REQUEST_BYTES, Request
-from monitor.results import Alarm, Gap, WindowResult
+from monitor.results import Gap, WindowResult
 
 _log = logging.getLogger(__name__)
 _RETRY_S = (0.5, 30.0)
-_CACHES = {"results": 64, "alarm": 64, "health": 1, "gap": 64}
+_CACHES = {"results": 64, "alarm": 64, "health": 1, "gap": 64, "finding": 64}
 """Key below the prefix -> values kept for subscribers that come late."""
 
 
@@ -56,7 +57,7 @@ class ZenohOut:
     """
 
     def __init__(self, site: str, settings: ZenohOutSettings, folder: Path = Path(), *, queue_size: int = 256) -> None:
-        self.prefix = settings.prefix or "shm/" + (re.sub(r"[^0-9A-Za-z._-]+", "-", site) or "site")
+        self.prefix = key_prefix(site, settings)
         self.dropped = 0
         self.failed: str | None = None
         self._settings, self._folder = settings, folder
@@ -84,6 +85,11 @@ class ZenohOut:
     def health(self, health: Mapping[str, Any]) -> None:
         """Publish a line of health.jsonl."""
         self._put("health", to_json(dict(health)))
+
+    def finding(self, finding: Mapping[str, Any]) -> None:
+        """Publish what a diagnosis found."""
+        keys = ("id", "t_ns", "from_ns", "reason", "verdict", "says", "causes")
+        self._put("finding", to_json({key: finding[key] for key in keys}))
 
     def take_requests(self) -> list[Request]:
         """The operators' requests since the last call, oldest first; for the thread that owns the alarms."""
@@ -187,12 +193,25 @@ class ZenohOut:
         return None
 
 
-def alarm_line(alarm: Alarm) -> dict[str, Any]:
-    """An alarm as JSON; story ``0`` is the structure as a whole."""
-    return {
-        "level": alarm.level.value,
-        "stories": list(alarm.stories),
-        "reason": alarm.reason,
-        "active": {str(story): level.value for story, level in alarm.active.items()},
-        "conditions": {str(story): condition.value for story, condition in alarm.conditions.items()},
-    }
+def key_prefix(site: str, settings: ZenohOutSettings) -> str:
+    """Where the keys of a site begin."""
+    return settings.prefix or "shm/" + (re.sub(r"[^0-9A-Za-z._-]+", "-", site) or "site")
+
+
+def ask(settings: ZenohOutSettings, folder: Path, prefix: str, request: str, timeout_s: float) -> dict[str, Any] | None:
+    """Hand a request (`monitor.publish.requests`) to a running monitor; its answer, or None if nobody answers.
+
+    Raises
+    ------
+    SourceError
+        The network cannot be joined.
+    """
+    # A monitor that listens is connected to, one that connects is met at the same router.
+    where = settings.listen or settings.connect
+    joining = settings.model_copy(update={"mode": "client", "connect": where, "listen": ()})
+    with open_session(joining, folder) as session:
+        for reply in session.get(f"{prefix}/ack", payload=request, timeout=timeout_s):
+            if reply.ok is not None:
+                answer: dict[str, Any] = json.loads(reply.ok.payload.to_bytes())
+                return answer
+    return None

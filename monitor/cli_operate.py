@@ -1,0 +1,157 @@
+"""The commands by which operators see and steer a running daemon."""
+
+from __future__ import annotations
+
+import json
+import time
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from pydantic import ValidationError
+
+from monitor import config
+from monitor.cli_common import warn
+from monitor.config import Configuration
+from monitor.errors import BadConfigurationError, MissingInputError, WrongUsageError
+
+_WAIT_S = 5.0
+_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+
+
+def status(
+    place: Annotated[Path, typer.Argument(metavar="SITE.toml|DIR", help="Site file, or the daemon's output folder.")],
+    as_json: Annotated[bool, typer.Option("--json", help="Everything, as one JSON object.")] = False,
+) -> None:
+    """What a daemon does, in ten lines.
+
+    Exit code 0: all well; 10: an alarm stands; 11: it runs, but source, recorder or a way out does not; 12: not running, or
+    silent for a minute.
+    """
+    from monitor import status as reader
+
+    found = reader.look(_folder(place))
+    print(json.dumps(found, allow_nan=False) if as_json else reader.tell(found))
+    raise typer.Exit(found["exit_code"])
+
+
+def ack(
+    file: Annotated[Path, typer.Argument(metavar="SITE.toml", help="Site file of the running daemon.")],
+    story: Annotated[int, typer.Option(min=0, metavar="N", help="Story; 0: the structure as a whole.")],
+    who: Annotated[str, typer.Option(metavar="NAME", help="Who decides; stands in the ledger.")],
+    note: Annotated[str, typer.Option(help="Why; shelving needs it.")] = "",
+    shelve: Annotated[
+        float | None, typer.Option(min=0.0, metavar="HOURS", help="Announce nothing for so long; at most 720.")
+    ] = None,
+    unshelve: Annotated[bool, typer.Option("--unshelve", help="Announce again.")] = False,
+    reset: Annotated[
+        bool, typer.Option("--reset", help="Release a latched alarm that is over and acknowledged.")
+    ] = False,
+) -> None:
+    """Acknowledge the alarm of a story, or shelve or reset it.
+
+    Goes over Zenoh where [output.zenoh] is, else through the daemon's folder, to which the asker needs write access.
+    """
+    from monitor.publish.requests import Request
+
+    settings = config.load(file)
+    stories = settings.model().structure.n_stories
+    if story > stories:
+        raise WrongUsageError(f"--story {story}: {file} has {stories}, and 0 for the whole")
+    if sum((shelve is not None, unshelve, reset)) > 1:
+        raise WrongUsageError("--shelve, --unshelve and --reset exclude each other")
+    action = "shelve" if shelve is not None else "unshelve" if unshelve else "reset" if reset else "acknowledge"
+    wish = {"action": action, "story": story, "who": who, "note": note, "seconds": 3600.0 * (shelve or 0.0)}
+    try:
+        request = Request.model_validate(wish)
+    except ValidationError as error:
+        said = "; ".join(
+            f"{'.'.join(map(str, p['loc']))} {p['msg'].removeprefix('Value error, ')}".strip() for p in error.errors()
+        )
+        raise WrongUsageError(said) from error
+    if settings.output.zenoh is not None and _over_zenoh(file, settings, request.model_dump_json()):
+        return
+    _by_file(file.resolve().parent / settings.output.dir, request)
+
+
+def export(
+    place: Annotated[Path, typer.Argument(metavar="SITE.toml|DIR", help="Site file, or the daemon's output folder.")],
+    out: Annotated[Path, typer.Option(metavar="FILE.parquet|FILE.csv", help="Written when whole.")],
+    table: Annotated[
+        str, typer.Option(help="windows, alarms, requests (acknowledgements), findings, gaps or health.")
+    ] = "windows",
+    begin: Annotated[str | None, typer.Option("--from", metavar="TIME", help="ISO 8601, UTC; included.")] = None,
+    end: Annotated[str | None, typer.Option("--to", metavar="TIME", help="ISO 8601, UTC; not included.")] = None,
+) -> None:
+    """The history as a table: SI units, times in UTC as ns since 1970; a running daemon is not disturbed."""
+    from monitor import export as writer
+
+    span = _ns("--from", begin, 0), _ns("--to", end, (1 << 63) - 1)
+    rows = writer.export(_folder(place) / "state" / "history.db", table, out, span)
+    print(f"{rows} rows of {table} in {out}")
+
+
+def _ns(option: str, text: str | None, default: int) -> int:
+    try:
+        moment = None if text is None else datetime.fromisoformat(text)
+    except ValueError as error:
+        raise WrongUsageError(f"{option} {text}: write it as 2026-05-01 or 2026-05-01T12:00:00") from error
+    if moment is None:
+        return default
+    return (moment.replace(tzinfo=moment.tzinfo or UTC) - _EPOCH) // timedelta(microseconds=1) * 1000
+
+
+def _folder(place: Path) -> Path:
+    """The daemon's output folder."""
+    return place if place.is_dir() else place.resolve().parent / config.load(place).output.dir
+
+
+def _over_zenoh(file: Path, settings: Configuration, request: str) -> bool:
+    """Whether it was accepted; if nobody answers, the folder is the way.
+
+    Raises
+    ------
+    WrongUsageError
+        It was refused.
+    """
+    from drivers.base import SourceError
+    from monitor.publish.zenoh_out import ZenohOutSettings, ask, key_prefix
+
+    try:
+        joining = ZenohOutSettings.model_validate(settings.output.zenoh)
+    except ValidationError as error:
+        raise BadConfigurationError(f"{file}: output.zenoh: {error.errors()[0]['msg']}") from error
+    try:
+        answer = ask(joining, file.resolve().parent, key_prefix(settings.site_name, joining), request, _WAIT_S)
+    except SourceError as error:
+        warn(f"{error}; leaving the request in the daemon's folder")
+        return False
+    if answer is None:
+        warn("nobody answers over Zenoh; leaving the request in the daemon's folder")
+        return False
+    if not answer.get("accepted"):
+        raise WrongUsageError(f"refused: {answer.get('reason')}")
+    print("accepted; it is applied with the next data")
+    return True
+
+
+def _by_file(out: Path, request: object) -> None:
+    from monitor import status as reader
+    from monitor.publish import inbox
+    from monitor.publish.requests import Request
+
+    assert isinstance(request, Request)
+    try:
+        place = inbox.ask(out / "state" / "requests", request)
+    except OSError as error:
+        raise MissingInputError(f"{out / 'state' / 'requests'}: cannot be written: {error.strerror}") from error
+    deadline = time.monotonic() + _WAIT_S
+    while place.exists() and reader.running(out) and time.monotonic() < deadline:
+        time.sleep(0.1)
+    if not place.exists():
+        print("applied, and noted in ledger.jsonl")
+    elif reader.running(out):
+        print("left for the daemon; it is applied with the next data")
+    else:
+        print("the daemon does not run; it is applied with the first data of its next run")

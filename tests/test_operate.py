@@ -1,0 +1,242 @@
+"""What operators have: status, requests, reload, metrics, logs, and warnings of open doors."""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import signal
+import subprocess
+import sys
+import time
+import urllib.request
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from prometheus_client.parser import text_string_to_metric_families
+
+from monitor import config, exposure
+from monitor.errors import BadConfigurationError, MissingInputError
+from monitor.logs import LineFormatter
+from monitor.publish import inbox
+from monitor.publish.inbox import Inbox
+from monitor.publish.metrics import reason_class
+from monitor.publish.requests import Request
+from monitor.reload import changed
+from monitor.simulate import simulate
+from monitor.status import look
+from tests.conftest import Cli
+from tests.live_site import RATE
+from tests.zenoh_router import free_port
+
+SITE = """
+[site]
+name = "bench"
+
+[source]
+kind = "mcap"
+files = ["rec.mcap"]
+
+[output]
+dir = "out"
+
+[output.metrics]
+listen = "127.0.0.1:{port}"
+
+[recorder]
+min_free_gb = 0.0
+
+[log]
+format = "json"
+
+[watch]
+diagnose = false
+
+[alarm]
+alarm_loss = 0.10
+"""
+
+
+def until(true: Callable[[], object], what: str) -> None:
+    deadline = time.monotonic() + 60.0
+    while not true():
+        assert time.monotonic() < deadline, what
+        time.sleep(0.05)
+
+
+@dataclass
+class Running:
+    site: Path
+    port: int
+    process: subprocess.Popen[bytes]
+
+    @property
+    def log(self) -> str:
+        return (self.site.parent / "log").read_text()
+
+
+@pytest.fixture(scope="module")
+def running(frame_text: str, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
+    """A daemon on an endless stream, twenty times as fast as the clock."""
+    folder, port = tmp_path_factory.mktemp("site"), free_port()
+    site = folder / "site.toml"
+    site.write_text(SITE.format(port=port) + frame_text)
+    floors = simulate(config.load(site).model(), duration_s=60.0, rate_hz=RATE, noise=0.03, seed=6).floors
+    np.save(folder / "stream.npy", floors.astype(np.float32))
+    arguments = [site, folder / "stream.npy", folder / "position", "0.025", "0"]
+    with (folder / "log").open("wb") as log:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "tests.live_site", *map(str, arguments)],
+            stderr=log,
+            cwd=Path(__file__).parents[1],
+        )
+    yield_ = Running(site, port, process)
+    try:
+        until(lambda: (folder / "out" / "results.jsonl").exists() or process.poll() is not None, "a folder")
+        until(lambda: (folder / "out" / "results.jsonl").read_text(), "a first window")
+        until(lambda: (folder / "out" / "health.jsonl").read_text(), "health is told")
+        yield yield_
+    finally:
+        process.kill()
+        process.wait()
+
+
+def test_status_tells_in_ten_lines(running: Running, main: Cli) -> None:
+    out = running.site.parent / "out"
+    until(lambda: (out / "summary.json").exists(), "a summary")
+    for place in (running.site, out):
+        done = main("status", place)
+        assert done.returncode == 0, done.stdout + done.stderr
+        rows = done.stdout.splitlines()
+        assert len(rows) <= 12 and rows[0].split()[-1] and "100.00 % available" in done.stdout
+    found = json.loads(main("status", out, "--json").stdout)
+    assert found["running"] and found["exit_code"] == 0 and found["health"]["source"]["connected"]
+
+
+def test_a_request_is_applied_and_noted(running: Running, main: Cli) -> None:
+    ledger = running.site.parent / "out" / "ledger.jsonl"
+    done = main("ack", running.site, "--story", 2, "--who", "ann", "--note", "works on the roof", "--shelve", 2)
+    assert done.returncode == 0 and "applied" in done.stdout, done.stdout + done.stderr
+    assert "works on the roof" in ledger.read_text() and "ann" in ledger.read_text()
+    until(lambda: "shelved" in main("status", running.site).stdout, "status knows")
+    assert main("ack", running.site, "--story", 2, "--who", "ann", "--unshelve").returncode == 0
+    for wrong in (
+        ("--story", 9, "--who", "x"),
+        ("--story", 1, "--who", "x", "--shelve", 2),
+        ("--story", 1, "--who", "x", "--reset", "--unshelve"),
+    ):
+        done = main("ack", running.site, *wrong)
+        assert done.returncode == 2 and done.stderr.startswith("error"), done.stderr
+
+
+def test_metrics_are_there_and_few(running: Running) -> None:
+    def scrape() -> dict[str, float]:
+        with urllib.request.urlopen(f"http://127.0.0.1:{running.port}/metrics", timeout=10.0) as answer:
+            text = answer.read().decode()
+        return {
+            s.name + "".join(f"|{v}" for v in s.labels.values()): s.value
+            for family in text_string_to_metric_families(text)
+            for s in family.samples
+        }
+
+    until(lambda: scrape().get("shm_windows_total", 0) > 0, "windows are counted")
+    seen = scrape()
+    assert seen["shm_source_connected"] == seen["shm_recorder_recording"] == 1
+    assert seen["shm_latency_seconds_bucket|+Inf"] > 0 and seen["shm_samples_total"] > 0
+    assert len(seen) < 150
+    assert reason_class("gap in the data") == "gap" and reason_class("whatever comes") == "other"
+
+
+def test_a_changed_threshold_is_taken_over_and_nothing_else(running: Running) -> None:
+    text = running.site.read_text()
+    try:
+        running.site.write_text(text.replace("alarm_loss = 0.10", "alarm_loss = 0.20"))
+        running.process.send_signal(signal.SIGHUP)
+        until(lambda: "reloaded" in running.log, "it is read again")
+        running.site.write_text(text.replace("hop_s = 5.0", "hop_s = 2.0"))
+        running.process.send_signal(signal.SIGHUP)
+        until(lambda: "not reloaded" in running.log, "it is refused")
+        assert "[processing] changed" in running.log
+        running.site.write_text("[[")
+        running.process.send_signal(signal.SIGHUP)
+        until(lambda: running.log.count("not reloaded") == 2, "it is refused")
+    finally:
+        running.site.write_text(text)
+    assert running.process.poll() is None
+    for row in running.log.splitlines():
+        if row != "READY":
+            assert json.loads(row)["site"] == "bench"
+
+
+def test_the_end_is_told(running: Running, main: Cli) -> None:
+    running.process.terminate()
+    assert running.process.wait(30.0) == 0
+    done = main("status", running.site)
+    assert done.returncode == 12 and "not running" in done.stdout
+    assert main("status", running.site.parent / "nothing").returncode == 66
+    with pytest.raises(MissingInputError, match="no daemon has written"):
+        look(running.site.parent)
+
+
+def test_only_some_tables_may_change(tmp_path: Path, frame_text: str) -> None:
+    path = tmp_path / "site.toml"
+    path.write_text(SITE.format(port=1) + frame_text)
+    now = config.load(path)
+    path.write_text(path.read_text().replace("diagnose = false", "diagnose = true"))
+    assert changed(path, now).watch.diagnose
+    path.write_text(path.read_text().replace('name = "bench"', 'name = "other"'))
+    with pytest.raises(BadConfigurationError, match=r"\[site\] changed"):
+        changed(path, now)
+
+
+def test_files_that_are_no_requests_are_removed_unread(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    folder, box = tmp_path / "requests", Inbox(tmp_path / "requests")
+    inbox.ask(folder, Request(action="reset", story=1, who="ann"))
+    secret = tmp_path / "secret"
+    secret.write_text('{"action": "reset", "story": 1, "who": "mallory"}')
+    (folder / "1.json").symlink_to(secret)
+    os.mkfifo(folder / "2.json")
+    (folder / "3.json").write_bytes(b"x" * 5000)
+    (folder / "4.json").write_bytes(b'{"action": "rm"}')
+    (folder / "5.txt").write_text("not mine")
+    assert [r.who for r in box.take_requests()] == ["ann"]
+    box.close(1.0)
+    assert sorted(p.name for p in folder.iterdir()) == ["5.txt"] and secret.exists()
+    assert caplog.text.count("no request") == 4
+
+
+@pytest.mark.parametrize("style", ["text", "json"])
+def test_an_event_is_one_line_whatever_it_holds(style: str) -> None:
+    formatter = LineFormatter(style, "bench")  # type: ignore[arg-type]
+    text = 'two\nlines\x1b[2J\u2028 "quoted" = ' + "x" * 10_000
+    record = logging.LogRecord("a.b", logging.WARNING, "", 0, "%s", (text,), None)
+    row = formatter.format(record)
+    assert row.isprintable() and len(row) < 6000
+    assert "site=bench" in row if style == "text" else json.loads(row)["message"].startswith("two\nlines")
+
+
+def test_open_doors_are_named(tmp_path: Path, frame_text: str, main: Cli) -> None:
+    path = tmp_path / "site.toml"
+    text = SITE.format(port=1) + frame_text
+    path.write_text(text)
+    assert not exposure.warnings(path, config.load(path))
+    urls = tmp_path / "urls"
+    urls.write_text("")
+    urls.chmod(0o644)
+    text = text.replace("127.0.0.1:1", "0.0.0.0:9464").replace('dir = "out"', 'dir = "out"\nserve = "0.0.0.0:9876"')
+    text = text.replace(
+        'kind = "mcap"\nfiles = ["rec.mcap"]', 'kind = "zenoh"\nkey = "a/b"\nmode = "peer"\nlisten = ["tcp/[::]:7447"]'
+    )
+    path.write_text('notify = {url_file = "urls"}\n' + text)
+    found = exposure.warnings(path, config.load(path))
+    assert [w.partition(":")[0] for w in found] == [
+        "output.serve",
+        "output.metrics",
+        "source.listen",
+        "notify.url_file",
+    ]
+    done = main("check", path)
+    assert done.returncode == 0 and done.stderr.count("warning") >= 4
