@@ -11,7 +11,7 @@ from typing import Annotated
 import typer
 from threadpoolctl import threadpool_limits
 
-from monitor import __version__, cli_diagnose, cli_emulate, cli_run, config, outlets
+from monitor import __version__, cli_diagnose, cli_emulate, cli_reprocess, cli_run, config, outlets
 from monitor.cli_common import Recordings, Structure, progress, warn
 from monitor.errors import BadConfigurationError, UserError
 from monitor.files import demand_place, spare_inputs, write_atomically
@@ -27,6 +27,7 @@ app.command()(cli_diagnose.evaluate)
 app.command()(cli_diagnose.accept)
 app.command()(cli_run.run)
 app.command()(cli_emulate.emulate)
+app.command()(cli_reprocess.reprocess)
 
 
 @app.command()
