@@ -271,7 +271,9 @@ def unpack_chunk(body: bytes) -> bytes:
     if size > MAX_RECORD_BYTES or len(packed) != length:
         raise ValueError(f"it claims {length} bytes, {size} unpacked")
     # Never ask for more than the chunk states: a few bytes can unpack to terabytes.
-    if compression == "zstd":
+    if compression == "zstd" and zstandard.frame_content_size(packed) == size:
+        content = zstandard.ZstdDecompressor().decompress(packed)
+    elif compression == "zstd":  # of unknown size, or several frames
         with zstandard.ZstdDecompressor().stream_reader(packed, read_across_frames=True) as reader:
             content = reader.read(size + 1)
     elif compression == "lz4":
@@ -284,7 +286,7 @@ def unpack_chunk(body: bytes) -> bytes:
         raise ValueError(f"{len(content)} bytes unpacked, {size} stated")
     if crc not in (0, zlib.crc32(content)):
         raise ValueError("the checksum does not fit")
-    return bytes(content)
+    return content if isinstance(content, bytes) else bytes(content)
 
 
 def _stream(data: bytes) -> ReadDataStream:

@@ -84,7 +84,8 @@ def replay(
     MissingInputError, BadInputError
         Too short for one window, missing channels, unreadable files.
     """
-    source = begun(blocks(paths, config, on_warning))  # bad input shows before any output is begun
+    pieces = {} if speed is None else {"longest_s": 0.0}  # viewers want samples as they were taken
+    source = begun(blocks(paths, config, on_warning, **pieces))  # bad input shows before any output is begun
     written = _Files(out)
     view = RerunPublisher(scene(config, baseline), file=out / "live.rrd", serve=serve, lossless=True)
     session = Session(config, baseline, (written, View(view)), files, out / "findings")
