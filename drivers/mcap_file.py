@@ -13,8 +13,9 @@ from mcap.records import Channel
 
 from drivers import codec
 from drivers.base import ACCELERATION, GROUND, TEMPERATURE, RecordingError, SampleBlock
+from drivers.mcap_index import read_index
 from drivers.mcap_records import McapFile, Message, Segment
-from drivers.mcap_writer import AS_ARRIVED, ORDER, McapWriter
+from drivers.mcap_writer import AS_ARRIVED, LIBRARY, ORDER, McapWriter
 from drivers.ros2_imu import IMU_SCHEMAS, ImuJoiner, ImuSample, decode_imu, split_target
 
 __all__ = ["McapWriter", "RecordingInfo", "read_recordings", "recording_info", "scan_messages"]
@@ -120,6 +121,9 @@ class _Survey:
 
     def run(self, on_warning: OnWarning) -> None:
         """Check the whole file."""
+        self.file.demand()
+        if self._indexed():
+            return
         count = 0
         for segment, messages in self.file.segments():
             if times := [t_ns for t_ns, _ in self._each(messages, self._time_ns)]:
@@ -129,6 +133,21 @@ class _Survey:
             raise RecordingError(f"{self.file.path}: {self._foreign()}")
         if self.file.cut:
             on_warning(f"{self.file.path}: {self.file.cut}; the {count} whole blocks before it are used")
+
+    def _indexed(self) -> bool:
+        """Whether the file is one of ours, whole, and holds what is wanted: then its index tells all."""
+        index = read_index(self.file.path)
+        if index is None or index.library != LIBRARY or self._axes:
+            return False
+        self.file.schemas.update(index.schemas)
+        self.file.channels.update(index.channels)
+        try:
+            if not any([self._wanted(channel) for channel in index.channels.values()]):
+                return False
+        except ValueError:  # a walk tells where
+            return False
+        self.segments = index.chunks
+        return True
 
     def load(self, segment: Segment) -> list[tuple[int, _Item]]:
         """The wanted messages of a segment, each with the time that orders it."""
@@ -210,7 +229,7 @@ def _merged(surveys: list[_Survey]) -> Iterator[_Item]:
             yield heapq.heappop(heap)[-1]
         items = surveys[number].load(segment)
         times = [t_ns for t_ns, _ in items]
-        if not heap and times == sorted(times) and times[-1] < following:
+        if not heap and times == sorted(times) and (not times or times[-1] < following):
             yield from (item for _, item in items)
             continue
         for t_ns, item in items:

@@ -116,6 +116,10 @@ class McapFile:
             file.seek(segment.offset)
             return self._parse(segment, file.read(segment.length))
 
+    def demand(self) -> None:
+        """See that the file can be opened (errors as `segments`)."""
+        self._open().close()
+
     def schema_name(self, channel: Channel) -> str:
         """Name of a channel's schema, empty if it has none."""
         schema = self.schemas.get(channel.schema_id)
@@ -247,10 +251,10 @@ class McapFile:
                     raise ValueError(f"a message of channel {channel_id}, which the file does not define")
                 messages.append(Message(channel_id, log_time, content[start + _MESSAGE.size : position]))
             elif opcode == Opcode.CHANNEL:
-                channel = Channel.read(_stream(content[start:position]))
+                channel = Channel.read(stream(content[start:position]))
                 self.channels[channel.id] = channel
             elif opcode == Opcode.SCHEMA:
-                schema = Schema.read(_stream(content[start:position]))
+                schema = Schema.read(stream(content[start:position]))
                 self.schemas[schema.id] = schema
         return messages
 
@@ -289,5 +293,6 @@ def unpack_chunk(body: bytes) -> bytes:
     return content if isinstance(content, bytes) else bytes(content)
 
 
-def _stream(data: bytes) -> ReadDataStream:
+def stream(data: bytes) -> ReadDataStream:
+    """Bytes as the library's record parsers take them."""
     return ReadDataStream(io.BytesIO(data))
