@@ -123,7 +123,7 @@ def identify(
     chosen = _common_order(poles, clusters, spaces)
     if chosen is None:
         return Skipped("no order shows every mode")
-    return _estimate(window, realisation, spaces, poles, chosen, wanted, refiner)
+    return _estimate(window, realisation, spaces, poles, chosen, wanted, refiner, ssi.uncertainty)
 
 
 def _plausible(spaces: list[StateSpace], rate_hz: float, select: SelectionSettings, complete: bool) -> _Poles:
@@ -226,6 +226,7 @@ def _estimate(
     chosen: list[int],
     wanted: tuple[int, ...],
     refiner: Callable[[ModalEstimate], ModalEstimate] | None,
+    uncertainty: bool,
 ) -> ModalEstimate:
     by_frequency = sorted(range(len(chosen)), key=lambda i: poles.frequency[chosen[i]])
     rows = [chosen[i] for i in by_frequency]
@@ -245,7 +246,7 @@ def _estimate(
         poles=np.column_stack([[spaces[s].order for s in poles.space], poles.frequency, poles.damping, poles.stable]),
     )
     better = estimate if refiner is None else refiner(estimate)
-    if better is not estimate:
+    if better is not estimate or not uncertainty:
         return better
     deviations = mode_deviations(window.sums, realisation, space, columns, shapes, window.rate_hz)
     return replace(estimate, deviations=deviations)
