@@ -128,31 +128,21 @@ def identify(
 
 def _plausible(spaces: list[StateSpace], rate_hz: float, select: SelectionSettings, complete: bool) -> _Poles:
     """Poles that could be modes.  Where the data have no more states (`complete`), the last order's need no other."""
-    space: list[int] = []
-    column: list[int] = []
-    parts: list[tuple[Array, Array, ComplexArray]] = []
-    for number, state_space in enumerate(spaces):
-        f, zeta = continuous(state_space.poles, rate_hz)
-        good = np.flatnonzero(
-            (state_space.poles.imag > 0)
-            & (f > select.min_frequency_hz)
-            & (f < _BAND * rate_hz)
-            & (zeta > 0)
-            & (zeta < select.max_damping_ratio)
-        )
-        space += [number] * good.size
-        column += good.tolist()
-        parts.append((f[good], zeta[good], state_space.shapes[:, good].T))
-    frequency, damping = np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts])
-    shape = np.concatenate([p[2] for p in parts])
+    value = np.concatenate([s.poles for s in spaces])
+    f, zeta = continuous(value, rate_hz)
+    near_axis = (zeta > 0) & (zeta < select.max_damping_ratio)
+    good = (value.imag > 0) & (f > select.min_frequency_hz) & (f < _BAND * rate_hz) & near_axis
+    order = np.repeat(np.arange(len(spaces)), [s.poles.size for s in spaces])[good]
+    column = np.concatenate([np.arange(s.poles.size) for s in spaces])[good]
+    frequency, damping = f[good], zeta[good]
+    shape = np.concatenate([s.shapes.T for s in spaces])[good]
     shape /= np.linalg.norm(shape, axis=1)[:, None]
-    order = np.array(space, dtype=int)
     near = np.abs(frequency[:, None] / frequency[None, :] - 1.0) < select.stable_frequency
     below = order[:, None] == order[None, :] + 1
     stable = (near & (mac(shape, shape) > select.stable_mac) & below).any(axis=1).astype(float)
     if complete:
         stable[order == len(spaces) - 1] = 1.0
-    return _Poles(space, column, frequency, damping, shape, stable)
+    return _Poles(order.tolist(), column.tolist(), frequency, damping, shape, stable)
 
 
 def _match(

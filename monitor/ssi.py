@@ -150,15 +150,18 @@ def state_spaces(realisation: Realisation, orders: range) -> list[StateSpace]:
     if realisation.states is None:
         # Columns of O are nested over orders, so one QR factorization serves all of eq. 12.
         q, r = qr(o[:-l], mode="economic")
-        shifted = q.T @ o[l:]
+        shifted, size = q.T @ o[l:], np.abs(np.diag(r))
+        # So are R and its inverse, as far as it has one.
+        sound = int(np.argmin(np.append(size >= _SINGULAR_TOLERANCE * size[0], False)))
+        inverse = solve_triangular(r[:sound, :sound], np.eye(sound))
     spaces = []
     for n in orders:
         if n > o.shape[1]:
             break
         if realisation.states is None:
-            if np.abs(np.diag(r)[:n]).min() < _SINGULAR_TOLERANCE * abs(r[0, 0]):
+            if n > sound:
                 break
-            a, c = solve_triangular(r[:n, :n], shifted[:n, :n]), o[:l, :n]
+            a, c = inverse[:n, :n] @ shifted[:n, :n], o[:l, :n]
         else:
             a, c = _algorithm_1(realisation.states, o[:, :n], l)
         poles, vectors = np.linalg.eig(a)

@@ -24,7 +24,18 @@ from pydantic import Field
 from monitor.results import Array, ComplexArray, ModalEstimate, Window
 from monitor.settings import Settings
 from monitor.spectrum import overlap_correlation
-from monitor.whittle_model import Layout, Point, Spectrum, cross_spectra, layout_of, packed, predict, product, upper
+from monitor.whittle_model import (
+    Layout,
+    Point,
+    Spectrum,
+    cross_spectra,
+    layout_of,
+    packed,
+    predict,
+    product,
+    triangle,
+    upper,
+)
 
 _WEAK_STD = 3.0
 _MOST_ENTRIES = 4_000_000
@@ -104,7 +115,7 @@ def _start(layout: Layout, modes: ModalEstimate, mean: ComplexArray) -> Point:
     """Modes from the subspace estimate; forces and noise, in which the spectrum is linear, by weighted least squares."""
     m, c = modes.shapes.shape
     gauge = modes.shapes[np.arange(m), list(layout.gauges)]
-    i, j = np.triu_indices(c)
+    i, j = triangle(c)
     power = mean[i == j].real
     p = Point(
         np.log(modes.frequencies_hz),
