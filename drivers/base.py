@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from math import inf
 from pathlib import Path
 from typing import Protocol
 
@@ -46,7 +47,7 @@ class SampleBlock:
     def __post_init__(self) -> None:
         if self.samples.ndim != 2 or self.samples.shape[1] != len(self.channels):
             raise ValueError(f"samples must have shape (n_samples, {len(self.channels)}), got {self.samples.shape}")
-        if not (np.isfinite(self.sample_rate_hz) and self.sample_rate_hz > 0):
+        if not 0 < self.sample_rate_hz < inf:
             raise ValueError(f"sample rate must be positive and finite, got {self.sample_rate_hz}")
         if self.sequence < 0:
             raise ValueError(f"sequence must not be negative, got {self.sequence}")

@@ -16,6 +16,7 @@ from drivers.base import SampleBlock
 SCHEMA_NAME = "shm.SampleBlock"
 _FIELD = descriptor_pb2.FieldDescriptorProto
 _NS = 1_000_000_000
+_FLOAT32 = np.dtype("<f4")
 
 
 def _file_descriptor() -> descriptor_pb2.FileDescriptorProto:
@@ -74,24 +75,42 @@ def decode(data: bytes, topic: str) -> SampleBlock:
     ValueError
         If the bytes are no SampleBlock or contradict themselves; the message says how.
     """
-    try:
-        message = _Message.FromString(data)
-    except DecodeError as error:
-        raise ValueError(f"no {SCHEMA_NAME} message: {error}") from error
+    message = _parsed(data)
     channels = tuple(message.channels)
+    samples = message.samples
     if not channels:
         raise ValueError("a sample block without channel names")
-    row_bytes = 4 * len(channels)
-    if len(message.samples) % row_bytes:
-        raise ValueError(
-            f"{len(message.samples)} bytes of samples are no whole rows of {len(channels)} float32 channels"
-        )
+    if len(samples) % (4 * len(channels)):
+        raise ValueError(f"{len(samples)} bytes of samples are no whole rows of {len(channels)} float32 channels")
     return SampleBlock(
-        topic=topic,
-        t_ns=message.timestamp.seconds * _NS + message.timestamp.nanos,
-        sequence=message.sequence,
-        sample_rate_hz=message.sample_rate_hz,
-        channels=channels,
-        unit=message.unit,
-        samples=np.frombuffer(message.samples, dtype="<f4").reshape(-1, len(channels)),
+        topic,
+        _time_ns(message),
+        message.sequence,
+        message.sample_rate_hz,
+        channels,
+        message.unit,
+        np.frombuffer(samples, _FLOAT32).reshape(-1, len(channels)),
     )
+
+
+def time_ns(data: bytes) -> int:
+    """UTC of the first sample of the block in `data`, which may yet contradict itself.
+
+    Raises
+    ------
+    ValueError
+        If the bytes are no SampleBlock.
+    """
+    return _time_ns(_parsed(data))
+
+
+def _parsed(data: bytes) -> Any:
+    try:
+        return _Message.FromString(data)
+    except DecodeError as error:
+        raise ValueError(f"no {SCHEMA_NAME} message: {error}") from error
+
+
+def _time_ns(message: Any) -> int:
+    timestamp = message.timestamp
+    return int(timestamp.seconds * _NS + timestamp.nanos)

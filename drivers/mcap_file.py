@@ -5,12 +5,17 @@ from __future__ import annotations
 import heapq
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from math import inf
 from pathlib import Path
+from typing import TypeVar
+
+from mcap.records import Channel
 
 from drivers import codec
 from drivers.base import ACCELERATION, GROUND, TEMPERATURE, RecordingError, SampleBlock
+from drivers.mcap_index import read_index
 from drivers.mcap_records import McapFile, Message, Segment
-from drivers.mcap_writer import AS_ARRIVED, ORDER, McapWriter
+from drivers.mcap_writer import AS_ARRIVED, LIBRARY, ORDER, McapWriter
 from drivers.ros2_imu import IMU_SCHEMAS, ImuJoiner, ImuSample, decode_imu, split_target
 
 __all__ = ["McapWriter", "RecordingInfo", "read_recordings", "recording_info", "scan_messages"]
@@ -18,6 +23,7 @@ __all__ = ["McapWriter", "RecordingInfo", "read_recordings", "recording_info", "
 _UNIT_OF = {ACCELERATION: "m/s^2", GROUND: "m/s^2", TEMPERATURE: "degC"}
 _MAX_INT = 1 << 62
 _Item = SampleBlock | ImuSample
+_Read = TypeVar("_Read")
 OnWarning = Callable[[str], None]
 
 
@@ -44,7 +50,7 @@ def read_recordings(
 ) -> Iterator[SampleBlock]:
     """Blocks of all files in the order of their times; those of live records in the order in which they arrived.
 
-    Every file is checked whole (checksums, every block decoded) before the first block is given; then
+    Every file is checked whole (checksums, the form of every message) before the first block is given; then
     blocks are read again as they are asked for, so that memory grows by some 100 bytes a chunk only.
 
     Parameters
@@ -61,8 +67,8 @@ def read_recordings(
     RecordingMissingError
         If a file cannot be opened.
     RecordingError
-        If bytes are damaged or foreign, a wanted topic is absent, or a unit is wrong.  Errors of
-        joining ROS 2 topics come while blocks are taken.
+        If bytes are damaged or foreign, a wanted topic is absent, or a unit is wrong.  A whole message that
+        contradicts itself, and errors of joining ROS 2 topics, are told while blocks are taken.
     """
     topic_map = topic_map or {}
     surveys = [_Survey(McapFile(Path(path)), topics, topic_map) for path in paths]
@@ -110,56 +116,94 @@ class _Survey:
         self.seen: set[str] = set()
         self.segments: list[tuple[int, Segment]] = []
         self._topics = frozenset(topics)
+        self._channels: dict[int, tuple[Channel, bool]] = {}
         self._axes = {topic: split_target(target)[1] for topic, target in topic_map.items()}
 
     def run(self, on_warning: OnWarning) -> None:
         """Check the whole file."""
+        self.file.demand()
+        if self._indexed():
+            return
         count = 0
         for segment, messages in self.file.segments():
-            if items := self._items(messages):
-                self.segments.append((min(t_ns for t_ns, _ in items), segment))
-                count += len(items)
+            if times := [t_ns for t_ns, _ in self._each(messages, self._time_ns)]:
+                self.segments.append((min(times), segment))
+                count += len(times)
         if not self.segments:
             raise RecordingError(f"{self.file.path}: {self._foreign()}")
         if self.file.cut:
             on_warning(f"{self.file.path}: {self.file.cut}; the {count} whole blocks before it are used")
 
+    def _indexed(self) -> bool:
+        """Whether the file is one of ours, whole, and holds what is wanted: then its index tells all."""
+        index = read_index(self.file.path)
+        if index is None or index.library != LIBRARY or self._axes:
+            return False
+        self.file.schemas.update(index.schemas)
+        self.file.channels.update(index.channels)
+        try:
+            if not any([self._wanted(channel) for channel in index.channels.values()]):
+                return False
+        except ValueError:  # a walk tells where
+            return False
+        self.segments = index.chunks
+        return True
+
     def load(self, segment: Segment) -> list[tuple[int, _Item]]:
         """The wanted messages of a segment, each with the time that orders it."""
-        return self._items(self.file.load(segment))
+        return list(self._each(self.file.load(segment), self._decode))
 
-    def _items(self, messages: list[Message]) -> list[tuple[int, _Item]]:
-        items: list[tuple[int, _Item]] = []
+    def _each(self, messages: list[Message], read: Callable[[Message, Channel], _Read]) -> Iterator[_Read]:
+        """What `read` makes of each wanted message."""
         for message in messages:
             channel = self.file.channels[message.channel_id]
-            topic = channel.topic
-            if topic in self._topics or topic in self._axes:
-                try:
-                    item = self._decode(message, topic)
-                    as_arrived = channel.metadata.get(ORDER) == AS_ARRIVED
-                    items.append((message.log_time if as_arrived else item.t_ns, item))
-                except ValueError as error:
-                    place = f"{self.file.path}: {topic} at {message.log_time} ns"
-                    raise RecordingError(f"{place}: {error}; record or import it again") from error
-                self.seen.add(topic)
-        return items
+            try:
+                if self._wanted(channel):
+                    yield read(message, channel)
+            except ValueError as error:
+                place = f"{self.file.path}: {channel.topic} at {message.log_time} ns"
+                raise RecordingError(f"{place}: {error}; record or import it again") from error
 
-    def _decode(self, message: Message, topic: str) -> _Item:
-        channel = self.file.channels[message.channel_id]
-        schema = self.file.schema_name(channel)
+    def _wanted(self, channel: Channel) -> bool:
+        """Whether the channel's messages are to be read; each channel is looked at once."""
+        known = self._channels.get(channel.id)
+        if known is None or known[0] is not channel:
+            known = self._channels[channel.id] = channel, self._looked_at(channel)
+        return known[1]
+
+    def _looked_at(self, channel: Channel) -> bool:
+        topic, schema = channel.topic, self.file.schema_name(channel)
         if topic in self._axes:
-            if schema not in IMU_SCHEMAS or channel.message_encoding != "cdr":
-                raise ValueError(f"the topic map needs {IMU_SCHEMAS[0]} in cdr, not {schema!r}")
-            return decode_imu(message.data, topic, self._axes[topic])
-        if schema != codec.SCHEMA_NAME or channel.message_encoding != "protobuf":
-            raise ValueError(f"schema {schema!r} ({channel.message_encoding}) where {codec.SCHEMA_NAME} is needed")
+            fits = schema in IMU_SCHEMAS and channel.message_encoding == "cdr"
+            fault = f"the topic map needs {IMU_SCHEMAS[0]} in cdr, not {schema!r}"
+        elif topic in self._topics:
+            fits = schema == codec.SCHEMA_NAME and channel.message_encoding == "protobuf"
+            fault = f"schema {schema!r} ({channel.message_encoding}) where {codec.SCHEMA_NAME} is needed"
+        else:
+            return False
+        if not fits:
+            raise ValueError(fault)
+        self.seen.add(topic)
+        return True
+
+    def _time_ns(self, message: Message, channel: Channel) -> tuple[int, None]:
+        if channel.topic in self._axes:
+            return self._decode(message, channel)[0], None
+        t_ns = codec.time_ns(message.data)
+        return message.log_time if channel.metadata.get(ORDER) == AS_ARRIVED else t_ns, None
+
+    def _decode(self, message: Message, channel: Channel) -> tuple[int, _Item]:
+        topic = channel.topic
+        if topic in self._axes:
+            sample = decode_imu(message.data, topic, self._axes[topic])
+            return sample.t_ns, sample
         block = codec.decode(message.data, topic)
         # Only damage or a foreign writer gives these; later arithmetic is in 64-bit integers.
         if not (0 <= block.t_ns < _MAX_INT and block.sequence < _MAX_INT and 1e-3 <= block.sample_rate_hz <= 1e7):
             raise ValueError(f"time {block.t_ns} ns, sequence {block.sequence} or {block.sample_rate_hz} Hz is absurd")
         if block.unit != _UNIT_OF.get(topic, block.unit):
             raise ValueError(f"unit {block.unit!r} where {_UNIT_OF[topic]!r} is needed")
-        return block
+        return message.log_time if channel.metadata.get(ORDER) == AS_ARRIVED else block.t_ns, block
 
     def _foreign(self) -> str:
         held = ", ".join(
@@ -179,10 +223,16 @@ def _merged(surveys: list[_Survey]) -> Iterator[_Item]:
     pool.sort()
     heap: list[tuple[int, int, int, _Item]] = []
     serial = 0
-    for start, number, segment in pool:
+    starts = [start for start, *_ in pool]
+    for following, (start, number, segment) in zip([*starts[1:], inf], pool, strict=True):
         while heap and heap[0][0] < start:
             yield heapq.heappop(heap)[-1]
-        for t_ns, item in surveys[number].load(segment):
+        items = surveys[number].load(segment)
+        times = [t_ns for t_ns, _ in items]
+        if not heap and times == sorted(times) and (not times or times[-1] < following):
+            yield from (item for _, item in items)
+            continue
+        for t_ns, item in items:
             heapq.heappush(heap, (t_ns, number, serial, item))
             serial += 1
     while heap:

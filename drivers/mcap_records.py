@@ -116,6 +116,10 @@ class McapFile:
             file.seek(segment.offset)
             return self._parse(segment, file.read(segment.length))
 
+    def demand(self) -> None:
+        """See that the file can be opened (errors as `segments`)."""
+        self._open().close()
+
     def schema_name(self, channel: Channel) -> str:
         """Name of a channel's schema, empty if it has none."""
         schema = self.schemas.get(channel.schema_id)
@@ -247,10 +251,10 @@ class McapFile:
                     raise ValueError(f"a message of channel {channel_id}, which the file does not define")
                 messages.append(Message(channel_id, log_time, content[start + _MESSAGE.size : position]))
             elif opcode == Opcode.CHANNEL:
-                channel = Channel.read(_stream(content[start:position]))
+                channel = Channel.read(stream(content[start:position]))
                 self.channels[channel.id] = channel
             elif opcode == Opcode.SCHEMA:
-                schema = Schema.read(_stream(content[start:position]))
+                schema = Schema.read(stream(content[start:position]))
                 self.schemas[schema.id] = schema
         return messages
 
@@ -271,7 +275,9 @@ def unpack_chunk(body: bytes) -> bytes:
     if size > MAX_RECORD_BYTES or len(packed) != length:
         raise ValueError(f"it claims {length} bytes, {size} unpacked")
     # Never ask for more than the chunk states: a few bytes can unpack to terabytes.
-    if compression == "zstd":
+    if compression == "zstd" and zstandard.frame_content_size(packed) == size:
+        content = zstandard.ZstdDecompressor().decompress(packed)
+    elif compression == "zstd":  # of unknown size, or several frames
         with zstandard.ZstdDecompressor().stream_reader(packed, read_across_frames=True) as reader:
             content = reader.read(size + 1)
     elif compression == "lz4":
@@ -284,8 +290,9 @@ def unpack_chunk(body: bytes) -> bytes:
         raise ValueError(f"{len(content)} bytes unpacked, {size} stated")
     if crc not in (0, zlib.crc32(content)):
         raise ValueError("the checksum does not fit")
-    return bytes(content)
+    return content if isinstance(content, bytes) else bytes(content)
 
 
-def _stream(data: bytes) -> ReadDataStream:
+def stream(data: bytes) -> ReadDataStream:
+    """Bytes as the library's record parsers take them."""
     return ReadDataStream(io.BytesIO(data))

@@ -16,6 +16,8 @@ from drivers import codec
 from drivers.base import SampleBlock
 
 _CHUNK_BYTES = 256 * 1024
+LIBRARY = "shm-monitor"
+"""Named in the file's header: a chunk's log times are then the times by which its blocks are ordered."""
 ORDER, AS_ARRIVED = "order", "as arrived"
 """Channel metadata that tells a live record from others."""
 
@@ -51,7 +53,7 @@ class McapWriter:
         self._tags = {ORDER: AS_ARRIVED} if as_arrived else {}
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
-        self._writer.start(profile="", library="shm-monitor")
+        self._writer.start(profile="", library=LIBRARY)
         for name, values in (metadata or {}).items():
             self._writer.add_metadata(name, dict(values))
 
@@ -69,7 +71,7 @@ class McapWriter:
             self.abort()
 
     def write(self, block: SampleBlock, log_time_ns: int | None = None) -> None:
-        """Append a block; its log time is its own time unless another is given.
+        """Append a block; its log time is its own time, in a live record (`as_arrived`) the one given.
 
         Raises
         ------
@@ -79,7 +81,8 @@ class McapWriter:
         if block.t_ns < 0:
             raise ValueError(f"block of {block.topic} at {block.t_ns} ns: before 1970")
         channel = self._channel(block.topic, "protobuf", codec.SCHEMA_NAME, "protobuf", codec.SCHEMA_BYTES)
-        log_time_ns = block.t_ns if log_time_ns is None else log_time_ns
+        if log_time_ns is None or not self._tags:
+            log_time_ns = block.t_ns
         self._writer.add_message(channel, log_time_ns, codec.encode(block), block.t_ns)
 
     def write_json(self, topic: str, t_ns: int, data: bytes | str, schema: Mapping[str, object] | None = None) -> None:

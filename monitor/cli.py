@@ -17,6 +17,7 @@ from monitor import (
     cli_emulate,
     cli_operate,
     cli_report,
+    cli_reprocess,
     cli_run,
     config,
     exposure,
@@ -41,6 +42,7 @@ app.command()(cli_report.report)
 app.command()(cli_operate.status)
 app.command()(cli_operate.ack)
 app.command()(cli_operate.export)
+app.command()(cli_reprocess.reprocess)
 
 
 @app.command()

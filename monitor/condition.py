@@ -90,7 +90,7 @@ class Conditioner:
         # One tap at a time, so that no sum's order depends on how the samples were cut into blocks.
         output = np.zeros((k.size, samples.shape[1]))
         for tap in range(self.taps.shape[1]):
-            output += weights[:, tap, None] * extended[first + tap]
+            output += weights[:, tap, None] * np.take(extended, first + tap, axis=0)
         history = extended[extended.shape[0] - (self.taps.shape[1] - 1) :]
         return ConditionState(memory, history, n_in, n_out), output
 

@@ -198,6 +198,8 @@ class Pipeline:
         tracks = self._follow(None if isinstance(modes, Skipped) else modes, item)
         if isinstance(modes, Skipped):
             return skip(modes)
+        if not len(modes.deviations):
+            return skip(Skipped("the modes' uncertainty is not asked for, so nothing is judged"), modes)
         shown = tuple(int(k) for k in modes.model_mode)
         healthy = None if self.baseline is None else self.baseline.only(shown)
         if healthy is not None and healthy.model_mode != shown:

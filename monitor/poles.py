@@ -123,36 +123,26 @@ def identify(
     chosen = _common_order(poles, clusters, spaces)
     if chosen is None:
         return Skipped("no order shows every mode")
-    return _estimate(window, realisation, spaces, poles, chosen, wanted, refiner)
+    return _estimate(window, realisation, spaces, poles, chosen, wanted, refiner, ssi.uncertainty)
 
 
 def _plausible(spaces: list[StateSpace], rate_hz: float, select: SelectionSettings, complete: bool) -> _Poles:
     """Poles that could be modes.  Where the data have no more states (`complete`), the last order's need no other."""
-    space: list[int] = []
-    column: list[int] = []
-    parts: list[tuple[Array, Array, ComplexArray]] = []
-    for number, state_space in enumerate(spaces):
-        f, zeta = continuous(state_space.poles, rate_hz)
-        good = np.flatnonzero(
-            (state_space.poles.imag > 0)
-            & (f > select.min_frequency_hz)
-            & (f < _BAND * rate_hz)
-            & (zeta > 0)
-            & (zeta < select.max_damping_ratio)
-        )
-        space += [number] * good.size
-        column += good.tolist()
-        parts.append((f[good], zeta[good], state_space.shapes[:, good].T))
-    frequency, damping = np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts])
-    shape = np.concatenate([p[2] for p in parts])
+    value = np.concatenate([s.poles for s in spaces])
+    f, zeta = continuous(value, rate_hz)
+    near_axis = (zeta > 0) & (zeta < select.max_damping_ratio)
+    good = (value.imag > 0) & (f > select.min_frequency_hz) & (f < _BAND * rate_hz) & near_axis
+    order = np.repeat(np.arange(len(spaces)), [s.poles.size for s in spaces])[good]
+    column = np.concatenate([np.arange(s.poles.size) for s in spaces])[good]
+    frequency, damping = f[good], zeta[good]
+    shape = np.concatenate([s.shapes.T for s in spaces])[good]
     shape /= np.linalg.norm(shape, axis=1)[:, None]
-    order = np.array(space, dtype=int)
     near = np.abs(frequency[:, None] / frequency[None, :] - 1.0) < select.stable_frequency
     below = order[:, None] == order[None, :] + 1
     stable = (near & (mac(shape, shape) > select.stable_mac) & below).any(axis=1).astype(float)
     if complete:
         stable[order == len(spaces) - 1] = 1.0
-    return _Poles(space, column, frequency, damping, shape, stable)
+    return _Poles(order.tolist(), column.tolist(), frequency, damping, shape, stable)
 
 
 def _match(
@@ -226,6 +216,7 @@ def _estimate(
     chosen: list[int],
     wanted: tuple[int, ...],
     refiner: Callable[[ModalEstimate], ModalEstimate] | None,
+    uncertainty: bool,
 ) -> ModalEstimate:
     by_frequency = sorted(range(len(chosen)), key=lambda i: poles.frequency[chosen[i]])
     rows = [chosen[i] for i in by_frequency]
@@ -245,7 +236,7 @@ def _estimate(
         poles=np.column_stack([[spaces[s].order for s in poles.space], poles.frequency, poles.damping, poles.stable]),
     )
     better = estimate if refiner is None else refiner(estimate)
-    if better is not estimate:
+    if better is not estimate or not uncertainty:
         return better
     deviations = mode_deviations(window.sums, realisation, space, columns, shapes, window.rate_hz)
     return replace(estimate, deviations=deviations)

@@ -8,6 +8,7 @@ from typing import Protocol
 
 from drivers.base import ACCELERATION, RecordingError, RecordingMissingError, SampleBlock
 from drivers.mcap_file import read_recordings
+from drivers.merged import merged
 from monitor.config import Configuration
 from monitor.errors import BadInputError, MissingInputError
 from monitor.pipeline import Pipeline, Result
@@ -16,15 +17,20 @@ OnWarning = Callable[[str], None]
 OnProgress = Callable[[float], None]
 
 
-def blocks(paths: list[Path], config: Configuration, on_warning: OnWarning) -> Iterator[SampleBlock]:
-    """All blocks of the recordings in time order.
+_MERGED_S = 10.0
+
+
+def blocks(
+    paths: list[Path], config: Configuration, on_warning: OnWarning, longest_s: float = _MERGED_S
+) -> Iterator[SampleBlock]:
+    """All samples of the recordings in time order, small blocks joined to blocks of at most `longest_s`.
 
     Raises
     ------
     MissingInputError, BadInputError
     """
     try:
-        yield from read_recordings(paths, topic_map=config.topics or None, on_warning=on_warning)
+        yield from merged(read_recordings(paths, topic_map=config.topics or None, on_warning=on_warning), longest_s)
     except RecordingMissingError as error:
         raise MissingInputError(str(error)) from error
     except RecordingError as error:

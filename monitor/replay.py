@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
+from drivers.base import SampleBlock
 from drivers.mcap_file import McapWriter
 from monitor.baseline import Baseline
 from monitor.calibrate import calibrate
@@ -19,7 +21,7 @@ from monitor.publish.rerun_view import RerunPublisher
 from monitor.recordings import OnProgress, OnWarning, Progress, blocks, duration_s, pushed
 from monitor.results import WindowResult
 
-__all__ = ["RESULT_FILES", "calibrate", "replay", "scene"]
+__all__ = ["RESULT_FILES", "begun", "calibrate", "pass_through", "replay", "scene"]
 
 RESULT_FILES = ("results.jsonl", "results.mcap", "live.rrd", "summary.json")
 """What `replay` leaves in its folder."""
@@ -82,23 +84,13 @@ def replay(
     MissingInputError, BadInputError
         Too short for one window, missing channels, unreadable files.
     """
-    progress = Progress(on_progress)
-    source = blocks(paths, config, on_warning)
-    block = next(source, None)  # bad input shows before any output is begun
+    pieces = {} if speed is None else {"longest_s": 0.0}  # viewers want samples as they were taken
+    source = begun(blocks(paths, config, on_warning, **pieces))  # bad input shows before any output is begun
     written = _Files(out)
     view = RerunPublisher(scene(config, baseline), file=out / "live.rrd", serve=serve, lossless=True)
     session = Session(config, baseline, (written, View(view)), files, out / "findings")
-    began = time.monotonic()
     try:
-        while block is not None:
-            progress.saw(block)
-            if speed is not None:
-                _wait(began, duration_s(progress.first, block) / speed)
-            pushed(session, block, paths)
-            block = next(source, None)
-        progress.demand(session.pipeline, session.windows, paths)
-        factor = duration_s(progress.first, progress.last) / max(time.monotonic() - began, 1e-9)
-        session.watcher.finish()
+        factor = pass_through(session, source, paths, speed=speed, on_progress=on_progress)
         for finding in session.watcher.found:
             view.finding(finding)
         content = session.content(factor)
@@ -114,6 +106,38 @@ def replay(
     return content
 
 
+def begun(source: Iterator[SampleBlock]) -> Iterator[SampleBlock]:
+    """The same blocks, the first of them read already."""
+    return chain([first] if (first := next(source, None)) is not None else [], source)
+
+
+def pass_through(
+    session: Session,
+    source: Iterable[SampleBlock],
+    paths: list[Path],
+    *,
+    speed: float | None = None,
+    on_progress: OnProgress = lambda _: None,
+) -> float:
+    """Push all blocks and wait for the findings; the data's length over the time that it took.
+
+    Raises
+    ------
+    BadInputError
+        Too short for one window, or refused by the pipeline.
+    """
+    progress, started = Progress(on_progress), time.monotonic()
+    for block in source:
+        progress.saw(block)
+        if speed is not None:
+            _wait(started, duration_s(progress.first, block) / speed)
+        pushed(session, block, paths)
+    progress.demand(session.pipeline, session.windows, paths)
+    factor = duration_s(progress.first, progress.last) / max(time.monotonic() - started, 1e-9)
+    session.watcher.finish()
+    return factor
+
+
 def _tell_losses(session: Session, view: RerunPublisher, out: Path, on_warning: OnWarning) -> None:
     """What went wrong on the way without ending the replay."""
     for finding in session.watcher.found:
@@ -125,5 +149,5 @@ def _tell_losses(session: Session, view: RerunPublisher, out: Path, on_warning: 
         on_warning(f"{session.dropped} samples were repeated, late or not finite and were dropped")
 
 
-def _wait(began: float, due_s: float) -> None:
-    time.sleep(max(0.0, began + due_s - time.monotonic()))
+def _wait(started: float, due_s: float) -> None:
+    time.sleep(max(0.0, started + due_s - time.monotonic()))

@@ -122,7 +122,7 @@ class ModalEstimate:
     """Shape (m,): which mode of the model (0 = lowest) each one was matched to."""
     deviations: Array
     """Shape (n_blocks, m, 2 + 2 c): first-order influence of each block of data on (ln f, damping ratio, Re shape,
-    Im shape).  Their sum of squares is the covariance of the estimate."""
+    Im shape).  Their sum of squares is the covariance of the estimate; without blocks it is not known."""
     first: int
     """Number of the first deviation on the stream's grid: windows that overlap share what happened there."""
     order: int
@@ -137,13 +137,18 @@ class ModalEstimate:
 
     @property
     def frequencies_std_hz(self) -> Array:
-        """Shape (m,), Hz."""
-        return np.asarray(self.frequencies_hz * np.sqrt((self.deviations[:, :, 0] ** 2).sum(axis=0)))
+        """Shape (m,), Hz; not a number where it is not known."""
+        return np.asarray(self.frequencies_hz * self._std(0))
 
     @property
     def damping_std(self) -> Array:
-        """Shape (m,)."""
-        return np.asarray(np.sqrt((self.deviations[:, :, 1] ** 2).sum(axis=0)))
+        """Shape (m,); not a number where it is not known."""
+        return self._std(1)
+
+    def _std(self, column: int) -> Array:
+        if not len(self.deviations):
+            return np.full(len(self.frequencies_hz), np.nan)
+        return np.asarray(np.sqrt((self.deviations[:, :, column] ** 2).sum(axis=0)))
 
     def only(self, model_modes: frozenset[int]) -> ModalEstimate:
         """The estimate of these modes of the model (0 = lowest) alone."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache, lru_cache
 
 import numpy as np
 
@@ -25,6 +26,7 @@ class SegmentDesign:
         return self.rate_hz / self.n
 
 
+@lru_cache(maxsize=8)
 def taper(n: int) -> Array:
     """Periodic Hann taper of unit energy, shape (n,)."""
     window = np.sin(np.pi * np.arange(n) / n) ** 2
@@ -53,6 +55,7 @@ LEAKAGE_OFFSETS = np.arange(-3, 4)
 """Half bins over which the taper blurs; beyond them lies less than 1e-3 of the power."""
 
 
+@cache
 def leakage() -> Array:
     """Weight of the true spectrum at each of LEAKAGE_OFFSETS in the mean of a bin, shape (7,), summing to 1.
 

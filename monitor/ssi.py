@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 from scipy.linalg import cholesky, eigh, qr, solve_triangular, svd
+from scipy.sparse.linalg import svds
 
 from monitor.results import Array, ComplexArray, LagSums
 from monitor.settings import Settings
@@ -22,6 +23,8 @@ from monitor.settings import Settings
 Indices = NDArray[np.intp]
 _RANK_TOLERANCE = 1e-12
 _SINGULAR_TOLERANCE = 1e-9
+_LARGE = 500
+"""Rows from which only the wanted singular triplets are computed."""
 
 
 class SsiSettings(Settings):
@@ -37,6 +40,8 @@ class SsiSettings(Settings):
     """Largest state-space order; every even one from 2 is identified."""
     reference_channels: tuple[str, ...] = ()
     """Channels that make up the past; all when empty."""
+    uncertainty: bool = True
+    """Without it modes alone are told, at a third of the cost: a change of unknown significance is not judged."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -108,7 +113,7 @@ def realise(sums: LagSums, settings: SsiSettings, past: tuple[int, ...], max_ord
         g_fp = _toeplitz(sums, i, past)
     if settings.variant in ("COV", "PC"):
         # PC's weight W2 turns the projection into Y_f Y_p^T, up to an orthogonal factor.
-        _, values, right_t = svd(g_fp)
+        values, right_t = _leading(g_fp, max_order)
         white = right_t[:max_order].T
     else:
         half_pp = _inverse_root(g_pp)
@@ -116,7 +121,7 @@ def realise(sums: LagSums, settings: SsiSettings, past: tuple[int, ...], max_ord
         weighted = g_fp @ half_pp
         if half_ff is not None:
             weighted = half_ff.T @ weighted
-        _, values, right_t = svd(weighted)
+        values, right_t = _leading(weighted, max_order)
         white = half_pp @ right_t[:max_order].T
     # Noise-free data have no more singular values than the structure has states.
     rank = max(2, int(np.count_nonzero(values[:max_order] > _SINGULAR_TOLERANCE * values[0])))
@@ -129,6 +134,15 @@ def realise(sums: LagSums, settings: SsiSettings, past: tuple[int, ...], max_ord
     return Realisation(g_fp @ z, z, values, past, l, states)
 
 
+def _leading(matrix: Array, count: int) -> tuple[Array, Array]:
+    """At least the `count` largest singular values, falling, and their right vectors as rows."""
+    if min(matrix.shape) < _LARGE:
+        _, values, right_t = svd(matrix)
+        return values, right_t
+    _, values, right_t = svds(matrix, count, v0=np.ones(min(matrix.shape)))  # a given start: the same bits every time
+    return values[::-1], right_t[::-1]
+
+
 def state_spaces(realisation: Realisation, orders: range) -> list[StateSpace]:
     """A, C and their eigenvectors for every order, by algorithm 2 (or 1 where prepared)."""
     l = realisation.n_channels  # noqa: E741
@@ -136,15 +150,18 @@ def state_spaces(realisation: Realisation, orders: range) -> list[StateSpace]:
     if realisation.states is None:
         # Columns of O are nested over orders, so one QR factorization serves all of eq. 12.
         q, r = qr(o[:-l], mode="economic")
-        shifted = q.T @ o[l:]
+        shifted, size = q.T @ o[l:], np.abs(np.diag(r))
+        # So are R and its inverse, as far as it has one.
+        sound = int(np.argmin(np.append(size >= _SINGULAR_TOLERANCE * size[0], False)))
+        inverse = solve_triangular(r[:sound, :sound], np.eye(sound))
     spaces = []
     for n in orders:
         if n > o.shape[1]:
             break
         if realisation.states is None:
-            if np.abs(np.diag(r)[:n]).min() < _SINGULAR_TOLERANCE * abs(r[0, 0]):
+            if n > sound:
                 break
-            a, c = solve_triangular(r[:n, :n], shifted[:n, :n]), o[:l, :n]
+            a, c = inverse[:n, :n] @ shifted[:n, :n], o[:l, :n]
         else:
             a, c = _algorithm_1(realisation.states, o[:, :n], l)
         poles, vectors = np.linalg.eig(a)

@@ -19,6 +19,9 @@ import numpy as np
 from monitor.results import Array, ComplexArray, LagSums
 from monitor.ssi import Realisation, StateSpace
 
+_GATHERED = 1 << 24
+"""Numbers held at once."""
+
 
 def mode_deviations(
     sums: LagSums,
@@ -86,5 +89,8 @@ def _observability_deviations(sums: LagSums, realisation: Realisation, n: int) -
     by_lag = deviation[:, 1:, past].transpose(0, 3, 1, 2)  # (blocks, l, lag - 1, r)
     flipped = np.ascontiguousarray(by_lag[:, :, ::-1])  # windows over it run along increasing b
     views = np.lib.stride_tricks.sliding_window_view(flipped, i, axis=2)  # (blocks, l, i, r, i): start i - 1 - a
-    gathered = views[:, :, ::-1].transpose(0, 2, 1, 4, 3).reshape(n_blocks * i * l, i * r)
-    return np.asarray((gathered @ z.reshape(i * r, n)).reshape(n_blocks, i * l, n))
+    ordered = views[:, :, ::-1].transpose(0, 2, 1, 4, 3)  # gathered group by group: with many channels it is large
+    group = max(1, _GATHERED // (i * l * i * r))
+    flat = z.reshape(i * r, n)
+    parts = [ordered[b : b + group].reshape(-1, i * r) @ flat for b in range(0, n_blocks, group)]
+    return np.concatenate(parts).reshape(n_blocks, i * l, n)

@@ -24,9 +24,22 @@ from pydantic import Field
 from monitor.results import Array, ComplexArray, ModalEstimate, Window
 from monitor.settings import Settings
 from monitor.spectrum import overlap_correlation
-from monitor.whittle_model import Layout, Point, Spectrum, cross_spectra, layout_of, packed, predict, product, upper
+from monitor.whittle_model import (
+    Layout,
+    Point,
+    Spectrum,
+    cross_spectra,
+    layout_of,
+    packed,
+    predict,
+    product,
+    triangle,
+    upper,
+)
 
 _WEAK_STD = 3.0
+_MOST_ENTRIES = 4_000_000
+"""Of the spectrum's slopes: some twenty channels with eight modes."""
 
 
 class RefinementSettings(Settings):
@@ -49,11 +62,14 @@ def refine(window: Window, modes: ModalEstimate, settings: RefinementSettings) -
     Returns
     -------
     ModalEstimate
-        The subspace estimate itself where there are too few segments or the scoring does not settle nearby.
+        The subspace estimate itself where there are too few segments, or so many channels that the scoring would take
+        longer than it is worth, or where it does not settle nearby.
     """
     if not settings.enabled or window.segments.shape[0] < settings.min_segments:
         return modes
     layout = layout_of(modes, settings.half_band, window.segments.shape[1], window.segment_bin_hz)
+    if layout.columns.size * layout.counts.size > _MOST_ENTRIES:
+        return modes
     data = cross_spectra(layout, window.segments)
     n_segments, n_modal = len(data), layout.n_modal
     try:
@@ -99,7 +115,7 @@ def _start(layout: Layout, modes: ModalEstimate, mean: ComplexArray) -> Point:
     """Modes from the subspace estimate; forces and noise, in which the spectrum is linear, by weighted least squares."""
     m, c = modes.shapes.shape
     gauge = modes.shapes[np.arange(m), list(layout.gauges)]
-    i, j = np.triu_indices(c)
+    i, j = triangle(c)
     power = mean[i == j].real
     p = Point(
         np.log(modes.frequencies_hz),

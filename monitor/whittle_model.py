@@ -9,6 +9,7 @@ packed as their upper triangles.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -110,7 +111,7 @@ def layout_of(modes: ModalEstimate, half_band: float, n_bins: int, bin_hz: float
     m, c = modes.shapes.shape
     free = tuple((i, j) for i in range(m) for j in range(c) if j != gauges[i])
     pairs = tuple((a, b) for a in range(m) for b in range(a, m))
-    i, j = np.triu_indices(c)
+    i, j = triangle(c)
     single = 2 * m + len(free) + len(pairs) + c
     columns = np.array([*range(single), single, single + m])  # the forces' colour moves every mode
     counts = np.where(i == j, 1.0, 2.0)[:, None] * sizes
@@ -119,11 +120,14 @@ def layout_of(modes: ModalEstimate, half_band: float, n_bins: int, bin_hz: float
 
 def cross_spectra(layout: Layout, segments: ComplexArray) -> ComplexArray:
     """Every segment's cross-spectra, means over pools, packed, shape (segments, pairs, pools)."""
-    x = np.ascontiguousarray(segments[:, layout.bins].transpose(2, 0, 1))
-    conjugate = x.conj()
-    triangle = zip(*np.triu_indices(len(x)), strict=True)
-    sums = [np.add.reduceat(x[i] * conjugate[j], layout.first, axis=1) for i, j in triangle]
-    return np.asarray(np.stack(sums, axis=1) / layout.sizes)
+    x = np.ascontiguousarray(np.take(segments, layout.bins, axis=1).transpose(2, 0, 1))
+    conjugate, (rows, columns) = x.conj(), triangle(len(x))
+    sums = np.empty((len(segments), len(rows), len(layout.first)), dtype=complex)
+    for pair, (i, j) in enumerate(zip(rows, columns, strict=True)):
+        each = x[i].real ** 2 + x[i].imag ** 2 if i == j else x[i] * conjugate[j]
+        sums[:, pair] = np.add.reduceat(each, layout.first, axis=1)
+    sums /= layout.sizes
+    return sums
 
 
 def predict(layout: Layout, p: Point) -> Spectrum:
@@ -159,15 +163,21 @@ def predict(layout: Layout, p: Point) -> Spectrum:
     return Spectrum(value, np.concatenate(u, axis=1), np.concatenate(rows, axis=1).conj().swapaxes(-1, -2))
 
 
+@cache
+def triangle(c: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Rows and columns of the entries of a packed matrix of size c."""
+    return np.triu_indices(c)
+
+
 def upper(matrices: ComplexArray) -> ComplexArray:
     """Pack Hermitian matrices, shape (pools, c, c) to (pairs, pools)."""
-    i, j = np.triu_indices(matrices.shape[-1])
+    i, j = triangle(matrices.shape[-1])
     return matrices[:, i, j].T
 
 
 def packed(layout: Layout, u: Array | ComplexArray, v: ComplexArray) -> ComplexArray:
     """Packed ``u v^H + v u^H`` from columns of shape (.., c, columns), shape (parameters, pairs, pools)."""
-    i, j = np.triu_indices(v.shape[1])
+    i, j = triangle(v.shape[1])
     u, v = u.transpose(2, 1, 0), np.ascontiguousarray(v.transpose(2, 1, 0))
     return np.asarray(np.add.reduceat(u[:, i] * v.conj()[:, j] + v[:, i] * u.conj()[:, j], layout.columns))
 

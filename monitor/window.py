@@ -72,16 +72,12 @@ class WindowGrid:
 class _Block:
     """Lagged products of one block of samples."""
 
-    inner: Array
-    """Shape (n_lags, c, c): products wholly inside the block."""
-    seam: Array
-    """Same shape: products that begin in this block and end in the next."""
-    inner_first: Array
-    """Shape (c,): sum of the first factors of `inner`."""
-    seam_first: Array
-    inner_second: Array
-    """Shape (n_lags, c): sum of the second factors of `inner`."""
-    seam_second: Array
+    products: Array
+    """Shape (n_lags, c, c): products that begin in this block; of the latest block, those wholly inside."""
+    first: Array
+    """Shape (c,): sum of their first factors."""
+    second: Array
+    """Shape (n_lags, c): sum of their second factors."""
     total: Array
     """Shape (c,): sum of the block's samples."""
     head: Array
@@ -206,12 +202,10 @@ def _close_block(grid: WindowGrid, state: WindowState) -> WindowState:
     blocks = list(state.blocks)
     if blocks:
         around = np.ascontiguousarray(state.samples[-size - lags + 1 : -size + lags - 1])
-        seam = _products(around[: lags - 1], around, lags)
-        blocks[-1] = replace(blocks[-1], seam=seam[0], seam_first=seam[1], seam_second=seam[2])
-    nothing = [np.zeros_like(a) for a in inner]
-    blocks.append(
-        _Block(inner[0], nothing[0], inner[1], nothing[1], inner[2], nothing[2], block.sum(axis=0), block[: lags - 1])
-    )
+        products, first, second = _products(around[: lags - 1], around, lags)  # begin in that one and end in this
+        b = blocks[-1]
+        blocks[-1] = replace(b, products=b.products + products, first=b.first + first, second=b.second + second)
+    blocks.append(_Block(*inner, block.sum(axis=0), block[: lags - 1]))
     return replace(state, blocks=tuple(blocks[-(grid.window_n // size) :]))
 
 
@@ -259,9 +253,7 @@ def _sum_up(grid: WindowGrid, state: WindowState) -> LagSums:
     lags, blocks = grid.n_lags, state.blocks
     counts = np.full(len(blocks), grid.block_n)
     counts[-1] = grid.block_n - lags + 1
-    products = np.stack([b.inner + b.seam for b in blocks[:-1]] + [blocks[-1].inner])
-    first = np.stack([b.inner_first + b.seam_first for b in blocks[:-1]] + [blocks[-1].inner_first])
-    second = np.stack([b.inner_second + b.seam_second for b in blocks[:-1]] + [blocks[-1].inner_second])
+    products, first, second = (np.array([getattr(b, name) for b in blocks]) for name in ("products", "first", "second"))
     mean = np.sum([b.total for b in blocks], axis=0) / grid.window_n
     products -= first[:, None, :, None] * mean
     products -= mean[:, None] * second[:, :, None, :]

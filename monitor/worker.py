@@ -13,7 +13,8 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from math import ceil
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any
@@ -34,6 +35,8 @@ _POLL_S = 0.05
 _BREATH_S = 50e-6
 """Between two blocks written: the evaluation, which wants the interpreter too, goes first."""
 _MOST_BLOCKS = 200_000
+_SPARE_S = 30.0
+"""Kept besides: a request comes when the block that completes its window has come, which may be a long one."""
 
 
 class Recent:
@@ -48,12 +51,26 @@ class Recent:
         """Keep a block, forget those too old: by the length of data since, as clocks may stand still or be set back."""
         self._blocks.append(block)
         self._seconds += _length_s(block)
-        while self._seconds - _length_s(self._blocks[0]) > self._longest_s or len(self._blocks) > _MOST_BLOCKS:
+        while (
+            self._seconds - _length_s(self._blocks[0]) > self._longest_s + _SPARE_S or len(self._blocks) > _MOST_BLOCKS
+        ):
             self._seconds -= _length_s(self._blocks.popleft())
 
     def between(self, from_ns: int, to_ns: int) -> list[SampleBlock]:
-        """Blocks that begin within the span."""
-        return [b for b in self._blocks if from_ns <= b.t_ns < to_ns]
+        """Samples taken within the span, however they were cut."""
+        return [b for block in self._blocks if (b := _within(block, from_ns, to_ns)).n_samples]
+
+
+def _within(block: SampleBlock, from_ns: int, to_ns: int) -> SampleBlock:
+    """The block's samples of the span."""
+    first, end = (
+        min(max(ceil(round((t - block.t_ns) * 1e-9 * block.sample_rate_hz, 6)), 0), block.n_samples)
+        for t in (from_ns, to_ns)
+    )
+    if end - first == block.n_samples:
+        return block
+    t_ns = block.t_ns + round(first / block.sample_rate_hz * 1e9)
+    return replace(block, t_ns=t_ns, sequence=block.sequence + first, samples=block.samples[first:end])
 
 
 def _length_s(block: SampleBlock) -> float:

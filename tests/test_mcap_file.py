@@ -273,7 +273,7 @@ def test_other_files_are_refused_and_import_is_named(tmp_path: Path, content: by
 def test_a_wrong_unit_or_schema_or_block_is_named_with_topic_and_time(tmp_path: Path) -> None:
     wrong_unit = write(tmp_path / "a.mcap", block(0, unit="degC"))
     with pytest.raises(RecordingError, match=rf"a\.mcap: /acceleration at {block(0).t_ns} ns: unit 'degC'"):
-        read_recordings([wrong_unit])
+        list(read_recordings([wrong_unit]))
     with McapWriter(tmp_path / "b.mcap") as writer:
         writer.write_json(ACCELERATION, 17, "{}")
     with pytest.raises(RecordingError, match=r"b\.mcap: /acceleration at 17 ns: schema 'shm.acceleration'"):

@@ -87,8 +87,22 @@ def test_recent_blocks_are_bounded_and_cut_by_time(cut: Cut) -> None:
     for block in cut(np.zeros((10_000, 3)), 100.0, [100]):
         recent.push(block)
     kept = recent.between(0, T0_NS + 1000 * S)
-    assert len(kept) == 31
+    assert len(kept) == 61  # and half a minute to spare
     assert [b.t_ns for b in recent.between(T0_NS + 80 * S, T0_NS + 82 * S)] == [T0_NS + 80 * S, T0_NS + 81 * S]
+
+
+def test_what_is_kept_does_not_depend_on_how_samples_were_cut(cut: Cut) -> None:
+    values = np.random.default_rng(1).standard_normal((10_000, 3))
+    span = T0_NS + 83 * S + 5_000_000, T0_NS + 91 * S + 50_000_000
+    kept = []
+    for size in (1, 7, 100, 1000):
+        recent = Recent(longest_s=30.0)
+        for block in cut(values, 100.0, [size]):
+            recent.push(block)
+        blocks = recent.between(*span)
+        assert blocks[0].t_ns == T0_NS + 83 * S + 10_000_000 and blocks[0].sequence == 8301
+        kept.append(np.concatenate([b.samples for b in blocks]).tobytes())
+    assert len(set(kept)) == 1 and len(kept[0]) == 804 * 3 * 4
 
 
 @pytest.fixture

@@ -1,0 +1,53 @@
+"""Windows as columns: results.jsonl as an Arrow table, for Parquet files and whatever reads them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import pyarrow as pa
+
+_MANY = pa.list_(pa.float64())
+_NUMBERS = pa.list_(pa.int64())
+
+SCHEMA = pa.schema(
+    [
+        ("stream", pa.string()),
+        ("window", pa.int64()),
+        ("t_end_ns", pa.int64()),
+        ("t_end", pa.timestamp("ns", tz="UTC")),
+        ("window_s", pa.float64()),
+        ("frequencies_hz", _MANY),
+        ("frequencies_std_hz", _MANY),
+        ("damping_ratio", _MANY),
+        ("damping_std", _MANY),
+        ("mode_shapes", pa.list_(pa.list_(_MANY))),
+        ("order", pa.int64()),
+        ("refined", pa.bool_()),
+        ("stiffness_n_per_m", _MANY),
+        ("stiffness_std", _MANY),
+        ("ddi", _MANY),
+        ("ddi_std", _MANY),
+        ("ddi_sequential", _MANY),
+        ("loss_n_per_m", _MANY),
+        ("unidentified", _NUMBERS),
+        ("mode_tracks", _NUMBERS),
+        ("misfit", pa.float64()),
+        ("temperature_degc", pa.float64()),
+        ("temperature_effect", _MANY),
+        ("alarm_level", pa.string()),
+        ("alarm_stories", _NUMBERS),
+        ("alarm_reason", pa.string()),
+        ("skipped", pa.string()),
+    ]
+)
+"""The keys of a line of results.jsonl, `alarm` spread over three columns, besides the stream's name and the time as a time."""
+
+
+def table(lines: Iterable[Mapping[str, Any]], stream: str) -> pa.Table:
+    """Lines of results.jsonl, parsed, as rows."""
+    rows = []
+    for line in lines:
+        alarm = {f"alarm_{key}": value for key, value in line["alarm"].items()}
+        rows.append({**line, **alarm, "stream": stream, "t_end": line["t_end_ns"]})
+    return pa.Table.from_pylist(rows, schema=SCHEMA)
