@@ -217,7 +217,7 @@ def _judge(alarm: StoryState, loss: float, z: float, std: float, t_ns: int, sett
     active = alarm.level is not Level.NORMAL
     threshold = settings.significance - (settings.deadband if active else 0.0)
     if z >= threshold and loss >= settings.min_loss:
-        since = t_ns if alarm.since_ns is None else alarm.since_ns
+        since = t_ns if alarm.since_ns is None else min(alarm.since_ns, t_ns)  # the clock may have been set back
         slack = settings.deadband * std if alarm.level is Level.ALARM else 0.0
         if t_ns - since < settings.confirm_s * 1e9 and alarm.level.rank < Level.WARNING.rank:
             level = Level.ADVISORY
@@ -234,7 +234,7 @@ def _judge(alarm: StoryState, loss: float, z: float, std: float, t_ns: int, sett
             unacknowledged=alarm.unacknowledged or risen,
             acknowledged_by="" if risen else alarm.acknowledged_by,
         )
-    quiet = t_ns if alarm.quiet_since_ns is None else alarm.quiet_since_ns
+    quiet = t_ns if alarm.quiet_since_ns is None else min(alarm.quiet_since_ns, t_ns)
     if active and t_ns - quiet < settings.clear_s * 1e9:
         return replace(alarm, since_ns=None, quiet_since_ns=quiet)
     return replace(alarm, level=Level.NORMAL, since_ns=None, quiet_since_ns=None)

@@ -156,8 +156,9 @@ class History:
                 if database is not None:
                     database.close()
                 database = None
-                if is_damage(error):
-                    set_aside(self._path, str(error))
+                if is_damage(error) and set_aside(self._path, str(error)):
+                    self._wake.set()
+                    continue
                 if self._closing.is_set():
                     return
                 self._closing.wait(_RETRY_S)
@@ -212,8 +213,8 @@ def is_damage(error: Exception) -> bool:
     return type(error) is sqlite3.DatabaseError
 
 
-def set_aside(path: Path, reason: str) -> None:
-    """Give a database that cannot be used another name."""
+def set_aside(path: Path, reason: str) -> bool:
+    """Give a database that cannot be used another name; whether the disk lets us."""
     numbered = (path.with_name(f"{path.name}.damaged-{n}") for n in range(1, 10_000))
     place = next(p for p in numbered if not p.exists())
     _log.error("%s: %s; set aside as %s, a new one is begun", path, reason, place.name)
@@ -221,6 +222,8 @@ def set_aside(path: Path, reason: str) -> None:
         os.replace(path, place)
         for end in ("-wal", "-shm"):
             path.with_name(path.name + end).unlink(missing_ok=True)
+        return True
+    return False
 
 
 def limit(database: sqlite3.Connection, table: str, full: int, most: int) -> None:

@@ -147,8 +147,11 @@ class Reader:
             finally:
                 self.source.close()
             self._stop.wait(wait_s)
-        self._drain()
-        self.queue.close()
+        try:
+            if self.failure is None:
+                self._drain()
+        finally:
+            self.queue.close()
 
     def _drain(self) -> None:
         """What a closed source still holds."""

@@ -155,12 +155,8 @@ def step(state: TrackState, seen: Observed, t_ns: int, settings: TrackSettings) 
     Parameters
     ----------
     t_ns : int
-        UTC of the window's end; later than the look before.
-
-    Raises
-    ------
-    ValueError
-        If time does not advance.
+        UTC of the window's end.  If it is not later than the look before, the clock was set back: what is known is then
+        taken to be as old as a window is long.
 
     References
     ----------
@@ -168,8 +164,11 @@ def step(state: TrackState, seen: Observed, t_ns: int, settings: TrackSettings) 
     .. [2] Brincker, Lopez-Aenlle, Mode shape sensitivity of two closely spaced eigenvalues, J. Sound Vib. 334, 2015.
     """
     if state.t_ns is not None and t_ns <= state.t_ns:
-        raise ValueError(f"looks must advance, but {t_ns=} comes after {state.t_ns=}")
-    weight = 1.0 if state.t_ns is None else min(1.0, (t_ns - state.t_ns) * 1e-9 / seen.window_s)
+        by_ns = t_ns - round(seen.window_s * 1e9) - state.t_ns
+        moved = tuple(replace(t, first_ns=t.first_ns + by_ns, last_ns=t.last_ns + by_ns) for t in state.tracks)
+        state = replace(state, t_ns=state.t_ns + by_ns, tracks=moved)
+    since_s = seen.window_s if state.t_ns is None else (t_ns - state.t_ns) * 1e-9
+    weight = min(1.0, since_s / seen.window_s)
     old, fresh = state.tracks, _fresh(seen, t_ns, settings)
     owner = _associate(old, fresh, settings)
     taken = {i: fresh[j] for j, i in owner.items()}

@@ -57,7 +57,7 @@ def step(
         return state, None
     t_ns, window_ns = result.t_end_ns, round(window_s * 1e9)
     explained = result.stiffness is None or result.stiffness.misfit <= settings.misfit
-    since_ns = None if explained else state.misfit_since_ns or t_ns
+    since_ns = None if explained else min(state.misfit_since_ns or t_ns, t_ns)  # the clock may have been set back
     state = replace(state, misfit_since_ns=since_ns)
     reason = ""
     if result.alarm.level.rank >= Level.WARNING.rank:
@@ -70,7 +70,7 @@ def step(
     if state.begun_ns is None:
         return replace(state, begun_ns=t_ns, reason=reason), None
     if t_ns - state.begun_ns < window_ns:
-        return state, None
+        return replace(state, begun_ns=min(state.begun_ns, t_ns)), None
     return replace(state, asked=True), finish(state, t_ns, settings, window_s)
 
 

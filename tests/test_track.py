@@ -285,10 +285,12 @@ def test_unusable_observations_belong_to_nobody() -> None:
     ]
 
 
-def test_time_must_advance() -> None:
-    state, _ = step(TrackState(), observed(None, WINDOW_S), 10, SETTINGS)
-    with pytest.raises(ValueError, match="advance"):
-        step(state, observed(None, WINDOW_S), 10, SETTINGS)
+def test_a_clock_that_is_set_back_costs_no_identity() -> None:
+    site = settled()
+    site.wait(-40 * 86_400 * 10**9)
+    seen = site.show(FRAME)
+    assert sorted(seen.observed.tolist()) == [0, 1, 2] and seen.status == (Status.CONFIRMED,) * 3 and not seen.births
+    assert np.all(seen.frequencies_std_hz > 0)
 
 
 def test_a_saved_state_goes_on_as_if_nothing_had_happened() -> None:
