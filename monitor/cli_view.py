@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import socket
 import subprocess
 import sys
@@ -45,6 +46,7 @@ def view(
         command.append(source)
     with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as server:
         print(f"http://{_reachable(bind)}:{page}/?url={quote(shown, safe='')}", flush=True)
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
         try:
             said = server.communicate()[1]
         except KeyboardInterrupt:

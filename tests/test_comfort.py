@@ -5,13 +5,19 @@ from __future__ import annotations
 import json
 import os
 import pty
+import re
+import signal
 import subprocess
 import sys
+import time
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+import rerun as rr
 
 from tests.conftest import Cli
+from tests.test_rerun_view import listening as addresses
 
 MODULE = [sys.executable, "-m", "monitor"]
 
@@ -110,3 +116,31 @@ def test_errors_name_the_mend(site: Path, main: Cli, arguments: list[str], code:
     done = main(*arguments, cwd=site)
     assert (done.returncode, mend in done.stderr) == (code, True), done.stderr
     assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize("ending", [signal.SIGTERM, signal.SIGINT])
+def test_the_viewers_server_ends_with_the_command_and_listens_on_loopback_only(tmp_path: Path, ending: int) -> None:
+    stream = rr.RecordingStream("nothing")
+    stream.save(tmp_path / "live.rrd")
+    stream.log("/x", rr.Scalars(1.0))
+    stream.flush()
+    stream.disconnect()
+    command = [*MODULE, "view", str(tmp_path), "--web", "--port", "0"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        found = re.match(
+            r"http://127\.0\.0\.1:(\d+)/\?url=rerun%2Bhttp%3A%2F%2F127\.0\.0\.1%3A(\d+)", process.stdout.readline()
+        )
+        assert found is not None
+        ports = [int(found[1]), int(found[2])]
+        wait_for(lambda: all(addresses(port) == {"0100007F"} for port in ports))
+        process.send_signal(ending)
+        assert process.wait(20) == 0
+    wait_for(lambda: not any(addresses(port) for port in ports))
+
+
+def wait_for(what: Callable[[], bool]) -> None:
+    until = time.monotonic() + 60
+    while not what():
+        assert time.monotonic() < until
+        time.sleep(0.1)
