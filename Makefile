@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 STAMP := .venv/.installed
 
-.PHONY: demo test test-slow lint format lock benchmark clean
+.PHONY: demo test test-slow lint format lock benchmark docs clean
 
 demo: $(STAMP)
 	$(BIN)/shm-monitor demo
@@ -26,6 +26,10 @@ format: $(STAMP)
 
 benchmark: $(STAMP)
 	$(BIN)/python tests/benchmarks/hop.py
+
+# The API reference from docstrings, in out/api.
+docs: $(STAMP)
+	$(BIN)/python docs/api.py out/api
 
 # Writes versions and hashes, no address.
 lock: $(STAMP)

@@ -19,11 +19,12 @@ from monitor import (
     cli_report,
     cli_reprocess,
     cli_run,
+    cli_view,
     config,
     exposure,
     outlets,
 )
-from monitor.cli_common import Recordings, Structure, progress, warn
+from monitor.cli_common import Json, Recordings, Structure, progress, say, warn
 from monitor.errors import BadConfigurationError, UserError
 from monitor.files import demand_place, spare_inputs, write_atomically
 
@@ -43,6 +44,7 @@ app.command()(cli_operate.status)
 app.command()(cli_operate.ack)
 app.command()(cli_operate.export)
 app.command()(cli_reprocess.reprocess)
+app.command()(cli_view.view)
 
 
 @app.command()
@@ -55,6 +57,7 @@ def replay(
     serve: Annotated[
         str | None, typer.Option(metavar="HOST:PORT", help="Rerun viewers may join here, as 127.0.0.1:9876.")
     ] = None,
+    as_json: Json = False,
 ) -> None:
     """Run recordings through the monitor: results.jsonl, results.mcap, live.rrd and summary.json in DIR."""
     from monitor import replay as run
@@ -75,8 +78,9 @@ def replay(
         on_warning=warn,
         on_progress=progress("replay"),
     )
-    print(replay_story(summary, has_baseline=healthy is not None))
-    print(f"results in {out}; look at them with: rerun {out / 'live.rrd'}")
+    story = replay_story(summary, has_baseline=healthy is not None)
+    text = f"{story}\nresults in {out}; look at them with: shm-monitor view {out}"
+    say(text, {**summary, "out": str(out)}, as_json)
 
 
 def _address(text: str | None) -> tuple[str, int] | None:
@@ -93,6 +97,7 @@ def calibrate(
     recordings: Recordings,
     structure: Structure,
     out: Annotated[Path, typer.Option(metavar="B.json", help="Baseline file to write.")],
+    as_json: Json = False,
 ) -> None:
     """Learn the healthy baseline: updated stiffness with covariance, modes, the misfit that remains."""
     from monitor.baseline import save
@@ -104,20 +109,33 @@ def calibrate(
     baseline, fit = learn(recordings, settings, on_warning=warn, on_progress=progress("calibrate"))
     save(baseline, out)
     drawn = settings.model().modes().frequencies_hz
-    print(f"{baseline.windows} windows; the updating {'converged' if fit.converged else 'did NOT converge'}")
+    lines = [f"{baseline.windows} windows; the updating {'converged' if fit.converged else 'did NOT converge'}"]
     for i, (f, std) in enumerate(zip(baseline.frequencies_hz, baseline.frequencies_std_hz, strict=True), start=1):
-        print(f"mode {i}: {f:.4f} +- {std:.4f} Hz; structure file {drawn[baseline.model_mode[i - 1]]:.4f} Hz")
+        lines.append(f"mode {i}: {f:.4f} +- {std:.4f} Hz; structure file {drawn[baseline.model_mode[i - 1]]:.4f} Hz")
     for j, k in enumerate(baseline.model.structure.stiffness_n_per_m, start=1):
-        print(f"story {j}: {k:.1f} N/m; structure file {settings.structure.stiffness_n_per_m[j - 1]:.1f} N/m")
+        lines.append(f"story {j}: {k:.1f} N/m; structure file {settings.structure.stiffness_n_per_m[j - 1]:.1f} N/m")
     if (law := baseline.temperature) is not None:
         slopes = ", ".join(f"{1e3 * a:+.2f}" for a in law.per_degc)
-        print(
+        lines.append(
             f"stiffness follows the temperature by {slopes} per mille a kelvin, lag {law.lag_s:.0f} s; "
             f"seen from {law.range_degc[0]:.1f} to {law.range_degc[1]:.1f} degC"
         )
     elif baseline.reference_temperature_degc is not None:
-        print("no dependence on the temperature learned: too narrow a range, too short a record, or nothing showed")
-    print(f"baseline in {out}")
+        lines.append(
+            "no dependence on the temperature learned: too narrow a range, too short a record, or nothing showed"
+        )
+    lines.append(f"baseline in {out}")
+    content = {
+        "baseline": str(out),
+        "windows": baseline.windows,
+        "converged": bool(fit.converged),
+        "frequencies_hz": baseline.frequencies_hz.tolist(),
+        "frequencies_std_hz": baseline.frequencies_std_hz.tolist(),
+        "stiffness_n_per_m": baseline.model.structure.stiffness_n_per_m.tolist(),
+        "structure_file_frequencies_hz": drawn.tolist(),
+        "structure_file_stiffness_n_per_m": list(settings.structure.stiffness_n_per_m),
+    }
+    say("\n".join(lines), content, as_json)
 
 
 @app.command()
@@ -144,6 +162,7 @@ def simulate(
     to: cli_emulate.OptionalTo = None,
     dbc: cli_emulate.Dbc = None,
     speed: cli_emulate.Speed = "1.0",
+    as_json: Json = False,
 ) -> None:
     """Write a recording with known truth, or send it as sensor nodes would (--to)."""
     from monitor import record
@@ -167,7 +186,7 @@ def simulate(
             temperature=temperature,
         )
     if out is not None:
-        print(f"{duration:g} s in {out}")
+        say(f"{duration:g} s in {out}", {"recording": str(out), "duration_s": duration, "seed": seed}, as_json)
 
 
 @app.command("import")
@@ -182,6 +201,7 @@ def import_(
     ground: Annotated[str | None, typer.Option(metavar="FILE[:COLUMN]", help="Measured base motion.")] = None,
     start: Annotated[str | None, typer.Option(help="UTC of the first sample, ISO 8601.")] = None,
     dbc: Annotated[Path | None, typer.Option(metavar="FILE.dbc", help="What the frames of a CAN log mean.")] = None,
+    as_json: Json = False,
 ) -> None:
     """Foreign data to our recording format."""
     from monitor.importers import import_files
@@ -206,19 +226,26 @@ def import_(
         on_warning=warn,
     )
     names = "; ".join(f"{topic}: {', '.join(c)}" for topic, c in info.channels.items())
-    print(f"{info.duration_s:.2f} s at {info.sample_rate_hz:g} Hz in {out}: {names}")
+    text = f"{info.duration_s:.2f} s at {info.sample_rate_hz:g} Hz in {out}: {names}"
+    content = {"duration_s": info.duration_s, "sample_rate_hz": info.sample_rate_hz, "channels": dict(info.channels)}
+    say(text, {"recording": str(out), **content}, as_json)
 
 
 @app.command()
-def check(file: Annotated[Path, typer.Argument(metavar="CONFIG_OR_STRUCTURE.toml")]) -> None:
+def check(
+    file: Annotated[Path, typer.Argument(metavar="CONFIG_OR_STRUCTURE.toml")],
+    as_json: Json = False,
+) -> None:
     """List every problem of a configuration or structure file at once."""
     settings = config.load(file)
     outlets.make_outlets(file, settings, dry=True)
     for open_door in exposure.warnings(file, settings):
         warn(open_door)
     frequencies = settings.model().modes().frequencies_hz
-    print(f"{file}: no problems; {len(settings.structure.masses_kg)} stories, channels {', '.join(settings.channels)}")
-    print("natural frequencies: " + ", ".join(f"{f:.4g}" for f in frequencies) + " Hz")
+    head = f"{file}: no problems; {len(settings.structure.masses_kg)} stories, channels {', '.join(settings.channels)}"
+    text = f"{head}\nnatural frequencies: {', '.join(f'{f:.4g}' for f in frequencies)} Hz"
+    content = {"file": str(file), "channels": list(settings.channels), "frequencies_hz": frequencies.tolist()}
+    say(text, content, as_json)
     beyond = [f"{f:.4g}" for f in frequencies if f > settings.processing.cutoff_hz]
     if beyond:
         warn(f"modes at {', '.join(beyond)} Hz lie beyond cutoff_hz = {settings.processing.cutoff_hz:g}")

@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 Recordings = Annotated[list[Path], typer.Argument(metavar="REC.mcap...", help="Recordings, in any order.")]
 Structure = Annotated[Path, typer.Option(metavar="S.toml", help="Structure file.")]
+Json = Annotated[bool, typer.Option("--json", help="Say it as one JSON object instead.")]
+
+
+def say(text: str, content: dict[str, Any], as_json: bool) -> None:
+    """The answer of a command on standard output, for people or for programs."""
+    print(json.dumps(content, allow_nan=False) if as_json else text)
 
 
 def warn(message: str) -> None:
@@ -27,6 +34,7 @@ def progress(label: str) -> Callable[[float], None]:
     def tell(seconds: float) -> None:
         if seconds - shown[0] >= 60.0:
             shown[0] = seconds
-            print(f"\r{label}: {seconds / 60.0:.0f} min of data", end="", file=sys.stderr, flush=True)
+            # What is said next begins on this line and takes its place.
+            print(f"\r\x1b[K{label}: {seconds / 60.0:.0f} min of data\r", end="", file=sys.stderr, flush=True)
 
     return tell

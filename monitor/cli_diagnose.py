@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from monitor import config
-from monitor.cli_common import Recordings, Structure, progress, warn
+from monitor.cli_common import Json, Recordings, Structure, progress, say, warn
 from monitor.files import demand_place, spare_inputs, write_atomically
 
 Healthy = Annotated[Path | None, typer.Option(metavar="B.json", help="Healthy baseline by 'calibrate'.")]
@@ -20,6 +20,7 @@ def diagnose(
     structure: Structure,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the results.")],
     baseline: Healthy = None,
+    as_json: Json = False,
 ) -> None:
     """What the simulation gets wrong, and why: diagnosis.json, report.html, diagnosis.rrd and the extended model in DIR."""
     from monitor import discrepancy
@@ -42,13 +43,13 @@ def diagnose(
     write_atomically(extended, structure_text(text, found.extended, found.reference_degc))
     write_report(report, found.diagnosis, found.content, found.segments)
     write_view(view, found.diagnosis, found.content, found.segments)
-    print(f"{found.diagnosis.verdict}: {found.content['says']}")
-    for cause in found.content["standing"]:
-        print(f"already so at calibration: {cause['says']}")
+    lines = [f"{found.diagnosis.verdict}: {found.content['says']}"]
+    lines += [f"already so at calibration: {cause['says']}" for cause in found.content["standing"]]
     if found.diagnosis.verdict != "none":
         low, high = found.gain.ci95
-        print(f"gain on held-out data: {found.gain.value:.3g} nats a sample (95 %: {low:.3g} to {high:.3g})")
-    print(f"report in {report}")
+        lines.append(f"gain on held-out data: {found.gain.value:.3g} nats a sample (95 %: {low:.3g} to {high:.3g})")
+    lines.append(f"report in {report}")
+    say("\n".join(lines), found.content, as_json)
 
 
 def evaluate(recordings: Recordings, structure: Structure) -> None:
@@ -74,6 +75,7 @@ def accept(
     out: Annotated[Path, typer.Option(metavar="OUT.toml", help="Structure file to write, with the causes.")],
     baseline: Healthy = None,
     by: Annotated[str | None, typer.Option(metavar="NAME", help="Who decides; the login name by default.")] = None,
+    as_json: Json = False,
 ) -> None:
     """Take a named cause into the structure file, and write the decision into ledger.jsonl beside it.
 
@@ -93,4 +95,5 @@ def accept(
     write_atomically(out, extended)
     files = {"finding": finding, "structure": structure, "baseline": baseline, "out": out}
     kept = ledger.record(out, content, files, by)
-    print(f"{content['says']}\nextended model in {out}; noted in {kept}")
+    text = f"{content['says']}\nextended model in {out}; noted in {kept}"
+    say(text, {"accepted": content["says"], "structure": str(out), "ledger": str(kept)}, as_json)

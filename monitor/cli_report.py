@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from monitor.cli_common import warn
+from monitor.cli_common import Json, say, warn
 from monitor.files import demand_place, spare_inputs
 
 _INPUTS = ("results.jsonl", "summary.json", "health.jsonl", "health.jsonl.1", "ledger.jsonl")
@@ -24,7 +23,7 @@ def report(
     end: Annotated[
         str | None, typer.Option("--to", metavar="T", help="UTC, ISO 8601; the last window's by default.")
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Say what is in it as JSON.")] = False,
+    as_json: Json = False,
 ) -> None:
     """A period of a run as one page: availability, damage, alarms, modes, quality, findings.  Windows count where they end."""
     from monitor.publish.period import read_period, write_period
@@ -49,11 +48,8 @@ def report(
         "alarms": len(period.episodes),
         "findings": len(period.findings),
     }
-    if as_json:
-        print(json.dumps(told))
-        return
-    print(f"{told['judged']} of {r.due} windows judged, alarms: {told['alarms']}, findings: {told['findings']}")
-    print(f"report in {out}")
+    says = f"{told['judged']} of {r.due} windows judged, alarms: {told['alarms']}, findings: {told['findings']}"
+    say(f"{says}\nreport in {out}", told, as_json)
 
 
 def _utc_ns(text: str | None, option: str) -> int | None:

@@ -16,6 +16,7 @@ from monitor.config import Configuration
 from monitor.errors import MissingInputError
 from monitor.files import demand_place, write_atomically
 from monitor.outputs import Publisher, Session, View, scene
+from monitor.publish.line_schema import LINE_SCHEMA
 from monitor.publish.lines import LinesFile, to_json
 from monitor.publish.rerun_view import RerunPublisher
 from monitor.recordings import OnProgress, OnWarning, Progress, blocks, duration_s, pushed
@@ -39,7 +40,7 @@ class _Files(Publisher):
 
     def window(self, result: WindowResult, line: str) -> None:
         self._lines.write(line)
-        self._results.write_json("/results", result.t_end_ns, line)
+        self._results.write_json("/results", result.t_end_ns, line, LINE_SCHEMA)
 
     def close(self, summary: dict[str, Any], findings: Iterable[dict[str, Any]]) -> None:
         try:

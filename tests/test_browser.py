@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from monitor import demo
 from monitor.publish.period import read_period, write_period
 from tests.debian import demand
 from tests.test_period import json_lines, line_of
@@ -20,7 +22,7 @@ ROOT = Path(__file__).parents[1]
 
 def shot(page: str, picture: Path, seconds: float = 1.0) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, str(ROOT / "docs/browser.py"), page, str(picture), str(seconds)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    return subprocess.run(command, capture_output=True, text=True, timeout=240, check=False)
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -50,3 +52,29 @@ def test_an_error_of_a_page_is_told(tmp_path: Path) -> None:
     done = shot(str(page), tmp_path / "x.png")
     assert done.returncode == 1
     assert "nowhere is not defined" in done.stderr
+
+
+@pytest.mark.slow
+def test_the_viewer_draws_in_a_browser(tmp_path: Path) -> None:
+    """`view --web` of a short run: red and green stories on their dark ground, curves, text; loopback only."""
+    demo.run(ROOT / "recordings", tmp_path, say=lambda _: None, on_warning=pytest.fail)
+    command = [sys.executable, "-m", "monitor", "view", str(tmp_path), "--web", "--port", "0"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=ROOT) as server:
+        assert server.stdout is not None
+        address = server.stdout.readline().strip()
+        assert address.startswith("http://127.0.0.1:")
+        try:
+            for _ in range(4):  # a slow machine needs more than one look
+                done = shot(f"{address}&renderer=webgl", tmp_path / "web.png", 60.0)
+                picture = np.asarray(Image.open(tmp_path / "web.png").convert("RGB")).astype(int)
+                red, green, blue = np.moveaxis(picture[:450, :640], 2, 0)  # the panel with the structure
+                sound = ((green - red > 60) & (green - blue > 40)).sum()
+                lost = ((red - green > 100) & (red - blue > 100)).sum()
+                if sound > 500 and lost > 500:
+                    break
+        finally:
+            server.send_signal(signal.SIGINT)
+            server.wait(20)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert sound > 500, "sound stories are green"
+    assert lost > 500, "the lost one is red"

@@ -159,3 +159,22 @@ def test_every_page_is_on_the_map() -> None:
     index = (ROOT / "docs/index.md").read_text(encoding="utf-8")
     for page in (ROOT / "docs").glob("*.md"):
         assert page.name == "index.md" or f"({page.name})" in index, page.name
+
+
+def test_the_api_reference_is_made(tmp_path: Path) -> None:
+    """A page for every module, with its docstrings."""
+    pytest.importorskip("pdoc")
+    command = [sys.executable, str(ROOT / "docs/api.py"), str(tmp_path)]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(
+        command, capture_output=True, text=True, env=environment, cwd=tmp_path, timeout=240, check=False
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    for folder in ("monitor", "drivers"):
+        for module in (ROOT / folder).rglob("*.py"):
+            if module.stem in ("__init__", "__main__"):
+                continue
+            page = (tmp_path / module.relative_to(ROOT)).with_suffix(".html")
+            assert page.exists(), page
+    ssi = (tmp_path / "monitor" / "ssi.html").read_text(encoding="utf-8")
+    assert "Hankel" in ssi

@@ -1,0 +1,37 @@
+"""The JSON schema of a line of results.jsonl, for tools that read results.mcap."""
+
+from __future__ import annotations
+
+from typing import Any
+
+_NUMBERS = {"type": ["array", "null"], "items": {"type": "number"}}
+_NUMBER = {"type": ["number", "null"]}
+_INTEGERS = {"type": ["array", "null"], "items": {"type": "integer"}}
+_LISTS = (
+    "frequencies_hz", "frequencies_std_hz", "damping_ratio", "damping_std", "stiffness_n_per_m", "stiffness_std",
+    "ddi", "ddi_std", "ddi_sequential", "loss_n_per_m", "temperature_effect",
+)  # fmt: skip
+
+LINE_SCHEMA: dict[str, Any] = {
+    "title": "shm.Window",
+    "type": "object",
+    "properties": {
+        "window": {"type": "integer"},
+        "t_end_ns": {"type": "integer"},
+        "window_s": {"type": "number"},
+        **dict.fromkeys(_LISTS, _NUMBERS),
+        "mode_shapes": {"type": ["array", "null"], "items": {"type": "array", "items": {"type": "array"}}},
+        "order": {"type": ["integer", "null"]},
+        "refined": {"type": ["boolean", "null"]},
+        "unidentified": _INTEGERS,
+        "mode_tracks": _INTEGERS,
+        "misfit": _NUMBER,
+        "temperature_degc": _NUMBER,
+        "alarm": {
+            "type": "object",
+            "properties": {"level": {"type": "string"}, "stories": _INTEGERS, "reason": {"type": "string"}},
+        },
+        "skipped": {"type": ["string", "null"]},
+    },
+    "required": ["t_end_ns", "alarm", "skipped"],
+}
