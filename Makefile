@@ -25,7 +25,7 @@ format: $(STAMP)
 	$(BIN)/ruff format .
 
 benchmark: $(STAMP)
-	$(BIN)/python tests/benchmarks/hop.py
+	$(BIN)/python tests/benchmarks/speed.py
 
 # Writes versions and hashes, no address.
 lock: $(STAMP)

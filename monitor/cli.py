@@ -11,8 +11,8 @@ from typing import Annotated
 import typer
 from threadpoolctl import threadpool_limits
 
-from monitor import __version__, cli_diagnose, cli_emulate, cli_reprocess, cli_run, config, outlets
-from monitor.cli_common import Recordings, Structure, progress, warn
+from monitor import __version__, cli_diagnose, cli_emulate, cli_fleet, cli_reprocess, cli_run, config, outlets
+from monitor.cli_common import Recordings, Structure, address, progress, warn
 from monitor.errors import BadConfigurationError, UserError
 from monitor.files import demand_place, spare_inputs, write_atomically
 
@@ -28,6 +28,7 @@ app.command()(cli_diagnose.accept)
 app.command()(cli_run.run)
 app.command()(cli_emulate.emulate)
 app.command()(cli_reprocess.reprocess)
+app.command()(cli_fleet.fleet)
 
 
 @app.command()
@@ -55,22 +56,13 @@ def replay(
         healthy,
         out,
         speed=cli_emulate.parse_speed(speed),
-        serve=_address(serve),
+        serve=address(serve),
         files=(structure, baseline),
         on_warning=warn,
         on_progress=progress("replay"),
     )
     print(replay_story(summary, has_baseline=healthy is not None))
     print(f"results in {out}; look at them with: rerun {out / 'live.rrd'}")
-
-
-def _address(text: str | None) -> tuple[str, int] | None:
-    if text is None:
-        return None
-    host, _, port = text.rpartition(":")
-    if not host or not port.isdigit() or not 0 < int(port) < 65536:
-        raise typer.BadParameter(f"--serve: {text!r} is not HOST:PORT, as 127.0.0.1:9876")
-    return host, int(port)
 
 
 @app.command()
