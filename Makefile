@@ -25,7 +25,7 @@ format: $(STAMP)
 	$(BIN)/ruff format .
 
 benchmark: $(STAMP)
-	$(BIN)/python tests/benchmarks/hop.py
+	$(BIN)/python tests/benchmarks/speed.py
 
 # The API reference from docstrings, in out/api.
 docs: $(STAMP)

@@ -15,6 +15,7 @@ from monitor import (
     __version__,
     cli_diagnose,
     cli_emulate,
+    cli_fleet,
     cli_operate,
     cli_report,
     cli_reprocess,
@@ -24,7 +25,7 @@ from monitor import (
     exposure,
     outlets,
 )
-from monitor.cli_common import Json, Recordings, Structure, progress, say, warn
+from monitor.cli_common import Json, Recordings, Structure, address, progress, say, warn
 from monitor.errors import BadConfigurationError, UserError
 from monitor.files import demand_place, spare_inputs, write_atomically
 
@@ -45,6 +46,7 @@ app.command()(cli_operate.ack)
 app.command()(cli_operate.export)
 app.command()(cli_reprocess.reprocess)
 app.command()(cli_view.view)
+app.command()(cli_fleet.fleet)
 
 
 @app.command()
@@ -73,7 +75,7 @@ def replay(
         healthy,
         out,
         speed=cli_emulate.parse_speed(speed),
-        serve=_address(serve),
+        serve=address(serve),
         files=(structure, baseline),
         on_warning=warn,
         on_progress=progress("replay"),
@@ -81,15 +83,6 @@ def replay(
     story = replay_story(summary, has_baseline=healthy is not None)
     text = f"{story}\nresults in {out}; look at them with: shm-monitor view {out}"
     say(text, {**summary, "out": str(out)}, as_json)
-
-
-def _address(text: str | None) -> tuple[str, int] | None:
-    if text is None:
-        return None
-    host, _, port = text.rpartition(":")
-    if not host or not port.isdigit() or not 0 < int(port) < 65536:
-        raise typer.BadParameter(f"--serve: {text!r} is not HOST:PORT, as 127.0.0.1:9876")
-    return host, int(port)
 
 
 @app.command()

@@ -38,3 +38,13 @@ def progress(label: str) -> Callable[[float], None]:
             print(f"\r\x1b[K{label}: {seconds / 60.0:.0f} min of data\r", end="", file=sys.stderr, flush=True)
 
     return tell
+
+
+def address(text: str | None) -> tuple[str, int] | None:
+    """HOST:PORT, taken apart."""
+    if text is None:
+        return None
+    host, _, port = text.rpartition(":")
+    if not host or not port.isdigit() or not 0 < int(port) < 65536:
+        raise typer.BadParameter(f"--serve: {text!r} is not HOST:PORT, as 127.0.0.1:9876")
+    return host, int(port)

@@ -104,20 +104,19 @@ def realise(sums: LagSums, settings: SsiSettings, past: tuple[int, ...], max_ord
         Largest order wanted; lowered to the number of rows of the past.
     """
     i, l = settings.block_rows, sums.head.shape[1]  # noqa: E741 - the paper's letters
-    full = gram(sums)
     past_rows = (np.arange(i)[:, None] * l + np.asarray(past)[None, :]).ravel()
     future = slice(i * l, 2 * i * l)
-    g_fp, g_pp, g_ff = full[future][:, past_rows], full[np.ix_(past_rows, past_rows)], full[future, future]
     max_order = min(max_order, len(past_rows) - 1, (i - 1) * l)
-    if settings.variant == "COV":
-        g_fp = _toeplitz(sums, i, past)
+    by_covariance = settings.variant == "COV"
+    full = np.zeros((0, 0)) if by_covariance and settings.algorithm == 2 else gram(sums)
+    g_fp = _toeplitz(sums, i, past) if by_covariance else full[future][:, past_rows]
     if settings.variant in ("COV", "PC"):
         # PC's weight W2 turns the projection into Y_f Y_p^T, up to an orthogonal factor.
         values, right_t = _leading(g_fp, max_order)
         white = right_t[:max_order].T
     else:
-        half_pp = _inverse_root(g_pp)
-        half_ff = _inverse_root(g_ff) if settings.variant == "CVA" else None
+        half_pp = _inverse_root(full[np.ix_(past_rows, past_rows)])
+        half_ff = _inverse_root(full[future, future]) if settings.variant == "CVA" else None
         weighted = g_fp @ half_pp
         if half_ff is not None:
             weighted = half_ff.T @ weighted

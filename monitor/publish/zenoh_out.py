@@ -170,13 +170,13 @@ class ZenohOut:
         with self._changed:
             text = "{" + ", ".join(f'"{name}": {self._latest.get(name, "null")}' for name in _CACHES) + "}"
         with query:
-            query.reply(query.key_expr, text, encoding=zenoh.Encoding.APPLICATION_JSON)
+            query.reply(f"{self.prefix}/state", text, encoding=zenoh.Encoding.APPLICATION_JSON)
 
     def _on_request(self, query: zenoh.Query) -> None:
         trouble = self._refused(query.payload)
         answer = to_json({"accepted": trouble is None, "reason": trouble})
         with query:
-            query.reply(query.key_expr, answer, encoding=zenoh.Encoding.APPLICATION_JSON)
+            query.reply(f"{self.prefix}/ack", answer, encoding=zenoh.Encoding.APPLICATION_JSON)
 
     def _refused(self, payload: zenoh.ZBytes | None) -> str | None:
         """Queue a request; why not, if it cannot be."""

@@ -1,0 +1,170 @@
+"""Recordings: a replay beside reading alone, its memory, the reprocessing on one and on two workers, a diagnosis."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from mcap.reader import make_reader
+
+from drivers import codec
+from drivers.base import ACCELERATION
+from drivers.mcap_file import read_recordings
+from monitor import align, window
+from monitor.archive_jobs import WINDOWS
+from monitor.condition import Conditioner
+from monitor.config import Configuration
+from monitor.recordings import blocks
+from monitor.window import WindowGrid
+from tests.benchmarks.frames import baseline, configuration, write
+from tests.benchmarks.rounds import Cost, interleaved
+
+LIBRARY, READ, WINDOWED = "mcap library, float32 arrays", "read_recordings", "read, filtered, resampled, windowed"
+BARE_LIBRARY = "mcap library, nothing done"
+
+
+def library(path: Path, decoded: bool) -> int:
+    """Read with the library of the format's makers; the samples as arrays if wanted."""
+    total = 0
+    with path.open("rb") as file:
+        for _, _, message in make_reader(file).iter_messages():
+            if decoded:
+                total += len(np.frombuffer(codec._Message.FromString(message.data).samples, "<f4").reshape(-1, 3))
+    return total
+
+
+def windowed(path: Path, config: Configuration) -> int:
+    """Everything before identification, and nothing else."""
+    p, n_lags = config.processing, 2 * config.identification.block_rows
+    state, count = align.start(), 0
+    conditioner = memory = grid = held = None
+    for block in blocks([path], config, lambda _: None):
+        if block.topic != ACCELERATION:
+            continue
+        state, pieces = align.step(state, block, config.channels)
+        for piece in pieces:
+            if conditioner is None or memory is None or grid is None or held is None:
+                conditioner = Conditioner.design(piece.rate_hz, p.rate_hz, p.cutoff_hz, 10.0)
+                memory = conditioner.start(len(config.channels))
+                grid = WindowGrid.design(p.rate_hz, p.window_s, p.hop_s, n_lags)
+                held = window.start(grid, len(config.channels), index=0)
+            memory, values = conditioner.step_block(memory, piece.values)
+            held, windows = window.step(grid, held, values, 0)
+            count += len(windows)
+    return count
+
+
+def reading(path: Path, rounds: int) -> dict[str, Cost]:
+    """CPU of the stages before identification beside reading alone."""
+    config = configuration()
+    things = {
+        BARE_LIBRARY: lambda: library(path, False),
+        LIBRARY: lambda: library(path, True),
+        READ: lambda: sum(b.n_samples for b in read_recordings([path])),
+        WINDOWED: lambda: windowed(path, config),
+    }
+    return interleaved(things, rounds)
+
+
+STRUCTURE = """
+[structure]
+kind = "shear_frame"
+masses_kg = [0.3253, 0.3514, 0.3129]
+stiffness_n_per_m = [2909.4511, 1514.8507, 1897.6986]
+
+[[sensors]]
+channel = "a1"
+floor = 1
+
+[[sensors]]
+channel = "a2"
+floor = 2
+
+[[sensors]]
+channel = "a3"
+floor = 3
+"""
+PLAIN = "\n[refinement]\nenabled = false\n\n[identification]\nuncertainty = false\n"
+
+
+@dataclass(frozen=True)
+class Run:
+    """One command as a process of its own."""
+
+    wall_s: float
+    cpu_s: float
+    rss_mb: float
+
+
+def command(*arguments: object) -> Run:
+    """Run a command of the monitor to its end."""
+    code = "import sys; from monitor.cli import main; sys.argv[0] = 'shm-monitor'; main()"
+    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "PYTHONPATH": str(Path(__file__).parents[2])}
+    begin = time.monotonic()
+    done = subprocess.Popen(
+        [sys.executable, "-c", code, *map(str, arguments)], env=environment, stdout=subprocess.DEVNULL
+    )
+    _, status, usage = os.wait4(done.pid, 0)
+    if status:
+        raise RuntimeError(f"{' '.join(map(str, arguments))}: status {status}")
+    return Run(time.monotonic() - begin, usage.ru_utime + usage.ru_stime, usage.ru_maxrss / 1024.0)
+
+
+def replays(folder: Path, hours: float) -> dict[str, dict[str, float]]:
+    """Whole replays with all files, as processes of their own: times real time, start-up apart, and peak memory."""
+    from monitor.baseline import save
+
+    config = configuration()
+    save(baseline(config), folder / "baseline.json")
+    (folder / "frame.toml").write_text(STRUCTURE)
+    (folder / "plain.toml").write_text(STRUCTURE + PLAIN)
+    few_hours = min(0.25, hours / 2)
+    short, long = write(folder / "short.mcap", config, few_hours), write(folder / "long.mcap", config, hours)
+    found = {}
+    told = ("--structure", folder / "frame.toml", "--baseline", folder / "baseline.json")
+    plain = ("--structure", folder / "plain.toml")
+    for name, options in (("all", told), ("without refinement and uncertainty", plain)):
+        few = command("replay", short, *options, "--out", folder / "few")
+        many = command("replay", long, *options, "--out", folder / "many")
+        data_s = 3600.0 * (hours - few_hours)
+        summary = json.loads((folder / "many" / "summary.json").read_text())
+        found[name] = {
+            "hours": hours,
+            "times_real_time": data_s / (many.wall_s - few.wall_s),
+            "times_real_time_of_cpu": data_s / (many.cpu_s - few.cpu_s),
+            "start_s": few.wall_s - few_hours * 3600.0 * (many.wall_s - few.wall_s) / data_s,
+            "rss_short_mb": few.rss_mb,
+            "rss_long_mb": many.rss_mb,
+            "windows": summary["windows"],
+        }
+    return found
+
+
+def reprocessing(folder: Path, hours: float, recordings: int = 4) -> dict[str, float]:
+    """Wall time of `reprocess` on one and on two workers, for recordings of streams of their own."""
+    paths = []
+    for number in range(recordings):
+        (folder / f"stream-{number}").mkdir(exist_ok=True)
+        paths.append(write(folder / f"stream-{number}" / "r.mcap", configuration(), hours / recordings))
+    (folder / "frame.toml").write_text(STRUCTURE)
+    wall = {}
+    for workers in (1, 2):
+        out = folder / f"reprocessed-{workers}"
+        options = ("--structure", folder / "frame.toml", "--out", out, "--workers", workers)
+        wall[workers] = command("reprocess", *paths, *options).wall_s
+        assert len(list((out / WINDOWS).iterdir())) == recordings
+    return {"one_s": wall[1], "two_s": wall[2], "ratio": wall[1] / wall[2], "cores": float(os.cpu_count() or 1)}
+
+
+def diagnosis(folder: Path) -> dict[str, float]:
+    """`diagnose` on 20 minutes of three channels."""
+    path = write(folder / "twenty-minutes.mcap", configuration(), 1.0 / 3.0)
+    (folder / "frame.toml").write_text(STRUCTURE)
+    done = command("diagnose", path, "--structure", folder / "frame.toml", "--out", folder / "diagnosis")
+    return {"cpu_s": done.cpu_s, "wall_s": done.wall_s}

@@ -1,0 +1,105 @@
+"""All speeds in one run, side by side, as Markdown tables: a hop and its peers, its growth, recordings, a diagnosis.
+
+Run: ``make benchmark``, or ``python tests/benchmarks/speed.py [--quick] [--hours 24] [--rounds 25] [--json F] [--plot F.svg]``.
+CPU time of the process, one thread of linear algebra; medians of interleaved rounds with quartiles; ratios within the run.
+Peers are measured where they are installed (tests/benchmarks/requirements.txt).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import scipy.linalg  # noqa: F401 - loaded before threads are limited
+from threadpoolctl import threadpool_limits
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path = [str(ROOT), *(p for p in sys.path if p != str(Path(__file__).parent))]
+
+from tests.benchmarks import archive, windows  # noqa: E402
+from tests.benchmarks.rounds import Cost  # noqa: E402
+
+
+def compare_windows(rounds: int, told: dict[str, Any]) -> None:
+    """A hop beside its floor and its peers."""
+    costs, errors = windows.compare(rounds)
+    floor = costs[windows.FLOOR]
+    print("\n| one 10 s hop of a 400 s window, 15 orders | CPU ms (quartiles) | over the floor |\n|---|---|---|")
+    for cost in costs.values():
+        print(cost.row(floor))
+    for ours, peer in (
+        (windows.PLAIN, windows.PYOMA),
+        (windows.PLAIN, windows.KOMA),
+        (windows.FULL, windows.PYOMA_UNC),
+        (windows.FULL, windows.PYOMA_UNC_1),
+    ):
+        if peer in costs:
+            low, middle, high = costs[peer].over(costs[ours])
+            print(f"{peer} over {ours}: {middle:.3g} ({low:.3g}-{high:.3g})")
+            told[f"{peer} over {ours}"] = middle
+    for name, error in errors.items():
+        print(f"error of the frequencies, {name}: {', '.join(f'{e:.3f}' for e in error)} %")
+    told["windows_ms"] = {name: 1e3 * cost.median for name, cost in costs.items()}
+
+
+def show_growth(rounds: int, channels: tuple[int, ...], told: dict[str, Any]) -> None:
+    """How a hop grows."""
+    found = windows.growth(rounds, channels)
+    print("\n| growth of one hop | | CPU ms (quartiles) |\n|---|---|---|")
+    for what, costs in found.items():
+        for value, cost in costs:
+            print(f"| {what} | {value:g} {cost.row()[len(cost.name) + 2 :]}")
+    told["growth_ms"] = {what: [[value, 1e3 * c.median] for value, c in costs] for what, costs in found.items()}
+
+
+def show_reading(path: Path, rounds: int, hours: float, told: dict[str, Any]) -> None:
+    """The stages before identification beside reading alone."""
+    costs = archive.reading(path, rounds)
+    base: Cost = costs[archive.LIBRARY]
+    print(f"\n| {hours:g} h of 3 channels at 1024 Hz | CPU s (quartiles) | over the library |\n|---|---|---|")
+    for cost in costs.values():
+        print(cost.row(base, unit=1.0))
+    told["reading_s"] = {name: cost.median for name, cost in costs.items()}
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument(
+        "--quick", action="store_true", help="seconds: to see that everything runs; its figures say nothing"
+    )
+    parser.add_argument("--hours", type=float, default=24.0, help="of the replay")
+    parser.add_argument("--rounds", type=int, default=25)
+    parser.add_argument("--json", type=Path)
+    parser.add_argument("--plot", type=Path, help="needs matplotlib")
+    given = parser.parse_args(arguments)
+    told: dict[str, Any] = {}
+    hours, rounds = (0.3, 2) if given.quick else (given.hours, given.rounds)
+    with tempfile.TemporaryDirectory(prefix="shm-speed-") as name, threadpool_limits(limits=1):
+        folder = Path(name)
+        compare_windows(rounds, told)
+        show_growth(max(2, rounds // 2), (3,) if given.quick else (3, 10, 30, 100), told)
+        some = archive.write(folder / "reading.mcap", archive.configuration(), min(hours, 1.0))
+        show_reading(some, max(2, rounds // 5), min(hours, 1.0), told)
+        told["replay"] = archive.replays(folder, hours)
+        if not given.quick:
+            told["reprocess"] = archive.reprocessing(folder, min(hours, 4.0))
+            told["diagnosis"] = archive.diagnosis(folder)
+    for what in ("replay", "reprocess", "diagnosis"):
+        print(f"\n{what}: {json.dumps(told.get(what), indent=1)}")
+    if given.json is not None:
+        given.json.write_text(json.dumps(told, indent=1) + "\n")
+    if given.plot is not None:
+        from tests.benchmarks.plot import draw
+
+        draw(told, given.plot)
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,102 @@
+"""One hop of a 400 s window beside its floor and beside what others need for the window; and how it grows."""
+
+from __future__ import annotations
+
+import logging
+import os
+import warnings
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from monitor.results import Array, WindowResult
+from tests.benchmarks.frames import Hops, baseline, configuration, floors
+from tests.benchmarks.rounds import Cost, interleaved
+
+FLOOR, PLAIN, FULL = "floor of a hop", "hop without uncertainty", "hop with uncertainty, refinement, updating, alarm"
+UNREFINED = "the same without refinement"
+PYOMA, PYOMA_UNC, PYOMA_UNC_1 = "pyOMA2 cov", "pyOMA2 cov, uncertainty, step 2", "pyOMA2 cov, uncertainty, step 1"
+KOMA = "koma cov"
+
+
+def floor(samples: Array, big: Array) -> None:
+    """The numpy work below which no such hop can go: lagged products, one SVD, fifteen eigenproblems."""
+    for tau in range(50):
+        samples[: 1000 - 49].T @ samples[tau : tau + 1000 - 49]
+    np.linalg.svd(big)
+    for order in range(2, 31, 2):
+        np.linalg.eig(big[:order, :order])
+
+
+def peers(x: Array) -> dict[str, Callable[[], Any]]:
+    """What is installed of those that identify a window as a whole."""
+    found: dict[str, Callable[[], Any]] = {}
+    try:
+        os.environ["TQDM_DISABLE"] = "1"
+        with warnings.catch_warnings(action="ignore"):
+            from pyoma2.functions import ssi
+        np.seterr(all="warn")  # that import changes it
+        logging.disable(logging.INFO)
+
+        def pyoma(uncertainty: bool, step: int) -> Any:
+            hankel, t = ssi.build_hank(x.T, x.T, 25, "cov", calc_unc=uncertainty, nb=50)
+            o, a, c, _ = ssi.SSI_fast(hankel, 25, 30, step=step)
+            return ssi.SSI_poles(o, a, c, 30, 0.01, step=step, calc_unc=uncertainty, H=hankel, T=t)
+
+        found[PYOMA] = lambda: pyoma(False, 2)
+        found[PYOMA_UNC] = lambda: pyoma(True, 2)
+        found[PYOMA_UNC_1] = lambda: pyoma(True, 1)
+    except ImportError:
+        pass
+    try:
+        with warnings.catch_warnings(action="ignore"):
+            from koma.oma import covssi
+        found[KOMA] = lambda: covssi(x, 100.0, 25, list(range(2, 31, 2)), showinfo=False)
+    except ImportError:
+        pass
+    return found
+
+
+def compare(rounds: int) -> tuple[dict[str, Cost], dict[str, list[float]]]:
+    """Costs of a hop and of its peers, and the largest error of a frequency in percent."""
+    config = configuration()
+    healthy = baseline(config)
+    x = floors(config, 400.0, 100.0, 3)
+    samples, big = x[:1000], np.random.default_rng(0).standard_normal((75, 75))
+    plain = Hops(configuration(refined=False, uncertainty=False), healthy)
+    unrefined, full = Hops(configuration(refined=False), healthy), Hops(config, healthy)
+    others = peers(x)
+    things = {FLOOR: lambda: floor(samples, big), PLAIN: plain, UNREFINED: unrefined, FULL: full, **others}
+    costs = interleaved(things, rounds)
+    truth = config.model().modes().frequencies_hz
+    errors = {name: _errors(hops.results[-1], truth) for name, hops in ((PLAIN, plain), (FULL, full))}
+    if PYOMA in others:
+        errors[PYOMA] = _nearest(others[PYOMA]()[0][:, 7], truth)
+    return costs, errors
+
+
+def _errors(result: WindowResult, truth: Array) -> list[float]:
+    assert result.modes is not None, result.skipped
+    return [float(e) for e in 100.0 * np.abs(result.modes.frequencies_hz / truth - 1.0)]
+
+
+def _nearest(found: Array, truth: Array) -> list[float]:
+    """By the pole nearest to the truth of each mode, which flatters."""
+    return [float(100.0 * np.nanmin(np.abs(found / f - 1.0))) for f in truth]
+
+
+def growth(rounds: int, channels: tuple[int, ...]) -> dict[str, list[tuple[float, Cost]]]:
+    """Cost of one hop by channels (and stories), window length, and rate of the source."""
+    found: dict[str, list[tuple[float, Cost]]] = {"channels = stories": [], "window, s": [], "source rate, Hz": []}
+
+    def cost(hops: Hops, most: int = rounds) -> Cost:
+        return interleaved({"hop": hops}, min(rounds, most))["hop"]
+
+    for n in channels:
+        found["channels = stories"].append((n, cost(Hops(configuration(n)), rounds if n < 30 else 3)))
+    for window_s in (100.0, 400.0, 1600.0):
+        found["window, s"].append((window_s, cost(Hops(configuration(window_s=window_s)))))
+    for rate_hz in (100.0, 1024.0, 4096.0):
+        found["source rate, Hz"].append((rate_hz, cost(Hops(configuration(), rate_hz=rate_hz))))
+    return found
