@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import minimize
 from scipy.special import ndtri, stdtrit
 
 from monitor.condition import Conditioner
@@ -20,9 +21,9 @@ from monitor.effects import Condition, Context, Effect
 from monitor.evidence import Evidence, Segments, classify
 from monitor.likelihood import Fit, Problem, fit
 from monitor.model import Model
-from monitor.motion import conditions
 from monitor.reference import Reference, nominal
 from monitor.results import Array, ComplexArray
+from monitor.motion import conditions
 from monitor.search import prepare
 from monitor.window import common_step_s
 
@@ -32,7 +33,11 @@ _BLOCK_SEGMENTS = 3.0
 _FOLDS = 4
 _ORDINAL = {2: "second", 4: "fourth"}
 _BOOTSTRAPS = 4000
+_DRIVEN = 25
+"""Iterations of a fit to a part of driven motion, from the whole recording's."""
 _LEVEL_STD = 5.0
+_WORST = 1e30
+"""Stands for no likelihood at all."""
 _FORCED = 1e-3
 """With the ground measured: power that forces cause, as a share of what is seen, where the model is all wrong."""
 
@@ -174,8 +179,29 @@ def _first_guess(problem: Problem) -> Array:
     return x
 
 
+def _fit_driven(problem: Problem, x: Array) -> Array:
+    """Most probable level of the forces, of the model's own error in every class, and noise, the rest of `x` kept.
+
+    The forces stand for what the response lacks at its resonances, the error for what it lacks everywhere.
+    """
+    p, k = problem.reference.mean.size, problem.n_classes
+    n = problem.context.structure.n_dofs
+    moving = np.zeros((k + 2, x.size))
+    moving[0, p : p + n] = 1.0
+    moving[1:, p + n :] = np.eye(k + 1)
+    data = problem.predict(x, ()).data  # levels move no mean
+
+    def cost(by: Array) -> float:
+        value = -problem.log_likelihood(problem.scatter(x + by @ moving, ()), data)
+        return min(value + 0.5 * float(by @ by) / _LEVEL_STD**2, _WORST)
+
+    return np.asarray(x + minimize(cost, np.zeros(k + 2), method="Powell", options={"xtol": 1e-3}).x @ moving)
+
+
 def _fit_levels(problem: Problem, x: Array, iterations: int = 40) -> Array:
     """Most probable levels of the classes and noise, the rest of `x` kept: Fisher scoring with Levenberg-Marquardt steps."""
+    if problem.evidence.drive is not None:
+        return _fit_driven(problem, x)
     k, damping = problem.n_classes, 1e-3
     first = x[-k - 1 :].copy()
     data = problem.predict(x, ()).data  # levels move no mean
@@ -237,7 +263,7 @@ def heldout_gain(segments: Segments, diagnosis: Diagnosis, config: Configuration
         others = classify(segments.part((block >= 0) & ~held))
         # Weighed as the whole recording, so that what was known before pulls these fits no more than the published one.
         others = replace(others, counts=others.counts * segments.t_s.size / others.counts.sum())
-        for i, model in enumerate(_forms(others, reference, context, effects, diagnosis.final.x)):
+        for i, model in enumerate(_forms(others, reference, context, effects, diagnosis)):
             judged = score(segments, model, context, config, reference.reference_degc, held)
             nats[i] += np.bincount(block[held], judged.nats, n_blocks)
             spectra[i] += np.count_nonzero(held) * np.stack([judged.measured, judged.modelled])
@@ -281,14 +307,15 @@ def _blocks(segments: Segments) -> tuple[NDArray[np.intp], int, float]:
 
 
 def _forms(
-    evidence: Evidence, reference: Reference, context: Context, effects: tuple[Effect, ...], near: Array
+    evidence: Evidence, reference: Reference, context: Context, effects: tuple[Effect, ...], whole: Diagnosis
 ) -> tuple[Model, Model]:
-    """The old model form and the extended one, fitted; the extended one lies near the nuisances of the whole recording."""
+    """The old model form and the extended one, fitted."""
+    if evidence.drive is not None:  # a response's phases lead back from nearby only: from the whole recording's fits
+        problem = replace(whole.problem, evidence=evidence, reference=reference)
+        null = fit(problem, whole.null.x, whole.null.effects, iterations=_DRIVEN)
+        return fitted_model(problem, null), fitted_model(problem, fit(problem, whole.final.x, effects, iterations=_DRIVEN))
     problem, null = prepare(evidence, reference, context)
-    x = null.x
-    if evidence.drive is not None:  # a response's phases lead back from nearby only
-        x = np.concatenate([near[: reference.mean.size], x[reference.mean.size :]])
-    at = fit(problem, x, effects)
+    at = fit(problem, null.x, effects)
     problem = replace(problem, conditions=conditions(problem, at.x, at.effects))  # the motion that the causes leave
     return fitted_model(problem, null), fitted_model(problem, fit(problem, at.x, at.effects))
 

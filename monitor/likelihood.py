@@ -89,8 +89,6 @@ class Problem:
     """One a class."""
     offset: ComplexArray | None = None
     """What simulation adds to the spectra of a linearized law, shape (classes, n_bins, c, c)."""
-    shift: ComplexArray | None = None
-    """What simulation adds to its response to a measured ground, shape (n_segments, n_bins, c)."""
     pins: Mapping[tuple[str, str], tuple[Array, Array]] = field(default_factory=dict)
     """Mean and precision of the coordinates of effects, by name and place, whose offset was simulated at that mean."""
     smoothing: Array | None = None
@@ -138,6 +136,10 @@ class Problem:
             return None
         effects = (*self.reference.effects(x), *effects)
         matrices, context = self.matrices(x, effects), self.context_at(x)
+        bent = [effect for effect in effects if effect.nonlinear and effect.family == "structure"]
+        if bent:
+            system = assemble(*matrices, [f for f in effects if f not in bent], context, self.conditions[0])
+            return driven.exact_response(e.drive, system, effects, e.band, context, self.conditions[0])
         out = np.zeros_like(e.segments.values)
         if not any(effect.conditional for effect in effects):
             system = assemble(*matrices, effects, context, self.conditions[0])
@@ -146,7 +148,7 @@ class Problem:
             for members, condition in zip(e.members, self.conditions, strict=True):
                 system = assemble(*matrices, effects, context, condition)
                 out[members] = driven.response(e.drive.part(members), system, effects, e.band, context, condition)
-        return out if self.shift is None else out + self.shift
+        return out
 
     def spectra(self, x: Array, effects: Sequence[Effect]) -> ComplexArray:
         """Predicted cross-spectra of the classes, shape (classes, n_bins, c, c)."""
@@ -292,17 +294,20 @@ class Problem:
         noise_slope = np.zeros((c, *spectra.shape[1:]), dtype=complex)
         noise_slope[diagonal, :, diagonal, diagonal] = noise[:, None]
         out = np.empty((x.size, *spectra.shape), dtype=complex)
+        alone = self.evidence.power is None  # else the ground's noise moves the floors too
         first_noise = sum(self.reference.sizes[:3])
         for i in range(x.size):
-            if first_noise <= i < first_noise + c:
+            if alone and first_noise <= i < first_noise + c:
                 out[i] = noise_slope[i - first_noise]
+            elif not alone and p <= i < p + n:
+                out[i] = 0.0  # forces beside a measured ground stay small: they would excuse a wrong response at its peaks
             elif p + n <= i < p + n + self.n_classes:
                 k = i - p - n
                 out[i] = 0.0
                 out[i, k] = out[p : p + n, k].sum(axis=0)  # all forces at once, but neither lines nor noise
                 if self.evidence.power is not None:
                     out[i, k] += self.smooth(level[k] * _diagonal(self.evidence.power))
-            elif i == self.n_nuisance - 1:
+            elif alone and i == self.n_nuisance - 1:
                 out[i] = noise_slope.sum(axis=0)
             else:
                 h = _step(x, i, self.n_nuisance, effects)
@@ -411,7 +416,7 @@ def fit(
     ll, lp = problem.log_likelihood(here.spectra, here.data), problem.score(x, effects)[1]
     damping, converged = 1e-3, False
     rows, residual, mean_residual, normal = np.zeros((0, x.size)), np.zeros(0), np.zeros(0), np.eye(x.size)
-    for _ in range(iterations):
+    for _ in range(iterations if np.isfinite(ll) else 0):  # a law that runs away at its start leads nowhere
         rows, residual, mean_residual = problem.jacobian(
             x, effects, here, first=0 if frozen is None else problem.n_nuisance
         )
