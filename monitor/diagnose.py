@@ -17,12 +17,12 @@ from monitor.motion import conditions
 from monitor.polish import FINE, Polished, finish, form_doubt, polish, settle, skewness
 from monitor.reference import Reference
 from monitor.results import Array
-from monitor.search import Candidate, best_of_each, between_samples, change, evidence_of, judge, prepare, rank, starts
+from monitor.search import Candidate, best_of_each, change, evidence_of, judge, prepare, rank, starts
 
 _SMALL, _NEAR = 200.0, 0.4
 """Promised gain, nats, below which all that promise this share of it are fitted."""
-_DRIVEN = 3
-"""Kinds of causes that are fitted to the end where the ground is measured."""
+_KINDS, _DRIVEN = 7, 2
+"""Kinds of causes that are fitted roughly and to the end where the ground is measured."""
 _UNSURE = 0.1
 """Share of a gain by which a rough simulation may misjudge it."""
 _TIED = 1.0
@@ -85,10 +85,12 @@ def diagnose(evidence: Evidence, reference: Reference, context: Context, setting
             alternatives = tuple(zip((p.candidate for p in close), (odds / odds.sum()).tolist(), strict=True))
             break
         accepted.append(best.candidate)
-        problem, at = between_samples(_extended(problem, at), at)
+        problem = _extended(problem, at)
         if best.candidate.effect.ground_share:
             at = fit(problem, at.x, at.effects)  # how far up the forces reach is known only now
-        if len(accepted) > 1 and _bent(at) and evidence.drive is None:  # the laws' correction was made without the newest cause
+        if (
+            len(accepted) > 1 and _bent(at) and evidence.drive is None
+        ):  # the laws' correction was made without the newest cause
             made = settle(problem, at, FINE)
             problem, at, lean = made.problem, made.fit, skewness(made.transforms, problem)[0]
         if best.candidate.effect.nonlinear:
@@ -200,7 +202,9 @@ def _driven(problem: Problem, at: Fit, ranked: list[tuple[float, Effect]]) -> di
     kinds: dict[str, Effect] = {}
     for _, effect in ranked:
         kinds.setdefault(effect.name, effect)
-    rough = sorted((judge(problem, at, e, quick=True) for e in kinds.values()), key=lambda c: -c.evidence)
+    rough = sorted(
+        (judge(problem, at, e, quick=True) for e in list(kinds.values())[:_KINDS]), key=lambda c: -c.evidence
+    )
     chosen = {c.key: c.effect for c in rough[:_DRIVEN]}
     same = [e for _, e in ranked if rough and e.name == rough[0].effect.name]
     return {(e.name, e.location): e for e in same} | chosen

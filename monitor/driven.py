@@ -31,13 +31,15 @@ _PAD_S = 40.0
 """Zeros after a run, in which its last motion dies out before it wraps."""
 _ALIGNED = 0.02
 """Samples by which the ground's instants may differ from the floors'."""
-_FINER, _LEAST_STEP_HZ = 2, 400.0
-"""Steps of nonlinear laws: samples of the ground between two of the recording, and their least rate."""
+_FINER, _LEAST_STEP_HZ = 4, 400.0
+"""Steps of nonlinear laws: samples of the ground to one of the recording, and their least rate."""
 _SLOWEST = 0.2 / (2.0 * np.pi)
 """Motion slower than this share of the first frequency is the sensors' tilt; in Hz over rad/s."""
+_STEEP = 12
+"""Order of the highpass that takes it away."""
 _LEAST = 6
 """Segments that a run must cover."""
-_SMOOTH_BINS = 5
+_SMOOTH_HZ = 12.0
 _MEAN_ROWS = 2.0
 """Information of a complex normal's mean, over that of its squared modulus."""
 
@@ -75,7 +77,10 @@ class Drive:
             return
         for k in _IMAGES:
             x = hz / self.source_hz + k
-            yield k * self.source_hz, np.sinc(x) ** 2 if self.between == "straight" else np.sinc(x) * np.exp(-1j * np.pi * x)
+            yield (
+                k * self.source_hz,
+                np.sinc(x) ** 2 if self.between == "straight" else np.sinc(x) * np.exp(-1j * np.pi * x),
+            )
 
     def part(self, chosen: NDArray[np.bool_] | NDArray[np.intp]) -> Drive:
         """The chosen segments alone."""
@@ -121,7 +126,9 @@ def locate(
     for _, samples in runs:
         n = next_fast_len(round(samples.size + _PAD_S * design.rate_hz), real=True)
         made.append(Run(np.asarray(rfft(samples, n=n)), n, samples.size))
-    return Drive(tuple(made), np.array(which, dtype=np.intp), np.array(first, dtype=np.intp), design, source_hz), covered
+    return Drive(
+        tuple(made), np.array(which, dtype=np.intp), np.array(first, dtype=np.intp), design, source_hz
+    ), covered
 
 
 def response(
@@ -188,7 +195,7 @@ def exact_response(
         finer = drive.design.rate_hz * _FINER
         moved = next(drive.images(hz))[1] * run.spectrum
         # Steps run straight between samples, which is a lowpass; slow tilt is no motion.
-        shape = 1.0 / np.sinc(hz / finer) ** 2 / (1.0 + (lowest / np.maximum(hz, 1e-9)) ** 4)
+        shape = 1.0 / np.sinc(hz / finer) ** 2 / (1.0 + (lowest / np.maximum(hz, 1e-9)) ** _STEEP)
         ground = irfft(shape * moved, n=run.n * _FINER)[: run.length * _FINER] * _FINER
         floors = march(system, n, laws, -ground[:, None] * inertia, finer * clock, None, _LEAST_STEP_HZ)
         floors = np.pad(floors[::_FINER], ((0, run.n - run.length), (0, 0)))
@@ -218,7 +225,9 @@ def motion_rms(
     def answer(run: Run) -> ComplexArray:
         hz = drive.hz(run, band)
         w = 2.0 * np.pi * np.maximum(hz, lowest_hz)
-        relative = _relative(system, w / (2.0 * np.pi), context) @ rows.T / (-(w**2))[:, None] * (1j * w[:, None]) ** order
+        relative = (
+            _relative(system, w / (2.0 * np.pi), context) @ rows.T / (-(w**2))[:, None] * (1j * w[:, None]) ** order
+        )
         return np.asarray(relative * (hz >= lowest_hz)[:, None])
 
     power, n = np.zeros(len(rows)), 0
@@ -228,12 +237,15 @@ def motion_rms(
     return np.asarray(np.sqrt(power / max(n, 1)))
 
 
-def smooth_power(transforms: ComplexArray) -> Array:
-    """Mean power of segments, smoothed over a few bins, shape (n_bins, c): what a model's own error is measured by."""
+def smooth_power(transforms: ComplexArray, bin_hz: float) -> Array:
+    """Mean power of segments, smoothed widely, shape (n_bins, c): what a model's own error is measured by.
+
+    An error with peaks of its own would excuse a wrong response just where it tells the most.
+    """
     power = (np.abs(transforms) ** 2).mean(axis=0)
-    half = _SMOOTH_BINS // 2
+    half = round(0.5 * _SMOOTH_HZ / bin_hz)
     padded = np.pad(power, ((half, half), (0, 0)), mode="edge")
-    return np.asarray(np.lib.stride_tricks.sliding_window_view(padded, _SMOOTH_BINS, axis=0).mean(axis=-1))
+    return np.asarray(np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1, axis=0).mean(axis=-1))
 
 
 def products(transforms: ComplexArray, members: Sequence[NDArray[np.intp]]) -> ComplexArray:

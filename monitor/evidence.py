@@ -292,7 +292,7 @@ def classify(segments: Segments) -> Evidence:
     relative = np.ones(level.size)
     for m in members:
         relative[m] = level[m] / level[m].mean()
-    power = None if segments.drive is None else driven.smooth_power(x)
+    power = None if segments.drive is None else driven.smooth_power(x, segments.band.bin_hz)
     return Evidence(
         spectra=spectra,
         counts=np.array([float(m.size) for m in members]),

@@ -11,19 +11,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize
 from scipy.special import ndtri, stdtrit
 
 from monitor.condition import Conditioner
 from monitor.config import Configuration
 from monitor.diagnose import Diagnosis
-from monitor.effects import Condition, Context, Effect
+from monitor.driven import Drive
+from monitor.effects import Context, Effect
 from monitor.evidence import Evidence, Segments, classify
+from monitor.excitation import excited
 from monitor.likelihood import Fit, Problem, fit
 from monitor.model import Model
-from monitor.reference import Reference, nominal
-from monitor.results import Array, ComplexArray
 from monitor.motion import conditions
+from monitor.reference import Reference
+from monitor.results import Array, ComplexArray
 from monitor.search import prepare
 from monitor.window import common_step_s
 
@@ -35,11 +36,6 @@ _ORDINAL = {2: "second", 4: "fourth"}
 _BOOTSTRAPS = 4000
 _DRIVEN = 25
 """Iterations of a fit to a part of driven motion, from the whole recording's."""
-_LEVEL_STD = 5.0
-_WORST = 1e30
-"""Stands for no likelihood at all."""
-_FORCED = 1e-3
-"""With the ground measured: power that forces cause, as a share of what is seen, where the model is all wrong."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -106,7 +102,7 @@ def score(
     """
     evidence = classify(segments)
     held = np.ones(segments.t_s.size, dtype=bool) if held is None else held
-    problem, x = _excited(evidence, model, replace(context, structure=model.structure), reference_degc)
+    problem, x = excited(evidence, model, replace(context, structure=model.structure), reference_degc)
     predicted, mean = problem.scatter(x, ()), problem.mean(x, ())
     left = segments.values if mean is None else segments.values - mean
     seen = segments.values[held]
@@ -140,107 +136,6 @@ def _segment_nats(x: ComplexArray, evidence: Evidence, predicted: ComplexArray) 
     return out
 
 
-def _excited(evidence: Evidence, model: Model, context: Context, reference_degc: float | None) -> tuple[Problem, Array]:
-    """The model's problem with levels and noise fitted, everything else as it is stated.
-
-    Laws that depend on the level are made linear at the motion that the model itself shows, hence the repetition.
-    """
-    n, c = context.structure.n_dofs, len(context.channels)
-    stories = context.structure.n_stories
-    known = replace(nominal(model, np.ones(stories + n), c), reference_degc=reference_degc)
-    first = known.mean.size - known.n_standing
-    plain = replace(known, model=replace(model, effects=()), mean=known.mean[:first])
-    unknown = Condition(np.ones(stories), np.ones(stories), np.ones(n), np.ones(c))
-    problem = Problem(evidence, plain, context, (unknown,) * evidence.counts.size)
-    x = _fit_levels(problem, _first_guess(problem))
-    for _ in range(2 if model.effects else 0):
-        excitation = x[problem.reference.mean.size :]
-        problem = replace(problem, conditions=conditions(problem, x, ()), reference=known)
-        x = _fit_levels(problem, np.concatenate([known.mean, excitation]))
-    return problem, x
-
-
-def _first_guess(problem: Problem) -> Array:
-    """Levels from the medians over frequency of the channels' power, noise from its least."""
-    e, c = problem.evidence, len(problem.context.channels)
-    power = np.einsum("kfaa->kfa", e.spectra[:, :, :c, :c]).real
-    noise = np.log(max(0.3 * float(np.quantile(power.mean(axis=(0, 2)), 0.02)), 1e-300))
-    levels = np.zeros(problem.context.structure.n_dofs + problem.n_classes)
-    x = np.concatenate([problem.reference.mean, levels, [noise - 10.0]])
-    predicted = np.einsum("kfaa->kfa", problem.scatter(x, ())[:, :, :c, :c]).real
-    level = np.log(np.median(power / predicted, axis=(1, 2)))
-    x[-1] = noise
-    if e.power is None:
-        x[-problem.n_classes - 1 : -1] = level
-    else:  # the level is the model's own error; what forces move beside the ground goes with it
-        p = problem.reference.mean.size
-        x[p:-1] = np.r_[np.full(problem.context.structure.n_dofs, level.mean()), np.zeros(problem.n_classes)]
-        x[p : -problem.n_classes - 1] += np.log(_FORCED)
-    return x
-
-
-def _fit_driven(problem: Problem, x: Array) -> Array:
-    """Most probable level of the forces, of the model's own error in every class, and noise, the rest of `x` kept.
-
-    The forces stand for what the response lacks at its resonances, the error for what it lacks everywhere.
-    """
-    p, k = problem.reference.mean.size, problem.n_classes
-    n = problem.context.structure.n_dofs
-    moving = np.zeros((k + 2, x.size))
-    moving[0, p : p + n] = 1.0
-    moving[1:, p + n :] = np.eye(k + 1)
-    data = problem.predict(x, ()).data  # levels move no mean
-
-    def cost(by: Array) -> float:
-        value = -problem.log_likelihood(problem.scatter(x + by @ moving, ()), data)
-        return min(value + 0.5 * float(by @ by) / _LEVEL_STD**2, _WORST)
-
-    return np.asarray(x + minimize(cost, np.zeros(k + 2), method="Powell", options={"xtol": 1e-3}).x @ moving)
-
-
-def _fit_levels(problem: Problem, x: Array, iterations: int = 40) -> Array:
-    """Most probable levels of the classes and noise, the rest of `x` kept: Fisher scoring with Levenberg-Marquardt steps."""
-    if problem.evidence.drive is not None:
-        return _fit_driven(problem, x)
-    k, damping = problem.n_classes, 1e-3
-    first = x[-k - 1 :].copy()
-    data = problem.predict(x, ()).data  # levels move no mean
-
-    def moved(by: Array) -> tuple[Array, ComplexArray, float]:
-        at = x.copy()
-        at[-k - 1 :] += by
-        spectra = problem.scatter(at, ())
-        prior = -0.5 * float(((at[-k - 1 :] - first) ** 2).sum()) / _LEVEL_STD**2
-        return at, spectra, problem.log_likelihood(spectra, data) + prior
-
-    x, spectra, value = moved(np.zeros(k + 1))
-    for _ in range(iterations):
-        h = 1e-5
-        slopes = (
-            np.stack([moved(np.r_[np.full(k, h), 0.0])[1] - spectra, moved(np.r_[np.zeros(k), h])[1] - spectra]) / h
-        )
-        rows, residual = problem.whitened(spectra, slopes, data)
-        rows, residual = rows.reshape(k, -1, 2), residual.reshape(k, -1)
-        normal = np.diag(np.r_[(rows[:, :, 0] ** 2).sum(axis=1), (rows[:, :, 1] ** 2).sum()])
-        normal[:k, k] = normal[k, :k] = (rows[:, :, 0] * rows[:, :, 1]).sum(axis=1)
-        normal += np.eye(k + 1) / _LEVEL_STD**2
-        gradient = np.r_[(rows[:, :, 0] * residual).sum(axis=1), (rows[:, :, 1] * residual).sum()]
-        gradient -= (x[-k - 1 :] - first) / _LEVEL_STD**2
-        for _ in range(8):
-            step = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), gradient)
-            there, its_spectra, its_value = moved(np.clip(step, -2.0, 2.0))
-            if its_value >= value:
-                break
-            damping = max(10.0 * damping, 1e-2)
-        else:
-            break
-        gained = its_value - value
-        x, spectra, value, damping = there, its_spectra, its_value, 0.1 * damping
-        if gained < 1e-3:
-            break
-    return x
-
-
 def heldout_gain(segments: Segments, diagnosis: Diagnosis, config: Configuration) -> Gain:
     """Gain of a diagnosis's extended model over the old form, each judged on blocks that it was not fitted to.
 
@@ -262,7 +157,11 @@ def heldout_gain(segments: Segments, diagnosis: Diagnosis, config: Configuration
         held = (block >= 0) & (block % folds == fold)
         others = classify(segments.part((block >= 0) & ~held))
         # Weighed as the whole recording, so that what was known before pulls these fits no more than the published one.
-        others = replace(others, counts=others.counts * segments.t_s.size / others.counts.sum())
+        others = replace(
+            others,
+            counts=others.counts * segments.t_s.size / others.counts.sum(),
+            drive=_as_moved(others.drive, diagnosis),
+        )
         for i, model in enumerate(_forms(others, reference, context, effects, diagnosis)):
             judged = score(segments, model, context, config, reference.reference_degc, held)
             nats[i] += np.bincount(block[held], judged.nats, n_blocks)
@@ -313,11 +212,19 @@ def _forms(
     if evidence.drive is not None:  # a response's phases lead back from nearby only: from the whole recording's fits
         problem = replace(whole.problem, evidence=evidence, reference=reference)
         null = fit(problem, whole.null.x, whole.null.effects, iterations=_DRIVEN)
-        return fitted_model(problem, null), fitted_model(problem, fit(problem, whole.final.x, effects, iterations=_DRIVEN))
+        return fitted_model(problem, null), fitted_model(
+            problem, fit(problem, whole.final.x, effects, iterations=_DRIVEN)
+        )
     problem, null = prepare(evidence, reference, context)
     at = fit(problem, null.x, effects)
     problem = replace(problem, conditions=conditions(problem, at.x, at.effects))  # the motion that the causes leave
     return fitted_model(problem, null), fitted_model(problem, fit(problem, at.x, at.effects))
+
+
+def _as_moved(drive: Drive | None, diagnosis: Diagnosis) -> Drive | None:
+    """The ground as the diagnosis found it to move between its samples."""
+    whole = diagnosis.problem.evidence.drive
+    return None if drive is None or whole is None else replace(drive, between=whole.between)
 
 
 def fitted_model(problem: Problem, at: Fit) -> Model:

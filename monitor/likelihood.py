@@ -129,15 +129,18 @@ class Problem:
         left = self.evidence.segments.values - mean
         return Prediction(spectra, self.smooth(driven.products(left, self.evidence.members)), left)
 
-    def mean(self, x: Array, effects: Sequence[Effect]) -> ComplexArray | None:
-        """The response of the segments to a measured ground, shape (n_segments, n_bins, c); None without one."""
+    def mean(self, x: Array, effects: Sequence[Effect], *, exact: bool = True) -> ComplexArray | None:
+        """The response of the segments to a measured ground, shape (n_segments, n_bins, c); None without one.
+
+        That of the exact laws; or of the linearized ones, which is quicker and good enough for slopes.
+        """
         e = self.evidence
         if e.drive is None:
             return None
         effects = (*self.reference.effects(x), *effects)
         matrices, context = self.matrices(x, effects), self.context_at(x)
         bent = [effect for effect in effects if effect.nonlinear and effect.family == "structure"]
-        if bent:
+        if bent and exact:
             system = assemble(*matrices, [f for f in effects if f not in bent], context, self.conditions[0])
             return driven.exact_response(e.drive, system, effects, e.band, context, self.conditions[0])
         out = np.zeros_like(e.segments.values)
@@ -300,7 +303,9 @@ class Problem:
             if alone and first_noise <= i < first_noise + c:
                 out[i] = noise_slope[i - first_noise]
             elif not alone and p <= i < p + n:
-                out[i] = 0.0  # forces beside a measured ground stay small: they would excuse a wrong response at its peaks
+                out[i] = (
+                    0.0  # forces beside a measured ground stay small: they would excuse a wrong response at its peaks
+                )
             elif p + n <= i < p + n + self.n_classes:
                 k = i - p - n
                 out[i] = 0.0
@@ -322,8 +327,9 @@ class Problem:
 
     def mean_slopes(self, x: Array, effects: tuple[Effect, ...], wanted: Iterable[int]) -> ComplexArray:
         """Derivatives of the segments' means by the wanted coordinates, shape (n_wanted, n_segments, n_bins, c)."""
-        mean = self.mean(x, effects)
+        mean, linear = self.mean(x, effects), self.mean(x, effects, exact=False)
         assert mean is not None
+        assert linear is not None
         k, m, d, noise, _ = self.reference.sizes
         p = self.reference.mean.size
         still = {*range(k + m + d, k + m + d + noise), *range(p, self.n_nuisance)}  # noise and forces move no mean
@@ -332,8 +338,9 @@ class Problem:
             moved = x.copy()
             h = _step(x, i, self.n_nuisance, effects)
             moved[i] += h
-            there = None if i in still else self.mean(moved, placed(effects, moved[self.n_nuisance :]))
-            out.append(np.zeros_like(mean) if there is None else (there - mean) / h)
+            own = i >= self.n_nuisance
+            there = None if i in still else self.mean(moved, placed(effects, moved[self.n_nuisance :]), exact=own)
+            out.append(np.zeros_like(mean) if there is None else (there - (mean if own else linear)) / h)
         return np.array(out, dtype=complex).reshape(-1, *mean.shape)
 
     def mean_rows(self, here: Prediction, slopes: ComplexArray) -> tuple[Array, Array]:

@@ -20,6 +20,8 @@ _FAR = 40
 """Iterations of a first fit to driven motion, whose phases tell more and lead on a longer way."""
 _HEAVY, _LIGHTER, _HELD_DAMPING = 0.05, 0.015, 1e4
 """Damping ratios at which that fit begins and goes on, and the precision that holds the former."""
+_ROUGHLY = 4
+"""Iterations by which ways of the ground between its samples, and kinds of causes, are compared."""
 _FINE, _COARSE = 0.02, 0.3
 """Nats that the last step of a fit may promise; driven motion tells causes apart by hundreds."""
 _STATIONARY = ("sensor_clipping",)
@@ -107,8 +109,9 @@ def between_samples(problem: Problem, at: Fit) -> tuple[Problem, Fit]:
     for between in get_args(Between):
         if between != drive.between:
             other = replace(problem, evidence=replace(problem.evidence, drive=replace(drive, between=between)))
-            tried.append((other, fit(other, at.x, at.effects)))
-    return max(tried, key=lambda pair: pair[1].log_posterior)
+            tried.append((other, fit(other, at.x, at.effects, iterations=_ROUGHLY)))
+    problem, best = max(tried, key=lambda pair: pair[1].log_posterior)
+    return problem, at if best is at else fit(problem, best.x, best.effects, iterations=_FAR)
 
 
 def _first_guess(problem: Problem) -> Array:
@@ -235,11 +238,9 @@ def judge(problem: Problem, null: Fit, effect: Effect, *, quick: bool = False) -
     driven = problem.evidence.drive is not None
     # Driven motion tells so much that a cause bends the other slopes at once.
     frozen = null.jacobian[:, : problem.n_nuisance] if quick and not driven else None
+    iterations = (_ROUGHLY if driven else 5) if quick else _FAR if driven else 15
     tolerance = _COARSE if driven else _FINE
-    iterations = (3 if driven else 5) if quick else (_FAR if driven else 15)
-    fitted = fit(
-        problem, null.x, (*null.effects, effect), iterations=iterations, tolerance=tolerance, frozen=frozen
-    )
+    fitted = fit(problem, null.x, (*null.effects, effect), iterations=iterations, tolerance=tolerance, frozen=frozen)
     if not quick and not driven and null.log_prior < _DRAGGED:
         x = np.concatenate([problem.reference.mean, null.x[problem.reference.mean.size :]])
         known = problem.reference
