@@ -22,6 +22,8 @@ from monitor.search import Candidate, best_of_each, change, evidence_of, judge, 
 
 _SMALL, _NEAR = 200.0, 0.4
 """Promised gain, nats, below which all that promise this share of it are fitted."""
+_KINDS, _DRIVEN = 7, 2
+"""Kinds of causes that are fitted roughly and to the end where the ground is measured."""
 _UNSURE = 0.1
 """Share of a gain by which a rough simulation may misjudge it."""
 _TIED = 1.0
@@ -87,7 +89,9 @@ def diagnose(evidence: Evidence, reference: Reference, context: Context, setting
         problem = _extended(problem, at)
         if best.candidate.effect.ground_share:
             at = fit(problem, at.x, at.effects)  # how far up the forces reach is known only now
-        if len(accepted) > 1 and _bent(at):  # the laws' correction was made without the newest cause
+        if (
+            len(accepted) > 1 and _bent(at) and evidence.drive is None
+        ):  # the laws' correction was made without the newest cause
             made = settle(problem, at, FINE)
             problem, at, lean = made.problem, made.fit, skewness(made.transforms, problem)[0]
         if best.candidate.effect.nonlinear:
@@ -171,6 +175,15 @@ def _round(problem: Problem, at: Fit, lean: Array, settings: DiagnosisSettings, 
     """The best candidates beside what was accepted, by evidence, of those that promise a gain of `worth`."""
     taken = [(e.name, e.location) for e in (*problem.reference.effects(at.x), *at.effects)]
     ranked = [item for item in best_of_each(rank(problem, at, starts(problem, at, taken))) if item[0] > worth]
+    chosen = _chosen(problem, at, ranked, settings) if problem.evidence.drive is None else _driven(problem, at, ranked)
+    fitted = sorted((judge(problem, at, e) for e in chosen.values()), key=lambda c: -c.evidence)
+    return sorted(_polished(problem, at, fitted, lean, settings), key=lambda p: -p.candidate.evidence)
+
+
+def _chosen(
+    problem: Problem, at: Fit, ranked: list[tuple[float, Effect]], settings: DiagnosisSettings
+) -> dict[tuple[str, str], Effect]:
+    """Effects worth a fit to the end, by name and place."""
     rough = sorted((judge(problem, at, e, quick=True) for _, e in ranked[: settings.ranked]), key=lambda c: -c.evidence)
     chosen = {c.key: c.effect for c in rough[: settings.tried]}
     # A rough fit may fail from far away, so the score test's own favourites are fitted too.
@@ -179,9 +192,23 @@ def _round(problem: Problem, at: Fit, lean: Array, settings: DiagnosisSettings, 
         ranked and ranked[0][0] < _SMALL
     ):  # a small effect: its rivals promise nearly as much, and none may be passed over
         favourites = [item for item in ranked if item[0] > _NEAR * ranked[0][0]]
-    chosen = {(e.name, e.location): e for _, e in favourites} | chosen
-    fitted = sorted((judge(problem, at, e) for e in chosen.values()), key=lambda c: -c.evidence)
-    return sorted(_polished(problem, at, fitted, lean, settings), key=lambda p: -p.candidate.evidence)
+    return {(e.name, e.location): e for _, e in favourites} | chosen
+
+
+def _driven(problem: Problem, at: Fit, ranked: list[tuple[float, Effect]]) -> dict[tuple[str, str], Effect]:
+    """As `_chosen` where the ground is measured: the best few of all kinds, and the best one's kind at every place.
+
+    A response tells kinds apart by so much that few need a closer look, but its score test promises too much to most.
+    """
+    kinds: dict[str, Effect] = {}
+    for _, effect in ranked:
+        kinds.setdefault(effect.name, effect)
+    rough = sorted(
+        (judge(problem, at, e, quick=True) for e in list(kinds.values())[:_KINDS]), key=lambda c: -c.evidence
+    )
+    chosen = {c.key: c.effect for c in rough[:_DRIVEN]}
+    same = [e for _, e in ranked if rough and e.name == rough[0].effect.name]
+    return {(e.name, e.location): e for e in same} | chosen
 
 
 def _polished(
@@ -191,7 +218,8 @@ def _polished(
 
     A one-sided law leaves the drift skewed; no linear cause and no symmetric law does.
     """
-    if not candidates or candidates[0].evidence < settings.margin:
+    # A response to a measured ground is that of the exact laws.
+    if not candidates or candidates[0].evidence < settings.margin or problem.evidence.drive is not None:
         return [Polished(c, problem, lean) for c in candidates]
     best = candidates[0]
     reach = best.evidence - max(settings.rival, settings.linearization * best.gain)

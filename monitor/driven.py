@@ -11,20 +11,35 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import irfft, next_fast_len, rfft
+from scipy.linalg import eigh
 
 from monitor.effects import Condition, Context, Effect, System
-from monitor.prediction import Band, channel_response, seen
+from monitor.prediction import Band, accelerance
 from monitor.results import Array, ComplexArray
-from monitor.spectrum import SegmentDesign, transform
+from monitor.spectrum import SegmentDesign, taper
 
-_PAD_S = 60.0
+Between = Literal["smooth", "straight", "held"]
+"""How the ground moves between its samples: as a sensor's filter leaves it, or as a simulation reads them."""
+
+_IMAGES = (0, -1, 1)
+_PAD_S = 40.0
 """Zeros after a run, in which its last motion dies out before it wraps."""
 _ALIGNED = 0.02
 """Samples by which the ground's instants may differ from the floors'."""
-_SMOOTH_BINS = 5
+_FINER, _LEAST_STEP_HZ = 4, 400.0
+"""Steps of nonlinear laws: samples of the ground to one of the recording, and their least rate."""
+_SLOWEST = 0.2 / (2.0 * np.pi)
+"""Motion slower than this share of the first frequency is the sensors' tilt; in Hz over rad/s."""
+_STEEP = 12
+"""Order of the highpass that takes it away."""
+_LEAST = 6
+"""Segments that a run must cover."""
+_SMOOTH_HZ = 12.0
 _MEAN_ROWS = 2.0
 """Information of a complex normal's mean, over that of its squared modulus."""
 
@@ -37,6 +52,8 @@ class Run:
     """Unscaled transform of the conditioned samples with zeros after them, m/s^2, shape (n // 2 + 1,)."""
     n: int
     """Samples, zeros included."""
+    length: int
+    """Samples without them."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -49,6 +66,21 @@ class Drive:
     first: NDArray[np.intp]
     """First sample of every segment in its run."""
     design: SegmentDesign
+    source_hz: float
+    """Rate of the source's samples."""
+    between: Between = "smooth"
+
+    def images(self, hz: Array) -> Iterator[tuple[float, Array | ComplexArray]]:
+        """Frequencies that samples do not tell from `hz`, as distances, and the share of the ground's motion at each."""
+        if self.between == "smooth":
+            yield 0.0, np.ones(hz.size)
+            return
+        for k in _IMAGES:
+            x = hz / self.source_hz + k
+            yield (
+                k * self.source_hz,
+                np.sinc(x) ** 2 if self.between == "straight" else np.sinc(x) * np.exp(-1j * np.pi * x),
+            )
 
     def part(self, chosen: NDArray[np.bool_] | NDArray[np.intp]) -> Drive:
         """The chosen segments alone."""
@@ -62,23 +94,24 @@ class Drive:
     def moved(self, answers: Iterable[ComplexArray]) -> Iterator[tuple[NDArray[np.intp], Array]]:
         """Segments of every run and their samples, shape (n, columns), given each run's answer per frequency."""
         for i, (run, answer) in enumerate(zip(self.runs, answers, strict=True)):
-            samples = np.fft.irfft(answer * run.spectrum[: len(answer), None], n=run.n, axis=0)
+            samples = irfft(answer.T * run.spectrum[: len(answer)], n=run.n)
             members = np.flatnonzero(self.run == i)
-            yield members, np.array([samples[j : j + self.design.n] for j in self.first[members]])
+            windows = np.lib.stride_tricks.sliding_window_view(samples, self.design.n, axis=1)
+            yield members, np.moveaxis(windows[:, self.first[members]], 0, -1)
 
 
 def locate(
-    runs: Sequence[tuple[int, Array]], segments_t_ns: Sequence[int], design: SegmentDesign, band: Band
-) -> Drive | None:
-    """The drive of segments that begin at given times, or None where a run does not cover one of them.
+    runs: Sequence[tuple[int, Array]], segments_t_ns: Sequence[int], design: SegmentDesign, source_hz: float
+) -> tuple[Drive, NDArray[np.bool_]] | None:
+    """The drive of segments that begin at given times, with which of them a run covers; None where too few are.
 
     Parameters
     ----------
     runs : sequence of (int, ndarray)
         UTC of the first sample in ns and conditioned samples, m/s^2, of every run.
     """
-    which, first = [], []
-    for t_ns in segments_t_ns:
+    which, first, covered = [], [], np.ones(len(segments_t_ns), dtype=bool)
+    for s, t_ns in enumerate(segments_t_ns):
         for i, (begin, samples) in enumerate(runs):
             at = (t_ns - begin) * 1e-9 * design.rate_hz
             if abs(at - round(at)) < _ALIGNED and 0 <= round(at) <= samples.size - design.n:
@@ -86,12 +119,16 @@ def locate(
                 first.append(round(at))
                 break
         else:
-            return None
+            covered[s] = False
+    if len(which) < max(_LEAST, 0.5 * covered.size):
+        return None
     made = []
     for _, samples in runs:
-        n = 2 * round(0.5 * (samples.size + _PAD_S * design.rate_hz))
-        made.append(Run(np.fft.rfft(samples, n=n), n))
-    return Drive(tuple(made), np.array(which, dtype=np.intp), np.array(first, dtype=np.intp), design)
+        n = next_fast_len(round(samples.size + _PAD_S * design.rate_hz), real=True)
+        made.append(Run(np.asarray(rfft(samples, n=n)), n, samples.size))
+    return Drive(
+        tuple(made), np.array(which, dtype=np.intp), np.array(first, dtype=np.intp), design, source_hz
+    ), covered
 
 
 def response(
@@ -100,10 +137,76 @@ def response(
     """Transforms of the channels' response in every segment, shape (n_segments, n_bins, c)."""
     clock = float(np.prod([e.clock_factor for e in effects]))
     out = np.empty((drive.run.size, band.n_bins, len(context.channels)), dtype=complex)
-    answers = (seen(system, effects, drive.hz(run, band), clock, context, condition)[:, :, -1] for run in drive.runs)
-    for members, samples in drive.moved(answers):
-        for i, x in zip(members, samples, strict=True):
-            out[i] = transform(drive.design, x)[band.first : band.first + band.n_bins]
+
+    def answer(run: Run) -> ComplexArray:
+        hz = drive.hz(run, band)
+        floors = np.zeros((hz.size, context.structure.n_dofs), dtype=complex)
+        for far, share in drive.images(hz):
+            floors += share[:, None] * (_relative(system, clock * (hz + far), context) + 1.0)
+        channels = np.asarray(floors @ context.sensors.T, dtype=np.complex128)
+        return _seen(channels, effects, clock * hz, context, condition)
+
+    for members, samples in drive.moved(answer(run) for run in drive.runs):
+        out[members] = _transforms(drive.design, samples)[:, band.first : band.first + band.n_bins]
+    return out
+
+
+def _seen(
+    channels: ComplexArray, effects: Sequence[Effect], hz: Array, context: Context, condition: Condition
+) -> ComplexArray:
+    """What sensors make of the true accelerations, shape (n_hz, c)."""
+    for effect in effects:
+        response = effect.response(hz, context, condition)
+        if response is not None:
+            channels = np.asarray((response @ channels[:, :, None])[:, :, 0])
+    return channels
+
+
+def _relative(system: System, hz: Array, context: Context) -> ComplexArray:
+    """Acceleration of the floors over the ground's, relative to it, shape (n_hz, n)."""
+    right = -system.mass.sum(axis=1)[:, None]
+    floors = accelerance(system.mass, system.damping, system.stiffness, 2.0 * np.pi * hz, right)
+    return np.asarray(floors[:, : context.structure.n_dofs, 0])
+
+
+def _transforms(design: SegmentDesign, samples: Array) -> ComplexArray:
+    """`monitor.spectrum.transform` of many segments at once, shape (n_segments, n_bins, c)."""
+    tapered = np.moveaxis(samples, 1, -1) * (taper(design.n) / np.sqrt(design.rate_hz))
+    return np.asarray(np.moveaxis(rfft(tapered, axis=-1)[..., : design.n_bins], -1, 1))
+
+
+def exact_response(
+    drive: Drive, system: System, effects: Sequence[Effect], band: Band, context: Context, condition: Condition
+) -> ComplexArray:
+    """As `response`, with nonlinear laws stepped in time instead of made linear.
+
+    Parameters
+    ----------
+    system : System
+        Without what the nonlinear effects add.
+    """
+    from monitor.stepping import march  # compiled code takes a while to load
+
+    laws = [law for effect in effects for law in effect.laws(context.structure)]
+    n, inertia = context.structure.n_dofs, system.mass.sum(axis=1)
+    lowest = _SLOWEST * float(np.sqrt(eigh(system.stiffness, system.mass, eigvals_only=True).min()))
+    clock = float(np.prod([e.clock_factor for e in effects]))
+    out = np.empty((drive.run.size, band.n_bins, len(context.channels)), dtype=complex)
+    for i, run in enumerate(drive.runs):
+        hz = np.asarray(np.arange(run.n // 2 + 1) * (drive.design.rate_hz / run.n), dtype=np.float64)
+        finer = drive.design.rate_hz * _FINER
+        moved = next(drive.images(hz))[1] * run.spectrum
+        # Steps run straight between samples, which is a lowpass; slow tilt is no motion.
+        shape = 1.0 / np.sinc(hz / finer) ** 2 / (1.0 + (lowest / np.maximum(hz, 1e-9)) ** _STEEP)
+        ground = irfft(shape * moved, n=run.n * _FINER)[: run.length * _FINER] * _FINER
+        floors = march(system, n, laws, -ground[:, None] * inertia, finer * clock, None, _LEAST_STEP_HZ)
+        floors = np.pad(floors[::_FINER], ((0, run.n - run.length), (0, 0)))
+        absolute = (rfft(floors, axis=0) + moved[:, None]) @ context.sensors.T
+        samples = irfft(_seen(absolute, effects, hz * clock, context, condition).T, n=run.n)
+        members = np.flatnonzero(drive.run == i)
+        windows = np.lib.stride_tricks.sliding_window_view(samples, drive.design.n, axis=1)
+        made = _transforms(drive.design, np.moveaxis(windows[:, drive.first[members]], 0, -1))
+        out[members] = made[:, band.first : band.first + band.n_bins]
     return out
 
 
@@ -124,9 +227,9 @@ def motion_rms(
     def answer(run: Run) -> ComplexArray:
         hz = drive.hz(run, band)
         w = 2.0 * np.pi * np.maximum(hz, lowest_hz)
-        relative = channel_response(system, w / (2.0 * np.pi), replace(context, sensors=rows))[:, :, -1]
-        # The ground's own motion is not relative to it.
-        relative = (relative - rows.sum(axis=1)) / (-(w**2))[:, None] * (1j * w[:, None]) ** order
+        relative = (
+            _relative(system, w / (2.0 * np.pi), context) @ rows.T / (-(w**2))[:, None] * (1j * w[:, None]) ** order
+        )
         return np.asarray(relative * (hz >= lowest_hz)[:, None])
 
     power, n = np.zeros(len(rows)), 0
@@ -136,17 +239,21 @@ def motion_rms(
     return np.asarray(np.sqrt(power / max(n, 1)))
 
 
-def smooth_power(transforms: ComplexArray) -> Array:
-    """Mean power of segments, smoothed over a few bins, shape (n_bins, c): what a model's own error is measured by."""
+def smooth_power(transforms: ComplexArray, bin_hz: float) -> Array:
+    """Mean power of segments, smoothed widely, shape (n_bins, c): what a model's own error is measured by.
+
+    An error with peaks of its own would excuse a wrong response just where it tells the most.
+    """
     power = (np.abs(transforms) ** 2).mean(axis=0)
-    half = _SMOOTH_BINS // 2
+    half = round(0.5 * _SMOOTH_HZ / bin_hz)
     padded = np.pad(power, ((half, half), (0, 0)), mode="edge")
-    return np.asarray(np.lib.stride_tricks.sliding_window_view(padded, _SMOOTH_BINS, axis=0).mean(axis=-1))
+    return np.asarray(np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1, axis=0).mean(axis=-1))
 
 
 def products(transforms: ComplexArray, members: Sequence[NDArray[np.intp]]) -> ComplexArray:
     """Mean cross-products of every class's segments, shape (classes, n_bins, c, c)."""
-    return np.stack([np.einsum("sfa,sfb->fab", transforms[m], transforms[m].conj()) / m.size for m in members])
+    by_bin = [transforms[m].transpose(1, 2, 0) for m in members]
+    return np.stack([x @ x.conj().swapaxes(1, 2) / x.shape[2] for x in by_bin])
 
 
 def mean_rows(
@@ -164,6 +271,7 @@ def mean_rows(
     """
     white = np.zeros_like(stacked)
     for lower, m, w in zip(np.linalg.cholesky(spectra), members, weight, strict=True):
-        white[:, m] = np.sqrt(_MEAN_ROWS * w) * np.einsum("fab,psfb->psfa", np.linalg.inv(lower), stacked[:, m])
+        whitener = np.sqrt(_MEAN_ROWS * w) * np.linalg.inv(lower)
+        white[:, m] = (whitener @ stacked[:, m, :, :, None])[..., 0]
     flat = white.reshape(len(stacked), -1).T
     return np.concatenate([flat.real, flat.imag])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from itertools import chain, islice
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +28,10 @@ _LEVEL_CLASSES = 5
 _MIN_SEGMENTS_A_CLASS = 12
 _TEMPERATURE_CLASSES = 4
 _MIN_RANGE_DEGC = 2.0
+_DRIVEN_SEGMENT_S = 5.0
+"""Segments of a recording whose ground is measured: a response needs no resolution, and short ones follow its level."""
+_HEAD = 64
+"""Blocks among which a measured ground shows."""
 _WITHIN = 21
 """Times at which a segment's temperature is read."""
 _SAME = 1e-6
@@ -124,10 +129,12 @@ def gather(blocks: Iterable[SampleBlock], config: Configuration) -> Segments:
     BadInputError
         If there is less than a minute of usable data.
     """
-    floors = _Stream(config, config.channels)
-    ground = _Stream(config, None)
+    blocks = iter(blocks)
+    head = list(islice(blocks, _HEAD))
+    segment_s = _DRIVEN_SEGMENT_S if any(b.topic == GROUND for b in head) else config.refinement.segment_s
+    floors, ground = _Stream(config, config.channels, segment_s), _Stream(config, None, segment_s)
     temperature: list[tuple[int, float]] = []
-    for block in blocks:
+    for block in chain(head, blocks):
         if block.topic == ACCELERATION:
             floors.push(block)
         elif block.topic == GROUND:
@@ -147,37 +154,39 @@ def gather(blocks: Iterable[SampleBlock], config: Configuration) -> Segments:
     gain = _filter_gain(conditioner, last + 1, design.step_hz)
     band = Band(first, last - first + 1, design.step_hz, gain[first:])
     runs = [(t, np.concatenate(values)[:, 0]) for t, values in ground.runs]
-    drive = driven.locate(runs, list(floors.segments), design, band) if runs else None
+    located = driven.locate(runs, list(floors.segments), design, conditioner.rate_in_hz) if runs else None
+    drive, covered = located or (None, np.ones(len(floors.segments), dtype=bool))
     readings = np.array([((t - t0) * 1e-9, v) for t, v in temperature if np.isfinite(v)]).reshape(-1, 2)
     transforms, rms, tapered = (np.stack(x) for x in zip(*floors.segments.values(), strict=True))
     below = 2.0 * design.step_hz * (np.abs(transforms[:, 1 : last + 1]) ** 2 / gain[1:, None]).sum(axis=1)
-    return Segments(
+    segments = Segments(
         values=transforms[:, first : last + 1],
         t_s=np.array([(t - t0) * 1e-9 for t in floors.segments]) + 0.5 / design.step_hz,
         rms=rms,
         above=np.maximum(tapered - below, 0.0),
         peak=floors.peak,
         piled=floors.piled,
-        drive=drive,
+        drive=None,
         temperature=readings,
         band=band,
         rate_hz=conditioner.rate_in_hz,
         samples=round(floors.seconds * conditioner.rate_hz),
     )
+    return replace(segments.part(covered), drive=drive)
 
 
 class _Stream:
     """One topic on its way from blocks to segments."""
 
-    def __init__(self, config: Configuration, channels: tuple[str, ...] | None) -> None:
-        self._config, self._channels = config, channels
+    def __init__(self, config: Configuration, channels: tuple[str, ...] | None, segment_s: float) -> None:
+        self._config, self._channels, self._segment_s = config, channels, segment_s
         self._align = align.start()
         self._rest: Array | None = None
         self._state: ConditionState
         self._run_ns = 0
         self._done = 0
         self.design: SegmentDesign | None = None
-        self.least_s = 3.5 * config.refinement.segment_s
+        self.least_s = 3.5 * segment_s
         self.segments: dict[int, tuple[ComplexArray, Array, Array]] = {}
         """Transform, RMS and tapered variance of the source samples by the time of their first sample, UTC ns."""
         self.t0_ns = 0
@@ -220,19 +229,23 @@ class _Stream:
         self._state = self.conditioner.start(len(self._channels or ()))
         self._rest = np.zeros((0, len(self._channels or ())))
         if self.design is None:
-            lags = 2 * self._config.identification.block_rows
-            self.design = WindowGrid.design(
-                self.conditioner.rate_hz,
-                p.window_s,
-                p.hop_s,
-                lags,
-                self._config.refinement.segment_s,
-                self.conditioner.cutoff_hz,
-            ).segments
+            self.design = self._designed()
             self.t0_ns = piece.t_ns
         self._run_ns, self._done, self._raw = piece.t_ns, 0, []
         if self._keep:
             self.runs.append((piece.t_ns, []))
+
+    def _designed(self) -> SegmentDesign:
+        """Segments on the pipeline's grid; those of driven motion are shorter than its blocks."""
+        p, conditioner = self._config.processing, self.conditioner
+        if self._segment_s < self._config.refinement.segment_s:
+            n = 2 * round(0.5 * self._segment_s * conditioner.rate_hz)
+            kept = round(conditioner.cutoff_hz * n / conditioner.rate_hz) + 1
+            return SegmentDesign(conditioner.rate_hz, n, min(n // 2 + 1, kept))
+        lags = 2 * self._config.identification.block_rows
+        return WindowGrid.design(
+            conditioner.rate_hz, p.window_s, p.hop_s, lags, self._segment_s, conditioner.cutoff_hz
+        ).segments
 
     def _cut(self, values: Array) -> None:
         assert self._rest is not None
@@ -266,7 +279,9 @@ def classify(segments: Segments) -> Evidence:
     inverse = np.linalg.inv(mean + floor[:, None, None] * np.eye(mean.shape[1]))
     # Whitened by the mean spectrum every bin counts alike, so that the class follows the excitation, not one mode's chance.
     level = np.einsum("ska,kab,skb->s", x.conj(), inverse, x).real
-    label = _quantiles(level, min(_LEVEL_CLASSES, max(1, level.size // _MIN_SEGMENTS_A_CLASS)))
+    # With the ground measured one class: its response is no mean over levels, and quiet stretches must not outweigh it.
+    most = _LEVEL_CLASSES if segments.drive is None else 1
+    label = _quantiles(level, min(most, max(1, level.size // _MIN_SEGMENTS_A_CLASS)))
     degc = _temperature_at(segments.temperature, segments.t_s, 1.0 / segments.band.bin_hz)
     if degc is not None and np.ptp(degc) > _MIN_RANGE_DEGC:
         n_degc = max(1, min(_TEMPERATURE_CLASSES, level.size // (2 * _MIN_SEGMENTS_A_CLASS)))
@@ -277,7 +292,7 @@ def classify(segments: Segments) -> Evidence:
     relative = np.ones(level.size)
     for m in members:
         relative[m] = level[m] / level[m].mean()
-    power = None if segments.drive is None else driven.smooth_power(x)
+    power = None if segments.drive is None else driven.smooth_power(x, segments.band.bin_hz)
     return Evidence(
         spectra=spectra,
         counts=np.array([float(m.size) for m in members]),

@@ -70,7 +70,7 @@ def fit(
     ll, lp = problem.log_likelihood(here.spectra, here.data), problem.score(x, effects)[1]
     damping, converged = 1e-3, False
     rows, residual, mean_residual, normal = np.zeros((0, x.size)), np.zeros(0), np.zeros(0), np.eye(x.size)
-    for _ in range(iterations):
+    for _ in range(iterations if np.isfinite(ll) else 0):  # a law that runs away at its start leads nowhere
         rows, residual, mean_residual = problem.jacobian(
             x, effects, here, first=0 if frozen is None else problem.n_nuisance
         )

@@ -42,8 +42,6 @@ class Forward:
     """One a class."""
     offset: ComplexArray | None = None
     """What simulation adds to the spectra of a linearized law, shape (classes, n_bins, c, c)."""
-    shift: ComplexArray | None = None
-    """What simulation adds to its response to a measured ground, shape (n_segments, n_bins, c)."""
     smoothing: Array | None = None
     """Averages bins into coarse ones, shape (n_coarse, n_bins), for a start from far away."""
 
@@ -80,13 +78,20 @@ class Forward:
         left = self.evidence.segments.values - mean
         return Prediction(spectra, self.smooth(driven.products(left, self.evidence.members)), left)
 
-    def mean(self, x: Array, effects: Sequence[Effect]) -> ComplexArray | None:
-        """The response of the segments to a measured ground, shape (n_segments, n_bins, c); None without one."""
+    def mean(self, x: Array, effects: Sequence[Effect], *, exact: bool = True) -> ComplexArray | None:
+        """The response of the segments to a measured ground, shape (n_segments, n_bins, c); None without one.
+
+        That of the exact laws; or of the linearized ones, which is quicker and good enough for slopes.
+        """
         e = self.evidence
         if e.drive is None:
             return None
         effects = (*self.reference.effects(x), *effects)
         matrices, context = self.matrices(x, effects), self.context_at(x)
+        bent = [effect for effect in effects if effect.nonlinear and effect.family == "structure"]
+        if bent and exact:
+            system = assemble(*matrices, [f for f in effects if f not in bent], context, self.conditions[0])
+            return driven.exact_response(e.drive, system, effects, e.band, context, self.conditions[0])
         out = np.zeros_like(e.segments.values)
         if not any(effect.conditional for effect in effects):
             system = assemble(*matrices, effects, context, self.conditions[0])
@@ -95,7 +100,7 @@ class Forward:
             for members, condition in zip(e.members, self.conditions, strict=True):
                 system = assemble(*matrices, effects, context, condition)
                 out[members] = driven.response(e.drive.part(members), system, effects, e.band, context, condition)
-        return out if self.shift is None else out + self.shift
+        return out
 
     def spectra(self, x: Array, effects: Sequence[Effect]) -> ComplexArray:
         """Predicted cross-spectra of the classes, shape (classes, n_bins, c, c)."""

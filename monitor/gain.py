@@ -15,16 +15,16 @@ from scipy.special import ndtri, stdtrit
 
 from monitor.condition import Conditioner
 from monitor.config import Configuration
-from monitor.corrected import smoothed
 from monitor.diagnose import Diagnosis
-from monitor.effects import Condition, Context, Effect
+from monitor.driven import Drive
+from monitor.effects import Context, Effect
 from monitor.evidence import Evidence, Segments, classify
-from monitor.exact import exact, forces, offset
+from monitor.excitation import excited
 from monitor.fitting import Fit, fit
 from monitor.likelihood import Problem
 from monitor.model import Model
 from monitor.motion import conditions
-from monitor.reference import Reference, nominal
+from monitor.reference import Reference
 from monitor.results import Array, ComplexArray
 from monitor.search import prepare
 from monitor.window import common_step_s
@@ -35,16 +35,10 @@ _BLOCK_SEGMENTS = 3.0
 _FOLDS = 4
 _ORDINAL = {2: "second", 4: "fourth"}
 _BOOTSTRAPS = 4000
-_FORCE_STD, _LEVEL_STD = 1.0, 5.0
-"""Prior of the logarithms of the floors' forces about one level, of the classes' levels and of the noise."""
-_SIMULATIONS = 2
-"""Of exact laws, for a score."""
 _SURE_NATS = 20.0
 """Held-out gain of a nonlinear law that chance does not make."""
-_NUDGE = 1e-5
-"""Finite difference of those."""
-_FORCED = 1e-3
-"""With the ground measured: power that forces cause, as a share of what is seen, where the model is all wrong."""
+_DRIVEN = 25
+"""Iterations of a fit to a part of driven motion, from the whole recording's."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -113,7 +107,7 @@ def score(
     """
     evidence = classify(segments)
     held = np.ones(segments.t_s.size, dtype=bool) if held is None else held
-    problem, x = _excited(evidence, model, replace(context, structure=model.structure), reference_degc)
+    problem, x = excited(evidence, model, replace(context, structure=model.structure), reference_degc)
     predicted, mean = problem.scatter(x, ()), problem.mean(x, ())
     left = segments.values if mean is None else segments.values - mean
     seen = segments.values[held]
@@ -147,99 +141,6 @@ def _segment_nats(x: ComplexArray, evidence: Evidence, predicted: ComplexArray) 
     return out
 
 
-def _excited(evidence: Evidence, model: Model, context: Context, reference_degc: float | None) -> tuple[Problem, Array]:
-    """The model's problem with levels and noise fitted, everything else as it is stated.
-
-    Laws that depend on the level are made linear at the motion that the model itself shows, hence the repetition; what that
-    leaves out is simulated.
-    """
-    n, c = context.structure.n_dofs, len(context.channels)
-    stories = context.structure.n_stories
-    known = replace(nominal(model, np.ones(stories + n), c), reference_degc=reference_degc)
-    first = known.mean.size - known.n_standing
-    plain = replace(known, model=replace(model, effects=()), mean=known.mean[:first])
-    unknown = Condition(np.ones(stories), np.ones(stories), np.ones(n), np.ones(c))
-    problem = Problem(evidence, plain, context, (unknown,) * evidence.counts.size)
-    x = _fit_levels(problem, _first_guess(problem))
-    for _ in range(2 if model.effects else 0):
-        excitation = x[problem.reference.mean.size :]
-        problem = replace(problem, conditions=conditions(problem, x, ()), reference=known)
-        x = _fit_levels(problem, np.concatenate([known.mean, excitation]))
-    if evidence.drive is None and any(e.nonlinear for e in model.effects):
-        exactly = replace(problem, offset=_beyond_linear(problem, x))
-        if np.isfinite(exactly.score(x, ())[0]):  # a law far too strong moves too differently to be corrected
-            problem, x = exactly, _fit_levels(exactly, x)
-    return problem, x
-
-
-def _beyond_linear(problem: Problem, x: Array) -> ComplexArray:
-    """What the exact laws add to the linearized spectra."""
-    made = []
-    for seed in range(_SIMULATIONS):
-        acting = forces(problem, x, (), seed)
-        made.append(offset(problem, x, (), acting, exact(problem, x, (), acting)))
-    return smoothed(problem, x, np.mean(made, axis=0))
-
-
-def _first_guess(problem: Problem) -> Array:
-    """Levels from the medians over frequency of the channels' power, noise from its least."""
-    e, c = problem.evidence, len(problem.context.channels)
-    power = np.einsum("kfaa->kfa", e.spectra[:, :, :c, :c]).real
-    noise = np.log(max(0.3 * float(np.quantile(power.mean(axis=(0, 2)), 0.02)), 1e-300))
-    levels = np.zeros(problem.context.structure.n_dofs + problem.n_classes)
-    x = np.concatenate([problem.reference.mean, levels, [noise - 10.0]])
-    predicted = np.einsum("kfaa->kfa", problem.scatter(x, ())[:, :, :c, :c]).real
-    level = np.log(np.median(power / predicted, axis=(1, 2)))
-    x[-1] = noise
-    if e.power is None:
-        x[-problem.n_classes - 1 : -1] = level
-    else:  # the level is the model's own error; what forces move beside the ground goes with it
-        p = problem.reference.mean.size
-        x[p:-1] = np.r_[np.full(problem.context.structure.n_dofs, level.mean()), np.zeros(problem.n_classes)]
-        x[p : -problem.n_classes - 1] += np.log(_FORCED)
-    return x
-
-
-def _fit_levels(problem: Problem, x: Array, iterations: int = 40) -> Array:
-    """Most probable forces, levels of the classes and noise, the rest of `x` kept: Fisher scoring, Levenberg-Marquardt steps.
-
-    How strongly each floor is shaken belongs to the recording as its level does; were it held equal, a wrong structure that
-    makes up for it would score best.
-    """
-    p, n, k, damping = problem.reference.mean.size, problem.context.structure.n_dofs, problem.n_classes, 1e-3
-    first, data = x[p:].copy(), problem.predict(x, ()).data  # levels move no mean
-    precision = np.r_[np.full(n, _FORCE_STD), np.full(k + 1, _LEVEL_STD)] ** -2.0
-
-    def moved(by: Array) -> tuple[Array, ComplexArray, float]:
-        at = np.r_[x[:p], x[p:] + by]
-        spectra = problem.scatter(at, ())
-        return at, spectra, problem.log_likelihood(spectra, data) - 0.5 * float(precision @ (at[p:] - first) ** 2)
-
-    x, spectra, value = moved(np.zeros(first.size))
-    for _ in range(iterations):
-        slopes = np.zeros((first.size, *spectra.shape), dtype=complex)
-        for i in (*range(n), first.size - 1):
-            slopes[i] = (moved(_NUDGE * np.eye(first.size)[i])[1] - spectra) / _NUDGE
-        every = (moved(_NUDGE * np.r_[np.zeros(n), np.ones(k), 0.0])[1] - spectra) / _NUDGE
-        slopes[n + np.arange(k), np.arange(k)] = every  # a class's level moves its spectra alone
-        rows, residual = problem.whitened(spectra, slopes, data)
-        normal = rows.T @ rows + np.diag(precision)
-        gradient = rows.T @ residual - precision * (x[p:] - first)
-        for _ in range(8):
-            step = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), gradient)
-            there, its_spectra, its_value = moved(np.clip(step, -2.0, 2.0))
-            if its_value >= value:
-                break
-            damping = max(10.0 * damping, 1e-2)
-        else:
-            break
-        gained = its_value - value
-        x, spectra, value, damping = there, its_spectra, its_value, 0.1 * damping
-        if gained < 1e-3:
-            break
-    return x
-
-
 def heldout_gain(segments: Segments, diagnosis: Diagnosis, config: Configuration) -> Gain:
     """Gain of a diagnosis's extended model over the old form, each judged on blocks that it was not fitted to.
 
@@ -261,8 +162,12 @@ def heldout_gain(segments: Segments, diagnosis: Diagnosis, config: Configuration
         held = (block >= 0) & (block % folds == fold)
         others = classify(segments.part((block >= 0) & ~held))
         # Weighed as the whole recording, so that what was known before pulls these fits no more than the published one.
-        others = replace(others, counts=others.counts * segments.t_s.size / others.counts.sum())
-        for i, model in enumerate(_forms(others, reference, context, effects, diagnosis.final.x)):
+        others = replace(
+            others,
+            counts=others.counts * segments.t_s.size / others.counts.sum(),
+            drive=_as_moved(others.drive, diagnosis),
+        )
+        for i, model in enumerate(_forms(others, reference, context, effects, diagnosis)):
             judged = score(segments, model, context, config, reference.reference_degc, held)
             nats[i] += np.bincount(block[held], judged.nats, n_blocks)
             spectra[i] += np.count_nonzero(held) * np.stack([judged.measured, judged.modelled])
@@ -307,16 +212,25 @@ def _blocks(segments: Segments) -> tuple[NDArray[np.intp], int, float]:
 
 
 def _forms(
-    evidence: Evidence, reference: Reference, context: Context, effects: tuple[Effect, ...], near: Array
+    evidence: Evidence, reference: Reference, context: Context, effects: tuple[Effect, ...], whole: Diagnosis
 ) -> tuple[Model, Model]:
-    """The old model form and the extended one, fitted; the extended one lies near the nuisances of the whole recording."""
+    """The old model form and the extended one, fitted."""
+    if evidence.drive is not None:  # a response's phases lead back from nearby only: from the whole recording's fits
+        problem = replace(whole.problem, evidence=evidence, reference=reference)
+        null = fit(problem, whole.null.x, whole.null.effects, iterations=_DRIVEN)
+        return fitted_model(problem, null), fitted_model(
+            problem, fit(problem, whole.final.x, effects, iterations=_DRIVEN)
+        )
     problem, null = prepare(evidence, reference, context)
-    x = null.x
-    if evidence.drive is not None:  # a response's phases lead back from nearby only
-        x = np.concatenate([near[: reference.mean.size], x[reference.mean.size :]])
-    at = fit(problem, x, effects)
+    at = fit(problem, null.x, effects)
     problem = replace(problem, conditions=conditions(problem, at.x, at.effects))  # the motion that the causes leave
     return fitted_model(problem, null), fitted_model(problem, fit(problem, at.x, at.effects))
+
+
+def _as_moved(drive: Drive | None, diagnosis: Diagnosis) -> Drive | None:
+    """The ground as the diagnosis found it to move between its samples."""
+    whole = diagnosis.problem.evidence.drive
+    return None if drive is None or whole is None else replace(drive, between=whole.between)
 
 
 def fitted_model(problem: Problem, at: Fit) -> Model:

@@ -104,17 +104,21 @@ class Problem(Forward):
         noise_slope[diagonal, :, diagonal, diagonal] = noise[:, None]
         out = np.empty((x.size, *spectra.shape), dtype=complex)
         out[self.n_nuisance :] = self.effect_slopes(x, effects, spectra)
+        alone = self.evidence.power is None  # else the ground's noise moves the floors too
         first_noise = sum(self.reference.sizes[:3])
         for i in range(self.n_nuisance):
-            if first_noise <= i < first_noise + c:
+            if alone and first_noise <= i < first_noise + c:
                 out[i] = noise_slope[i - first_noise]
+            elif not alone and p <= i < p + n:
+                # Forces beside a measured ground stay small: they would excuse a wrong response at its peaks.
+                out[i] = 0.0
             elif p + n <= i < p + n + self.n_classes:
                 k = i - p - n
                 out[i] = 0.0
                 out[i, k] = out[p : p + n, k].sum(axis=0)  # all forces at once, but neither lines nor noise
                 if self.evidence.power is not None:
                     out[i, k] += self.smooth(level[k] * diagonal_of(self.evidence.power))
-            elif i == self.n_nuisance - 1:
+            elif alone and i == self.n_nuisance - 1:
                 out[i] = noise_slope.sum(axis=0)
             else:
                 moved = x.copy()
@@ -133,16 +137,18 @@ class Problem(Forward):
 
     def mean_slopes(self, x: Array, effects: tuple[Effect, ...], wanted: Iterable[int]) -> ComplexArray:
         """Derivatives of the segments' means by the wanted coordinates, shape (n_wanted, n_segments, n_bins, c)."""
-        mean = self.mean(x, effects)
+        mean, linear = self.mean(x, effects), self.mean(x, effects, exact=False)
         assert mean is not None
+        assert linear is not None
         k, m, d, noise, _ = self.reference.sizes
         p = self.reference.mean.size
         still = {*range(k + m + d, k + m + d + noise), *range(p, self.n_nuisance)}  # noise and forces move no mean
         out = []
         for i in wanted:
             h, moved = self._nudged(x, i, effects)
-            there = None if i in still else self.mean(moved, placed(effects, moved[self.n_nuisance :]))
-            out.append(np.zeros_like(mean) if there is None else (there - mean) / h)
+            own = i >= self.n_nuisance
+            there = None if i in still else self.mean(moved, placed(effects, moved[self.n_nuisance :]), exact=own)
+            out.append(np.zeros_like(mean) if there is None else (there - (mean if own else linear)) / h)
         return np.array(out, dtype=complex).reshape(-1, *mean.shape)
 
     def mean_rows(self, here: Prediction, slopes: ComplexArray) -> tuple[Array, Array]:

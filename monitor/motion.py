@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.linalg import eigh
 
 from monitor.driven import motion_rms
 from monitor.effects import Condition, Context, Effect, System
@@ -41,7 +42,7 @@ def conditions(
     beyond, out = _beyond(problem, x, everything), []
     for k in range(problem.n_classes):
         system = assemble(mass, stiffness, damping, everything, context, problem.conditions[k])
-        lowest = np.sqrt(max(np.linalg.eigvalsh(np.linalg.solve(mass, stiffness)).min(), 1e-6)) / (2.0 * np.pi)
+        lowest = np.sqrt(max(eigh(stiffness, mass, eigvals_only=True).min(), 1e-6)) / (2.0 * np.pi)
         step = min(0.25 * e.band.bin_hz, 0.25 * damping.min() * lowest)
         step = max(step, e.band.hz[-1] / _MOST_BINS)  # a damping that the fit lets go to nothing
         hz = np.arange(max(0.2 * lowest, step), e.band.hz[-1] * 1.2, step)

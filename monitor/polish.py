@@ -64,10 +64,6 @@ class Settled:
 
 def polish(problem: Problem, null: Fit, candidate: Candidate, rounds: Rounds = ROUGH) -> Polished:
     """Refit a candidate with nonlinear laws, its linearization corrected by simulation at the fitted size."""
-    if (
-        problem.evidence.drive is not None
-    ):  # linear in every class: good enough where the model's own error is fitted too
-        return Polished(candidate, problem, np.zeros(problem.context.structure.n_stories))
     made = settle(problem, candidate.fit, rounds)
     drift_skewness = skewness(made.transforms, problem)[0]
     better = evidence_of(made.problem, null, made.fit)

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from typing import get_args
 
 import numpy as np
 
+from monitor.driven import Between
 from monitor.effects import EFFECTS, Condition, Context, Effect, locations
 from monitor.evidence import Evidence
 from monitor.fitting import Fit, fit, inverse
@@ -18,13 +20,19 @@ from monitor.results import Array
 
 _FAR = 40
 """Iterations of a first fit to driven motion, whose phases tell more and lead on a longer way."""
+_HEAVY, _LIGHTER, _HELD_DAMPING = 0.05, 0.015, 1e4
+"""Damping ratios at which that fit begins and goes on, and the precision that holds the former."""
+_ROUGHLY = 4
+"""Iterations by which ways of the ground between its samples, and kinds of causes, are compared."""
+_FINE, _COARSE = 0.02, 0.3
+"""Nats that the last step of a fit may promise; driven motion tells causes apart by hundreds."""
 _STATIONARY = ("sensor_clipping",)
 """Effects whose linearization takes samples for normal, which an earthquake's are not."""
 _DRAGGED = -20.0
 """Log prior below which the model without the effect was dragged far from what was known, where a fit starts better."""
 _HELD = 1e8
 """Precision that holds the structure while an effect's size is found."""
-_FORCED, _MODEL_ERROR = 0.01, 0.5
+_FORCED, _MODEL_ERROR = 1e-3, 0.5
 """With the ground measured: power that forces cause, and error of the model, as shares of what is seen, at the start."""
 _MIN_STEP, _MAX_STEP = 0.05, 20.0
 """How far from its start size an effect is first tried, as factors."""
@@ -66,7 +74,8 @@ def prepare(evidence: Evidence, reference: Reference, context: Context) -> tuple
     )
     plain = replace(plain, precision=reference.precision[: plain.mean.size, : plain.mean.size])
     problem = Problem(evidence, plain, context, (unknown,) * evidence.counts.size)
-    null = fit(problem, _first_guess(problem), iterations=12 if evidence.drive is None else _FAR)
+    null = fit(problem, _first_guess(problem)) if evidence.drive is None else _from_afar(problem)
+    problem, null = between_samples(problem, null)
     problem = replace(problem, conditions=conditions(problem, null.x, ()))
     if not reference.n_standing:
         return problem, null
@@ -77,6 +86,34 @@ def prepare(evidence: Evidence, reference: Reference, context: Context) -> tuple
         x = null.x
         problem = replace(problem, conditions=conditions(problem, x, ()))
     return problem, null
+
+
+def _from_afar(problem: Problem) -> Fit:
+    """The first fit to driven motion, whose phases lead back from nearby only: with heavy damping first, for wide peaks."""
+    known, x = problem.reference, _first_guess(problem)
+    k, m, d, *_ = known.sizes
+    modes = np.arange(k + m, k + m + d)
+    mean, precision = known.mean.copy(), known.precision.copy()
+    mean[modes] = np.log(_HEAVY)
+    precision[modes, modes] += _HELD_DAMPING
+    wide = replace(problem, reference=replace(known, mean=mean, precision=precision))
+    near = fit(wide, np.concatenate([mean, x[mean.size :]]), iterations=15).x
+    near[modes] = np.log(_LIGHTER)
+    return fit(problem, near, iterations=_FAR)
+
+
+def between_samples(problem: Problem, at: Fit) -> tuple[Problem, Fit]:
+    """With the ground's motion between its samples that explains the floors best, where the ground was measured."""
+    drive = problem.evidence.drive
+    if drive is None:
+        return problem, at
+    tried = [(problem, at)]
+    for between in get_args(Between):
+        if between != drive.between:
+            other = replace(problem, evidence=replace(problem.evidence, drive=replace(drive, between=between)))
+            tried.append((other, fit(other, at.x, at.effects, iterations=_ROUGHLY)))
+    problem, best = max(tried, key=lambda pair: pair[1].log_posterior)
+    return problem, at if best is at else fit(problem, best.x, best.effects, iterations=_FAR)
 
 
 def _first_guess(problem: Problem) -> Array:
@@ -200,9 +237,13 @@ def best_of_each(ranked: list[tuple[float, Effect]]) -> list[tuple[float, Effect
 
 def judge(problem: Problem, null: Fit, effect: Effect, *, quick: bool = False) -> Candidate:
     """Fit an effect beside the nuisances."""
-    frozen = null.jacobian[:, : problem.n_nuisance] if quick else None
-    fitted = fit(problem, null.x, (*null.effects, effect), iterations=5 if quick else 15, frozen=frozen)
-    if not quick and null.log_prior < _DRAGGED:
+    driven = problem.evidence.drive is not None
+    # Driven motion tells so much that a cause bends the other slopes at once.
+    frozen = null.jacobian[:, : problem.n_nuisance] if quick and not driven else None
+    iterations = (_ROUGHLY if driven else 5) if quick else _FAR if driven else 15
+    tolerance = _COARSE if driven else _FINE
+    fitted = fit(problem, null.x, (*null.effects, effect), iterations=iterations, tolerance=tolerance, frozen=frozen)
+    if not quick and not driven and null.log_prior < _DRAGGED:
         x = np.concatenate([problem.reference.mean, null.x[problem.reference.mean.size :]])
         known = problem.reference
         held = replace(problem, reference=replace(known, precision=known.precision + _HELD * np.eye(known.mean.size)))

@@ -1,0 +1,166 @@
+"""The excitation of a model whose structure is stated: levels and noise that make its prediction of a recording most probable."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import get_args
+
+import numpy as np
+from scipy.optimize import minimize
+
+from monitor.corrected import smoothed
+from monitor.driven import Between
+from monitor.effects import Condition, Context
+from monitor.evidence import Evidence
+from monitor.exact import exact, forces, offset
+from monitor.likelihood import Problem
+from monitor.model import Model
+from monitor.motion import conditions
+from monitor.reference import Reference, nominal
+from monitor.results import Array, ComplexArray
+
+_FORCE_STD, _LEVEL_STD = 1.0, 5.0
+"""Prior of the logarithms of the floors' forces about one level, of the classes' levels and of the noise."""
+_SIMULATIONS = 2
+"""Of exact laws."""
+_NUDGE = 1e-5
+"""Finite difference of those logarithms."""
+_WORST = 1e30
+"""Stands for no likelihood at all."""
+_FORCED = 1e-3
+"""With the ground measured: power that forces cause, as a share of what is seen, where the model is all wrong."""
+
+
+def excited(evidence: Evidence, model: Model, context: Context, reference_degc: float | None) -> tuple[Problem, Array]:
+    """The model's problem with levels and noise fitted, everything else as it is stated.
+
+    Laws that depend on the level are made linear at the motion that the model itself shows, hence the repetition; what that
+    leaves out is simulated.
+    """
+    n, c = context.structure.n_dofs, len(context.channels)
+    stories = context.structure.n_stories
+    known = replace(nominal(model, np.ones(stories + n), c), reference_degc=reference_degc)
+    first = known.mean.size - known.n_standing
+    plain = replace(known, model=replace(model, effects=()), mean=known.mean[:first])
+    unknown = Condition(np.ones(stories), np.ones(stories), np.ones(n), np.ones(c))
+    problem = Problem(evidence, plain, context, (unknown,) * evidence.counts.size)
+    problem = _as_moved(problem, known)
+    x = _fit_levels(problem, _first_guess(problem))
+    for _ in range(2 if model.effects else 0):
+        excitation = x[problem.reference.mean.size :]
+        problem = replace(problem, conditions=conditions(problem, x, ()), reference=known)
+        x = _fit_levels(problem, np.concatenate([known.mean, excitation]))
+    if evidence.drive is None and any(e.nonlinear for e in model.effects):
+        exactly = replace(problem, offset=_beyond_linear(problem, x))
+        if np.isfinite(exactly.score(x, ())[0]):  # a law far too strong moves too differently to be corrected
+            problem, x = exactly, _fit_levels(exactly, x)
+    return problem, x
+
+
+def _beyond_linear(problem: Problem, x: Array) -> ComplexArray:
+    """What the exact laws add to the linearized spectra."""
+    made = []
+    for seed in range(_SIMULATIONS):
+        acting = forces(problem, x, (), seed)
+        made.append(offset(problem, x, (), acting, exact(problem, x, (), acting)))
+    return smoothed(problem, x, np.mean(made, axis=0))
+
+
+def _as_moved(problem: Problem, known: Reference) -> Problem:
+    """With the motion of a measured ground between its samples that leaves the least of the floors' unexplained."""
+    drive = problem.evidence.drive
+    if drive is None:
+        return problem
+    whole = replace(problem, reference=known)
+    x = np.concatenate([known.mean, np.zeros(whole.n_nuisance - known.mean.size)])
+
+    def moved(between: Between) -> Problem:
+        return replace(whole, evidence=replace(whole.evidence, drive=replace(drive, between=between)))
+
+    def left(between: Between) -> float:
+        mean = moved(between).mean(x, ())
+        assert mean is not None
+        rest = whole.evidence.segments.values - mean
+        return float(np.log((np.abs(rest) ** 2).mean(axis=0)).sum())
+
+    return replace(problem, evidence=moved(min(get_args(Between), key=left)).evidence)
+
+
+def _first_guess(problem: Problem) -> Array:
+    """Levels from the medians over frequency of the channels' power, noise from its least."""
+    e, c = problem.evidence, len(problem.context.channels)
+    power = np.einsum("kfaa->kfa", e.spectra[:, :, :c, :c]).real
+    noise = np.log(max(0.3 * float(np.quantile(power.mean(axis=(0, 2)), 0.02)), 1e-300))
+    levels = np.zeros(problem.context.structure.n_dofs + problem.n_classes)
+    x = np.concatenate([problem.reference.mean, levels, [noise - 10.0]])
+    predicted = np.einsum("kfaa->kfa", problem.scatter(x, ())[:, :, :c, :c]).real
+    level = np.log(np.median(power / predicted, axis=(1, 2)))
+    x[-1] = noise
+    if e.power is None:
+        x[-problem.n_classes - 1 : -1] = level
+    else:  # the level is the model's own error; what forces move beside the ground goes with it
+        p = problem.reference.mean.size
+        x[p:-1] = np.r_[np.full(problem.context.structure.n_dofs, level.mean()), np.zeros(problem.n_classes)]
+        x[p : -problem.n_classes - 1] += np.log(_FORCED)
+    return x
+
+
+def _fit_driven(problem: Problem, x: Array) -> Array:
+    """Most probable level of the forces, of the model's own error in every class, and noise, the rest of `x` kept.
+
+    The forces stand for what the response lacks at its resonances, the error for what it lacks everywhere.
+    """
+    p, k = problem.reference.mean.size, problem.n_classes
+    n = problem.context.structure.n_dofs
+    moving = np.zeros((k + 2, x.size))
+    moving[0, p : p + n] = 1.0
+    moving[1:, p + n :] = np.eye(k + 1)
+    data = problem.predict(x, ()).data  # levels move no mean
+
+    def cost(by: Array) -> float:
+        value = -problem.log_likelihood(problem.scatter(x + by @ moving, ()), data)
+        return min(value + 0.5 * float(by @ by) / _LEVEL_STD**2, _WORST)
+
+    return np.asarray(x + minimize(cost, np.zeros(k + 2), method="Powell", options={"xtol": 1e-3}).x @ moving)
+
+
+def _fit_levels(problem: Problem, x: Array, iterations: int = 40) -> Array:
+    """Most probable forces, levels of the classes and noise, the rest of `x` kept: Fisher scoring, Levenberg-Marquardt steps.
+
+    How strongly each floor is shaken belongs to the recording as its level does; were it held equal, a wrong structure that
+    makes up for it would score best.
+    """
+    if problem.evidence.drive is not None:
+        return _fit_driven(problem, x)
+    p, n, k, damping = problem.reference.mean.size, problem.context.structure.n_dofs, problem.n_classes, 1e-3
+    first, data = x[p:].copy(), problem.predict(x, ()).data  # levels move no mean
+    precision = np.r_[np.full(n, _FORCE_STD), np.full(k + 1, _LEVEL_STD)] ** -2.0
+
+    def moved(by: Array) -> tuple[Array, ComplexArray, float]:
+        at = np.r_[x[:p], x[p:] + by]
+        spectra = problem.scatter(at, ())
+        return at, spectra, problem.log_likelihood(spectra, data) - 0.5 * float(precision @ (at[p:] - first) ** 2)
+
+    x, spectra, value = moved(np.zeros(first.size))
+    for _ in range(iterations):
+        slopes = np.zeros((first.size, *spectra.shape), dtype=complex)
+        for i in (*range(n), first.size - 1):
+            slopes[i] = (moved(_NUDGE * np.eye(first.size)[i])[1] - spectra) / _NUDGE
+        every = (moved(_NUDGE * np.r_[np.zeros(n), np.ones(k), 0.0])[1] - spectra) / _NUDGE
+        slopes[n + np.arange(k), np.arange(k)] = every  # a class's level moves its spectra alone
+        rows, residual = problem.whitened(spectra, slopes, data)
+        normal = rows.T @ rows + np.diag(precision)
+        gradient = rows.T @ residual - precision * (x[p:] - first)
+        for _ in range(8):
+            step = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), gradient)
+            there, its_spectra, its_value = moved(np.clip(step, -2.0, 2.0))
+            if its_value >= value:
+                break
+            damping = max(10.0 * damping, 1e-2)
+        else:
+            break
+        gained = its_value - value
+        x, spectra, value, damping = there, its_spectra, its_value, 0.1 * damping
+        if gained < 1e-3:
+            break
+    return x
