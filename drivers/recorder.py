@@ -235,10 +235,14 @@ def recorded(folder: Path, after_ns: int) -> Iterator[tuple[int, SampleBlock]]:
     paths = _names(folder)
     later = [_begun_ns(path) for path in paths[1:]]
     for stamp_ns, (topic, data) in _messages(
-        [p for p, end in zip(paths, [*later, _MAX_INT], strict=True) if end > after_ns]
+        [p for p, end in zip(paths, [*later, _MAX_INT], strict=False) if end > after_ns]
     ):
-        if stamp_ns > after_ns:
+        if stamp_ns <= after_ns:
+            continue
+        try:
             yield stamp_ns, codec.decode(data, topic)
+        except ValueError as error:
+            _log.warning("recorded at %d ns: %s; left out", stamp_ns, error)
 
 
 def _messages(paths: Sequence[Path]) -> Iterator[tuple[int, tuple[str, bytes]]]:

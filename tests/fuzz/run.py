@@ -1,0 +1,87 @@
+"""A million messages over every way in, guided by coverage.
+
+    pip install atheris
+    python -m tests.fuzz.run [--runs 1000000] [TARGET ...]
+
+Each target runs in a process of its own: what crashes, takes longer than 10 s or more than 2 GB is kept in ``fuzz-faults/``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from tests.fuzz.targets import TARGETS, quiet
+
+
+def one(name: str, runs: int, seed: int) -> None:
+    """Run one target in this process; does not return."""
+    import atheris
+
+    with atheris.instrument_imports(include=["drivers", "monitor"]):
+        for module in [m for m in sys.modules if m.split(".")[0] in ("drivers", "monitor")]:
+            del sys.modules[module]
+        del sys.modules["tests.fuzz.targets"]
+        from tests.fuzz import targets
+    quiet()
+    target = targets.TARGETS[name]
+    with tempfile.TemporaryDirectory() as corpus:
+        for k, data in enumerate(target.seeds()):
+            (Path(corpus) / f"seed-{k}").write_bytes(data)
+        limits = [f"-runs={runs}", f"-seed={seed}", "-timeout=10", "-rss_limit_mb=2048", "-max_len=20000"]
+        Path("fuzz-faults").mkdir(exist_ok=True)
+        said = ["-print_final_stats=1", "-verbosity=0", f"-artifact_prefix=fuzz-faults/{name}-"]
+        atheris.Setup([sys.argv[0], *limits, *said, corpus], target.run)
+        atheris.Fuzz()
+
+
+def main() -> None:
+    """Each target in turn, and a table of what came of it."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("targets", nargs="*")
+    parser.add_argument("--runs", type=int, default=1_000_000)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--one", action="store_true")
+    asked = parser.parse_args()
+    if asked.one:
+        one(asked.targets[0], asked.runs, asked.seed)
+    print("target         messages   time, s   peak, MB   outcome", flush=True)
+    failed = False
+    for name in asked.targets or TARGETS:
+        runs, begun = round(asked.runs * TARGETS[name].share), time.monotonic()
+        command = [
+            sys.executable,
+            "-m",
+            "tests.fuzz.run",
+            "--one",
+            "--runs",
+            str(runs),
+            "--seed",
+            str(asked.seed),
+            name,
+        ]
+        done = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
+        seconds = time.monotonic() - begun
+        said = dict(
+            row.removeprefix("stat::").split(":", 1) for row in done.stderr.splitlines() if row.startswith("stat::")
+        )
+        count = said.get("number_of_executed_units", "?").strip()
+        peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss // 1024
+        peak = int(said.get("peak_rss_mb", str(peak)))
+        print(
+            f"{name:<14} {count:>8}   {seconds:7.1f}   {peak:8}   {'ok' if done.returncode == 0 else 'FAULT'}",
+            flush=True,
+        )
+        if done.returncode:
+            failed = True
+            print(done.stderr[-3000:], flush=True)
+    raise SystemExit(failed)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,81 @@
+"""A seeded sample of hostile input to every way in: refused as promised, never a crash.  The whole run is `tests.fuzz.run`."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterator
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from tests.fuzz.targets import TARGETS
+
+_TOKENS = (
+    b"\xff" * 8,
+    b"\0" * 8,
+    b"-1",
+    b"1e999",
+    b"NaN",
+    b"null",
+    b"[" * 200,
+    b'"',
+    b"\n",
+    b"\x80",
+    b"9" * 400,
+    b"<",
+    b">",
+)
+
+
+@pytest.fixture(autouse=True)
+def _quiet(caplog: pytest.LogCaptureFixture) -> Iterator[None]:
+    with caplog.at_level("CRITICAL"):
+        yield
+
+
+def mutated(data: bytes, seeds: list[bytes], draw: random.Random) -> bytes:
+    """A few changes: bits, bytes, numbers, pieces cut, doubled, moved and taken from elsewhere."""
+    bad = bytearray(data)
+    for _ in range(draw.choice([1, 1, 2, 4, 16])):
+        at, size = draw.randrange(len(bad) + 1), draw.choice([1, 2, 4, 8, 64, 1000])
+        match draw.randrange(7):
+            case 0 if at < len(bad):
+                bad[at] ^= 1 << draw.randrange(8)
+            case 1:
+                bad[at : at + size] = draw.randbytes(size)
+            case 2:
+                del bad[at : at + size]
+            case 3:
+                bad[at:at] = bad[at : at + size]
+            case 4:
+                bad[at:at] = draw.choice(_TOKENS)
+            case 5:
+                other = draw.choice(seeds)
+                begin = draw.randrange(len(other) + 1)
+                bad[at : at + size] = other[begin : begin + size]
+            case _:
+                bad = bad[:at]
+    return bytes(bad[:20_000])
+
+
+@pytest.mark.parametrize("name", TARGETS)
+def test_mutations_of_what_is_right(name: str) -> None:
+    target, draw = TARGETS[name], random.Random(name)
+    seeds = target.seeds()
+    for data in (*seeds, b"", b"\n", b"{}", b"[]"):
+        target.run(data)
+    for _ in range(max(40, round(3000 * target.share))):
+        target.run(mutated(draw.choice(seeds), seeds, draw))
+
+
+@pytest.mark.parametrize("name", TARGETS)
+def test_anything_at_all(name: str) -> None:
+    target = TARGETS[name]
+
+    @settings(max_examples=25, deadline=None, derandomize=True, database=None, suppress_health_check=list(HealthCheck))
+    @given(st.one_of(st.binary(max_size=3000), st.text(max_size=500).map(str.encode)))
+    def run(data: bytes) -> None:
+        target.run(data)
+
+    run()
