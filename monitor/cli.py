@@ -12,6 +12,7 @@ import typer
 from threadpoolctl import threadpool_limits
 
 from monitor import __version__, cli_diagnose, cli_emulate, cli_fleet, cli_reprocess, cli_run, config, outlets
+from monitor.allocator import keep_freed
 from monitor.cli_common import Recordings, Structure, address, progress, warn
 from monitor.errors import BadConfigurationError, UserError
 from monitor.files import demand_place, spare_inputs, write_atomically
@@ -238,6 +239,7 @@ def _main(version: Annotated[bool, typer.Option("--version", help="Print the ver
 def main() -> None:
     """Entry point: user errors become one message and the contract's exit code."""
     logging.basicConfig(format="%(levelname)s %(name)s: %(message)s", level=logging.WARNING)
+    keep_freed()
     try:
         # Small matrices: threads of the linear algebra only get in each other's way.
         with threadpool_limits(limits=1):
