@@ -5,6 +5,8 @@ The message type is built here rather than generated, so that a checkout needs n
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -91,6 +93,49 @@ def decode(data: bytes, topic: str) -> SampleBlock:
         message.unit,
         np.frombuffer(samples, _FLOAT32).reshape(-1, len(channels)),
     )
+
+
+def decode_joined(messages: Iterable[bytes], topic: str, longest_s: float) -> list[SampleBlock]:
+    """Consecutive blocks, those that go on where the one before ends joined up to `longest_s`.
+
+    Raises
+    ------
+    ValueError
+        If a message is no SampleBlock, contradicts itself, or begins before the one before it.
+    """
+    joined: list[SampleBlock] = []
+    first, parts, n, last_ns = None, [], 0, -1
+    for data in messages:
+        message = _parsed(data)
+        samples, t_ns = message.samples, _time_ns(message)
+        if t_ns < last_ns:
+            raise ValueError("blocks out of order")
+        last_ns = t_ns
+        rows = 0 if first is None else len(samples) // (4 * len(first.channels))
+        if (
+            first is not None
+            and message.sequence == first.sequence + n
+            and message.sample_rate_hz == first.sample_rate_hz
+            and n + rows <= longest_s * first.sample_rate_hz
+            and abs(t_ns - first.t_ns - round(n / first.sample_rate_hz * 1e9)) <= 1
+            and len(samples) == 4 * rows * len(first.channels)
+            and message.unit == first.unit
+            and tuple(message.channels) == first.channels
+        ):
+            parts.append(samples)
+            n += rows
+            continue
+        if first is not None:
+            joined.append(_with(first, parts))
+        first, parts = decode(data, topic), [samples]
+        n = first.n_samples
+    return joined if first is None else [*joined, _with(first, parts)]
+
+
+def _with(block: SampleBlock, parts: list[bytes]) -> SampleBlock:
+    if len(parts) == 1:
+        return block
+    return replace(block, samples=np.frombuffer(b"".join(parts), _FLOAT32).reshape(-1, len(block.channels)))
 
 
 def time_ns(data: bytes) -> int:

@@ -16,6 +16,7 @@ from drivers.base import ACCELERATION, GROUND, TEMPERATURE, RecordingError, Samp
 from drivers.mcap_index import read_index
 from drivers.mcap_records import McapFile, Message, Segment
 from drivers.mcap_writer import AS_ARRIVED, LIBRARY, ORDER, McapWriter
+from drivers.merged import merged
 from drivers.ros2_imu import IMU_SCHEMAS, ImuJoiner, ImuSample, decode_imu, split_target
 
 __all__ = ["McapWriter", "RecordingInfo", "read_recordings", "recording_info", "scan_messages"]
@@ -47,6 +48,7 @@ def read_recordings(
     *,
     topic_map: Mapping[str, str] | None = None,
     on_warning: OnWarning = lambda _: None,
+    longest_s: float = 0.0,
 ) -> Iterator[SampleBlock]:
     """Blocks of all files in the order of their times; those of live records in the order in which they arrived.
 
@@ -61,6 +63,8 @@ def read_recordings(
         Topic of ROS 2 `sensor_msgs/msg/Imu` -> channel name, with axis if it is not x: "a1" or "a1.z".
     on_warning
         Called once for each file that ends early.
+    longest_s
+        Blocks of `/acceleration` that go on where the one before ends are joined to blocks of at most this length.
 
     Raises
     ------
@@ -81,7 +85,8 @@ def read_recordings(
         names = ", ".join(str(survey.file.path) for survey in surveys)
         absent = ", ".join(sorted(topic_map.keys() - seen)) or ACCELERATION
         raise RecordingError(f"{names}: no messages of {absent}; the topics are {', '.join(sorted(seen))}")
-    return _joined(surveys, topic_map)
+    blocks = _joined(surveys, topic_map, longest_s)
+    return merged(blocks, longest_s) if longest_s else blocks
 
 
 def recording_info(path: Path, *, topic_map: Mapping[str, str] | None = None) -> RecordingInfo:
@@ -151,7 +156,29 @@ class _Survey:
 
     def load(self, segment: Segment) -> list[tuple[int, _Item]]:
         """The wanted messages of a segment, each with the time that orders it."""
-        return list(self._each(self.file.load(segment), self._decode))
+        return self.decoded(self.file.load(segment))
+
+    def decoded(self, messages: list[Message]) -> list[tuple[int, _Item]]:
+        """The wanted ones of some messages, each with the time that orders it."""
+        return list(self._each(messages, self._decode))
+
+    def load_joined(self, messages: list[Message], longest_s: float) -> list[SampleBlock] | None:
+        """A segment's messages where all that are wanted are `/acceleration` of one channel and in order; else None."""
+        wanted = {m.channel_id for m in messages if self._wanted(self.file.channels[m.channel_id])}
+        if len(wanted) != 1:
+            return None
+        (number,) = wanted
+        channel = self.file.channels[number]
+        if channel.topic != ACCELERATION or channel.topic in self._axes or ORDER in channel.metadata:
+            return None
+        try:
+            data = [m.data for m in messages if m.channel_id == number]
+            blocks = codec.decode_joined(data, channel.topic, longest_s)
+            for block in blocks:
+                _demand_sane(block)
+        except ValueError:  # one by one, they tell where
+            return None
+        return blocks
 
     def _each(self, messages: list[Message], read: Callable[[Message, Channel], _Read]) -> Iterator[_Read]:
         """What `read` makes of each wanted message."""
@@ -198,11 +225,7 @@ class _Survey:
             sample = decode_imu(message.data, topic, self._axes[topic])
             return sample.t_ns, sample
         block = codec.decode(message.data, topic)
-        # Only damage or a foreign writer gives these; later arithmetic is in 64-bit integers.
-        if not (0 <= block.t_ns < _MAX_INT and block.sequence < _MAX_INT and 1e-3 <= block.sample_rate_hz <= 1e7):
-            raise ValueError(f"time {block.t_ns} ns, sequence {block.sequence} or {block.sample_rate_hz} Hz is absurd")
-        if block.unit != _UNIT_OF.get(topic, block.unit):
-            raise ValueError(f"unit {block.unit!r} where {_UNIT_OF[topic]!r} is needed")
+        _demand_sane(block)
         return message.log_time if channel.metadata.get(ORDER) == AS_ARRIVED else block.t_ns, block
 
     def _foreign(self) -> str:
@@ -218,7 +241,15 @@ class _Survey:
         )
 
 
-def _merged(surveys: list[_Survey]) -> Iterator[_Item]:
+def _demand_sane(block: SampleBlock) -> None:
+    """Raise ValueError where only damage or a foreign writer can be behind it; later arithmetic is in 64-bit integers."""
+    if not (0 <= block.t_ns < _MAX_INT and block.sequence < _MAX_INT and 1e-3 <= block.sample_rate_hz <= 1e7):
+        raise ValueError(f"time {block.t_ns} ns, sequence {block.sequence} or {block.sample_rate_hz} Hz is absurd")
+    if block.unit != _UNIT_OF.get(block.topic, block.unit):
+        raise ValueError(f"unit {block.unit!r} where {_UNIT_OF[block.topic]!r} is needed")
+
+
+def _merged(surveys: list[_Survey], longest_s: float) -> Iterator[_Item]:
     pool = [(start, number, segment) for number, survey in enumerate(surveys) for start, segment in survey.segments]
     pool.sort()
     heap: list[tuple[int, int, int, _Item]] = []
@@ -227,7 +258,12 @@ def _merged(surveys: list[_Survey]) -> Iterator[_Item]:
     for following, (start, number, segment) in zip([*starts[1:], inf], pool, strict=True):
         while heap and heap[0][0] < start:
             yield heapq.heappop(heap)[-1]
-        items = surveys[number].load(segment)
+        messages = surveys[number].file.load(segment)
+        joined = surveys[number].load_joined(messages, longest_s) if longest_s and not heap else None
+        if joined is not None and _last_ns(joined[-1]) < following:
+            yield from joined
+            continue
+        items = surveys[number].decoded(messages)
         times = [t_ns for t_ns, _ in items]
         if not heap and times == sorted(times) and (not times or times[-1] < following):
             yield from (item for _, item in items)
@@ -239,9 +275,14 @@ def _merged(surveys: list[_Survey]) -> Iterator[_Item]:
         yield heapq.heappop(heap)[-1]
 
 
-def _joined(surveys: list[_Survey], topic_map: Mapping[str, str]) -> Iterator[SampleBlock]:
+def _last_ns(block: SampleBlock) -> int:
+    """Time of the last sample: no small block inside a joined one begins later."""
+    return block.t_ns + round((block.n_samples - 1) / block.sample_rate_hz * 1e9)
+
+
+def _joined(surveys: list[_Survey], topic_map: Mapping[str, str], longest_s: float) -> Iterator[SampleBlock]:
     joiner = ImuJoiner(topic_map, ", ".join(str(survey.file.path) for survey in surveys)) if topic_map else None
-    for item in _merged(surveys):
+    for item in _merged(surveys, longest_s):
         if isinstance(item, SampleBlock):
             yield item
         elif joiner:

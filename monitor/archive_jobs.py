@@ -14,6 +14,7 @@ from threadpoolctl import threadpool_limits
 from drivers.base import ACCELERATION, RecordingError
 from drivers.mcap_file import recording_info
 from monitor import config
+from monitor.allocator import keep_freed
 from monitor.archive import Survey
 from monitor.baseline import load
 from monitor.errors import UserError
@@ -103,6 +104,7 @@ def survey(item: tuple[Path, dict[str, str]]) -> Survey | str:
 def replayed(task: Task) -> Outcome:
     """One run through the pipeline."""
     outcome = Outcome(task.name, task.paths)
+    keep_freed()
     try:
         with threadpool_limits(limits=1):
             _replay(task, outcome.warnings)

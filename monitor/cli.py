@@ -25,6 +25,7 @@ from monitor import (
     exposure,
     outlets,
 )
+from monitor.allocator import keep_freed
 from monitor.cli_common import Json, Recordings, Structure, address, progress, say, warn
 from monitor.errors import BadConfigurationError, UserError
 from monitor.files import demand_place, spare_inputs, write_atomically
@@ -283,6 +284,7 @@ def _main(version: Annotated[bool, typer.Option("--version", help="Print the ver
 def main() -> None:
     """Entry point: user errors become one message and the contract's exit code."""
     logging.basicConfig(format="%(levelname)s %(name)s: %(message)s", level=logging.WARNING)
+    keep_freed()
     try:
         # Small matrices: threads of the linear algebra only get in each other's way.
         with threadpool_limits(limits=1):

@@ -8,7 +8,6 @@ from typing import Protocol
 
 from drivers.base import ACCELERATION, RecordingError, RecordingMissingError, SampleBlock
 from drivers.mcap_file import read_recordings
-from drivers.merged import merged
 from monitor.config import Configuration
 from monitor.errors import BadInputError, MissingInputError
 from monitor.pipeline import Pipeline, Result
@@ -30,7 +29,7 @@ def blocks(
     MissingInputError, BadInputError
     """
     try:
-        yield from merged(read_recordings(paths, topic_map=config.topics or None, on_warning=on_warning), longest_s)
+        yield from read_recordings(paths, topic_map=config.topics or None, on_warning=on_warning, longest_s=longest_s)
     except RecordingMissingError as error:
         raise MissingInputError(str(error)) from error
     except RecordingError as error:

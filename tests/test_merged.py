@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.base import TEMPERATURE, SampleBlock
+from drivers.mcap_file import McapWriter, read_recordings
 from drivers.merged import merged
 from tests.conftest import T0_NS, Cut
 
@@ -51,3 +53,24 @@ def test_order_against_other_topics_stays(cut: Cut) -> None:
 def test_large_blocks_pass_untouched(cut: Cut) -> None:
     blocks = small(cut)
     assert all(a is b for a, b in zip(merged(blocks, 0.0), blocks, strict=True))
+
+
+def test_recordings_are_joined_as_their_blocks_would_be(cut: Cut, tmp_path: Path) -> None:
+    """Whatever lies in a chunk, a file or beside it: the same samples in the same order against all else."""
+    rng = np.random.default_rng(2)
+    blocks = cut(rng.standard_normal((120_000, 3)), 1000.0, [100])
+    warm = [replace(b, topic=TEMPERATURE, unit="degC", samples=b.samples[:1]) for b in blocks[700:900:10]]
+    for name, part in (("a", blocks[:500]), ("b", [*blocks[500:], *warm])):
+        with McapWriter(tmp_path / f"{name}.mcap") as writer:
+            for block in sorted(part, key=lambda b: (b.t_ns, b.topic)):
+                writer.write(block)
+    files = [tmp_path / "b.mcap", tmp_path / "a.mcap"]
+    single = list(read_recordings(files))
+    joined = list(read_recordings(files, longest_s=10.0))
+    assert len(joined) < len(single) / 3
+
+    def laid_out(found: list[SampleBlock]) -> list[tuple[str, int, bytes]]:
+        """Sample by sample, with its topic."""
+        return [(b.topic, b.sequence + i, row.tobytes()) for b in found for i, row in enumerate(b.samples)]
+
+    assert laid_out(joined) == laid_out(single)
