@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -12,7 +11,7 @@ import typer
 from pydantic import ValidationError
 
 from monitor import config
-from monitor.cli_common import warn
+from monitor.cli_common import Json, say, warn
 from monitor.config import Configuration
 from monitor.errors import BadConfigurationError, MissingInputError, WrongUsageError
 
@@ -22,7 +21,7 @@ _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 def status(
     place: Annotated[Path, typer.Argument(metavar="SITE.toml|DIR", help="Site file, or the daemon's output folder.")],
-    as_json: Annotated[bool, typer.Option("--json", help="Everything, as one JSON object.")] = False,
+    as_json: Json = False,
 ) -> None:
     """What a daemon does, in ten lines.
 
@@ -32,7 +31,7 @@ def status(
     from monitor import status as reader
 
     found = reader.look(_folder(place))
-    print(json.dumps(found, allow_nan=False) if as_json else reader.tell(found))
+    say(reader.tell(found), found, as_json)
     raise typer.Exit(found["exit_code"])
 
 
@@ -48,6 +47,7 @@ def ack(
     reset: Annotated[
         bool, typer.Option("--reset", help="Release a latched alarm that is over and acknowledged.")
     ] = False,
+    as_json: Json = False,
 ) -> None:
     """Acknowledge the alarm of a story, or shelve or reset it.
 
@@ -70,9 +70,12 @@ def ack(
             f"{'.'.join(map(str, p['loc']))} {p['msg'].removeprefix('Value error, ')}".strip() for p in error.errors()
         )
         raise WrongUsageError(said) from error
-    if settings.output.zenoh is not None and _over_zenoh(file, settings, request.model_dump_json()):
-        return
-    _by_file(file.resolve().parent / settings.output.dir, request)
+    applied, said = None, ""
+    if settings.output.zenoh is not None:
+        said = _over_zenoh(file, settings, request.model_dump_json())
+    if not said:
+        applied, said = _by_file(file.resolve().parent / settings.output.dir, request)
+    say(said, {"applied": applied, "says": said}, as_json)
 
 
 def export(
@@ -83,13 +86,14 @@ def export(
     ] = "windows",
     begin: Annotated[str | None, typer.Option("--from", metavar="TIME", help="ISO 8601, UTC; included.")] = None,
     end: Annotated[str | None, typer.Option("--to", metavar="TIME", help="ISO 8601, UTC; not included.")] = None,
+    as_json: Json = False,
 ) -> None:
     """The history as a table: SI units, times in UTC as ns since 1970; a running daemon is not disturbed."""
     from monitor import export as writer
 
     span = _ns("--from", begin, 0), _ns("--to", end, (1 << 63) - 1)
     rows = writer.export(_folder(place) / "state" / "history.db", table, out, span)
-    print(f"{rows} rows of {table} in {out}")
+    say(f"{rows} rows of {table} in {out}", {"rows": rows, "table": table, "out": str(out)}, as_json)
 
 
 def _ns(option: str, text: str | None, default: int) -> int:
@@ -107,8 +111,8 @@ def _folder(place: Path) -> Path:
     return place if place.is_dir() else place.resolve().parent / config.load(place).output.dir
 
 
-def _over_zenoh(file: Path, settings: Configuration, request: str) -> bool:
-    """Whether it was accepted; if nobody answers, the folder is the way.
+def _over_zenoh(file: Path, settings: Configuration, request: str) -> str:
+    """What came of it; nothing if nobody answers, then the folder is the way.
 
     Raises
     ------
@@ -126,17 +130,17 @@ def _over_zenoh(file: Path, settings: Configuration, request: str) -> bool:
         answer = ask(joining, file.resolve().parent, key_prefix(settings.site_name, joining), request, _WAIT_S)
     except SourceError as error:
         warn(f"{error}; leaving the request in the daemon's folder")
-        return False
+        return ""
     if answer is None:
         warn("nobody answers over Zenoh; leaving the request in the daemon's folder")
-        return False
+        return ""
     if not answer.get("accepted"):
         raise WrongUsageError(f"refused: {answer.get('reason')}")
-    print("accepted; it is applied with the next data")
-    return True
+    return "accepted; it is applied with the next data"
 
 
-def _by_file(out: Path, request: object) -> None:
+def _by_file(out: Path, request: object) -> tuple[bool, str]:
+    """Whether it was applied yet, and that in words."""
     from monitor import status as reader
     from monitor.publish import inbox
     from monitor.publish.requests import Request
@@ -150,8 +154,7 @@ def _by_file(out: Path, request: object) -> None:
     while place.exists() and reader.running(out) and time.monotonic() < deadline:
         time.sleep(0.1)
     if not place.exists():
-        print("applied, and noted in ledger.jsonl")
-    elif reader.running(out):
-        print("left for the daemon; it is applied with the next data")
-    else:
-        print("the daemon does not run; it is applied with the first data of its next run")
+        return True, "applied, and noted in ledger.jsonl"
+    if reader.running(out):
+        return False, "left for the daemon; it is applied with the next data"
+    return False, "the daemon does not run; it is applied with the first data of its next run"

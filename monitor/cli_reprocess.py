@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from monitor.cli_common import Structure, warn
+from monitor.cli_common import Json, Structure, say, warn
 from monitor.errors import BadInputError
 
 
@@ -32,6 +32,7 @@ def reprocess(
         typer.Option(metavar="ADDRESS", help="Dask scheduler, as tcp://127.0.0.1:8786; local processes without."),
     ] = None,
     workers: Annotated[int | None, typer.Option(min=1, help="Local processes; one a core by default.")] = None,
+    as_json: Json = False,
 ) -> None:
     """Replay an archive on many processes: a Parquet dataset of all windows in DIR/windows.
 
@@ -56,8 +57,9 @@ def reprocess(
         for message in outcome.warnings:
             warn(message)
     made, there = (sum(o.error is None and o.made is made for o in outcomes) for made in (True, False))
-    print(f"{made} done, {there} done before; windows in {out / WINDOWS}")
     errors = [o.error for o in outcomes if o.error is not None]
+    text = f"{made} done, {there} done before; windows in {out / WINDOWS}"
+    say(text, {"done": made, "done_before": there, "failed": len(errors), "windows": str(out / WINDOWS)}, as_json)
     if errors:
         raise BadInputError("\n".join([f"{len(errors)} could not be done", *errors]))
 

@@ -120,8 +120,7 @@ class Daemon(Publisher):
             self.reader.start()
             self._loop()
             if self.reader.ended:
-                for finding in self.session.watcher.finish(lambda: self._stopping):
-                    self.finding(finding)
+                self.session.finish(lambda: self._stopping)
                 self._keeper.forget()
             else:
                 self._keeper.save(self.session)
@@ -158,6 +157,8 @@ class Daemon(Publisher):
         """Write and send it with the rest that there is to say."""
         if health is not None:
             self._history.health(asdict(health))
+            if self._view is not None:
+                self._view.clocks(health.t_end_ns, self.reader.source.health().clocks)
         if self._keeper.resuming:
             return
         self._health_s = time.monotonic()

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import copy
-import json
-from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -13,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from drivers.base import SampleBlock
-from monitor import watch
 from monitor.alarm import AlarmState
 from monitor.baseline import Baseline
 from monitor.config import Configuration
@@ -24,10 +21,7 @@ from monitor.publish.rerun_scene import Scene
 from monitor.publish.rerun_view import RerunPublisher
 from monitor.publish.summary import Episode, Quality, Summary
 from monitor.results import Gap, Samples, WindowResult
-from monitor.worker import Diagnoser, Recent
-
-_MOST_FINDINGS = 1000
-_FINDING_KEYS = ("id", "t_ns", "from_ns", "reason", "verdict", "says", "causes")
+from monitor.watcher import FINDING_KEYS, Watcher, WatcherState
 
 
 class Publisher:
@@ -74,18 +68,6 @@ class View(Publisher):
     def finding(self, finding: dict[str, Any]) -> None:
         """Show what it says."""
         self.view.finding(finding)
-
-
-@dataclass(frozen=True, slots=True)
-class WatcherState:
-    """Diagnoses: which episode is watched, what is known, and what is still to be made."""
-
-    episode: watch.WatchState
-    t_ns: int
-    found: tuple[str, ...]
-    """Findings, each as JSON."""
-    pending: tuple[watch.Request, ...]
-    asked: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,12 +155,14 @@ class Session:
         """
         results = self.pipeline.push(block)
         accepted(results)
-        for finding in self.watcher.saw(block):
-            for publisher in self._publishers:
-                publisher.finding(finding)
+        self._tell(self.watcher.saw(block))
         for result in results:
             self._publish(result)
         return results
+
+    def finish(self, stop: Callable[[], bool] = lambda: False) -> None:
+        """Wait for the last findings, unless `stop` says otherwise, and publish them."""
+        self._tell(self.watcher.finish(stop))
 
     def alter_alarm(self, change: Callable[[AlarmState], AlarmState]) -> None:
         """Apply an operator's wish (`monitor.alarm`: acknowledge, shelve, reset)."""
@@ -205,10 +189,15 @@ class Session:
             alarm["verdict"] = next(told, None) or None
         return {
             **summary,
-            "findings": [{key: f[key] for key in _FINDING_KEYS} for f in findings],
+            "findings": [{key: f[key] for key in FINDING_KEYS} for f in findings],
             "quality": self._quality.content(),
             "thresholds": self.config.alarm.model_dump(include={"significance", "min_loss", "alarm_loss"}),
         }
+
+    def _tell(self, findings: Iterable[dict[str, Any]]) -> None:
+        for finding in findings:
+            for publisher in self._publishers:
+                publisher.finding(finding)
 
     def _publish(self, result: Result) -> None:
         if isinstance(result, Samples):
@@ -228,71 +217,6 @@ class Session:
             for publisher in self._publishers:
                 publisher.window(result, line)
             self.watcher.window(result)
-
-
-class Watcher:
-    """Asks for a diagnosis where the results call for one."""
-
-    def __init__(self, config: Configuration, files: tuple[Path, Path | None] | None, folder: Path) -> None:
-        self.settings, self._window_s = config.watch, config.processing.window_s
-        self.longest_s = max(self.settings.longest_s, 2.0 * self._window_s)
-        """Length of data that a diagnosis may be given."""
-        self._recent = Recent(self.longest_s)
-        self._state, self._t_ns = watch.WatchState(), 0
-        self.found: deque[dict[str, Any]] = deque(maxlen=_MOST_FINDINGS)
-        """The latest findings."""
-        self._diagnoser = Diagnoser(*files, folder, self.settings.time_limit_s) if files is not None else None
-
-    @property
-    def state(self) -> WatcherState:
-        """What to restore; blocks are to be remembered again besides."""
-        found = tuple(json.dumps({key: f[key] for key in _FINDING_KEYS}) for f in self.found)
-        pending, asked = ((), 0) if self._diagnoser is None else (self._diagnoser.pending, self._diagnoser.asked)
-        return WatcherState(self._state, self._t_ns, found, pending, asked)
-
-    def restore(self, state: WatcherState) -> None:
-        """Go on from there; what was being diagnosed is asked for anew, of the blocks remembered."""
-        self._state, self._t_ns = state.episode, state.t_ns
-        self.found.extend(json.loads(text) for text in state.found)
-        if self._diagnoser is not None:
-            self._diagnoser.asked = state.asked - len(state.pending)
-            for request in state.pending:
-                self._ask(request)
-
-    def remember(self, block: SampleBlock) -> None:
-        """Keep a block for a diagnosis."""
-        self._recent.push(block)
-
-    def saw(self, block: SampleBlock) -> list[dict[str, Any]]:
-        """Keep a block for a diagnosis; findings that became ready."""
-        if self._diagnoser is None:
-            return []
-        self.remember(block)
-        found = self._diagnoser.poll()
-        self.found += found
-        return found
-
-    def window(self, result: WindowResult) -> None:
-        """Follow the results."""
-        self._t_ns = result.t_end_ns
-        self._state, request = watch.step(self._state, result, self.settings, self._window_s)
-        self._ask(request)
-
-    def finish(self, stop: Callable[[], bool] = lambda: False) -> list[dict[str, Any]]:
-        """Wait for the last findings, unless `stop` says otherwise."""
-        self._ask(watch.finish(self._state, self._t_ns, self.settings, self._window_s))
-        found = [] if self._diagnoser is None else self._diagnoser.wait(stop)
-        self.found += found
-        return found
-
-    def close(self, timeout_s: float = 5.0) -> None:
-        """End what still runs; waits no longer than `timeout_s`."""
-        if self._diagnoser is not None:
-            self._diagnoser.close(timeout_s)
-
-    def _ask(self, request: watch.Request | None) -> None:
-        if request is not None and self._diagnoser is not None:
-            self._diagnoser.ask(request, self._recent.between(request.from_ns, request.to_ns))
 
 
 def scene(config: Configuration, baseline: Baseline | None) -> Scene:

@@ -92,8 +92,6 @@ def replay(
     session = Session(config, baseline, (written, View(view)), files, out / "findings")
     try:
         factor = pass_through(session, source, paths, speed=speed, on_progress=on_progress)
-        for finding in session.watcher.found:
-            view.finding(finding)
         content = session.content(factor)
         written.close(content, session.watcher.found)
         view.close(timeout_s=120.0)
@@ -135,7 +133,7 @@ def pass_through(
         pushed(session, block, paths)
     progress.demand(session.pipeline, session.windows, paths)
     factor = duration_s(progress.first, progress.last) / max(time.monotonic() - started, 1e-9)
-    session.watcher.finish()
+    session.finish()
     return factor
 
 
