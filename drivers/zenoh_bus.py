@@ -34,9 +34,9 @@ _ASK_AGAIN: Any = timedelta(seconds=10)
 """How often publishers are asked whether more came.  (Heartbeats instead would stop the stream for good: where the publisher
 is a direct peer and the reader slow, the subscriber's handling of a heartbeat deadlocks in Zenoh 1.10.)"""
 _LIMIT = 1 << 62
+"""Times in ns and sequence numbers from here on are nonsense; sums of two still fit 64 bits."""
 _MOST_ALIVE = 256
 """Sensors that are named; whoever may declare more must not fill the memory."""
-"""Times in ns and sequence numbers from here on are nonsense; sums of two still fit 64 bits."""
 _EVENTS = ("blocks", "samples", "lost_samples", "gaps", "repeated", "reordered", "late", "restarts", "undecodable", "oversized",
            "missed", "links_lost", "sensors_lost")  # fmt: skip
 

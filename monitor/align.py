@@ -88,9 +88,10 @@ def select(block: SampleBlock, channels: tuple[str, ...]) -> Array:
     if block.unit != "m/s^2":
         raise BadInputError(f"{block.topic}: unit {block.unit!r}, expected 'm/s^2'")
     columns = [block.channels.index(name) for name in channels]
-    if block.channels == channels:
-        return np.asarray(block.samples, dtype=np.float64)
-    return block.samples[:, columns].astype(np.float64)
+    with np.errstate(invalid="ignore"):  # signalling NaN: a hole like any other
+        if block.channels == channels:
+            return np.asarray(block.samples, dtype=np.float64)
+        return block.samples[:, columns].astype(np.float64)
 
 
 def step(state: AlignState, block: SampleBlock, channels: tuple[str, ...]) -> tuple[AlignState, list[Piece]]:

@@ -257,7 +257,7 @@ def load(path: Path, config: Configuration) -> Baseline:
         known = None if correction is None else np.array(correction, dtype=float).reshape(size, size)
         model = replace(model, correction=known)
         plain["reference"] = reference_file.from_plain(content.get("reference"), model, config.channels)
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
         raise BadInputError(f"{path}: not a baseline file ({error!r}); make one with 'calibrate'") from error
     loaded = Baseline(model=model.with_stiffness(stiffness).with_masses(masses), **arrays, **plain)
     problem = _mismatch(loaded, config)
@@ -274,7 +274,7 @@ def _mismatch(b: Baseline, config: Configuration) -> str | None:
     if structure.masses_kg.shape != (n,) or structure.stiffness_n_per_m.shape != (p,):
         return f"the baseline has {structure.stiffness_n_per_m.size} stories, the structure file {p}"
     if (b.channels, b.floors) != (config.channels, floors):
-        return f"the baseline's channels are {', '.join(b.channels)} on floors {b.floors}, not the structure file's"
+        return f"the baseline's channels are {', '.join(map(str, b.channels))} on floors {b.floors}, not the structure file's"
     if b.log != (config.updating.eigenvalue == "log") or bool(b.gauges) != config.updating.use_shapes:
         return "the baseline was learned with another [updating] eigenvalue or use_shapes"
     n_data = m + len(b.gauges) * (c - 1)

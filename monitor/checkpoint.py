@@ -151,7 +151,7 @@ def from_bytes(data: bytes, key: str, cls: type[T]) -> T:
                 raise CheckpointError(f"it is of version {version}, which cannot be upgraded")
             tree, version = UPGRADES[version](tree), version + 1
         result = build(cls, tree)
-    except (ValueError, KeyError, TypeError, IndexError, RecursionError) as error:
+    except (ValueError, KeyError, TypeError, IndexError, OverflowError, RecursionError) as error:
         raise CheckpointError(f"it does not fit this program: {error!r}") from error
     assert isinstance(result, cls)
     return result
@@ -224,7 +224,7 @@ def _unpack(item: dict[str, Any], arrays: bytes) -> Any:
     if _ARRAY not in item:
         return item
     dtype, shape, axes, offset = item[_ARRAY]
-    if dtype not in _DTYPES or any(n < 0 for n in shape) or offset < 0:
+    if dtype not in _DTYPES or any(not isinstance(n, int) or n < 0 for n in (*shape, offset)):
         raise ValueError(f"an array of {dtype!r}, shape {shape}")
     laid = [shape[a] for a in axes]
     values = np.frombuffer(arrays, dtype, count=int(np.prod(laid, dtype=object)), offset=offset)

@@ -221,7 +221,7 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise MissingInputError(f"{path}: {getattr(error, 'strerror', None) or error}") from error
     try:
         return tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise BadConfigurationError(f"{path}: not a TOML file: {error}") from error
 
 

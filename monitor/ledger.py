@@ -32,7 +32,7 @@ def read_finding(path: Path) -> dict[str, Any]:
         verdict, says = finding["verdict"], finding["says"]
     except OSError as error:
         raise MissingInputError(f"{path}: {error.strerror}") from error
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise BadInputError(
             f"{path}: not a finding ({error!r}); give a diagnosis.json or DIR/findings/ID.json"
         ) from error

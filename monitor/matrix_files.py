@@ -53,6 +53,6 @@ def _read(path: Path, key: str) -> Any:
         raise MissingInputError(f"{path}: {error.strerror or error}") from error
     except KeyError as error:
         raise BadConfigurationError(f"{path}: holds no {key!r}") from error
-    except (ValueError, TypeError, zipfile.BadZipFile) as error:
+    except (ValueError, TypeError, RecursionError, zipfile.BadZipFile) as error:
         raise BadConfigurationError(f"{path}: unreadable as {path.suffix}: {error}") from error
     raise BadConfigurationError(f"{path}: matrices are read from .npz, .json and .mtx files")

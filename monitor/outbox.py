@@ -115,7 +115,7 @@ class Outbox:
             return
         except OSError as error:
             self.failed = f"{self._path}: {error.strerror or error}"
-        except (ValueError, KeyError, TypeError, AttributeError) as error:
+        except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
             self.failed = f"{self._path}: damaged ({error}); set aside"
             with contextlib.suppress(OSError):
                 self._path.replace(self._path.with_name(self._path.name + ".damaged"))

@@ -16,6 +16,8 @@ from monitor.importers.table import Array, OnWarning, Table, Ticks, unit_factor
 
 _NUMBER = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?|[+-]?(nan|inf)", re.IGNORECASE)
 _DATE = re.compile(r"\d{1,4}[-./]\d{1,2}[-./]\d{1,4}([ T_]\d{1,2}:\d{2}.*)?")
+_YEARS = 1680, 2260
+"""That nanoseconds in 64 bits can say."""
 _DATE_FORMATS = ("ISO", "%d.%m.%Y %H:%M:%S", "%Y/%m/%d %H:%M:%S", "%m/%d/%Y %H:%M:%S", "%d/%m/%Y %H:%M:%S")
 _HEADER = re.compile(r"(.*?)\s*(?:[\[(]([^\])]*)[\])])?\s*")
 _TIME = re.compile(r"(t(_[mun]?s)?|time.*|zeit.*|date.*|datum.*|sampletimefine|elapsed.*)", re.IGNORECASE)
@@ -106,7 +108,7 @@ def cut(path: Path, text: str, on_warning: OnWarning) -> Cells:
         header = rows[head][:width]
         header[0] = header[0].lstrip("#% ") or header[0]  # numpy.savetxt's mark of a comment
         if any(map(_NUMBER.fullmatch, header)) and not any(map(_TIME.fullmatch, header)):
-            bad = next(cell for cell in header if not _NUMBER.fullmatch(cell))
+            bad = next((cell for cell in header if not _NUMBER.fullmatch(cell)), header[0])
             raise BadInputError(f"{path}: line {head + 1}: {bad[:40]!r} is no number")
     body = rows[first:]
     if len(body) > 1 and len(body[-1]) < width:
@@ -218,6 +220,8 @@ def _moment(text: str, form: str) -> int | None:
             whole = text.rpartition(":")[0] + ":" + clock
             moment = datetime.strptime(whole, form).replace(microsecond=int(fraction[:6].ljust(6, "0")))
     except ValueError:
+        return None
+    if not _YEARS[0] <= moment.year <= _YEARS[1]:
         return None
     moment = moment if moment.tzinfo else moment.replace(tzinfo=UTC)
     return int(moment.replace(microsecond=0).timestamp()) * 10**9 + moment.microsecond * 1000

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import contextlib
+import copy
 import functools
 import hashlib
 import json
@@ -237,7 +238,8 @@ def _request_seeds() -> list[bytes]:
 # --- the CAN bus -------------------------------------------------------------------------------------------------------
 
 
-def _can_source() -> CanSource:
+@functools.cache
+def _new_can_source() -> CanSource:
     settings = CanSettings(
         interface="virtual",
         channel="x",
@@ -248,7 +250,8 @@ def _can_source() -> CanSource:
     return CanSource(settings, SourceContext(CHANNELS, ROOT))
 
 
-def _read_all(source: CanSource, bus: Any) -> None:
+def _read_all(bus: Any) -> None:
+    source = copy.deepcopy(_new_can_source())  # reading the DBC takes longer than all the rest
     source._bus = bus
     with contextlib.suppress(SourceError):
         for _ in range(200):
@@ -289,7 +292,7 @@ class _Frames:
 
 
 def _can_frames(data: bytes) -> None:
-    _read_all(_can_source(), _Frames(data))
+    _read_all(_Frames(data))
 
 
 @functools.cache
@@ -318,7 +321,7 @@ def _socketcand(data: bytes) -> None:
     with theirs:
         theirs.sendall(data[:60_000])
         theirs.shutdown(socket.SHUT_WR)
-        _read_all(_can_source(), bus)
+        _read_all(bus)
 
 
 def _socketcand_seeds() -> list[bytes]:
