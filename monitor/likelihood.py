@@ -91,6 +91,8 @@ class Problem:
     """What simulation adds to the spectra of a linearized law, shape (classes, n_bins, c, c)."""
     pins: Mapping[tuple[str, str], tuple[Array, Array]] = field(default_factory=dict)
     """Mean and precision of the coordinates of effects, by name and place, whose offset was simulated at that mean."""
+    exact_slopes: bool = False
+    """Whether slopes of a response to a measured ground are the exact laws' by the nuisances too; else the linearized ones'."""
     smoothing: Array | None = None
     """Averages bins into coarse ones, shape (n_coarse, n_bins), for a start from far away."""
 
@@ -338,7 +340,7 @@ class Problem:
             moved = x.copy()
             h = _step(x, i, self.n_nuisance, effects)
             moved[i] += h
-            own = i >= self.n_nuisance
+            own = i >= self.n_nuisance or self.exact_slopes
             there = None if i in still else self.mean(moved, placed(effects, moved[self.n_nuisance :]), exact=own)
             out.append(np.zeros_like(mean) if there is None else (there - (mean if own else linear)) / h)
         return np.array(out, dtype=complex).reshape(-1, *mean.shape)
