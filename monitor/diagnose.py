@@ -7,6 +7,7 @@ from typing import Literal
 
 import numpy as np
 
+from monitor.backbone import backbone, level_dependence, ratios
 from monitor.corrected import Corrected
 from monitor.diagnosis_settings import DiagnosisSettings
 from monitor.effects import Context, Effect
@@ -18,7 +19,7 @@ from monitor.motion import conditions
 from monitor.polish import FINE, Polished, finish, form_doubt, polish, settle, skewness
 from monitor.reference import Reference
 from monitor.results import Array
-from monitor.search import Candidate, best_of_each, change, evidence_of, judge, prepare, rank, starts
+from monitor.search import Candidate, best_of_each, between_samples, change, evidence_of, judge, prepare, rank, starts
 
 _SMALL, _NEAR = 200.0, 0.4
 """Promised gain, nats, below which all that promise this share of it are fitted."""
@@ -86,7 +87,9 @@ def diagnose(evidence: Evidence, reference: Reference, context: Context, setting
             alternatives = tuple(zip((p.candidate for p in close), (odds / odds.sum()).tolist(), strict=True))
             break
         accepted.append(best.candidate)
-        problem = _extended(problem, at)
+        problem, at = between_samples(_extended(problem, at), at)
+        if evidence.drive is not None and _bent(at):  # linearized slopes lead near; the exact ones tell what is known
+            at = fit(replace(problem, exact_slopes=True), at.x, at.effects)
         if best.candidate.effect.ground_share:
             at = fit(problem, at.x, at.effects)  # how far up the forces reach is known only now
         if (
@@ -111,6 +114,11 @@ def diagnose(evidence: Evidence, reference: Reference, context: Context, setting
         verdict = "ambiguous"
     else:
         verdict = "named" if accepted else "none"
+    # A response shows more than bands do: what the modes' ratios and their dependence on the level say.
+    plain = (ratios(problem, at), level_dependence(backbone(problem, null)))
+    misfit = (*[m for m in plain if m is not None], *misfit)
+    still = level_dependence(backbone(problem, at))
+    left_over = left_over if still is None else (*left_over, still)
     return Diagnosis(
         verdict=verdict,
         causes=_causes(problem, at, accepted, doubt),

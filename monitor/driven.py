@@ -9,7 +9,7 @@ L. Ljung, System Identification: Theory for the User (1999), section 4.2.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -31,12 +31,14 @@ _PAD_S = 40.0
 """Zeros after a run, in which its last motion dies out before it wraps."""
 _ALIGNED = 0.02
 """Samples by which the ground's instants may differ from the floors'."""
-_FINER, _LEAST_STEP_HZ = 4, 400.0
+_FINER, _LEAST_STEP_HZ = 4, 1000.0
 """Steps of nonlinear laws: samples of the ground to one of the recording, and their least rate."""
 _SLOWEST = 0.2 / (2.0 * np.pi)
 """Motion slower than this share of the first frequency is the sensors' tilt; in Hz over rad/s."""
 _STEEP = 12
 """Order of the highpass that takes it away."""
+_LEFT = 0.05
+"""Least gain of the anti-alias filter that is undone."""
 _LEAST = 6
 """Segments that a run must cover."""
 _SMOOTH_HZ = 12.0
@@ -54,6 +56,8 @@ class Run:
     """Samples, zeros included."""
     length: int
     """Samples without them."""
+    passed: ComplexArray
+    """What the anti-alias filter makes of the frequencies, shape (n // 2 + 1,)."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -91,6 +95,13 @@ class Drive:
         hz = np.arange(run.n // 2 + 1) * (self.design.rate_hz / run.n)
         return np.asarray(hz[: np.searchsorted(hz, 1.1 * band.hz[-1])])
 
+    def ground(self, band: Band) -> ComplexArray:
+        """Transforms of the ground's own motion in every segment, shape (n_segments, n_bins)."""
+        out = np.empty((self.run.size, band.n_bins), dtype=complex)
+        for members, samples in self.moved(np.ones((run.n // 2 + 1, 1), dtype=complex) for run in self.runs):
+            out[members] = _transforms(self.design, samples)[:, band.first : band.first + band.n_bins, 0]
+        return out
+
     def moved(self, answers: Iterable[ComplexArray]) -> Iterator[tuple[NDArray[np.intp], Array]]:
         """Segments of every run and their samples, shape (n, columns), given each run's answer per frequency."""
         for i, (run, answer) in enumerate(zip(self.runs, answers, strict=True)):
@@ -101,7 +112,11 @@ class Drive:
 
 
 def locate(
-    runs: Sequence[tuple[int, Array]], segments_t_ns: Sequence[int], design: SegmentDesign, source_hz: float
+    runs: Sequence[tuple[int, Array]],
+    segments_t_ns: Sequence[int],
+    design: SegmentDesign,
+    source_hz: float,
+    filtered: Callable[[Array], ComplexArray],
 ) -> tuple[Drive, NDArray[np.bool_]] | None:
     """The drive of segments that begin at given times, with which of them a run covers; None where too few are.
 
@@ -109,6 +124,8 @@ def locate(
     ----------
     runs : sequence of (int, ndarray)
         UTC of the first sample in ns and conditioned samples, m/s^2, of every run.
+    filtered : callable
+        What the conditioning makes of frequencies in Hz.
     """
     which, first, covered = [], [], np.ones(len(segments_t_ns), dtype=bool)
     for s, t_ns in enumerate(segments_t_ns):
@@ -125,7 +142,8 @@ def locate(
     made = []
     for _, samples in runs:
         n = next_fast_len(round(samples.size + _PAD_S * design.rate_hz), real=True)
-        made.append(Run(np.asarray(rfft(samples, n=n)), n, samples.size))
+        hz = np.arange(n // 2 + 1) * (design.rate_hz / n)
+        made.append(Run(np.asarray(rfft(samples, n=n)), n, samples.size, filtered(hz)))
     return Drive(
         tuple(made), np.array(which, dtype=np.intp), np.array(first, dtype=np.intp), design, source_hz
     ), covered
@@ -195,14 +213,16 @@ def exact_response(
     for i, run in enumerate(drive.runs):
         hz = np.asarray(np.arange(run.n // 2 + 1) * (drive.design.rate_hz / run.n), dtype=np.float64)
         finer = drive.design.rate_hz * _FINER
-        moved = next(drive.images(hz))[1] * run.spectrum
+        # The laws see the ground before the filter, as far as it leaves any of it.
+        kept = np.abs(run.passed) > _LEFT
+        moved = next(drive.images(hz))[1] * run.spectrum * np.where(kept, 1.0 / np.where(kept, run.passed, 1.0), 0.0)
         # Steps run straight between samples, which is a lowpass; slow tilt is no motion.
         shape = 1.0 / np.sinc(hz / finer) ** 2 / (1.0 + (lowest / np.maximum(hz, 1e-9)) ** _STEEP)
         ground = irfft(shape * moved, n=run.n * _FINER)[: run.length * _FINER] * _FINER
         floors = march(system, n, laws, -ground[:, None] * inertia, finer * clock, None, _LEAST_STEP_HZ)
         floors = np.pad(floors[::_FINER], ((0, run.n - run.length), (0, 0)))
-        absolute = (rfft(floors, axis=0) + moved[:, None]) @ context.sensors.T
-        samples = irfft(_seen(absolute, effects, hz * clock, context, condition).T, n=run.n)
+        absolute = np.asarray((rfft(floors, axis=0) + moved[:, None]) * run.passed[:, None]) @ context.sensors.T
+        samples = irfft(_seen(np.asarray(absolute, dtype=complex), effects, hz * clock, context, condition).T, n=run.n)
         members = np.flatnonzero(drive.run == i)
         windows = np.lib.stride_tricks.sliding_window_view(samples, drive.design.n, axis=1)
         made = _transforms(drive.design, np.moveaxis(windows[:, drive.first[members]], 0, -1))

@@ -154,7 +154,11 @@ def gather(blocks: Iterable[SampleBlock], config: Configuration) -> Segments:
     gain = _filter_gain(conditioner, last + 1, design.step_hz)
     band = Band(first, last - first + 1, design.step_hz, gain[first:])
     runs = [(t, np.concatenate(values)[:, 0]) for t, values in ground.runs]
-    located = driven.locate(runs, list(floors.segments), design, conditioner.rate_in_hz) if runs else None
+    located = None
+    if runs:
+        located = driven.locate(
+            runs, list(floors.segments), design, conditioner.rate_in_hz, lambda hz: _filter(conditioner, hz)
+        )
     drive, covered = located or (None, np.ones(len(floors.segments), dtype=bool))
     readings = np.array([((t - t0) * 1e-9, v) for t, v in temperature if np.isfinite(v)]).reshape(-1, 2)
     transforms, rms, tapered = (np.stack(x) for x in zip(*floors.segments.values(), strict=True))
@@ -267,8 +271,12 @@ class _Stream:
 
 def _filter_gain(conditioner: Conditioner, n: int, step_hz: float) -> Array:
     """Power gain of the anti-alias filter at the first n bins."""
-    _, answer = sosfreqz(conditioner.sos, worN=np.arange(n) * step_hz, fs=conditioner.rate_in_hz)
-    return np.asarray(np.abs(answer) ** 2)
+    return np.asarray(np.abs(_filter(conditioner, np.asarray(np.arange(n) * step_hz, dtype=float))) ** 2)
+
+
+def _filter(conditioner: Conditioner, hz: Array) -> ComplexArray:
+    """Response of the anti-alias filter."""
+    return np.asarray(sosfreqz(conditioner.sos, worN=hz, fs=conditioner.rate_in_hz)[1])
 
 
 def classify(segments: Segments) -> Evidence:

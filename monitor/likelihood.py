@@ -35,6 +35,8 @@ class Problem(Forward):
 
     pins: Mapping[tuple[str, str], tuple[Array, Array]] = field(default_factory=dict)
     """Mean and precision of the coordinates of effects, by name and place, whose offset was simulated at that mean."""
+    exact_slopes: bool = False
+    """Whether slopes of a response to a measured ground are the exact laws' by the nuisances too; else the linearized ones'."""
 
     def prior(self, x: Array, effects: Sequence[Effect]) -> tuple[Array, Array]:
         """Mean and precision of the nuisances, given the forces' mean level, and of the effects' coordinates."""
@@ -146,7 +148,7 @@ class Problem(Forward):
         out = []
         for i in wanted:
             h, moved = self._nudged(x, i, effects)
-            own = i >= self.n_nuisance
+            own = i >= self.n_nuisance or self.exact_slopes
             there = None if i in still else self.mean(moved, placed(effects, moved[self.n_nuisance :]), exact=own)
             out.append(np.zeros_like(mean) if there is None else (there - (mean if own else linear)) / h)
         return np.array(out, dtype=complex).reshape(-1, *mean.shape)
