@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 _SIGNS = {
+    "systemd": lambda: shutil.which("systemd-analyze") is not None,
     "chromium": lambda: shutil.which("chromium") is not None,
     "mesa-vulkan-drivers": lambda: any(Path("/usr/share/vulkan/icd.d").glob("lvp_icd*.json")),
 }
