@@ -46,7 +46,8 @@ def view(
         command.append(source)
     with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as server:
         print(f"http://{_reachable(bind)}:{page}/?url={quote(shown, safe='')}", flush=True)
-        signal.signal(signal.SIGTERM, signal.default_int_handler)
+        for number in (signal.SIGTERM, signal.SIGINT):  # a shell's background job begins with SIGINT ignored
+            signal.signal(number, signal.default_int_handler)
         try:
             said = server.communicate()[1]
         except KeyboardInterrupt:

@@ -135,7 +135,10 @@ def test_the_viewers_server_ends_with_the_command_and_listens_on_loopback_only(t
         ports = [int(found[1]), int(found[2])]
         wait_for(lambda: all(addresses(port) == {"0100007F"} for port in ports))
         process.send_signal(ending)
-        assert process.wait(20) == 0
+        try:
+            assert process.wait(20) == 0
+        finally:
+            process.kill()
     wait_for(lambda: not any(addresses(port) for port in ports))
 
 
