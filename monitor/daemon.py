@@ -86,12 +86,11 @@ class Daemon(Publisher):
             resume.note_baseline(self.out, path, healthy_path)
         except OSError as error:
             raise MissingInputError(f"{self.out}: cannot be written: {error.strerror}") from error
-        address, publishers = settings.output.address, [self]
         view = partial(RerunPublisher, scene(settings, healthy), file=None, lossless=False)
-        self._view = None if address is None else view(serve=address)
-        views = () if self._view is None else (View(self._view),)
+        self._view = view(serve=settings.output.address) if settings.output.address is not None else None
+        publishers = (self,) if self._view is None else (self, View(self._view))
         findings = self.out / "findings" / f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}"
-        self._begin = partial(Session, settings, healthy, (*publishers, *views), (path, healthy_path), findings)
+        self._begin = partial(Session, settings, healthy, publishers, (path, healthy_path), findings)
         spans = settings.processing.hop_s, settings.health.span_s
         self._chores = Chores()
         self._history = History(self.out / "state" / "history.db", settings.state, *spans)
