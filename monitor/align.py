@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from math import ceil
 
 import numpy as np
 
@@ -153,12 +154,13 @@ def _place(state: AlignState, block: SampleBlock, values: Array, offset: int) ->
             late=0,
         )
         return state, [Piece(due_ns + shift_ns, values, None, rate, shift_ns)]
-    if not follows and jump_s < 0 and sequence < state.next_sequence and state.late < _PATIENCE_S * rate:
+    patience = ceil(_PATIENCE_S * rate) - state.late
+    if not follows and jump_s < 0 and sequence < state.next_sequence and patience > 0:
         # Repeated or late: keep only what is new.  The sequence says what is, unless it has begun anew with another file.
         behind = state.next_sequence - sequence
         if abs(jump_s + behind / rate) >= _MAX_CLOCK_OFFSET_S:
-            behind = round(-jump_s * rate)
-        known = min(n, max(1, behind))
+            behind = min(behind, round(-jump_s * rate))
+        known = min(n, max(1, behind), patience)  # in samples: blocks of any size end it at the same one
         state = replace(state, dropped=state.dropped + known, late=state.late + known)
         return _place(state, block, values[known:], offset + known)
     if follows:

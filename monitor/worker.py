@@ -221,6 +221,8 @@ def main(arguments: list[str]) -> int:
     """``python -m monitor.worker RECORDING OUT.json STRUCTURE [BASELINE]``."""
     recording, out, structure, *healthy = map(Path, arguments)
     os.nice(5)
+    with contextlib.suppress(OSError):  # where memory runs out, the diagnosis goes, not the monitor
+        Path("/proc/self/oom_score_adj").write_text("500", encoding="ascii")
     warn: OnWarning = lambda message: print(message, file=sys.stderr)  # noqa: E731
     try:
         # The recording is one of ours, whatever the site's own were.

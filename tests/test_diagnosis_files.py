@@ -73,7 +73,7 @@ def plain(diagnosis: Diagnosis, gain: Gain | None = None) -> dict:
 
 
 def test_a_named_cause_has_its_size_and_every_key_is_there(named: Diagnosis) -> None:
-    out = plain(named, Gain(1.0, 1.5, (0.4, 0.6), 0.2, 0.1, "blocks"))
+    out = plain(named, Gain(1.0, 1.5, (0.4, 0.6), csd_error_before=0.2, csd_error_after=0.1, heldout="blocks"))
     assert out.keys() >= KEYS
     assert out["cause"] == out["causes"][0]
     assert (out["cause"]["effect"], out["cause"]["location"]) == ("story_damper", "story 1")
