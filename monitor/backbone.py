@@ -16,6 +16,8 @@ _NEAR = 0.6, 1.6
 _CLEAR = 0.1
 """Share of a segment's power near the mode that its equation may leave."""
 _FEWEST = 6
+_MEDIAN = 1.4826 * 1.2533
+"""Standard deviation of a normal sample's median times the root of its size, over the median deviation."""
 _TELLING, _CERTAIN = 0.004, 6.0
 """Relative change of a frequency or of a ratio that is worth a word, and standard deviations that it must have."""
 
@@ -28,14 +30,12 @@ class Backbone:
     """Peak displacement of the top floor in the first mode relative to the ground, sqrt(2) x RMS, shape (n,), ascending."""
     hz: Array
     """Measured, shape (n,)."""
-    damping_ratio: Array
-    """Measured, shape (n,)."""
     model_hz: Array
     """The same of the model's response, shape (n,)."""
 
 
 def backbone(problem: Problem, at: Fit) -> Backbone | None:
-    """Frequency and damping of the first mode in every segment; None where too few show it, or no ground was measured.
+    """Frequency of the first mode in every segment; None where too few show it, or no ground was measured.
 
     In each, ``y + 2 zeta w y' + w^2 y = -gamma g`` is solved by least squares in the frequency domain for the floors' motion
     relative to the ground in the first mode.
@@ -54,25 +54,25 @@ def backbone(problem: Problem, at: Fit) -> Backbone | None:
     steady = to_mode @ sensors.sum(axis=1)
     rows = []
     for measured, predicted, g in zip(e.segments.values[:, near], mean[:, near], ground, strict=True):
-        hz, damping, amplitude, left = _solved(measured @ to_mode - steady * g, g, w)
-        model_hz, _, _, model_left = _solved(predicted @ to_mode - steady * g, g, w)
+        hz, amplitude, left = _solved(measured @ to_mode - steady * g, g, w)
+        model_hz, _, model_left = _solved(predicted @ to_mode - steady * g, g, w)
         if max(left, model_left) < _CLEAR:
-            rows.append((amplitude * np.sqrt(2.0 * e.band.bin_hz), hz, damping, model_hz))
+            rows.append((amplitude * np.sqrt(2.0 * e.band.bin_hz), hz, model_hz))
     if len(rows) < _FEWEST:
         return None
     columns = np.array(sorted(rows)).T
     return Backbone(*columns)
 
 
-def _solved(y: ComplexArray, ground: ComplexArray, w: Array) -> tuple[float, float, float, float]:
-    """Frequency, damping ratio, root of the summed power of the displacement, and the share of power left over."""
+def _solved(y: ComplexArray, ground: ComplexArray, w: Array) -> tuple[float, float, float]:
+    """Frequency, root of the summed power of the displacement, and the share of power left over."""
     a = np.column_stack([y / -(w**2), y / (1j * w), ground])
     split, target = np.concatenate([a.real, a.imag]), -np.concatenate([y.real, y.imag])
     x, *_ = np.linalg.lstsq(split, target, rcond=None)
     omega = float(np.sqrt(max(x[0], 0.0)))
     left = float(((split @ x - target) ** 2).sum() / (target**2).sum())
     size = float(np.sqrt(2.0 * (np.abs(y / w**2) ** 2).sum()))
-    return omega / (2.0 * np.pi), float(x[1]) / (2.0 * max(omega, 1e-9)), size, left
+    return omega / (2.0 * np.pi), size, left
 
 
 def level_dependence(found: Backbone | None) -> Misfit | None:
@@ -82,18 +82,17 @@ def level_dependence(found: Backbone | None) -> Misfit | None:
     third = max(2, found.hz.size // 3)
     low, high = slice(0, third), slice(-third, None)
     apart = found.hz - found.model_hz
-    change = float(apart[high].mean() - apart[low].mean())
-    std = float(np.sqrt((apart[low].var(ddof=1) + apart[high].var(ddof=1)) / third)) + 1e-9
+    change = float(np.median(apart[high]) - np.median(apart[low]))
+    # Medians and their scatter: a segment in which a strong motion begins or ends tells its frequency badly.
+    std = float(np.hypot(*[_MEDIAN * np.median(np.abs(x - np.median(x))) for x in (apart[low], apart[high])]))
+    std = std / np.sqrt(third) + 1e-9
     if abs(change) < _TELLING * found.hz.mean() or abs(change) < _CERTAIN * std:
         return None
-    ends = [(float(np.exp(np.log(found.amplitude_m[s]).mean())), found.hz[s], found.model_hz[s], found.damping_ratio[s])
-            for s in (low, high)]  # fmt: skip
-    (a, f, m, d), (b, g, n, z) = ends
-    verb = "falls" if g.mean() < f.mean() else "rises"
+    ends = [[float(np.median(x[s])) for x in (found.amplitude_m, found.hz, found.model_hz)] for s in (low, high)]
+    (a, f, m), (b, g, n) = ends
     says = (
-        f"the first mode {verb} with the level, from {f.mean():.2f} Hz ({100 * d.mean():.1f} % damping) at "
-        f"{1e3 * a:.2g} mm of the top floor to {g.mean():.2f} Hz ({100 * z.mean():.1f} %) at {1e3 * b:.2g} mm; "
-        f"in the model from {m.mean():.2f} to {n.mean():.2f} Hz"
+        f"the first mode {'falls' if g < f else 'rises'} with the level, from {f:.2f} Hz at {1e3 * a:.2g} mm of the top "
+        f"floor to {g:.2f} Hz at {1e3 * b:.2g} mm; in the model from {m:.2f} to {n:.2f} Hz"
     )
     return Misfit(f"f = {min(found.hz):.1f}-{max(found.hz):.1f} Hz, first mode", abs(change) / std, says)
 

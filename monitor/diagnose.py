@@ -23,8 +23,8 @@ from monitor.search import Candidate, best_of_each, between_samples, change, evi
 
 _SMALL, _NEAR = 200.0, 0.4
 """Promised gain, nats, below which all that promise this share of it are fitted."""
-_KINDS, _DRIVEN = 7, 2
-"""Kinds of causes that are fitted roughly and to the end where the ground is measured."""
+_KINDS, _EVERYWHERE, _DRIVEN = 7, 2, 2
+"""Where the ground is measured: kinds of causes that are fitted roughly, those of them at every place, and to the end."""
 _UNSURE = 0.1
 """Share of a gain by which a rough simulation may misjudge it."""
 _TIED = 1.0
@@ -208,12 +208,10 @@ def _driven(problem: Problem, at: Fit, ranked: list[tuple[float, Effect]]) -> di
 
     A response tells kinds apart by so much that few need a closer look, but its score test promises too much to most.
     """
-    kinds: dict[str, Effect] = {}
-    for _, effect in ranked:
-        kinds.setdefault(effect.name, effect)
-    rough = sorted(
-        (judge(problem, at, e, quick=True) for e in list(kinds.values())[:_KINDS]), key=lambda c: -c.evidence
-    )
+    kinds = list(dict.fromkeys(effect.name for _, effect in ranked))
+    first = {name: next(e for _, e in ranked if e.name == name) for name in kinds[:_KINDS]}
+    near = [e for _, e in ranked if e.name in kinds[:_EVERYWHERE] or e is first.get(e.name)]
+    rough = sorted((judge(problem, at, e, quick=True) for e in near), key=lambda c: -c.evidence)
     chosen = {c.key: c.effect for c in rough[:_DRIVEN]}
     same = [e for _, e in ranked if rough and e.name == rough[0].effect.name]
     return {(e.name, e.location): e for e in same} | chosen

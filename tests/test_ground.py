@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from drivers.base import ACCELERATION, GROUND
-from monitor.config import Configuration
+from drivers.mcap_file import read_recordings
+from monitor.backbone import backbone, level_dependence, ratios
+from monitor.config import Configuration, load
 from monitor.diagnose import diagnose
 from monitor.diagnosis_settings import DiagnosisSettings
 from monitor.effects import Context, parse_effect
@@ -18,10 +23,11 @@ from monitor.motion import conditions
 from monitor.record import blocks_of
 from monitor.reference import nominal
 from monitor.results import Array
-from monitor.search import prepare
+from monitor.search import judge, prepare
 from monitor.simulate import simulate
 
-RATE = 1000.0  # the simulated ground runs straight between samples: its slight lowpass must stay far above the band
+RATE = 1000.0
+RECORDINGS = Path(__file__).parent.parent / "recordings"
 STRUCTURE = {"kind": "shear_frame", "masses_kg": [0.33, 0.35, 0.31], "stiffness_n_per_m": [2900.0, 1500.0, 1900.0]}
 T0_NS = 10**18
 
@@ -38,21 +44,23 @@ DRAWING = settings(masses_kg=[0.335, 0.345, 0.31], stiffness_n_per_m=[2800.0, 15
 CONTEXT = Context(DRAWING.model().structure, DRAWING.channels, DRAWING.sensor_matrix(), RATE)
 
 
-def recorded(*effects: str, seed: int, earlier_s: float = 0.0, hole_s: int | None = None) -> Segments:
+def recorded(
+    *effects: str, seed: int, earlier_s: float = 0.0, hole_s: int | None = None, rate_hz: float = RATE
+) -> Segments:
     """A frame on a shaken ground; the ground's recording may begin earlier, and both may lack a second."""
     model = Model(settings().model().structure, tuple(parse_effect(e) for e in effects))
     motion = simulate(
-        model, duration_s=120.0, rate_hz=RATE, excitation="ground", noise=0.01, level_spread=0.5, seed=seed
+        model, duration_s=120.0, rate_hz=rate_hz, excitation="ground", noise=0.01, level_spread=0.5, seed=seed
     )
     assert motion.ground is not None
-    late = round(earlier_s * RATE)
+    late, second = round(earlier_s * rate_hz), round(rate_hz)
     streams = []
     for topic, x, names, start in (
         (GROUND, motion.ground[:, None], ("g",), 0),
         (ACCELERATION, motion.floors, DRAWING.channels, late),
     ):
-        blocks = list(blocks_of(topic, x, names, RATE, T0_NS, 1000))[start // 1000 :]
-        streams += [b for i, b in enumerate(blocks) if hole_s is None or i != hole_s - start // 1000]
+        blocks = list(blocks_of(topic, x, names, rate_hz, T0_NS, second))[start // second :]
+        streams += [b for i, b in enumerate(blocks) if hole_s is None or i != hole_s - start // second]
     return gather(streams, DRAWING)
 
 
@@ -71,6 +79,48 @@ def test_a_driven_frame_tells_its_cause(effects: tuple[str, ...], name: str | No
     assert not found.alternatives
     if parameter is not None:
         assert next(iter(found.causes[0].effect.values().values())) == pytest.approx(parameter, rel=0.05)
+
+
+@pytest.mark.parametrize("rate_hz", [100.0, 200.0, 512.0])
+def test_how_the_ground_moves_between_slow_samples_is_found_and_no_cause_made_of_it(rate_hz: float) -> None:
+    segments = recorded(seed=15, rate_hz=rate_hz)  # the simulation's ground runs straight
+    known = nominal(DRAWING.model(), DRAWING.prior_std(), 3)
+    context = replace(CONTEXT, rate_hz=rate_hz)
+    problem, null = prepare(classify(segments), known, context)
+    assert problem.evidence.drive is not None
+    assert problem.evidence.drive.between == "straight"
+    left = problem.predict(null.x, ()).left
+    assert left is not None
+    assert (np.abs(left) ** 2).sum() < 2e-3 * (np.abs(segments.values) ** 2).sum()
+
+
+def test_a_nonlinear_law_answers_as_the_simulation_does() -> None:
+    law = parse_effect("cubic_stiffness:story 2:k3_n_per_m3=4e8")
+    problem, x = _true_problem(recorded("cubic_stiffness:story 2:k3_n_per_m3=4e8", seed=16))
+    power = (np.abs(problem.evidence.segments.values) ** 2).sum()
+    exact, linear = (problem.mean(np.concatenate([x, law.coordinates]), (law,), exact=exact) for exact in (True, False))
+    assert exact is not None
+    assert linear is not None
+    left, rough = ((np.abs(problem.evidence.segments.values - m) ** 2).sum() / power for m in (exact, linear))
+    assert left < 0.02
+    assert left < 0.2 * rough
+
+
+def test_the_measured_frame_is_no_shear_frame_and_softens_with_the_level() -> None:
+    config = load(RECORDINGS / "mini-shake-table-flexible.toml")
+    segments = gather(read_recordings([RECORDINGS / "mini-shake-table-flexible.mcap"]), config)
+    context = Context(config.model().structure, config.channels, config.sensor_matrix(), segments.rate_hz)
+    problem, null = prepare(classify(segments), nominal(config.model(), config.prior_std(), 3), context)
+    assert problem.evidence.drive is not None
+    assert problem.evidence.drive.between == "smooth"
+    joints = judge(problem, null, parse_effect("joint_flexibility:frame:girder_to_column_ratio=3"))
+    assert joints.evidence > 100.0
+    told = ratios(problem, joints.fit)
+    assert told is not None
+    assert told.says.startswith("frequency ratios: f2/f1 3.0")
+    softer = level_dependence(backbone(problem, null))
+    assert softer is not None
+    assert "falls with the level, from 3.7" in softer.says
 
 
 def test_the_response_explains_the_floors_and_a_wrong_frame_does_not() -> None:
