@@ -11,16 +11,16 @@ import numpy as np
 
 from drivers.base import SampleBlock
 from drivers.mcap_file import recording_info
-from monitor import discrepancy, evidence
+from monitor import discrepancy
 from monitor.baseline import Baseline, learn
 from monitor.config import Configuration
 from monitor.errors import BadInputError
-from monitor.evidence import Segments
 from monitor.files import sha256
 from monitor.pipeline import Pipeline
 from monitor.recordings import OnProgress, OnWarning, Progress, blocks, names, pushed
 from monitor.results import WindowResult
 from monitor.second_solutions import second_solutions
+from monitor.segments import Segments, gather
 from monitor.updating import Observation, Update
 
 _COMMON = 0.9
@@ -103,7 +103,7 @@ def _segments(blocks: Iterator[SampleBlock], config: Configuration, share: float
             raise
 
     try:
-        return evidence.gather(kept(), config)
+        return gather(kept(), config)
     except BadInputError:
         if refused:
             raise

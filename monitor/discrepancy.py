@@ -18,11 +18,12 @@ from monitor.diagnose import Diagnosis, diagnose
 from monitor.diagnosis_files import content, model_to_plain
 from monitor.effects import Context, Effect
 from monitor.errors import BadInputError
-from monitor.evidence import Segments, classify, gather
+from monitor.evidence import classify
 from monitor.gain import Gain, Score, demand_gain, fitted_model, heldout_gain, score
 from monitor.model import Model
 from monitor.recordings import OnProgress, OnWarning, Progress, blocks, names
 from monitor.reference import Reference, nominal
+from monitor.segments import Segments, gather
 
 _TRIALS = np.errstate(over="ignore", invalid="ignore")
 """A fit's trial step that overflows has no likelihood, and is refused for that."""

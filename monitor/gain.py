@@ -18,7 +18,7 @@ from monitor.config import Configuration
 from monitor.diagnose import Diagnosis
 from monitor.driven import Drive
 from monitor.effects import Context, Effect
-from monitor.evidence import Evidence, Segments, classify
+from monitor.evidence import Evidence, classify
 from monitor.excitation import excited
 from monitor.fitting import Fit, fit
 from monitor.likelihood import Problem
@@ -27,6 +27,7 @@ from monitor.motion import conditions
 from monitor.reference import Reference
 from monitor.results import Array, ComplexArray
 from monitor.search import prepare
+from monitor.segments import Segments
 from monitor.window import common_step_s
 
 _MAX_BLOCKS = 20

@@ -14,13 +14,14 @@ from monitor.diagnose import Cause, Diagnosis, Misfit
 from monitor.diagnosis_files import content, effects_text, model_from_plain, model_to_plain, structure_text
 from monitor.effects import parse_effect
 from monitor.errors import BadConfigurationError
-from monitor.evidence import Segments, classify
+from monitor.evidence import classify
 from monitor.fitting import fit
 from monitor.gain import Gain, fitted_model, score
 from monitor.model import Model
 from monitor.reference import nominal
 from monitor.reference_file import from_plain, to_plain
 from monitor.search import Candidate, prepare
+from monitor.segments import Segments
 from monitor.standing import learn
 from tests.test_gain import DAMPER, context_of, recorded, settings
 

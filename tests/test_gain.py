@@ -11,13 +11,14 @@ from drivers.base import ACCELERATION
 from monitor.config import Configuration
 from monitor.diagnose import Diagnosis
 from monitor.effects import Context, Effect, parse_effect
-from monitor.evidence import Segments, classify, gather
+from monitor.evidence import classify
 from monitor.fitting import fit
 from monitor.gain import demand_gain, fitted_model, heldout_gain, score
 from monitor.model import Model
 from monitor.record import blocks_of
 from monitor.reference import nominal
 from monitor.search import prepare
+from monitor.segments import Segments, gather
 from monitor.simulate import simulate
 
 RATE = 100.0

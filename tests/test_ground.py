@@ -15,7 +15,7 @@ from monitor.config import Configuration, load
 from monitor.diagnose import diagnose
 from monitor.diagnosis_settings import DiagnosisSettings
 from monitor.effects import Context, parse_effect
-from monitor.evidence import Segments, classify, gather
+from monitor.evidence import classify
 from monitor.gain import score
 from monitor.likelihood import Problem
 from monitor.model import Model
@@ -24,6 +24,7 @@ from monitor.record import blocks_of
 from monitor.reference import nominal
 from monitor.results import Array
 from monitor.search import judge, prepare
+from monitor.segments import Segments, gather
 from monitor.simulate import simulate
 
 RATE = 1000.0

@@ -11,7 +11,7 @@ from drivers.base import ACCELERATION
 from monitor.config import Configuration
 from monitor.corrected import corrected
 from monitor.effects import Context, Effect, parse_effect
-from monitor.evidence import classify, gather
+from monitor.evidence import classify
 from monitor.exact import exact, forces, offset
 from monitor.fitting import Fit, fit
 from monitor.likelihood import Problem
@@ -21,6 +21,7 @@ from monitor.polish import FINE, settle
 from monitor.record import blocks_of
 from monitor.reference import nominal
 from monitor.search import prepare
+from monitor.segments import gather
 from monitor.simulate import simulate
 
 RATE = 128.0

@@ -16,7 +16,7 @@ from monitor.config import Configuration
 from monitor.diagnose import Cause, Diagnosis, DiagnosisSettings, diagnose
 from monitor.diagnosis_files import content as content_of
 from monitor.effects import EFFECTS, Context, Effect, parse_effect
-from monitor.evidence import Segments, classify, gather
+from monitor.evidence import classify
 from monitor.gain import Gain
 from monitor.publish.charts import decades, ticks
 from monitor.publish.comparison import compare, level_dependence
@@ -26,6 +26,7 @@ from monitor.publish.words import in_words, interval, separating_measurement
 from monitor.record import blocks_of
 from monitor.reference import nominal
 from monitor.search import judge, prepare
+from monitor.segments import Segments, gather
 from monitor.simulate import simulate
 
 CONFIG = Configuration.model_validate(
@@ -40,7 +41,14 @@ CONFIG = Configuration.model_validate(
 )
 REFERENCE = nominal(CONFIG.model(), 0.01 * CONFIG.prior_std(), 3)
 """Known so well that its stiffnesses cannot take up a cause."""
-GAIN = Gain(1.0, 1.05, (0.04, 0.06), csd_error_before=0.2, csd_error_after=0.1, heldout="every block judged by the fit to the others")
+GAIN = Gain(
+    1.0,
+    1.05,
+    (0.04, 0.06),
+    csd_error_before=0.2,
+    csd_error_after=0.1,
+    heldout="every block judged by the fit to the others",
+)
 LOSS = "stiffness_change:story 2:relative=-0.1"
 
 

@@ -8,11 +8,12 @@ import numpy as np
 
 from monitor.diagnose import Diagnosis
 from monitor.diagnosis_settings import DiagnosisSettings
-from monitor.evidence import Segments, class_temperature
+from monitor.evidence import class_temperature
 from monitor.fitting import fit
 from monitor.likelihood import Problem
 from monitor.misfit import residual_bands
 from monitor.results import Array, ComplexArray
+from monitor.segments import Segments
 
 _RATIO_HZ = 0.25
 _FREE, _FIXED = 0.1, 1e-6

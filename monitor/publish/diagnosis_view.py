@@ -11,13 +11,13 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from monitor.diagnose import Diagnosis
-from monitor.evidence import Segments
 from monitor.publish.comparison import Comparison, compare
 from monitor.publish.rerun_layout import ALL_TIME
 from monitor.publish.rerun_queue import Output
 from monitor.publish.rerun_scene import GREY, Colour
 from monitor.publish.words import headline, in_words
 from monitor.results import Array
+from monitor.segments import Segments
 
 _TIMELINE = "frequency_mHz"
 _MEASURED, _BEFORE, _AFTER = (235, 235, 235), (240, 154, 74), (90, 169, 240)

@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 
 from monitor.diagnose import Diagnosis
-from monitor.evidence import Segments
 from monitor.files import write_atomically
 from monitor.publish import charts
 from monitor.publish.charts import Axes, svg
 from monitor.publish.comparison import Comparison, LevelDependence, compare, level_dependence
 from monitor.publish.page import document, table
 from monitor.publish.words import headline, in_words, interval, separating_measurement, unit
+from monitor.segments import Segments
 
 __all__ = ["headline", "in_words", "page", "separating_measurement", "write_report"]
 

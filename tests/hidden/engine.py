@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 
 from drivers.base import SampleBlock
-from monitor import discrepancy, evidence
+from monitor import discrepancy
 from monitor.config import Configuration
 from monitor.diagnose import Diagnosis
 from monitor.reference import Reference
+from monitor.segments import gather
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,12 +28,12 @@ class Baseline:
 def calibrate(drawing: str, blocks: Iterable[SampleBlock]) -> Baseline:
     """Learn the healthy structure."""
     config = Configuration.model_validate(tomllib.loads(drawing))
-    return Baseline(config, discrepancy.learn(evidence.gather(blocks, config), config))
+    return Baseline(config, discrepancy.learn(gather(blocks, config), config))
 
 
 def answer(baseline: Baseline, blocks: Iterable[SampleBlock]) -> dict[str, Any]:
     """What `diagnosis.json` says."""
-    segments = evidence.gather(blocks, baseline.config)
+    segments = gather(blocks, baseline.config)
     d, gain = discrepancy.judged(segments, baseline.reference, baseline.config)
     return {
         "verdict": d.verdict,
