@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from monitor.effects import EFFECTS, Effect
 from monitor.likelihood import Problem
+from monitor.motion import forced_drift
 from monitor.results import Array, ComplexArray
 
 _SMOOTH = 0.006
@@ -33,17 +36,33 @@ class Corrected(Problem):
     relative: ComplexArray = field(default_factory=lambda: np.zeros(0, dtype=complex))
     """Correction and its slopes by the coordinates, whitened by `base`, shape (1 + p, classes, n_bins, c, c)."""
 
-    kept: dict[bytes, ComplexArray] = field(default_factory=dict)
-    """The correction at the last sizes."""
+    drift: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    """The linearized model's RMS drift there, shape (classes, n_stories), m."""
 
     def scatter(self, x: Array, effects: Sequence[Effect], *, classes: Sequence[int] | None = None) -> ComplexArray:
-        """See `Problem.scatter`."""
-        linear = Problem.scatter(replace(self, offset=None), x, effects, classes=classes)
-        sizes = [e.coordinates for e in effects if (e.name, e.location) in self.laws]
-        if self.offset is None or len(sizes) < len(self.laws):
+        """See `Problem.scatter`.
+
+        The correction is relative to the spectra of the laws as they were simulated: peaks that move or grow take it along.
+        Where the motion grows, a law acts as one of another size does.
+        """
+        plain = replace(self, offset=None)
+        linear = Problem.scatter(plain, x, effects, classes=classes)
+        here = [e for e in effects if (e.name, e.location) in self.laws]
+        if self.offset is None or len(here) < len(self.laws):
             return linear
-        correction = self._correction(np.concatenate(sizes))
-        return np.asarray(linear + (correction if classes is None else correction[list(classes)]))
+        sizes, base, centred = np.concatenate([e.coordinates for e in here]), linear, effects
+        if not np.array_equal(sizes, self.centre):
+            centre = iter(np.split(self.centre, np.cumsum([len(e.parameters) for e in here])))
+            centred = [e.at(next(centre)) if e in here else e for e in effects]
+            base = Problem.scatter(plain, x, centred, classes=classes)
+        growth = forced_drift(plain, x, centred) / self.drift
+        acting = sizes * np.hstack([_scaled(e, growth) for e in here])
+        relative = _bounded(self.relative[0] + np.einsum("kp,pkfab->kfab", acting - self.centre, self.relative[1:]))
+        try:
+            root = np.linalg.cholesky(base)
+        except np.linalg.LinAlgError:  # a step too far: a model that is none has no likelihood
+            return np.full_like(linear, np.nan)
+        return np.asarray(linear + _around(root, relative if classes is None else relative[list(classes)]))
 
     def slopes(self, x: Array, effects: tuple[Effect, ...], spectra: ComplexArray) -> ComplexArray:
         """See `Problem.slopes`; of every class its own, since a law that bends much has its peaks elsewhere in each."""
@@ -58,15 +77,6 @@ class Corrected(Problem):
             out[p + n + k, k] = out[p : p + n, k].sum(axis=0)
         return out
 
-    def _correction(self, sizes: Array) -> ComplexArray:
-        """At sizes of the laws; the last one is kept, since most predictions move other parameters."""
-        key = sizes.tobytes()
-        if key not in self.kept:
-            relative = np.tensordot(np.concatenate([[1.0], sizes - self.centre]), self.relative, axes=1)
-            self.kept.clear()
-            self.kept[key] = self.base @ _bounded(relative) @ self.base.conj().swapaxes(-1, -2)
-        return self.kept[key]
-
     def mirrored(self, law: Effect) -> Corrected:
         """The same with a law's other hand, whose spectra are the same."""
         centre, relative, first = self.centre.copy(), self.relative.copy(), 0
@@ -77,18 +87,28 @@ class Corrected(Problem):
                 centre[first : first + n] *= np.where(turned, -1.0, 1.0)
                 relative[1 + first : 1 + first + n][turned] *= -1.0
             first += n
-        return replace(self, centre=centre, relative=relative, kept={})
+        return replace(self, centre=centre, relative=relative)
 
     @property
     def slopes_by_size(self) -> ComplexArray:
         """Of the correction, shape (p, classes, n_bins, c, c)."""
-        return np.asarray(self.base @ self.relative[1:] @ self.base.conj().swapaxes(-1, -2))
+        return _around(self.base, self.relative[1:])
 
     def spread(self, offsets: ComplexArray) -> ComplexArray:
         """Offsets smoothed as the correction is, shape (..., classes, n_bins, c, c)."""
         inverse = np.linalg.inv(self.base)
-        relative = _smooth(inverse @ offsets @ inverse.conj().swapaxes(-1, -2), self.evidence.band.hz)
-        return np.asarray(self.base @ relative @ self.base.conj().swapaxes(-1, -2))
+        return _around(self.base, _smooth(_around(inverse, offsets), self.evidence.band.hz))
+
+
+def _scaled(effect: Effect, growth: Array) -> Array:
+    """By how much a law's sizes seem changed where its story's drift has grown, shape (classes, p)."""
+    if not effect.amplitude_powers:
+        return np.ones((len(growth), len(effect.parameters)))
+    return np.asarray(growth[:, [effect.index]] ** np.array(effect.amplitude_powers))
+
+
+def _around(root: NDArray[Any], inner: NDArray[Any]) -> ComplexArray:
+    return np.asarray(root @ inner @ root.conj().swapaxes(-1, -2))
 
 
 def _smooth(relative: ComplexArray, hz: Array) -> ComplexArray:
@@ -110,8 +130,8 @@ def smoothed(problem: Problem, x: Array, offset: ComplexArray) -> ComplexArray:
     """A simulated offset with less chance in it: smooth relative to the spectra, shape (classes, n_bins, c, c)."""
     base = np.linalg.cholesky(problem.scatter(x, ()))
     inverse = np.linalg.inv(base)
-    relative = _bounded(_smooth(inverse @ offset @ inverse.conj().swapaxes(-1, -2), problem.evidence.band.hz))
-    return np.asarray(base @ relative @ base.conj().swapaxes(-1, -2))
+    relative = _bounded(_smooth(_around(inverse, offset), problem.evidence.band.hz))
+    return _around(base, relative)
 
 
 def corrected(
@@ -134,7 +154,8 @@ def corrected(
     centre = np.concatenate([e.coordinates for e in acting])
     terms = np.zeros((1 + centre.size, *offset.shape), dtype=complex)
     terms[0], terms[1 : 1 + len(slopes)] = offset, slopes
-    relative = _smooth(inverse @ terms @ inverse.conj().swapaxes(-1, -2), hz)
+    relative = _smooth(_around(inverse, terms), hz)
     plain["offset"] = offset
     laws = tuple((e.name, e.location) for e in acting)
-    return Corrected(**plain, laws=laws, centre=centre, base=base, relative=relative)
+    drift = forced_drift(replace(problem, offset=None), x, effects)
+    return Corrected(**plain, laws=laws, centre=centre, base=base, relative=relative, drift=drift)

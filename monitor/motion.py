@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.linalg import eigh
+from scipy.linalg import eigh, solve_continuous_lyapunov
 
 from monitor.driven import motion_rms
 from monitor.effects import Condition, Context, Effect, System
@@ -74,6 +74,27 @@ def conditions(
         moved = rms[:m], rms[m : 2 * m], rms[2 * m :]
         out.append(Condition(*moved, e.rms[k], warmer, e.peak, piled, beyond, band_hz))
     return tuple(out)
+
+
+def forced_drift(problem: Problem, x: Array, effects: Sequence[Effect]) -> Array:
+    """RMS drift that the linearized model has under white forces, shape (classes, n_stories), m."""
+    everything = (*problem.reference.effects(x), *effects)
+    context, matrices = problem.context_at(x), problem.matrices(x, everything)
+    n, p = problem.context.structure.n_dofs, problem.reference.mean.size
+    force, level = np.exp(x[p : p + n]), np.exp(x[p + n : p + n + problem.n_classes])
+    rows, out = context.structure.drift_matrix(), []
+    for condition, own in zip(problem.conditions, level, strict=True):
+        system = assemble(*matrices, everything, context, condition)
+        size = system.mass.shape[0]
+        inverse = np.linalg.inv(system.mass)
+        state = np.block(
+            [[np.zeros((size, size)), np.eye(size)], [-inverse @ system.stiffness, -inverse @ system.damping]]
+        )
+        drive = np.zeros((2 * size, 2 * size))
+        drive[size:, size:] = inverse[:, :n] * force @ inverse[:, :n].T
+        displacement = solve_continuous_lyapunov(state, -0.5 * own * drive)[:n, :n]
+        out.append(np.sqrt(np.einsum("ra,ab,rb->r", rows, displacement, rows)))
+    return np.array(out)
 
 
 def _beyond(problem: Problem, x: Array, effects: Sequence[Effect]) -> float:

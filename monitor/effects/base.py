@@ -144,6 +144,8 @@ class Effect(ABC):
 
     order: ClassVar[int] = 1
     """Power of its amplitude with which the spectra change."""
+    amplitude_powers: ClassVar[tuple[float, ...]] = ()
+    """Of a story's nonlinear law: at a drift a times as large it acts as with parameters a^power times as large."""
 
     location: str
     """As in the contract: ``story 2``, ``floor 1``, ``channel a2``, ``base``, ``frame``."""

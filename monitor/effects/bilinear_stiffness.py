@@ -26,6 +26,7 @@ class BilinearStiffness(Effect):
         "half the frequency drop of an open crack, the same at every level, with a skewed drift and second harmonics"
     )
     nonlinear: ClassVar[bool] = True
+    amplitude_powers: ClassVar[tuple[float, ...]] = (0.0,)
 
     relative_drop: float
 

@@ -31,6 +31,7 @@ class CoulombFriction(Effect):
     signature: ClassVar[str] = "damping falls with the level, frequencies hardly move"
     conditional: ClassVar[bool] = True
     nonlinear: ClassVar[bool] = True
+    amplitude_powers: ClassVar[tuple[float, ...]] = (-1.0,)
 
     friction_force_n: float
 

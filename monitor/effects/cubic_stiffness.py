@@ -33,6 +33,7 @@ class CubicStiffness(Effect):
     signature: ClassVar[str] = "frequencies rise (fall) with the level, damping does not, the drift is not skewed"
     conditional: ClassVar[bool] = True
     nonlinear: ClassVar[bool] = True
+    amplitude_powers: ClassVar[tuple[float, ...]] = (2.0,)
 
     k3_n_per_m3: float
 

@@ -30,6 +30,7 @@ class GapContact(Effect):
     )
     conditional: ClassVar[bool] = True
     nonlinear: ClassVar[bool] = True
+    amplitude_powers: ClassVar[tuple[float, ...]] = (-1.0, 0.0)
 
     gap_m: float
     """Negative: closes for negative drift."""

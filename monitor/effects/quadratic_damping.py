@@ -25,6 +25,7 @@ class QuadraticDamping(Effect):
     signature: ClassVar[str] = "damping rises with the level, frequencies stay"
     conditional: ClassVar[bool] = True
     nonlinear: ClassVar[bool] = True
+    amplitude_powers: ClassVar[tuple[float, ...]] = (1.0,)
 
     coefficient_n_s2_per_m2: float
 
