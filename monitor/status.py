@@ -82,7 +82,9 @@ def tell(status: dict[str, Any]) -> str:
     rows.append(("quality", _quality(quality, health)))
     rows.append(("windows", f"{summary.get('windows', 0)}, {summary.get('skipped', 0)} skipped; {_latest(result)}"))
     rows.append(("modes", _pairs(result.get("frequencies_hz"), result.get("frequencies_std_hz"), "Hz", 1.0)))
-    rows.append(("loss", _pairs(result.get("ddi"), result.get("ddi_std"), "%", 100.0)))
+    reason = (result.get("alarm") or {}).get("reason", "")
+    loss = _pairs(result.get("ddi"), result.get("ddi_std"), "%", 100.0)
+    rows.append(("loss", f"not known: {reason}" if reason.startswith("no baseline") else loss))
     rows.append(("alarm", _alarm(summary.get("alarm"), result)))
     rows.append(("recorder", _recorder(recorder, health)))
     found = summary.get("findings") or []
