@@ -111,7 +111,15 @@ def foreign(endpoint: str) -> Iterator[Callable[[bytes], None]]:
     """Puts raw bytes by a plain publisher that is none of ours."""
     session = open_session(SessionSettings(connect=(endpoint,)), Path())
     plain = session.declare_publisher(KEY, congestion_control=zenoh.CongestionControl.BLOCK)
-    yield plain.put
+
+    def put(data: bytes) -> None:
+        """Once somebody listens: what is put before is nobody's."""
+        deadline = time.monotonic() + PATIENCE_S
+        while not plain.matching_status.matching and time.monotonic() < deadline:
+            time.sleep(0.01)
+        plain.put(data)
+
+    yield put
     session.close()
 
 
