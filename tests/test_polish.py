@@ -96,3 +96,27 @@ def test_simulation_mends_what_linearization_misses(bent: tuple[Problem, Fit]) -
     std = float(np.hypot(np.sqrt(made.fit.covariance[n, n]), made.doubt[0]))
     assert abs(made.fit.x[n] - STRONG) < 3.0 * std
     assert std < 0.15 * STRONG
+
+
+def test_a_correction_grows_with_the_motion(bent: tuple[Problem, Fit]) -> None:
+    """As a new simulation at another level says; a fit that takes it for constant is led away from the truth."""
+    problem, null = bent
+    law, n = parse_effect(CUBIC.format(0.3 * STRONG)), problem.reference.mean.size
+    x = np.append(null.x, law.coordinates)
+    problem = replace(problem, conditions=conditions(problem, x, (law,)))
+
+    def offsets(x: np.ndarray, law: Effect = law) -> np.ndarray:
+        made = [forces(problem, x, (law,), seed) for seed in range(2)]
+        return np.mean([offset(problem, x, (law,), f, exact(problem, x, (law,), f)) for f in made], axis=0)
+
+    here = offsets(x)
+    slope = (offsets(x, law.at(1.1 * law.coordinates)) - here) / (0.1 * law.coordinates[0])
+    made = corrected(problem, x, (law,), here, slope[None])
+    louder = x.copy()
+    louder[n + 3 + problem.n_classes - 1] += 0.1
+    plain, at = problem.scatter(louder, (law,)), replace(null, x=x, effects=(law,))
+    anew = corrected(problem, louder, (law,), offsets(louder), np.zeros((0, *here.shape))).scatter(louder, (law,))
+    constant = plain + made.scatter(x, (law,)) - problem.scatter(x, (law,))
+    assert whitened_rms(problem, at, made.scatter(louder, (law,)) - anew) < 0.3 * whitened_rms(
+        problem, at, constant - anew
+    )
