@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import multiprocessing
 import os
 import random
 import signal
@@ -10,8 +11,10 @@ import sqlite3
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass, field
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +30,7 @@ from monitor.resume import Saved
 from monitor.simulate import simulate
 from monitor.vitals import plain
 from tests.conftest import T0_NS, Cli, Cut
-from tests.live_site import RATE, SIZE, given
+from tests.live_site import RATE, SIZE, forked, given
 
 SITE = """
 [site]
@@ -107,6 +110,25 @@ def kill(process: subprocess.Popen[bytes], after_s: float) -> None:
     time.sleep(after_s)
     process.send_signal(signal.SIGKILL)
     process.wait()
+
+
+def last_level(results: Path) -> str:
+    """Of the last whole line."""
+    if not results.exists():
+        return ""
+    with results.open("rb") as file:
+        file.seek(max(0, results.stat().st_size - 20_000))
+        _, _, last = file.read().rpartition(b"\n")[0].rpartition(b"\n")
+    return str(json.loads(last)["alarm"]["level"]) if last else ""
+
+
+def kill_at_a_change(process: BaseProcess, results: Path, within_s: float) -> None:
+    """At once when an alarm comes, grows or goes, and its line has just been written."""
+    deadline, level = time.monotonic() + within_s, last_level(results)
+    while time.monotonic() < deadline and last_level(results) == level:
+        time.sleep(0.001)
+    process.kill()
+    process.join()
 
 
 def wait_for_lines(path: Path, count: int, process: subprocess.Popen[bytes]) -> None:
@@ -192,33 +214,51 @@ def check_state(site: Path) -> None:
 def run_with_kills(
     site: Path, stream: np.ndarray, main: Cli, kills: int, seed: int, pace_s: float, longest_s: float
 ) -> Toll:
+    """Each fifth kill comes while the daemon starts, each tenth when an alarm changes, if one does in a while.
+
+    The daemons are forked from a process that has imported all there is, so that most of a life is work.
+    """
     folder, draw, toll = site.parent, random.Random(seed), Toll()
     np.save(folder / "stream.npy", stream.astype(np.float32))
     position, results = folder / "position", folder / "out" / "results.jsonl"
+    processes = multiprocessing.get_context("forkserver")
+    processes.set_forkserver_preload(["tests.live_site"])
 
-    def begin() -> subprocess.Popen[bytes]:
+    def begin() -> BaseProcess:
         missed = draw.choice([0, 0, 3, 20, 100])
-        return start(site, "tests.live_site", site, folder / "stream.npy", position, pace_s, missed)
+        arguments = [str(a) for a in (site, folder / "stream.npy", position, pace_s, missed)]
+        process = processes.Process(target=forked, args=(folder / "log", arguments))
+        process.start()
+        return process
 
     process = begin()
-    wait_for_lines(results, 3, process)
+    wait_for(lambda: results.exists() and results.read_bytes().count(b"\n") >= 3, process, folder)
     for number in range(kills):
-        kill(process, draw.uniform(0.0, longest_s))
+        if number % 10 == 8:
+            kill_at_a_change(process, results, 6.0 * longest_s)
+        else:
+            time.sleep(draw.uniform(0.0, 0.5 if number % 5 == 4 else longest_s))
+            assert process.is_alive(), (folder / "log").read_text()
+            process.kill()
+            process.join()
         taken = given(position)
         toll.taken_s.append(taken * SIZE / RATE)
         process = begin()
-        if number % 5 == 3:
-            continue  # the next kill comes while it starts
-        deadline = time.monotonic() + 300.0
-        while given(position) <= taken and time.monotonic() < deadline:
-            assert process.poll() is None, (folder / "log").read_text()
-            time.sleep(0.01)
-        assert given(position) > taken
+        if number % 5 != 3:  # the next kill comes while it starts
+            wait_for(lambda taken=taken: given(position) > taken, process, folder)
     time.sleep(2.0)
     process.terminate()
-    assert process.wait(60.0) == 0
+    process.join(60.0)
+    assert process.exitcode == 0
     check(site, main, toll)
     return toll
+
+
+def wait_for(condition: Callable[[], bool], process: BaseProcess, folder: Path) -> None:
+    deadline = time.monotonic() + 120.0
+    while not condition():
+        assert process.is_alive() and time.monotonic() < deadline, (folder / "log").read_text()
+        time.sleep(0.01)
 
 
 def test_ten_kills(site: Path, floors: tuple[np.ndarray, np.ndarray], main: Cli) -> None:

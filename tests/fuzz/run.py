@@ -16,7 +16,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from tests.fuzz.targets import TARGETS, quiet
+from tests.fuzz.targets import TARGETS
 
 
 def one(name: str, runs: int, seed: int) -> None:
@@ -28,12 +28,12 @@ def one(name: str, runs: int, seed: int) -> None:
             del sys.modules[module]
         del sys.modules["tests.fuzz.targets"]
         from tests.fuzz import targets
-    quiet()
+    targets.quiet()
     target = targets.TARGETS[name]
     with tempfile.TemporaryDirectory() as corpus:
         for k, data in enumerate(target.seeds()):
             (Path(corpus) / f"seed-{k}").write_bytes(data)
-        limits = [f"-runs={runs}", f"-seed={seed}", "-timeout=10", "-rss_limit_mb=2048", "-max_len=20000"]
+        limits = [f"-runs={runs}", f"-seed={seed}", "-timeout=10", "-rss_limit_mb=2048", f"-max_len={target.longest}"]
         Path("fuzz-faults").mkdir(exist_ok=True)
         said = ["-print_final_stats=1", "-verbosity=0", f"-artifact_prefix=fuzz-faults/{name}-"]
         atheris.Setup([sys.argv[0], *limits, *said, corpus], target.run)
@@ -50,6 +50,7 @@ def main() -> None:
     asked = parser.parse_args()
     if asked.one:
         one(asked.targets[0], asked.runs, asked.seed)
+    begun_all, total = time.monotonic(), 0
     print("target         messages   time, s   peak, MB   outcome", flush=True)
     failed = False
     for name in asked.targets or TARGETS:
@@ -77,9 +78,11 @@ def main() -> None:
             f"{name:<14} {count:>8}   {seconds:7.1f}   {peak:8}   {'ok' if done.returncode == 0 else 'FAULT'}",
             flush=True,
         )
+        total += int(count) if count.isdigit() else 0
         if done.returncode:
             failed = True
             print(done.stderr[-3000:], flush=True)
+    print(f"{'in all':<14} {total:>8}   {time.monotonic() - begun_all:7.1f}   seed {asked.seed}", flush=True)
     raise SystemExit(failed)
 
 
