@@ -426,7 +426,10 @@ def _npz(data: bytes) -> None:
 def _npz_seeds() -> list[bytes]:
     samples, made = np.sin(np.arange(90.0).reshape(30, 3)), []
     t = np.arange(30) / 100
-    for arrays in ({"samples": samples, "rate_hz": 100.0, "channels": ["a1", "a2", "a3"]}, {"x": samples[:, 0], "t": t}):
+    for arrays in (
+        {"samples": samples, "rate_hz": 100.0, "channels": ["a1", "a2", "a3"]},
+        {"x": samples[:, 0], "t": t},
+    ):
         for save in (np.savez, np.savez_compressed):
             file = io.BytesIO()
             save(file, **cast(Any, arrays))
