@@ -208,6 +208,37 @@ def test_files_that_are_no_requests_are_removed_unread(tmp_path: Path, caplog: p
     assert caplog.text.count("no request") == 4
 
 
+def test_a_request_that_cannot_be_removed_is_applied_once(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refused(path: Path, missing_ok: bool = False) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    box = Inbox(tmp_path / "requests")
+    monkeypatch.setattr(inbox, "_EVERY_S", 0.0)
+    monkeypatch.setattr(Path, "unlink", refused)
+    inbox.ask(tmp_path / "requests", Request(action="reset", story=1, who="ann"))
+    assert [len(box.take_requests()) for _ in range(4)] == [1, 0, 0, 0]
+    inbox.ask(tmp_path / "requests", Request(action="reset", story=2, who="ann"))
+    assert [[r.story for r in box.take_requests()] for _ in range(3)] == [[2], [], []]
+    assert caplog.text.count("cannot be removed") == 2
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root asks for others")
+def test_what_root_asks_belongs_to_the_daemon(tmp_path: Path) -> None:
+    state = tmp_path / "state"
+    state.mkdir()
+    os.chown(state, 12345, 12346)
+    before = os.umask(0o077)
+    try:
+        place = inbox.ask(state / "requests", Request(action="reset", story=1, who="ann"))
+    finally:
+        os.umask(before)
+    for path in (place.parent, place):
+        assert (path.stat().st_uid, path.stat().st_gid) == (12345, 12346), path
+    assert place.stat().st_mode & 0o777 == 0o644
+
+
 @pytest.mark.parametrize("style", ["text", "json"])
 def test_an_event_is_one_line_whatever_it_holds(style: str) -> None:
     formatter = LineFormatter(style, "bench")  # type: ignore[arg-type]

@@ -92,8 +92,8 @@ def site(tmp_path: Path, frame_text: str, floors: tuple[np.ndarray, np.ndarray],
 class Toll:
     """What the kills cost."""
 
-    taken_s: list[float] = field(default_factory=list)
-    """Length of the stream at each kill."""
+    lives_s: list[tuple[float, float]] = field(default_factory=list)
+    """Where in the stream each began to take it, and where it was killed."""
     lost_s: list[float] = field(default_factory=list)
     not_replayed: int = 0
     windows: int = 0
@@ -176,7 +176,7 @@ def check(site: Path, main: Cli, toll: Toll) -> None:
     live, replayed = lines(out), lines(again)
     assert replayed.keys() <= live.keys()
     begin, end = kept_s(out)
-    toll.lost_s = [taken - end[end <= taken + 1e-6].max() for taken in toll.taken_s]
+    toll.lost_s = [taken - max(first, end[end <= taken + 1e-6].max()) for first, taken in toll.lives_s]
     level = "normal"
     for number, text in live.items():
         line = json.loads(text)
@@ -224,14 +224,13 @@ def run_with_kills(
     processes = multiprocessing.get_context("forkserver")
     processes.set_forkserver_preload(["tests.live_site"])
 
-    def begin() -> BaseProcess:
-        missed = draw.choice([0, 0, 0, 0, 3, 20, 20, 100])
+    def begin(missed: int) -> BaseProcess:
         arguments = [str(a) for a in (site, folder / "stream.npy", position, pace_s, missed)]
         process = processes.Process(target=forked, args=(folder / "log", arguments))
         process.start()
         return process
 
-    process = begin()
+    process, taken, missed = begin(0), 0, 0
     wait_for(lambda: results.exists() and results.read_bytes().count(b"\n") >= 3, process, folder)
     for number in range(kills):
         if number % 10 == 8:
@@ -241,9 +240,10 @@ def run_with_kills(
             assert process.is_alive(), (folder / "log").read_text()
             process.kill()
             process.join()
-        taken = given(position)
-        toll.taken_s.append(taken * SIZE / RATE)
-        process = begin()
+        first, taken = taken + missed, given(position)
+        toll.lives_s.append((min(first, taken) * SIZE / RATE, taken * SIZE / RATE))
+        missed = draw.choice([0, 0, 0, 0, 3, 20, 20, 100])
+        process = begin(missed)
         if number % 5 != 3:  # the next kill comes while it starts
             wait_for(lambda taken=taken: given(position) > taken, process, folder)
     time.sleep(2.0)
