@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import logging
 import os
@@ -32,6 +33,7 @@ from tests.conftest import Cli
 from tests.live_site import RATE
 from tests.zenoh_router import free_port
 
+DEPLOY = Path(__file__).parents[1] / "deploy"
 SITE = """
 [site]
 name = "bench"
@@ -237,6 +239,49 @@ def test_what_root_asks_belongs_to_the_daemon(tmp_path: Path) -> None:
     for path in (place.parent, place):
         assert (path.stat().st_uid, path.stat().st_gid) == (12345, 12346), path
     assert place.stat().st_mode & 0o777 == 0o644
+
+
+@contextlib.contextmanager
+def as_a_stranger() -> Iterator[None]:
+    """Root may read everything."""
+    root = os.geteuid() == 0
+    if root:
+        os.seteuid(65534)
+    try:
+        yield
+    finally:
+        if root:
+            os.seteuid(0)
+
+
+def test_what_a_stranger_may_not_read_is_told_and_no_wrong_usage(tmp_path: Path, frame_text: str, main: Cli) -> None:
+    closed = tmp_path / "closed"
+    site = closed / "site.toml"
+    closed.mkdir()
+    site.write_text(SITE.format(port=1) + frame_text)
+    commands = [
+        ("status", site),
+        ("status", closed),
+        ("ack", site, "--story", 1, "--who", "x"),
+        ("check", site),
+        ("export", closed, "--out", tmp_path / "a.csv"),
+        ("report", closed, "--out", tmp_path / "r"),
+        ("replay", site, "--structure", DEPLOY / "mcap.toml", "--out", tmp_path / "o"),
+        ("calibrate", DEPLOY / "frame.dbc", "--structure", site, "--out", tmp_path / "b.json"),
+        ("run", site),
+    ]
+    for command in commands:  # everything is imported while that is allowed
+        main(*command[:1], "--help")
+        main(*command)
+    for path in (closed, tmp_path):
+        path.chmod(0o700)
+    try:
+        with as_a_stranger():
+            done = [main(*command) for command in commands]
+    finally:
+        closed.chmod(0o755)
+    assert [d.returncode for d in done] == [66] * len(commands), done
+    assert all("ermission denied" in d.stderr for d in done), done
 
 
 @pytest.mark.parametrize("style", ["text", "json"])

@@ -4,11 +4,13 @@
     python -m tests.fuzz.run [--runs 1000000] [TARGET ...]
 
 Each target runs in a process of its own: what crashes, takes longer than 10 s or more than 2 GB is kept in ``fuzz-faults/``.
+`kept` counts inputs that reached code which none before had; a run without any was not guided, and fails.
 """
 
 from __future__ import annotations
 
 import argparse
+import importlib
 import resource
 import subprocess
 import sys
@@ -27,7 +29,7 @@ def one(name: str, runs: int, seed: int) -> None:
         for module in [m for m in sys.modules if m.split(".")[0] in ("drivers", "monitor")]:
             del sys.modules[module]
         del sys.modules["tests.fuzz.targets"]
-        from tests.fuzz import targets
+        targets = importlib.import_module("tests.fuzz.targets")  # `from tests.fuzz import` would give the old one
     targets.quiet()
     target = targets.TARGETS[name]
     with tempfile.TemporaryDirectory() as corpus:
@@ -51,7 +53,7 @@ def main() -> None:
     if asked.one:
         one(asked.targets[0], asked.runs, asked.seed)
     begun_all, total = time.monotonic(), 0
-    print("target         messages   time, s   peak, MB   outcome", flush=True)
+    print("target         messages   time, s   peak, MB   kept   outcome", flush=True)
     failed = False
     for name in asked.targets or TARGETS:
         runs, begun = round(asked.runs * TARGETS[name].share), time.monotonic()
@@ -74,12 +76,11 @@ def main() -> None:
         count = said.get("number_of_executed_units", "?").strip()
         peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss // 1024
         peak = int(said.get("peak_rss_mb", str(peak)))
-        print(
-            f"{name:<14} {count:>8}   {seconds:7.1f}   {peak:8}   {'ok' if done.returncode == 0 else 'FAULT'}",
-            flush=True,
-        )
+        kept = int(said.get("new_units_added", "0"))
+        outcome = "FAULT" if done.returncode else "ok" if kept else "NOT GUIDED"
+        print(f"{name:<14} {count:>8}   {seconds:7.1f}   {peak:8}   {kept:4}   {outcome}", flush=True)
         total += int(count) if count.isdigit() else 0
-        if done.returncode:
+        if outcome != "ok":
             failed = True
             print(done.stderr[-3000:], flush=True)
     print(f"{'in all':<14} {total:>8}   {time.monotonic() - begun_all:7.1f}   seed {asked.seed}", flush=True)
