@@ -3,7 +3,8 @@
     pip install atheris
     python -m tests.fuzz.run [--runs 1000000] [TARGET ...]
 
-Each target runs in a process of its own: what crashes, takes longer than 10 s or more than 2 GB is kept in ``fuzz-faults/``.
+Each target runs in a process of its own: what crashes, takes longer than 10 s or more than 2 GB is kept in ``fuzz-faults/``;
+once mended it moves to ``found/``, which the tests run.
 `kept` counts inputs that reached code which none before had; a run without any was not guided, and fails.
 """
 
@@ -82,7 +83,7 @@ def main() -> None:
         total += int(count) if count.isdigit() else 0
         if outcome != "ok":
             failed = True
-            print(done.stderr[-3000:], flush=True)
+            print(done.stdout[-2000:], done.stderr[-1000:], sep="\n", flush=True)
     print(f"{'in all':<14} {total:>8}   {time.monotonic() - begun_all:7.1f}   seed {asked.seed}", flush=True)
     raise SystemExit(failed)
 
