@@ -82,8 +82,10 @@ def tell(status: dict[str, Any]) -> str:
     rows.append(("quality", _quality(quality, health)))
     rows.append(("windows", f"{summary.get('windows', 0)}, {summary.get('skipped', 0)} skipped; {_latest(result)}"))
     rows.append(("modes", _pairs(result.get("frequencies_hz"), result.get("frequencies_std_hz"), "Hz", 1.0)))
-    rows.append(("loss", _pairs(result.get("ddi"), result.get("ddi_std"), "%", 100.0)))
-    rows.append(("alarm", _alarm(summary.get("alarm"), result)))
+    baseless = str((result.get("alarm") or {}).get("reason")).startswith("no baseline")
+    since, why = (" against the structure file", "; no baseline, so none can be raised") if baseless else ("", "")
+    rows.append(("loss", _pairs(result.get("ddi"), result.get("ddi_std"), "%" + since, 100.0)))
+    rows.append(("alarm", _alarm(summary.get("alarm"), result) + why))
     rows.append(("recorder", _recorder(recorder, health)))
     found = summary.get("findings") or []
     rows.append(("findings", f"{len(found)}; latest: {found[-1]['says'] or found[-1]['reason']}" if found else "none"))

@@ -114,6 +114,7 @@ def test_status_tells_in_ten_lines(running: Running, main: Cli) -> None:
         assert done.returncode == 0, done.stdout + done.stderr
         rows = done.stdout.splitlines()
         assert len(rows) <= 12 and rows[0].split()[-1] and "100.00 % available" in done.stdout
+        assert "% against the structure file" in done.stdout and "no baseline, so none can be raised" in done.stdout
     found = json.loads(main("status", out, "--json").stdout)
     assert found["running"] and found["exit_code"] == 0 and found["health"]["source"]["connected"]
 
