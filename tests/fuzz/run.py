@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import os
 import resource
 import subprocess
 import sys
@@ -19,7 +20,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from tests.fuzz.targets import TARGETS
+from tests.fuzz.targets import MEMORY, TARGETS
 
 
 def one(name: str, runs: int, seed: int) -> None:
@@ -69,7 +70,11 @@ def main() -> None:
             str(asked.seed),
             name,
         ]
-        done = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
+        with tempfile.TemporaryDirectory(dir=MEMORY) as place:  # libFuzzer leaves without tidying up
+            environment = {**os.environ, "TMPDIR": place}
+            done = subprocess.run(
+                command, capture_output=True, text=True, errors="replace", check=False, env=environment
+            )
         seconds = time.monotonic() - begun
         said = dict(
             row.removeprefix("stat::").split(":", 1) for row in done.stderr.splitlines() if row.startswith("stat::")

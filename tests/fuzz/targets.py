@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import copy
 import functools
@@ -14,6 +15,7 @@ import json
 import logging
 import math
 import os
+import shutil
 import socket
 import struct
 import tempfile
@@ -106,11 +108,15 @@ class Target:
     longest: int = 20_000
 
 
+MEMORY = "/dev/shm" if Path("/dev/shm").is_dir() else None
+
+
 @functools.cache
 def scratch() -> Path:
     """A folder in memory, of this process."""
-    place = Path("/dev/shm")
-    return Path(tempfile.mkdtemp(prefix="shm-fuzz-", dir=place if place.is_dir() else None))
+    folder = tempfile.mkdtemp(prefix="shm-fuzz-", dir=os.environ.get("TMPDIR", MEMORY))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    return Path(folder)
 
 
 def _file(name: str, data: bytes) -> Path:
