@@ -23,6 +23,7 @@ PARSE_ERRORS = (
     ValueError,
     LookupError,
     TypeError,
+    ArithmeticError,
     AssertionError,
     EOFError,
     struct.error,

@@ -145,6 +145,8 @@ def fit(state: ClockState, rate_hz: float) -> ClockFit:
         keep = miss <= max(3.0 * 1.4826 * float(np.median(np.abs(miss))), 1e-6)
         if keep.sum() < 3:
             break
+    if slope <= -1.0:  # times that stand still or run back say nothing of the rate
+        return ClockFit(mean, spread, 0.0, np.inf, settled=False)
     drift = 1.0 / (1.0 + slope) - 1.0
     return ClockFit(mean, spread, 1e6 * drift, 1e6 * std, settled=n >= _SETTLED)
 

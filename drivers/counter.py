@@ -34,6 +34,7 @@ class _Suspect:
     """From the first to the last."""
     needed: int
     """Frames still to follow."""
+    frames: int = 1
 
 
 @dataclass(slots=True)
@@ -144,7 +145,7 @@ class Sequencer:
         unbroken = self.bits and delta == self.stride and suspect is None
         if self._near(delta) and (unbroken or not silent):
             if suspect is not None:
-                self.stray += suspect.moved // self.stride + 1
+                self.stray += suspect.frames
                 self._suspect = None
             index += delta
         elif not self.bits:
@@ -152,13 +153,15 @@ class Sequencer:
         else:
             follows = self._delta(value - suspect.last) if suspect else 0
             if suspect is None or not self._near(follows):
-                self.stray += suspect is not None
+                self.stray += suspect.frames if suspect else 0
                 needed = 1 if delta >= 0 or silent else max(1, round(rate_hz / self.stride))
                 self._suspect = _Suspect(value, t_s, value, 0, needed)
                 return None
             moved = suspect.moved + follows
             if suspect.needed > 1:
-                self._suspect = replace(suspect, last=value, moved=moved, needed=suspect.needed - 1)
+                self._suspect = replace(
+                    suspect, last=value, moved=moved, needed=suspect.needed - 1, frames=suspect.frames + 1
+                )
                 return None
             self._suspect = None
             index += self._jump(suspect.first - last, suspect.t_s - last_s, rate_hz, real_time) + moved

@@ -28,6 +28,8 @@ _MB, _GB = 1 << 20, 1 << 30
 _NAME = re.compile(r"\d{8}T\d{6}\.\d{6}Z-\d{4}\.mcap")
 _MOST_UNFLUSHED_BYTES = 8 * _MB
 _MOST_BLOCK_BYTES = 64 * _MB
+_EARLY = 0.8
+"""Of `flush_s`, when a flush begins: a slow disk must have it by then."""
 _LEAST_FLUSH_S = 1.0
 _MAX_INT = 1 << 62
 
@@ -127,7 +129,7 @@ class Recorder:
         if self._writer is None or not self._unflushed_blocks:
             return
         waited_s, data_s = self._clock() - self._flushed_s, (self.stamp_ns - self._flushed_ns) * 1e-9
-        flush_s = self._settings.flush_s
+        flush_s = _EARLY * self._settings.flush_s
         due = waited_s >= flush_s or (data_s >= flush_s and waited_s >= min(_LEAST_FLUSH_S, flush_s))
         if due or self._unflushed_bytes >= _MOST_UNFLUSHED_BYTES:
             self.flush()

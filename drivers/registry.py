@@ -28,10 +28,10 @@ def source_type(kind: str) -> Any:
     UnknownSourceError
         The message lists the kinds there are.
     """
-    outside = {point.name: point for point in entry_points(group=GROUP)}
     if kind in SOURCES:
         module, _, name = SOURCES[kind].partition(":")
         return getattr(import_module(module), name)
+    outside = {point.name: point for point in entry_points(group=GROUP)}
     if kind in outside:
         return outside[kind].load()
     raise UnknownSourceError(f"unknown kind {kind!r}; known: {', '.join(sorted([*SOURCES, *outside]))}")

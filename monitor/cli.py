@@ -26,8 +26,8 @@ from monitor import (
     outlets,
 )
 from monitor.allocator import keep_freed
-from monitor.cli_common import Json, Recordings, Structure, address, progress, say, warn
-from monitor.errors import BadConfigurationError, UserError
+from monitor.cli_common import Json, Recordings, Structure, address, leave_unread, progress, say, warn
+from monitor.errors import BadConfigurationError, MissingInputError, UserError
 from monitor.files import demand_place, spare_inputs, write_atomically
 
 app = typer.Typer(
@@ -285,6 +285,7 @@ def main() -> None:
     """Entry point: user errors become one message and the contract's exit code."""
     logging.basicConfig(format="%(levelname)s %(name)s: %(message)s", level=logging.WARNING)
     keep_freed()
+    leave_unread(app)
     try:
         # Small matrices: threads of the linear algebra only get in each other's way.
         with threadpool_limits(limits=1):
@@ -295,3 +296,6 @@ def main() -> None:
     except UserError as error:
         print(f"error: {error}", file=sys.stderr)
         raise SystemExit(error.exit_code) from None
+    except PermissionError as error:
+        print(f"error: {error.filename}: {error.strerror}; ask as the owner of the file, or root", file=sys.stderr)
+        raise SystemExit(MissingInputError.exit_code) from None

@@ -6,9 +6,10 @@ import json
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, get_type_hints
 
 import typer
+from typer.models import ArgumentInfo, OptionInfo
 
 Recordings = Annotated[list[Path], typer.Argument(metavar="REC.mcap...", help="Recordings, in any order.")]
 Structure = Annotated[Path, typer.Option(metavar="S.toml", help="Structure file.")]
@@ -48,3 +49,12 @@ def address(text: str | None) -> tuple[str, int] | None:
     if not host or not port.isdigit() or not 0 < int(port) < 65536:
         raise typer.BadParameter(f"--serve: {text!r} is not HOST:PORT, as 127.0.0.1:9876")
     return host, int(port)
+
+
+def leave_unread(app: typer.Typer) -> None:
+    """A file that must not be read is bad input (66), as one that is not there; the command line would call it wrong usage."""
+    for command in app.registered_commands:
+        for annotation in get_type_hints(command.callback, include_extras=True).values():
+            for said in getattr(annotation, "__metadata__", ()):
+                if isinstance(said, (ArgumentInfo, OptionInfo)):
+                    said.readable = False

@@ -10,10 +10,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from scipy.linalg import eigh
 from scipy.optimize import brentq
 
+from monitor.compiled import compiled
 from monitor.effects import Condition, Context, Effect, System
 from monitor.results import Array, ComplexArray
 from monitor.spectrum import LEAKAGE_OFFSETS, hann_amplitude, leakage
@@ -180,7 +180,7 @@ def variances(system: System, force: Array, context: Context, band_hz: float) ->
     return weight @ by_force, weight @ power[:, :, n], (weight * (hz > band_hz)) @ by_force
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def accelerance(mass: Array, damping: Array, stiffness: Array, omega: Array, right: Array) -> ComplexArray:
     """Acceleration per force, ``-w^2 (K + i w C - w^2 M)^-1 right``, shape (n_omega, N, columns)."""
     size, columns = right.shape
@@ -218,7 +218,7 @@ def accelerance(mass: Array, damping: Array, stiffness: Array, omega: Array, rig
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def blurred_products(columns: ComplexArray, taps: Array) -> ComplexArray:
     """Products ``columns columns^H`` on the half-bin grid, blurred into bins, shape (n_bins, c, c)."""
     n_fine, c, n = columns.shape

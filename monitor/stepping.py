@@ -10,9 +10,9 @@ from collections.abc import Sequence
 from math import ceil, tanh
 
 import numpy as np
-from numba import njit
 from scipy.linalg import expm
 
+from monitor.compiled import compiled
 from monitor.effects import Law, LawKind, System
 from monitor.results import Array
 
@@ -22,7 +22,7 @@ STEP_HZ = 4096.0
 _CUBIC, _CONTACT, _FRICTION = int(LawKind.CUBIC), int(LawKind.CONTACT), int(LawKind.FRICTION)
 
 
-@njit(cache=True)
+@compiled()
 def phi(kind: int, p0: float, p1: float, d: float, v: float) -> float:
     """Force of a law at displacement d and velocity v; `LawKind` says what the parameters are, each effect why.
 
@@ -97,7 +97,7 @@ def march(
     )
 
 
-@njit(cache=True)
+@compiled()
 def _march(
     decay: Array, behind: Array, ahead: Array, output: Array, kinds: Array, directions: Array, parameters: Array,
     stiffness: Array, forces: Array, excess: Array, substeps: int, n: int,
@@ -141,7 +141,7 @@ def _march(
     return floors
 
 
-@njit(cache=True)
+@compiled()
 def _reaction(
     state: Array, kinds: Array, directions: Array, parameters: Array, stiffness: Array, warm: float, out: Array
 ) -> None:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from monitor.compiled import compiled
 from monitor.results import Array, ComplexArray
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _cholesky(a: ComplexArray, out: ComplexArray) -> bool:
     c = a.shape[0]
     for j in range(c):
@@ -27,7 +27,7 @@ def _cholesky(a: ComplexArray, out: ComplexArray) -> bool:
     return True
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def log_wishart(spectra: ComplexArray, data: ComplexArray) -> Array:
     """``-ln det S - tr(S^-1 data)`` of every class and bin."""
     classes, bins, c, _ = spectra.shape
@@ -51,7 +51,7 @@ def log_wishart(spectra: ComplexArray, data: ComplexArray) -> Array:
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _invert_lower(lower: ComplexArray, out: ComplexArray) -> None:
     c = lower.shape[0]
     for j in range(c):
@@ -63,7 +63,7 @@ def _invert_lower(lower: ComplexArray, out: ComplexArray) -> None:
             out[i, j] = total / lower[i, i]
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def whiten(spectra: ComplexArray, slopes: ComplexArray, root: Array) -> Array:
     """Rows ``root L^-1 dS L^-H`` as reals, shape (classes * bins * c * c, p)."""
     p, classes, bins, c, _ = slopes.shape

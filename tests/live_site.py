@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from drivers.base import SampleBlock, SourceHealth
+from drivers.base import EndOfStream, SampleBlock, SourceHealth
 from monitor import config, logs
 from monitor.daemon import Daemon
 from tests.conftest import CHANNELS, T0_NS
@@ -28,16 +28,19 @@ def given(position: Path) -> int:
 
 
 class Live:
-    """Never ends."""
+    """Never ends, but with the test that wants it."""
 
     def __init__(self, stream: np.ndarray, position: Path, pace_s: float, missed: int) -> None:
         self._stream, self._pace_s = stream, pace_s
         self._next = given(position) + (missed if position.exists() else 0)
         self._place = os.open(position, os.O_RDWR | os.O_CREAT, 0o644)
+        self._parent = os.getppid()
 
     def open(self) -> None: ...
 
     def read(self, timeout_s: float) -> SampleBlock | None:
+        if os.getppid() != self._parent:
+            raise EndOfStream
         time.sleep(self._pace_s)
         os.pwrite(self._place, b"%020d" % (self._next + 1), 0)
         first = self._next * SIZE
@@ -52,8 +55,16 @@ class Live:
     def close(self) -> None: ...
 
 
-def main() -> None:
-    site, stream, position, pace_s, missed = sys.argv[1:]
+def forked(log: Path, arguments: list[str]) -> None:
+    """In a process that has imported everything already."""
+    descriptor = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+    os.dup2(descriptor, 1)
+    os.dup2(descriptor, 2)
+    main(arguments)
+
+
+def main(arguments: list[str]) -> None:
+    site, stream, position, pace_s, missed = arguments
     settings = config.load(Path(site))
     logs.begin(settings.log, settings.site_name)
     source = Live(np.load(stream), Path(position), float(pace_s), int(missed))
@@ -62,4 +73,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    main(sys.argv[1:])

@@ -176,3 +176,10 @@ def test_nonsense_still_gives_rising_unique_indices(counters: list[int], times: 
     n = min(len(counters), len(times))
     sequencer, found = number(np.array(counters[:n]), np.array(times[:n]), (7,))
     assert len(set(found)) == len(found) and min(found, default=0) >= 0 and sequencer.lost >= 0
+
+
+@pytest.mark.parametrize("slope", [-1.0, -1.5])
+def test_times_that_stand_still_or_run_back_say_nothing_of_the_rate(slope: float) -> None:
+    state = ClockState(seconds=tuple(range(9)), offsets=tuple(slope * k for k in range(9)))
+    found = clock.fit(state, 128.0)
+    assert found.drift_ppm == 0.0 and found.drift_std_ppm == np.inf and not found.settled

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import configparser
+import os
 import re
 import shlex
 import subprocess
@@ -108,6 +109,19 @@ def test_the_site_file_is_sound_and_opens_no_door(tmp_path: Path, main: Cli) -> 
     assert all(
         re.search(r"b\.json|tls|No such file|environment has no|notify\.urls|url_file", row) for row in problems
     ), problems
+
+
+def test_a_user_without_a_home_may_run_what_root_installed() -> None:
+    """Where compiled code cannot be kept, it is compiled anew."""
+    environment = {**os.environ, "NUMBA_CACHE_LOCATOR_CLASSES": "IPythonCacheLocator"}  # none for files
+    script = (
+        "from monitor import prediction, stepping, wishart; print(stepping.phi(stepping._CUBIC, 2.0, 1e9, 3.0, 0.0))"
+    )
+    command = [sys.executable, "-c", script]
+    done = subprocess.run(
+        command, capture_output=True, text=True, env=environment, cwd=DEPLOY.parent, timeout=240, check=False
+    )
+    assert done.returncode == 0 and round(float(done.stdout), 9) == 54.0, done.stderr
 
 
 def test_the_wheel_holds_the_program_and_nothing_else(tmp_path: Path) -> None:

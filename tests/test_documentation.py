@@ -57,7 +57,7 @@ def commands(text: str) -> list[list[str]]:
     out = []
     for match in _PROGRAM.finditer(joined):
         words = shlex.split(match["rest"].strip("` "), comments=True)
-        stops = [i for i, w in enumerate(words) if w in ("&", "|", "&&", "||", ";", ">", "2>&1")]
+        stops = [i for i, w in enumerate(words) if w in ("&", "|", "||", "&&", ";", ">", "2>&1")]
         out.append(words[: min(stops, default=len(words))])
     return out
 

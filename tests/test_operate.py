@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import logging
 import os
@@ -32,6 +33,7 @@ from tests.conftest import Cli
 from tests.live_site import RATE
 from tests.zenoh_router import free_port
 
+DEPLOY = Path(__file__).parents[1] / "deploy"
 SITE = """
 [site]
 name = "bench"
@@ -112,6 +114,7 @@ def test_status_tells_in_ten_lines(running: Running, main: Cli) -> None:
         assert done.returncode == 0, done.stdout + done.stderr
         rows = done.stdout.splitlines()
         assert len(rows) <= 12 and rows[0].split()[-1] and "100.00 % available" in done.stdout
+        assert "% against the structure file" in done.stdout and "no baseline, so none can be raised" in done.stdout
     found = json.loads(main("status", out, "--json").stdout)
     assert found["running"] and found["exit_code"] == 0 and found["health"]["source"]["connected"]
 
@@ -206,6 +209,80 @@ def test_files_that_are_no_requests_are_removed_unread(tmp_path: Path, caplog: p
     box.close(1.0)
     assert sorted(p.name for p in folder.iterdir()) == ["5.txt"] and secret.exists()
     assert caplog.text.count("no request") == 4
+
+
+def test_a_request_that_cannot_be_removed_is_applied_once(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refused(path: Path, missing_ok: bool = False) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    box = Inbox(tmp_path / "requests")
+    monkeypatch.setattr(inbox, "_EVERY_S", 0.0)
+    monkeypatch.setattr(Path, "unlink", refused)
+    inbox.ask(tmp_path / "requests", Request(action="reset", story=1, who="ann"))
+    assert [len(box.take_requests()) for _ in range(4)] == [1, 0, 0, 0]
+    inbox.ask(tmp_path / "requests", Request(action="reset", story=2, who="ann"))
+    assert [[r.story for r in box.take_requests()] for _ in range(3)] == [[2], [], []]
+    assert caplog.text.count("cannot be removed") == 2
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root asks for others")
+def test_what_root_asks_belongs_to_the_daemon(tmp_path: Path) -> None:
+    state = tmp_path / "state"
+    state.mkdir()
+    os.chown(state, 12345, 12346)
+    before = os.umask(0o077)
+    try:
+        place = inbox.ask(state / "requests", Request(action="reset", story=1, who="ann"))
+    finally:
+        os.umask(before)
+    for path in (place.parent, place):
+        assert (path.stat().st_uid, path.stat().st_gid) == (12345, 12346), path
+    assert place.stat().st_mode & 0o777 == 0o644
+
+
+@contextlib.contextmanager
+def as_a_stranger() -> Iterator[None]:
+    """Root may read everything."""
+    root = os.geteuid() == 0
+    if root:
+        os.seteuid(65534)
+    try:
+        yield
+    finally:
+        if root:
+            os.seteuid(0)
+
+
+def test_what_a_stranger_may_not_read_is_told_and_no_wrong_usage(tmp_path: Path, frame_text: str, main: Cli) -> None:
+    closed = tmp_path / "closed"
+    site = closed / "site.toml"
+    closed.mkdir()
+    site.write_text(SITE.format(port=1) + frame_text)
+    commands = [
+        ("status", site),
+        ("status", closed),
+        ("ack", site, "--story", 1, "--who", "x"),
+        ("check", site),
+        ("export", closed, "--out", tmp_path / "a.csv"),
+        ("report", closed, "--out", tmp_path / "r"),
+        ("replay", site, "--structure", DEPLOY / "mcap.toml", "--out", tmp_path / "o"),
+        ("calibrate", DEPLOY / "frame.dbc", "--structure", site, "--out", tmp_path / "b.json"),
+        ("run", site),
+    ]
+    for command in commands:  # everything is imported while that is allowed
+        main(*command[:1], "--help")
+        main(*command)
+    for path in (closed, tmp_path):
+        path.chmod(0o700)
+    try:
+        with as_a_stranger():
+            done = [main(*command) for command in commands]
+    finally:
+        closed.chmod(0o755)
+    assert [d.returncode for d in done] == [66] * len(commands), done
+    assert all("ermission denied" in d.stderr for d in done), done
 
 
 @pytest.mark.parametrize("style", ["text", "json"])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import multiprocessing
 import os
 import random
 import signal
@@ -10,8 +11,10 @@ import sqlite3
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass, field
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +30,7 @@ from monitor.resume import Saved
 from monitor.simulate import simulate
 from monitor.vitals import plain
 from tests.conftest import T0_NS, Cli, Cut
-from tests.live_site import RATE, SIZE, given
+from tests.live_site import RATE, SIZE, forked, given
 
 SITE = """
 [site]
@@ -56,8 +59,8 @@ latching = true
 [state]
 checkpoint_s = 20.0
 """
-FAST_S, STEADY_S = 0.01, 0.05
-"""Between two blocks of half a second: 50 times real time; and 10 times, at which the recorder keeps to its `flush_s`."""
+FAST_S, STEADY_S = 0.01, 0.0625
+"""Between two blocks of half a second: 50 times real time; and 8 times, at which the recorder can keep to its `flush_s`."""
 
 
 @pytest.fixture(scope="module")
@@ -89,8 +92,8 @@ def site(tmp_path: Path, frame_text: str, floors: tuple[np.ndarray, np.ndarray],
 class Toll:
     """What the kills cost."""
 
-    taken_s: list[float] = field(default_factory=list)
-    """Length of the stream at each kill."""
+    lives_s: list[tuple[float, float]] = field(default_factory=list)
+    """Where in the stream each began to take it, and where it was killed."""
     lost_s: list[float] = field(default_factory=list)
     not_replayed: int = 0
     windows: int = 0
@@ -107,6 +110,25 @@ def kill(process: subprocess.Popen[bytes], after_s: float) -> None:
     time.sleep(after_s)
     process.send_signal(signal.SIGKILL)
     process.wait()
+
+
+def last_level(results: Path) -> str:
+    """Of the last whole line."""
+    if not results.exists():
+        return ""
+    with results.open("rb") as file:
+        file.seek(max(0, results.stat().st_size - 20_000))
+        _, _, last = file.read().rpartition(b"\n")[0].rpartition(b"\n")
+    return str(json.loads(last)["alarm"]["level"]) if last else ""
+
+
+def kill_at_a_change(process: BaseProcess, results: Path, within_s: float) -> None:
+    """At once when an alarm comes, grows or goes, and its line has just been written."""
+    deadline, level = time.monotonic() + within_s, last_level(results)
+    while time.monotonic() < deadline and last_level(results) == level:
+        time.sleep(0.001)
+    process.kill()
+    process.join()
 
 
 def wait_for_lines(path: Path, count: int, process: subprocess.Popen[bytes]) -> None:
@@ -154,7 +176,7 @@ def check(site: Path, main: Cli, toll: Toll) -> None:
     live, replayed = lines(out), lines(again)
     assert replayed.keys() <= live.keys()
     begin, end = kept_s(out)
-    toll.lost_s = [taken - end[end <= taken + 1e-6].max() for taken in toll.taken_s]
+    toll.lost_s = [taken - max(first, end[end <= taken + 1e-6].max()) for first, taken in toll.lives_s]
     level = "normal"
     for number, text in live.items():
         line = json.loads(text)
@@ -192,33 +214,51 @@ def check_state(site: Path) -> None:
 def run_with_kills(
     site: Path, stream: np.ndarray, main: Cli, kills: int, seed: int, pace_s: float, longest_s: float
 ) -> Toll:
+    """Each fifth kill comes while the daemon starts, each tenth when an alarm changes, if one does in a while.
+
+    The daemons are forked from a process that has imported all there is, so that most of a life is work.
+    """
     folder, draw, toll = site.parent, random.Random(seed), Toll()
     np.save(folder / "stream.npy", stream.astype(np.float32))
     position, results = folder / "position", folder / "out" / "results.jsonl"
+    processes = multiprocessing.get_context("forkserver")
+    processes.set_forkserver_preload(["tests.live_site"])
 
-    def begin() -> subprocess.Popen[bytes]:
-        missed = draw.choice([0, 0, 3, 20, 100])
-        return start(site, "tests.live_site", site, folder / "stream.npy", position, pace_s, missed)
+    def begin(missed: int) -> BaseProcess:
+        arguments = [str(a) for a in (site, folder / "stream.npy", position, pace_s, missed)]
+        process = processes.Process(target=forked, args=(folder / "log", arguments))
+        process.start()
+        return process
 
-    process = begin()
-    wait_for_lines(results, 3, process)
+    process, taken, missed = begin(0), 0, 0
+    wait_for(lambda: results.exists() and results.read_bytes().count(b"\n") >= 3, process, folder)
     for number in range(kills):
-        kill(process, draw.uniform(0.0, longest_s))
-        taken = given(position)
-        toll.taken_s.append(taken * SIZE / RATE)
-        process = begin()
-        if number % 5 == 3:
-            continue  # the next kill comes while it starts
-        deadline = time.monotonic() + 300.0
-        while given(position) <= taken and time.monotonic() < deadline:
-            assert process.poll() is None, (folder / "log").read_text()
-            time.sleep(0.01)
-        assert given(position) > taken
+        if number % 10 == 8:
+            kill_at_a_change(process, results, 2.0 * longest_s)
+        else:
+            time.sleep(draw.uniform(0.0, 0.5 if number % 5 == 4 else longest_s))
+            assert process.is_alive(), (folder / "log").read_text()
+            process.kill()
+            process.join()
+        first, taken = taken + missed, given(position)
+        toll.lives_s.append((min(first, taken) * SIZE / RATE, taken * SIZE / RATE))
+        missed = draw.choice([0, 0, 0, 0, 3, 20, 20, 100])
+        process = begin(missed)
+        if number % 5 != 3:  # the next kill comes while it starts
+            wait_for(lambda taken=taken: given(position) > taken, process, folder)
     time.sleep(2.0)
     process.terminate()
-    assert process.wait(60.0) == 0
+    process.join(60.0)
+    assert process.exitcode == 0
     check(site, main, toll)
     return toll
+
+
+def wait_for(condition: Callable[[], bool], process: BaseProcess, folder: Path) -> None:
+    deadline = time.monotonic() + 120.0
+    while not condition():
+        assert process.is_alive() and time.monotonic() < deadline, (folder / "log").read_text()
+        time.sleep(0.01)
 
 
 def test_ten_kills(site: Path, floors: tuple[np.ndarray, np.ndarray], main: Cli) -> None:
@@ -232,8 +272,8 @@ def test_ten_kills(site: Path, floors: tuple[np.ndarray, np.ndarray], main: Cli)
 @pytest.mark.timeout(7200)
 def test_two_hundred_kills(site: Path, floors: tuple[np.ndarray, np.ndarray], main: Cli) -> None:
     text = site.read_text().replace("flush_s = 1.0", "flush_s = 10.0")
-    site.write_text(text.replace("latching = true", "latching = false"))  # so that many alarms come and go
-    toll = run_with_kills(site, floors[1], main, 200, int(os.environ.get("SEED", "2")), STEADY_S, 4.0)
+    site.write_text(text.replace("latching = true", "latching = false\nclear_s = 10.0"))  # so that many come and go
+    toll = run_with_kills(site, floors[1], main, 200, int(os.environ.get("SEED", "2")), STEADY_S, 8.0)
     log = (site.parent / "log").read_text()
     lost = sorted(toll.lost_s)
     print(
@@ -242,7 +282,7 @@ def test_two_hundred_kills(site: Path, floors: tuple[np.ndarray, np.ndarray], ma
     )
     assert "not resumed" not in log and "Traceback" not in log
     assert toll.episodes >= 2
-    assert lost[-1] <= 10.0 + 1.0  # besides `flush_s`, what was on its way
+    assert lost[-1] <= 10.0 + 4.0  # besides `flush_s`, what comes in half a second of a busy machine
 
 
 def test_a_recording_as_source_goes_on_and_nothing_shows(

@@ -118,7 +118,7 @@ def _checked(table: Table) -> Table:
 def _members(path: Path, raw: bytes) -> list[str]:
     try:
         with zipfile.ZipFile(io.BytesIO(raw)) as archive:
-            return [info.filename for info in archive.infolist() if not info.is_dir()]
+            return [name for name in archive.namelist() if not name.endswith("/")]
     except (zipfile.BadZipFile, ValueError, NotImplementedError) as error:
         raise BadInputError(f"{path}: damaged zip archive: {error}") from error
 

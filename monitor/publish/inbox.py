@@ -14,7 +14,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from monitor.files import write_atomically
+from monitor.files import finish, partial
 from monitor.publish.requests import MAX_REQUEST_BYTES, Request
 from monitor.results import Gap, WindowResult
 
@@ -27,7 +27,7 @@ class Inbox:
     """Reads the folder now and then (`monitor.outlets.Outlet`).
 
     A file is removed only after what it asked for was applied: what a power cut interrupts is done again, and all requests say
-    how things shall be, so twice is as once.
+    how things shall be, so twice is as once.  One that cannot be removed is applied once in a run.
     """
 
     failed: str | None = None
@@ -36,22 +36,29 @@ class Inbox:
         self._folder = folder
         self._looked_s = float("-inf")
         self._done: list[Path] = []
+        self._stuck: set[Path] = set()
+        with contextlib.suppress(OSError):  # so that it is the daemon's, whoever asks first
+            folder.mkdir(parents=True, exist_ok=True)
 
     def take_requests(self) -> Sequence[Request]:
         """Those that came since; what was handed out before counts as applied."""
         for path in self._done:
-            with contextlib.suppress(OSError):
+            try:
                 path.unlink(missing_ok=True)
+            except OSError as error:
+                self._stuck.add(path)
+                _log.error("%s was applied and cannot be removed: %s; remove it", path, error.strerror or error)
         self._done = []
         now = time.monotonic()
         if now - self._looked_s < _EVERY_S:
             return ()
         self._looked_s = now
         try:
-            names = sorted(name for name in os.listdir(self._folder) if name.endswith(".json"))
+            asked = {self._folder / name for name in os.listdir(self._folder) if name.endswith(".json")}
         except OSError:
-            return ()  # nobody has asked anything yet
-        self._done = [self._folder / name for name in names[:_MOST]]
+            return ()
+        self._stuck &= asked
+        self._done = sorted(asked - self._stuck)[:_MOST]
         return [request for path in self._done if (request := _read(path)) is not None]
 
     def window(self, result: WindowResult, line: str) -> None:
@@ -77,10 +84,23 @@ def ask(folder: Path, request: Request) -> Path:
 
     Raises ``OSError`` if it cannot be written.
     """
-    folder.mkdir(parents=True, exist_ok=True)
+    if not folder.is_dir():
+        folder.mkdir(parents=True, exist_ok=True)
+        _give(folder, folder.parent)
     place = folder / f"{time.time_ns()}-{secrets.token_hex(4)}.json"  # in the order in which they were asked
-    write_atomically(place, request.model_dump_json())
+    made = partial(place)
+    made.write_text(request.model_dump_json(), encoding="utf-8")
+    made.chmod(0o644)  # the folder says who may
+    _give(made, folder)
+    finish(place)
     return place
+
+
+def _give(path: Path, like: Path) -> None:
+    """What root asks, the daemon's user must be able to read and remove."""
+    owner = like.stat()
+    with contextlib.suppress(PermissionError):
+        os.chown(path, owner.st_uid, owner.st_gid)
 
 
 def _read(path: Path) -> Request | None:

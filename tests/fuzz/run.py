@@ -3,12 +3,16 @@
     pip install atheris
     python -m tests.fuzz.run [--runs 1000000] [TARGET ...]
 
-Each target runs in a process of its own: what crashes, takes longer than 10 s or more than 2 GB is kept in ``fuzz-faults/``.
+Each target runs in a process of its own: what crashes, takes longer than 10 s or more than 2 GB is kept in ``fuzz-faults/``;
+once mended it moves to ``found/``, which the tests run.
+`kept` counts inputs that reached code which none before had; a run without any was not guided, and fails.
 """
 
 from __future__ import annotations
 
 import argparse
+import importlib
+import os
 import resource
 import subprocess
 import sys
@@ -16,7 +20,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from tests.fuzz.targets import TARGETS, quiet
+from tests.fuzz.targets import MEMORY, TARGETS
 
 
 def one(name: str, runs: int, seed: int) -> None:
@@ -27,13 +31,13 @@ def one(name: str, runs: int, seed: int) -> None:
         for module in [m for m in sys.modules if m.split(".")[0] in ("drivers", "monitor")]:
             del sys.modules[module]
         del sys.modules["tests.fuzz.targets"]
-        from tests.fuzz import targets
-    quiet()
+        targets = importlib.import_module("tests.fuzz.targets")  # `from tests.fuzz import` would give the old one
+    targets.quiet()
     target = targets.TARGETS[name]
     with tempfile.TemporaryDirectory() as corpus:
         for k, data in enumerate(target.seeds()):
             (Path(corpus) / f"seed-{k}").write_bytes(data)
-        limits = [f"-runs={runs}", f"-seed={seed}", "-timeout=10", "-rss_limit_mb=2048", "-max_len=20000"]
+        limits = [f"-runs={runs}", f"-seed={seed}", "-timeout=10", "-rss_limit_mb=2048", f"-max_len={target.longest}"]
         Path("fuzz-faults").mkdir(exist_ok=True)
         said = ["-print_final_stats=1", "-verbosity=0", f"-artifact_prefix=fuzz-faults/{name}-"]
         atheris.Setup([sys.argv[0], *limits, *said, corpus], target.run)
@@ -50,7 +54,8 @@ def main() -> None:
     asked = parser.parse_args()
     if asked.one:
         one(asked.targets[0], asked.runs, asked.seed)
-    print("target         messages   time, s   peak, MB   outcome", flush=True)
+    begun_all, total = time.monotonic(), 0
+    print("target         messages   time, s   peak, MB   kept   outcome", flush=True)
     failed = False
     for name in asked.targets or TARGETS:
         runs, begun = round(asked.runs * TARGETS[name].share), time.monotonic()
@@ -65,7 +70,11 @@ def main() -> None:
             str(asked.seed),
             name,
         ]
-        done = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
+        with tempfile.TemporaryDirectory(dir=MEMORY) as place:  # libFuzzer leaves without tidying up
+            environment = {**os.environ, "TMPDIR": place}
+            done = subprocess.run(
+                command, capture_output=True, text=True, errors="replace", check=False, env=environment
+            )
         seconds = time.monotonic() - begun
         said = dict(
             row.removeprefix("stat::").split(":", 1) for row in done.stderr.splitlines() if row.startswith("stat::")
@@ -73,13 +82,14 @@ def main() -> None:
         count = said.get("number_of_executed_units", "?").strip()
         peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss // 1024
         peak = int(said.get("peak_rss_mb", str(peak)))
-        print(
-            f"{name:<14} {count:>8}   {seconds:7.1f}   {peak:8}   {'ok' if done.returncode == 0 else 'FAULT'}",
-            flush=True,
-        )
-        if done.returncode:
+        kept = int(said.get("new_units_added", "0"))
+        outcome = "FAULT" if done.returncode else "ok" if kept else "NOT GUIDED"
+        print(f"{name:<14} {count:>8}   {seconds:7.1f}   {peak:8}   {kept:4}   {outcome}", flush=True)
+        total += int(count) if count.isdigit() else 0
+        if outcome != "ok":
             failed = True
-            print(done.stderr[-3000:], flush=True)
+            print(done.stdout[-2000:], done.stderr[-1000:], sep="\n", flush=True)
+    print(f"{'in all':<14} {total:>8}   {time.monotonic() - begun_all:7.1f}   seed {asked.seed}", flush=True)
     raise SystemExit(failed)
 
 

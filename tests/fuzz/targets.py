@@ -5,14 +5,17 @@
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import copy
 import functools
 import hashlib
+import io
 import json
 import logging
 import math
 import os
+import shutil
 import socket
 import struct
 import tempfile
@@ -95,18 +98,25 @@ class Target:
         Inputs that are right.
     share : float
         Of the messages of a whole run; what is slow gets fewer.
+    longest : int
+        Bytes; a stream of frames takes a time that grows with them.
     """
 
     run: Callable[[bytes], object]
     seeds: Callable[[], list[bytes]]
     share: float
+    longest: int = 20_000
+
+
+MEMORY = "/dev/shm" if Path("/dev/shm").is_dir() else None
 
 
 @functools.cache
 def scratch() -> Path:
     """A folder in memory, of this process."""
-    place = Path("/dev/shm")
-    return Path(tempfile.mkdtemp(prefix="shm-fuzz-", dir=place if place.is_dir() else None))
+    folder = tempfile.mkdtemp(prefix="shm-fuzz-", dir=os.environ.get("TMPDIR", MEMORY))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    return Path(folder)
 
 
 def _file(name: str, data: bytes) -> Path:
@@ -412,6 +422,46 @@ def _csv_seeds() -> list[bytes]:
     ]
 
 
+def _npz(data: bytes) -> None:
+    path, out = _file("a.npz", data), scratch() / "out.mcap"
+    with contextlib.suppress(UserError):
+        importers.import_files([path], out, on_warning=lambda _: None)
+    out.unlink(missing_ok=True)
+
+
+def _npz_seeds() -> list[bytes]:
+    samples, made = np.sin(np.arange(90.0).reshape(30, 3)), []
+    t = np.arange(30) / 100
+    for arrays in (
+        {"samples": samples, "rate_hz": 100.0, "channels": ["a1", "a2", "a3"]},
+        {"x": samples[:, 0], "t": t},
+    ):
+        for save in (np.savez, np.savez_compressed):
+            file = io.BytesIO()
+            save(file, **cast(Any, arrays))
+            made.append(file.getvalue())
+    return made
+
+
+def _log_of_kind(suffix: str) -> Target:
+    """A log of CAN frames as another program writes it."""
+
+    def run(data: bytes) -> None:
+        path, out = _file("a" + suffix, data), scratch() / "out.mcap"
+        with contextlib.suppress(UserError):
+            importers.import_files([path], out, rate_hz=1024.0, dbc=ROOT / "deploy" / "frame.dbc")
+        out.unlink(missing_ok=True)
+
+    def seeds() -> list[bytes]:
+        path = scratch() / ("seed" + suffix)
+        with can.Logger(path) as writer:
+            for t, row in _frames_of(40):
+                writer(can.Message(timestamp=t, arbitration_id=256, is_extended_id=False, data=row, channel=1))
+        return [path.read_bytes()]
+
+    return Target(run, seeds, 0.01, 4000)
+
+
 # --- state -------------------------------------------------------------------------------------------------------------
 
 
@@ -529,18 +579,22 @@ def _pipeline(data: bytes) -> None:
 
 
 TARGETS: dict[str, Target] = {
-    "protobuf": Target(_protobuf, _protobuf_seeds, 0.22),
-    "cdr": Target(_cdr, _cdr_seeds, 0.15),
-    "request": Target(_json_request, _request_seeds, 0.15),
-    "can": Target(_can_frames, _can_seeds, 0.06),
-    "socketcand": Target(_socketcand, _socketcand_seeds, 0.06),
-    "can_log": Target(_can_log, _can_log_seeds, 0.02),
+    "protobuf": Target(_protobuf, _protobuf_seeds, 0.2),
+    "cdr": Target(_cdr, _cdr_seeds, 0.13),
+    "request": Target(_json_request, _request_seeds, 0.14),
+    "can": Target(_can_frames, _can_seeds, 0.06, 4000),
+    "socketcand": Target(_socketcand, _socketcand_seeds, 0.06, 4000),
+    "can_log": Target(_can_log, _can_log_seeds, 0.02, 4000),
     "zenoh": Target(_zenoh, _zenoh_seeds, 0.08),
     "request_file": Target(_request_file, _request_seeds, 0.03),
     "mcap": Target(_mcap, _mcap_seeds, 0.05),
     "crash_file": Target(_crash_file, _mcap_seeds, 0.02),
     "toml": Target(_toml, _toml_seeds, 0.03),
     "csv": Target(_csv, _csv_seeds, 0.03),
+    "npz": Target(_npz, _npz_seeds, 0.02),
+    "asc": _log_of_kind(".asc"),
+    "blf": _log_of_kind(".blf"),
+    "trc": _log_of_kind(".trc"),
     "checkpoint": Target(_checkpoint, _checkpoint_seeds, 0.03),
     "baseline": Target(_baseline, _baseline_seeds, 0.02),
     "finding": Target(_finding, _finding_seeds, 0.02),
@@ -550,6 +604,7 @@ TARGETS: dict[str, Target] = {
 
 
 def quiet() -> None:
-    """Refusals are logged by the thousand."""
+    """Refusals are logged by the thousand; what is not made from the input need not be read again each time."""
     logging.disable(logging.CRITICAL)
+    frames.load = functools.cache(frames.load)
     os.environ["OPENBLAS_NUM_THREADS"] = "1"

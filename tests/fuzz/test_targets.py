@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -79,3 +80,8 @@ def test_anything_at_all(name: str) -> None:
         target.run(data)
 
     run()
+
+
+@pytest.mark.parametrize("path", sorted((Path(__file__).parent / "found").iterdir()), ids=lambda p: p.name)
+def test_what_the_guided_search_once_found(path: Path) -> None:
+    TARGETS[path.name.partition("-")[0]].run(path.read_bytes())
