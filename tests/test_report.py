@@ -40,7 +40,14 @@ CONFIG = Configuration.model_validate(
 )
 REFERENCE = nominal(CONFIG.model(), 0.01 * CONFIG.prior_std(), 3)
 """Known so well that its stiffnesses cannot take up a cause."""
-GAIN = Gain(1.0, 1.05, (0.04, 0.06), csd_error_before=0.2, csd_error_after=0.1, heldout="every block judged by the fit to the others")
+GAIN = Gain(
+    1.0,
+    1.05,
+    (0.04, 0.06),
+    csd_error_before=0.2,
+    csd_error_after=0.1,
+    heldout="every block judged by the fit to the others",
+)
 LOSS = "stiffness_change:story 2:relative=-0.1"
 
 

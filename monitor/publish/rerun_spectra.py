@@ -103,7 +103,9 @@ def _power(values: Array, rate_hz: float) -> tuple[Array, Array]:
     n = round(_SEGMENT_S * rate_hz)
     segments = np.lib.stride_tricks.sliding_window_view(values, n, axis=0)[:: n // 2]
     spectra = np.fft.rfft((segments - segments.mean(axis=-1, keepdims=True)) * taper(n))
-    return np.arange(n // 2 + 1) * (rate_hz / n), np.asarray((spectra.real**2 + spectra.imag**2).mean(axis=0).T)
+    return np.asarray(np.arange(n // 2 + 1) * (rate_hz / n), dtype=float), np.asarray(
+        (spectra.real**2 + spectra.imag**2).mean(axis=0).T
+    )
 
 
 def _lane(hz: Array, power: Array, top: float, lane: int) -> Array:
