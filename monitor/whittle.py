@@ -65,9 +65,9 @@ def refine(window: Window, modes: ModalEstimate, settings: RefinementSettings) -
         The subspace estimate itself where there are too few segments, or so many channels that the scoring would take
         longer than it is worth, or where it does not settle nearby.
     """
-    if not settings.enabled or window.segments.shape[0] < settings.min_segments:
+    if not settings.enabled or len(window.segments) < settings.min_segments:
         return modes
-    layout = layout_of(modes, settings.half_band, window.segments.shape[1], window.segment_bin_hz)
+    layout = layout_of(modes, settings.half_band, len(window.segments[0]), window.segment_bin_hz)
     if layout.columns.size * layout.counts.size > _MOST_ENTRIES:
         return modes
     data = cross_spectra(layout, window.segments)

@@ -19,6 +19,8 @@ from monitor.spectrum import LEAKAGE_OFFSETS, leakage
 
 _FIRST_BIN = 4
 _LEAST_HALF_BINS = 8
+_CACHED = 1 << 14
+"""Numbers worked on at once: what the processor's cache holds."""
 _POOL = 0.3
 """Width of a pool over its distance from the nearest mode."""
 
@@ -118,9 +120,9 @@ def layout_of(modes: ModalEstimate, half_band: float, n_bins: int, bin_hz: float
     return Layout(bins, np.array(first), sizes, columns, nodes * bin_hz, counts, gauges, free, pairs)
 
 
-def cross_spectra(layout: Layout, segments: ComplexArray) -> ComplexArray:
+def cross_spectra(layout: Layout, segments: tuple[ComplexArray, ...]) -> ComplexArray:
     """Every segment's cross-spectra, means over pools, packed, shape (segments, pairs, pools)."""
-    x = np.ascontiguousarray(np.take(segments, layout.bins, axis=1).transpose(2, 0, 1))
+    x = np.ascontiguousarray(np.stack([segment[layout.bins] for segment in segments]).transpose(2, 0, 1))
     conjugate, (rows, columns) = x.conj(), triangle(len(x))
     sums = np.empty((len(segments), len(rows), len(layout.first)), dtype=complex)
     for pair, (i, j) in enumerate(zip(rows, columns, strict=True)):
@@ -179,7 +181,15 @@ def packed(layout: Layout, u: Array | ComplexArray, v: ComplexArray) -> ComplexA
     """Packed ``u v^H + v u^H`` from columns of shape (.., c, columns), shape (parameters, pairs, pools)."""
     i, j = triangle(v.shape[1])
     u, v = u.transpose(2, 1, 0), np.ascontiguousarray(v.transpose(2, 1, 0))
-    return np.asarray(np.add.reduceat(u[:, i] * v.conj()[:, j] + v[:, i] * u.conj()[:, j], layout.columns))
+    each = np.empty((len(v), len(i), v.shape[2]), dtype=complex)
+    group = max(1, _CACHED // each[0].size)
+    for k in range(0, len(v), group):
+        a, b = u[k : k + group], v[k : k + group]
+        np.multiply(a[:, i], b.conj()[:, j], out=each[k : k + group])
+        each[k : k + group] += b[:, i] * a.conj()[:, j]
+    tilt, curvature = layout.columns[-2:]  # the only ones of several columns
+    each[tilt], each[tilt + 1] = each[tilt:curvature].sum(axis=0), each[curvature:].sum(axis=0)
+    return each[: tilt + 2]
 
 
 def product(a: ComplexArray, b: ComplexArray) -> Array:
