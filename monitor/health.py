@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Protocol
 
 import numpy as np
@@ -246,7 +247,12 @@ def _noise_floor(x: Array, rate_hz: float) -> Array:
     """Of each row, m/s^2/sqrt(Hz): Hann window on the span's middle."""
     n = min(x.shape[1], _FFT_N)
     start = (x.shape[1] - n) // 2
-    taper = np.hanning(n + 2)[1:-1]
+    taper = _taper(n)
     power = np.abs(np.fft.rfft(x[:, start : start + n] * taper, axis=1)) ** 2 * (2.0 / (rate_hz * (taper @ taper)))
     tenth = power.shape[1] // 10
     return np.asarray(np.sqrt(np.partition(power, tenth, axis=1)[:, tenth] / _TENTH))
+
+
+@lru_cache(maxsize=8)
+def _taper(n: int) -> Array:
+    return np.asarray(np.hanning(n + 2)[1:-1])

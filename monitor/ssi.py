@@ -143,12 +143,14 @@ def realise(sums: LagSums, settings: SsiSettings, past: tuple[int, ...], max_ord
     max_order = min(max_order, len(past_rows) - 1, (i - 1) * l)
     by_covariance = settings.variant == "COV"
     full = np.zeros((0, 0)) if by_covariance and settings.algorithm == 2 else gram(sums)
-    g_fp = _toeplitz(sums, i, past) if by_covariance else full[future][:, past_rows]
+    every = len(past_rows) == i * l and (past_rows[:-1] < past_rows[1:]).all()
+    earlier = slice(0, i * l) if every else past_rows  # a slice copies nothing
+    g_fp = _toeplitz(sums, i, past) if by_covariance else full[future, earlier]
     if settings.variant in ("COV", "PC"):
         # PC's weight W2 turns the projection into Y_f Y_p^T, up to an orthogonal factor.
         values, white = _leading(g_fp, max_order)
     else:
-        half_pp = _inverse_root(full[past_rows][:, past_rows])
+        half_pp = _inverse_root(full[earlier][:, earlier])
         weighted = g_fp @ half_pp
         if settings.variant == "CVA":
             weighted = _inverse_root(full[future, future]).T @ weighted

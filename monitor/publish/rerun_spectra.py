@@ -101,8 +101,9 @@ class Spectra:
 def _power(values: Array, rate_hz: float) -> tuple[Array, Array]:
     """Frequencies and mean periodograms, shape (n_hz, c), of half-overlapping tapered segments, up to a factor."""
     n = round(_SEGMENT_S * rate_hz)
-    segments = np.lib.stride_tricks.sliding_window_view(values, n, axis=0)[:: n // 2]
-    spectra = np.fft.rfft((segments - segments.mean(axis=-1, keepdims=True)) * taper(n))
+    # Single precision is enough for a picture.
+    segments = np.lib.stride_tricks.sliding_window_view(values.astype(np.float32), n, axis=0)[:: n // 2]
+    spectra = np.fft.rfft((segments - segments.mean(axis=-1, keepdims=True)) * taper(n).astype(np.float32))
     return np.asarray(np.arange(n // 2 + 1) * (rate_hz / n), dtype=float), np.asarray(
         (spectra.real**2 + spectra.imag**2).mean(axis=0).T
     )
