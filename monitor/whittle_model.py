@@ -179,6 +179,14 @@ def upper(matrices: ComplexArray) -> ComplexArray:
 
 def packed(layout: Layout, u: Array | ComplexArray, v: ComplexArray) -> ComplexArray:
     """Packed ``u v^H + v u^H`` from columns of shape (.., c, columns), shape (parameters, pairs, pools)."""
+    each = packed_columns(u, v)
+    tilt, curvature = layout.columns[-2:]  # the only ones of several columns
+    each[tilt], each[tilt + 1] = each[tilt:curvature].sum(axis=0), each[curvature:].sum(axis=0)
+    return each[: tilt + 2]
+
+
+def packed_columns(u: Array | ComplexArray, v: ComplexArray) -> ComplexArray:
+    """The same, column by column, shape (columns, pairs, pools)."""
     i, j = triangle(v.shape[1])
     u, v = u.transpose(2, 1, 0), np.ascontiguousarray(v.transpose(2, 1, 0))
     each = np.empty((len(v), len(i), v.shape[2]), dtype=complex)
@@ -187,9 +195,7 @@ def packed(layout: Layout, u: Array | ComplexArray, v: ComplexArray) -> ComplexA
         a, b = u[k : k + group], v[k : k + group]
         np.multiply(a[:, i], b.conj()[:, j], out=each[k : k + group])
         each[k : k + group] += b[:, i] * a.conj()[:, j]
-    tilt, curvature = layout.columns[-2:]  # the only ones of several columns
-    each[tilt], each[tilt + 1] = each[tilt:curvature].sum(axis=0), each[curvature:].sum(axis=0)
-    return each[: tilt + 2]
+    return each
 
 
 def product(a: ComplexArray, b: ComplexArray) -> Array:
