@@ -29,7 +29,7 @@ from monitor.publish.rerun_scene import (
     utc,
 )
 from monitor.publish.rerun_shapes import Shapes, label
-from monitor.publish.rerun_spectra import Spectra
+from monitor.publish.rerun_spectra import FILE_EVERY_S, LIVE_EVERY_S, Spectra
 from monitor.publish.rerun_tiers import Thinning
 from monitor.publish.rerun_trust import Clocks, Trust
 from monitor.results import DamageReading, Gap, Level, ModalEstimate, Samples, StiffnessEstimate, WindowResult
@@ -48,7 +48,8 @@ class Picture:
         self._level: Level | None = None
         self._skipped: str | None = None
         self._extent = (1.0, 1.0)
-        self._spectra, self._trust = Spectra(scene, stream, self._rows), Trust(scene, stream, self._rows)
+        every_s = LIVE_EVERY_S if block_s <= LIVE_BLOCK_S else FILE_EVERY_S
+        self._spectra, self._trust = Spectra(scene, stream, self._rows, every_s), Trust(scene, stream, self._rows)
         heights = np.asarray(scene.story_heights_m, dtype=float)
         self._z = np.append(np.cumsum(heights[::-1])[::-1], 0.0) / heights.sum()
         """Shape (n + 1,): height of floor 1 (top) .. n and of the ground, the whole frame 1 high."""

@@ -13,7 +13,8 @@ from monitor.publish.rerun_scene import GREY, SERIES, STABILISATION, Scene
 from monitor.results import Array, Samples, WindowResult
 from monitor.spectrum import taper
 
-_EVERY_NS = 60_000_000_000
+LIVE_EVERY_S, FILE_EVERY_S = 60.0, 200.0
+"""They change slowly: half of what is averaged is new after 200 s."""
 _SEGMENT_S, _LONGEST_S = 20.0, 400.0
 _DECADES = 7.0
 """Of power, shown of each channel."""
@@ -39,12 +40,13 @@ def predicted(scene: Scene, result: WindowResult, hz: Array) -> Array:
 
 
 class Spectra:
-    """Draws both, one channel over the other, at most once a minute of data."""
+    """Draws both, one channel over the other, every so many seconds of data."""
 
-    def __init__(self, scene: Scene, stream: rr.RecordingStream, to: Rows) -> None:
+    def __init__(self, scene: Scene, stream: rr.RecordingStream, to: Rows, every_s: float) -> None:
         self._scene, self._stream, self._to = scene, stream, to
+        self._every_ns = round(every_s * 1e9)
         self._blocks: deque[Samples] = deque()
-        self._drawn_ns, self._axes = -_EVERY_NS, False
+        self._drawn_ns, self._axes = -self._every_ns, False
 
     def samples(self, samples: Samples) -> None:
         """Keep the latest; what stands before a gap or another rate is let go."""
@@ -59,7 +61,7 @@ class Spectra:
 
     def window(self, result: WindowResult) -> None:
         """Draw, if it is time; the stream stands at the window's end."""
-        if not self._blocks or result.t_end_ns - self._drawn_ns < _EVERY_NS:
+        if not self._blocks or result.t_end_ns - self._drawn_ns < self._every_ns:
             return
         rate, values = self._blocks[0].rate_hz, np.concatenate([b.values for b in self._blocks])
         if len(values) < _SEGMENT_S * rate:
