@@ -104,32 +104,58 @@ def decode_joined(messages: Iterable[bytes], topic: str, longest_s: float) -> li
         If a message is no SampleBlock, contradicts itself, or begins before the one before it.
     """
     joined: list[SampleBlock] = []
-    first, parts, n, last_ns = None, [], 0, -1
+    first: SampleBlock | None = None
+    parts: list[bytes] = []
+    n, last_ns, size, like = 0, -1, 0, b""
     for data in messages:
-        message = _parsed(data)
-        samples, t_ns = message.samples, _time_ns(message)
+        # What lies between sequence and samples is mostly the same in block after block: then only the beginning is read.
+        short = bool(like) and data[-size - len(like) : -size] == like
+        message = _parsed(data[: -size - len(like)] if short else data)
+        if short and (message.samples or message.unit or message.channels or message.sample_rate_hz):
+            short, message = False, _parsed(data)
+        t_ns = _time_ns(message)
         if t_ns < last_ns:
             raise ValueError("blocks out of order")
         last_ns = t_ns
+        samples = data[-size:] if short else message.samples
         rows = 0 if first is None else len(samples) // (4 * len(first.channels))
         if (
             first is not None
             and message.sequence == first.sequence + n
-            and message.sample_rate_hz == first.sample_rate_hz
             and n + rows <= longest_s * first.sample_rate_hz
             and abs(t_ns - first.t_ns - round(n / first.sample_rate_hz * 1e9)) <= 1
-            and len(samples) == 4 * rows * len(first.channels)
-            and message.unit == first.unit
-            and tuple(message.channels) == first.channels
+            and (short or _fits(message, first))
         ):
             parts.append(samples)
             n += rows
             continue
         if first is not None:
             joined.append(_with(first, parts))
-        first, parts = decode(data, topic), [samples]
-        n = first.n_samples
+        first = decode(data, topic)
+        parts, n = [first.samples.tobytes()], first.n_samples
+        size, like = len(parts[0]), _between(data, first, parts[0])
     return joined if first is None else [*joined, _with(first, parts)]
+
+
+def _fits(message: Any, first: SampleBlock) -> bool:
+    """Whether a block is of the kind of another."""
+    return (
+        message.sample_rate_hz == first.sample_rate_hz
+        and len(message.samples) % (4 * len(first.channels)) == 0
+        and message.unit == first.unit
+        and tuple(message.channels) == first.channels
+    )
+
+
+def _between(data: bytes, block: SampleBlock, samples: bytes) -> bytes:
+    """The bytes between time and sequence, which begin a message, and the samples, which end it; none if it is not so."""
+    begin = _Message(sequence=block.sequence)
+    begin.timestamp.seconds, begin.timestamp.nanos = divmod(block.t_ns, _NS)
+    head = begin.SerializeToString()
+    if not (samples and data.startswith(head) and data.endswith(samples)):
+        return b""
+    rest = _parsed(data[len(head) :])
+    return b"" if rest.HasField("timestamp") or rest.sequence else data[len(head) : -len(samples)]
 
 
 def _with(block: SampleBlock, parts: list[bytes]) -> SampleBlock:

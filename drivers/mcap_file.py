@@ -164,7 +164,7 @@ class _Survey:
 
     def load_joined(self, messages: list[Message], longest_s: float) -> list[SampleBlock] | None:
         """A segment's messages where all that are wanted are `/acceleration` of one channel and in order; else None."""
-        wanted = {m.channel_id for m in messages if self._wanted(self.file.channels[m.channel_id])}
+        wanted = {number for number in {m.channel_id for m in messages} if self._wanted(self.file.channels[number])}
         if len(wanted) != 1:
             return None
         (number,) = wanted

@@ -87,9 +87,10 @@ class McapWriter:
 
     def write_json(self, topic: str, t_ns: int, data: bytes | str, schema: Mapping[str, object] | None = None) -> None:
         """Append one JSON message; `schema` is its JSON schema, by default any object."""
-        text = json.dumps(schema or {"type": "object"}, sort_keys=True).encode()
-        name = "shm." + topic.strip("/").replace("/", ".")
-        channel = self._channel(topic, "json", name, "jsonschema", text)
+        channel = self._channels.get(topic)
+        if channel is None:
+            text = json.dumps(schema or {"type": "object"}, sort_keys=True).encode()
+            channel = self._channel(topic, "json", "shm." + topic.strip("/").replace("/", "."), "jsonschema", text)
         self._writer.add_message(channel, t_ns, data.encode() if isinstance(data, str) else data, t_ns)
 
     def flush(self) -> None:

@@ -89,8 +89,11 @@ class Conditioner:
         weights = self.taps[phase]
         # One tap at a time, so that no sum's order depends on how the samples were cut into blocks.
         output = np.zeros((k.size, samples.shape[1]))
+        taken = np.empty_like(output)
         for tap in range(self.taps.shape[1]):
-            output += weights[:, tap, None] * np.take(extended, first + tap, axis=0)
+            np.take(extended, first + tap, axis=0, out=taken, mode="clip")  # nothing to clip, but "raise" copies
+            taken *= weights[:, tap, None]
+            output += taken
         history = extended[extended.shape[0] - (self.taps.shape[1] - 1) :]
         return ConditionState(memory, history, n_in, n_out), output
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from monitor import baseline, config, replay
+from monitor import baseline, calibrate, config, replay
 from monitor.errors import MissingInputError
 from monitor.publish.lines import replay_story
 
@@ -22,7 +22,7 @@ def run(recordings: Path, out: Path, *, say: Callable[[str], None], on_warning: 
         raise MissingInputError(f"{recordings}: no recordings here; run in the project's folder or give --recordings")
     frame = config.load(recordings / "frame.toml")
     say("1. Calibrating on a healthy recording of a simulated three-story frame whose drawing is wrong on purpose ...")
-    healthy, _ = replay.calibrate([recordings / "frame-healthy.mcap"], frame, on_warning=on_warning)
+    healthy, _ = calibrate.calibrate([recordings / "frame-healthy.mcap"], frame, on_warning=on_warning)
     out.mkdir(parents=True, exist_ok=True)
     baseline.save(healthy, out / "baseline.json")
     say("2. Replaying 1000 s of it in which story 2 loses 12 % of its stiffness after 400 s ...")

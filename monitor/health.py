@@ -10,7 +10,9 @@ SeisComP, scqc: quality parameters of waveforms.
 
 from __future__ import annotations
 
+from collections import defaultdict
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Protocol
 
 import numpy as np
@@ -161,18 +163,20 @@ def check(state: HealthState, begin_ns: int, end_ns: int, settings: HealthSettin
     n = sum(s.samples for s in inside)
     if not n:
         return None
-    for told in zip(*(s.channels for s in inside), strict=True):
-        # All quiet at once is a structure at rest, in steps of the sensors' resolution.
-        stuck = sum(
-            s.samples
-            for s, c in zip(inside, told, strict=True)
-            if c.repeated == 1.0 and any(other.repeated < 0.5 for other in s.channels)
-        )
-        if stuck > settings.max_stuck * n:
-            return Skipped(f"channel {told[0].channel} is stuck ({100 * stuck / n:.0f} % of the window)")
-        clipped = sum(s.samples * c.clipped for s, c in zip(inside, told, strict=True)) / n
-        if clipped > settings.max_clipped:
-            return Skipped(f"channel {told[0].channel} is clipped ({100 * clipped:.0f} % of its samples)")
+    stuck: defaultdict[str, int] = defaultdict(int)
+    clipped: defaultdict[str, float] = defaultdict(float)
+    for s in inside:
+        for c in s.channels:
+            # All quiet at once is a structure at rest, in steps of the sensors' resolution.
+            if c.repeated == 1.0 and any(other.repeated < 0.5 for other in s.channels):
+                stuck[c.channel] += s.samples
+            if c.clipped:
+                clipped[c.channel] += s.samples * c.clipped
+    for c in inside[0].channels:
+        if stuck[c.channel] > settings.max_stuck * n:
+            return Skipped(f"channel {c.channel} is stuck ({100 * stuck[c.channel] / n:.0f} % of the window)")
+        if clipped[c.channel] / n > settings.max_clipped:
+            return Skipped(f"channel {c.channel} is clipped ({100 * clipped[c.channel] / n:.0f} % of its samples)")
     return None
 
 
@@ -243,7 +247,12 @@ def _noise_floor(x: Array, rate_hz: float) -> Array:
     """Of each row, m/s^2/sqrt(Hz): Hann window on the span's middle."""
     n = min(x.shape[1], _FFT_N)
     start = (x.shape[1] - n) // 2
-    taper = np.hanning(n + 2)[1:-1]
+    taper = _taper(n)
     power = np.abs(np.fft.rfft(x[:, start : start + n] * taper, axis=1)) ** 2 * (2.0 / (rate_hz * (taper @ taper)))
     tenth = power.shape[1] // 10
     return np.asarray(np.sqrt(np.partition(power, tenth, axis=1)[:, tenth] / _TENTH))
+
+
+@lru_cache(maxsize=8)
+def _taper(n: int) -> Array:
+    return np.asarray(np.hanning(n + 2)[1:-1])

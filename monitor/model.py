@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import eigh
+from scipy.linalg import lapack
 
 from monitor.effects import Effect
 from monitor.results import Array
@@ -105,5 +105,10 @@ class Model:
         numpy.linalg.LinAlgError
             If the mass matrix is not positive definite.
         """
-        eigenvalues, shapes = eigh(self.stiffness_matrix(), self.mass_matrix())
+        mass, stiffness = self.structural_matrices()
+        if not (np.isfinite(mass).all() and np.isfinite(stiffness).all()):
+            raise np.linalg.LinAlgError("mass or stiffness is not finite")
+        eigenvalues, shapes, failed = lapack.dsygvd(stiffness, mass)  # without the checks of `eigh`, which take longer
+        if failed:
+            raise np.linalg.LinAlgError("the mass matrix is not positive definite")
         return Modes(eigenvalues, shapes)

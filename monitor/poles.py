@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from statistics import median
 
 import numpy as np
 from pydantic import Field
@@ -12,7 +13,8 @@ from scipy.optimize import linear_sum_assignment
 from monitor.model import Modes
 from monitor.results import Array, ComplexArray, ModalEstimate, Skipped, Window
 from monitor.settings import Settings
-from monitor.ssi import Realisation, SsiSettings, StateSpace, continuous, realise, state_spaces
+from monitor.ssi import PoleTable, Realisation, SsiSettings, continuous, realise, state_space
+from monitor.ssi import poles as all_poles
 from monitor.ssi_covariance import mode_deviations
 
 _BAND = 0.45
@@ -46,14 +48,18 @@ class SelectionSettings(Settings):
 class _Poles:
     """All plausible poles of all orders, one row each."""
 
+    orders: tuple[int, ...]
+    """Of the state spaces, plausible poles or not."""
     space: list[int]
-    """Index of the state space."""
+    """Index in them."""
     column: list[int]
-    """Index of the pole in it."""
+    """Index of the pole in the state space."""
     frequency: Array
     damping: Array
     shape: ComplexArray
     """Unit norm, shape (n_poles, c)."""
+    likeness: Array
+    """Modal assurance criterion of every two."""
     stable: Array
     """1 if the order below has the same pole."""
 
@@ -107,11 +113,11 @@ def identify(
         return Skipped("every mode of the model lies beyond the band; check the units of masses and stiffness")
     max_order = max(ssi.max_order, _ORDERS_PER_MODE * len(wanted))
     realisation = realise(window.sums, ssi, past, max_order)
-    spaces = state_spaces(realisation, range(2, max_order + 1, 2))
     complete = realisation.singular_values.size < max_order
-    poles = _plausible(spaces, window.rate_hz, select, complete)
+    found = all_poles(realisation, range(2, max_order + 1, 2))
+    poles = _plausible(found, window.rate_hz, select, complete)
     shapes = (sensors @ reference.shapes[:, list(wanted)]).T
-    modes = _match(poles, len(spaces), reference.frequencies_hz[list(wanted)], shapes, select)
+    modes = _match(poles, reference.frequencies_hz[list(wanted)], shapes, select)
     missing = [str(i + 1) for i, m in zip(wanted[: select.required_modes], modes, strict=False) if m is None]
     if missing:
         return Skipped(
@@ -120,45 +126,40 @@ def identify(
         )
     wanted = tuple(i for i, m in zip(wanted, modes, strict=True) if m is not None)
     clusters = [m for m in modes if m is not None]
-    chosen = _common_order(poles, clusters, spaces)
+    chosen = _common_order(poles, clusters)
     if chosen is None:
         return Skipped("no order shows every mode")
-    return _estimate(window, realisation, spaces, poles, chosen, wanted, refiner, ssi.uncertainty)
+    return _estimate(window, realisation, poles, chosen, wanted, refiner, ssi.uncertainty)
 
 
-def _plausible(spaces: list[StateSpace], rate_hz: float, select: SelectionSettings, complete: bool) -> _Poles:
+def _plausible(found: PoleTable, rate_hz: float, select: SelectionSettings, complete: bool) -> _Poles:
     """Poles that could be modes.  Where the data have no more states (`complete`), the last order's need no other."""
-    value = np.concatenate([s.poles for s in spaces])
-    f, zeta = continuous(value, rate_hz)
-    near_axis = (zeta > 0) & (zeta < select.max_damping_ratio)
-    good = (value.imag > 0) & (f > select.min_frequency_hz) & (f < _BAND * rate_hz) & near_axis
-    order = np.repeat(np.arange(len(spaces)), [s.poles.size for s in spaces])[good]
-    column = np.concatenate([np.arange(s.poles.size) for s in spaces])[good]
+    f, zeta = continuous(found.value, rate_hz)
+    good = (f > select.min_frequency_hz) & (f < _BAND * rate_hz) & (zeta > 0) & (zeta < select.max_damping_ratio)
+    order, column, shape = found.space[good], found.column[good], found.shape[good]
     frequency, damping = f[good], zeta[good]
-    shape = np.concatenate([s.shapes.T for s in spaces])[good]
-    shape /= np.linalg.norm(shape, axis=1)[:, None]
+    shape /= np.sqrt(np.einsum("pc,pc->p", shape.conj(), shape).real)[:, None]
+    likeness = np.abs(shape.conj() @ shape.T) ** 2
     near = np.abs(frequency[:, None] / frequency[None, :] - 1.0) < select.stable_frequency
     below = order[:, None] == order[None, :] + 1
-    stable = (near & (mac(shape, shape) > select.stable_mac) & below).any(axis=1).astype(float)
+    stable = (near & (likeness > select.stable_mac) & below).any(axis=1).astype(float)
     if complete:
-        stable[order == len(spaces) - 1] = 1.0
-    return _Poles(order.tolist(), column.tolist(), frequency, damping, shape, stable)
+        stable[order == len(found.orders) - 1] = 1.0
+    return _Poles(found.orders, order.tolist(), column.tolist(), frequency, damping, shape, likeness, stable)
 
 
-def _match(
-    poles: _Poles, n_orders: int, frequencies: Array, shapes: Array, select: SelectionSettings
-) -> list[list[int] | None]:
+def _match(poles: _Poles, frequencies: Array, shapes: Array, select: SelectionSettings) -> list[list[int] | None]:
     """For every model mode, the stable poles of its counterpart; None where there is none."""
-    clusters = _clusters(poles, n_orders, select)
+    clusters = _clusters(poles, select)
     found: list[list[int] | None] = [None] * len(frequencies)
     if not clusters:
         return found
-    centre = np.array([np.median(poles.frequency[c]) for c in clusters])
+    centre = np.array([median(poles.frequency[c].tolist()) for c in clusters])
     shape = np.array([poles.shape[c[len(c) // 2]] for c in clusters])
     likeness = mac(shapes.astype(complex), shape)
     distance = np.abs(np.log(centre[None, :] / frequencies[:, None]))
     forbidden = (distance > np.log(select.max_frequency_ratio)) | (likeness < select.min_model_mac)
-    support = np.array([len(c) for c in clusters]) / n_orders
+    support = np.array([len(c) for c in clusters]) / len(poles.orders)
     # How many orders show a mode says more than how near the drawing it lies.
     cost = 0.5 * distance / np.log(select.max_frequency_ratio) + 2.0 * (1.0 - likeness) + (1.0 - support)
     for i, j in zip(*linear_sum_assignment(np.where(forbidden, 1e3, cost)), strict=True):
@@ -167,40 +168,38 @@ def _match(
     return found
 
 
-def _clusters(poles: _Poles, n_orders: int, select: SelectionSettings) -> list[list[int]]:
+def _clusters(poles: _Poles, select: SelectionSettings) -> list[list[int]]:
     """Stable poles of the same mode, at most one an order, where enough orders agree."""
-    free = [int(p) for p in np.flatnonzero(poles.stable)]
-    likeness = mac(poles.shape, poles.shape)
+    candidates = np.flatnonzero(poles.stable)
+    f = poles.frequency[candidates]
+    alike = poles.likeness[candidates[:, None], candidates] > select.stable_mac
+    near = alike & (np.abs(f[:, None] / f[None, :] - 1.0) < 2.0 * select.stable_frequency)
+    together, free = near.astype(float), np.ones(f.size)
     clusters = []
-    while free:
+    while free.any():
         # The pole with most companions is the best centre of a mode.
-        f = poles.frequency[free]
-        near = (np.abs(f[:, None] / f[None, :] - 1.0) < 2.0 * select.stable_frequency) & (
-            likeness[np.ix_(free, free)] > select.stable_mac
-        )
-        seed = int(near.sum(axis=1).argmax())
-        members = [free[j] for j in np.flatnonzero(near[seed])]
-        best: dict[int, int] = {}
-        for p in members:
+        seed = int(np.where(free > 0, together @ free, -1.0).argmax())
+        members = np.flatnonzero(near[seed] & (free > 0))
+        free[members] = 0.0
+        best: dict[int, tuple[float, int]] = {}
+        for p, away in zip(candidates[members].tolist(), np.abs(f[members] - f[seed]).tolist(), strict=True):
             s = poles.space[p]
-            closer = s not in best or abs(poles.frequency[p] - f[seed]) < abs(poles.frequency[best[s]] - f[seed])
-            if closer:
-                best[s] = p
-        if len(best) >= select.min_stable_share * (n_orders - 1):
-            clusters.append(sorted(best.values(), key=lambda p: poles.space[p]))
-        free = [p for p in free if p not in members]
+            if s not in best or away < best[s][0]:
+                best[s] = away, p
+        if len(best) >= select.min_stable_share * (len(poles.orders) - 1):
+            clusters.append([p for _, (_, p) in sorted(best.items())])
     return clusters
 
 
-def _common_order(poles: _Poles, clusters: list[list[int]], spaces: list[StateSpace]) -> list[int] | None:
+def _common_order(poles: _Poles, clusters: list[list[int]]) -> list[int] | None:
     """One pole a mode, all from the lowest order that shows them all with room for what is no mode.
 
     The exact order is a trap for data-driven identification (bias in frequency and damping); two more pairs remove
     it, and higher orders only add variance.  Noise-free data have no such orders: then the highest below.
     """
     enough = 2 * len(clusters) + 4
-    above = [s for s, space in enumerate(spaces) if space.order >= enough]
-    below = [s for s, space in enumerate(spaces) if space.order < enough]
+    above = [s for s, order in enumerate(poles.orders) if order >= enough]
+    below = [s for s, order in enumerate(poles.orders) if order < enough]
     for s in above + below[::-1]:
         here = [next((p for p in c if poles.space[p] == s), None) for c in clusters]
         if all(p is not None for p in here):
@@ -211,7 +210,6 @@ def _common_order(poles: _Poles, clusters: list[list[int]], spaces: list[StateSp
 def _estimate(
     window: Window,
     realisation: Realisation,
-    spaces: list[StateSpace],
     poles: _Poles,
     chosen: list[int],
     wanted: tuple[int, ...],
@@ -220,7 +218,7 @@ def _estimate(
 ) -> ModalEstimate:
     by_frequency = sorted(range(len(chosen)), key=lambda i: poles.frequency[chosen[i]])
     rows = [chosen[i] for i in by_frequency]
-    space = spaces[poles.space[rows[0]]]
+    order = poles.orders[poles.space[rows[0]]]
     largest = np.abs(poles.shape[rows]).argmax(axis=1)
     shapes = poles.shape[rows] / poles.shape[rows, largest][:, None]
     shapes[np.arange(len(rows)), largest] = 1.0
@@ -232,11 +230,12 @@ def _estimate(
         model_mode=np.array([wanted[i] for i in by_frequency], dtype=np.int64),
         deviations=np.zeros((0, len(rows), 2 + 2 * shapes.shape[1])),
         first=window.first_block,
-        order=space.order,
-        poles=np.column_stack([[spaces[s].order for s in poles.space], poles.frequency, poles.damping, poles.stable]),
+        order=order,
+        poles=np.column_stack([np.take(poles.orders, poles.space), poles.frequency, poles.damping, poles.stable]),
     )
     better = estimate if refiner is None else refiner(estimate)
     if better is not estimate or not uncertainty:
         return better
+    space = state_space(realisation, order)
     deviations = mode_deviations(window.sums, realisation, space, columns, shapes, window.rate_hz)
     return replace(estimate, deviations=deviations)

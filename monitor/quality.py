@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from pydantic import Field
 
-from monitor.results import LagSums, Skipped
+from monitor.results import Array, LagSums, Skipped
 from monitor.settings import Settings
 
 
@@ -23,19 +25,26 @@ def check(
 
     The spectrum is the lag window estimate (Bartlett) of the summed channels, from 1 Hz to 0.9 of the cutoff.
     """
-    variance = np.diag(sums.blocks[:, 0].sum(axis=0)) / sums.counts.sum()
+    lag_sum = sums.total
+    variance = np.diag(lag_sum[0]) / sums.counts.sum()
     # A sensor that gives a constant leaves rounding errors only.
     dead = [name for name, v in zip(channels, variance, strict=True) if not v > max(1e-20, 1e-10 * variance.max())]
     if dead:
         return Skipped(f"channel {', '.join(dead)} does not move")
     # Each channel at unit variance, so that a loud one does not hide that the others are noise.
-    lags = np.einsum("btcc->tc", sums.blocks) / sums.counts.sum() / variance
+    lags = np.diagonal(lag_sum, axis1=1, axis2=2) / sums.counts.sum() / variance
     n = lags.shape[0]
     weights = (1.0 - np.arange(n) / n)[:, None] * lags
-    frequency = np.arange(1.0, 0.9 * cutoff_hz, 0.5)
-    cosines = np.cos(2.0 * np.pi * frequency[:, None] * np.arange(n) / rate_hz)
+    cosines = _cosines(n, rate_hz, cutoff_hz)
     spectrum = np.clip(2.0 * cosines @ weights - weights[0], 1e-12, None).sum(axis=1)
     flatness = float(np.exp(np.log(spectrum).mean()) / spectrum.mean())
     if flatness > settings.max_spectral_flatness:
         return Skipped(f"response too close to the noise (spectral flatness {flatness:.2f})")
     return None
+
+
+@lru_cache(maxsize=8)
+def _cosines(n: int, rate_hz: float, cutoff_hz: float) -> Array:
+    """Of every lag at every frequency of the spectrum."""
+    frequency = np.arange(1.0, 0.9 * cutoff_hz, 0.5)
+    return np.asarray(np.cos(2.0 * np.pi * frequency[:, None] * np.arange(n) / rate_hz))

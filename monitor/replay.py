@@ -11,7 +11,6 @@ from typing import Any
 from drivers.base import SampleBlock
 from drivers.mcap_file import McapWriter
 from monitor.baseline import Baseline
-from monitor.calibrate import calibrate
 from monitor.config import Configuration
 from monitor.errors import MissingInputError
 from monitor.files import demand_place, write_atomically
@@ -22,7 +21,7 @@ from monitor.publish.rerun_view import RerunPublisher
 from monitor.recordings import OnProgress, OnWarning, Progress, blocks, duration_s, pushed
 from monitor.results import WindowResult
 
-__all__ = ["RESULT_FILES", "begun", "calibrate", "pass_through", "replay", "scene"]
+__all__ = ["RESULT_FILES", "begun", "pass_through", "replay", "scene"]
 
 RESULT_FILES = ("results.jsonl", "results.mcap", "live.rrd", "summary.json")
 """What `replay` leaves in its folder."""

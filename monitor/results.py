@@ -31,7 +31,10 @@ class Level(StrEnum):
     @property
     def rank(self) -> int:
         """0 for normal to 3 for alarm."""
-        return list(Level).index(self)
+        return _RANKS[self]
+
+
+_RANKS = {level: rank for rank, level in enumerate(Level)}
 
 
 class AlarmCondition(StrEnum):
@@ -66,19 +69,51 @@ class Samples:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class LagSums:
-    """Lagged products of one window, split into blocks for the uncertainty.
+    """Lagged products of one window about its mean, as they come: sums over blocks of the raw samples."""
 
-    ``blocks[b, tau] = sum_k y[k] y[k + tau]^T`` over the samples k of block b.
-    """
-
-    blocks: Array
-    """Shape (n_blocks, 2 i, c, c), (m/s^2)^2."""
+    products: Array
+    """Shape (n_blocks, 2 i, c, c), (m/s^2)^2: ``sum_k y[k] y[k + tau]^T`` over the samples k of a block."""
+    first: Array
+    """Shape (n_blocks, c): sums of the first factors."""
+    second: Array
+    """Shape (n_blocks, 2 i, c): sums of the second factors."""
+    mean: Array
+    """Shape (c,), of the window, m/s^2."""
     counts: NDArray[np.int64]
     """Shape (n_blocks,): the number of products in each block."""
     head: Array
     """Shape (2 i - 1, c): the window's first samples about its mean, m/s^2."""
     tail: Array
     """Shape (2 i - 1, c): the window's last samples about its mean."""
+    total: Array
+    """Shape (2 i, c, c): sum of the blocks about the window's mean."""
+
+    @classmethod
+    def of(
+        cls,
+        products: Array,
+        first: Array,
+        second: Array,
+        mean: Array,
+        counts: NDArray[np.int64],
+        head: Array,
+        tail: Array,
+    ) -> LagSums:
+        """The sums with their total, which is had without forming the blocks about the mean."""
+        sums = products.sum(axis=0)[None], first.sum(axis=0)[None], second.sum(axis=0)[None]
+        total = _about(*sums, mean, counts.sum(keepdims=True))[0]
+        return cls(products, first, second, mean, counts, head, tail, total)
+
+    def blocks(self) -> Array:
+        """Every block's products about the window's mean, shape (n_blocks, 2 i, c, c)."""
+        return _about(self.products, self.first, self.second, self.mean, self.counts)
+
+
+def _about(products: Array, first: Array, second: Array, mean: Array, counts: NDArray[np.int64]) -> Array:
+    moved = products - first[:, None, :, None] * mean
+    moved -= mean[:, None] * second[:, :, None, :]
+    moved += counts[:, None, None, None] * np.outer(mean, mean)
+    return np.asarray(moved)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -94,8 +129,8 @@ class Window:
     sums: LagSums
     first_block: int
     """Number of the first block of `sums` on the stream's grid."""
-    segments: ComplexArray
-    """Shape (n_segments, n_bins, c): tapered Fourier transforms of half-overlapping segments, m/s^2/sqrt(Hz)."""
+    segments: tuple[ComplexArray, ...]
+    """Each of shape (n_bins, c): tapered Fourier transforms of half-overlapping segments, m/s^2/sqrt(Hz)."""
     segment_bin_hz: float
     """Spacing of the bins, which begin at 0 Hz."""
     first_segment: int
@@ -104,7 +139,7 @@ class Window:
     @property
     def rms_m_s2(self) -> float:
         """Response level: mean over channels of the RMS."""
-        variance = np.einsum("bcc->c", self.sums.blocks[:, 0]) / self.sums.counts.sum()
+        variance = np.diag(self.sums.total[0]) / self.sums.counts.sum()
         return float(np.sqrt(variance).mean())
 
 

@@ -8,13 +8,15 @@ and costs the number of block rows rather than the number of samples.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
-from scipy.linalg import cholesky, eigh, qr, solve_triangular, svd
+from scipy.linalg import eigh, lapack, svd
 from scipy.sparse.linalg import svds
 
 from monitor.results import Array, ComplexArray, LagSums
@@ -23,6 +25,7 @@ from monitor.settings import Settings
 Indices = NDArray[np.intp]
 _RANK_TOLERANCE = 1e-12
 _SINGULAR_TOLERANCE = 1e-9
+_SQUARED_TOLERANCE = 1e-4
 _LARGE = 500
 """Rows from which only the wanted singular triplets are computed."""
 
@@ -49,11 +52,12 @@ class Realisation:
     """What the Gram matrix says about every order at once."""
 
     observability: Array
-    """O_i for the largest order, shape (l i, n_max); order n uses its first n columns (eq. 8)."""
+    """O_i for the largest order, shape (l i, n_max); order n uses its first n columns (eq. 8).  The states' basis is free: in
+    this one the columns without the last block row are orthonormal, which solves eq. 12 for every order at once."""
     right: Array
     """Z with O_i = Y_f Y_p^T Z to first order, shape (r i, n_max): how errors of the lag sums enter O_i."""
     singular_values: Array
-    """Shape (n_max,)."""
+    """Shape (at least n_max,)."""
     past: tuple[int, ...]
     """Columns that make up the past."""
     n_channels: int
@@ -76,21 +80,51 @@ class StateSpace:
     c: Array
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class PoleTable:
+    """The poles of all orders above the real axis, one row each, by order."""
+
+    orders: tuple[int, ...]
+    """All that were identified."""
+    space: NDArray[np.intp]
+    """Index in `orders`."""
+    column: NDArray[np.intp]
+    """Index in the poles of the state space."""
+    value: ComplexArray
+    """Discrete-time eigenvalue."""
+    shape: ComplexArray
+    """Shape (n_poles, l)."""
+
+
 def gram(sums: LagSums) -> Array:
     """Gram matrix of the block Hankel matrix of eq. 3 with all channels, shape (2 i l, 2 i l), not normalized."""
-    lag_sum = sums.blocks.sum(axis=0)
-    lags, channels = lag_sum.shape[0], lag_sum.shape[1]
+    lag_sum = sums.total
+    lags, channels = lag_sum.shape[:2]
+    size = lags * channels
     # head and tail hold 2 i - 1 samples: what leaves and what enters when both factors move on.
-    change = np.einsum("ac,bd->abcd", sums.tail, sums.tail) - np.einsum("ac,bd->abcd", sums.head, sums.head)
-    blocks = np.zeros((lags, lags, channels, channels))
-    blocks[0] = lag_sum
-    for a in range(1, lags):
-        blocks[a, a:] = blocks[a - 1, a - 1 : -1] + change[a - 1, a - 1 :]
-    upper = blocks.transpose(0, 2, 1, 3).reshape(lags * channels, lags * channels)
-    # Blocks below the diagonal are the transposes of those above.
-    block_of = np.repeat(np.arange(lags), channels)
-    below = block_of[:, None] > block_of[None, :]
-    return np.where(below, upper.T, upper)
+    steps = np.empty((lags, lags, channels, channels))  # block (a, a + tau) less the one before, by a and tau
+    steps[0] = lag_sum
+    padded = np.zeros((2, 2 * lags, channels))
+    padded[0, : lags - 1], padded[1, : lags - 1] = sums.tail, sums.head
+    later = np.lib.stride_tricks.sliding_window_view(padded, lags, axis=1)[:, : lags - 1].transpose(0, 1, 3, 2)
+    np.subtract(
+        sums.tail[:, None, :, None] * later[0][:, :, None],
+        sums.head[:, None, :, None] * later[1][:, :, None],
+        out=steps[1:],
+    )
+    # Rows twice as long as wanted: there every block (a, a + tau) has its place.
+    wide = np.zeros((lags, channels, 2 * size))
+    row, item = wide.strides[1:]
+    strides = (channels * (row + item), channels * item, row, item)
+    np.cumsum(steps, axis=0, out=np.lib.stride_tricks.as_strided(wide, steps.shape, strides))
+    upper = wide[:, :, :size].reshape(size, size)
+    return np.where(_above(size), upper, upper.T)
+
+
+@cache
+def _above(size: int) -> NDArray[np.bool_]:
+    """Diagonal and above."""
+    return np.triu(np.ones((size, size), dtype=bool))
 
 
 def realise(sums: LagSums, settings: SsiSettings, past: tuple[int, ...], max_order: int) -> Realisation:
@@ -109,19 +143,19 @@ def realise(sums: LagSums, settings: SsiSettings, past: tuple[int, ...], max_ord
     max_order = min(max_order, len(past_rows) - 1, (i - 1) * l)
     by_covariance = settings.variant == "COV"
     full = np.zeros((0, 0)) if by_covariance and settings.algorithm == 2 else gram(sums)
-    g_fp = _toeplitz(sums, i, past) if by_covariance else full[future][:, past_rows]
+    every = len(past_rows) == i * l and (past_rows[:-1] < past_rows[1:]).all()
+    earlier = slice(0, i * l) if every else past_rows  # a slice copies nothing
+    g_fp = _toeplitz(sums, i, past) if by_covariance else full[future, earlier]
     if settings.variant in ("COV", "PC"):
         # PC's weight W2 turns the projection into Y_f Y_p^T, up to an orthogonal factor.
-        values, right_t = _leading(g_fp, max_order)
-        white = right_t[:max_order].T
+        values, white = _leading(g_fp, max_order)
     else:
-        half_pp = _inverse_root(full[np.ix_(past_rows, past_rows)])
-        half_ff = _inverse_root(full[future, future]) if settings.variant == "CVA" else None
+        half_pp = _inverse_root(full[earlier][:, earlier])
         weighted = g_fp @ half_pp
-        if half_ff is not None:
-            weighted = half_ff.T @ weighted
-        values, right_t = _leading(weighted, max_order)
-        white = half_pp @ right_t[:max_order].T
+        if settings.variant == "CVA":
+            weighted = _inverse_root(full[future, future]).T @ weighted
+        values, right = _leading(weighted, max_order)
+        white = half_pp @ right
     # Noise-free data have no more singular values than the structure has states.
     rank = max(2, int(np.count_nonzero(values[:max_order] > _SINGULAR_TOLERANCE * values[0])))
     if rank < max_order and settings.variant == "CVA":
@@ -130,42 +164,64 @@ def realise(sums: LagSums, settings: SsiSettings, past: tuple[int, ...], max_ord
     values = values[:rank]
     z = white[:, :rank] / np.sqrt(np.maximum(values, 1e-300))
     states = _state_products(full, past_rows, i, l) if settings.algorithm == 1 else None
-    return Realisation(g_fp @ z, z, values, past, l, states)
+    o, z = _orthonormal(g_fp @ z, z, l)
+    return Realisation(o, z, values, past, l, states)
+
+
+def _orthonormal(o: Array, z: Array, l: int) -> tuple[Array, Array]:  # noqa: E741
+    """O and Z in the basis of `Realisation`, as far as the columns are independent; they stay nested over orders."""
+    q, r = np.linalg.qr(o[:-l])
+    size = np.abs(np.diag(r))
+    sound = int(np.argmin(np.append(size >= _SINGULAR_TOLERANCE * size[0], False)))
+    inverse, _ = lapack.dtrtri(r[:sound, :sound])
+    return np.concatenate([q[:, :sound], o[-l:, :sound] @ inverse]), z[:, :sound] @ inverse
 
 
 def _leading(matrix: Array, count: int) -> tuple[Array, Array]:
-    """At least the `count` largest singular values, falling, and their right vectors as rows."""
+    """At least the `count` largest singular values, falling, and as many right vectors, as columns."""
     if min(matrix.shape) < _LARGE:
+        # Where squares lose no more than a few digits, the symmetric problem takes half the time.
+        squares, vectors, failed = lapack.dsyevd(matrix.T @ matrix)
+        if not failed and squares[-count] > _SQUARED_TOLERANCE * squares[-1]:
+            return np.sqrt(squares[: -count - 1 : -1]), vectors[:, : -count - 1 : -1]
         _, values, right_t = svd(matrix)
-        return values, right_t
+        return values, right_t[:count].T
     _, values, right_t = svds(matrix, count, v0=np.ones(min(matrix.shape)))  # a given start: the same bits every time
-    return values[::-1], right_t[::-1]
+    return values[::-1], right_t[::-1].T
 
 
-def state_spaces(realisation: Realisation, orders: range) -> list[StateSpace]:
-    """A, C and their eigenvectors for every order, by algorithm 2 (or 1 where prepared)."""
-    l = realisation.n_channels  # noqa: E741
-    o = realisation.observability
-    if realisation.states is None:
-        # Columns of O are nested over orders, so one QR factorization serves all of eq. 12.
-        q, r = qr(o[:-l], mode="economic")
-        shifted, size = q.T @ o[l:], np.abs(np.diag(r))
-        # So are R and its inverse, as far as it has one.
-        sound = int(np.argmin(np.append(size >= _SINGULAR_TOLERANCE * size[0], False)))
-        inverse = solve_triangular(r[:sound, :sound], np.eye(sound))
-    spaces = []
+def poles(realisation: Realisation, orders: range) -> PoleTable:
+    """The poles of every order, as far as the data have states."""
+    l, most = realisation.n_channels, realisation.observability.shape[1]  # noqa: E741 - the paper's letters
+    told = tuple(n for n in orders if n <= most)
+    real, imaginary = np.zeros((2, len(told), most))
+    vectors, c = np.zeros((len(told), most, most)), np.zeros((len(told), l, most))
+    for s, (n, (a, c_n)) in enumerate(zip(told, _matrices(realisation, told), strict=True)):
+        real[s, :n], imaginary[s, :n], _, vectors[s, :n, :n], _ = lapack.dgeev(a, compute_vl=0)
+        c[s, :, :n] = c_n
+    shapes = c @ vectors
+    # Complex vectors stand as real and imaginary part side by side, the pole above the axis first.
+    space, column = np.nonzero(imaginary > 0)
+    value = real[space, column] + 1j * imaginary[space, column]
+    return PoleTable(told, space, column, value, shapes[space, :, column] + 1j * shapes[space, :, column + 1])
+
+
+def state_space(realisation: Realisation, order: int) -> StateSpace:
+    """A, C and all eigenvectors of one order; poles in the sequence of `poles`."""
+    ((a, c),) = _matrices(realisation, (order,))
+    values, vectors = np.linalg.eig(a)
+    return StateSpace(order, values.astype(complex), vectors.astype(complex), c @ vectors, a, c)
+
+
+def _matrices(realisation: Realisation, orders: tuple[int, ...]) -> Iterator[tuple[Array, Array]]:
+    """A and C of every order, by algorithm 2 (or 1 where prepared)."""
+    l, o = realisation.n_channels, realisation.observability  # noqa: E741
+    shifted = o[:-l].T @ o[l:]
     for n in orders:
-        if n > o.shape[1]:
-            break
         if realisation.states is None:
-            if n > sound:
-                break
-            a, c = inverse[:n, :n] @ shifted[:n, :n], o[:l, :n]
+            yield shifted[:n, :n], o[:l, :n]
         else:
-            a, c = _algorithm_1(realisation.states, o[:, :n], l)
-        poles, vectors = np.linalg.eig(a)
-        spaces.append(StateSpace(n, poles.astype(complex), vectors.astype(complex), c @ vectors, a, c))
-    return spaces
+            yield _algorithm_1(realisation.states, o[:, :n], l)
 
 
 def continuous(poles: ComplexArray, rate_hz: float) -> tuple[Array, Array]:
@@ -179,7 +235,7 @@ def continuous(poles: ComplexArray, rate_hz: float) -> tuple[Array, Array]:
 
 def _toeplitz(sums: LagSums, i: int, past: tuple[int, ...]) -> Array:
     """Block Toeplitz matrix of lag covariances, future rows by past columns: block (a, b) is R(i + a - b)."""
-    lag_sum = sums.blocks.sum(axis=0)[:, list(past)]
+    lag_sum = sums.total[:, list(past)]
     lag = i + np.arange(i)[:, None] - np.arange(i)[None, :]
     blocks = lag_sum[lag]  # (a, b, past channel, future channel)
     return np.asarray(blocks.transpose(0, 3, 1, 2).reshape(i * lag_sum.shape[2], -1))
@@ -190,13 +246,9 @@ def _inverse_root(matrix: Array) -> Array:
 
     Cholesky where the matrix has full rank; an eigenvalue decomposition where it has not (noise-free data).
     """
-    try:
-        lower = cholesky(matrix, lower=True)
-        full_rank = np.square(np.diag(lower)).min() > _RANK_TOLERANCE * np.diag(matrix).max()
-    except np.linalg.LinAlgError:
-        full_rank = False
-    if full_rank:
-        return np.asarray(solve_triangular(lower, np.eye(len(matrix)), lower=True).T)
+    upper, failed = lapack.dpotrf(matrix)
+    if not failed and np.square(np.diag(upper)).min() > _RANK_TOLERANCE * np.diag(matrix).max():
+        return np.asarray(lapack.dtrtri(upper)[0])
     values, vectors = eigh(matrix)  # the pseudo-inverse of eq. 5
     inverse = np.where(values > _RANK_TOLERANCE * values[-1], 1.0 / np.sqrt(np.abs(values) + 1e-300), 0.0)
     return np.asarray(vectors * inverse)

@@ -48,8 +48,7 @@ def mode_deviations(
     n, l = space.order, realisation.n_channels  # noqa: E741 - the paper's letters
     observability = realisation.observability[:, :n]
     d_o = _observability_deviations(sums, realisation, n)
-    up_inverse = np.linalg.pinv(observability[:-l])
-    d_a = up_inverse @ (d_o[:, l:] - d_o[:, :-l] @ space.a)
+    d_a = observability[:-l].T @ (d_o[:, l:] - d_o[:, :-l] @ space.a)
     left = np.linalg.inv(space.right)
     deviations = np.empty((d_o.shape[0], len(chosen), 2 + 2 * l))
     for row, q in enumerate(chosen):
@@ -78,12 +77,11 @@ def _observability_deviations(sums: LagSums, realisation: Realisation, n: int) -
     past = list(realisation.past)
     l, r = realisation.n_channels, len(past)  # noqa: E741
     i = realisation.right.shape[0] // r
-    n_blocks = sums.blocks.shape[0]
-    total = sums.counts.sum()
-    mean = sums.blocks.sum(axis=0) / total
+    n_blocks = len(sums.products)
+    mean = sums.total / sums.counts.sum()
     # A mean of n_blocks blocks has been taken out, so the squares fall short by that degree of freedom.
     inflate = np.sqrt(n_blocks / (n_blocks - 1.0)) if n_blocks > 1 else 1.0
-    deviation = (sums.blocks - sums.counts[:, None, None, None] * mean) * inflate
+    deviation = (sums.blocks() - sums.counts[:, None, None, None] * mean) * inflate
     # Block (a, b) of d(Y_f Y_p^T) is the deviation at lag i + a - b, transposed: a convolution over past blocks.
     z = realisation.right[:, :n].reshape(i, r, n)
     by_lag = deviation[:, 1:, past].transpose(0, 3, 1, 2)  # (blocks, l, lag - 1, r)

@@ -31,6 +31,7 @@ from monitor.whittle_model import (
     cross_spectra,
     layout_of,
     packed,
+    packed_columns,
     predict,
     product,
     triangle,
@@ -38,6 +39,8 @@ from monitor.whittle_model import (
 )
 
 _WEAK_STD = 3.0
+_HOPELESS = 20.0
+"""Power of the data over the model's from which no fit is tried; near a start that leads anywhere it is between 1 and 2."""
 _MOST_ENTRIES = 4_000_000
 """Of the spectrum's slopes: some twenty channels with eight modes."""
 
@@ -65,9 +68,9 @@ def refine(window: Window, modes: ModalEstimate, settings: RefinementSettings) -
         The subspace estimate itself where there are too few segments, or so many channels that the scoring would take
         longer than it is worth, or where it does not settle nearby.
     """
-    if not settings.enabled or window.segments.shape[0] < settings.min_segments:
+    if not settings.enabled or len(window.segments) < settings.min_segments:
         return modes
-    layout = layout_of(modes, settings.half_band, window.segments.shape[1], window.segment_bin_hz)
+    layout = layout_of(modes, settings.half_band, len(window.segments[0]), window.segment_bin_hz)
     if layout.columns.size * layout.counts.size > _MOST_ENTRIES:
         return modes
     data = cross_spectra(layout, window.segments)
@@ -78,6 +81,9 @@ def refine(window: Window, modes: ModalEstimate, settings: RefinementSettings) -
             model = predict(layout, point)
             inverse: ComplexArray = np.asarray(np.linalg.inv(model.value))
             level = _levels(layout, inverse, data)
+            if level.mean() > _HOPELESS:  # responses that are none of these modes: the scoring would run away
+                return modes
+            level /= level.mean()
             curve, information = _curve(layout, inverse, model)
             mean = np.tensordot(1.0 / level, data, axes=1) / n_segments
             score = product((mean - upper(model.value))[None], curve)[0]
@@ -129,9 +135,11 @@ def _start(layout: Layout, modes: ModalEstimate, mean: ComplexArray) -> Point:
     rough[:, i, j] = mean.T
     rough[:, j, i] = mean.conj().T
     rough[:, range(c), range(c)] = (power + 0.05 * power.mean(axis=0)).T
-    curve, information = _curve(layout, np.asarray(np.linalg.inv(rough)), predict(layout, p))
-    linear = slice(layout.n_modal, -2)
-    x = np.linalg.solve(information[linear, linear], product(mean[None], curve[linear])[0])
+    model, inverse = predict(layout, p), np.linalg.inv(rough)
+    linear = slice(layout.n_modal, layout.columns[-2])
+    u, v = model.u[:, linear], model.v[:, :, linear]
+    curve = packed_columns(inverse @ u, inverse @ v) * layout.counts
+    x = np.linalg.solve(product(curve, packed_columns(u[None], v)), product(mean[None], curve)[0])
     n_pairs = len(layout.pairs)
     forces = np.zeros((m, m))
     for (a, b), entry in zip(layout.pairs, x[:n_pairs], strict=True):
@@ -143,10 +151,9 @@ def _start(layout: Layout, modes: ModalEstimate, mean: ComplexArray) -> Point:
 
 
 def _levels(layout: Layout, inverse: ComplexArray, data: ComplexArray) -> Array:
-    """Maximum-likelihood level of every segment, shape (segments,), mean 1."""
+    """Maximum-likelihood level of every segment, shape (segments,): 1 where it is the model's."""
     weight = upper(inverse) * layout.counts
-    level = product(data, weight[None])[:, 0]
-    return np.asarray(level / level.mean())
+    return np.asarray(product(data, weight[None])[:, 0] / (inverse.shape[-1] * layout.sizes.sum()))
 
 
 def _moved(layout: Layout, p: Point, step: Array) -> Point:

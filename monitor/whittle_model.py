@@ -19,6 +19,8 @@ from monitor.spectrum import LEAKAGE_OFFSETS, leakage
 
 _FIRST_BIN = 4
 _LEAST_HALF_BINS = 8
+_CACHED = 1 << 14
+"""Numbers worked on at once: what the processor's cache holds."""
 _POOL = 0.3
 """Width of a pool over its distance from the nearest mode."""
 
@@ -118,9 +120,9 @@ def layout_of(modes: ModalEstimate, half_band: float, n_bins: int, bin_hz: float
     return Layout(bins, np.array(first), sizes, columns, nodes * bin_hz, counts, gauges, free, pairs)
 
 
-def cross_spectra(layout: Layout, segments: ComplexArray) -> ComplexArray:
+def cross_spectra(layout: Layout, segments: tuple[ComplexArray, ...]) -> ComplexArray:
     """Every segment's cross-spectra, means over pools, packed, shape (segments, pairs, pools)."""
-    x = np.ascontiguousarray(np.take(segments, layout.bins, axis=1).transpose(2, 0, 1))
+    x = np.ascontiguousarray(np.stack([segment.take(layout.bins, axis=0) for segment in segments]).transpose(2, 0, 1))
     conjugate, (rows, columns) = x.conj(), triangle(len(x))
     sums = np.empty((len(segments), len(rows), len(layout.first)), dtype=complex)
     for pair, (i, j) in enumerate(zip(rows, columns, strict=True)):
@@ -132,19 +134,21 @@ def cross_spectra(layout: Layout, segments: ComplexArray) -> ComplexArray:
 
 def predict(layout: Layout, p: Point) -> Spectrum:
     """The spectrum that a point of the fit gives, blurred by taper and pools, and its slopes."""
-    c = p.noise.size
+    (c, m), pools = p.shapes.shape, len(layout.nodes_hz)
     w = 2.0 * np.pi * layout.nodes_hz[:, None, :]
     omega = 2.0 * np.pi * np.exp(p.ln_f)[:, None]
     cross = 2j * np.exp(p.ln_damping)[:, None] * omega * w
-    denominator = omega**2 - w**2 + cross
+    response = 1.0 / (omega**2 - w**2 + cross)
     x = np.log(w / w.mean())
     # Modal transfer functions of acceleration times the forces' amplitude, (pools, m, taps), and their slopes.
-    g = -(w**2) * np.exp(p.colour[0] * x + p.colour[1] * x**2) / denominator
-    slopes = [-g * (2.0 * omega**2 + cross) / denominator, -g * cross / denominator, g * x, g * x**2]
+    g = -(w**2) * np.exp(p.colour[0] * x + p.colour[1] * x**2) * response
+    slope = g * response
+    each = np.stack([g, -slope * (2.0 * omega**2 + cross), -slope * cross, g * x, g * x**2], axis=1)
     # Shapes are constant over frequency, so blurring the modes' products blurs the spectrum and all its slopes.
-    blurred = (np.concatenate([g, *slopes], axis=1) * leakage()) @ g.conj().swapaxes(-1, -2)
-    products, by_f, by_damping, by_tilt, by_curvature = np.split(blurred, 5, axis=1)
-    half = p.forces * products @ p.shapes.T
+    blurred = (each * leakage()).reshape(pools, 5 * m, -1) @ g.conj().swapaxes(-1, -2)
+    products = blurred[:, :m]
+    carried = (p.forces * blurred.reshape(pools, 5, m, m)).reshape(-1, m) @ p.shapes.T
+    half, by_f, by_damping, by_tilt, by_curvature = carried.reshape(pools, 5, m, c).swapaxes(0, 1)
     value = p.shapes @ half + np.diag(p.noise)
     mode, channel = [i for i, _ in layout.free], [j for _, j in layout.free]
     first, second = [a for a, _ in layout.pairs], [b for _, b in layout.pairs]
@@ -152,13 +156,13 @@ def predict(layout: Layout, p: Point) -> Spectrum:
     unit = np.eye(c)
     u = [p.shapes, p.shapes, unit[:, channel], p.shapes[:, first], unit, p.shapes, p.shapes]
     rows = [
-        p.forces * by_f @ p.shapes.T,
-        p.forces * by_damping @ p.shapes.T,
+        by_f,
+        by_damping,
         half[:, mode],
         (once * products[:, first, second])[:, :, None] * p.shapes.T[second],
         np.broadcast_to(0.5 * np.diag(p.noise), (len(value), c, c)),
-        p.forces * by_tilt @ p.shapes.T,
-        p.forces * by_curvature @ p.shapes.T,
+        by_tilt,
+        by_curvature,
     ]
     return Spectrum(value, np.concatenate(u, axis=1), np.concatenate(rows, axis=1).conj().swapaxes(-1, -2))
 
@@ -177,9 +181,23 @@ def upper(matrices: ComplexArray) -> ComplexArray:
 
 def packed(layout: Layout, u: Array | ComplexArray, v: ComplexArray) -> ComplexArray:
     """Packed ``u v^H + v u^H`` from columns of shape (.., c, columns), shape (parameters, pairs, pools)."""
+    each = packed_columns(u, v)
+    tilt, curvature = layout.columns[-2:]  # the only ones of several columns
+    each[tilt], each[tilt + 1] = each[tilt:curvature].sum(axis=0), each[curvature:].sum(axis=0)
+    return each[: tilt + 2]
+
+
+def packed_columns(u: Array | ComplexArray, v: ComplexArray) -> ComplexArray:
+    """The same, column by column, shape (columns, pairs, pools)."""
     i, j = triangle(v.shape[1])
     u, v = u.transpose(2, 1, 0), np.ascontiguousarray(v.transpose(2, 1, 0))
-    return np.asarray(np.add.reduceat(u[:, i] * v.conj()[:, j] + v[:, i] * u.conj()[:, j], layout.columns))
+    each = np.empty((len(v), len(i), v.shape[2]), dtype=complex)
+    group = max(1, _CACHED // each[0].size)
+    for k in range(0, len(v), group):
+        a, b = u[k : k + group], v[k : k + group]
+        np.multiply(a[:, i], b.conj()[:, j], out=each[k : k + group])
+        each[k : k + group] += b[:, i] * a.conj()[:, j]
+    return each
 
 
 def product(a: ComplexArray, b: ComplexArray) -> Array:

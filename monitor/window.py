@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from math import ceil, gcd
 
 import numpy as np
@@ -47,10 +48,7 @@ class WindowGrid:
     @property
     def block_n(self) -> int:
         """Samples in a block: the largest of at most 10 s that tiles windows and hops."""
-        step = gcd(self.window_n, self.hop_n)
-        least = max(1, ceil(step / (_BLOCK_S * self.rate_hz)))
-        parts = (q for q in range(least, step // self.n_lags + 1) if step % q == 0)
-        return step // next(parts, 1)
+        return _block_n(self.window_n, self.hop_n, self.n_lags, self.rate_hz)
 
     @property
     def segment_step(self) -> int:
@@ -66,6 +64,14 @@ class WindowGrid:
     def end(self, k: int) -> int:
         """Index just past window k's last sample."""
         return k * self.hop_n + self.window_n
+
+
+@lru_cache(maxsize=16)
+def _block_n(window_n: int, hop_n: int, n_lags: int, rate_hz: float) -> int:
+    step = gcd(window_n, hop_n)
+    least = max(1, ceil(step / (_BLOCK_S * rate_hz)))
+    parts = (q for q in range(least, step // n_lags + 1) if step % q == 0)
+    return step // next(parts, 1)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -230,7 +236,6 @@ def _emit(
         design = grid.segments
         step = grid.segment_step * grid.block_n
         inside = [(i, x) for i, x in state.segments if i * step >= begin]
-        n_channels = state.samples.shape[1]
         yield Window(
             index=k,
             t_end_ns=t_end_ns,
@@ -238,7 +243,7 @@ def _emit(
             rate_hz=grid.rate_hz,
             sums=_sum_up(grid, state),
             first_block=begin // grid.block_n,
-            segments=np.stack([x for _, x in inside]) if inside else np.zeros((0, design.n_bins, n_channels), complex),
+            segments=tuple(x for _, x in inside),
             segment_bin_hz=design.step_hz,
             first_segment=inside[0][0] if inside else 0,
         )
@@ -249,13 +254,11 @@ def _emit(
 
 
 def _sum_up(grid: WindowGrid, state: WindowState) -> LagSums:
-    """The lag sums, about its mean, of the window that the state's blocks make up."""
+    """The lag sums of the window that the state's blocks make up."""
     lags, blocks = grid.n_lags, state.blocks
     counts = np.full(len(blocks), grid.block_n)
     counts[-1] = grid.block_n - lags + 1
     products, first, second = (np.array([getattr(b, name) for b in blocks]) for name in ("products", "first", "second"))
     mean = np.sum([b.total for b in blocks], axis=0) / grid.window_n
-    products -= first[:, None, :, None] * mean
-    products -= mean[:, None] * second[:, :, None, :]
-    products += counts[:, None, None, None] * np.outer(mean, mean)
-    return LagSums(products, counts, blocks[0].head - mean, state.samples[state.samples.shape[0] - lags + 1 :] - mean)
+    head, tail = blocks[0].head - mean, state.samples[state.samples.shape[0] - lags + 1 :] - mean
+    return LagSums.of(products, first, second, mean, counts, head, tail)

@@ -23,7 +23,7 @@ from threadpoolctl import threadpool_limits
 
 from drivers.base import ACCELERATION, SampleBlock
 from drivers.mcap_file import McapWriter
-from monitor import baseline, config, discrepancy
+from monitor import baseline, config
 from monitor.errors import UserError
 from monitor.files import demand_place, write_atomically
 from monitor.recordings import OnWarning
@@ -229,6 +229,8 @@ def main(arguments: list[str]) -> int:
         settings = config.load(structure).model_copy(update={"topics": {}})
         known = baseline.load(healthy[0], settings) if healthy else None
         with threadpool_limits(limits=1):
+            from monitor import discrepancy  # and its compiler: only where a diagnosis is made
+
             found = discrepancy.find([recording], settings, known, warn)
     except UserError as error:
         print(error, file=sys.stderr)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from drivers.mcap_file import read_recordings, recording_info
-from monitor import baseline, config, replay
+from monitor import baseline, calibrate, config
 from monitor.files import sha256
 from monitor.pipeline import Pipeline
 from monitor.results import WindowResult
@@ -39,7 +39,7 @@ def test_a_replay_gives_what_the_index_says(name: str) -> None:
     settings = config.load(FOLDER / entry["structure"])
     healthy: baseline.Baseline | None = None
     if entry.get("calibrate"):
-        healthy, _ = replay.calibrate([FOLDER / f for f in entry["calibrate"]], settings)
+        healthy, _ = calibrate.calibrate([FOLDER / f for f in entry["calibrate"]], settings)
     pipeline = Pipeline(settings, healthy)
     results = [r for b in read_recordings([FOLDER / f for f in entry["files"]]) for r in pipeline.push(b)]
     windows = [r for r in results if isinstance(r, WindowResult)]

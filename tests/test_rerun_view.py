@@ -339,11 +339,11 @@ def test_spectra_are_drawn_with_the_models(tmp_path: Path) -> None:
     for k in range(60):
         view.samples(Samples(T0 + k * 10**9, 100.0, rng.normal(size=(100, 3))))
     for k in range(8):
-        view.window(replace(window(k), t_end_ns=T0 + (60 + 10 * k) * 10**9))
+        view.window(replace(window(k), t_end_ns=T0 + (60 + 30 * k) * 10**9))
     view.close(60.0)
     assert view.failed is None
     chunks = [c for c in RrdReader(file).stream() if c.entity_path in ("/spectra/measured", "/spectra/model")]
-    assert sum(c.num_rows for c in chunks) == 4, "both, twice in 70 s"
+    assert sum(c.num_rows for c in chunks) == 4, "both, twice in 210 s"
 
 
 def test_before_a_diagnosis_the_view_says_that_there_was_none(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from monitor.model import Model
 from monitor.poles import SelectionSettings, identify
 from monitor.results import ModalEstimate, Skipped, Window
 from monitor.simulate import simulate
-from monitor.ssi import SsiSettings, continuous, gram, realise, state_spaces
+from monitor.ssi import SsiSettings, continuous, gram, poles, realise, state_space
 from monitor.structures import ShearFrame
 from monitor.window import WindowGrid
 
@@ -78,10 +78,14 @@ def test_noise_free_decay_is_exact() -> None:
 
 def test_orders_are_nested(record: np.ndarray) -> None:
     realisation = realise(windowed(record).sums, SsiSettings(), (0, 1, 2), 30)
-    spaces = state_spaces(realisation, range(2, 31, 2))
-    assert [s.order for s in spaces] == list(range(2, 31, 2))
-    alone = state_spaces(realise(windowed(record).sums, SsiSettings(), (0, 1, 2), 10), range(10, 11, 2))[0]
-    np.testing.assert_allclose(np.sort_complex(alone.poles), np.sort_complex(spaces[4].poles), rtol=1e-7)
+    table = poles(realisation, range(2, 31, 2))
+    assert table.orders == tuple(range(2, 31, 2))
+    alone = state_space(realise(windowed(record).sums, SsiSettings(), (0, 1, 2), 10), 10)
+    above, here = alone.poles.imag > 0, table.space == 4
+    np.testing.assert_allclose(np.sort_complex(alone.poles[above]), np.sort_complex(table.value[here]), rtol=1e-7)
+    same = state_space(realisation, 10)
+    np.testing.assert_allclose(same.poles[table.column[here]], table.value[here], rtol=1e-12)
+    np.testing.assert_allclose(same.shapes.T[table.column[here]], table.shape[here], rtol=1e-9)
 
 
 def test_poles_become_frequency_and_damping() -> None:

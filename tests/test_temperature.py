@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from drivers.base import ACCELERATION, TEMPERATURE, SampleBlock
 from drivers.mcap_file import McapWriter
 from monitor import baseline, config, dependence, temperature
+from monitor.calibrate import calibrate
 from monitor.config import Configuration
 from monitor.dependence import Change, Dependence
 from monitor.errors import BadInputError
@@ -20,7 +21,7 @@ from monitor.model import Model
 from monitor.pipeline import Pipeline
 from monitor.publish.lines import to_json, window_line
 from monitor.record import blocks_of
-from monitor.replay import calibrate, replay
+from monitor.replay import replay
 from monitor.results import Temperature, WindowResult
 from monitor.simulate import simulate
 from monitor.temperature import LAGS_S, TemperatureSettings, TemperatureState

@@ -57,7 +57,7 @@ def test_the_transform_has_the_density_of_white_noise() -> None:
 
 def test_slopes_are_the_derivatives_of_the_model(one: tuple[Window, ModalEstimate]) -> None:
     item, modes = one
-    layout = layout_of(modes, 12.0, item.segments.shape[1], item.segment_bin_hz)
+    layout = layout_of(modes, 12.0, len(item.segments[0]), item.segment_bin_hz)
     point = whittle._start(layout, modes, cross_spectra(layout, item.segments).mean(axis=0))
     spectrum = predict(layout, point)
     half = np.einsum("ap,kbp->pkab", spectrum.u, spectrum.v.conj())
@@ -75,10 +75,10 @@ def test_a_pool_of_the_model_is_the_mean_of_its_bins(
     one: tuple[Window, ModalEstimate], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     item, modes = one
-    pooled = layout_of(modes, 12.0, item.segments.shape[1], item.segment_bin_hz)
+    pooled = layout_of(modes, 12.0, len(item.segments[0]), item.segment_bin_hz)
     point = whittle._start(pooled, modes, cross_spectra(pooled, item.segments).mean(axis=0))
     monkeypatch.setattr(whittle_model, "_POOL", 0.0)
-    single = layout_of(modes, 12.0, item.segments.shape[1], item.segment_bin_hz)
+    single = layout_of(modes, 12.0, len(item.segments[0]), item.segment_bin_hz)
     np.testing.assert_array_equal(single.bins, pooled.bins)
     assert single.first.size == single.bins.size > 3 * pooled.first.size
     means = np.add.reduceat(predict(single, point).value, pooled.first) / pooled.sizes[:, None, None]

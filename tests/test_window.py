@@ -38,6 +38,7 @@ def run(grid: WindowGrid, samples: np.ndarray, edges: list[int] | None = None) -
 def assert_direct_sums(grid: WindowGrid, item: Item, samples: np.ndarray) -> None:
     """The window's sums are those of `samples` about their mean."""
     assert isinstance(item, Window)
+    blocks, total = item.sums.blocks(), item.sums.total
     v = samples - samples.mean(axis=0)
     n, size = len(v), grid.block_n
     used = n - grid.n_lags + 1  # every lag sums the same number of products
@@ -46,7 +47,8 @@ def assert_direct_sums(grid: WindowGrid, item: Item, samples: np.ndarray) -> Non
         k = np.arange(b * size, min((b + 1) * size, used))
         assert item.sums.counts[b] == k.size
         for tau in range(grid.n_lags):
-            np.testing.assert_allclose(item.sums.blocks[b, tau], v[k].T @ v[k + tau], atol=tolerance)
+            np.testing.assert_allclose(blocks[b, tau], v[k].T @ v[k + tau], atol=tolerance)
+    np.testing.assert_allclose(total, blocks.sum(axis=0), atol=tolerance)
     np.testing.assert_allclose(item.sums.head, v[: grid.n_lags - 1], atol=1e-12)
     np.testing.assert_allclose(item.sums.tail, v[n - grid.n_lags + 1 :], atol=1e-12)
 
@@ -56,7 +58,7 @@ def same_bits(a: list[Item], b: list[Item]) -> None:
     for x, y in zip(a, b, strict=True):
         if isinstance(x, Window) and isinstance(y, Window):
             assert (x.index, x.t_end_ns, x.window_s, x.rate_hz) == (y.index, y.t_end_ns, y.window_s, y.rate_hz)
-            for name in ("blocks", "counts", "head", "tail"):
+            for name in ("products", "first", "second", "mean", "counts", "head", "tail"):
                 np.testing.assert_array_equal(getattr(x.sums, name), getattr(y.sums, name))
         else:
             assert x == y
@@ -77,7 +79,7 @@ def test_a_large_offset_costs_no_more_than_its_rounding() -> None:
         v = tilted[k * 20 : k * 20 + 60] - tilted[k * 20 : k * 20 + 60].mean(axis=0)
         assert isinstance(item, Window)
         direct = v[:55].T @ v[:55]
-        np.testing.assert_allclose(item.sums.blocks[:, 0].sum(axis=0), direct, atol=1e-6 * np.trace(direct))
+        np.testing.assert_allclose(item.sums.total[0], direct, atol=1e-6 * np.trace(direct))
 
 
 @given(edges=st.lists(st.integers(0, len(RECORD)), max_size=15).map(sorted))

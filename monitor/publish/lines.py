@@ -17,10 +17,13 @@ from monitor.results import Alarm, WindowResult
 
 def _rounded(values: Any) -> Any:
     """Plain numbers with nine significant digits: more than the data hold, and lines stay short."""
-    array = np.asarray(values, dtype=float)
-    if array.ndim == 0:
-        return float(f"{float(array):.9g}") if math.isfinite(float(array)) else None
-    return [_rounded(v) for v in array]
+    return _each(np.asarray(values, dtype=float).tolist())
+
+
+def _each(value: Any) -> Any:
+    if isinstance(value, list):
+        return [_each(v) for v in value]
+    return float(f"{value:.9g}") if math.isfinite(value) else None
 
 
 def window_line(result: WindowResult) -> dict[str, Any]:
@@ -28,7 +31,7 @@ def window_line(result: WindowResult) -> dict[str, Any]:
     modes, stiffness, damage = result.modes, result.stiffness, result.damage
     shapes = None
     if modes is not None:
-        shapes = [[_rounded([c.real, c.imag]) for c in shape] for shape in modes.shapes]
+        shapes = _rounded(np.stack([modes.shapes.real, modes.shapes.imag], axis=-1))
     return {
         "window": result.index,
         "t_end_ns": result.t_end_ns,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -9,12 +10,14 @@ import rerun as rr
 
 from monitor.health import Health
 from monitor.publish.rerun_layout import blueprint
+from monitor.publish.rerun_rows import Rows, Strips, ui_radius
 from monitor.publish.rerun_scene import (
     COLUMNS,
     GREEN,
     GREY,
     HOLE,
     LEVELS,
+    LIVE_BLOCK_S,
     RED,
     SERIES,
     STABILISATION,
@@ -26,7 +29,7 @@ from monitor.publish.rerun_scene import (
     utc,
 )
 from monitor.publish.rerun_shapes import Shapes, label
-from monitor.publish.rerun_spectra import Spectra
+from monitor.publish.rerun_spectra import FILE_EVERY_S, LIVE_EVERY_S, Spectra
 from monitor.publish.rerun_tiers import Thinning
 from monitor.publish.rerun_trust import Clocks, Trust
 from monitor.results import DamageReading, Gap, Level, ModalEstimate, Samples, StiffnessEstimate, WindowResult
@@ -40,15 +43,19 @@ class Picture:
 
     def __init__(self, scene: Scene, stream: rr.RecordingStream, block_s: float, *, thin: bool = False) -> None:
         self._scene, self._stream, self._block_s = scene, stream, block_s
+        self._rows, self._most, self._gathered = Rows(stream), max(1, round(block_s / LIVE_BLOCK_S)), 0
         self._blocks: list[Samples] = []
         self._level: Level | None = None
         self._skipped: str | None = None
         self._extent = (1.0, 1.0)
-        self._spectra, self._trust = Spectra(scene, stream), Trust(scene, stream)
+        every_s = LIVE_EVERY_S if block_s <= LIVE_BLOCK_S else FILE_EVERY_S
+        self._spectra, self._trust = Spectra(scene, stream, self._rows, every_s), Trust(scene, stream, self._rows)
         heights = np.asarray(scene.story_heights_m, dtype=float)
         self._z = np.append(np.cumsum(heights[::-1])[::-1], 0.0) / heights.sum()
         """Shape (n + 1,): height of floor 1 (top) .. n and of the ground, the whole frame 1 high."""
-        self._shapes = Shapes(scene, stream, self._z)
+        self._shapes = Shapes(scene, stream, self._rows, self._z)
+        stories = list(pairwise(self._z.tolist()))
+        self._columns = Strips(np.array([(x, y, foot), (x, y, top)]) for top, foot in stories for x, y in COLUMNS)
         self._thin = Thinning() if thin else None
 
     def begin(self) -> None:
@@ -101,6 +108,10 @@ class Picture:
             self.gap(item)
         else:
             self.window(item)
+        if isinstance(item, Health | WindowResult):
+            self._gathered += 1
+            if self._gathered >= self._most:
+                self._send()
 
     def samples(self, samples: Samples) -> None:
         """Collect blocks until they are long enough to send."""
@@ -117,6 +128,7 @@ class Picture:
     def finish(self) -> None:
         """Send what is left, and the latest mode shapes as a motion."""
         self.flush()
+        self._send()
         self._shapes.animate()
 
     def flush(self) -> None:
@@ -133,6 +145,10 @@ class Picture:
         for channel, column in zip(self._scene.channels, values.T, strict=True):
             self._stream.send_columns(self._stream_path(channel), [time], rr.Scalars.columns(scalars=column))
 
+    def _send(self) -> None:
+        self._rows.send()
+        self._gathered = 0
+
     def gap(self, gap: Gap) -> None:
         """Break the streams where samples are missing."""
         self.flush()
@@ -146,7 +162,7 @@ class Picture:
         if self._thin is not None and not self._thin.window(result):
             return
         self._at(result.t_end_ns)
-        self._stream.log("/status", rr.TextDocument(status(self._scene, result), media_type="text/markdown"))
+        self._rows.text("/status", status(self._scene, result))
         self._alarm(result)
         reason = result.skipped.reason if result.skipped else None
         if reason != self._skipped:
@@ -167,6 +183,7 @@ class Picture:
 
     def _at(self, t_ns: int) -> None:
         self._stream.set_time("time", timestamp=utc(t_ns))
+        self._rows.at(t_ns)
 
     def _event(self, text: str, level: rr.TextLogLevel) -> None:
         self._stream.log("/events", rr.TextLog(text, level=level))
@@ -189,10 +206,9 @@ class Picture:
     def _bounded(self, path: str, value: float | None, std: float | None, scale: float = 1.0) -> None:
         """One value with its two standard deviations either side, or a hole."""
         if value is None or std is None:
-            self._stream.log(path, HOLE)
+            self._rows.scalars(path, *HOLE)
         else:
-            bounds = np.array([value, value - 2 * std, value + 2 * std])
-            self._stream.log(path, rr.Scalars(scale * bounds))
+            self._rows.scalars(path, scale * value, scale * (value - 2 * std), scale * (value + 2 * std))
 
     def _stiffness(self, stiffness: StiffnessEstimate | None) -> None:
         n = self._scene.n_stories
@@ -208,18 +224,19 @@ class Picture:
         if damage is not None:
             readings = list(zip(damage.ddi.tolist(), damage.ddi_std.tolist(), strict=True))
         if damage is not None:
-            self._stream.log("/ddi/alarm_loss", rr.Scalars(100.0 * loss_at))
-        strips, colours, places, labels = [], [], [], []
+            self._rows.scalars("/ddi/alarm_loss", 100.0 * loss_at)
+        colours, places, labels = [], [], []
         for j, (ddi, std) in enumerate(readings):
             self._bounded(f"/ddi/story_{j + 1}", ddi, std, 100.0)
             top, foot = self._z[j], self._z[j + 1]
-            strips += [[(x, y, foot), (x, y, top)] for x, y in COLUMNS]
-            colours += [severity(ddi, loss_at)] * len(COLUMNS)
+            colours.append(severity(ddi, loss_at))
             places.append((-0.45, 0.0, (top + foot) / 2))
             known = "unknown" if ddi is None or std is None else plus_minus(ddi, std, 100) + " %"
             labels.append(f"story {j + 1}: {known}")
-        self._stream.log("/frame/stories", rr.LineStrips3D(strips, colors=colours, radii=[0.022]))
-        label(self._stream, "/frame/stories/labels", places, labels, colours[:: len(COLUMNS)])
+        of_stories = np.array(colours, dtype=np.uint8)
+        of_columns = np.repeat(of_stories, len(COLUMNS), axis=0)
+        self._rows.add("/frame/stories", rr.LineStrips3D, strips=self._columns, colors=of_columns, radii=[0.022])
+        label(self._rows, "/frame/stories/labels", places, labels, of_stories)
 
     def _stabilisation(self, modes: ModalEstimate) -> None:
         """Poles in (Hz, order), stretched to the canvas, with their axes and the modes chosen."""
@@ -232,13 +249,14 @@ class Picture:
             self._extent = (f_max, n_max)
             self._stabilisation_axes(f_max, n_max)
         colours = np.where(poles[:, 3:] > 0, GREEN, GREY).astype(np.uint8)
-        points = rr.Points2D(poles[:, [1, 0]], colors=colours, radii=rr.Radius.ui_points(2.5), draw_order=2.0)
         width, height = STABILISATION
-        self._stream.log("/stabilisation", rr.Transform3D(scale=(width / f_max, -height / n_max, 1.0)), points)
-        chosen = [[(f, 0), (f, n_max)] for f in modes.frequencies_hz]
-        lines = rr.LineStrips2D(chosen, colors=[SERIES[k % len(SERIES)] for k in modes.model_mode],
-                                radii=rr.Radius.ui_points(0.8), draw_order=1.0)  # fmt: skip
-        self._stream.log("/stabilisation/modes", lines)
+        self._rows.add("/stabilisation", rr.Transform3D, scale=[(width / f_max, -height / n_max, 1.0)])
+        self._rows.add("/stabilisation", rr.Points2D, positions=poles[:, [1, 0]], colors=colours,
+                       radii=ui_radius(2.5), draw_order=[2.0])  # fmt: skip
+        chosen = Strips(np.array([(f, 0.0), (f, n_max)]) for f in modes.frequencies_hz.tolist())
+        self._rows.add("/stabilisation/modes", rr.LineStrips2D, strips=chosen,
+                       colors=[SERIES[k % len(SERIES)] for k in modes.model_mode.tolist()],
+                       radii=ui_radius(0.8), draw_order=[1.0])  # fmt: skip
 
     def _stabilisation_axes(self, f_max: float, n_max: float) -> None:
         """Drawn anew only when they grow."""

@@ -21,8 +21,9 @@ LEVELS = {
     Level.WARNING: (rr.TextLogLevel.WARN, AMBER),
     Level.ALARM: (rr.TextLogLevel.CRITICAL, RED),
 }
-LIVE_BLOCK_S, FILE_BLOCK_S = 1.0, 10.0
-"""Samples are sent in blocks of at least this length: short for viewers that watch, long for a small file."""
+LIVE_BLOCK_S, FILE_BLOCK_S = 1.0, 60.0
+"""Samples are sent in blocks of at least this length, results so many at a time: few for viewers that watch, many for a small
+file that is written fast."""
 COLUMNS = ((0.0, 0.0), (0.6, 0.0), (0.6, 0.6), (0.0, 0.6))
 """Corners of the frame; it is drawn 1 high."""
 STABILISATION = (100.0, 55.0)
@@ -107,5 +108,5 @@ def rows(modes: ModalEstimate) -> list[tuple[int, float, float, float, float]]:
     return [(int(k), f, fs, d, ds) for k, (f, fs, d, ds) in zip(modes.model_mode, table, strict=True)]
 
 
-HOLE = rr.Scalars([np.nan] * 3)
+HOLE = (np.nan,) * 3
 """No value: breaks a line and its bounds, where no row would be bridged, and a Clear or an empty row drags the axis to 0."""

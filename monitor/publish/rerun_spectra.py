@@ -6,13 +6,15 @@ from collections import deque
 
 import numpy as np
 import rerun as rr
-from scipy.signal import welch
 
 from monitor.model import Model
+from monitor.publish.rerun_rows import Rows, Strips, ui_radius
 from monitor.publish.rerun_scene import GREY, SERIES, STABILISATION, Scene
 from monitor.results import Array, Samples, WindowResult
+from monitor.spectrum import taper
 
-_EVERY_NS = 60_000_000_000
+LIVE_EVERY_S, FILE_EVERY_S = 60.0, 200.0
+"""They change slowly: half of what is averaged is new after 200 s."""
 _SEGMENT_S, _LONGEST_S = 20.0, 400.0
 _DECADES = 7.0
 """Of power, shown of each channel."""
@@ -38,12 +40,13 @@ def predicted(scene: Scene, result: WindowResult, hz: Array) -> Array:
 
 
 class Spectra:
-    """Draws both, one channel over the other, at most once a minute of data."""
+    """Draws both, one channel over the other, every so many seconds of data."""
 
-    def __init__(self, scene: Scene, stream: rr.RecordingStream) -> None:
-        self._scene, self._stream = scene, stream
+    def __init__(self, scene: Scene, stream: rr.RecordingStream, to: Rows, every_s: float) -> None:
+        self._scene, self._stream, self._to = scene, stream, to
+        self._every_ns = round(every_s * 1e9)
         self._blocks: deque[Samples] = deque()
-        self._drawn_ns, self._axes = -_EVERY_NS, False
+        self._drawn_ns, self._axes = -self._every_ns, False
 
     def samples(self, samples: Samples) -> None:
         """Keep the latest; what stands before a gap or another rate is let go."""
@@ -58,28 +61,28 @@ class Spectra:
 
     def window(self, result: WindowResult) -> None:
         """Draw, if it is time; the stream stands at the window's end."""
-        if not self._blocks or result.t_end_ns - self._drawn_ns < _EVERY_NS:
+        if not self._blocks or result.t_end_ns - self._drawn_ns < self._every_ns:
             return
         rate, values = self._blocks[0].rate_hz, np.concatenate([b.values for b in self._blocks])
         if len(values) < _SEGMENT_S * rate:
             return
         self._drawn_ns = result.t_end_ns
-        hz, power = welch(values, rate, nperseg=round(_SEGMENT_S * rate), axis=0)
+        hz, power = _power(values[:, :_MOST_CHANNELS], rate)
         band = (hz > 0.01 * self._scene.cutoff_hz) & (hz <= self._scene.cutoff_hz)
-        hz, power = hz[band], power[band][:, :_MOST_CHANNELS]
+        hz, power = hz[band], power[band]
         lanes = power.shape[1]
         width, height = STABILISATION
-        scale = rr.Transform3D(scale=(width / self._scene.cutoff_hz, -height / lanes, 1.0))
+        scale = (width / self._scene.cutoff_hz, -height / lanes, 1.0)
         colours = [SERIES[c % len(SERIES)] for c in range(lanes)]
         top = np.log10(power.max(axis=0) * 3.0)
-        lines = [_lane(hz, p, t, lanes - 1 - c) for c, (p, t) in enumerate(zip(power.T, top, strict=True))]
-        self._stream.log("/spectra", scale)
-        self._stream.log("/spectra/measured", rr.LineStrips2D(lines, colors=colours, radii=rr.Radius.ui_points(0.7)))
+        lines = Strips(_lane(hz, p, t, lanes - 1 - c) for c, (p, t) in enumerate(zip(power.T, top, strict=True)))
+        self._to.add("/spectra", rr.Transform3D, scale=[scale])
+        self._to.add("/spectra/measured", rr.LineStrips2D, strips=lines, colors=colours, radii=ui_radius(0.7))
         if self._scene.model is not None:
             model = predicted(self._scene, result, hz)[:, :lanes]
             model *= power.sum() / model.sum()
-            lines = [_lane(hz, p, t, lanes - 1 - c) for c, (p, t) in enumerate(zip(model.T, top, strict=True))]
-            self._stream.log("/spectra/model", rr.LineStrips2D(lines, colors=[MODEL], radii=rr.Radius.ui_points(0.4)))
+            lines = Strips(_lane(hz, p, t, lanes - 1 - c) for c, (p, t) in enumerate(zip(model.T, top, strict=True)))
+            self._to.add("/spectra/model", rr.LineStrips2D, strips=lines, colors=[MODEL], radii=ui_radius(0.4))
         if not self._axes:
             self._axes = True
             self._draw_axes(lanes)
@@ -95,6 +98,17 @@ class Spectra:
         labels = [f"{f:g} Hz" for f, _ in places[:5]] + list(self._scene.channels[:lanes])
         marks = rr.Points2D(places, labels=labels, colors=[GREY], radii=rr.Radius.ui_points(1.5), show_labels=True)
         self._stream.log("/spectra/ticks", marks, static=True)
+
+
+def _power(values: Array, rate_hz: float) -> tuple[Array, Array]:
+    """Frequencies and mean periodograms, shape (n_hz, c), of half-overlapping tapered segments, up to a factor."""
+    n = round(_SEGMENT_S * rate_hz)
+    # Single precision is enough for a picture.
+    segments = np.lib.stride_tricks.sliding_window_view(values.astype(np.float32), n, axis=0)[:: n // 2]
+    spectra = np.fft.rfft((segments - segments.mean(axis=-1, keepdims=True)) * taper(n).astype(np.float32))
+    return np.asarray(np.arange(n // 2 + 1) * (rate_hz / n), dtype=float), np.asarray(
+        (spectra.real**2 + spectra.imag**2).mean(axis=0).T
+    )
 
 
 def _lane(hz: Array, power: Array, top: float, lane: int) -> Array:

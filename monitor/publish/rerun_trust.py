@@ -9,6 +9,7 @@ import rerun as rr
 
 from drivers.base import ClockHealth
 from monitor.health import Health
+from monitor.publish.rerun_rows import Rows
 from monitor.publish.rerun_scene import GREY, RED, SERIES, Scene, utc
 
 
@@ -22,8 +23,8 @@ class Clocks(NamedTuple):
 class Trust:
     """Draws on one recording; lives in the worker's thread."""
 
-    def __init__(self, scene: Scene, stream: rr.RecordingStream) -> None:
-        self._scene, self._stream = scene, stream
+    def __init__(self, scene: Scene, stream: rr.RecordingStream, to: Rows) -> None:
+        self._scene, self._stream, self._to = scene, stream, to
         self._told = False
 
     def begin(self) -> None:
@@ -46,16 +47,16 @@ class Trust:
         if value is not None:
             lines = (("line", value), ("one", 1.0), ("asks", self._scene.misfit_asks))
             for name, size in lines:
-                self._stream.log(f"/trust/misfit/{name}", rr.Scalars(size))
+                self._to.scalars(f"/trust/misfit/{name}", size)
 
     def health(self, health: Health) -> None:
         """A span of the sensors."""
-        self._stream.set_time("time", timestamp=utc(health.t_end_ns))
-        self._stream.log("/quality/availability", rr.Scalars(100.0 * health.availability))
+        self._to.at(health.t_end_ns)
+        self._to.scalars("/quality/availability", 100.0 * health.availability)
         for c in health.channels:
             name = rr.escape_entity_path_part(c.channel)
             for kind, value in (("rms", c.rms_m_s2), ("noise_floor", c.noise_floor), ("clipped", 100.0 * c.clipped)):
-                self._stream.log(f"/quality/{kind}/{name}", rr.Scalars(value))
+                self._to.scalars(f"/quality/{kind}/{name}", value)
 
     def clocks(self, told: Clocks) -> None:
         """Offset of every node's clock, ms."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Self
 
 import numpy as np
@@ -46,7 +47,7 @@ class ShearFrame:
 
     def drift_matrix(self) -> Array:
         """Drift of every story from the floors' displacements, shape (n, n): upper floor minus lower."""
-        return np.eye(self.n_stories) - np.eye(self.n_stories, k=1)
+        return _drift_matrix(self.n_stories)
 
     def mass_matrix(self) -> Array:
         """Shape (n, n), kg."""
@@ -68,3 +69,10 @@ class ShearFrame:
         """dK / dk_j, shape (n, n, n): first axis is the story."""
         drift = self.drift_matrix()
         return np.asarray(np.einsum("ja,jb->jab", drift, drift))
+
+
+@cache
+def _drift_matrix(n: int) -> Array:
+    matrix = np.eye(n) - np.eye(n, k=1)
+    matrix.setflags(write=False)
+    return matrix

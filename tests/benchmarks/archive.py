@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import resource
@@ -152,24 +153,29 @@ def replays(folder: Path, hours: float) -> dict[str, dict[str, float]]:
 
 
 def reprocessing(folder: Path, hours: float, recordings: int = 4) -> dict[str, float]:
-    """Time of `reprocess` on one and on two workers, for recordings of streams of their own."""
-    paths = []
-    for number in range(recordings):
-        (folder / f"stream-{number}").mkdir(exist_ok=True)
-        paths.append(write(folder / f"stream-{number}" / "r.mcap", configuration(), hours / recordings))
+    """Time of `reprocess` on one and on two workers, for recordings of streams of their own; with and without start-up."""
     (folder / "frame.toml").write_text(STRUCTURE)
+    paths: dict[str, list[Path]] = {"few": [], "many": []}
+    for number, (name, total) in itertools.product(range(recordings), (("few", hours / 8.0), ("many", hours))):
+        stream = folder / f"{name}-{number}"
+        stream.mkdir(exist_ok=True)
+        paths[name].append(write(stream / "r.mcap", configuration(), total / recordings))
     run = {}
-    for workers in (1, 2):
-        out = folder / f"reprocessed-{workers}"
+    for workers, name in itertools.product((1, 2), paths):
+        out = folder / f"reprocessed-{name}-{workers}"
         options = ("--structure", folder / "frame.toml", "--out", out, "--workers", workers)
-        run[workers] = command("reprocess", *paths, *options)
+        run[name, workers] = command("reprocess", *paths[name], *options)
         assert len(list((out / WINDOWS).iterdir())) == recordings
+    one, two = run["many", 1], run["many", 2]
     return {
-        "one_s": run[1].wall_s,
-        "two_s": run[2].wall_s,
-        "ratio": run[1].wall_s / run[2].wall_s,
+        "hours": hours,
+        "one_s": one.wall_s,
+        "two_s": two.wall_s,
+        "ratio": one.wall_s / two.wall_s,
+        "ratio_beyond_start": (one.wall_s - run["few", 1].wall_s) / (two.wall_s - run["few", 2].wall_s),
         # As far as CPU goes: what a second worker costs besides, on a machine that is not shared.
-        "ratio_of_cpu": 2.0 * run[1].cpu_s / run[2].cpu_s,
+        "ratio_of_cpu": 2.0 * one.cpu_s / two.cpu_s,
+        "ratio_of_cpu_beyond_start": 2.0 * (one.cpu_s - run["few", 1].cpu_s) / (two.cpu_s - run["few", 2].cpu_s),
         "cores": float(os.cpu_count() or 1),
     }
 

@@ -90,7 +90,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         show_reading(some, max(2, rounds // 5), min(hours, 1.0), told)
         told["replay"] = archive.replays(folder, hours)
         if not given.quick:
-            told["reprocess"] = archive.reprocessing(folder, min(hours, 4.0))
+            told["reprocess"] = archive.reprocessing(folder, min(hours, 8.0))
             told["diagnosis"] = archive.diagnosis(folder)
     for what in ("replay", "reprocess", "diagnosis"):
         print(f"\n{what}: {json.dumps(told.get(what), indent=1)}")

@@ -9,12 +9,15 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from scipy.linalg import lapack
 
 from monitor.results import Array, WindowResult
+from monitor.window import _products
 from tests.benchmarks.frames import Hops, baseline, configuration, floors
 from tests.benchmarks.rounds import Cost, interleaved
 
 FLOOR, PLAIN, FULL = "floor of a hop", "hop without uncertainty", "hop with uncertainty, refinement, updating, alarm"
+LEAST = "matrix work of a hop without uncertainty"
 UNREFINED = "the same without refinement"
 PYOMA, PYOMA_UNC, PYOMA_UNC_1 = "pyOMA2 cov", "pyOMA2 cov, uncertainty, step 2", "pyOMA2 cov, uncertainty, step 1"
 KOMA = "koma cov"
@@ -27,6 +30,19 @@ def floor(samples: Array, big: Array) -> None:
     np.linalg.svd(big)
     for order in range(2, 31, 2):
         np.linalg.eig(big[:order, :order])
+
+
+def least(samples: Array, big: Array) -> None:
+    """The matrix work of a hop without uncertainty and nothing else: lagged products, and LAPACK called bare."""
+    _products(samples[: 1000 - 49], samples, 50)
+    _products(samples[:49], samples[:98], 50)
+    square = big @ big.T
+    for _ in range(2):
+        lapack.dtrtri(lapack.dpotrf(square)[0])
+    lapack.dsyevd(square)
+    np.linalg.qr(big[:72, :30])
+    for order in range(2, 31, 2):
+        lapack.dgeev(big[:order, :order], compute_vl=0)
 
 
 def peers(x: Array) -> dict[str, Callable[[], Any]]:
@@ -67,7 +83,14 @@ def compare(rounds: int) -> tuple[dict[str, Cost], dict[str, list[float]]]:
     plain = Hops(configuration(refined=False, uncertainty=False), healthy)
     unrefined, full = Hops(configuration(refined=False), healthy), Hops(config, healthy)
     others = peers(x)
-    things = {FLOOR: lambda: floor(samples, big), PLAIN: plain, UNREFINED: unrefined, FULL: full, **others}
+    things = {
+        FLOOR: lambda: floor(samples, big),
+        LEAST: lambda: least(samples, big),
+        PLAIN: plain,
+        UNREFINED: unrefined,
+        FULL: full,
+        **others,
+    }
     costs = interleaved(things, rounds)
     truth = config.model().modes().frequencies_hz
     errors = {name: _errors(hops.results[-1], truth) for name, hops in ((PLAIN, plain), (FULL, full))}
