@@ -19,8 +19,8 @@ _SMOOTH = 0.006
 _DEEPEST = -0.85
 """Share of a predicted spectrum that the correction may take away."""
 
-_NUDGE = 1e-5
-"""Change of a nuisance by which slopes are taken."""
+_NUDGE, _STEP = 1e-5, 0.01
+"""Changes by which slopes are taken: of a nuisance; of a size, relative."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -34,32 +34,32 @@ class Corrected(Problem):
     base: ComplexArray = field(default_factory=lambda: np.zeros(0, dtype=complex))
     """Lower Cholesky factors of the linearized spectra there, shape (classes, n_bins, c, c)."""
     relative: ComplexArray = field(default_factory=lambda: np.zeros(0, dtype=complex))
-    """Correction and its slopes by the coordinates, whitened by `base`, shape (1 + p, classes, n_bins, c, c)."""
-
+    """Correction and its slopes by the coordinates, relative to the linearized spectra, shape (1 + p, classes, n_bins, c, c)."""
+    by_motion: ComplexArray = field(default_factory=lambda: np.zeros(0, dtype=complex))
+    """The same slopes where not the law but the motion changes, shape (p, classes, n_bins, c, c)."""
     drift: Array = field(default_factory=lambda: np.zeros((0, 0)))
     """The linearized model's RMS drift there, shape (classes, n_stories), m."""
 
     def scatter(self, x: Array, effects: Sequence[Effect], *, classes: Sequence[int] | None = None) -> ComplexArray:
         """See `Problem.scatter`.
 
-        The correction is relative to the spectra of the laws as they were simulated: peaks that move or grow take it along.
-        Where the motion grows, a law acts as one of another size does.
+        The correction is relative to the spectra: peaks that move or grow take it along.  Where the motion grows, a law acts
+        as one of another size does.
         """
         plain = replace(self, offset=None)
         linear = Problem.scatter(plain, x, effects, classes=classes)
         here = [e for e in effects if (e.name, e.location) in self.laws]
         if self.offset is None or len(here) < len(self.laws):
             return linear
-        sizes, base, centred = np.concatenate([e.coordinates for e in here]), linear, effects
-        if not np.array_equal(sizes, self.centre):
-            centre = iter(np.split(self.centre, np.cumsum([len(e.parameters) for e in here])))
-            centred = [e.at(next(centre)) if e in here else e for e in effects]
-            base = Problem.scatter(plain, x, centred, classes=classes)
-        growth = forced_drift(plain, x, centred) / self.drift
-        acting = sizes * np.hstack([_scaled(e, growth) for e in here])
-        relative = _bounded(self.relative[0] + np.einsum("kp,pkfab->kfab", acting - self.centre, self.relative[1:]))
+        centre = iter(np.split(self.centre, np.cumsum([len(e.parameters) for e in here])))
+        centred = [e.at(next(centre)) if e in here else e for e in effects]
+        growth = forced_drift(plain, x, centred) / self.drift  # what the size itself makes of it is in its slope
+        sizes = np.concatenate([e.coordinates for e in here])
+        grown = sizes * (np.hstack([_scaled(e, growth) for e in here]) - 1.0)
+        relative = np.tensordot(np.append(1.0, sizes - self.centre), self.relative, axes=1)
+        relative = _bounded(relative + np.einsum("kp,pkfab->kfab", grown, self.by_motion))
         try:
-            root = np.linalg.cholesky(base)
+            root = np.linalg.cholesky(linear)
         except np.linalg.LinAlgError:  # a step too far: a model that is none has no likelihood
             return np.full_like(linear, np.nan)
         return np.asarray(linear + _around(root, relative if classes is None else relative[list(classes)]))
@@ -79,20 +79,21 @@ class Corrected(Problem):
 
     def mirrored(self, law: Effect) -> Corrected:
         """The same with a law's other hand, whose spectra are the same."""
-        centre, relative, first = self.centre.copy(), self.relative.copy(), 0
+        centre, relative, grown, first = self.centre.copy(), self.relative.copy(), self.by_motion.copy(), 0
         for name, place in self.laws:
             n = len(EFFECTS[name].parameters)
             if (name, place) == (law.name, law.location):
                 turned = np.sign(law.coordinates) != np.sign(centre[first : first + n])
                 centre[first : first + n] *= np.where(turned, -1.0, 1.0)
                 relative[1 + first : 1 + first + n][turned] *= -1.0
+                grown[first : first + n][turned] *= -1.0
             first += n
-        return replace(self, centre=centre, relative=relative)
+        return replace(self, centre=centre, relative=relative, by_motion=grown)
 
     @property
     def slopes_by_size(self) -> ComplexArray:
         """Of the correction, shape (p, classes, n_bins, c, c)."""
-        return _around(self.base, self.relative[1:])
+        return _around(self.base, self.by_motion)
 
     def spread(self, offsets: ComplexArray) -> ComplexArray:
         """Offsets smoothed as the correction is, shape (..., classes, n_bins, c, c)."""
@@ -146,16 +147,28 @@ def corrected(
         By the coordinates of the nonlinear effects; none where they are not known.
     """
     plain = {f.name: getattr(problem, f.name) for f in fields(Problem)}
-    base = np.asarray(
-        np.linalg.cholesky(Problem.scatter(replace(problem, offset=None), x, effects)), dtype=np.complex128
-    )
-    inverse, hz = np.linalg.inv(base), problem.evidence.band.hz
+    linear, hz = replace(problem, offset=None), problem.evidence.band.hz
     acting = [e for e in effects if e.nonlinear]
     centre = np.concatenate([e.coordinates for e in acting])
-    terms = np.zeros((1 + centre.size, *offset.shape), dtype=complex)
-    terms[0], terms[1 : 1 + len(slopes)] = offset, slopes
-    relative = _smooth(_around(inverse, terms), hz)
-    plain["offset"] = offset
-    laws = tuple((e.name, e.location) for e in acting)
-    drift = forced_drift(replace(problem, offset=None), x, effects)
-    return Corrected(**plain, laws=laws, centre=centre, base=base, relative=relative, drift=drift)
+
+    def relative_at(sizes: Array, offset: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+        parts = iter(np.split(sizes, np.cumsum([len(e.parameters) for e in acting])))
+        moved = [e.at(next(parts)) if e.nonlinear else e for e in effects]
+        base = np.asarray(np.linalg.cholesky(Problem.scatter(linear, x, moved)), dtype=np.complex128)
+        return base, _smooth(_around(np.linalg.inv(base), offset), hz)
+
+    base, here = relative_at(centre, offset)
+    known = np.zeros((centre.size, *offset.shape), dtype=complex)
+    known[: len(slopes)] = slopes
+    by_size = []
+    for i, step in enumerate(np.diag(_STEP * np.abs(centre))):
+        by_size.append((relative_at(centre + step, offset + known[i] * step[i])[1] - here) / step[i])
+    return Corrected(
+        **plain | {"offset": offset},
+        laws=tuple((e.name, e.location) for e in acting),
+        centre=centre,
+        base=base,
+        relative=np.array([here, *by_size]),
+        by_motion=_smooth(_around(np.linalg.inv(base), known), hz),
+        drift=forced_drift(linear, x, effects),
+    )
