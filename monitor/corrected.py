@@ -37,6 +37,8 @@ class Corrected(Problem):
     """Correction and its slopes by the coordinates, relative to the linearized spectra, shape (1 + p, classes, n_bins, c, c)."""
     by_motion: ComplexArray = field(default_factory=lambda: np.zeros(0, dtype=complex))
     """The same slopes where not the law but the motion changes, shape (p, classes, n_bins, c, c)."""
+    feigned: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    """Information on the coordinates that the chance in their slopes feigns, shape (p, p)."""
     drift: Array = field(default_factory=lambda: np.zeros((0, 0)))
     """The linearized model's RMS drift there, shape (classes, n_stories), m."""
 

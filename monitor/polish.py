@@ -33,6 +33,8 @@ _UNSETTLED = 0.5
 """Share of the last move that is a standard deviation."""
 _OTHER = 1000
 """First seed of the simulations that slopes come from: chance that they shared with the offset would pull the fit."""
+_FEIGNED = 0.7
+"""Largest share of the information that slopes are taken to feign."""
 _FORM = 2.0
 """What is not known of a story's stiffness, over the RMS of the relative correction that the drawing's form needs."""
 _LINE, _TURNING = 0.02, 0.04
@@ -83,17 +85,24 @@ def settle(problem: Problem, at: Fit, rounds: Rounds) -> Settled:
     """
     offsets = free = transforms = np.zeros(0, dtype=complex)
     slopes = _slopes(problem, at)
+    feigned = problem.feigned if len(slopes) and isinstance(problem, Corrected) else np.zeros((0, 0))
     for count, sloped in rounds:
         problem = replace(problem, offset=None)
         problem = replace(problem, conditions=conditions(problem, at.x, at.effects))
         made = [_simulated(problem, at, seed) for seed in range(count)]
         offsets, free = np.array([m[0] for m in made]), np.array([m[1] for m in made])
         if sloped:
-            slopes = np.mean([_sloped(problem, at, _OTHER + seed) for seed in range(count)], axis=0)
+            each = np.array([_sloped(problem, at, _OTHER + seed) for seed in range(count)])
+            slopes = each.mean(axis=0)
         transforms = made[0][2]
         problem = corrected(problem, at.x, at.effects, offsets.mean(axis=0), slopes)
+        if sloped:
+            feigned = _feigned(problem, at, each)
+        problem = replace(problem, feigned=feigned)
         at = fit(problem, at.x, at.effects, iterations=8)
-    return Settled(problem, at, transforms, *_chance(problem, at, offsets, free))
+    lost, doubt = _chance(problem, at, offsets, free)
+    more = np.diag(_spread(problem, at) @ at.covariance @ _spread(problem, at).T - at.covariance)[problem.n_nuisance :]
+    return Settled(problem, at, transforms, lost, np.sqrt(doubt**2 + np.maximum(more, 0.0)))
 
 
 def finish(problem: Problem, at: Fit) -> Settled:
@@ -149,6 +158,34 @@ def _slopes(problem: Problem, at: Fit) -> ComplexArray:
     ):
         return problem.slopes_by_size
     return np.zeros((0, *problem.evidence.spectra.shape), dtype=complex)
+
+
+def _feigned(problem: Corrected, at: Fit, slopes: ComplexArray) -> Array:
+    """Information that chance in the mean of simulated slopes, shape (k, p, classes, n_bins, c, c), feigns: shape (p, p)."""
+    k, p = slopes.shape[:2]
+    if k < 2:
+        return np.zeros((p, p))
+    here = problem.predict(at.x, at.effects)
+    apart = problem.spread(slopes - slopes.mean(axis=0))
+    rows, _ = problem.whitened(here.spectra, apart.reshape(k * p, *apart.shape[2:]), here.data)
+    rows = rows.reshape(-1, k, p)
+    return np.asarray(np.einsum("rka,rkb->ab", rows, rows) / (k * (k - 1)))
+
+
+def _spread(problem: Problem, at: Fit) -> Array:
+    """By what estimates spread more than they would if their slopes feigned no information, shape (n, n).
+
+    With chance in its slopes J a least-squares fit has too large a J'J, and too narrow intervals.
+    """
+    whole = np.zeros_like(at.covariance)
+    if not isinstance(problem, Corrected) or not problem.feigned.any():
+        return np.eye(len(whole))
+    sizes = [e.nonlinear for e in at.effects for _ in e.parameters]
+    bent = problem.n_nuisance + np.flatnonzero(sizes)
+    whole[np.ix_(bent, bent)] = problem.feigned
+    share = at.covariance @ whole
+    most = float(np.abs(np.linalg.eigvals(share)).max())
+    return np.asarray(np.linalg.inv(np.eye(len(whole)) - share * min(1.0, _FEIGNED / max(most, 1e-9))))
 
 
 def _chance(problem: Problem, at: Fit, offsets: ComplexArray, free: ComplexArray) -> tuple[float, Array]:
