@@ -290,11 +290,9 @@ def main() -> None:
         # Small matrices: threads of the linear algebra only get in each other's way.
         with threadpool_limits(limits=1):
             app()
-    except BadConfigurationError as error:
-        print(f"error: bad configuration\n{error}", file=sys.stderr)
-        raise SystemExit(error.exit_code) from None
     except UserError as error:
-        print(f"error: {error}", file=sys.stderr)
+        kind = "bad configuration\n" if isinstance(error, BadConfigurationError) else ""
+        print(f"error: {kind}{error}", file=sys.stderr)
         raise SystemExit(error.exit_code) from None
     except PermissionError as error:
         print(f"error: {error.filename}: {error.strerror}; ask as the owner of the file, or root", file=sys.stderr)

@@ -6,6 +6,7 @@ goes on after them, less MISSED blocks that nobody took while it was away.
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import sys
 import time
@@ -34,12 +35,13 @@ class Live:
         self._stream, self._pace_s = stream, pace_s
         self._next = given(position) + (missed if position.exists() else 0)
         self._place = os.open(position, os.O_RDWR | os.O_CREAT, 0o644)
-        self._parent = os.getppid()
+        self._parent = multiprocessing.parent_process()
+        self._parent_id = os.getppid()
 
     def open(self) -> None: ...
 
     def read(self, timeout_s: float) -> SampleBlock | None:
-        if os.getppid() != self._parent:
+        if os.getppid() != self._parent_id or (self._parent is not None and not self._parent.is_alive()):
             raise EndOfStream
         time.sleep(self._pace_s)
         os.pwrite(self._place, b"%020d" % (self._next + 1), 0)

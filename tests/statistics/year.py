@@ -188,7 +188,8 @@ class Hops:
     def health(self) -> SourceHealth:
         return SourceHealth(True, {"blocks": self.given})
 
-    def close(self) -> None: ...
+    def close(self) -> None:
+        self._hops = self.given  # nothing is on its way
 
 
 def twin(days: int, folder: Path, seed: int = 20261121) -> None:
