@@ -238,9 +238,8 @@ class McapFile:
 
     def _messages(self, content: bytes) -> list[Message]:
         messages, position, end = [], 0, len(content)
-        # Names looked up once: this loop is most of what reading costs.
         head, fields, channels, is_message = _HEAD.unpack_from, _MESSAGE.unpack_from, self.channels, int(Opcode.MESSAGE)
-        head_size, fields_size = _HEAD.size, _MESSAGE.size
+        head_size, fields_size = _HEAD.size, _MESSAGE.size  # looked up once: this loop is long
         while position < end:
             opcode, length = head(content, position)
             start, position = position + head_size, position + head_size + length

@@ -156,7 +156,9 @@ def reprocessing(folder: Path, hours: float, recordings: int = 4) -> dict[str, f
     """Time of `reprocess` on one and on two workers, for recordings of streams of their own; with and without start-up."""
     (folder / "frame.toml").write_text(STRUCTURE)
     paths: dict[str, list[Path]] = {"few": [], "many": []}
-    for number, (name, total) in itertools.product(range(recordings), (("few", hours / 8.0), ("many", hours))):
+    for number, (name, total) in itertools.product(
+        range(recordings), (("few", max(hours / 8.0, 0.15 * recordings)), ("many", hours))
+    ):
         stream = folder / f"{name}-{number}"
         stream.mkdir(exist_ok=True)
         paths[name].append(write(stream / "r.mcap", configuration(), total / recordings))

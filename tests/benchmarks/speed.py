@@ -89,11 +89,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         some = archive.write(folder / "reading.mcap", archive.configuration(), min(hours, 1.0))
         show_reading(some, max(2, rounds // 5), min(hours, 1.0), told)
         told["replay"] = archive.replays(folder, hours)
+        print(f"\nreplay: {json.dumps(told['replay'], indent=1)}", flush=True)
         if not given.quick:
             told["reprocess"] = archive.reprocessing(folder, min(hours, 8.0))
+            print(f"\nreprocess: {json.dumps(told['reprocess'], indent=1)}", flush=True)
             told["diagnosis"] = archive.diagnosis(folder)
-    for what in ("replay", "reprocess", "diagnosis"):
-        print(f"\n{what}: {json.dumps(told.get(what), indent=1)}")
+            print(f"\ndiagnosis: {json.dumps(told['diagnosis'], indent=1)}")
     if given.json is not None:
         given.json.write_text(json.dumps(told, indent=1) + "\n")
     if given.plot is not None:
