@@ -37,8 +37,9 @@ _FEIGNED = 0.7
 """Largest share of the information that slopes are taken to feign."""
 _FORM = 2.0
 """What is not known of a story's stiffness, over the RMS of the relative correction that the drawing's form needs."""
-_LINE, _TURNING = 0.02, 0.04
-"""Of a bin: how well a line's frequency is read; of its size: how well friction is known whose turn is not."""
+_LINE, _TURNING, _TOUCH = 0.02, 0.04, (0.05, 0.12)
+"""Of a bin: how well a line's frequency is read; of the size: friction whose turn is not known, a gap and its contact whose
+touch is not."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -216,14 +217,16 @@ def form_doubt(problem: Problem, at: Fit, effect: Effect) -> Array:
     A size relative to a story's stiffness is known no better than that stiffness, which a frame that is no shear frame blurs.
     How softening goes on beyond the third order is not known: with a fifth order like that of tanh, a size would differ by
     twice the relative softening.  How sharply friction turns around is not known either: laws that creep, or stick harder
-    than they slide, dissipate a few percent apart.  A strong line is read off the taper's leakage, into bins that are
-    otherwise another model's.
+    than they slide, dissipate a few percent apart; nor how hard a contact is while it closes.  A strong line is read
+    off the taper's leakage, into bins that are otherwise another model's.
     """
     size = np.abs(effect.coordinates)
     if effect.name == "harmonic_excitation":
         return np.array([_LINE * problem.evidence.band.bin_hz / effect.lines()[0].frequency_hz, 0.0])
     if effect.name == "coulomb_friction":
         return np.asarray(_TURNING * size)
+    if effect.name == "gap_contact":
+        return np.array(_TOUCH) * size
     if effect.name == "bilinear_stiffness":
         correction = problem.reference.parts(at.x)[4]
         rms = float(np.sqrt((correction**2).mean())) if correction.size else 0.0
