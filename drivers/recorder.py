@@ -17,6 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from drivers import codec
 from drivers.base import ACCELERATION, GROUND, TEMPERATURE, RecordingError, SampleBlock
+from drivers.disk import sync_folder
 from drivers.mcap_file import scan_messages
 from drivers.mcap_writer import McapWriter
 
@@ -155,7 +156,7 @@ class Recorder:
             return
         try:
             writer.close()
-            _sync(self._folder)
+            sync_folder(self._folder)
         except OSError as error:
             self._detail = f"cannot write: {error.strerror or error}"
 
@@ -186,7 +187,7 @@ class Recorder:
         if full or short:
             self._writer = None
             writer.close()
-            _sync(self._folder)
+            sync_folder(self._folder)
         if short:
             self._pause("too little free space")
 
@@ -226,7 +227,7 @@ def recover(folder: Path) -> None:
             os.replace(part, name)
         else:
             part.unlink()
-    _sync(folder)
+    sync_folder(folder)
 
 
 def recorded(folder: Path, after_ns: int) -> Iterator[tuple[int, SampleBlock]]:
@@ -272,12 +273,3 @@ def _new_name(folder: Path, t_ns: int) -> Path:
     time_text = f"{datetime.fromtimestamp(seconds, UTC):%Y%m%dT%H%M%S}.{rest // 1000:06d}Z"
     numbered = (folder / f"{time_text}-{number:04d}.mcap" for number in range(1, 10_000))
     return next(p for p in numbered if not p.exists() and not p.with_name(p.name + ".part").exists())
-
-
-def _sync(folder: Path) -> None:
-    """See that names are on the disk too."""
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)

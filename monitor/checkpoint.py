@@ -21,6 +21,7 @@ from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
+from drivers.disk import sync_folder
 from monitor.files import finish, partial
 
 _log = logging.getLogger(__name__)
@@ -66,7 +67,7 @@ def save(path: Path, key: str, value: object) -> int:
         if path.exists():
             os.replace(path, previous(path))
         finish(path)
-        _sync(path.parent)
+        sync_folder(path.parent)
     except OSError:
         temporary.unlink(missing_ok=True)
         raise
@@ -234,11 +235,3 @@ def _unpack(item: dict[str, Any], arrays: bytes) -> Any:
 def _read(path: Path) -> bytes:
     with path.open("rb") as file:
         return file.read(_MOST_BYTES)
-
-
-def _sync(folder: Path) -> None:
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)

@@ -14,27 +14,13 @@ import pytest
 from threadpoolctl import threadpool_limits
 
 from drivers.base import ACCELERATION, SampleBlock
+from monitor import config
+from monitor.simulate import simulate
+from tests.frame_text import THREE_STORIES
 
-FRAME = """
-[structure]
-kind = "shear_frame"
-masses_kg = [0.3253, 0.3514, 0.3129]
-stiffness_n_per_m = [2909.4511, 1514.8507, 1897.6986]
-damping_ratio = 0.01
-story_heights_m = [0.093, 0.093, 0.1]
-
-[[sensors]]
-channel = "a1"
-floor = 1
-
-[[sensors]]
-channel = "a2"
-floor = 2
-
-[[sensors]]
-channel = "a3"
-floor = 3
-
+FRAME = (
+    THREE_STORIES
+    + """
 [processing]
 window_s = 20.0
 hop_s = 5.0
@@ -42,6 +28,7 @@ hop_s = 5.0
 [identification]
 block_rows = 10
 """
+)
 T0_NS = 1_767_225_600_000_000_000
 CHANNELS = ("a1", "a2", "a3")
 
@@ -118,3 +105,11 @@ def main() -> Cli:
         return subprocess.CompletedProcess(sys.argv, code, out.getvalue(), err.getvalue())
 
     return run
+
+
+@pytest.fixture(scope="session")
+def record(frame_text: str, tmp_path_factory: pytest.TempPathFactory) -> np.ndarray:
+    """A minute of the frame at 128 Hz, shape (7680, 3), m/s^2."""
+    path = tmp_path_factory.mktemp("s") / "s.toml"
+    path.write_text(frame_text)
+    return simulate(config.load(path).model(), duration_s=60.0, rate_hz=128.0, noise=0.03, seed=6).floors

@@ -33,7 +33,6 @@ from monitor.publish.lines import to_json
 from monitor.publish.requests import Request
 from monitor.reader import BlockQueue, Reader
 from monitor.results import Gap, WindowResult
-from monitor.simulate import simulate
 from monitor.vitals import plain
 from tests.conftest import T0_NS, Cli, Cut
 
@@ -85,13 +84,6 @@ class Scripted:
 
     def close(self) -> None:
         self.closed += 1
-
-
-@pytest.fixture(scope="module")
-def record(frame_text: str, tmp_path_factory: pytest.TempPathFactory) -> np.ndarray:
-    path = tmp_path_factory.mktemp("s") / "s.toml"
-    path.write_text(frame_text)
-    return simulate(config.load(path).model(), duration_s=60.0, rate_hz=RATE, noise=0.03, seed=6).floors
 
 
 @pytest.fixture

@@ -31,7 +31,6 @@ from monitor.daemon import Daemon
 from monitor.outputs import Publisher, Session
 from monitor.results import Level, WindowResult
 from monitor.resume import KeptAlarms
-from monitor.simulate import simulate
 from monitor.watch import Request
 from tests.conftest import T0_NS, Cli, Cut
 from tests.live_site import RATE
@@ -40,13 +39,6 @@ from tests.zenoh_router import free_port
 
 ROOT = Path(__file__).parents[1]
 S = 10**9
-
-
-@pytest.fixture(scope="module")
-def record(frame_text: str, tmp_path_factory: pytest.TempPathFactory) -> np.ndarray:
-    path = tmp_path_factory.mktemp("s") / "s.toml"
-    path.write_text(frame_text)
-    return simulate(config.load(path).model(), duration_s=60.0, rate_hz=RATE, noise=0.03, seed=6).floors
 
 
 @pytest.fixture

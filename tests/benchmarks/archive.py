@@ -26,6 +26,7 @@ from monitor.recordings import blocks
 from monitor.window import WindowGrid
 from tests.benchmarks.frames import baseline, configuration, write
 from tests.benchmarks.rounds import Cost, interleaved
+from tests.frame_text import THREE_STORIES
 
 LIBRARY, READ, WINDOWED = "mcap library, float32 arrays", "read_recordings", "read, filtered, resampled, windowed"
 BARE_LIBRARY = "mcap library, nothing done"
@@ -74,24 +75,6 @@ def reading(path: Path, rounds: int) -> dict[str, Cost]:
     return interleaved(things, rounds)
 
 
-STRUCTURE = """
-[structure]
-kind = "shear_frame"
-masses_kg = [0.3253, 0.3514, 0.3129]
-stiffness_n_per_m = [2909.4511, 1514.8507, 1897.6986]
-
-[[sensors]]
-channel = "a1"
-floor = 1
-
-[[sensors]]
-channel = "a2"
-floor = 2
-
-[[sensors]]
-channel = "a3"
-floor = 3
-"""
 PLAIN = "\n[refinement]\nenabled = false\n\n[identification]\nuncertainty = false\n"
 
 
@@ -128,8 +111,8 @@ def replays(folder: Path, hours: float) -> dict[str, dict[str, float]]:
 
     config = configuration()
     save(baseline(config), folder / "baseline.json")
-    (folder / "frame.toml").write_text(STRUCTURE)
-    (folder / "plain.toml").write_text(STRUCTURE + PLAIN)
+    (folder / "frame.toml").write_text(THREE_STORIES)
+    (folder / "plain.toml").write_text(THREE_STORIES + PLAIN)
     few_hours = min(0.25, hours / 2)
     short, long = write(folder / "short.mcap", config, few_hours), write(folder / "long.mcap", config, hours)
     found = {}
@@ -154,7 +137,7 @@ def replays(folder: Path, hours: float) -> dict[str, dict[str, float]]:
 
 def reprocessing(folder: Path, hours: float, recordings: int = 4) -> dict[str, float]:
     """Time of `reprocess` on one and on two workers, for recordings of streams of their own; with and without start-up."""
-    (folder / "frame.toml").write_text(STRUCTURE)
+    (folder / "frame.toml").write_text(THREE_STORIES)
     paths: dict[str, list[Path]] = {"few": [], "many": []}
     for number, (name, total) in itertools.product(
         range(recordings), (("few", max(hours / 8.0, 0.15 * recordings)), ("many", hours))
@@ -185,6 +168,6 @@ def reprocessing(folder: Path, hours: float, recordings: int = 4) -> dict[str, f
 def diagnosis(folder: Path) -> dict[str, float]:
     """`diagnose` on 20 minutes of three channels."""
     path = write(folder / "twenty-minutes.mcap", configuration(), 1.0 / 3.0)
-    (folder / "frame.toml").write_text(STRUCTURE)
+    (folder / "frame.toml").write_text(THREE_STORIES)
     done = command("diagnose", path, "--structure", folder / "frame.toml", "--out", folder / "diagnosis")
     return {"cpu_s": done.cpu_s, "wall_s": done.wall_s}

@@ -57,33 +57,19 @@ from monitor.outputs import Session
 from monitor.publish.inbox import Inbox
 from monitor.publish.requests import Request, apply
 from monitor.resume import Saved
+from tests.frame_text import THREE_STORIES
 
 ROOT = Path(__file__).parents[2]
 T0_NS = 1_767_225_600_000_000_000
 CHANNELS = ("a1", "a2", "a3")
-STRUCTURE = """
-[structure]
-kind = "shear_frame"
-masses_kg = [0.3253, 0.3514, 0.3129]
-stiffness_n_per_m = [2909.4511, 1514.8507, 1897.6986]
-damping_ratio = 0.01
-
-[[sensors]]
-channel = "a1"
-floor = 1
-
-[[sensors]]
-channel = "a2"
-floor = 2
-
-[[sensors]]
-channel = "a3"
-floor = 3
-
+STRUCTURE = (
+    THREE_STORIES
+    + """
 [processing]
 window_s = 20.0
 hop_s = 5.0
 """
+)
 
 
 @dataclass(frozen=True)

@@ -35,13 +35,15 @@ from monitor.pipeline import Pipeline, Result
 from monitor.record import blocks_of
 from monitor.results import Gap, Skipped, WindowResult
 from monitor.simulate import simulate
+from tests.frame_text import THREE_STORIES
 from tests.live_site import RATE, SIZE, given
 from tests.statistics.alarm_twin import HOP_S, TWIN, WINDOW, WINDOW_S
 
 ROOT = Path(__file__).parents[2]
 T0_NS, DAY = 1_767_225_600_000_000_000, round(86_400 / HOP_S)
 BASELINE_S = 4 * 3600.0
-SITE = """
+SITE = (
+    """
 [site]
 name = "year"
 baseline = "baseline.json"
@@ -66,24 +68,9 @@ min_free_gb = 0.5
 [log]
 level = "error"
 
-[structure]
-kind = "shear_frame"
-masses_kg = [0.3253, 0.3514, 0.3129]
-stiffness_n_per_m = [2909.4511, 1514.8507, 1897.6986]
-damping_ratio = 0.01
-
-[[sensors]]
-channel = "a1"
-floor = 1
-
-[[sensors]]
-channel = "a2"
-floor = 2
-
-[[sensors]]
-channel = "a3"
-floor = 3
 """
+    + THREE_STORIES
+)
 
 
 def rss_mb(pid: int | str = "self") -> float:
