@@ -33,8 +33,8 @@ _UNSETTLED = 0.5
 """Share of the last move that is a standard deviation."""
 _OTHER = 1000
 """First seed of the simulations that slopes come from: chance that they shared with the offset would pull the fit."""
-_FEIGNED = 0.7
-"""Largest share of the information that slopes are taken to feign."""
+_FEIGNED, _MUCH, _SLOPED = 0.5, 0.25, 5
+"""Largest share of the information that slopes are taken to feign; share from which this many simulations make new slopes."""
 _FORM = 2.0
 """What is not known of a story's stiffness, over the RMS of the relative correction that the drawing's form needs."""
 _LINE, _TURNING, _TOUCH = 0.02, 0.04, (0.05, 0.12)
@@ -116,6 +116,8 @@ def finish(problem: Problem, at: Fit) -> Settled:
     made = settle(problem, at, FINE)
     count = int(np.clip(np.ceil(2.0 * made.lost / _LOSS), _LEAST, _MOST))
     rounds: Rounds = ((count, False),) if count == _LEAST else ((count // 2, True), (count, False))
+    if _feigned_share(made.problem, made.fit) > _MUCH:
+        rounds = ((max(count, _SLOPED), True),)
     last = settle(made.problem, made.fit, rounds)
     moved = np.abs(last.fit.x - made.fit.x)[problem.n_nuisance :]
     if last.fit.log_posterior + last.lost < at.log_posterior:
@@ -173,20 +175,30 @@ def _feigned(problem: Corrected, at: Fit, slopes: ComplexArray) -> Array:
     return np.asarray(np.einsum("rka,rkb->ab", rows, rows) / (k * (k - 1)))
 
 
+def _feigned_part(problem: Problem, at: Fit) -> Array:
+    """Covariance times feigned information, shape (n, n)."""
+    whole = np.zeros_like(at.covariance)
+    if isinstance(problem, Corrected) and problem.feigned.any():
+        sizes = [e.nonlinear for e in at.effects for _ in e.parameters]
+        bent = problem.n_nuisance + np.flatnonzero(sizes)
+        whole[np.ix_(bent, bent)] = problem.feigned
+    return np.asarray(at.covariance @ whole)
+
+
+def _feigned_share(problem: Problem, at: Fit) -> float:
+    """Largest share of the information on any size that is feigned."""
+    return float(np.abs(np.linalg.eigvals(_feigned_part(problem, at))).max())
+
+
 def _spread(problem: Problem, at: Fit) -> Array:
     """By what estimates spread more than they would if their slopes feigned no information, shape (n, n).
 
     With chance in its slopes J a least-squares fit has too large a J'J, and too narrow intervals.
     """
-    whole = np.zeros_like(at.covariance)
-    if not isinstance(problem, Corrected) or not problem.feigned.any():
-        return np.eye(len(whole))
-    sizes = [e.nonlinear for e in at.effects for _ in e.parameters]
-    bent = problem.n_nuisance + np.flatnonzero(sizes)
-    whole[np.ix_(bent, bent)] = problem.feigned
-    share = at.covariance @ whole
-    most = float(np.abs(np.linalg.eigvals(share)).max())
-    return np.asarray(np.linalg.inv(np.eye(len(whole)) - share * min(1.0, _FEIGNED / max(most, 1e-9))))
+    part = _feigned_part(problem, at)
+    return np.asarray(
+        np.linalg.inv(np.eye(len(part)) - part * min(1.0, _FEIGNED / max(_feigned_share(problem, at), 1e-9)))
+    )
 
 
 def _chance(problem: Problem, at: Fit, offsets: ComplexArray, free: ComplexArray) -> tuple[float, Array]:
