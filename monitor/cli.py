@@ -191,7 +191,9 @@ def import_(
         float | None, typer.Option(min=0.001, help="Sample rate in Hz, where the file has no time.")
     ] = None,
     unit: Annotated[str, typer.Option(help="Unit of the samples: m/s^2, g, mg or gal.")] = "m/s^2",
-    channel: Annotated[list[str], typer.Option(metavar="NAME=FILE[:COLUMN]", help="A channel; of one file, NAME=COLUMN.")] = [],  # noqa: B006
+    channel: Annotated[
+        list[str], typer.Option(metavar="NAME=FILE[:COLUMN]", help="A channel; of one file, NAME=COLUMN.")
+    ] = [],  # noqa: B006
     ground: Annotated[str | None, typer.Option(metavar="FILE[:COLUMN]", help="Measured base motion.")] = None,
     start: Annotated[str | None, typer.Option(help="UTC of the first sample, ISO 8601.")] = None,
     dbc: Annotated[Path | None, typer.Option(metavar="FILE.dbc", help="What the frames of a CAN log mean.")] = None,
