@@ -125,8 +125,8 @@ def replay_story(summary: dict[str, Any], *, has_baseline: bool) -> str:
             )
     for a in summary["alarms"]:
         text.append(
-            f"{a['level']}: {_place(a['story'])} lost {100 * a['ddi']:.2f} +- {100 * a['ddi_std']:.2f} % "
-            f"(latest reading, 1 sigma; {a['loss_n_per_m']:.4g} N/m)"
+            f"{a['level']}: {_place(a['story'])} lost {100 * a['ddi']:.2f} ± {200 * a['ddi_std']:.2f} % "
+            f"(latest window; {a['loss_n_per_m']:.4g} N/m)"
         )
     for reason, count in summary["skip_reasons"].items():
         text.append(f"{count} of {summary['windows']} windows could not be judged: {Skipped(reason).mend}")
