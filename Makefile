@@ -37,6 +37,7 @@ lock: $(STAMP)
 	$(BIN)/uv pip compile --quiet --upgrade --generate-hashes --no-annotate --no-header --python-version 3.11 requirements.in -o requirements.txt
 
 $(STAMP): requirements.txt pyproject.toml
+	@echo "Installing into .venv (1.7 GB; a minute or more, silently) ..."
 	$(PYTHON) -m venv .venv
 	$(BIN)/pip install --quiet --disable-pip-version-check --require-hashes -r requirements.txt
 	$(BIN)/pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation -e .

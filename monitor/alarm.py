@@ -122,7 +122,7 @@ def step(state: AlarmState, damage: DamageReading, t_ns: int, settings: AlarmSet
     advisory_only = settings.model_copy(update={"confirm_s": np.inf, "min_loss": settings.uniform_loss})
     whole = _judge(whole_before, shared, shared / std, std, t_ns, advisory_only)
     lost = {
-        j: f"story {j} lost {100 * d:.1f} +- {100 * s:.1f} % (1 sigma)"
+        j: f"story {j} lost {100 * d:.1f} ± {200 * s:.1f} % (mean of the latest windows)"
         for j, (d, s) in enumerate(zip(own, evidence.std, strict=True), start=1)
     }
     lost[WHOLE] = f"all stories lost {100 * shared:.1f} % alike (weather, mass, clock or stiffness)"

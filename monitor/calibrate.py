@@ -55,7 +55,7 @@ def calibrate(
             for result in pushed(pipeline, block, paths):
                 if isinstance(result, WindowResult):
                     good.extend([result] if result.skipped is None else [])
-                    reasons.extend([result.skipped.reason] if result.skipped is not None else [])
+                    reasons.extend([result.skipped.mend] if result.skipped is not None else [])
             yield block
 
     segments = _segments(passing(), config, _share(paths, config))

@@ -105,7 +105,7 @@ def calibrate(
     drawn = settings.model().modes().frequencies_hz
     lines = [f"{baseline.windows} windows; the updating {'converged' if fit.converged else 'did NOT converge'}"]
     for i, (f, std) in enumerate(zip(baseline.frequencies_hz, baseline.frequencies_std_hz, strict=True), start=1):
-        lines.append(f"mode {i}: {f:.4f} +- {std:.4f} Hz; structure file {drawn[baseline.model_mode[i - 1]]:.4f} Hz")
+        lines.append(f"mode {i}: {f:.4f} ± {2 * std:.4f} Hz; structure file {drawn[baseline.model_mode[i - 1]]:.4f} Hz")
     for j, k in enumerate(baseline.model.structure.stiffness_n_per_m, start=1):
         lines.append(f"story {j}: {k:.1f} N/m; structure file {settings.structure.stiffness_n_per_m[j - 1]:.1f} N/m")
     if (law := baseline.temperature) is not None:
@@ -191,7 +191,9 @@ def import_(
         float | None, typer.Option(min=0.001, help="Sample rate in Hz, where the file has no time.")
     ] = None,
     unit: Annotated[str, typer.Option(help="Unit of the samples: m/s^2, g, mg or gal.")] = "m/s^2",
-    channel: Annotated[list[str], typer.Option(metavar="NAME=FILE[:COLUMN]", help="Channel of the recording.")] = [],  # noqa: B006
+    channel: Annotated[
+        list[str], typer.Option(metavar="NAME=FILE[:COLUMN]", help="A channel; of one file, NAME=COLUMN.")
+    ] = [],  # noqa: B006
     ground: Annotated[str | None, typer.Option(metavar="FILE[:COLUMN]", help="Measured base motion.")] = None,
     start: Annotated[str | None, typer.Option(help="UTC of the first sample, ISO 8601.")] = None,
     dbc: Annotated[Path | None, typer.Option(metavar="FILE.dbc", help="What the frames of a CAN log mean.")] = None,

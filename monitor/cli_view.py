@@ -15,9 +15,10 @@ from urllib.parse import quote
 import typer
 
 from monitor.cli_common import warn
-from monitor.errors import MissingInputError
+from monitor.errors import MissingInputError, WrongUsageError
 
 _LOOPBACK = "127.0.0.1"
+_SCREENS = ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET")
 
 
 def view(
@@ -34,9 +35,15 @@ def view(
 ) -> None:
     """Show a run in the Rerun viewer, or with --web in a browser."""
     source, program = _source(what), _program()
+    if not web and sys.platform == "linux" and not any(os.environ.get(name) for name in _SCREENS):
+        raise WrongUsageError(
+            f"{what}: no screen here ({', '.join(_SCREENS)} are not set); see it in a browser with --web"
+        )
     subprocess.run([program, "analytics", "disable"], capture_output=True, check=False)
     if not web:
-        os.execv(program, [program, source])
+        # By itself the viewer would take data from whoever reaches port 9876, and hand `source` to a daemon that serves there.
+        os.environ.setdefault("RUST_LOG", "error")
+        os.execv(program, [program, source, "--bind", _LOOPBACK, "--port", "auto"])
     if bind != _LOOPBACK:
         warn(f"whoever reaches {bind} can see this; prefer an SSH tunnel to {_LOOPBACK}")
     page, data = _free(bind, port), _free(bind, 0)

@@ -39,7 +39,7 @@ def run(recordings: Path, out: Path, *, say: Callable[[str], None], on_warning: 
     say(_indent(replay_story(summary, has_baseline=False)))
     say("Look at it:")
     for folder in (out, target):
-        say(f"   .venv/bin/rerun {folder / 'live.rrd'}")
+        say(f"   .venv/bin/shm-monitor view {folder}    (--web for a browser)")
     say(f"Numbers: {out / 'results.jsonl'} (a line a window), {out / 'summary.json'}")
 
 

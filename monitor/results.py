@@ -49,11 +49,21 @@ class AlarmCondition(StrEnum):
     SHELVED = "shelved"
 
 
+GAP = "gap in the data"
+
+
 @dataclass(frozen=True, slots=True)
 class Skipped:
     """Nothing could be said about a window, and why."""
 
     reason: str
+
+    @property
+    def mend(self) -> str:
+        """The reason, with what helps where something does."""
+        if self.reason == GAP:
+            return f"{GAP}; a shorter [processing] window_s loses less to each"
+        return self.reason
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -14,7 +14,7 @@ from math import ceil, gcd
 
 import numpy as np
 
-from monitor.results import Array, ComplexArray, LagSums, Skipped, Window
+from monitor.results import GAP, Array, ComplexArray, LagSums, Skipped, Window
 from monitor.spectrum import SegmentDesign, transform
 
 _GROUP_COLUMNS = 256
@@ -250,7 +250,7 @@ def _emit(
         return
     data_n = sum(max(0, min(n, end - s, e - begin, grid.window_n)) for s, e, n in _all_runs(grid, state))
     if data_n:  # a window without any data is not worth a line
-        yield k, t_end_ns, data_n / grid.rate_hz, Skipped("gap in the data")
+        yield k, t_end_ns, data_n / grid.rate_hz, Skipped(GAP)
 
 
 def _sum_up(grid: WindowGrid, state: WindowState) -> LagSums:

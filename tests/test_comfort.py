@@ -16,6 +16,9 @@ from pathlib import Path
 import pytest
 import rerun as rr
 
+from monitor import cli_view
+from monitor.errors import WrongUsageError
+from monitor.results import GAP, Skipped
 from tests.conftest import Cli
 from tests.test_rerun_view import listening as addresses
 
@@ -116,6 +119,36 @@ def test_errors_name_the_mend(site: Path, main: Cli, arguments: list[str], code:
     done = main(*arguments, cwd=site)
     assert (done.returncode, mend in done.stderr) == (code, True), done.stderr
     assert "Traceback" not in done.stderr
+
+
+def test_the_native_viewer_listens_on_loopback_and_on_a_port_of_its_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "live.rrd").touch()
+
+    def replace(_: str, arguments: list[str]) -> None:
+        raise SystemExit(arguments[1:])
+
+    monkeypatch.setenv("DISPLAY", ":99")
+    monkeypatch.setattr("os.execv", replace)
+    with pytest.raises(SystemExit) as ended:
+        cli_view.view(str(tmp_path))
+    assert ended.value.code == [str(tmp_path / "live.rrd"), "--bind", "127.0.0.1", "--port", "auto"]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems have a screen")
+def test_without_a_screen_the_browser_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "live.rrd").touch()
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"):
+        monkeypatch.delenv(name, raising=False)
+    with pytest.raises(WrongUsageError, match=r"no screen here .*--web"):
+        cli_view.view(str(tmp_path))
+
+
+def test_a_gap_is_told_with_what_helps() -> None:
+    """Every window that holds it is lost; a reason of another kind stays as it is."""
+    assert Skipped(GAP).mend == "gap in the data; a shorter [processing] window_s loses less to each"
+    assert Skipped("dead").mend == "dead"
 
 
 @pytest.mark.parametrize("ending", [signal.SIGTERM, signal.SIGINT])

@@ -171,6 +171,19 @@ def test_damaged_and_unfinished_lines_are_left_out_and_told(months: Path, tmp_pa
     assert "No record of the sensors" in words(parsed(tmp_path / "r.html"))
 
 
+def test_a_replay_shows_no_column_that_it_does_not_know_and_says_what_helps(tmp_path: Path) -> None:
+    gap = {**line_of(4), "skipped": "gap in the data"}
+    json_lines(tmp_path / "results.jsonl", [*(line_of(k) for k in range(4)), gap])
+    channel = {"rms_m_s2": 3.0, "spikes": 0, "stuck_s": 0.0, "clipped_samples": 0}
+    quality = {"availability": 1.0, "gaps": 1, "lost_s": 0.2, "overlaps": 0, "channels": {"a1": channel}}
+    (tmp_path / "summary.json").write_text(json.dumps({"quality": quality}))
+    write_period(tmp_path / "r.html", read_period(tmp_path, None, None))
+    drawn = parsed(tmp_path / "r.html")
+    heads = [th.text for th in drawn.iter("th")]
+    assert "spikes" in heads and not any("peak" in (h or "") or "noise" in (h or "") for h in heads)
+    assert "a shorter [processing] window_s" in words(drawn)
+
+
 @pytest.mark.parametrize(
     ("more", "code", "says"),
     [

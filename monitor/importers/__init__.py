@@ -79,6 +79,9 @@ def import_files(
     motion = None if base is None else base[0].acceleration(base[1], unit)[:, None]
     if not np.isfinite(samples).all():
         on_warning(f"{np.count_nonzero(~np.isfinite(samples))} samples are missing or no finite numbers")
+    gaps, lost = np.count_nonzero(np.diff(numbers) > 1), int(numbers[-1]) + 1 - len(numbers)
+    if gaps:
+        on_warning(f"{gaps} {'gap' if gaps == 1 else 'gaps'} between samples: {lost / rate:.6g} s are missing")
     try:
         _write(out, tuple(chosen), samples, motion, rate, numbers, start_ns)
         return recording_info(out)
@@ -173,7 +176,11 @@ def _find(tables: list[Table], reference: str) -> _Column:
         return tables[0], reference
     if len(found) != 1:
         what = "names several files" if found else "names no file"
-        raise BadInputError(f"{reference!r} {what}; the files are {', '.join(str(table.path) for table in tables)}")
+        there = ", ".join(f"{table.path} ({', '.join(table.columns)})" for table in tables)
+        raise BadInputError(
+            f"{reference!r} {what}; the files, with their columns, are {there}; "
+            f"write FILE:COLUMN, as {tables[0].names[0]}:{tables[0].columns[0]}"
+        )
     table, column = found[0]
     if column is None:
         if len(table.default) != 1:

@@ -12,7 +12,7 @@ import numpy as np
 
 from monitor.alarm import AlarmState, hold
 from monitor.files import finish, partial
-from monitor.results import Alarm, WindowResult
+from monitor.results import Alarm, Skipped, WindowResult
 
 
 def _rounded(values: Any) -> Any:
@@ -128,11 +128,11 @@ def replay_story(summary: dict[str, Any], *, has_baseline: bool) -> str:
             )
     for a in summary["alarms"]:
         text.append(
-            f"{a['level']}: {_place(a['story'])} lost {100 * a['ddi']:.2f} +- {100 * a['ddi_std']:.2f} % "
-            f"(latest reading, 1 sigma; {a['loss_n_per_m']:.4g} N/m)"
+            f"{a['level']}: {_place(a['story'])} lost {100 * a['ddi']:.2f} ± {200 * a['ddi_std']:.2f} % "
+            f"(latest window; {a['loss_n_per_m']:.4g} N/m)"
         )
     for reason, count in summary["skip_reasons"].items():
-        text.append(f"{count} of {summary['windows']} windows could not be judged: {reason}")
+        text.append(f"{count} of {summary['windows']} windows could not be judged: {Skipped(reason).mend}")
     if summary["skipped"] == summary["windows"]:
         text.append("nothing could be judged, so nothing is said about the structure's health")
     elif not summary["alarms"]:

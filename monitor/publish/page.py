@@ -29,7 +29,10 @@ td.t { white-space: nowrap; }
 .figures div { font-size: .87rem; color: var(--muted); max-width: 19rem; }
 .figures b { display: block; font-size: 1.15rem; white-space: nowrap; color: var(--ink); }
 .pair { display: grid; grid-template-columns: 1fr 1fr; gap: 1rem; } .key { font-weight: 600; white-space: nowrap; }
-@media print { body { margin: 0; font-size: 11pt; } h2 { break-after: avoid; } }
+@media print { @page { size: A4; margin: 14mm; } body { margin: 0; max-width: none; font-size: 9.5pt; }
+  h1 { font-size: 16pt; } table { font-size: 8pt; } td, th { padding-right: .5rem; }
+  h2 { break-after: avoid; } tr { break-inside: avoid; } thead { display: table-header-group; }
+  * { print-color-adjust: exact; -webkit-print-color-adjust: exact; } }
 """
 
 
@@ -49,4 +52,4 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
         "<tr>" + "".join(f"<td{n}>{escape(str(v))}</td>" for v, n in zip(row, numeric, strict=True)) + "</tr>"
         for row in rows
     )
-    return "<table>" + (f"<tr>{top}</tr>" if head else "") + body + "</table>"
+    return "<table>" + (f"<thead><tr>{top}</tr></thead>" if head else "") + body + "</table>"

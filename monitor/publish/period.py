@@ -17,9 +17,10 @@ from monitor.publish.page import document, table
 from monitor.publish.period_data import Episode, Results, read_results, utc
 from monitor.publish.period_notes import Decision, Quality, story_name
 from monitor.publish.time_charts import HEIGHT, TimeAxes, draw, figure, panel, time_axes
-from monitor.results import WHOLE, Level
+from monitor.results import WHOLE, Level, Skipped
 
 _SHOWN = 200
+_UNKNOWN = "–"
 """Rows of a table."""
 
 
@@ -201,7 +202,7 @@ def _modes(period: Period) -> str:
 def _trust(period: Period) -> str:
     """Availability, goodness of fit, sensors, clocks."""
     r, q = period.results, period.quality
-    rows = [(reason, str(n)) for reason, n in r.skipped.most_common(_SHOWN)]
+    rows = [(Skipped(reason).mend, str(n)) for reason, n in r.skipped.most_common(_SHOWN)]
     missing = r.due - r.windows
     rows += [("no data, or the monitor did not run", str(missing))] if missing > 0 else []
     rows += [("a line of results.jsonl that cannot be read", str(r.damaged))] if r.damaged else []
@@ -222,13 +223,14 @@ def _trust(period: Period) -> str:
         for c in q.channels
     ]  # fmt: skip
     clocks = [(node, f"{1e3 * offset:.3g}", f"{drift:.3g}") for node, offset, drift in q.clocks]
-    out.append(table(head, channels))
+    told = [i for i in range(len(head)) if any(c[i] != _UNKNOWN for c in channels)]  # a replay knows no peaks
+    out.append(table([head[i] for i in told], [[c[i] for i in told] for c in channels]))
     out.append(table(["clock", "#largest offset, ms", "#drift, ppm"], clocks) if clocks else "")
     return "".join(out)
 
 
 def _known(value: float | None) -> str:
-    return "–" if value is None else f"{value:.4g}"
+    return _UNKNOWN if value is None else f"{value:.4g}"
 
 
 def _strip(period: Period) -> str:
