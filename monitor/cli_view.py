@@ -52,7 +52,9 @@ def view(
     if shown != source:
         command.append(source)
     with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as server:
-        print(f"http://{_reachable(bind)}:{page}/?url={quote(shown, safe='')}", flush=True)
+        print(
+            f"http://{_reachable(bind)}:{page}/?url={quote(shown, safe='')}&theme=dark", flush=True
+        )  # as are our colours
         for number in (signal.SIGTERM, signal.SIGINT):  # a shell's background job begins with SIGINT ignored
             signal.signal(number, signal.default_int_handler)
         try:
