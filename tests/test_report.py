@@ -229,6 +229,8 @@ def test_words_have_the_size_and_the_direction(effect: str, place: str, values: 
         (3.9e8, 3.5e6, "(3.900 ± 0.070)·10⁸ N"),
         (21946.0, 600.0, "21900 ± 1200 N"),
         (2.0, 1e200, "about 2 N (hardly determined)"),
+        (104.0, 1e200, "about 100 N (hardly determined)"),
+        (1.04e6, 1e200, "about 1e+06 N (hardly determined)"),
         (2.0, 0.0, "2 N"),
         (0.0, 0.0, "0 N"),
         (0.0, 1e-5, "(0.0 ± 2.0)·10⁻⁵ N"),

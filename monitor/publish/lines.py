@@ -113,7 +113,8 @@ class LinesFile:
 
 def replay_story(summary: dict[str, Any], *, has_baseline: bool) -> str:
     """A replay in words."""
-    text = [f"{summary['windows']} windows, {summary['skipped']} skipped, {summary['realtime_factor']:.0f} x real time"]
+    pace = f"{summary['realtime_factor']:.0f} x real time" + (", diagnosis apart" if summary["alarms"] else "")
+    text = [f"{summary['windows']} windows, {summary['skipped']} skipped, {pace}"]
     if summary["frequencies_hz"] is not None:
         pairs = zip(
             summary["frequencies_hz"],

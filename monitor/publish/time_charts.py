@@ -33,7 +33,7 @@ class TimeAxes(Axes):
 def time_axes(grid: Grid, low: float, high: float, height: float = HEIGHT) -> TimeAxes:
     """Axes over a grid's time, with a margin above and below."""
     margin = 0.06 * (high - low) or 0.01 * abs(high) or 1.0
-    box = (_LEFT, 22.0, _WIDTH - _LEFT - 28.0, height)
+    box = (_LEFT, 22.0, _WIDTH - _LEFT - 36.0, height)
     return TimeAxes((grid.from_ns * 1e-9, grid.to_ns * 1e-9), (low - margin, high + margin), box)
 
 

@@ -64,7 +64,8 @@ def interval(entry: Mapping[str, float], scale: float = 1.0, unit: str = "") -> 
     value, half = entry["value"] * scale, 2.0 * abs(entry["std"] * scale)
     unit = f" {unit}" if unit else ""
     if not isfinite(half) or half > 1e100 or half > 1e3 * abs(value) > 0.0:
-        return f"about {value:.2g}{unit} (hardly determined)"
+        rough = f"{value:.2g}" if abs(value) < 10.0 or abs(value) >= 1e5 else f"{float(f'{value:.2g}'):.0f}"
+        return f"about {rough}{unit} (hardly determined)"
     size = max(abs(value), half)
     tens = floor(log10(size)) if size > 0.0 else 0
     tens = tens if tens >= 5 or tens < -3 else 0
