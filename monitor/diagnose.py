@@ -251,7 +251,8 @@ def _heard(made: Polished, lean: Array, measured: Array, std: Array, spread: flo
     """
     problem, candidate = made.problem, made.candidate
     size = [
-        float(-0.5 * (((measured - s) / std) ** 2).sum() / spread) for s in (made.skewness, 2 * lean - made.skewness)
+        float(-0.5 * ((((measured - s) / std) ** 2) / spread + np.log(spread)).sum())
+        for s in (made.skewness, 2 * lean - made.skewness)
     ]
     mirror = candidate.effect.mirrored()
     if mirror is not None and size[1] > size[0]:
