@@ -27,6 +27,8 @@ _KINDS, _EVERYWHERE, _DRIVEN = 7, 2, 2
 """Where the ground is measured: kinds of causes that are fitted roughly, those of them at every place, and to the end."""
 _UNSURE = 0.1
 """Share of a gain by which a rough simulation may misjudge it."""
+_SURE = 3.0
+"""Standard deviations of a simulation's chance that a further cause must beat."""
 _TIED = 1.0
 """Nats between two predictions that are one and the same."""
 Verdict = Literal["none", "named", "ambiguous", "unexplained"]
@@ -92,13 +94,11 @@ def diagnose(evidence: Evidence, reference: Reference, context: Context, setting
             at = fit(replace(problem, exact_slopes=True), at.x, at.effects)
         if best.candidate.effect.ground_share:
             at = fit(problem, at.x, at.effects)  # how far up the forces reach is known only now
-        if (
-            len(accepted) > 1 and _bent(at) and evidence.drive is None
-        ):  # the laws' correction was made without the newest cause
+        if len(accepted) > 1 and _bent(at) and evidence.drive is None:  # corrected without the newest cause
             made = settle(problem, at, FINE)
             problem, at, lean = made.problem, made.fit, skewness(made.transforms, problem)[0]
         if best.candidate.effect.nonlinear:
-            margin = max(margin, settings.aftermath * best.candidate.gain)
+            margin = max(margin, settings.aftermath * best.candidate.gain, settings.margin + _SURE * best.chance)
     problem, at, accepted = _pruned(problem, at, accepted, settings)
     doubt = np.zeros(at.n_effect)
     if _bent(at) and evidence.drive is None:

@@ -37,6 +37,8 @@ _FEIGNED, _MUCH, _SLOPED = 0.5, 0.25, 5
 """Largest share of the information that slopes are taken to feign; share from which this many simulations make new slopes."""
 _FORM = 2.0
 """What is not known of a story's stiffness, over the RMS of the relative correction that the drawing's form needs."""
+_RIDGE = 0.1
+"""Of a cubic's size: fits that begin at it and elsewhere stop that far apart, along a ridge on which levels make up for it."""
 _LINE, _TURNING, _TOUCH = 0.02, 0.04, (0.05, 0.12)
 """Of a bin: how well a line's frequency is read; of the size: friction whose turn is not known, a gap and its contact whose
 touch is not."""
@@ -51,6 +53,8 @@ class Polished:
     """With the correction of the linearized law."""
     skewness: Array
     """Of every story's drift in the simulation, shape (n,)."""
+    chance: float = 0.0
+    """Standard deviation of the evidence by the simulations' chance, nats."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -75,7 +79,7 @@ def polish(problem: Problem, null: Fit, candidate: Candidate, rounds: Rounds = R
     if better.gain < candidate.gain <= better.gain + made.lost:  # the simulations' chance decides nothing
         return Polished(candidate, problem, drift_skewness)
     better = replace(better, gain=better.gain + made.lost, evidence=better.evidence + made.lost)
-    return Polished(better, made.problem, drift_skewness)
+    return Polished(better, made.problem, drift_skewness, float(np.sqrt(2.0 * made.lost)))
 
 
 def settle(problem: Problem, at: Fit, rounds: Rounds) -> Settled:
@@ -243,10 +247,11 @@ def form_doubt(problem: Problem, at: Fit, effect: Effect) -> Array:
         correction = problem.reference.parts(at.x)[4]
         rms = float(np.sqrt((correction**2).mean())) if correction.size else 0.0
         return np.asarray(_FORM * rms * size)
-    if effect.name == "cubic_stiffness" and effect.coordinates[0] < 0.0:
+    if effect.name == "cubic_stiffness":
         drift = problem.conditions[problem.n_classes // 2].drift_m[effect.index]
         stiffness = problem.context_at(at.x).structure.stiffness_n_per_m[effect.index]
-        return np.asarray(size * 3.0 * size * drift**2 / stiffness)
+        further = 3.0 * size * drift**2 / stiffness if effect.coordinates[0] < 0.0 else np.zeros(1)
+        return np.asarray(size * np.hypot(_RIDGE, further))
     return np.zeros(size.size)
 
 
