@@ -154,14 +154,16 @@ class Daemon(Publisher):
 
     def health(self, health: Health | None) -> None:
         """Write and send it with the rest that there is to say."""
+        span: dict[str, Any] | None = None
         if health is not None:
-            self._history.health(asdict(health))
+            span = plain(health)
+            self._history.health(span)
             if self._view is not None:
                 self._view.clocks(health.t_end_ns, self.reader.source.health().clocks)
         if self._keeper.resuming:
             return
         self._health_s = time.monotonic()
-        line = self._vitals.line(health, self.reader, self._recording.health(), self._failures())
+        line = self._vitals.line(span, self.reader, self._recording.health(), self._failures())
         self._health_lines.write(json.dumps(line, allow_nan=False))
         for outlet in self._outlets:
             outlet.health(line)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, cast
 
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
 from monitor.config import Configuration
 from monitor.errors import BadConfigurationError
@@ -55,7 +55,10 @@ def make_outlets(path: Path, config: Configuration, *, dry: bool = False) -> tup
     folder, name = path.resolve().parent, config.site_name
     state = folder / config.output.dir / "state"
     problems: list[str] = []
-    makers = [_zenoh(config, folder, problems), _metrics(config, folder, problems)]
+    makers = [
+        _maker("zenoh", config.output.zenoh, _zenoh, folder, problems),
+        _maker("metrics", config.output.metrics, _metrics, folder, problems),
+    ]
     settings, to = _notify(config, folder, problems)
     if problems:
         raise BadConfigurationError("\n".join(f"{path}: {problem}" for problem in problems))
@@ -93,35 +96,33 @@ def _notify(config: Configuration, folder: Path, problems: list[str]) -> tuple[N
     return NotifySettings(), Addresses()
 
 
-def _zenoh(config: Configuration, folder: Path, problems: list[str]) -> _Maker | None:
-    if config.output.zenoh is None:
+def _zenoh() -> tuple[Any, type[BaseModel]]:
+    from monitor.publish.zenoh_out import ZenohOut, ZenohOutSettings
+
+    return ZenohOut, ZenohOutSettings
+
+
+def _metrics() -> tuple[Any, type[BaseModel]]:
+    from monitor.publish.metrics import Metrics, MetricsSettings
+
+    return Metrics, MetricsSettings
+
+
+def _maker(
+    name: str, table: Any, load: Callable[[], tuple[Any, type[BaseModel]]], folder: Path, problems: list[str]
+) -> _Maker | None:
+    """What makes the outlet of a table of ``[output]``, its library loaded only where the table is there."""
+    if table is None:
         return None
     try:
-        from monitor.publish.zenoh_out import ZenohOut, ZenohOutSettings
-
-        settings = ZenohOutSettings.model_validate(config.output.zenoh)
+        kind, settings_type = load()
+        settings = settings_type.model_validate(table)
     except ImportError as error:
-        problems.append(f"output.zenoh: cannot be loaded: {error}")
+        problems.append(f"output.{name}: cannot be loaded: {error}")
     except ValidationError as error:
-        problems += _told("output.zenoh", error)
+        problems += _told(f"output.{name}", error)
     else:
-        return lambda name: ZenohOut(name, settings, folder)
-    return None
-
-
-def _metrics(config: Configuration, folder: Path, problems: list[str]) -> _Maker | None:
-    if config.output.metrics is None:
-        return None
-    try:
-        from monitor.publish.metrics import Metrics, MetricsSettings
-
-        settings = MetricsSettings.model_validate(config.output.metrics)
-    except ImportError as error:
-        problems.append(f"output.metrics: cannot be loaded: {error}")
-    except ValidationError as error:
-        problems += _told("output.metrics", error)
-    else:
-        return lambda name: Metrics(name, settings, folder)
+        return lambda site: cast(Outlet, kind(site, settings, folder))
     return None
 
 

@@ -37,11 +37,8 @@ _FEIGNED, _MUCH, _SLOPED = 0.5, 0.25, 5
 """Largest share of the information that slopes are taken to feign; share from which this many simulations make new slopes."""
 _FORM = 2.0
 """What is not known of a story's stiffness, over the RMS of the relative correction that the drawing's form needs."""
-_RIDGE = 0.1
-"""Of a cubic's size: fits that begin at it and elsewhere stop that far apart, along a ridge on which levels make up for it."""
-_LINE, _TURNING, _TOUCH = 0.02, 0.04, (0.05, 0.12)
-"""Of a bin: how well a line's frequency is read; of the size: friction whose turn is not known, a gap and its contact whose
-touch is not."""
+_LINE = 0.02
+"""How well a line's frequency is read, of a bin."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -106,7 +103,7 @@ def settle(problem: Problem, at: Fit, rounds: Rounds) -> Settled:
         problem = replace(problem, feigned=feigned)
         at = fit(problem, at.x, at.effects, iterations=8)
     lost, doubt = _chance(problem, at, offsets, free)
-    more = np.diag(_spread(problem, at) @ at.covariance @ _spread(problem, at).T - at.covariance)[problem.n_nuisance :]
+    more = np.diag(_spread(problem, at) - at.covariance)[problem.n_nuisance :]
     return Settled(problem, at, transforms, lost, np.sqrt(doubt**2 + np.maximum(more, 0.0)))
 
 
@@ -120,7 +117,7 @@ def finish(problem: Problem, at: Fit) -> Settled:
     made = settle(problem, at, FINE)
     count = int(np.clip(np.ceil(2.0 * made.lost / _LOSS), _LEAST, _MOST))
     rounds: Rounds = ((count, False),) if count == _LEAST else ((count // 2, True), (count, False))
-    if _feigned_share(made.problem, made.fit) > _MUCH:
+    if _largest(_feigned_part(made.problem, made.fit)) > _MUCH:
         rounds = ((max(count, _SLOPED), True),)
     last = settle(made.problem, made.fit, rounds)
     moved = np.abs(last.fit.x - made.fit.x)[problem.n_nuisance :]
@@ -189,20 +186,19 @@ def _feigned_part(problem: Problem, at: Fit) -> Array:
     return np.asarray(at.covariance @ whole)
 
 
-def _feigned_share(problem: Problem, at: Fit) -> float:
-    """Largest share of the information on any size that is feigned."""
-    return float(np.abs(np.linalg.eigvals(_feigned_part(problem, at))).max())
+def _largest(part: Array) -> float:
+    """Largest share of the information on any size that is feigned, of `_feigned_part`."""
+    return float(np.abs(np.linalg.eigvals(part)).max())
 
 
 def _spread(problem: Problem, at: Fit) -> Array:
-    """By what estimates spread more than they would if their slopes feigned no information, shape (n, n).
+    """Covariance of estimates whose slopes have chance in them, shape (n, n).
 
-    With chance in its slopes J a least-squares fit has too large a J'J, and too narrow intervals.
+    Such a fit takes its information J'J for larger than it is, and its covariance for smaller.
     """
     part = _feigned_part(problem, at)
-    return np.asarray(
-        np.linalg.inv(np.eye(len(part)) - part * min(1.0, _FEIGNED / max(_feigned_share(problem, at), 1e-9)))
-    )
+    wider = np.linalg.inv(np.eye(len(part)) - part * min(1.0, _FEIGNED / max(_largest(part), 1e-9)))
+    return np.asarray(wider @ at.covariance @ wider.T)
 
 
 def _chance(problem: Problem, at: Fit, offsets: ComplexArray, free: ComplexArray) -> tuple[float, Array]:
@@ -232,27 +228,22 @@ def form_doubt(problem: Problem, at: Fit, effect: Effect) -> Array:
 
     A size relative to a story's stiffness is known no better than that stiffness, which a frame that is no shear frame blurs.
     How softening goes on beyond the third order is not known: with a fifth order like that of tanh, a size would differ by
-    twice the relative softening.  How sharply friction turns around is not known either: laws that creep, or stick harder
-    than they slide, dissipate a few percent apart; nor how hard a contact is while it closes.  A strong line is read
-    off the taper's leakage, into bins that are otherwise another model's.
+    twice the relative softening.  A strong line is read off the taper's leakage, into bins that are otherwise another
+    model's.  The rest is `Effect.form_doubt`.
     """
     size = np.abs(effect.coordinates)
+    known = size * np.array(effect.form_doubt or (0.0,) * size.size)
     if effect.name == "harmonic_excitation":
         return np.array([_LINE * problem.evidence.band.bin_hz / effect.lines()[0].frequency_hz, 0.0])
-    if effect.name == "coulomb_friction":
-        return np.asarray(_TURNING * size)
-    if effect.name == "gap_contact":
-        return np.array(_TOUCH) * size
     if effect.name == "bilinear_stiffness":
         correction = problem.reference.parts(at.x)[4]
         rms = float(np.sqrt((correction**2).mean())) if correction.size else 0.0
         return np.asarray(_FORM * rms * size)
-    if effect.name == "cubic_stiffness":
+    if effect.name == "cubic_stiffness" and effect.coordinates[0] < 0.0:
         drift = problem.conditions[problem.n_classes // 2].drift_m[effect.index]
         stiffness = problem.context_at(at.x).structure.stiffness_n_per_m[effect.index]
-        further = 3.0 * size * drift**2 / stiffness if effect.coordinates[0] < 0.0 else np.zeros(1)
-        return np.asarray(size * np.hypot(_RIDGE, further))
-    return np.zeros(size.size)
+        return np.asarray(np.hypot(known, size * 3.0 * size * drift**2 / stiffness))
+    return np.asarray(known)
 
 
 def skewness(transforms: ComplexArray, problem: Problem) -> tuple[Array, Array]:

@@ -180,13 +180,13 @@ def rank(problem: Problem, null: Fit, candidates: list[Effect]) -> list[tuple[fl
     tangent = np.asfortranarray(tangent)
     dragged = problem.evidence.drive is None and null.log_prior < _DRAGGED
     # A fit that went far to explain what it cannot hides what a swap would explain; what was known before does not.
-    rested = _first_guess(problem) if dragged else null.x
+    rested = _first_guess(problem) if dragged else None
     out = []
     for effect in candidates:
         moved = problem.predict(null.x, (*null.effects, effect))
         out.append((_whole_gain(problem, null, moved), effect))
         if not effect.proportional:
-            if dragged:
+            if rested is not None:
                 whole = _whole_gain(problem, null, problem.predict(rested, (*null.effects, effect)))
                 out.append((whole - null.log_prior, effect))
             continue

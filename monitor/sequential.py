@@ -12,6 +12,7 @@ T. L. Lai, Sequential changepoint detection in quality control and dynamical sys
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from dataclasses import dataclass
 
 import numpy as np
@@ -102,7 +103,8 @@ def _remembered(history: History, ddi: Array, variance: Array, t_ns: int) -> His
     The smoothed standard deviation counts, so that no lucky window looks more certain than it is, unless the window's own is
     clearly larger: conditions got worse, or the window lies across the onset of a change.
     """
-    keep = (history.t_ns < t_ns) & (history.t_ns > t_ns - max(STRETCHES) * history.window_ns)
+    first, last = np.searchsorted(history.t_ns, (t_ns - max(STRETCHES) * history.window_ns + 1, t_ns))
+    keep = slice(first, last)
     ln_variance, memory_s = np.log(variance), 0.0
     if history.t_ns.size:
         since_s = (t_ns - int(history.t_ns[-1])) * 1e-9
@@ -112,8 +114,8 @@ def _remembered(history: History, ddi: Array, variance: Array, t_ns: int) -> His
     return History(
         history.window_ns,
         np.append(history.t_ns[keep], t_ns),
-        np.vstack([history.ddi[keep], ddi]),
-        np.vstack([history.variance[keep], np.maximum(variance / _LUCK**2, np.exp(ln_variance))]),
+        np.concatenate([history.ddi[keep], ddi[None]]),
+        np.concatenate([history.variance[keep], np.maximum(variance / _LUCK**2, np.exp(ln_variance))[None]]),
         ln_variance,
         memory_s,
     )
@@ -121,13 +123,11 @@ def _remembered(history: History, ddi: Array, variance: Array, t_ns: int) -> His
 
 def _disjoint(history: History) -> list[int]:
     """Indices of readings that share no data, newest first."""
-    chain = [history.t_ns.size - 1]
-    while True:
-        before = history.t_ns[chain[-1]] - history.window_ns
-        i = int(np.searchsorted(history.t_ns, before + 1_000_000, side="right")) - 1
-        if i < 0:
-            return chain
-        chain.append(i)
+    t_ns = history.t_ns.tolist()  # a few look-ups in a short list: bisect is faster than numpy's search
+    chain = [len(t_ns) - 1]
+    while i := bisect_right(t_ns, t_ns[chain[-1]] - history.window_ns + 1_000_000):
+        chain.append(i - 1)
+    return chain
 
 
 def statistic(means: Array, covariance: Array, model_form: float) -> tuple[Array, Array]:

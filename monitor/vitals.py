@@ -8,13 +8,13 @@ import statistics
 import time
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import fields, is_dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 from drivers.base import ACCELERATION, SampleBlock
 from drivers.recorder import RecorderHealth
-from monitor.health import Health
 from monitor.reader import Reader
 
 LATENCY_MS = (5, 10, 20, 50, 100, 200, 500, 1000)
@@ -66,21 +66,24 @@ class Vitals:
         return {**{name: round(ms, 2) for name, ms in said.items()}, "windows": counts}
 
     def line(
-        self, health: Health | None, reader: Reader, recorder: RecorderHealth | None, publishers: Mapping[str, str]
+        self,
+        span: Mapping[str, Any] | None,
+        reader: Reader,
+        recorder: RecorderHealth | None,
+        publishers: Mapping[str, str],
     ) -> dict[str, Any]:
-        """A line of health.jsonl; `health` is None when no data came."""
+        """A line of health.jsonl; `span` is a `Health` made plain, None when no data came."""
         source = reader.source.health()
-        line: dict[str, Any] = plain(
+        stream = dict(span or {})
+        channels = stream.pop("channels", [])
+        own: dict[str, Any] = plain(
             {
-                "t_ns": None if health is None else health.t_end_ns,
                 "wall_ns": time.time_ns(),
-                "stream": None if health is None else {k: v for k, v in asdict(health).items() if k != "channels"},
-                "channels": [] if health is None else [asdict(c) for c in health.channels],
                 "source": {
                     "connected": source.connected,
                     "detail": source.detail,
                     "counts": dict(source.counts),
-                    "clocks": [asdict(c) for c in source.clocks],
+                    "clocks": source.clocks,
                     "lost": reader.lost,
                     "error": reader.error,
                 },
@@ -90,11 +93,11 @@ class Vitals:
                 "uptime_s": time.monotonic() - self._begun_s,
                 "disk_free_bytes": _free(self._out),
                 "latency_ms": self.latency(),
-                "recorder": None if recorder is None else asdict(recorder),
+                "recorder": recorder,
                 "failed": dict(publishers),
             }
         )
-        return line
+        return {"t_ns": stream.get("t_end_ns"), "stream": stream or None, "channels": channels, **own}
 
 
 def _free(place: Path) -> int | None:
@@ -104,8 +107,15 @@ def _free(place: Path) -> int | None:
         return None
 
 
+@lru_cache
+def _names(kind: Any) -> tuple[str, ...]:
+    return tuple(f.name for f in fields(kind))
+
+
 def plain(value: Any) -> Any:
-    """The same as strict JSON can say it: None for what is not finite."""
+    """The same as strict JSON can say it: None for what is not finite, a dictionary for a dataclass."""
+    if is_dataclass(value):
+        return {name: plain(getattr(value, name)) for name in _names(value.__class__)}
     if isinstance(value, dict):
         return {str(k): plain(v) for k, v in value.items()}
     if isinstance(value, list | tuple):

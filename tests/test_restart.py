@@ -282,7 +282,7 @@ def test_two_hundred_kills(site: Path, floors: tuple[np.ndarray, np.ndarray], ma
     )
     assert "not resumed" not in log and "Traceback" not in log
     assert toll.episodes >= 2
-    assert lost[-1] <= 10.0 + 4.0  # besides `flush_s`, what comes in half a second of a busy machine
+    assert lost[-1] <= 10.0 + 1.0  # besides `flush_s`, what was on its way
 
 
 def test_a_recording_as_source_goes_on_and_nothing_shows(

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from monitor.effects import ChannelSwap
+from drivers.base import ACCELERATION
+from monitor.effects import ChannelSwap, Context
 from monitor.evidence import classify
 from monitor.record import blocks_of
 from monitor.reference import nominal
 from monitor.search import best_of_each, prepare, rank, starts
 from monitor.segments import gather
 from monitor.simulate import simulate
-from tests.test_polish import ACCELERATION, CONFIG, RATE, Context
+from tests.test_polish import CONFIG, RATE
 
 
 def test_a_swap_is_ranked_first_though_the_plain_model_was_dragged_far_to_excuse_it() -> None:

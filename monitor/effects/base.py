@@ -146,6 +146,8 @@ class Effect(ABC):
     """Power of its amplitude with which the spectra change."""
     amplitude_powers: ClassVar[tuple[float, ...]] = ()
     """Of a story's nonlinear law: at a drift a times as large it acts as with parameters a^power times as large."""
+    form_doubt: ClassVar[tuple[float, ...]] = ()
+    """Relative standard deviation of each parameter that the law's form leaves open, whatever the data; none without."""
 
     location: str
     """As in the contract: ``story 2``, ``floor 1``, ``channel a2``, ``base``, ``frame``."""

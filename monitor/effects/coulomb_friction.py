@@ -32,6 +32,7 @@ class CoulombFriction(Effect):
     conditional: ClassVar[bool] = True
     nonlinear: ClassVar[bool] = True
     amplitude_powers: ClassVar[tuple[float, ...]] = (-1.0,)
+    form_doubt: ClassVar[tuple[float, ...]] = (0.04,)  # laws that creep, or stick harder than they slide
 
     friction_force_n: float
 

@@ -34,6 +34,9 @@ class CubicStiffness(Effect):
     conditional: ClassVar[bool] = True
     nonlinear: ClassVar[bool] = True
     amplitude_powers: ClassVar[tuple[float, ...]] = (2.0,)
+    form_doubt: ClassVar[tuple[float, ...]] = (
+        0.1,
+    )  # fits that begin elsewhere stop that far apart, where levels make up for it
 
     k3_n_per_m3: float
 

@@ -31,6 +31,7 @@ class GapContact(Effect):
     conditional: ClassVar[bool] = True
     nonlinear: ClassVar[bool] = True
     amplitude_powers: ClassVar[tuple[float, ...]] = (-1.0, 0.0)
+    form_doubt: ClassVar[tuple[float, ...]] = (0.05, 0.12)  # how hard a contact is while it closes
 
     gap_m: float
     """Negative: closes for negative drift."""

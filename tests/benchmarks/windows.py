@@ -18,7 +18,7 @@ from tests.benchmarks.rounds import Cost, interleaved
 
 FLOOR, PLAIN, FULL = "floor of a hop", "hop without uncertainty", "hop with uncertainty, refinement, updating, alarm"
 LEAST = "matrix work of a hop without uncertainty"
-UNREFINED = "the same without refinement"
+UNREFINED = "hop with uncertainty, without refinement"
 PYOMA, PYOMA_UNC, PYOMA_UNC_1 = "pyOMA2 cov", "pyOMA2 cov, uncertainty, step 2", "pyOMA2 cov, uncertainty, step 1"
 KOMA = "koma cov"
 
