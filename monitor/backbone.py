@@ -44,7 +44,7 @@ def backbone(problem: Problem, at: Fit) -> Backbone | None:
     if e.drive is None or mean is None:
         return None
     effects = (*problem.reference.effects(at.x), *at.effects)
-    mass, shape = problem.matrices(at.x, effects)[0], problem.model(at.x, effects).modes().shapes[:, 0].real
+    mass, shape = problem.system(at.x, effects).mass, problem.model(at.x, effects).modes().shapes[:, 0].real
     first = float(problem.model(at.x, effects).modes().frequencies_hz[0])
     sensors = problem.context.sensors
     # Channels to the first mode's coordinate, which is the top floor's motion in it.

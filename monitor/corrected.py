@@ -10,17 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monitor.effects import EFFECTS, Effect
-from monitor.likelihood import Problem
+from monitor.likelihood import NUDGE, Problem
 from monitor.motion import forced_drift
 from monitor.results import Array, ComplexArray
+from monitor.wishart import grown_by
 
 _SMOOTH = 0.006
 """Width over which the correction is smoothed, as a share of the frequency: about a half-power bandwidth."""
 _DEEPEST = -0.85
 """Share of a predicted spectrum that the correction may take away."""
 
-_NUDGE, _STEP = 1e-5, 0.01
-"""Changes by which slopes are taken: of a nuisance; of a size, relative."""
+_STEP = 0.01
+"""Relative change of a size by which slopes are taken."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -39,6 +40,8 @@ class Corrected(Problem):
     """The same slopes where not the law but the motion changes, shape (p, classes, n_bins, c, c)."""
     feigned: Array = field(default_factory=lambda: np.zeros((0, 0)))
     """Information on the coordinates that the chance in their slopes feigns, shape (p, p)."""
+    lost: float = 0.0
+    """Log likelihood that the simulations' chance takes away, nats."""
     drift: Array = field(default_factory=lambda: np.zeros((0, 0)))
     """The linearized model's RMS drift there, shape (classes, n_stories), m."""
 
@@ -60,24 +63,14 @@ class Corrected(Problem):
         grown = sizes * (np.hstack([_scaled(e, growth) for e in here]) - 1.0)
         relative = np.tensordot(np.append(1.0, sizes - self.centre), self.relative, axes=1)
         relative = _bounded(relative + np.einsum("kp,pkfab->kfab", grown, self.by_motion))
-        try:
-            root = np.linalg.cholesky(linear)
-        except np.linalg.LinAlgError:  # a step too far: a model that is none has no likelihood
-            return np.full_like(linear, np.nan)
-        return np.asarray(linear + _around(root, relative if classes is None else relative[list(classes)]))
+        # A step too far gives NaN: a model that is none has no likelihood.
+        return grown_by(linear, relative if classes is None else relative[list(classes)])
 
-    def slopes(self, x: Array, effects: tuple[Effect, ...], spectra: ComplexArray) -> ComplexArray:
-        """See `Problem.slopes`; of every class its own, since a law that bends much has its peaks elsewhere in each."""
-        out = Problem.slopes(self, x, effects, spectra)
-        n, p = self.context.structure.n_dofs, self.reference.mean.size
-        first = sum(self.reference.sizes[:3])
-        for i in (*range(first), *range(first + self.reference.sizes[3], p + n)):
-            moved = x.copy()
-            moved[i] += _NUDGE
-            out[i] = (self.smooth(self.scatter(moved, effects)) - spectra) / _NUDGE
-        for k in range(self.n_classes):
-            out[p + n + k, k] = out[p : p + n, k].sum(axis=0)
-        return out
+    def slope(self, x: Array, i: int, effects: tuple[Effect, ...], spectra: ComplexArray) -> ComplexArray:
+        """See `Problem.slope`; of every class its own, since a law that bends much has its peaks elsewhere in each."""
+        moved = x.copy()
+        moved[i] += NUDGE
+        return np.asarray((self.smooth(self.scatter(moved, effects)) - spectra) / NUDGE)
 
     def mirrored(self, law: Effect) -> Corrected:
         """The same with a law's other hand, whose spectra are the same."""

@@ -11,7 +11,7 @@ from scipy.fft import irfft, next_fast_len, rfft
 from monitor.effects import Context, Effect, LawKind
 from monitor.likelihood import Problem
 from monitor.motion import conditions
-from monitor.prediction import assemble, channel_response, ground_density
+from monitor.prediction import channel_response, extended, ground_density
 from monitor.results import Array, ComplexArray
 from monitor.simulate import respond
 from monitor.spectrum import taper
@@ -64,7 +64,7 @@ def forces(problem: Problem, x: Array, effects: Sequence[Effect], seed: int) -> 
     share = sum(effect.ground_share for effect in effects)
     ground = None
     if share > 0.0:
-        system = assemble(*problem.matrices(x, effects), effects, context, problem.conditions[0])
+        system = extended(problem.system(x, effects), effects, context, problem.conditions[0])
         first = force * level[0]
         ratio = ground_density(share, system, first, context, problem.conditions[0]) / first.mean()
         ground = np.sqrt(ratio) * root.mean(axis=1) * rng.standard_normal(root.shape[0])
@@ -167,14 +167,14 @@ def offset(
 
 def _linear(problem: Problem, x: Array, effects: tuple[Effect, ...], acting: Forces) -> Iterator[ComplexArray]:
     """Transforms of every class's segments as its linearized system answers the forces."""
-    context, matrices = problem.context_at(x), problem.matrices(x, effects)
+    context, base = problem.context_at(x), problem.system(x, effects)
     bent = _bent(effects)
     hz = np.arange(_kept(problem)) * acting.rate_hz / len(acting.floors)
     sources = acting.floors if acting.ground is None else np.column_stack([acting.floors, acting.ground])
     driven = _spectrum(sources, problem) * np.sinc(hz / acting.rate_hz)[:, None] ** 2  # straight between samples
     heard = 0.0 if acting.noise is None else _spectrum(acting.noise, problem)
     for k, members in enumerate(problem.evidence.members):
-        system = assemble(*matrices, effects, context, problem.conditions[k])
+        system = extended(base, effects, context, problem.conditions[k])
         answer = channel_response(system, hz, context)[:, :, : driven.shape[1]]
         y = _transformed(np.einsum("fcj,fj->fc", answer, driven) + heard, problem, members)
         yield _through(_through(y, bent, problem, k), [e for e in effects if e not in bent], problem, k)

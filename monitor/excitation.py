@@ -21,8 +21,8 @@ from monitor.results import Array, ComplexArray
 
 _FORCE_STD, _LEVEL_STD = 1.0, 5.0
 """Prior of the logarithms of the floors' forces about one level, of the classes' levels and of the noise."""
-_SIMULATIONS = 2
-"""Of exact laws."""
+_LEAST_GAIN = 0.01
+"""Nats of the last step."""
 _NUDGE = 1e-5
 """Finite difference of those logarithms."""
 _WORST = 1e30
@@ -59,11 +59,8 @@ def excited(evidence: Evidence, model: Model, context: Context, reference_degc: 
 
 def _beyond_linear(problem: Problem, x: Array) -> ComplexArray:
     """What the exact laws add to the linearized spectra."""
-    made = []
-    for seed in range(_SIMULATIONS):
-        acting = forces(problem, x, (), seed)
-        made.append(offset(problem, x, (), acting, exact(problem, x, (), acting)))
-    return smoothed(problem, x, np.mean(made, axis=0))
+    acting = forces(problem, x, (), 0)
+    return smoothed(problem, x, offset(problem, x, (), acting, exact(problem, x, (), acting)))
 
 
 def _as_moved(problem: Problem, known: Reference) -> Problem:
@@ -161,6 +158,6 @@ def _fit_levels(problem: Problem, x: Array, iterations: int = 40) -> Array:
             break
         gained = its_value - value
         x, spectra, value, damping = there, its_spectra, its_value, 0.1 * damping
-        if gained < 1e-3:
+        if gained < _LEAST_GAIN:
             break
     return x

@@ -11,6 +11,9 @@ from monitor.effects import Effect
 from monitor.likelihood import Problem, placed
 from monitor.results import Array
 
+_NEAR = 1.0
+"""Nats gained by a step after which the slopes are taken as they are."""
+
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Fit:
@@ -68,14 +71,17 @@ def fit(
     x = np.concatenate([x[: problem.n_nuisance], *[e.coordinates for e in effects]])
     here = problem.predict(x, effects)
     ll, lp = problem.log_likelihood(here.spectra, here.data), problem.score(x, effects)[1]
-    damping, converged = 1e-3, False
+    damping, converged, gain = 1e-3, False, np.inf
     rows, residual, mean_residual, normal = np.zeros((0, x.size)), np.zeros(0), np.zeros(0), np.eye(x.size)
     for _ in range(iterations if np.isfinite(ll) else 0):  # a law that runs away at its start leads nowhere
-        rows, residual, mean_residual = problem.jacobian(
-            x, effects, here, first=0 if frozen is None else problem.n_nuisance
-        )
-        if frozen is not None:
-            rows = np.concatenate([frozen, rows], axis=1)
+        if gain > _NEAR or here.left is not None:
+            rows, residual, mean_residual = problem.jacobian(
+                x, effects, here, first=0 if frozen is None else problem.n_nuisance
+            )
+            if frozen is not None:
+                rows = np.concatenate([frozen, rows], axis=1)
+        else:  # so near the end slopes change no more
+            residual = problem.whitened(here.spectra, here.spectra[None][:0], here.data)[1]
         mean, precision = problem.prior(x, effects)
         normal = rows.T @ rows + precision
         gradient = rows.T @ np.concatenate([residual, mean_residual]) - precision @ (x - mean)

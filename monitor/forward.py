@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from monitor import driven
-from monitor.effects import Condition, Context, Effect
+from monitor.effects import Condition, Context, Effect, System
 from monitor.evidence import Evidence
 from monitor.model import Model
-from monitor.prediction import Excitation, assemble, cross_spectra
+from monitor.prediction import Excitation, cross_spectra, extended, modally_damped
 from monitor.reference import Reference
 from monitor.results import Array, ComplexArray
 
@@ -87,18 +87,18 @@ class Forward:
         if e.drive is None:
             return None
         effects = (*self.reference.effects(x), *effects)
-        matrices, context = self.matrices(x, effects), self.context_at(x)
+        base, context = self.system(x, effects), self.context_at(x)
         bent = [effect for effect in effects if effect.nonlinear and effect.family == "structure"]
         if bent and exact:
-            system = assemble(*matrices, [f for f in effects if f not in bent], context, self.conditions[0])
+            system = extended(base, [f for f in effects if f not in bent], context, self.conditions[0])
             return driven.exact_response(e.drive, system, effects, e.band, context, self.conditions[0])
         out = np.zeros_like(e.segments.values)
         if not any(effect.conditional for effect in effects):
-            system = assemble(*matrices, effects, context, self.conditions[0])
+            system = extended(base, effects, context, self.conditions[0])
             out[:] = driven.response(e.drive, system, effects, e.band, context, self.conditions[0])
         else:
             for members, condition in zip(e.members, self.conditions, strict=True):
-                system = assemble(*matrices, effects, context, condition)
+                system = extended(base, effects, context, condition)
                 out[members] = driven.response(e.drive.part(members), system, effects, e.band, context, condition)
         return out
 
@@ -115,10 +115,9 @@ class Forward:
         power that is independent between channels; the ground's sensor is as noisy as the others.
         """
         effects = (*self.reference.effects(x), *effects)
-        mass, stiffness, damping = self.matrices(x, effects)
-        context = self.context_at(x)
+        base, context = self.system(x, effects), self.context_at(x)
         p = self.reference.mean.size
-        n = mass.shape[0]
+        n = context.structure.n_dofs
         force, level, noise = np.exp(x[p : p + n]), np.exp(x[p + n : p + n + self.n_classes]), self.noise(x)
         wanted = range(self.n_classes) if classes is None else classes
         ground = self.evidence.power
@@ -127,7 +126,7 @@ class Forward:
         shared: ComplexArray | None = None
         for k in wanted:
             if varied or shared is None:
-                system = assemble(mass, stiffness, damping, effects, context, self.conditions[k])
+                system = extended(base, effects, context, self.conditions[k])
                 e = Excitation(
                     force * (level[k] if varied else 1.0),
                     noise * (1.0 if varied else 0.0),
@@ -153,25 +152,28 @@ class Forward:
         out[:, diagonal, diagonal] += (noise + extra) * gain
         return out
 
-    def matrices(self, x: Array, effects: Sequence[Effect]) -> tuple[Array, Array, Array]:
-        """Mass, stiffness and modal damping ratios at a vector of nuisances."""
-        return (*self.model(x, effects).structural_matrices(), np.exp(self.reference.parts(x)[2]))
+    def system(self, x: Array, effects: Sequence[Effect]) -> System:
+        """The system at a vector of nuisances, before what effects add at a level."""
+        return modally_damped(*self.model(x, effects).structural_matrices(), np.exp(self.reference.parts(x)[2]))
 
     def context_at(self, x: Array) -> Context:
         """Where effects act, with the structure at a vector of nuisances: relative sizes refer to it."""
-        return replace(self.context, structure=self.model(x, ()).structure)
+        ln_k, ln_m, *_ = self.reference.parts(x)
+        structure = self.reference.model.structure.with_stiffness(np.exp(ln_k)).with_masses(np.exp(ln_m))
+        return replace(self.context, structure=structure)
 
     def model(self, x: Array, effects: Sequence[Effect]) -> Model:
         """The model at a vector of nuisances; `effects` are all of its effects."""
-        ln_k, ln_m, ln_damping, _, correction, _ = self.reference.parts(x)
-        base = self.reference.model
+        _, ln_m, ln_damping, _, correction, _ = self.reference.parts(x)
+        base, structure = self.reference.model, self.context_at(x).structure
         # The scale of all masses and stiffnesses cannot be seen; the correction shares it.
         scale = np.exp((ln_m - self.reference.parts(self.reference.mean)[1]).mean())
         change = scale * np.tensordot(correction, self.reference.basis, axes=1) if correction.size else None
         if base.correction is not None:
             change = base.correction if change is None else base.correction + change
-        model = base.with_stiffness(np.exp(ln_k)).with_masses(np.exp(ln_m))
-        return replace(model, effects=tuple(effects), correction=change, modal_damping=np.exp(ln_damping))
+        return replace(
+            base, structure=structure, effects=tuple(effects), correction=change, modal_damping=np.exp(ln_damping)
+        )
 
     def noise(self, x: Array) -> Array:
         """Noise density of every channel."""

@@ -25,7 +25,7 @@ from monitor.wishart import log_wishart, whiten
 
 _FORCE_STD, _LEVEL_STD, _NOISE_STD = 1.0, 5.0, 3.0
 """Prior of the logarithm of the floors' forces about their mean, of the classes' levels, of the common noise."""
-_NUDGE = 1e-5
+NUDGE = 1e-5
 """Finite difference of a nuisance, most of which are logarithms."""
 
 
@@ -87,18 +87,8 @@ class Problem(Forward):
         return ll, -0.5 * float((x - mean) @ precision @ (x - mean))
 
     def slopes(self, x: Array, effects: tuple[Effect, ...], spectra: ComplexArray) -> ComplexArray:
-        """Derivatives of the (smoothed) spectra, shape (p, classes, bins, c, c), by finite differences.
-
-        Those of the nuisances are taken at the middle class and scaled by level: they only weigh the residual.
-        """
-        middle = self.n_classes // 2
+        """Derivatives of the (smoothed) spectra, shape (p, classes, bins, c, c), by finite differences."""
         p, n = self.reference.mean.size, self.context.structure.n_dofs
-        level = np.exp(x[p + n : p + n + self.n_classes])
-        scale = (
-            (level / level[middle])[:, None, None, None]
-            if self.evidence.power is None
-            else np.ones((self.n_classes, 1, 1, 1))
-        )
         c = len(self.context.channels)
         diagonal = np.arange(c)
         noise = self.noise(x)
@@ -119,15 +109,23 @@ class Problem(Forward):
                 out[i] = 0.0
                 out[i, k] = out[p : p + n, k].sum(axis=0)  # all forces at once, but neither lines nor noise
                 if self.evidence.power is not None:
-                    out[i, k] += self.smooth(level[k] * diagonal_of(self.evidence.power))
+                    out[i, k] += self.smooth(np.exp(x[i]) * diagonal_of(self.evidence.power))
             elif alone and i == self.n_nuisance - 1:
                 out[i] = noise_slope.sum(axis=0)
             else:
-                moved = x.copy()
-                moved[i] += _NUDGE
-                change = self.smooth(self.scatter(moved, effects, classes=[middle]))[0] - spectra[middle]
-                out[i] = change / _NUDGE * scale
+                out[i] = self.slope(x, i, effects, spectra)
         return out
+
+    def slope(self, x: Array, i: int, effects: tuple[Effect, ...], spectra: ComplexArray) -> ComplexArray:
+        """As `slopes`, by nuisance i alone: taken at the middle class and scaled by level, as it only weighs the residual."""
+        middle, first = self.n_classes // 2, self.reference.mean.size + self.context.structure.n_dofs
+        scale = np.ones(self.n_classes)
+        if self.evidence.power is None:
+            scale = np.exp(x[first : first + self.n_classes] - x[first + middle])
+        moved = x.copy()
+        moved[i] += NUDGE
+        change = self.smooth(self.scatter(moved, effects, classes=[middle]))[0] - spectra[middle]
+        return np.asarray(change / NUDGE * scale[:, None, None, None])
 
     def effect_slopes(self, x: Array, effects: tuple[Effect, ...], spectra: ComplexArray) -> ComplexArray:
         """As `slopes`, by the extra effects' coordinates alone."""
@@ -188,7 +186,7 @@ class Problem(Forward):
     def _nudged(self, x: Array, i: int, effects: Sequence[Effect]) -> tuple[float, Array]:
         """Finite difference for coordinate i, and x moved by it."""
         j, least = i - self.n_nuisance, [p.least for e in effects for p in e.parameters]
-        h = _NUDGE if j < 0 else 1e-4 * max(abs(x[i]), least[j])
+        h = NUDGE if j < 0 else 1e-4 * max(abs(x[i]), least[j])
         moved = x.copy()
         moved[i] += h
         return h, moved

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.linalg import eigh, solve_continuous_lyapunov
+from scipy.linalg import eigh
 
 from monitor.driven import motion_rms
 from monitor.effects import Condition, Context, Effect, System
 from monitor.evidence import class_temperature
 from monitor.likelihood import Problem
-from monitor.prediction import accelerance, assemble, seen, variances
+from monitor.prediction import accelerance, extended, seen, variances
 from monitor.results import Array, ComplexArray
 
 _PILE = 20
@@ -33,16 +33,16 @@ def conditions(
     """
     e, context = problem.evidence, problem.context_at(x)
     everything = (*problem.reference.effects(x), *effects)
-    mass, stiffness, damping = problem.matrices(x, everything)
-    n, p = mass.shape[0], problem.reference.mean.size
+    base, damping = problem.system(x, everything), np.exp(problem.reference.parts(x)[2])
+    n, p = context.structure.n_dofs, problem.reference.mean.size
     force, level = np.exp(x[p : p + n]), np.exp(x[p + n : p + n + problem.n_classes])
     drift = context.structure.drift_matrix()
     rows, order = np.vstack([drift, drift, np.eye(n)]), np.repeat([0, 1, 1], [len(drift), len(drift), n])
     excess = None if e.drive is not None else (e.spectra if spectra is None else spectra) - problem.scatter(x, effects)
     beyond, out = _beyond(problem, x, everything), []
     for k in range(problem.n_classes):
-        system = assemble(mass, stiffness, damping, everything, context, problem.conditions[k])
-        lowest = np.sqrt(max(eigh(stiffness, mass, eigvals_only=True).min(), 1e-6)) / (2.0 * np.pi)
+        system = extended(base, everything, context, problem.conditions[k])
+        lowest = np.sqrt(max(eigh(base.stiffness, base.mass, eigvals_only=True).min(), 1e-6)) / (2.0 * np.pi)
         step = min(0.25 * e.band.bin_hz, 0.25 * damping.min() * lowest)
         step = max(step, e.band.hz[-1] / _MOST_BINS)  # a damping that the fit lets go to nothing
         hz = np.arange(max(0.2 * lowest, step), e.band.hz[-1] * 1.2, step)
@@ -79,22 +79,26 @@ def conditions(
 def forced_drift(problem: Problem, x: Array, effects: Sequence[Effect]) -> Array:
     """RMS drift that the linearized model has under white forces, shape (classes, n_stories), m."""
     everything = (*problem.reference.effects(x), *effects)
-    context, matrices = problem.context_at(x), problem.matrices(x, everything)
-    n, p = problem.context.structure.n_dofs, problem.reference.mean.size
+    context, base = problem.context_at(x), problem.system(x, everything)
+    n, p = context.structure.n_dofs, problem.reference.mean.size
     force, level = np.exp(x[p : p + n]), np.exp(x[p + n : p + n + problem.n_classes])
-    rows, out = context.structure.drift_matrix(), []
+    states, drives = [], []
     for condition, own in zip(problem.conditions, level, strict=True):
-        system = assemble(*matrices, everything, context, condition)
+        system = extended(base, everything, context, condition)
         size = system.mass.shape[0]
         inverse = np.linalg.inv(system.mass)
-        state = np.block(
-            [[np.zeros((size, size)), np.eye(size)], [-inverse @ system.stiffness, -inverse @ system.damping]]
+        states.append(
+            np.block([[np.zeros((size, size)), np.eye(size)], [-inverse @ system.stiffness, -inverse @ system.damping]])
         )
         drive = np.zeros((2 * size, 2 * size))
-        drive[size:, size:] = inverse[:, :n] * force @ inverse[:, :n].T
-        displacement = solve_continuous_lyapunov(state, -0.5 * own * drive)[:n, :n]
-        out.append(np.sqrt(np.einsum("ra,ab,rb->r", rows, displacement, rows)))
-    return np.array(out)
+        drive[size:, size:] = own * inverse[:, :n] * force @ inverse[:, :n].T
+        drives.append(drive)
+    # Lyapunov's equation of all classes at once: in the eigenvectors' coordinates it is a division.
+    poles, vectors = np.linalg.eig(np.array(states))
+    back = np.linalg.inv(vectors)
+    inner = back @ np.array(drives) @ back.conj().swapaxes(1, 2) / -(poles[:, :, None] + poles[:, None, :].conj())
+    rows = context.structure.drift_matrix() @ vectors[:, :n]
+    return np.asarray(np.sqrt(0.5 * np.einsum("kra,kab,krb->kr", rows, inner, rows.conj()).real))
 
 
 def _beyond(problem: Problem, x: Array, effects: Sequence[Effect]) -> float:
@@ -104,7 +108,7 @@ def _beyond(problem: Problem, x: Array, effects: Sequence[Effect]) -> float:
     e, n, p = problem.evidence, problem.context.structure.n_dofs, problem.reference.mean.size
     force, level = np.exp(x[p : p + n]), np.exp(x[p + n : p + n + problem.n_classes])
     context = problem.context_at(x)
-    system = assemble(*problem.matrices(x, effects), effects, context, problem.conditions[0])
+    system = extended(problem.system(x, effects), effects, context, problem.conditions[0])
     white = variances(system, force * (e.counts @ level) / e.counts.sum(), context, e.band.hz[-1])[2]
     noise = problem.noise(x) * (e.rate_hz - 2.0 * e.band.hz[-1])
     return float((np.maximum(e.segments.above.mean(axis=0) - noise, 0.0) / white).mean())

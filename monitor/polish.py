@@ -58,12 +58,10 @@ class Polished:
 class Settled:
     """A fit whose laws were simulated where it lies."""
 
-    problem: Problem
+    problem: Corrected
     fit: Fit
     transforms: ComplexArray
     """Of one simulation's segments, shape (n_segments, n_bins, c)."""
-    lost: float
-    """Log likelihood that the simulations' chance takes away, nats."""
     doubt: Array
     """Standard deviation of the effects' coordinates beyond the fit's own, shape (p,)."""
 
@@ -73,10 +71,11 @@ def polish(problem: Problem, null: Fit, candidate: Candidate, rounds: Rounds = R
     made = settle(problem, candidate.fit, rounds)
     drift_skewness = skewness(made.transforms, problem)[0]
     better = evidence_of(made.problem, null, made.fit)
-    if better.gain < candidate.gain <= better.gain + made.lost:  # the simulations' chance decides nothing
+    if better.gain < candidate.gain <= better.gain + made.problem.lost:  # the simulations' chance decides nothing
         return Polished(candidate, problem, drift_skewness)
-    better = replace(better, gain=better.gain + made.lost, evidence=better.evidence + made.lost)
-    return Polished(better, made.problem, drift_skewness, float(np.sqrt(2.0 * made.lost)))
+    lost = made.problem.lost
+    better = replace(better, gain=better.gain + lost, evidence=better.evidence + lost)
+    return Polished(better, made.problem, drift_skewness, float(np.sqrt(2.0 * lost)))
 
 
 def settle(problem: Problem, at: Fit, rounds: Rounds) -> Settled:
@@ -85,26 +84,25 @@ def settle(problem: Problem, at: Fit, rounds: Rounds) -> Settled:
     Slopes of the offset by the sizes matter since a linearized law may be far more or far less sensitive to its size than the
     exact one; a round without them keeps those that the problem has.
     """
-    offsets = free = transforms = np.zeros(0, dtype=complex)
-    slopes = _slopes(problem, at)
-    feigned = problem.feigned if len(slopes) and isinstance(problem, Corrected) else np.zeros((0, 0))
+    slopes, feigned = _slopes(problem, at), np.zeros((0, 0))
+    if len(slopes) and isinstance(problem, Corrected):
+        feigned = problem.feigned
     for count, sloped in rounds:
-        problem = replace(problem, offset=None)
-        problem = replace(problem, conditions=conditions(problem, at.x, at.effects))
-        made = [_simulated(problem, at, seed) for seed in range(count)]
+        linear = replace(problem, offset=None)
+        linear = replace(linear, conditions=conditions(linear, at.x, at.effects))
+        made = [_simulated(linear, at, seed) for seed in range(count)]
         offsets, free = np.array([m[0] for m in made]), np.array([m[1] for m in made])
         if sloped:
-            each = np.array([_sloped(problem, at, _OTHER + seed) for seed in range(count)])
+            each = np.array([_sloped(linear, at, _OTHER + seed) for seed in range(count)])
             slopes = each.mean(axis=0)
-        transforms = made[0][2]
-        problem = corrected(problem, at.x, at.effects, offsets.mean(axis=0), slopes)
-        if sloped:
-            feigned = _feigned(problem, at, each)
-        problem = replace(problem, feigned=feigned)
-        at = fit(problem, at.x, at.effects, iterations=8)
-    lost, doubt = _chance(problem, at, offsets, free)
-    more = np.diag(_spread(problem, at) - at.covariance)[problem.n_nuisance :]
-    return Settled(problem, at, transforms, lost, np.sqrt(doubt**2 + np.maximum(more, 0.0)))
+        near = corrected(linear, at.x, at.effects, offsets.mean(axis=0), slopes)
+        near = replace(near, feigned=_feigned(near, at, each) if sloped else feigned)
+        feigned = near.feigned
+        at = fit(near, at.x, at.effects, iterations=8)
+        problem = near
+    lost, doubt = _chance(near, at, offsets, free)
+    more = np.diag(_spread(near, at) - at.covariance)[near.n_nuisance :]
+    return Settled(replace(near, lost=lost), at, made[0][2], np.sqrt(doubt**2 + np.maximum(more, 0.0)))
 
 
 def finish(problem: Problem, at: Fit) -> Settled:
@@ -114,17 +112,19 @@ def finish(problem: Problem, at: Fit) -> Settled:
     """
     if all(e.family == "sensor" for e in at.effects if e.nonlinear):
         return settle(problem, at, ((_LEAST, False),))
-    made = settle(problem, at, FINE)
-    count = int(np.clip(np.ceil(2.0 * made.lost / _LOSS), _LEAST, _MOST))
+    if isinstance(problem, Corrected) and len(_slopes(problem, at)) and problem.feigned.any():  # simulated finely there
+        near, start = problem, at
+    else:
+        made = settle(problem, at, FINE)
+        near, start = made.problem, made.fit
+    count = int(np.clip(np.ceil(2.0 * near.lost / _LOSS), _LEAST, _MOST))
     rounds: Rounds = ((count, False),) if count == _LEAST else ((count // 2, True), (count, False))
-    if _largest(_feigned_part(made.problem, made.fit)) > _MUCH:
+    if _largest(_feigned_part(near, start)) > _MUCH:
         rounds = ((max(count, _SLOPED), True),)
-    last = settle(made.problem, made.fit, rounds)
-    moved = np.abs(last.fit.x - made.fit.x)[problem.n_nuisance :]
-    if last.fit.log_posterior + last.lost < at.log_posterior:
-        return replace(
-            last, problem=problem, fit=at, doubt=np.hypot(last.doubt, np.abs(last.fit.x - at.x)[problem.n_nuisance :])
-        )
+    last = settle(near, start, rounds)
+    moved = np.abs(last.fit.x - start.x)[problem.n_nuisance :]
+    if last.fit.log_posterior + last.problem.lost < start.log_posterior:
+        return replace(last, problem=near, fit=start, doubt=np.hypot(last.doubt, moved))
     return replace(last, doubt=np.hypot(last.doubt, _UNSETTLED * moved))
 
 

@@ -61,27 +61,15 @@ class Excitation:
     """White noise of a measured ground motion, which the prediction takes for motion, (m/s^2)^2/Hz."""
 
 
-def assemble(
-    mass: Array,
-    stiffness: Array,
-    damping_ratio: Array,
-    effects: Sequence[Effect],
-    context: Context,
-    condition: Condition,
-) -> System:
-    """The linear system at a condition: the structure's matrices, its modal damping, then what effects add.
-
-    Parameters
-    ----------
-    mass, stiffness : ndarray, shape (n, n)
-        With the effects' `structural` part.
-    damping_ratio : ndarray, shape (n,)
-        Of every mode.
-    """
+def modally_damped(mass: Array, stiffness: Array, ratios: Array) -> System:
+    """The linear system with given damping ratios of its modes, shape (n,)."""
     eigenvalues, shapes = eigh(stiffness, mass)
     carried = mass @ shapes
-    damping = (carried * (2.0 * damping_ratio * np.sqrt(np.maximum(eigenvalues, 0.0)))) @ carried.T
-    system = System(mass, damping, stiffness)
+    return System(mass, (carried * (2.0 * ratios * np.sqrt(np.maximum(eigenvalues, 0.0)))) @ carried.T, stiffness)
+
+
+def extended(system: System, effects: Sequence[Effect], context: Context, condition: Condition) -> System:
+    """The system with what effects add at a condition."""
     for effect in effects:
         system = effect.extend(system, context, condition)
     return system
@@ -104,18 +92,11 @@ def cross_spectra(
     for effect in effects:
         colour = colour * effect.colour(fine * clock)
     share = sum(e.ground_share for e in effects)
-    ground = np.full(fine.size, excitation.ground_noise)
+    ground = excitation.ground_noise
     if share > 0.0:
         ground += ground_density(share, system, force, context, condition)
-    n = force.size
-    columns = np.concatenate(
-        [
-            answer[:, :, :n] * np.sqrt(force * colour[:, None])[:, None, :],
-            answer[:, :, n:] * np.sqrt(ground)[:, None, None],
-        ],
-        axis=2,
-    )
-    spectra = blurred_products(columns, _TAPS)
+    density = np.column_stack([force * colour[:, None], np.full(fine.size, ground)])
+    spectra = blurred_products(answer, density, _TAPS)
     for effect in effects:
         for line in effect.lines():
             at = np.array([line.frequency_hz / clock])
@@ -148,9 +129,8 @@ def channel_response(system: System, hz: Array, context: Context) -> ComplexArra
     right = np.zeros((system.mass.shape[0], n + 1))
     right[:n, :n] = np.eye(n)
     right[:, n] = -system.mass.sum(axis=1)
-    floors = accelerance(system.mass, system.damping, system.stiffness, 2.0 * np.pi * hz, right)[:, :n]
-    floors[:, :, n] += 1.0  # absolute: the ground's own motion too
-    return np.asarray(context.sensors @ floors)
+    floors = accelerance(system.mass, system.damping, system.stiffness, 2.0 * np.pi * hz, right)
+    return np.asarray(_at_sensors(floors, context.sensors))
 
 
 def ground_density(share: float, system: System, force: Array, context: Context, condition: Condition) -> float:
@@ -185,43 +165,63 @@ def accelerance(mass: Array, damping: Array, stiffness: Array, omega: Array, rig
     """Acceleration per force, ``-w^2 (K + i w C - w^2 M)^-1 right``, shape (n_omega, N, columns)."""
     size, columns = right.shape
     out = np.empty((omega.size, size, columns), dtype=np.complex128)
-    a = np.empty((size, size), dtype=np.complex128)
+    a = np.empty((size, size + columns), dtype=np.complex128)
     for k in range(omega.size):
         w = omega[k]
         for i in range(size):
             for j in range(size):
-                a[i, j] = stiffness[i, j] - w * w * mass[i, j] + 1j * w * damping[i, j]
-        x = out[k]
-        for i in range(size):
+                a[i, j] = complex(stiffness[i, j] - w * w * mass[i, j], w * damping[i, j])
             for j in range(columns):
-                x[i, j] = -w * w * right[i, j]
+                a[i, size + j] = -w * w * right[i, j]
         for p in range(size):  # symmetric with a definite imaginary part: a pivot vanishes only with its mass
-            if a[p, p] == 0.0:
+            pivot = a[p, p]
+            if pivot == 0.0:
                 out[:] = np.nan
                 return out
-            inverse = 1.0 / a[p, p]
+            inverse = np.conj(pivot) * (1.0 / (pivot.real**2 + pivot.imag**2))  # faster than a complex division
             for i in range(p + 1, size):
                 factor = a[i, p] * inverse
-                for j in range(p + 1, size):
+                for j in range(p + 1, size + columns):
                     a[i, j] -= factor * a[p, j]
-                for j in range(columns):
-                    x[i, j] -= factor * x[p, j]
-        if a[size - 1, size - 1] == 0.0:
-            out[:] = np.nan
-            return out
+            a[p, p] = inverse
         for p in range(size - 1, -1, -1):
             for j in range(columns):
-                total = x[p, j]
+                total = a[p, size + j]
                 for i in range(p + 1, size):
-                    total -= a[p, i] * x[i, j]
-                x[p, j] = total / a[p, p]
+                    total -= a[p, i] * out[k, i, j]
+                out[k, p, j] = total * a[p, p]
     return out
 
 
 @compiled(error_model="numpy")
-def blurred_products(columns: ComplexArray, taps: Array) -> ComplexArray:
-    """Products ``columns columns^H`` on the half-bin grid, blurred into bins, shape (n_bins, c, c)."""
-    n_fine, c, n = columns.shape
+def _at_sensors(floors: ComplexArray, sensors: Array) -> ComplexArray:
+    """Sensors' absolute acceleration, shape (n_omega, c, columns); the floors' is relative to the ground in the last column."""
+    n_omega, _, columns = floors.shape
+    c, n = sensors.shape
+    out = np.zeros((n_omega, c, columns), dtype=np.complex128)
+    for s in range(c):
+        for i in range(n):
+            share = sensors[s, i]
+            if share == 0.0:  # nearly all are
+                continue
+            for k in range(n_omega):
+                for j in range(columns):
+                    out[k, s, j] += share * floors[k, i, j]
+                out[k, s, columns - 1] += share
+    return out
+
+
+@compiled(error_model="numpy")
+def blurred_products(answer: ComplexArray, density: Array, taps: Array) -> ComplexArray:
+    """Products ``answer density answer^H`` on the half-bin grid, blurred into bins, shape (n_bins, c, c).
+
+    Parameters
+    ----------
+    answer : ndarray, shape (n_fine, c, columns)
+    density : ndarray, shape (n_fine, columns)
+        Power of each column's source.
+    """
+    n_fine, c, n = answer.shape
     n_bins = (n_fine - taps.size) // 2 + 1
     fine = np.empty((n_fine, c, c), dtype=np.complex128)
     for k in range(n_fine):
@@ -229,7 +229,7 @@ def blurred_products(columns: ComplexArray, taps: Array) -> ComplexArray:
             for b in range(a + 1):
                 total = 0j
                 for j in range(n):
-                    total += columns[k, a, j] * np.conj(columns[k, b, j])
+                    total += density[k, j] * answer[k, a, j] * np.conj(answer[k, b, j])
                 fine[k, a, b] = total
     out = np.empty((n_bins, c, c), dtype=np.complex128)
     for k in range(n_bins):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import accumulate, pairwise
 
 import numpy as np
 
@@ -29,7 +30,7 @@ class Reference:
     def sizes(self) -> tuple[int, int, int, int, int]:
         """Lengths of the parts of `mean` before the standing effects'."""
         s = self.model.structure
-        n = s.mass_matrix().shape[0]
+        n = s.n_dofs
         corrections = self.basis.shape[0]
         channels = self.mean.size - s.stiffness_n_per_m.size - 2 * n - corrections - self.n_standing
         return s.stiffness_n_per_m.size, n, n, channels, corrections
@@ -41,8 +42,8 @@ class Reference:
 
     def parts(self, x: Array) -> list[Array]:
         """Cut a vector of structural nuisances into its six parts."""
-        ends = np.cumsum(self.sizes)
-        return np.split(x[: self.mean.size], ends)
+        ends = [0, *accumulate(self.sizes), self.mean.size]
+        return [x[first:last] for first, last in pairwise(ends)]
 
     def effects(self, x: Array) -> tuple[Effect, ...]:
         """The standing effects at a vector of nuisances."""

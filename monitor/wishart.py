@@ -64,6 +64,31 @@ def _invert_lower(lower: ComplexArray, out: ComplexArray) -> None:
 
 
 @compiled(error_model="numpy")
+def grown_by(spectra: ComplexArray, relative: ComplexArray) -> ComplexArray:
+    """``S + L dS L^H`` with ``S = L L^H``, of every class and bin; NaN where S is not positive definite."""
+    classes, bins, c, _ = spectra.shape
+    out = spectra.copy()
+    lower = np.zeros((c, c), dtype=np.complex128)
+    half = np.empty((c, c), dtype=np.complex128)
+    for k in range(classes):
+        for f in range(bins):
+            if not _cholesky(spectra[k, f], lower):
+                out[k, f] = np.nan
+                continue
+            for i in range(c):
+                for b in range(c):
+                    total = 0j
+                    for a in range(i + 1):
+                        total += lower[i, a] * relative[k, f, a, b]
+                    half[i, b] = total
+            for i in range(c):
+                for j in range(c):
+                    for b in range(j + 1):
+                        out[k, f, i, j] += half[i, b] * np.conj(lower[j, b])
+    return out
+
+
+@compiled(error_model="numpy")
 def whiten(spectra: ComplexArray, slopes: ComplexArray, root: Array) -> Array:
     """Rows ``root L^-1 dS L^-H`` as reals, shape (classes * bins * c * c, p)."""
     p, classes, bins, c, _ = slopes.shape
