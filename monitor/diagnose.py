@@ -21,8 +21,8 @@ from monitor.reference import Reference
 from monitor.results import Array
 from monitor.search import Candidate, best_of_each, between_samples, change, evidence_of, judge, prepare, rank, starts
 
-_SMALL, _NEAR = 200.0, 0.4
-"""Promised gain, nats, below which all that promise this share of it are fitted."""
+_SMALL, _MORE = 200.0, 3.0
+"""Promised gain, nats, up to which a rough fit is believed to find half of the whole gain, or all but so much."""
 _KINDS, _EVERYWHERE, _DRIVEN = 7, 2, 2
 """Where the ground is measured: kinds of causes that are fitted roughly, those of them at every place, and to the end."""
 _UNSURE = 0.1
@@ -194,13 +194,11 @@ def _chosen(
     """Effects worth a fit to the end, by name and place."""
     rough = sorted((judge(problem, at, e, quick=True) for _, e in ranked[: settings.ranked]), key=lambda c: -c.evidence)
     chosen = {c.key: c.effect for c in rough[: settings.tried]}
+    if ranked and ranked[0][0] < _SMALL:  # a small effect: its rivals gain nearly as much, and none may be passed over
+        bar = max(rough[0].evidence - settings.rival, settings.margin)
+        chosen = {c.key: c.effect for c in rough if c.evidence + max(c.gain, _MORE) > bar}
     # A rough fit may fail from far away, so the score test's own favourites are fitted too.
-    favourites = ranked[: settings.favourites]
-    if (
-        ranked and ranked[0][0] < _SMALL
-    ):  # a small effect: its rivals promise nearly as much, and none may be passed over
-        favourites = [item for item in ranked if item[0] > _NEAR * ranked[0][0]]
-    return {(e.name, e.location): e for _, e in favourites} | chosen
+    return {(e.name, e.location): e for _, e in ranked[: settings.favourites]} | chosen
 
 
 def _driven(problem: Problem, at: Fit, ranked: list[tuple[float, Effect]]) -> dict[tuple[str, str], Effect]:
