@@ -40,6 +40,8 @@ class Corrected(Problem):
     """The same slopes where not the law but the motion changes, shape (p, classes, n_bins, c, c)."""
     feigned: Array = field(default_factory=lambda: np.zeros((0, 0)))
     """Information on the coordinates that the chance in their slopes feigns, shape (p, p)."""
+    simulations: int = 0
+    """How many the slopes are the mean of."""
     lost: float = 0.0
     """Log likelihood that the simulations' chance takes away, nats."""
     drift: Array = field(default_factory=lambda: np.zeros((0, 0)))

@@ -34,7 +34,7 @@ _UNSETTLED = 0.5
 _OTHER = 1000
 """First seed of the simulations that slopes come from: chance that they shared with the offset would pull the fit."""
 _FEIGNED, _MUCH, _SLOPED = 0.5, 0.25, 5
-"""Largest share of the information that slopes are taken to feign; share from which this many simulations make new slopes."""
+"""Largest share of the information that slopes are taken to feign; share from which so many simulations at least make them."""
 _FORM = 2.0
 """What is not known of a story's stiffness, over the RMS of the relative correction that the drawing's form needs."""
 _LINE = 0.02
@@ -84,20 +84,23 @@ def settle(problem: Problem, at: Fit, rounds: Rounds) -> Settled:
     Slopes of the offset by the sizes matter since a linearized law may be far more or far less sensitive to its size than the
     exact one; a round without them keeps those that the problem has.
     """
-    slopes, feigned = _slopes(problem, at), np.zeros((0, 0))
+    slopes, feigned, known = _slopes(problem, at), np.zeros((0, 0)), 0
     if len(slopes) and isinstance(problem, Corrected):
-        feigned = problem.feigned
+        feigned, known = problem.feigned, problem.simulations
     for count, sloped in rounds:
         linear = replace(problem, offset=None)
         linear = replace(linear, conditions=conditions(linear, at.x, at.effects))
         made = [_simulated(linear, at, seed) for seed in range(count)]
         offsets, free = np.array([m[0] for m in made]), np.array([m[1] for m in made])
         if sloped:
-            each = np.array([_sloped(linear, at, _OTHER + seed) for seed in range(count)])
-            slopes = each.mean(axis=0)
+            kept = known if known > 1 else 0  # a single one was taken on the way
+            each = np.array([_sloped(linear, at, _OTHER + kept + seed) for seed in range(count)])
+            known = kept + count
+            slopes = each.mean(axis=0) if not kept else (kept * slopes + each.sum(axis=0)) / known
         near = corrected(linear, at.x, at.effects, offsets.mean(axis=0), slopes)
-        near = replace(near, feigned=_feigned(near, at, each) if sloped else feigned)
-        feigned = near.feigned
+        if sloped:
+            feigned = _feigned(near, at, each) * count / known
+        near = replace(near, feigned=feigned, simulations=known)
         at = fit(near, at.x, at.effects, iterations=8)
         problem = near
     lost, doubt = _chance(near, at, offsets, free)
@@ -120,7 +123,7 @@ def finish(problem: Problem, at: Fit) -> Settled:
     count = int(np.clip(np.ceil(2.0 * near.lost / _LOSS), _LEAST, _MOST))
     rounds: Rounds = ((count, False),) if count == _LEAST else ((count // 2, True), (count, False))
     if _largest(_feigned_part(near, start)) > _MUCH:
-        rounds = ((max(count, _SLOPED), True),)
+        rounds = ((max(count, _SLOPED - near.simulations), True),)
     last = settle(near, start, rounds)
     moved = np.abs(last.fit.x - start.x)[problem.n_nuisance :]
     if last.fit.log_posterior + last.problem.lost < start.log_posterior:
