@@ -1,4 +1,4 @@
-"""``python -m tests.hidden.smallest [--effects a,b] [--trials 10] [--seed S] [--out FILE]``: the smallest size that is found.
+"""``python -m tests.hidden.smallest [--effects a,b] [--start SIZE] [--trials 10] [--seed S] [--out FILE]``: what is just found.
 
 The held-out gain of a few clear trials says how far an effect may shrink until that is no more than what it takes to be named;
 there (and, where that fails, at half as much again) it must be found at its right place in nine of ten new trials.
@@ -61,8 +61,13 @@ LADDERS = {
 """Polarity and swap have no size."""
 
 
-def smallest(name: str, trials: int, seed: int, log: Path | None) -> tuple[float | None, list[tuple[float, int]]]:
-    """The smallest size found in nine of ten trials (None if no size tried is), and all that were tried."""
+def smallest(
+    name: str, trials: int, seed: int, log: Path | None, start: float | None = None
+) -> tuple[float | None, list[tuple[float, int]]]:
+    """The smallest size found in nine of ten trials (None if no size tried is), and all that were tried.
+
+    `start` is tried first in place of the pilots' forecast.
+    """
     ladder = LADDERS[name]
 
     def run(number: int, size: float) -> dict[str, Any]:
@@ -72,8 +77,10 @@ def smallest(name: str, trials: int, seed: int, log: Path | None) -> tuple[float
                 file.write(json.dumps({**result, "size": size}) + "\n")
         return result
 
-    pilots = [run(i, ladder.clear)["answer"].get("nats", 0.0) for i in range(_PILOTS)]
-    size = ladder.clear * (_NEEDED / max(min(pilots), _NEEDED)) ** ladder.power
+    size = start or 0.0
+    if start is None:
+        pilots = [run(i, ladder.clear)["answer"].get("nats", 0.0) for i in range(_PILOTS)]
+        size = ladder.clear * (_NEEDED / max(min(pilots), _NEEDED)) ** ladder.power
     tried = []
     for step in range(_STEPS):
         found = 0
@@ -92,13 +99,14 @@ def main() -> None:
     """A line an effect, as soon as it is known."""
     parser = argparse.ArgumentParser(prog="python -m tests.hidden.smallest")
     parser.add_argument("--effects", default=",".join(LADDERS))
+    parser.add_argument("--start", type=float)
     parser.add_argument("--trials", type=int, default=10)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--out", type=Path)
     options = parser.parse_args()
     for name in options.effects.split(","):
         with threadpool_limits(limits=1):
-            best, tried = smallest(name, options.trials, options.seed, options.out)
+            best, tried = smallest(name, options.trials, options.seed, options.out, options.start)
         steps = "; ".join(f"{size:.3g}: {found}" for size, found in tried)
         said = "larger" if best is None else f"{best:.3g}"
         print(f"{name:22s} {said:>14s} {LADDERS[name].unit} (found of {options.trials}: {steps})", flush=True)
