@@ -21,7 +21,7 @@ from monitor import driven
 from monitor.effects import Effect
 from monitor.forward import Forward, Prediction, diagonal_of
 from monitor.results import Array, ComplexArray
-from monitor.wishart import log_wishart, whiten
+from monitor.wishart import log_det_and_trace, whiten
 
 _FORCE_STD, _LEVEL_STD, _NOISE_STD = 1.0, 5.0, 3.0
 """Prior of the logarithm of the floors' forces about their mean, of the classes' levels, of the common noise."""
@@ -67,17 +67,20 @@ class Problem(Forward):
         )
         return mean, precision
 
-    def log_likelihood(self, spectra: ComplexArray, data: ComplexArray | None = None) -> float:
-        """Tempered Whittle log likelihood, nats; -inf where a spectrum is not positive definite."""
-        data = self.data() if data is None else data
-        each = log_wishart(spectra, data)
-        total = (each * self.widths()).sum(axis=1) @ self.evidence.counts * self.evidence.weight
-        return float(total) if np.isfinite(total) else -np.inf
+    def log_likelihood(
+        self, spectra: ComplexArray, data: ComplexArray | None = None, *, levelled: bool = False
+    ) -> float:
+        """Tempered Whittle log likelihood, nats; -inf where a spectrum is not positive definite.
 
-    def level_of(self, spectra: ComplexArray, data: ComplexArray) -> Array:
-        """Factor by which each class's spectra fit the data best, shape (classes,)."""
-        white = np.linalg.solve(spectra, data)
-        return np.asarray(np.einsum("kfaa->k", white).real / (white.shape[1] * white.shape[2]))
+        If `levelled`, of each class's spectra times the factor by which they fit the data best.
+        """
+        log_det, trace = log_det_and_trace(spectra, self.data() if data is None else data)
+        if levelled:
+            c = spectra.shape[-1]
+            level = trace.mean(axis=1, keepdims=True) / c
+            log_det, trace = log_det + c * np.log(level), trace / level
+        total = ((-log_det - trace) * self.widths()).sum(axis=1) @ self.evidence.counts * self.evidence.weight
+        return float(total) if np.isfinite(total) else -np.inf
 
     def score(self, x: Array, effects: tuple[Effect, ...]) -> tuple[float, float]:
         """Log likelihood and log prior at a point."""

@@ -212,8 +212,7 @@ def change(problem: Problem, here: Prediction, there: Prediction) -> Array:
 
 def _whole_gain(problem: Problem, null: Fit, moved: Prediction) -> float:
     """What the effect gains as it stands, once the levels have followed: for starts that happen to lie near the truth."""
-    level = problem.level_of(moved.spectra, moved.data)[:, None, None, None]
-    return problem.log_likelihood(moved.spectra * level, moved.data) - null.log_likelihood
+    return problem.log_likelihood(moved.spectra, moved.data, levelled=True) - null.log_likelihood
 
 
 def _grown(effect: Effect, amount: float) -> Effect | None:

@@ -28,27 +28,27 @@ def _cholesky(a: ComplexArray, out: ComplexArray) -> bool:
 
 
 @compiled(error_model="numpy")
-def log_wishart(spectra: ComplexArray, data: ComplexArray) -> Array:
-    """``-ln det S - tr(S^-1 data)`` of every class and bin."""
+def log_det_and_trace(spectra: ComplexArray, data: ComplexArray) -> tuple[Array, Array]:
+    """``ln det S`` (infinite where S is not positive definite) and ``tr(S^-1 data)`` of every class and bin."""
     classes, bins, c, _ = spectra.shape
-    out = np.empty((classes, bins))
+    log_det, trace = np.full((classes, bins), np.inf), np.zeros((classes, bins))
     lower = np.zeros((c, c), dtype=np.complex128)
     inverse = np.zeros((c, c), dtype=np.complex128)
     for k in range(classes):
         for f in range(bins):
             if not _cholesky(spectra[k, f], lower):
-                out[k, f] = -np.inf
                 continue
             _invert_lower(lower, inverse)
             total = 0.0
             for i in range(c):
-                total -= 2.0 * np.log(lower[i, i].real)
+                total += np.log(lower[i, i].real)
+            log_det[k, f], total = 2.0 * total, 0.0
             for i in range(c):
                 for a in range(i + 1):
                     for b in range(i + 1):
-                        total -= (inverse[i, a] * data[k, f, a, b] * np.conj(inverse[i, b])).real
-            out[k, f] = total
-    return out
+                        total += (inverse[i, a] * data[k, f, a, b] * np.conj(inverse[i, b])).real
+            trace[k, f] = total
+    return log_det, trace
 
 
 @compiled(error_model="numpy")
