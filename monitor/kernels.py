@@ -26,7 +26,7 @@ def pool_products(x: ComplexArray, first: NDArray[np.intp], sizes: NDArray[np.in
 
 
 @compiled()
-def pack_columns(u: ComplexArray, v: ComplexArray) -> ComplexArray:
+def pack_columns(u: Array | ComplexArray, v: ComplexArray) -> ComplexArray:
     """Upper triangles of ``u v^H + v u^H`` of every column, shapes (pools or 1, c, columns) to (columns, pairs, pools)."""
     pools, c, columns = v.shape
     out = np.empty((columns, c * (c + 1) // 2, pools), dtype=np.complex128)
