@@ -39,3 +39,28 @@ def pack_columns(u: Array | ComplexArray, v: ComplexArray) -> ComplexArray:
                     out[k, pair, p] = up[i, k] * np.conj(vp[j, k]) + vp[i, k] * np.conj(up[j, k])
                 pair += 1
     return out
+
+
+@compiled()
+def displaced(lag_sum: Array, head: Array, tail: Array) -> Array:
+    """Gram matrix of the block Hankel matrix with these lag sums as first block row, shape (n_lags c, n_lags c).
+
+    A block is the one above it on its diagonal with the product at the window's head taken off and the one at its tail put on.
+
+    Parameters
+    ----------
+    lag_sum : ndarray, shape (n_lags, c, c)
+    head, tail : ndarray, shape (n_lags - 1, c)
+    """
+    lags, c, _ = lag_sum.shape
+    out = np.empty((lags * c, lags * c))
+    for tau in range(lags):
+        for i in range(c):
+            for j in range(c):
+                total = lag_sum[tau, i, j]
+                out[i, tau * c + j] = out[tau * c + j, i] = total
+                for a in range(lags - tau - 1):
+                    total += tail[a, i] * tail[a + tau, j] - head[a, i] * head[a + tau, j]
+                    row, column = (a + 1) * c + i, (a + 1 + tau) * c + j
+                    out[row, column] = out[column, row] = total
+    return out

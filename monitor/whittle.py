@@ -21,7 +21,6 @@ from dataclasses import replace
 import numpy as np
 from pydantic import Field
 
-from monitor.kernels import pack_columns
 from monitor.results import Array, ComplexArray, ModalEstimate, Window
 from monitor.settings import Settings
 from monitor.spectrum import overlap_correlation
@@ -32,6 +31,7 @@ from monitor.whittle_model import (
     cross_spectra,
     layout_of,
     packed,
+    packed_columns,
     predict,
     product,
     triangle,
@@ -138,8 +138,8 @@ def _start(layout: Layout, modes: ModalEstimate, mean: ComplexArray) -> Point:
     model, inverse = predict(layout, p), np.linalg.inv(rough)
     linear = slice(layout.n_modal, layout.columns[-2])
     u, v = model.u[:, linear], model.v[:, :, linear]
-    curve = pack_columns(inverse @ u, inverse @ v) * layout.counts
-    x = np.linalg.solve(product(curve, pack_columns(u[None], v)), product(mean[None], curve)[0])
+    curve = packed_columns(inverse @ u, inverse @ v) * layout.counts
+    x = np.linalg.solve(product(curve, packed_columns(u[None], v)), product(mean[None], curve)[0])
     n_pairs = len(layout.pairs)
     forces = np.zeros((m, m))
     for (a, b), entry in zip(layout.pairs, x[:n_pairs], strict=True):

@@ -14,7 +14,6 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from monitor.kernels import pack_columns, pool_products
 from monitor.results import Array, ComplexArray, ModalEstimate
 from monitor.spectrum import LEAKAGE_OFFSETS, leakage
 
@@ -119,6 +118,8 @@ def layout_of(modes: ModalEstimate, half_band: float, n_bins: int, bin_hz: float
 
 def cross_spectra(layout: Layout, segments: tuple[ComplexArray, ...]) -> ComplexArray:
     """Every segment's cross-spectra, means over pools, packed, shape (segments, pairs, pools)."""
+    from monitor.kernels import pool_products  # compiled code takes a while to load
+
     sums = np.empty((len(segments), len(layout.counts), len(layout.first)), dtype=complex)
     for segment, out in zip(segments, sums, strict=True):
         pool_products(segment, layout.first, layout.sizes, out)
@@ -174,10 +175,17 @@ def upper(matrices: ComplexArray) -> ComplexArray:
 
 def packed(layout: Layout, u: Array | ComplexArray, v: ComplexArray) -> ComplexArray:
     """Packed ``u v^H + v u^H`` from columns of shape (.., c, columns), shape (parameters, pairs, pools)."""
-    each = pack_columns(u, v)
+    each = packed_columns(u, v)
     tilt, curvature = layout.columns[-2:]  # the only ones of several columns
     each[tilt], each[tilt + 1] = each[tilt:curvature].sum(axis=0), each[curvature:].sum(axis=0)
     return each[: tilt + 2]
+
+
+def packed_columns(u: Array | ComplexArray, v: ComplexArray) -> ComplexArray:
+    """The same, column by column, shape (columns, pairs, pools)."""
+    from monitor.kernels import pack_columns  # compiled code takes a while to load
+
+    return pack_columns(u, v)
 
 
 def product(a: ComplexArray, b: ComplexArray) -> Array:
