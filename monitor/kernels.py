@@ -64,3 +64,17 @@ def displaced(lag_sum: Array, head: Array, tail: Array) -> Array:
                     row, column = (a + 1) * c + i, (a + 1 + tau) * c + j
                     out[row, column] = out[column, row] = total
     return out
+
+
+@compiled()
+def interpolate(x: Array, first: NDArray[np.int64], phase: NDArray[np.int64], taps: Array) -> Array:
+    """Output k is the sum of ``taps[phase[k]]`` times the samples from ``first[k]`` on; the order of sums is the taps'."""
+    c, n_taps = x.shape[1], taps.shape[1]
+    out = np.empty((first.size, c))
+    for k in range(first.size):
+        for i in range(c):
+            total = 0.0
+            for tap in range(n_taps):
+                total += taps[phase[k], tap] * x[first[k] + tap, i]
+            out[k, i] = total
+    return out
