@@ -78,3 +78,33 @@ def interpolate(x: Array, first: NDArray[np.int64], phase: NDArray[np.int64], ta
                 total += taps[phase[k], tap] * x[first[k] + tap, i]
             out[k, i] = total
     return out
+
+
+@compiled(fastmath={"reassoc", "contract"})
+def lag_products(x: Array, n: int, n_lags: int) -> tuple[Array, Array, Array]:
+    """Sums over k < n of ``x[:, k] x[:, k + tau]^T``, of ``x[:, k]``, and of ``x[:, k + tau]``, for every lag.
+
+    Sums may be taken in another order than written, so that the processor adds many numbers at once.
+
+    Parameters
+    ----------
+    x : ndarray, shape (c, at least n + n_lags - 1)
+
+    Returns
+    -------
+    ndarray, shape (n_lags, c, c); ndarray, shape (c,); ndarray, shape (n_lags, c)
+    """
+    c = x.shape[0]
+    products, shifted = np.empty((n_lags, c, c)), np.empty((n_lags, c))
+    for tau in range(n_lags):
+        for j in range(c):
+            later, total = x[j, tau : tau + n], 0.0
+            for k in range(n):
+                total += later[k]
+            shifted[tau, j] = total
+            for i in range(c):
+                now, total = x[i, :n], 0.0
+                for k in range(n):
+                    total += now[k] * later[k]
+                products[tau, i, j] = total
+    return products, shifted[0].copy(), shifted
