@@ -78,6 +78,8 @@ class Conditioner:
         ndarray, shape (n_output, n_channels), m/s^2
             Output sample k, counted from the start, lies at source sample ``k * step``.
         """
+        from monitor.kernels import interpolate  # compiled code takes a while to load
+
         filtered, memory = sosfilt(self.sos, samples, axis=0, zi=state.filter_memory)
         extended = np.concatenate([state.history, filtered])
         n_in = state.n_in + samples.shape[0]
@@ -86,14 +88,7 @@ class Conditioner:
         k = np.arange(state.n_out, n_out, dtype=np.int64)
         whole, phase = np.divmod(k * p, q)
         first = whole - state.n_in  # the oldest of the taps, as an index into `extended`
-        weights = self.taps[phase]
-        # One tap at a time, so that no sum's order depends on how the samples were cut into blocks.
-        output = np.zeros((k.size, samples.shape[1]))
-        taken = np.empty_like(output)
-        for tap in range(self.taps.shape[1]):
-            np.take(extended, first + tap, axis=0, out=taken, mode="clip")  # nothing to clip, but "raise" copies
-            taken *= weights[:, tap, None]
-            output += taken
+        output = interpolate(extended, first, phase, self.taps)
         history = extended[extended.shape[0] - (self.taps.shape[1] - 1) :]
         return ConditionState(memory, history, n_in, n_out), output
 

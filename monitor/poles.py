@@ -175,10 +175,11 @@ def _clusters(poles: _Poles, select: SelectionSettings) -> list[list[int]]:
     alike = poles.likeness[candidates[:, None], candidates] > select.stable_mac
     near = alike & (np.abs(f[:, None] / f[None, :] - 1.0) < 2.0 * select.stable_frequency)
     together, free = near.astype(float), np.ones(f.size)
+    enough = max(1.0, select.min_stable_share * (len(poles.orders) - 1))
     clusters = []
-    while free.any():
-        # The pole with most companions is the best centre of a mode.
-        seed = int(np.where(free > 0, together @ free, -1.0).argmax())
+    # The pole with most companions is the best centre of a mode; where even that has too few, no other has enough.
+    while (companions := free * (together @ free)).max(initial=0.0) >= enough:
+        seed = int(companions.argmax())
         members = np.flatnonzero(near[seed] & (free > 0))
         free[members] = 0.0
         best: dict[int, tuple[float, int]] = {}
@@ -186,7 +187,7 @@ def _clusters(poles: _Poles, select: SelectionSettings) -> list[list[int]]:
             s = poles.space[p]
             if s not in best or away < best[s][0]:
                 best[s] = away, p
-        if len(best) >= select.min_stable_share * (len(poles.orders) - 1):
+        if len(best) >= enough:
             clusters.append([p for _, (_, p) in sorted(best.items())])
     return clusters
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cache
 from typing import Literal
 
 import numpy as np
@@ -98,33 +97,9 @@ class PoleTable:
 
 def gram(sums: LagSums) -> Array:
     """Gram matrix of the block Hankel matrix of eq. 3 with all channels, shape (2 i l, 2 i l), not normalized."""
-    lag_sum = sums.total
-    lags, channels = lag_sum.shape[:2]
-    size = lags * channels
-    # head and tail hold 2 i - 1 samples: what leaves and what enters when both factors move on.
-    steps = np.empty((lags, lags, channels, channels))  # block (a, a + tau) less the one before, by a and tau
-    steps[0] = lag_sum
-    padded = np.zeros((2, 2 * lags, channels))
-    padded[0, : lags - 1], padded[1, : lags - 1] = sums.tail, sums.head
-    later = np.lib.stride_tricks.sliding_window_view(padded, lags, axis=1)[:, : lags - 1].transpose(0, 1, 3, 2)
-    np.subtract(
-        sums.tail[:, None, :, None] * later[0][:, :, None],
-        sums.head[:, None, :, None] * later[1][:, :, None],
-        out=steps[1:],
-    )
-    # Rows twice as long as wanted: there every block (a, a + tau) has its place.
-    wide = np.zeros((lags, channels, 2 * size))
-    row, item = wide.strides[1:]
-    strides = (channels * (row + item), channels * item, row, item)
-    np.cumsum(steps, axis=0, out=np.lib.stride_tricks.as_strided(wide, steps.shape, strides))
-    upper = wide[:, :, :size].reshape(size, size)
-    return np.where(_above(size), upper, upper.T)
+    from monitor.kernels import displaced  # compiled code takes a while to load
 
-
-@cache
-def _above(size: int) -> NDArray[np.bool_]:
-    """Diagonal and above."""
-    return np.triu(np.ones((size, size), dtype=bool))
+    return displaced(sums.total, sums.head, sums.tail)
 
 
 def realise(sums: LagSums, settings: SsiSettings, past: tuple[int, ...], max_order: int) -> Realisation:

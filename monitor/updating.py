@@ -8,13 +8,14 @@ masses.  Directions of theta that the data do not see are held by the prior, and
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from monitor.model import Model
-from monitor.results import Array, ModalEstimate
+from monitor.results import Array, ComplexArray, ModalEstimate
 from monitor.sensitivity import fox_kapoor
 from monitor.settings import Settings
 
@@ -99,8 +100,9 @@ def observe(modes: ModalEstimate, settings: UpdatingSettings, gauges: tuple[int,
     elif gauges is None:
         gauges = tuple(int(g) for g in np.abs(modes.shapes).argmax(axis=1))
     z = [np.log(omega_squared) if log else omega_squared]
-    for row, gauge in enumerate(gauges):
-        z.append(np.delete((modes.shapes[row] / modes.shapes[row, gauge]).real, gauge))
+    if gauges:
+        told, at_gauge = _told(modes.shapes, gauges)
+        z.append((modes.shapes / at_gauge[:, None]).real[told])
     scale = np.full(omega_squared.shape, 2.0) if log else 2.0 * omega_squared
     deviations = _carried(modes, modes.deviations, scale, gauges)
     if modes.weight_factor is None:
@@ -116,12 +118,19 @@ def _carried(modes: ModalEstimate, rows: Array, scale: Array, gauges: tuple[int,
     """What rows of (ln f, damping, Re shape, Im shape) do to z, shape (n_rows, n_data)."""
     c = modes.shapes.shape[1]
     parts = [rows[:, :, 0] * scale]
-    for row, gauge in enumerate(gauges):
-        shape = modes.shapes[row] / modes.shapes[row, gauge]
-        d_shape = rows[:, row, 2 : 2 + c] + 1j * rows[:, row, 2 + c :]
-        d_shape = (d_shape - shape * d_shape[:, gauge, None]) / modes.shapes[row, gauge]
-        parts.append(np.delete(d_shape.real, gauge, axis=1))
+    if gauges:
+        told, at_gauge = _told(modes.shapes, gauges)
+        d_shapes = rows[:, :, 2 : 2 + c] + 1j * rows[:, :, 2 + c :]
+        shapes = modes.shapes / at_gauge[:, None]
+        d_ratio = (d_shapes - shapes * d_shapes[:, ~told][:, :, None]) / at_gauge[:, None]
+        parts.append(d_ratio.real[:, told])
     return np.concatenate(parts, axis=1)
+
+
+def _told(shapes: Array | ComplexArray, gauges: tuple[int, ...]) -> tuple[NDArray[np.bool_], Any]:
+    """Which components of shapes, shape (m, c), stand in z: all but the gauges'; and these, shape (m,)."""
+    told = np.arange(shapes.shape[1]) != np.array(gauges)[:, None]
+    return told, shapes[~told]
 
 
 def predict(model: Model, sensors: Array, observation: Observation, with_masses: bool) -> tuple[Array, Array]:
@@ -145,13 +154,13 @@ def predict(model: Model, sensors: Array, observation: Observation, with_masses:
     lam = np.maximum(modes.eigenvalues, _LOWEST * modes.eigenvalues[-1])[used]
     z = [np.log(lam) if observation.log else lam]
     rows = [d_lambda[used] / lam[:, None] if observation.log else d_lambda[used]]
-    for i, gauge in zip(used, observation.gauges, strict=False):
-        at_sensors, d_at_sensors = sensors @ modes.shapes[:, i], sensors @ d_shapes[i]
-        others = [j for j in range(sensors.shape[0]) if j != gauge]
-        ratio = at_sensors / at_sensors[gauge]
-        d_ratio = (d_at_sensors - ratio[:, None] * d_at_sensors[gauge]) / at_sensors[gauge]
-        z.append(ratio[others])
-        rows.append(d_ratio[others])
+    if observation.gauges:
+        shapes, d_at_sensors = (sensors @ modes.shapes[:, used]).T, sensors @ d_shapes[used]
+        told, at_gauge = _told(shapes, observation.gauges)
+        ratio = shapes / at_gauge[:, None]
+        d_ratio = (d_at_sensors - ratio[:, :, None] * d_at_sensors[~told][:, None]) / at_gauge[:, None, None]
+        z.append(ratio[told])
+        rows.append(d_ratio[told])
     return np.concatenate(z), np.vstack(rows)
 
 

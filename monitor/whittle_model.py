@@ -19,8 +19,6 @@ from monitor.spectrum import LEAKAGE_OFFSETS, leakage
 
 _FIRST_BIN = 4
 _LEAST_HALF_BINS = 8
-_CACHED = 1 << 14
-"""Numbers worked on at once: what the processor's cache holds."""
 _POOL = 0.3
 """Width of a pool over its distance from the nearest mode."""
 
@@ -45,10 +43,8 @@ class Point:
 class Layout:
     """Which bins are fitted, how they are pooled, and how parameters are numbered."""
 
-    bins: NDArray[np.intp]
-    """Indices of the bins."""
     first: NDArray[np.intp]
-    """Where in `bins` each pool begins."""
+    """First bin of each pool."""
     sizes: NDArray[np.intp]
     """Bins in each pool."""
     columns: NDArray[np.intp]
@@ -117,18 +113,16 @@ def layout_of(modes: ModalEstimate, half_band: float, n_bins: int, bin_hz: float
     single = 2 * m + len(free) + len(pairs) + c
     columns = np.array([*range(single), single, single + m])  # the forces' colour moves every mode
     counts = np.where(i == j, 1.0, 2.0)[:, None] * sizes
-    return Layout(bins, np.array(first), sizes, columns, nodes * bin_hz, counts, gauges, free, pairs)
+    return Layout(bins[first], sizes, columns, nodes * bin_hz, counts, gauges, free, pairs)
 
 
 def cross_spectra(layout: Layout, segments: tuple[ComplexArray, ...]) -> ComplexArray:
     """Every segment's cross-spectra, means over pools, packed, shape (segments, pairs, pools)."""
-    x = np.ascontiguousarray(np.stack([segment.take(layout.bins, axis=0) for segment in segments]).transpose(2, 0, 1))
-    conjugate, (rows, columns) = x.conj(), triangle(len(x))
-    sums = np.empty((len(segments), len(rows), len(layout.first)), dtype=complex)
-    for pair, (i, j) in enumerate(zip(rows, columns, strict=True)):
-        each = x[i].real ** 2 + x[i].imag ** 2 if i == j else x[i] * conjugate[j]
-        sums[:, pair] = np.add.reduceat(each, layout.first, axis=1)
-    sums /= layout.sizes
+    from monitor.kernels import pool_products  # compiled code takes a while to load
+
+    sums = np.empty((len(segments), len(layout.counts), len(layout.first)), dtype=complex)
+    for segment, out in zip(segments, sums, strict=True):
+        pool_products(segment, layout.first, layout.sizes, out)
     return sums
 
 
@@ -189,15 +183,9 @@ def packed(layout: Layout, u: Array | ComplexArray, v: ComplexArray) -> ComplexA
 
 def packed_columns(u: Array | ComplexArray, v: ComplexArray) -> ComplexArray:
     """The same, column by column, shape (columns, pairs, pools)."""
-    i, j = triangle(v.shape[1])
-    u, v = u.transpose(2, 1, 0), np.ascontiguousarray(v.transpose(2, 1, 0))
-    each = np.empty((len(v), len(i), v.shape[2]), dtype=complex)
-    group = max(1, _CACHED // each[0].size)
-    for k in range(0, len(v), group):
-        a, b = u[k : k + group], v[k : k + group]
-        np.multiply(a[:, i], b.conj()[:, j], out=each[k : k + group])
-        each[k : k + group] += b[:, i] * a.conj()[:, j]
-    return each
+    from monitor.kernels import pack_columns  # compiled code takes a while to load
+
+    return pack_columns(u, v)
 
 
 def product(a: ComplexArray, b: ComplexArray) -> Array:

@@ -17,7 +17,6 @@ import numpy as np
 from monitor.results import GAP, Array, ComplexArray, LagSums, Skipped, Window
 from monitor.spectrum import SegmentDesign, transform
 
-_GROUP_COLUMNS = 256
 _BLOCK_S = 10.0
 
 
@@ -180,38 +179,22 @@ def _append(grid: WindowGrid, state: WindowState, part: Array) -> WindowState:
     return replace(state, n=state.n + part.shape[0], samples=joined)
 
 
-def _products(first: Array, followed: Array, n_lags: int) -> tuple[Array, Array, Array]:
-    """Sums over k of first[k] followed[k + tau]^T, of first[k], and of followed[k + tau], for every lag."""
-    (n, c), width = first.shape, followed.shape[1]
-    transposed, flat = np.ascontiguousarray(first.T), np.ascontiguousarray(followed)
-    products = np.empty((n_lags, c, width))
-    # Row k of `lagged` is followed[k + tau], ..., over a group of lags side by side: one matrix product for them all.
-    group = max(1, _GROUP_COLUMNS // width)
-    for tau in range(0, n_lags, group):
-        lags = min(group, n_lags - tau)
-        lagged = np.lib.stride_tricks.as_strided(
-            flat[tau:], (n, lags * width), (flat.strides[0], flat.strides[1]), writeable=False
-        )
-        products[tau : tau + lags] = (transposed @ lagged).reshape(c, lags, width).transpose(1, 0, 2)
-    running = np.concatenate([np.zeros((1, width)), np.cumsum(flat, axis=0)])
-    second = running[n : n + n_lags] - running[:n_lags]
-    return products, first.sum(axis=0), second
-
-
 def _close_block(grid: WindowGrid, state: WindowState) -> WindowState:
     """Form the block that has just become complete, and the seam of the one before it."""
     size, lags = grid.block_n, grid.n_lags
     if state.n < size:  # the run began inside this block
         return state
-    block = np.ascontiguousarray(state.samples[-size:])
-    inner = _products(block[: size - lags + 1], block, lags)
+    from monitor.kernels import lag_products  # compiled code takes a while to load
+
+    block = np.ascontiguousarray(state.samples[-size:].T)
+    inner = lag_products(block, size - lags + 1, lags)
     blocks = list(state.blocks)
     if blocks:
-        around = np.ascontiguousarray(state.samples[-size - lags + 1 : -size + lags - 1])
-        products, first, second = _products(around[: lags - 1], around, lags)  # begin in that one and end in this
+        around = np.ascontiguousarray(state.samples[-size - lags + 1 : -size + lags - 1].T)
+        products, first, second = lag_products(around, lags - 1, lags)  # begin in that one and end in this
         b = blocks[-1]
         blocks[-1] = replace(b, products=b.products + products, first=b.first + first, second=b.second + second)
-    blocks.append(_Block(*inner, block.sum(axis=0), block[: lags - 1]))
+    blocks.append(_Block(*inner, block.sum(axis=1), state.samples[-size:][: lags - 1].copy()))
     return replace(state, blocks=tuple(blocks[-(grid.window_n // size) :]))
 
 

@@ -110,8 +110,13 @@ class Picture:
             self.window(item)
         if isinstance(item, Health | WindowResult):
             self._gathered += 1
-            if self._gathered >= self._most:
+            if self._gathered >= self._most * self._stretch:
                 self._send()
+
+    @property
+    def _stretch(self) -> int:
+        """Viewers that watch are not kept waiting."""
+        return 1 if self._thin is None or self._block_s <= LIVE_BLOCK_S else self._thin.stretch
 
     def samples(self, samples: Samples) -> None:
         """Collect blocks until they are long enough to send."""
@@ -122,7 +127,7 @@ class Picture:
             if samples.rate_hz != last.rate_hz or abs(samples.t_ns - due) > 0.5e9 / samples.rate_hz:
                 self.flush()
         self._blocks.append(samples)
-        if sum(len(block.values) for block in self._blocks) >= self._block_s * samples.rate_hz:
+        if sum(len(block.values) for block in self._blocks) >= self._block_s * self._stretch * samples.rate_hz:
             self.flush()
 
     def finish(self) -> None:

@@ -62,9 +62,10 @@ def severity(loss: float | None, alarm_loss: float) -> Colour:
     """Colour of a story: green, amber at half of `alarm_loss`, red from there on; grey when unknown."""
     if loss is None:
         return GREY
-    x = float(np.clip(2.0 * loss / alarm_loss, 0.0, 2.0))
-    mixed = [np.interp(x, (0.0, 1.0, 2.0), stops) for stops in zip(GREEN, AMBER, RED, strict=True)]
-    return round(mixed[0]), round(mixed[1]), round(mixed[2])
+    x = min(max(2.0 * loss / alarm_loss, 0.0), 2.0)
+    stops = (GREEN, AMBER, RED)[min(int(x), 1) :]
+    red, green, blue = (round(a + (x - min(int(x), 1)) * (b - a)) for a, b in zip(*stops[:2], strict=True))
+    return red, green, blue
 
 
 def utc(t_ns: int) -> np.datetime64:

@@ -13,6 +13,8 @@ TIER = 2000
 """So many windows are kept before every second, every fourth ... is."""
 _ENVELOPE = 500
 """Samples of which the least and the greatest are kept afterwards."""
+_GROWTH, _LONGEST = 480, 10
+"""Windows by which the stretches that are sent at once grow by their first length, and to how many times that."""
 
 
 class Thinning:
@@ -34,6 +36,12 @@ class Thinning:
         self._seen, self._state = self._seen + 1, state
         self._kept += keep
         return keep
+
+    @property
+    def stretch(self) -> int:
+        """How many times as much as in the beginning is sent at once: a file's writer keeps an entry of its index in memory
+        for all that is sent by itself, until the file is closed."""
+        return min(max(1, self._seen // _GROWTH), _LONGEST)
 
     def samples(self, t_ns: NDArray[np.int64], values: Array) -> tuple[NDArray[np.int64], Array]:
         """Times, shape (n,), and samples, shape (n, c): as they are, or the least and greatest of each stretch in turn."""

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from scipy.linalg import lapack
 
+from monitor.kernels import lag_products
 from monitor.results import Array, WindowResult
-from monitor.window import _products
 from tests.benchmarks.frames import Hops, baseline, configuration, floors
 from tests.benchmarks.rounds import Cost, interleaved
 
@@ -34,8 +34,9 @@ def floor(samples: Array, big: Array) -> None:
 
 def least(samples: Array, big: Array) -> None:
     """The matrix work of a hop without uncertainty and nothing else: lagged products, and LAPACK called bare."""
-    _products(samples[: 1000 - 49], samples, 50)
-    _products(samples[:49], samples[:98], 50)
+    columns = np.ascontiguousarray(samples.T)
+    lag_products(columns, 1000 - 49, 50)
+    lag_products(columns, 49, 50)
     square = big @ big.T
     for _ in range(2):
         lapack.dtrtri(lapack.dpotrf(square)[0])

@@ -1,0 +1,110 @@
+"""Compiled kernels of a window's way: loops that numpy would spread over dozens of small arrays."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from monitor.compiled import compiled
+from monitor.results import Array, ComplexArray
+
+
+@compiled()
+def pool_products(x: ComplexArray, first: NDArray[np.intp], sizes: NDArray[np.intp], out: ComplexArray) -> None:
+    """Cross-spectra of one segment, shape (n_bins, c), means over pools of bins, packed, into shape (pairs, pools)."""
+    c = x.shape[1]
+    for p in range(first.size):
+        begin, size = first[p], sizes[p]
+        pair = 0
+        for i in range(c):
+            for j in range(i, c):
+                total = 0j
+                for k in range(begin, begin + size):
+                    total += x[k, i] * np.conj(x[k, j])
+                out[pair, p] = total / size
+                pair += 1
+
+
+@compiled()
+def pack_columns(u: Array | ComplexArray, v: ComplexArray) -> ComplexArray:
+    """Upper triangles of ``u v^H + v u^H`` of every column, shapes (pools or 1, c, columns) to (columns, pairs, pools)."""
+    pools, c, columns = v.shape
+    out = np.empty((columns, c * (c + 1) // 2, pools), dtype=np.complex128)
+    for p in range(pools):
+        up, vp = u[p if len(u) > 1 else 0], v[p]
+        pair = 0
+        for i in range(c):
+            for j in range(i, c):
+                for k in range(columns):
+                    out[k, pair, p] = up[i, k] * np.conj(vp[j, k]) + vp[i, k] * np.conj(up[j, k])
+                pair += 1
+    return out
+
+
+@compiled()
+def displaced(lag_sum: Array, head: Array, tail: Array) -> Array:
+    """Gram matrix of the block Hankel matrix with these lag sums as first block row, shape (n_lags c, n_lags c).
+
+    A block is the one above it on its diagonal with the product at the window's head taken off and the one at its tail put on.
+
+    Parameters
+    ----------
+    lag_sum : ndarray, shape (n_lags, c, c)
+    head, tail : ndarray, shape (n_lags - 1, c)
+    """
+    lags, c, _ = lag_sum.shape
+    out = np.empty((lags * c, lags * c))
+    for tau in range(lags):
+        for i in range(c):
+            for j in range(c):
+                total = lag_sum[tau, i, j]
+                out[i, tau * c + j] = out[tau * c + j, i] = total
+                for a in range(lags - tau - 1):
+                    total += tail[a, i] * tail[a + tau, j] - head[a, i] * head[a + tau, j]
+                    row, column = (a + 1) * c + i, (a + 1 + tau) * c + j
+                    out[row, column] = out[column, row] = total
+    return out
+
+
+@compiled()
+def interpolate(x: Array, first: NDArray[np.int64], phase: NDArray[np.int64], taps: Array) -> Array:
+    """Output k is the sum of ``taps[phase[k]]`` times the samples from ``first[k]`` on; the order of sums is the taps'."""
+    c, n_taps = x.shape[1], taps.shape[1]
+    out = np.empty((first.size, c))
+    for k in range(first.size):
+        for i in range(c):
+            total = 0.0
+            for tap in range(n_taps):
+                total += taps[phase[k], tap] * x[first[k] + tap, i]
+            out[k, i] = total
+    return out
+
+
+@compiled(fastmath={"reassoc", "contract"})
+def lag_products(x: Array, n: int, n_lags: int) -> tuple[Array, Array, Array]:
+    """Sums over k < n of ``x[:, k] x[:, k + tau]^T``, of ``x[:, k]``, and of ``x[:, k + tau]``, for every lag.
+
+    Sums may be taken in another order than written, so that the processor adds many numbers at once.
+
+    Parameters
+    ----------
+    x : ndarray, shape (c, at least n + n_lags - 1)
+
+    Returns
+    -------
+    ndarray, shape (n_lags, c, c); ndarray, shape (c,); ndarray, shape (n_lags, c)
+    """
+    c = x.shape[0]
+    products, shifted = np.empty((n_lags, c, c)), np.empty((n_lags, c))
+    for tau in range(n_lags):
+        for j in range(c):
+            later, total = x[j, tau : tau + n], 0.0
+            for k in range(n):
+                total += later[k]
+            shifted[tau, j] = total
+            for i in range(c):
+                now, total = x[i, :n], 0.0
+                for k in range(n):
+                    total += now[k] * later[k]
+                products[tau, i, j] = total
+    return products, shifted[0].copy(), shifted
