@@ -178,7 +178,7 @@ def accelerance(mass: Array, damping: Array, stiffness: Array, omega: Array, rig
             if pivot == 0.0:
                 out[:] = np.nan
                 return out
-            inverse = np.conj(pivot) * (1.0 / (pivot.real**2 + pivot.imag**2))  # faster than a complex division
+            inverse = 1.0 / pivot  # once: complex divisions are slow
             for i in range(p + 1, size):
                 factor = a[i, p] * inverse
                 for j in range(p + 1, size + columns):

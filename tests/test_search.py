@@ -7,6 +7,7 @@ import numpy as np
 from drivers.base import ACCELERATION
 from monitor.effects import ChannelSwap, Context
 from monitor.evidence import classify
+from monitor.prediction import accelerance
 from monitor.record import blocks_of
 from monitor.reference import nominal
 from monitor.search import best_of_each, prepare, rank, starts
@@ -26,3 +27,14 @@ def test_a_swap_is_ranked_first_though_the_plain_model_was_dragged_far_to_excuse
     assert isinstance(first, ChannelSwap)
     assert first.location == "channel a2,a3"
     assert gain > 2.0 * second
+
+
+def test_an_attached_mass_that_a_fit_lets_go_to_nothing_changes_no_response() -> None:
+    mass, stiffness = (
+        np.diag([2.0, 1.0, 1e-300]),
+        np.array([[300.0, -100.0, 0.0], [-100.0, 100.0, 0.0], [0.0, 0.0, 9e-297]]),
+    )
+    damping, omega = 0.01 * stiffness, np.linspace(1.0, 60.0, 50)
+    whole = accelerance(mass, damping, stiffness, omega, np.eye(3)[:, :2])
+    alone = accelerance(mass[:2, :2].copy(), damping[:2, :2].copy(), stiffness[:2, :2].copy(), omega, np.eye(2))
+    np.testing.assert_allclose(whole[:, :2], alone, rtol=1e-12)
