@@ -6,7 +6,7 @@ import copy
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,11 +17,13 @@ from monitor.config import Configuration
 from monitor.health import Health
 from monitor.pipeline import Pipeline, PipelineState, Result
 from monitor.publish.lines import to_json, window_line
-from monitor.publish.rerun_scene import Scene
-from monitor.publish.rerun_view import RerunPublisher
 from monitor.publish.summary import Episode, Quality, Summary
 from monitor.results import Gap, Samples, WindowResult
 from monitor.watcher import FINDING_KEYS, Watcher, WatcherState
+
+if TYPE_CHECKING:  # Rerun takes a second to load, and not every session has a view
+    from monitor.publish.rerun_scene import Scene
+    from monitor.publish.rerun_view import RerunPublisher
 
 
 class Publisher:
@@ -221,6 +223,8 @@ class Session:
 
 def scene(config: Configuration, baseline: Baseline | None) -> Scene:
     """What the viewer needs to know of the site."""
+    from monitor.publish.rerun_scene import Scene
+
     heights = config.structure.story_heights_m
     n = max(len(config.structure.masses_kg), len(config.structure.stiffness_n_per_m))
     return Scene(

@@ -6,7 +6,7 @@ import time
 from collections.abc import Iterable, Iterator
 from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from drivers.base import SampleBlock
 from drivers.mcap_file import McapWriter
@@ -17,9 +17,11 @@ from monitor.files import demand_place, write_atomically
 from monitor.outputs import Publisher, Session, View, scene
 from monitor.publish.line_schema import LINE_SCHEMA
 from monitor.publish.lines import LinesFile, to_json
-from monitor.publish.rerun_view import RerunPublisher
 from monitor.recordings import OnProgress, OnWarning, Progress, blocks, duration_s, pushed
 from monitor.results import WindowResult
+
+if TYPE_CHECKING:  # takes a second to load, and an archive's replays have no view
+    from monitor.publish.rerun_view import RerunPublisher
 
 __all__ = ["RESULT_FILES", "begun", "pass_through", "replay", "scene"]
 
@@ -84,6 +86,8 @@ def replay(
     MissingInputError, BadInputError
         Too short for one window, missing channels, unreadable files.
     """
+    from monitor.publish.rerun_view import RerunPublisher
+
     pieces = {} if speed is None else {"longest_s": 0.0}  # viewers want samples as they were taken
     source = begun(blocks(paths, config, on_warning, **pieces))  # bad input shows before any output is begun
     written = _Files(out)
