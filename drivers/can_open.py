@@ -44,13 +44,17 @@ class CanSettings(BaseModel):
     interface: str = Field(min_length=1)
     """Of python-can, as socketcan, socketcand, slcan; or "log", then `channel` is a file."""
     channel: str | int
+    """The interface's channel, as ``can0``."""
     options: dict[str, Any] = Field(default_factory=dict)
     """Handed to python-can as they are."""
     dbc: str = Field(min_length=1)
+    """What frames mean; relative to the site file."""
     sample_rate_hz: Annotated[float, Field(gt=0, le=1e6)]
     """Nominal, of each channel."""
     block_samples: Annotated[int, Field(ge=1, le=65536)] = 128
+    """Of each block that is handed on."""
     fd: bool = False
+    """CAN FD."""
     receive_buffer_bytes: Annotated[int, Field(ge=4096)] = 1 << 22
     """Of the socket, where the interface has one."""
     counter_counts: Literal["samples", "frames"] = "samples"

@@ -59,12 +59,9 @@ class ClockFit:
 
     offset_s: float
     """Timestamp less counted time."""
-    offset_std_s: float
     drift_ppm: float
     """How much faster than nominal the node samples."""
     drift_std_ppm: float
-    settled: bool
-    """Whether enough seconds went in to act on it."""
 
 
 def step(
@@ -134,31 +131,31 @@ def fit(state: ClockState, rate_hz: float) -> ClockFit:
     n = len(state.offsets)
     if n < 3:
         least = min((*state.offsets, state.least))
-        return ClockFit(least if np.isfinite(least) else 0.0, np.inf, 0.0, np.inf, settled=False)
+        return ClockFit(least if np.isfinite(least) else 0.0, 0.0, np.inf)
     t = np.array(state.seconds, dtype=np.float64) * (max(1, round(rate_hz)) / rate_hz)
     y = np.array(state.offsets)
     t = t - t[-1]
     keep = np.ones(n, dtype=bool)
     for _ in range(3):
-        mean, slope, spread, std = _line(t[keep], y[keep])
+        mean, slope, std = _line(t[keep], y[keep])
         miss = y - (mean + slope * t)
         keep = miss <= max(3.0 * 1.4826 * float(np.median(np.abs(miss))), 1e-6)
         if keep.sum() < 3:
             break
     if slope <= -1.0:  # times that stand still or run back say nothing of the rate
-        return ClockFit(mean, spread, 0.0, np.inf, settled=False)
+        return ClockFit(mean, 0.0, np.inf)
     drift = 1.0 / (1.0 + slope) - 1.0
-    return ClockFit(mean, spread, 1e6 * drift, 1e6 * std, settled=n >= _SETTLED)
+    return ClockFit(mean, 1e6 * drift, 1e6 * std)
 
 
-def _line(t: Floats, y: Floats) -> tuple[float, float, float, float]:
-    """Value at t = 0, slope, and the standard deviations of both."""
+def _line(t: Floats, y: Floats) -> tuple[float, float, float]:
+    """Value at t = 0, slope, and the slope's standard deviation."""
     n, middle = len(t), t.mean()
     sxx = float(((t - middle) ** 2).sum()) or 1.0
     slope = float(((t - middle) * (y - y.mean())).sum()) / sxx
     value = float(y.mean() - slope * middle)
     residual = float(np.sqrt(((y - value - slope * t) ** 2).sum() / max(1, n - 2)))
-    return value, slope, residual * float(np.sqrt(1.0 / n + middle**2 / sxx)), residual / float(np.sqrt(sxx))
+    return value, slope, residual / float(np.sqrt(sxx))
 
 
 @dataclass(frozen=True, slots=True)

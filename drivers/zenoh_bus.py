@@ -47,7 +47,9 @@ class StreamSettings(SessionSettings):
     key: Key
     """Accelerations of the floors, as ``shm/lab-frame/acceleration``."""
     temperature_key: Key | None = None
+    """Temperatures, degC."""
     ground_key: Key | None = None
+    """The measured base motion."""
 
     @property
     def topics(self) -> dict[str, str]:
@@ -76,8 +78,11 @@ class ZenohSettings(StreamSettings):
     queue_bytes: int = Field(default=32 << 20, ge=1 << 12)
     """What may wait to be read; then the network waits."""
     max_payload_bytes: int = Field(default=1 << 20, ge=1, le=16 << 20)
+    """Larger messages are counted, never decoded."""
     max_channels: int = Field(default=256, ge=1)
+    """Blocks with more are refused."""
     max_rate_hz: float = Field(default=100e3, gt=0)
+    """Blocks that state a higher rate are refused."""
 
 
 class ZenohSource:

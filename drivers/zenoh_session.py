@@ -31,6 +31,7 @@ class TlsSettings(BaseModel):
     root_ca: Path
     """PEM file of the authority; relative to the site file, as all of these."""
     certificate: Path
+    """This side's own."""
     private_key: Path
     verify_name: bool = True
     """Whether the router's certificate must name the host that is connected to."""
@@ -42,10 +43,13 @@ class SessionSettings(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     mode: Literal["client", "peer", "router"] = "client"
+    """Connect to a router; connect or listen directly; or let others connect and pass their data on."""
     connect: tuple[Endpoint, ...] = ()
     """Endpoints such as ``tcp/127.0.0.1:7447`` or ``tls/gateway:7447``."""
     listen: tuple[Endpoint, ...] = ()
+    """Endpoints that others may connect to."""
     tls: TlsSettings | None = None
+    """Certificates, for endpoints of tls and quic."""
     connect_timeout_s: float = Field(default=5.0, gt=0)
     """How long a client tries to reach a router before it says that it cannot."""
 

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from pathlib import Path
+
+_log = logging.getLogger(__name__)
 
 _TAIL_BYTES = 1 << 20
 _MOST_PENDING_BYTES = 16 << 20
@@ -26,7 +29,7 @@ class AppendedLines:
     def __init__(self, path: Path, most_bytes: int | None = None) -> None:
         self._path, self._most_bytes = path, most_bytes
         self._pending = b""
-        self.lost = 0
+        self.lost, self._losing = 0, False
         """Lines that found no room to wait."""
         self.failed = ""
         """Why lines wait; empty while all is well."""
@@ -41,6 +44,9 @@ class AppendedLines:
         """Add one line; never raises OSError."""
         data = line.encode() + b"\n"
         if len(self._pending) + len(data) > _MOST_PENDING_BYTES:
+            if not self._losing:
+                _log.error("%s: no room for more lines to wait; lines are lost from here on", self._path)
+            self._losing = True
             self.lost += 1
         else:
             self._pending += data
@@ -51,7 +57,7 @@ class AppendedLines:
         try:
             while self._pending:
                 self._pending = self._pending[os.write(self._handle, self._pending) :]
-            self.failed = ""
+            self.failed, self._losing = "", False
             if self._most_bytes is not None and os.fstat(self._handle).st_size > self._most_bytes:
                 os.replace(self._path, self._path.with_name(self._path.name + ".1"))
                 os.close(self._handle)

@@ -31,7 +31,7 @@ class Baseline:
     model: Model
     """Updated to the healthy modes."""
     covariance: Array
-    """Of stiffnesses, then masses, relative to their values, shape (2 n, 2 n)."""
+    """Of stiffnesses, then masses, relative to their values, shape (p + n, p + n)."""
     z: Array
     """Measured vector of the healthy state, shape (n_data,) (see `updating.Observation`)."""
     z_covariance: Array

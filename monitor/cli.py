@@ -297,5 +297,5 @@ def main() -> None:
         print(f"error: {kind}{error}", file=sys.stderr)
         raise SystemExit(error.exit_code) from None
     except PermissionError as error:
-        print(f"error: {error.filename}: {error.strerror}; ask as the owner of the file, or root", file=sys.stderr)
+        print(f"error: {error.filename}: {error.strerror}; run this as its owner or as root", file=sys.stderr)
         raise SystemExit(MissingInputError.exit_code) from None

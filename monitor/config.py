@@ -42,14 +42,18 @@ class SensorTable(Settings):
     """``[[sensors]]``: one accelerometer."""
 
     channel: str = Field(min_length=1)
+    """Its name in the data."""
     floor: int = Field(ge=1)
+    """Floor (degree of freedom) that it sits on; 1 is the top floor."""
 
 
 class EffectTable(Settings):
     """``[[effects]]``: one effect that extends the structure."""
 
     effect: str
+    """Its name, as in docs/effects.md."""
     location: str
+    """``story 2``, ``floor 1``, ``channel a2``, ``base`` or ``frame``."""
     parameters: dict[str, float] = Field(default_factory=dict)
 
 
@@ -59,8 +63,11 @@ class ProcessingSettings(Settings):
     rate_hz: Positive = 100.0
     """After resampling; slower sources keep their own rate."""
     cutoff_hz: Positive = 40.0
+    """Of the lowpass; modes beyond it are not looked for."""
     window_s: Positive = 400.0
+    """Length of the data that one result rests on."""
     hop_s: Positive = 10.0
+    """From one window to the next."""
 
     @model_validator(mode="after")
     def _consistent(self) -> ProcessingSettings:
@@ -75,14 +82,16 @@ class SiteSettings(Settings):
     """``[site]`` of the daemon's file."""
 
     name: str = ""
+    """In keys, metrics, messages and the log; the structure's by default."""
     baseline: str | None = None
-    """Relative to the site file, as all its paths."""
+    """File that 'calibrate' wrote, relative to the site file, as all its paths; no alarm without one."""
 
 
 class OutputSettings(Settings):
     """``[output]`` of the daemon's file."""
 
     dir: str = "out"
+    """Folder of everything that the daemon writes."""
     serve: str | None = None
     """HOST:PORT where Rerun viewers may join."""
     zenoh: dict[str, Any] | None = None

@@ -23,6 +23,7 @@ class DiagnosisSettings(Settings):
     favourites: int = Field(default=3, ge=0)
     """How many of the score test's best are fitted to the end in any case."""
     max_causes: int = Field(default=3, ge=1)
+    """How many may act together."""
     linearization: float = Field(default=0.05, ge=0, lt=1)
     """Share of the gain by which a linearized law may misjudge itself: rivals within it are simulated."""
     aftermath: float = Field(default=0.005, ge=0, lt=1)

@@ -63,7 +63,7 @@ def find(
     segments = _read(paths, config, on_warning, on_progress)
     if baseline is not None and baseline.reference is None:
         raise BadInputError(
-            "the baseline holds nothing for a diagnosis to start from; calibrate anew, on a minute or more"
+            "the baseline holds nothing for a diagnosis to start from; calibrate anew, on 70 s or more without a gap"
         )
     reference = _nominal(config) if baseline is None or baseline.reference is None else baseline.reference
     settled, gain = judged(segments, reference, config)

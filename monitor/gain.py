@@ -1,8 +1,8 @@
 """How well a model predicts a recording, and what its extension gains on data that it was not fitted to.
 
 A model's score is the tempered debiased Whittle log likelihood of the recording's segments.  Nothing of the structure is
-refitted: one level of equal white forces on all floors for each class of segments, and one noise level common to all
-channels, are.
+refitted: the white force on each floor, one level for each class of segments, and one noise level common to all channels,
+are.
 """
 
 from __future__ import annotations

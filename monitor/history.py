@@ -81,7 +81,7 @@ class History:
         self._closing = threading.Event()
         self._told: dict[tuple[int | None, int], Row] = {}
         self._inserted = 0
-        self.lost = 0
+        self.lost, self._losing = 0, False
         self.failed: str | None = None
         self._thread = threading.Thread(target=self._work, name="history", daemon=True)
         self._thread.start()
@@ -136,6 +136,9 @@ class History:
 
     def _put(self, table: str, row: Row) -> None:
         if len(self._rows) >= _MOST_QUEUED:
+            if not self._losing:
+                _log.error("%s: %d rows wait; rows are lost from here on", self._path, len(self._rows))
+            self._losing = True
             self.lost += 1
         elif self._enabled:
             self._rows.append((table, row))
@@ -150,7 +153,7 @@ class History:
             try:
                 database = open_database(self._path) if database is None else database
                 self._write(database)
-                self.failed = None
+                self.failed, self._losing = None, False
             except (sqlite3.Error, OSError) as error:
                 self._tell(str(error))
                 if database is not None:

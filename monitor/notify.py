@@ -48,6 +48,7 @@ class NotifySettings(NoticeSettings):
     heartbeat_url: str | None = None
     """Fetched every `heartbeat_s` while windows are produced; ``${NAME}`` as above."""
     heartbeat_s: float = Field(default=300.0, gt=0)
+    """How often, at most."""
     most_per_hour: int = Field(default=60, ge=1)
     """Messages to one address; more wait."""
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import logging
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
@@ -12,6 +13,8 @@ from pathlib import Path
 from monitor.files import write_atomically
 from monitor.publish.notices import Notice, Told
 from monitor.results import Level
+
+_log = logging.getLogger(__name__)
 
 VERSION = 1
 MOST_MESSAGES = 256
@@ -67,6 +70,8 @@ class Outbox:
             self._messages += [Message(self._next_id, when, notice, tuple(to))] if to else []
             self._next_id += 1
         excess = max(0, len(self._messages) - self._most)
+        if excess:
+            _log.error("%s: %d messages wait; the oldest %d are given up", self._path, len(self._messages), excess)
         self.dropped += excess
         del self._messages[:excess]
         if worth:

@@ -27,7 +27,9 @@ class SelectionSettings(Settings):
     """What makes a pole a mode."""
 
     min_frequency_hz: float = Field(default=0.2, gt=0)
+    """Poles below are no modes."""
     max_damping_ratio: float = Field(default=0.15, gt=0, lt=1)
+    """Poles damped more are no modes."""
     stable_frequency: float = Field(default=0.01, gt=0)
     """Largest relative change of frequency from one order to the next for a stable pole."""
     stable_mac: float = Field(default=0.95, gt=0, lt=1)

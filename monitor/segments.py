@@ -56,7 +56,7 @@ class Segments:
     rate_hz: float
     """Of the source's samples."""
     samples: int
-    """Source samples an the channels that the segments cover, counted once."""
+    """Sample instants after resampling that the segments cover, each counted once whatever the number of channels."""
 
     def part(self, chosen: NDArray[np.bool_]) -> Segments:
         """The chosen segments alone."""
@@ -78,7 +78,7 @@ def gather(blocks: Iterable[SampleBlock], config: Configuration) -> Segments:
     Raises
     ------
     BadInputError
-        If there is less than a minute of usable data.
+        If there are fewer than six segments: 70 s of usable data, 18 s where the ground was measured.
     """
     blocks = iter(blocks)
     head = list(islice(blocks, _HEAD))

@@ -37,8 +37,9 @@ class UpdatingSettings(Settings):
     eigenvalue: Literal["log", "linear"] = "log"
     """Compare eigenvalues by their logarithms (changes cancel a scale error of the masses) or as the paper does."""
     parameter_std: float = Field(default=0.2, gt=0)
-    """Relative standard deviation that W_theta gives every parameter whose range is not known."""
+    """Relative standard deviation for W_theta where no prior is given; the service gives the ranges of the structure file."""
     max_iterations: int = Field(default=50, ge=1)
+    """Without convergence by then a window is skipped."""
     tolerance: float = Field(default=1e-7, gt=0)
     """Converged when no parameter moves by more than this fraction."""
 

@@ -1,4 +1,4 @@
-"""How the daemon itself fares, as lines of health.jsonl; the only place that reads the wall clock."""
+"""How the daemon itself fares, as lines of health.jsonl: here alone the wall clock is held against the data's time."""
 
 from __future__ import annotations
 

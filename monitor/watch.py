@@ -19,6 +19,7 @@ class WatchSettings(Settings):
     """``[watch]``: diagnosis in the course of a replay or of the daemon."""
 
     diagnose: bool = True
+    """Whether alarms and a bad goodness of fit ask for a diagnosis."""
     misfit: float = Field(default=5.0, gt=1)
     """Goodness of fit of the change (1 when stiffness explains it) from which stiffness explains too little."""
     longest_s: float = Field(default=1200.0, gt=0)

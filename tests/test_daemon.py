@@ -24,7 +24,7 @@ from hypothesis import strategies as st
 from drivers.base import GROUND, TEMPERATURE, EndOfStream, SampleBlock, SourceError, SourceHealth
 from drivers.mcap_file import McapWriter, read_recordings
 from drivers.recorder import unfit
-from monitor import config
+from monitor import appended, config
 from monitor.appended import AppendedLines
 from monitor.daemon import Daemon
 from monitor.errors import BadConfigurationError, BadInputError, MissingInputError
@@ -310,6 +310,20 @@ def test_lines_that_the_disk_refuses_come_when_it_takes_them_again(
     file.close()
     assert [int(line) for line in (tmp_path / "lines").read_text().splitlines()] == list(range(200))
     assert file.lost == 0
+
+
+def test_lines_that_find_no_room_to_wait_are_told_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(appended, "_MOST_PENDING_BYTES", 1000)
+    file = AppendedLines(tmp_path / "lines")
+    with monkeypatch.context() as full:
+        full.setattr(os, "write", lambda handle, data: (_ for _ in ()).throw(OSError(28, os.strerror(28))))
+        for k in range(20):
+            file.write(f"{k:099d}")
+    file.close()
+    assert file.lost == 10 and len((tmp_path / "lines").read_text().splitlines()) == 10
+    assert len([r for r in caplog.records if "lines are lost" in r.getMessage()]) == 1
 
 
 def test_lines_roll_over_to_one_older_file(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import os
 import re
+import runpy
 import shlex
 import shutil
 import subprocess
@@ -159,6 +160,18 @@ def test_every_page_is_on_the_map() -> None:
     index = (ROOT / "docs/index.md").read_text(encoding="utf-8")
     for page in (ROOT / "docs").glob("*.md"):
         assert page.name == "index.md" or f"({page.name})" in index, page.name
+
+
+def test_the_page_of_settings_is_that_of_the_classes() -> None:
+    made = runpy.run_path(str(ROOT / "docs/settings.py"))["page"]()
+    assert made == (ROOT / "docs/settings.md").read_text(encoding="utf-8"), "run docs/settings.py"
+    for key in (
+        "| `window_s` | `400` |",
+        "| `dbc` | - |",
+        "| `latching` | `false` |",
+        "| `max_payload_bytes` | `1048576` |",
+    ):
+        assert key in made
 
 
 def test_the_api_reference_is_made(tmp_path: Path) -> None:

@@ -155,7 +155,7 @@ def test_old_rows_thin_out_and_go(place: Path) -> None:
 
 
 def test_a_queue_that_is_full_counts_what_it_refuses(
-    begin: Callable[[], History], monkeypatch: pytest.MonkeyPatch
+    begin: Callable[[], History], monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr(history, "_MOST_QUEUED", 5)
     one = begin()
@@ -164,6 +164,7 @@ def test_a_queue_that_is_full_counts_what_it_refuses(
         one.window(line(number))
     until(lambda: one.failed, "it is told")
     assert one.lost >= 10
+    assert len([r for r in caplog.records if "rows are lost" in r.getMessage()]) == 1
 
 
 def filled(place: Path) -> Path:

@@ -305,13 +305,14 @@ def test_addresses_from_file_and_environment(tmp_path: Path, monkeypatch: pytest
 
 
 def test_the_outbox_is_bounded_and_survives_damage_and_a_full_disk(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     place = tmp_path / "outbox.jsonl"
     box = Outbox(place, most=10)
     for k in range(25):
         box.add(Told(levels={k: Level.WARNING}), [Notice("alarm", False, f"{k}", "")], ["a", "b"])
     assert len(box) == 10 and box.dropped == 15
+    assert len([r for r in caplog.records if "given up" in r.getMessage()]) == 15
     again = Outbox(place, most=10)
     assert again.told.levels == {24: Level.WARNING}
     first = again.first("a")

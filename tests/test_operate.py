@@ -150,7 +150,22 @@ def test_metrics_are_there_and_few(running: Running) -> None:
     assert seen["shm_source_connected"] == seen["shm_recorder_recording"] == 1
     assert seen["shm_latency_seconds_bucket|+Inf"] > 0 and seen["shm_samples_total"] > 0
     assert len(seen) < 150
-    assert reason_class("gap in the data") == "gap" and reason_class("whatever comes") == "other"
+
+
+def test_a_skipped_window_s_reason_has_its_class() -> None:
+    reasons = {
+        "gap in the data": "gap",
+        "channel a1 does not move": "dead_channel",
+        "channel a1 is stuck (20 % of the window)": "stuck_channel",
+        "channel a1 is clipped (60 % of its samples)": "clipped_channel",
+        "response too close to the noise (spectral flatness 0.97)": "noise",
+        "every mode of the model lies beyond the band; check the units of masses and stiffness": "beyond_band",
+        "no stable pole for mode 2 of the model (frequency and shape)": "modes",
+        "no order shows every mode": "modes",
+        "model updating did not converge": "updating",
+        "whatever comes": "other",
+    }
+    assert {reason: reason_class(reason) for reason in reasons} == reasons
 
 
 def test_a_changed_threshold_is_taken_over_and_nothing_else(running: Running) -> None:

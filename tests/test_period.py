@@ -185,6 +185,29 @@ def test_a_replay_shows_no_column_that_it_does_not_know_and_says_what_helps(tmp_
 
 
 @pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("ledger.jsonl", "{}"),
+        ("ledger.jsonl", '{"when": "yesterday", "who": "ann", "what": "x"}'),
+        ("health.jsonl", '{"t_ns": 1}'),
+        ("summary.json", '{"alarms": [{}]}'),
+        ("summary.json", '{"thresholds": {"alarm_loss": []}}'),
+        ("findings/1.json", '{"t_ns": "x"}'),
+    ],
+)
+def test_a_file_of_another_s_beside_the_results_is_named(
+    tmp_path: Path, main: Cli, months: Path, name: str, text: str
+) -> None:
+    (tmp_path / "findings").mkdir()
+    with (months / "results.jsonl").open() as lines:
+        (tmp_path / "results.jsonl").write_text("".join(next(lines) for _ in range(20)))
+    (tmp_path / name).write_text(text + "\n")
+    done = main("report", tmp_path, "--out", tmp_path / "r.html")
+    assert done.returncode == 65 and name.partition("/")[0] in done.stderr, done.stderr
+    assert not (tmp_path / "r.html").exists()
+
+
+@pytest.mark.parametrize(
     ("more", "code", "says"),
     [
         (("--from", "2027-01-01"), 65, "2026-01-01"),

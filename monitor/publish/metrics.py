@@ -33,9 +33,8 @@ _REASONS = {
     "is clipped": "clipped_channel",
     "noise": "noise",
     "beyond the band": "beyond_band",
-    "mode": "modes",
-    "order": "modes",
     "updating": "updating",
+    "mode": "modes",
 }
 """What a reason says -> its class; the first that fits."""
 

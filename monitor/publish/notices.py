@@ -28,6 +28,7 @@ class NoticeSettings(Settings):
     blind_s: float = Field(default=3600.0, gt=0)
     """Windows that come but say nothing for this long, in data time."""
     findings: bool = True
+    """Whether diagnoses are told."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from html import escape
 from itertools import groupby
@@ -11,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from monitor.errors import BadInputError
 from monitor.files import write_atomically
 from monitor.publish import period_notes as notes
 from monitor.publish.page import document, table
@@ -20,8 +22,8 @@ from monitor.publish.time_charts import HEIGHT, TimeAxes, draw, figure, panel, t
 from monitor.results import WHOLE, Level, Skipped
 
 _SHOWN = 200
-_UNKNOWN = "–"
 """Rows of a table."""
+_UNKNOWN = "–"
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -48,18 +50,28 @@ def read_period(folder: Path, from_ns: int | None, to_ns: int | None) -> Period:
     """
     results = read_results(folder, from_ns, to_ns)
     start, stop = results.grid.from_ns, results.grid.to_ns
-    health, summary = notes.Health(folder, start, stop), notes.summary_of(folder)
-    decisions = [d for d in notes.decisions_of(folder, health) if start < d.t_ns <= stop]
-    episodes = results.episodes + _missed(results.episodes, summary, start, stop)
-    return Period(
-        folder.resolve().name,
-        results,
-        health.quality() or notes.quality_of(summary),
-        sorted(episodes, key=lambda e: e.t_first_ns),
-        notes.findings_of(folder, start, stop),
-        decisions,
-        summary.get("thresholds", {}),
-    )
+    with _as_written(folder / "health.jsonl"):
+        health = notes.Health(folder, start, stop)
+    with _as_written(folder / "summary.json"):
+        summary = notes.summary_of(folder)
+        quality = health.quality() or notes.quality_of(summary)
+        episodes = results.episodes + _missed(results.episodes, summary, start, stop)
+        thresholds = {str(name): float(value) for name, value in summary.get("thresholds", {}).items()}
+    with _as_written(folder / "ledger.jsonl"):
+        decisions = [d for d in notes.decisions_of(folder, health) if start < d.t_ns <= stop]
+    with _as_written(folder / "findings"):
+        findings = notes.findings_of(folder, start, stop)
+    episodes.sort(key=lambda e: e.t_first_ns)
+    return Period(folder.resolve().name, results, quality, episodes, findings, decisions, thresholds)
+
+
+@contextmanager
+def _as_written(path: Path) -> Iterator[None]:
+    """What a file of the run holds, or whose it is not, said of the file."""
+    try:
+        yield
+    except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
+        raise BadInputError(f"{path}: not as the monitor writes it ({error!r}); move it away and ask again") from error
 
 
 def _missed(known: Sequence[Episode], summary: Mapping[str, Any], start: int, stop: int) -> list[Episode]:

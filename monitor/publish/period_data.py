@@ -109,8 +109,6 @@ class Results:
     grid: Grid
     hop_s: float
     windows: int = 0
-    first_ns: int = 0
-    last_ns: int = 0
     skipped: Counter[str] = field(default_factory=Counter)
     judged: list[int] = field(default_factory=list)
     """Of each bin."""
@@ -120,8 +118,6 @@ class Results:
     """Frequencies with two standard deviations, Hz."""
     ddi: list[Curve] = field(default_factory=list)
     """Of each story, with two standard deviations."""
-    ddi_std: list[float] = field(default_factory=list)
-    """The latest."""
     temperature: Curve | None = None
     misfit: Curve | None = None
     unidentified: set[int] = field(default_factory=set)
@@ -142,7 +138,6 @@ class Results:
         t_ns = int(line["t_end_ns"])
         at = self.grid.at(t_ns)
         self.windows += 1
-        self.first_ns, self.last_ns = self.first_ns or t_ns, t_ns
         if line["skipped"] is not None:
             self.skipped[re.sub(r" \(.*", "", line["skipped"])] += 1
             self.refused[at] += 1
@@ -156,7 +151,6 @@ class Results:
             self.ddi = self.ddi or [Curve(self.grid) for _ in line["ddi"]]
             for curve, value, std in zip(self.ddi, line["ddi"], line["ddi_std"], strict=False):
                 curve.add(at, value, 2.0 * std)
-            self.ddi_std = line["ddi_std"]
             self.unidentified |= set(line.get("unidentified") or [])
         for name in ("temperature_degc", "misfit"):
             if (value := line.get(name)) is not None:

@@ -23,8 +23,11 @@ class _Drawing(Settings):
     """What every kind has."""
 
     name: str = ""
+    """For people."""
     stiffness_n_per_m: tuple[Positive, ...] = Field(min_length=1)
+    """As drawn, story 1 (the top one) first."""
     damping_ratio: float = Field(default=0.01, gt=0, lt=1)
+    """In modes 1 and 2 (Rayleigh)."""
     masses_range_kg: tuple[Range, ...] | None = None
     """Range of each mass as its prior (two standard deviations either way); 5 % either way by default."""
     stiffness_range_n_per_m: tuple[Range, ...] | None = None
@@ -83,7 +86,9 @@ class ShearFrameTable(_Drawing):
 
     kind: Literal["shear_frame"]
     masses_kg: tuple[Positive, ...] = Field(min_length=1)
+    """As drawn, floor 1 (the top one) first."""
     story_heights_m: tuple[Positive, ...] | None = None
+    """For `gravity_softening` and the viewer."""
 
     @model_validator(mode="after")
     def _same_length(self) -> ShearFrameTable:
@@ -109,7 +114,7 @@ class MatricesTable(_Drawing):
     stiffness_derivatives: tuple[Matrix, ...]
     """dK / dk_j for each of `stiffness_n_per_m`, N rows of N."""
     story_names: tuple[str, ...] | None = None
-    """What each stiffness is."""
+    """What each stiffness is: a note for people, results number the stories."""
 
     @property
     def masses_kg(self) -> tuple[float, ...]:

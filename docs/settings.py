@@ -1,0 +1,96 @@
+"""docs/settings.py: writes docs/settings.md, every key that a file of ours may hold, from the classes that read it."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import textwrap
+from pathlib import Path
+from typing import Any, get_args
+
+from pydantic import BaseModel
+
+from drivers.can_open import CanSettings
+from drivers.mcap_source import McapSettings
+from drivers.zenoh_bus import ZenohSettings
+from drivers.zenoh_session import TlsSettings
+from monitor.config import Configuration, EffectTable, SensorTable
+from monitor.fleet import FleetSettings
+from monitor.notify import NotifySettings
+from monitor.publish.metrics import MetricsSettings
+from monitor.publish.zenoh_out import ZenohOutSettings
+from monitor.structures.tables import MatricesTable, ShearFrameTable
+
+PAGE = Path(__file__).with_suffix(".md")
+_HEAD = """# Settings
+
+Every key of a structure file, a site file and a fleet file. A dash: it must be given where its table is. A key's name ends in
+its unit. `shm-monitor check FILE` refuses unknown keys and says which are wrong. What to change, and when:
+[choosing](choosing.md).
+`[topics]` names what it likes: ROS 2 Imu topic = channel, as `"/imu/top" = "a1.x"` ([connect](connect.md)).
+
+(Written by `.venv/bin/python docs/settings.py` from the classes that read the files; a test sees that it is up to date.)
+"""
+
+
+def tables() -> dict[str, type[BaseModel]]:
+    """Heading -> class, the structure first."""
+    own = {name: f.annotation for name, f in Configuration.model_fields.items()}
+    plain = {f"`[{n}]`": t for n, t in own.items() if isinstance(t, type) and issubclass(t, BaseModel)}
+    return {
+        '`[structure]`, `kind = "shear_frame"`': ShearFrameTable,
+        '`[structure]`, `kind = "matrices"`': MatricesTable,
+        "`[[sensors]]`": SensorTable,
+        "`[[effects]]`": EffectTable,
+        **plain,
+        '`[source]`, `kind = "mcap"`': McapSettings,
+        '`[source]`, `kind = "can"`': CanSettings,
+        '`[source]`, `kind = "zenoh"`': ZenohSettings,
+        "`[output.zenoh]`": ZenohOutSettings,
+        "`[output.metrics]`": MetricsSettings,
+        "`[notify]`": NotifySettings,
+        "`tls` of a Zenoh table": TlsSettings,
+        "`[fleet]` of a fleet file": FleetSettings,
+    }
+
+
+def says(cls: type[BaseModel]) -> dict[str, str]:
+    """What stands under each field in the source, those of the bases too."""
+    out: dict[str, str] = {}
+    for kind in reversed(cls.__mro__[: cls.__mro__.index(BaseModel)]):
+        (node,) = ast.parse(textwrap.dedent(inspect.getsource(kind))).body
+        assert isinstance(node, ast.ClassDef)
+        for field, text in zip(node.body, node.body[1:], strict=False):
+            if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name) and isinstance(text, ast.Expr):
+                out[field.target.id] = " ".join(ast.literal_eval(text.value).split())
+    return out
+
+
+def shown(value: Any) -> str:
+    """A default as TOML has it."""
+    if value in (None, (), {}, ""):
+        return "none"
+    if isinstance(value, bool | int):
+        return f"`{str(value).lower()}`"
+    return f"`{value:g}`" if isinstance(value, float) else f'`"{value}"`'
+
+
+def page() -> str:
+    """The whole of it."""
+    parts = [_HEAD]
+    for title, cls in tables().items():
+        words, rows = says(cls), []
+        for name, field in cls.model_fields.items():
+            if name == "kind" or isinstance(field.default, BaseModel):
+                continue
+            required = field.is_required()
+            default = "-" if required else shown(field.get_default(call_default_factory=True))
+            choice = ", ".join(f"`{a}`" for a in get_args(field.annotation) if isinstance(a, str))
+            text = words.get(name, "").replace("``", "`").replace("|", "\\|")
+            rows.append(f"| `{name}` | {default} | {' '.join(filter(None, [text, choice and f'({choice})']))} |")
+        parts.append(f"## {title}\n| key | default | |\n|---|---|---|\n" + "\n".join(rows) + "\n")
+    return "\n".join(parts)
+
+
+if __name__ == "__main__":
+    PAGE.write_text(page(), encoding="utf-8")
