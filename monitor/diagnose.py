@@ -19,7 +19,8 @@ from monitor.motion import conditions
 from monitor.polish import FINE, Polished, finish, form_doubt, polish, settle, skewness
 from monitor.reference import Reference
 from monitor.results import Array
-from monitor.search import Candidate, best_of_each, between_samples, change, evidence_of, judge, prepare, rank, starts
+from monitor.rivals import SURE, probabilities, same, together
+from monitor.search import Candidate, best_of_each, between_samples, evidence_of, judge, prepare, rank, starts
 
 _SMALL, _MORE = 200.0, 3.0
 """Promised gain, nats, up to which a rough fit is believed to find half of the whole gain, or all but so much."""
@@ -27,10 +28,6 @@ _KINDS, _EVERYWHERE, _DRIVEN = 7, 2, 2
 """Where the ground is measured: kinds of causes that are fitted roughly, those of them at every place, and to the end."""
 _UNSURE = 0.1
 """Share of a gain by which a rough simulation may misjudge it."""
-_SURE = 3.0
-"""Standard deviations of a simulation's chance that a further cause must beat."""
-_TIED = 1.0
-"""Nats between two predictions that are one and the same."""
 Verdict = Literal["none", "named", "ambiguous", "unexplained"]
 
 
@@ -79,14 +76,13 @@ def diagnose(evidence: Evidence, reference: Reference, context: Context, setting
         rounds.append(tuple(p.candidate for p in tried))
         if not tried or tried[0].candidate.evidence < margin:
             break
-        close = _together(tried, settings)
+        close = together(tried, settings.rival)
         if len(close) > 1:
             close = _looked_ahead(close, settings)
         best = close[0]
         problem, at, lean = best.problem, best.candidate.fit, best.skewness
         if len(close) > 1:
-            odds = np.exp([p.candidate.evidence - best.candidate.evidence for p in close])
-            alternatives = tuple(zip((p.candidate for p in close), (odds / odds.sum()).tolist(), strict=True))
+            alternatives = tuple(zip((p.candidate for p in close), probabilities(close).tolist(), strict=True))
             break
         accepted.append(best.candidate)
         problem, at = between_samples(_extended(problem, at), at)
@@ -98,7 +94,7 @@ def diagnose(evidence: Evidence, reference: Reference, context: Context, setting
             made = settle(problem, at, FINE)
             problem, at, lean = made.problem, made.fit, skewness(made.transforms, problem)[0]
         if best.candidate.effect.nonlinear:
-            margin = max(margin, settings.aftermath * best.candidate.gain, settings.margin + _SURE * best.chance)
+            margin = max(margin, settings.aftermath * best.candidate.gain, settings.margin + SURE * best.chance)
     problem, at, accepted = _pruned(problem, at, accepted, settings)
     doubt = np.zeros(at.n_effect)
     if _bent(at) and evidence.drive is None:
@@ -133,12 +129,6 @@ def diagnose(evidence: Evidence, reference: Reference, context: Context, setting
     )
 
 
-def _together(tried: list[Polished], settings: DiagnosisSettings) -> list[Polished]:
-    """Those that the best of them does not clearly beat, best first."""
-    tried = sorted(tried, key=lambda p: -p.candidate.evidence)
-    return [p for p in tried if p.candidate.evidence > tried[0].candidate.evidence - settings.rival]
-
-
 def _looked_ahead(close: list[Polished], settings: DiagnosisSettings) -> list[Polished]:
     """Rivals of which each leaves something unexplained, judged with the best second cause beside each."""
     if not misfits(close[0].problem, close[0].candidate.fit, settings):
@@ -152,15 +142,9 @@ def _looked_ahead(close: list[Polished], settings: DiagnosisSettings) -> list[Po
     near = [
         p
         for p, t in zip(close, total, strict=False)
-        if t > total[best] - settings.rival or _same(p.problem, p.candidate.fit, close[best].candidate.fit)
+        if t > total[best] - settings.rival or same(p.problem, p.candidate.fit, close[best].candidate.fit)
     ]
     return sorted(near, key=lambda p: p is not close[best])
-
-
-def _same(problem: Problem, one: Fit, other: Fit) -> bool:
-    """Whether two fits predict spectra that these data cannot tell apart, whatever else is added."""
-    apart = change(problem, problem.predict(one.x, one.effects), problem.predict(other.x, other.effects))
-    return bool(0.5 * float(apart @ apart) < _TIED)
 
 
 def _extended(problem: Problem, at: Fit) -> Problem:

@@ -1,0 +1,34 @@
+"""Which candidates stand beside the best one."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from monitor.effects import BilinearStiffness, StiffnessChange
+from monitor.fitting import Fit
+from monitor.likelihood import Problem
+from monitor.polish import Polished
+from monitor.rivals import probabilities, together
+from monitor.search import Candidate
+
+RIVAL = 4.6
+
+
+def judged(evidence: float, chance: float = 0.0) -> Polished:
+    none = np.zeros(0)
+    fit = Fit(none, (), 0.0, 0.0, np.zeros((0, 0)), True, np.zeros((0, 0)), none, none)
+    effect = StiffnessChange("story 1", -0.02) if chance == 0.0 else BilinearStiffness("story 1", 0.04)
+    return Polished(Candidate(effect, fit, evidence, evidence), Problem.__new__(Problem), none, chance)
+
+
+def test_a_linear_cause_is_beaten_by_odds_alone() -> None:
+    best, near, far = judged(100.0), judged(96.0), judged(94.0)
+    assert together([far, near, best], RIVAL) == [best, near]
+    assert np.allclose(probabilities([best, near]), np.array([1.0, np.exp(-4.0)]) / (1.0 + np.exp(-4.0)))
+
+
+def test_the_chance_of_a_simulation_must_be_beaten_too_and_evens_the_odds() -> None:
+    best, law = judged(100.0), judged(90.0, chance=2.0)
+    assert together([best, law], RIVAL) == [best, law]
+    assert together([best, judged(100.0 - RIVAL - 6.1, chance=2.0)], RIVAL) == [best]
+    assert probabilities([best, law])[1] > 10.0 * np.exp(-10.0)
