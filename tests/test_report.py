@@ -152,6 +152,15 @@ def test_the_page_shows_where_the_misfit_was_and_that_the_cause_removes_it(cases
     assert after < 0.08 < before  # chance leaves about one in twenty outside
 
 
+def test_the_limit_is_that_of_the_diagnosis(cases: dict[str, Case], tmp_path: Path) -> None:
+    case = cases["named"]
+    assert case.diagnosis.settings == DiagnosisSettings(worth=1e9)  # what `diagnose` was given
+    diagnosis = replace(case.diagnosis, settings=DiagnosisSettings(misfit=4.5))
+    write_report(tmp_path / "page.html", diagnosis, case.content, case.segments)
+    text = "".join(parsed(tmp_path / "page.html").itertext())
+    assert "beyond 4.5 standard deviations" in text and "chance up to 4.5." in text
+
+
 def test_power_is_what_was_measured(cases: dict[str, Case]) -> None:
     segments = cases["none"].segments
     c = compare(cases["none"].diagnosis, segments)
