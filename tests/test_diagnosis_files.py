@@ -11,8 +11,8 @@ import pytest
 
 from monitor import config
 from monitor.diagnose import Cause, Diagnosis, Misfit
-from monitor.diagnosis_settings import DiagnosisSettings
 from monitor.diagnosis_files import content, effects_text, model_from_plain, model_to_plain, structure_text
+from monitor.diagnosis_settings import DiagnosisSettings
 from monitor.effects import parse_effect
 from monitor.errors import BadConfigurationError
 from monitor.evidence import classify

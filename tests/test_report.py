@@ -138,6 +138,8 @@ def test_the_page_of_each_verdict_is_whole(cases: dict[str, Case], tmp_path: Pat
         assert all(channel in text for channel in CONFIG.channels)
         assert ("To tell them apart" in text) == (verdict == "ambiguous")
         assert (GAIN.heldout in text) == (verdict in ("named", "ambiguous"))
+        told = [*case.content["causes"], *case.content["alternatives"]]
+        assert all(EFFECTS[c["effect"]].signature in text for c in told) and (" shows: " in text) == bool(told)
         lines = root.findall(".//polyline")
         assert len(lines) == 3 * (5 if case.diagnosis.final.effects else 3)
         for line in lines:
