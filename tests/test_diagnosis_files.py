@@ -1,4 +1,4 @@
-"""diagnosis.json and the structure files of a diagnosis: complete, strict, and nothing of the input lost (CONTRACT)."""
+"""diagnosis.json and the structure files of a diagnosis: complete, strict, and nothing of the input lost."""
 
 from __future__ import annotations
 
