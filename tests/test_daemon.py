@@ -35,7 +35,7 @@ from monitor.publish.requests import Request
 from monitor.reader import BlockQueue, Reader
 from monitor.results import Gap, WindowResult
 from monitor.status import look, tell
-from monitor.vitals import plain
+from monitor.vitals import losses, plain
 from tests.conftest import T0_NS, Cli, Cut
 
 RATE = 128.0
@@ -403,6 +403,8 @@ def test_what_operators_ask_for_is_done_and_noted(site: Path, record: np.ndarray
     assert health(site.parent / "out")[-1]["failed"] == {"Desk": "router gone"}
     last = health(site.parent / "out")[-1]
     assert last["lost"] == {"Desk": 3}
+    daemon._lines.lost, daemon._health_lines.lost, daemon._history.lost = 1, 2, 4
+    assert losses(daemon._ways()) == {"results.jsonl": 1, "health.jsonl": 2, "history": 4, "Desk": 3}
     assert "; 3 lost on the way to Desk" in tell(look(site.parent / "out"))
     metrics = Metrics("bench", MetricsSettings(listen="127.0.0.1:0"))
     try:
