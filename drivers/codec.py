@@ -57,7 +57,7 @@ SCHEMA_BYTES = _schema_bytes()
 
 
 def encode(block: SampleBlock) -> bytes:
-    """Protobuf bytes of a block (CONTRACT field numbers)."""
+    """Protobuf bytes of a block (docs/connect.md has the field numbers)."""
     message = _Message(
         sequence=block.sequence,
         sample_rate_hz=block.sample_rate_hz,

@@ -129,8 +129,3 @@ def frame_text(frame_id: int, extended: bool, t_s: float, data: bytes) -> bytes:
     """One frame on the wire; `t_s` is UTC."""
     number = f"{frame_id:08X}" if extended else f"{frame_id:03X}"
     return f"< frame {number} {t_s:.6f} {data.hex().upper()} >".encode()
-
-
-def error_text(kind: int, t_s: float) -> bytes:
-    """An error frame on the wire; `kind` are the kernel's bits, as 0x40 for bus off."""
-    return f"< error {kind | 0x20000000:03X} {t_s:.6f} >".encode()

@@ -1,4 +1,4 @@
-"""The commands (CONTRACT: commands and exit codes)."""
+"""The commands; `monitor.errors` has their exit codes, README.md and docs/ what they are for."""
 
 from __future__ import annotations
 

@@ -32,7 +32,7 @@ from monitor.reader import Chores, Reader, Recording
 from monitor.recordings import Progress, duration_s
 from monitor.reload import reread
 from monitor.results import Gap, WindowResult
-from monitor.vitals import Vitals, plain
+from monitor.vitals import Vitals, Way, plain
 
 _log = logging.getLogger(__name__)
 
@@ -163,7 +163,7 @@ class Daemon(Publisher):
         if self._keeper.resuming:
             return
         self._health_s = time.monotonic()
-        line = self._vitals.line(span, self.reader, self._recording.health(), self._failures())
+        line = self._vitals.line(span, self.reader, self._recording.health(), self._ways())
         self._health_lines.write(json.dumps(line, allow_nan=False))
         for outlet in self._outlets:
             outlet.health(line)
@@ -271,13 +271,11 @@ class Daemon(Publisher):
         content["alarm"] = standing_line(self.session.pipeline.state.alarm)
         self._chores.write(self.out / "summary.json", to_json(plain(content)) + "\n")
 
-    def _failures(self) -> dict[str, str]:
-        """Which ways out are blocked, and why."""
-        view = {"viewer": self._view.failed} if self._view is not None and self._view.failed else {}
-        files = {"results.jsonl": self._lines.failed, "health.jsonl": self._health_lines.failed}
-        files |= {"checkpoint": self._keeper.failed or "", "history": self._history.failed or ""}
-        outlets = {type(outlet).__name__: outlet.failed for outlet in self._outlets if outlet.failed}
-        return {**view, **{name: why for name, why in files.items() if why}, **outlets}
+    def _ways(self) -> list[tuple[str, Way]]:
+        """All ways out, by name."""
+        own: dict[str, Way | None] = {"viewer": self._view, "checkpoint": self._keeper, "history": self._history}
+        own |= {"results.jsonl": self._lines, "health.jsonl": self._health_lines}
+        return [(n, way) for n, way in own.items() if way is not None] + [(type(o).__name__, o) for o in self._outlets]
 
     def _close(self) -> None:
         self._end_s = min(self._end_s, time.monotonic() + _END_S)

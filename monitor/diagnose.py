@@ -58,6 +58,7 @@ class Diagnosis:
     """The old model form, refitted."""
     final: Fit
     """With the causes (the most probable alternative where the answer is ambiguous)."""
+    settings: DiagnosisSettings
     rounds: tuple[tuple[Candidate, ...], ...] = field(default=())
 
 
@@ -125,6 +126,7 @@ def diagnose(evidence: Evidence, reference: Reference, context: Context, setting
         problem=problem,
         null=null,
         final=at,
+        settings=settings,
         rounds=tuple(rounds),
     )
 

@@ -1,4 +1,4 @@
-"""What a diagnosis leaves behind: diagnosis.json, and the structure file with what was learned (CONTRACT: both)."""
+"""What a diagnosis leaves behind: diagnosis.json, and the structure file with what was learned (docs/diagnosis.md)."""
 
 from __future__ import annotations
 

@@ -159,6 +159,11 @@ class Notifier:
         blocked = [f"{channel.name} not delivered" for channel in self._channels if channel.failed]
         return self._trouble or (self._outbox and self._outbox.failed) or "; ".join(blocked) or None
 
+    @property
+    def dropped(self) -> int:
+        """Messages given up because too many waited."""
+        return 0 if self._outbox is None else self._outbox.dropped
+
     def window(self, result: WindowResult, line: str) -> None:
         """See what alarms it changes."""
         self._windows += 1

@@ -195,7 +195,7 @@ def _summarize(
 
 
 def reproduce(seeds: int, on_progress: Callable[[float], None] = lambda _: None) -> dict[str, Any]:
-    """Everything as plain numbers (CONTRACT: `reproduce --json`)."""
+    """Everything as plain numbers (`reproduce --json`; docs/figures.md)."""
     steps = convergence()
 
     def after(n: int) -> Array:

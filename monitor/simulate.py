@@ -191,7 +191,7 @@ def respond(
     ground: Array | None,
     rate_hz: float,
     excess_degc: Array | None = None,
-    step_hz: float = 4096.0,
+    step_hz: float | None = None,
 ) -> Array:
     """Absolute accelerations of the floors, shape (n_samples, n), every law at work.
 
@@ -202,8 +202,8 @@ def respond(
     rate_hz : float
     excess_degc : ndarray, shape (n_samples,), optional
         Temperature above the reference.
-    step_hz : float
-        Least rate at which nonlinear laws are stepped.
+    step_hz : float, optional
+        Least rate at which nonlinear laws are stepped; `monitor.stepping.STEP_HZ` unless told otherwise.
     """
     if ground is not None:
         forces = _with_inertia(model, forces, ground)
@@ -211,9 +211,10 @@ def respond(
     factors = [] if excess_degc is None else [e.stiffness_factor(excess_degc, rate_hz) for e in model.effects]
     changing = [f for f in factors if f is not None]
     if laws or changing:
-        from monitor.stepping import march  # compiled code takes a while to load
+        from monitor.stepping import STEP_HZ, march  # compiled code takes a while to load
 
         factor = np.prod(changing, axis=0) if changing else None
+        step_hz = STEP_HZ if step_hz is None else step_hz
         floors = march(linear_system(model), model.structure.n_dofs, laws, forces, rate_hz, factor, step_hz)
     else:
         floors = respond_exactly(model, forces, rate_hz)

@@ -89,7 +89,8 @@ def tell(status: dict[str, Any]) -> str:
     rows.append(("recorder", _recorder(recorder, health)))
     found = summary.get("findings") or []
     rows.append(("findings", f"{len(found)}; latest: {found[-1]['says'] or found[-1]['reason']}" if found else "none"))
-    rows.append(("blocked", "; ".join(status["troubles"]) or "nothing"))
+    lost = "".join(f"; {n} lost on the way to {name}" for name, n in health.get("lost", {}).items())
+    rows.append(("blocked", ("; ".join(status["troubles"]) or "nothing") + lost))
     return "\n".join(f"{name:<9} {text}" for name, text in rows)
 
 

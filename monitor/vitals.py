@@ -7,11 +7,11 @@ import shutil
 import statistics
 import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import fields, is_dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from drivers.base import ACCELERATION, SampleBlock
 from drivers.recorder import RecorderHealth
@@ -22,6 +22,14 @@ LATENCY_MS = (5, 10, 20, 50, 100, 200, 500, 1000)
 _RECENT = 1000
 """Windows that the median is of."""
 _MOST_TEXT = 300
+
+
+class Way(Protocol):
+    """A way out; one that can lose what it is given counts that as ``lost`` or ``dropped``."""
+
+    @property
+    def failed(self) -> str | None:
+        """Why it is blocked; None or empty while all is well."""
 
 
 class Vitals:
@@ -70,9 +78,10 @@ class Vitals:
         span: Mapping[str, Any] | None,
         reader: Reader,
         recorder: RecorderHealth | None,
-        publishers: Mapping[str, str],
+        ways: Iterable[tuple[str, Way]],
     ) -> dict[str, Any]:
         """A line of health.jsonl; `span` is a `Health` made plain, None when no data came."""
+        ways = list(ways)
         source = reader.source.health()
         stream = dict(span or {})
         channels = stream.pop("channels", [])
@@ -94,10 +103,22 @@ class Vitals:
                 "disk_free_bytes": _free(self._out),
                 "latency_ms": self.latency(),
                 "recorder": recorder,
-                "failed": dict(publishers),
+                "failed": failures(ways),
+                "lost": losses(ways),
             }
         )
         return {"t_ns": stream.get("t_end_ns"), "stream": stream or None, "channels": channels, **own}
+
+
+def failures(ways: Iterable[tuple[str, Way]]) -> dict[str, str]:
+    """Which ways out are blocked, and why."""
+    return {name: way.failed for name, way in ways if way.failed}
+
+
+def losses(ways: Iterable[tuple[str, Way]]) -> dict[str, int]:
+    """How much found no room on its way out since the start, of each that lost anything."""
+    counted = ((name, getattr(way, "lost", 0) + getattr(way, "dropped", 0)) for name, way in ways)
+    return {name: n for name, n in counted if n}
 
 
 def _free(place: Path) -> int | None:

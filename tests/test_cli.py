@@ -1,4 +1,4 @@
-"""The commands: exit codes, messages, and the files they leave (CONTRACT).
+"""The commands: exit codes, messages, and the files they leave.
 
 `site.cli` runs the installed script; `site.main` the same entry point in this process, where many cases are alike.
 """

@@ -1,4 +1,4 @@
-"""The commands diagnose, evaluate and accept, and the findings of a replay (CONTRACT)."""
+"""The commands diagnose, evaluate and accept, and the findings of a replay."""
 
 from __future__ import annotations
 

@@ -30,10 +30,12 @@ from monitor.daemon import Daemon
 from monitor.errors import BadConfigurationError, BadInputError, MissingInputError
 from monitor.outputs import Session
 from monitor.publish.lines import to_json
+from monitor.publish.metrics import Metrics, MetricsSettings
 from monitor.publish.requests import Request
 from monitor.reader import BlockQueue, Reader
 from monitor.results import Gap, WindowResult
-from monitor.vitals import plain
+from monitor.status import look, tell
+from monitor.vitals import losses, plain
 from tests.conftest import T0_NS, Cli, Cut
 
 RATE = 128.0
@@ -372,6 +374,7 @@ def test_another_baseline_is_noted_in_the_ledger(site: Path, record: np.ndarray,
 def test_what_operators_ask_for_is_done_and_noted(site: Path, record: np.ndarray, cut: Cut) -> None:
     class Desk:
         failed: str | None = "router gone"
+        dropped = 3
         asked = 0
         gaps: list[Gap] = []  # noqa: RUF012
 
@@ -398,6 +401,18 @@ def test_what_operators_ask_for_is_done_and_noted(site: Path, record: np.ndarray
     assert json.loads(line)["who"] == "Ada" and "shelve" in json.loads(line)["what"]
     assert len(Desk.gaps) == 1
     assert health(site.parent / "out")[-1]["failed"] == {"Desk": "router gone"}
+    last = health(site.parent / "out")[-1]
+    assert last["lost"] == {"Desk": 3}
+    daemon._lines.lost, daemon._health_lines.lost, daemon._history.lost = 1, 2, 4
+    assert losses(daemon._ways()) == {"results.jsonl": 1, "health.jsonl": 2, "history": 4, "Desk": 3}
+    assert "; 3 lost on the way to Desk" in tell(look(site.parent / "out"))
+    metrics = Metrics("bench", MetricsSettings(listen="127.0.0.1:0"))
+    try:
+        metrics.health(last)
+        samples = [s for family in metrics.collect() for s in family.samples]
+        assert [s.value for s in samples if s.name == "shm_output_lost_total" and s.labels == {"output": "Desk"}] == [3]
+    finally:
+        metrics.close(1.0)
 
 
 def test_stages_and_latency_are_told(site: Path, record: np.ndarray, cut: Cut) -> None:
@@ -408,7 +423,7 @@ def test_stages_and_latency_are_told(site: Path, record: np.ndarray, cut: Cut) -
     assert all([c["channel"] for c in line["channels"]] == ["a1", "a2", "a3"] for line in spans)
     assert all(line["stream"]["availability"] == 1.0 for line in spans)
     assert sum(told[-1]["latency_ms"]["windows"].values()) == 9
-    assert told[-1]["failed"] == {}
+    assert told[-1]["failed"] == told[-1]["lost"] == {}
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""diagnosis.json and the structure files of a diagnosis: complete, strict, and nothing of the input lost (CONTRACT)."""
+"""diagnosis.json and the structure files of a diagnosis: complete, strict, and nothing of the input lost."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import pytest
 from monitor import config
 from monitor.diagnose import Cause, Diagnosis, Misfit
 from monitor.diagnosis_files import content, effects_text, model_from_plain, model_to_plain, structure_text
+from monitor.diagnosis_settings import DiagnosisSettings
 from monitor.effects import parse_effect
 from monitor.errors import BadConfigurationError
 from monitor.evidence import classify
@@ -65,7 +66,7 @@ def named(damped: Segments) -> Diagnosis:
     cause = Cause(final.effects[0], {"damping_n_s_per_m": 0.1})
     tried = (Candidate(final.effects[0], final, 50.0, 45.0),)
     misfit = (Misfit("f = 5.0-6.0 Hz, channel a1", 9.0, "less power"),)
-    return Diagnosis("named", (cause,), (), misfit, (), tried, problem, null, final)
+    return Diagnosis("named", (cause,), (), misfit, (), tried, problem, null, final, DiagnosisSettings())
 
 
 def plain(diagnosis: Diagnosis, gain: Gain | None = None) -> dict:

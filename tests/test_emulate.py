@@ -16,7 +16,7 @@ from drivers import frames
 from drivers.base import ACCELERATION, TEMPERATURE, SampleBlock, SourceContext, SourceError
 from drivers.can_bus import CanSource
 from drivers.mcap_file import McapWriter
-from drivers.socketcand_server import SocketcandServer, error_text, frame_text
+from drivers.socketcand_server import SocketcandServer, frame_text
 from monitor import emulate
 from monitor.errors import BadConfigurationError, MissingInputError
 
@@ -30,6 +30,11 @@ def server() -> SocketcandServer:
     made = SocketcandServer("127.0.0.1", 0, settle_s=0.1)
     yield made
     made.close()
+
+
+def error_text(kind: int, t_s: float) -> bytes:
+    """An error frame on the wire; `kind` are the kernel's bits, as 0x40 for bus off."""
+    return f"< error {kind | 0x20000000:03X} {t_s:.6f} >".encode()
 
 
 def source(port: int, dbc: str = "frame.dbc", folder: Path = DEPLOY) -> CanSource:

@@ -31,6 +31,7 @@ from monitor.daemon import Daemon
 from monitor.outputs import Publisher, Session
 from monitor.results import Level, WindowResult
 from monitor.resume import KeptAlarms
+from monitor.vitals import failures
 from monitor.watch import Request
 from tests.conftest import T0_NS, Cli, Cut
 from tests.live_site import RATE
@@ -236,7 +237,7 @@ def test_a_disk_that_turns_read_only_stops_no_result(
     told: list[str] = []
     monkeypatch.setattr(daemon._lines, "write", lambda line: told.append(line))
     daemon.run()
-    failed = daemon._failures()
+    failed = failures(daemon._ways())
     monkeypatch.undo()
     assert [json.loads(line) for line in told] == expected(site, cut(record, RATE))
     assert {"health.jsonl", "history"} <= failed.keys()

@@ -10,6 +10,7 @@ import pytest
 from drivers.base import ACCELERATION
 from monitor.config import Configuration
 from monitor.diagnose import Diagnosis
+from monitor.diagnosis_settings import DiagnosisSettings
 from monitor.effects import Context, Effect, parse_effect
 from monitor.evidence import classify
 from monitor.fitting import fit
@@ -51,7 +52,7 @@ def explained_by(effect: Effect, segments: Segments) -> Diagnosis:
     reference = nominal(config.model(), config.prior_std(), 3)
     problem, null = prepare(classify(segments), reference, context_of(config))
     final = fit(problem, null.x, (effect,))
-    return Diagnosis("named", (), (), (), (), (), problem, null, final)
+    return Diagnosis("named", (), (), (), (), (), problem, null, final, DiagnosisSettings())
 
 
 @pytest.fixture(scope="module")

@@ -20,6 +20,7 @@ from monitor.notify import Addresses, Notifier, NotifySettings, addresses
 from monitor.outbox import Outbox
 from monitor.publish.notices import Notice, NoticeSettings, Told, of_finding, of_health, of_window
 from monitor.results import Alarm, AlarmCondition, Level, Skipped, WindowResult
+from monitor.vitals import losses
 from tests.zenoh_router import free_port
 
 SETTINGS = NoticeSettings()
@@ -312,6 +313,10 @@ def test_the_outbox_is_bounded_and_survives_damage_and_a_full_disk(
     for k in range(25):
         box.add(Told(levels={k: Level.WARNING}), [Notice("alarm", False, f"{k}", "")], ["a", "b"])
     assert len(box) == 10 and box.dropped == 15
+    notifier = Notifier("bench", NotifySettings(), Addresses(), place)
+    assert notifier.dropped == 0
+    notifier._outbox = box
+    assert losses([("Notifier", notifier)]) == {"Notifier": 15}
     assert len([r for r in caplog.records if "given up" in r.getMessage()]) == 15
     again = Outbox(place, most=10)
     assert again.told.levels == {24: Level.WARNING}

@@ -138,6 +138,8 @@ def test_the_page_of_each_verdict_is_whole(cases: dict[str, Case], tmp_path: Pat
         assert all(channel in text for channel in CONFIG.channels)
         assert ("To tell them apart" in text) == (verdict == "ambiguous")
         assert (GAIN.heldout in text) == (verdict in ("named", "ambiguous"))
+        told = [*case.content["causes"], *case.content["alternatives"]]
+        assert all(EFFECTS[c["effect"]].signature in text for c in told) and (" shows: " in text) == bool(told)
         lines = root.findall(".//polyline")
         assert len(lines) == 3 * (5 if case.diagnosis.final.effects else 3)
         for line in lines:
@@ -150,6 +152,15 @@ def test_the_page_shows_where_the_misfit_was_and_that_the_cause_removes_it(cases
     assert np.abs(c.z_before).max() > c.limit > np.abs(c.z_after).max()
     before, after = (float((np.abs(r - 1.0) > c.chance).mean()) for r in (c.ratio_before, c.ratio_after))
     assert after < 0.08 < before  # chance leaves about one in twenty outside
+
+
+def test_the_limit_is_that_of_the_diagnosis(cases: dict[str, Case], tmp_path: Path) -> None:
+    case = cases["named"]
+    assert case.diagnosis.settings == DiagnosisSettings(worth=1e9)  # what `diagnose` was given
+    diagnosis = replace(case.diagnosis, settings=DiagnosisSettings(misfit=4.5))
+    write_report(tmp_path / "page.html", diagnosis, case.content, case.segments)
+    text = "".join(parsed(tmp_path / "page.html").itertext())
+    assert "beyond 4.5 standard deviations" in text and "chance up to 4.5." in text
 
 
 def test_power_is_what_was_measured(cases: dict[str, Case]) -> None:

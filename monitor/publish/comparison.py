@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from monitor.diagnose import Diagnosis
-from monitor.diagnosis_settings import DiagnosisSettings
 from monitor.evidence import class_temperature
 from monitor.fitting import fit
 from monitor.likelihood import Problem
@@ -45,6 +44,8 @@ class Comparison:
     z_before: Array
     """Standard deviations, shape (n_bands, c, c), see `residual_bands`."""
     z_after: Array
+    limit: float
+    """Standard deviations from which a band counts as misfit."""
     extended: bool
     """Whether there is a cause, so that before and after differ."""
 
@@ -52,11 +53,6 @@ class Comparison:
     def width_hz(self) -> float:
         """Of the misfit's bands."""
         return float(np.diff(self.band_hz).mean()) if self.band_hz.size > 1 else float(np.ptp(self.hz))
-
-    @property
-    def limit(self) -> float:
-        """Standard deviations from which a band counts as misfit."""
-        return float(DiagnosisSettings().misfit)
 
     def rows(self) -> list[tuple[str, int, int]]:
         """Name and place of every entry of the misfit matrices that is shown, channel by channel."""
@@ -121,6 +117,7 @@ def compare(diagnosis: Diagnosis, segments: Segments) -> Comparison:
         band_hz=band_hz,
         z_before=chance * z_before,
         z_after=chance * residual_bands(problem, diagnosis.final)[0],
+        limit=diagnosis.settings.misfit,
         extended=bool(diagnosis.final.effects),
     )
 

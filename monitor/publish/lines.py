@@ -1,4 +1,4 @@
-"""Results as JSON: one line a window, and the summary of a run (CONTRACT: results.jsonl, summary.json)."""
+"""Results as JSON: one line a window, and the summary of a run (README.md: results.jsonl, summary.json)."""
 
 from __future__ import annotations
 

@@ -238,6 +238,8 @@ def _of_health(health: Mapping[str, Any]) -> Iterator[Metric]:
     yield _labelled(GaugeMetricFamily, "shm_channel_rms_m_s2", "About the mean, last span.", rms, "channel")
     blocked = {name: 1 for name in health["failed"]}
     yield _labelled(GaugeMetricFamily, "shm_output_failed", "Ways out that are blocked.", blocked, "output")
+    lost = health.get("lost", {})
+    yield _labelled(CounterMetricFamily, "shm_output_lost", "Found no room on its way out.", lost, "output")
     yield _latency(health["latency_ms"]["windows"])
 
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from monitor.diagnose import Diagnosis
+from monitor.effects import EFFECTS
 from monitor.files import write_atomically
 from monitor.publish import charts
 from monitor.publish.charts import Axes, svg
@@ -221,6 +222,7 @@ def _parameters(diagnosis: Diagnosis, content: Content) -> str:
                 first = ""
         if rows:
             out.append(f"<h2>{title}</h2>" + table(["effect", "place", "parameter", "value", "in words"], rows))
+            out.append(_signs(causes))
     if content["alternatives"]:
         rivals = [
             (a["effect"], a["location"], f"{100 * a['probability']:.0f} %",
@@ -228,6 +230,7 @@ def _parameters(diagnosis: Diagnosis, content: Content) -> str:
             for a in content["alternatives"]
         ]  # fmt: skip
         out.append("<h2>Alternatives</h2>" + table(["effect", "place", "#probability", "in words"], rivals))
+        out.append(_signs(content["alternatives"]))
     index = content.get("ddi_effect", {})
     if index.get("with"):
         pairs = enumerate(zip(index["without"], index["with"], strict=True), 1)
@@ -235,6 +238,13 @@ def _parameters(diagnosis: Diagnosis, content: Content) -> str:
         head = ["damage index (stiffness lost)", "#by refitting stiffness alone", "#beside the causes"]
         out.append("<h2>What it does to the damage index</h2>" + table(head, losses))
     return "".join(out)
+
+
+def _signs(causes: Sequence[Content]) -> str:
+    """How each kind of cause shows in the accelerations."""
+    kinds = dict.fromkeys(c["effect"] for c in causes)
+    says = (f"How {name} shows: {escape(EFFECTS[name].signature)}." for name in kinds)
+    return f"<p class='muted'>{'<br/>'.join(says)}</p>"
 
 
 def _data(diagnosis: Diagnosis, content: Content, segments: Segments, c: Comparison) -> str:
