@@ -41,6 +41,29 @@ def pack_columns(u: Array | ComplexArray, v: ComplexArray) -> ComplexArray:
     return out
 
 
+@compiled(error_model="numpy")
+def inverses(matrices: ComplexArray) -> ComplexArray:
+    """Inverses of Hermitian matrices, shape (n, c, c); not finite where a pivot vanishes."""
+    n, c, _ = matrices.shape
+    a, out = matrices.copy(), np.zeros((n, c, c), dtype=np.complex128)
+    for k in range(n):
+        for i in range(c):
+            out[k, i, i] = 1.0
+        for p in range(c):  # Gauss-Jordan; definite matrices need no other order of pivots
+            scale = 1.0 / a[k, p, p].real
+            for j in range(c):
+                a[k, p, j] *= scale
+                out[k, p, j] *= scale
+            for i in range(c):
+                factor = a[k, i, p]
+                if i == p or factor == 0.0:
+                    continue
+                for j in range(c):
+                    a[k, i, j] -= factor * a[k, p, j]
+                    out[k, i, j] -= factor * out[k, p, j]
+    return out
+
+
 @compiled()
 def displaced(lag_sum: Array, head: Array, tail: Array) -> Array:
     """Gram matrix of the block Hankel matrix with these lag sums as first block row, shape (n_lags c, n_lags c).

@@ -68,6 +68,8 @@ def refine(window: Window, modes: ModalEstimate, settings: RefinementSettings) -
         The subspace estimate itself where there are too few segments, or so many channels that the scoring would take
         longer than it is worth, or where it does not settle nearby.
     """
+    from monitor.kernels import inverses  # compiled code takes a while to load
+
     if not settings.enabled or len(window.segments) < settings.min_segments:
         return modes
     layout = layout_of(modes, settings.half_band, len(window.segments[0]), window.segment_bin_hz)
@@ -79,7 +81,7 @@ def refine(window: Window, modes: ModalEstimate, settings: RefinementSettings) -
         point = _start(layout, modes, data.mean(axis=0))
         for iteration in range(settings.max_iterations):
             model = predict(layout, point)
-            inverse: ComplexArray = np.asarray(np.linalg.inv(model.value))
+            inverse = inverses(model.value)
             level = _levels(layout, inverse, data)
             if level.mean() > _HOPELESS:  # responses that are none of these modes: the scoring would run away
                 return modes
@@ -119,6 +121,8 @@ def _curve(layout: Layout, inverse: ComplexArray, model: Spectrum) -> tuple[Comp
 
 def _start(layout: Layout, modes: ModalEstimate, mean: ComplexArray) -> Point:
     """Modes from the subspace estimate; forces and noise, in which the spectrum is linear, by weighted least squares."""
+    from monitor.kernels import inverses  # compiled code takes a while to load
+
     m, c = modes.shapes.shape
     gauge = modes.shapes[np.arange(m), list(layout.gauges)]
     i, j = triangle(c)
@@ -135,7 +139,7 @@ def _start(layout: Layout, modes: ModalEstimate, mean: ComplexArray) -> Point:
     rough[:, i, j] = mean.T
     rough[:, j, i] = mean.conj().T
     rough[:, range(c), range(c)] = (power + 0.05 * power.mean(axis=0)).T
-    model, inverse = predict(layout, p), np.linalg.inv(rough)
+    model, inverse = predict(layout, p), inverses(rough)
     linear = slice(layout.n_modal, layout.columns[-2])
     u, v = model.u[:, linear], model.v[:, :, linear]
     curve = packed_columns(inverse @ u, inverse @ v) * layout.counts
