@@ -29,7 +29,7 @@ class AppendedLines:
     def __init__(self, path: Path, most_bytes: int | None = None) -> None:
         self._path, self._most_bytes = path, most_bytes
         self._pending = b""
-        self.lost, self._losing = 0, False
+        self.dropped, self._losing = 0, False
         """Lines that found no room to wait."""
         self.failed = ""
         """Why lines wait; empty while all is well."""
@@ -47,7 +47,7 @@ class AppendedLines:
             if not self._losing:
                 _log.error("%s: no room for more lines to wait; lines are lost from here on", self._path)
             self._losing = True
-            self.lost += 1
+            self.dropped += 1
         else:
             self._pending += data
         self.flush()

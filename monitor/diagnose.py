@@ -59,6 +59,7 @@ class Diagnosis:
     final: Fit
     """With the causes (the most probable alternative where the answer is ambiguous)."""
     settings: DiagnosisSettings
+    """By which it was judged."""
     rounds: tuple[tuple[Candidate, ...], ...] = field(default=())
 
 

@@ -81,7 +81,7 @@ class History:
         self._closing = threading.Event()
         self._told: dict[tuple[int | None, int], Row] = {}
         self._inserted = 0
-        self.lost, self._losing = 0, False
+        self.dropped, self._losing = 0, False
         self.failed: str | None = None
         self._thread = threading.Thread(target=self._work, name="history", daemon=True)
         self._thread.start()
@@ -139,7 +139,7 @@ class History:
             if not self._losing:
                 _log.error("%s: %d rows wait; rows are lost from here on", self._path, len(self._rows))
             self._losing = True
-            self.lost += 1
+            self.dropped += 1
         elif self._enabled:
             self._rows.append((table, row))
             self._wake.set()

@@ -19,11 +19,15 @@ if TYPE_CHECKING:
 
 
 class Outlet(Protocol):
-    """Never waits, never raises; why nothing gets out is in `failed`."""
+    """Never waits, never raises; why nothing gets out is in `failed`, what was lost in `dropped`."""
 
     @property
     def failed(self) -> str | None:
         """None while all is well."""
+
+    @property
+    def dropped(self) -> int:
+        """What found no room to wait, since the start."""
 
     def window(self, result: WindowResult, line: str) -> None:
         """A window's results, also as its line of results.jsonl."""

@@ -87,8 +87,8 @@ def settle(problem: Problem, at: Fit, rounds: Rounds) -> Settled:
     slopes, feigned, known = _slopes(problem, at), np.zeros((0, 0)), 0
     if len(slopes) and isinstance(problem, Corrected):
         feigned, known = problem.feigned, problem.simulations
+    linear = replace(problem, offset=None)
     for count, sloped in rounds:
-        linear = replace(problem, offset=None)
         linear = replace(linear, conditions=conditions(linear, at.x, at.effects))
         made = [_simulated(linear, at, seed) for seed in range(count)]
         offsets, free = np.array([m[0] for m in made]), np.array([m[1] for m in made])
@@ -102,7 +102,6 @@ def settle(problem: Problem, at: Fit, rounds: Rounds) -> Settled:
             feigned = _feigned(near, at, each) * count / known
         near = replace(near, feigned=feigned, simulations=known)
         at = fit(near, at.x, at.effects, iterations=8)
-        problem = near
     lost, doubt = _chance(near, at, offsets, free)
     more = np.diag(_spread(near, at) - at.covariance)[near.n_nuisance :]
     return Settled(replace(near, lost=lost), at, made[0][2], np.sqrt(doubt**2 + np.maximum(more, 0.0)))

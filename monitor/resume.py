@@ -84,6 +84,8 @@ class Keeper:
         Why there is no checkpoint; None while all is well.
     """
 
+    dropped = 0  # a newer one replaces one that could not be written
+
     def __init__(
         self, out: Path, config: Configuration, healthy: Path | None, recording: Recording, lines: AppendedLines
     ) -> None:

@@ -25,11 +25,15 @@ _MOST_TEXT = 300
 
 
 class Way(Protocol):
-    """A way out; one that can lose what it is given counts that as ``lost`` or ``dropped``."""
+    """A way out."""
 
     @property
     def failed(self) -> str | None:
         """Why it is blocked; None or empty while all is well."""
+
+    @property
+    def dropped(self) -> int:
+        """How much found no room on it since the start."""
 
 
 class Vitals:
@@ -117,8 +121,7 @@ def failures(ways: Iterable[tuple[str, Way]]) -> dict[str, str]:
 
 def losses(ways: Iterable[tuple[str, Way]]) -> dict[str, int]:
     """How much found no room on its way out since the start, of each that lost anything."""
-    counted = ((name, getattr(way, "lost", 0) + getattr(way, "dropped", 0)) for name, way in ways)
-    return {name: n for name, n in counted if n}
+    return {name: way.dropped for name, way in ways if way.dropped}
 
 
 def _free(place: Path) -> int | None:

@@ -234,6 +234,7 @@ def test_a_stream_faster_than_the_monitor_waits_and_loses_nothing(site: Path, re
 
     class Slow:
         failed: str | None = None
+        dropped = 0
 
         def window(self, result: WindowResult, line: str) -> None:
             time.sleep(0.1)
@@ -311,7 +312,7 @@ def test_lines_that_the_disk_refuses_come_when_it_takes_them_again(
         assert bool(file.failed) == (100 <= k < 150)
     file.close()
     assert [int(line) for line in (tmp_path / "lines").read_text().splitlines()] == list(range(200))
-    assert file.lost == 0
+    assert file.dropped == 0
 
 
 def test_lines_that_find_no_room_to_wait_are_told_once(
@@ -324,7 +325,7 @@ def test_lines_that_find_no_room_to_wait_are_told_once(
         for k in range(20):
             file.write(f"{k:099d}")
     file.close()
-    assert file.lost == 10 and len((tmp_path / "lines").read_text().splitlines()) == 10
+    assert file.dropped == 10 and len((tmp_path / "lines").read_text().splitlines()) == 10
     assert len([r for r in caplog.records if "lines are lost" in r.getMessage()]) == 1
 
 
@@ -403,7 +404,7 @@ def test_what_operators_ask_for_is_done_and_noted(site: Path, record: np.ndarray
     assert health(site.parent / "out")[-1]["failed"] == {"Desk": "router gone"}
     last = health(site.parent / "out")[-1]
     assert last["lost"] == {"Desk": 3}
-    daemon._lines.lost, daemon._health_lines.lost, daemon._history.lost = 1, 2, 4
+    daemon._lines.dropped, daemon._health_lines.dropped, daemon._history.dropped = 1, 2, 4
     assert losses(daemon._ways()) == {"results.jsonl": 1, "health.jsonl": 2, "history": 4, "Desk": 3}
     assert "; 3 lost on the way to Desk" in tell(look(site.parent / "out"))
     metrics = Metrics("bench", MetricsSettings(listen="127.0.0.1:0"))

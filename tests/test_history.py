@@ -163,7 +163,7 @@ def test_a_queue_that_is_full_counts_what_it_refuses(
     for number in range(20):
         one.window(line(number))
     until(lambda: one.failed, "it is told")
-    assert one.lost >= 10
+    assert one.dropped >= 10
     assert len([r for r in caplog.records if "rows are lost" in r.getMessage()]) == 1
 
 

@@ -31,6 +31,7 @@ class Inbox:
     """
 
     failed: str | None = None
+    dropped = 0  # what is too much for one look waits in the folder
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder

@@ -78,6 +78,8 @@ class Metrics(Collector):
         Where it listens.
     """
 
+    dropped = 0  # it keeps the latest alone, and nothing waits
+
     def __init__(self, site: str, settings: MetricsSettings, folder: Path = Path()) -> None:
         self.failed: str | None = None
         self.port: int | None = None

@@ -63,8 +63,8 @@ def severity(loss: float | None, alarm_loss: float) -> Colour:
     if loss is None:
         return GREY
     x = min(max(2.0 * loss / alarm_loss, 0.0), 2.0)
-    stops = (GREEN, AMBER, RED)[min(int(x), 1) :]
-    red, green, blue = (round(a + (x - min(int(x), 1)) * (b - a)) for a, b in zip(*stops[:2], strict=True))
+    first, last, share = (GREEN, AMBER, x) if x < 1.0 else (AMBER, RED, x - 1.0)
+    red, green, blue = (round(a + share * (b - a)) for a, b in zip(first, last, strict=True))
     return red, green, blue
 
 

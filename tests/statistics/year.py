@@ -209,7 +209,7 @@ def twin(days: int, folder: Path, seed: int = 20261121) -> None:
     print(f"{passed:.1f} days, {content['windows']} windows, {content['skipped']} skipped, {content['gaps']} gaps")
     print(f"false alarms of any level at the default setting: {len(content['alarms'])}")
     print(Growth(np.arange(len(source.mb), dtype=float), np.array(source.mb)))
-    print(f"rows lost by the history: {daemon._history.lost}")
+    print(f"rows lost by the history: {daemon._history.dropped}")
     print(f"{time.monotonic() - begun:.0f} s\n{disk(folder / 'out', passed)}")
 
 
