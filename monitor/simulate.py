@@ -70,19 +70,16 @@ def respond_linear(system: System, n: int, forces: Array, rate_hz: float) -> Arr
     The complex modes of the state matrix decouple it into first-order recursions (one of each conjugate pair).
     """
     dt, size, columns = 1.0 / rate_hz, system.mass.shape[0], forces.shape[1]
-    minv = np.linalg.inv(system.mass)
-    dynamics = np.block([[np.zeros((size, size)), np.eye(size)], [-minv @ system.stiffness, -minv @ system.damping]])
-    poles, vectors = np.linalg.eig(dynamics)
-    drive = np.linalg.solve(vectors, np.vstack([np.zeros((size, size)), minv]).astype(complex))[:, :columns]
-    output = dynamics[size : size + n].astype(complex) @ vectors
-    accelerations = forces @ minv[:n, :columns].T
-    for q in np.flatnonzero(poles.imag >= 0):
-        decay = np.exp(poles[q] * dt)
-        held = (decay - 1.0) / poles[q]
-        ahead = (decay - 1.0 - poles[q] * dt) / (poles[q] ** 2 * dt)  # share of the force at the step's end
-        state = lfilter([ahead, held - ahead], [1.0, -decay], forces @ drive[q])
-        pair = 2.0 if poles[q].imag > 0 else 1.0  # its conjugate gives the same again
-        accelerations += pair * (state[:, None] * output[:, q]).real
+    poles, shapes, drive = system.decoupled()
+    output = poles * shapes[size : size + n]
+    # What a mode's velocity leaves out of the acceleration is the forces' own.
+    accelerations = forces @ np.linalg.inv(system.mass)[:n, :columns].T
+    for q, pole in enumerate(poles):
+        decay = np.exp(pole * dt)
+        held = (decay - 1.0) / pole
+        ahead = (decay - 1.0 - pole * dt) / (pole**2 * dt)  # share of the force at the step's end
+        state = lfilter([ahead, held - ahead], [1.0, -decay], forces @ drive[q, :columns])
+        accelerations += (state[:, None] * output[:, q]).real
     return np.asarray(accelerations)
 
 

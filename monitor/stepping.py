@@ -7,34 +7,35 @@ Within a step the forces run straight; so do the laws' forces, from those at its
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import ceil, tanh
+from math import ceil, exp
 
 import numpy as np
-from scipy.linalg import expm
 
 from monitor.compiled import compiled
 from monitor.effects import Law, LawKind, System
-from monitor.results import Array
+from monitor.results import Array, ComplexArray
 
 STEP_HZ = 4096.0
 """Least rate of steps."""
 
 _CUBIC, _CONTACT, _FRICTION = int(LawKind.CUBIC), int(LawKind.CONTACT), int(LawKind.FRICTION)
+_WARMTH = -1
 
 
-@compiled()
+@compiled(error_model="numpy")
 def phi(kind: int, p0: float, p1: float, d: float, v: float) -> float:
     """Force of a law at displacement d and velocity v; `LawKind` says what the parameters are, each effect why.
 
     Here, not with the effects: a compiled function that calls one of another file is not compiled anew when that changes.
     """
     if kind == _CUBIC:
-        return p0 * d * d * d / (1.0 + (d / p1) ** 4)
+        faded = (d / p1) * (d / p1)
+        return p0 * d * d * d / (1.0 + faded * faded)
     if kind == _CONTACT:
         closed = d > p0 if p0 >= 0.0 else d < p0
         return p1 * (d - p0) if closed else 0.0
     if kind == _FRICTION:
-        return p0 * tanh(v / p1)
+        return p0 * (1.0 - 2.0 / (1.0 + exp(2.0 * v / p1)))  # tanh, at a third of its time
     return p0 * v * abs(v)
 
 
@@ -62,102 +63,109 @@ def march(
 
     Notes
     -----
-    With A, B of the linear part, ``z1 = e^(A h) z0 + G0 u0 + G1 u1``; the three matrices are blocks of one matrix
-    exponential (C. F. Van Loan, IEEE Trans. Automat. Control 23 (1978) 395).
+    Each of the linear part's complex modes makes a step by ``q1 = e^(p h) q0 + behind u0 + ahead u1``, where u is the force
+    on it.  What warmth adds to the stiffness acts as one more law for each dof.
     """
-    size, substeps = system.mass.shape[0], max(1, ceil(step_hz / rate_hz))
-    minv = np.linalg.inv(system.mass)
-    rows = np.hstack([-minv @ system.stiffness, -minv @ system.damping])
-    block = np.zeros((4 * size, 4 * size))
-    block[:size, size : 2 * size] = np.eye(size)
-    block[size : 2 * size, : 2 * size] = rows
-    block[size : 2 * size, 2 * size : 3 * size] = minv
-    block[: 2 * size] /= rate_hz * substeps
-    block[2 * size : 3 * size, 3 * size :] = np.eye(size)
-    exponential = expm(block)[: 2 * size]
-    ahead = np.ascontiguousarray(exponential[:, 3 * size :])
-    directions = np.zeros((len(laws), size))
-    for direction, law in zip(directions, laws, strict=True):
-        direction[:n] = law.direction
-    stiffness = np.zeros((size, size))
-    stiffness[:n, :n] = system.stiffness[:n, :n]
-    return _march(
-        np.ascontiguousarray(exponential[:, : 2 * size]),
-        np.ascontiguousarray(exponential[:, 2 * size : 3 * size] - ahead),
+    size, columns, substeps = system.mass.shape[0], forces.shape[1], max(1, ceil(step_hz / rate_hz))
+    h = 1.0 / (rate_hz * substeps)
+    poles, shapes, drive = system.decoupled()
+    decay = np.exp(poles * h)
+    held = np.expm1(poles * h) / poles
+    ahead = (held - h) / (poles * h)
+    acting = np.array([law.direction for law in laws]).reshape(-1, n)
+    heard, kinds = acting, [int(law.kind) for law in laws]
+    parameters = np.array([law.parameters for law in laws], dtype=np.float64).reshape(-1, 2)
+    if factor is not None:
+        acting, heard = np.vstack([acting, np.eye(n)]), np.vstack([acting, system.stiffness[:n, :n]])
+        kinds, parameters = kinds + n * [_WARMTH], np.vstack([parameters, np.zeros((n, 2))])
+    given = np.linalg.inv(system.mass)[:n]
+    moved = _march(
+        decay,
+        held - ahead,
         ahead,
-        np.hstack([rows, minv]),
-        np.array([int(law.kind) for law in laws], dtype=np.int64),
-        directions,
-        np.array([law.parameters for law in laws], dtype=np.float64).reshape(-1, 2),
-        stiffness,
+        np.ascontiguousarray(drive[:, :columns]),
+        drive[:, :n] @ acting.T,
+        heard @ shapes[:n],
+        heard @ shapes[size : size + n],
+        poles * shapes[size : size + n],
+        given[:, :n] @ acting.T,
+        np.array(kinds, dtype=np.int64),
+        parameters,
         np.ascontiguousarray(forces),
         np.zeros(0) if factor is None else factor - 1.0,
         substeps,
-        n,
     )
+    return np.asarray(moved + forces @ given[:, :columns].T)
 
 
-@compiled()
+@compiled(error_model="numpy")
 def _march(
-    decay: Array, behind: Array, ahead: Array, output: Array, kinds: Array, directions: Array, parameters: Array,
-    stiffness: Array, forces: Array, excess: Array, substeps: int, n: int,
+    decay: ComplexArray, behind: ComplexArray, ahead: ComplexArray, drive: ComplexArray, acting: ComplexArray,
+    drift: ComplexArray, speed: ComplexArray, output: ComplexArray, direct: Array, kinds: Array, parameters: Array,
+    forces: Array, excess: Array, substeps: int,
 ) -> Array:  # fmt: skip
-    size, columns = ahead.shape[1], forces.shape[1]
+    """Accelerations but for the forces' direct part, shape (n_samples, n).
+
+    Parameters
+    ----------
+    decay, behind, ahead : ndarray, shape (m,)
+        Of the m modes.
+    drive, acting : ndarray, shape (m, columns), (m, q)
+        Of the forces and of the q laws on the modes.
+    drift, speed, output : ndarray, shape (q, m), (q, m), (n, m)
+        The modes in what the laws hear and in the accelerations, as real parts.
+    direct : ndarray, shape (n, q)
+        Accelerations that the laws' forces cause at once.
+    """
+    m, q, columns, n = decay.size, kinds.size, forces.shape[1], output.shape[0]
     floors = np.empty((forces.shape[0], n))
-    state, moved = np.zeros(2 * size), np.zeros(2 * size)
-    start, end, given, predicted = np.zeros(size), np.zeros(size), np.zeros(size), np.zeros(size)
+    predicted, here, change, force = np.zeros((4, m), dtype=np.complex128)
+    given, late, d, v = np.zeros((4, q))
+    both, carried = np.empty((2, m, q), dtype=np.complex128)
+    last = np.empty((m, q), dtype=np.complex128)
+    for p in range(m):
+        both[p], last[p] = (behind[p] + ahead[p]) * acting[p], ahead[p] * acting[p]
+        carried[p] = decay[p] * last[p]
+    own_drift, own_speed, own_output = (drift @ last).real.copy(), (speed @ last).real.copy(), (output @ last).real.copy()
     warm = excess[0] if excess.size else 0.0
     for k in range(forces.shape[0]):
+        for p in range(m):
+            new = 0.0j
+            for j in range(columns):
+                new += drive[p, j] * forces[k, j]
+            step = (new - force[p]) / substeps
+            change[p] = (behind[p] + ahead[p]) * step
+            here[p] = (behind[p] + ahead[p]) * force[p] + ahead[p] * step
+            force[p] = new
         for s in range(substeps):
-            part = (s + 1.0) / substeps
-            for i in range(columns):
-                before = forces[k - 1, i] if k > 0 else 0.0
-                end[i] = before + part * (forces[k, i] - before)
             if excess.size and k > 0:
-                warm = excess[k - 1] + part * (excess[k] - excess[k - 1])
-            for i in range(2 * size):
-                total = 0.0
-                for j in range(2 * size):
-                    total += decay[i, j] * state[j]
-                for j in range(size):
-                    total += behind[i, j] * (start[j] + given[j]) + ahead[i, j] * (end[j] + given[j])
-                moved[i] = total
-            _reaction(moved, kinds, directions, parameters, stiffness, warm, predicted)
-            for i in range(2 * size):
-                total = moved[i]
-                for j in range(size):
-                    total += ahead[i, j] * (predicted[j] - given[j])
-                state[i] = total
-            _reaction(state, kinds, directions, parameters, stiffness, warm, given)
-            for i in range(size):
-                start[i] = end[i]
+                warm = excess[k - 1] + (s + 1.0) / substeps * (excess[k] - excess[k - 1])
+            d[:], v[:] = 0.0, 0.0
+            for p in range(m):
+                state = decay[p] * predicted[p] + here[p]
+                here[p] += change[p]
+                for j in range(q):
+                    state += carried[p, j] * late[j] + both[p, j] * given[j]
+                    d[j] += drift[j, p].real * state.real - drift[j, p].imag * state.imag
+                    v[j] += speed[j, p].real * state.real - speed[j, p].imag * state.imag
+                predicted[p] = state
+            for j in range(q):
+                late[j] = -_force(kinds[j], parameters[j], warm, d[j], v[j]) - given[j]
+            for j in range(q):
+                for i in range(q):
+                    d[j] += own_drift[j, i] * late[i]
+                    v[j] += own_speed[j, i] * late[i]
+                given[j] = -_force(kinds[j], parameters[j], warm, d[j], v[j])
         for i in range(n):
             total = 0.0
-            for j in range(2 * size):
-                total += output[i, j] * state[j]
-            for j in range(size):
-                total += output[i, 2 * size + j] * (end[j] + given[j])
+            for j in range(q):
+                total += direct[i, j] * given[j] + own_output[i, j] * late[j]
+            for p in range(m):
+                total += output[i, p].real * predicted[p].real - output[i, p].imag * predicted[p].imag
             floors[k, i] = total
     return floors
 
 
-@compiled()
-def _reaction(
-    state: Array, kinds: Array, directions: Array, parameters: Array, stiffness: Array, warm: float, out: Array
-) -> None:
-    """Force of the laws and of the stiffness that warmth adds, on every dof."""
-    size = out.size
-    for i in range(size):
-        out[i] = 0.0
-    for q in range(kinds.size):
-        d, v = 0.0, 0.0
-        for j in range(size):
-            d += directions[q, j] * state[j]
-            v += directions[q, j] * state[size + j]
-        force = phi(kinds[q], parameters[q, 0], parameters[q, 1], d, v)
-        for j in range(size):
-            out[j] -= directions[q, j] * force
-    if warm != 0.0:
-        for i in range(size):
-            for j in range(size):
-                out[i] -= warm * stiffness[i, j] * state[j]
+@compiled(error_model="numpy")
+def _force(kind: int, parameters: Array, warm: float, d: float, v: float) -> float:
+    return warm * d if kind == _WARMTH else phi(kind, parameters[0], parameters[1], d, v)

@@ -85,6 +85,24 @@ class System:
 
         return replace(self, damping=padded(self.damping, damping), stiffness=padded(self.stiffness, stiffness))
 
+    def decoupled(self) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+        """First-order equations ``dq/dt = pole q + drive @ forces``, one of each conjugate pair.
+
+        Returns
+        -------
+        poles : ndarray, shape (m,), rad/s
+        shapes : ndarray, shape (2N, m)
+            Displacements and velocities are the real part of ``shapes @ q``.
+        drive : ndarray, shape (m, N)
+        """
+        size = self.mass.shape[0]
+        inverse = np.linalg.inv(self.mass)
+        states = np.block([[np.zeros((size, size)), np.eye(size)], [-inverse @ self.stiffness, -inverse @ self.damping]])
+        poles, shapes = np.linalg.eig(states)
+        drive = np.linalg.solve(shapes, np.vstack([np.zeros((size, size)), inverse]).astype(complex))
+        kept = poles.imag >= 0
+        return poles[kept].astype(complex), shapes[:, kept] * np.where(poles.imag > 0, 2.0, 1.0)[kept], drive[kept]
+
 
 @dataclass(frozen=True, slots=True)
 class Line:
