@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -16,6 +17,7 @@ from monitor.fitting import Fit, fit
 from monitor.likelihood import Problem
 from monitor.misfit import Misfit, misfits
 from monitor.motion import conditions
+from monitor.parallel import each
 from monitor.polish import FINE, Polished, finish, form_doubt, polish, settle, skewness
 from monitor.reference import Reference
 from monitor.results import Array
@@ -23,7 +25,7 @@ from monitor.rivals import SURE, probabilities, same, together
 from monitor.search import Candidate, best_of_each, between_samples, evidence_of, judge, prepare, rank, starts
 
 _SMALL, _MORE = 200.0, 3.0
-"""Promised gain, nats, up to which a rough fit is believed to find half of the whole gain, or all but so much."""
+"""Promised gain, nats, of a small effect; a rough fit is believed to find half of the whole gain, or all but so much."""
 _KINDS, _EVERYWHERE, _DRIVEN = 7, 2, 2
 """Where the ground is measured: kinds of causes that are fitted roughly, those of them at every place, and to the end."""
 _UNSURE = 0.1
@@ -171,7 +173,7 @@ def _round(problem: Problem, at: Fit, lean: Array, settings: DiagnosisSettings, 
     taken = [(e.name, e.location) for e in (*problem.reference.effects(at.x), *at.effects)]
     ranked = [item for item in best_of_each(rank(problem, at, starts(problem, at, taken))) if item[0] > worth]
     chosen = _chosen(problem, at, ranked, settings) if problem.evidence.drive is None else _driven(problem, at, ranked)
-    fitted = sorted((judge(problem, at, e) for e in chosen.values()), key=lambda c: -c.evidence)
+    fitted = sorted(each(partial(judge, problem, at), chosen.values()), key=lambda c: -c.evidence)
     return sorted(_polished(problem, at, fitted, lean, settings), key=lambda p: -p.candidate.evidence)
 
 
@@ -179,13 +181,19 @@ def _chosen(
     problem: Problem, at: Fit, ranked: list[tuple[float, Effect]], settings: DiagnosisSettings
 ) -> dict[tuple[str, str], Effect]:
     """Effects worth a fit to the end, by name and place."""
-    rough = sorted((judge(problem, at, e, quick=True) for _, e in ranked[: settings.ranked]), key=lambda c: -c.evidence)
-    chosen = {c.key: c.effect for c in rough[: settings.tried]}
-    if ranked and ranked[0][0] < _SMALL:  # a small effect: its rivals gain nearly as much, and none may be passed over
-        bar = max(rough[0].evidence - settings.rival, settings.margin)
-        chosen = {c.key: c.effect for c in rough if c.evidence + max(c.gain, _MORE) > bar}
+    rough = _roughly(problem, at, [e for _, e in ranked[: settings.ranked]])
+    bar = max(rough[0].evidence - settings.rival, settings.margin) if rough else 0.0
+    near = [c for c in rough if c.evidence + max(c.gain, _MORE) > bar]
+    # Of a small effect, rivals gain nearly as much, and none may be passed over.
+    small = len(ranked) > 0 and ranked[0][0] < _SMALL
+    chosen = {c.key: c.effect for c in (near if small else near[: settings.tried])}
     # A rough fit may fail from far away, so the score test's own favourites are fitted too.
     return {(e.name, e.location): e for _, e in ranked[: settings.favourites]} | chosen
+
+
+def _roughly(problem: Problem, at: Fit, effects: list[Effect]) -> list[Candidate]:
+    """Effects fitted roughly, best first."""
+    return sorted(each(partial(judge, problem, at, quick=True), effects), key=lambda c: -c.evidence)
 
 
 def _driven(problem: Problem, at: Fit, ranked: list[tuple[float, Effect]]) -> dict[tuple[str, str], Effect]:
@@ -196,7 +204,7 @@ def _driven(problem: Problem, at: Fit, ranked: list[tuple[float, Effect]]) -> di
     kinds = list(dict.fromkeys(effect.name for _, effect in ranked))
     first = {name: next(e for _, e in ranked if e.name == name) for name in kinds[:_KINDS]}
     near = [e for _, e in ranked if e.name in kinds[:_EVERYWHERE] or e is first.get(e.name)]
-    rough = sorted((judge(problem, at, e, quick=True) for e in near), key=lambda c: -c.evidence)
+    rough = _roughly(problem, at, near)
     chosen = {c.key: c.effect for c in rough[:_DRIVEN]}
     same = [e for _, e in ranked if rough and e.name == rough[0].effect.name]
     return {(e.name, e.location): e for e in same} | chosen

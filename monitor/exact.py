@@ -20,7 +20,7 @@ _STEPS_A_PERIOD = 14
 """Least samples of the simulation in a period of the band's last frequency."""
 _BANDS = 1.3
 """Highest frequency kept of the simulations, over the band's last."""
-_STICKY = 4
+_STICKY = 3
 """Steps a sample where a law is friction."""
 _SPARSE, _TURNS = 16, 12
 """Samples of which one is taken to find a level, and iterations."""
@@ -120,49 +120,61 @@ def averaged(problem: Problem, x: Array, effects: Sequence[Effect], transforms: 
 
 
 def offset(
-    problem: Problem,
-    x: Array,
-    effects: tuple[Effect, ...],
-    acting: Forces,
-    transforms: ComplexArray,
-    *,
-    controlled: bool = True,
+    problem: Problem, x: Array, effects: tuple[Effect, ...], acting: Forces, transforms: ComplexArray
 ) -> ComplexArray:
     """Exact less linearized spectra of every class, shape (classes, n_bins, c, c).
 
-    Notes
-    -----
-    The law is made linear at the motion that the simulation's own spectra tell, as it is for the measured ones.  If
-    `controlled`, the linearized system under the same forces is a control variate: its simulated spectra less those
-    expected, times the likeness of the two responses, are taken off (its chance is theirs as far as they are alike).
+    The law is made linear at the motion that the simulation's own spectra tell, as it is for the measured ones.
     """
-    e, context = problem.evidence, problem.context_at(x)
-    everything = (*problem.reference.effects(x), *effects)
+    if _bent((*problem.reference.effects(x), *effects)):
+        return offsets(problem, x, effects, acting, transforms)[1]
+    _, simulated, expected = _sides(problem, x, effects, transforms)
+    return np.asarray(simulated - expected)
+
+
+def offsets(
+    problem: Problem, x: Array, effects: tuple[Effect, ...], acting: Forces, transforms: ComplexArray
+) -> tuple[ComplexArray, ComplexArray]:
+    """As `offset`, with a control variate and without it.
+
+    The linearized system under the same forces is the control: its simulated spectra less those expected, times the likeness
+    of the two responses, are taken off (its chance is theirs as far as they are alike).  A sensor's law is always compared so.
+    """
+    e, everything = problem.evidence, (*problem.reference.effects(x), *effects)
     bent = _bent(everything)
     straight = [effect for effect in everything if effect not in bent]
-    diagonal, c = np.arange(len(context.channels)), len(context.channels)
-    problem = replace(problem, offset=None)
-    added = [problem.noise(x) + _added(straight, problem, k) for k in range(problem.n_classes)]
-    noise = np.zeros((problem.n_classes, c)) if bent else np.array(added)
-    exact = averaged(problem, x, effects, transforms)
-    exact[:, :, diagonal, diagonal] += noise[:, None, :] * e.band.gain[:, None]
-    if not bent:
-        problem = replace(problem, conditions=conditions(problem, x, effects, exact))
-    expected = problem.scatter(x, effects)
-    if not (controlled or bent):
-        return np.asarray(exact - expected)
-    out = np.empty_like(e.spectra)
+    noise = _noise(problem, x, straight)
+    problem, simulated, expected = _sides(problem, x, effects, transforms)
+    out, diagonal = np.empty_like(e.spectra), np.arange(len(problem.context.channels))
     for k, y in enumerate(_linear(problem, x, everything, acting)):
-        z, members = _through(transforms[e.members[k]], straight, problem, k), e.members[k]
         linear = _products(y) * e.band.gain[:, None, None]
         if bent:  # what clipping adds is on the exact side
-            out[k] = exact[k] - linear
+            out[k] = simulated[k] - linear
             out[k][:, diagonal, diagonal] -= _added(bent, problem, k) * e.band.gain[:, None]
             continue
+        z, members = _through(transforms[e.members[k]], straight, problem, k), e.members[k]
         likeness = _likeness(np.einsum("sfa,sfb->fab", z, y.conj()) / members.size, _products(y))
         linear[:, diagonal, diagonal] += noise[k] * e.band.gain[:, None]
-        out[k] = exact[k] - expected[k] - likeness[:, None, None] * (linear - expected[k])
-    return out
+        out[k] = simulated[k] - expected[k] - likeness[:, None, None] * (linear - expected[k])
+    return out, out if bent else np.asarray(simulated - expected)
+
+
+def _sides(
+    problem: Problem, x: Array, effects: tuple[Effect, ...], transforms: ComplexArray
+) -> tuple[Problem, ComplexArray, ComplexArray]:
+    """The problem linear at the simulation's motion, the exact spectra of every class and those that it expects."""
+    problem, everything = replace(problem, offset=None), (*problem.reference.effects(x), *effects)
+    simulated, bent = averaged(problem, x, effects, transforms), _bent(everything)
+    if not bent:
+        diagonal, gain = np.arange(len(problem.context.channels)), problem.evidence.band.gain
+        simulated[:, :, diagonal, diagonal] += _noise(problem, x, everything)[:, None, :] * gain[:, None]
+        problem = replace(problem, conditions=conditions(problem, x, effects, simulated))
+    return problem, simulated, problem.scatter(x, effects)
+
+
+def _noise(problem: Problem, x: Array, effects: Sequence[Effect]) -> Array:
+    """Density of the channels' noise in every class, shape (classes, c)."""
+    return np.array([problem.noise(x) + _added(effects, problem, k) for k in range(problem.n_classes)])
 
 
 def _linear(problem: Problem, x: Array, effects: tuple[Effect, ...], acting: Forces) -> Iterator[ComplexArray]:

@@ -12,7 +12,7 @@ from monitor.corrected import smoothed
 from monitor.driven import Between
 from monitor.effects import Condition, Context
 from monitor.evidence import Evidence
-from monitor.exact import exact, forces, offset
+from monitor.exact import exact, forces, offsets
 from monitor.likelihood import Problem
 from monitor.model import Model
 from monitor.motion import conditions
@@ -23,6 +23,8 @@ _FORCE_STD, _LEVEL_STD = 1.0, 5.0
 """Prior of the logarithms of the floors' forces about one level, of the classes' levels and of the noise."""
 _LEAST_GAIN = 0.01
 """Nats of the last step."""
+_NEAR = 10.0
+"""Nats of a step after which the slopes change no more."""
 _NUDGE = 1e-5
 """Finite difference of those logarithms."""
 _WORST = 1e30
@@ -60,7 +62,7 @@ def excited(evidence: Evidence, model: Model, context: Context, reference_degc: 
 def _beyond_linear(problem: Problem, x: Array) -> ComplexArray:
     """What the exact laws add to the linearized spectra."""
     acting = forces(problem, x, (), 0)
-    return smoothed(problem, x, offset(problem, x, (), acting, exact(problem, x, (), acting)))
+    return smoothed(problem, x, offsets(problem, x, (), acting, exact(problem, x, (), acting))[0])
 
 
 def _as_moved(problem: Problem, known: Reference) -> Problem:
@@ -139,12 +141,13 @@ def _fit_levels(problem: Problem, x: Array, iterations: int = 40) -> Array:
         return at, spectra, problem.log_likelihood(spectra, data) - 0.5 * float(precision @ (at[p:] - first) ** 2)
 
     x, spectra, value = moved(np.zeros(first.size))
+    slopes, gained = np.zeros((first.size, *spectra.shape), dtype=complex), np.inf
     for _ in range(iterations):
-        slopes = np.zeros((first.size, *spectra.shape), dtype=complex)
-        for i in (*range(n), first.size - 1):
-            slopes[i] = (moved(_NUDGE * np.eye(first.size)[i])[1] - spectra) / _NUDGE
-        every = (moved(_NUDGE * np.r_[np.zeros(n), np.ones(k), 0.0])[1] - spectra) / _NUDGE
-        slopes[n + np.arange(k), np.arange(k)] = every  # a class's level moves its spectra alone
+        if gained > _NEAR:
+            for i in (*range(n), first.size - 1):
+                slopes[i] = (moved(_NUDGE * np.eye(first.size)[i])[1] - spectra) / _NUDGE
+            every = (moved(_NUDGE * np.r_[np.zeros(n), np.ones(k), 0.0])[1] - spectra) / _NUDGE
+            slopes[n + np.arange(k), np.arange(k)] = every  # a class's level moves its spectra alone
         rows, residual = problem.whitened(spectra, slopes, data)
         normal = rows.T @ rows + np.diag(precision)
         gradient = rows.T @ residual - precision * (x[p:] - first)

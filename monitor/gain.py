@@ -24,6 +24,7 @@ from monitor.fitting import Fit, fit
 from monitor.likelihood import Problem
 from monitor.model import Model
 from monitor.motion import conditions
+from monitor.parallel import each
 from monitor.reference import Reference
 from monitor.results import Array, ComplexArray
 from monitor.search import prepare
@@ -159,8 +160,9 @@ def heldout_gain(segments: Segments, diagnosis: Diagnosis, config: Configuration
     context, reference = diagnosis.problem.context, diagnosis.problem.reference
     nats, samples = np.zeros((2, n_blocks)), np.zeros(n_blocks)
     spectra = np.zeros((2, 2, *segments.values.shape[1:], segments.values.shape[2]), dtype=complex)
-    for fold in range(folds):
-        held = (block >= 0) & (block % folds == fold)
+
+    def scores(held: NDArray[np.bool_]) -> list[Score]:
+        """Of both forms, fitted to what is not held out."""
         others = classify(segments.part((block >= 0) & ~held))
         # Weighed as the whole recording, so that what was known before pulls these fits no more than the published one.
         others = replace(
@@ -168,11 +170,15 @@ def heldout_gain(segments: Segments, diagnosis: Diagnosis, config: Configuration
             counts=others.counts * segments.t_s.size / others.counts.sum(),
             drive=_as_moved(others.drive, diagnosis),
         )
-        for i, model in enumerate(_forms(others, reference, context, effects, diagnosis)):
-            judged = score(segments, model, context, config, reference.reference_degc, held)
-            nats[i] += np.bincount(block[held], judged.nats, n_blocks)
-            spectra[i] += np.count_nonzero(held) * np.stack([judged.measured, judged.modelled])
-        samples += np.bincount(block[held], minlength=n_blocks) * (judged.samples / np.count_nonzero(held))
+        forms = _forms(others, reference, context, effects, diagnosis)
+        return [score(segments, form, context, config, reference.reference_degc, held) for form in forms]
+
+    parts = [(block >= 0) & (block % folds == fold) for fold in range(folds)]
+    for held, judged in zip(parts, each(scores, parts), strict=True):
+        for i, one in enumerate(judged):
+            nats[i] += np.bincount(block[held], one.nats, n_blocks)
+            spectra[i] += np.count_nonzero(held) * np.stack([one.measured, one.modelled])
+        samples += np.bincount(block[held], minlength=n_blocks) * (judged[0].samples / np.count_nonzero(held))
     total = samples.sum()
     drawn = np.random.default_rng(0).integers(0, n_blocks, (_BOOTSTRAPS, n_blocks))
     gains = (nats[1] - nats[0])[drawn].sum(axis=1) / np.maximum(samples[drawn].sum(axis=1), 1.0)

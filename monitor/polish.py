@@ -8,15 +8,17 @@ follows is as good as the exact law's.  What chance is left shows in the spread 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from monitor.corrected import Corrected, corrected
 from monitor.effects import Effect
-from monitor.exact import exact, forces, offset
+from monitor.exact import exact, forces, offset, offsets
 from monitor.fitting import Fit, fit
 from monitor.likelihood import Problem, placed
 from monitor.motion import conditions
+from monitor.parallel import each
 from monitor.results import Array, ComplexArray
 from monitor.search import Candidate, evidence_of
 
@@ -90,16 +92,16 @@ def settle(problem: Problem, at: Fit, rounds: Rounds) -> Settled:
     linear = replace(problem, offset=None)
     for count, sloped in rounds:
         linear = replace(linear, conditions=conditions(linear, at.x, at.effects))
-        made = [_simulated(linear, at, seed) for seed in range(count)]
+        made = each(partial(_simulated, linear, at), range(count))
         offsets, free = np.array([m[0] for m in made]), np.array([m[1] for m in made])
         if sloped:
             kept = known if known > 1 else 0  # a single one was taken on the way
-            each = np.array([_sloped(linear, at, _OTHER + kept + seed) for seed in range(count)])
+            new = np.array(each(partial(_sloped, linear, at), range(_OTHER + kept, _OTHER + kept + count)))
             known = kept + count
-            slopes = each.mean(axis=0) if not kept else (kept * slopes + each.sum(axis=0)) / known
+            slopes = new.mean(axis=0) if not kept else (kept * slopes + new.sum(axis=0)) / known
         near = corrected(linear, at.x, at.effects, offsets.mean(axis=0), slopes)
         if sloped:
-            feigned = _feigned(near, at, each) * count / known
+            feigned = _feigned(near, at, new) * count / known
         near = replace(near, feigned=feigned, simulations=known)
         at = fit(near, at.x, at.effects, iterations=8)
     lost, doubt = _chance(near, at, offsets, free)
@@ -134,14 +136,13 @@ def _simulated(problem: Problem, at: Fit, seed: int) -> tuple[ComplexArray, Comp
     """Offset, the same without a control variate, and the transforms of one simulation."""
     acting = forces(problem, at.x, at.effects, seed)
     transforms = exact(problem, at.x, at.effects, acting)
-    free = offset(problem, at.x, at.effects, acting, transforms, controlled=False)
-    return offset(problem, at.x, at.effects, acting, transforms), free, transforms
+    return *offsets(problem, at.x, at.effects, acting, transforms), transforms
 
 
 def _sloped(problem: Problem, at: Fit, seed: int) -> ComplexArray:
     """Slopes of the offset by the laws' sizes, shape (p, classes, n_bins, c, c)."""
     acting, out = forces(problem, at.x, at.effects, seed), []
-    here = offset(problem, at.x, at.effects, acting, exact(problem, at.x, at.effects, acting), controlled=False)
+    here = offset(problem, at.x, at.effects, acting, exact(problem, at.x, at.effects, acting))
     wanted = [e for e in at.effects for _ in e.parameters]
     for i, effect in enumerate(wanted, start=problem.n_nuisance):
         if not effect.nonlinear:
@@ -152,7 +153,7 @@ def _sloped(problem: Problem, at: Fit, seed: int) -> ComplexArray:
         x = at.x.copy()
         x[i] += _STEP * abs(x[i])
         effects = placed(at.effects, x[problem.n_nuisance :])
-        there = offset(problem, x, effects, acting, exact(problem, x, effects, acting), controlled=False)
+        there = offset(problem, x, effects, acting, exact(problem, x, effects, acting))
         out.append((there - here) / (x[i] - at.x[i]))
     return np.array(out)
 
@@ -215,10 +216,10 @@ def _chance(problem: Problem, at: Fit, offsets: ComplexArray, free: ComplexArray
     here = problem.predict(at.x, at.effects)
     rows = at.jacobian[: at.residual.size]
     steps, lost = [], 0.0
-    for each in (offsets, free):
-        apart, _ = problem.whitened(here.spectra, problem.spread(each - each.mean(axis=0)), here.data)
+    for made in (offsets, free):
+        apart, _ = problem.whitened(here.spectra, problem.spread(made - made.mean(axis=0)), here.data)
         steps.append((at.covariance @ (rows.T @ apart))[n:])
-        if each is offsets:
+        if made is offsets:
             lost = 0.5 * float((apart**2).sum()) / (k * (k - 1))
     own, whole = (s.var(axis=1, ddof=1) for s in steps)
     expected = np.diag(at.covariance @ (rows.T @ rows) @ at.covariance)[n:]

@@ -21,6 +21,8 @@ from monitor.spectrum import LEAKAGE_OFFSETS, hann_amplitude, leakage
 _TAPS = leakage()
 _LEAST_SHARE, _MOST = 1e-9, 0.999
 """Of the variance that comes from the ground: less is none, more is this."""
+_BLOCK = 64
+"""Frequencies whose systems are solved together."""
 _LOWEST_HZ, _LOG_STEPS = 0.05, 4000
 """Where the ground's variance is summed up from, and in how many steps."""
 
@@ -162,34 +164,51 @@ def variances(system: System, force: Array, context: Context, band_hz: float) ->
 
 @compiled(error_model="numpy")
 def accelerance(mass: Array, damping: Array, stiffness: Array, omega: Array, right: Array) -> ComplexArray:
-    """Acceleration per force, ``-w^2 (K + i w C - w^2 M)^-1 right``, shape (n_omega, N, columns)."""
+    """Acceleration per force, ``-w^2 (K + i w C - w^2 M)^-1 right``, shape (n_omega, N, columns).
+
+    NaN where a pivot vanishes, which of a symmetric matrix with a definite imaginary part only one without mass does.
+    """
     size, columns = right.shape
     out = np.empty((omega.size, size, columns), dtype=np.complex128)
-    a = np.empty((size, size + columns), dtype=np.complex128)
-    for k in range(omega.size):
-        w = omega[k]
+    # A block of frequencies at a time, each step of the elimination for all of them: the machine works on several at once.
+    re, im = np.empty((2, size, size + columns, _BLOCK))
+    by_re, by_im = np.empty((2, _BLOCK))
+    for first in range(0, omega.size, _BLOCK):
+        w = omega[first : first + _BLOCK]
+        m = w.size
         for i in range(size):
             for j in range(size):
-                a[i, j] = complex(stiffness[i, j] - w * w * mass[i, j], w * damping[i, j])
+                for k in range(m):
+                    re[i, j, k], im[i, j, k] = stiffness[i, j] - w[k] * w[k] * mass[i, j], w[k] * damping[i, j]
             for j in range(columns):
-                a[i, size + j] = -w * w * right[i, j]
-        for p in range(size):  # symmetric with a definite imaginary part: a pivot vanishes only with its mass
-            pivot = a[p, p]
-            if pivot == 0.0:
-                out[:] = np.nan
-                return out
-            inverse = 1.0 / pivot  # once: complex divisions are slow
+                for k in range(m):
+                    re[i, size + j, k], im[i, size + j, k] = -w[k] * w[k] * right[i, j], 0.0
+        for p in range(size):
+            for k in range(m):  # the pivot's inverse takes its place; scaled, as squares of what is small vanish
+                x, y = re[p, p, k], im[p, p, k]
+                scale = 1.0 / max(abs(x), abs(y))
+                x, y = x * scale, y * scale
+                scale /= x * x + y * y
+                re[p, p, k], im[p, p, k] = x * scale, -y * scale
             for i in range(p + 1, size):
-                factor = a[i, p] * inverse
+                for k in range(m):
+                    by_re[k] = re[i, p, k] * re[p, p, k] - im[i, p, k] * im[p, p, k]
+                    by_im[k] = re[i, p, k] * im[p, p, k] + im[i, p, k] * re[p, p, k]
                 for j in range(p + 1, size + columns):
-                    a[i, j] -= factor * a[p, j]
-            a[p, p] = inverse
+                    for k in range(m):
+                        re[i, j, k] -= by_re[k] * re[p, j, k] - by_im[k] * im[p, j, k]
+                        im[i, j, k] -= by_re[k] * im[p, j, k] + by_im[k] * re[p, j, k]
         for p in range(size - 1, -1, -1):
-            for j in range(columns):
-                total = a[p, size + j]
+            for j in range(size, size + columns):
                 for i in range(p + 1, size):
-                    total -= a[p, i] * out[k, i, j]
-                out[k, p, j] = total * a[p, p]
+                    for k in range(m):
+                        re[p, j, k] -= re[p, i, k] * re[i, j, k] - im[p, i, k] * im[i, j, k]
+                        im[p, j, k] -= re[p, i, k] * im[i, j, k] + im[p, i, k] * re[i, j, k]
+                for k in range(m):
+                    x, y = re[p, j, k], im[p, j, k]
+                    re[p, j, k] = x * re[p, p, k] - y * im[p, p, k]
+                    im[p, j, k] = x * im[p, p, k] + y * re[p, p, k]
+                    out[first + k, p, j - size] = complex(re[p, j, k], im[p, j, k])
     return out
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from itertools import chain
 from typing import get_args
 
 import numpy as np
@@ -15,6 +16,7 @@ from monitor.fitting import Fit, fit, inverse
 from monitor.forward import Prediction
 from monitor.likelihood import Problem
 from monitor.motion import conditions
+from monitor.parallel import each
 from monitor.reference import Reference
 from monitor.results import Array
 
@@ -181,24 +183,22 @@ def rank(problem: Problem, null: Fit, candidates: list[Effect]) -> list[tuple[fl
     dragged = problem.evidence.drive is None and null.log_prior < _DRAGGED
     # A fit that went far to explain what it cannot hides what a swap would explain; what was known before does not.
     rested = _first_guess(problem) if dragged else None
-    out = []
-    for effect in candidates:
+
+    def promised(effect: Effect) -> list[tuple[float, Effect]]:
         moved = problem.predict(null.x, (*null.effects, effect))
-        out.append((_whole_gain(problem, null, moved), effect))
+        as_is = [(_whole_gain(problem, null, moved), effect)]
         if not effect.proportional:
             if rested is not None:
                 whole = _whole_gain(problem, null, problem.predict(rested, (*null.effects, effect)))
-                out.append((whole - null.log_prior, effect))
-            continue
+                as_is.append((whole - null.log_prior, effect))
+            return as_is
         v = change(problem, here, moved)
         along = tangent.T @ v
         information, score = float(v @ v - along @ normal @ along), float(v @ residual)
-        if information < 1e-9:
-            continue
-        grown = _grown(effect, score / information)
-        if grown is not None:
-            out.append((0.5 * score**2 / information, grown))
-    return sorted(out, key=lambda item: -item[0])
+        grown = None if information < 1e-9 else _grown(effect, score / information)
+        return as_is if grown is None else [*as_is, (0.5 * score**2 / information, grown)]
+
+    return sorted(chain.from_iterable(each(promised, candidates)), key=lambda item: -item[0])
 
 
 def change(problem: Problem, here: Prediction, there: Prediction) -> Array:

@@ -12,7 +12,7 @@ from monitor.config import Configuration
 from monitor.corrected import corrected
 from monitor.effects import Context, Effect, parse_effect
 from monitor.evidence import classify
-from monitor.exact import exact, forces, offset
+from monitor.exact import exact, forces, offsets
 from monitor.fitting import Fit, fit
 from monitor.likelihood import Problem
 from monitor.model import Model
@@ -59,7 +59,7 @@ def test_a_law_that_hardly_bends_has_no_offset(bent: tuple[Problem, Fit]) -> Non
     for size in (1e3, STRONG):
         at = replace(null, effects=(parse_effect(CUBIC.format(size)),))
         acting = forces(problem, at.x, at.effects, 3)
-        made = offset(problem, at.x, at.effects, acting, exact(problem, at.x, at.effects, acting))
+        made, _ = offsets(problem, at.x, at.effects, acting, exact(problem, at.x, at.effects, acting))
         sizes.append(whitened_rms(problem, at, made))
     assert sizes[0] < 0.05 < 4.0 * sizes[0] < sizes[1]
 
@@ -107,17 +107,17 @@ def test_a_correction_grows_with_the_motion(bent: tuple[Problem, Fit]) -> None:
     x = np.append(null.x, law.coordinates)
     problem = replace(problem, conditions=conditions(problem, x, (law,)))
 
-    def offsets(x: np.ndarray, law: Effect = law) -> np.ndarray:
+    def simulated(x: np.ndarray, law: Effect = law) -> np.ndarray:
         made = [forces(problem, x, (law,), seed) for seed in range(2)]
-        return np.mean([offset(problem, x, (law,), f, exact(problem, x, (law,), f)) for f in made], axis=0)
+        return np.mean([offsets(problem, x, (law,), f, exact(problem, x, (law,), f))[0] for f in made], axis=0)
 
-    here = offsets(x)
-    slope = (offsets(x, law.at(1.1 * law.coordinates)) - here) / (0.1 * law.coordinates[0])
+    here = simulated(x)
+    slope = (simulated(x, law.at(1.1 * law.coordinates)) - here) / (0.1 * law.coordinates[0])
     made = corrected(problem, x, (law,), here, slope[None])
     louder = x.copy()
     louder[n + 3 + problem.n_classes - 1] += 0.1
     plain, at = problem.scatter(louder, (law,)), replace(null, x=x, effects=(law,))
-    anew = corrected(problem, louder, (law,), offsets(louder), np.zeros((0, *here.shape))).scatter(louder, (law,))
+    anew = corrected(problem, louder, (law,), simulated(louder), np.zeros((0, *here.shape))).scatter(louder, (law,))
     constant = plain + made.scatter(x, (law,)) - problem.scatter(x, (law,))
     assert whitened_rms(problem, at, made.scatter(louder, (law,)) - anew) < 0.3 * whitened_rms(
         problem, at, constant - anew

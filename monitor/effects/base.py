@@ -97,7 +97,9 @@ class System:
         """
         size = self.mass.shape[0]
         inverse = np.linalg.inv(self.mass)
-        states = np.block([[np.zeros((size, size)), np.eye(size)], [-inverse @ self.stiffness, -inverse @ self.damping]])
+        states = np.block(
+            [[np.zeros((size, size)), np.eye(size)], [-inverse @ self.stiffness, -inverse @ self.damping]]
+        )
         poles, shapes = np.linalg.eig(states)
         drive = np.linalg.solve(shapes, np.vstack([np.zeros((size, size)), inverse]).astype(complex))
         kept = poles.imag >= 0
