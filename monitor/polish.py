@@ -140,22 +140,22 @@ def _simulated(problem: Problem, at: Fit, seed: int) -> tuple[ComplexArray, Comp
 
 
 def _sloped(problem: Problem, at: Fit, seed: int) -> ComplexArray:
-    """Slopes of the offset by the laws' sizes, shape (p, classes, n_bins, c, c)."""
-    acting, out = forces(problem, at.x, at.effects, seed), []
+    """Slopes of the offset by the laws' sizes, shape (p, classes, n_bins, c, c); none by a sensor's, which samples tell."""
+    laws = [(i, e) for i, e in enumerate(e for e in at.effects for _ in e.parameters) if e.nonlinear]
+    out = np.zeros((len(laws), *problem.evidence.spectra.shape), dtype=complex)
+    if all(effect.family == "sensor" for _, effect in laws):
+        return out
+    acting = forces(problem, at.x, at.effects, seed)
     here = offset(problem, at.x, at.effects, acting, exact(problem, at.x, at.effects, acting))
-    wanted = [e for e in at.effects for _ in e.parameters]
-    for i, effect in enumerate(wanted, start=problem.n_nuisance):
-        if not effect.nonlinear:
-            continue
-        if effect.family == "sensor":  # its size is told by the samples
-            out.append(np.zeros_like(here))
+    for slope, (i, effect) in zip(out, laws, strict=True):
+        if effect.family == "sensor":
             continue
         x = at.x.copy()
-        x[i] += _STEP * abs(x[i])
+        step = _STEP * abs(x[problem.n_nuisance + i])
+        x[problem.n_nuisance + i] += step
         effects = placed(at.effects, x[problem.n_nuisance :])
-        there = offset(problem, x, effects, acting, exact(problem, x, effects, acting))
-        out.append((there - here) / (x[i] - at.x[i]))
-    return np.array(out)
+        slope[:] = (offset(problem, x, effects, acting, exact(problem, x, effects, acting)) - here) / step
+    return out
 
 
 def _slopes(problem: Problem, at: Fit) -> ComplexArray:

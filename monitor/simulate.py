@@ -1,9 +1,8 @@
 """Integrates a Model in time: recordings with known truth.
 
-Linear models go through two recursions, run as compiled IIR filters: the exact discretisation (force linear between
-samples, so that nothing is delayed) for everything of ours, and Newmark's average acceleration at the paper's steps for
-`reproduce`, which lengthens periods to ``f_N = atan(pi f dt) / (pi dt)``.  Models with nonlinear laws or a stiffness that
-changes in time are stepped by `monitor.stepping`, which adds to the same exact discretisation.
+Everything of ours is stepped by `monitor.stepping`: exactly where the model is linear (force straight between samples, so
+that nothing is delayed).  Newmark's average acceleration at the paper's steps is for `reproduce` alone: it lengthens periods
+to ``f_N = atan(pi f dt) / (pi dt)``.
 """
 
 from __future__ import annotations
@@ -47,12 +46,7 @@ def linear_system(model: Model) -> System:
 
 
 def respond_exactly(model: Model, forces: Array, rate_hz: float) -> Array:
-    """Accelerations of the floors, shape (n_samples, n), nonlinear laws left out; see `respond_linear`."""
-    return respond_linear(linear_system(model), model.structure.n_dofs, forces, rate_hz)
-
-
-def respond_linear(system: System, n: int, forces: Array, rate_hz: float) -> Array:
-    """Accelerations of a linear system's first n degrees of freedom under forces that run straight between samples.
+    """Accelerations of the floors under forces that run straight between samples, nonlinear laws left out.
 
     Parameters
     ----------
@@ -64,23 +58,10 @@ def respond_linear(system: System, n: int, forces: Array, rate_hz: float) -> Arr
     -------
     ndarray, shape (n_samples, n), m/s^2
         Relative to the ground; at rest before the first sample.
-
-    Notes
-    -----
-    The complex modes of the state matrix decouple it into first-order recursions (one of each conjugate pair).
     """
-    dt, size, columns = 1.0 / rate_hz, system.mass.shape[0], forces.shape[1]
-    poles, shapes, drive = system.decoupled()
-    output = poles * shapes[size : size + n]
-    # What a mode's velocity leaves out of the acceleration is the forces' own.
-    accelerations = forces @ np.linalg.inv(system.mass)[:n, :columns].T
-    for q, pole in enumerate(poles):
-        decay = np.exp(pole * dt)
-        held = (decay - 1.0) / pole
-        ahead = (decay - 1.0 - pole * dt) / (pole**2 * dt)  # share of the force at the step's end
-        state = lfilter([ahead, held - ahead], [1.0, -decay], forces @ drive[q, :columns])
-        accelerations += (state[:, None] * output[:, q]).real
-    return np.asarray(accelerations)
+    from monitor.stepping import march  # compiled code takes a while to load
+
+    return march(linear_system(model), model.structure.n_dofs, (), forces, rate_hz, step_hz=rate_hz)
 
 
 def respond_newmark(model: Model, forces: Array, rate_hz: float) -> Array:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from math import erf, erfc, exp, inf, pi, sqrt
 from typing import ClassVar, Literal, Self
 
@@ -69,14 +70,7 @@ class SensorClipping(Effect):
 
     def _limit(self, condition: Condition, channel: int) -> float:
         """The limit over the unclipped signal's RMS."""
-        ratio = self.limit_m_s2 / float(condition.channel_m_s2[channel])
-        if ratio >= _NEVER:
-            return _NEVER
-        low, high = 0.0, ratio  # a / sqrt(power) falls with a to 1, where all samples are clipped
-        for _ in range(50):
-            a = 0.5 * (low + high)
-            low, high = (a, high) if a < ratio * sqrt(clipped_power(a)) else (low, a)
-        return max(high, _ALWAYS)
+        return _before_clipping(self.limit_m_s2 / float(condition.channel_m_s2[channel]))
 
     @classmethod
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
@@ -101,6 +95,18 @@ class SensorClipping(Effect):
 def _of(values: Array | NDArray[np.bool_], channel: int) -> float:
     """A channel's value; where the condition says nothing there is one for all."""
     return float(values[min(channel, values.size - 1)])
+
+
+@lru_cache(maxsize=256)  # every spectrum asks anew
+def _before_clipping(ratio: float) -> float:
+    """A limit over the unclipped signal's RMS, from the limit over the clipped one's."""
+    if ratio >= _NEVER:
+        return _NEVER
+    low, high = 0.0, ratio  # a / sqrt(power) falls with a to 1, where all samples are clipped
+    for _ in range(50):
+        a = 0.5 * (low + high)
+        low, high = (a, high) if a < ratio * sqrt(clipped_power(a)) else (low, a)
+    return max(high, _ALWAYS)
 
 
 def clipped_power(a: float) -> float:
