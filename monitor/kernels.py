@@ -90,6 +90,29 @@ def displaced(lag_sum: Array, head: Array, tail: Array) -> Array:
 
 
 @compiled()
+def filtered(sos: Array, x: Array, memory: Array) -> tuple[Array, Array]:
+    """Second-order sections one after the other, to the last bit as ``scipy.signal.sosfilt``; and what they remember.
+
+    Parameters
+    ----------
+    sos : ndarray, shape (n_sections, 6)
+    x : ndarray, shape (n_samples, c)
+    memory : ndarray, shape (n_sections, 2, c)
+    """
+    out, memory = np.empty(x.shape), memory.copy()
+    for k in range(x.shape[0]):
+        for i in range(x.shape[1]):
+            value = x[k, i]
+            for s in range(sos.shape[0]):
+                now = sos[s, 0] * value + memory[s, 0, i]
+                memory[s, 0, i] = sos[s, 1] * value - sos[s, 4] * now + memory[s, 1, i]
+                memory[s, 1, i] = sos[s, 2] * value - sos[s, 5] * now
+                value = now
+            out[k, i] = value
+    return out, memory
+
+
+@compiled()
 def interpolate(x: Array, first: NDArray[np.int64], phase: NDArray[np.int64], taps: Array) -> Array:
     """Output k is the sum of ``taps[phase[k]]`` times the samples from ``first[k]`` on; the order of sums is the taps'."""
     c, n_taps = x.shape[1], taps.shape[1]
