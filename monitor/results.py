@@ -122,7 +122,7 @@ class LagSums:
 def _about(products: Array, first: Array, second: Array, mean: Array, counts: NDArray[np.int64]) -> Array:
     moved = products - first[:, None, :, None] * mean
     moved -= mean[:, None] * second[:, :, None, :]
-    moved += counts[:, None, None, None] * np.outer(mean, mean)
+    moved += counts[:, None, None, None] * (mean[:, None] * mean)
     return np.asarray(moved)
 
 

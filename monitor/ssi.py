@@ -145,10 +145,12 @@ def realise(sums: LagSums, settings: SsiSettings, past: tuple[int, ...], max_ord
 
 def _orthonormal(o: Array, z: Array, l: int) -> tuple[Array, Array]:  # noqa: E741
     """O and Z in the basis of `Realisation`, as far as the columns are independent; they stay nested over orders."""
-    q, r = np.linalg.qr(o[:-l])
-    size = np.abs(np.diag(r))
-    sound = int(np.argmin(np.append(size >= _SINGULAR_TOLERANCE * size[0], False)))
-    inverse, _ = lapack.dtrtri(r[:sound, :sound])
+    r, reflectors, *_ = lapack.dgeqrf(o[:-l])
+    q, *_ = lapack.dorgqr(r, reflectors)
+    size = np.abs(r.diagonal())
+    weak = np.flatnonzero(size < _SINGULAR_TOLERANCE * size[0])
+    sound = int(weak[0]) if weak.size else size.size
+    inverse, _ = lapack.dtrtri(np.triu(r[:sound, :sound]))  # below lie the reflectors
     return np.concatenate([q[:, :sound], o[-l:, :sound] @ inverse]), z[:, :sound] @ inverse
 
 
@@ -222,7 +224,7 @@ def _inverse_root(matrix: Array) -> Array:
     Cholesky where the matrix has full rank; an eigenvalue decomposition where it has not (noise-free data).
     """
     upper, failed = lapack.dpotrf(matrix)
-    if not failed and np.square(np.diag(upper)).min() > _RANK_TOLERANCE * np.diag(matrix).max():
+    if not failed and upper.diagonal().min() ** 2 > _RANK_TOLERANCE * matrix.diagonal().max():
         return np.asarray(lapack.dtrtri(upper)[0])
     values, vectors = eigh(matrix)  # the pseudo-inverse of eq. 5
     inverse = np.where(values > _RANK_TOLERANCE * values[-1], 1.0 / np.sqrt(np.abs(values) + 1e-300), 0.0)

@@ -242,6 +242,6 @@ def _sum_up(grid: WindowGrid, state: WindowState) -> LagSums:
     counts = np.full(len(blocks), grid.block_n)
     counts[-1] = grid.block_n - lags + 1
     products, first, second = (np.array([getattr(b, name) for b in blocks]) for name in ("products", "first", "second"))
-    mean = np.sum([b.total for b in blocks], axis=0) / grid.window_n
+    mean = np.array([b.total for b in blocks]).sum(axis=0) / grid.window_n
     head, tail = blocks[0].head - mean, state.samples[state.samples.shape[0] - lags + 1 :] - mean
     return LagSums.of(products, first, second, mean, counts, head, tail)
