@@ -154,3 +154,82 @@ def lag_products(x: Array, n: int, n_lags: int) -> tuple[Array, Array, Array]:
                     total += now[k] * later[k]
                 products[tau, i, j] = total
     return products, shifted[0].copy(), shifted
+
+
+@compiled()
+def _likeness(a: ComplexArray, b: ComplexArray) -> float:
+    """Modal assurance criterion of two shapes of unit norm."""
+    total = 0j
+    for i in range(a.size):
+        total += np.conj(a[i]) * b[i]
+    return float(total.real**2 + total.imag**2)
+
+
+@compiled()
+def recurring(
+    space: NDArray[np.intp], frequency: Array, shape: ComplexArray, most_change: float, least_likeness: float
+) -> Array:
+    """For each pole 1 if the order below has the same, else 0.
+
+    Parameters
+    ----------
+    space : ndarray, shape (n_poles,)
+        Number of the order, rising.
+    frequency : ndarray, shape (n_poles,)
+    shape : ndarray, shape (n_poles, c)
+        Of unit norm.
+    """
+    found = np.zeros(frequency.size)
+    for p in range(frequency.size):
+        for q in range(p):
+            if (
+                space[q] == space[p] - 1
+                and abs(frequency[p] / frequency[q] - 1.0) < most_change
+                and _likeness(shape[p], shape[q]) > least_likeness
+            ):
+                found[p] = 1.0
+    return found
+
+
+@compiled()
+def grouped(
+    space: NDArray[np.intp],
+    frequency: Array,
+    shape: ComplexArray,
+    most_change: float,
+    least_likeness: float,
+    enough: float,
+) -> NDArray[np.intp]:
+    """Number of the mode of each pole, -1 for none; parameters as in `recurring`.
+
+    A mode has one pole an order, in `enough` of them or more.
+    """
+    n = frequency.size
+    near = np.zeros((n, n), dtype=np.bool_)
+    for i in range(n):
+        for j in range(n):
+            if abs(frequency[i] / frequency[j] - 1.0) < most_change:
+                near[i, j] = _likeness(shape[i], shape[j]) > least_likeness
+    group, free, modes = np.full(n, -1), np.ones(n, dtype=np.bool_), 0
+    while True:
+        # The pole with most companions is the best centre of a mode; where even that has too few, no other has enough.
+        seed, most = 0, 0
+        for i in range(n):
+            companions = 0
+            for j in range(n):
+                companions += free[i] and free[j] and near[i, j]
+            if companions > most:
+                seed, most = i, companions
+        if most < enough:
+            return group
+        best, away = np.full(space[-1] + 1, -1), np.abs(frequency - frequency[seed])
+        for j in range(n):
+            if free[j] and near[seed, j]:
+                free[j] = False
+                rival = best[space[j]]
+                if rival < 0 or away[j] < away[rival]:
+                    best[space[j]] = j
+        best = best[best >= 0]
+        if best.size >= enough:
+            group[best] = modes
+            modes += 1

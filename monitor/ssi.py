@@ -207,7 +207,8 @@ def continuous(poles: ComplexArray, rate_hz: float) -> tuple[Array, Array]:
     A pole at the origin has no frequency: NaN, which no selection accepts.
     """
     mu = np.log(np.where(poles == 0, np.nan, poles)) * rate_hz
-    return np.abs(mu) / (2.0 * np.pi), -mu.real / np.abs(mu)
+    size = np.abs(mu)
+    return size / (2.0 * np.pi), -mu.real / size
 
 
 def _toeplitz(sums: LagSums, i: int, past: tuple[int, ...]) -> Array:
