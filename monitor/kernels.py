@@ -233,3 +233,48 @@ def grouped(
         if best.size >= enough:
             group[best] = modes
             modes += 1
+
+
+@compiled(fastmath={"reassoc"})
+def changes(x: Array, factor: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Steps of each row of `x` that are not zero; and its spikes: samples `factor` times the mean step off both neighbours."""
+    c, n = x.shape
+    moves, spikes = np.zeros(c, dtype=np.int64), np.zeros(c, dtype=np.int64)
+    for i in range(c):
+        row, total, still, far = x[i], 0.0, 0, 0
+        for k in range(1, n):
+            total += abs(row[k] - row[k - 1])
+            still += row[k] == row[k - 1]
+        moves[i] = n - 1 - still
+        limit = factor * total / max(n - 1, 1)
+        for k in range(1, n - 1):
+            far += _off(row, k) > limit
+        if far:
+            # Between long rests a step of the sensor's resolution is none.
+            sizes = np.abs(row[1:] - row[:-1])
+            limit = max(limit, 3.0 * np.median(sizes[sizes > 0.0]))
+            for k in range(1, n - 1):
+                spikes[i] += _off(row, k) > limit
+    return moves, spikes
+
+
+@compiled()
+def _off(row: Array, k: int) -> float:
+    """How far a sample lies off both neighbours, to the same side; negative if between them."""
+    before, after = row[k] - row[k - 1], row[k] - row[k + 1]
+    return float(max(min(before, after), min(-before, -after)))
+
+
+@compiled()
+def piled(x: Array, top: Array, fewest: int, ratio: int) -> NDArray[np.int64]:
+    """Samples of each row at its `top`, if `fewest` and far more than at the value next below: no motion stays there."""
+    found = np.zeros(top.size, dtype=np.int64)
+    for i in range(top.size):
+        row, end, count = x[i], top[i], 0
+        for k in range(row.size):
+            count += row[k] == end
+        if count >= fewest:
+            others = row[row < end]
+            if others.size > 0 and count > ratio * np.count_nonzero(others == others.max()):
+                found[i] = count
+    return found
