@@ -55,8 +55,8 @@ class _Poles:
     """Of the state spaces, plausible poles or not."""
     space: NDArray[np.intp]
     """Index in them."""
-    column: NDArray[np.intp]
-    """Index of the pole in the state space."""
+    value: ComplexArray
+    """Discrete-time eigenvalue."""
     frequency: Array
     damping: Array
     shape: ComplexArray
@@ -144,7 +144,7 @@ def _plausible(found: PoleTable, rate_hz: float, select: SelectionSettings, comp
     stable = recurring(space, frequency, shape, select.stable_frequency, select.stable_mac)
     if complete:
         stable[space == len(found.orders) - 1] = 1.0
-    return _Poles(found.orders, space, found.column[good], frequency, zeta[good], shape, stable)
+    return _Poles(found.orders, space, found.value[good], frequency, zeta[good], shape, stable)
 
 
 def _match(poles: _Poles, frequencies: Array, shapes: Array, select: SelectionSettings) -> list[list[int] | None]:
@@ -225,5 +225,6 @@ def _estimate(
     if better is not estimate or not uncertainty:
         return better
     space = state_space(realisation, order)
-    deviations = mode_deviations(window.sums, realisation, space, poles.column[rows].tolist(), shapes, window.rate_hz)
+    columns = [int(np.abs(space.poles - pole).argmin()) for pole in poles.value[rows]]
+    deviations = mode_deviations(window.sums, realisation, space, columns, shapes, window.rate_hz)
     return replace(estimate, deviations=deviations)

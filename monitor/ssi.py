@@ -87,8 +87,6 @@ class PoleTable:
     """All that were identified."""
     space: NDArray[np.intp]
     """Index in `orders`."""
-    column: NDArray[np.intp]
-    """Index in the poles of the state space."""
     value: ComplexArray
     """Discrete-time eigenvalue."""
     shape: ComplexArray
@@ -169,22 +167,16 @@ def _leading(matrix: Array, count: int) -> tuple[Array, Array]:
 
 def poles(realisation: Realisation, orders: range) -> PoleTable:
     """The poles of every order, as far as the data have states."""
-    l, most = realisation.n_channels, realisation.observability.shape[1]  # noqa: E741 - the paper's letters
-    told = tuple(n for n in orders if n <= most)
-    real, imaginary = np.zeros((2, len(told), most))
-    vectors, c = np.zeros((len(told), most, most)), np.zeros((len(told), l, most))
-    for s, (n, (a, c_n)) in enumerate(zip(told, _matrices(realisation, told), strict=True)):
-        real[s, :n], imaginary[s, :n], _, vectors[s, :n, :n], _ = lapack.dgeev(a, compute_vl=0)
-        c[s, :, :n] = c_n
-    shapes = c @ vectors
-    # Complex vectors stand as real and imaginary part side by side, the pole above the axis first.
-    space, column = np.nonzero(imaginary > 0)
-    value = real[space, column] + 1j * imaginary[space, column]
-    return PoleTable(told, space, column, value, shapes[space, :, column] + 1j * shapes[space, :, column + 1])
+    from monitor.hessenberg import upper_poles  # compiled code takes a while to load
+
+    told = tuple(n for n in orders if n <= realisation.observability.shape[1])
+    found = [upper_poles(a, c) for a, c in _matrices(realisation, told)]
+    space = np.repeat(np.arange(len(told)), [values.size for values, _ in found])
+    return PoleTable(told, space, np.concatenate([v for v, _ in found]), np.concatenate([s for _, s in found]))
 
 
 def state_space(realisation: Realisation, order: int) -> StateSpace:
-    """A, C and all eigenvectors of one order; poles in the sequence of `poles`."""
+    """A, C and all eigenvectors of one order."""
     ((a, c),) = _matrices(realisation, (order,))
     values, vectors = np.linalg.eig(a)
     return StateSpace(order, values.astype(complex), vectors.astype(complex), c @ vectors, a, c)
