@@ -65,6 +65,20 @@ def inverses(matrices: ComplexArray) -> ComplexArray:
 
 
 @compiled()
+def about_mean(products: Array, first: Array, second: Array, mean: Array, counts: NDArray[np.int64]) -> Array:
+    """Every block's lagged products about the window's mean instead of zero; parameters and result as in `LagSums`."""
+    out = np.empty(products.shape)
+    n_blocks, n_lags, c, _ = products.shape
+    for b in range(n_blocks):
+        for tau in range(n_lags):
+            for i in range(c):
+                for j in range(c):
+                    moved = products[b, tau, i, j] - first[b, i] * mean[j] - mean[i] * second[b, tau, j]
+                    out[b, tau, i, j] = moved + counts[b] * (mean[i] * mean[j])
+    return out
+
+
+@compiled()
 def displaced(lag_sum: Array, head: Array, tail: Array) -> Array:
     """Gram matrix of the block Hankel matrix with these lag sums as first block row, shape (n_lags c, n_lags c).
 
