@@ -155,10 +155,14 @@ def _orthonormal(o: Array, z: Array, l: int) -> tuple[Array, Array]:  # noqa: E7
 def _leading(matrix: Array, count: int) -> tuple[Array, Array]:
     """At least the `count` largest singular values, falling, and as many right vectors, as columns."""
     if min(matrix.shape) < _LARGE:
-        # Where squares lose no more than a few digits, the symmetric problem takes half the time.
-        squares, vectors, failed = lapack.dsyevd(matrix.T @ matrix)
+        # Where squares lose no more than a few digits, the symmetric problem takes half the time; dsyevd in its parts, as the
+        # last is needed for the wanted vectors alone.
+        reflected, diagonal, beside, scales, _ = lapack.dsytrd(matrix.T @ matrix, lower=1)
+        squares, turned, failed = lapack.dstevd(diagonal, beside)
         if not failed and squares[-count] > _SQUARED_TOLERANCE * squares[-1]:
-            return np.sqrt(squares[: -count - 1 : -1]), vectors[:, : -count - 1 : -1]
+            first, others = turned[:1, -count:], turned[1:, -count:]
+            others, *_ = lapack.dormqr("L", "N", reflected[1:, :-1], scales, others, 64 * count)
+            return np.sqrt(squares[: -count - 1 : -1]), np.concatenate([first, others])[:, ::-1]
         _, values, right_t = svd(matrix)
         return values, right_t[:count].T
     _, values, right_t = svds(matrix, count, v0=np.ones(min(matrix.shape)))  # a given start: the same bits every time
