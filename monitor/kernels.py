@@ -156,17 +156,24 @@ def lag_products(x: Array, n: int, n_lags: int) -> tuple[Array, Array, Array]:
     """
     c = x.shape[0]
     products, shifted = np.empty((n_lags, c, c)), np.empty((n_lags, c))
-    for tau in range(n_lags):
-        for j in range(c):
-            later, total = x[j, tau : tau + n], 0.0
-            for k in range(n):
-                total += later[k]
+    for j in range(c):
+        total = 0.0
+        for k in range(n):
+            total += x[j, k]
+        shifted[0, j] = total
+        for tau in range(1, n_lags):
+            total += x[j, tau - 1 + n] - x[j, tau - 1]
             shifted[tau, j] = total
-            for i in range(c):
-                now, total = x[i, :n], 0.0
+    for i in range(c):
+        now = x[i, :n]
+        for j in range(c):
+            for tau in range(0, n_lags, 2):  # two lags at once: each sample is fetched for both
+                after = min(tau + 1, n_lags - 1)
+                one, two, first, second = x[j, tau : tau + n], x[j, after : after + n], 0.0, 0.0
                 for k in range(n):
-                    total += now[k] * later[k]
-                products[tau, i, j] = total
+                    first += now[k] * one[k]
+                    second += now[k] * two[k]
+                products[tau, i, j], products[after, i, j] = first, second
     return products, shifted[0].copy(), shifted
 
 
