@@ -10,61 +10,6 @@ from monitor.results import Array, ComplexArray
 
 
 @compiled()
-def pool_products(x: ComplexArray, first: NDArray[np.intp], sizes: NDArray[np.intp], out: ComplexArray) -> None:
-    """Cross-spectra of one segment, shape (n_bins, c), means over pools of bins, packed, into shape (pairs, pools)."""
-    c = x.shape[1]
-    for p in range(first.size):
-        begin, size = first[p], sizes[p]
-        pair = 0
-        for i in range(c):
-            for j in range(i, c):
-                total = 0j
-                for k in range(begin, begin + size):
-                    total += x[k, i] * np.conj(x[k, j])
-                out[pair, p] = total / size
-                pair += 1
-
-
-@compiled()
-def pack_columns(u: Array | ComplexArray, v: ComplexArray) -> ComplexArray:
-    """Upper triangles of ``u v^H + v u^H`` of every column, shapes (pools or 1, c, columns) to (columns, pairs, pools)."""
-    pools, c, columns = v.shape
-    out = np.empty((columns, c * (c + 1) // 2, pools), dtype=np.complex128)
-    for p in range(pools):
-        up, vp = u[p if len(u) > 1 else 0], v[p]
-        pair = 0
-        for i in range(c):
-            for j in range(i, c):
-                for k in range(columns):
-                    out[k, pair, p] = up[i, k] * np.conj(vp[j, k]) + vp[i, k] * np.conj(up[j, k])
-                pair += 1
-    return out
-
-
-@compiled(error_model="numpy")
-def inverses(matrices: ComplexArray) -> ComplexArray:
-    """Inverses of Hermitian matrices, shape (n, c, c); not finite where a pivot vanishes."""
-    n, c, _ = matrices.shape
-    a, out = matrices.copy(), np.zeros((n, c, c), dtype=np.complex128)
-    for k in range(n):
-        for i in range(c):
-            out[k, i, i] = 1.0
-        for p in range(c):  # Gauss-Jordan; definite matrices need no other order of pivots
-            scale = 1.0 / a[k, p, p].real
-            for j in range(c):
-                a[k, p, j] *= scale
-                out[k, p, j] *= scale
-            for i in range(c):
-                factor = a[k, i, p]
-                if i == p or factor == 0.0:
-                    continue
-                for j in range(c):
-                    a[k, i, j] -= factor * a[k, p, j]
-                    out[k, i, j] -= factor * out[k, p, j]
-    return out
-
-
-@compiled()
 def about_mean(products: Array, first: Array, second: Array, mean: Array, counts: NDArray[np.int64]) -> Array:
     """Every block's lagged products about the window's mean instead of zero; parameters and result as in `LagSums`."""
     out = np.empty(products.shape)
