@@ -32,8 +32,8 @@ def upper_poles(a: Array, c: Array) -> tuple[ComplexArray, ComplexArray]:
     c : ndarray, shape (l, n)
     """
     reduced, scales, _ = lapack.dgehrd(a)
-    values, shapes = _upper_poles(reduced.T, scales, c)
-    if np.isfinite(values).all():
+    values, shapes, sound = _upper_poles(reduced.T, scales, c)
+    if sound:
         return values, shapes
     values, vectors = np.linalg.eig(a)
     above = values.imag > 0
@@ -41,8 +41,8 @@ def upper_poles(a: Array, c: Array) -> tuple[ComplexArray, ComplexArray]:
 
 
 @compiled(error_model="numpy", fastmath={"contract"})
-def _upper_poles(reduced_t: Array, scales: Array, c: Array) -> tuple[ComplexArray, ComplexArray]:
-    """As `upper_poles`, from the transposed result of dgehrd; where that fails, values are not finite."""
+def _upper_poles(reduced_t: Array, scales: Array, c: Array) -> tuple[ComplexArray, ComplexArray, bool]:
+    """As `upper_poles`, from the transposed result of dgehrd; and whether it succeeded."""
     n, l = reduced_t.shape[0], c.shape[0]  # noqa: E741 - the paper's letters
     h, turned = np.zeros((n, n)), c.copy()
     for i in range(n):
@@ -58,18 +58,18 @@ def _upper_poles(reduced_t: Array, scales: Array, c: Array) -> tuple[ComplexArra
             for j in range(k + 2, n):
                 turned[i, j] -= total * reduced_t[k, j]
     values = _eigenvalues(h)
-    values = values[~(values.imag <= 0.0)]
+    sound = not np.isnan(values[0])
+    values = values[values.imag > 0.0]
     shapes = np.empty((values.size, l), dtype=np.complex128)
     u, x = np.empty((n, n), dtype=np.complex128), np.empty(n, dtype=np.complex128)
     for k in range(values.size):
-        if not _vector(h, values[k], u, x):
-            values[k] = np.nan
+        sound = _vector(h, values[k], u, x) and sound
         for i in range(l):
             total = 0j
             for j in range(n):
                 total += turned[i, j] * x[j]
             shapes[k, i] = total
-    return values, shapes
+    return values, shapes, sound
 
 
 @compiled(error_model="numpy", fastmath={"contract"})

@@ -122,7 +122,7 @@ class Window:
     @property
     def rms_m_s2(self) -> float:
         """Response level: mean over channels of the RMS."""
-        variance = np.diag(self.sums.total[0]) / self.sums.counts.sum()
+        variance = self.sums.total[0].diagonal() / self.sums.counts.sum()
         return float(np.sqrt(variance).mean())
 
 
