@@ -14,7 +14,7 @@ from functools import lru_cache
 from math import floor
 
 import numpy as np
-from scipy.signal import cheby1, sosfilt
+from scipy.signal import cheby1
 
 from monitor.results import Array
 
@@ -78,10 +78,10 @@ class Conditioner:
         ndarray, shape (n_output, n_channels), m/s^2
             Output sample k, counted from the start, lies at source sample ``k * step``.
         """
-        from monitor.kernels import interpolate  # compiled code takes a while to load
+        from monitor.kernels import filtered, interpolate  # compiled code takes a while to load
 
-        filtered, memory = sosfilt(self.sos, samples, axis=0, zi=state.filter_memory)
-        extended = np.concatenate([state.history, filtered])
+        latest, memory = filtered(self.sos, np.ascontiguousarray(samples), state.filter_memory)
+        extended = np.concatenate([state.history, latest])
         n_in = state.n_in + samples.shape[0]
         p, q = self.step.numerator, self.step.denominator
         n_out = -(-n_in * q // p)  # all outputs k whose latest source sample, floor(k p / q), has come

@@ -198,49 +198,18 @@ def _told(state: HealthState, dropped: int, channels: tuple[str, ...]) -> Health
 
 def _examined(x: Array, rate_hz: float, channels: tuple[str, ...]) -> tuple[ChannelHealth, ...]:
     """Each of the rows of `x`, shape (c, n)."""
+    from monitor.kernels import changes, piled  # compiled code takes a while to load
+
     n = x.shape[1]
     mean = x.mean(axis=1)
     about = x - mean[:, None]
     rms = np.sqrt(np.einsum("cn,cn->c", about, about) / n)
     top, least = about.max(axis=1), about.min(axis=1)
-    steps = x[:, 1:] - x[:, :-1]
-    sizes = np.abs(steps)
-    limits = _SPIKE * sizes.sum(axis=1) / max(n - 1, 1)
-    floor = _noise_floor(about, rate_hz)
-    return tuple(
-        ChannelHealth(
-            channel=name,
-            mean_m_s2=float(mean[i]),
-            rms_m_s2=float(rms[i]),
-            peak_m_s2=float(max(top[i], -least[i])),
-            spikes=_spikes(steps[i], sizes[i], limits[i]),
-            repeated=1.0 - np.count_nonzero(steps[i]) / max(n - 1, 1),
-            clipped=(_piled(about[i], top[i]) + _piled(-about[i], -least[i])) / n if top[i] > least[i] else 0.0,
-            noise_floor=float(floor[i]),
-        )
-        for i, name in enumerate(channels)
-    )
-
-
-def _spikes(steps: Array, sizes: Array, limit: float) -> int:
-    """Samples with a step beyond the limit up to them and one back."""
-    there = np.flatnonzero(sizes > limit)
-    there = there[np.isin(there + 1, there)] if there.size > 1 else there[:0]
-    there = there[steps[there] * steps[there + 1] < 0]
-    if not there.size:
-        return 0
-    # Between long rests a step of the sensor's resolution is none.
-    usual = 3.0 * np.median(sizes[sizes > 0])
-    return int(np.count_nonzero(np.minimum(sizes[there], sizes[there + 1]) > usual))
-
-
-def _piled(x: Array, top: float) -> int:
-    """How many samples lie at the top, if far more than at the value next below: no motion stays there."""
-    count = int(np.count_nonzero(x == top))
-    if count < _PILED:
-        return 0
-    below = x[x < top].max()
-    return count if count > _PILED_RATIO * np.count_nonzero(x == below) else 0
+    peak = np.maximum(top, -least)
+    moves, spikes = changes(x, _SPIKE)
+    clipped = (piled(about, top, _PILED, _PILED_RATIO) + piled(-about, -least, _PILED, _PILED_RATIO)) / n
+    told = mean, rms, peak, spikes, 1.0 - moves / max(n - 1, 1), clipped * (top > least), _noise_floor(about, rate_hz)
+    return tuple(ChannelHealth(*one) for one in zip(channels, *(values.tolist() for values in told), strict=True))
 
 
 def _noise_floor(x: Array, rate_hz: float) -> Array:

@@ -10,57 +10,16 @@ from monitor.results import Array, ComplexArray
 
 
 @compiled()
-def pool_products(x: ComplexArray, first: NDArray[np.intp], sizes: NDArray[np.intp], out: ComplexArray) -> None:
-    """Cross-spectra of one segment, shape (n_bins, c), means over pools of bins, packed, into shape (pairs, pools)."""
-    c = x.shape[1]
-    for p in range(first.size):
-        begin, size = first[p], sizes[p]
-        pair = 0
-        for i in range(c):
-            for j in range(i, c):
-                total = 0j
-                for k in range(begin, begin + size):
-                    total += x[k, i] * np.conj(x[k, j])
-                out[pair, p] = total / size
-                pair += 1
-
-
-@compiled()
-def pack_columns(u: Array | ComplexArray, v: ComplexArray) -> ComplexArray:
-    """Upper triangles of ``u v^H + v u^H`` of every column, shapes (pools or 1, c, columns) to (columns, pairs, pools)."""
-    pools, c, columns = v.shape
-    out = np.empty((columns, c * (c + 1) // 2, pools), dtype=np.complex128)
-    for p in range(pools):
-        up, vp = u[p if len(u) > 1 else 0], v[p]
-        pair = 0
-        for i in range(c):
-            for j in range(i, c):
-                for k in range(columns):
-                    out[k, pair, p] = up[i, k] * np.conj(vp[j, k]) + vp[i, k] * np.conj(up[j, k])
-                pair += 1
-    return out
-
-
-@compiled(error_model="numpy")
-def inverses(matrices: ComplexArray) -> ComplexArray:
-    """Inverses of Hermitian matrices, shape (n, c, c); not finite where a pivot vanishes."""
-    n, c, _ = matrices.shape
-    a, out = matrices.copy(), np.zeros((n, c, c), dtype=np.complex128)
-    for k in range(n):
-        for i in range(c):
-            out[k, i, i] = 1.0
-        for p in range(c):  # Gauss-Jordan; definite matrices need no other order of pivots
-            scale = 1.0 / a[k, p, p].real
-            for j in range(c):
-                a[k, p, j] *= scale
-                out[k, p, j] *= scale
+def about_mean(products: Array, first: Array, second: Array, mean: Array, counts: NDArray[np.int64]) -> Array:
+    """Every block's lagged products about the window's mean instead of zero; parameters and result as in `LagSums`."""
+    out = np.empty(products.shape)
+    n_blocks, n_lags, c, _ = products.shape
+    for b in range(n_blocks):
+        for tau in range(n_lags):
             for i in range(c):
-                factor = a[k, i, p]
-                if i == p or factor == 0.0:
-                    continue
                 for j in range(c):
-                    a[k, i, j] -= factor * a[k, p, j]
-                    out[k, i, j] -= factor * out[k, p, j]
+                    moved = products[b, tau, i, j] - first[b, i] * mean[j] - mean[i] * second[b, tau, j]
+                    out[b, tau, i, j] = moved + counts[b] * (mean[i] * mean[j])
     return out
 
 
@@ -87,6 +46,29 @@ def displaced(lag_sum: Array, head: Array, tail: Array) -> Array:
                     row, column = (a + 1) * c + i, (a + 1 + tau) * c + j
                     out[row, column] = out[column, row] = total
     return out
+
+
+@compiled()
+def filtered(sos: Array, x: Array, memory: Array) -> tuple[Array, Array]:
+    """Second-order sections one after the other, to the last bit as ``scipy.signal.sosfilt``; and what they remember.
+
+    Parameters
+    ----------
+    sos : ndarray, shape (n_sections, 6)
+    x : ndarray, shape (n_samples, c)
+    memory : ndarray, shape (n_sections, 2, c)
+    """
+    out, memory = np.empty(x.shape), memory.copy()
+    for k in range(x.shape[0]):
+        for i in range(x.shape[1]):
+            value = x[k, i]
+            for s in range(sos.shape[0]):
+                now = sos[s, 0] * value + memory[s, 0, i]
+                memory[s, 0, i] = sos[s, 1] * value - sos[s, 4] * now + memory[s, 1, i]
+                memory[s, 1, i] = sos[s, 2] * value - sos[s, 5] * now
+                value = now
+            out[k, i] = value
+    return out, memory
 
 
 @compiled()
@@ -119,15 +101,146 @@ def lag_products(x: Array, n: int, n_lags: int) -> tuple[Array, Array, Array]:
     """
     c = x.shape[0]
     products, shifted = np.empty((n_lags, c, c)), np.empty((n_lags, c))
-    for tau in range(n_lags):
-        for j in range(c):
-            later, total = x[j, tau : tau + n], 0.0
-            for k in range(n):
-                total += later[k]
+    for j in range(c):
+        total = 0.0
+        for k in range(n):
+            total += x[j, k]
+        shifted[0, j] = total
+        for tau in range(1, n_lags):
+            total += x[j, tau - 1 + n] - x[j, tau - 1]
             shifted[tau, j] = total
-            for i in range(c):
-                now, total = x[i, :n], 0.0
+    for i in range(c):
+        now = x[i, :n]
+        for j in range(c):
+            for tau in range(0, n_lags, 2):  # two lags at once: each sample is fetched for both
+                after = min(tau + 1, n_lags - 1)
+                one, two, first, second = x[j, tau : tau + n], x[j, after : after + n], 0.0, 0.0
                 for k in range(n):
-                    total += now[k] * later[k]
-                products[tau, i, j] = total
+                    first += now[k] * one[k]
+                    second += now[k] * two[k]
+                products[tau, i, j], products[after, i, j] = first, second
     return products, shifted[0].copy(), shifted
+
+
+@compiled()
+def _likeness(a: ComplexArray, b: ComplexArray) -> float:
+    """Modal assurance criterion of two shapes of unit norm."""
+    total = 0j
+    for i in range(a.size):
+        total += np.conj(a[i]) * b[i]
+    return float(total.real**2 + total.imag**2)
+
+
+@compiled()
+def recurring(
+    space: NDArray[np.intp], frequency: Array, shape: ComplexArray, most_change: float, least_likeness: float
+) -> Array:
+    """For each pole 1 if the order below has the same, else 0.
+
+    Parameters
+    ----------
+    space : ndarray, shape (n_poles,)
+        Number of the order, rising.
+    frequency : ndarray, shape (n_poles,)
+    shape : ndarray, shape (n_poles, c)
+        Of unit norm.
+    """
+    found = np.zeros(frequency.size)
+    for p in range(frequency.size):
+        for q in range(p):
+            if (
+                space[q] == space[p] - 1
+                and abs(frequency[p] / frequency[q] - 1.0) < most_change
+                and _likeness(shape[p], shape[q]) > least_likeness
+            ):
+                found[p] = 1.0
+    return found
+
+
+@compiled()
+def grouped(
+    space: NDArray[np.intp],
+    frequency: Array,
+    shape: ComplexArray,
+    most_change: float,
+    least_likeness: float,
+    enough: float,
+) -> NDArray[np.intp]:
+    """Number of the mode of each pole, -1 for none; parameters as in `recurring`.
+
+    A mode has one pole an order, in `enough` of them or more.
+    """
+    n = frequency.size
+    near = np.zeros((n, n), dtype=np.bool_)
+    for i in range(n):
+        for j in range(n):
+            if abs(frequency[i] / frequency[j] - 1.0) < most_change:
+                near[i, j] = _likeness(shape[i], shape[j]) > least_likeness
+    group, free, modes = np.full(n, -1), np.ones(n, dtype=np.bool_), 0
+    while True:
+        # The pole with most companions is the best centre of a mode; where even that has too few, no other has enough.
+        seed, most = 0, 0
+        for i in range(n):
+            companions = 0
+            for j in range(n):
+                companions += free[i] and free[j] and near[i, j]
+            if companions > most:
+                seed, most = i, companions
+        if most < enough:
+            return group
+        best, away = np.full(space[-1] + 1, -1), np.abs(frequency - frequency[seed])
+        for j in range(n):
+            if free[j] and near[seed, j]:
+                free[j] = False
+                rival = best[space[j]]
+                if rival < 0 or away[j] < away[rival]:
+                    best[space[j]] = j
+        best = best[best >= 0]
+        if best.size >= enough:
+            group[best] = modes
+            modes += 1
+
+
+@compiled(fastmath={"reassoc"})
+def changes(x: Array, factor: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Steps of each row of `x` that are not zero; and its spikes: samples `factor` times the mean step off both neighbours."""
+    c, n = x.shape
+    moves, spikes = np.zeros(c, dtype=np.int64), np.zeros(c, dtype=np.int64)
+    for i in range(c):
+        row, total, still, far = x[i], 0.0, 0, 0
+        for k in range(1, n):
+            total += abs(row[k] - row[k - 1])
+            still += row[k] == row[k - 1]
+        moves[i] = n - 1 - still
+        limit = factor * total / max(n - 1, 1)
+        for k in range(1, n - 1):
+            far += _off(row, k) > limit
+        if far:
+            # Between long rests a step of the sensor's resolution is none.
+            sizes = np.abs(row[1:] - row[:-1])
+            limit = max(limit, 3.0 * np.median(sizes[sizes > 0.0]))
+            for k in range(1, n - 1):
+                spikes[i] += _off(row, k) > limit
+    return moves, spikes
+
+
+@compiled()
+def _off(row: Array, k: int) -> float:
+    """How far a sample lies off both neighbours, to the same side; negative if between them."""
+    before, after = row[k] - row[k - 1], row[k] - row[k + 1]
+    return float(max(min(before, after), min(-before, -after)))
+
+
+@compiled()
+def piled(x: Array, top: Array, fewest: int, ratio: int) -> NDArray[np.int64]:
+    """Samples of each row at its `top`, if `fewest` and far more than at the value next below: no motion stays there."""
+    found = np.zeros(top.size, dtype=np.int64)
+    for i in range(top.size):
+        row, end, count = x[i], top[i], 0
+        for k in range(row.size):
+            count += row[k] == end
+        if count >= fewest:
+            others = row[row < end]
+            if others.size > 0 and count > ratio * np.count_nonzero(others == others.max()):
+                found[i] = count
+    return found

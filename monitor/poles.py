@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from statistics import median
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 from scipy.optimize import linear_sum_assignment
 
@@ -52,16 +53,14 @@ class _Poles:
 
     orders: tuple[int, ...]
     """Of the state spaces, plausible poles or not."""
-    space: list[int]
+    space: NDArray[np.intp]
     """Index in them."""
-    column: list[int]
-    """Index of the pole in the state space."""
+    value: ComplexArray
+    """Discrete-time eigenvalue."""
     frequency: Array
     damping: Array
     shape: ComplexArray
     """Unit norm, shape (n_poles, c)."""
-    likeness: Array
-    """Modal assurance criterion of every two."""
     stable: Array
     """1 if the order below has the same pole."""
 
@@ -136,18 +135,16 @@ def identify(
 
 def _plausible(found: PoleTable, rate_hz: float, select: SelectionSettings, complete: bool) -> _Poles:
     """Poles that could be modes.  Where the data have no more states (`complete`), the last order's need no other."""
+    from monitor.kernels import recurring  # compiled code takes a while to load
+
     f, zeta = continuous(found.value, rate_hz)
     good = (f > select.min_frequency_hz) & (f < _BAND * rate_hz) & (zeta > 0) & (zeta < select.max_damping_ratio)
-    order, column, shape = found.space[good], found.column[good], found.shape[good]
-    frequency, damping = f[good], zeta[good]
+    space, shape, frequency = found.space[good], found.shape[good], f[good]
     shape /= np.sqrt(np.einsum("pc,pc->p", shape.conj(), shape).real)[:, None]
-    likeness = np.abs(shape.conj() @ shape.T) ** 2
-    near = np.abs(frequency[:, None] / frequency[None, :] - 1.0) < select.stable_frequency
-    below = order[:, None] == order[None, :] + 1
-    stable = (near & (likeness > select.stable_mac) & below).any(axis=1).astype(float)
+    stable = recurring(space, frequency, shape, select.stable_frequency, select.stable_mac)
     if complete:
-        stable[order == len(found.orders) - 1] = 1.0
-    return _Poles(found.orders, order.tolist(), column.tolist(), frequency, damping, shape, likeness, stable)
+        stable[space == len(found.orders) - 1] = 1.0
+    return _Poles(found.orders, space, found.value[good], frequency, zeta[good], shape, stable)
 
 
 def _match(poles: _Poles, frequencies: Array, shapes: Array, select: SelectionSettings) -> list[list[int] | None]:
@@ -172,26 +169,13 @@ def _match(poles: _Poles, frequencies: Array, shapes: Array, select: SelectionSe
 
 def _clusters(poles: _Poles, select: SelectionSettings) -> list[list[int]]:
     """Stable poles of the same mode, at most one an order, where enough orders agree."""
-    candidates = np.flatnonzero(poles.stable)
-    f = poles.frequency[candidates]
-    alike = poles.likeness[candidates[:, None], candidates] > select.stable_mac
-    near = alike & (np.abs(f[:, None] / f[None, :] - 1.0) < 2.0 * select.stable_frequency)
-    together, free = near.astype(float), np.ones(f.size)
+    from monitor.kernels import grouped
+
+    stable = np.flatnonzero(poles.stable)
     enough = max(1.0, select.min_stable_share * (len(poles.orders) - 1))
-    clusters = []
-    # The pole with most companions is the best centre of a mode; where even that has too few, no other has enough.
-    while (companions := free * (together @ free)).max(initial=0.0) >= enough:
-        seed = int(companions.argmax())
-        members = np.flatnonzero(near[seed] & (free > 0))
-        free[members] = 0.0
-        best: dict[int, tuple[float, int]] = {}
-        for p, away in zip(candidates[members].tolist(), np.abs(f[members] - f[seed]).tolist(), strict=True):
-            s = poles.space[p]
-            if s not in best or away < best[s][0]:
-                best[s] = away, p
-        if len(best) >= enough:
-            clusters.append([p for _, (_, p) in sorted(best.items())])
-    return clusters
+    space, frequency, shape = poles.space[stable], poles.frequency[stable], poles.shape[stable]
+    group = grouped(space, frequency, shape, 2.0 * select.stable_frequency, select.stable_mac, enough)
+    return [stable[group == k].tolist() for k in range(group.max(initial=-1) + 1)]
 
 
 def _common_order(poles: _Poles, clusters: list[list[int]]) -> list[int] | None:
@@ -200,13 +184,13 @@ def _common_order(poles: _Poles, clusters: list[list[int]]) -> list[int] | None:
     The exact order is a trap for data-driven identification (bias in frequency and damping); two more pairs remove
     it, and higher orders only add variance.  Noise-free data have no such orders: then the highest below.
     """
+    shown = [dict(zip(poles.space[c].tolist(), c, strict=True)) for c in clusters]
     enough = 2 * len(clusters) + 4
     above = [s for s, order in enumerate(poles.orders) if order >= enough]
     below = [s for s, order in enumerate(poles.orders) if order < enough]
     for s in above + below[::-1]:
-        here = [next((p for p in c if poles.space[p] == s), None) for c in clusters]
-        if all(p is not None for p in here):
-            return [p for p in here if p is not None]
+        if all(s in pole for pole in shown):
+            return [pole[s] for pole in shown]
     return None
 
 
@@ -225,7 +209,6 @@ def _estimate(
     largest = np.abs(poles.shape[rows]).argmax(axis=1)
     shapes = poles.shape[rows] / poles.shape[rows, largest][:, None]
     shapes[np.arange(len(rows)), largest] = 1.0
-    columns = [poles.column[r] for r in rows]
     estimate = ModalEstimate(
         frequencies_hz=poles.frequency[rows],
         damping_ratio=poles.damping[rows],
@@ -234,11 +217,14 @@ def _estimate(
         deviations=np.zeros((0, len(rows), 2 + 2 * shapes.shape[1])),
         first=window.first_block,
         order=order,
-        poles=np.column_stack([np.take(poles.orders, poles.space), poles.frequency, poles.damping, poles.stable]),
+        poles=np.stack(
+            [np.array(poles.orders, float)[poles.space], poles.frequency, poles.damping, poles.stable], axis=1
+        ),
     )
     better = estimate if refiner is None else refiner(estimate)
     if better is not estimate or not uncertainty:
         return better
     space = state_space(realisation, order)
+    columns = [int(np.abs(space.poles - pole).argmin()) for pole in poles.value[rows]]
     deviations = mode_deviations(window.sums, realisation, space, columns, shapes, window.rate_hz)
     return replace(estimate, deviations=deviations)

@@ -26,17 +26,19 @@ def check(
     The spectrum is the lag window estimate (Bartlett) of the summed channels, from 1 Hz to 0.9 of the cutoff.
     """
     lag_sum = sums.total
-    variance = np.diag(lag_sum[0]) / sums.counts.sum()
+    products = sums.counts.sum()
+    variance = lag_sum[0].diagonal() / products
     # A sensor that gives a constant leaves rounding errors only.
-    dead = [name for name, v in zip(channels, variance, strict=True) if not v > max(1e-20, 1e-10 * variance.max())]
+    least = max(1e-20, 1e-10 * variance.max())
+    dead = [name for name, v in zip(channels, variance.tolist(), strict=True) if not v > least]
     if dead:
         return Skipped(f"channel {', '.join(dead)} does not move")
     # Each channel at unit variance, so that a loud one does not hide that the others are noise.
-    lags = np.diagonal(lag_sum, axis1=1, axis2=2) / sums.counts.sum() / variance
+    lags = lag_sum.diagonal(axis1=1, axis2=2) / products / variance
     n = lags.shape[0]
     weights = (1.0 - np.arange(n) / n)[:, None] * lags
     cosines = _cosines(n, rate_hz, cutoff_hz)
-    spectrum = np.clip(2.0 * cosines @ weights - weights[0], 1e-12, None).sum(axis=1)
+    spectrum = np.maximum(2.0 * cosines @ weights - weights[0], 1e-12).sum(axis=1)
     flatness = float(np.exp(np.log(spectrum).mean()) / spectrum.mean())
     if flatness > settings.max_spectral_flatness:
         return Skipped(f"response too close to the noise (spectral flatness {flatness:.2f})")

@@ -98,33 +98,6 @@ class LagSums:
     total: Array
     """Shape (2 i, c, c): sum of the blocks about the window's mean."""
 
-    @classmethod
-    def of(
-        cls,
-        products: Array,
-        first: Array,
-        second: Array,
-        mean: Array,
-        counts: NDArray[np.int64],
-        head: Array,
-        tail: Array,
-    ) -> LagSums:
-        """The sums with their total, which is had without forming the blocks about the mean."""
-        sums = products.sum(axis=0)[None], first.sum(axis=0)[None], second.sum(axis=0)[None]
-        total = _about(*sums, mean, counts.sum(keepdims=True))[0]
-        return cls(products, first, second, mean, counts, head, tail, total)
-
-    def blocks(self) -> Array:
-        """Every block's products about the window's mean, shape (n_blocks, 2 i, c, c)."""
-        return _about(self.products, self.first, self.second, self.mean, self.counts)
-
-
-def _about(products: Array, first: Array, second: Array, mean: Array, counts: NDArray[np.int64]) -> Array:
-    moved = products - first[:, None, :, None] * mean
-    moved -= mean[:, None] * second[:, :, None, :]
-    moved += counts[:, None, None, None] * np.outer(mean, mean)
-    return np.asarray(moved)
-
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Window:
@@ -149,7 +122,7 @@ class Window:
     @property
     def rms_m_s2(self) -> float:
         """Response level: mean over channels of the RMS."""
-        variance = np.diag(self.sums.total[0]) / self.sums.counts.sum()
+        variance = self.sums.total[0].diagonal() / self.sums.counts.sum()
         return float(np.sqrt(variance).mean())
 
 

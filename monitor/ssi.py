@@ -87,8 +87,6 @@ class PoleTable:
     """All that were identified."""
     space: NDArray[np.intp]
     """Index in `orders`."""
-    column: NDArray[np.intp]
-    """Index in the poles of the state space."""
     value: ComplexArray
     """Discrete-time eigenvalue."""
     shape: ComplexArray
@@ -145,20 +143,26 @@ def realise(sums: LagSums, settings: SsiSettings, past: tuple[int, ...], max_ord
 
 def _orthonormal(o: Array, z: Array, l: int) -> tuple[Array, Array]:  # noqa: E741
     """O and Z in the basis of `Realisation`, as far as the columns are independent; they stay nested over orders."""
-    q, r = np.linalg.qr(o[:-l])
-    size = np.abs(np.diag(r))
-    sound = int(np.argmin(np.append(size >= _SINGULAR_TOLERANCE * size[0], False)))
-    inverse, _ = lapack.dtrtri(r[:sound, :sound])
+    r, reflectors, *_ = lapack.dgeqrf(o[:-l])
+    q, *_ = lapack.dorgqr(r, reflectors)
+    size = np.abs(r.diagonal())
+    weak = np.flatnonzero(size < _SINGULAR_TOLERANCE * size[0])
+    sound = int(weak[0]) if weak.size else size.size
+    inverse, _ = lapack.dtrtri(np.triu(r[:sound, :sound]))  # below lie the reflectors
     return np.concatenate([q[:, :sound], o[-l:, :sound] @ inverse]), z[:, :sound] @ inverse
 
 
 def _leading(matrix: Array, count: int) -> tuple[Array, Array]:
     """At least the `count` largest singular values, falling, and as many right vectors, as columns."""
     if min(matrix.shape) < _LARGE:
-        # Where squares lose no more than a few digits, the symmetric problem takes half the time.
-        squares, vectors, failed = lapack.dsyevd(matrix.T @ matrix)
+        # Where squares lose no more than a few digits, the symmetric problem takes half the time; dsyevd in its parts, as the
+        # last is needed for the wanted vectors alone.
+        reflected, diagonal, beside, scales, _ = lapack.dsytrd(matrix.T @ matrix, lower=1)
+        squares, turned, failed = lapack.dstevd(diagonal, beside)
         if not failed and squares[-count] > _SQUARED_TOLERANCE * squares[-1]:
-            return np.sqrt(squares[: -count - 1 : -1]), vectors[:, : -count - 1 : -1]
+            first, others = turned[:1, -count:], turned[1:, -count:]
+            others, *_ = lapack.dormqr("L", "N", reflected[1:, :-1], scales, others, 64 * count)
+            return np.sqrt(squares[: -count - 1 : -1]), np.concatenate([first, others])[:, ::-1]
         _, values, right_t = svd(matrix)
         return values, right_t[:count].T
     _, values, right_t = svds(matrix, count, v0=np.ones(min(matrix.shape)))  # a given start: the same bits every time
@@ -167,22 +171,16 @@ def _leading(matrix: Array, count: int) -> tuple[Array, Array]:
 
 def poles(realisation: Realisation, orders: range) -> PoleTable:
     """The poles of every order, as far as the data have states."""
-    l, most = realisation.n_channels, realisation.observability.shape[1]  # noqa: E741 - the paper's letters
-    told = tuple(n for n in orders if n <= most)
-    real, imaginary = np.zeros((2, len(told), most))
-    vectors, c = np.zeros((len(told), most, most)), np.zeros((len(told), l, most))
-    for s, (n, (a, c_n)) in enumerate(zip(told, _matrices(realisation, told), strict=True)):
-        real[s, :n], imaginary[s, :n], _, vectors[s, :n, :n], _ = lapack.dgeev(a, compute_vl=0)
-        c[s, :, :n] = c_n
-    shapes = c @ vectors
-    # Complex vectors stand as real and imaginary part side by side, the pole above the axis first.
-    space, column = np.nonzero(imaginary > 0)
-    value = real[space, column] + 1j * imaginary[space, column]
-    return PoleTable(told, space, column, value, shapes[space, :, column] + 1j * shapes[space, :, column + 1])
+    from monitor.hessenberg import upper_poles  # compiled code takes a while to load
+
+    told = tuple(n for n in orders if n <= realisation.observability.shape[1])
+    found = [upper_poles(a, c) for a, c in _matrices(realisation, told)]
+    space = np.repeat(np.arange(len(told)), [values.size for values, _ in found])
+    return PoleTable(told, space, np.concatenate([v for v, _ in found]), np.concatenate([s for _, s in found]))
 
 
 def state_space(realisation: Realisation, order: int) -> StateSpace:
-    """A, C and all eigenvectors of one order; poles in the sequence of `poles`."""
+    """A, C and all eigenvectors of one order."""
     ((a, c),) = _matrices(realisation, (order,))
     values, vectors = np.linalg.eig(a)
     return StateSpace(order, values.astype(complex), vectors.astype(complex), c @ vectors, a, c)
@@ -205,7 +203,8 @@ def continuous(poles: ComplexArray, rate_hz: float) -> tuple[Array, Array]:
     A pole at the origin has no frequency: NaN, which no selection accepts.
     """
     mu = np.log(np.where(poles == 0, np.nan, poles)) * rate_hz
-    return np.abs(mu) / (2.0 * np.pi), -mu.real / np.abs(mu)
+    size = np.abs(mu)
+    return size / (2.0 * np.pi), -mu.real / size
 
 
 def _toeplitz(sums: LagSums, i: int, past: tuple[int, ...]) -> Array:
@@ -222,7 +221,7 @@ def _inverse_root(matrix: Array) -> Array:
     Cholesky where the matrix has full rank; an eigenvalue decomposition where it has not (noise-free data).
     """
     upper, failed = lapack.dpotrf(matrix)
-    if not failed and np.square(np.diag(upper)).min() > _RANK_TOLERANCE * np.diag(matrix).max():
+    if not failed and upper.diagonal().min() ** 2 > _RANK_TOLERANCE * matrix.diagonal().max():
         return np.asarray(lapack.dtrtri(upper)[0])
     values, vectors = eigh(matrix)  # the pseudo-inverse of eq. 5
     inverse = np.where(values > _RANK_TOLERANCE * values[-1], 1.0 / np.sqrt(np.abs(values) + 1e-300), 0.0)

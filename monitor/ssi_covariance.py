@@ -74,6 +74,8 @@ def mode_deviations(
 
 def _observability_deviations(sums: LagSums, realisation: Realisation, n: int) -> Array:
     """dO of every block, shape (n_blocks, l i, n)."""
+    from monitor.kernels import about_mean  # compiled code takes a while to load
+
     past = list(realisation.past)
     l, r = realisation.n_channels, len(past)  # noqa: E741
     i = realisation.right.shape[0] // r
@@ -81,14 +83,14 @@ def _observability_deviations(sums: LagSums, realisation: Realisation, n: int) -
     mean = sums.total / sums.counts.sum()
     # A mean of n_blocks blocks has been taken out, so the squares fall short by that degree of freedom.
     inflate = np.sqrt(n_blocks / (n_blocks - 1.0)) if n_blocks > 1 else 1.0
-    deviation = (sums.blocks() - sums.counts[:, None, None, None] * mean) * inflate
+    about = about_mean(sums.products, sums.first, sums.second, sums.mean, sums.counts)
+    deviation = (about - sums.counts[:, None, None, None] * mean) * inflate
     # Block (a, b) of d(Y_f Y_p^T) is the deviation at lag i + a - b, transposed: a convolution over past blocks.
-    z = realisation.right[:, :n].reshape(i, r, n)
     by_lag = deviation[:, 1:, past].transpose(0, 3, 1, 2)  # (blocks, l, lag - 1, r)
-    flipped = np.ascontiguousarray(by_lag[:, :, ::-1])  # windows over it run along increasing b
-    views = np.lib.stride_tricks.sliding_window_view(flipped, i, axis=2)  # (blocks, l, i, r, i): start i - 1 - a
-    ordered = views[:, :, ::-1].transpose(0, 2, 1, 4, 3)  # gathered group by group: with many channels it is large
+    flipped = by_lag[:, :, ::-1].reshape(n_blocks, l, -1)  # windows over it run along increasing b
+    views = np.lib.stride_tricks.sliding_window_view(flipped, i * r, axis=2)[:, :, ::-r]  # (blocks, l, i, i r)
+    ordered = views.transpose(0, 2, 1, 3)  # gathered group by group: with many channels it is large
     group = max(1, _GATHERED // (i * l * i * r))
-    flat = z.reshape(i * r, n)
-    parts = [ordered[b : b + group].reshape(-1, i * r) @ flat for b in range(0, n_blocks, group)]
+    z = realisation.right[:, :n]
+    parts = [ordered[b : b + group].reshape(-1, i * r) @ z for b in range(0, n_blocks, group)]
     return np.concatenate(parts).reshape(n_blocks, i * l, n)

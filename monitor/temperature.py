@@ -109,6 +109,8 @@ def felt(state: TemperatureState, t_end_ns: int, window_s: float, settings: Temp
     The mean of the samples of its stretch (see `TemperatureSettings.patience_s`) or, between the samples of a slow
     channel, the one before.
     """
+    if not state.t_ns.size:
+        return None
     end_ns = t_end_ns - round(settings.patience_s / _S_PER_NS)
     begin, end = np.searchsorted(state.t_ns, [end_ns - round(window_s / _S_PER_NS), end_ns])
     if end == 0 or (end_ns - state.t_ns[end - 1]) * _S_PER_NS > settings.max_age_s:

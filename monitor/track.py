@@ -196,9 +196,12 @@ def step(state: TrackState, seen: Observed, t_ns: int, settings: TrackSettings) 
 def _fresh(seen: Observed, t_ns: int, settings: TrackSettings) -> dict[int, Track]:
     """The usable observations by their place in `seen`, each as the track that it would start."""
     f, std = np.asarray(seen.frequencies_hz), np.asarray(seen.frequencies_std_hz)
+    usable = np.flatnonzero(np.isfinite(f) & (f > 0) & (std <= settings.max_std * f)).tolist()
+    if not usable:
+        return {}
     shapes = seen.shapes / np.linalg.norm(seen.shapes, axis=1)[:, None]
     fresh = {}
-    for j in np.flatnonzero(np.isfinite(f) & (f > 0) & (std <= settings.max_std * f)).tolist():
+    for j in usable:
         variance = max(float(std[j] / f[j]), _LEAST_STD) ** 2
         fresh[j] = Track(-1, t_ns, t_ns, log(f[j]), variance, 1.0, shapes[j], 1.0, 0.0)
     return fresh

@@ -162,7 +162,7 @@ def predict(model: Model, sensors: Array, observation: Observation, with_masses:
         d_ratio = (d_at_sensors - ratio[:, :, None] * d_at_sensors[~told][:, None]) / at_gauge[:, None, None]
         z.append(ratio[told])
         rows.append(d_ratio[told])
-    return np.concatenate(z), np.vstack(rows)
+    return np.concatenate(z), np.concatenate(rows)
 
 
 def update(

@@ -68,7 +68,7 @@ def refine(window: Window, modes: ModalEstimate, settings: RefinementSettings) -
         The subspace estimate itself where there are too few segments, or so many channels that the scoring would take
         longer than it is worth, or where it does not settle nearby.
     """
-    from monitor.kernels import inverses  # compiled code takes a while to load
+    from monitor.whittle_kernels import inverses  # compiled code takes a while to load
 
     if not settings.enabled or len(window.segments) < settings.min_segments:
         return modes
@@ -121,7 +121,7 @@ def _curve(layout: Layout, inverse: ComplexArray, model: Spectrum) -> tuple[Comp
 
 def _start(layout: Layout, modes: ModalEstimate, mean: ComplexArray) -> Point:
     """Modes from the subspace estimate; forces and noise, in which the spectrum is linear, by weighted least squares."""
-    from monitor.kernels import inverses  # compiled code takes a while to load
+    from monitor.whittle_kernels import inverses  # compiled code takes a while to load
 
     m, c = modes.shapes.shape
     gauge = modes.shapes[np.arange(m), list(layout.gauges)]

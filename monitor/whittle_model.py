@@ -118,7 +118,7 @@ def layout_of(modes: ModalEstimate, half_band: float, n_bins: int, bin_hz: float
 
 def cross_spectra(layout: Layout, segments: tuple[ComplexArray, ...]) -> ComplexArray:
     """Every segment's cross-spectra, means over pools, packed, shape (segments, pairs, pools)."""
-    from monitor.kernels import pool_products  # compiled code takes a while to load
+    from monitor.whittle_kernels import pool_products  # compiled code takes a while to load
 
     sums = np.empty((len(segments), len(layout.counts), len(layout.first)), dtype=complex)
     for segment, out in zip(segments, sums, strict=True):
@@ -128,20 +128,14 @@ def cross_spectra(layout: Layout, segments: tuple[ComplexArray, ...]) -> Complex
 
 def predict(layout: Layout, p: Point) -> Spectrum:
     """The spectrum that a point of the fit gives, blurred by taper and pools, and its slopes."""
+    from monitor.whittle_kernels import modal_products  # compiled code takes a while to load
+
     (c, m), pools = p.shapes.shape, len(layout.nodes_hz)
-    w = 2.0 * np.pi * layout.nodes_hz[:, None, :]
-    omega = 2.0 * np.pi * np.exp(p.ln_f)[:, None]
-    cross = 2j * np.exp(p.ln_damping)[:, None] * omega * w
-    response = 1.0 / (omega**2 - w**2 + cross)
-    x = np.log(w / w.mean())
-    # Modal transfer functions of acceleration times the forces' amplitude, (pools, m, taps), and their slopes.
-    g = -(w**2) * np.exp(p.colour[0] * x + p.colour[1] * x**2) * response
-    slope = g * response
-    each = np.stack([g, -slope * (2.0 * omega**2 + cross), -slope * cross, g * x, g * x**2], axis=1)
     # Shapes are constant over frequency, so blurring the modes' products blurs the spectrum and all its slopes.
-    blurred = (each * leakage()).reshape(pools, 5 * m, -1) @ g.conj().swapaxes(-1, -2)
-    products = blurred[:, :m]
-    carried = (p.forces * blurred.reshape(pools, 5, m, m)).reshape(-1, m) @ p.shapes.T
+    w = 2.0 * np.pi * layout.nodes_hz
+    blurred = modal_products(w, leakage(), 2.0 * np.pi * np.exp(p.ln_f), np.exp(p.ln_damping), p.colour)
+    products = blurred[:, 0]
+    carried = (p.forces * blurred).reshape(-1, m) @ p.shapes.T
     half, by_f, by_damping, by_tilt, by_curvature = carried.reshape(pools, 5, m, c).swapaxes(0, 1)
     value = p.shapes @ half + np.diag(p.noise)
     mode, channel = [i for i, _ in layout.free], [j for _, j in layout.free]
@@ -183,7 +177,7 @@ def packed(layout: Layout, u: Array | ComplexArray, v: ComplexArray) -> ComplexA
 
 def packed_columns(u: Array | ComplexArray, v: ComplexArray) -> ComplexArray:
     """The same, column by column, shape (columns, pairs, pools)."""
-    from monitor.kernels import pack_columns  # compiled code takes a while to load
+    from monitor.whittle_kernels import pack_columns  # compiled code takes a while to load
 
     return pack_columns(u, v)
 

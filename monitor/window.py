@@ -238,10 +238,14 @@ def _emit(
 
 def _sum_up(grid: WindowGrid, state: WindowState) -> LagSums:
     """The lag sums of the window that the state's blocks make up."""
+    from monitor.kernels import about_mean
+
     lags, blocks = grid.n_lags, state.blocks
     counts = np.full(len(blocks), grid.block_n)
     counts[-1] = grid.block_n - lags + 1
     products, first, second = (np.array([getattr(b, name) for b in blocks]) for name in ("products", "first", "second"))
-    mean = np.sum([b.total for b in blocks], axis=0) / grid.window_n
+    mean = np.array([b.total for b in blocks]).sum(axis=0) / grid.window_n
     head, tail = blocks[0].head - mean, state.samples[state.samples.shape[0] - lags + 1 :] - mean
-    return LagSums.of(products, first, second, mean, counts, head, tail)
+    p, f, s = (part.sum(axis=0, keepdims=True) for part in (products, first, second))
+    total = about_mean(p, f, s, mean, counts.sum(keepdims=True))[0]
+    return LagSums(products, first, second, mean, counts, head, tail, total)

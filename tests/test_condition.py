@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from scipy.signal import sosfreqz
+from scipy.signal import sosfilt, sosfreqz
 
 from monitor.condition import Conditioner
+from monitor.kernels import filtered
 
 RATES = ["50", "100", "120", "200", "500.5", "1000", "1024", "1024.37"]
 every_rate = pytest.mark.parametrize("rate", RATES)
@@ -46,6 +47,15 @@ def response(conditioner: Conditioner, frequency: float, seconds: float = 12.0) 
 def designed(conditioner: Conditioner, frequency: float) -> complex:
     _, h = sosfreqz(conditioner.sos, worN=[frequency], fs=conditioner.rate_in_hz)
     return complex(h[0])
+
+
+@pytest.mark.parametrize("n_channels", [1, 3, 9])
+def test_sections_are_filtered_as_scipy_does(n_channels: int) -> None:
+    rng = np.random.default_rng(1)
+    x, memory = rng.normal(size=(500, n_channels)), rng.normal(size=(4, 2, n_channels))
+    wanted = sosfilt(design("1024").sos, x, axis=0, zi=memory)
+    for got, want in zip(filtered(design("1024").sos, x, memory), wanted, strict=True):
+        np.testing.assert_array_equal(got, want)
 
 
 @every_rate

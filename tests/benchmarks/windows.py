@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.linalg import lapack
 
+from monitor.hessenberg import upper_poles
 from monitor.kernels import lag_products
 from monitor.results import Array, WindowResult
 from tests.benchmarks.frames import Hops, baseline, configuration, floors
@@ -40,10 +41,13 @@ def least(samples: Array, big: Array) -> None:
     square = big @ big.T
     for _ in range(2):
         lapack.dtrtri(lapack.dpotrf(square)[0])
-    lapack.dsyevd(square)
-    np.linalg.qr(big[:72, :30])
+    reflected, diagonal, beside, scales, _ = lapack.dsytrd(square, lower=1)
+    _, turned, _ = lapack.dstevd(diagonal, beside)
+    lapack.dormqr("L", "N", reflected[1:, :-1], scales, turned[1:, -30:], 64 * 30)
+    triangular, scales, *_ = lapack.dgeqrf(big[:72, :30])
+    lapack.dorgqr(triangular, scales)
     for order in range(2, 31, 2):
-        lapack.dgeev(big[:order, :order], compute_vl=0)
+        upper_poles(big[:order, :order], big[:3, :order])
 
 
 def peers(x: Array) -> dict[str, Callable[[], Any]]:

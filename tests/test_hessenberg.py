@@ -1,0 +1,61 @@
+"""The poles of small matrices are LAPACK's, and so is what is seen of their vectors."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from monitor import hessenberg
+from monitor.hessenberg import upper_poles
+
+
+def assert_lapack_agrees(a: np.ndarray, c: np.ndarray, tolerance: float) -> None:
+    values, shapes = upper_poles(a, c)
+    wanted, vectors = np.linalg.eig(a)
+    above = np.flatnonzero(wanted.imag > 0)
+    assert values.size == above.size and shapes.shape == (above.size, len(c))
+    for value, shape in zip(values, shapes, strict=True):
+        at = above[np.abs(wanted[above] - value).argmin()]
+        assert abs(wanted[at] - value) < tolerance
+        seen = c @ vectors[:, at]
+        alike = abs(np.vdot(seen, shape)) / (np.linalg.norm(seen) * np.linalg.norm(shape))
+        assert alike == pytest.approx(1.0, abs=tolerance)
+
+
+@pytest.mark.parametrize("n", range(2, 41))
+def test_random_matrices(n: int) -> None:
+    rng = np.random.default_rng(n)
+    for _ in range(20):
+        assert_lapack_agrees(rng.standard_normal((n, n)), rng.standard_normal((3, n)), 1e-8)
+
+
+def test_lightly_damped_poles_of_very_different_size() -> None:
+    rng = np.random.default_rng(0)
+    poles = np.array([0.999, 0.95, 1e-3, 1e-6]) * np.exp(1j * np.array([0.05, 1.0, 2.0, 3.1]))
+    blocks = np.zeros((8, 8))
+    for k, pole in enumerate(poles):
+        blocks[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = [[pole.real, pole.imag], [-pole.imag, pole.real]]
+    turn, _ = np.linalg.qr(rng.standard_normal((8, 8)))
+    assert_lapack_agrees(turn @ blocks @ turn.T, rng.standard_normal((2, 8)), 1e-12)
+    assert_lapack_agrees(blocks, rng.standard_normal((2, 8)), 1e-12)  # falls apart at once
+
+
+@pytest.mark.parametrize("a", [np.zeros((4, 4)), np.eye(6), np.triu(np.ones((5, 5))), np.diag([1.0, 2.0])])
+def test_nothing_lies_above_the_axis(a: np.ndarray) -> None:
+    values, shapes = upper_poles(a, np.ones((2, len(a))))
+    assert values.shape == (0,) and shapes.shape == (0, 2)
+
+
+def test_shifts_in_a_cycle_are_left() -> None:
+    a = np.roll(np.eye(4), 1, axis=0)  # the fourth roots of one: the plain shifts stand still on it
+    assert np.isfinite(hessenberg._eigenvalues(a)).all()
+    assert_lapack_agrees(a, np.ones((1, 4)), 1e-12)
+
+
+def test_what_does_not_succeed_is_left_to_lapack(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(*_: object) -> tuple[np.ndarray, np.ndarray, bool]:
+        return np.zeros(1, complex), np.zeros((1, 3), complex), False
+
+    monkeypatch.setattr(hessenberg, "_upper_poles", fails)
+    rng = np.random.default_rng(0)
+    assert_lapack_agrees(rng.standard_normal((7, 7)), rng.standard_normal((3, 7)), 1e-15)
