@@ -142,6 +142,7 @@ class Keeper:
         kept = checkpoint.load(self._alarms, self._alarm_key, KeptAlarms)
         if kept is not None:
             session.alter_alarm(lambda state: replace(state, stories=kept.stories))
+        self.save(session)  # a run that ends before its first checkpoint is gone on from, not begun anew
         return 0
 
     def took(self, session: Session, block: SampleBlock) -> None:

@@ -285,9 +285,12 @@ def test_two_hundred_kills(site: Path, floors: tuple[np.ndarray, np.ndarray], ma
     assert lost[-1] <= 10.0 + 1.0  # besides `flush_s`, what was on its way
 
 
+@pytest.mark.parametrize("checkpoint_s", [20.0, 1e4])
 def test_a_recording_as_source_goes_on_and_nothing_shows(
-    site: Path, floors: tuple[np.ndarray, np.ndarray], cut: Cut, main: Cli
+    site: Path, floors: tuple[np.ndarray, np.ndarray], cut: Cut, main: Cli, checkpoint_s: float
 ) -> None:
+    """Also where the first checkpoint is not due before the end."""
+    site.write_text(site.read_text().replace("checkpoint_s = 20.0", f"checkpoint_s = {checkpoint_s}"))
     folder, draw = site.parent, random.Random(3)
     with McapWriter(folder / "rec.mcap") as writer:
         for block in cut(floors[1], RATE):

@@ -56,7 +56,7 @@ def one_baseline(number: int, n_windows: int) -> list[tuple[int, np.ndarray, np.
 
 def main(arguments: list[str]) -> None:
     """Print the table."""
-    n_baselines, n_windows = (int(a) for a in (*arguments, "20", "5")[:2])
+    n_baselines, n_windows = (int(a) for a in (*arguments, *("20", "5")[len(arguments) :]))
     with threadpool_limits(limits=1):
         rows = [row for i in range(n_baselines) for row in one_baseline(i, n_windows)]
     print("lost in    mean index, stories 1 2 3 (%)   95 % intervals hold   right story leads")
