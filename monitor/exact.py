@@ -127,7 +127,7 @@ def offset(
     The law is made linear at the motion that the simulation's own spectra tell, as it is for the measured ones.
     """
     if _bent((*problem.reference.effects(x), *effects)):
-        return offsets(problem, x, effects, acting, transforms)[1]
+        return _sensors_offset(problem, x, effects, acting, transforms)
     _, simulated, expected = _sides(problem, x, effects, transforms)
     return np.asarray(simulated - expected)
 
@@ -141,22 +141,32 @@ def offsets(
     of the two responses, are taken off (its chance is theirs as far as they are alike).  A sensor's law is always compared so.
     """
     e, everything = problem.evidence, (*problem.reference.effects(x), *effects)
-    bent = _bent(everything)
-    straight = [effect for effect in everything if effect not in bent]
-    noise = _noise(problem, x, straight)
+    if _bent(everything):
+        sensors = _sensors_offset(problem, x, effects, acting, transforms)
+        return sensors, sensors
     problem, simulated, expected = _sides(problem, x, effects, transforms)
-    out, diagonal = np.empty_like(e.spectra), np.arange(len(problem.context.channels))
+    noise, diagonal = _noise(problem, x, everything), np.arange(len(problem.context.channels))
+    out = np.empty_like(e.spectra)
     for k, y in enumerate(_linear(problem, x, everything, acting)):
         linear = _products(y) * e.band.gain[:, None, None]
-        if bent:  # what clipping adds is on the exact side
-            out[k] = simulated[k] - linear
-            out[k][:, diagonal, diagonal] -= _added(bent, problem, k) * e.band.gain[:, None]
-            continue
-        z, members = _through(transforms[e.members[k]], straight, problem, k), e.members[k]
-        likeness = _likeness(np.einsum("sfa,sfb->fab", z, y.conj()) / members.size, _products(y))
         linear[:, diagonal, diagonal] += noise[k] * e.band.gain[:, None]
+        z, members = _through(transforms[e.members[k]], everything, problem, k), e.members[k]
+        likeness = _likeness(np.einsum("sfa,sfb->fab", z, y.conj()) / members.size, _products(y))
         out[k] = simulated[k] - expected[k] - likeness[:, None, None] * (linear - expected[k])
-    return out, out if bent else np.asarray(simulated - expected)
+    return out, np.asarray(simulated - expected)
+
+
+def _sensors_offset(
+    problem: Problem, x: Array, effects: tuple[Effect, ...], acting: Forces, transforms: ComplexArray
+) -> ComplexArray:
+    """As `offset` where a sensor bends: less what the linear sensors say under the same forces and noise."""
+    gain, everything = problem.evidence.band.gain, (*problem.reference.effects(x), *effects)
+    problem, diagonal = replace(problem, offset=None), np.arange(len(problem.context.channels))
+    out, bent = averaged(problem, x, effects, transforms), _bent(everything)
+    for k, y in enumerate(_linear(problem, x, everything, acting)):
+        out[k] -= _products(y) * gain[:, None, None]
+        out[k][:, diagonal, diagonal] -= _added(bent, problem, k) * gain[:, None]  # what clipping adds
+    return out
 
 
 def _sides(
@@ -164,11 +174,10 @@ def _sides(
 ) -> tuple[Problem, ComplexArray, ComplexArray]:
     """The problem linear at the simulation's motion, the exact spectra of every class and those that it expects."""
     problem, everything = replace(problem, offset=None), (*problem.reference.effects(x), *effects)
-    simulated, bent = averaged(problem, x, effects, transforms), _bent(everything)
-    if not bent:
-        diagonal, gain = np.arange(len(problem.context.channels)), problem.evidence.band.gain
-        simulated[:, :, diagonal, diagonal] += _noise(problem, x, everything)[:, None, :] * gain[:, None]
-        problem = replace(problem, conditions=conditions(problem, x, effects, simulated))
+    simulated, diagonal = averaged(problem, x, effects, transforms), np.arange(len(problem.context.channels))
+    noise = _noise(problem, x, everything)[:, None, :] * problem.evidence.band.gain[:, None]
+    simulated[:, :, diagonal, diagonal] += noise
+    problem = replace(problem, conditions=conditions(problem, x, effects, simulated))
     return problem, simulated, problem.scatter(x, effects)
 
 

@@ -87,9 +87,7 @@ def forced_drift(problem: Problem, x: Array, effects: Sequence[Effect]) -> Array
         system = extended(base, everything, context, condition)
         size = system.mass.shape[0]
         inverse = np.linalg.inv(system.mass)
-        states.append(
-            np.block([[np.zeros((size, size)), np.eye(size)], [-inverse @ system.stiffness, -inverse @ system.damping]])
-        )
+        states.append(system.state_matrix())
         drive = np.zeros((2 * size, 2 * size))
         drive[size:, size:] = own * inverse[:, :n] * force @ inverse[:, :n].T
         drives.append(drive)

@@ -176,7 +176,9 @@ def poles(realisation: Realisation, orders: range) -> PoleTable:
     told = tuple(n for n in orders if n <= realisation.observability.shape[1])
     found = [upper_poles(a, c) for a, c in _matrices(realisation, told)]
     space = np.repeat(np.arange(len(told)), [values.size for values, _ in found])
-    return PoleTable(told, space, np.concatenate([v for v, _ in found]), np.concatenate([s for _, s in found]))
+    values = np.concatenate([np.zeros(0, dtype=complex), *(values for values, _ in found)])
+    shapes = np.concatenate([np.zeros((0, realisation.n_channels), dtype=complex), *(shapes for _, shapes in found)])
+    return PoleTable(told, space, values, shapes)
 
 
 def state_space(realisation: Realisation, order: int) -> StateSpace:

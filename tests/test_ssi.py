@@ -115,3 +115,9 @@ def test_intervals_match_the_scatter_over_records() -> None:
     scatter = np.std([e.frequencies_hz for e in estimates], axis=0, ddof=1)
     stated = np.sqrt(np.mean([e.frequencies_std_hz**2 for e in estimates], axis=0))
     np.testing.assert_allclose(stated, scatter, rtol=0.35)
+
+
+def test_a_realisation_with_fewer_states_than_the_smallest_order_has_no_poles(record: np.ndarray) -> None:
+    realisation = realise(windowed(record), (0, 1, 2), SsiSettings(), 2)
+    table = poles(realisation, range(4, 31, 2))
+    assert (table.orders, table.values.shape, table.shapes.shape) == ((), (0,), (0, 3))

@@ -85,6 +85,12 @@ class System:
 
         return replace(self, damping=padded(self.damping, damping), stiffness=padded(self.stiffness, stiffness))
 
+    def state_matrix(self) -> Array:
+        """Of displacements and velocities, shape (2N, 2N), 1/s."""
+        size = self.mass.shape[0]
+        inverse = np.linalg.inv(self.mass)
+        return np.block([[np.zeros((size, size)), np.eye(size)], [-inverse @ self.stiffness, -inverse @ self.damping]])
+
     def decoupled(self) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
         """First-order equations ``dq/dt = pole q + drive @ forces``, one of each conjugate pair.
 
@@ -95,13 +101,9 @@ class System:
             Displacements and velocities are the real part of ``shapes @ q``.
         drive : ndarray, shape (m, N)
         """
-        size = self.mass.shape[0]
         inverse = np.linalg.inv(self.mass)
-        states = np.block(
-            [[np.zeros((size, size)), np.eye(size)], [-inverse @ self.stiffness, -inverse @ self.damping]]
-        )
-        poles, shapes = np.linalg.eig(states)
-        drive = np.linalg.solve(shapes, np.vstack([np.zeros((size, size)), inverse]).astype(complex))
+        poles, shapes = np.linalg.eig(self.state_matrix())
+        drive = np.linalg.solve(shapes, np.vstack([np.zeros_like(inverse), inverse]).astype(complex))
         kept = poles.imag >= 0
         return poles[kept].astype(complex), shapes[:, kept] * np.where(poles.imag > 0, 2.0, 1.0)[kept], drive[kept]
 
