@@ -31,7 +31,7 @@ def ddi_effect(diagnosis: Diagnosis) -> dict[str, Any]:
     if not diagnosis.final.effects:
         return {"without": [], "with": []}
     problem = _with_free_stiffness(diagnosis.problem)
-    alone = _fitted(replace(problem, offset=None, pins={}), diagnosis.null.x, ())  # the offset is a cause's
+    alone = _fitted(replace(problem, offset=None), diagnosis.null.x, ())  # the offset is a cause's
     beside = _fitted(problem, diagnosis.final.x, causes) if causes else alone
     known = np.exp(problem.reference.parts(problem.reference.mean)[0])
 

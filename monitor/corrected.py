@@ -13,7 +13,7 @@ from monitor.effects import EFFECTS, Effect
 from monitor.likelihood import NUDGE, Problem
 from monitor.motion import forced_drift
 from monitor.results import Array, ComplexArray
-from monitor.wishart import grown_by
+from monitor.wishart import definite, grown_by
 
 _SMOOTH = 0.006
 """Width over which the correction is smoothed, as a share of the frequency: about a half-power bandwidth."""
@@ -44,6 +44,8 @@ class Corrected(Problem):
     """How many the slopes are the mean of."""
     lost: float = 0.0
     """Log likelihood that the simulations' chance takes away, nats."""
+    doubt: Array = field(default_factory=lambda: np.zeros(0))
+    """Standard deviation of all effects' coordinates beyond their fit's own; empty where a single simulation was made."""
     drift: Array = field(default_factory=lambda: np.zeros((0, 0)))
     """The linearized model's RMS drift there, shape (classes, n_stories), m."""
 
@@ -58,13 +60,15 @@ class Corrected(Problem):
         here = [e for e in effects if (e.name, e.location) in self.laws]
         if self.offset is None or len(here) < len(self.laws):
             return linear
-        centre = iter(np.split(self.centre, np.cumsum([len(e.parameters) for e in here])))
-        centred = [e.at(next(centre)) if e in here else e for e in effects]
-        growth = forced_drift(plain, x, centred) / self.drift  # what the size itself makes of it is in its slope
         sizes = np.concatenate([e.coordinates for e in here])
-        grown = sizes * (np.hstack([_scaled(e, growth) for e in here]) - 1.0)
         relative = np.tensordot(np.append(1.0, sizes - self.centre), self.relative, axes=1)
-        relative = _bounded(relative + np.einsum("kp,pkfab->kfab", grown, self.by_motion))
+        if any(e.amplitude_powers for e in here):
+            centre = iter(np.split(self.centre, np.cumsum([len(e.parameters) for e in here])))
+            centred = [e.at(next(centre)) if e in here else e for e in effects]
+            growth = forced_drift(plain, x, centred) / self.drift  # what the size itself makes of it is in its slope
+            grown = sizes * (np.hstack([_scaled(e, growth) for e in here]) - 1.0)
+            relative = relative + np.einsum("kp,pkfab->kfab", grown, self.by_motion)
+        relative = _bounded(relative)
         # A step too far gives NaN: a model that is none has no likelihood.
         return grown_by(linear, relative if classes is None else relative[list(classes)])
 
@@ -117,10 +121,10 @@ def _smooth(relative: ComplexArray, hz: Array) -> ComplexArray:
 
 def _bounded(relative: ComplexArray) -> ComplexArray:
     """Corrections that leave some of every spectrum."""
-    large = np.einsum("kfab,kfab->kf", relative, relative.conj()).real > _DEEPEST**2
-    values, vectors = np.linalg.eigh(relative[large])
+    deep = ~definite(relative - _DEEPEST * np.eye(relative.shape[-1]))
+    values, vectors = np.linalg.eigh(relative[deep])
     out = relative.copy()
-    out[large] = (vectors * np.maximum(values, _DEEPEST)[:, None, :]) @ vectors.conj().swapaxes(-1, -2)
+    out[deep] = (vectors * np.maximum(values, _DEEPEST)[:, None, :]) @ vectors.conj().swapaxes(-1, -2)
     return out
 
 

@@ -18,7 +18,7 @@ from monitor.likelihood import Problem
 from monitor.misfit import Misfit, misfits
 from monitor.motion import conditions
 from monitor.parallel import each
-from monitor.polish import FINE, Polished, finish, form_doubt, polish, settle, skewness
+from monitor.polish import Polished, finish, form_doubt, polish, settle, skewness
 from monitor.reference import Reference
 from monitor.results import Array
 from monitor.rivals import SURE, probabilities, same, together
@@ -95,15 +95,15 @@ def diagnose(evidence: Evidence, reference: Reference, context: Context, setting
         if best.candidate.effect.ground_share:
             at = fit(problem, at.x, at.effects)  # how far up the forces reach is known only now
         if len(accepted) > 1 and _bent(at) and evidence.drive is None:  # corrected without the newest cause
-            made = settle(problem, at, FINE)
+            made = settle(problem, at)
             problem, at, lean = made.problem, made.fit, skewness(made.transforms, problem)[0]
         if best.candidate.effect.nonlinear:
             margin = max(margin, settings.aftermath * best.candidate.gain, settings.margin + SURE * best.chance)
     problem, at, accepted = _pruned(problem, at, accepted, settings)
     doubt = np.zeros(at.n_effect)
     if _bent(at) and evidence.drive is None:
-        made = finish(problem, at)
-        problem, at, doubt = made.problem, made.fit, made.doubt
+        problem, at = finish(problem, at)
+        doubt = problem.doubt
     misfit, left_over = misfits(problem, null, settings), misfits(problem, at, settings)
     share = sum(m.size**2 for m in left_over) / max(sum(m.size**2 for m in misfit), 1.0)
     # The exact form of a nonlinear law far from rest is not known; what little that leaves is no cause of its own.
@@ -232,7 +232,7 @@ def _polished(
     for c in candidates:
         made = rough.get(c.key, Polished(c, problem, lean))
         if c.key in rough and made.candidate.evidence > first - _UNSURE * max(made.candidate.gain, _SMALL):
-            made = polish(made.problem, at, made.candidate, FINE)
+            made = polish(made.problem, at, made.candidate, fine=True)
         out.append(_heard(made, lean, measured, std, 2.0 if c.key in rough else 1.0))
     return out
 

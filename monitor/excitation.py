@@ -33,8 +33,10 @@ _FORCED = 1e-3
 """With the ground measured: power that forces cause, as a share of what is seen, where the model is all wrong."""
 
 
-def excited(evidence: Evidence, model: Model, context: Context, reference_degc: float | None) -> tuple[Problem, Array]:
-    """The model's problem with levels and noise fitted, everything else as it is stated.
+def excited(
+    evidence: Evidence, model: Model, context: Context, reference_degc: float | None, start: Array | None = None
+) -> tuple[Problem, Array]:
+    """The model's problem with levels and noise fitted, from `start` where that is known; everything else as it is stated.
 
     Laws that depend on the level are made linear at the motion that the model itself shows, hence the repetition; what that
     leaves out is simulated.
@@ -47,7 +49,9 @@ def excited(evidence: Evidence, model: Model, context: Context, reference_degc: 
     unknown = Condition(np.ones(stories), np.ones(stories), np.ones(n), np.ones(c))
     problem = Problem(evidence, plain, context, (unknown,) * evidence.counts.size)
     problem = _as_moved(problem, known)
-    x = _fit_levels(problem, _first_guess(problem))
+    x = _first_guess(problem) if start is None else np.concatenate([plain.mean, start])
+    if start is None or not model.effects:
+        x = _fit_levels(problem, x)
     for _ in range(2 if model.effects else 0):
         excitation = x[problem.reference.mean.size :]
         problem = replace(problem, conditions=conditions(problem, x, ()), reference=known)

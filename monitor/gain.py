@@ -27,7 +27,6 @@ from monitor.motion import conditions
 from monitor.parallel import each
 from monitor.reference import Reference
 from monitor.results import Array, ComplexArray
-from monitor.search import prepare
 from monitor.segments import Segments
 from monitor.window import common_step_s
 
@@ -39,8 +38,8 @@ _ORDINAL = {2: "second", 4: "fourth"}
 _BOOTSTRAPS = 4000
 _SURE_NATS = 20.0
 """Held-out gain of a nonlinear law that chance does not make."""
-_DRIVEN = 25
-"""Iterations of a fit to a part of driven motion, from the whole recording's."""
+_PART, _DRIVEN = 12, 25
+"""Iterations of a fit to a part of a recording, and of driven motion, from the whole recording's."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -96,6 +95,7 @@ def score(
     config: Configuration,
     reference_degc: float | None = None,
     held: NDArray[np.bool_] | None = None,
+    start: Array | None = None,
 ) -> Score:
     """Score a model on a recording.
 
@@ -106,10 +106,15 @@ def score(
     ----------
     held : ndarray of bool, shape (n_segments,), optional
         The segments that count; levels and noise are those of the whole recording all the same.
+    start : ndarray, optional
+        Logarithms of forces, levels of classes and noise that lie near: quicker.
     """
     evidence = classify(segments)
     held = np.ones(segments.t_s.size, dtype=bool) if held is None else held
-    problem, x = excited(evidence, model, replace(context, structure=model.structure), reference_degc)
+    if start is not None:
+        n = context.structure.n_dofs
+        start = np.r_[start[:n], start[n:-1][_nearest(start.size - n - 1, evidence.counts.size)], start[-1]]
+    problem, x = excited(evidence, model, replace(context, structure=model.structure), reference_degc, start)
     predicted, mean = problem.scatter(x, ()), problem.mean(x, ())
     left = segments.values if mean is None else segments.values - mean
     seen = segments.values[held]
@@ -170,8 +175,10 @@ def heldout_gain(segments: Segments, diagnosis: Diagnosis, config: Configuration
             counts=others.counts * segments.t_s.size / others.counts.sum(),
             drive=_as_moved(others.drive, diagnosis),
         )
-        forms = _forms(others, reference, context, effects, diagnosis)
-        return [score(segments, form, context, config, reference.reference_degc, held) for form in forms]
+        return [
+            score(segments, form, context, config, reference.reference_degc, held, start)
+            for form, start in _forms(others, reference, effects, diagnosis)
+        ]
 
     parts = [(block >= 0) & (block % folds == fold) for fold in range(folds)]
     for held, judged in zip(parts, each(scores, parts), strict=True):
@@ -219,19 +226,32 @@ def _blocks(segments: Segments) -> tuple[NDArray[np.intp], int, float]:
 
 
 def _forms(
-    evidence: Evidence, reference: Reference, context: Context, effects: tuple[Effect, ...], whole: Diagnosis
-) -> tuple[Model, Model]:
-    """The old model form and the extended one, fitted."""
-    if evidence.drive is not None:  # a response's phases lead back from nearby only: from the whole recording's fits
-        problem = replace(whole.problem, evidence=evidence, reference=reference)
-        null = fit(problem, whole.null.x, whole.null.effects, iterations=_DRIVEN)
-        return fitted_model(problem, null), fitted_model(
-            problem, fit(problem, whole.final.x, effects, iterations=_DRIVEN)
-        )
-    problem, null = prepare(evidence, reference, context)
-    at = fit(problem, null.x, effects)
-    problem = replace(problem, conditions=conditions(problem, at.x, at.effects))  # the motion that the causes leave
-    return fitted_model(problem, null), fitted_model(problem, fit(problem, at.x, at.effects))
+    evidence: Evidence, reference: Reference, effects: tuple[Effect, ...], whole: Diagnosis
+) -> list[tuple[Model, Array]]:
+    """The old model form and the extended one, fitted, each with its excitation (forces, levels, noise).
+
+    From the whole recording's fits, which lie near: a response's phases lead back from nearby only, and all else comes quicker.
+    """
+    of = whole.problem
+    nearest = _nearest(of.n_classes, evidence.counts.size)
+    seen_at = tuple(of.conditions[k] for k in nearest)
+    problem = Problem(evidence, reference, of.context, seen_at, exact_slopes=of.exact_slopes)
+    levels = slice(of.n_nuisance - 1 - of.n_classes, of.n_nuisance - 1)
+
+    def fitted(x: Array, effects: tuple[Effect, ...]) -> tuple[Model, Array]:
+        x = np.concatenate([x[: levels.start], x[levels][nearest], x[levels.stop :]])
+        at = fit(problem, x, effects, iterations=_DRIVEN if evidence.drive is not None else _PART)
+        if evidence.drive is None and any(e.conditional for e in (*reference.effects(at.x), *effects)):
+            moved = replace(problem, conditions=conditions(problem, at.x, at.effects))  # that the causes leave
+            at = fit(moved, at.x, at.effects)
+        return fitted_model(problem, at), at.x[reference.mean.size : problem.n_nuisance]
+
+    return [fitted(whole.null.x, whole.null.effects), fitted(whole.final.x, effects)]
+
+
+def _nearest(n: int, wanted: int) -> NDArray[np.intp]:
+    """Of n classes of rising level those nearest to as many as are wanted."""
+    return np.rint(np.linspace(0, n - 1, wanted)).astype(int)
 
 
 def _as_moved(drive: Drive | None, diagnosis: Diagnosis) -> Drive | None:

@@ -11,8 +11,8 @@ P. Whittle, Arkiv foer Matematik 2 (1953) 423-434; A. M. Sykulski et al., The de
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -33,19 +33,13 @@ NUDGE = 1e-5
 class Problem(Forward):
     """Evidence, what is known before it, and where effects act: how likely parameters are."""
 
-    pins: Mapping[tuple[str, str], tuple[Array, Array]] = field(default_factory=dict)
-    """Mean and precision of the coordinates of effects, by name and place, whose offset was simulated at that mean."""
     exact_slopes: bool = False
     """Whether slopes of a response to a measured ground are the exact laws' by the nuisances too; else the linearized ones'."""
 
     def prior(self, x: Array, effects: Sequence[Effect]) -> tuple[Array, Array]:
         """Mean and precision of the nuisances, given the forces' mean level, and of the effects' coordinates."""
         middle = self.conditions[self.n_classes // 2]
-        told = [e.known(self.context, middle) for e in effects]
-        known = [
-            self.pins.get((e.name, e.location), (mean, np.diag(precision)))
-            for e, (mean, precision) in zip(effects, told, strict=True)
-        ]
+        known = [e.known(self.context, middle) for e in effects]
         n = self.context.structure.n_dofs
         centred = np.eye(n) - 1.0 / n
         precision = block_diag(
@@ -53,7 +47,7 @@ class Problem(Forward):
             centred / _FORCE_STD**2 + np.full((n, n), 1.0 / n) / _LEVEL_STD**2,
             np.eye(self.n_classes) / _LEVEL_STD**2,
             np.eye(1) / _NOISE_STD**2,
-            *[precision for _, precision in known],
+            *[np.diag(precision) for _, precision in known],
         )
         p = self.reference.mean.size
         mean = np.concatenate(

@@ -24,11 +24,13 @@ from monitor.search import Candidate, evidence_of
 
 Rounds = tuple[tuple[int, bool], ...]
 """Simulations in each round, and whether slopes are taken too."""
-ROUGH: Rounds = ((1, False), (1, True))
-FINE: Rounds = ((2, True),)
+_ROUGH: Rounds = ((1, False), (1, True))
+_FINE: Rounds = ((2, True),)
 """For a rival, and for the best."""
 _LEAST, _MOST, _LOSS = 3, 10, 100.0
 """Simulations for what is published: one for so many nats that the chance of a single one takes away."""
+_VAGUE = 0.15
+"""Share of a size that it may be in doubt by chance; else the most are made, as what is rare shows in few of them."""
 _STEP = 0.1
 """Relative change of a size by which slopes are taken."""
 _UNSETTLED = 0.5
@@ -64,13 +66,11 @@ class Settled:
     fit: Fit
     transforms: ComplexArray
     """Of one simulation's segments, shape (n_segments, n_bins, c)."""
-    doubt: Array
-    """Standard deviation of the effects' coordinates beyond the fit's own, shape (p,)."""
 
 
-def polish(problem: Problem, null: Fit, candidate: Candidate, rounds: Rounds = ROUGH) -> Polished:
+def polish(problem: Problem, null: Fit, candidate: Candidate, *, fine: bool = False) -> Polished:
     """Refit a candidate with nonlinear laws, its linearization corrected by simulation at the fitted size."""
-    made = settle(problem, candidate.fit, rounds)
+    made = settle(problem, candidate.fit, fine=fine)
     drift_skewness = skewness(made.transforms, problem)[0]
     better = evidence_of(made.problem, null, made.fit)
     if better.gain < candidate.gain <= better.gain + made.problem.lost:  # the simulations' chance decides nothing
@@ -80,7 +80,19 @@ def polish(problem: Problem, null: Fit, candidate: Candidate, rounds: Rounds = R
     return Polished(better, made.problem, drift_skewness, float(np.sqrt(2.0 * lost)))
 
 
-def settle(problem: Problem, at: Fit, rounds: Rounds) -> Settled:
+def settle(problem: Problem, at: Fit, *, fine: bool = True) -> Settled:
+    """Refit with all nonlinear laws simulated, for a rival or, `fine`, for the best."""
+    if _sensors_alone(at):  # slopes by their sizes are told by samples: there is nothing to simulate twice
+        return _settled(problem, at, ((_LEAST if fine else 1, False),))
+    return _settled(problem, at, _FINE if fine else _ROUGH)
+
+
+def _sensors_alone(at: Fit) -> bool:
+    """Whether no law but sensors' is nonlinear."""
+    return all(e.family == "sensor" for e in at.effects if e.nonlinear)
+
+
+def _settled(problem: Problem, at: Fit, rounds: Rounds) -> Settled:
     """Refit with all nonlinear laws simulated, a round for every number of simulations.
 
     Slopes of the offset by the sizes matter since a linearized law may be far more or far less sensitive to its size than the
@@ -105,31 +117,35 @@ def settle(problem: Problem, at: Fit, rounds: Rounds) -> Settled:
         near = replace(near, feigned=feigned, simulations=known)
         at = fit(near, at.x, at.effects, iterations=8)
     lost, doubt = _chance(near, at, offsets, free)
-    more = np.diag(_spread(near, at) - at.covariance)[near.n_nuisance :]
-    return Settled(replace(near, lost=lost), at, made[0][2], np.sqrt(doubt**2 + np.maximum(more, 0.0)))
+    if doubt.size:
+        more = np.diag(_spread(near, at) - at.covariance)[near.n_nuisance :]
+        doubt = np.sqrt(doubt**2 + np.maximum(more, 0.0))
+    return Settled(replace(near, lost=lost, doubt=doubt), at, made[0][2])
 
 
-def finish(problem: Problem, at: Fit) -> Settled:
+def finish(problem: Problem, at: Fit) -> tuple[Corrected, Fit]:
     """As `settle`, for what is published: the more chance the simulations have, the more of them.
 
     What the sizes still move in it is a doubt, and where the fit gets worse, the one that it began with stands.
     """
-    if all(e.family == "sensor" for e in at.effects if e.nonlinear):
-        return settle(problem, at, ((_LEAST, False),))
-    if isinstance(problem, Corrected) and len(_slopes(problem, at)) and problem.feigned.any():  # simulated finely there
+    if isinstance(problem, Corrected) and problem.doubt.size == at.n_effect:  # simulated finely with all that is there
         near, start = problem, at
     else:
-        made = settle(problem, at, FINE)
+        made = settle(problem, at)
         near, start = made.problem, made.fit
+    if _sensors_alone(at):
+        return near, start
     count = int(np.clip(np.ceil(2.0 * near.lost / _LOSS), _LEAST, _MOST))
     rounds: Rounds = ((count, False),) if count == _LEAST else ((count // 2, True), (count, False))
     if _largest(_feigned_part(near, start)) > _MUCH:
         rounds = ((max(count, _SLOPED - near.simulations), True),)
-    last = settle(near, start, rounds)
+    last = _settled(near, start, rounds)
+    if (last.problem.doubt > _VAGUE * np.abs(last.fit.x[problem.n_nuisance :])).any():
+        last = _settled(last.problem, last.fit, ((_MOST, False),))
     moved = np.abs(last.fit.x - start.x)[problem.n_nuisance :]
     if last.fit.log_posterior + last.problem.lost < start.log_posterior:
-        return replace(last, problem=near, fit=start, doubt=np.hypot(last.doubt, moved))
-    return replace(last, doubt=np.hypot(last.doubt, _UNSETTLED * moved))
+        return replace(near, doubt=np.hypot(last.problem.doubt, moved)), start
+    return replace(last.problem, doubt=np.hypot(last.problem.doubt, _UNSETTLED * moved)), last.fit
 
 
 def _simulated(problem: Problem, at: Fit, seed: int) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
@@ -204,15 +220,15 @@ def _spread(problem: Problem, at: Fit) -> Array:
     return np.asarray(wider @ at.covariance @ wider.T)
 
 
-def _chance(problem: Problem, at: Fit, offsets: ComplexArray, free: ComplexArray) -> tuple[float, Array]:
+def _chance(problem: Corrected, at: Fit, offsets: ComplexArray, free: ComplexArray) -> tuple[float, Array]:
     """What the simulations' chance costs in log likelihood, and what it adds to the sizes' standard deviation.
 
     A nonlinear response is not normal, so a recording's spectra scatter more than the likelihood knows: as the spectra of
-    simulations without a control variate do.
+    simulations without a control variate do.  A single one tells nothing.
     """
     n, k = problem.n_nuisance, len(offsets)
-    if k < 2 or not isinstance(problem, Corrected):
-        return 0.0, np.zeros(at.x.size - n)
+    if k < 2:
+        return 0.0, np.zeros(0)
     here = problem.predict(at.x, at.effects)
     rows = at.jacobian[: at.residual.size]
     steps, lost = [], 0.0

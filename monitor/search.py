@@ -50,8 +50,6 @@ class Candidate:
     """Log posterior above the model without it, nats."""
     evidence: float
     """The gain less half the logarithm of the information for every parameter."""
-    doubt: Array | None = None
-    """Standard deviation of the coordinates that a linearized law's own error adds, shape (p,)."""
 
     @property
     def key(self) -> tuple[str, str]:
@@ -253,8 +251,8 @@ def judge(problem: Problem, null: Fit, effect: Effect, *, quick: bool = False) -
         known = problem.reference
         held = replace(problem, reference=replace(known, precision=known.precision + _HELD * np.eye(known.mean.size)))
         near = fit(held, x, (*null.effects, effect), iterations=6)
-        other = fit(problem, near.x, near.effects, iterations=15)
-        fitted = max(fitted, other, key=lambda f: f.log_posterior)
+        if sum(problem.score(near.x, near.effects)) > fitted.log_posterior:
+            fitted = fit(problem, near.x, near.effects, iterations=15)
     return evidence_of(problem, null, fitted)
 
 

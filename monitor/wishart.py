@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from monitor.compiled import compiled
 from monitor.results import Array, ComplexArray
@@ -64,6 +65,18 @@ def _invert_lower(lower: ComplexArray, out: ComplexArray) -> None:
 
 
 @compiled(error_model="numpy")
+def definite(matrices: ComplexArray) -> NDArray[np.bool_]:
+    """Which Hermitian matrices, shape (classes, bins, c, c), are positive definite."""
+    classes, bins, c, _ = matrices.shape
+    out = np.empty((classes, bins), dtype=np.bool_)
+    lower = np.zeros((c, c), dtype=np.complex128)
+    for k in range(classes):
+        for f in range(bins):
+            out[k, f] = _cholesky(matrices[k, f], lower)
+    return out
+
+
+@compiled(error_model="numpy")
 def grown_by(spectra: ComplexArray, relative: ComplexArray) -> ComplexArray:
     """``S + L dS L^H`` with ``S = L L^H``, of every class and bin; NaN where S is not positive definite."""
     classes, bins, c, _ = spectra.shape
@@ -105,7 +118,7 @@ def whiten(spectra: ComplexArray, slopes: ComplexArray, root: Array) -> Array:
             _invert_lower(lower, inverse)
             for q in range(p):
                 for i in range(c):
-                    for b in range(c):
+                    for b in range(i + 1):  # what lies above follows from symmetry
                         total = 0j
                         for a in range(i + 1):
                             total += inverse[i, a] * slopes[q, k, f, a, b]

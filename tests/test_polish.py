@@ -17,7 +17,7 @@ from monitor.fitting import Fit, fit
 from monitor.likelihood import Problem
 from monitor.model import Model
 from monitor.motion import conditions
-from monitor.polish import FINE, settle
+from monitor.polish import finish
 from monitor.record import blocks_of
 from monitor.reference import nominal
 from monitor.search import prepare
@@ -92,11 +92,10 @@ def test_a_correction_follows_its_slopes_and_leaves_other_effects_alone(bent: tu
 def test_simulation_mends_what_linearization_misses(bent: tuple[Problem, Fit]) -> None:
     problem, null = bent
     at = fit(problem, null.x, (parse_effect(CUBIC.format(0.3 * STRONG)),))
-    first = settle(problem, at, FINE)
-    made = settle(first.problem, first.fit, ((2, False),))
+    made, best = finish(problem, at)
     n = problem.n_nuisance
-    std = float(np.hypot(np.sqrt(made.fit.covariance[n, n]), made.doubt[0]))
-    assert abs(made.fit.x[n] - STRONG) < 3.0 * std
+    std = float(np.hypot(np.sqrt(best.covariance[n, n]), made.doubt[0]))
+    assert abs(best.x[n] - STRONG) < 3.0 * std
     assert std < 0.15 * STRONG
 
 
