@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monitor.effects import EFFECTS, Effect
+from monitor.evidence import Evidence
 from monitor.likelihood import NUDGE, Problem
 from monitor.motion import forced_drift
 from monitor.results import Array, ComplexArray
@@ -49,6 +50,17 @@ class Corrected(Problem):
     drift: Array = field(default_factory=lambda: np.zeros((0, 0)))
     """The linearized model's RMS drift there, shape (classes, n_stories), m."""
 
+    def part(self, evidence: Evidence, classes: NDArray[np.intp]) -> Corrected:
+        """See `Problem.part`; the correction is a matter of the law, not of what was measured."""
+        return replace(
+            Problem.part(self, evidence, classes),
+            offset=None if self.offset is None else self.offset[classes],
+            base=self.base[classes],
+            relative=self.relative[:, classes],
+            by_motion=self.by_motion[:, classes],
+            drift=self.drift[classes],
+        )
+
     def scatter(self, x: Array, effects: Sequence[Effect], *, classes: Sequence[int] | None = None) -> ComplexArray:
         """See `Problem.scatter`.
 
@@ -57,9 +69,9 @@ class Corrected(Problem):
         """
         plain = replace(self, offset=None)
         linear = Problem.scatter(plain, x, effects, classes=classes)
-        here = [e for e in effects if (e.name, e.location) in self.laws]
-        if self.offset is None or len(here) < len(self.laws):
+        if not self._acts(effects):
             return linear
+        here = [e for e in effects if (e.name, e.location) in self.laws]
         sizes = np.concatenate([e.coordinates for e in here])
         relative = np.tensordot(np.append(1.0, sizes - self.centre), self.relative, axes=1)
         if any(e.amplitude_powers for e in here):
@@ -74,9 +86,15 @@ class Corrected(Problem):
 
     def slope(self, x: Array, i: int, effects: tuple[Effect, ...], spectra: ComplexArray) -> ComplexArray:
         """See `Problem.slope`; of every class its own, since a law that bends much has its peaks elsewhere in each."""
+        if not self._acts(effects):
+            return Problem.slope(self, x, i, effects, spectra)
         moved = x.copy()
         moved[i] += NUDGE
         return np.asarray((self.smooth(self.scatter(moved, effects)) - spectra) / NUDGE)
+
+    def _acts(self, effects: Sequence[Effect]) -> bool:
+        """Whether the correction is that of these effects."""
+        return self.offset is not None and set(self.laws) <= {(e.name, e.location) for e in effects}
 
     def mirrored(self, law: Effect) -> Corrected:
         """The same with a law's other hand, whose spectra are the same."""

@@ -24,8 +24,8 @@ from monitor.results import Array
 from monitor.rivals import SURE, probabilities, same, together
 from monitor.search import Candidate, best_of_each, between_samples, evidence_of, judge, prepare, rank, starts
 
-_SMALL, _MORE = 200.0, 3.0
-"""Promised gain, nats, of a small effect; a rough fit is believed to find half of the whole gain, or all but so much."""
+_SMALL = 200.0
+"""Promised gain, nats, of a small effect."""
 _KINDS, _EVERYWHERE, _DRIVEN = 7, 2, 2
 """Where the ground is measured: kinds of causes that are fitted roughly, those of them at every place, and to the end."""
 _UNSURE = 0.1
@@ -172,23 +172,26 @@ def _round(problem: Problem, at: Fit, lean: Array, settings: DiagnosisSettings, 
     """The best candidates beside what was accepted, by evidence, of those that promise a gain of `worth`."""
     taken = [(e.name, e.location) for e in (*problem.reference.effects(at.x), *at.effects)]
     ranked = [item for item in best_of_each(rank(problem, at, starts(problem, at, taken))) if item[0] > worth]
-    chosen = _chosen(problem, at, ranked, settings) if problem.evidence.drive is None else _driven(problem, at, ranked)
-    fitted = sorted(each(partial(judge, problem, at), chosen.values()), key=lambda c: -c.evidence)
+    if problem.evidence.drive is None:
+        chosen, bar = _chosen(problem, at, ranked, settings)
+    else:
+        chosen, bar = _driven(problem, at, ranked), -np.inf
+    fitted = sorted(each(partial(judge, problem, at, bar=bar), chosen.values()), key=lambda c: -c.evidence)
     return sorted(_polished(problem, at, fitted, lean, settings), key=lambda p: -p.candidate.evidence)
 
 
 def _chosen(
     problem: Problem, at: Fit, ranked: list[tuple[float, Effect]], settings: DiagnosisSettings
-) -> dict[tuple[str, str], Effect]:
-    """Effects worth a fit to the end, by name and place."""
+) -> tuple[dict[tuple[str, str], Effect], float]:
+    """Effects worth a fit to the end, by name and place; and the evidence that the best of them has at least."""
     rough = _roughly(problem, at, [e for _, e in ranked[: settings.ranked]])
     bar = max(rough[0].evidence - settings.rival, settings.margin) if rough else 0.0
-    near = [c for c in rough if c.evidence + max(c.gain, _MORE) > bar]
+    near = [c for c in rough if c.may_reach(bar)]
     # Of a small effect, rivals gain nearly as much, and none may be passed over.
     small = len(ranked) > 0 and ranked[0][0] < _SMALL
     chosen = {c.key: c.effect for c in (near if small else near[: settings.tried])}
     # A rough fit may fail from far away, so the score test's own favourites are fitted too.
-    return {(e.name, e.location): e for _, e in ranked[: settings.favourites]} | chosen
+    return {(e.name, e.location): e for _, e in ranked[: settings.favourites]} | chosen, bar
 
 
 def _roughly(problem: Problem, at: Fit, effects: list[Effect]) -> list[Candidate]:

@@ -25,7 +25,6 @@ from monitor.likelihood import Problem
 from monitor.model import Model
 from monitor.motion import conditions
 from monitor.parallel import each
-from monitor.reference import Reference
 from monitor.results import Array, ComplexArray
 from monitor.segments import Segments
 from monitor.window import common_step_s
@@ -113,7 +112,7 @@ def score(
     held = np.ones(segments.t_s.size, dtype=bool) if held is None else held
     if start is not None:
         n = context.structure.n_dofs
-        start = np.r_[start[:n], start[n:-1][_nearest(start.size - n - 1, evidence.counts.size)], start[-1]]
+        start = _of_classes(start, n, _nearest(start.size - n - 1, evidence.counts.size))
     problem, x = excited(evidence, model, replace(context, structure=model.structure), reference_degc, start)
     predicted, mean = problem.scatter(x, ()), problem.mean(x, ())
     left = segments.values if mean is None else segments.values - mean
@@ -177,7 +176,7 @@ def heldout_gain(segments: Segments, diagnosis: Diagnosis, config: Configuration
         )
         return [
             score(segments, form, context, config, reference.reference_degc, held, start)
-            for form, start in _forms(others, reference, effects, diagnosis)
+            for form, start in _forms(others, effects, diagnosis)
         ]
 
     parts = [(block >= 0) & (block % folds == fold) for fold in range(folds)]
@@ -225,33 +224,34 @@ def _blocks(segments: Segments) -> tuple[NDArray[np.intp], int, float]:
     return np.where(first == last, first, -1), n, float(length)
 
 
-def _forms(
-    evidence: Evidence, reference: Reference, effects: tuple[Effect, ...], whole: Diagnosis
-) -> list[tuple[Model, Array]]:
+def _forms(evidence: Evidence, effects: tuple[Effect, ...], whole: Diagnosis) -> list[tuple[Model, Array]]:
     """The old model form and the extended one, fitted, each with its excitation (forces, levels, noise).
 
     From the whole recording's fits, which lie near: a response's phases lead back from nearby only, and all else comes quicker.
     """
-    of = whole.problem
-    nearest = _nearest(of.n_classes, evidence.counts.size)
-    seen_at = tuple(of.conditions[k] for k in nearest)
-    problem = Problem(evidence, reference, of.context, seen_at, exact_slopes=of.exact_slopes)
-    levels = slice(of.n_nuisance - 1 - of.n_classes, of.n_nuisance - 1)
+    nearest = _nearest(whole.problem.n_classes, evidence.counts.size)
+    problem = whole.problem.part(evidence, nearest)
+    p, n = problem.reference.mean.size, whole.problem.n_nuisance
 
     def fitted(x: Array, effects: tuple[Effect, ...]) -> tuple[Model, Array]:
-        x = np.concatenate([x[: levels.start], x[levels][nearest], x[levels.stop :]])
+        x = np.concatenate([x[:p], _of_classes(x[p:n], problem.context.structure.n_dofs, nearest), x[n:]])
         at = fit(problem, x, effects, iterations=_DRIVEN if evidence.drive is not None else _PART)
-        if evidence.drive is None and any(e.conditional for e in (*reference.effects(at.x), *effects)):
+        if evidence.drive is None and any(e.conditional for e in (*problem.reference.effects(at.x), *effects)):
             moved = replace(problem, conditions=conditions(problem, at.x, at.effects))  # that the causes leave
             at = fit(moved, at.x, at.effects)
-        return fitted_model(problem, at), at.x[reference.mean.size : problem.n_nuisance]
+        return fitted_model(problem, at), at.x[p : problem.n_nuisance]
 
     return [fitted(whole.null.x, whole.null.effects), fitted(whole.final.x, effects)]
 
 
 def _nearest(n: int, wanted: int) -> NDArray[np.intp]:
     """Of n classes of rising level those nearest to as many as are wanted."""
-    return np.rint(np.linspace(0, n - 1, wanted)).astype(int)
+    return np.rint(np.linspace(0, n - 1, wanted)).astype(np.intp)
+
+
+def _of_classes(excitation: Array, n_forces: int, classes: NDArray[np.intp]) -> Array:
+    """Forces, levels and noise, the levels being those of the classes of these numbers."""
+    return np.concatenate([excitation[:n_forces], excitation[n_forces:-1][classes], excitation[-1:]])
 
 
 def _as_moved(drive: Drive | None, diagnosis: Diagnosis) -> Drive | None:

@@ -1,12 +1,15 @@
-"""Poles above the real axis of a small matrix, and what C shows of their eigenvectors, without the rest that LAPACK would give.
+"""Eigenvalues and vectors of small matrices in Hessenberg form, without the rest that LAPACK would give.
 
-A window asks this of some fifteen matrices, of which half the eigenvalues and a few rows of the eigenvectors are looked at.
-After LAPACK's reduction to Hessenberg form (zero below the first subdiagonal) the double-shift QR iteration acts on what is not
-yet split off alone, for it need not keep the triangular form, and a vector follows from one solution with its pole as shift.
+A window asks some fifteen matrices for their poles, of which those above the real axis and a few rows of the eigenvectors are
+looked at.  After LAPACK's reduction to Hessenberg form (zero below the first subdiagonal) the double-shift QR iteration acts on
+what is not yet split off alone, for it need not keep the triangular form, and a vector follows from one solution with its pole as
+shift.  Of a symmetric one, whose form is tridiagonal, the leading vectors are wanted alone.
 
 References
 ----------
-G. H. Golub, C. F. Van Loan, Matrix Computations, 4th ed., 2013, sections 7.5 and 7.6.
+G. H. Golub, C. F. Van Loan, Matrix Computations, 4th ed., 2013, sections 7.5 and 7.6.  I. S. Dhillon, B. N. Parlett, Multiple
+representations to compute orthogonal eigenvectors of symmetric tridiagonal matrices, Linear Algebra and its Applications 387
+(2004) 1-28.
 """
 
 from __future__ import annotations
@@ -18,6 +21,10 @@ from monitor.compiled import compiled
 from monitor.results import Array, ComplexArray
 
 _EPS = 2.0**-52
+_TINY = 1e-290
+"""Instead of a pivot that vanishes."""
+_NEAR = 1e-5
+"""Distance of two values, over the largest, within which their vectors mix."""
 _MOST_SWEEPS = 60
 _LEAST_GROWTH = 1e10
 """Of a solution with a pole as shift over the right side: the vector's residual is its inverse, times the order."""
@@ -184,3 +191,46 @@ def _vector(h: Array, pole: complex, u: ComplexArray, x: ComplexArray) -> bool:
         x[i] = total / pivot
         growth = max(growth, abs(x[i].real) + abs(x[i].imag))
     return growth * norm >= _LEAST_GROWTH
+
+
+@compiled(error_model="numpy")
+def tridiagonal_vectors(diagonal: Array, beside: Array, values: Array) -> Array:
+    """Unit eigenvectors of a symmetric tridiagonal matrix for known eigenvalues, as rows, shape (m, n).
+
+    Each follows from the factors of the shifted matrix from the top and from the bottom, joined where they tell it best.  It is
+    as good as rounding over the distance to the next value; what that leaves in it of the vectors of near values is taken off.
+
+    Parameters
+    ----------
+    diagonal : ndarray, shape (n,)
+    beside : ndarray, shape (n - 1,)
+    values : ndarray, shape (m,)
+        In order.
+    """
+    n, near = diagonal.size, _NEAR * np.abs(values).max()
+    out, down, up = np.empty((values.size, n)), np.empty(n), np.empty(n)
+    for k in range(values.size):
+        down[0], up[n - 1] = diagonal[0] - values[k], diagonal[n - 1] - values[k]
+        for i in range(1, n):
+            down[i - 1] = down[i - 1] or _TINY
+            down[i] = diagonal[i] - values[k] - beside[i - 1] ** 2 / down[i - 1]
+        for i in range(n - 2, -1, -1):
+            up[i + 1] = up[i + 1] or _TINY
+            up[i] = diagonal[i] - values[k] - beside[i] ** 2 / up[i + 1]
+        joint, least = 0, np.inf
+        for i in range(n):
+            left = abs(down[i] + up[i] - (diagonal[i] - values[k]))
+            if left < least:
+                joint, least = i, left
+        row = out[k]
+        row[joint] = 1.0
+        for i in range(joint - 1, -1, -1):
+            row[i] = -beside[i] / down[i] * row[i + 1]
+        for i in range(joint + 1, n):
+            row[i] = -beside[i - 1] / up[i] * row[i - 1]
+        for j in range(k - 1, -1, -1):
+            if abs(values[j] - values[k]) > near:
+                break
+            row -= (out[j] * row).sum() * out[j]
+        row /= np.sqrt((row * row).sum())
+    return out

@@ -12,13 +12,16 @@ P. Whittle, Arkiv foer Matematik 2 (1953) 423-434; A. M. Sykulski et al., The de
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from monitor import driven
 from monitor.effects import Effect
+from monitor.evidence import Evidence
 from monitor.forward import Forward, Prediction, diagonal_of
 from monitor.results import Array, ComplexArray
 from monitor.wishart import log_det_and_trace, whiten
@@ -35,6 +38,10 @@ class Problem(Forward):
 
     exact_slopes: bool = False
     """Whether slopes of a response to a measured ground are the exact laws' by the nuisances too; else the linearized ones'."""
+
+    def part(self, evidence: Evidence, classes: NDArray[np.intp]) -> Self:
+        """The same for other segments, whose classes are like those of these numbers here."""
+        return replace(self, evidence=evidence, conditions=tuple(self.conditions[k] for k in classes))
 
     def prior(self, x: Array, effects: Sequence[Effect]) -> tuple[Array, Array]:
         """Mean and precision of the nuisances, given the forces' mean level, and of the effects' coordinates."""

@@ -141,7 +141,7 @@ class Pipeline:
         if previous is not None and rate_hz == previous.grid.rate_hz:
             grid = previous.grid
         else:
-            segment_s = self.config.refinement.segment_s
+            segment_s = self.config.refinement.segment_s if self.config.refinement.enabled else 0.0
             grid = WindowGrid.design(rate_hz, p.window_s, p.hop_s, n_lags, segment_s, conditioner.cutoff_hz)
         t0_ns, index, last = piece.t_ns, 0, None
         if previous is not None:

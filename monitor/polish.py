@@ -24,9 +24,9 @@ from monitor.search import Candidate, evidence_of
 
 Rounds = tuple[tuple[int, bool], ...]
 """Simulations in each round, and whether slopes are taken too."""
-_ROUGH: Rounds = ((1, False), (1, True))
+_ROUGH: Rounds = ((1, True),)
 _FINE: Rounds = ((2, True),)
-"""For a rival, and for the best."""
+"""For a rival, and for the best.  Without slopes from the start, a law that is far from its linearization is fitted away."""
 _LEAST, _MOST, _LOSS = 3, 10, 100.0
 """Simulations for what is published: one for so many nats that the chance of a single one takes away."""
 _VAGUE = 0.15

@@ -32,6 +32,8 @@ _STATIONARY = ("sensor_clipping",)
 """Effects whose linearization takes samples for normal, which an earthquake's are not."""
 _DRAGGED = -20.0
 """Log prior below which the model without the effect was dragged far from what was known, where a fit starts better."""
+_MORE = 3.0
+"""Nats that a rough fit may leave in any case."""
 _HELD = 1e8
 """Precision that holds the structure while an effect's size is found."""
 _FORCED, _MODEL_ERROR = 1e-3, 0.5
@@ -55,6 +57,10 @@ class Candidate:
     def key(self) -> tuple[str, str]:
         """Name and place."""
         return self.effect.name, self.effect.location
+
+    def may_reach(self, bar: float) -> bool:
+        """Whether a better fit may have the evidence `bar`: one found half of the whole gain, or all but a little."""
+        return self.evidence + max(self.gain, _MORE) > bar
 
 
 def prepare(evidence: Evidence, reference: Reference, context: Context) -> tuple[Problem, Fit]:
@@ -238,22 +244,24 @@ def best_of_each(ranked: list[tuple[float, Effect]]) -> list[tuple[float, Effect
     return out
 
 
-def judge(problem: Problem, null: Fit, effect: Effect, *, quick: bool = False) -> Candidate:
-    """Fit an effect beside the nuisances."""
+def judge(problem: Problem, null: Fit, effect: Effect, *, quick: bool = False, bar: float = -np.inf) -> Candidate:
+    """Fit an effect beside the nuisances; with less care, once it is seen that it does not reach the evidence `bar`."""
     driven = problem.evidence.drive is not None
     # Driven motion tells so much that a cause bends the other slopes at once.
     frozen = null.jacobian[:, : problem.n_nuisance] if quick and not driven else None
     iterations = (_ROUGHLY if driven else 5) if quick else _FAR if driven else 15
     tolerance = _COARSE if driven else _FINE
     fitted = fit(problem, null.x, (*null.effects, effect), iterations=iterations, tolerance=tolerance, frozen=frozen)
+    found = evidence_of(problem, null, fitted)
     if not quick and not driven and null.log_prior < _DRAGGED:
         x = np.concatenate([problem.reference.mean, null.x[problem.reference.mean.size :]])
         known = problem.reference
         held = replace(problem, reference=replace(known, precision=known.precision + _HELD * np.eye(known.mean.size)))
         near = fit(held, x, (*null.effects, effect), iterations=6)
-        if sum(problem.score(near.x, near.effects)) > fitted.log_posterior:
-            fitted = fit(problem, near.x, near.effects, iterations=15)
-    return evidence_of(problem, null, fitted)
+        if found.may_reach(bar) or sum(problem.score(near.x, near.effects)) > fitted.log_posterior:
+            other = evidence_of(problem, null, fit(problem, near.x, near.effects, iterations=15))
+            found = max(found, other, key=lambda c: c.evidence)
+    return found
 
 
 def evidence_of(problem: Problem, null: Fit, fitted: Fit, n_more: int | None = None) -> Candidate:

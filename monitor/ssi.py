@@ -24,7 +24,8 @@ from monitor.settings import Settings
 Indices = NDArray[np.intp]
 _RANK_TOLERANCE = 1e-12
 _SINGULAR_TOLERANCE = 1e-9
-_SQUARED_TOLERANCE = 1e-4
+_SQUARED_TOLERANCE, _APART = 1e-4, 1e-12
+"""Least square of a singular value, and distance of two, over the largest, to be found as eigenvalues."""
 _LARGE = 500
 """Rows from which only the wanted singular triplets are computed."""
 
@@ -155,14 +156,16 @@ def _orthonormal(o: Array, z: Array, l: int) -> tuple[Array, Array]:  # noqa: E7
 def _leading(matrix: Array, count: int) -> tuple[Array, Array]:
     """At least the `count` largest singular values, falling, and as many right vectors, as columns."""
     if min(matrix.shape) < _LARGE:
-        # Where squares lose no more than a few digits, the symmetric problem takes half the time; dsyevd in its parts, as the
-        # last is needed for the wanted vectors alone.
+        # Where squares lose no more than a few digits, the symmetric problem takes less than half the time.
         reflected, diagonal, beside, scales, _ = lapack.dsytrd(matrix.T @ matrix, lower=1)
-        squares, turned, failed = lapack.dstevd(diagonal, beside)
-        if not failed and squares[-count] > _SQUARED_TOLERANCE * squares[-1]:
-            first, others = turned[:1, -count:], turned[1:, -count:]
-            others, *_ = lapack.dormqr("L", "N", reflected[1:, :-1], scales, others, 64 * count)
-            return np.sqrt(squares[: -count - 1 : -1]), np.concatenate([first, others])[:, ::-1]
+        squares, failed = lapack.dsterf(diagonal, beside)
+        apart = np.diff(squares[-count - 1 :]).min()
+        if not failed and squares[-count] > _SQUARED_TOLERANCE * squares[-1] and apart > _APART * squares[-1]:
+            from monitor.hessenberg import tridiagonal_vectors  # compiled code takes a while to load
+
+            turned = tridiagonal_vectors(diagonal, beside, squares[: -count - 1 : -1]).T
+            others, *_ = lapack.dormqr("L", "N", reflected[1:, :-1], scales, turned[1:], 64 * count)
+            return np.sqrt(squares[: -count - 1 : -1]), np.concatenate([turned[:1], others])
         _, values, right_t = svd(matrix)
         return values, right_t[:count].T
     _, values, right_t = svds(matrix, count, v0=np.ones(min(matrix.shape)))  # a given start: the same bits every time

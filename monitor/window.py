@@ -51,8 +51,8 @@ class WindowGrid:
 
     @property
     def segment_step(self) -> int:
-        """Blocks from one segment's start to the next; a segment is twice as long."""
-        return max(1, round(0.5 * self.segment_s * self.rate_hz / self.block_n))
+        """Blocks from one segment's start to the next; a segment is twice as long; 0 where none is wanted."""
+        return max(1, round(0.5 * self.segment_s * self.rate_hz / self.block_n)) if self.segment_s else 0
 
     @property
     def segments(self) -> SegmentDesign:
@@ -200,6 +200,8 @@ def _close_block(grid: WindowGrid, state: WindowState) -> WindowState:
 
 def _close_segment(grid: WindowGrid, state: WindowState) -> WindowState:
     """Transform the segment that ends here, if one does and it lies wholly in the run."""
+    if not grid.segment_step:
+        return state
     design = grid.segments
     number, odd = divmod((state.start + state.n) // grid.block_n - 2 * grid.segment_step, grid.segment_step)
     if odd or state.n < design.n:
@@ -216,7 +218,6 @@ def _emit(
     begin = end - grid.window_n
     t_end_ns = t0_ns + round(end / grid.rate_hz * 1e9)
     if begin >= state.start:
-        design = grid.segments
         step = grid.segment_step * grid.block_n
         inside = [(i, x) for i, x in state.segments if i * step >= begin]
         yield Window(
@@ -227,7 +228,7 @@ def _emit(
             sums=_sum_up(grid, state),
             first_block=begin // grid.block_n,
             segments=tuple(x for _, x in inside),
-            segment_bin_hz=design.step_hz,
+            segment_bin_hz=grid.segments.step_hz if inside else 0.0,
             first_segment=inside[0][0] if inside else 0,
         )
         return

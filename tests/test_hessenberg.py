@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from monitor import hessenberg
-from monitor.hessenberg import upper_poles
+from monitor.hessenberg import tridiagonal_vectors, upper_poles
 
 
 def assert_lapack_agrees(a: np.ndarray, c: np.ndarray, tolerance: float) -> None:
@@ -59,3 +59,15 @@ def test_what_does_not_succeed_is_left_to_lapack(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(hessenberg, "_upper_poles", fails)
     rng = np.random.default_rng(0)
     assert_lapack_agrees(rng.standard_normal((7, 7)), rng.standard_normal((3, 7)), 1e-15)
+
+
+def test_vectors_of_a_tridiagonal_matrix_are_orthonormal() -> None:
+    rng = np.random.default_rng(4)
+    diagonal, beside = rng.standard_normal(60), rng.standard_normal(59)
+    diagonal[30:], beside[30:] = diagonal[:30] + 1e-10, beside[:29]  # two matrices in one, of nearly the same values
+    beside[29] = 0.0
+    whole = np.diag(diagonal) + np.diag(beside, 1) + np.diag(beside, -1)
+    values = np.linalg.eigvalsh(whole)[-25:]
+    vectors = tridiagonal_vectors(diagonal, beside, values)
+    np.testing.assert_allclose(vectors @ vectors.T, np.eye(25), atol=1e-10)
+    np.testing.assert_allclose(vectors @ whole, values[:, None] * vectors, atol=1e-12)

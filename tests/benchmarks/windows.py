@@ -20,7 +20,8 @@ from tests.benchmarks.rounds import Cost, interleaved
 FLOOR, PLAIN, FULL = "floor of a hop", "hop without uncertainty", "hop with uncertainty, refinement, updating, alarm"
 LEAST = "matrix work of a hop without uncertainty"
 UNREFINED = "hop with uncertainty, without refinement"
-PYOMA, PYOMA_UNC, PYOMA_UNC_1 = "pyOMA2 cov", "pyOMA2 cov, uncertainty, step 2", "pyOMA2 cov, uncertainty, step 1"
+PYOMA, PYOMA_1 = "pyOMA2 cov, step 2 (our orders)", "pyOMA2 cov, step 1 (its default)"
+PYOMA_UNC, PYOMA_UNC_1 = "pyOMA2 cov, uncertainty, step 2", "pyOMA2 cov, uncertainty, step 1"
 KOMA = "koma cov"
 
 
@@ -66,6 +67,7 @@ def peers(x: Array) -> dict[str, Callable[[], Any]]:
             return ssi.SSI_poles(o, a, c, 30, 0.01, step=step, calc_unc=uncertainty, H=hankel, T=t)
 
         found[PYOMA] = lambda: pyoma(False, 2)
+        found[PYOMA_1] = lambda: pyoma(False, 1)
         found[PYOMA_UNC] = lambda: pyoma(True, 2)
         found[PYOMA_UNC_1] = lambda: pyoma(True, 1)
     except ImportError:
