@@ -7,6 +7,7 @@ import re
 import socket
 import threading
 import time
+import warnings
 from collections import deque
 from collections.abc import Callable
 from pathlib import Path
@@ -52,7 +53,8 @@ class Output:
             _demand_free(*serve)
             sinks.append(rr.GrpcServerSink(bind_ip=serve[0], port=serve[1], server_memory_limit=memory))
         if file is not None:
-            sinks.append(rr.FileSink(partial(file)))
+            # An index would be kept in memory until the end, an entry for all that is sent by itself.
+            sinks.append(rr.FileSink(partial(file), write_footer=False))
         self.stream.set_sinks(*sinks)
         self.stream.set_log_time_enabled(False)  # time is the data's
 
@@ -68,7 +70,10 @@ class Output:
             self.stream.flush(timeout_sec=timeout_s)
             self.stream.disconnect()
             if self._file is not None:
-                RrdReader(partial(self._file)).recordings()  # raises unless the footer, written last, is there
+                with warnings.catch_warnings(action="ignore"):  # of the index that is not there
+                    found = RrdReader(partial(self._file)).recordings()  # raises at half a message
+                if not found:
+                    raise OSError(f"{self._file}: nothing arrived")
                 finish(self._file)
         finally:
             self.abandon()
