@@ -87,6 +87,11 @@ def test_a_correction_follows_its_slopes_and_leaves_other_effects_alone(bent: tu
     assert made.scatter(null.x, (law,)) == pytest.approx(1.1 * plain)
     assert whitened_rms(problem, null, made.scatter(null.x, (more,)) - 1.102 * other) < 0.002
     assert made.scatter(null.x, ()) == pytest.approx(problem.scatter(null.x, ()))
+    other_way = np.arange(problem.n_classes)[::-1]
+    x = null.x.copy()
+    levels = slice(problem.n_nuisance - 1 - problem.n_classes, problem.n_nuisance - 1)
+    x[levels] = x[levels][::-1]
+    assert made.part(problem.evidence, other_way).scatter(x, (law,))[::-1] == pytest.approx(1.1 * plain)
 
 
 def test_simulation_mends_what_linearization_misses(bent: tuple[Problem, Fit]) -> None:

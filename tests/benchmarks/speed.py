@@ -35,7 +35,10 @@ def compare_windows(rounds: int, told: dict[str, Any]) -> None:
         print(cost.row(floor))
     for ours, peer in (
         (windows.PLAIN, windows.PYOMA),
+        (windows.PLAIN, windows.PYOMA_1),
         (windows.PLAIN, windows.KOMA),
+        (windows.UNREFINED, windows.PYOMA_UNC),
+        (windows.UNREFINED, windows.PYOMA_UNC_1),
         (windows.FULL, windows.PYOMA_UNC),
         (windows.FULL, windows.PYOMA_UNC_1),
     ):
@@ -91,7 +94,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         told["replay"] = archive.replays(folder, hours)
         print(f"\nreplay: {json.dumps(told['replay'], indent=1)}", flush=True)
         if not given.quick:
-            told["reprocess"] = archive.reprocessing(folder, min(hours, 8.0))
+            told["reprocess"] = archive.reprocessing(folder, hours)
             print(f"\nreprocess: {json.dumps(told['reprocess'], indent=1)}", flush=True)
             told["diagnosis"] = archive.diagnosis(folder)
             print(f"\ndiagnosis: {json.dumps(told['diagnosis'], indent=1)}")
