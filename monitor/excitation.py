@@ -49,8 +49,10 @@ def excited(
     unknown = Condition(np.ones(stories), np.ones(stories), np.ones(n), np.ones(c))
     problem = Problem(evidence, plain, context, (unknown,) * evidence.counts.size)
     problem = _as_moved(problem, known)
-    x = _first_guess(problem) if start is None else np.concatenate([plain.mean, start])
-    if start is None or not model.effects:
+    # With the ground measured one level is fitted for all forces, which therefore begin alike.
+    near = start is not None and evidence.drive is None
+    x = np.concatenate([plain.mean, start]) if near else _first_guess(problem)
+    if not (near and model.effects):
         x = _fit_levels(problem, x)
     for _ in range(2 if model.effects else 0):
         excitation = x[problem.reference.mean.size :]
