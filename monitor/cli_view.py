@@ -42,7 +42,7 @@ def view(
     subprocess.run([program, "analytics", "disable"], capture_output=True, check=False)
     if not web:
         # By itself the viewer would take data from whoever reaches port 9876, and hand `source` to a daemon that serves there.
-        os.environ.setdefault("RUST_LOG", "error")
+        os.environ["RUST_LOG"] = "error"
         os.execv(program, [program, source, "--bind", _LOOPBACK, "--port", "auto"])
     if bind != _LOOPBACK:
         warn(f"whoever reaches {bind} can see this; prefer an SSH tunnel to {_LOOPBACK}")

@@ -139,7 +139,7 @@ def _smooth(relative: ComplexArray, hz: Array) -> ComplexArray:
 
 def _bounded(relative: ComplexArray) -> ComplexArray:
     """Corrections that leave some of every spectrum."""
-    deep = ~definite(relative - _DEEPEST * np.eye(relative.shape[-1]))
+    deep = ~definite(relative - _DEEPEST * np.eye(relative.shape[-1])) & np.isfinite(relative).all(axis=(-2, -1))
     values, vectors = np.linalg.eigh(relative[deep])
     out = relative.copy()
     out[deep] = (vectors * np.maximum(values, _DEEPEST)[:, None, :]) @ vectors.conj().swapaxes(-1, -2)

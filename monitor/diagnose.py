@@ -183,7 +183,7 @@ def _round(problem: Problem, at: Fit, lean: Array, settings: DiagnosisSettings, 
 def _chosen(
     problem: Problem, at: Fit, ranked: list[tuple[float, Effect]], settings: DiagnosisSettings
 ) -> tuple[dict[tuple[str, str], Effect], float]:
-    """Effects worth a fit to the end, by name and place; and the evidence that the best of them has at least."""
+    """Effects worth a fit to the end, by name and place; and the evidence below which a cause does not matter."""
     rough = _roughly(problem, at, [e for _, e in ranked[: settings.ranked]])
     bar = max(rough[0].evidence - settings.rival, settings.margin) if rough else 0.0
     near = [c for c in rough if c.may_reach(bar)]
@@ -270,6 +270,8 @@ def _pruned(
         without = fit(problem, x, rest)
         if evidence_of(problem, without, at, len(cause.effect.parameters)).evidence < settings.margin:
             at, accepted = without, [c for c in accepted if c is not cause]
+            if isinstance(problem, Corrected):
+                problem = replace(problem, doubt=np.zeros(0))  # which was that of other causes
     return problem if _bent(at) else replace(problem, offset=None), at, accepted
 
 

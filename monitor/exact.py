@@ -124,7 +124,7 @@ def offset(
 ) -> ComplexArray:
     """Exact less linearized spectra of every class, shape (classes, n_bins, c, c).
 
-    The law is made linear at the motion that the simulation's own spectra tell, as it is for the measured ones.
+    A structure's law is made linear at the motion that the simulation's own spectra tell, as it is for the measured ones.
     """
     if _bent((*problem.reference.effects(x), *effects)):
         return _sensors_offset(problem, x, effects, acting, transforms)

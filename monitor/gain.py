@@ -106,7 +106,7 @@ def score(
     held : ndarray of bool, shape (n_segments,), optional
         The segments that count; levels and noise are those of the whole recording all the same.
     start : ndarray, optional
-        Logarithms of forces, levels of classes and noise that lie near: quicker.
+        Logarithms of forces, levels of classes and noise that lie near: quicker, and the same within far less than a nat.
     """
     evidence = classify(segments)
     held = np.ones(segments.t_s.size, dtype=bool) if held is None else held
@@ -237,7 +237,8 @@ def _forms(evidence: Evidence, effects: tuple[Effect, ...], whole: Diagnosis) ->
         x = np.concatenate([x[:p], _of_classes(x[p:n], problem.context.structure.n_dofs, nearest), x[n:]])
         at = fit(problem, x, effects, iterations=_DRIVEN if evidence.drive is not None else _PART)
         if evidence.drive is None and any(e.conditional for e in (*problem.reference.effects(at.x), *effects)):
-            moved = replace(problem, conditions=conditions(problem, at.x, at.effects))  # that the causes leave
+            linear = replace(problem, offset=None)
+            moved = replace(problem, conditions=conditions(linear, at.x, at.effects))  # that the causes leave
             at = fit(moved, at.x, at.effects)
         return fitted_model(problem, at), at.x[p : problem.n_nuisance]
 

@@ -30,7 +30,7 @@ _FINE: Rounds = ((2, True),)
 _LEAST, _MOST, _LOSS = 3, 10, 100.0
 """Simulations for what is published: one for so many nats that the chance of a single one takes away."""
 _VAGUE = 0.15
-"""Share of a size that it may be in doubt by chance; else the most are made, as what is rare shows in few of them."""
+"""Share of a law's size that may be in doubt by chance; else the most are made, as what is rare shows in few of them."""
 _STEP = 0.1
 """Relative change of a size by which slopes are taken."""
 _UNSETTLED = 0.5
@@ -140,7 +140,9 @@ def finish(problem: Problem, at: Fit) -> tuple[Corrected, Fit]:
     if _largest(_feigned_part(near, start)) > _MUCH:
         rounds = ((max(count, _SLOPED - near.simulations), True),)
     last = _settled(near, start, rounds)
-    if (last.problem.doubt > _VAGUE * np.abs(last.fit.x[problem.n_nuisance :])).any():
+    sizes = last.fit.x[problem.n_nuisance :]
+    bent = np.array([e.nonlinear for e in at.effects for _ in e.parameters])
+    if (last.problem.doubt > _VAGUE * np.abs(sizes))[bent].any():
         last = _settled(last.problem, last.fit, ((_MOST, False),))
     moved = np.abs(last.fit.x - start.x)[problem.n_nuisance :]
     if last.fit.log_posterior + last.problem.lost < start.log_posterior:
@@ -159,8 +161,6 @@ def _sloped(problem: Problem, at: Fit, seed: int) -> ComplexArray:
     """Slopes of the offset by the laws' sizes, shape (p, classes, n_bins, c, c); none by a sensor's, which samples tell."""
     laws = [(i, e) for i, e in enumerate(e for e in at.effects for _ in e.parameters) if e.nonlinear]
     out = np.zeros((len(laws), *problem.evidence.spectra.shape), dtype=complex)
-    if all(effect.family == "sensor" for _, effect in laws):
-        return out
     acting = forces(problem, at.x, at.effects, seed)
     here = offset(problem, at.x, at.effects, acting, exact(problem, at.x, at.effects, acting))
     for slope, (i, effect) in zip(out, laws, strict=True):

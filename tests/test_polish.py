@@ -9,7 +9,7 @@ import pytest
 
 from drivers.base import ACCELERATION
 from monitor.config import Configuration
-from monitor.corrected import corrected
+from monitor.corrected import _bounded, corrected
 from monitor.effects import Context, Effect, parse_effect
 from monitor.evidence import classify
 from monitor.exact import exact, forces, offsets
@@ -92,6 +92,14 @@ def test_a_correction_follows_its_slopes_and_leaves_other_effects_alone(bent: tu
     levels = slice(problem.n_nuisance - 1 - problem.n_classes, problem.n_nuisance - 1)
     x[levels] = x[levels][::-1]
     assert made.part(problem.evidence, other_way).scatter(x, (law,))[::-1] == pytest.approx(1.1 * plain)
+
+
+def test_a_law_that_cannot_stand_has_no_likelihood() -> None:
+    unknown = np.full((1, 2, 3, 3), np.nan, dtype=complex)
+    deep = -2.0 * np.eye(3) + np.zeros((1, 2, 3, 3), dtype=complex)
+    both = _bounded(np.concatenate([unknown, deep]))
+    assert np.isnan(both[0]).all()
+    assert np.linalg.eigvalsh(both[1]) == pytest.approx(-0.85 * np.ones((2, 3)))
 
 
 def test_simulation_mends_what_linearization_misses(bent: tuple[Problem, Fit]) -> None:

@@ -71,7 +71,9 @@ class Output:
             self.stream.disconnect()
             if self._file is not None:
                 with warnings.catch_warnings(action="ignore"):  # of the index that is not there
-                    found = RrdReader(partial(self._file)).recordings()  # raises at half a message
+                    found = RrdReader(
+                        partial(self._file)
+                    ).recordings()  # raises at half a message; flush, where writing failed
                 if not found:
                     raise OSError(f"{self._file}: nothing arrived")
                 finish(self._file)
