@@ -70,10 +70,9 @@ class Output:
             self.stream.flush(timeout_sec=timeout_s)
             self.stream.disconnect()
             if self._file is not None:
-                with warnings.catch_warnings(action="ignore"):  # of the index that is not there
-                    found = RrdReader(
-                        partial(self._file)
-                    ).recordings()  # raises at half a message; flush, where writing failed
+                # Where writing failed, flush has raised; this raises at half a message, and warns that there is no index.
+                with warnings.catch_warnings(action="ignore"):
+                    found = RrdReader(partial(self._file)).recordings()
                 if not found:
                     raise OSError(f"{self._file}: nothing arrived")
                 finish(self._file)
