@@ -12,6 +12,7 @@ from monitor.effects import Effect
 from monitor.fitting import Fit, fit
 from monitor.likelihood import Problem
 from monitor.motion import conditions
+from monitor.parallel import each
 from monitor.results import Array
 
 _STIFFNESS_STD = 0.2
@@ -31,14 +32,15 @@ def ddi_effect(diagnosis: Diagnosis) -> dict[str, Any]:
     if not diagnosis.final.effects:
         return {"without": [], "with": []}
     problem = _with_free_stiffness(diagnosis.problem)
-    alone = _fitted(replace(problem, offset=None), diagnosis.null.x, ())  # the offset is a cause's
-    beside = _fitted(problem, diagnosis.final.x, causes) if causes else alone
+    # The offset is a cause's.
+    forms = [(replace(problem, offset=None), diagnosis.null.x, ()), (problem, diagnosis.final.x, causes)]
+    alone, *beside = each(lambda form: _fitted(*form), forms[: 2 if causes else 1])
     known = np.exp(problem.reference.parts(problem.reference.mean)[0])
 
     def index(at: Fit) -> list[float]:
         return [float(v) for v in 1.0 - np.exp(problem.reference.parts(at.x)[0]) / known]
 
-    return {"without": index(alone), "with": index(beside)}
+    return {"without": index(alone), "with": index(*(beside or [alone]))}
 
 
 def _fitted(problem: Problem, x: Array, effects: tuple[Effect, ...]) -> Fit:

@@ -69,20 +69,27 @@ class Corrected(Problem):
         """
         plain = replace(self, offset=None)
         linear = Problem.scatter(plain, x, effects, classes=classes)
-        if not self._acts(effects):
+        relative = self.beyond(x, effects)
+        if relative is None:
             return linear
+        # A step too far gives NaN: a model that is none has no likelihood.
+        return grown_by(linear, relative if classes is None else relative[list(classes)])
+
+    def beyond(self, x: Array, effects: Sequence[Effect]) -> ComplexArray | None:
+        """See `Problem.beyond`."""
+        if not self._acts(effects):
+            return None
         here = [e for e in effects if (e.name, e.location) in self.laws]
         sizes = np.concatenate([e.coordinates for e in here])
         relative = np.tensordot(np.append(1.0, sizes - self.centre), self.relative, axes=1)
         if any(e.amplitude_powers for e in here):
             centre = iter(np.split(self.centre, np.cumsum([len(e.parameters) for e in here])))
             centred = [e.at(next(centre)) if e in here else e for e in effects]
-            growth = forced_drift(plain, x, centred) / self.drift  # what the size itself makes of it is in its slope
+            # What the size itself makes of the motion is in its slope.
+            growth = forced_drift(replace(self, offset=None), x, centred) / self.drift
             grown = sizes * (np.hstack([_scaled(e, growth) for e in here]) - 1.0)
             relative = relative + np.einsum("kp,pkfab->kfab", grown, self.by_motion)
-        relative = _bounded(relative)
-        # A step too far gives NaN: a model that is none has no likelihood.
-        return grown_by(linear, relative if classes is None else relative[list(classes)])
+        return _bounded(relative)
 
     def slope(self, x: Array, i: int, effects: tuple[Effect, ...], spectra: ComplexArray) -> ComplexArray:
         """See `Problem.slope`; of every class its own, since a law that bends much has its peaks elsewhere in each."""
@@ -146,12 +153,10 @@ def _bounded(relative: ComplexArray) -> ComplexArray:
     return out
 
 
-def smoothed(problem: Problem, x: Array, offset: ComplexArray) -> ComplexArray:
-    """A simulated offset with less chance in it: smooth relative to the spectra, shape (classes, n_bins, c, c)."""
-    base = np.linalg.cholesky(problem.scatter(x, ()))
-    inverse = np.linalg.inv(base)
-    relative = _bounded(_smooth(_around(inverse, offset), problem.evidence.band.hz))
-    return _around(base, relative)
+def relative_to(spectra: ComplexArray, offset: ComplexArray, hz: Array) -> ComplexArray:
+    """A simulated offset with less chance in it: smooth and relative to the spectra, shape (classes, n_bins, c, c)."""
+    inverse = np.linalg.inv(np.linalg.cholesky(spectra))
+    return _bounded(_smooth(_around(inverse, offset), hz))
 
 
 def corrected(

@@ -196,7 +196,14 @@ def _chosen(
 
 def _roughly(problem: Problem, at: Fit, effects: list[Effect]) -> list[Candidate]:
     """Effects fitted roughly, best first."""
-    return sorted(each(partial(judge, problem, at, quick=True), effects), key=lambda c: -c.evidence)
+
+    def rough(effect: Effect) -> Candidate:
+        found = judge(problem, at, effect, quick=True)
+        return replace(
+            found, fit=replace(found.fit, jacobian=np.zeros((0, found.fit.x.size)))
+        )  # a megabyte that nobody asks for
+
+    return sorted(each(rough, effects), key=lambda c: -c.evidence)
 
 
 def _driven(problem: Problem, at: Fit, ranked: list[tuple[float, Effect]]) -> dict[tuple[str, str], Effect]:
@@ -229,15 +236,18 @@ def _polished(
     if not any(c.effect.nonlinear for c in doubtful):
         return [Polished(c, problem, lean) for c in candidates]
     measured, std = skewness(problem.evidence.segments.values, problem)
-    rough = {c.key: polish(problem, at, c) for c in doubtful if c.effect.nonlinear}
-    first = max(p.candidate.evidence for p in (*rough.values(), *(Polished(c, problem, lean) for c in candidates)))
-    out = []
-    for c in candidates:
-        made = rough.get(c.key, Polished(c, problem, lean))
-        if c.key in rough and made.candidate.evidence > first - _UNSURE * max(made.candidate.gain, _SMALL):
-            made = polish(made.problem, at, made.candidate, fine=True)
-        out.append(_heard(made, lean, measured, std, 2.0 if c.key in rough else 1.0))
-    return out
+    bent = [c for c in doubtful if c.effect.nonlinear]
+    simulated = {p.candidate.key: p for p in each(partial(polish, problem, at), bent)}
+    first = max(c.evidence for c in (*candidates, *(p.candidate for p in simulated.values())))
+    near = [p for p in simulated.values() if p.candidate.evidence > first - _UNSURE * max(p.candidate.gain, _SMALL)]
+    finer = each(lambda p: polish(p.problem, at, p.candidate, fine=True), near)
+    simulated |= {p.candidate.key: p for p in finer}
+    return [
+        _heard(
+            simulated.get(c.key, Polished(c, problem, lean)), lean, measured, std, 2.0 if c.key in simulated else 1.0
+        )
+        for c in candidates
+    ]
 
 
 def _heard(made: Polished, lean: Array, measured: Array, std: Array, spread: float) -> Polished:

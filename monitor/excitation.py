@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import get_args
+from dataclasses import dataclass, replace
+from typing import Self, get_args
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from monitor.corrected import smoothed
+from monitor.corrected import relative_to
 from monitor.driven import Between
 from monitor.effects import Condition, Context
 from monitor.evidence import Evidence
@@ -16,8 +17,10 @@ from monitor.exact import exact, forces, offsets
 from monitor.likelihood import Problem
 from monitor.model import Model
 from monitor.motion import conditions
+from monitor.parallel import each
 from monitor.reference import Reference, nominal
 from monitor.results import Array, ComplexArray
+from monitor.wishart import grown_by
 
 _FORCE_STD, _LEVEL_STD = 1.0, 5.0
 """Prior of the logarithms of the floors' forces about one level, of the classes' levels and of the noise."""
@@ -27,16 +30,54 @@ _NEAR = 10.0
 """Nats of a step after which the slopes change no more."""
 _NUDGE = 1e-5
 """Finite difference of those logarithms."""
+_SIMULATIONS = 4
+"""Of laws that are not linear: of rare events a single one tells little."""
 _WORST = 1e30
 """Stands for no likelihood at all."""
 _FORCED = 1e-3
 """With the ground measured: power that forces cause, as a share of what is seen, where the model is all wrong."""
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class Nearby:
+    """The excitation of a recording that is like the one at hand, or part of it, under nearly the same model."""
+
+    forces: Array
+    """Logarithms of the floors', shape (n,)."""
+    levels: Array
+    """Logarithms of the classes', shape (classes,)."""
+    noise: float
+    """Logarithm of its density."""
+    beyond: ComplexArray | None = None
+    """What exact laws add to the linearized spectra, relative to them, shape (classes, n_bins, c, c); None if not known."""
+
+    @classmethod
+    def at(cls, problem: Problem, x: Array, beyond: ComplexArray | None = None) -> Self:
+        """That of a vector of nuisances."""
+        first, last = problem.reference.mean.size, problem.n_nuisance - 1
+        forces, levels = np.split(x[first:last], [problem.context.structure.n_dofs])
+        return cls(forces, levels, float(x[last]), beyond)
+
+    def of(self, n_classes: int) -> Nearby:
+        """For as many classes of rising level."""
+        like = nearest(self.levels.size, n_classes)
+        return replace(self, levels=self.levels[like], beyond=None if self.beyond is None else self.beyond[like])
+
+    @property
+    def vector(self) -> Array:
+        """Forces, levels and noise, as they follow the structural nuisances."""
+        return np.concatenate([self.forces, self.levels, [self.noise]])
+
+
+def nearest(n: int, wanted: int) -> NDArray[np.intp]:
+    """Of n classes of rising level those nearest to as many as are wanted."""
+    return np.rint(np.linspace(0, n - 1, wanted)).astype(np.intp)
+
+
 def excited(
-    evidence: Evidence, model: Model, context: Context, reference_degc: float | None, start: Array | None = None
+    evidence: Evidence, model: Model, context: Context, reference_degc: float | None, near: Nearby | None = None
 ) -> tuple[Problem, Array]:
-    """The model's problem with levels and noise fitted, from `start` where that is known; everything else as it is stated.
+    """The model's problem with levels and noise fitted, from nearby where that is known; everything else as it is stated.
 
     Laws that depend on the level are made linear at the motion that the model itself shows, hence the repetition; what that
     leaves out is simulated.
@@ -50,25 +91,31 @@ def excited(
     problem = Problem(evidence, plain, context, (unknown,) * evidence.counts.size)
     problem = _as_moved(problem, known)
     # With the ground measured one level is fitted for all forces, which therefore begin alike.
-    near = start is not None and evidence.drive is None
-    x = np.concatenate([plain.mean, start]) if near else _first_guess(problem)
-    if not (near and model.effects):
+    near = None if near is None or evidence.drive is not None else near.of(problem.n_classes)
+    x = _first_guess(problem) if near is None else np.concatenate([plain.mean, near.vector])
+    if near is None or not model.effects:
         x = _fit_levels(problem, x)
-    for _ in range(2 if model.effects else 0):
+    for _ in range(0 if not model.effects else 2 if near is None else 1):
         excitation = x[problem.reference.mean.size :]
         problem = replace(problem, conditions=conditions(problem, x, ()), reference=known)
         x = _fit_levels(problem, np.concatenate([known.mean, excitation]))
     if evidence.drive is None and any(e.nonlinear for e in model.effects):
-        exactly = replace(problem, offset=_beyond_linear(problem, x))
+        linear = problem.scatter(x, ())
+        beyond = _beyond(problem, x, linear) if near is None or near.beyond is None else near.beyond
+        exactly = replace(problem, offset=grown_by(linear, beyond) - linear)
         if np.isfinite(exactly.score(x, ())[0]):  # a law far too strong moves too differently to be corrected
             problem, x = exactly, _fit_levels(exactly, x)
     return problem, x
 
 
-def _beyond_linear(problem: Problem, x: Array) -> ComplexArray:
-    """What the exact laws add to the linearized spectra."""
-    acting = forces(problem, x, (), 0)
-    return smoothed(problem, x, offsets(problem, x, (), acting, exact(problem, x, (), acting))[0])
+def _beyond(problem: Problem, x: Array, linear: ComplexArray) -> ComplexArray:
+    """What the exact laws add to the linearized spectra, relative to them, by simulation."""
+
+    def added(seed: int) -> ComplexArray:
+        acting = forces(problem, x, (), seed)
+        return offsets(problem, x, (), acting, exact(problem, x, (), acting))[0]
+
+    return relative_to(linear, np.mean(each(added, range(_SIMULATIONS)), axis=0), problem.evidence.band.hz)
 
 
 def _as_moved(problem: Problem, known: Reference) -> Problem:

@@ -19,7 +19,7 @@ from monitor.diagnose import Diagnosis
 from monitor.driven import Drive
 from monitor.effects import Context, Effect
 from monitor.evidence import Evidence, classify
-from monitor.excitation import excited
+from monitor.excitation import Nearby, excited, nearest
 from monitor.fitting import Fit, fit
 from monitor.likelihood import Problem
 from monitor.model import Model
@@ -94,7 +94,7 @@ def score(
     config: Configuration,
     reference_degc: float | None = None,
     held: NDArray[np.bool_] | None = None,
-    start: Array | None = None,
+    near: Nearby | None = None,
 ) -> Score:
     """Score a model on a recording.
 
@@ -105,15 +105,12 @@ def score(
     ----------
     held : ndarray of bool, shape (n_segments,), optional
         The segments that count; levels and noise are those of the whole recording all the same.
-    start : ndarray, optional
-        Logarithms of forces, levels of classes and noise that lie near: quicker, and the same within far less than a nat.
+    near : Nearby, optional
+        An excitation that is nearly this one: quicker, and the same within far less than a nat.
     """
     evidence = classify(segments)
     held = np.ones(segments.t_s.size, dtype=bool) if held is None else held
-    if start is not None:
-        n = context.structure.n_dofs
-        start = _of_classes(start, n, _nearest(start.size - n - 1, evidence.counts.size))
-    problem, x = excited(evidence, model, replace(context, structure=model.structure), reference_degc, start)
+    problem, x = excited(evidence, model, replace(context, structure=model.structure), reference_degc, near)
     predicted, mean = problem.scatter(x, ()), problem.mean(x, ())
     left = segments.values if mean is None else segments.values - mean
     seen = segments.values[held]
@@ -175,8 +172,8 @@ def heldout_gain(segments: Segments, diagnosis: Diagnosis, config: Configuration
             drive=_as_moved(others.drive, diagnosis),
         )
         return [
-            score(segments, form, context, config, reference.reference_degc, held, start)
-            for form, start in _forms(others, effects, diagnosis)
+            score(segments, form, context, config, reference.reference_degc, held, near)
+            for form, near in _forms(others, effects, diagnosis)
         ]
 
     parts = [(block >= 0) & (block % folds == fold) for fold in range(folds)]
@@ -224,35 +221,25 @@ def _blocks(segments: Segments) -> tuple[NDArray[np.intp], int, float]:
     return np.where(first == last, first, -1), n, float(length)
 
 
-def _forms(evidence: Evidence, effects: tuple[Effect, ...], whole: Diagnosis) -> list[tuple[Model, Array]]:
-    """The old model form and the extended one, fitted, each with its excitation (forces, levels, noise).
+def _forms(evidence: Evidence, effects: tuple[Effect, ...], whole: Diagnosis) -> list[tuple[Model, Nearby]]:
+    """The old model form and the extended one, fitted, each with its excitation.
 
     From the whole recording's fits, which lie near: a response's phases lead back from nearby only, and all else comes quicker.
+    What simulation adds to a linearized law is that of the whole recording, too: a matter of the law, not of what was measured.
     """
-    nearest = _nearest(whole.problem.n_classes, evidence.counts.size)
-    problem = whole.problem.part(evidence, nearest)
+    n_classes = evidence.counts.size
+    problem = whole.problem.part(evidence, nearest(whole.problem.n_classes, n_classes))
     p, n = problem.reference.mean.size, whole.problem.n_nuisance
 
-    def fitted(x: Array, effects: tuple[Effect, ...]) -> tuple[Model, Array]:
-        x = np.concatenate([x[:p], _of_classes(x[p:n], problem.context.structure.n_dofs, nearest), x[n:]])
-        at = fit(problem, x, effects, iterations=_DRIVEN if evidence.drive is not None else _PART)
-        if evidence.drive is None and any(e.conditional for e in (*problem.reference.effects(at.x), *effects)):
-            linear = replace(problem, offset=None)
-            moved = replace(problem, conditions=conditions(linear, at.x, at.effects))  # that the causes leave
-            at = fit(moved, at.x, at.effects)
-        return fitted_model(problem, at), at.x[p : problem.n_nuisance]
+    def fitted(x: Array, effects: tuple[Effect, ...]) -> tuple[Model, Nearby]:
+        x = np.concatenate([x[:p], Nearby.at(whole.problem, x).of(n_classes).vector, x[n:]])
+        here = problem
+        if evidence.drive is None and any(e.conditional for e in (*problem.reference.effects(x), *effects)):
+            here = replace(problem, conditions=conditions(replace(problem, offset=None), x, effects))
+        at = fit(here, x, effects, iterations=_DRIVEN if evidence.drive is not None else _PART)
+        return fitted_model(here, at), Nearby.at(here, at.x, here.beyond(at.x, at.effects))
 
     return [fitted(whole.null.x, whole.null.effects), fitted(whole.final.x, effects)]
-
-
-def _nearest(n: int, wanted: int) -> NDArray[np.intp]:
-    """Of n classes of rising level those nearest to as many as are wanted."""
-    return np.rint(np.linspace(0, n - 1, wanted)).astype(np.intp)
-
-
-def _of_classes(excitation: Array, n_forces: int, classes: NDArray[np.intp]) -> Array:
-    """Forces, levels and noise, the levels being those of the classes of these numbers."""
-    return np.concatenate([excitation[:n_forces], excitation[n_forces:-1][classes], excitation[-1:]])
 
 
 def _as_moved(drive: Drive | None, diagnosis: Diagnosis) -> Drive | None:

@@ -43,6 +43,13 @@ class Problem(Forward):
         """The same for other segments, whose classes are like those of these numbers here."""
         return replace(self, evidence=evidence, conditions=tuple(self.conditions[k] for k in classes))
 
+    def beyond(self, x: Array, effects: Sequence[Effect]) -> ComplexArray | None:
+        """What simulation adds to the linearized spectra at a point, relative to them, shape (classes, n_bins, c, c).
+
+        None where none was made, or one of other laws.
+        """
+        return None
+
     def prior(self, x: Array, effects: Sequence[Effect]) -> tuple[Array, Array]:
         """Mean and precision of the nuisances, given the forces' mean level, and of the effects' coordinates."""
         middle = self.conditions[self.n_classes // 2]

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 from scipy.linalg import eigh
 
 from monitor.driven import motion_rms
 from monitor.effects import Condition, Context, Effect, System
-from monitor.evidence import class_temperature
+from monitor.evidence import Evidence, class_temperature
 from monitor.likelihood import Problem
 from monitor.prediction import accelerance, extended, seen, variances
 from monitor.results import Array, ComplexArray
@@ -64,11 +65,7 @@ def conditions(
             driven = [motion_rms(drive, system, e.band, context, rows[order == o], o, 0.2 * lowest) for o in (0, 1)]
             variance = variance + np.concatenate(driven) ** 2
         rms = np.sqrt(variance)
-
-        def warmer(lag_s: float, k: int = k) -> float:
-            value = class_temperature(e, k, lag_s)
-            return 0.0 if value is None else value - _reference_degc(problem)
-
+        warmer = partial(_excess_degc, e, k, problem.reference.reference_degc)
         m = len(drift)
         piled, band_hz = e.piled >= _PILE, float(e.band.hz[-1])
         moved = rms[:m], rms[m : 2 * m], rms[2 * m :]
@@ -138,8 +135,9 @@ def _moved(
     return motion, seen(system, effects, hz, clock, context, problem.conditions[k])[:, :, :n] * root
 
 
-def _reference_degc(problem: Problem) -> float:
-    """The baseline's mean temperature, else the recording's."""
-    if problem.reference.reference_degc is not None:
-        return problem.reference.reference_degc
-    return float(problem.evidence.temperature[:, 1].mean())
+def _excess_degc(evidence: Evidence, k: int, reference_degc: float | None, lag_s: float) -> float:
+    """See `Condition.excess_degc`: than at the baseline's mean temperature, else the recording's."""
+    value = class_temperature(evidence, k, lag_s)
+    if value is None:
+        return 0.0
+    return value - (float(evidence.temperature[:, 1].mean()) if reference_degc is None else reference_degc)

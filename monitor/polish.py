@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -104,11 +105,14 @@ def _settled(problem: Problem, at: Fit, rounds: Rounds) -> Settled:
     linear = replace(problem, offset=None)
     for count, sloped in rounds:
         linear = replace(linear, conditions=conditions(linear, at.x, at.effects))
-        made = each(partial(_simulated, linear, at), range(count))
+        kept = known if known > 1 else 0  # a single one was taken on the way
+        pieces: list[partial[Any]] = [partial(_sloped, linear, at, _OTHER + kept + i) for i in range(count * sloped)]
+        pieces += [partial(_simulated, linear, at, i) for i in range(count)]
+        done = each(lambda piece: piece(), pieces)
+        made = done[-count:]
         offsets, free = np.array([m[0] for m in made]), np.array([m[1] for m in made])
         if sloped:
-            kept = known if known > 1 else 0  # a single one was taken on the way
-            new = np.array(each(partial(_sloped, linear, at), range(_OTHER + kept, _OTHER + kept + count)))
+            new = np.array(done[:count])
             known = kept + count
             slopes = new.mean(axis=0) if not kept else (kept * slopes + new.sum(axis=0)) / known
         near = corrected(linear, at.x, at.effects, offsets.mean(axis=0), slopes)

@@ -2,13 +2,32 @@
 
 from __future__ import annotations
 
+import os
+import signal
+import subprocess
+import sys
+import threading
 import time
 import warnings
+from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from monitor.parallel import each
+
+ENDLESS = """
+import os, sys, time
+from pathlib import Path
+from monitor.parallel import each
+
+def work(i):
+    (Path(sys.argv[1]) / str(os.getpid())).touch()
+    time.sleep(600)
+
+each(work, range(2))
+"""
 
 
 def test_results_stand_in_the_order_of_the_items() -> None:
@@ -35,3 +54,50 @@ def test_the_callers_handling_of_errors_holds() -> None:
 def test_what_an_item_raises_reaches_the_caller() -> None:
     with pytest.raises(ZeroDivisionError):
         each(lambda n: 1 / n, [1, 0, 2])
+
+
+def _worked_in(n: int) -> set[int]:
+    return set(each(lambda _: os.getpid(), range(n)))
+
+
+@pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="one core")
+def test_work_is_done_beside_the_caller() -> None:
+    assert os.getpid() not in _worked_in(20)
+
+
+def test_one_after_the_other_within_a_share_of_the_work_and_beside_threads() -> None:
+    assert all(len(pids) == 1 for pids in each(lambda _: _worked_in(4), range(2)))
+    over = threading.Event()
+    other = threading.Thread(target=over.wait)
+    other.start()
+    try:
+        assert _worked_in(4) == {os.getpid()}
+    finally:
+        over.set()
+        other.join()
+
+
+@pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="one core")
+def test_nothing_outlives_a_caller_that_is_killed(tmp_path: Path) -> None:
+    caller = subprocess.Popen([sys.executable, "-c", ENDLESS, str(tmp_path)])
+    try:
+        _until(lambda: len(list(tmp_path.iterdir())) == 2)
+    finally:
+        caller.send_signal(signal.SIGKILL)
+        caller.wait()
+    _until(lambda: not any(_runs(int(pid.name)) for pid in tmp_path.iterdir()))
+
+
+def _until(true: Callable[[], bool], within_s: float = 30.0) -> None:
+    end = time.monotonic() + within_s
+    while not true():
+        assert time.monotonic() < end
+        time.sleep(0.05)
+
+
+def _runs(pid: int) -> bool:
+    """Also false of one that ended and that nobody has asked about yet."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
+    except OSError:
+        return False

@@ -5,12 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from monitor.diagnose import Diagnosis
 from monitor.evidence import class_temperature
 from monitor.fitting import fit
 from monitor.likelihood import Problem
 from monitor.misfit import residual_bands
+from monitor.parallel import each
 from monitor.results import Array, ComplexArray
 from monitor.segments import Segments
 
@@ -139,12 +141,16 @@ def level_dependence(diagnosis: Diagnosis) -> LevelDependence | None:
     at = np.array(degc, dtype=float) if by_temperature else rms
     order = np.argsort(at)
     spectra = problem.spectra(final.x, final.effects)
-    measured = [_equivalent(problem, problem.evidence.spectra[k], diagnosis.null.x, k) for k in order]
-    modelled = [_equivalent(problem, spectra[k], diagnosis.null.x, k) for k in order]
-    f, f_std, d, d_std = (np.array(column) for column in zip(*measured, strict=True))
-    model_f, _, model_d, _ = (np.array(column) for column in zip(*modelled, strict=True))
+    f, f_std, d, d_std = _equivalents(problem, problem.evidence.spectra, diagnosis.null.x, order)
+    model_f, _, model_d, _ = _equivalents(problem, spectra, diagnosis.null.x, order)
     axis = "temperature of the class, °C" if by_temperature else "vibration level of the class: RMS acceleration, m/s²"
     return LevelDependence(axis, at[order], f, f_std, d, d_std, model_f, model_d)
+
+
+def _equivalents(problem: Problem, spectra: ComplexArray, x: Array, classes: NDArray[np.intp]) -> list[Array]:
+    """As `_equivalent`, of several classes: shape (classes, n) each."""
+    fitted = each(lambda k: _equivalent(problem, spectra[k], x, k), classes)
+    return [np.array(column) for column in zip(*fitted, strict=True)]
 
 
 def _equivalent(problem: Problem, spectra: ComplexArray, x: Array, k: int) -> tuple[Array, Array, Array, Array]:
