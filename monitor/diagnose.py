@@ -16,13 +16,13 @@ from monitor.evidence import Evidence
 from monitor.fitting import Fit, fit
 from monitor.likelihood import Problem
 from monitor.misfit import Misfit, misfits
-from monitor.motion import conditions
 from monitor.parallel import each
 from monitor.polish import Polished, finish, form_doubt, polish, settle, skewness
 from monitor.reference import Reference
 from monitor.results import Array
+from monitor.revision import joined, missed, moved, revised
 from monitor.rivals import SURE, probabilities, same, together
-from monitor.search import Candidate, best_of_each, between_samples, evidence_of, judge, prepare, rank, starts
+from monitor.search import Candidate, best_of_each, between_samples, judge, prepare, rank, starts
 
 _SMALL = 200.0
 """Promised gain, nats, of a small effect."""
@@ -76,7 +76,12 @@ def diagnose(evidence: Evidence, reference: Reference, context: Context, setting
     accepted: list[Candidate] = []
     lean, margin = np.zeros(context.structure.n_stories), settings.margin
     while len(accepted) < settings.max_causes:
-        tried = _round(problem, at, lean, settings, settings.worth * margin / settings.margin)
+        worth = settings.worth * margin / settings.margin
+        tried = _round(problem, at, lean, settings, worth)
+        if (better := missed(problem, at, tried)) is not None:
+            problem, at = better
+            null = null if accepted else at
+            tried = _round(problem, at, lean, settings, worth)
         rounds.append(tuple(p.candidate for p in tried))
         if not tried or tried[0].candidate.evidence < margin:
             break
@@ -92,14 +97,16 @@ def diagnose(evidence: Evidence, reference: Reference, context: Context, setting
         problem, at = between_samples(_extended(problem, at), at)
         if evidence.drive is not None and _bent(at):  # linearized slopes lead near; the exact ones tell what is known
             at = fit(replace(problem, exact_slopes=True), at.x, at.effects)
-        if best.candidate.effect.ground_share:
-            at = fit(problem, at.x, at.effects)  # how far up the forces reach is known only now
+        elif (
+            _bent(at) or best.candidate.effect.ground_share
+        ):  # whose damping, and whose forces' reach, are known only now
+            at = fit(problem, at.x, at.effects)
         if len(accepted) > 1 and _bent(at) and evidence.drive is None:  # corrected without the newest cause
             made = settle(problem, at)
             problem, at, lean = made.problem, made.fit, skewness(made.transforms, problem)[0]
         if best.candidate.effect.nonlinear:
             margin = max(margin, settings.aftermath * best.candidate.gain, settings.margin + SURE * best.chance)
-    problem, at, accepted = _pruned(problem, at, accepted, settings)
+    problem, at, accepted = revised(problem, at, accepted, rounds, settings.margin)
     doubt = np.zeros(at.n_effect)
     if _bent(at) and evidence.drive is None:
         problem, at = finish(problem, at)
@@ -158,7 +165,7 @@ def _extended(problem: Problem, at: Fit) -> Problem:
     The motion follows the new model, and damping, which is known for the healthy modes, is known less well of modes that have
     moved.
     """
-    problem = replace(problem, conditions=conditions(problem, at.x, at.effects))
+    problem = moved(problem, at)
     before = problem.model(at.x, (*problem.reference.effects(at.x), *at.effects[:-1])).modes().frequencies_hz
     after = problem.model(at.x, (*problem.reference.effects(at.x), *at.effects)).modes().frequencies_hz
     return replace(problem, reference=problem.reference.with_looser_damping(np.log(after / before)))
@@ -172,18 +179,21 @@ def _round(problem: Problem, at: Fit, lean: Array, settings: DiagnosisSettings, 
     """The best candidates beside what was accepted, by evidence, of those that promise a gain of `worth`."""
     taken = [(e.name, e.location) for e in (*problem.reference.effects(at.x), *at.effects)]
     ranked = [item for item in best_of_each(rank(problem, at, starts(problem, at, taken))) if item[0] > worth]
-    if problem.evidence.drive is None:
-        chosen, bar = _chosen(problem, at, ranked, settings)
-    else:
-        chosen, bar = _driven(problem, at, ranked), -np.inf
-    fitted = sorted(each(partial(judge, problem, at, bar=bar), chosen.values()), key=lambda c: -c.evidence)
+    choose = _chosen if problem.evidence.drive is None else _driven
+    chosen, rough, bar = choose(problem, at, ranked, settings)
+    ended = {c.key: c for c in rough}
+
+    def judged(key: tuple[str, str]) -> Candidate:
+        return judge(problem, at, chosen[key], bar=bar, rough=ended.get(key))
+
+    fitted = sorted(each(judged, chosen), key=lambda c: -c.evidence)
     return sorted(_polished(problem, at, fitted, lean, settings), key=lambda p: -p.candidate.evidence)
 
 
 def _chosen(
     problem: Problem, at: Fit, ranked: list[tuple[float, Effect]], settings: DiagnosisSettings
-) -> tuple[dict[tuple[str, str], Effect], float]:
-    """Effects worth a fit to the end, by name and place; and the evidence below which a cause does not matter."""
+) -> tuple[dict[tuple[str, str], Effect], list[Candidate], float]:
+    """Effects worth a fit to the end, by name and place; the rough fits; the evidence below which a cause does not matter."""
     rough = _roughly(problem, at, [e for _, e in ranked[: settings.ranked]])
     bar = max(rough[0].evidence - settings.rival, settings.margin) if rough else 0.0
     near = [c for c in rough if c.may_reach(bar)]
@@ -191,7 +201,7 @@ def _chosen(
     small = len(ranked) > 0 and ranked[0][0] < _SMALL
     chosen = {c.key: c.effect for c in (near if small else near[: settings.tried])}
     # A rough fit may fail from far away, so the score test's own favourites are fitted too.
-    return {(e.name, e.location): e for _, e in ranked[: settings.favourites]} | chosen, bar
+    return {(e.name, e.location): e for _, e in ranked[: settings.favourites]} | chosen, rough, bar
 
 
 def _roughly(problem: Problem, at: Fit, effects: list[Effect]) -> list[Candidate]:
@@ -206,7 +216,9 @@ def _roughly(problem: Problem, at: Fit, effects: list[Effect]) -> list[Candidate
     return sorted(each(rough, effects), key=lambda c: -c.evidence)
 
 
-def _driven(problem: Problem, at: Fit, ranked: list[tuple[float, Effect]]) -> dict[tuple[str, str], Effect]:
+def _driven(
+    problem: Problem, at: Fit, ranked: list[tuple[float, Effect]], _: DiagnosisSettings
+) -> tuple[dict[tuple[str, str], Effect], list[Candidate], float]:
     """As `_chosen` where the ground is measured: the best few of all kinds, and the best one's kind at every place.
 
     A response tells kinds apart by so much that few need a closer look, but its score test promises too much to most.
@@ -217,7 +229,7 @@ def _driven(problem: Problem, at: Fit, ranked: list[tuple[float, Effect]]) -> di
     rough = _roughly(problem, at, near)
     chosen = {c.key: c.effect for c in rough[:_DRIVEN]}
     same = [e for _, e in ranked if rough and e.name == rough[0].effect.name]
-    return {(e.name, e.location): e for e in same} | chosen
+    return {(e.name, e.location): e for e in same} | chosen, rough, -np.inf
 
 
 def _polished(
@@ -270,23 +282,8 @@ def _heard(made: Polished, lean: Array, measured: Array, std: Array, spread: flo
     return replace(made, problem=problem, candidate=replace(candidate, evidence=candidate.evidence + size[0]))
 
 
-def _pruned(
-    problem: Problem, at: Fit, accepted: list[Candidate], settings: DiagnosisSettings
-) -> tuple[Problem, Fit, list[Candidate]]:
-    """Without the causes that later ones made superfluous."""
-    for cause in list(accepted[:-1]):
-        rest = tuple(e for e in at.effects if (e.name, e.location) != cause.key)
-        x = np.concatenate([at.x[: problem.n_nuisance], *[e.coordinates for e in rest]])
-        without = fit(problem, x, rest)
-        if evidence_of(problem, without, at, len(cause.effect.parameters)).evidence < settings.margin:
-            at, accepted = without, [c for c in accepted if c is not cause]
-            if isinstance(problem, Corrected):
-                problem = replace(problem, doubt=np.zeros(0))  # which was that of other causes
-    return problem if _bent(at) else replace(problem, offset=None), at, accepted
-
-
 def _mirrored(fitted: Fit, mirror: Effect) -> Array:
-    return np.concatenate([fitted.x[: -len(mirror.parameters)], mirror.coordinates])
+    return joined(fitted.x[: -len(mirror.parameters)], (mirror,))
 
 
 def _causes(problem: Problem, fitted: Fit, accepted: list[Candidate], doubt: Array) -> tuple[Cause, ...]:

@@ -244,8 +244,19 @@ def best_of_each(ranked: list[tuple[float, Effect]]) -> list[tuple[float, Effect
     return out
 
 
-def judge(problem: Problem, null: Fit, effect: Effect, *, quick: bool = False, bar: float = -np.inf) -> Candidate:
-    """Fit an effect beside the nuisances; with less care, once it is seen that it does not reach the evidence `bar`."""
+def judge(
+    problem: Problem,
+    null: Fit,
+    effect: Effect,
+    *,
+    quick: bool = False,
+    bar: float = -np.inf,
+    rough: Candidate | None = None,
+) -> Candidate:
+    """Fit an effect beside the nuisances; with less care, once it is seen that it does not reach the evidence `bar`.
+
+    Where the fit runs away and ends below a `rough` one, it is made again from there.
+    """
     driven = problem.evidence.drive is not None
     # Driven motion tells so much that a cause bends the other slopes at once.
     frozen = null.jacobian[:, : problem.n_nuisance] if quick and not driven else None
@@ -261,6 +272,9 @@ def judge(problem: Problem, null: Fit, effect: Effect, *, quick: bool = False, b
         if found.may_reach(bar) or sum(problem.score(near.x, near.effects)) > fitted.log_posterior:
             other = evidence_of(problem, null, fit(problem, near.x, near.effects, iterations=15))
             found = max(found, other, key=lambda c: c.evidence)
+    if rough is not None and found.evidence < rough.evidence:
+        again = fit(problem, rough.fit.x, rough.fit.effects, iterations=iterations, tolerance=tolerance)
+        found = max(found, evidence_of(problem, null, again), key=lambda c: c.evidence)
     return found
 
 
