@@ -26,8 +26,6 @@ def diagnose(
     from monitor import discrepancy
     from monitor.baseline import load
     from monitor.diagnosis_files import structure_text
-    from monitor.publish.diagnosis_view import write_view
-    from monitor.publish.report import write_report
 
     names = ("diagnosis.json", "report.html", "structure.updated.toml", "structure.extended.toml", "diagnosis.rrd")
     content, report, updated, extended, view = (out / name for name in names)
@@ -37,6 +35,11 @@ def diagnose(
     for path in (content, report, updated, extended, view):
         demand_place(path)
     found = discrepancy.find(recordings, settings, healthy, warn, progress("diagnose"))
+    from monitor.publish.diagnosis_view import (
+        write_view,
+    )  # starts threads of its own, beside which nothing should be forked
+    from monitor.publish.report import write_report
+
     text = structure.read_text(encoding="utf-8")
     write_atomically(content, json.dumps(found.content, indent=1, allow_nan=False) + "\n")
     write_atomically(updated, structure_text(text, found.updated, found.reference_degc))

@@ -31,3 +31,7 @@ class BadConfigurationError(UserError):
     """The configuration contradicts itself or names unknown keys; every problem is listed."""
 
     exit_code = 78
+
+
+class NoResourcesError(UserError):
+    """The machine has too little memory, or allows too few processes, for what was asked."""

@@ -55,6 +55,8 @@ class Evidence:
     """Where the ground was measured: the channels' power in which a model's own error is told, shape (n_bins, c)."""
     drive: Drive | None
     """The measured ground motion, which `segments` no longer hold."""
+    by_temperature: bool = False
+    """Whether the classes are of temperature too."""
 
 
 _BIN_CORRELATION = (2.0 / 3.0) ** 2, (1.0 / 6.0) ** 2
@@ -77,7 +79,8 @@ def classify(segments: Segments) -> Evidence:
     most = _LEVEL_CLASSES if segments.drive is None else 1
     label = _quantiles(level, min(most, max(1, level.size // _MIN_SEGMENTS_A_CLASS)))
     degc = _temperature_at(segments.temperature, segments.t_s, 1.0 / segments.band.bin_hz)
-    if degc is not None and np.ptp(degc) > _MIN_RANGE_DEGC:
+    by_temperature = degc is not None and bool(np.ptp(degc) > _MIN_RANGE_DEGC)
+    if degc is not None and by_temperature:
         n_degc = max(1, min(_TEMPERATURE_CLASSES, level.size // (2 * _MIN_SEGMENTS_A_CLASS)))
         n_level = max(1, min(3, level.size // (n_degc * _MIN_SEGMENTS_A_CLASS)))
         label = n_level * _quantiles(degc, n_degc) + _quantiles(level, n_level)
@@ -104,6 +107,7 @@ def classify(segments: Segments) -> Evidence:
         level=relative,
         power=power,
         drive=segments.drive,
+        by_temperature=by_temperature,
     )
 
 

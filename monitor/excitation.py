@@ -20,6 +20,7 @@ from monitor.motion import conditions
 from monitor.parallel import each
 from monitor.reference import Reference, nominal
 from monitor.results import Array, ComplexArray
+from monitor.stepping import loaded
 from monitor.wishart import grown_by
 
 _FORCE_STD, _LEVEL_STD = 1.0, 5.0
@@ -95,7 +96,7 @@ def excited(
     x = _first_guess(problem) if near is None else np.concatenate([plain.mean, near.vector])
     if near is None or not model.effects:
         x = _fit_levels(problem, x)
-    for _ in range(0 if not model.effects else 2 if near is None else 1):
+    for _ in range(2 if model.effects else 0):
         excitation = x[problem.reference.mean.size :]
         problem = replace(problem, conditions=conditions(problem, x, ()), reference=known)
         x = _fit_levels(problem, np.concatenate([known.mean, excitation]))
@@ -110,6 +111,8 @@ def excited(
 
 def _beyond(problem: Problem, x: Array, linear: ComplexArray) -> ComplexArray:
     """What the exact laws add to the linearized spectra, relative to them, by simulation."""
+
+    loaded()
 
     def added(seed: int) -> ComplexArray:
         acting = forces(problem, x, (), seed)

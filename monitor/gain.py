@@ -106,7 +106,8 @@ def score(
     held : ndarray of bool, shape (n_segments,), optional
         The segments that count; levels and noise are those of the whole recording all the same.
     near : Nearby, optional
-        An excitation that is nearly this one: quicker, and the same within far less than a nat.
+        An excitation that is nearly this one: quicker.  The score is the same within far less than a nat, unless it brings
+        along what was simulated with more care than is taken here.
     """
     evidence = classify(segments)
     held = np.ones(segments.t_s.size, dtype=bool) if held is None else held
@@ -226,10 +227,12 @@ def _forms(evidence: Evidence, effects: tuple[Effect, ...], whole: Diagnosis) ->
 
     From the whole recording's fits, which lie near: a response's phases lead back from nearby only, and all else comes quicker.
     What simulation adds to a linearized law is that of the whole recording, too: a matter of the law, not of what was measured.
+    It is simulated anew where both forms have laws, which must be judged alike, and where classes are not of level alone.
     """
     n_classes = evidence.counts.size
     problem = whole.problem.part(evidence, nearest(whole.problem.n_classes, n_classes))
     p, n = problem.reference.mean.size, whole.problem.n_nuisance
+    shared = not evidence.by_temperature and not any(e.nonlinear for e in problem.reference.model.effects)
 
     def fitted(x: Array, effects: tuple[Effect, ...]) -> tuple[Model, Nearby]:
         x = np.concatenate([x[:p], Nearby.at(whole.problem, x).of(n_classes).vector, x[n:]])
@@ -237,7 +240,7 @@ def _forms(evidence: Evidence, effects: tuple[Effect, ...], whole: Diagnosis) ->
         if evidence.drive is None and any(e.conditional for e in (*problem.reference.effects(x), *effects)):
             here = replace(problem, conditions=conditions(replace(problem, offset=None), x, effects))
         at = fit(here, x, effects, iterations=_DRIVEN if evidence.drive is not None else _PART)
-        return fitted_model(here, at), Nearby.at(here, at.x, here.beyond(at.x, at.effects))
+        return fitted_model(here, at), Nearby.at(here, at.x, here.beyond(at.x, at.effects) if shared else None)
 
     return [fitted(whole.null.x, whole.null.effects), fitted(whole.final.x, effects)]
 

@@ -8,8 +8,11 @@ import signal
 import threading
 from collections.abc import Callable, Iterable
 from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context, parent_process
+from concurrent.futures.process import BrokenProcessPool
+from multiprocessing import active_children, get_context, parent_process
 from typing import Any, TypeVar
+
+from monitor.errors import NoResourcesError
 
 _Item = TypeVar("_Item")
 _Made = TypeVar("_Made")
@@ -26,20 +29,37 @@ def each(function: Callable[[_Item], _Made], items: Iterable[_Item]) -> list[_Ma
     """``[function(item) for item in items]``, in forked processes on Linux: interpreted code runs on one core of a process.
 
     The function must be pure and its results picklable; its items need not be.  One after the other within such a process,
-    in any that is one of several, and beside other threads, whose locks a fork would inherit.
+    in any that is one of several, and beside other threads of Python's, whose locks a fork would inherit.
+
+    Raises
+    ------
+    NoResourcesError
+        Where a process cannot be made, or is killed.
     """
     items = list(items)
     cores = min(len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1, len(items))
     if cores < 2 or parent_process() is not None or threading.active_count() > 1:
         return [function(item) for item in items]
-    with ProcessPoolExecutor(cores, get_context("fork"), _begin, (function, items)) as workers:
+    before = set(active_children())
+    workers = ProcessPoolExecutor(cores, get_context("fork"), _begin, (function, items, os.getpid()))
+    try:
         return list(workers.map(_nth, range(len(items)), chunksize=-(-len(items) // (_SHARES * cores))))
+    except BaseException as error:
+        for child in set(active_children()) - before:  # which would be waited for, however long their work
+            child.kill()
+        if isinstance(error, BrokenProcessPool | OSError):
+            raise NoResourcesError(f"a process of the computation could not be made or was killed: {error}") from error
+        raise
+    finally:
+        workers.shutdown()
 
 
-def _begin(function: Callable[[Any], Any], items: list[Any]) -> None:
+def _begin(function: Callable[[Any], Any], items: list[Any], parent: int) -> None:
     global _shared
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent's to answer
     ctypes.CDLL(None).prctl(_DIE_WITH_PARENT, signal.SIGKILL)
+    if os.getppid() != parent:  # it had ended by then
+        os._exit(1)
     _shared = function, items
 
 

@@ -22,6 +22,7 @@ from monitor.motion import conditions
 from monitor.parallel import each
 from monitor.results import Array, ComplexArray
 from monitor.search import Candidate, evidence_of
+from monitor.stepping import loaded
 
 Rounds = tuple[tuple[int, bool], ...]
 """Simulations in each round, and whether slopes are taken too."""
@@ -99,6 +100,7 @@ def _settled(problem: Problem, at: Fit, rounds: Rounds) -> Settled:
     Slopes of the offset by the sizes matter since a linearized law may be far more or far less sensitive to its size than the
     exact one; a round without them keeps those that the problem has.
     """
+    loaded()
     slopes, feigned, known = _slopes(problem, at), np.zeros((0, 0)), 0
     if len(slopes) and isinstance(problem, Corrected):
         feigned, known = problem.feigned, problem.simulations
@@ -154,11 +156,12 @@ def finish(problem: Problem, at: Fit) -> tuple[Corrected, Fit]:
     return replace(last.problem, doubt=np.hypot(last.problem.doubt, _UNSETTLED * moved)), last.fit
 
 
-def _simulated(problem: Problem, at: Fit, seed: int) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-    """Offset, the same without a control variate, and the transforms of one simulation."""
+def _simulated(problem: Problem, at: Fit, seed: int) -> tuple[ComplexArray, ComplexArray, ComplexArray | None]:
+    """Offset, the same without a control variate, and the transforms of the first simulation."""
     acting = forces(problem, at.x, at.effects, seed)
     transforms = exact(problem, at.x, at.effects, acting)
-    return *offsets(problem, at.x, at.effects, acting, transforms), transforms
+    # One simulation's are enough, and to hand them over costs more than to make them.
+    return *offsets(problem, at.x, at.effects, acting, transforms), transforms if seed == 0 else None
 
 
 def _sloped(problem: Problem, at: Fit, seed: int) -> ComplexArray:

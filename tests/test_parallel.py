@@ -15,8 +15,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from monitor.errors import NoResourcesError
 from monitor.parallel import each
 
+CORES = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1
 ENDLESS = """
 import os, sys, time
 from pathlib import Path
@@ -60,8 +62,10 @@ def _worked_in(n: int) -> set[int]:
     return set(each(lambda _: os.getpid(), range(n)))
 
 
-@pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="one core")
+@pytest.mark.skipif(CORES < 2, reason="one core")
 def test_work_is_done_beside_the_caller() -> None:
+    if threading.active_count() > 1:
+        pytest.skip("another test's thread still runs")
     assert os.getpid() not in _worked_in(20)
 
 
@@ -77,7 +81,7 @@ def test_one_after_the_other_within_a_share_of_the_work_and_beside_threads() -> 
         other.join()
 
 
-@pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="one core")
+@pytest.mark.skipif(CORES < 2, reason="one core")
 def test_nothing_outlives_a_caller_that_is_killed(tmp_path: Path) -> None:
     caller = subprocess.Popen([sys.executable, "-c", ENDLESS, str(tmp_path)])
     try:
@@ -86,6 +90,45 @@ def test_nothing_outlives_a_caller_that_is_killed(tmp_path: Path) -> None:
         caller.send_signal(signal.SIGKILL)
         caller.wait()
     _until(lambda: not any(_runs(int(pid.name)) for pid in tmp_path.iterdir()))
+
+
+@pytest.mark.skipif(CORES < 2, reason="one core")
+def test_an_interrupt_ends_the_work_at_once(tmp_path: Path) -> None:
+    caller = subprocess.Popen(
+        [sys.executable, "-c", ENDLESS, str(tmp_path)], stderr=subprocess.PIPE, start_new_session=True
+    )
+    _until(lambda: len(list(tmp_path.iterdir())) == 2)
+    os.killpg(caller.pid, signal.SIGINT)  # as a terminal does
+    told = caller.communicate(timeout=30)[1]
+    assert b"KeyboardInterrupt" in told
+    assert b"Process ForkProcess" not in told
+    _until(lambda: not any(_runs(int(pid.name)) for pid in tmp_path.iterdir()))
+
+
+@pytest.mark.skipif(CORES < 2, reason="one core")
+def test_work_that_is_killed_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(threading, "active_count", lambda: 1)
+    with pytest.raises(NoResourcesError, match="killed"):
+        each(lambda _: os.kill(os.getpid(), signal.SIGKILL), range(2))
+
+
+@pytest.mark.skipif(CORES < 2, reason="one core")
+def test_a_process_that_cannot_be_made_is_told(tmp_path: Path) -> None:
+    """As under a limit of processes: the second of two."""
+    refusing = """
+import os
+fork, made = os.fork, []
+def refuse():
+    if made:
+        raise BlockingIOError(11, "Resource temporarily unavailable")
+    made.append(1)
+    return fork()
+os.fork = refuse
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", refusing + ENDLESS, str(tmp_path)], capture_output=True, timeout=60, check=False
+    )
+    assert b"NoResourcesError: a process of the computation could not be made" in done.stderr
 
 
 def _until(true: Callable[[], bool], within_s: float = 30.0) -> None:

@@ -38,6 +38,10 @@ class Context:
     """Of the source's samples."""
 
 
+def _none_degc(lag_s: float) -> float:
+    return 0.0
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class Condition:
     """The motion and weather at which nonlinear laws are made linear: one level class of a recording."""
@@ -50,7 +54,7 @@ class Condition:
     """RMS velocity of every floor, shape (n,)."""
     channel_m_s2: Array
     """RMS of every channel's samples, shape (c,)."""
-    excess_degc: Callable[[float], float] = field(default=lambda lag_s: 0.0)
+    excess_degc: Callable[[float], float] = field(default=_none_degc)
     """Temperature above the reference after a first-order lag in s."""
     channel_peak_m_s2: Array = field(default_factory=lambda: np.full(1, np.inf))
     """Largest magnitude of every channel's samples in the whole recording, shape (c,)."""
