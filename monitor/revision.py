@@ -63,20 +63,22 @@ def revised(
         rest = (*at.effects[:i], *at.effects[i + 1 :])
         without = fit(problem, joined(at.x[:n], rest), rest)
         worth = evidence_of(problem, without, at, len(cause.effect.parameters)).evidence
-        if worth < margin:
+        taken = {cause.key, *((e.name, e.location) for e in rest)}
+        # What simulation added to a law is its own: none takes its place, and it none's.
+        rivals = [c.effect for c in tried if not (cause.effect.nonlinear or c.effect.nonlinear or c.key in taken)][
+            :_RIVALS
+        ]
+        best = max(each(partial(judge, problem, without), rivals), key=lambda c: c.evidence, default=None)
+        if best is not None and best.evidence > max(worth, margin):
+            effects = (*best.fit.effects[:i], best.effect, *best.fit.effects[i:-1])
+            at = fit(problem, joined(best.fit.x[:n], effects), effects)
+            kept.append(best)
+        elif worth > margin:
+            kept.append(cause)
+        else:
             at = without
             if isinstance(problem, Corrected):
                 problem = replace(problem, doubt=np.zeros(0))  # which was that of other causes
-            continue
-        kept.append(cause)
-        if cause.effect.nonlinear:  # what simulation added is its own
-            continue
-        taken = {cause.key, *((e.name, e.location) for e in rest)}
-        rivals = [c.effect for c in tried if c.key not in taken and not c.effect.nonlinear][:_RIVALS]
-        best = max(each(partial(judge, problem, without), rivals), key=lambda c: c.evidence, default=cause)
-        if rivals and best.evidence > worth:
-            effects = (*best.fit.effects[:i], best.effect, *best.fit.effects[i:-1])
-            at, kept[-1] = fit(problem, joined(best.fit.x[:n], effects), effects), best
     return (
         problem if any(e.nonlinear for e in at.effects) else replace(problem, offset=None),
         at,

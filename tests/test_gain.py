@@ -16,6 +16,7 @@ from monitor.evidence import classify
 from monitor.fitting import fit
 from monitor.gain import demand_gain, fitted_model, heldout_gain, score
 from monitor.model import Model
+from monitor.polish import finish
 from monitor.record import blocks_of
 from monitor.reference import nominal
 from monitor.search import prepare
@@ -144,3 +145,14 @@ def test_too_short_a_recording_holds_nothing_out(clean: Segments) -> None:
     gain = heldout_gain(clean.part(np.arange(clean.t_s.size) < 3), found, settings())
     assert (gain.value, gain.ci95) == (0.0, (0.0, 0.0))
     assert "too short" in gain.heldout
+
+
+def test_a_law_that_bends_is_judged_at_the_motion_that_it_makes() -> None:
+    """Its correction by simulation is that of the whole recording: laid on another motion's spectra it would harm."""
+    stiffening = parse_effect("cubic_stiffness:story 2:k3_n_per_m3=1e8")
+    segments = recorded((stiffening,), seed=43)
+    found = explained_by(stiffening, segments)
+    problem, final = finish(found.problem, found.final)
+    gain = heldout_gain(segments, replace(found, problem=problem, final=final), settings())
+    assert gain.ci95[0] > 0.0
+    assert gain.csd_error_after < 0.5 * gain.csd_error_before

@@ -1,0 +1,81 @@
+"""What is seen again once more is known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from drivers.base import ACCELERATION
+from monitor.effects import Context, parse_effect
+from monitor.evidence import classify
+from monitor.fitting import Fit, fit
+from monitor.likelihood import Problem
+from monitor.model import Model
+from monitor.polish import Polished
+from monitor.record import blocks_of
+from monitor.reference import nominal
+from monitor.revision import joined, missed, revised
+from monitor.search import judge, prepare
+from monitor.segments import gather
+from monitor.simulate import simulate
+from tests.test_polish import CONFIG, RATE
+
+MASS, OFFSET = "added_mass:floor 2:mass_kg=0.04", "time_offset:channel a3:seconds=0.0006"
+
+
+def prepared(*effects: str) -> tuple[Problem, Fit]:
+    model = Model(CONFIG.model().structure, tuple(parse_effect(e) for e in effects))
+    context = Context(model.structure, CONFIG.channels, CONFIG.sensor_matrix(), RATE)
+    motion = simulate(model, duration_s=400.0, rate_hz=RATE, noise=0.05, seed=8, context=context)
+    blocks = blocks_of(ACCELERATION, motion.floors, CONFIG.channels, RATE, 10**18, 128)
+    return prepare(classify(gather(blocks, CONFIG)), nominal(CONFIG.model(), np.full(6, 0.01), 3), context)
+
+
+@pytest.fixture(scope="module")
+def loaded() -> tuple[Problem, Fit]:
+    return prepared(MASS, OFFSET)
+
+
+def test_a_candidate_gets_no_credit_for_what_the_model_without_it_could_have_done() -> None:
+    problem, null = prepared()
+    x = null.x.copy()
+    x[:3] += 0.05
+    stuck = fit(problem, x, iterations=1)
+    tried = [Polished(judge(problem, stuck, parse_effect("sensor_gain:channel a1:gain=1.001")), problem, np.zeros(3))]
+    assert tried[0].candidate.gain > 100.0
+    better = missed(problem, stuck, tried)
+    assert better is not None
+    assert better[1].log_posterior == pytest.approx(null.log_posterior, abs=1.0)
+    again = [Polished(judge(problem, null, tried[0].candidate.effect), problem, np.zeros(3))]
+    assert missed(problem, null, again) is None
+
+
+def test_a_cause_that_was_only_a_guise_gives_way_once_the_others_are_known(loaded: tuple[Problem, Fit]) -> None:
+    problem, null = loaded
+    guise = judge(problem, null, parse_effect("added_mass:floor 1:mass_kg=0.03"))
+    true = judge(problem, null, parse_effect("added_mass:floor 2:mass_kg=0.03"))
+    other = judge(problem, guise.fit, parse_effect(OFFSET))
+    _, at, accepted = revised(problem, other.fit, [guise, other], [(guise, true), (other,)], 7.0)
+    assert [c.key for c in accepted] == [("added_mass", "floor 2"), ("time_offset", "channel a3")]
+    assert [(e.name, e.location) for e in at.effects] == [c.key for c in accepted]
+    np.testing.assert_array_equal(at.x[problem.n_nuisance :], joined(np.zeros(0), at.effects))
+    assert at.effects[0].values()["mass_kg"] == pytest.approx(0.04, rel=0.1)
+
+
+def test_a_cause_that_later_ones_made_superfluous_is_dropped(loaded: tuple[Problem, Fit]) -> None:
+    problem, null = loaded
+    spurious = judge(problem, null, parse_effect("story_damper:story 3:damping_n_s_per_m=0.01"))
+    mass = judge(problem, spurious.fit, parse_effect(MASS))
+    other = judge(problem, mass.fit, parse_effect(OFFSET))
+    _, at, accepted = revised(problem, other.fit, [spurious, mass, other], [(spurious,), (mass,), (other,)], 7.0)
+    assert [c.key[0] for c in accepted] == [e.name for e in at.effects] == ["added_mass", "time_offset"]
+
+
+def test_a_fit_that_runs_away_begins_again_from_the_rough_one() -> None:
+    problem, null = prepared("coloured_excitation:frame:corner_hz=4.2")
+    start = parse_effect("coloured_excitation:frame:corner_hz=3.0")
+    rough = judge(problem, null, parse_effect("coloured_excitation:frame:corner_hz=16"), quick=True)
+    alone = judge(problem, null, start)
+    found = judge(problem, null, start, rough=rough)
+    assert alone.evidence < 0.0
+    assert found.evidence >= rough.evidence > 1000.0
