@@ -35,15 +35,14 @@ def diagnose(
     for path in (content, report, updated, extended, view):
         demand_place(path)
     found = discrepancy.find(recordings, settings, healthy, warn, progress("diagnose"))
-    from monitor.publish.diagnosis_view import (
-        write_view,
-    )  # starts threads of its own, beside which nothing should be forked
-    from monitor.publish.report import write_report
-
     text = structure.read_text(encoding="utf-8")
     write_atomically(content, json.dumps(found.content, indent=1, allow_nan=False) + "\n")
     write_atomically(updated, structure_text(text, found.updated, found.reference_degc))
     write_atomically(extended, structure_text(text, found.extended, found.reference_degc))
+    # Rerun starts threads of its own, beside which nothing should be forked.
+    from monitor.publish.diagnosis_view import write_view
+    from monitor.publish.report import write_report
+
     write_report(report, found.diagnosis, found.content, found.segments)
     write_view(view, found.diagnosis, found.content, found.segments)
     lines = [f"{found.diagnosis.verdict}: {found.content['says']}"]

@@ -97,16 +97,14 @@ def diagnose(evidence: Evidence, reference: Reference, context: Context, setting
         problem, at = between_samples(_extended(problem, at), at)
         if evidence.drive is not None and _bent(at):  # linearized slopes lead near; the exact ones tell what is known
             at = fit(replace(problem, exact_slopes=True), at.x, at.effects)
-        elif (
-            _bent(at) or best.candidate.effect.ground_share
-        ):  # whose damping, and whose forces' reach, are known only now
+        else:  # damping is freer now, the motion is known, and how far up the forces reach
             at = fit(problem, at.x, at.effects)
         if len(accepted) > 1 and _bent(at) and evidence.drive is None:  # corrected without the newest cause
             made = settle(problem, at)
             problem, at, lean = made.problem, made.fit, skewness(made.transforms, problem)[0]
         if best.candidate.effect.nonlinear:
             margin = max(margin, settings.aftermath * best.candidate.gain, settings.margin + SURE * best.chance)
-    problem, at, accepted = revised(problem, at, accepted, rounds, settings.margin)
+    problem, at, accepted = revised(problem, at, accepted, rounds, settings.margin, settings.rival)
     doubt = np.zeros(at.n_effect)
     if _bent(at) and evidence.drive is None:
         problem, at = finish(problem, at)

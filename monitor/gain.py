@@ -232,7 +232,8 @@ def _forms(evidence: Evidence, effects: tuple[Effect, ...], whole: Diagnosis) ->
     n_classes = evidence.counts.size
     problem = whole.problem.part(evidence, nearest(whole.problem.n_classes, n_classes))
     p, n = problem.reference.mean.size, whole.problem.n_nuisance
-    shared = not evidence.by_temperature and not any(e.nonlinear for e in problem.reference.model.effects)
+    by_level = not (evidence.by_temperature or whole.problem.evidence.by_temperature)
+    shared = by_level and not any(e.nonlinear for e in problem.reference.model.effects)
 
     def fitted(x: Array, effects: tuple[Effect, ...]) -> tuple[Model, Nearby]:
         x = np.concatenate([x[:p], Nearby.at(whole.problem, x).of(n_classes).vector, x[n:]])

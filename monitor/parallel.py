@@ -40,10 +40,13 @@ def each(function: Callable[[_Item], _Made], items: Iterable[_Item]) -> list[_Ma
     cores = min(len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1, len(items))
     if cores < 2 or parent_process() is not None or threading.active_count() > 1:
         return [function(item) for item in items]
-    before = set(active_children())
+    before, shares = set(active_children()), min(_SHARES * cores, len(items))
     workers = ProcessPoolExecutor(cores, get_context("fork"), _begin, (function, items, os.getpid()))
     try:
-        return list(workers.map(_nth, range(len(items)), chunksize=-(-len(items) // (_SHARES * cores))))
+        # Not by `map`, which cancels what waits where something fails, and of that the pool itself then makes an error.
+        made = [workers.submit(_share, range(i, len(items), shares)) for i in range(shares)]
+        done = [share.result() for share in made]
+        return [done[i % shares][i // shares] for i in range(len(items))]
     except BaseException as error:
         for child in set(active_children()) - before:  # which would be waited for, however long their work
             child.kill()
@@ -63,6 +66,6 @@ def _begin(function: Callable[[Any], Any], items: list[Any], parent: int) -> Non
     _shared = function, items
 
 
-def _nth(i: int) -> Any:
+def _share(numbers: range) -> list[Any]:
     function, items = _shared
-    return function(items[i])
+    return [function(items[i]) for i in numbers]

@@ -46,44 +46,52 @@ def moved(problem: Problem, at: Fit) -> Problem:
 
 
 def revised(
-    problem: Problem, at: Fit, accepted: Sequence[Candidate], rounds: Sequence[Sequence[Candidate]], margin: float
+    problem: Problem,
+    at: Fit,
+    accepted: Sequence[Candidate],
+    rounds: Sequence[Sequence[Candidate]],
+    margin: float,
+    lead: float,
 ) -> tuple[Problem, Fit, list[Candidate]]:
     """The causes once the later ones are known: without what they made superfluous, and rivals where these are better now.
 
     Parameters
     ----------
+    at : Fit
+        With the accepted causes, and after them the most probable alternative where there is one.
     rounds
-        Of every cause, the candidates among which it was accepted, best first.
-    margin : float
-        Evidence that a cause needs, nats.
+        Of every cause, the candidates among which it was accepted; then that of the alternatives.
+    margin, lead : float
+        Evidence that a cause needs, and what a rival must have more than the cause whose place it takes, nats.
     """
-    kept: list[Candidate] = []
-    for cause, tried in zip(accepted[:-1], rounds, strict=False):
-        n, i = problem.n_nuisance, [(e.name, e.location) for e in at.effects].index(cause.key)
+    later = rounds[len(accepted)] if len(at.effects) > len(accepted) else ()
+    kept, replaced = list(accepted), False
+    for cause, tried in zip(accepted, rounds, strict=False):
+        if len(at.effects) == 1 or (cause is accepted[-1] and len(at.effects) == len(kept) and not replaced):
+            break  # nothing came after it
+        n, i = problem.n_nuisance, kept.index(cause)
         rest = (*at.effects[:i], *at.effects[i + 1 :])
         without = fit(problem, joined(at.x[:n], rest), rest)
         worth = evidence_of(problem, without, at, len(cause.effect.parameters)).evidence
-        taken = {cause.key, *((e.name, e.location) for e in rest)}
+        taken = {cause.key, *(c.key for c in later), *((e.name, e.location) for e in rest)}
         # What simulation added to a law is its own: none takes its place, and it none's.
-        rivals = [c.effect for c in tried if not (cause.effect.nonlinear or c.effect.nonlinear or c.key in taken)][
-            :_RIVALS
-        ]
-        best = max(each(partial(judge, problem, without), rivals), key=lambda c: c.evidence, default=None)
-        if best is not None and best.evidence > max(worth, margin):
+        linear = [] if cause.effect.nonlinear else [c for c in tried if not c.effect.nonlinear]
+        rivals = [c.effect for c in linear if c.key not in taken]
+        best = max(each(partial(judge, problem, without), rivals[:_RIVALS]), key=lambda c: c.evidence, default=None)
+        if best is not None and best.evidence > max(worth + lead, margin):
             effects = (*best.fit.effects[:i], best.effect, *best.fit.effects[i:-1])
             at = fit(problem, joined(best.fit.x[:n], effects), effects)
-            kept.append(best)
+            kept[i], replaced = best, True
         elif worth > margin:
-            kept.append(cause)
+            continue
         else:
             at = without
-            if isinstance(problem, Corrected):
-                problem = replace(problem, doubt=np.zeros(0))  # which was that of other causes
-    return (
-        problem if any(e.nonlinear for e in at.effects) else replace(problem, offset=None),
-        at,
-        [*kept, *accepted[-1:]],
-    )
+            del kept[i]
+        problem = moved(problem, at)
+        if isinstance(problem, Corrected):
+            problem = replace(problem, doubt=np.zeros(0))  # which was that of other causes
+        at = fit(problem, at.x, at.effects)
+    return problem if any(e.nonlinear for e in at.effects) else replace(problem, offset=None), at, kept
 
 
 def joined(nuisances: Array, effects: Sequence[Effect]) -> Array:

@@ -55,7 +55,7 @@ def test_a_cause_that_was_only_a_guise_gives_way_once_the_others_are_known(loade
     guise = judge(problem, null, parse_effect("added_mass:floor 1:mass_kg=0.03"))
     true = judge(problem, null, parse_effect("added_mass:floor 2:mass_kg=0.03"))
     other = judge(problem, guise.fit, parse_effect(OFFSET))
-    _, at, accepted = revised(problem, other.fit, [guise, other], [(guise, true), (other,)], 7.0)
+    _, at, accepted = revised(problem, other.fit, [guise, other], [(guise, true), (other,)], 7.0, 4.6)
     assert [c.key for c in accepted] == [("added_mass", "floor 2"), ("time_offset", "channel a3")]
     assert [(e.name, e.location) for e in at.effects] == [c.key for c in accepted]
     np.testing.assert_array_equal(at.x[problem.n_nuisance :], joined(np.zeros(0), at.effects))
@@ -67,7 +67,7 @@ def test_a_cause_that_later_ones_made_superfluous_is_dropped(loaded: tuple[Probl
     spurious = judge(problem, null, parse_effect("story_damper:story 3:damping_n_s_per_m=0.01"))
     mass = judge(problem, spurious.fit, parse_effect(MASS))
     other = judge(problem, mass.fit, parse_effect(OFFSET))
-    _, at, accepted = revised(problem, other.fit, [spurious, mass, other], [(spurious,), (mass,), (other,)], 7.0)
+    _, at, accepted = revised(problem, other.fit, [spurious, mass, other], [(spurious,), (mass,), (other,)], 7.0, 4.6)
     assert [c.key[0] for c in accepted] == [e.name for e in at.effects] == ["added_mass", "time_offset"]
 
 
