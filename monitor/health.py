@@ -198,17 +198,11 @@ def _told(state: HealthState, dropped: int, channels: tuple[str, ...]) -> Health
 
 def _examined(x: Array, rate_hz: float, channels: tuple[str, ...]) -> tuple[ChannelHealth, ...]:
     """Each of the rows of `x`, shape (c, n)."""
-    from monitor.kernels import changes, piled  # compiled code takes a while to load
+    from monitor.kernels import described  # compiled code takes a while to load
 
+    about, (mean, rms, peak, spikes, moves, clipped) = described(x, _SPIKE, _PILED, _PILED_RATIO)
     n = x.shape[1]
-    mean = x.mean(axis=1)
-    about = x - mean[:, None]
-    rms = np.sqrt(np.einsum("cn,cn->c", about, about) / n)
-    top, least = about.max(axis=1), about.min(axis=1)
-    peak = np.maximum(top, -least)
-    moves, spikes = changes(x, _SPIKE)
-    clipped = (piled(about, top, _PILED, _PILED_RATIO) + piled(-about, -least, _PILED, _PILED_RATIO)) / n
-    told = mean, rms, peak, spikes, 1.0 - moves / max(n - 1, 1), clipped * (top > least), _noise_floor(about, rate_hz)
+    told = mean, rms, peak, spikes.astype(int), 1.0 - moves / max(n - 1, 1), clipped / n, _noise_floor(about, rate_hz)
     return tuple(ChannelHealth(*one) for one in zip(channels, *(values.tolist() for values in told), strict=True))
 
 

@@ -201,46 +201,62 @@ def grouped(
             modes += 1
 
 
-@compiled(fastmath={"reassoc"})
-def changes(x: Array, factor: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Steps of each row of `x` that are not zero; and its spikes: samples `factor` times the mean step off both neighbours."""
+@compiled(fastmath={"reassoc", "nnan", "nsz"})
+def described(x: Array, factor: float, fewest: int, ratio: int) -> tuple[Array, Array]:
+    """Each row of `x`, shape (c, n), about its mean; and its mean, RMS and largest magnitude about it, spikes, steps that are
+    not zero, and samples piled up at its ends, shape (6, c).
+
+    Samples are piled up if `fewest` and more than `ratio` times those at the value next to it lie at an end: no motion stays
+    there.
+    """
     c, n = x.shape
-    moves, spikes = np.zeros(c, dtype=np.int64), np.zeros(c, dtype=np.int64)
+    about, told = np.empty((c, n)), np.zeros((6, c))
     for i in range(c):
-        row, total, still, far = x[i], 0.0, 0, 0
+        row, out = x[i], about[i]
+        mean = row.sum() / n
+        square, top, least, path, still = 0.0, row[0], row[0], 0.0, 0
+        for k in range(n):
+            out[k] = row[k] - mean
+            square += out[k] * out[k]
+            top, least = max(top, row[k]), min(least, row[k])
         for k in range(1, n):
-            total += abs(row[k] - row[k - 1])
+            path += abs(row[k] - row[k - 1])
             still += row[k] == row[k - 1]
-        moves[i] = n - 1 - still
-        limit = factor * total / max(n - 1, 1)
-        for k in range(1, n - 1):
-            far += _off(row, k) > limit
-        if far:
-            # Between long rests a step of the sensor's resolution is none.
-            sizes = np.abs(row[1:] - row[:-1])
-            limit = max(limit, 3.0 * np.median(sizes[sizes > 0.0]))
-            for k in range(1, n - 1):
-                spikes[i] += _off(row, k) > limit
-    return moves, spikes
+        told[0, i], told[1, i], told[2, i] = mean, np.sqrt(square / n), max(top - mean, mean - least)
+        told[3, i], told[4, i] = _spikes(row, factor * path / max(n - 1, 1)), n - 1 - still
+        if top > least:
+            told[5, i] = _piled(row, top, fewest, ratio) + _piled(-row, -least, fewest, ratio)
+    return about, told
 
 
 @compiled()
-def _off(row: Array, k: int) -> float:
-    """How far a sample lies off both neighbours, to the same side; negative if between them."""
-    before, after = row[k] - row[k - 1], row[k] - row[k + 1]
-    return float(max(min(before, after), min(-before, -after)))
-
-
-@compiled()
-def piled(x: Array, top: Array, fewest: int, ratio: int) -> NDArray[np.int64]:
-    """Samples of each row at its `top`, if `fewest` and far more than at the value next below: no motion stays there."""
-    found = np.zeros(top.size, dtype=np.int64)
-    for i in range(top.size):
-        row, end, count = x[i], top[i], 0
-        for k in range(row.size):
-            count += row[k] == end
-        if count >= fewest:
-            others = row[row < end]
-            if others.size > 0 and count > ratio * np.count_nonzero(others == others.max()):
-                found[i] = count
+def _spikes(row: Array, limit: float) -> int:
+    """Samples more than the limit off both neighbours."""
+    found = _off(row, limit)
+    if found:
+        # Between long rests a step of the sensor's resolution is none.
+        sizes = np.abs(row[1:] - row[:-1])
+        found = _off(row, max(limit, 3.0 * np.median(sizes[sizes > 0.0])))
     return found
+
+
+@compiled()
+def _off(row: Array, limit: float) -> int:
+    """Samples that lie farther than the limit off both neighbours, to the same side."""
+    found = 0
+    for k in range(1, row.size - 1):
+        before, after = row[k] - row[k - 1], row[k] - row[k + 1]
+        found += max(min(before, after), min(-before, -after)) > limit
+    return found
+
+
+@compiled()
+def _piled(row: Array, top: float, fewest: int, ratio: int) -> int:
+    """Samples at the row's `top`, if they are piled up there."""
+    count = 0
+    for k in range(row.size):
+        count += row[k] == top
+    if count < fewest:
+        return 0
+    others = row[row < top]
+    return count if others.size and count > ratio * np.count_nonzero(others == others.max()) else 0
