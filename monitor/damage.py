@@ -42,7 +42,7 @@ def step(
     """
     observation = observe(modes, settings, baseline.gauges if baseline is not None else None)
     if baseline is not None:
-        observation = baseline.target(observation)
+        observation, reference = baseline.target(observation), reference.as_built()
     if prior_std is None:
         prior_std = np.full(reference.structure.n_stories, settings.parameter_std)
     fit = update(reference, sensors, observation, settings, prior_std=prior_std)

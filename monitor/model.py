@@ -42,15 +42,22 @@ class Model:
         """The same model with other story stiffnesses, shape (p,), N/m."""
         return replace(self, structure=self.structure.with_stiffness(stiffness_n_per_m))
 
+    def as_built(self) -> Model:
+        """The same model, of which stiffnesses may now change, and nothing that is sized by them."""
+        return replace(self, structure=self.structure.changed(np.zeros(self.structure.n_stories)))
+
     def with_masses(self, masses_kg: Array) -> Model:
         """The same model with other floor masses, shape (n,), kg."""
         return replace(self, structure=self.structure.with_masses(masses_kg))
 
     def structural_matrices(self) -> tuple[Array, Array]:
         """Mass and stiffness matrices with the effects that are linear at every level, shape (n, n), kg and N/m."""
-        mass, stiffness = self.structure.mass_matrix(), self.structure.stiffness_matrix()
+        structure = self.structure
+        for effect in self.effects:  # members first, whenever they changed: joints and a base join what is there
+            structure = effect.altered(structure)
+        mass, stiffness = structure.mass_matrix(), structure.stiffness_matrix()
         for effect in self.effects:
-            mass, stiffness = effect.structural(mass, stiffness, self.structure)
+            mass, stiffness = effect.structural(mass, stiffness, structure)
         return mass, stiffness if self.correction is None else stiffness + self.correction
 
     def mass_matrix(self) -> Array:

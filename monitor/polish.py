@@ -15,6 +15,7 @@ import numpy as np
 
 from monitor.corrected import Corrected, corrected
 from monitor.effects import Effect
+from monitor.effects.joint_flexibility import JointFlexibility
 from monitor.exact import exact, forces, offset, offsets
 from monitor.fitting import Fit, fit
 from monitor.likelihood import Problem, placed
@@ -43,6 +44,9 @@ _FEIGNED, _MUCH, _SLOPED = 0.5, 0.25, 5
 """Largest share of the information that slopes are taken to feign; share from which so many simulations at least make them."""
 _FORM = 2.0
 """What is not known of a story's stiffness, over the RMS of the relative correction that the drawing's form needs."""
+_GIRDERS = 0.25
+"""What is not known of a story's change beside flexible joints, times their girder-to-column ratio: half of what it matters
+whether girders changed with the columns (frames like the paper's)."""
 _LINE = 0.02
 """How well a line's frequency is read, of a bin."""
 
@@ -252,7 +256,8 @@ def _chance(problem: Corrected, at: Fit, offsets: ComplexArray, free: ComplexArr
 def form_doubt(problem: Problem, at: Fit, effect: Effect) -> Array:
     """What the model's form leaves open of an effect's coordinates, as standard deviations, shape (p,).
 
-    A size relative to a story's stiffness is known no better than that stiffness, which a frame that is no shear frame blurs.
+    A size relative to a story's stiffness is known no better than that stiffness, which a frame that is no shear frame blurs;
+    where joints are flexible, girders may have changed with the columns or not.
     How softening goes on beyond the third order is not known: with a fifth order like that of tanh, a size would differ by
     twice the relative softening.  A strong line is read off the taper's leakage, into bins that are otherwise another
     model's.  The rest is `Effect.form_doubt`.
@@ -261,10 +266,13 @@ def form_doubt(problem: Problem, at: Fit, effect: Effect) -> Array:
     known = size * np.array(effect.form_doubt or (0.0,) * size.size)
     if effect.name == "harmonic_excitation":
         return np.array([_LINE * problem.evidence.band.bin_hz / effect.lines()[0].frequency_hz, 0.0])
-    if effect.name == "bilinear_stiffness":
+    if effect.name in ("bilinear_stiffness", "stiffness_change") and effect.location.startswith("story"):
         correction = problem.reference.parts(at.x)[4]
         rms = float(np.sqrt((correction**2).mean())) if correction.size else 0.0
-        return np.asarray(_FORM * rms * size)
+        beside = (*problem.reference.effects(at.x), *at.effects)
+        ratios = [e.girder_to_column_ratio for e in beside if isinstance(e, JointFlexibility)]
+        changes = effect.name == "stiffness_change"
+        return np.asarray(size * np.hypot(_FORM * rms, _GIRDERS / max(1.0, *ratios) if ratios and changes else 0.0))
     if effect.name == "cubic_stiffness" and effect.coordinates[0] < 0.0:
         drift = problem.conditions[problem.n_classes // 2].drift_m[effect.index]
         stiffness = problem.context_at(at.x).structure.stiffness_n_per_m[effect.index]

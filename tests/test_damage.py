@@ -73,6 +73,18 @@ def test_wrong_masses_and_flexible_joints_bias_a_5_percent_loss_by_less_than_hal
     assert int(np.argmax(reading.ddi)) == story - 1
 
 
+@pytest.mark.parametrize("story", [1, 2, 3])
+def test_beside_joints_that_the_model_knows_a_loss_is_that_of_the_columns(story: int) -> None:
+    plain = drawing((0, 0, 0)).model_dump(mode="json", exclude_unset=True)
+    joints = {"effect": JOINTS[0].name, "location": JOINTS[0].location, "parameters": JOINTS[0].values()}
+    config = Configuration.model_validate({**plain, "effects": [joints]})
+    healthy, _ = baseline.learn(config, [exact_modes(truth((0, 0, 0)))], np.ones(1), ())
+    lost = parse_effect(f"stiffness_change:story {story}:relative=-0.15")
+    now = exact_modes(Model(truth((0, 0, 0)).structure, (*JOINTS, lost)))
+    _, reading = damage.step(now, healthy.model, healthy, np.eye(3), config.updating)
+    np.testing.assert_allclose(reading.ddi, 0.15 * np.eye(3)[story - 1], atol=2e-3)
+
+
 def test_an_unchanged_structure_reads_zero_however_wrong_the_drawing() -> None:
     config = drawing((1, -1, 1))
     healthy, _ = baseline.learn(config, [exact_modes(truth((0, 0, 0)))], np.ones(1), ())

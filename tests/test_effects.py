@@ -15,6 +15,7 @@ from drivers.base import ACCELERATION, TEMPERATURE, SampleBlock
 from drivers.mcap_file import read_recordings
 from monitor import config
 from monitor.effects import parse_effect
+from monitor.effects.joint_flexibility import JointFlexibility
 from monitor.model import Model
 from monitor.simulate import simulate
 from tests.contracts.effect_cases import CASES, CONTEXT, STRUCTURE
@@ -120,6 +121,20 @@ def test_any_effect_may_stand_in_a_structure_file(main: Run, tmp_path: Path, fra
     model = config.load(path).model()
     assert model.effects == (effect,)
     assert np.isfinite(model.stiffness_derivatives()).all() and np.isfinite(model.damping_matrix()).all()
+
+
+@pytest.mark.parametrize("change_first", [False, True])
+def test_a_story_that_changed_is_other_columns_between_the_girders_that_were_built(change_first: bool) -> None:
+    joints, change = (
+        parse_effect("joint_flexibility:frame:girder_to_column_ratio=8"),
+        parse_effect("stiffness_change:story 1:relative=-0.15"),
+    )
+    model = Model(STRUCTURE, (change, joints) if change_first else (joints, change))
+    assert STRUCTURE.story_heights_m is not None
+    built, columns = STRUCTURE.stiffness_n_per_m, STRUCTURE.stiffness_n_per_m * [0.85, 1.0, 1.0]
+    ratio = 8.0 * (built @ STRUCTURE.story_heights_m**2) / (columns @ STRUCTURE.story_heights_m**2)
+    wanted = Model(STRUCTURE.with_stiffness(columns), (JointFlexibility("frame", ratio),)).stiffness_matrix()
+    np.testing.assert_allclose(model.stiffness_matrix(), wanted, rtol=1e-12)
 
 
 def test_replay_and_calibrate_take_a_structure_file_with_a_nonlinear_effect(

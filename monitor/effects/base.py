@@ -258,6 +258,10 @@ class Effect(ABC):
 
     # --- spectral face --------------------------------------------------------------------------------------
 
+    def altered(self, structure: Structure) -> Structure:
+        """The structure after what this effect does to its members, from which all effects' matrices follow."""
+        return structure
+
     def structural(self, mass: Array, stiffness: Array, structure: Structure) -> tuple[Array, Array]:
         """Mass and stiffness matrices with this effect, shape (n, n) each; the structure's damping follows them."""
         return mass, stiffness

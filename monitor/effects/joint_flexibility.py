@@ -46,10 +46,12 @@ class JointFlexibility(Effect):
         """See `Effect.structural`."""
         if self.girder_to_column_ratio == inf:
             return mass, stiffness
+        assert isinstance(structure, ShearFrame), "refused by `check`"
         n = structure.n_stories
         heights = np.ones(n) if structure.story_heights_m is None else structure.story_heights_m
         column = structure.stiffness_n_per_m * heights**2 / 24.0  # E I_c / h of one of the two columns
-        girder = self.girder_to_column_ratio * float(column.mean())
+        built = column if structure.built_n_per_m is None else structure.built_n_per_m * heights**2 / 24.0
+        girder = self.girder_to_column_ratio * float(built.mean())
         drift = structure.drift_matrix()
         # Story j's rotations: its upper floor's and, but for the clamped ground, its lower floor's.
         rotation_sum = np.eye(n) + np.eye(n, k=1)

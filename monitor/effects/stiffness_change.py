@@ -28,12 +28,15 @@ class StiffnessChange(Effect):
     relative: float
     """-0.2 = 20 % lost."""
 
+    def altered(self, structure: Structure) -> Structure:
+        """See `Effect.altered`."""
+        if self.location == "frame":
+            return structure
+        return structure.changed(self.relative * np.eye(structure.n_stories)[self.index])
+
     def structural(self, mass: Array, stiffness: Array, structure: Structure) -> tuple[Array, Array]:
         """See `Effect.structural`."""
-        if self.location == "frame":
-            return mass, stiffness * (1.0 + self.relative)
-        lost = self.relative * structure.stiffness_n_per_m[self.index]
-        return mass, np.asarray(stiffness + lost * structure.stiffness_derivatives()[self.index])
+        return mass, stiffness * (1.0 + self.relative) if self.location == "frame" else stiffness
 
     @classmethod
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:

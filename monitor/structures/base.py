@@ -37,6 +37,9 @@ class Structure(Protocol):
     def with_stiffness(self, stiffness_n_per_m: Array) -> Self:
         """The same structure with other stiffnesses, shape (p,)."""
 
+    def changed(self, relative: Array) -> Self:
+        """After its stiffnesses changed by these shares, shape (p,); what is sized by them stays as it was built."""
+
     def with_masses(self, masses_kg: Array) -> Self:
         """The same structure with other masses, shape (N,)."""
 

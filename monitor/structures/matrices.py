@@ -64,6 +64,10 @@ class MatrixStructure:
         """See `Structure.with_stiffness`."""
         return replace(self, stiffness_n_per_m=stiffness_n_per_m)
 
+    def changed(self, relative: Array) -> Self:
+        """See `Structure.changed`."""
+        return replace(self, stiffness_n_per_m=self.stiffness_n_per_m * (1.0 + relative))
+
     def with_masses(self, masses_kg: Array) -> Self:
         """See `Structure.with_masses`."""
         return replace(self, masses_kg=masses_kg)

@@ -26,6 +26,8 @@ class ShearFrame:
     """Rayleigh damping: this ratio in modes 1 and 2 (in mode 1 alone for a single floor)."""
     story_heights_m: Array | None = None
     """Shape (n,)."""
+    built_n_per_m: Array | None = None
+    """Story stiffnesses before they changed, to which girders were built, shape (n,); None: those of `stiffness_n_per_m`."""
 
     @property
     def n_stories(self) -> int:
@@ -40,6 +42,11 @@ class ShearFrame:
     def with_stiffness(self, stiffness_n_per_m: Array) -> Self:
         """See `Structure.with_stiffness`."""
         return replace(self, stiffness_n_per_m=stiffness_n_per_m)
+
+    def changed(self, relative: Array) -> Self:
+        """See `Structure.changed`."""
+        built = self.stiffness_n_per_m if self.built_n_per_m is None else self.built_n_per_m
+        return replace(self, stiffness_n_per_m=self.stiffness_n_per_m * (1.0 + relative), built_n_per_m=built)
 
     def with_masses(self, masses_kg: Array) -> Self:
         """See `Structure.with_masses`."""
