@@ -11,8 +11,10 @@ from monitor.fitting import Fit
 from monitor.likelihood import Problem
 from monitor.results import Array, ComplexArray
 
-_NO_NOISE = -100.0
-"""Logarithm of a noise density that is none."""
+_NONE = -100.0
+"""Logarithm of a force's or of noise's density that is none."""
+_APART = 1e-6
+"""How different what forces make must be for each to have a level of its own."""
 _LEVELLINGS = 4
 """Fisher scoring's steps to a level; from nearby it converges in two."""
 
@@ -30,16 +32,15 @@ class Misfit:
 def drift_bands(problem: Problem, fitted: Fit, width_hz: float = 1.0) -> Array:
     """What the later half of a recording shows more than the earlier one, as `residual_bands`.
 
-    Each half is compared with the model's spectra of its own classes, each at its own level, so that a change of level or
-    weather is no drift.
+    Each half is compared with the model's spectra of its own classes, each at its own level of every force, so that a change of
+    level or weather is no drift, nor is wind that comes and goes floor by floor.
     """
     e = problem.evidence
     mean = problem.mean(fitted.x, fitted.effects)
     x = e.segments.values if mean is None else e.segments.values - mean
     predicted = problem.scatter(fitted.x, fitted.effects)
-    quiet = fitted.x.copy()
-    quiet[problem.n_nuisance - 1] = _NO_NOISE
-    signal = problem.scatter(quiet, fitted.effects)
+    parts = _by_force(problem, fitted)
+    signal = parts.sum(axis=0)
     late = e.t_s > np.median(e.t_s)
     z = []
     for half in (late, ~late):
@@ -49,21 +50,39 @@ def drift_bands(problem: Problem, fitted: Fit, width_hz: float = 1.0) -> Array:
             counts[k] = len(own)
             if len(own):
                 data[k] = np.einsum("sfa,sfb->fab", own, own.conj()) / len(own)
-                model[k] = _levelled(signal[k], predicted[k] - signal[k], data[k])
+                model[k] = _levelled(parts[:, k], predicted[k] - signal[k], data[k])
         halved = replace(problem, evidence=replace(e, counts=counts))
         z.append(_banded(halved.whitened(model, model[None], data)[1], problem.n_classes, problem, width_hz)[0])
     return np.asarray((z[0] - z[1]) / np.sqrt(2.0))
 
 
-def _levelled(signal: ComplexArray, noise: ComplexArray, data: ComplexArray) -> ComplexArray:
-    """The model of spectra, shape (n_bins, c, c), at the level that fits them best; the noise has its own."""
-    level = 1.0
+def _by_force(problem: Problem, fitted: Fit) -> ComplexArray:
+    """What each force makes of the spectra without noise, shape (n, classes, n_bins, c, c); what none makes alone is shared."""
+    p, n = problem.reference.mean.size, problem.context.structure.n_dofs
+    still = fitted.x.copy()
+    still[problem.n_nuisance - 1] = _NONE
+    signal, linear = problem.scatter(still, fitted.effects), replace(problem, offset=None)
+    forces = still[p : p + n].copy()
+    still[p : p + n] = _NONE
+    alone = []
+    for j in range(n):
+        one = still.copy()
+        one[p + j] = forces[j]
+        alone.append(linear.scatter(one, fitted.effects) - linear.scatter(still, fitted.effects))
+    parts = np.stack(alone)
+    return np.asarray(parts + (signal - parts.sum(axis=0)) / n)
+
+
+def _levelled(parts: ComplexArray, noise: ComplexArray, data: ComplexArray) -> ComplexArray:
+    """The model of spectra, shape (n_bins, c, c), at the levels of its parts that fit them best; the noise has its own."""
+    level = np.ones(len(parts))
     for _ in range(_LEVELLINGS):
-        inverse = np.linalg.inv(level * signal + noise)
-        slope = inverse @ signal
-        rise = np.einsum("fab,fba->", slope @ inverse, data - level * signal - noise).real
-        level = max(level + rise / np.einsum("fab,fba->", slope, slope).real, 0.1 * level)
-    return level * signal + noise
+        signal = np.tensordot(level, parts, axes=1)
+        slopes = np.linalg.inv(signal + noise) @ parts
+        rise = np.einsum("jfab,fba->j", slopes @ np.linalg.inv(signal + noise), data - signal - noise).real
+        step = np.linalg.lstsq(np.einsum("ifab,jfba->ij", slopes, slopes).real, rise, rcond=_APART)[0]
+        level = np.maximum(level + step, 0.1 * level)
+    return np.asarray(np.tensordot(level, parts, axes=1) + noise)
 
 
 def residual_bands(problem: Problem, fitted: Fit, width_hz: float = 1.0) -> tuple[Array, Array]:

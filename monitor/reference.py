@@ -63,10 +63,19 @@ class Reference:
 
     def with_looser_damping(self, ln_std: Array) -> Reference:
         """Where the damping of every mode may differ by so much more, shape (n,)."""
+        k, m, *_ = self.sizes
+        return self._looser(k + m, ln_std)
+
+    def with_looser_noise(self, ln_std: Array) -> Reference:
+        """Where the noise density of every channel, over their mean, may differ by so much more, shape (c,)."""
         k, m, d, *_ = self.sizes
+        return self._looser(k + m + d, ln_std)
+
+    def _looser(self, first: int, std: Array) -> Reference:
+        """Where coordinates from `first` on may differ by so much more."""
         covariance = np.linalg.inv(self.precision)
-        modes = np.arange(k + m, k + m + d)
-        covariance[modes, modes] += ln_std**2
+        these = np.arange(first, first + std.size)
+        covariance[these, these] += std**2
         precision = np.linalg.inv(covariance)
         return replace(self, precision=0.5 * (precision + precision.T))
 

@@ -17,6 +17,8 @@ _FIXED = 1e-4
 _CORRECTION_STD = 0.1
 _DAMPING_DRIFT = 0.05
 """Relative change of a mode's damping that needs no cause."""
+_NOISE_DRIFT = 0.3
+"""The same of a channel's noise density over the others': what is noise about a channel may follow its motion."""
 
 
 def learn(evidence: Evidence, known: Reference, context: Context) -> tuple[Reference, Array]:
@@ -53,6 +55,6 @@ def learn(evidence: Evidence, known: Reference, context: Context) -> tuple[Refer
     p = mean.size
     precision = np.linalg.inv(fitted.covariance[:p, :p])
     learnt = replace(wider, mean=fitted.x[:p], precision=0.5 * (precision + precision.T))
-    learnt = learnt.with_looser_damping(np.full(d, _DAMPING_DRIFT))
+    learnt = learnt.with_looser_damping(np.full(d, _DAMPING_DRIFT)).with_looser_noise(np.full(c, _NOISE_DRIFT))
     learnt = learnt.with_unseen_scale(float(np.sqrt(np.linalg.inv(known.precision[k : k + m, k : k + m]).sum()) / m))
     return learnt, learnt.parts(learnt.mean)[4]
