@@ -8,15 +8,9 @@ import numpy as np
 
 from monitor.diagnosis_settings import DiagnosisSettings
 from monitor.fitting import Fit
+from monitor.levels import by_force, levels
 from monitor.likelihood import Problem
-from monitor.results import Array, ComplexArray
-
-_NONE = -100.0
-"""Logarithm of a force's or of noise's density that is none."""
-_APART = 1e-6
-"""How different what forces make must be for each to have a level of its own."""
-_LEVELLINGS = 4
-"""Fisher scoring's steps to a level; from nearby it converges in two."""
+from monitor.results import Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +33,7 @@ def drift_bands(problem: Problem, fitted: Fit, width_hz: float = 1.0) -> Array:
     mean = problem.mean(fitted.x, fitted.effects)
     x = e.segments.values if mean is None else e.segments.values - mean
     predicted = problem.scatter(fitted.x, fitted.effects)
-    parts = _by_force(problem, fitted)
+    parts = by_force(problem, fitted.x, fitted.effects)
     signal = parts.sum(axis=0)
     late = e.t_s > np.median(e.t_s)
     z = []
@@ -50,39 +44,11 @@ def drift_bands(problem: Problem, fitted: Fit, width_hz: float = 1.0) -> Array:
             counts[k] = len(own)
             if len(own):
                 data[k] = np.einsum("sfa,sfb->fab", own, own.conj()) / len(own)
-                model[k] = _levelled(parts[:, k], predicted[k] - signal[k], data[k])
+                noise = predicted[k] - signal[k]
+                model[k] = np.tensordot(levels(parts[:, k], noise, data[k]), parts[:, k], axes=1) + noise
         halved = replace(problem, evidence=replace(e, counts=counts))
         z.append(_banded(halved.whitened(model, model[None], data)[1], problem.n_classes, problem, width_hz)[0])
     return np.asarray((z[0] - z[1]) / np.sqrt(2.0))
-
-
-def _by_force(problem: Problem, fitted: Fit) -> ComplexArray:
-    """What each force makes of the spectra without noise, shape (n, classes, n_bins, c, c); what none makes alone is shared."""
-    p, n = problem.reference.mean.size, problem.context.structure.n_dofs
-    still = fitted.x.copy()
-    still[problem.n_nuisance - 1] = _NONE
-    signal, linear = problem.scatter(still, fitted.effects), replace(problem, offset=None)
-    forces = still[p : p + n].copy()
-    still[p : p + n] = _NONE
-    alone = []
-    for j in range(n):
-        one = still.copy()
-        one[p + j] = forces[j]
-        alone.append(linear.scatter(one, fitted.effects) - linear.scatter(still, fitted.effects))
-    parts = np.stack(alone)
-    return np.asarray(parts + (signal - parts.sum(axis=0)) / n)
-
-
-def _levelled(parts: ComplexArray, noise: ComplexArray, data: ComplexArray) -> ComplexArray:
-    """The model of spectra, shape (n_bins, c, c), at the levels of its parts that fit them best; the noise has its own."""
-    level = np.ones(len(parts))
-    for _ in range(_LEVELLINGS):
-        signal = np.tensordot(level, parts, axes=1)
-        slopes = np.linalg.inv(signal + noise) @ parts
-        rise = np.einsum("jfab,fba->j", slopes @ np.linalg.inv(signal + noise), data - signal - noise).real
-        step = np.linalg.lstsq(np.einsum("ifab,jfba->ij", slopes, slopes).real, rise, rcond=_APART)[0]
-        level = np.maximum(level + step, 0.1 * level)
-    return np.asarray(np.tensordot(level, parts, axes=1) + noise)
 
 
 def residual_bands(problem: Problem, fitted: Fit, width_hz: float = 1.0) -> tuple[Array, Array]:

@@ -11,6 +11,7 @@ from scipy.linalg import eigh
 from monitor.driven import motion_rms
 from monitor.effects import Condition, Context, Effect, System
 from monitor.evidence import Evidence, class_temperature
+from monitor.levels import ground_levels
 from monitor.likelihood import Problem
 from monitor.prediction import accelerance, extended, seen, variances
 from monitor.results import Array, ComplexArray
@@ -41,6 +42,8 @@ def conditions(
     rows, order = np.vstack([drift, drift, np.eye(n)]), np.repeat([0, 1, 1], [len(drift), len(drift), n])
     excess = None if e.drive is not None else (e.spectra if spectra is None else spectra) - problem.scatter(x, effects)
     beyond, out = _beyond(problem, x, everything), []
+    shaken = e.drive is None and any(effect.ground_share for effect in everything)
+    ground = ground_levels(problem, x, effects) if shaken else np.ones(problem.n_classes)
     for k in range(problem.n_classes):
         system = extended(base, everything, context, problem.conditions[k])
         lowest = np.sqrt(max(eigh(base.stiffness, base.mass, eigvals_only=True).min(), 1e-6)) / (2.0 * np.pi)
@@ -69,7 +72,7 @@ def conditions(
         m = len(drift)
         piled, band_hz = e.piled >= _PILE, float(e.band.hz[-1])
         moved = rms[:m], rms[m : 2 * m], rms[2 * m :]
-        out.append(Condition(*moved, e.rms[k], warmer, e.peak, piled, beyond, band_hz))
+        out.append(Condition(*moved, e.rms[k], warmer, e.peak, piled, beyond, band_hz, float(ground[k])))
     return tuple(out)
 
 

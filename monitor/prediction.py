@@ -96,7 +96,7 @@ def cross_spectra(
     share = sum(e.ground_share for e in effects)
     ground = excitation.ground_noise
     if share > 0.0:
-        ground += ground_density(share, system, force, context, condition)
+        ground += condition.ground * ground_density(share, system, force, context, condition)
     density = np.column_stack([force * colour[:, None], np.full(fine.size, ground)])
     spectra = blurred_products(answer, density, _TAPS)
     for effect in effects:

@@ -159,17 +159,28 @@ def starts(problem: Problem, null: Fit, taken: Iterable[tuple[str, str]] = ()) -
 
 
 def peaks(problem: Problem, null: Fit, n: int = 3) -> Array:
-    """Frequencies at which the measured power exceeds the model's the most, Hz."""
+    """Frequencies at which the measured power exceeds the model's the most, Hz; of lines, to a small part of a bin."""
     c = problem.evidence.spectra.shape[-1]
     shape = (problem.n_classes, problem.evidence.band.n_bins, c * c)
     diagonal = np.cumsum([1, *(2 * np.arange(1, c) + 1)]) - 1
     over = null.residual.reshape(shape)[:, :, diagonal].sum(axis=(0, 2)).copy()
+    here, band = problem.predict(null.x, null.effects), problem.evidence.band
+    power = np.einsum("k,kfaa->f", problem.evidence.counts, here.data - here.spectra).real
     found = []
     for _ in range(n):
         at = int(over.argmax())
-        found.append(problem.evidence.band.hz[at])
+        found.append(band.hz[at] + band.bin_hz * _off_the_bin(power, at))
         over[max(0, at - 4) : at + 5] = -np.inf
     return np.array(found)
+
+
+def _off_the_bin(power: Array, at: int) -> float:
+    """Where a line lies about the bin that it is strongest in, in bins, by its share in the next one (Hann's taper)."""
+    beside = power[max(0, at - 1) : at + 2 : 2]
+    if power[at] <= 0.0 or beside.size < 2:
+        return 0.0
+    ratio = np.sqrt(np.clip(beside.max() / power[at], 0.25, 1.0))
+    return float((2.0 * ratio - 1.0) / (ratio + 1.0) * (1 if beside[1] > beside[0] else -1))
 
 
 def rank(problem: Problem, null: Fit, candidates: list[Effect]) -> list[tuple[float, Effect]]:
@@ -178,11 +189,12 @@ def rank(problem: Problem, null: Fit, candidates: list[Effect]) -> list[tuple[fl
     The change of the spectra that a small effect makes, less what the nuisances explain, is compared with the residual.
     """
     here = problem.predict(null.x, null.effects)
-    _, precision = problem.prior(null.x, null.effects)
+    mean, precision = problem.prior(null.x, null.effects)
     tangent = null.jacobian
     normal = inverse(tangent.T @ tangent + precision)
     residual = np.concatenate([null.residual, null.mean_residual])
-    residual = residual - tangent @ (normal @ (tangent.T @ residual))
+    # The nuisances' own slope is that of the posterior: what pulls them from what was known before speaks for an effect.
+    own_slope = tangent.T @ residual - precision @ (null.x - mean)
     tangent = np.asfortranarray(tangent)
     dragged = problem.evidence.drive is None and null.log_prior < _DRAGGED
     # A fit that went far to explain what it cannot hides what a swap would explain; what was known before does not.
@@ -198,7 +210,7 @@ def rank(problem: Problem, null: Fit, candidates: list[Effect]) -> list[tuple[fl
             return as_is
         v = change(problem, here, moved)
         along = tangent.T @ v
-        information, score = float(v @ v - along @ normal @ along), float(v @ residual)
+        information, score = float(v @ v - along @ normal @ along), float(v @ residual - along @ normal @ own_slope)
         grown = None if information < 1e-9 else _grown(effect, score / information)
         return as_is if grown is None else [*as_is, (0.5 * score**2 / information, grown)]
 

@@ -64,6 +64,8 @@ class Condition:
     """What the forces cause above the band that is compared, over what white ones would up to half the source's rate."""
     band_hz: float = np.inf
     """Where that begins."""
+    ground: float = 1.0
+    """How strongly an unmeasured ground shook, over the forces, relative to the whole recording."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
