@@ -49,7 +49,7 @@ def run(seed: int, name: str, size: float | None = None) -> dict[str, Any]:
         sealed = json.loads(seal.read_text())
     return {
         "seed": seed,
-        "standing": f"{structure.standing}, damping {structure.damping}",
+        "standing": f"{structure.standing}, damping {structure.damping}, noise {structure.noise}, wind {structure.wind}",
         **sealed,
         "answer": answer,
         "outcome": judge.outcome(sealed, answer),

@@ -26,6 +26,10 @@ class Truth:
     drawn_stories: np.ndarray
     damping: str
     """What stays of Rayleigh's damping when an effect changes mass or stiffness: ``ratios``, ``factors`` or ``matrix``."""
+    noise: str = "alike"
+    """Of all channels ``alike``, or ``own``: a share of each channel's RMS in each recording."""
+    wind: str = "alike"
+    """Its level on all floors ``alike``, or ``apart`` on every floor."""
 
     def drawing(self) -> str:
         """The structure file."""
@@ -89,7 +93,10 @@ class Site:
 
 
 def draw_truth(seed: int) -> Truth:
-    """A frame near the paper's; a quarter have flexible joints, a quarter a mass that the drawing misses."""
+    """A frame near the paper's; a quarter have flexible joints, a quarter a mass that the drawing misses.
+
+    Half have noise that follows each channel's motion, a third wind that comes and goes floor by floor.
+    """
     rng = np.random.default_rng([seed, 101])
     masses = np.array([0.3253, 0.3514, 0.3129]) * np.exp(0.05 * rng.standard_normal(3))
     stories = np.array([2900.0, 1700.0, 1900.0]) * np.exp(0.1 * rng.standard_normal(3))
@@ -101,7 +108,9 @@ def draw_truth(seed: int) -> Truth:
         frame = replace(frame, joint=frame.girder(15.0))
     elif standing == "mass":
         drawn_masses[rng.integers(3)] *= 0.94
-    return Truth(frame, standing, drawn_masses, drawn_stories, str(rng.choice(["ratios", "factors", "matrix"])))
+    damping = str(rng.choice(["ratios", "factors", "matrix"]))
+    noise, wind = str(rng.choice(["alike", "own"])), str(rng.choice(["alike", "alike", "apart"]))
+    return Truth(frame, standing, drawn_masses, drawn_stories, damping, noise, wind)
 
 
 def healthy(truth: Truth, seed: int) -> tuple[Act, Motion]:
@@ -109,4 +118,7 @@ def healthy(truth: Truth, seed: int) -> tuple[Act, Motion]:
     strength = np.exp(np.random.default_rng([seed, 102]).uniform(-0.26, 0.26, 3))
     moving = motion(truth.frame, strength**2 / world.RATE_HZ, strength**2 * world.DIRECT)
     usual = motion(truth.frame, np.full(3, 1.0 / world.RATE_HZ), np.full(3, world.DIRECT))
-    return world.healthy(truth.frame, strength, NOISE * float(usual.channel.mean())), moving
+    act = world.healthy(truth.frame, strength, NOISE * float(usual.channel.mean()))
+    if truth.noise == "own":
+        act = replace(act, noise=np.zeros(3), noise_share=NOISE)
+    return replace(act, apart=truth.wind == "apart"), moving

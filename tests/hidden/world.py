@@ -58,6 +58,10 @@ class Act:
     clock: float = 0.0
     noise: np.ndarray = field(default_factory=lambda: np.zeros(3))
     """RMS of each channel's own noise."""
+    noise_share: float = 0.0
+    """Of a channel's RMS, noise besides."""
+    apart: bool = False
+    """Whether every force, and the ground, has a level that wanders by itself."""
     delay_s: np.ndarray = field(default_factory=lambda: np.zeros(3))
     gain: np.ndarray = field(default_factory=lambda: np.ones(3))
     gain_swing: np.ndarray = field(default_factory=lambda: np.zeros(3))
@@ -74,6 +78,10 @@ def healthy(frame: Frame, strength: np.ndarray, noise: float) -> Act:
     return Act(*frame.modal(), strength=strength, noise=np.full(3, noise))
 
 
+def _noise(act: Act, clean: np.ndarray) -> np.ndarray:
+    return np.hypot(act.noise, act.noise_share * clean.std(axis=0))
+
+
 def record(act: Act, duration_s: float, seed: int) -> np.ndarray:
     """Samples of the channels at 1024 Hz, shape (n_samples, 3), m/s^2."""
     force_rng, noise_rng, other_rng = (np.random.default_rng([seed, i]) for i in range(3))
@@ -81,7 +89,7 @@ def record(act: Act, duration_s: float, seed: int) -> np.ndarray:
     for j in np.flatnonzero(act.delay_s):
         clean[:, j] = _delayed(clean[:, j], act.delay_s[j])
     swing = np.sin(2.0 * np.pi * np.arange(len(clean))[:, None] / RATE_HZ / 240.0) * act.gain_swing
-    samples = (clean + act.noise * noise_rng.standard_normal(clean.shape)) * act.gain * (1.0 + swing)
+    samples = (clean + _noise(act, clean) * noise_rng.standard_normal(clean.shape)) * act.gain * (1.0 + swing)
     samples = np.clip(samples[:, act.order], -act.limit, act.limit)
     for j in np.flatnonzero(act.dropouts):
         for _ in range(noise_rng.poisson(act.dropouts[j] * duration_s / 60.0)):
@@ -112,8 +120,10 @@ def wander(duration_s: float, rng: np.random.Generator, spread: float = 0.35) ->
 def _floors(act: Act, duration_s: float, rng: np.random.Generator, other: np.random.Generator) -> Iterator[np.ndarray]:
     """Absolute accelerations of the floors, chunk by chunk, filtered and thinned to 1024 Hz."""
     n, size = act.strength.size, act.mass.shape[0]
-    level = wander(duration_s, other)
+    level = np.stack([wander(duration_s, other)] * (n + 1), axis=1)
     blows = _blows(act, duration_s, other)
+    if act.apart:
+        level[:, 1:] = np.stack([wander(duration_s, other) for _ in range(n)], axis=1)
     dt = 1.0 / (KNOT_HZ * (1.0 + act.clock))
     kinds = np.array([law[0] for law in act.laws], dtype=np.int64)
     directions = np.array([law[1] for law in act.laws]).reshape(-1, size)
@@ -127,9 +137,9 @@ def _floors(act: Act, duration_s: float, rng: np.random.Generator, other: np.ran
     for start in range(0, round(duration_s * KNOT_HZ), round(_CHUNK_S * KNOT_HZ)):
         k = np.arange(start, min(start + round(_CHUNK_S * KNOT_HZ), round(duration_s * KNOT_HZ)))
         t = k / KNOT_HZ
-        lev = np.interp(t, np.arange(level.size), level)
+        lev = np.stack([np.interp(t, np.arange(len(level)), one) for one in level.T], axis=1)
         drive = np.zeros((k.size, size + 2))
-        force = lev[:, None] * act.strength * np.sqrt(FORCE_VARIANCE) * rng.standard_normal((k.size, n))
+        force = lev[:, :n] * act.strength * np.sqrt(FORCE_VARIANCE) * rng.standard_normal((k.size, n))
         if act.corner_hz is not None:
             decay = np.exp(-2.0 * np.pi * act.corner_hz * dt)
             force, memory = lfilter([1.0 - decay], [1.0, -decay], force, axis=0, zi=memory)
@@ -137,7 +147,9 @@ def _floors(act: Act, duration_s: float, rng: np.random.Generator, other: np.ran
         for floor, phase, amplitude in _tones(act, t, duration_s):
             drive[:, floor] += amplitude * np.sin(phase)
         drive[:, :n] += blows[k] if blows is not None else 0.0
-        drive[:, size] = lev * np.sqrt(act.ground * KNOT_HZ) * other.standard_normal(k.size) if act.ground else 0.0
+        drive[:, size] = (
+            lev[:, n] * np.sqrt(act.ground * KNOT_HZ) * other.standard_normal(k.size) if act.ground else 0.0
+        )
         if act.course is not None:
             drive[:, size + 1] = np.interp(t, np.arange(act.course.size), act.course)
         if start == 0:
