@@ -22,32 +22,35 @@ _LEAST = 0.1
 
 
 def by_force(problem: Problem, x: Array, effects: Sequence[Effect]) -> ComplexArray:
-    """Each force's part of the spectra without noise, shape (n, classes, n_bins, c, c); what none makes alone is shared."""
+    """Each force's part of the spectra without noise and, last, an unmeasured ground's, shape (n + 1, classes, n_bins, c, c).
+
+    What none of them makes alone is shared by the forces.
+    """
     p, n = problem.reference.mean.size, problem.context.structure.n_dofs
-    still = _silent(problem, x)
-    signal, linear = problem.scatter(still, effects), replace(problem, offset=None)
-    forces = still[p : p + n].copy()
-    still[p : p + n] = _NONE
+    still, linear = _silent(problem, x), replace(problem, offset=None)
+    calm = replace(linear, conditions=tuple(replace(c, ground=0.0) for c in problem.conditions))
+    whole, ground = problem.scatter(still, effects), linear.scatter(still, effects) - calm.scatter(still, effects)
+    none = still.copy()
+    none[p : p + n] = _NONE
     alone = []
     for j in range(n):
-        one = still.copy()
-        one[p + j] = forces[j]
-        alone.append(linear.scatter(one, effects) - linear.scatter(still, effects))
-    parts = np.stack(alone)
-    return np.asarray(parts + (signal - parts.sum(axis=0)) / n)
+        one = none.copy()
+        one[p + j] = still[p + j]
+        alone.append(calm.scatter(one, effects) - calm.scatter(none, effects))
+    parts = np.stack([*alone, ground])
+    parts[:n] += (whole - parts.sum(axis=0)) / n
+    return parts
 
 
 def ground_levels(problem: Problem, x: Array, effects: Sequence[Effect]) -> Array:
-    """How strongly an unmeasured ground shook, over the forces, relative to the whole recording, shape (classes,)."""
-    still, linear = _silent(problem, x), replace(problem, offset=None)
-    without = tuple(replace(c, ground=0.0) for c in problem.conditions)
-    forces = replace(linear, conditions=without).scatter(still, effects)
-    ground = linear.scatter(still, effects) - forces
+    """How strongly an unmeasured ground shook in every class, over the forces, relative to the whole recording: (classes,)."""
+    e, linear = problem.evidence, replace(problem, offset=None)
+    *alone, ground = by_force(linear, x, effects)
+    forces = np.sum(alone, axis=0)
     noise = linear.scatter(x, effects) - ground - forces
-    e = problem.evidence
     own = np.array([levels(np.stack(c[:2]), *c[2:]) for c in zip(forces, ground, noise, e.spectra, strict=True)])
     relative = np.array([c.ground for c in problem.conditions]) * own[:, 1] / own[:, 0]
-    strength = e.counts * np.einsum("kfaa->k", own[:, :1, None, None] * forces).real
+    strength = e.counts * own[:, 0] * np.einsum("kfaa->k", forces).real
     return np.asarray(relative * strength.sum() / (relative @ strength))
 
 
