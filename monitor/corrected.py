@@ -49,6 +49,8 @@ class Corrected(Problem):
     """Standard deviation of all effects' coordinates beyond their fit's own; empty where a single simulation was made."""
     drift: Array = field(default_factory=lambda: np.zeros((0, 0)))
     """The linearized model's RMS drift there, shape (classes, n_stories), m."""
+    ln_mass: float = 0.0
+    """Mean logarithm of the masses there."""
 
     def part(self, evidence: Evidence, classes: NDArray[np.intp]) -> Corrected:
         """See `Problem.part`; the correction is a matter of the law, not of what was measured."""
@@ -65,7 +67,7 @@ class Corrected(Problem):
         """See `Problem.scatter`.
 
         The correction is relative to the spectra: peaks that move or grow take it along.  Where the motion grows, a law acts
-        as one of another size does.
+        as one of another size does; where all masses and stiffnesses do, as one that is as much smaller.
         """
         plain = replace(self, offset=None)
         linear = Problem.scatter(plain, x, effects, classes=classes)
@@ -80,16 +82,22 @@ class Corrected(Problem):
         if not self._acts(effects):
             return None
         here = [e for e in effects if (e.name, e.location) in self.laws]
-        sizes = np.concatenate([e.coordinates for e in here])
+        scale = self._scale(x, here)
+        sizes = np.concatenate([e.coordinates for e in here]) / scale
         relative = np.tensordot(np.append(1.0, sizes - self.centre), self.relative, axes=1)
         if any(e.amplitude_powers for e in here):
-            centre = iter(np.split(self.centre, np.cumsum([len(e.parameters) for e in here])))
+            centre = iter(np.split(self.centre * scale, np.cumsum([len(e.parameters) for e in here])))
             centred = [e.at(next(centre)) if e in here else e for e in effects]
             # What the size itself makes of the motion is in its slope.
             growth = forced_drift(replace(self, offset=None), x, centred) / self.drift
             grown = sizes * (np.hstack([_scaled(e, growth) for e in here]) - 1.0)
             relative = relative + np.einsum("kp,pkfab->kfab", grown, self.by_motion)
         return _bounded(relative)
+
+    def _scale(self, x: Array, laws: Sequence[Effect]) -> Array:
+        """By what laws' coordinates must grow to stay as strong beside the masses and stiffnesses, shape (p,)."""
+        grown = np.exp(self.reference.parts(x)[1].mean() - self.ln_mass)
+        return np.array([grown if p.weighty else 1.0 for e in laws for p in e.parameters])
 
     def slope(self, x: Array, i: int, effects: tuple[Effect, ...], spectra: ComplexArray) -> ComplexArray:
         """See `Problem.slope`; of every class its own, since a law that bends much has its peaks elsewhere in each."""
@@ -195,4 +203,5 @@ def corrected(
         relative=np.array([here, *by_size]),
         by_motion=_smooth(_around(np.linalg.inv(base), known), hz),
         drift=forced_drift(linear, x, effects),
+        ln_mass=float(problem.reference.parts(x)[1].mean()),
     )

@@ -20,6 +20,7 @@ class BaseExcitation(Effect):
     signature: ClassVar[str] = "one common input: coherent channels, each with the ground's own motion in it"
 
     conditional: ClassVar[bool] = True
+    form_doubt: ClassVar[tuple[float, ...]] = (0.03,)  # how far up the ground's motion, or the forces', is white
 
     share: float
     """Fraction of a channel's acceleration variance at the source's rate that the ground causes, mean over channels."""

@@ -27,6 +27,11 @@ class Parameter:
     least: float = 1e-9
     """Coordinate below which finite differences no longer shrink with it."""
 
+    @property
+    def weighty(self) -> bool:
+        """Whether it scales with the structure's masses and stiffnesses, whose scale no motion shows: forces, not lengths."""
+        return not {"n", "kg"}.isdisjoint(self.name.split("_"))
+
     def coordinate(self, value: float) -> float:
         """The value in the coordinate of estimation."""
         if self.scale == "log":
