@@ -11,16 +11,17 @@ import numpy as np
 from monitor.backbone import backbone, level_dependence, ratios
 from monitor.corrected import Corrected
 from monitor.diagnosis_settings import DiagnosisSettings
+from monitor.doubt import deviations, sure
 from monitor.effects import Context, Effect
 from monitor.evidence import Evidence
 from monitor.fitting import Fit, fit
 from monitor.likelihood import Problem
 from monitor.misfit import Misfit, misfits
 from monitor.parallel import each
-from monitor.polish import Polished, finish, form_doubt, polish, settle, skewness
+from monitor.polish import Polished, finish, polish, settle, skewness
 from monitor.reference import Reference
 from monitor.results import Array
-from monitor.revision import joined, missed, moved, revised
+from monitor.revision import joined, missed, moved, only, revised
 from monitor.rivals import SURE, probabilities, same, together
 from monitor.search import Candidate, best_of_each, between_samples, judge, prepare, rank, starts
 
@@ -109,6 +110,11 @@ def diagnose(evidence: Evidence, reference: Reference, context: Context, setting
     if _bent(at) and evidence.drive is None:
         problem, at = finish(problem, at)
         doubt = problem.doubt
+        # What the law's better size leaves of another cause may be nothing.
+        kept = [sure(e, std) for e, std in zip(at.effects, deviations(problem, at, doubt), strict=True)]
+        if any(kept) and not all(kept):
+            at, doubt = only(problem, at, doubt, kept)
+            accepted = [c for c, stays in zip(accepted, kept, strict=False) if stays]
     misfit, left_over = misfits(problem, null, settings), misfits(problem, at, settings)
     share = sum(m.size**2 for m in left_over) / max(sum(m.size**2 for m in misfit), 1.0)
     # The exact form of a nonlinear law far from rest is not known; what little that leaves is no cause of its own.
@@ -286,17 +292,11 @@ def _mirrored(fitted: Fit, mirror: Effect) -> Array:
 
 def _causes(problem: Problem, fitted: Fit, accepted: list[Candidate], doubt: Array) -> tuple[Cause, ...]:
     """The accepted effects with the standard deviations of their parameters."""
-    out, first = [], problem.n_nuisance
-    for effect, _ in zip(fitted.effects, accepted, strict=False):
+    out = []
+    for effect, deviation, _ in zip(fitted.effects, deviations(problem, fitted, doubt), accepted, strict=False):
         std = {}
-        more = np.hypot(
-            doubt[first - problem.n_nuisance :][: len(effect.parameters)], form_doubt(problem, fitted, effect)
-        )
-        for i, p in enumerate(effect.parameters):
-            deviation = float(np.hypot(np.sqrt(max(fitted.covariance[first + i, first + i], 0.0)), more[i]))
+        for p, own in zip(effect.parameters, deviation.tolist(), strict=True):
             value = getattr(effect, p.name)
-            slope = {"linear": 1.0, "log": value, "inverse": value**2}[p.scale]
-            std[p.name] = min(deviation * slope, 1e300)
-        first += len(effect.parameters)
+            std[p.name] = min(own * {"linear": 1.0, "log": value, "inverse": value**2}[p.scale], 1e300)
         out.append(Cause(effect, std))
     return tuple(out)

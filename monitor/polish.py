@@ -14,8 +14,6 @@ from typing import Any
 import numpy as np
 
 from monitor.corrected import Corrected, corrected
-from monitor.effects import Effect
-from monitor.effects.joint_flexibility import JointFlexibility
 from monitor.exact import exact, forces, offset, offsets
 from monitor.fitting import Fit, fit
 from monitor.likelihood import Problem, placed
@@ -36,19 +34,14 @@ _VAGUE = 0.15
 """Share of a law's size that may be in doubt by chance; else the most are made, as what is rare shows in few of them."""
 _STEP = 0.1
 """Relative change of a size by which slopes are taken."""
+_WILD, _WEAKER = 10.0, 0.7
+"""Largest correction, over the linearized spectra, that is trusted to lead the right way; share of the size to begin at else."""
 _UNSETTLED = 0.5
 """Share of the last move that is a standard deviation."""
 _OTHER = 1000
 """First seed of the simulations that slopes come from: chance that they shared with the offset would pull the fit."""
 _FEIGNED, _MUCH, _SLOPED = 0.5, 0.25, 5
 """Largest share of the information that slopes are taken to feign; share from which so many simulations at least make them."""
-_FORM = 2.0
-"""What is not known of a story's stiffness, over the RMS of the relative correction that the drawing's form needs."""
-_GIRDERS = 0.25
-"""What is not known of a story's change beside flexible joints, times their girder-to-column ratio: half of what it matters
-whether girders changed with the columns (frames like the paper's)."""
-_LINE = 0.02
-"""How well a line's frequency is read, of a bin."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -77,6 +70,9 @@ class Settled:
 def polish(problem: Problem, null: Fit, candidate: Candidate, *, fine: bool = False) -> Polished:
     """Refit a candidate with nonlinear laws, its linearization corrected by simulation at the fitted size."""
     made = settle(problem, candidate.fit, fine=fine)
+    if fine and np.abs(made.problem.relative[0]).max() > _WILD:
+        other = settle(problem, _weaker(problem, candidate.fit), fine=fine)
+        made = max(made, other, key=lambda m: m.fit.log_posterior)
     drift_skewness = skewness(made.transforms, problem)[0]
     better = evidence_of(made.problem, null, made.fit)
     if better.gain < candidate.gain <= better.gain + made.problem.lost:  # the simulations' chance decides nothing
@@ -91,6 +87,13 @@ def settle(problem: Problem, at: Fit, *, fine: bool = True) -> Settled:
     if _sensors_alone(at):  # slopes by their sizes are told by samples: there is nothing to simulate twice
         return _settled(problem, at, ((_LEAST if fine else 1, False),))
     return _settled(problem, at, _FINE if fine else _ROUGH)
+
+
+def _weaker(problem: Problem, at: Fit) -> Fit:
+    """Where a fit begins with weaker laws."""
+    x = at.x.copy()
+    x[problem.n_nuisance :][[e.nonlinear for e in at.effects for _ in e.parameters]] *= _WEAKER
+    return replace(at, x=x, effects=placed(at.effects, x[problem.n_nuisance :]))
 
 
 def _sensors_alone(at: Fit) -> bool:
@@ -251,33 +254,6 @@ def _chance(problem: Corrected, at: Fit, offsets: ComplexArray, free: ComplexArr
     own, whole = (s.var(axis=1, ddof=1) for s in steps)
     expected = np.diag(at.covariance @ (rows.T @ rows) @ at.covariance)[n:]
     return lost, np.sqrt(own / k + np.maximum(whole - expected, 0.0))
-
-
-def form_doubt(problem: Problem, at: Fit, effect: Effect) -> Array:
-    """What the model's form leaves open of an effect's coordinates, as standard deviations, shape (p,).
-
-    A size relative to a story's stiffness is known no better than that stiffness, which a frame that is no shear frame blurs;
-    where joints are flexible, girders may have changed with the columns or not.
-    How softening goes on beyond the third order is not known: with a fifth order like that of tanh, a size would differ by
-    twice the relative softening.  A strong line is read off the taper's leakage, into bins that are otherwise another
-    model's.  The rest is `Effect.form_doubt`.
-    """
-    size = np.abs(effect.coordinates)
-    known = size * np.array(effect.form_doubt or (0.0,) * size.size)
-    if effect.name == "harmonic_excitation":
-        return np.array([_LINE * problem.evidence.band.bin_hz / effect.lines()[0].frequency_hz, 0.0])
-    if effect.name in ("bilinear_stiffness", "stiffness_change") and effect.location.startswith("story"):
-        correction = problem.reference.parts(at.x)[4]
-        rms = float(np.sqrt((correction**2).mean())) if correction.size else 0.0
-        beside = (*problem.reference.effects(at.x), *at.effects)
-        ratios = [e.girder_to_column_ratio for e in beside if isinstance(e, JointFlexibility)]
-        changes = effect.name == "stiffness_change"
-        return np.asarray(size * np.hypot(_FORM * rms, _GIRDERS / max(1.0, *ratios) if ratios and changes else 0.0))
-    if effect.name == "cubic_stiffness" and effect.coordinates[0] < 0.0:
-        drift = problem.conditions[problem.n_classes // 2].drift_m[effect.index]
-        stiffness = problem.context_at(at.x).structure.stiffness_n_per_m[effect.index]
-        return np.asarray(np.hypot(known, size * 3.0 * size * drift**2 / stiffness))
-    return np.asarray(known)
 
 
 def skewness(transforms: ComplexArray, problem: Problem) -> tuple[Array, Array]:

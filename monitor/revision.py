@@ -94,6 +94,13 @@ def revised(
     return problem if any(e.nonlinear for e in at.effects) else replace(problem, offset=None), at, kept
 
 
+def only(problem: Problem, at: Fit, doubt: Array, kept: Sequence[bool]) -> tuple[Fit, Array]:
+    """The fit, and the doubt of its sizes, with some of its effects alone."""
+    effects = tuple(e for e, stays in zip(at.effects, kept, strict=True) if stays)
+    sizes = np.array([stays for e, stays in zip(at.effects, kept, strict=True) for _ in e.parameters])
+    return fit(problem, joined(at.x[: problem.n_nuisance], effects), effects), doubt[sizes]
+
+
 def joined(nuisances: Array, effects: Sequence[Effect]) -> Array:
     """The vector of a fit that begins with these effects."""
     return np.concatenate([nuisances, *[e.coordinates for e in effects]])

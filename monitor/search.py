@@ -143,9 +143,13 @@ def _first_guess(problem: Problem) -> Array:
 
 
 def starts(problem: Problem, null: Fit, taken: Iterable[tuple[str, str]] = ()) -> list[Effect]:
-    """A small size of every effect at every place, and of every shape that must be tried."""
+    """A small size of every effect at every place, and of every shape that must be tried.
+
+    Where a law bends already, no other is tried: it would only mend what is not known of the first one's form.
+    """
     typical = problem.conditions[problem.n_classes // 2]
-    skip, found = set(taken), peaks(problem, null)
+    bent = {(name, e.location) for e in null.effects if e.nonlinear for name, kind in EFFECTS.items() if kind.nonlinear}
+    skip, found = {*taken, *bent}, peaks(problem, null)
     out: list[Effect] = []
     for name, kind in EFFECTS.items():
         if problem.evidence.drive is not None and (kind.family == "excitation" or name in _STATIONARY):
