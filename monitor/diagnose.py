@@ -29,6 +29,8 @@ _SMALL = 200.0
 """Promised gain, nats, of a small effect."""
 _KINDS, _EVERYWHERE, _DRIVEN = 7, 2, 2
 """Where the ground is measured: kinds of causes that are fitted roughly, those of them at every place, and to the end."""
+_MOVED = 0.05
+"""Relative change of a frequency from which it matters what of the damping stayed."""
 _UNSURE = 0.1
 """Share of a gain by which a rough simulation may misjudge it."""
 Verdict = Literal["none", "named", "ambiguous", "unexplained"]
@@ -167,12 +169,16 @@ def _extended(problem: Problem, at: Fit) -> Problem:
     """The problem once its last cause is accepted.
 
     The motion follows the new model, and damping, which is known for the healthy modes, is known less well of modes that have
-    moved.
+    moved: either their ratios stayed, or what dissipates did.
     """
     problem = moved(problem, at)
     before = problem.model(at.x, (*problem.reference.effects(at.x), *at.effects[:-1])).modes().frequencies_hz
     after = problem.model(at.x, (*problem.reference.effects(at.x), *at.effects)).modes().frequencies_hz
-    return replace(problem, reference=problem.reference.with_looser_damping(np.log(after / before)))
+    ratios = replace(problem, reference=problem.reference.with_looser_damping(np.log(after / before)))
+    if problem.damped_as_built or isinstance(problem, Corrected) or np.abs(np.log(after / before)).max() < _MOVED:
+        return ratios
+    matrix = replace(ratios, damped_as_built=True)
+    return max(ratios, matrix, key=lambda form: fit(form, at.x, at.effects).log_posterior)
 
 
 def _bent(at: Fit) -> bool:

@@ -42,6 +42,8 @@ class Forward:
     """One a class."""
     offset: ComplexArray | None = None
     """What simulation adds to the spectra of a linearized law, shape (classes, n_bins, c, c)."""
+    damped_as_built: bool = False
+    """Whether the damping matrix is that of the structure without the extra effects; else its modal ratios stay."""
     smoothing: Array | None = None
     """Averages bins into coarse ones, shape (n_coarse, n_bins), for a start from far away."""
 
@@ -154,7 +156,11 @@ class Forward:
 
     def system(self, x: Array, effects: Sequence[Effect]) -> System:
         """The system at a vector of nuisances, before what effects add at a level."""
-        return modally_damped(*self.model(x, effects).structural_matrices(), np.exp(self.reference.parts(x)[2]))
+        ratios, (mass, stiffness) = np.exp(self.reference.parts(x)[2]), self.model(x, effects).structural_matrices()
+        if not self.damped_as_built:
+            return modally_damped(mass, stiffness, ratios)
+        built = self.model(x, self.reference.effects(x)).structural_matrices()
+        return System(mass, modally_damped(*built, ratios).damping, stiffness)
 
     def context_at(self, x: Array) -> Context:
         """Where effects act, with the structure at a vector of nuisances: relative sizes refer to it."""

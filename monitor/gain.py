@@ -254,7 +254,11 @@ def _as_moved(drive: Drive | None, diagnosis: Diagnosis) -> Drive | None:
 
 def fitted_model(problem: Problem, at: Fit) -> Model:
     """The model at a fit, with the standing effects and those that were found."""
-    return problem.model(at.x, (*problem.reference.effects(at.x), *at.effects))
+    effects = (*problem.reference.effects(at.x), *at.effects)
+    model, damping = problem.model(at.x, effects), problem.system(at.x, effects).damping
+    modes = model.modes()
+    modal = np.einsum("ai,ab,bi->i", modes.shapes, damping, modes.shapes)
+    return replace(model, modal_damping=modal / (2.0 * np.sqrt(np.maximum(modes.eigenvalues, 1e-12))))
 
 
 def demand_gain(diagnosis: Diagnosis, gain: Gain) -> Diagnosis:
