@@ -94,6 +94,20 @@ def test_a_correction_follows_its_slopes_and_leaves_other_effects_alone(bent: tu
     assert made.part(problem.evidence, other_way).scatter(x, (law,))[::-1] == pytest.approx(1.1 * plain)
 
 
+def test_the_scale_of_masses_and_stiffness_that_nothing_shows_stays_unseen(bent: tuple[Problem, Fit]) -> None:
+    problem, null = bent
+    law, rng = parse_effect(CUBIC.format(STRONG)), np.random.default_rng(0)
+    plain = problem.scatter(null.x, (law,))
+    made = corrected(problem, null.x, (law,), 0.1 * plain, rng.uniform(0.1, 0.3) / STRONG * plain[None])
+    x, p = null.x.copy(), problem.reference.mean.size
+    k, m, *_ = problem.reference.sizes
+    x[: k + m] += 0.2
+    x[p : p + 3] += 0.4  # of the forces' densities
+    heavier = made.scatter(x, (parse_effect(CUBIC.format(STRONG * np.exp(0.2))),))
+    assert heavier == pytest.approx(made.scatter(null.x, (law,)), rel=1e-3)
+    assert whitened_rms(problem, null, made.scatter(x, (law,)) - heavier) > 0.01
+
+
 def test_a_law_that_cannot_stand_has_no_likelihood() -> None:
     unknown = np.full((1, 2, 3, 3), np.nan, dtype=complex)
     deep = -2.0 * np.eye(3) + np.zeros((1, 2, 3, 3), dtype=complex)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from drivers.base import ACCELERATION
+from monitor.doubt import deviations, sure
 from monitor.effects import Context, parse_effect
 from monitor.evidence import classify
 from monitor.fitting import Fit, fit
@@ -14,7 +17,7 @@ from monitor.model import Model
 from monitor.polish import Polished
 from monitor.record import blocks_of
 from monitor.reference import nominal
-from monitor.revision import joined, missed, revised
+from monitor.revision import joined, missed, only, revised
 from monitor.search import judge, prepare
 from monitor.segments import gather
 from monitor.simulate import simulate
@@ -69,6 +72,29 @@ def test_a_cause_that_later_ones_made_superfluous_is_dropped(loaded: tuple[Probl
     other = judge(problem, mass.fit, parse_effect(OFFSET))
     _, at, accepted = revised(problem, other.fit, [spurious, mass, other], [(spurious,), (mass,), (other,)], 7.0, 4.6)
     assert [c.key[0] for c in accepted] == [e.name for e in at.effects] == ["added_mass", "time_offset"]
+
+
+def test_what_has_no_sure_size_is_no_cause(loaded: tuple[Problem, Fit]) -> None:
+    problem, null = loaded
+    effects = (parse_effect(MASS), parse_effect("sensor_gain:channel a1:gain=1.0001"), parse_effect(OFFSET))
+    at = fit(problem, null.x, effects)
+    own = deviations(problem, at, np.array([0.0, 0.1, 0.0]))
+    kept = [sure(e, std) for e, std in zip(at.effects, own, strict=True)]
+    assert kept == [True, False, True]
+    alone, doubt = only(problem, at, np.array([1.0, 2.0, 3.0]), kept)
+    assert [e.name for e in alone.effects] == ["added_mass", "time_offset"]
+    assert doubt.tolist() == [1.0, 3.0]
+    assert alone.log_posterior == pytest.approx(at.log_posterior, abs=5.0)
+
+
+def test_what_dissipates_may_stay_where_a_structure_changed(loaded: tuple[Problem, Fit]) -> None:
+    problem, null = loaded
+    change = parse_effect("joint_flexibility:frame:girder_to_column_ratio=3")
+    ratios, matrix = (replace(problem, damped_as_built=b).system(null.x, (change,)) for b in (False, True))
+    built = problem.system(null.x, ())
+    np.testing.assert_allclose(matrix.damping, built.damping, rtol=1e-12)
+    np.testing.assert_array_equal(matrix.stiffness, ratios.stiffness)
+    assert np.abs(ratios.damping - built.damping).max() > 0.05 * built.damping.max()
 
 
 def test_a_fit_that_runs_away_begins_again_from_the_rough_one() -> None:
