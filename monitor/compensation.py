@@ -56,4 +56,5 @@ def _with_free_stiffness(problem: Problem) -> Problem:
     precision = problem.reference.precision.copy()
     precision[:k], precision[:, :k] = 0.0, 0.0
     precision[:k, :k] = np.eye(k) / _STIFFNESS_STD**2
-    return replace(problem, reference=replace(problem.reference, precision=precision))
+    known = replace(problem.reference, precision=precision, model=problem.reference.model.as_built())
+    return replace(problem, reference=known)

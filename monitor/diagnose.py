@@ -117,6 +117,7 @@ def diagnose(evidence: Evidence, reference: Reference, context: Context, setting
         if any(kept) and not all(kept):
             at, doubt = only(problem, at, doubt, kept)
             accepted = [c for c, stays in zip(accepted, kept, strict=False) if stays]
+            problem = problem if _bent(at) else replace(problem, offset=None)
     misfit, left_over = misfits(problem, null, settings), misfits(problem, at, settings)
     share = sum(m.size**2 for m in left_over) / max(sum(m.size**2 for m in misfit), 1.0)
     # The exact form of a nonlinear law far from rest is not known; what little that leaves is no cause of its own.
@@ -175,7 +176,8 @@ def _extended(problem: Problem, at: Fit) -> Problem:
     before = problem.model(at.x, (*problem.reference.effects(at.x), *at.effects[:-1])).modes().frequencies_hz
     after = problem.model(at.x, (*problem.reference.effects(at.x), *at.effects)).modes().frequencies_hz
     ratios = replace(problem, reference=problem.reference.with_looser_damping(np.log(after / before)))
-    if problem.damped_as_built or isinstance(problem, Corrected) or np.abs(np.log(after / before)).max() < _MOVED:
+    known = problem.damped_as_built or isinstance(problem, Corrected) or problem.evidence.drive is not None
+    if known or np.abs(np.log(after / before)).max() < _MOVED:
         return ratios
     matrix = replace(ratios, damped_as_built=True)
     return max(ratios, matrix, key=lambda form: fit(form, at.x, at.effects).log_posterior)
