@@ -262,7 +262,7 @@ def _polished(
     measured, std = skewness(problem.evidence.segments.values, problem)
     bent = [c for c in doubtful if c.effect.nonlinear]
     simulated = {p.candidate.key: p for p in each(partial(polish, problem, at), bent)}
-    first = max(c.evidence for c in (*candidates, *(p.candidate for p in simulated.values())))
+    first = max((simulated[c.key].candidate if c.key in simulated else c).evidence for c in candidates)
     near = [p for p in simulated.values() if p.candidate.evidence > first - _UNSURE * max(p.candidate.gain, _SMALL)]
     finer = each(lambda p: polish(p.problem, at, p.candidate, fine=True), near)
     simulated |= {p.candidate.key: p for p in finer}

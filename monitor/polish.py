@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from monitor.corrected import Corrected, corrected
+from monitor.effects.cubic_stiffness import CubicStiffness
 from monitor.exact import exact, forces, offset, offsets
 from monitor.fitting import Fit, fit
 from monitor.likelihood import Problem, placed
@@ -35,7 +36,8 @@ _VAGUE = 0.15
 _STEP = 0.1
 """Relative change of a size by which slopes are taken."""
 _WILD, _WEAKER = 10.0, 0.7
-"""Largest correction, over the linearized spectra, that is trusted to lead the right way; share of the size to begin at else."""
+"""Largest correction of softening, over the linearized spectra, that leads the right way for sure; share of its size to begin
+at else."""
 _UNSETTLED = 0.5
 """Share of the last move that is a standard deviation."""
 _OTHER = 1000
@@ -70,7 +72,8 @@ class Settled:
 def polish(problem: Problem, null: Fit, candidate: Candidate, *, fine: bool = False) -> Polished:
     """Refit a candidate with nonlinear laws, its linearization corrected by simulation at the fitted size."""
     made = settle(problem, candidate.fit, fine=fine)
-    if fine and np.abs(made.problem.relative[0]).max() > _WILD:
+    softening = any(isinstance(e, CubicStiffness) and e.k3_n_per_m3 < 0.0 for e in candidate.fit.effects)
+    if softening and np.abs(made.problem.relative[0]).max() > _WILD:
         other = settle(problem, _weaker(problem, candidate.fit), fine=fine)
         made = max(made, other, key=lambda m: m.fit.log_posterior)
     drift_skewness = skewness(made.transforms, problem)[0]
@@ -158,7 +161,7 @@ def finish(problem: Problem, at: Fit) -> tuple[Corrected, Fit]:
     if (last.problem.doubt > _VAGUE * np.abs(sizes))[bent].any():
         last = _settled(last.problem, last.fit, ((_MOST, False),))
     moved = np.abs(last.fit.x - start.x)[problem.n_nuisance :]
-    if last.fit.log_posterior + last.problem.lost < start.log_posterior:
+    if last.fit.log_posterior + last.problem.lost < start.log_posterior + near.lost:
         return replace(near, doubt=np.hypot(last.problem.doubt, moved)), start
     return replace(last.problem, doubt=np.hypot(last.problem.doubt, _UNSETTLED * moved)), last.fit
 
