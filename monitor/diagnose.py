@@ -16,7 +16,7 @@ from monitor.effects import Context, Effect
 from monitor.evidence import Evidence
 from monitor.fitting import Fit, fit
 from monitor.likelihood import Problem
-from monitor.misfit import Misfit, misfits
+from monitor.misfit import Misfit, misfits, strayed
 from monitor.parallel import each
 from monitor.polish import Polished, finish, polish, settle, skewness
 from monitor.reference import Reference
@@ -118,7 +118,8 @@ def diagnose(evidence: Evidence, reference: Reference, context: Context, setting
             at, doubt = only(problem, at, doubt, kept)
             accepted = [c for c, stays in zip(accepted, kept, strict=False) if stays]
             problem = problem if _bent(at) else replace(problem, offset=None)
-    misfit, left_over = misfits(problem, null, settings), misfits(problem, at, settings)
+    misfit = misfits(problem, null, settings)
+    left_over = (*strayed(problem, at, settings), *misfits(problem, at, settings))
     share = sum(m.size**2 for m in left_over) / max(sum(m.size**2 for m in misfit), 1.0)
     # The exact form of a nonlinear law far from rest is not known; what little that leaves is no cause of its own.
     bent = any(c.effect.nonlinear for c in accepted)

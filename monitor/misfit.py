@@ -88,6 +88,20 @@ def misfits(problem: Problem, fitted: Fit, settings: DiagnosisSettings) -> tuple
     return tuple(sorted(_listed(z, hz, problem, settings, "") + late, key=lambda m: -m.size))
 
 
+def strayed(problem: Problem, fitted: Fit, settings: DiagnosisSettings) -> tuple[Misfit, ...]:
+    """Effects that stood at calibration and are of another size now, which a fit's nuisances take up without a word."""
+    known, first = problem.reference, problem.reference.mean.size - problem.reference.n_standing
+    std = np.sqrt(np.diag(np.linalg.inv(known.precision))[first:])
+    away = np.abs(fitted.x[: known.mean.size] - known.mean)[first:] / std
+    out, effects = [], known.effects(fitted.x)
+    for effect, own in zip(effects, np.split(away, np.cumsum([len(e.parameters) for e in effects])), strict=False):
+        if own.max(initial=0.0) > settings.misfit:
+            now = ", ".join(f"{name} {value:.4g}" for name, value in effect.values().items())
+            where = f"{effect.name.replace('_', ' ')} of {effect.location}"
+            out.append(Misfit(where, float(own.max()), f"what stood at calibration is of another size now: {now}"))
+    return tuple(out)
+
+
 def _listed(z: Array, hz: Array, problem: Problem, settings: DiagnosisSettings, when: str) -> tuple[Misfit, ...]:
     names = [*problem.context.channels, "ground"]
     out = []

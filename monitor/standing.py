@@ -14,19 +14,21 @@ from monitor.results import Array
 from monitor.search import prepare
 
 _FIXED = 1e-4
+_LEAST = 1e-9
+"""Coordinate of an effect below which it is no more firmly fixed."""
 _CORRECTION_STD = 0.1
 _DAMPING_DRIFT = 0.05
 """Relative change of a mode's damping that needs no cause."""
-_NOISE_DRIFT = 0.3
+_NOISE_DRIFT = 0.2
 """The same of a channel's noise density over the others': what is noise about a channel may follow its motion."""
 
 
 def learn(evidence: Evidence, known: Reference, context: Context) -> tuple[Reference, Array]:
     """The reference that healthy evidence makes of what was known before.
 
-    First the model form alone is fitted.  Then its stiffnesses stay, and a symmetric correction within the modes in the
-    band, with the masses' ratios, takes up what it misses.  So every direction that is left free is one that data fix, and the
-    posterior is close to normal.
+    First the model form alone is fitted.  Then its stiffnesses and standing effects stay, and a symmetric correction within the
+    modes in the band, with the masses' ratios, takes up what it misses.  So every direction that is left free is one that data
+    fix, and the posterior is close to normal.
 
     Returns
     -------
@@ -48,7 +50,7 @@ def learn(evidence: Evidence, known: Reference, context: Context) -> tuple[Refer
         + 1.0 / (m * _FIXED) ** 2,  # their common scale cannot be seen: fixed for now
         known.precision[k + m : k + m + d + c, k + m : k + m + d + c],
         np.eye(basis.shape[0]) / _CORRECTION_STD**2,
-        known.precision[known.mean.size - effects.size :, known.mean.size - effects.size :],
+        np.diag((_FIXED * np.maximum(np.abs(effects), _LEAST)) ** -2.0),
     )
     wider = replace(known, mean=mean, precision=prior, basis=basis)
     _, fitted = prepare(evidence, wider, context)

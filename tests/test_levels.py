@@ -6,15 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
 
 from drivers.base import ACCELERATION
 from monitor.diagnose import diagnose
+from monitor.diagnosis_settings import DiagnosisSettings
 from monitor.effects import Context, parse_effect
 from monitor.evidence import Evidence, classify
 from monitor.fitting import Fit
 from monitor.levels import by_force, ground_levels, levels
 from monitor.likelihood import Problem
-from monitor.misfit import drift_bands
+from monitor.misfit import drift_bands, strayed
 from monitor.model import Model
 from monitor.record import blocks_of
 from monitor.reference import nominal
@@ -86,6 +88,22 @@ def test_a_line_is_found_between_its_bins() -> None:
         assert k + _off_the_bin(power, k) == pytest.approx(at, abs=1e-6)
     assert _off_the_bin(-np.ones(5), 2) == 0.0
     assert _off_the_bin(np.array([1.0, 0.5]), 0) == 0.0
+
+
+def test_what_stood_at_calibration_and_changed_is_told(shaken: tuple[Problem, Fit]) -> None:
+    problem, null = shaken
+    joints, known = parse_effect("joint_flexibility:frame:girder_to_column_ratio=10"), problem.reference
+    mean, n = np.append(known.mean, joints.coordinates), known.mean.size
+    standing = replace(
+        known,
+        model=replace(known.model, effects=(joints,)),
+        mean=mean,
+        precision=block_diag(known.precision, np.eye(1) / 0.002**2),
+    )
+    there = replace(problem, reference=standing)
+    for ratio, told in ((9.9, []), (6.0, ["joint flexibility of frame"])):
+        x = np.concatenate([null.x[:n], [1.0 / ratio], null.x[n:]])
+        assert [m.where for m in strayed(there, replace(null, x=x), DiagnosisSettings())] == told
 
 
 def test_where_a_law_bends_no_other_is_tried(shaken: tuple[Problem, Fit]) -> None:
