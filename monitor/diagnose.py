@@ -190,7 +190,9 @@ def _bent(at: Fit) -> bool:
 
 def _round(problem: Problem, at: Fit, lean: Array, settings: DiagnosisSettings, worth: float) -> list[Polished]:
     """The best candidates beside what was accepted, by evidence, of those that promise a gain of `worth`."""
-    taken = [(e.name, e.location) for e in (*problem.reference.effects(at.x), *at.effects)]
+    # What stood at calibration may have changed, but for laws, which are simulated one at a place.
+    standing = [e for e in problem.reference.effects(at.x) if e.nonlinear or not e.parameters]
+    taken = [(e.name, e.location) for e in (*standing, *at.effects)]
     ranked = [item for item in best_of_each(rank(problem, at, starts(problem, at, taken))) if item[0] > worth]
     choose = _chosen if problem.evidence.drive is None else _driven
     chosen, rough, bar = choose(problem, at, ranked, settings)

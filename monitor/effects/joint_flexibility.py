@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import inf
 from typing import ClassVar, Literal, Self
 
-import numpy as np
-
 from monitor.effects.base import Condition, Context, Effect, EffectError
 from monitor.effects.parameter import Parameter
-from monitor.results import Array
 from monitor.structures import ShearFrame, Structure
 
 
@@ -42,28 +39,11 @@ class JointFlexibility(Effect):
                 f"{self.name}: needs a shear frame, a structure given by matrices has its girders in them"
             )
 
-    def structural(self, mass: Array, stiffness: Array, structure: Structure) -> tuple[Array, Array]:
-        """See `Effect.structural`."""
-        if self.girder_to_column_ratio == inf:
-            return mass, stiffness
+    def altered(self, structure: Structure) -> Structure:
+        """See `Effect.altered`; beside joints that were known, they are by so much more flexible."""
         assert isinstance(structure, ShearFrame), "refused by `check`"
-        n = structure.n_stories
-        heights = np.ones(n) if structure.story_heights_m is None else structure.story_heights_m
-        column = structure.stiffness_n_per_m * heights**2 / 24.0  # E I_c / h of one of the two columns
-        built = column if structure.built_n_per_m is None else structure.built_n_per_m * heights**2 / 24.0
-        girder = self.girder_to_column_ratio * float(built.mean())
-        drift = structure.drift_matrix()
-        # Story j's rotations: its upper floor's and, but for the clamped ground, its lower floor's.
-        rotation_sum = np.eye(n) + np.eye(n, k=1)
-        k_theta = 12.0 * girder * np.eye(n)  # one girder bent in double curvature, both ends
-        for j in range(n):
-            ends = [j] if j == n - 1 else [j, j + 1]
-            for a in ends:
-                for b in ends:
-                    k_theta[a, b] += column[j] * (8.0 if a == b else 4.0)
-        coupling = -(drift.T * (12.0 * column / heights)) @ rotation_sum
-        condensed = coupling @ np.linalg.solve(k_theta, coupling.T)
-        return mass, np.asarray(stiffness - condensed)
+        more = 0.0 if self.girder_to_column_ratio == inf else 1.0 / self.girder_to_column_ratio
+        return replace(structure, column_to_girder=structure.column_to_girder + more)
 
     @classmethod
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:

@@ -29,6 +29,9 @@ class ShearFrame:
     built_n_per_m: Array | None = None
     """Story stiffnesses before they changed, to which girders were built, shape (n,); None: those of `stiffness_n_per_m`."""
 
+    column_to_girder: float = 0.0
+    """(E I_c / h) / (E I_g / L_g): one column as built, the mean over stories, over one girder of a one-bay frame; 0: rigid."""
+
     @property
     def n_stories(self) -> int:
         """Number of stories, and of floors."""
@@ -63,7 +66,33 @@ class ShearFrame:
     def stiffness_matrix(self) -> Array:
         """Shape (n, n), N/m."""
         drift = self.drift_matrix()
-        return np.asarray(drift.T @ (self.stiffness_n_per_m[:, None] * drift))
+        rigid = np.asarray(drift.T @ (self.stiffness_n_per_m[:, None] * drift))
+        return rigid if self.column_to_girder == 0.0 else rigid - self._lost_by_rotation()
+
+    def _lost_by_rotation(self) -> Array:
+        """What joints that rotate, those of a floor alike, take of the stiffness once condensed, shape (n, n).
+
+        Heights are taken equal where none are given.
+
+        References
+        ----------
+        A. K. Chopra, Dynamics of Structures, section 9.3 (beam-to-column stiffness ratio) and 9.4 (condensation).
+        """
+        n = self.n_stories
+        heights = np.ones(n) if self.story_heights_m is None else self.story_heights_m
+        column = self.stiffness_n_per_m * heights**2 / 24.0  # E I_c / h of one of the two columns
+        built = column if self.built_n_per_m is None else self.built_n_per_m * heights**2 / 24.0
+        girder = float(built.mean()) / self.column_to_girder
+        # Story j's rotations: its upper floor's and, but for the clamped ground, its lower floor's.
+        rotation_sum = np.eye(n) + np.eye(n, k=1)
+        k_theta = 12.0 * girder * np.eye(n)  # one girder bent in double curvature, both ends
+        for j in range(n):
+            ends = [j] if j == n - 1 else [j, j + 1]
+            for a in ends:
+                for b in ends:
+                    k_theta[a, b] += column[j] * (8.0 if a == b else 4.0)
+        coupling = -(self.drift_matrix().T * (12.0 * column / heights)) @ rotation_sum
+        return np.asarray(coupling @ np.linalg.solve(k_theta, coupling.T))
 
     def mass_derivatives(self) -> Array:
         """dM / dm_i, shape (n, n, n): first axis is the floor."""
@@ -73,7 +102,7 @@ class ShearFrame:
         return unit
 
     def stiffness_derivatives(self) -> Array:
-        """dK / dk_j, shape (n, n, n): first axis is the story."""
+        """dK / dk_j of rigid joints, shape (n, n, n): first axis is the story."""
         drift = self.drift_matrix()
         return np.asarray(np.einsum("ja,jb->jab", drift, drift))
 
