@@ -38,7 +38,7 @@ class Structure(Protocol):
         """The same structure with other stiffnesses, shape (p,)."""
 
     def changed(self, relative: Array) -> Self:
-        """After its stiffnesses changed by these shares, shape (p,); what is sized by them stays as it was built."""
+        """After its stiffnesses changed by these shares of what was built, shape (p,); what is sized by them stays."""
 
     def with_masses(self, masses_kg: Array) -> Self:
         """The same structure with other masses, shape (N,)."""

@@ -49,7 +49,7 @@ class ShearFrame:
     def changed(self, relative: Array) -> Self:
         """See `Structure.changed`."""
         built = self.stiffness_n_per_m if self.built_n_per_m is None else self.built_n_per_m
-        return replace(self, stiffness_n_per_m=self.stiffness_n_per_m * (1.0 + relative), built_n_per_m=built)
+        return replace(self, stiffness_n_per_m=self.stiffness_n_per_m + relative * built, built_n_per_m=built)
 
     def with_masses(self, masses_kg: Array) -> Self:
         """See `Structure.with_masses`."""
