@@ -59,9 +59,9 @@ def form_doubt(problem: Problem, at: Fit, effect: Effect) -> Array:
         correction = problem.reference.parts(at.x)[4]
         rms = float(np.sqrt((correction**2).mean())) if correction.size else 0.0
         beside = (*problem.reference.effects(at.x), *at.effects)
-        ratios = [e.girder_to_column_ratio for e in beside if isinstance(e, JointFlexibility)]
-        changes = effect.name == "stiffness_change"
-        return np.asarray(size * np.hypot(_FORM * rms, _GIRDERS / max(1.0, *ratios) if ratios and changes else 0.0))
+        flexible = sum(1.0 / e.girder_to_column_ratio for e in beside if isinstance(e, JointFlexibility))
+        girders = _GIRDERS * min(flexible, 1.0) if effect.name == "stiffness_change" else 0.0
+        return np.asarray(size * np.hypot(_FORM * rms, girders))
     if effect.name == "cubic_stiffness" and effect.coordinates[0] < 0.0:
         drift = problem.conditions[problem.n_classes // 2].drift_m[effect.index]
         stiffness = problem.context_at(at.x).structure.stiffness_n_per_m[effect.index]

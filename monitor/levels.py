@@ -32,11 +32,11 @@ def by_force(problem: Problem, x: Array, effects: Sequence[Effect]) -> ComplexAr
     whole, ground = problem.scatter(still, effects), linear.scatter(still, effects) - calm.scatter(still, effects)
     none = still.copy()
     none[p : p + n] = _NONE
-    alone = []
+    alone, unforced = [], calm.scatter(none, effects)
     for j in range(n):
         one = none.copy()
         one[p + j] = still[p + j]
-        alone.append(calm.scatter(one, effects) - calm.scatter(none, effects))
+        alone.append(calm.scatter(one, effects) - unforced)
     parts = np.stack([*alone, ground])
     parts[:n] += (whole - parts.sum(axis=0)) / n
     return parts

@@ -14,8 +14,6 @@ from monitor.results import Array
 from monitor.search import prepare
 
 _FIXED = 1e-4
-_LEAST = 1e-9
-"""Coordinate of an effect below which it is no more firmly fixed."""
 _CORRECTION_STD = 0.1
 _DAMPING_DRIFT = 0.05
 """Relative change of a mode's damping that needs no cause."""
@@ -26,9 +24,9 @@ _NOISE_DRIFT = 0.2
 def learn(evidence: Evidence, known: Reference, context: Context) -> tuple[Reference, Array]:
     """The reference that healthy evidence makes of what was known before.
 
-    First the model form alone is fitted.  Then its stiffnesses and standing effects stay, and a symmetric correction within the
-    modes in the band, with the masses' ratios, takes up what it misses.  So every direction that is left free is one that data
-    fix, and the posterior is close to normal.
+    First the model form alone is fitted.  Then its stiffnesses stay, standing effects of the structure stay as well as they are
+    known, and a symmetric correction within the modes in the band, with the masses' ratios, takes up what it misses.  So every
+    direction that is left free is one that data fix, and the posterior is close to normal.
 
     Returns
     -------
@@ -42,7 +40,12 @@ def learn(evidence: Evidence, known: Reference, context: Context) -> tuple[Refer
     model = known.model.with_stiffness(np.exp(x[:k])).with_masses(np.exp(x[k : k + m]))
     n_modes = int(np.count_nonzero(model.modes().frequencies_hz < evidence.band.hz[-1]))
     basis = correction_basis(model, n_modes)
-    effects = np.concatenate([[], *[e.coordinates for e in known.effects(x)]])
+    standing = known.effects(x)
+    effects = np.concatenate([[], *[e.coordinates for e in standing]])
+    sizes = slice(known.mean.size - effects.size, known.mean.size)
+    # The correction could take the place of these, and their sizes drift far beside it.
+    like = [e.family == "structure" and not e.conditional for e in standing for _ in e.parameters]
+    held = np.where(like, 1.0 / np.diag(form.covariance)[sizes], 0.0)
     mean = np.concatenate([x[: k + m + d + c], np.zeros(basis.shape[0]), effects])
     prior = block_diag(
         np.eye(k) / _FIXED**2,
@@ -50,7 +53,7 @@ def learn(evidence: Evidence, known: Reference, context: Context) -> tuple[Refer
         + 1.0 / (m * _FIXED) ** 2,  # their common scale cannot be seen: fixed for now
         known.precision[k + m : k + m + d + c, k + m : k + m + d + c],
         np.eye(basis.shape[0]) / _CORRECTION_STD**2,
-        np.diag((_FIXED * np.maximum(np.abs(effects), _LEAST)) ** -2.0),
+        known.precision[sizes, sizes] + np.diag(held),
     )
     wider = replace(known, mean=mean, precision=prior, basis=basis)
     _, fitted = prepare(evidence, wider, context)

@@ -15,12 +15,7 @@ from monitor.structures import ShearFrame, Structure
 class JointFlexibility(Effect):
     """Story shear from two columns clamped into joints that rotate, held by one girder a floor.
 
-    Both joints of a floor rotate alike (sway), so each floor has one rotation; the rotations are condensed
-    statically.  Heights are taken equal where the structure file gives none.
-
-    References
-    ----------
-    A. K. Chopra, Dynamics of Structures, section 9.3 (beam-to-column stiffness ratio) and 9.4 (condensation).
+    Both joints of a floor rotate alike (sway), so each floor has one rotation; `ShearFrame` condenses them.
     """
 
     name: ClassVar[str] = "joint_flexibility"

@@ -26,6 +26,8 @@ class MatrixStructure:
     """What no parameter touches, shape (N, N), N/m."""
     slopes: Array
     """dK_j, shape (p, N, N)."""
+    built_n_per_m: Array | None = None
+    """Stiffnesses before they changed, shape (p,); None: those of `stiffness_n_per_m`."""
 
     @classmethod
     def create(cls, mass: Array, stiffness: Array, slopes: Array, nominal: Array, damping_ratio: float) -> Self:
@@ -66,7 +68,8 @@ class MatrixStructure:
 
     def changed(self, relative: Array) -> Self:
         """See `Structure.changed`."""
-        return replace(self, stiffness_n_per_m=self.stiffness_n_per_m * (1.0 + relative))
+        built = self.stiffness_n_per_m if self.built_n_per_m is None else self.built_n_per_m
+        return replace(self, stiffness_n_per_m=self.stiffness_n_per_m + relative * built, built_n_per_m=built)
 
     def with_masses(self, masses_kg: Array) -> Self:
         """See `Structure.with_masses`."""

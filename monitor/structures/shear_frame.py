@@ -28,7 +28,6 @@ class ShearFrame:
     """Shape (n,)."""
     built_n_per_m: Array | None = None
     """Story stiffnesses before they changed, to which girders were built, shape (n,); None: those of `stiffness_n_per_m`."""
-
     column_to_girder: float = 0.0
     """(E I_c / h) / (E I_g / L_g): one column as built, the mean over stories, over one girder of a one-bay frame; 0: rigid."""
 

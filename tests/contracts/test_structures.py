@@ -106,3 +106,11 @@ def test_a_cantilever_has_the_frequencies_of_the_textbook() -> None:
     beam = cantilever(12)
     omega = np.sqrt(eigh(beam.stiffness_matrix(), beam.mass_matrix(), eigvals_only=True))
     np.testing.assert_allclose(omega[:3], np.array([1.8751041, 4.6940911, 7.8547574]) ** 2, rtol=5e-4)
+
+
+@every
+def test_changes_of_a_stiffness_add_up_in_shares_of_what_was_built(structure: Structure) -> None:
+    first = np.eye(structure.n_stories)[0]
+    twice = structure.changed(-0.6 * first).changed(-0.6 * first)
+    np.testing.assert_allclose(twice.stiffness_n_per_m, structure.stiffness_n_per_m * (1.0 - 1.2 * first))
+    np.testing.assert_array_equal(structure.changed(0.0 * first).stiffness_matrix(), structure.stiffness_matrix())
