@@ -73,11 +73,14 @@ def _alternative(candidate: Candidate, probability: float) -> dict[str, Any]:
 
 def _standing(reference: Reference) -> list[dict[str, Any]]:
     """The causes that calibration found, with what the healthy data say of their sizes."""
-    variance = np.diag(np.linalg.pinv(reference.precision, hermitian=True))
+    # In units of their own: a law's size in N/m^3 is known to so few parts in 1e24 that it would pass for nothing.
+    unit = np.maximum(np.diag(reference.precision), 1e-300) ** -0.5
+    variance = unit**2 * np.diag(np.linalg.pinv(reference.precision * np.outer(unit, unit), hermitian=True))
     first, out = reference.mean.size - reference.n_standing, []
     for effect in reference.effects(reference.mean):
         n = len(effect.parameters)
-        sizes = _sizes(effect, np.sqrt(np.maximum(variance[first : first + n], 0.0)))
+        form = np.abs(effect.coordinates) * np.array(effect.form_doubt or (0.0,) * n)
+        sizes = _sizes(effect, np.hypot(np.sqrt(np.maximum(variance[first : first + n], 0.0)), form))
         out.append(_cause(effect, {name: size["std"] for name, size in sizes.items()}, reference))
         first += n
     return out
