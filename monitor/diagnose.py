@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Literal
@@ -68,85 +69,128 @@ class Diagnosis:
     rounds: tuple[tuple[Candidate, ...], ...] = field(default=())
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class _Stage:
+    """How far the search has come."""
+
+    problem: Problem
+    at: Fit
+    null: Fit
+    """The model form without causes, fitted."""
+    accepted: tuple[Candidate, ...]
+    lean: Array
+    """Skewness of every story's drift that the accepted laws explain, shape (n,)."""
+    margin: float
+    """Evidence from which a further cause is one, nats."""
+
+
 def diagnose(evidence: Evidence, reference: Reference, context: Context, settings: DiagnosisSettings) -> Diagnosis:
     """Search the catalogue for what explains a recording.
 
     After a cause is accepted the search is repeated on the extended model, until nothing is left that it explains.
     """
     problem, null = prepare(evidence, reference, context)
-    at, rounds = null, []
+    stage = _Stage(problem, null, null, (), np.zeros(context.structure.n_stories), settings.margin)
+    rounds: list[tuple[Candidate, ...]] = []
     alternatives: tuple[tuple[Candidate, float], ...] = ()
-    accepted: list[Candidate] = []
-    lean, margin = np.zeros(context.structure.n_stories), settings.margin
-    while len(accepted) < settings.max_causes:
-        worth = settings.worth * margin / settings.margin
-        tried = _round(problem, at, lean, settings, worth)
-        if (better := missed(problem, at, tried)) is not None:
-            problem, at = better
-            null = null if accepted else at
-            tried = _round(problem, at, lean, settings, worth)
+    while len(stage.accepted) < settings.max_causes:
+        stage, tried = _searched(stage, settings)
         rounds.append(tuple(p.candidate for p in tried))
-        if not tried or tried[0].candidate.evidence < margin:
+        if not tried or tried[0].candidate.evidence < stage.margin:
             break
         close = together(tried, settings.rival)
         if len(close) > 1:
             close = _looked_ahead(close, settings)
-        best = close[0]
-        problem, at, lean = best.problem, best.candidate.fit, best.skewness
         if len(close) > 1:
             alternatives = tuple(zip((p.candidate for p in close), probabilities(close).tolist(), strict=True))
+            stage = replace(stage, problem=close[0].problem, at=close[0].candidate.fit)
             break
-        accepted.append(best.candidate)
-        problem, at = between_samples(_extended(problem, at), at)
-        if evidence.drive is not None and _bent(at):  # linearized slopes lead near; the exact ones tell what is known
-            at = fit(replace(problem, exact_slopes=True), at.x, at.effects)
-        else:  # damping is freer now, the motion is known, and how far up the forces reach
-            at = fit(problem, at.x, at.effects)
-        if len(accepted) > 1 and _bent(at) and evidence.drive is None:  # corrected without the newest cause
-            made = settle(problem, at)
-            problem, at, lean = made.problem, made.fit, skewness(made.transforms, problem)[0]
-        if best.candidate.effect.nonlinear:
-            margin = max(margin, settings.aftermath * best.candidate.gain, settings.margin + SURE * best.chance)
-    problem, at, accepted = revised(problem, at, accepted, rounds, settings.margin, settings.rival)
-    doubt = np.zeros(at.n_effect)
-    if _bent(at) and evidence.drive is None:
-        problem, at = finish(problem, at)
-        doubt = problem.doubt
-        # What the law's better size leaves of another cause may be nothing.
-        kept = [sure(e, std) for e, std in zip(at.effects, deviations(problem, at, doubt), strict=True)]
-        if any(kept) and not all(kept):
-            at, doubt = only(problem, at, doubt, kept)
-            accepted = [c for c, stays in zip(accepted, kept, strict=False) if stays]
-            problem = problem if _bent(at) else replace(problem, offset=None)
-    misfit = misfits(problem, null, settings)
+        stage = _with(stage, close[0], settings)
+    problem, at, accepted = revised(stage.problem, stage.at, stage.accepted, rounds, settings.margin, settings.rival)
+    problem, at, accepted, doubt = _finished(problem, at, accepted)
+    misfit = misfits(problem, stage.null, settings)
     left_over = (*strayed(problem, at, settings), *misfits(problem, at, settings))
-    share = sum(m.size**2 for m in left_over) / max(sum(m.size**2 for m in misfit), 1.0)
-    # The exact form of a nonlinear law far from rest is not known; what little that leaves is no cause of its own.
-    bent = any(c.effect.nonlinear for c in accepted)
-    if left_over and not (bent and share < settings.remainder):
-        verdict: Verdict = "unexplained"
-    elif alternatives:
-        verdict = "ambiguous"
-    else:
-        verdict = "named" if accepted else "none"
+    verdict = _verdict(misfit, left_over, accepted, bool(alternatives), settings)
     # A response shows more than bands do: what the modes' ratios and their dependence on the level say.
-    plain = (ratios(problem, at), level_dependence(backbone(problem, null)))
-    misfit = (*[m for m in plain if m is not None], *misfit)
+    plain = (ratios(problem, at), level_dependence(backbone(problem, stage.null)))
     still = level_dependence(backbone(problem, at))
-    left_over = left_over if still is None else (*left_over, still)
     return Diagnosis(
         verdict=verdict,
         causes=_causes(problem, at, accepted, doubt),
         alternatives=alternatives,
-        misfit=misfit,
-        left_over=left_over,
+        misfit=(*[m for m in plain if m is not None], *misfit),
+        left_over=left_over if still is None else (*left_over, still),
         tried=rounds[0] if rounds else (),
         problem=problem,
-        null=null,
+        null=stage.null,
         final=at,
         settings=settings,
         rounds=tuple(rounds),
     )
+
+
+def _searched(stage: _Stage, settings: DiagnosisSettings) -> tuple[_Stage, list[Polished]]:
+    """What may come next, best first; and the stage, fitted anew where the search came upon a better fit without any."""
+    worth = settings.worth * stage.margin / settings.margin
+    tried = _round(stage.problem, stage.at, stage.lean, settings, worth)
+    better = missed(stage.problem, stage.at, tried)
+    if better is None:
+        return stage, tried
+    problem, at = better
+    stage = replace(stage, problem=problem, at=at, null=stage.null if stage.accepted else at)
+    return stage, _round(problem, at, stage.lean, settings, worth)
+
+
+def _with(stage: _Stage, best: Polished, settings: DiagnosisSettings) -> _Stage:
+    """The stage once a cause is accepted: everything fitted beside it, and what a further one must bring."""
+    accepted = (*stage.accepted, best.candidate)
+    problem, at = best.problem, best.candidate.fit
+    driven = problem.evidence.drive is not None
+    problem, at = between_samples(_extended(problem, at), at)
+    # Damping is freer now, the motion is known, and how far up the forces reach; to a measured ground's response linearized
+    # slopes led near, and the exact ones tell what is known.
+    at = fit(replace(problem, exact_slopes=driven and _bent(at)), at.x, at.effects)
+    lean, margin = best.skewness, stage.margin
+    if len(accepted) > 1 and _bent(at) and not driven:  # corrected without the newest cause
+        made = settle(problem, at)
+        problem, at, lean = made.problem, made.fit, skewness(made.transforms, problem)[0]
+    if best.candidate.effect.nonlinear:
+        margin = max(margin, settings.aftermath * best.candidate.gain, settings.margin + SURE * best.chance)
+    return _Stage(problem, at, stage.null, accepted, lean, margin)
+
+
+def _finished(
+    problem: Problem, at: Fit, accepted: tuple[Candidate, ...]
+) -> tuple[Problem, Fit, tuple[Candidate, ...], Array]:
+    """With laws simulated as finely as what is published asks for, and their sizes' doubt; shape (p,)."""
+    if not _bent(at) or problem.evidence.drive is not None:
+        return problem, at, accepted, np.zeros(at.n_effect)
+    near, at = finish(problem, at)
+    # What the law's better size leaves of another cause may be nothing.
+    kept = [sure(e, std) for e, std in zip(at.effects, deviations(near, at, near.doubt), strict=True)]
+    if not any(kept) or all(kept):
+        return near, at, accepted, near.doubt
+    at, doubt = only(near, at, near.doubt, kept)
+    # The last effect of an ambiguous answer was not accepted.
+    accepted = tuple(c for c, stays in zip(accepted, kept, strict=False) if stays)
+    return near if _bent(at) else replace(near, offset=None), at, accepted, doubt
+
+
+def _verdict(
+    misfit: Sequence[Misfit],
+    left_over: Sequence[Misfit],
+    accepted: Sequence[Candidate],
+    ambiguous: bool,
+    settings: DiagnosisSettings,
+) -> Verdict:
+    share = sum(m.size**2 for m in left_over) / max(sum(m.size**2 for m in misfit), 1.0)
+    # The exact form of a nonlinear law far from rest is not known; what little that leaves is no cause of its own.
+    bent = any(c.effect.nonlinear for c in accepted)
+    if left_over and not (bent and share < settings.remainder):
+        return "unexplained"
+    if ambiguous:
+        return "ambiguous"
+    return "named" if accepted else "none"
 
 
 def _looked_ahead(close: list[Polished], settings: DiagnosisSettings) -> list[Polished]:
@@ -301,7 +345,7 @@ def _mirrored(fitted: Fit, mirror: Effect) -> Array:
     return joined(fitted.x[: -len(mirror.parameters)], (mirror,))
 
 
-def _causes(problem: Problem, fitted: Fit, accepted: list[Candidate], doubt: Array) -> tuple[Cause, ...]:
+def _causes(problem: Problem, fitted: Fit, accepted: Sequence[Candidate], doubt: Array) -> tuple[Cause, ...]:
     """The accepted effects with the standard deviations of their parameters."""
     out = []
     for effect, deviation, _ in zip(fitted.effects, deviations(problem, fitted, doubt), accepted, strict=False):

@@ -173,15 +173,21 @@ def structure_text(text: str, model: Model, reference_degc: float | None = None)
 
 
 def effects_text(text: str, effects: Iterable[Effect]) -> str:
-    """A structure file with these effects: parameters set where the file states the effect, the others added."""
+    """A structure file with these effects: parameters set where the file states the effect, the others added.
+
+    Of two effects of a kind at one place, which add up, each has an entry of its own.
+    """
     document = tomlkit.parse(text)
     listed: Any = document.get("effects")
     if not isinstance(listed, AoT):
         document.pop("effects", None)
         listed = tomlkit.aot()
+    stated = list(listed)
     for effect in effects:
-        found = next((t for t in listed if (t["effect"], t["location"]) == (effect.name, effect.location)), None)
-        if found is None:
+        like = [i for i, t in enumerate(stated) if (t["effect"], t["location"]) == (effect.name, effect.location)]
+        if like:
+            found = stated.pop(like[0])
+        else:
             found = tomlkit.table()
             found["effect"], found["location"] = effect.name, effect.location
             listed.append(found)

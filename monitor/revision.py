@@ -52,7 +52,7 @@ def revised(
     rounds: Sequence[Sequence[Candidate]],
     margin: float,
     lead: float,
-) -> tuple[Problem, Fit, list[Candidate]]:
+) -> tuple[Problem, Fit, tuple[Candidate, ...]]:
     """The causes once the later ones are known: without what they made superfluous, and rivals where these are better now.
 
     Parameters
@@ -91,7 +91,7 @@ def revised(
         if isinstance(problem, Corrected):
             problem = replace(problem, doubt=np.zeros(0))  # which was that of other causes
         at = fit(problem, at.x, at.effects)
-    return problem if any(e.nonlinear for e in at.effects) else replace(problem, offset=None), at, kept
+    return problem if any(e.nonlinear for e in at.effects) else replace(problem, offset=None), at, tuple(kept)
 
 
 def only(problem: Problem, at: Fit, doubt: Array, kept: Sequence[bool]) -> tuple[Fit, Array]:

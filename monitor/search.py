@@ -10,7 +10,7 @@ from typing import get_args
 import numpy as np
 
 from monitor.driven import Between
-from monitor.effects import EFFECTS, Condition, Context, Effect, locations
+from monitor.effects import EFFECTS, Condition, Context, Effect, EffectError, locations
 from monitor.evidence import Evidence
 from monitor.fitting import Fit, fit, inverse
 from monitor.forward import Prediction
@@ -159,7 +159,16 @@ def starts(problem: Problem, null: Fit, taken: Iterable[tuple[str, str]] = ()) -
                 out.extend(kind.starts(place, problem.context, typical))
                 near = (kind.at_frequency(place, float(f), problem.context, typical) for f in found)
                 out.extend(e for e in near if e is not None)
-    return out
+    return [e for e in out if _possible(e, problem.context)]
+
+
+def _possible(effect: Effect, context: Context) -> bool:
+    """Whether the structure is one that the effect can act on."""
+    try:
+        effect.check(context.structure, context.channels)
+    except EffectError:
+        return False
+    return True
 
 
 def peaks(problem: Problem, null: Fit, n: int = 3) -> Array:

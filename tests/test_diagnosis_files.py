@@ -143,6 +143,26 @@ def test_an_effect_is_added_once() -> None:
     assert effects_text(TEXT, ()) == TEXT
 
 
+def test_two_changes_of_one_story_add_up_in_the_file_too(tmp_path: Path) -> None:
+    text = """[structure]
+kind = "shear_frame"
+masses_kg = [1.0, 1.0]
+stiffness_n_per_m = [1e4, 1e4]
+
+[[sensors]]
+channel = "a1"
+floor = 1
+
+[[effects]]
+effect = "stiffness_change"
+location = "story 2"
+parameters = { relative = -0.1 }
+"""
+    first, second = (parse_effect(f"stiffness_change:story 2:relative={x}") for x in (-0.1, -0.15))
+    model = loaded(tmp_path, effects_text(text, (first, second))).model()
+    np.testing.assert_allclose(model.structural_matrices()[1], [[1e4, -1e4], [-1e4, 1.75e4]])
+
+
 def test_matrices_are_written_out_where_the_input_names_files(tmp_path: Path) -> None:
     site = settings()
     drawn = site.model().structure

@@ -71,16 +71,20 @@ def test_a_frame_given_by_its_matrices_gives_the_frame_s_results(main, frame_tex
             done = main(*arguments, "--structure", tmp_path / f"{name}.toml")
             assert done.returncode == 0, done.stderr
 
-        run("simulate", "--out", tmp_path / f"{name}.mcap", "--duration", 60, "--rate", 128)
-        run("simulate", "--out", tmp_path / f"{name}-worse.mcap", "--duration", 40, "--rate", 128, "--seed", 1,
+        run("simulate", "--out", tmp_path / f"{name}.mcap", "--duration", 120, "--rate", 128)
+        run("simulate", "--out", tmp_path / f"{name}-worse.mcap", "--duration", 80, "--rate", 128, "--seed", 1,
             "--damage", "story2=0.1")  # fmt: skip
         run("calibrate", tmp_path / f"{name}.mcap", "--out", tmp_path / f"{name}.json")
         run(
             "replay", tmp_path / f"{name}-worse.mcap", "--baseline", tmp_path / f"{name}.json", "--out", tmp_path / name
         )
+        run(
+            "diagnose", tmp_path / f"{name}-worse.mcap", "--baseline", tmp_path / f"{name}.json", "--out", tmp_path / name
+        )
+        assert json.loads((tmp_path / name / "diagnosis.json").read_text())["cause"]["location"] == "story 2"
         assert main("check", tmp_path / f"{name}.toml").returncode == 0
         found.append([json.loads(line) for line in (tmp_path / name / "results.jsonl").read_text().splitlines()])
-    assert len(found[0]) == 5
+    assert len(found[0]) == 13
     for one, other in zip(*found, strict=True):
         for key in ("frequencies_hz", "ddi", "ddi_std", "ddi_sequential", "stiffness_n_per_m"):
             np.testing.assert_allclose(one[key], other[key], rtol=1e-6, atol=1e-7)

@@ -48,4 +48,4 @@ class GravitySoftening(Effect):
     @classmethod
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
         """See `Effect.starts`."""
-        return () if context.structure.story_heights_m is None else (cls(location, 0.6),)
+        return (cls(location, 0.6),)
