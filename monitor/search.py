@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import chain
 from typing import get_args
 
@@ -26,6 +27,8 @@ _HEAVY, _LIGHTER, _HELD_DAMPING = 0.05, 0.015, 1e4
 """Damping ratios at which that fit begins and goes on, and the precision that holds the former."""
 _ROUGHLY = 4
 """Iterations by which ways of the ground between its samples, and kinds of causes, are compared."""
+_QUICKLY, _LONG, _BRIEFLY = 5, 15, 6
+"""Iterations of a rough fit without a measured ground, of one to the end, and of one beside a held structure."""
 _FINE, _COARSE = 0.02, 0.3
 """Nats that the last step of a fit may promise; driven motion tells causes apart by hundreds."""
 _STATIONARY = ("sensor_clipping",)
@@ -103,7 +106,7 @@ def _from_afar(problem: Problem) -> Fit:
     mean[modes] = np.log(_HEAVY)
     precision[modes, modes] += _HELD_DAMPING
     wide = replace(problem, reference=replace(known, mean=mean, precision=precision))
-    near = fit(wide, np.concatenate([mean, x[mean.size :]]), iterations=15).x
+    near = fit(wide, np.concatenate([mean, x[mean.size :]]), iterations=_LONG).x
     near[modes] = np.log(_LIGHTER)
     return fit(problem, near, iterations=_FAR)
 
@@ -285,22 +288,26 @@ def judge(
     driven = problem.evidence.drive is not None
     # Driven motion tells so much that a cause bends the other slopes at once.
     frozen = null.jacobian[:, : problem.n_nuisance] if quick and not driven else None
-    iterations = (_ROUGHLY if driven else 5) if quick else _FAR if driven else 15
-    tolerance = _COARSE if driven else _FINE
-    fitted = fit(problem, null.x, (*null.effects, effect), iterations=iterations, tolerance=tolerance, frozen=frozen)
-    found = evidence_of(problem, null, fitted)
+    few, many = (_ROUGHLY, _FAR) if driven else (_QUICKLY, _LONG)
+    fitted = partial(fit, problem, iterations=few if quick else many, tolerance=_COARSE if driven else _FINE)
+    found = evidence_of(problem, null, fitted(null.x, (*null.effects, effect), frozen=frozen))
     if not quick and not driven and null.log_prior < _DRAGGED:
-        x = np.concatenate([problem.reference.mean, null.x[problem.reference.mean.size :]])
-        known = problem.reference
-        held = replace(problem, reference=replace(known, precision=known.precision + _HELD * np.eye(known.mean.size)))
-        near = fit(held, x, (*null.effects, effect), iterations=6)
-        if found.may_reach(bar) or sum(problem.score(near.x, near.effects)) > fitted.log_posterior:
-            other = evidence_of(problem, null, fit(problem, near.x, near.effects, iterations=15))
+        near = _from_rest(problem, null, effect)
+        if found.may_reach(bar) or sum(problem.score(near.x, near.effects)) > found.fit.log_posterior:
+            other = evidence_of(problem, null, fit(problem, near.x, near.effects, iterations=_LONG))
             found = max(found, other, key=lambda c: c.evidence)
     if rough is not None and found.evidence < rough.evidence:
-        again = fit(problem, rough.fit.x, rough.fit.effects, iterations=iterations, tolerance=tolerance)
-        found = max(found, evidence_of(problem, null, again), key=lambda c: c.evidence)
+        again = evidence_of(problem, null, fitted(rough.fit.x, rough.fit.effects))
+        found = max(found, again, key=lambda c: c.evidence)
     return found
+
+
+def _from_rest(problem: Problem, null: Fit, effect: Effect) -> Fit:
+    """An effect's size beside a structure held where it was known to be."""
+    known = problem.reference
+    held = replace(problem, reference=replace(known, precision=known.precision + _HELD * np.eye(known.mean.size)))
+    x = np.concatenate([known.mean, null.x[known.mean.size :]])
+    return fit(held, x, (*null.effects, effect), iterations=_BRIEFLY)
 
 
 def evidence_of(problem: Problem, null: Fit, fitted: Fit, n_more: int | None = None) -> Candidate:
