@@ -23,7 +23,7 @@ from monitor.polish import Polished, finish, polish, settle, skewness
 from monitor.reference import Reference
 from monitor.results import Array
 from monitor.revision import joined, missed, moved, only, revised
-from monitor.rivals import SURE, probabilities, same, together
+from monitor.rivals import probabilities, same, together
 from monitor.search import Candidate, best_of_each, between_samples, judge, prepare, rank, starts
 
 _SMALL = 200.0
@@ -34,6 +34,8 @@ _MOVED = 0.05
 """Relative change of a frequency from which it matters what of the damping stayed."""
 _UNSURE = 0.1
 """Share of a gain by which a rough simulation may misjudge it."""
+_SURE = 3.0
+"""Standard deviations of a simulation's chance that a further cause must beat."""
 Verdict = Literal["none", "named", "ambiguous", "unexplained"]
 
 
@@ -155,7 +157,7 @@ def _with(stage: _Stage, best: Polished, settings: DiagnosisSettings) -> _Stage:
         made = settle(problem, at)
         problem, at, lean = made.problem, made.fit, skewness(made.transforms, problem)[0]
     if best.candidate.effect.nonlinear:
-        margin = max(margin, settings.aftermath * best.candidate.gain, settings.margin + SURE * best.chance)
+        margin = max(margin, settings.aftermath * best.candidate.gain, settings.margin + _SURE * best.chance)
     return _Stage(problem, at, stage.null, accepted, lean, margin)
 
 

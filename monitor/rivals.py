@@ -10,32 +10,30 @@ from monitor.polish import Polished
 from monitor.results import Array
 from monitor.search import change
 
-SURE = 3.0
-"""Standard deviations of a simulation's chance that a further cause, or one instead of another, must beat."""
 _TIED = 1.0
 """Nats between two predictions that are one and the same."""
 
 
 def together(tried: list[Polished], rival: float) -> list[Polished]:
-    """Those that the best of them does not beat by `rival` nats and the chance in their simulations, best first."""
+    """Those against which the log odds of the best are below `rival` nats, best first."""
     tried = sorted(tried, key=lambda p: -p.candidate.evidence)
-    best = tried[0]
-
-    def reach(p: Polished) -> float:
-        return p.candidate.evidence + SURE * float(np.hypot(p.chance, best.chance))
-
-    return [p for p in tried if p is best or reach(p) > best.candidate.evidence - rival]
+    return [p for p, odds in zip(tried, _log_odds(tried), strict=True) if odds > -rival]
 
 
 def probabilities(close: list[Polished]) -> Array:
-    """Of candidates against each other, the first being the best, shape (n,): the more chance there is in the evidence, the
-    nearer to even (D. MacKay, Neural Computation 4 (1992) 720).
-    """
-    best = close[0]
-    apart = np.array([p.candidate.evidence - best.candidate.evidence for p in close])
-    chance = np.array([np.hypot(p.chance, best.chance) for p in close])
-    odds = np.exp(apart / np.sqrt(1.0 + np.pi / 8.0 * chance**2))
+    """Of candidates against each other, the first being the best, shape (n,)."""
+    odds = np.exp(_log_odds(close))
     return np.asarray(odds / odds.sum())
+
+
+def _log_odds(ordered: list[Polished]) -> Array:
+    """Of candidates against the first, the best, shape (n,): the more chance there is in the evidence, the nearer to even
+    (D. MacKay, Neural Computation 4 (1992) 720).
+    """
+    best = ordered[0]
+    apart = np.array([p.candidate.evidence - best.candidate.evidence for p in ordered])
+    chance = np.array([np.hypot(p.chance, best.chance) for p in ordered])
+    return np.asarray(apart / np.sqrt(1.0 + np.pi / 8.0 * chance**2))
 
 
 def same(problem: Problem, one: Fit, other: Fit) -> bool:

@@ -27,8 +27,8 @@ def test_a_linear_cause_is_beaten_by_odds_alone() -> None:
     assert np.allclose(probabilities([best, near]), np.array([1.0, np.exp(-4.0)]) / (1.0 + np.exp(-4.0)))
 
 
-def test_the_chance_of_a_simulation_must_be_beaten_too_and_evens_the_odds() -> None:
-    best, law = judged(100.0), judged(90.0, chance=2.0)
-    assert together([best, law], RIVAL) == [best, law]
-    assert together([best, judged(100.0 - RIVAL - 6.1, chance=2.0)], RIVAL) == [best]
-    assert probabilities([best, law])[1] > 10.0 * np.exp(-10.0)
+def test_the_chance_of_a_simulation_evens_the_odds() -> None:
+    best, law, far = judged(100.0), judged(93.0, chance=2.0), judged(90.0, chance=2.0)
+    assert together([far, law, best], RIVAL) == [best, law]
+    assert np.exp(-RIVAL) < probabilities([best, law])[1] < 2.0 * np.exp(-RIVAL)
+    assert probabilities([best, far])[1] > 10.0 * np.exp(-10.0)

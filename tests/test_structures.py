@@ -75,12 +75,9 @@ def test_a_frame_given_by_its_matrices_gives_the_frame_s_results(main, frame_tex
         run("simulate", "--out", tmp_path / f"{name}-worse.mcap", "--duration", 80, "--rate", 128, "--seed", 1,
             "--damage", "story2=0.1")  # fmt: skip
         run("calibrate", tmp_path / f"{name}.mcap", "--out", tmp_path / f"{name}.json")
-        run(
-            "replay", tmp_path / f"{name}-worse.mcap", "--baseline", tmp_path / f"{name}.json", "--out", tmp_path / name
-        )
-        run(
-            "diagnose", tmp_path / f"{name}-worse.mcap", "--baseline", tmp_path / f"{name}.json", "--out", tmp_path / name
-        )
+        worse = (tmp_path / f"{name}-worse.mcap", "--baseline", tmp_path / f"{name}.json", "--out", tmp_path / name)
+        run("replay", *worse)
+        run("diagnose", *worse)
         assert json.loads((tmp_path / name / "diagnosis.json").read_text())["cause"]["location"] == "story 2"
         assert main("check", tmp_path / f"{name}.toml").returncode == 0
         found.append([json.loads(line) for line in (tmp_path / name / "results.jsonl").read_text().splitlines()])

@@ -9,6 +9,7 @@ import resource
 import subprocess
 import sys
 import time
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -105,20 +106,38 @@ def command(*arguments: object) -> Run:
     return Run(time.monotonic() - begin, cpu_s, int(done.stderr.partition("VmHWM:")[2].split()[0]) / 1024.0)
 
 
-def replays(folder: Path, hours: float) -> dict[str, dict[str, float]]:
-    """Whole replays with all files, as processes of their own: times real time, start-up apart, and peak memory."""
+def _kinds(folder: Path, config: Configuration) -> dict[str, tuple[object, ...]]:
+    """Options of a replay with all that it can do, and of one without what costs the most."""
     from monitor.baseline import save
 
-    config = configuration()
     save(baseline(config), folder / "baseline.json")
     (folder / "frame.toml").write_text(THREE_STORIES)
     (folder / "plain.toml").write_text(THREE_STORIES + PLAIN)
+    return {
+        "all": ("--structure", folder / "frame.toml", "--baseline", folder / "baseline.json"),
+        "without refinement and uncertainty": ("--structure", folder / "plain.toml"),
+    }
+
+
+def memory(folder: Path, hours: Iterable[float]) -> dict[str, dict[float, float]]:
+    """Peak memory of whole replays of recordings at 100 Hz with all files, MB by hours of data."""
+    config = configuration()
+    kinds = _kinds(folder, config)
+    found: dict[str, dict[float, float]] = {name: {} for name in kinds}
+    for length in hours:
+        recording = write(folder / "at-100-hz.mcap", config, length, rate_hz=100.0)
+        for name, options in kinds.items():
+            found[name][length] = command("replay", recording, *options, "--out", folder / "kept").rss_mb
+    return found
+
+
+def replays(folder: Path, hours: float) -> dict[str, dict[str, float]]:
+    """Whole replays with all files, as processes of their own: times real time, start-up apart, and peak memory."""
+    config = configuration()
     few_hours = min(0.25, hours / 2)
     short, long = write(folder / "short.mcap", config, few_hours), write(folder / "long.mcap", config, hours)
     found = {}
-    told = ("--structure", folder / "frame.toml", "--baseline", folder / "baseline.json")
-    plain = ("--structure", folder / "plain.toml")
-    for name, options in (("all", told), ("without refinement and uncertainty", plain)):
+    for name, options in _kinds(folder, config).items():
         few = command("replay", short, *options, "--out", folder / "few")
         many = command("replay", long, *options, "--out", folder / "many")
         data_s = 3600.0 * (hours - few_hours)
