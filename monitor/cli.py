@@ -163,7 +163,7 @@ def simulate(
 
     if out is None and to is None:
         raise typer.BadParameter("name a recording to write (--out), a destination (--to), or both")
-    spare_inputs([] if out is None else [out], [structure])
+    spare_inputs([] if out is None else [out], [structure, dbc])
     with cli_emulate.recording_for(out, to, dbc, speed) as file:
         record.simulate_to(
             file,
@@ -202,6 +202,7 @@ def import_(
     """Foreign data to our recording format."""
     from monitor.importers import import_files
 
+    spare_inputs([out], [*files, dbc])
     channels = {}
     for item in channel:
         name, separator, place = item.partition("=")

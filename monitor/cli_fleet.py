@@ -37,9 +37,9 @@ def fleet(
     from monitor import fleet as ships
     from monitor.publish.fleet_view import FleetView, text
 
+    spare_inputs([] if out is None else [out], [file])
     settings, served = ships.load(file), address(serve)
     if out is not None:
-        spare_inputs([out], [file])
         demand_place(out)
     statuses: list[ships.SiteStatus] = []
     with ships.Fleet(settings, file.resolve().parent) as network:

@@ -14,6 +14,7 @@ from monitor import config
 from monitor.cli_common import Json, say, warn
 from monitor.config import Configuration
 from monitor.errors import BadConfigurationError, MissingInputError, WrongUsageError
+from monitor.files import spare_inputs
 
 _WAIT_S = 5.0
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
@@ -91,6 +92,7 @@ def export(
     """The history as a table: SI units, times in UTC as ns since 1970; a running daemon is not disturbed."""
     from monitor import export as writer
 
+    spare_inputs([out], [place])
     span = _ns("--from", begin, 0), _ns("--to", end, (1 << 63) - 1)
     rows = writer.export(_folder(place) / "state" / "history.db", table, out, span)
     say(f"{rows} rows of {table} in {out}", {"rows": rows, "table": table, "out": str(out)}, as_json)

@@ -729,6 +729,37 @@ def test_an_output_in_the_place_of_an_input_is_refused_and_the_input_kept(
     assert target.read_bytes() == before
 
 
+@pytest.mark.parametrize(
+    ("command", "written"),
+    [
+        ("replay IN --structure IN --baseline IN --out DIR", "summary.json"),
+        ("calibrate IN --structure IN --out FILE", "b.json"),
+        ("simulate --structure IN --to zenoh:peer:tcp/127.0.0.1:1:a --dbc IN --out FILE", "r.mcap"),
+        ("import IN IN --dbc IN --out FILE", "r.mcap"),
+        ("diagnose IN --structure IN --baseline IN --out DIR", "diagnosis.json"),
+        ("accept IN --structure IN --baseline IN --out FILE", "s.toml"),
+        ("export IN --out FILE", "t.csv"),
+        ("reprocess IN --structure IN --baseline IN --out DIR", "surveys.json"),
+        ("fleet IN --out FILE", "v.rrd"),
+    ],
+)
+def test_no_command_writes_over_what_it_reads_however_it_is_spelled(
+    main: Cli, tmp_path: Path, command: str, written: str
+) -> None:
+    places = {"FILE": tmp_path / written, "DIR": tmp_path}
+    (tmp_path / "deep").mkdir()
+    (tmp_path / written).write_text("mine")
+    for victim in range(command.count("IN")):
+        inputs = [tmp_path / f"input{k}" for k in range(command.count("IN"))]
+        inputs[victim] = tmp_path / "deep" / ".." / written
+        names = iter(inputs)
+        done = main(*(next(names) if word == "IN" else places.get(word, word) for word in command.split()))
+        assert (done.returncode, done.stdout) == (2, ""), done.stderr
+        assert f"{tmp_path / written} is an input of this command" in done.stderr
+        assert (tmp_path / written).read_text() == "mine"
+        assert list(tree(tmp_path)) == [written]
+
+
 def test_a_replay_never_overwrites_its_own_baseline(site: Site, tmp_path: Path) -> None:
     recording, baseline = site.write("r.mcap", site.values(25)), tmp_path / "summary.json"
     assert_ok(site.main("calibrate", recording, "--structure", site.quick, "--out", baseline))

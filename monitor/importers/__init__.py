@@ -59,8 +59,6 @@ def import_files(
     """
     if rate_hz is not None and not (np.isfinite(rate_hz) and rate_hz > 0):
         raise BadInputError(f"--rate {rate_hz}: must be a positive number of Hz")
-    if not files or out in files:
-        raise BadInputError(f"{out}: name at least one file to import, and another one to write")
     if any(map(can_log.is_log, files)):
         can_log.check_options(files, dbc, channels, ground, start)
         assert dbc is not None
