@@ -27,7 +27,7 @@ from monitor import (
 )
 from monitor.allocator import keep_freed
 from monitor.cli_common import Json, Recordings, Structure, address, leave_unread, progress, say, warn
-from monitor.errors import BadConfigurationError, MissingInputError, UserError
+from monitor.errors import BadConfigurationError, MissingInputError, NoResourcesError, UserError
 from monitor.files import demand_place, spare_inputs, write_atomically
 
 app = typer.Typer(
@@ -136,13 +136,17 @@ def calibrate(
 def simulate(
     structure: Structure,
     out: Annotated[Path | None, typer.Option(metavar="REC.mcap", help="Recording to write; or give --to.")] = None,
-    duration: Annotated[float, typer.Option(min=0.01, help="Length in s.")] = 1200.0,
+    duration: Annotated[float, typer.Option(min=0.01, max=1e8, help="Length in s.")] = 1200.0,
     excitation: Annotated[str, typer.Option(help="ambient, impulse or ground.")] = "ambient",
-    noise: Annotated[float, typer.Option(min=0.0, help="Sensor noise, fraction of the mean RMS acceleration.")] = 0.05,
+    noise: Annotated[
+        float, typer.Option(min=0.0, max=1e3, help="Sensor noise, fraction of the mean RMS acceleration.")
+    ] = 0.05,
     damage: Annotated[list[str], typer.Option(metavar="storyN=LOSS", help="Relative stiffness loss.")] = [],  # noqa: B006
     effect: Annotated[list[str], typer.Option(metavar="NAME:LOCATION:PARAM=VALUE,...", help="Hidden effect.")] = [],  # noqa: B006
-    rate: Annotated[float, typer.Option(min=1.0, help="Sample rate in Hz.")] = 1024.0,
-    level_spread: Annotated[float, typer.Option(min=0.0, help="Relative spread of the excitation's level.")] = 0.0,
+    rate: Annotated[float, typer.Option(min=1.0, max=1e6, help="Sample rate in Hz.")] = 1024.0,
+    level_spread: Annotated[
+        float, typer.Option(min=0.0, max=10.0, help="Relative spread of the excitation's level.")
+    ] = 0.0,
     temperature: Annotated[
         str | None,
         typer.Option(
@@ -188,7 +192,7 @@ def import_(
     files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="CSV, NPZ, CAN log; several: one a level.")],
     out: Annotated[Path, typer.Option(metavar="REC.mcap", help="Recording to write.")],
     rate: Annotated[
-        float | None, typer.Option(min=0.001, help="Sample rate in Hz, where the file has no time.")
+        float | None, typer.Option(min=0.001, max=1e7, help="Sample rate in Hz, where the file has no time.")
     ] = None,
     unit: Annotated[str, typer.Option(help="Unit of the samples: m/s^2, g, mg or gal.")] = "m/s^2",
     channel: Annotated[
@@ -297,6 +301,11 @@ def main() -> None:
         kind = "bad configuration\n" if isinstance(error, BadConfigurationError) else ""
         print(f"error: {kind}{error}", file=sys.stderr)
         raise SystemExit(error.exit_code) from None
-    except PermissionError as error:
-        print(f"error: {error.filename}: {error.strerror}; run this as its owner or as root", file=sys.stderr)
+    except OSError as error:
+        place = "" if error.filename is None else f"{error.filename}: "
+        mend = "; run this as its owner or as root" if isinstance(error, PermissionError) else ""
+        print(f"error: {place}{error.strerror or error}{mend}", file=sys.stderr)
         raise SystemExit(MissingInputError.exit_code) from None
+    except MemoryError as error:
+        print(f"error: too little memory: {error}", file=sys.stderr)
+        raise SystemExit(NoResourcesError.exit_code) from None

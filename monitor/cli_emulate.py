@@ -71,6 +71,6 @@ def parse_speed(text: str) -> float | None:
         value = float(text)
     except ValueError:
         value = 0.0
-    if not 0.0 < value < float("inf"):
-        raise typer.BadParameter(f"--speed: {text!r} is neither 'max' nor a positive number")
+    if not 1e-6 <= value <= 1e6:
+        raise typer.BadParameter(f"--speed: {text!r} is neither 'max' nor a number from 1e-6 to 1e6")
     return value

@@ -21,7 +21,7 @@ _ALARM, _TROUBLE = 10, 11
 def fleet(
     file: Annotated[Path, typer.Argument(metavar="FLEET.toml", help="Fleet file: how to join, which sites.")],
     every: Annotated[
-        float | None, typer.Option(min=0.1, metavar="S", help="Look again and again; once without.")
+        float | None, typer.Option(min=0.1, max=86400.0, metavar="S", help="Look again and again; once without.")
     ] = None,
     count: Annotated[int | None, typer.Option(min=1, help="So many looks; without end if not given.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object a look.")] = False,

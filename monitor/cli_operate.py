@@ -42,7 +42,7 @@ def ack(
     who: Annotated[str, typer.Option(metavar="NAME", help="Who decides; stands in the ledger.")],
     note: Annotated[str, typer.Option(help="Why; shelving needs it.")] = "",
     shelve: Annotated[
-        float | None, typer.Option(min=0.0, metavar="HOURS", help="Announce nothing for so long; at most 720.")
+        float | None, typer.Option(min=0.0, max=720.0, metavar="HOURS", help="Announce nothing for so long.")
     ] = None,
     unshelve: Annotated[bool, typer.Option("--unshelve", help="Announce again.")] = False,
     reset: Annotated[
