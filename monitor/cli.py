@@ -33,6 +33,8 @@ from monitor.files import demand_place, spare_inputs, write_atomically
 app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
+    rich_markup_mode=None,  # it would take what stands in square brackets for its own
+    context_settings={"max_content_width": 120},
     help="Online structural health monitor: identification, model updating, damage index, alarms. SI units, UTC.",
 )
 

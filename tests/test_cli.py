@@ -638,6 +638,11 @@ def test_help_names_every_command_and_version_is_a_version(cli: Cli) -> None:
     assert done.stdout.strip().replace(".", "").isdigit()
 
 
+def test_help_keeps_what_stands_in_square_brackets(main: Cli) -> None:
+    assert "[output] dir" in main("run", "--help").stdout
+    assert "NAME=FILE[:COLUMN]" in main("import", "--help").stdout
+
+
 # --- simulate ---
 
 
