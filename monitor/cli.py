@@ -26,7 +26,7 @@ from monitor import (
     outlets,
 )
 from monitor.allocator import keep_freed
-from monitor.cli_common import Json, Recordings, Structure, address, leave_unread, progress, say, warn
+from monitor.cli_common import Json, Recordings, Structure, address, leave_unread, progress, say, time_ns, warn
 from monitor.errors import BadConfigurationError, MissingInputError, NoResourcesError, UserError
 from monitor.files import demand_place, spare_inputs, write_atomically
 
@@ -70,6 +70,7 @@ def replay(
     from monitor.publish.lines import replay_story
 
     spare_inputs([out / name for name in run.RESULT_FILES], [*recordings, structure, baseline])
+    pace, served = cli_emulate.parse_speed(speed), address(serve)
     settings = config.load(structure)
     healthy = None if baseline is None else load(baseline, settings)
     summary = run.replay(
@@ -77,8 +78,8 @@ def replay(
         settings,
         healthy,
         out,
-        speed=cli_emulate.parse_speed(speed),
-        serve=address(serve),
+        speed=pace,
+        serve=served,
         files=(structure, baseline),
         on_warning=warn,
         on_progress=progress("replay"),
@@ -170,6 +171,7 @@ def simulate(
     if out is None and to is None:
         raise typer.BadParameter("name a recording to write (--out), a destination (--to), or both")
     spare_inputs([] if out is None else [out], [structure, dbc])
+    t0_ns = time_ns("--start", start) or 0
     with cli_emulate.recording_for(out, to, dbc, speed) as file:
         record.simulate_to(
             file,
@@ -181,7 +183,7 @@ def simulate(
             effects=effect,
             rate_hz=rate,
             level_spread=level_spread,
-            start=start,
+            t0_ns=t0_ns,
             seed=seed,
             temperature=temperature,
         )
@@ -224,7 +226,7 @@ def import_(
         unit=unit,
         channels=channels or None,
         ground=ground,
-        start=start,
+        start_ns=time_ns("--start", start),
         dbc=dbc,
         on_warning=warn,
     )

@@ -70,7 +70,7 @@ def assert_refused(done: Done, codes: set[int], *words: str) -> None:
     else:
         assert [line[:7] for line in done.stderr.splitlines()].count("error: ") == 1, done.stderr
         assert done.stderr.startswith("error: ") or done.stderr.startswith("warning: ")
-    told = " ".join(done.stderr.replace("│", " ").split())
+    told = " ".join(done.stderr.split())
     assert all(word in told for word in words), (words, done.stderr)
     assert done.stdout == ""
 
