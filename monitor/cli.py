@@ -238,10 +238,20 @@ def import_(
 
 @app.command()
 def check(
-    file: Annotated[Path, typer.Argument(metavar="CONFIG_OR_STRUCTURE.toml")],
+    file: Annotated[Path, typer.Argument(metavar="FILE.toml", help="Structure file, site file or fleet file.")],
     as_json: Json = False,
 ) -> None:
-    """List every problem of a configuration or structure file at once."""
+    """List every problem of a structure file, a site file or a fleet file at once."""
+    if "fleet" in config.read_toml(file):
+        from monitor import fleet
+
+        sites = fleet.load(file).sites
+        say(
+            f"{file}: no problems; sites {', '.join(sites) or 'none named'}",
+            {"file": str(file), "sites": sites},
+            as_json,
+        )
+        return
     settings = config.load(file)
     outlets.make_outlets(file, settings, dry=True)
     for open_door in exposure.warnings(file, settings):
