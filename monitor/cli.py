@@ -162,7 +162,7 @@ def simulate(
     seed: Annotated[int, typer.Option(min=0, help="Seed of the random numbers.")] = 0,
     to: cli_emulate.OptionalTo = None,
     dbc: cli_emulate.Dbc = None,
-    speed: cli_emulate.Speed = "1.0",
+    speed: cli_emulate.Speed = None,
     as_json: Json = False,
 ) -> None:
     """Write a recording with known truth, or send it as sensor nodes would (--to)."""

@@ -37,6 +37,8 @@ def fleet(
     from monitor import fleet as ships
     from monitor.publish.fleet_view import FleetView, text
 
+    if count is not None and every is None:
+        raise typer.BadParameter("--count says how often to look: needs --every")
     spare_inputs([] if out is None else [out], [file])
     settings, served = ships.load(file), address(serve)
     if out is not None:

@@ -176,6 +176,8 @@ def open_sink(
     """
     kind, _, rest = to.partition(":")
     if kind == "zenoh":
+        if dbc is not None:
+            raise BadConfigurationError(f"--to {to!r}: --dbc is for CAN")
         return _zenoh(to, rest), BLOCK_SAMPLES
     interface, _, channel = rest.partition(":")
     if kind != "can" or not interface or not channel:

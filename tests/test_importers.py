@@ -144,7 +144,8 @@ def test_what_cannot_be_used_is_named_with_file_and_place(tmp_path: Path, conten
 @pytest.mark.parametrize(
     ("options", "reason"),
     [
-        ({"unit": "furlong"}, "unit 'furlong'"),
+        ({"unit": "furlong"}, r"--unit 'furlong': known.*m/s\^2"),
+        ({"dbc": Path("frame.dbc")}, "--dbc is for CAN logs"),
         ({"rate_hz": -1.0}, "--rate"),
         ({"rate_hz": 1e-200}, "absurd"),
         ({"channels": {"x": "b"}}, r"'b' names no file; .*a\.csv \(a1, a2\); write FILE:COLUMN, as a:a1"),
@@ -154,7 +155,7 @@ def test_what_cannot_be_used_is_named_with_file_and_place(tmp_path: Path, conten
 )
 def test_options_that_do_not_fit_are_refused(tmp_path: Path, options: dict[str, object], reason: str) -> None:
     with pytest.raises(BadInputError, match=reason):
-        convert(tmp_path / "a.csv", "time,a1,a2\n" + rows("{t},{a},{b}\n"), **options)
+        convert(tmp_path / "a.csv", "time,a1 [g],a2 [g]\n" + rows("{t},{a},{b}\n"), **options)
 
 
 @pytest.mark.parametrize("name", ["a.blf", "a.asc", "a.log"])

@@ -14,7 +14,7 @@ from drivers.mcap_file import McapWriter, RecordingInfo, recording_info
 from drivers.mcap_records import MAGIC
 from monitor.errors import BadInputError, MissingInputError
 from monitor.importers import can_log, csv_table, npz, xsens_dot
-from monitor.importers.table import Array, OnWarning, Table, Ticks, join, sample_numbers
+from monitor.importers.table import UNITS, Array, OnWarning, Table, Ticks, join, sample_numbers, unit_factor
 
 __all__ = ["import_files"]
 _MAX_UNZIPPED = 1 << 31
@@ -59,6 +59,8 @@ def import_files(
     """
     if rate_hz is not None and not (np.isfinite(rate_hz) and rate_hz > 0):
         raise BadInputError(f"--rate {rate_hz}: must be a positive number of Hz")
+    if unit_factor(unit) is None:
+        raise BadInputError(f"--unit {unit!r}: known for acceleration: {', '.join(UNITS)}")
     if any(map(can_log.is_log, files)):
         can_log.check_options(files, dbc, channels, ground, start_ns)
         assert dbc is not None
@@ -66,6 +68,8 @@ def import_files(
             return can_log.import_log(files[0], out, dbc=dbc, rate_hz=rate_hz, on_warning=on_warning)
         except OSError as error:
             raise MissingInputError(f"{out}: cannot be written: {error.strerror or error}") from error
+    if dbc is not None:
+        raise BadInputError(f"{dbc}: --dbc is for CAN logs; {files[0]} is none by its name")
     tables, clock = join([_load(path, on_warning) for path in files], on_warning)
     chosen, base = _choose(tables, channels, ground)
     rate, numbers = _timing(tables, clock, rate_hz, on_warning)
