@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from pydantic import ValidationError
@@ -15,6 +15,9 @@ from monitor.config import Configuration
 from monitor.errors import BadConfigurationError, MissingInputError, WrongUsageError
 from monitor.files import spare_inputs
 from monitor.parse import told
+
+if TYPE_CHECKING:
+    from monitor.publish.requests import Request
 
 _WAIT_S = 5.0
 
@@ -129,13 +132,12 @@ def _over_zenoh(file: Path, settings: Configuration, request: str) -> str:
     return "accepted; it is applied with the next data"
 
 
-def _by_file(out: Path, request: object) -> tuple[bool, str]:
+def _by_file(out: Path, request: Request) -> tuple[bool, str]:
     """Whether it was applied yet, and that in words."""
     from monitor import status as reader
     from monitor.publish import inbox
-    from monitor.publish.requests import Request
 
-    assert isinstance(request, Request)
+    reader.demand_state(out)
     try:
         place = inbox.ask(out / "state" / "requests", request)
     except OSError as error:

@@ -36,6 +36,17 @@ def running(out: Path) -> bool:
     return False
 
 
+def demand_state(out: Path) -> None:
+    """Refuse a folder that no daemon has ever written into.
+
+    Raises
+    ------
+    MissingInputError
+    """
+    if not (out / "state").is_dir():
+        raise MissingInputError(f"{out}: no daemon has written here; give a site file, or the dir of its [output]")
+
+
 def look(out: Path) -> dict[str, Any]:
     """All that is known, as `status --json` prints it.
 
@@ -44,8 +55,7 @@ def look(out: Path) -> dict[str, Any]:
     MissingInputError
         There is no such folder, or no daemon has ever written there.
     """
-    if not (out / "state").is_dir():
-        raise MissingInputError(f"{out}: no daemon has written here; give a site file, or the dir of its [output]")
+    demand_state(out)
     health = _last_line(out / "health.jsonl", _OF_HEALTH) or _last_line(out / "health.jsonl.1", _OF_HEALTH)
     age_s = None if health is None else (time.time_ns() - health["wall_ns"]) * 1e-9
     is_running = running(out)

@@ -213,6 +213,15 @@ def test_status_takes_only_lines_that_are_the_monitor_s(tmp_path: Path, main: Cl
         assert done.returncode == 12 and says in done.stdout, done.stdout + done.stderr
 
 
+def test_a_request_to_a_site_that_never_ran_is_refused_and_leaves_nothing(
+    tmp_path: Path, frame_text: str, main: Cli
+) -> None:
+    (tmp_path / "site.toml").write_text(SITE.format(port=1) + frame_text)
+    done = main("ack", tmp_path / "site.toml", "--story", 1, "--who", "ann")
+    assert done.returncode == 66 and "no daemon has written here" in done.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["site.toml"]
+
+
 def test_only_some_tables_may_change(tmp_path: Path, frame_text: str) -> None:
     path = tmp_path / "site.toml"
     path.write_text(SITE.format(port=1) + frame_text)
