@@ -71,7 +71,7 @@ def reprocess(
     settings = config.load(structure)
     if baseline is not None:
         load(baseline, settings)
-    configuration = _configuration(structure, settings, baseline)
+    configuration = _configuration(settings, baseline)
     try:
         for folder in (WINDOWS, RUNS, DIAGNOSES):
             (out / folder).mkdir(parents=True, exist_ok=True)
@@ -107,7 +107,7 @@ def _made(
     return there + work(function, [t for t, r in zip(tasks, results, strict=True) if not r.exists()])
 
 
-def _configuration(structure: Path, settings: config.Configuration, baseline: Path | None) -> str:
+def _configuration(settings: config.Configuration, baseline: Path | None) -> str:
     """Everything besides the recordings that results depend on."""
     told = settings.model_dump_json(exclude={"output", "source"})
     return fingerprint(told, "" if baseline is None else baseline.read_text(encoding="utf-8"))
