@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import time
+from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
@@ -49,18 +50,18 @@ def fleet(
             view = FleetView(out, served) if out is not None or served is not None else None
         except (OSError, RuntimeError) as error:
             raise MissingInputError(f"the view cannot be made: {error}") from error
+        left = 1 if every is None else count
         try:
-            left = 1 if every is None else count
-            while left is None or left > 0:
-                statuses = network.look()
-                print(json.dumps({"sites": [asdict(s) for s in statuses]}) if as_json else text(statuses), flush=True)
-                if view is not None:
-                    view.show(statuses)
-                left = None if left is None else left - 1
-                if left != 0:
-                    time.sleep(every or 0.0)
-        except KeyboardInterrupt:
-            pass
+            with suppress(KeyboardInterrupt):
+                while left is None or left > 0:
+                    statuses = network.look()
+                    told = json.dumps({"sites": [asdict(s) for s in statuses]}) if as_json else text(statuses)
+                    print(told, flush=True)
+                    if view is not None:
+                        view.show(statuses)
+                    left = None if left is None else left - 1
+                    if left != 0:
+                        time.sleep(every or 0.0)
         finally:
             if view is not None:
                 view.close()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 from drivers.base import EndOfStream, SampleBlock, SourceContext, SourceError
@@ -89,10 +90,9 @@ def import_log(path: Path, out: Path, *, dbc: Path, rate_hz: float | None, on_wa
 
 def _blocks(source: CanSource) -> Iterator[SampleBlock]:
     try:
-        source.open()
-        while (block := source.read(1.0)) is not None:
-            yield block
-    except EndOfStream:
-        pass
+        with suppress(EndOfStream):
+            source.open()
+            while (block := source.read(1.0)) is not None:
+                yield block
     finally:
         source.close()
