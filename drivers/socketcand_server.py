@@ -88,7 +88,7 @@ class SocketcandServer:
 
     def _serve(self, client: socket.socket) -> None:
         waiting = b""
-        try:
+        with contextlib.suppress(OSError):
             client.sendall(b"< hi >")
             while len(waiting) < _MAX_COMMAND:
                 try:
@@ -100,8 +100,6 @@ class SocketcandServer:
                 *commands, waiting = (waiting + data).split(b">")
                 for command in commands:
                     self._obey(client, command.strip() + b" >")
-        except OSError:
-            pass
         with self._lock:
             self._drop(client)
 

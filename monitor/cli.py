@@ -26,13 +26,15 @@ from monitor import (
     outlets,
 )
 from monitor.allocator import keep_freed
-from monitor.cli_common import Json, Recordings, Structure, address, leave_unread, progress, say, warn
-from monitor.errors import BadConfigurationError, MissingInputError, UserError
+from monitor.cli_common import Json, Recordings, Structure, address, leave_unread, progress, say, time_ns, warn
+from monitor.errors import BadConfigurationError, MissingInputError, NoResourcesError, UserError
 from monitor.files import demand_place, spare_inputs, write_atomically
 
 app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
+    rich_markup_mode=None,  # it would take what stands in square brackets for its own
+    context_settings={"max_content_width": 120},
     help="Online structural health monitor: identification, model updating, damage index, alarms. SI units, UTC.",
 )
 
@@ -68,6 +70,7 @@ def replay(
     from monitor.publish.lines import replay_story
 
     spare_inputs([out / name for name in run.RESULT_FILES], [*recordings, structure, baseline])
+    pace, served = cli_emulate.parse_speed(speed), address(serve)
     settings = config.load(structure)
     healthy = None if baseline is None else load(baseline, settings)
     summary = run.replay(
@@ -75,8 +78,8 @@ def replay(
         settings,
         healthy,
         out,
-        speed=cli_emulate.parse_speed(speed),
-        serve=address(serve),
+        speed=pace,
+        serve=served,
         files=(structure, baseline),
         on_warning=warn,
         on_progress=progress("replay"),
@@ -136,13 +139,17 @@ def calibrate(
 def simulate(
     structure: Structure,
     out: Annotated[Path | None, typer.Option(metavar="REC.mcap", help="Recording to write; or give --to.")] = None,
-    duration: Annotated[float, typer.Option(min=0.01, help="Length in s.")] = 1200.0,
+    duration: Annotated[float, typer.Option(min=0.01, max=1e8, help="Length in s.")] = 1200.0,
     excitation: Annotated[str, typer.Option(help="ambient, impulse or ground.")] = "ambient",
-    noise: Annotated[float, typer.Option(min=0.0, help="Sensor noise, fraction of the mean RMS acceleration.")] = 0.05,
+    noise: Annotated[
+        float, typer.Option(min=0.0, max=1e3, help="Sensor noise, fraction of the mean RMS acceleration.")
+    ] = 0.05,
     damage: Annotated[list[str], typer.Option(metavar="storyN=LOSS", help="Relative stiffness loss.")] = [],  # noqa: B006
     effect: Annotated[list[str], typer.Option(metavar="NAME:LOCATION:PARAM=VALUE,...", help="Hidden effect.")] = [],  # noqa: B006
-    rate: Annotated[float, typer.Option(min=1.0, help="Sample rate in Hz.")] = 1024.0,
-    level_spread: Annotated[float, typer.Option(min=0.0, help="Relative spread of the excitation's level.")] = 0.0,
+    rate: Annotated[float, typer.Option(min=1.0, max=1e6, help="Sample rate in Hz.")] = 1024.0,
+    level_spread: Annotated[
+        float, typer.Option(min=0.0, max=10.0, help="Relative spread of the excitation's level.")
+    ] = 0.0,
     temperature: Annotated[
         str | None,
         typer.Option(
@@ -155,7 +162,7 @@ def simulate(
     seed: Annotated[int, typer.Option(min=0, help="Seed of the random numbers.")] = 0,
     to: cli_emulate.OptionalTo = None,
     dbc: cli_emulate.Dbc = None,
-    speed: cli_emulate.Speed = "1.0",
+    speed: cli_emulate.Speed = None,
     as_json: Json = False,
 ) -> None:
     """Write a recording with known truth, or send it as sensor nodes would (--to)."""
@@ -163,7 +170,8 @@ def simulate(
 
     if out is None and to is None:
         raise typer.BadParameter("name a recording to write (--out), a destination (--to), or both")
-    spare_inputs([] if out is None else [out], [structure])
+    spare_inputs([] if out is None else [out], [structure, dbc])
+    t0_ns = time_ns("--start", start) or 0
     with cli_emulate.recording_for(out, to, dbc, speed) as file:
         record.simulate_to(
             file,
@@ -175,7 +183,7 @@ def simulate(
             effects=effect,
             rate_hz=rate,
             level_spread=level_spread,
-            start=start,
+            t0_ns=t0_ns,
             seed=seed,
             temperature=temperature,
         )
@@ -188,7 +196,7 @@ def import_(
     files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="CSV, NPZ, CAN log; several: one a level.")],
     out: Annotated[Path, typer.Option(metavar="REC.mcap", help="Recording to write.")],
     rate: Annotated[
-        float | None, typer.Option(min=0.001, help="Sample rate in Hz, where the file has no time.")
+        float | None, typer.Option(min=0.001, max=1e7, help="Sample rate in Hz, where the file has no time.")
     ] = None,
     unit: Annotated[str, typer.Option(help="Unit of the samples: m/s^2, g, mg or gal.")] = "m/s^2",
     channel: Annotated[
@@ -202,6 +210,7 @@ def import_(
     """Foreign data to our recording format."""
     from monitor.importers import import_files
 
+    spare_inputs([out], [*files, dbc])
     channels = {}
     for item in channel:
         name, separator, place = item.partition("=")
@@ -217,7 +226,7 @@ def import_(
         unit=unit,
         channels=channels or None,
         ground=ground,
-        start=start,
+        start_ns=time_ns("--start", start),
         dbc=dbc,
         on_warning=warn,
     )
@@ -229,10 +238,20 @@ def import_(
 
 @app.command()
 def check(
-    file: Annotated[Path, typer.Argument(metavar="CONFIG_OR_STRUCTURE.toml")],
+    file: Annotated[Path, typer.Argument(metavar="FILE.toml", help="Structure file, site file or fleet file.")],
     as_json: Json = False,
 ) -> None:
-    """List every problem of a configuration or structure file at once."""
+    """List every problem of a structure file, a site file or a fleet file at once."""
+    if "fleet" in config.read_toml(file):
+        from monitor import fleet
+
+        sites = fleet.load(file).sites
+        say(
+            f"{file}: no problems; sites {', '.join(sites) or 'none named'}",
+            {"file": str(file), "sites": sites},
+            as_json,
+        )
+        return
     settings = config.load(file)
     outlets.make_outlets(file, settings, dry=True)
     for open_door in exposure.warnings(file, settings):
@@ -296,6 +315,11 @@ def main() -> None:
         kind = "bad configuration\n" if isinstance(error, BadConfigurationError) else ""
         print(f"error: {kind}{error}", file=sys.stderr)
         raise SystemExit(error.exit_code) from None
-    except PermissionError as error:
-        print(f"error: {error.filename}: {error.strerror}; run this as its owner or as root", file=sys.stderr)
+    except OSError as error:
+        place = "" if error.filename is None else f"{error.filename}: "
+        mend = "; run this as its owner or as root" if isinstance(error, PermissionError) else ""
+        print(f"error: {place}{error.strerror or error}{mend}", file=sys.stderr)
         raise SystemExit(MissingInputError.exit_code) from None
+    except MemoryError as error:
+        print(f"error: too little memory: {error}", file=sys.stderr)
+        raise SystemExit(NoResourcesError.exit_code) from None

@@ -11,6 +11,8 @@ from typing import Annotated, Any, get_type_hints
 import typer
 from typer.models import ArgumentInfo, OptionInfo
 
+from monitor.parse import parse_address, utc_ns
+
 Recordings = Annotated[list[Path], typer.Argument(metavar="REC.mcap...", help="Recordings, in any order.")]
 Structure = Annotated[Path, typer.Option(metavar="S.toml", help="Structure file.")]
 Json = Annotated[bool, typer.Option("--json", help="Say it as one JSON object instead.")]
@@ -42,13 +44,22 @@ def progress(label: str) -> Callable[[float], None]:
 
 
 def address(text: str | None) -> tuple[str, int] | None:
-    """HOST:PORT, taken apart."""
-    if text is None:
-        return None
-    host, _, port = text.rpartition(":")
-    if not host or not port.isdigit() or not 0 < int(port) < 65536:
-        raise typer.BadParameter(f"--serve: {text!r} is not HOST:PORT, as 127.0.0.1:9876")
-    return host, int(port)
+    """--serve HOST:PORT, taken apart."""
+    try:
+        return None if text is None else parse_address(text)
+    except ValueError as error:
+        raise typer.BadParameter(f"--serve: {error}") from error
+
+
+def time_ns(option: str, text: str | None) -> int | None:
+    """UTC, ns since 1970, of what an option says; no data are older."""
+    try:
+        t_ns = None if text is None else utc_ns(text)
+    except ValueError as error:
+        raise typer.BadParameter(f"{option}: {error}") from error
+    if t_ns is not None and t_ns < 0:
+        raise typer.BadParameter(f"{option}: {text} is before 1970, which a recording cannot say")
+    return t_ns
 
 
 def leave_unread(app: typer.Typer) -> None:

@@ -15,20 +15,20 @@ _FORMS = "can:socketcand-server:HOST:PORT, can:INTERFACE:CHANNEL or zenoh:MODE:E
 To = Annotated[str, typer.Option(metavar="DESTINATION", help=_FORMS)]
 OptionalTo = Annotated[str | None, typer.Option(metavar="DESTINATION", help=f"Also send it: {_FORMS}")]
 Dbc = Annotated[Path | None, typer.Option(metavar="FILE.dbc", help="What CAN frames mean; their factors quantise.")]
-Speed = Annotated[str, typer.Option(help="Times real time, or 'max'.")]
+Speed = Annotated[str | None, typer.Option(help="Times real time, or 'max'; 1.0 by default.")]
 
 
 def emulate(
     recordings: Annotated[list[Path], typer.Argument(metavar="REC.mcap...", help="Recordings, in any order.")],
     to: To,
     dbc: Dbc = None,
-    speed: Speed = "1.0",
+    speed: Speed = None,
 ) -> None:
     """Send recordings as sensor nodes would, over CAN or Zenoh, at their real pace."""
     send(recordings, to, dbc, speed)
 
 
-def send(recordings: list[Path], to: str, dbc: Path | None, speed: str) -> None:
+def send(recordings: list[Path], to: str, dbc: Path | None, speed: str | None) -> None:
     """Send recordings; what is sent is said on standard error."""
     from drivers.base import RecordingError, RecordingMissingError
     from drivers.mcap_file import read_recordings
@@ -47,8 +47,10 @@ def send(recordings: list[Path], to: str, dbc: Path | None, speed: str) -> None:
 
 
 @contextmanager
-def recording_for(out: Path | None, to: str | None, dbc: Path | None, speed: str) -> Iterator[Path]:
+def recording_for(out: Path | None, to: str | None, dbc: Path | None, speed: str | None) -> Iterator[Path]:
     """A file to write a recording to; then it is sent to `to`, if given, and kept only as `out`."""
+    if to is None and (dbc is not None or speed is not None):
+        raise typer.BadParameter("--dbc and --speed say how to send: name a destination (--to)")
     parse_speed(speed)
     with TemporaryDirectory() as folder:
         file = out or Path(folder) / "simulated.mcap"
@@ -57,8 +59,8 @@ def recording_for(out: Path | None, to: str | None, dbc: Path | None, speed: str
             send([file], to, dbc, speed)
 
 
-def parse_speed(text: str) -> float | None:
-    """Times real time; None for 'max'.
+def parse_speed(text: str | None) -> float | None:
+    """Times real time, 1 unless told; None for 'max'.
 
     Raises
     ------
@@ -68,9 +70,9 @@ def parse_speed(text: str) -> float | None:
     if text == "max":
         return None
     try:
-        value = float(text)
+        value = 1.0 if text is None else float(text)
     except ValueError:
         value = 0.0
-    if not 0.0 < value < float("inf"):
-        raise typer.BadParameter(f"--speed: {text!r} is neither 'max' nor a positive number")
+    if not 1e-6 <= value <= 1e6:
+        raise typer.BadParameter(f"--speed: {text!r} is neither 'max' nor a number from 1e-6 to 1e6")
     return value

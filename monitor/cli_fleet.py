@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import time
+from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
@@ -21,7 +22,7 @@ _ALARM, _TROUBLE = 10, 11
 def fleet(
     file: Annotated[Path, typer.Argument(metavar="FLEET.toml", help="Fleet file: how to join, which sites.")],
     every: Annotated[
-        float | None, typer.Option(min=0.1, metavar="S", help="Look again and again; once without.")
+        float | None, typer.Option(min=0.1, max=86400.0, metavar="S", help="Look again and again; once without.")
     ] = None,
     count: Annotated[int | None, typer.Option(min=1, help="So many looks; without end if not given.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="One JSON object a look.")] = False,
@@ -37,9 +38,11 @@ def fleet(
     from monitor import fleet as ships
     from monitor.publish.fleet_view import FleetView, text
 
+    if count is not None and every is None:
+        raise typer.BadParameter("--count says how often to look: needs --every")
+    spare_inputs([] if out is None else [out], [file])
     settings, served = ships.load(file), address(serve)
     if out is not None:
-        spare_inputs([out], [file])
         demand_place(out)
     statuses: list[ships.SiteStatus] = []
     with ships.Fleet(settings, file.resolve().parent) as network:
@@ -47,18 +50,18 @@ def fleet(
             view = FleetView(out, served) if out is not None or served is not None else None
         except (OSError, RuntimeError) as error:
             raise MissingInputError(f"the view cannot be made: {error}") from error
+        left = 1 if every is None else count
         try:
-            left = 1 if every is None else count
-            while left is None or left > 0:
-                statuses = network.look()
-                print(json.dumps({"sites": [asdict(s) for s in statuses]}) if as_json else text(statuses), flush=True)
-                if view is not None:
-                    view.show(statuses)
-                left = None if left is None else left - 1
-                if left != 0:
-                    time.sleep(every or 0.0)
-        except KeyboardInterrupt:
-            pass
+            with suppress(KeyboardInterrupt):
+                while left is None or left > 0:
+                    statuses = network.look()
+                    told = json.dumps({"sites": [asdict(s) for s in statuses]}) if as_json else text(statuses)
+                    print(told, flush=True)
+                    if view is not None:
+                        view.show(statuses)
+                    left = None if left is None else left - 1
+                    if left != 0:
+                        time.sleep(every or 0.0)
         finally:
             if view is not None:
                 view.close()

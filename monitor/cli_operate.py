@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 import time
-from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from pydantic import ValidationError
 
 from monitor import config
-from monitor.cli_common import Json, say, warn
+from monitor.cli_common import Json, say, time_ns, warn
 from monitor.config import Configuration
 from monitor.errors import BadConfigurationError, MissingInputError, WrongUsageError
+from monitor.files import spare_inputs
+from monitor.parse import told
+
+if TYPE_CHECKING:
+    from monitor.publish.requests import Request
 
 _WAIT_S = 5.0
-_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 
 def status(
@@ -41,7 +44,7 @@ def ack(
     who: Annotated[str, typer.Option(metavar="NAME", help="Who decides; stands in the ledger.")],
     note: Annotated[str, typer.Option(help="Why; shelving needs it.")] = "",
     shelve: Annotated[
-        float | None, typer.Option(min=0.0, metavar="HOURS", help="Announce nothing for so long; at most 720.")
+        float | None, typer.Option(min=0.0, max=720.0, metavar="HOURS", help="Announce nothing for so long.")
     ] = None,
     unshelve: Annotated[bool, typer.Option("--unshelve", help="Announce again.")] = False,
     reset: Annotated[
@@ -66,10 +69,7 @@ def ack(
     try:
         request = Request.model_validate(wish)
     except ValidationError as error:
-        said = "; ".join(
-            f"{'.'.join(map(str, p['loc']))} {p['msg'].removeprefix('Value error, ')}".strip() for p in error.errors()
-        )
-        raise WrongUsageError(said) from error
+        raise WrongUsageError("; ".join(told(error))) from error
     applied, said = None, ""
     if settings.output.zenoh is not None:
         said = _over_zenoh(file, settings, request.model_dump_json())
@@ -91,19 +91,11 @@ def export(
     """The history as a table: SI units, times in UTC as ns since 1970; a running daemon is not disturbed."""
     from monitor import export as writer
 
-    span = _ns("--from", begin, 0), _ns("--to", end, (1 << 63) - 1)
+    spare_inputs([out], [place])
+    until_ns = time_ns("--to", end)
+    span = time_ns("--from", begin) or 0, (1 << 63) - 1 if until_ns is None else until_ns
     rows = writer.export(_folder(place) / "state" / "history.db", table, out, span)
     say(f"{rows} rows of {table} in {out}", {"rows": rows, "table": table, "out": str(out)}, as_json)
-
-
-def _ns(option: str, text: str | None, default: int) -> int:
-    try:
-        moment = None if text is None else datetime.fromisoformat(text)
-    except ValueError as error:
-        raise WrongUsageError(f"{option} {text}: write it as 2026-05-01 or 2026-05-01T12:00:00") from error
-    if moment is None:
-        return default
-    return (moment.replace(tzinfo=moment.tzinfo or UTC) - _EPOCH) // timedelta(microseconds=1) * 1000
 
 
 def _folder(place: Path) -> Path:
@@ -125,7 +117,8 @@ def _over_zenoh(file: Path, settings: Configuration, request: str) -> str:
     try:
         joining = ZenohOutSettings.model_validate(settings.output.zenoh)
     except ValidationError as error:
-        raise BadConfigurationError(f"{file}: output.zenoh: {error.errors()[0]['msg']}") from error
+        problems = told(error, "output", "zenoh")
+        raise BadConfigurationError("\n".join(f"{file}: {problem}" for problem in problems)) from error
     try:
         answer = ask(joining, file.resolve().parent, key_prefix(settings.site_name, joining), request, _WAIT_S)
     except SourceError as error:
@@ -139,13 +132,12 @@ def _over_zenoh(file: Path, settings: Configuration, request: str) -> str:
     return "accepted; it is applied with the next data"
 
 
-def _by_file(out: Path, request: object) -> tuple[bool, str]:
+def _by_file(out: Path, request: Request) -> tuple[bool, str]:
     """Whether it was applied yet, and that in words."""
     from monitor import status as reader
     from monitor.publish import inbox
-    from monitor.publish.requests import Request
 
-    assert isinstance(request, Request)
+    reader.demand_state(out)
     try:
         place = inbox.ask(out / "state" / "requests", request)
     except OSError as error:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from monitor.cli_common import Json, say, warn
+from monitor.cli_common import Json, say, time_ns, warn
 from monitor.files import demand_place, spare_inputs
 
 _INPUTS = ("results.jsonl", "summary.json", "health.jsonl", "health.jsonl.1", "ledger.jsonl")
@@ -28,7 +27,7 @@ def report(
     """A period of a run as one page: availability, damage, alarms, modes, quality, findings.  Windows count where they end."""
     from monitor.publish.period import read_period, write_period
 
-    from_ns, to_ns = _utc_ns(start, "--from"), _utc_ns(end, "--to")
+    from_ns, to_ns = time_ns("--from", start), time_ns("--to", end)
     if from_ns is not None and to_ns is not None and from_ns >= to_ns:
         raise typer.BadParameter("--from is not before --to")
     spare_inputs([out], [folder / name for name in _INPUTS])
@@ -50,14 +49,3 @@ def report(
     }
     says = f"{told['judged']} of {r.due} windows judged, alarms: {told['alarms']}, findings: {told['findings']}"
     say(f"{says}\nreport in {out}", told, as_json)
-
-
-def _utc_ns(text: str | None, option: str) -> int | None:
-    """A time in ns since 1970; without a zone it is UTC."""
-    if text is None:
-        return None
-    try:
-        time = datetime.fromisoformat(text)
-    except ValueError as error:
-        raise typer.BadParameter(f"{option}: {text!r} is no time; write 2026-12-31 or 2026-12-31T23:59:00") from error
-    return round((time if time.tzinfo else time.replace(tzinfo=UTC)).timestamp()) * 1_000_000_000

@@ -25,13 +25,17 @@ def reprocess(
     diagnose: Annotated[bool, typer.Option("--diagnose", help="Also diagnose each recording by itself.")] = False,
     gap: Annotated[
         float | None,
-        typer.Option(min=0.0, help="Pause in s after which a recording begins a new replay; window_s by default."),
+        typer.Option(
+            min=0.0, max=1e9, help="Pause in s after which a recording begins a new replay; window_s by default."
+        ),
     ] = None,
     scheduler: Annotated[
         str | None,
         typer.Option(metavar="ADDRESS", help="Dask scheduler, as tcp://127.0.0.1:8786; local processes without."),
     ] = None,
-    workers: Annotated[int | None, typer.Option(min=1, help="Local processes; one a core by default.")] = None,
+    workers: Annotated[
+        int | None, typer.Option(min=1, max=1024, help="Local processes; one a core by default.")
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Replay an archive on many processes: a Parquet dataset of all windows in DIR/windows.

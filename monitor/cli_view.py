@@ -7,6 +7,7 @@ import signal
 import socket
 import subprocess
 import sys
+from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
@@ -16,6 +17,7 @@ import typer
 
 from monitor.cli_common import warn
 from monitor.errors import MissingInputError, WrongUsageError
+from monitor.parse import parse_address
 
 _LOOPBACK = "127.0.0.1"
 _SCREENS = ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET")
@@ -75,8 +77,8 @@ def _source(what: str) -> str:
     MissingInputError
         There is no such thing.
     """
-    host, _, port = what.rpartition(":")
-    if host and port.isdigit():
+    with suppress(ValueError):
+        parse_address(what)
         return f"rerun+http://{what}/proxy"
     path = Path(what) / "live.rrd" if Path(what).is_dir() else Path(what)
     if not path.is_file():

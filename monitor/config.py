@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, field_validator, model_validator
 
 from drivers.base import Source, SourceContext, SourceError
 from drivers.recorder import RecorderSettings
@@ -21,6 +21,7 @@ from monitor.health import HealthSettings
 from monitor.logs import LogSettings
 from monitor.matrix_files import read_matrices
 from monitor.model import Model
+from monitor.parse import parse_address, told
 from monitor.poles import SelectionSettings
 from monitor.quality import QualitySettings
 from monitor.results import Array
@@ -99,20 +100,17 @@ class OutputSettings(Settings):
     metrics: dict[str, Any] | None = None
     """Where Prometheus may ask (`monitor.outlets`)."""
 
-    @model_validator(mode="after")
-    def _serves(self) -> OutputSettings:
-        host, _, port = (self.serve or "host:1").rpartition(":")
-        if not host or not port.isdigit() or not 0 < int(port) < 65536:
-            raise ValueError(f"serve: {self.serve!r} is not HOST:PORT, as 127.0.0.1:9876")
-        return self
+    @field_validator("serve")
+    @classmethod
+    def _serves(cls, text: str | None) -> str | None:
+        if text is not None:
+            parse_address(text)
+        return text
 
     @property
     def address(self) -> tuple[str, int] | None:
         """Host and port of `serve`."""
-        if self.serve is None:
-            return None
-        host, _, port = self.serve.rpartition(":")
-        return host, int(port)
+        return None if self.serve is None else parse_address(self.serve)
 
 
 class Configuration(Settings):
@@ -249,10 +247,7 @@ def load(path: Path) -> Configuration:
     try:
         config = Configuration.model_validate(tables)
     except ValidationError as error:
-        for problem in error.errors():
-            place = _place(problem["loc"], problem["type"])
-            message = problem["msg"].removeprefix("Value error, ")
-            problems += [f"{place + ': ' if place else ''}{part}" for part in message.split("\n")]
+        problems += told(error)
     if isinstance(tables.get("source"), dict):
         channels = () if problems else config.channels
         try:
@@ -282,18 +277,6 @@ def make_source(table: Mapping[str, Any], context: SourceContext) -> Source:
     except ImportError as error:
         raise BadConfigurationError(f"source.kind: {table['kind']!r} cannot be loaded: {error}") from error
     except ValidationError as error:
-        lines = (
-            f"{_place(('source', *p['loc']), '')}: {p['msg'].removeprefix('Value error, ')}" for p in error.errors()
-        )
-        raise BadConfigurationError("\n".join(lines)) from error
+        raise BadConfigurationError("\n".join(told(error, "source"))) from error
     except (OSError, ValueError, SourceError) as error:
         raise BadConfigurationError(f"source: {error}") from error
-
-
-def _place(loc: tuple[int | str, ...], kind: str) -> str:
-    """Where in the file a problem lies; of ``[structure]``, pydantic also names the table that its `kind` chose."""
-    if kind.startswith("union_tag"):
-        loc = (*loc, "kind")
-    elif loc[:1] == ("structure",):
-        loc = (*loc[:1], *loc[2:])
-    return ".".join(map(str, loc))

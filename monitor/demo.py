@@ -7,6 +7,7 @@ from pathlib import Path
 
 from monitor import baseline, calibrate, config, replay
 from monitor.errors import MissingInputError
+from monitor.files import demand_place
 from monitor.publish.lines import replay_story
 
 
@@ -16,14 +17,14 @@ def run(recordings: Path, out: Path, *, say: Callable[[str], None], on_warning: 
     Raises
     ------
     MissingInputError, BadInputError
-        If `recordings` does not hold the shipped recordings.
+        If `recordings` does not hold the shipped recordings, or nothing can be written in `out`.
     """
     if not (recordings / "frame.toml").is_file():
         raise MissingInputError(f"{recordings}: no recordings here; run in the project's folder or give --recordings")
     frame = config.load(recordings / "frame.toml")
+    demand_place(out / "baseline.json")
     say("1. Calibrating on a healthy recording of a simulated three-story frame whose drawing is wrong on purpose ...")
     healthy, _ = calibrate.calibrate([recordings / "frame-healthy.mcap"], frame, on_warning=on_warning)
-    out.mkdir(parents=True, exist_ok=True)
     baseline.save(healthy, out / "baseline.json")
     say("2. Replaying 1000 s of it in which story 2 loses 12 % of its stiffness after 400 s ...")
     parts = [recordings / "frame-before.mcap", recordings / "frame-after.mcap"]

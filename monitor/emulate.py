@@ -18,6 +18,7 @@ from drivers.base import ACCELERATION, SampleBlock, SourceError
 from drivers.frames import Layout
 from drivers.socketcand_server import SocketcandServer, frame_text
 from monitor.errors import BadConfigurationError, BadInputError, MissingInputError
+from monitor.parse import parse_address, told
 
 CAN_PIECE_S = 0.01
 """Frames leave in bursts of so many seconds, as a node's transmit queue lets them."""
@@ -175,6 +176,8 @@ def open_sink(
     """
     kind, _, rest = to.partition(":")
     if kind == "zenoh":
+        if dbc is not None:
+            raise BadConfigurationError(f"--to {to!r}: --dbc is for CAN")
         return _zenoh(to, rest), BLOCK_SAMPLES
     interface, _, channel = rest.partition(":")
     if kind != "can" or not interface or not channel:
@@ -191,11 +194,12 @@ def open_sink(
         except (can.CanError, OSError, ValueError, TypeError, ImportError) as error:
             raise MissingInputError(f"--to {to!r}: {error}") from error
         return CanSink(layouts, _over_bus(bus), bus.shutdown), CAN_PIECE_S
-    host, _, port = channel.rpartition(":")
-    if not host or not port.isdigit() or int(port) > 65535:
-        raise BadConfigurationError(f"--to {to!r}: expected {FORMS}")
     try:
-        server = SocketcandServer(host, int(port))
+        host, port = parse_address(channel, any_port=True)
+    except ValueError:
+        raise BadConfigurationError(f"--to {to!r}: expected {FORMS}") from None
+    try:
+        server = SocketcandServer(host, port)
     except OSError as error:
         raise MissingInputError(f"--to {to!r}: {error.strerror or error}") from error
     say(f"socketcand server on {host}:{server.port}, waiting for a client")
@@ -216,7 +220,7 @@ def _zenoh(to: str, rest: str) -> Sink:
     try:
         return ZenohPublisher(PublisherSettings.model_validate({"mode": mode, "key": key, **where}))
     except ValidationError as error:
-        raise BadConfigurationError(f"--to {to!r}: {error.errors()[0]['msg']}") from error
+        raise BadConfigurationError(f"--to {to!r}: {'; '.join(told(error))}") from error
     except SourceError as error:
         raise MissingInputError(f"--to {to!r}: {error}") from error
 

@@ -19,6 +19,8 @@ from drivers.base import SourceError
 from drivers.zenoh_session import Key, SessionSettings, open_session
 from monitor.config import read_toml
 from monitor.errors import BadConfigurationError, MissingInputError
+from monitor.parse import told
+from monitor.settings import Settings
 
 _MOST_BYTES = 1 << 20
 """Of one monitor's answer."""
@@ -36,6 +38,10 @@ class FleetSettings(SessionSettings):
     """Time without a word of health after which a monitor counts as hung."""
     timeout_s: float = Field(default=5.0, gt=0, le=60)
     """How long answers are waited for."""
+
+
+class _FleetFile(Settings):
+    fleet: FleetSettings
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,12 +73,10 @@ def load(path: Path) -> FleetSettings:
     ------
     MissingInputError, BadConfigurationError
     """
-    table = read_toml(path)
     try:
-        return FleetSettings.model_validate(table.get("fleet", {}))
+        return _FleetFile.model_validate(read_toml(path)).fleet
     except ValidationError as error:
-        lines = (f"{path}: fleet.{'.'.join(map(str, p['loc']))}: {p['msg']}" for p in error.errors())
-        raise BadConfigurationError("\n".join(lines)) from error
+        raise BadConfigurationError("\n".join(f"{path}: {problem}" for problem in told(error))) from error
 
 
 class Fleet:

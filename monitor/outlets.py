@@ -11,6 +11,7 @@ from pydantic import BaseModel, ValidationError
 from monitor.config import Configuration
 from monitor.errors import BadConfigurationError
 from monitor.notify import Addresses, Notifier, NotifySettings, addresses
+from monitor.parse import told
 from monitor.publish.inbox import Inbox
 from monitor.results import Gap, WindowResult
 
@@ -94,7 +95,7 @@ def _notify(config: Configuration, folder: Path, problems: list[str]) -> tuple[N
         settings = NotifySettings.model_validate(config.notify)
         return settings, addresses(settings, folder)
     except ValidationError as error:
-        problems += _told("notify", error)
+        problems += told(error, "notify")
     except ValueError as error:
         problems += [f"notify.{line}" for line in str(error).split("\n")]
     return NotifySettings(), Addresses()
@@ -124,7 +125,7 @@ def _maker(
     except ImportError as error:
         problems.append(f"output.{name}: cannot be loaded: {error}")
     except ValidationError as error:
-        problems += _told(f"output.{name}", error)
+        problems += told(error, "output", name)
     else:
         return lambda site: cast(Outlet, kind(site, settings, folder))
     return None
@@ -132,10 +133,3 @@ def _maker(
 
 class _Maker(Protocol):
     def __call__(self, name: str) -> Outlet: ...
-
-
-def _told(table: str, error: ValidationError) -> list[str]:
-    """What is wrong, without the values: they may be secret."""
-    return [
-        f"{'.'.join(map(str, (table, *p['loc'])))}: {p['msg'].removeprefix('Value error, ')}" for p in error.errors()
-    ]

@@ -7,7 +7,6 @@ import json
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime, timedelta
 from math import isfinite
 from pathlib import Path
 from typing import cast, get_args
@@ -92,14 +91,6 @@ def parse_damage(text: str) -> Effect:
     return StiffnessChange.create(f"story {match[1]}", {"relative": -loss})
 
 
-def _nanoseconds(start: datetime) -> int:
-    """UTC nanoseconds; a time without zone is UTC."""
-    since = (start if start.tzinfo else start.replace(tzinfo=UTC)) - datetime(1970, 1, 1, tzinfo=UTC)
-    if since < timedelta(0):
-        raise ValueError(f"--start {start.isoformat()}: before 1970, which a recording cannot say")
-    return (since // timedelta(microseconds=1)) * 1000
-
-
 def simulate_to(
     out: Path,
     config: Configuration,
@@ -111,23 +102,22 @@ def simulate_to(
     effects: list[str],
     rate_hz: float,
     level_spread: float,
-    start: str,
+    t0_ns: int,
     seed: int,
     temperature: str | None = None,
 ) -> None:
-    """Write a simulated recording with the truth in its metadata.
+    """Write a simulated recording that begins at `t0_ns` (UTC, since 1970), with the truth in its metadata.
 
     Raises
     ------
     BadConfigurationError
-        If damage, effect, excitation, temperature or start cannot be understood.
+        If damage, effect, excitation or temperature cannot be understood.
     MissingInputError
         If the file cannot be written.
     """
     if excitation not in get_args(ExcitationKind):
         raise BadConfigurationError(f"--excitation {excitation!r}: one of {', '.join(get_args(ExcitationKind))}")
     try:
-        t0_ns = _nanoseconds(datetime.fromisoformat(start))
         model = config.model()
         planted = [*map(parse_damage, damage), *map(parse_effect, effects)]
         truth = _standing(replace(model, effects=(*model.effects, *planted)), config.channels)

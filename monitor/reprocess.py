@@ -26,10 +26,11 @@ from monitor.archive import Run, Survey, fingerprint, identity, runs
 from monitor.archive_jobs import DIAGNOSES, KEPT, RUNS, WINDOWS, Outcome, Task, diagnosed, replayed, survey
 from monitor.baseline import load
 from monitor.errors import MissingInputError
-from monitor.files import write_atomically
+from monitor.files import spare_inputs, write_atomically
 
 Job = TypeVar("Job")
 Done = TypeVar("Done")
+_SURVEYS = "surveys.json"
 Work = Callable[[Callable[[Any], Any], Sequence[Any]], list[Any]]
 """Gives the function of every job."""
 
@@ -61,13 +62,16 @@ def reprocess(
 
     Raises
     ------
+    WrongUsageError
+        A file of `out` is one that is read.
     BadConfigurationError, MissingInputError
         Of the structure file and the baseline.  What is wrong with a recording is told by its outcome.
     """
+    spare_inputs([out / _SURVEYS], [*recordings, structure, baseline])
     settings = config.load(structure)
     if baseline is not None:
         load(baseline, settings)
-    configuration = _configuration(structure, settings, baseline)
+    configuration = _configuration(settings, baseline)
     try:
         for folder in (WINDOWS, RUNS, DIAGNOSES):
             (out / folder).mkdir(parents=True, exist_ok=True)
@@ -103,7 +107,7 @@ def _made(
     return there + work(function, [t for t, r in zip(tasks, results, strict=True) if not r.exists()])
 
 
-def _configuration(structure: Path, settings: config.Configuration, baseline: Path | None) -> str:
+def _configuration(settings: config.Configuration, baseline: Path | None) -> str:
     """Everything besides the recordings that results depend on."""
     told = settings.model_dump_json(exclude={"output", "source"})
     return fingerprint(told, "" if baseline is None else baseline.read_text(encoding="utf-8"))
@@ -146,7 +150,7 @@ def _surveyed(
     recordings: Sequence[Path], topics: dict[str, str], out: Path, work: Work
 ) -> tuple[list[Survey], list[Outcome]]:
     """What each recording holds, read once and kept in ``surveys.json``."""
-    kept_in = out / "surveys.json"
+    kept_in = out / _SURVEYS
     try:
         kept: dict[str, Any] = json.loads(kept_in.read_text(encoding="utf-8"))
     except (OSError, ValueError):

@@ -17,6 +17,8 @@ HEALTHY, ALARM, TROUBLE, DOWN = 0, 10, 11, 12
 _SILENT_S = 60.0
 """Health is told at least every 10 s."""
 _TAIL_BYTES = 1 << 20
+_OF_HEALTH, _OF_RESULT = {"wall_ns", "source", "recorder", "failed"}, {"t_end_ns", "skipped"}
+"""Keys without which a line is another's."""
 
 
 def running(out: Path) -> bool:
@@ -34,6 +36,17 @@ def running(out: Path) -> bool:
     return False
 
 
+def demand_state(out: Path) -> None:
+    """Refuse a folder that no daemon has ever written into.
+
+    Raises
+    ------
+    MissingInputError
+    """
+    if not (out / "state").is_dir():
+        raise MissingInputError(f"{out}: no daemon has written here; give a site file, or the dir of its [output]")
+
+
 def look(out: Path) -> dict[str, Any]:
     """All that is known, as `status --json` prints it.
 
@@ -42,9 +55,8 @@ def look(out: Path) -> dict[str, Any]:
     MissingInputError
         There is no such folder, or no daemon has ever written there.
     """
-    if not (out / "state").is_dir():
-        raise MissingInputError(f"{out}: no daemon has written here; give a site file, or the dir of its [output]")
-    health = _last_line(out / "health.jsonl") or _last_line(out / "health.jsonl.1")
+    demand_state(out)
+    health = _last_line(out / "health.jsonl", _OF_HEALTH) or _last_line(out / "health.jsonl.1", _OF_HEALTH)
     age_s = None if health is None else (time.time_ns() - health["wall_ns"]) * 1e-9
     is_running = running(out)
     status: dict[str, Any] = {
@@ -53,7 +65,7 @@ def look(out: Path) -> dict[str, Any]:
         "silent_s": age_s,
         "summary": _read(out / "summary.json"),
         "health": health,
-        "result": _last_line(out / "results.jsonl"),
+        "result": _last_line(out / "results.jsonl", _OF_RESULT),
     }
     troubles = _troubles(health) if is_running else []
     if not is_running:
@@ -167,8 +179,8 @@ def _read(path: Path) -> dict[str, Any] | None:
     return content if isinstance(content, dict) else None
 
 
-def _last_line(path: Path) -> dict[str, Any] | None:
-    """The last line that is whole."""
+def _last_line(path: Path, keys: set[str]) -> dict[str, Any] | None:
+    """The last line that is whole and has these keys; None if it is not among the last two."""
     try:
         with path.open("rb") as file:
             size = file.seek(0, os.SEEK_END)
@@ -181,5 +193,6 @@ def _last_line(path: Path) -> dict[str, Any] | None:
             content = json.loads(row)
         except ValueError:
             continue
-        return content if isinstance(content, dict) else None
+        if isinstance(content, dict) and keys <= content.keys():
+            return content
     return None

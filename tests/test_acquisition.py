@@ -15,6 +15,7 @@ from monitor.record import simulate_to
 from monitor.recordings import blocks
 from monitor.results import ModalEstimate, WindowResult
 from monitor.structures import ShearFrame
+from tests.conftest import T0_NS
 
 CONTEXT = Context(ShearFrame(np.ones(3), 1000.0 * np.ones(3), 0.01), ("a1", "a2", "a3"), np.eye(3), 100.0)
 FAULTS = tuple(
@@ -81,7 +82,7 @@ def test_an_accepted_sensor_fault_no_longer_moves_the_index(fault: str, tmp_path
     config = load_config(plain)
     healthy, faulty = tmp_path / "healthy.mcap", tmp_path / "faulty.mcap"
     common = {"excitation": "ambient", "noise": 0.05, "damage": [], "rate_hz": 200.0, "level_spread": 0.0}
-    common |= {"start": "2026-01-01T00:00:00", "temperature": None}
+    common |= {"t0_ns": T0_NS, "temperature": None}
     simulate_to(healthy, config, duration_s=600.0, effects=[], seed=1, **common)
     simulate_to(faulty, config, duration_s=250.0, effects=[fault], seed=2, **common)
     save(calibrate([healthy], config)[0], tmp_path / "b.json")

@@ -5,20 +5,24 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
+from typing import get_type_hints
 
 import numpy as np
 import pytest
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
+from typer.models import ArgumentInfo, CommandInfo
 
 from drivers import codec
 from drivers.base import ACCELERATION, GROUND
 from drivers.mcap_file import McapWriter, read_recordings, recording_info, scan_messages
 from monitor import config
+from monitor.cli import app
 from monitor.model import Model
 from monitor.simulate import simulate
 from tests.conftest import T0_NS, Cli, Cut
@@ -66,7 +70,7 @@ def assert_refused(done: Done, codes: set[int], *words: str) -> None:
     else:
         assert [line[:7] for line in done.stderr.splitlines()].count("error: ") == 1, done.stderr
         assert done.stderr.startswith("error: ") or done.stderr.startswith("warning: ")
-    told = " ".join(done.stderr.replace("│", " ").split())
+    told = " ".join(done.stderr.split())
     assert all(word in told for word in words), (words, done.stderr)
     assert done.stdout == ""
 
@@ -552,6 +556,9 @@ def test_a_baseline_of_another_structure_or_vector_is_65(
         ["simulate", "--structure", "quick.toml", "--out", "o.mcap", "--seed", "-1"],
         ["simulate", "--structure", "quick.toml", "--out", "o.mcap", "--duration", "long"],
         ["simulate", "--structure", "quick.toml", "--out", "o.mcap", "--duration", "-5"],
+        ["simulate", "--structure", "quick.toml", "--out", "o.mcap", "--dbc", "frame.dbc"],
+        ["simulate", "--structure", "quick.toml", "--out", "o.mcap", "--speed", "1.0"],
+        ["fleet", "fleet.toml", "--count", "2"],
         ["dance"],
     ],
     ids=" ".join,
@@ -560,6 +567,56 @@ def test_wrong_usage_is_2_and_does_nothing(site: Site, arguments: list[str]) -> 
     before = tree(site.folder)
     assert_refused(site.main(*arguments, cwd=site.folder), {2})
     assert tree(site.folder) == before
+
+
+def bare(command: Callable[..., None]) -> list[str]:
+    """The least that a command must be given; files that are not there."""
+    hints, words = get_type_hints(command, include_extras=True), []
+    for name, parameter in inspect.signature(command).parameters.items():
+        if parameter.default is parameter.empty:
+            words += ["1"] if isinstance(hints[name].__metadata__[0], ArgumentInfo) else [f"--{name}", "1"]
+    return words
+
+
+FLOATS = [
+    (command, "--" + name.replace("_", "-"))
+    for command in app.registered_commands
+    for name, hint in get_type_hints(command.callback).items()
+    if hint in (float, float | None)
+]
+
+
+@pytest.mark.parametrize(("command", "option"), FLOATS, ids=lambda item: item if isinstance(item, str) else "")
+def test_numbers_that_are_not_finite_or_absurd_are_wrong_usage(
+    main: Cli, tmp_path: Path, command: CommandInfo, option: str
+) -> None:
+    assert command.callback is not None
+    name = command.name or command.callback.__name__
+    for value in ("nan", "inf", "-inf", "1e300", "-1e300"):
+        done = main(name, *bare(command.callback), f"{option}={value}", cwd=tmp_path)
+        assert_refused(done, {2}, option)
+
+
+def test_every_command_with_such_numbers_is_among_them() -> None:
+    assert {option for _, option in FLOATS} == {
+        "--duration", "--noise", "--rate", "--level-spread", "--shelve", "--every", "--gap",
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("speed", ["nan", "inf", "1e300", "1e-300"])
+def test_no_speed_beyond_reach(main: Cli, tmp_path: Path, speed: str) -> None:
+    arguments = ("--structure", "s.toml", "--to", "zenoh:peer:tcp/127.0.0.1:1:a", "--speed", speed)
+    assert_refused(main("simulate", *arguments, cwd=tmp_path), {2}, "--speed")
+
+
+def test_a_path_that_the_machine_refuses_is_one_message(main: Cli, tmp_path: Path) -> None:
+    assert_refused(main("status", tmp_path / ("x" * 300)), {66}, "File name too long")
+
+
+def test_more_than_the_memory_holds_is_one_message(site: Site, tmp_path: Path) -> None:
+    arguments = ("--structure", site.quick, "--out", tmp_path / "s.mcap", "--duration", 1e8, "--rate", 1e6)
+    assert_refused(site.main("simulate", *arguments), {1}, "too little memory")
+    assert tree(tmp_path) == {}
 
 
 def test_the_installed_script_gives_the_same_codes(site: Site, calibrated: Done, tmp_path: Path) -> None:
@@ -582,6 +639,11 @@ def test_help_names_every_command_and_version_is_a_version(cli: Cli) -> None:
     done = cli("--version")
     assert_ok(done)
     assert done.stdout.strip().replace(".", "").isdigit()
+
+
+def test_help_keeps_what_stands_in_square_brackets(main: Cli) -> None:
+    assert "[output] dir" in main("run", "--help").stdout
+    assert "NAME=FILE[:COLUMN]" in main("import", "--help").stdout
 
 
 # --- simulate ---
@@ -727,6 +789,37 @@ def test_an_output_in_the_place_of_an_input_is_refused_and_the_input_kept(
     assert done.returncode == 2
     assert f"{target} is an input of this command" in done.stderr
     assert target.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("command", "written"),
+    [
+        ("replay IN --structure IN --baseline IN --out DIR", "summary.json"),
+        ("calibrate IN --structure IN --out FILE", "b.json"),
+        ("simulate --structure IN --to zenoh:peer:tcp/127.0.0.1:1:a --dbc IN --out FILE", "r.mcap"),
+        ("import IN IN --dbc IN --out FILE", "r.mcap"),
+        ("diagnose IN --structure IN --baseline IN --out DIR", "diagnosis.json"),
+        ("accept IN --structure IN --baseline IN --out FILE", "s.toml"),
+        ("export IN --out FILE", "t.csv"),
+        ("reprocess IN --structure IN --baseline IN --out DIR", "surveys.json"),
+        ("fleet IN --out FILE", "v.rrd"),
+    ],
+)
+def test_no_command_writes_over_what_it_reads_however_it_is_spelled(
+    main: Cli, tmp_path: Path, command: str, written: str
+) -> None:
+    places = {"FILE": tmp_path / written, "DIR": tmp_path}
+    (tmp_path / "deep").mkdir()
+    (tmp_path / written).write_text("mine")
+    for victim in range(command.count("IN")):
+        inputs = [tmp_path / f"input{k}" for k in range(command.count("IN"))]
+        inputs[victim] = tmp_path / "deep" / ".." / written
+        names = iter(inputs)
+        done = main(*(next(names) if word == "IN" else places.get(word, word) for word in command.split()))
+        assert (done.returncode, done.stdout) == (2, ""), done.stderr
+        assert f"{tmp_path / written} is an input of this command" in done.stderr
+        assert (tmp_path / written).read_text() == "mine"
+        assert list(tree(tmp_path)) == [written]
 
 
 def test_a_replay_never_overwrites_its_own_baseline(site: Site, tmp_path: Path) -> None:

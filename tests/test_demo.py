@@ -11,6 +11,7 @@ import pytest
 from PIL import Image
 
 from monitor import demo
+from tests.conftest import Cli
 from tests.debian import demand
 
 ROOT = Path(__file__).parents[1]
@@ -30,6 +31,13 @@ def test_the_demo_finds_the_damage_and_only_there(results: tuple[Path, str]) -> 
     assert [(a["level"], a["story"]) for a in alarms] == [("alarm", 2)]
     assert alarms[0]["ddi"] == pytest.approx(0.12, abs=0.01)
     assert "alarm: story 2 lost 12" in said
+
+
+def test_a_file_in_the_place_of_its_folder_is_refused_at_once(tmp_path: Path, main: Cli) -> None:
+    (tmp_path / "out").write_text("mine")
+    done = main("demo", "--out", tmp_path / "out", cwd=ROOT)
+    assert (done.returncode, done.stdout) == (66, "")
+    assert done.stderr.startswith("error: ") and str(tmp_path / "out") in done.stderr
 
 
 def test_the_demo_says_how_far_a_shear_frame_misses_the_measured_one(results: tuple[Path, str]) -> None:

@@ -111,6 +111,14 @@ def test_the_site_file_is_sound_and_opens_no_door(tmp_path: Path, main: Cli) -> 
     ), problems
 
 
+def test_the_fleet_file_is_sound(tmp_path: Path, main: Cli) -> None:
+    done = main("check", DEPLOY / "fleet.toml")
+    assert done.returncode == 0 and "no problems; sites frame-1, frame-2" in done.stdout, done.stderr
+    (tmp_path / "fleet.toml").write_text((DEPLOY / "fleet.toml").read_text() + "colour = 1\n")
+    done = main("check", tmp_path / "fleet.toml")
+    assert done.returncode == 78 and "fleet.toml: fleet.colour" in done.stderr
+
+
 def test_a_user_without_a_home_may_run_what_root_installed() -> None:
     """Where compiled code cannot be kept, it is compiled anew."""
     environment = {**os.environ, "NUMBA_CACHE_LOCATOR_CLASSES": "IPythonCacheLocator"}  # none for files

@@ -209,6 +209,7 @@ def test_the_pace_is_the_data_s(cut: Cut, monkeypatch: pytest.MonkeyPatch) -> No
         ("can:virtual", "frame.dbc", "expected"),
         ("can:socketcand-server:host:x", "frame.dbc", "expected"),
         ("zenoh:client:key", None, "expected"),
+        ("zenoh:client:tcp/127.0.0.1:1:key", "frame.dbc", "--dbc is for CAN"),
         ("zenoh:clinet:tcp/127.0.0.1:1:key", None, "mode|Input"),
         ("smoke:signals", None, "expected"),
         ("can:virtual:x", "none.dbc", "No such file"),

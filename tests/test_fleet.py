@@ -100,6 +100,9 @@ def test_the_shipped_fleet_file_is_right_and_errors_are_told(tmp_path: Path, mai
     wrong.write_text("[fleet]\nmode = 'client'\nconnect = ['tcp/127.0.0.1:1']\ncolour = 1\n")
     ended = main("fleet", wrong)
     assert ended.returncode == 78 and "fleet.colour" in ended.stderr
+    wrong.write_text("[site]\nname = 'a'\n")
+    ended = main("fleet", wrong)
+    assert ended.returncode == 78 and "fleet: Field required" in ended.stderr and "site: Extra" in ended.stderr
     wrong.write_text("[fleet]\nconnect = ['tcp/127.0.0.1:1']\nconnect_timeout_s = 0.2\n")
     ended = main("fleet", wrong)
     assert ended.returncode == 66 and "127.0.0.1:1" in ended.stderr and "Traceback" not in ended.stderr

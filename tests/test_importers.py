@@ -14,7 +14,6 @@ from monitor.errors import BadInputError, MissingInputError
 from monitor.importers import import_files
 
 DATA = Path(__file__).parent / "data"
-WHEN = "2026-01-02T03:04:05"
 WHEN_NS = 1_767_323_045 * 10**9
 
 
@@ -22,7 +21,7 @@ def convert(path: Path, content: str | bytes, **options: object) -> tuple[Record
     """Import one file of this content; its values come back as m/s^2, with the warnings."""
     path.write_bytes(content.encode() if isinstance(content, str) else content)
     warnings: list[str] = []
-    options.setdefault("start", WHEN)
+    options.setdefault("start_ns", WHEN_NS)
     out = path.with_suffix(".mcap")
     info = import_files([path], out, on_warning=warnings.append, **options)  # type: ignore[arg-type]
     return info, samples(out), warnings
@@ -81,7 +80,7 @@ def test_units_of_the_header_win_over_the_argument(tmp_path: Path, head: str, un
 def test_without_any_time_the_rate_must_be_given(tmp_path: Path) -> None:
     with pytest.raises(BadInputError, match=r"a\.csv: no time column.*--rate"):
         convert(tmp_path / "a.csv", "a1,a2\n" + rows("{a},{b}\n"))
-    info, values, warnings = convert(tmp_path / "a.csv", rows("{a},{b}\n"), rate_hz=50.0, start=None)
+    info, values, warnings = convert(tmp_path / "a.csv", rows("{a},{b}\n"), rate_hz=50.0, start_ns=None)
     assert info.sample_rate_hz == 50.0 and info.t_start_ns == 0 and "1970" in warnings[0]
     assert info.channels[ACCELERATION] == ("column1", "column2")
     np.testing.assert_allclose(values[:, 0], RAMP, atol=1e-6)
@@ -145,10 +144,10 @@ def test_what_cannot_be_used_is_named_with_file_and_place(tmp_path: Path, conten
 @pytest.mark.parametrize(
     ("options", "reason"),
     [
-        ({"unit": "furlong"}, "unit 'furlong'"),
+        ({"unit": "furlong"}, r"--unit 'furlong': known.*m/s\^2"),
+        ({"dbc": Path("frame.dbc")}, "--dbc is for CAN logs"),
         ({"rate_hz": -1.0}, "--rate"),
         ({"rate_hz": 1e-200}, "absurd"),
-        ({"start": "yesterday"}, "--start 'yesterday'"),
         ({"channels": {"x": "b"}}, r"'b' names no file; .*a\.csv \(a1, a2\); write FILE:COLUMN, as a:a1"),
         ({"channels": {"x": "a:nope"}}, "no column 'nope'; it has a1, a2"),
         ({"channels": {"x": "a"}}, "name a column: a1, a2"),
@@ -156,7 +155,7 @@ def test_what_cannot_be_used_is_named_with_file_and_place(tmp_path: Path, conten
 )
 def test_options_that_do_not_fit_are_refused(tmp_path: Path, options: dict[str, object], reason: str) -> None:
     with pytest.raises(BadInputError, match=reason):
-        convert(tmp_path / "a.csv", "time,a1,a2\n" + rows("{t},{a},{b}\n"), **options)
+        convert(tmp_path / "a.csv", "time,a1 [g],a2 [g]\n" + rows("{t},{a},{b}\n"), **options)
 
 
 @pytest.mark.parametrize("name", ["a.blf", "a.asc", "a.log"])
@@ -190,7 +189,7 @@ def test_files_with_clocks_are_joined_where_they_overlap(tmp_path: Path) -> None
     (tmp_path / "low.csv").write_text("t,acc\n" + "".join(lines[50:]))
     warnings: list[str] = []
     files = [tmp_path / "top.csv", tmp_path / "low.csv"]
-    info = import_files(files, tmp_path / "o.mcap", start=WHEN, on_warning=warnings.append)
+    info = import_files(files, tmp_path / "o.mcap", start_ns=WHEN_NS, on_warning=warnings.append)
     assert info.channels[ACCELERATION] == ("top", "low") and "150 samples are common" in warnings[0]
     ramp = np.arange(50, 200)
     np.testing.assert_array_equal(samples(tmp_path / "o.mcap"), np.column_stack([ramp, ramp]))
@@ -208,7 +207,7 @@ def dot(first_tick: int, skip: tuple[int, ...] = ()) -> str:
 
 def test_xsens_counts_packets_and_begins_at_its_local_start_time(tmp_path: Path) -> None:
     near_wrap = 2**32 - 100 * 8333
-    info, values, warnings = convert(tmp_path / "top.csv", dot(near_wrap, skip=(150, 151)), start=None)
+    info, values, warnings = convert(tmp_path / "top.csv", dot(near_wrap, skip=(150, 151)), start_ns=None)
     assert (info.sample_rate_hz, info.channels[ACCELERATION], warnings) == (
         120.0,
         ("Acc_X",),
@@ -226,10 +225,10 @@ def test_xsens_counts_packets_and_begins_at_its_local_start_time(tmp_path: Path)
 
 
 def test_a_zero_shift_of_summer_time(tmp_path: Path) -> None:
-    summer, _, _ = convert(tmp_path / "a.csv", dot(0).replace("PST", "PDT"), start=None)
-    winter, _, _ = convert(tmp_path / "b.csv", dot(0), start=None)
+    summer, _, _ = convert(tmp_path / "a.csv", dot(0).replace("PST", "PDT"), start_ns=None)
+    winter, _, _ = convert(tmp_path / "b.csv", dot(0), start_ns=None)
     assert winter.t_start_ns - summer.t_start_ns == 3600 * 10**9
-    _, _, warnings = convert(tmp_path / "c.csv", dot(0).replace("PST", "XYZ"), start=None)
+    _, _, warnings = convert(tmp_path / "c.csv", dot(0).replace("PST", "XYZ"), start_ns=None)
     assert "unknown time zone 'XYZ'" in warnings[0]
 
 

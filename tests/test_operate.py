@@ -199,6 +199,29 @@ def test_the_end_is_told(running: Running, main: Cli) -> None:
         look(running.site.parent)
 
 
+def test_status_takes_only_lines_that_are_the_monitor_s(tmp_path: Path, main: Cli) -> None:
+    (tmp_path / "state").mkdir()
+    own = json.dumps({"t_end_ns": 1_767_225_600 * 10**9, "skipped": "gap in the data"})
+    for last, says in (
+        ("{}", "none yet"),
+        (f"{own}\n[1]", "gap in the data"),
+        (f'{own}\n{{"a": 1}}', "gap in the data"),
+    ):
+        for name in ("results.jsonl", "health.jsonl"):
+            (tmp_path / name).write_text(last + "\n")
+        done = main("status", tmp_path)
+        assert done.returncode == 12 and says in done.stdout, done.stdout + done.stderr
+
+
+def test_a_request_to_a_site_that_never_ran_is_refused_and_leaves_nothing(
+    tmp_path: Path, frame_text: str, main: Cli
+) -> None:
+    (tmp_path / "site.toml").write_text(SITE.format(port=1) + frame_text)
+    done = main("ack", tmp_path / "site.toml", "--story", 1, "--who", "ann")
+    assert done.returncode == 66 and "no daemon has written here" in done.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["site.toml"]
+
+
 def test_only_some_tables_may_change(tmp_path: Path, frame_text: str) -> None:
     path = tmp_path / "site.toml"
     path.write_text(SITE.format(port=1) + frame_text)

@@ -156,6 +156,15 @@ def test_a_period_is_cut_out_and_reads_alike(months: Path, tmp_path: Path) -> No
     assert "no alarm" in words(parsed(tmp_path / "r.html"))
 
 
+def test_windows_are_due_from_the_run_s_first_on_and_ends_count_to_the_nanosecond(tmp_path: Path, main: Cli) -> None:
+    json_lines(tmp_path / "results.jsonl", [line_of(k) for k in range(10)])
+    early = read_period(tmp_path, T0 - 365 * DAY, None)
+    assert (early.results.windows, early.results.due) == (10, 10)
+    for end, windows in (("00:49:59.999999", 4), ("00:50:00.4", 5)):
+        done = main("report", tmp_path, "--out", tmp_path / "r.html", "--to", f"2026-01-01T{end}", "--json")
+        assert (json.loads(done.stdout)["windows"], done.returncode) == (windows, 0)
+
+
 def test_months_take_little_memory(months: Path) -> None:
     """What is kept does not grow with the period: as many bins for ninety days as for nine."""
     sizes = [read_period(months, T0, T0 + d * DAY).results.grid.n for d in (9, 90)]

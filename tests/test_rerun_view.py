@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import socket
 import threading
@@ -18,6 +19,7 @@ from scipy.signal import welch
 from drivers.base import ClockHealth
 from monitor.health import ChannelHealth, Health
 from monitor.model import Model
+from monitor.parse import parse_address
 from monitor.publish import rerun_picture, rerun_scene
 from monitor.publish.rerun_queue import Output
 from monitor.publish.rerun_scene import Scene, severity
@@ -249,6 +251,22 @@ def listening(port: int) -> set[str]:
             if state == "0A" and int(number, 16) == port:
                 found.add(address)
     return found
+
+
+def test_serves_over_ipv6_too() -> None:
+    try:
+        with socket.create_server(("::1", 0), family=socket.AF_INET6) as probe:
+            port = probe.getsockname()[1]
+    except OSError:
+        pytest.skip("no IPv6 here")
+    view = RerunPublisher(SCENE, file=None, serve=parse_address(f"[::1]:{port}"), lossless=False)
+    view.window(window(0))
+    until, reached = time.monotonic() + 20, False
+    while not reached and time.monotonic() < until:
+        with contextlib.suppress(OSError), socket.create_connection(("::1", port), timeout=1.0):
+            reached = True
+    view.close()
+    assert reached and not view.failed
 
 
 @pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="needs Linux's /proc/net/tcp")

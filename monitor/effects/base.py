@@ -334,7 +334,7 @@ def _kind(location: str) -> str:
     kind, _, which = location.partition(" ")
     if kind in ("frame", "base") and not which:
         return kind
-    if kind in ("story", "floor") and which.isdigit() and int(which) > 0:
+    if kind in ("story", "floor") and which.isdecimal() and int(which) > 0:
         return kind
     if kind == "channel" and which:
         names = which.split(",")

@@ -14,7 +14,7 @@ from drivers.mcap_file import McapWriter, RecordingInfo, recording_info
 from drivers.mcap_records import MAGIC
 from monitor.errors import BadInputError, MissingInputError
 from monitor.importers import can_log, csv_table, npz, xsens_dot
-from monitor.importers.table import Array, OnWarning, Table, Ticks, join, sample_numbers
+from monitor.importers.table import UNITS, Array, OnWarning, Table, Ticks, join, sample_numbers, unit_factor
 
 __all__ = ["import_files"]
 _MAX_UNZIPPED = 1 << 31
@@ -28,7 +28,7 @@ def import_files(
     unit: str = "m/s^2",
     channels: dict[str, str] | None = None,
     ground: str | None = None,
-    start: str | None = None,
+    start_ns: int | None = None,
     dbc: Path | None = None,
     on_warning: OnWarning = lambda _: None,
 ) -> RecordingInfo:
@@ -45,8 +45,8 @@ def import_files(
         the stems of several.
     ground
         "FILE" or "FILE:COLUMN" of the base motion.
-    start
-        UTC of the first sample, ISO; 1970 if neither this nor a file tells.
+    start_ns
+        UTC of the first sample, since 1970; 1970 if neither this nor a file tells.
     dbc
         What the frames of CAN logs mean.
 
@@ -59,19 +59,21 @@ def import_files(
     """
     if rate_hz is not None and not (np.isfinite(rate_hz) and rate_hz > 0):
         raise BadInputError(f"--rate {rate_hz}: must be a positive number of Hz")
-    if not files or out in files:
-        raise BadInputError(f"{out}: name at least one file to import, and another one to write")
+    if unit_factor(unit) is None:
+        raise BadInputError(f"--unit {unit!r}: known for acceleration: {', '.join(UNITS)}")
     if any(map(can_log.is_log, files)):
-        can_log.check_options(files, dbc, channels, ground, start)
+        can_log.check_options(files, dbc, channels, ground, start_ns)
         assert dbc is not None
         try:
             return can_log.import_log(files[0], out, dbc=dbc, rate_hz=rate_hz, on_warning=on_warning)
         except OSError as error:
             raise MissingInputError(f"{out}: cannot be written: {error.strerror or error}") from error
+    if dbc is not None:
+        raise BadInputError(f"{dbc}: --dbc is for CAN logs; {files[0]} is none by its name")
     tables, clock = join([_load(path, on_warning) for path in files], on_warning)
     chosen, base = _choose(tables, channels, ground)
     rate, numbers = _timing(tables, clock, rate_hz, on_warning)
-    start_ns = _start(tables, start, on_warning)
+    start_ns = _start(tables, on_warning) if start_ns is None else start_ns
     # One must fit 64-bit nanoseconds; a damaged counter does not.
     if not 1e-3 <= rate <= 1e7 or start_ns + numbers[-1] * 1e9 / rate > 4e18:
         raise BadInputError(f"{files[0]}: {rate} Hz and {numbers[-1]} samples in all are absurd")
@@ -216,13 +218,8 @@ def _timing(
     return stated or rate, numbers
 
 
-def _start(tables: list[Table], start: str | None, on_warning: OnWarning) -> int:
-    """UTC of the first sample, nanoseconds since 1970."""
-    if start:
-        given = csv_table.parse_moment(start)
-        if given is None or given < 0:
-            raise BadInputError(f"--start {start!r}: is no date since 1970; write 2026-01-31T12:00:00")
-        return given
+def _start(tables: list[Table], on_warning: OnWarning) -> int:
+    """UTC of the first sample as the files tell it, nanoseconds since 1970."""
     known = [table.start_ns for table in tables if table.start_ns is not None and table.start_ns >= 0]
     if not known:
         on_warning("no file tells when it was recorded; the recording begins in 1970 (see --start)")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 from drivers.base import EndOfStream, SampleBlock, SourceContext, SourceError
@@ -23,7 +24,7 @@ def is_log(path: Path) -> bool:
 
 
 def check_options(
-    files: list[Path], dbc: Path | None, channels: dict[str, str] | None, ground: str | None, start: str | None
+    files: list[Path], dbc: Path | None, channels: dict[str, str] | None, ground: str | None, start_ns: int | None
 ) -> None:
     """Refuse what a log with its DBC already says, and a log without one.
 
@@ -36,7 +37,7 @@ def check_options(
         raise BadInputError(f"{files[0]}: import CAN logs one by one")
     if dbc is None:
         raise BadInputError(f"{files[0]}: a CAN log needs --dbc FILE.dbc to say what its frames mean")
-    if channels or ground or start:
+    if channels or ground or start_ns is not None:
         raise BadInputError(f"{files[0]}: its DBC names the channels and it has times: no --channel, --ground, --start")
 
 
@@ -89,10 +90,9 @@ def import_log(path: Path, out: Path, *, dbc: Path, rate_hz: float | None, on_wa
 
 def _blocks(source: CanSource) -> Iterator[SampleBlock]:
     try:
-        source.open()
-        while (block := source.read(1.0)) is not None:
-            yield block
-    except EndOfStream:
-        pass
+        with suppress(EndOfStream):
+            source.open()
+            while (block := source.read(1.0)) is not None:
+                yield block
     finally:
         source.close()

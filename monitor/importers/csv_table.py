@@ -13,11 +13,10 @@ import numpy as np
 
 from monitor.errors import BadInputError
 from monitor.importers.table import Array, OnWarning, Table, Ticks, unit_factor
+from monitor.parse import utc_ns
 
 _NUMBER = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?|[+-]?(nan|inf)", re.IGNORECASE)
 _DATE = re.compile(r"\d{1,4}[-./]\d{1,2}[-./]\d{1,4}([ T_]\d{1,2}:\d{2}.*)?")
-_YEARS = 1680, 2260
-"""That nanoseconds in 64 bits can say."""
 _DATE_FORMATS = ("ISO", "%d.%m.%Y %H:%M:%S", "%Y/%m/%d %H:%M:%S", "%m/%d/%Y %H:%M:%S", "%d/%m/%Y %H:%M:%S")
 _HEADER = re.compile(r"(.*?)\s*(?:[\[(]([^\])]*)[\])])?\s*")
 _TIME = re.compile(r"(t(_[mun]?s)?|time.*|zeit.*|date.*|datum.*|sampletimefine|elapsed.*)", re.IGNORECASE)
@@ -202,29 +201,22 @@ def _dates(cells: Cells, column: int) -> Ticks:
         times = [_moment(text, form) for text in texts[:1]]
         if times[0] is not None and None not in (times := [_moment(text, form) for text in texts]):
             return np.array(times, dtype=np.int64)
-    bad = next((at for at, text in enumerate(texts) if parse_moment(text) is None), 0)
+    bad = next(
+        (at for at, text in enumerate(texts) if not any(_moment(text, form) is not None for form in _DATE_FORMATS)), 0
+    )
     raise BadInputError(f"{cells.path}: line {cells.first_line + bad}: {texts[bad][:40]!r} is no date")
 
 
-def parse_moment(text: str) -> int | None:
-    """Nanoseconds since 1970 of a date in ISO or a usual other form, UTC unless told; None if it is none."""
-    return next((moment for form in _DATE_FORMATS if (moment := _moment(text, form)) is not None), None)
-
-
 def _moment(text: str, form: str) -> int | None:
+    """Nanoseconds since 1970 of a date in one of the forms, UTC unless told; None if it is none."""
     try:
-        if form == "ISO":
-            moment = datetime.fromisoformat(text)
-        else:
+        if form != "ISO":
             clock, _, fraction = text.rpartition(":")[2].replace(",", ".").partition(".")
             whole = text.rpartition(":")[0] + ":" + clock
-            moment = datetime.strptime(whole, form).replace(microsecond=int(fraction[:6].ljust(6, "0")))
+            text = datetime.strptime(whole, form).replace(microsecond=int(fraction[:6].ljust(6, "0"))).isoformat()
+        return utc_ns(text)
     except ValueError:
         return None
-    if not _YEARS[0] <= moment.year <= _YEARS[1]:
-        return None
-    moment = moment if moment.tzinfo else moment.replace(tzinfo=UTC)
-    return int(moment.replace(microsecond=0).timestamp()) * 10**9 + moment.microsecond * 1000
 
 
 def _warn_swapped(path: Path, start_ns: int, on_warning: OnWarning) -> None:

@@ -15,8 +15,8 @@ Array = NDArray[np.float64]
 Ticks = NDArray[np.int64]
 OnWarning = Callable[[str], None]
 
-_UNITS = {"m/s^2": 1.0, "m/s2": 1.0, "m/s²": 1.0, "m/s/s": 1.0, "ms-2": 1.0, "ms^-2": 1.0, "g": 9.80665}
-_UNITS |= {"mg": 9.80665e-3, "gal": 1e-2, "cm/s^2": 1e-2, "cm/s2": 1e-2, "mm/s^2": 1e-3, "mm/s2": 1e-3}
+UNITS = {"m/s^2": 1.0, "m/s2": 1.0, "m/s²": 1.0, "m/s/s": 1.0, "ms-2": 1.0, "ms^-2": 1.0, "g": 9.80665}
+UNITS |= {"mg": 9.80665e-3, "gal": 1e-2, "cm/s^2": 1e-2, "cm/s2": 1e-2, "mm/s^2": 1e-3, "mm/s2": 1e-3}
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -61,7 +61,7 @@ class Table:
         if factor is None:
             raise BadInputError(
                 f"{self.path}: column {column!r} has unit {self.units[at] or unit!r}; "
-                f"known for acceleration: {', '.join(_UNITS)}"
+                f"known for acceleration: {', '.join(UNITS)}"
             )
         scaled: Array = self.values[:, at] * factor
         return scaled
@@ -69,7 +69,7 @@ class Table:
 
 def unit_factor(unit: str) -> float | None:
     """What turns `unit` into m/s^2; None if it is no unit of acceleration."""
-    return _UNITS.get(unit.strip().casefold().replace(" ", "").replace("**", "^"))
+    return UNITS.get(unit.strip().casefold().replace(" ", "").replace("**", "^"))
 
 
 def sample_numbers(path: Path, time_ns: Ticks) -> tuple[float, Ticks]:

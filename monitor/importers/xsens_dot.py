@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import re
-from datetime import UTC, datetime
 
 import numpy as np
 
 from monitor.errors import BadInputError
 from monitor.importers.csv_table import Cells
 from monitor.importers.table import OnWarning, Table
+from monitor.parse import utc_ns
 
 _START = re.compile(r"StartTime:[\s,;]*(\d{4}-\d{2}-\d{2})_(\d{2}:\d{2}:\d{2})_(\d{3})\s*(\w*)")
 _HOURS = {"UTC": 0, "GMT": 0, "PST": -8, "PDT": -7, "MST": -7, "MDT": -6, "CST": -6, "CDT": -5, "EST": -5}
@@ -64,5 +64,7 @@ def _start_ns(cells: Cells, on_warning: OnWarning) -> int | None:
     hours = _HOURS.get(found[4].upper())
     if hours is None:
         on_warning(f"{cells.path}: unknown time zone {found[4]!r} in StartTime; taken as UTC")
-    moment = datetime.fromisoformat(f"{found[1]}T{found[2]}").replace(tzinfo=UTC)
-    return (int(moment.timestamp()) - 3600 * (hours or 0)) * 10**9 + int(found[3]) * 10**6
+    try:
+        return utc_ns(f"{found[1]}T{found[2]}.{found[3]}") - 3600 * (hours or 0) * 10**9
+    except ValueError as error:
+        raise BadInputError(f"{cells.path}: StartTime {error}") from error

@@ -15,6 +15,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from monitor.files import finish, partial
+from monitor.parse import told
 from monitor.publish.requests import MAX_REQUEST_BYTES, Request
 from monitor.results import Gap, WindowResult
 
@@ -116,7 +117,7 @@ def _read(path: Path) -> Request | None:
             raise ValueError(f"more than {MAX_REQUEST_BYTES} bytes")
         return Request.model_validate_json(data)
     except ValidationError as error:
-        _log.warning("%s: no request: %s", path.name, error.errors()[0]["msg"])
+        _log.warning("%s: no request: %s", path.name, "; ".join(told(error)))
     except (OSError, ValueError) as error:
         _log.warning("%s: no request: %s", path.name, error)
     return None

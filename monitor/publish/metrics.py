@@ -16,9 +16,10 @@ from typing import Any, cast
 from prometheus_client import CollectorRegistry, start_http_server
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, HistogramMetricFamily, Metric
 from prometheus_client.registry import Collector
-from pydantic import model_validator
+from pydantic import field_validator, model_validator
 
 from monitor import __version__
+from monitor.parse import parse_address
 from monitor.publish.requests import Request
 from monitor.results import WHOLE, Gap, Level, WindowResult
 from monitor.settings import Settings
@@ -49,11 +50,14 @@ class MetricsSettings(Settings):
     private_key: Path | None = None
     client_ca: Path | None = None
 
+    @field_validator("listen")
+    @classmethod
+    def _listens(cls, text: str) -> str:
+        parse_address(text, any_port=True)
+        return text
+
     @model_validator(mode="after")
     def _sound(self) -> MetricsSettings:
-        host, _, port = self.listen.rpartition(":")
-        if not host or not port.isdigit() or not 0 <= int(port) < 65536:
-            raise ValueError(f"listen: {self.listen!r} is not HOST:PORT, as 127.0.0.1:9464")
         if (self.certificate is None) != (self.private_key is None):
             raise ValueError("certificate and private_key go together")
         if self.client_ca is not None and self.certificate is None:
@@ -63,8 +67,7 @@ class MetricsSettings(Settings):
     @property
     def address(self) -> tuple[str, int]:
         """Host and port."""
-        host, _, port = self.listen.rpartition(":")
-        return host.strip("[]"), int(port)
+        return parse_address(self.listen, any_port=True)
 
 
 class Metrics(Collector):

@@ -108,6 +108,8 @@ class Results:
 
     grid: Grid
     hop_s: float
+    begun_ns: int
+    """A hop before the run's first window ended."""
     windows: int = 0
     skipped: Counter[str] = field(default_factory=Counter)
     judged: list[int] = field(default_factory=list)
@@ -130,8 +132,9 @@ class Results:
 
     @property
     def due(self) -> int:
-        """Windows that an unbroken stream would have given."""
-        return max(self.windows, round((self.grid.to_ns - self.grid.from_ns) / (self.hop_s * 1e9)))
+        """Windows that an unbroken stream would have given since the run began."""
+        span_ns = self.grid.to_ns - max(self.grid.from_ns, self.begun_ns)
+        return max(self.windows, round(span_ns / (self.hop_s * 1e9)))
 
     def add(self, line: dict[str, Any]) -> None:
         """Take a line in."""
@@ -208,11 +211,12 @@ def read_results(folder: Path, from_ns: int | None, to_ns: int | None) -> Result
     path = folder / "results.jsonl"
     try:
         first_ns, last_ns, hop_s = _extent(path)
-        start = first_ns - round(hop_s * 1e9) if from_ns is None else from_ns
+        begun_ns = first_ns - round(hop_s * 1e9)
+        start = begun_ns if from_ns is None else from_ns
         stop = last_ns if to_ns is None else to_ns
         length_s = (stop - start) * 1e-9
         grid = Grid(start, max(stop, start + 1), int(np.clip(length_s / hop_s, 1, MOST_BINS)))
-        results = Results(grid, hop_s, judged=[0] * grid.n, refused=[0] * grid.n)
+        results = Results(grid, hop_s, begun_ns, judged=[0] * grid.n, refused=[0] * grid.n)
         with path.open("rb") as file:
             for raw in _between(file, start, stop):
                 try:

@@ -6,12 +6,12 @@ import json
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from monitor.parse import utc_ns
 from monitor.publish.period_data import Episode, utc
 from monitor.results import WHOLE
 
@@ -168,7 +168,7 @@ def decisions_of(folder: Path, health: Health) -> list[Decision]:
     """The ledger in the folder."""
     out = []
     for line in _lines(folder / "ledger.jsonl"):
-        t_ns = health.data_ns(round(datetime.fromisoformat(line["when"]).timestamp() * 1e9))
+        t_ns = health.data_ns(utc_ns(line["when"]))
         asked = _REQUEST.fullmatch(line["what"])
         action, story = (asked[1], int(asked[2])) if asked else ("", -1)
         out.append(Decision(t_ns, line["who"], line["what"], action, story))

@@ -51,7 +51,8 @@ class Output:
         sinks: list[rr.FileSink | rr.GrpcServerSink] = []
         if serve is not None:
             _demand_free(*serve)
-            sinks.append(rr.GrpcServerSink(bind_ip=serve[0], port=serve[1], server_memory_limit=memory))
+            host = f"[{serve[0]}]" if ":" in serve[0] else serve[0]
+            sinks.append(rr.GrpcServerSink(bind_ip=host, port=serve[1], server_memory_limit=memory))
         if file is not None:
             # An index would be kept in memory until the end, an entry for all that is sent by itself.
             sinks.append(rr.FileSink(partial(file), write_footer=False))

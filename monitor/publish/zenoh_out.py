@@ -20,6 +20,7 @@ from pydantic import Field, ValidationError
 from zenoh import ext
 
 from drivers.zenoh_session import Key, SessionSettings, open_session
+from monitor.parse import told
 from monitor.publish.lines import alarm_line, to_json
 from monitor.publish.requests import MAX_REQUEST_BYTES, Request
 from monitor.results import Gap, WindowResult
@@ -185,7 +186,7 @@ class ZenohOut:
         try:
             request = Request.model_validate_json(payload.to_bytes())
         except ValidationError as error:
-            return "; ".join(f"{'.'.join(map(str, e['loc'])) or 'request'}: {e['msg']}" for e in error.errors())
+            return "; ".join(told(error))
         with self._changed:
             if len(self._requests) >= self._settings.max_requests:
                 return "too many requests wait"

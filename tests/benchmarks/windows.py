@@ -6,6 +6,7 @@ import logging
 import os
 import warnings
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -54,7 +55,7 @@ def least(samples: Array, big: Array) -> None:
 def peers(x: Array) -> dict[str, Callable[[], Any]]:
     """What is installed of those that identify a window as a whole."""
     found: dict[str, Callable[[], Any]] = {}
-    try:
+    with suppress(ImportError):
         os.environ["TQDM_DISABLE"] = "1"
         with warnings.catch_warnings(action="ignore"):
             from pyoma2.functions import ssi
@@ -70,14 +71,10 @@ def peers(x: Array) -> dict[str, Callable[[], Any]]:
         found[PYOMA_1] = lambda: pyoma(False, 1)
         found[PYOMA_UNC] = lambda: pyoma(True, 2)
         found[PYOMA_UNC_1] = lambda: pyoma(True, 1)
-    except ImportError:
-        pass
-    try:
+    with suppress(ImportError):
         with warnings.catch_warnings(action="ignore"):
             from koma.oma import covssi
         found[KOMA] = lambda: covssi(x, 100.0, 25, list(range(2, 31, 2)), showinfo=False)
-    except ImportError:
-        pass
     return found
 
 

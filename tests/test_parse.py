@@ -1,0 +1,66 @@
+"""What people write: addresses, times, and problems of settings in words."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from pydantic import ValidationError
+
+from monitor.config import OutputSettings
+from monitor.parse import parse_address, told, utc_ns
+from monitor.publish.metrics import MetricsSettings
+from monitor.publish.requests import Request
+from tests.conftest import T0_NS, Cli
+
+
+def test_an_address_is_host_and_port() -> None:
+    assert parse_address("127.0.0.1:9876") == ("127.0.0.1", 9876)
+    assert parse_address("[::1]:80") == ("::1", 80)
+    assert parse_address("host:0", any_port=True) == ("host", 0)
+    assert OutputSettings(serve="[::1]:80").address == MetricsSettings(listen="[::1]:80").address == ("::1", 80)
+
+
+@pytest.mark.parametrize("text", ["host", ":80", "host:", "host:65536", "host:-1", "host:²", "host:8 0"])
+def test_what_is_no_address_is_refused_wherever_it_stands(main: Cli, tmp_path: Path, text: str) -> None:
+    for read in (parse_address, lambda t: OutputSettings(serve=t), lambda t: MetricsSettings(listen=t)):
+        with pytest.raises(ValueError, match="is not HOST:PORT"):
+            read(text)
+    done = main("replay", "r.mcap", "--structure", "s.toml", "--out", "o", "--serve", text, cwd=tmp_path)
+    assert done.returncode == 2 and "is not HOST:PORT" in done.stderr
+    assert main("view", text, cwd=tmp_path).returncode == 66
+
+
+def test_a_time_is_utc_unless_it_says_otherwise_and_whole_microseconds() -> None:
+    assert utc_ns("2026-01-01") == utc_ns("2026-01-01T00:00:00Z") == utc_ns("2026-01-01T01:00+01:00") == T0_NS
+    assert utc_ns("2026-01-01T00:00:00.000001") == T0_NS + 1000
+    assert utc_ns("1969-12-31T23:59:59.5") == -500_000_000
+
+
+@pytest.mark.parametrize(
+    "text", ["", "yesterday", "01.02.2026", "2026-13-01", "1677-01-01", "2263-01-01", "9999-12-31"]
+)
+def test_what_is_no_time_is_wrong_usage_in_every_command(main: Cli, tmp_path: Path, text: str) -> None:
+    with pytest.raises(ValueError, match=r"no time|beyond the years"):
+        utc_ns(text)
+    (tmp_path / "o").mkdir()
+    for command in (
+        ("simulate", "--structure", "s.toml", "--out", "r.mcap", "--start"),
+        ("import", "a.csv", "--out", "r.mcap", "--start"),
+        ("report", "o", "--out", "r.html", "--from"),
+        ("export", "o", "--out", "t.csv", "--to"),
+    ):
+        for value in (text, "1969-12-31"):
+            done = main(*command, value, cwd=tmp_path)
+            assert done.returncode == 2 and f"{command[-1]}: " in done.stderr, done.stderr
+
+
+def test_problems_are_told_with_their_place_and_without_the_values() -> None:
+    with pytest.raises(ValidationError) as caught:
+        Request.model_validate({"action": "reset", "story": "s3cret", "who": ""})
+    lines = told(caught.value, "output", "zenoh")
+    assert [line.partition(": ")[0] for line in lines] == ["output.zenoh.story", "output.zenoh.who"]
+    assert "s3cret" not in "".join(lines)
+    with pytest.raises(ValidationError) as caught:
+        Request(action="shelve", story=1, who="ann")
+    assert told(caught.value) == ["shelving needs a note and seconds"]
