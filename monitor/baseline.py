@@ -19,7 +19,7 @@ from monitor.model import Model
 from monitor.observations import mean_observation
 from monitor.reference import Reference
 from monitor.results import Array, ModalEstimate, Temperature
-from monitor.updating import Observation, Update, observe, predict, update
+from monitor.updating import Observation, Update, counterparts, observe, predict, update
 
 FORMAT = 1
 
@@ -39,6 +39,7 @@ class Baseline:
     misfit: Array
     """z less the updated model's: the standing model error, which cancels from every change, shape (n_data,)."""
     model_mode: tuple[int, ...]
+    """Which of `model`'s modes (0 = lowest) the healthy ones are, in the order of `z`."""
     gauges: tuple[int, ...]
     log: bool
     frequencies_hz: Array
@@ -114,7 +115,7 @@ def learn(
     Raises
     ------
     BadInputError
-        If there is no window.
+        If there is no window, or the model cannot be updated to them.
     """
     if not windows:
         raise BadInputError("no healthy window could be identified: nothing to learn a baseline from")
@@ -129,6 +130,12 @@ def learn(
         prior_std=config.prior_std(),
         with_masses=True,
     )
+    if fit.iterations == 0:
+        raise BadInputError(
+            "the structure file's model cannot be updated to the healthy modes: one of its modes stands still where the "
+            "healthy one moves most; check floors and directions of the channels"
+        )
+    mean = replace(mean, model_mode=counterparts(fit.model.modes(), sensors, mean))
     predicted, _ = predict(fit.model, sensors, mean, with_masses=False)
     z_covariance = mean.deviations.T @ mean.deviations
     gain = fit.gain / fit.parameters[:, None]
