@@ -215,14 +215,15 @@ def _shared_by_others(evidence: Evidence) -> Array:
 
 def _judge(alarm: StoryState, loss: float, z: float, std: float, t_ns: int, settings: AlarmSettings) -> StoryState:
     active = alarm.level is not Level.NORMAL
-    threshold = settings.significance - (settings.deadband if active else 0.0)
-    if z >= threshold and loss >= settings.min_loss:
+    band = settings.deadband if active else 0.0
+    slack = band * std
+    if z >= settings.significance - band and loss >= settings.min_loss - slack:
         since = t_ns if alarm.since_ns is None else min(alarm.since_ns, t_ns)  # the clock may have been set back
-        slack = settings.deadband * std if alarm.level is Level.ALARM else 0.0
         if t_ns - since < settings.confirm_s * 1e9 and alarm.level.rank < Level.WARNING.rank:
             level = Level.ADVISORY
         else:
-            level = Level.ALARM if loss >= settings.alarm_loss - slack else Level.WARNING
+            least = settings.alarm_loss - (slack if alarm.level is Level.ALARM else 0.0)
+            level = Level.ALARM if loss >= least else Level.WARNING
         latched = max(alarm.latched, level, key=lambda x: x.rank) if settings.latching else alarm.latched
         risen = level.rank > alarm.level.rank
         return replace(

@@ -6,9 +6,10 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import ConfigDict, Field, ValidationError
 
 from monitor import dependence, reference_file
 from monitor.config import Configuration
@@ -19,9 +20,13 @@ from monitor.model import Model
 from monitor.observations import mean_observation
 from monitor.reference import Reference
 from monitor.results import Array, ModalEstimate, Temperature
-from monitor.updating import Observation, Update, observe, predict, update
+from monitor.settings import Settings
+from monitor.structures.tables import Matrix, Positive
+from monitor.updating import Observation, Update, counterparts, observe, predict, update
 
 FORMAT = 1
+Index = Annotated[int, Field(ge=0)]
+Vector = tuple[float, ...]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -39,6 +44,7 @@ class Baseline:
     misfit: Array
     """z less the updated model's: the standing model error, which cancels from every change, shape (n_data,)."""
     model_mode: tuple[int, ...]
+    """Which of `model`'s modes (0 = lowest) the healthy ones are, in the order of `z`."""
     gauges: tuple[int, ...]
     log: bool
     frequencies_hz: Array
@@ -114,7 +120,7 @@ def learn(
     Raises
     ------
     BadInputError
-        If there is no window.
+        If there is no window, or the model cannot be updated to them.
     """
     if not windows:
         raise BadInputError("no healthy window could be identified: nothing to learn a baseline from")
@@ -129,6 +135,12 @@ def learn(
         prior_std=config.prior_std(),
         with_masses=True,
     )
+    if fit.iterations == 0:
+        raise BadInputError(
+            "the structure file's model cannot be updated to the healthy modes: one of its modes stands still where the "
+            "healthy one moves most; check floors and directions of the channels"
+        )
+    mean = replace(mean, model_mode=counterparts(fit.model.modes(), sensors, mean))
     predicted, _ = predict(fit.model, sensors, mean, with_masses=False)
     z_covariance = mean.deviations.T @ mean.deviations
     gain = fit.gain / fit.parameters[:, None]
@@ -186,44 +198,86 @@ def _frequency_std(f: Array, z_covariance: Array, log: bool) -> Array:
     return np.asarray(f * std / 2.0 if log else std / (8.0 * np.pi**2 * f))
 
 
-_ARRAYS = (
-    "covariance",
-    "z",
-    "z_covariance",
-    "misfit",
-    "frequencies_hz",
-    "frequencies_std_hz",
-    "damping_ratio",
-)
-_PLAIN = (
-    "model_mode",
-    "gauges",
-    "log",
-    "channels",
-    "floors",
-    "windows",
-    "level_range_m_s2",
-    "reference_temperature_degc",
-    "recordings",
-    "span_ns",
-)
+class _Strict(Settings):
+    """Part of the file: JSON's own types, nothing converted."""
+
+    model_config = ConfigDict(strict=True)
+
+
+class _Temperature(_Strict):
+    """`Dependence`."""
+
+    per_degc: Vector
+    covariance: Matrix
+    lag_s: float
+    reference_degc: float
+    range_degc: tuple[float, float]
+    extrapolation: float
+
+
+class _Effect(_Strict):
+    """One of `_Reference`."""
+
+    effect: str
+    location: str
+    parameters: dict[str, float]
+
+
+class _Reference(_Strict):
+    """`Reference`, as `reference_file` writes it."""
+
+    effects: tuple[_Effect, ...]
+    correction: Vector
+    mean: Vector
+    precision: Matrix
+    basis: tuple[Matrix, ...]
+    reference_degc: float | None
+
+
+class _Content(_Strict):
+    """The file: `Baseline` with its model taken apart."""
+
+    format: int
+    stiffness_n_per_m: tuple[Positive, ...]
+    masses_kg: tuple[Positive, ...]
+    covariance: Matrix
+    z: Vector
+    z_covariance: Matrix
+    misfit: Vector
+    frequencies_hz: Vector
+    frequencies_std_hz: Vector
+    damping_ratio: Vector
+    model_mode: tuple[Index, ...]
+    gauges: tuple[Index, ...]
+    log: bool
+    channels: tuple[str, ...]
+    floors: tuple[int, ...]
+    windows: int
+    level_range_m_s2: tuple[float, float]
+    reference_temperature_degc: float | None
+    recordings: tuple[dict[str, str], ...]
+    span_ns: tuple[int, int]
+    temperature: _Temperature | None = None
+    stiffness_correction_n_per_m: Matrix | None = None
+    reference: _Reference | None = None
+
+
+def _plain(value: Any) -> Any:
+    return value.tolist() if isinstance(value, np.ndarray) else value
 
 
 def save(baseline: Baseline, path: Path) -> None:
     """Write the baseline as JSON, atomically."""
     structure = baseline.model.structure
-    content = {
+    own = {
         "format": FORMAT,
         "stiffness_n_per_m": structure.stiffness_n_per_m.tolist(),
         "masses_kg": structure.masses_kg.tolist(),
-        **{name: getattr(baseline, name).tolist() for name in _ARRAYS},
-        **{name: getattr(baseline, name) for name in _PLAIN},
         "temperature": dependence.to_plain(baseline.temperature),
-        "stiffness_correction_n_per_m": None
-        if baseline.model.correction is None
-        else baseline.model.correction.tolist(),
+        "stiffness_correction_n_per_m": _plain(baseline.model.correction),
         "reference": reference_file.to_plain(baseline.reference),
     }
+    content = {name: own[name] if name in own else _plain(getattr(baseline, name)) for name in _Content.model_fields}
     write_atomically(path, json.dumps(content, indent=1, allow_nan=False) + "\n")
 
 
@@ -241,29 +295,61 @@ def load(path: Path, config: Configuration) -> Baseline:
     except OSError as error:
         raise MissingInputError(f"{path}: {error.strerror}") from error
     try:
-        content = json.loads(text)
-        if content["format"] != FORMAT:
-            raise BadInputError(f"{path}: baseline format {content['format']!r}, expected {FORMAT}; calibrate anew")
-        arrays: dict[str, Any] = {name: np.array(content[name], dtype=float) for name in _ARRAYS}
-        stiffness, masses = (np.array(content[name], dtype=float) for name in ("stiffness_n_per_m", "masses_kg"))
-        plain = {name: content[name] for name in _PLAIN}
-        for name in ("model_mode", "gauges", "channels", "floors", "level_range_m_s2", "recordings", "span_ns"):
-            plain[name] = tuple(plain[name])
-        plain["temperature"] = dependence.from_plain(content.get("temperature"), stiffness.size)
-        # As the calibration knew it: what a diagnosis wrote into the file since then stands in `misfit` already.
-        correction = content.get("stiffness_correction_n_per_m")
-        model = config.model()
-        size = model.structure.n_dofs
-        known = None if correction is None else np.array(correction, dtype=float).reshape(size, size)
-        model = replace(model, correction=known)
-        plain["reference"] = reference_file.from_plain(content.get("reference"), model, config.channels)
+        if (written := json.loads(text)["format"]) != FORMAT:
+            raise BadInputError(f"{path}: baseline format {written!r}, expected {FORMAT}; calibrate anew")
+        content = _Content.model_validate_json(text)
+        loaded = _built(content, config)
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(map(str, first["loc"]))
+        raise BadInputError(
+            f"{path}: not a baseline file ({place}: {first['msg']}); make one with 'calibrate'"
+        ) from error
     except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
         raise BadInputError(f"{path}: not a baseline file ({error!r}); make one with 'calibrate'") from error
-    loaded = Baseline(model=model.with_stiffness(stiffness).with_masses(masses), **arrays, **plain)
     problem = _mismatch(loaded, config)
     if problem is not None:
         raise BadInputError(f"{path}: {problem}; calibrate with this structure file")
     return loaded
+
+
+def _built(c: _Content, config: Configuration) -> Baseline:
+    """The baseline of a file's content.
+
+    Raises
+    ------
+    ValueError, KeyError, TypeError
+        If its parts do not fit each other or the structure.
+    """
+    model = config.model()
+    size = model.structure.n_dofs
+    # As the calibration knew it: what a diagnosis wrote into the file since then stands in `misfit` already.
+    known = c.stiffness_correction_n_per_m
+    model = replace(model, correction=None if known is None else np.array(known).reshape(size, size))
+    temperature = None if c.temperature is None else c.temperature.model_dump()
+    reference = None if c.reference is None else c.reference.model_dump()
+    return Baseline(
+        model=model.with_stiffness(np.array(c.stiffness_n_per_m)).with_masses(np.array(c.masses_kg)),
+        covariance=np.array(c.covariance),
+        z=np.array(c.z),
+        z_covariance=np.array(c.z_covariance),
+        misfit=np.array(c.misfit),
+        model_mode=c.model_mode,
+        gauges=c.gauges,
+        log=c.log,
+        frequencies_hz=np.array(c.frequencies_hz),
+        frequencies_std_hz=np.array(c.frequencies_std_hz),
+        damping_ratio=np.array(c.damping_ratio),
+        channels=c.channels,
+        floors=c.floors,
+        windows=c.windows,
+        level_range_m_s2=c.level_range_m_s2,
+        reference_temperature_degc=c.reference_temperature_degc,
+        temperature=dependence.from_plain(temperature, len(c.stiffness_n_per_m)),
+        recordings=c.recordings,
+        span_ns=c.span_ns,
+        reference=reference_file.from_plain(reference, model, config.channels),
+    )
 
 
 def _mismatch(b: Baseline, config: Configuration) -> str | None:
@@ -281,15 +367,12 @@ def _mismatch(b: Baseline, config: Configuration) -> str | None:
     shapes = {"covariance": (p + n, p + n), "z": (n_data,), "z_covariance": (n_data, n_data), "misfit": (n_data,)}
     shapes |= {name: (m,) for name in ("frequencies_hz", "frequencies_std_hz", "damping_ratio")}
     for name, shape in shapes.items():
-        value = getattr(b, name)
-        if value.shape != shape or not np.isfinite(value).all():
+        if getattr(b, name).shape != shape:
             return f"the baseline's {name} is damaged"
-    positive = np.concatenate([structure.masses_kg, structure.stiffness_n_per_m])
-    if not (np.isfinite(positive).all() and positive.min() > 0):
-        return "the baseline's masses and stiffnesses are damaged"
     if (
-        any(not 0 <= i < n for i in b.model_mode)
-        or any(not 0 <= g < c for g in b.gauges)
+        any(i >= n for i in b.model_mode)
+        or len(set(b.model_mode)) != m
+        or any(g >= c for g in b.gauges)
         or len(b.gauges) not in (0, m)
     ):
         return "the baseline's modes are damaged"

@@ -55,7 +55,7 @@ Row = dict[str, Any]
 
 
 class History:
-    """Takes rows; never waits, never raises.
+    """Takes rows; never waits, never raises.  With ``history = false`` it lets them go and touches no file.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ class History:
 
     Attributes
     ----------
-    lost : int
+    dropped : int
         Rows that found no room to wait.
     failed : str or None
         Why rows wait; None while all is well.
@@ -84,7 +84,8 @@ class History:
         self.dropped, self._losing = 0, False
         self.failed: str | None = None
         self._thread = threading.Thread(target=self._work, name="history", daemon=True)
-        self._thread.start()
+        if self._enabled:
+            self._thread.start()
 
     def window(self, line: Mapping[str, Any]) -> None:
         """A line of results.jsonl."""
@@ -132,7 +133,8 @@ class History:
         """Write what waits, no longer than that."""
         self._closing.set()
         self._wake.set()
-        self._thread.join(timeout_s)
+        if self._enabled:
+            self._thread.join(timeout_s)
 
     def _put(self, table: str, row: Row) -> None:
         if len(self._rows) >= _MOST_QUEUED:

@@ -185,10 +185,11 @@ class Pipeline:
         skipped = skipped or health.check(self.state.health, begin_ns, item.t_end_ns, c.health)
         if skipped is not None:
             return skip(skipped)
-        if self.baseline is None:
-            wanted = expected(self.reference_modes, cutoff_hz, c.selection)
-        else:
-            wanted = tuple(sorted(self.baseline.model_mode))
+        wanted = (
+            expected(self.reference_modes, cutoff_hz, c.selection)
+            if self.baseline is None
+            else self.baseline.model_mode
+        )
         refiner = partial(refine, item, settings=c.refinement)
         modes = identify(
             item, self.past, self.reference_modes, self.shown, c.identification, c.selection, wanted, refiner

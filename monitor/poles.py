@@ -98,7 +98,7 @@ def identify(
     sensors : ndarray, shape (c, n)
         Picks the sensors out of the model's floors.
     wanted : tuple of int, optional
-        The model's modes to look for; by default those in the band.
+        The model's modes to look for, in the order that the estimate is to have; by default those in the band.
     refiner : callable, optional
         Betters an estimate that has no deviations yet and gives it its own; where it hands the same back, they follow from the
         subspace identification, whose costly covariance is formed then alone.
@@ -198,13 +198,11 @@ def _estimate(
     window: Window,
     realisation: Realisation,
     poles: _Poles,
-    chosen: list[int],
+    rows: list[int],
     wanted: tuple[int, ...],
     refiner: Callable[[ModalEstimate], ModalEstimate] | None,
     uncertainty: bool,
 ) -> ModalEstimate:
-    by_frequency = sorted(range(len(chosen)), key=lambda i: poles.frequency[chosen[i]])
-    rows = [chosen[i] for i in by_frequency]
     order = poles.orders[poles.space[rows[0]]]
     largest = np.abs(poles.shape[rows]).argmax(axis=1)
     shapes = poles.shape[rows] / poles.shape[rows, largest][:, None]
@@ -213,7 +211,7 @@ def _estimate(
         frequencies_hz=poles.frequency[rows],
         damping_ratio=poles.damping[rows],
         shapes=shapes,
-        model_mode=np.array([wanted[i] for i in by_frequency], dtype=np.int64),
+        model_mode=np.array(wanted, dtype=np.int64),
         deviations=np.zeros((0, len(rows), 2 + 2 * shapes.shape[1])),
         first=window.first_block,
         order=order,

@@ -15,6 +15,8 @@ _log = logging.getLogger(__name__)
 
 CHANGEABLE = ("alarm", "watch", "notify")
 """Tables on which nothing depends that was estimated, recorded or opened."""
+_LASTING = ("longest_s", "time_limit_s")
+"""Keys of ``[watch]`` that do not follow: so much data is kept since the start, and diagnoses run by that limit."""
 
 
 def reread(path: Path, running: Configuration, outlets: Sequence[Outlet], out: Path) -> Configuration:
@@ -40,14 +42,16 @@ def changed(path: Path, running: Configuration) -> Configuration:
     Raises
     ------
     MissingInputError, BadConfigurationError
-        It cannot be used, or something else than `CHANGEABLE` is not as it was.
+        It cannot be used, or something else than `CHANGEABLE`, or one of `_LASTING`, is not as it was.
     """
     new = config.load(path)
     names = [name for name in type(new).model_fields if getattr(new, name) != getattr(running, name)]
-    fixed = [name for name in names if name not in CHANGEABLE]
+    fixed = [f"[{name}]" for name in names if name not in CHANGEABLE]
+    fixed += [f"[watch] {key}" for key in _LASTING if getattr(new.watch, key) != getattr(running.watch, key)]
     if fixed:
         raise BadConfigurationError(
-            f"{path}: {', '.join(f'[{name}]' for name in fixed)} changed; restart for that, or put it back: "
-            f"without a restart only {', '.join(f'[{name}]' for name in CHANGEABLE)} may change"
+            f"{path}: {', '.join(fixed)} changed; restart for that, or put it back: "
+            f"without a restart only {', '.join(f'[{name}]' for name in CHANGEABLE)} may change, "
+            f"and of [watch] not {' and '.join(_LASTING)}"
         )
     return new

@@ -128,14 +128,14 @@ class Window:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class ModalEstimate:
-    """Modes of one window, sorted by frequency, with their joint covariance."""
+    """Modes of one window in the order of the model's, whichever is lower now, with their joint covariance."""
 
     frequencies_hz: Array
     """Shape (m,)."""
     damping_ratio: Array
     """Shape (m,)."""
     shapes: ComplexArray
-    """Shape (m, c); each with its largest component 1."""
+    """Shape (m, c); each with one component, the subspace estimate's largest, 1."""
     model_mode: NDArray[np.int64]
     """Shape (m,): which mode of the model (0 = lowest) each one was matched to."""
     deviations: Array

@@ -65,7 +65,7 @@ class Keeper:
     """Writes checkpoints and resumes from them.
 
     A checkpoint is written by the recorder's thread, when all blocks that it knows are on the disk: so the recordings that
-    follow it begin where it ends, whatever happens.
+    follow it begin where it ends, whatever happens.  With ``checkpoint_s = 0`` the alarms alone are written, when they change.
 
     Parameters
     ----------
@@ -98,6 +98,7 @@ class Keeper:
         self._alarm_key = checkpoint.fingerprint({"stories": len(config.structure.stiffness_n_per_m)})
         self._place, self._alarms = out / "state" / "checkpoint", out / "state" / "alarms"
         self._seconds, self._due, self._busy = 0.0, False, False
+        self._stories: tuple[StoryState, ...] | None = None
         self.written: set[int] = set()
         self.resuming = False
         self.failed: str | None = None
@@ -149,15 +150,16 @@ class Keeper:
         """A block was evaluated and what it brought about told; now and then that is worth a checkpoint."""
         every_s = self._config.state.checkpoint_s
         self._seconds += block.n_samples / block.sample_rate_hz if block.topic == ACCELERATION else 0.0
-        if every_s and (self._due or self._seconds >= every_s):
+        worth_it = self._seconds >= every_s if every_s else self._stories != session.pipeline.state.alarm.stories
+        if self._due or worth_it:
             self.save(session)
 
     def save(self, session: Session) -> None:
-        """Write a checkpoint, soon."""
+        """Write a checkpoint, soon; where none are wanted, the alarms alone."""
         self._due = bool(self._busy or self._lines.failed)
-        if self._due or not self._config.state.checkpoint_s:
+        if self._due:
             return
-        self._busy, self._seconds = True, 0.0
+        self._busy, self._seconds, self._stories = True, 0.0, session.pipeline.state.alarm.stories
         self._recording.then(partial(self._write, session.state, self._lines.size))
 
     def save_now(self, session: Session) -> None:
@@ -178,7 +180,8 @@ class Keeper:
         try:
             self._lines.sync()
             checkpoint.save(self._alarms, self._alarm_key, KeptAlarms(state.pipeline.alarm.stories))
-            checkpoint.save(self._place, self._key, Saved(state, stamp_ns, results_bytes))
+            if self._config.state.checkpoint_s:
+                checkpoint.save(self._place, self._key, Saved(state, stamp_ns, results_bytes))
             self.failed = None
         except OSError as error:
             self.failed = f"{self._place}: {error.strerror or error}"

@@ -11,7 +11,7 @@ class StateSettings(Settings):
     """What outlasts a restart, and for how long."""
 
     checkpoint_s: float = Field(default=60.0, ge=0)
-    """A checkpoint is written this often, in data time; 0: none, and every start begins anew."""
+    """A checkpoint is written this often, in data time; 0: none, and every start begins anew but for the alarms."""
     history: bool = True
     """Keep `history.db`."""
     windows_days: float = Field(default=365.0, gt=0)

@@ -7,14 +7,15 @@ masses.  Directions of theta that the data do not see are held by the prior, and
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
+from scipy.optimize import linear_sum_assignment
 
-from monitor.model import Model
+from monitor.model import Model, Modes
 from monitor.results import Array, ComplexArray, ModalEstimate
 from monitor.sensitivity import fox_kapoor
 from monitor.settings import Settings
@@ -23,6 +24,11 @@ UNSEEN = 0.7
 """A parameter, or a direction, is not identified when the data leave more than this share of its prior deviation."""
 _LOWEST = 1e-9
 """Eigenvalues are kept above this share of the highest: a step may leave a structure that would not stand."""
+_STILL = 1e-6
+"""A channel at which a shape has less than this share of its largest component cannot be its gauge."""
+_LOYALTY = 0.5
+"""Modes are taken in another order than that of their frequencies when each is more alike so by more than this on average;
+a mode that was matched at all (`poles.SelectionSettings.min_model_mac`) so never leaves a model that has them in order."""
 
 Penalty = Literal["least_squares", "weighted", "step", "initial", "minimum_norm"]
 
@@ -55,6 +61,7 @@ class Observation:
     deviations: Array
     """Shape (n_blocks, n_data): influences whose squares sum to the covariance of z."""
     model_mode: tuple[int, ...]
+    """Which modes of the model (0 = lowest) these are, before an update reorders them (`counterparts`)."""
     gauges: tuple[int, ...]
     """Channel whose shape component is 1, for each mode; empty when shapes are not used."""
     log: bool
@@ -75,6 +82,7 @@ class Update:
     """Shape (n_data,): z_m - z."""
     converged: bool
     iterations: int
+    """0 where a mode does not move at its gauge, or cannot be computed: then nothing is learned and the model stays."""
     history: Array
     """Shape (iterations + 1, n_parameters), the initial values first."""
     identifiable: Array
@@ -134,8 +142,34 @@ def _told(shapes: Array | ComplexArray, gauges: tuple[int, ...]) -> tuple[NDArra
     return told, shapes[~told]
 
 
+def counterparts(modes: Modes, sensors: Array, observation: Observation) -> tuple[int, ...]:
+    """Which of a model's modes the observed ones are, in their order: by frequency, and where a change has brought modes
+    into another order, by shape.
+
+    Parameters
+    ----------
+    modes : Modes
+        Of a model under change: in time its modes are those of `observation.model_mode`, by rank.
+    sensors : ndarray, shape (c, n)
+        Picks the sensors out of the floors.
+    """
+    m, used = len(observation.model_mode), sorted(observation.model_mode)
+    by_rank = np.empty(m, dtype=np.intp)
+    by_rank[observation.z[:m].argsort(kind="stable")] = used
+    if not observation.gauges:
+        return tuple(by_rank.tolist())
+    seen = np.ones((m, len(sensors)))
+    seen[np.arange(len(sensors)) != np.array(observation.gauges)[:, None]] = observation.z[m:]
+    shapes = sensors @ modes.shapes
+    power = (shapes**2).sum(axis=0)
+    power = np.maximum(power, 1e-6 * power.max())  # what no sensor sees is like nothing
+    likeness = (seen @ shapes) ** 2 / ((seen**2).sum(axis=1)[:, None] * power)
+    likeness[np.arange(m), by_rank] += _LOYALTY
+    return tuple(linear_sum_assignment(likeness, maximize=True)[1].tolist())
+
+
 def predict(model: Model, sensors: Array, observation: Observation, with_masses: bool) -> tuple[Array, Array]:
-    """The model's z and its sensitivity S = dz / d theta (eqs 18-20).
+    """The model's z and its sensitivity S = dz / d theta (eqs 18-20), its modes by rank.
 
     Parameters
     ----------
@@ -147,8 +181,25 @@ def predict(model: Model, sensors: Array, observation: Observation, with_masses:
     z : ndarray, shape (n_data,)
     sensitivity : ndarray, shape (n_data, n_parameters)
         Parameters are the stiffnesses, then the masses if `with_masses`.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If the model has no modes, or one of them does not move at its gauge.
     """
+    return _predicted(model, model.modes(), sensors, observation, with_masses)
+
+
+def _recognized(model: Model, sensors: Array, observation: Observation, with_masses: bool) -> tuple[Array, Array]:
+    """As `predict`, of those modes that are the observed ones."""
     modes = model.modes()
+    observation = replace(observation, model_mode=counterparts(modes, sensors, observation))
+    return _predicted(model, modes, sensors, observation, with_masses)
+
+
+def _predicted(
+    model: Model, modes: Modes, sensors: Array, observation: Observation, with_masses: bool
+) -> tuple[Array, Array]:
     d_k, d_m = _matrix_derivatives(model, with_masses)
     d_lambda, d_shapes = fox_kapoor(modes, d_k, d_m)
     used = list(observation.model_mode)
@@ -158,6 +209,8 @@ def predict(model: Model, sensors: Array, observation: Observation, with_masses:
     if observation.gauges:
         shapes, d_at_sensors = (sensors @ modes.shapes[:, used]).T, sensors @ d_shapes[used]
         told, at_gauge = _told(shapes, observation.gauges)
+        if (np.abs(at_gauge) <= _STILL * np.abs(shapes).max(axis=1)).any():
+            raise np.linalg.LinAlgError("a mode does not move at its gauge")
         ratio = shapes / at_gauge[:, None]
         d_ratio = (d_at_sensors - ratio[:, :, None] * d_at_sensors[~told][:, None]) / at_gauge[:, None, None]
         z.append(ratio[told])
@@ -185,17 +238,49 @@ def update(
         Update the floor masses too; their scale is held by the prior alone, so this wants penalty ``initial``.
     """
     structure = model.structure
-    theta = np.concatenate([structure.stiffness_n_per_m, structure.masses_kg][: 2 if with_masses else 1])
-    initial, history = theta.copy(), [theta]
-    relative = np.full(theta.size, settings.parameter_std) if prior_std is None else prior_std
+    initial = np.concatenate([structure.stiffness_n_per_m, structure.masses_kg][: 2 if with_masses else 1])
+    relative = np.full(initial.size, settings.parameter_std) if prior_std is None else prior_std
+    try:
+        return _iterated(model, sensors, observation, settings, initial, relative, prior_std is not None, with_masses)
+    except np.linalg.LinAlgError:
+        nothing = np.zeros((initial.size, observation.z.size))
+        return Update(
+            model=model,
+            parameters=initial,
+            gain=nothing,
+            sensitivity=nothing.T,
+            residual=np.zeros(observation.z.size),
+            converged=False,
+            iterations=0,
+            history=initial[None],
+            identifiable=np.zeros(initial.size),
+            unseen=np.eye(initial.size),
+            prior_left=np.diag((relative * initial) ** 2),
+        )
+
+
+def _iterated(
+    model: Model,
+    sensors: Array,
+    observation: Observation,
+    settings: UpdatingSettings,
+    initial: Array,
+    relative: Array,
+    holds: bool,
+    with_masses: bool,
+) -> Update:
+    """`update` from parameters `initial`; the prior deviations `relative` hold what is unseen, if they may (`holds`).
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        As `predict`, or on the way.
+    """
+    theta, history = initial.copy(), [initial]
     w_theta = 1.0 / (relative * initial) ** 2
     converged, penalty = False, settings.penalty
-    z, sensitivity = predict(model, sensors, observation, with_masses)
-    if (
-        penalty == "weighted"
-        and prior_std is not None
-        and _seen(sensitivity, observation.weight, initial, relative)[1].size
-    ):
+    z, sensitivity = _recognized(model, sensors, observation, with_masses)
+    if penalty == "weighted" and holds and _seen(sensitivity, observation.weight, initial, relative)[1].size:
         penalty = "initial"
 
     def objective(z: Array, where: Array) -> float:
@@ -216,7 +301,7 @@ def update(
         now, shortened = objective(z, theta), 0
         while True:
             model = _with_parameters(model, theta + step, with_masses)
-            z, sensitivity = predict(model, sensors, observation, with_masses)
+            z, sensitivity = _recognized(model, sensors, observation, with_masses)
             better = objective(z, theta + step) <= now
             if better or not overdetermined or shortened == 6:
                 break

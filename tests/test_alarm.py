@@ -93,6 +93,21 @@ def test_the_deadband_keeps_an_announced_loss_but_announces_none() -> None:
     assert site.see(0.035, times=12) == ["advisory"] * 9 + ["warning"] * 3
 
 
+def test_the_deadband_keeps_a_loss_about_its_least_size() -> None:
+    """Alternating about `uniform_loss` = 5 %, and about `min_loss`, every 300 s: one episode, not dozens."""
+    site = Site(3, AlarmSettings())
+    assert set(site.see(*[0.0485] * 3, times=30, std=0.002)) == {"normal"}, "not announced before the threshold"
+    assert site.see(*[0.0515] * 3, times=60, std=0.002)[-1] == "advisory"
+    for _ in range(10):
+        for loss in (0.0485, 0.0515):
+            assert set(site.see(*[loss] * 3, times=30, std=0.002)) == {"advisory"}
+    assert site.see(*[0.04] * 3, times=400, std=0.002)[-1] == "normal"
+    site = Site()
+    site.see(0.0051, times=12, std=1e-3)
+    assert site.see(0.0049, times=12, std=1e-3)[-1] == "warning"
+    assert site.see(0.0035, times=100, std=1e-3)[-1] == "normal"
+
+
 def test_an_announced_loss_clears_when_it_has_stayed_away_clear_s() -> None:
     site = Site()
     site.see(0.05, times=12)

@@ -500,6 +500,8 @@ BAD_BASELINES: dict[str, Callable[[Site], str]] = {
     "another covariance": lambda s: _changed(s, z_covariance=[[1.0]]),
     "modes that the model has not": lambda s: _changed(s, model_mode=[0, 1, 7]),
     "gauges that are no channel": lambda s: _changed(s, gauges=[0, 1, 7]),
+    "fractions for channels": lambda s: _changed(s, gauges=[0.5, 1, 2]),
+    "a key of nobody's": lambda s: _changed(s, colour="red"),
 }
 
 

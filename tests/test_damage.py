@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import json
+import re
+
 import numpy as np
 import pytest
 
@@ -9,6 +12,7 @@ from monitor import baseline, damage
 from monitor.config import Configuration
 from monitor.damage import sequential_reading
 from monitor.effects import parse_effect
+from monitor.errors import BadInputError
 from monitor.model import Model
 from monitor.pipeline import Pipeline
 from monitor.record import blocks_of
@@ -122,6 +126,61 @@ def test_from_samples_a_5_percent_loss_is_found_at_the_right_story() -> None:
         spread = np.sqrt(np.mean([r.ddi_std**2 for r in readings], axis=0))
         assert np.abs(mean - loss).max() < 0.005 + 2 * spread.max()
         assert int(np.argmax(mean)) == story - 1
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("windows", "x"),
+        ("windows", None),
+        ("windows", 1.5),
+        ("span_ns", ["a"]),
+        ("span_ns", [0, 1, 2]),
+        ("reference_temperature_degc", "x"),
+        ("level_range_m_s2", ["a", "b"]),
+        ("model_mode", ["a", 1, 2]),
+        ("model_mode", [0, 1, -1]),
+        ("model_mode", [0, 1, 1]),
+        ("gauges", [0.5, 1, 2]),
+        ("gauges", [-1, 1, 2]),
+        ("log", 1),
+        ("channels", "a1"),
+        ("channels", [1, 2, 3]),
+        ("recordings", [{"file": 3}]),
+        ("recordings", {}),
+        ("z", [True] * 9),
+        ("misfit", [[0.0]]),
+        ("covariance", "x"),
+        ("stiffness_n_per_m", ["2", "3", "4"]),
+        ("masses_kg", [0.0, 1.0, 1.0]),
+        ("temperature", {"per_degc": [0.0, 0.0, 0.0]}),
+        ("temperature", 3),
+        ("stiffness_correction_n_per_m", [0.0]),
+        ("reference", {}),
+        ("reference", []),
+        ("format", "1"),
+        ("colour", "red"),
+    ],
+)
+def test_a_baseline_with_one_wrong_key_is_refused_by_name(tmp_path, key: str, value: object) -> None:
+    config, place = drawing((1, 1, -1)), tmp_path / "b.json"
+    healthy, _ = baseline.learn(config, [exact_modes(truth((0, 0, 0)))], np.ones(1), ({"file": "x"},))
+    baseline.save(healthy, place)
+    content = json.loads(place.read_text())
+    place.write_text(json.dumps(content | {key: value}))
+    with pytest.raises(BadInputError, match=rf"^{re.escape(str(place))}: .*({key}|modes are)"):
+        baseline.load(place, config)
+
+
+def test_a_baseline_without_one_of_its_keys_is_refused_by_name(tmp_path) -> None:
+    config, place = drawing((1, 1, -1)), tmp_path / "b.json"
+    healthy, _ = baseline.learn(config, [exact_modes(truth((0, 0, 0)))], np.ones(1), ())
+    baseline.save(healthy, place)
+    content = json.loads(place.read_text())
+    for key in content.keys() - {"temperature", "stiffness_correction_n_per_m", "reference"}:
+        place.write_text(json.dumps({name: value for name, value in content.items() if name != key}))
+        with pytest.raises(BadInputError, match=key):
+            baseline.load(place, config)
 
 
 def test_a_baseline_survives_its_file(tmp_path) -> None:

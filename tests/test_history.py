@@ -14,6 +14,7 @@ import pyarrow.parquet
 import pytest
 
 from monitor import history
+from monitor.errors import MissingInputError
 from monitor.export import export
 from monitor.history import History, limit, open_database
 from monitor.state_settings import StateSettings
@@ -80,6 +81,15 @@ def test_what_is_put_in_comes_out_once(begin: Callable[[], History], place: Path
     assert json.loads(rows(place, "SELECT ddi FROM windows WHERE window = 2")[0][0]) == [0.002, 0.2, -0.1]
     assert rows(place, "SELECT reason FROM gaps") == [("lost",)]
     assert rows(place, "SELECT verdict, causes FROM findings") == [("named", '["x"]')]
+
+
+def test_without_a_history_there_is_no_database(place: Path, tmp_path: Path) -> None:
+    none = History(place, StateSettings(history=False), 10.0, 10.0)
+    none.window(line(0))
+    none.close(10.0)
+    assert not place.exists()
+    with pytest.raises(MissingInputError, match="no history here"):
+        export(place, "windows", tmp_path / "w.csv", ALL)
 
 
 def test_an_alarm_is_one_row_that_follows_it(begin: Callable[[], History], place: Path) -> None:

@@ -233,6 +233,18 @@ def test_only_some_tables_may_change(tmp_path: Path, frame_text: str) -> None:
         changed(path, now)
 
 
+@pytest.mark.parametrize("key", ["longest_s", "time_limit_s"])
+def test_what_diagnoses_were_begun_with_needs_a_restart(tmp_path: Path, frame_text: str, key: str) -> None:
+    path = tmp_path / "site.toml"
+    path.write_text(SITE.format(port=1) + frame_text)
+    now = config.load(path)
+    path.write_text(path.read_text().replace("diagnose = false", f"diagnose = false\n{key} = 900.0\nmisfit = 7.0"))
+    with pytest.raises(BadConfigurationError, match=rf": \[watch\] {key} changed; restart"):
+        changed(path, now)
+    path.write_text(path.read_text().replace(f"{key} = 900.0\n", ""))
+    assert changed(path, now).watch.misfit == 7.0
+
+
 def test_files_that_are_no_requests_are_removed_unread(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     folder, box = tmp_path / "requests", Inbox(tmp_path / "requests")
     inbox.ask(folder, Request(action="reset", story=1, who="ann"))

@@ -13,7 +13,7 @@ import sys
 import time
 from collections.abc import Callable
 from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
@@ -22,11 +22,16 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
 
+from drivers.base import SampleBlock
 from drivers.mcap_file import McapWriter, read_recordings
 from drivers.recorder import recorded
 from monitor import baseline, checkpoint, config
+from monitor.alarm import AlarmState, StoryState, acknowledge
+from monitor.appended import AppendedLines
 from monitor.outputs import Session
-from monitor.resume import Saved
+from monitor.reader import Recording
+from monitor.results import Level
+from monitor.resume import Keeper, Saved
 from monitor.simulate import simulate
 from monitor.vitals import plain
 from tests.conftest import T0_NS, Cli, Cut
@@ -308,3 +313,41 @@ def test_a_recording_as_source_goes_on_and_nothing_shows(
     told, wanted = (plain(json.loads((p / "summary.json").read_text())) for p in (out, folder / "again"))
     assert told["alarms"] and told["alarms"] == wanted["alarms"] and told["quality"] == wanted["quality"]
     assert not (out / "state" / "checkpoint").exists()  # the recording is over: the next one begins anew
+
+
+@pytest.mark.parametrize("checkpoint_s", [0.0, 20.0])
+def test_an_acknowledged_alarm_stays_so_with_and_without_checkpoints(
+    tmp_path: Path, frame_text: str, checkpoint_s: float
+) -> None:
+    path = tmp_path / "site.toml"
+    path.write_text(f"[state]\ncheckpoint_s = {checkpoint_s}\n[recorder]\nenabled = false\n{frame_text}")
+    settings, out = config.load(path), tmp_path / "out"
+    (out / "state").mkdir(parents=True)
+    raised = StoryState(Level.WARNING, since_ns=T0_NS, unacknowledged=True)
+
+    block = SampleBlock("/temperature", T0_NS, 0, 1.0, ("t",), "degC", np.zeros((1, 1), np.float32))
+
+    def raise_it(state: AlarmState) -> AlarmState:
+        return replace(state, stories=(state.stories[0], raised, *state.stories[2:]))
+
+    def alarm_of_story_2(change: Callable[[AlarmState], AlarmState] | None) -> StoryState:
+        """As a new process finds it; then it is changed, as the data or an operator would."""
+        recording, lines = Recording(out / "recordings", settings.recorder), AppendedLines(out / "results.jsonl")
+        keeper = Keeper(out, settings, None, recording, lines)
+        session = Session(settings, None, (), None, tmp_path)
+        keeper.resume(lambda: session, lambda _: None)
+        recording.flush(10.0)
+        found = session.pipeline.state.alarm.stories[1]
+        if change is not None:
+            session.alter_alarm(change)
+            keeper.took(session, block)
+            if checkpoint_s:
+                keeper.save(session)
+        recording.close(10.0)
+        lines.close()
+        return found
+
+    assert alarm_of_story_2(raise_it) == StoryState()
+    assert alarm_of_story_2(lambda state: acknowledge(state, 2, "ann")) == raised
+    assert alarm_of_story_2(None) == replace(raised, unacknowledged=False, acknowledged_by="ann")
+    assert (out / "state" / "checkpoint").exists() == bool(checkpoint_s)

@@ -12,7 +12,7 @@ from monitor.model import Model
 from monitor.reproduce import convergence
 from monitor.second_solutions import second_solutions
 from monitor.structures import MatrixStructure, ShearFrame
-from monitor.updating import Observation, UpdatingSettings, predict, update
+from monitor.updating import Observation, UpdatingSettings, counterparts, predict, update
 
 MASSES = np.array([0.3253, 0.3514, 0.3129])
 INITIAL = np.array([2251.8509, 2251.8509, 1811.292])
@@ -205,3 +205,45 @@ def test_shapes_leave_no_second_solution() -> None:
     first = frame(convergence()[-1])
     target = measured(first, np.eye(3), (0, 1, 2), 1e-3)
     assert second_solutions(first, np.eye(3), target, UpdatingSettings()).shape == (0, 3)
+
+
+def two_directions(stiffness: np.ndarray) -> Model:
+    """Two stories that sway along x (floors 1, 2) and along y (3, 4), each for itself."""
+    slopes = np.zeros((4, 4, 4))
+    for j, place in enumerate((slice(0, 2), slice(1, 2), slice(2, 4), slice(3, 4))):
+        slopes[j, place, place] = [[1.0, -1.0], [-1.0, 1.0]] if j % 2 == 0 else 1.0
+    structure = MatrixStructure.create(
+        0.3 * np.eye(4), np.tensordot(stiffness, slopes, axes=1), slopes, stiffness, 0.01
+    )
+    return Model(structure)
+
+
+HEALTHY = np.array([775.0, 775.0, 838.0, 838.0])
+"""First modes at 5.00 and 5.20 Hz."""
+
+
+@pytest.mark.parametrize("loss", [0.03, 0.10, 0.30])
+def test_modes_that_change_places_are_followed(loss: float) -> None:
+    truth = HEALTHY * [1.0, 1.0, 1.0 - loss, 1.0 - loss]
+    order = (0, 1, 2, 3) if loss < 0.05 else (1, 0, 3, 2)
+    gauges, size = (0, 2, 1, 3), 16
+    blank = Observation(np.zeros(0), np.eye(size), np.zeros((1, size)), order, gauges, True)
+    z, _ = predict(two_directions(truth), np.eye(4), blank, with_masses=False)
+    target = Observation(z, 1e6 * np.eye(size), np.zeros((1, size)), (0, 1, 2, 3), gauges, True)
+    assert counterparts(two_directions(HEALTHY).modes(), np.eye(4), target) == (0, 1, 2, 3)
+    fit = update(two_directions(HEALTHY), np.eye(4), target, UpdatingSettings(), prior_std=np.full(4, 0.2))
+    assert fit.converged
+    np.testing.assert_allclose(fit.parameters, truth, rtol=1e-6)
+    assert counterparts(fit.model.modes(), np.eye(4), target) == order
+
+
+def test_a_mode_without_motion_at_its_gauge_does_not_converge_and_changes_nothing() -> None:
+    model, size = two_directions(HEALTHY), 4
+    z = np.array([np.log((2.0 * np.pi * 5.0) ** 2), 0.9, 0.7, 0.9])
+    target = Observation(z, np.eye(size), np.zeros((1, size)), (0,), (2,), True)
+    with pytest.raises(np.linalg.LinAlgError, match="gauge"):
+        predict(model, np.eye(4), target, with_masses=False)
+    fit = update(model, np.eye(4), target, UpdatingSettings())
+    assert not fit.converged and fit.iterations == 0
+    np.testing.assert_array_equal(fit.parameters, HEALTHY)
+    np.testing.assert_allclose(np.sqrt(np.diag(fit.prior_left)), 0.2 * HEALTHY)
