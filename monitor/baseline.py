@@ -18,6 +18,7 @@ from monitor.errors import BadInputError, MissingInputError
 from monitor.files import write_atomically
 from monitor.model import Model
 from monitor.observations import mean_observation
+from monitor.parse import told
 from monitor.reference import Reference
 from monitor.results import Array, ModalEstimate, Temperature
 from monitor.settings import Settings
@@ -300,11 +301,7 @@ def load(path: Path, config: Configuration) -> Baseline:
         content = _Content.model_validate_json(text)
         loaded = _built(content, config)
     except ValidationError as error:
-        first = error.errors()[0]
-        place = ".".join(map(str, first["loc"]))
-        raise BadInputError(
-            f"{path}: not a baseline file ({place}: {first['msg']}); make one with 'calibrate'"
-        ) from error
+        raise BadInputError(f"{path}: not a baseline file ({told(error)[0]}); make one with 'calibrate'") from error
     except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
         raise BadInputError(f"{path}: not a baseline file ({error!r}); make one with 'calibrate'") from error
     problem = _mismatch(loaded, config)

@@ -165,15 +165,23 @@ class Configuration(Settings):
             )
         elif abs(step_s * p.rate_hz - round(step_s * p.rate_hz)) > 1e-6:
             problems.append(f"processing: window_s and hop_s must be whole numbers of samples at {p.rate_hz:g} Hz")
-        if not problems and np.linalg.eigvalsh(self.model().stiffness_matrix()).min() <= 0:
-            problems.append("effects: with them the structure would not stand (its stiffness is not positive)")
-        if not problems and self.model().modes().frequencies_hz[0] > self.processing.cutoff_hz:
-            problems.append(
-                "structure: every natural frequency lies beyond cutoff_hz; are masses in kg, stiffness in N/m?"
-            )
+        if not problems:
+            problems += self._standing()
         if problems:
             raise ValueError("\n".join(problems))
         return self
+
+    def _standing(self) -> list[str]:
+        """What is wrong with the model as a whole."""
+        if np.linalg.eigvalsh(self.model().stiffness_matrix()).min() <= 0:
+            subject = "effects: with them the structure" if self.effects else "structure: it"
+            return [f"{subject} would not stand (its stiffness is not positive)"]
+        low, high = self.selection.min_frequency_hz, self.processing.cutoff_hz
+        hz = self.model().modes().frequencies_hz
+        if hz[0] > high or hz[-1] < low:
+            where = "beyond cutoff_hz" if hz[0] > high else f"below {low:g} Hz (selection.min_frequency_hz)"
+            return [f"structure: every natural frequency lies {where}; are masses in kg, stiffness in N/m?"]
+        return []
 
     def _effect(self, table: EffectTable) -> Effect:
         if table.effect not in EFFECTS:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -209,6 +210,18 @@ def test_ranges_that_cannot_be_are_refused(load: Load, frame_text: str, ranges: 
 
 def effects(name: str, location: str, parameters: str) -> str:
     return f'\n[[effects]]\neffect = "{name}"\nlocation = "{location}"\nparameters = {{ {parameters} }}\n'
+
+
+@pytest.mark.parametrize(
+    ("stiffness", "words"),
+    [
+        ([3e-6, 2e-6, 2e-6], "below 0.2 Hz"),
+        ([3e12, 2e12, 2e12], "beyond cutoff_hz"),
+        ([3e200, 2e200, 2e200], "less than or equal"),
+    ],
+)
+def test_a_frame_in_other_units_is_told(load: Load, frame_text: str, stiffness: list[float], words: str) -> None:
+    assert_problem(load, re.sub(r"(stiffness_n_per_m = )\[.*?\]", rf"\g<1>{stiffness}", frame_text), words)
 
 
 def test_effects_extend_the_model(load: Load, frame_text: str) -> None:

@@ -13,7 +13,8 @@ from monitor.structures.base import Structure
 from monitor.structures.matrices import MatrixStructure
 from monitor.structures.shear_frame import ShearFrame
 
-Positive = Annotated[float, Field(gt=0)]
+Positive = Annotated[float, Field(gt=0, le=1e30)]
+"""Squares of more would be beyond what a float holds."""
 Range = tuple[Positive, Positive]
 Matrix = tuple[tuple[float, ...], ...]
 _SYMMETRY_TOLERANCE = 1e-6
