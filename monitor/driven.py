@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.linalg import eigh
 
+from monitor.compiled import compiled
 from monitor.effects import Condition, Context, Effect, System
 from monitor.prediction import Band, accelerance
 from monitor.results import Array, ComplexArray
@@ -289,9 +290,25 @@ def mean_rows(
     weight : ndarray, shape (classes,)
         Independent pieces of information a segment and bin.
     """
-    white = np.zeros_like(stacked)
-    for lower, m, w in zip(np.linalg.cholesky(spectra), members, weight, strict=True):
-        whitener = np.sqrt(_MEAN_ROWS * w) * np.linalg.inv(lower)
-        white[:, m] = (whitener @ stacked[:, m, :, :, None])[..., 0]
-    flat = white.reshape(len(stacked), -1).T
-    return np.concatenate([flat.real, flat.imag])
+    of = np.empty(stacked.shape[1], dtype=np.intp)
+    for k, m in enumerate(members):
+        of[m] = k
+    scale = np.sqrt(_MEAN_ROWS * weight)[:, None, None, None]
+    whiteners = np.asarray(scale * np.linalg.inv(np.linalg.cholesky(spectra)), dtype=np.complex128)
+    return np.asarray(_whitened_means(whiteners, of, stacked).reshape(len(stacked), -1).T)
+
+
+@compiled(error_model="numpy")
+def _whitened_means(whiteners: ComplexArray, of: NDArray[np.intp], stacked: ComplexArray) -> Array:
+    """Real and imaginary parts of every whitened segment, shape (p, 2, n_segments, n_bins, c); `of` is each one's class."""
+    p, segments, bins, c = stacked.shape
+    out = np.empty((p, 2, segments, bins, c))
+    for q in range(p):
+        for s in range(segments):
+            for f in range(bins):
+                for i in range(c):
+                    total = 0j
+                    for a in range(i + 1):
+                        total += whiteners[of[s], f, i, a] * stacked[q, s, f, a]
+                    out[q, 0, s, f, i], out[q, 1, s, f, i] = total.real, total.imag
+    return out

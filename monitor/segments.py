@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import chain, islice
 
 import numpy as np
@@ -21,11 +22,18 @@ from monitor.results import Array, ComplexArray
 from monitor.spectrum import SegmentDesign, taper, transform
 from monitor.window import WindowGrid, common_step_s
 
+Runs = Sequence[tuple[int, Array]]
+"""UTC of the first sample in ns and samples of every stretch of ground motion without a gap, m/s^2."""
+Located = tuple[Drive, NDArray[np.bool_]]
 _LOW = 0.05
 _HIGH = 0.9
 """Band as shares of the cutoff."""
 _DRIVEN_SEGMENT_S = 5.0
 """Segments of a recording whose ground is measured: a response needs no resolution, and short ones follow its level."""
+_DRIVEN_SEGMENTS = 72
+"""Most segments of such a recording, three minutes: a known input tells so much that more would only take time."""
+_LEAD_S = 60.0
+"""Ground motion that is kept before them, whose response they still hold."""
 _HEAD = 64
 """Blocks among which a measured ground shows."""
 _SAME = 1e-6
@@ -107,9 +115,13 @@ def gather(blocks: Iterable[SampleBlock], config: Configuration) -> Segments:
     runs = [(t, np.concatenate(values)[:, 0]) for t, values in ground.runs]
     located = None
     if runs:
-        located = driven.locate(
-            runs, list(floors.segments), design, conditioner.rate_in_hz, lambda hz: _filter(conditioner, hz)
+        to_segments = partial(
+            driven.locate,
+            design=design,
+            source_hz=conditioner.rate_in_hz,
+            filtered=lambda hz: _filter(conditioner, hz),
         )
+        located = _strongest(runs, list(floors.segments), band, to_segments)
     drive, covered = located or (None, np.ones(len(floors.segments), dtype=bool))
     readings = np.array([((t - t0) * 1e-9, v) for t, v in temperature if np.isfinite(v)]).reshape(-1, 2)
     transforms, rms, tapered = (np.stack(x) for x in zip(*floors.segments.values(), strict=True))
@@ -128,6 +140,31 @@ def gather(blocks: Iterable[SampleBlock], config: Configuration) -> Segments:
         samples=round(floors.seconds * conditioner.rate_hz),
     )
     return replace(segments.part(covered), drive=drive)
+
+
+def _strongest(
+    runs: Runs, t_ns: Sequence[int], band: Band, locate: Callable[[Runs, Sequence[int]], Located | None]
+) -> Located | None:
+    """As `driven.locate`, with no more than `_DRIVEN_SEGMENTS` in a row, those in which the ground moves most."""
+    located = locate(runs, t_ns)
+    if located is None or located[0].first.size <= _DRIVEN_SEGMENTS:
+        return located
+    drive, covered = located
+    power = (np.abs(drive.ground(band)) ** 2).sum(axis=1)
+    first = int(np.convolve(power, np.ones(_DRIVEN_SEGMENTS), mode="valid").argmax())
+    chosen = np.flatnonzero(covered)[first : first + _DRIVEN_SEGMENTS]
+    rate_hz, times = drive.design.rate_hz, [t_ns[i] for i in chosen]
+    cut = []
+    for begin, samples in runs:
+        ends_s = np.array([times[0] - begin, times[-1] - begin]) * 1e-9 + [-_LEAD_S, drive.design.n / rate_hz]
+        low, high = np.clip(np.rint(ends_s * rate_hz).astype(int), 0, samples.size)
+        if high > low:
+            cut.append((begin + round(low / rate_hz * 1e9), samples[low:high]))
+    located = locate(cut, times)
+    assert located is not None, "covered before"
+    kept = np.zeros(covered.size, dtype=bool)
+    kept[chosen] = True
+    return located[0], kept
 
 
 class _Stream:
