@@ -41,6 +41,8 @@ _HELD = 1e8
 """Precision that holds the structure while an effect's size is found."""
 _FORCED, _MODEL_ERROR = 1e-3, 0.5
 """With the ground measured: power that forces cause, and error of the model, as shares of what is seen, at the start."""
+_SLIGHT = 0.01
+"""Share of an effect's first size at which its slope is taken."""
 _MIN_STEP, _MAX_STEP = 0.05, 20.0
 """How far from its start size an effect is first tried, as factors."""
 
@@ -202,7 +204,19 @@ def _off_the_bin(power: Array, at: int) -> float:
 def rank(problem: Problem, null: Fit, candidates: list[Effect]) -> list[tuple[float, Effect]]:
     """Gain that the score test promises for every start, best first; each effect moved to the size that it suggests.
 
-    The change of the spectra that a small effect makes, less what the nuisances explain, is compared with the residual.
+    A fit that went far to explain what it cannot hides what would explain it; so effects are tried beside what was known, too.
+    """
+    promised = _promised(problem, null, candidates)
+    if _dragged(problem, null):
+        held, rest = _at_rest(problem, null)
+        lost = null.log_posterior - rest.log_posterior
+        promised += [(gain - lost, effect) for gain, effect in _promised(held, rest, candidates)]
+    return sorted(promised, key=lambda item: -item[0])
+
+
+def _promised(problem: Problem, null: Fit, candidates: list[Effect]) -> list[tuple[float, Effect]]:
+    """As `rank`, about one fit: the change of the spectra that a small effect makes, less what the nuisances explain, is
+    compared with the residual.
     """
     here = problem.predict(null.x, null.effects)
     mean, precision = problem.prior(null.x, null.effects)
@@ -212,25 +226,36 @@ def rank(problem: Problem, null: Fit, candidates: list[Effect]) -> list[tuple[fl
     # The nuisances' own slope is that of the posterior: what pulls them from what was known before speaks for an effect.
     own_slope = tangent.T @ residual - precision @ (null.x - mean)
     tangent = np.asfortranarray(tangent)
-    dragged = problem.evidence.drive is None and null.log_prior < _DRAGGED
-    # A fit that went far to explain what it cannot hides what a swap would explain; what was known before does not.
-    rested = _first_guess(problem) if dragged else None
 
     def promised(effect: Effect) -> list[tuple[float, Effect]]:
         moved = problem.predict(null.x, (*null.effects, effect))
-        as_is = [(_whole_gain(problem, null, moved), effect)]
+        # What it gains as it stands, once the levels have followed: for starts that happen to lie near the truth.
+        whole = problem.log_likelihood(moved.spectra, moved.data, levelled=True) - null.log_likelihood
         if not effect.proportional:
-            if rested is not None:
-                whole = _whole_gain(problem, null, problem.predict(rested, (*null.effects, effect)))
-                as_is.append((whole - null.log_prior, effect))
-            return as_is
-        v = change(problem, here, moved)
+            return [(whole, effect)]
+        # Where noise is little, even a small effect's change is far from a straight line: its slope is taken near nothing.
+        slight = _sized(effect, _SLIGHT ** (1.0 / effect.order))
+        assert slight is not None, "nearer to nothing than one that is possible"
+        v = change(problem, here, problem.predict(null.x, (*null.effects, slight))) / _SLIGHT
         along = tangent.T @ v
         information, score = float(v @ v - along @ normal @ along), float(v @ residual - along @ normal @ own_slope)
         grown = None if information < 1e-9 else _grown(effect, score / information)
-        return as_is if grown is None else [*as_is, (0.5 * score**2 / information, grown)]
+        return [(whole, effect)] if grown is None else [(whole, effect), (0.5 * score**2 / information, grown)]
 
-    return sorted(chain.from_iterable(each(promised, candidates)), key=lambda item: -item[0])
+    return list(chain.from_iterable(each(promised, candidates)))
+
+
+def _dragged(problem: Problem, null: Fit) -> bool:
+    """Whether a fit went far from what was known before, whose response is not told by phases."""
+    return problem.evidence.drive is None and null.log_prior < _DRAGGED
+
+
+def _at_rest(problem: Problem, null: Fit, *more: Effect) -> tuple[Problem, Fit]:
+    """The problem with its structure held where it was known to be, fitted; with further effects."""
+    known = problem.reference
+    held = replace(problem, reference=replace(known, precision=known.precision + _HELD * np.eye(known.mean.size)))
+    x = np.concatenate([known.mean, null.x[known.mean.size :]])
+    return held, fit(held, x, (*null.effects, *more), iterations=_BRIEFLY)
 
 
 def change(problem: Problem, here: Prediction, there: Prediction) -> Array:
@@ -242,21 +267,20 @@ def change(problem: Problem, here: Prediction, there: Prediction) -> Array:
     return np.concatenate([change, mean])[:, 0]
 
 
-def _whole_gain(problem: Problem, null: Fit, moved: Prediction) -> float:
-    """What the effect gains as it stands, once the levels have followed: for starts that happen to lie near the truth."""
-    return problem.log_likelihood(moved.spectra, moved.data, levelled=True) - null.log_likelihood
-
-
 def _grown(effect: Effect, amount: float) -> Effect | None:
-    """The effect with its amplitude times `amount`, or None where that is not possible physically."""
+    """The effect with its amplitude times `amount`, as far as one goes, or None where that is not possible physically."""
+    size = float(np.clip(abs(amount) ** (1.0 / effect.order), _MIN_STEP, _MAX_STEP))
+    return _sized(effect, float(np.copysign(size, amount)))
+
+
+def _sized(effect: Effect, factor: float) -> Effect | None:
+    """The effect with its size times `factor`, or None where its bounds do not let it."""
     x = effect.coordinates
-    size = float(np.clip(abs(amount) ** (1.0 / effect.order), _MIN_STEP, _MAX_STEP)) * (1.0 if amount >= 0 else -1.0)
     for i, p in enumerate(effect.parameters):
         if p.absent is not None:
             zero = p.coordinate(p.absent) if np.isfinite(p.absent) else 0.0
-            x[i] = zero + size * (x[i] - zero)
-            value = p.value(x[i])
-            if abs(p.coordinate(value) - x[i]) > 1e-6 * abs(x[i]) + 1e-12:
+            x[i] = zero + factor * (x[i] - zero)
+            if abs(p.coordinate(p.value(x[i])) - x[i]) > 1e-6 * abs(x[i]) + 1e-12:
                 return None
     return effect.at(x)
 
@@ -291,8 +315,8 @@ def judge(
     few, many = (_ROUGHLY, _FAR) if driven else (_QUICKLY, _LONG)
     fitted = partial(fit, problem, iterations=few if quick else many, tolerance=_COARSE if driven else _FINE)
     found = evidence_of(problem, null, fitted(null.x, (*null.effects, effect), frozen=frozen))
-    if not quick and not driven and null.log_prior < _DRAGGED:
-        near = _from_rest(problem, null, effect)
+    if not quick and _dragged(problem, null):
+        near = _at_rest(problem, null, effect)[1]
         if found.may_reach(bar) or sum(problem.score(near.x, near.effects)) > found.fit.log_posterior:
             other = evidence_of(problem, null, fit(problem, near.x, near.effects, iterations=_LONG))
             found = max(found, other, key=lambda c: c.evidence)
@@ -300,14 +324,6 @@ def judge(
         again = evidence_of(problem, null, fitted(rough.fit.x, rough.fit.effects))
         found = max(found, again, key=lambda c: c.evidence)
     return found
-
-
-def _from_rest(problem: Problem, null: Fit, effect: Effect) -> Fit:
-    """An effect's size beside a structure held where it was known to be."""
-    known = problem.reference
-    held = replace(problem, reference=replace(known, precision=known.precision + _HELD * np.eye(known.mean.size)))
-    x = np.concatenate([known.mean, null.x[known.mean.size :]])
-    return fit(held, x, (*null.effects, effect), iterations=_BRIEFLY)
 
 
 def evidence_of(problem: Problem, null: Fit, fitted: Fit, n_more: int | None = None) -> Candidate:
