@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from drivers.base import ACCELERATION
-from monitor.effects import ChannelSwap, Context
+from monitor.effects import ChannelSwap, Context, SensorGain
 from monitor.evidence import classify
 from monitor.prediction import accelerance
 from monitor.record import blocks_of
 from monitor.reference import nominal
-from monitor.search import best_of_each, prepare, rank, starts
+from monitor.search import best_of_each, judge, prepare, rank, starts
 from monitor.segments import gather
 from monitor.simulate import simulate
 from tests.test_polish import CONFIG, RATE
@@ -27,6 +28,26 @@ def test_a_swap_is_ranked_first_though_the_plain_model_was_dragged_far_to_excuse
     assert isinstance(first, ChannelSwap)
     assert first.location == "channel a2,a3"
     assert gain > 2.0 * second
+
+
+@pytest.mark.parametrize("channel", [0, 1, 2])
+def test_the_score_test_promises_what_a_gain_brings_where_noise_is_little(channel: int) -> None:
+    """A hundred times less noise than motion: what 2 % makes of the spectra is no straight line."""
+    context = Context(CONFIG.model().structure, CONFIG.channels, CONFIG.sensor_matrix(), RATE)
+    motion = simulate(CONFIG.model(), duration_s=400.0, rate_hz=RATE, noise=0.01, seed=9, context=context)
+    blocks = blocks_of(
+        ACCELERATION, motion.floors * np.where(np.arange(3) == channel, 0.98, 1.0), CONFIG.channels, RATE, 10**18, 128
+    )
+    problem, null = prepare(classify(gather(blocks, CONFIG)), nominal(CONFIG.model(), np.full(6, 0.01), 3), context)
+    ranked = best_of_each(rank(problem, null, starts(problem, null)))
+    (promise, effect), *_ = [
+        item
+        for item in ranked
+        if item[1].location == f"channel {CONFIG.channels[channel]}" and isinstance(item[1], SensorGain)
+    ]
+    found = judge(problem, null, effect)
+    assert found.effect.values()["gain"] == pytest.approx(0.98, abs=0.002)
+    assert 0.5 * found.gain < promise < 2.0 * found.gain
 
 
 def test_an_attached_mass_that_a_fit_lets_go_to_nothing_changes_no_response() -> None:
