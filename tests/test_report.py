@@ -224,6 +224,7 @@ def test_every_effect_has_words_with_its_place_and_its_unit() -> None:
         ("stiffness_change", "frame", {"relative": (0.02, 0.001)}, "all stories are 2.00 ± 0.20 % stiffer than"),
         ("sensor_gain", "channel a2", {"gain": (0.95, 0.001)}, "channel a2 reads 5.00 ± 0.20 % too little"),
         ("time_offset", "channel a2", {"seconds": (0.002, 1e-5)}, "channel a2 comes 2.000 ± 0.020 ms late"),
+        ("time_offset", "channel a2", {"seconds": (-0.002, 1e-5)}, "channel a2 comes 2.000 ± 0.020 ms early"),
         ("added_mass", "floor 1", {"mass_kg": (0.03253, 1e-4)}, "0.03253 ± 0.00020 kg more than the structure file says (10.0 %"),
         ("base_flexibility", "base", {"stiffness_n_per_m": (1897.6986, 1.0)}, "takes 50.0 % from the lowest story"),
         ("gap_contact", "story 1", {"gap_m": (-1e-3, 1e-5), "contact_stiffness_n_per_m": (900.0, 10.0)}, "1.000 ± 0.020 mm"),

@@ -78,9 +78,13 @@ def interval(entry: Mapping[str, float], scale: float = 1.0, unit: str = "") -> 
     return text + unit
 
 
+def _magnitude(entry: Mapping[str, float], scale: float, unit: str) -> str:
+    return interval({"value": abs(entry["value"]), "std": entry["std"]}, scale, unit)
+
+
 def _percent(entry: Mapping[str, float]) -> str:
     """The magnitude of a share."""
-    return interval({"value": abs(entry["value"]), "std": entry["std"]}, 100.0, "%")
+    return _magnitude(entry, 100.0, "%")
 
 
 def in_words(effect_name: str, location: str, parameters: Values, reference: Reference) -> str:
@@ -163,7 +167,8 @@ def in_words(effect_name: str, location: str, parameters: Values, reference: Ref
         case "channel_swap":
             return f"channels {which.replace(',', ' and ')} are swapped"
         case "time_offset":
-            return f"{location} comes {interval(parameters['seconds'], 1e3, 'ms')} late"
+            trend = "late" if value["seconds"] > 0 else "early"
+            return f"{location} comes {_magnitude(parameters['seconds'], 1e3, 'ms')} {trend}"
         case "clock_rate":
             trend = "faster" if value["relative"] > 0 else "slower"
             return f"the sampling clock runs {_percent(parameters['relative'])} {trend} than its nominal rate"
