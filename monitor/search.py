@@ -225,7 +225,7 @@ def _promised(problem: Problem, null: Fit, candidates: list[Effect]) -> list[tup
     residual = np.concatenate([null.residual, null.mean_residual])
     # The nuisances' own slope is that of the posterior: what pulls them from what was known before speaks for an effect.
     own_slope = tangent.T @ residual - precision @ (null.x - mean)
-    tangent = np.asfortranarray(tangent)
+    tangent, driven = np.asfortranarray(tangent), problem.evidence.drive is not None
 
     def promised(effect: Effect) -> list[tuple[float, Effect]]:
         moved = problem.predict(null.x, (*null.effects, effect))
@@ -233,16 +233,21 @@ def _promised(problem: Problem, null: Fit, candidates: list[Effect]) -> list[tup
         whole = problem.log_likelihood(moved.spectra, moved.data, levelled=True) - null.log_likelihood
         if not effect.proportional:
             return [(whole, effect)]
-        # Where noise is little, even a small effect's change is far from a straight line: its slope is taken near nothing.
-        slight = _sized(effect, _SLIGHT ** (1.0 / effect.order))
-        assert slight is not None, "nearer to nothing than one that is possible"
-        v = change(problem, here, problem.predict(null.x, (*null.effects, slight))) / _SLIGHT
+        v = change(problem, here, moved) if driven else _slope(problem, null, here, effect)
         along = tangent.T @ v
         information, score = float(v @ v - along @ normal @ along), float(v @ residual - along @ normal @ own_slope)
         grown = None if information < 1e-9 else _grown(effect, score / information)
         return [(whole, effect)] if grown is None else [(whole, effect), (0.5 * score**2 / information, grown)]
 
     return list(chain.from_iterable(each(promised, candidates)))
+
+
+def _slope(problem: Problem, null: Fit, here: Prediction, effect: Effect) -> Array:
+    """Whitened change by an effect, in proportion to what next to nothing of it makes: where noise is little, even a small
+    effect's change is far from a straight line."""
+    slight = _sized(effect, _SLIGHT ** (1.0 / effect.order))
+    assert slight is not None, "nearer to nothing than one that is possible"
+    return np.asarray(change(problem, here, problem.predict(null.x, (*null.effects, slight))) / _SLIGHT)
 
 
 def _dragged(problem: Problem, null: Fit) -> bool:
