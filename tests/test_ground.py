@@ -82,6 +82,28 @@ def test_a_driven_frame_tells_its_cause(effects: tuple[str, ...], name: str | No
         assert next(iter(found.causes[0].effect.values().values())) == pytest.approx(parameter, rel=0.05)
 
 
+def test_of_a_long_recording_the_strongest_minutes_are_used_and_the_response_to_what_came_before_stays(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    whole = recorded(seed=12, rate_hz=200.0)
+    monkeypatch.setattr("monitor.segments._DRIVEN_SEGMENTS", 12)
+    monkeypatch.setattr("monitor.segments._LEAD_S", 30.0)
+    part = recorded(seed=12, rate_hz=200.0)
+    assert whole.drive is not None and part.drive is not None
+    assert part.t_s.size == part.values.shape[0] == part.drive.first.size == 12 < whole.t_s.size
+    first = int(np.searchsorted(whole.t_s, part.t_s[0]))
+    same = slice(first, first + 12)
+    np.testing.assert_array_equal(part.values, whole.values[same])
+    power = (np.abs(whole.drive.ground(whole.band)) ** 2).sum(axis=1)
+    assert power[same].sum() == max(power[i : i + 12].sum() for i in range(power.size - 11))
+    assert sum(run.length for run in part.drive.runs) < 0.7 * sum(run.length for run in whole.drive.runs)
+    answers = []
+    for segments in (whole, part):
+        problem, _ = prepare(classify(segments), nominal(settings().model(), np.full(6, 1e-3), 3), CONTEXT)
+        answers.append(problem.mean(problem.reference.mean, ()))
+    np.testing.assert_allclose(answers[1], answers[0][same], atol=3e-3 * float(np.abs(answers[0]).max()))
+
+
 @pytest.mark.parametrize("rate_hz", [100.0, 200.0, 512.0])
 def test_how_the_ground_moves_between_slow_samples_is_found_and_no_cause_made_of_it(rate_hz: float) -> None:
     segments = recorded(seed=15, rate_hz=rate_hz)  # the simulation's ground runs straight
