@@ -83,6 +83,8 @@ class Segments:
 def gather(blocks: Iterable[SampleBlock], config: Configuration) -> Segments:
     """Condition a recording as the pipeline does and cut it into segments.
 
+    Where the ground was measured, those of the three minutes in which it moved most, with its motion from a minute before.
+
     Raises
     ------
     BadInputError
