@@ -79,8 +79,7 @@ def _standing(reference: Reference) -> list[dict[str, Any]]:
     first, out = reference.mean.size - reference.n_standing, []
     for effect in reference.effects(reference.mean):
         n = len(effect.parameters)
-        form = np.abs(effect.coordinates) * np.array(effect.form_doubt or (0.0,) * n)
-        sizes = _sizes(effect, np.hypot(np.sqrt(np.maximum(variance[first : first + n], 0.0)), form))
+        sizes = _sizes(effect, np.hypot(np.sqrt(np.maximum(variance[first : first + n], 0.0)), effect.form_std))
         out.append(_cause(effect, {name: size["std"] for name, size in sizes.items()}, reference))
         first += n
     return out

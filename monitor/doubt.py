@@ -49,10 +49,9 @@ def form_doubt(problem: Problem, at: Fit, effect: Effect) -> Array:
     where joints are flexible, girders may have changed with the columns or not.
     How softening goes on beyond the third order is not known: with a fifth order like that of tanh, a size would differ by
     twice the relative softening.  A strong line is read off the taper's leakage, into bins that are otherwise another
-    model's.  The rest is `Effect.form_doubt`.
+    model's.  The rest is `Effect.form_std`.
     """
     size = np.abs(effect.coordinates)
-    known = size * np.array(effect.form_doubt or (0.0,) * size.size)
     if effect.name == "harmonic_excitation":
         return np.array([_LINE * problem.evidence.band.bin_hz / effect.lines()[0].frequency_hz, 0.0])
     if effect.name in ("bilinear_stiffness", "stiffness_change") and effect.location.startswith("story"):
@@ -65,5 +64,5 @@ def form_doubt(problem: Problem, at: Fit, effect: Effect) -> Array:
     if effect.name == "cubic_stiffness" and effect.coordinates[0] < 0.0:
         drift = problem.conditions[problem.n_classes // 2].drift_m[effect.index]
         stiffness = problem.context_at(at.x).structure.stiffness_n_per_m[effect.index]
-        return np.asarray(np.hypot(known, size * 3.0 * size * drift**2 / stiffness))
-    return np.asarray(known)
+        return np.asarray(np.hypot(effect.form_std, size * 3.0 * size * drift**2 / stiffness))
+    return effect.form_std

@@ -233,6 +233,7 @@ def _promised(problem: Problem, null: Fit, candidates: list[Effect]) -> list[tup
         whole = problem.log_likelihood(moved.spectra, moved.data, levelled=True) - null.log_likelihood
         if not effect.proportional:
             return [(whole, effect)]
+        # The phases of a driven response turn far between two fits: whole changes rank better there (docs/measured-frames.md).
         v = change(problem, here, moved) if driven else _slope(problem, null, here, effect)
         along = tangent.T @ v
         information, score = float(v @ v - along @ normal @ along), float(v @ residual - along @ normal @ own_slope)

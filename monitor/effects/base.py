@@ -215,6 +215,11 @@ class Effect(ABC):
         """Parameters in the coordinates of estimation, shape (p,)."""
         return np.array([p.coordinate(getattr(self, p.name)) for p in self.parameters])
 
+    @property
+    def form_std(self) -> Array:
+        """Standard deviation of the coordinates by `form_doubt`, shape (p,)."""
+        return np.asarray(np.abs(self.coordinates) * np.array(self.form_doubt or (0.0,) * len(self.parameters)))
+
     def at(self, coordinates: Array) -> Self:
         """The same effect elsewhere in its parameters' space, kept within their bounds."""
         values = {p.name: p.value(float(x)) for p, x in zip(self.parameters, coordinates, strict=True)}

@@ -47,8 +47,12 @@ class ShearFrame:
 
     def changed(self, relative: Array) -> Self:
         """See `Structure.changed`."""
-        built = self.stiffness_n_per_m if self.built_n_per_m is None else self.built_n_per_m
+        built = self._built
         return replace(self, stiffness_n_per_m=self.stiffness_n_per_m + relative * built, built_n_per_m=built)
+
+    @property
+    def _built(self) -> Array:
+        return self.stiffness_n_per_m if self.built_n_per_m is None else self.built_n_per_m
 
     def with_masses(self, masses_kg: Array) -> Self:
         """See `Structure.with_masses`."""
@@ -80,8 +84,7 @@ class ShearFrame:
         n = self.n_stories
         heights = np.ones(n) if self.story_heights_m is None else self.story_heights_m
         column = self.stiffness_n_per_m * heights**2 / 24.0  # E I_c / h of one of the two columns
-        built = column if self.built_n_per_m is None else self.built_n_per_m * heights**2 / 24.0
-        girder = float(built.mean()) / self.column_to_girder
+        girder = float((self._built * heights**2 / 24.0).mean()) / self.column_to_girder
         # Story j's rotations: its upper floor's and, but for the clamped ground, its lower floor's.
         rotation_sum = np.eye(n) + np.eye(n, k=1)
         k_theta = 12.0 * girder * np.eye(n)  # one girder bent in double curvature, both ends
