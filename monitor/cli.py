@@ -64,7 +64,7 @@ def replay(
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Run recordings through the monitor: results.jsonl, results.mcap, live.rrd and summary.json in DIR."""
+    """Run recordings through the monitor.  Writes results.jsonl, results.mcap, live.rrd and summary.json in DIR."""
     from monitor import replay as run
     from monitor.baseline import load
     from monitor.publish.lines import replay_story
@@ -96,7 +96,7 @@ def calibrate(
     out: Annotated[Path, typer.Option(metavar="B.json", help="Baseline file to write.")],
     as_json: Json = False,
 ) -> None:
-    """Learn the healthy baseline: updated stiffness with covariance, modes, the misfit that remains."""
+    """Learn the healthy baseline.  It holds the updated stiffness with covariance, modes, the misfit that remains."""
     from monitor.baseline import save
     from monitor.calibrate import calibrate as learn
 
@@ -165,7 +165,7 @@ def simulate(
     speed: cli_emulate.Speed = None,
     as_json: Json = False,
 ) -> None:
-    """Write a recording with known truth, or send it as sensor nodes would (--to)."""
+    """Write a recording with known truth, or send it.  With --to it is sent as sensor nodes would."""
     from monitor import record
 
     if out is None and to is None:
@@ -241,7 +241,7 @@ def check(
     file: Annotated[Path, typer.Argument(metavar="FILE.toml", help="Structure file, site file or fleet file.")],
     as_json: Json = False,
 ) -> None:
-    """List every problem of a structure file, a site file or a fleet file at once."""
+    """List every problem of a file at once.  A structure file, a site file or a fleet file."""
     if "fleet" in config.read_toml(file):
         from monitor import fleet
 
@@ -289,7 +289,7 @@ def demo(
         "recordings"
     ),
 ) -> None:
-    """Calibrate, watch damage appear, and replay the measured frame, from the shipped recordings."""
+    """Calibrate, watch damage appear, replay a measured frame.  All from the shipped recordings."""
     from monitor import demo as tour
 
     tour.run(recordings, out, say=print, on_warning=warn)

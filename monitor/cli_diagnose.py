@@ -22,7 +22,10 @@ def diagnose(
     baseline: Healthy = None,
     as_json: Json = False,
 ) -> None:
-    """What the simulation gets wrong, and why: diagnosis.json, report.html, diagnosis.rrd and the extended model in DIR."""
+    """What the simulation gets wrong, and why.
+
+    Writes diagnosis.json, report.html, diagnosis.rrd and the extended model in DIR.
+    """
     from monitor import discrepancy
     from monitor.baseline import load
     from monitor.diagnosis_files import structure_text
@@ -55,7 +58,7 @@ def diagnose(
 
 
 def evaluate(recordings: Recordings, structure: Structure) -> None:
-    """How well a model predicts recordings, as JSON: nothing but the excitation's level and the noise is fitted.
+    """How well a model predicts recordings, as JSON.  Nothing but the excitation's level and the noise is fitted.
 
     log_score_per_sample: nats per sample instant, all channels together, in the band from 5 to 90 % of cutoff_hz, by the
     debiased Whittle likelihood.  csd_error: squared error of the mean cross-spectra over their own square.
@@ -79,7 +82,7 @@ def accept(
     by: Annotated[str | None, typer.Option(metavar="NAME", help="Who decides; the login name by default.")] = None,
     as_json: Json = False,
 ) -> None:
-    """Take a named cause into the structure file, and write the decision into ledger.jsonl beside it.
+    """Take a named cause into the structure file.  The decision is written into ledger.jsonl beside it.
 
     With the baseline that the finding refers to, the causes alone are added: the baseline brings the healthy stiffness.
     """

@@ -24,7 +24,7 @@ def emulate(
     dbc: Dbc = None,
     speed: Speed = None,
 ) -> None:
-    """Send recordings as sensor nodes would, over CAN or Zenoh, at their real pace."""
+    """Send recordings as sensor nodes would, over CAN or Zenoh.  At their real pace, or another."""
     send(recordings, to, dbc, speed)
 
 

@@ -88,7 +88,7 @@ def export(
     end: Annotated[str | None, typer.Option("--to", metavar="TIME", help="ISO 8601, UTC; not included.")] = None,
     as_json: Json = False,
 ) -> None:
-    """The history as a table: SI units, times in UTC as ns since 1970; a running daemon is not disturbed."""
+    """The history as a table.  SI units, times in UTC as ns since 1970; a running daemon is not disturbed."""
     from monitor import export as writer
 
     spare_inputs([out], [place])

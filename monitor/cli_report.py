@@ -24,7 +24,7 @@ def report(
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """A period of a run as one page: availability, damage, alarms, modes, quality, findings.  Windows count where they end."""
+    """A period of a run as one page.  Availability, damage, alarms, modes, quality, findings.  Windows count where they end."""
     from monitor.publish.period import read_period, write_period
 
     from_ns, to_ns = time_ns("--from", start), time_ns("--to", end)

@@ -38,7 +38,7 @@ def reprocess(
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Replay an archive on many processes: a Parquet dataset of all windows in DIR/windows.
+    """Replay an archive on many processes.  Writes a Parquet dataset of all windows in DIR/windows.
 
     Recordings of one folder that follow one another are one replay, with the results that 'replay' gives for them.
     """

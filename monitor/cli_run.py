@@ -11,7 +11,7 @@ import typer
 def run(
     file: Annotated[Path, typer.Argument(metavar="CONFIG.toml", help="Site file: structure, source, output.")],
 ) -> None:
-    """Monitor a live source until it ends or SIGTERM comes: results.jsonl, summary.json and recordings in [output] dir.
+    """Monitor a live source until it ends or SIGTERM comes.  Writes results.jsonl, summary.json and recordings in [output] dir.
 
     Prints READY on standard error when the source is open.
     """

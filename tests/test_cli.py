@@ -648,6 +648,12 @@ def test_help_keeps_what_stands_in_square_brackets(main: Cli) -> None:
     assert "NAME=FILE[:COLUMN]" in main("import", "--help").stdout
 
 
+def test_no_command_s_summary_is_cut_off(main: Cli) -> None:
+    listed = main("--help").stdout.partition("Commands:")[2]
+    assert "diagnose" in listed
+    assert "..." not in listed
+
+
 # --- simulate ---
 
 
