@@ -14,7 +14,6 @@ from functools import lru_cache
 from math import floor
 
 import numpy as np
-from scipy.signal import cheby1
 
 from monitor.results import Array
 
@@ -47,6 +46,8 @@ class Conditioner:
         A cutoff beyond 0.8 of the Nyquist frequency of the slower rate is lowered to it.  Rates are matched by a
         ratio of integers, exact to 1e-6.
         """
+        from scipy.signal import cheby1  # takes most of a second to load
+
         out_hz = rate_hz
         if rate_in_hz < rate_hz:
             out_hz = rate_in_hz if step_s is None else floor(rate_in_hz * step_s + 1e-9) / step_s

@@ -9,7 +9,6 @@ from itertools import chain, islice
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import sosfreqz
 
 from drivers.base import ACCELERATION, GROUND, TEMPERATURE, SampleBlock
 from monitor import align, driven
@@ -266,4 +265,6 @@ def _filter_gain(conditioner: Conditioner, n: int, step_hz: float) -> Array:
 
 def _filter(conditioner: Conditioner, hz: Array) -> ComplexArray:
     """Response of the anti-alias filter."""
+    from scipy.signal import sosfreqz  # takes most of a second to load
+
     return np.asarray(sosfreqz(conditioner.sos, worN=hz, fs=conditioner.rate_in_hz)[1])

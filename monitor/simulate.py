@@ -12,7 +12,6 @@ from typing import Literal
 
 import numpy as np
 from scipy.optimize import brentq
-from scipy.signal import lfilter
 
 from monitor.effects import Condition, Context, System
 from monitor.model import Model
@@ -70,6 +69,8 @@ def respond_newmark(model: Model, forces: Array, rate_hz: float) -> Array:
     Parameters and return value as `respond_exactly`.  In modal coordinates of a classically damped model the method
     is the bilinear transform of ``s^2 / (s^2 + 2 zeta w s + w^2)``.
     """
+    from scipy.signal import lfilter  # takes most of a second to load
+
     modes = model.modes()
     omega = np.sqrt(modes.eigenvalues)
     zeta = np.diag(modes.shapes.T @ model.damping_matrix() @ modes.shapes) / (2.0 * omega)
@@ -89,6 +90,8 @@ def level_wander(n: int, rate_hz: float, spread: float, rng: np.random.Generator
     """A slowly wandering level with mean square 1: log-normal, correlated over 60 s, shape (n,)."""
     if spread == 0.0:
         return np.ones(n)
+    from scipy.signal import lfilter  # takes most of a second to load
+
     step = max(1, int(rate_hz))
     knots = n // step + 2
     decay = np.exp(-step / rate_hz / 60.0)

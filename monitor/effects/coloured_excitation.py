@@ -7,7 +7,6 @@ from math import exp, inf, pi
 from typing import ClassVar, Literal, Self
 
 import numpy as np
-from scipy.signal import lfilter
 
 from monitor.effects.base import Condition, Context, Effect
 from monitor.effects.parameter import Parameter
@@ -36,6 +35,8 @@ class ColouredExcitation(Effect):
 
     def drive(self, forces: Array, rate_hz: float) -> Array:
         """See `Effect.drive`."""
+        from scipy.signal import lfilter  # takes most of a second to load
+
         keep = exp(-2.0 * pi * self.corner_hz / rate_hz)
         return np.asarray(lfilter([1.0 - keep], [1.0, -keep], forces, axis=0))
 

@@ -7,7 +7,6 @@ from math import exp, inf
 from typing import ClassVar, Literal, Self
 
 import numpy as np
-from scipy.signal import lfilter
 
 from monitor.effects.base import Condition, Context, Effect, System
 from monitor.effects.parameter import Parameter
@@ -45,6 +44,8 @@ class TemperatureStiffness(Effect):
 
     def stiffness_factor(self, excess_degc: Array, rate_hz: float) -> Array | None:
         """See `Effect.stiffness_factor`."""
+        from scipy.signal import lfilter  # takes most of a second to load
+
         if self.lag_s > 0.0:
             keep = exp(-1.0 / (rate_hz * self.lag_s))
             excess_degc = lfilter([1.0 - keep], [1.0, -keep], excess_degc, zi=[keep * excess_degc[0]])[0]
