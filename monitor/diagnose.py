@@ -17,18 +17,18 @@ from monitor.effects import Context, Effect
 from monitor.evidence import Evidence
 from monitor.fitting import Fit, fit
 from monitor.likelihood import Problem
-from monitor.misfit import Misfit, misfits, strayed
+from monitor.misfit import Misfit, misfits, remainder, strayed
 from monitor.parallel import each
 from monitor.polish import Polished, finish, polish, settle, skewness
 from monitor.reference import Reference
 from monitor.results import Array
 from monitor.revision import joined, missed, moved, only, revised
 from monitor.rivals import probabilities, same, together
-from monitor.search import Candidate, best_of_each, between_samples, judge, prepare, rank, starts
+from monitor.search import FAR, Candidate, beside_wind, best_of_each, between_samples, judge, prepare, rank, starts
 
 _SMALL = 200.0
 """Promised gain, nats, of a small effect."""
-_KINDS, _EVERYWHERE, _DRIVEN = 7, 2, 2
+_KINDS, _EVERYWHERE, _DRIVEN, _PROMISING = 7, 2, 2, 12
 """Where the ground is measured: kinds of causes that are fitted roughly, those of them at every place, and to the end."""
 _MOVED = 0.05
 """Relative change of a frequency from which it matters what of the damping stayed."""
@@ -112,7 +112,8 @@ def diagnose(evidence: Evidence, reference: Reference, context: Context, setting
     problem, at, accepted, doubt = _finished(problem, at, accepted)
     misfit = misfits(problem, stage.null, settings)
     left_over = (*strayed(problem, at, settings), *misfits(problem, at, settings))
-    verdict = _verdict(misfit, left_over, accepted, bool(alternatives), settings)
+    share = remainder(problem, at, stage.null, misfit, left_over)
+    verdict = _verdict(share, left_over, accepted, bool(alternatives), settings)
     # A response shows more than bands do: what the modes' ratios and their dependence on the level say.
     plain = (ratios(problem, at), level_dependence(backbone(problem, stage.null)))
     still = level_dependence(backbone(problem, at))
@@ -135,12 +136,33 @@ def _searched(stage: _Stage, settings: DiagnosisSettings) -> tuple[_Stage, list[
     """What may come next, best first; and the stage, fitted anew where the search came upon a better fit without any."""
     worth = settings.worth * stage.margin / settings.margin
     tried = _round(stage.problem, stage.at, stage.lean, settings, worth)
-    better = missed(stage.problem, stage.at, tried)
+    better = missed(stage.problem, stage.at, tried) or _otherwise_between(stage, tried, worth)
     if better is None:
         return stage, tried
     problem, at = better
     stage = replace(stage, problem=problem, at=at, null=stage.null if stage.accepted else at)
     return stage, _round(problem, at, stage.lean, settings, worth)
+
+
+def _otherwise_between(stage: _Stage, tried: list[Polished], worth: float) -> tuple[Problem, Fit] | None:
+    """The fit with the ground's motion between its samples that the best candidates ask for; None where that is no other one.
+
+    Without the cause another motion may have made up for it, and with that one a cause of more parameters may look better.
+    """
+    drive = stage.problem.evidence.drive
+    if drive is None or not tried or tried[0].candidate.evidence < worth:
+        return None
+    likely: list[tuple[float, Evidence]] = []
+    for p in tried[:_DRIVEN]:
+        before = p.candidate.fit
+        problem, at = between_samples(p.problem, before)
+        likely.append((p.candidate.evidence + at.log_posterior - before.log_posterior, problem.evidence))
+    like = max(likely, key=lambda pair: pair[0])[1]
+    assert like.drive is not None
+    if like.drive.between == drive.between:
+        return None
+    problem = replace(stage.problem, evidence=like)
+    return problem, fit(problem, stage.at.x, stage.at.effects, iterations=FAR)
 
 
 def _with(stage: _Stage, best: Polished, settings: DiagnosisSettings) -> _Stage:
@@ -151,7 +173,7 @@ def _with(stage: _Stage, best: Polished, settings: DiagnosisSettings) -> _Stage:
     problem, at = between_samples(_extended(problem, at), at)
     # Damping is freer now, the motion is known, and how far up the forces reach; to a measured ground's response linearized
     # slopes led near, and the exact ones tell what is known.
-    at = fit(replace(problem, exact_slopes=driven and _bent(at)), at.x, at.effects)
+    problem, at = beside_wind(problem, fit(replace(problem, exact_slopes=driven and _bent(at)), at.x, at.effects))
     lean, margin = best.skewness, stage.margin
     if len(accepted) > 1 and _bent(at) and not driven:  # corrected without the newest cause
         made = settle(problem, at)
@@ -179,13 +201,12 @@ def _finished(
 
 
 def _verdict(
-    misfit: Sequence[Misfit],
+    share: float,
     left_over: Sequence[Misfit],
     accepted: Sequence[Candidate],
     ambiguous: bool,
     settings: DiagnosisSettings,
 ) -> Verdict:
-    share = sum(m.size**2 for m in left_over) / max(sum(m.size**2 for m in misfit), 1.0)
     # The exact form of a nonlinear law far from rest is not known; what little that leaves is no cause of its own.
     bent = any(c.effect.nonlinear for c in accepted)
     if left_over and not (bent and share < settings.remainder):
@@ -286,7 +307,10 @@ def _driven(
     """
     kinds = list(dict.fromkeys(effect.name for _, effect in ranked))
     first = {name: next(e for _, e in ranked if e.name == name) for name in kinds[:_KINDS]}
-    near = [e for _, e in ranked if e.name in kinds[:_EVERYWHERE] or e is first.get(e.name)]
+    most = [e for _, e in ranked[:_PROMISING]]
+    near = [
+        e for _, e in ranked if e.name in kinds[:_EVERYWHERE] or e is first.get(e.name) or any(e is f for f in most)
+    ]
     rough = _roughly(problem, at, near)
     chosen = {c.key: c.effect for c in rough[:_DRIVEN]}
     same = [e for _, e in ranked if rough and e.name == rough[0].effect.name]

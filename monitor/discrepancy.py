@@ -16,6 +16,7 @@ from monitor.compensation import ddi_effect
 from monitor.config import Configuration
 from monitor.diagnose import Diagnosis, diagnose
 from monitor.diagnosis_files import content, model_to_plain
+from monitor.doubt import sure
 from monitor.effects import Context, Effect
 from monitor.errors import BadInputError
 from monitor.evidence import classify
@@ -92,9 +93,21 @@ def learn(segments: Segments, config: Configuration) -> Reference:
     if segments.temperature.size:
         known = replace(known, reference_degc=float(segments.temperature[:, 1].mean()))
     found = diagnose(evidence, known, context, config.diagnosis)
-    if found.verdict == "named":
-        known = _with_standing(known, tuple(c.effect for c in found.causes))
-    return standing.learn(evidence, known, context)[0]
+    causes = tuple(c.effect for c in found.causes) if found.verdict == "named" else ()
+    while True:
+        learnt = standing.learn(evidence, _with_standing(known, causes), context)[0]
+        kept = tuple(e for e, stays in zip(causes, _sure(learnt, len(causes)), strict=True) if stays)
+        if kept == causes:
+            return learnt
+        causes = kept  # beside the rest, the others are nothing
+
+
+def _sure(learnt: Reference, n: int) -> list[bool]:
+    """Of the last n standing effects, which are beyond doubt."""
+    effects = learnt.effects(learnt.mean)
+    std = np.sqrt(np.diag(np.linalg.inv(learnt.precision)))[learnt.mean.size - learnt.n_standing :]
+    own = np.split(std, np.cumsum([len(e.parameters) for e in effects]))[: len(effects)]
+    return [sure(e, s) for e, s in zip(effects, own, strict=True)][len(effects) - n :]
 
 
 def evaluate(

@@ -50,11 +50,10 @@ def forces(problem: Problem, x: Array, effects: Sequence[Effect], seed: int) -> 
     bent = _bent(effects)
     half = round(e.rate_hz / e.band.bin_hz / 2) if bent else _samples(problem)
     rate = 2.0 * half * e.band.bin_hz
-    n, p, n_segments = context.structure.n_dofs, problem.reference.mean.size, e.t_s.size
-    force, level = np.exp(x[p : p + n]), np.exp(x[p + n : p + n + problem.n_classes])
+    n, n_segments, known = context.structure.n_dofs, e.t_s.size, problem.forces(x)
     density = np.empty((n_segments, n))
     for k, members in enumerate(e.members):
-        density[members] = force * level[k] * e.level[members][:, None]
+        density[members] = known[k] * e.level[members][:, None]
     middle, at_sample = (np.arange(n_segments) + 2) * half, np.arange((n_segments + 2) * half)
     rng = np.random.default_rng(seed)
     root = np.stack([np.interp(at_sample, middle, np.sqrt(density[:, j] * rate)) for j in range(n)], axis=1)
@@ -65,7 +64,7 @@ def forces(problem: Problem, x: Array, effects: Sequence[Effect], seed: int) -> 
     ground = None
     if share > 0.0:
         system = extended(problem.system(x, effects), effects, context, problem.conditions[0])
-        first = force * level[0]
+        first = known[0]
         ratio = ground_density(share, system, first, context, problem.conditions[0]) / first.mean()
         ground = np.sqrt(ratio) * root.mean(axis=1) * rng.standard_normal(root.shape[0])
     noise = None

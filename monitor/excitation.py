@@ -11,8 +11,8 @@ from scipy.optimize import minimize
 
 from monitor.corrected import relative_to
 from monitor.driven import Between
-from monitor.effects import Condition, Context
-from monitor.evidence import Evidence
+from monitor.effects import Condition, Context, Effect
+from monitor.evidence import Evidence, classify
 from monitor.exact import exact, forces, offsets
 from monitor.likelihood import Problem
 from monitor.model import Model
@@ -35,6 +35,8 @@ _SIMULATIONS = 4
 """Of laws that are not linear: of rare events a single one tells little."""
 _WORST = 1e30
 """Stands for no likelihood at all."""
+_QUIET = 1.0 / 3.0
+"""Share of driven segments that tell the forces."""
 _FORCED = 1e-3
 """With the ground measured: power that forces cause, as a share of what is seen, where the model is all wrong."""
 
@@ -161,40 +163,67 @@ def _first_guess(problem: Problem) -> Array:
 
 
 def _fit_driven(problem: Problem, x: Array) -> Array:
-    """Most probable level of the forces, of the model's own error in every class, and noise, the rest of `x` kept.
+    """Most probable level of the forces, of the model's own error in every class, noise of the ground and of the channels,
+    the rest of `x` kept.
 
     The forces stand for what the response lacks at its resonances, the error for what it lacks everywhere.
     """
     p, k = problem.reference.mean.size, problem.n_classes
     n = problem.context.structure.n_dofs
-    moving = np.zeros((k + 2, x.size))
+    moving = np.zeros((k + 3, x.size))
     moving[0, p : p + n] = 1.0
-    moving[1:, p + n :] = np.eye(k + 1)
+    moving[1:-1, p + n :] = np.eye(k + 1)
+    moving[-1, problem.reference.channel_noises] = 1.0
     data = problem.predict(x, ()).data  # levels move no mean
 
     def cost(by: Array) -> float:
         value = -problem.log_likelihood(problem.scatter(x + by @ moving, ()), data)
         return min(value + 0.5 * float(by @ by) / _LEVEL_STD**2, _WORST)
 
-    return np.asarray(x + minimize(cost, np.zeros(k + 2), method="Powell", options={"xtol": 1e-3}).x @ moving)
+    return np.asarray(x + minimize(cost, np.zeros(k + 3), method="Powell", options={"xtol": 1e-3}).x @ moving)
 
 
-def _fit_levels(problem: Problem, x: Array, iterations: int = 40) -> Array:
+def told_by_quiet(problem: Problem, x: Array, effects: tuple[Effect, ...]) -> Array:
+    """The vector with the forces beside a measured ground that its quietest segments tell, the rest of `x` kept.
+
+    Wind blows there too, while what the model's response lacks grows with the ground's motion.
+    """
+    e, p, n = problem.evidence, problem.reference.mean.size, problem.context.structure.n_dofs
+    mean = problem.mean(x, effects)
+    assert mean is not None
+    assert e.power is not None
+    moved = (np.abs(mean) ** 2 / e.power).mean(axis=(1, 2))
+    quiet = classify(replace(e.segments, drive=e.drive).part(moved <= np.quantile(moved, _QUIET)))
+    like = nearest(problem.n_classes, quiet.counts.size)
+    there, last = problem.part(quiet, like), x[p + n + problem.n_classes :]
+    known = np.concatenate([x[: p + n], x[p + n : p + n + problem.n_classes][like], last])
+    out = x.copy()
+    out[p : p + n] = _by_scoring(there, known, effects)[p : p + n]
+    return out
+
+
+def _fit_levels(problem: Problem, x: Array) -> Array:
     """Most probable forces, levels of the classes and noise, the rest of `x` kept: Fisher scoring, Levenberg-Marquardt steps.
 
     How strongly each floor is shaken belongs to the recording as its level does; were it held equal, a wrong structure that
     makes up for it would score best.
     """
-    if problem.evidence.drive is not None:
-        return _fit_driven(problem, x)
+    return _by_scoring(problem, x) if problem.evidence.drive is None else _fit_driven(problem, x)
+
+
+def _by_scoring(problem: Problem, x: Array, effects: tuple[Effect, ...] = (), iterations: int = 40) -> Array:
+    """As `_fit_levels`, beside further effects, whose coordinates follow in `x`."""
     p, n, k, damping = problem.reference.mean.size, problem.context.structure.n_dofs, problem.n_classes, 1e-3
-    first, data = x[p:].copy(), problem.predict(x, ()).data  # levels move no mean
-    precision = np.r_[np.full(n, _FORCE_STD), np.full(k + 1, _LEVEL_STD)] ** -2.0
+    end = problem.n_nuisance
+    first, data = x[p:end].copy(), problem.predict(x, effects).data  # levels move no mean
+    precision = np.diag(np.r_[np.full(n, _FORCE_STD), np.full(k + 1, _LEVEL_STD)] ** -2.0)
+    if problem.evidence.drive is not None:  # no class's level is theirs
+        precision[:n, :n] -= (_FORCE_STD**-2.0 - _LEVEL_STD**-2.0) / n
 
     def moved(by: Array) -> tuple[Array, ComplexArray, float]:
-        at = np.r_[x[:p], x[p:] + by]
-        spectra = problem.scatter(at, ())
-        return at, spectra, problem.log_likelihood(spectra, data) - 0.5 * float(precision @ (at[p:] - first) ** 2)
+        at = np.r_[x[:p], x[p:end] + by, x[end:]]
+        spectra, far = problem.scatter(at, effects), at[p:end] - first
+        return at, spectra, problem.log_likelihood(spectra, data) - 0.5 * float(far @ precision @ far)
 
     x, spectra, value = moved(np.zeros(first.size))
     slopes, gained = np.zeros((first.size, *spectra.shape), dtype=complex), np.inf
@@ -205,8 +234,8 @@ def _fit_levels(problem: Problem, x: Array, iterations: int = 40) -> Array:
             every = (moved(_NUDGE * np.r_[np.zeros(n), np.ones(k), 0.0])[1] - spectra) / _NUDGE
             slopes[n + np.arange(k), np.arange(k)] = every  # a class's level moves its spectra alone
         rows, residual = problem.whitened(spectra, slopes, data)
-        normal = rows.T @ rows + np.diag(precision)
-        gradient = rows.T @ residual - precision * (x[p:] - first)
+        normal = rows.T @ rows + precision
+        gradient = rows.T @ residual - precision @ (x[p:end] - first)
         for _ in range(8):
             step = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), gradient)
             there, its_spectra, its_value = moved(np.clip(step, -2.0, 2.0))

@@ -113,14 +113,14 @@ class Forward:
     def scatter(self, x: Array, effects: Sequence[Effect], *, classes: Sequence[int] | None = None) -> ComplexArray:
         """Predicted cross-spectra of the segments about their means, shape (classes, n_bins, c, c).
 
-        Where the ground was measured, a class's level scales the forces and the model's own error, a share of the measured
-        power that is independent between channels; the ground's sensor is as noisy as the others.
+        Where the ground was measured, a class's level is that of the model's own error alone, a share of the measured power
+        that is independent between channels: wind does not follow the ground.
         """
         effects = (*self.reference.effects(x), *effects)
         base, context = self.system(x, effects), self.context_at(x)
         p = self.reference.mean.size
         n = context.structure.n_dofs
-        force, level, noise = np.exp(x[p : p + n]), np.exp(x[p + n : p + n + self.n_classes]), self.noise(x)
+        forces, level, noise = self.forces(x), np.exp(x[p + n : p + n + self.n_classes]), self.noise(x)
         wanted = range(self.n_classes) if classes is None else classes
         ground = self.evidence.power
         varied = ground is not None or any(e.conditional or e.lines() for e in effects)
@@ -130,9 +130,9 @@ class Forward:
             if varied or shared is None:
                 system = extended(base, effects, context, self.conditions[k])
                 e = Excitation(
-                    force * (level[k] if varied else 1.0),
+                    forces[k] if varied else np.exp(x[p : p + n]),
                     noise * (1.0 if varied else 0.0),
-                    0.0 if ground is None else float(noise.mean()),
+                    0.0 if ground is None else float(np.exp(x[self.n_nuisance - 1])),
                 )
                 shared = cross_spectra(system, effects, e, self.evidence.band, context, self.conditions[k])
             if varied:
@@ -180,6 +180,19 @@ class Forward:
         return replace(
             base, structure=structure, effects=tuple(effects), correction=change, modal_damping=np.exp(ln_damping)
         )
+
+    def forces(self, x: Array) -> Array:
+        """Density of the forces on the floors in every class, shape (classes, n), N^2/Hz.
+
+        Beside a measured ground they are the same in all: wind does not follow the ground.  What is known of them there is told
+        for the masses known before, and goes with all of them together.
+        """
+        p, n = self.reference.mean.size, self.context.structure.n_dofs
+        force, level = np.exp(x[p : p + n]), np.exp(x[p + n : p + n + self.n_classes])
+        if self.evidence.power is None:
+            return np.asarray(level[:, None] * force)
+        heavier = (self.reference.parts(x)[1] - self.reference.parts(self.reference.mean)[1]).mean()
+        return np.tile(force * np.exp(2.0 * heavier), (self.n_classes, 1))
 
     def noise(self, x: Array) -> Array:
         """Noise density of every channel."""

@@ -28,6 +28,8 @@ from monitor.wishart import log_det_and_trace, whiten
 
 _FORCE_STD, _LEVEL_STD, _NOISE_STD = 1.0, 5.0, 3.0
 """Prior of the logarithm of the floors' forces about their mean, of the classes' levels, of the common noise."""
+_WIND_STD = 0.15
+"""The same of forces that a measured ground's quiet tells, about what they are all the time."""
 NUDGE = 1e-5
 """Finite difference of a nuisance, most of which are logarithms."""
 
@@ -38,6 +40,9 @@ class Problem(Forward):
 
     exact_slopes: bool = False
     """Whether slopes of a response to a measured ground are the exact laws' by the nuisances too; else the linearized ones'."""
+
+    wind: Array | None = None
+    """Logarithms of the forces beside a measured ground that its quiet tells, shape (n,); None while they are not known."""
 
     def part(self, evidence: Evidence, classes: NDArray[np.intp]) -> Self:
         """The same for other segments, whose classes are like those of these numbers here."""
@@ -54,26 +59,34 @@ class Problem(Forward):
         """Mean and precision of the nuisances, given the forces' mean level, and of the effects' coordinates."""
         middle = self.conditions[self.n_classes // 2]
         known = [e.known(self.context, middle) for e in effects]
-        n = self.context.structure.n_dofs
-        centred = np.eye(n) - 1.0 / n
+        forces, force_precision = self._known_forces(x)
         precision = block_diag(
             self.reference.precision,
-            centred / _FORCE_STD**2 + np.full((n, n), 1.0 / n) / _LEVEL_STD**2,
+            force_precision,
             np.eye(self.n_classes) / _LEVEL_STD**2,
             np.eye(1) / _NOISE_STD**2,
             *[np.diag(precision) for _, precision in known],
         )
-        p = self.reference.mean.size
         mean = np.concatenate(
             [
                 self.reference.mean,
-                np.full(n, x[p : p + n].mean()),
+                forces,
                 np.zeros(self.n_classes),
                 [x[self.n_nuisance - 1]],
                 *[m for m, _ in known],
             ]
         )
         return mean, precision
+
+    def _known_forces(self, x: Array) -> tuple[Array, Array]:
+        """Mean and precision of the logarithms of the floors' forces, shapes (n,) and (n, n)."""
+        p, n = self.reference.mean.size, self.context.structure.n_dofs
+        own = x[p : p + n]
+        if self.wind is not None:
+            return self.wind, np.eye(n) / _WIND_STD**2
+        one = np.full((n, n), 1.0 / n)
+        alike = (np.eye(n) - one) / _FORCE_STD**2 + one / _LEVEL_STD**2
+        return own if self.evidence.power is not None else np.full(n, own.mean()), alike
 
     def log_likelihood(
         self, spectra: ComplexArray, data: ComplexArray | None = None, *, levelled: bool = False
@@ -112,15 +125,17 @@ class Problem(Forward):
         for i in range(self.n_nuisance):
             if alone and first_noise <= i < first_noise + c:
                 out[i] = noise_slope[i - first_noise]
-            elif not alone and p <= i < p + n:
-                # Forces beside a measured ground stay small: they would excuse a wrong response at its peaks.
+            elif not alone and self.wind is None and p <= i < p + n:
+                # Forces beside a measured ground stay as small as they are until its quiet has told them: they would excuse
+                # a wrong response at its peaks.
                 out[i] = 0.0
             elif p + n <= i < p + n + self.n_classes:
                 k = i - p - n
                 out[i] = 0.0
-                out[i, k] = out[p : p + n, k].sum(axis=0)  # all forces at once, but neither lines nor noise
-                if self.evidence.power is not None:
-                    out[i, k] += self.smooth(np.exp(x[i]) * diagonal_of(self.evidence.power))
+                if self.evidence.power is None:
+                    out[i, k] = out[p : p + n, k].sum(axis=0)  # all forces at once, but neither lines nor noise
+                else:
+                    out[i, k] = self.smooth(np.exp(x[i]) * diagonal_of(self.evidence.power))
             elif alone and i == self.n_nuisance - 1:
                 out[i] = noise_slope.sum(axis=0)
             else:

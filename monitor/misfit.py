@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,6 +12,8 @@ from monitor.fitting import Fit
 from monitor.levels import by_force, levels
 from monitor.likelihood import Problem
 from monitor.results import Array
+
+_BAND_HZ = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,7 +26,7 @@ class Misfit:
     says: str
 
 
-def drift_bands(problem: Problem, fitted: Fit, width_hz: float = 1.0) -> Array:
+def drift_bands(problem: Problem, fitted: Fit) -> Array:
     """What the later half of a recording shows more than the earlier one, as `residual_bands`.
 
     Each half is compared with the model's spectra of its own classes, each at its own level of every force, so that a change of
@@ -47,25 +50,25 @@ def drift_bands(problem: Problem, fitted: Fit, width_hz: float = 1.0) -> Array:
                 noise = predicted[k] - signal[k]
                 model[k] = np.tensordot(levels(parts[:, k], noise, data[k]), parts[:, k], axes=1) + noise
         halved = replace(problem, evidence=replace(e, counts=counts))
-        z.append(_banded(halved.whitened(model, model[None], data)[1], problem.n_classes, problem, width_hz)[0])
+        z.append(_banded(halved.whitened(model, model[None], data)[1], problem.n_classes, problem)[0])
     return np.asarray((z[0] - z[1]) / np.sqrt(2.0))
 
 
-def residual_bands(problem: Problem, fitted: Fit, width_hz: float = 1.0) -> tuple[Array, Array]:
+def residual_bands(problem: Problem, fitted: Fit) -> tuple[Array, Array]:
     """Misfit in bands as standard deviations, shape (bands, c, c), and the bands' middles in Hz.
 
     The diagonal is too much (positive) or too little power in the whitened channels, below it the real and above it the
     imaginary part of their coherence.
     """
-    return _banded(fitted.residual, problem.n_classes, problem, width_hz)
+    return _banded(fitted.residual, problem.n_classes, problem)
 
 
-def _banded(residual: Array, n_classes: int, problem: Problem, width_hz: float) -> tuple[Array, Array]:
+def _banded(residual: Array, n_classes: int, problem: Problem) -> tuple[Array, Array]:
     """Whitened rows summed in bands."""
     c = problem.evidence.spectra.shape[-1]
     bins = problem.evidence.band.n_bins
     rows = residual.reshape(n_classes, bins, c * c)
-    per = max(1, round(width_hz / problem.evidence.band.bin_hz))
+    per = max(1, round(_BAND_HZ / problem.evidence.band.bin_hz))
     n = bins // per
     z = rows[:, : n * per].reshape(n_classes, n, per, c * c).sum(axis=(0, 2)) / np.sqrt(n_classes * per)
     matrix = np.zeros((n, c, c))
@@ -86,6 +89,20 @@ def misfits(problem: Problem, fitted: Fit, settings: DiagnosisSettings) -> tuple
         z = z / np.sqrt(2.0)  # the simulation has as much chance in it as the recording
     late = _listed(drift_bands(problem, fitted), hz, problem, settings, ", more so late in the recording than early")
     return tuple(sorted(_listed(z, hz, problem, settings, "") + late, key=lambda m: -m.size))
+
+
+def remainder(problem: Problem, at: Fit, null: Fit, misfit: Sequence[Misfit], left_over: Sequence[Misfit]) -> float:
+    """What is left over, as a share of what the model without causes got wrong, by squared deviations.
+
+    With the ground measured by their sizes, and all of it told by the final model's error: the one that the model without causes
+    has learnt to expect hides most of what it gets wrong.
+    """
+    if problem.evidence.drive is None:
+        return sum(m.size**2 for m in left_over) / max(sum(m.size**2 for m in misfit), 1.0)
+    here, there = problem.predict(at.x, at.effects), problem.predict(null.x, null.effects)
+    residual = problem.whitened(here.spectra, here.spectra[None][:0], there.data)[1]
+    wrong = float(np.abs(_banded(residual, problem.n_classes, problem)[0]).sum())
+    return sum(m.size for m in left_over) / max(wrong, 1.0)
 
 
 def strayed(problem: Problem, fitted: Fit, settings: DiagnosisSettings) -> tuple[Misfit, ...]:

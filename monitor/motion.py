@@ -36,8 +36,7 @@ def conditions(
     e, context = problem.evidence, problem.context_at(x)
     everything = (*problem.reference.effects(x), *effects)
     base, damping = problem.system(x, everything), np.exp(problem.reference.parts(x)[2])
-    n, p = context.structure.n_dofs, problem.reference.mean.size
-    force, level = np.exp(x[p : p + n]), np.exp(x[p + n : p + n + problem.n_classes])
+    n, forces = context.structure.n_dofs, problem.forces(x)
     drift = context.structure.drift_matrix()
     rows, order = np.vstack([drift, drift, np.eye(n)]), np.repeat([0, 1, 1], [len(drift), len(drift), n])
     excess = None if e.drive is not None else (e.spectra if spectra is None else spectra) - problem.scatter(x, effects)
@@ -50,12 +49,10 @@ def conditions(
         step = min(0.25 * e.band.bin_hz, 0.25 * damping.min() * lowest)
         step = max(step, e.band.hz[-1] / _MOST_BINS)  # a damping that the fit lets go to nothing
         hz = np.arange(max(0.2 * lowest, step), e.band.hz[-1] * 1.2, step)
-        motion, _ = _moved(system, everything, hz, force * level[k], rows, order, context)
+        motion, _ = _moved(system, everything, hz, forces[k], rows, order, context)
         variance = 2.0 * step * (np.abs(motion) ** 2).sum(axis=(0, 2))
         if excess is not None:
-            motion, seen_there = _moved(
-                system, everything, e.band.hz, force * level[k], rows, order, context, problem, k
-            )
+            motion, seen_there = _moved(system, everything, e.band.hz, forces[k], rows, order, context, problem, k)
             channels = seen_there @ seen_there.conj().swapaxes(-1, -2) + np.diag(problem.noise(x))
             wiener = np.linalg.solve(channels, seen_there @ motion.conj().swapaxes(-1, -2)).conj().swapaxes(-1, -2)
             # What is slower than the structure is the noise of sensors that are integrated twice.
@@ -80,16 +77,15 @@ def forced_drift(problem: Problem, x: Array, effects: Sequence[Effect]) -> Array
     """RMS drift that the linearized model has under white forces, shape (classes, n_stories), m."""
     everything = (*problem.reference.effects(x), *effects)
     context, base = problem.context_at(x), problem.system(x, everything)
-    n, p = context.structure.n_dofs, problem.reference.mean.size
-    force, level = np.exp(x[p : p + n]), np.exp(x[p + n : p + n + problem.n_classes])
+    n = context.structure.n_dofs
     states, drives = [], []
-    for condition, own in zip(problem.conditions, level, strict=True):
+    for condition, force in zip(problem.conditions, problem.forces(x), strict=True):
         system = extended(base, everything, context, condition)
         size = system.mass.shape[0]
         inverse = np.linalg.inv(system.mass)
         states.append(system.state_matrix())
         drive = np.zeros((2 * size, 2 * size))
-        drive[size:, size:] = own * inverse[:, :n] * force @ inverse[:, :n].T
+        drive[size:, size:] = inverse[:, :n] * force @ inverse[:, :n].T
         drives.append(drive)
     # Lyapunov's equation of all classes at once: in the eigenvectors' coordinates it is a division.
     poles, vectors = np.linalg.eig(np.array(states))
@@ -103,11 +99,9 @@ def _beyond(problem: Problem, x: Array, effects: Sequence[Effect]) -> float:
     """See `Condition.beyond`; 1 without a shaken ground, whose motion would be taken for what forces cause."""
     if not any(effect.ground_share for effect in effects):
         return 1.0
-    e, n, p = problem.evidence, problem.context.structure.n_dofs, problem.reference.mean.size
-    force, level = np.exp(x[p : p + n]), np.exp(x[p + n : p + n + problem.n_classes])
-    context = problem.context_at(x)
+    e, context = problem.evidence, problem.context_at(x)
     system = extended(problem.system(x, effects), effects, context, problem.conditions[0])
-    white = variances(system, force * (e.counts @ level) / e.counts.sum(), context, e.band.hz[-1])[2]
+    white = variances(system, e.counts @ problem.forces(x) / e.counts.sum(), context, e.band.hz[-1])[2]
     noise = problem.noise(x) * (e.rate_hz - 2.0 * e.band.hz[-1])
     return float((np.maximum(e.segments.above.mean(axis=0) - noise, 0.0) / white).mean())
 

@@ -11,6 +11,9 @@ from monitor.effects import Effect
 from monitor.model import Model
 from monitor.results import Array
 
+_ANY_NOISE = 3.0
+"""Standard deviation of the logarithm of a noise density that is not known."""
+
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Reference:
@@ -40,6 +43,12 @@ class Reference:
         """Coordinates of the standing effects."""
         return sum(len(e.parameters) for e in self.model.effects)
 
+    @property
+    def channel_noises(self) -> slice:
+        """Where the channels' noise lies among the coordinates."""
+        k, m, d, c, _ = self.sizes
+        return slice(k + m + d, k + m + d + c)
+
     def parts(self, x: Array) -> list[Array]:
         """Cut a vector of structural nuisances into its six parts."""
         ends = [0, *accumulate(self.sizes), self.mean.size]
@@ -56,10 +65,7 @@ class Reference:
     def with_unseen_scale(self, std: float) -> Reference:
         """Where all masses and stiffnesses together may be larger or smaller by so much, which no output shows."""
         k, m, *_ = self.sizes
-        scale = np.zeros(self.mean.size)
-        scale[: k + m] = std
-        precision = np.linalg.inv(np.linalg.inv(self.precision) + np.outer(scale, scale))
-        return replace(self, precision=0.5 * (precision + precision.T))
+        return self._wider(slice(k + m), std)
 
     def with_looser_damping(self, ln_std: Array) -> Reference:
         """Where the damping of every mode may differ by so much more, shape (n,)."""
@@ -70,6 +76,17 @@ class Reference:
         """Where the noise density of every channel, over their mean, may differ by so much more, shape (c,)."""
         k, m, d, *_ = self.sizes
         return self._looser(k + m + d, ln_std)
+
+    def with_any_noise(self) -> Reference:
+        """Where the channels, all alike, may be more or less noisy than the sensor of the ground."""
+        return self._wider(self.channel_noises, _ANY_NOISE)
+
+    def _wider(self, these: slice, std: float) -> Reference:
+        """Where coordinates may all together be larger or smaller by so much more."""
+        along = np.zeros(self.mean.size)
+        along[these] = std
+        held = self.precision @ along  # Sherman and Morrison: what is not known at all has no covariance
+        return replace(self, precision=self.precision - np.outer(held, held) / (1.0 + along @ held))
 
     def _looser(self, first: int, std: Array) -> Reference:
         """Where coordinates from `first` on may differ by so much more."""

@@ -13,6 +13,7 @@ import numpy as np
 from monitor.driven import Between
 from monitor.effects import EFFECTS, Condition, Context, Effect, EffectError, locations
 from monitor.evidence import Evidence
+from monitor.excitation import told_by_quiet
 from monitor.fitting import Fit, fit, inverse
 from monitor.forward import Prediction
 from monitor.likelihood import Problem
@@ -21,7 +22,7 @@ from monitor.parallel import each
 from monitor.reference import Reference
 from monitor.results import Array
 
-_FAR = 40
+FAR = 40
 """Iterations of a first fit to driven motion, whose phases tell more and lead on a longer way."""
 _HEAVY, _LIGHTER, _HELD_DAMPING = 0.05, 0.015, 1e4
 """Damping ratios at which that fit begins and goes on, and the precision that holds the former."""
@@ -75,6 +76,8 @@ def prepare(evidence: Evidence, reference: Reference, context: Context) -> tuple
     need it.
     """
     n, c = context.structure.n_dofs, len(context.channels)
+    if evidence.drive is not None:
+        reference = reference.with_any_noise()
     unknown = Condition(
         np.ones(context.structure.n_stories), np.ones(context.structure.n_stories), np.ones(n), np.ones(c)
     )
@@ -89,14 +92,24 @@ def prepare(evidence: Evidence, reference: Reference, context: Context) -> tuple
     problem, null = between_samples(problem, null)
     problem = replace(problem, conditions=conditions(problem, null.x, ()))
     if not reference.n_standing:
-        return problem, null
+        return beside_wind(problem, null)
     x = np.concatenate([null.x[: plain.mean.size], reference.mean[plain.mean.size :], null.x[plain.mean.size :]])
     for _ in range(2):
         problem = replace(problem, reference=reference)
         null = fit(problem, x)
         x = null.x
         problem = replace(problem, conditions=conditions(problem, x, ()))
-    return problem, null
+    return beside_wind(problem, null)
+
+
+def beside_wind(problem: Problem, at: Fit) -> tuple[Problem, Fit]:
+    """With the forces that the quiet tells, where the ground was measured."""
+    if problem.evidence.drive is None:
+        return problem, at
+    first, n = problem.reference.mean.size, problem.context.structure.n_dofs
+    x = told_by_quiet(problem, at.x, at.effects)
+    problem = replace(problem, wind=x[first : first + n])
+    return problem, fit(problem, x, at.effects, iterations=FAR)
 
 
 def _from_afar(problem: Problem) -> Fit:
@@ -110,7 +123,7 @@ def _from_afar(problem: Problem) -> Fit:
     wide = replace(problem, reference=replace(known, mean=mean, precision=precision))
     near = fit(wide, np.concatenate([mean, x[mean.size :]]), iterations=_LONG).x
     near[modes] = np.log(_LIGHTER)
-    return fit(problem, near, iterations=_FAR)
+    return fit(problem, near, iterations=FAR)
 
 
 def between_samples(problem: Problem, at: Fit) -> tuple[Problem, Fit]:
@@ -124,7 +137,7 @@ def between_samples(problem: Problem, at: Fit) -> tuple[Problem, Fit]:
             other = replace(problem, evidence=replace(problem.evidence, drive=replace(drive, between=between)))
             tried.append((other, fit(other, at.x, at.effects, iterations=_ROUGHLY)))
     problem, best = max(tried, key=lambda pair: pair[1].log_posterior)
-    return problem, at if best is at else fit(problem, best.x, best.effects, iterations=_FAR)
+    return problem, at if best is at else fit(problem, best.x, best.effects, iterations=FAR)
 
 
 def _first_guess(problem: Problem) -> Array:
@@ -318,7 +331,7 @@ def judge(
     driven = problem.evidence.drive is not None
     # Driven motion tells so much that a cause bends the other slopes at once.
     frozen = null.jacobian[:, : problem.n_nuisance] if quick and not driven else None
-    few, many = (_ROUGHLY, _FAR) if driven else (_QUICKLY, _LONG)
+    few, many = (_ROUGHLY, FAR) if driven else (_QUICKLY, _LONG)
     fitted = partial(fit, problem, iterations=few if quick else many, tolerance=_COARSE if driven else _FINE)
     found = evidence_of(problem, null, fitted(null.x, (*null.effects, effect), frozen=frozen))
     if not quick and _dragged(problem, null):

@@ -25,7 +25,7 @@ from monitor.reference import nominal
 from monitor.results import Array
 from monitor.search import judge, prepare
 from monitor.segments import Segments, gather
-from monitor.simulate import simulate
+from monitor.simulate import level_wander, respond, simulate
 
 RATE = 1000.0
 RECORDINGS = Path(__file__).parent.parent / "recordings"
@@ -102,6 +102,47 @@ def test_of_a_long_recording_the_strongest_minutes_are_used_and_the_response_to_
         problem, _ = prepare(classify(segments), nominal(settings().model(), np.full(6, 1e-3), 3), CONTEXT)
         answers.append(problem.mean(problem.reference.mean, ()))
     np.testing.assert_allclose(answers[1], answers[0][same], atol=3e-3 * float(np.abs(answers[0]).max()))
+
+
+def windy(*effects: str, share: float, seed: int) -> Segments:
+    """A frame on a shaken ground in wind that makes a share of the motion's variance; every sensor has noise of its own."""
+    model = Model(settings().model().structure, tuple(parse_effect(e) for e in effects))
+    rng, n = np.random.default_rng(seed), round(120.0 * 200.0)
+    ground = level_wander(n, 200.0, 0.5, rng) * rng.standard_normal(n)
+    by_ground = respond(model, np.zeros((n, 3)), ground, 200.0)
+    by_wind = respond(model, level_wander(n, 200.0, 0.3, rng)[:, None] * rng.standard_normal((n, 3)), None, 200.0)
+    floors = by_ground + by_wind * np.sqrt(share / (1.0 - share) * by_ground.var() / by_wind.var())
+    floors += 0.02 * floors.std(axis=0) * rng.standard_normal(floors.shape)
+    ground = ground + 0.002 * ground.std() * rng.standard_normal(n)
+    streams = [(GROUND, ground[:, None], ("g",)), (ACCELERATION, floors, DRAWING.channels)]
+    return gather([b for t, x, names in streams for b in blocks_of(t, x, names, 200.0, T0_NS, 200)], DRAWING)
+
+
+@pytest.mark.parametrize("share", [0.003, 0.1])
+def test_wind_beside_a_measured_ground_is_no_cause_and_hides_none(share: float) -> None:
+    known, context = nominal(settings().model(), np.full(6, 1e-3), 3), replace(CONTEXT, rate_hz=200.0)
+    clean = diagnose(classify(windy(share=share, seed=21)), known, context, DiagnosisSettings())
+    assert (clean.verdict, clean.causes) == ("none", ())
+    lost = windy("stiffness_change:story 2:relative=-0.05", share=share, seed=22)
+    found = diagnose(classify(lost), known, context, DiagnosisSettings())
+    assert found.verdict == "named"
+    (cause,) = found.causes
+    assert (cause.effect.name, cause.effect.location) == ("stiffness_change", "story 2")
+    assert cause.effect.values()["relative"] == pytest.approx(-0.05, abs=3.0 * cause.std["relative"])
+    assert cause.std["relative"] < 0.01
+
+
+def test_how_the_ground_moves_between_samples_is_asked_again_beside_a_cause() -> None:
+    evidence = classify(recorded("added_mass:floor 3:mass_kg=0.06", seed=25, rate_hz=200.0))
+    known, context = nominal(settings().model(), np.full(6, 1e-3), 3), replace(CONTEXT, rate_hz=200.0)
+    drive = prepare(evidence, known, context)[0].evidence.drive
+    assert drive is not None
+    assert drive.between == "held", "another motion makes up for some of the mass"
+    found = diagnose(evidence, known, context, DiagnosisSettings())
+    assert found.problem.evidence.drive is not None
+    assert found.problem.evidence.drive.between != "held"
+    assert [(c.effect.name, c.effect.location) for c in found.causes] == [("added_mass", "floor 3")]
+    assert found.causes[0].effect.values()["mass_kg"] == pytest.approx(0.06, rel=0.02)
 
 
 @pytest.mark.parametrize("rate_hz", [100.0, 200.0, 512.0])
