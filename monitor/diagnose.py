@@ -29,7 +29,8 @@ from monitor.search import FAR, Candidate, beside_wind, best_of_each, between_sa
 _SMALL = 200.0
 """Promised gain, nats, of a small effect."""
 _KINDS, _EVERYWHERE, _DRIVEN, _PROMISING = 7, 2, 2, 12
-"""Where the ground is measured: kinds of causes that are fitted roughly, those of them at every place, and to the end."""
+"""Where the ground is measured: kinds of causes that are fitted roughly, those of them at every place, and to the end; and how
+many that promise most are fitted roughly, of whatever kind."""
 _MOVED = 0.05
 """Relative change of a frequency from which it matters what of the damping stayed."""
 _UNSURE = 0.1
