@@ -308,9 +308,10 @@ def _driven(
     """
     kinds = list(dict.fromkeys(effect.name for _, effect in ranked))
     first = {name: next(e for _, e in ranked if e.name == name) for name in kinds[:_KINDS]}
-    most = [e for _, e in ranked[:_PROMISING]]
     near = [
-        e for _, e in ranked if e.name in kinds[:_EVERYWHERE] or e is first.get(e.name) or any(e is f for f in most)
+        e
+        for i, (_, e) in enumerate(ranked)
+        if i < _PROMISING or e.name in kinds[:_EVERYWHERE] or e is first.get(e.name)
     ]
     rough = _roughly(problem, at, near)
     chosen = {c.key: c.effect for c in rough[:_DRIVEN]}

@@ -96,18 +96,11 @@ def learn(segments: Segments, config: Configuration) -> Reference:
     causes = tuple(c.effect for c in found.causes) if found.verdict == "named" else ()
     while True:
         learnt = standing.learn(evidence, _with_standing(known, causes), context)[0]
-        kept = tuple(e for e, stays in zip(causes, _sure(learnt, len(causes)), strict=True) if stays)
+        stays = [sure(e, std) for e, std in zip(learnt.effects(learnt.mean), learnt.standing_std, strict=True)]
+        kept = tuple(e for e, own in zip(causes, stays[len(stays) - len(causes) :], strict=True) if own)
         if kept == causes:
             return learnt
         causes = kept  # beside the rest, the others are nothing
-
-
-def _sure(learnt: Reference, n: int) -> list[bool]:
-    """Of the last n standing effects, which are beyond doubt."""
-    effects = learnt.effects(learnt.mean)
-    std = np.sqrt(np.diag(np.linalg.inv(learnt.precision)))[learnt.mean.size - learnt.n_standing :]
-    own = np.split(std, np.cumsum([len(e.parameters) for e in effects]))[: len(effects)]
-    return [sure(e, s) for e, s in zip(effects, own, strict=True)][len(effects) - n :]
 
 
 def evaluate(

@@ -14,7 +14,7 @@ from monitor.driven import Between
 from monitor.effects import Condition, Context, Effect
 from monitor.evidence import Evidence, classify
 from monitor.exact import exact, forces, offsets
-from monitor.likelihood import Problem
+from monitor.likelihood import Problem, alike
 from monitor.model import Model
 from monitor.motion import conditions
 from monitor.parallel import each
@@ -218,7 +218,7 @@ def _by_scoring(problem: Problem, x: Array, effects: tuple[Effect, ...] = (), it
     first, data = x[p:end].copy(), problem.predict(x, effects).data  # levels move no mean
     precision = np.diag(np.r_[np.full(n, _FORCE_STD), np.full(k + 1, _LEVEL_STD)] ** -2.0)
     if problem.evidence.drive is not None:  # no class's level is theirs
-        precision[:n, :n] -= (_FORCE_STD**-2.0 - _LEVEL_STD**-2.0) / n
+        precision[:n, :n] = alike(n)
 
     def moved(by: Array) -> tuple[Array, ComplexArray, float]:
         at = np.r_[x[:p], x[p:end] + by, x[end:]]

@@ -84,9 +84,7 @@ class Problem(Forward):
         own = x[p : p + n]
         if self.wind is not None:
             return self.wind, np.eye(n) / _WIND_STD**2
-        one = np.full((n, n), 1.0 / n)
-        alike = (np.eye(n) - one) / _FORCE_STD**2 + one / _LEVEL_STD**2
-        return own if self.evidence.power is not None else np.full(n, own.mean()), alike
+        return own if self.evidence.power is not None else np.full(n, own.mean()), alike(n)
 
     def log_likelihood(
         self, spectra: ComplexArray, data: ComplexArray | None = None, *, levelled: bool = False
@@ -216,6 +214,12 @@ class Problem(Forward):
         moved = x.copy()
         moved[i] += h
         return h, moved
+
+
+def alike(n: int) -> Array:
+    """Precision of the logarithms of forces on n floors that are about as strong, at a level that is hardly known."""
+    one = np.full((n, n), 1.0 / n)
+    return np.asarray((np.eye(n) - one) / _FORCE_STD**2 + one / _LEVEL_STD**2)
 
 
 def placed(effects: Sequence[Effect], coordinates: Array) -> tuple[Effect, ...]:

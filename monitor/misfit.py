@@ -107,11 +107,10 @@ def remainder(problem: Problem, at: Fit, null: Fit, misfit: Sequence[Misfit], le
 
 def strayed(problem: Problem, fitted: Fit, settings: DiagnosisSettings) -> tuple[Misfit, ...]:
     """Effects that stood at calibration and are of another size now, which a fit's nuisances take up without a word."""
-    known, first = problem.reference, problem.reference.mean.size - problem.reference.n_standing
-    std = np.sqrt(np.diag(np.linalg.inv(known.precision))[first:])
-    away = np.abs(fitted.x[: known.mean.size] - known.mean)[first:] / std
-    out, effects = [], known.effects(fitted.x)
-    for effect, own in zip(effects, np.split(away, np.cumsum([len(e.parameters) for e in effects])), strict=False):
+    known, out = problem.reference, []
+    away = known.standing(np.abs(fitted.x[: known.mean.size] - known.mean))
+    for effect, far, std in zip(known.effects(fitted.x), away, known.standing_std, strict=True):
+        own = far / std
         if own.max(initial=0.0) > settings.misfit:
             now = ", ".join(f"{name} {value:.4g}" for name, value in effect.values().items())
             where = f"{effect.name.replace('_', ' ')} of {effect.location}"

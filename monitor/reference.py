@@ -43,6 +43,19 @@ class Reference:
         """Coordinates of the standing effects."""
         return sum(len(e.parameters) for e in self.model.effects)
 
+    def standing(self, x: Array) -> list[Array]:
+        """Every standing effect's coordinates of a vector of structural nuisances, shape (p,) each."""
+        last, out = self.parts(x)[5], []
+        for e in self.model.effects:
+            out.append(last[: len(e.parameters)])
+            last = last[len(e.parameters) :]
+        return out
+
+    @property
+    def standing_std(self) -> list[Array]:
+        """Standard deviations of every standing effect's coordinates, shape (p,) each."""
+        return self.standing(np.sqrt(np.diag(np.linalg.inv(self.precision))))
+
     @property
     def channel_noises(self) -> slice:
         """Where the channels' noise lies among the coordinates."""
@@ -56,11 +69,7 @@ class Reference:
 
     def effects(self, x: Array) -> tuple[Effect, ...]:
         """The standing effects at a vector of nuisances."""
-        last, out = self.parts(x)[5], []
-        for e in self.model.effects:
-            out.append(e.at(last[: len(e.parameters)]))
-            last = last[len(e.parameters) :]
-        return tuple(out)
+        return tuple(e.at(own) for e, own in zip(self.model.effects, self.standing(x), strict=True))
 
     def with_unseen_scale(self, std: float) -> Reference:
         """Where all masses and stiffnesses together may be larger or smaller by so much, which no output shows."""
