@@ -20,11 +20,12 @@ from monitor.likelihood import Problem
 from monitor.misfit import Misfit, misfits, remainder, strayed
 from monitor.parallel import each
 from monitor.polish import Polished, finish, polish, settle, skewness
+from monitor.preparation import FAR, beside_wind, between_samples, exactly, prepare
 from monitor.reference import Reference
 from monitor.results import Array
 from monitor.revision import joined, missed, moved, only, revised
 from monitor.rivals import probabilities, same, together
-from monitor.search import FAR, Candidate, beside_wind, best_of_each, between_samples, judge, prepare, rank, starts
+from monitor.search import Candidate, best_of_each, judge, rank, starts
 
 _SMALL = 200.0
 """Promised gain, nats, of a small effect."""
@@ -172,9 +173,11 @@ def _with(stage: _Stage, best: Polished, settings: DiagnosisSettings) -> _Stage:
     problem, at = best.problem, best.candidate.fit
     driven = problem.evidence.drive is not None
     problem, at = between_samples(_extended(problem, at), at)
-    # Damping is freer now, the motion is known, and how far up the forces reach; to a measured ground's response linearized
-    # slopes led near, and the exact ones tell what is known.
-    problem, at = beside_wind(problem, fit(replace(problem, exact_slopes=driven and _bent(at)), at.x, at.effects))
+    # Damping is freer now, the motion is known, and how far up the forces reach.
+    at = fit(problem, at.x, at.effects)
+    if driven and _bent(at):
+        problem, at = exactly(problem, at)
+    problem, at = beside_wind(problem, at)
     lean, margin = best.skewness, stage.margin
     if len(accepted) > 1 and _bent(at) and not driven:  # corrected without the newest cause
         made = settle(problem, at)

@@ -23,6 +23,7 @@ from monitor import driven
 from monitor.effects import Effect
 from monitor.evidence import Evidence
 from monitor.forward import Forward, Prediction, diagonal_of
+from monitor.parallel import each
 from monitor.results import Array, ComplexArray
 from monitor.wishart import log_det_and_trace, whiten
 
@@ -35,18 +36,28 @@ NUDGE = 1e-5
 
 
 @dataclass(frozen=True, eq=False, slots=True)
+class Bent:
+    """What exact laws add, near one fit, to the slopes of their linearized response."""
+
+    laws: frozenset[tuple[str, str]]
+    """Names and places of the effects."""
+    slopes: ComplexArray
+    """By the nuisances, shape (n_nuisance, n_segments, n_bins, c)."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
 class Problem(Forward):
     """Evidence, what is known before it, and where effects act: how likely parameters are."""
 
-    exact_slopes: bool = False
-    """Whether slopes of a response to a measured ground are the exact laws' by the nuisances too; else the linearized ones'."""
+    bent: Bent | None = None
+    """What laws add to the linearized slopes of a response to a measured ground; None where those serve."""
 
     wind: Array | None = None
     """Logarithms of the forces beside a measured ground that its quiet tells, shape (n,); None while they are not known."""
 
     def part(self, evidence: Evidence, classes: NDArray[np.intp]) -> Self:
         """The same for other segments, whose classes are like those of these numbers here."""
-        return replace(self, evidence=evidence, conditions=tuple(self.conditions[k] for k in classes))
+        return replace(self, evidence=evidence, conditions=tuple(self.conditions[k] for k in classes), bent=None)
 
     def beyond(self, x: Array, effects: Sequence[Effect]) -> ComplexArray | None:
         """What simulation adds to the linearized spectra at a point, relative to them, shape (classes, n_bins, c, c).
@@ -160,20 +171,53 @@ class Problem(Forward):
         return out
 
     def mean_slopes(self, x: Array, effects: tuple[Effect, ...], wanted: Iterable[int]) -> ComplexArray:
-        """Derivatives of the segments' means by the wanted coordinates, shape (n_wanted, n_segments, n_bins, c)."""
-        mean, linear = self.mean(x, effects), self.mean(x, effects, exact=False)
-        assert mean is not None
-        assert linear is not None
-        k, m, d, noise, _ = self.reference.sizes
-        p = self.reference.mean.size
-        still = {*range(k + m + d, k + m + d + noise), *range(p, self.n_nuisance)}  # noise and forces move no mean
+        """Derivatives of the segments' means by the wanted coordinates, shape (n_wanted, n_segments, n_bins, c).
+
+        The exact laws' by their own sizes; by the nuisances the linearized ones', which are quicker, with what is known of the
+        difference.
+        """
+        mean, linear = self._means(x, effects)
+        own = self.bent if self.bent is not None and self.bent.laws == _laws(effects) else None
         out = []
         for i in wanted:
             h, moved = self._nudged(x, i, effects)
-            own = i >= self.n_nuisance or self.exact_slopes
-            there = None if i in still else self.mean(moved, placed(effects, moved[self.n_nuisance :]), exact=own)
-            out.append(np.zeros_like(mean) if there is None else (there - (mean if own else linear)) / h)
+            if i >= self.n_nuisance:
+                there = self.mean(moved, placed(effects, moved[self.n_nuisance :]))
+                assert there is not None
+                out.append((there - mean) / h)
+            elif i in self._moving:
+                there = self.mean(moved, effects, exact=False)
+                assert there is not None
+                out.append((there - linear) / h + (0.0 if own is None else own.slopes[i]))
+            else:
+                out.append(np.zeros_like(mean))
         return np.array(out, dtype=complex).reshape(-1, *mean.shape)
+
+    def with_exact_slopes(self, x: Array, effects: tuple[Effect, ...]) -> Self:
+        """The same with the slopes of a response to a measured ground, near a fit, as the exact laws have them."""
+        mean, linear = self._means(x, effects)
+
+        def added(i: int) -> ComplexArray:
+            h, moved = self._nudged(x, i, effects)
+            there, its_linear = self._means(moved, effects)
+            return np.asarray(((there - mean) - (its_linear - linear)) / h)
+
+        slopes = np.zeros((self.n_nuisance, *mean.shape), dtype=complex)
+        slopes[self._moving] = each(added, self._moving)
+        return replace(self, bent=Bent(_laws(effects), slopes))
+
+    def _means(self, x: Array, effects: tuple[Effect, ...]) -> tuple[ComplexArray, ComplexArray]:
+        """The response to a measured ground, and that of the linearized laws."""
+        exact, linear = self.mean(x, effects), self.mean(x, effects, exact=False)
+        assert exact is not None
+        assert linear is not None
+        return exact, linear
+
+    @property
+    def _moving(self) -> list[int]:
+        """Nuisances that move the response: neither noise nor forces."""
+        k, m, d, noise, _ = self.reference.sizes
+        return [*range(k + m + d), *range(k + m + d + noise, self.reference.mean.size)]
 
     def mean_rows(self, here: Prediction, slopes: ComplexArray) -> tuple[Array, Array]:
         """As `whitened`, for the segments' means; no rows without a measured ground."""
@@ -214,6 +258,10 @@ class Problem(Forward):
         moved = x.copy()
         moved[i] += h
         return h, moved
+
+
+def _laws(effects: Sequence[Effect]) -> frozenset[tuple[str, str]]:
+    return frozenset((e.name, e.location) for e in effects if e.nonlinear)
 
 
 def alike(n: int) -> Array:

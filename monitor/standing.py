@@ -9,9 +9,9 @@ from scipy.linalg import block_diag
 
 from monitor.effects import Context
 from monitor.evidence import Evidence
+from monitor.preparation import prepare
 from monitor.reference import Reference, correction_basis
 from monitor.results import Array
-from monitor.search import prepare
 
 _FIXED = 1e-4
 _CORRECTION_STD = 0.1

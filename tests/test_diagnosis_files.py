@@ -20,9 +20,10 @@ from monitor.evidence import classify
 from monitor.fitting import fit
 from monitor.gain import Gain, fitted_model, score
 from monitor.model import Model
+from monitor.preparation import prepare
 from monitor.reference import nominal
 from monitor.reference_file import from_plain, to_plain
-from monitor.search import Candidate, prepare
+from monitor.search import Candidate
 from monitor.segments import Segments
 from monitor.standing import learn
 from tests.test_gain import DAMPER, context_of, recorded, settings

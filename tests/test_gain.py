@@ -17,9 +17,9 @@ from monitor.fitting import fit
 from monitor.gain import demand_gain, fitted_model, heldout_gain, score
 from monitor.model import Model
 from monitor.polish import finish
+from monitor.preparation import prepare
 from monitor.record import blocks_of
 from monitor.reference import nominal
-from monitor.search import prepare
 from monitor.segments import Segments, gather
 from monitor.simulate import simulate
 

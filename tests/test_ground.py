@@ -20,10 +20,11 @@ from monitor.gain import score
 from monitor.likelihood import Problem
 from monitor.model import Model
 from monitor.motion import conditions
+from monitor.preparation import prepare
 from monitor.record import blocks_of
 from monitor.reference import nominal
 from monitor.results import Array
-from monitor.search import judge, prepare
+from monitor.search import judge
 from monitor.segments import Segments, gather
 from monitor.simulate import level_wander, respond, simulate
 

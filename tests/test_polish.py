@@ -18,9 +18,9 @@ from monitor.likelihood import Problem
 from monitor.model import Model
 from monitor.motion import conditions
 from monitor.polish import finish
+from monitor.preparation import prepare
 from monitor.record import blocks_of
 from monitor.reference import nominal
-from monitor.search import prepare
 from monitor.segments import gather
 from monitor.simulate import simulate
 

@@ -18,6 +18,7 @@ from monitor.diagnosis_files import content as content_of
 from monitor.effects import EFFECTS, Context, Effect, parse_effect
 from monitor.evidence import classify
 from monitor.gain import Gain
+from monitor.preparation import prepare
 from monitor.publish.charts import decades, ticks
 from monitor.publish.comparison import compare, level_dependence
 from monitor.publish.diagnosis_view import write_view
@@ -25,7 +26,7 @@ from monitor.publish.report import write_report
 from monitor.publish.words import in_words, interval, separating_measurement
 from monitor.record import blocks_of
 from monitor.reference import nominal
-from monitor.search import judge, prepare
+from monitor.search import judge
 from monitor.segments import Segments, gather
 from monitor.simulate import simulate
 

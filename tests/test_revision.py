@@ -15,10 +15,11 @@ from monitor.fitting import Fit, fit
 from monitor.likelihood import Problem
 from monitor.model import Model
 from monitor.polish import Polished
+from monitor.preparation import prepare
 from monitor.record import blocks_of
 from monitor.reference import nominal
 from monitor.revision import joined, missed, only, revised
-from monitor.search import judge, prepare
+from monitor.search import judge
 from monitor.segments import gather
 from monitor.simulate import simulate
 from tests.test_polish import CONFIG, RATE

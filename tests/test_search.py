@@ -9,9 +9,10 @@ from drivers.base import ACCELERATION
 from monitor.effects import ChannelSwap, Context, SensorGain
 from monitor.evidence import classify
 from monitor.prediction import accelerance
+from monitor.preparation import prepare
 from monitor.record import blocks_of
 from monitor.reference import nominal
-from monitor.search import best_of_each, judge, prepare, rank, starts
+from monitor.search import best_of_each, judge, rank, starts
 from monitor.segments import gather
 from monitor.simulate import simulate
 from tests.test_polish import CONFIG, RATE
