@@ -29,6 +29,9 @@ from monitor.segments import Segments, gather
 _TRIALS = np.errstate(over="ignore", invalid="ignore")
 """A fit's trial step that overflows has no likelihood, and is refused for that."""
 
+_STANDING = 8
+"""Causes at most that stand from the start: every sensor may have a gain of its own."""
+
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Finding:
@@ -92,8 +95,9 @@ def learn(segments: Segments, config: Configuration) -> Reference:
     evidence, context, known = classify(segments), _context(segments, config), _nominal(config)
     if segments.temperature.size:
         known = replace(known, reference_degc=float(segments.temperature[:, 1].mean()))
-    found = diagnose(evidence, known, context, config.diagnosis)
-    causes = tuple(c.effect for c in found.causes) if found.verdict == "named" else ()
+    settings = config.diagnosis.model_copy(update={"max_causes": max(config.diagnosis.max_causes, _STANDING)})
+    # Whatever the verdict: what describes the healthy data is no news later, and of what no data tell apart either does.
+    causes = diagnose(evidence, known, context, settings).final.effects
     while True:
         learnt = standing.learn(evidence, _with_standing(known, causes), context)[0]
         stays = [sure(e, std) for e, std in zip(learnt.effects(learnt.mean), learnt.standing_std, strict=True)]

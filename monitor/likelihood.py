@@ -170,13 +170,15 @@ class Problem(Forward):
             out[j] = (self.smooth(self.scatter(moved, placed(effects, moved[self.n_nuisance :]))) - spectra) / h
         return out
 
-    def mean_slopes(self, x: Array, effects: tuple[Effect, ...], wanted: Iterable[int]) -> ComplexArray:
+    def mean_slopes(
+        self, x: Array, effects: tuple[Effect, ...], mean: ComplexArray, wanted: Iterable[int]
+    ) -> ComplexArray:
         """Derivatives of the segments' means by the wanted coordinates, shape (n_wanted, n_segments, n_bins, c).
 
         The exact laws' by their own sizes; by the nuisances the linearized ones', which are quicker, with what is known of the
-        difference.
+        difference.  `mean` is the response at `x`.
         """
-        mean, linear = self._means(x, effects)
+        linear = self._linear_mean(x, effects, mean)
         own = self.bent if self.bent is not None and self.bent.laws == _laws(effects) else None
         out = []
         for i in wanted:
@@ -195,23 +197,29 @@ class Problem(Forward):
 
     def with_exact_slopes(self, x: Array, effects: tuple[Effect, ...]) -> Self:
         """The same with the slopes of a response to a measured ground, near a fit, as the exact laws have them."""
-        mean, linear = self._means(x, effects)
+
+        def bent(x: Array) -> ComplexArray:
+            mean = self.mean(x, effects)
+            assert mean is not None
+            return np.asarray(mean - self._linear_mean(x, effects, mean))
+
+        here = bent(x)
 
         def added(i: int) -> ComplexArray:
             h, moved = self._nudged(x, i, effects)
-            there, its_linear = self._means(moved, effects)
-            return np.asarray(((there - mean) - (its_linear - linear)) / h)
+            return np.asarray((bent(moved) - here) / h)
 
-        slopes = np.zeros((self.n_nuisance, *mean.shape), dtype=complex)
+        slopes = np.zeros((self.n_nuisance, *here.shape), dtype=complex)
         slopes[self._moving] = each(added, self._moving)
         return replace(self, bent=Bent(_laws(effects), slopes))
 
-    def _means(self, x: Array, effects: tuple[Effect, ...]) -> tuple[ComplexArray, ComplexArray]:
-        """The response to a measured ground, and that of the linearized laws."""
-        exact, linear = self.mean(x, effects), self.mean(x, effects, exact=False)
-        assert exact is not None
+    def _linear_mean(self, x: Array, effects: tuple[Effect, ...], mean: ComplexArray) -> ComplexArray:
+        """The linearized laws' response where the exact ones' is `mean`."""
+        if not any(e.nonlinear for e in (*self.reference.effects(x), *effects)):
+            return mean
+        linear = self.mean(x, effects, exact=False)
         assert linear is not None
-        return exact, linear
+        return linear
 
     @property
     def _moving(self) -> list[int]:
@@ -234,10 +242,9 @@ class Problem(Forward):
         """Whitened slopes by the coordinates from `first` on, and the residuals of the spectra's and of the means' rows."""
         slopes = (self.effect_slopes if first else self.slopes)(x, effects, here.spectra)
         rows, residual = self.whitened(here.spectra, slopes, here.data)
-        moving = () if here.left is None else range(first, x.size)
-        mean_slopes = (
-            self.mean_slopes(x, effects, moving) if moving else np.zeros((len(slopes), 0, 0, 0), dtype=complex)
-        )
+        mean_slopes = np.zeros((len(slopes), 0, 0, 0), dtype=complex)
+        if here.left is not None:
+            mean_slopes = self.mean_slopes(x, effects, self.evidence.segments.values - here.left, range(first, x.size))
         mean_rows, mean_residual = self.mean_rows(here, mean_slopes)
         return np.concatenate([rows, mean_rows]), residual, mean_residual
 

@@ -1,0 +1,47 @@
+"""What stands from the start is no news later, whether or not calibration could name it for certain."""
+
+from __future__ import annotations
+
+import pytest
+
+from drivers.base import ACCELERATION
+from monitor.diagnose import diagnose
+from monitor.discrepancy import learn
+from monitor.effects import Context, Effect, parse_effect
+from monitor.evidence import classify
+from monitor.model import Model
+from monitor.record import blocks_of
+from monitor.segments import Segments, gather
+from monitor.simulate import simulate
+from tests.test_polish import CONFIG, RATE
+
+COLOUR = "coloured_excitation:frame:corner_hz=12"
+GAINS = ("sensor_gain:channel a1:gain=1.015", "sensor_gain:channel a2:gain=0.985")
+DAMPER = "story_damper:story 1:damping_n_s_per_m=0.4"
+CONTEXT = Context(CONFIG.model().structure, CONFIG.channels, CONFIG.sensor_matrix(), RATE)
+
+
+def recorded(seed: int, *effects: str) -> Segments:
+    """Ten minutes at a constant level, at which damper and friction are alike."""
+    present: tuple[Effect, ...] = tuple(map(parse_effect, effects))
+    motion = simulate(
+        Model(CONFIG.model().structure, present),
+        duration_s=600.0,
+        rate_hz=RATE,
+        noise=0.02,
+        level_spread=0.0,
+        seed=seed,
+        context=CONTEXT,
+    )
+    return gather(blocks_of(ACCELERATION, motion.floors, CONFIG.channels, RATE, 10**18, 128), CONFIG)
+
+
+@pytest.mark.parametrize("standing", [(COLOUR, *GAINS), (DAMPER,)], ids=["colour and gains", "damper"])
+def test_what_calibration_cannot_tell_apart_is_no_news_later(standing: tuple[str, ...]) -> None:
+    known = learn(recorded(1, *standing), CONFIG)
+    clean = diagnose(classify(recorded(2, *standing)), known, CONTEXT, CONFIG.diagnosis)
+    assert clean.verdict == "none"
+    loss = diagnose(
+        classify(recorded(3, *standing, "stiffness_change:story 2:relative=-0.06")), known, CONTEXT, CONFIG.diagnosis
+    )
+    assert [(c.effect.name, c.effect.location) for c in loss.causes] == [("stiffness_change", "story 2")]
