@@ -15,7 +15,7 @@ from drivers.recorder import RecorderSettings
 from drivers.registry import UnknownSourceError, source_type
 from monitor.alarm import AlarmSettings
 from monitor.diagnosis_settings import DiagnosisSettings
-from monitor.effects import EFFECTS, Effect, EffectError
+from monitor.effects import FORMS, Effect, EffectError
 from monitor.errors import BadConfigurationError, MissingInputError
 from monitor.health import HealthSettings
 from monitor.logs import LogSettings
@@ -184,9 +184,9 @@ class Configuration(Settings):
         return []
 
     def _effect(self, table: EffectTable) -> Effect:
-        if table.effect not in EFFECTS:
-            raise EffectError(f"unknown effect {table.effect!r}; known: {', '.join(sorted(EFFECTS))}")
-        effect = EFFECTS[table.effect].create(table.location, table.parameters)
+        if table.effect not in FORMS:
+            raise EffectError(f"unknown effect {table.effect!r}; known: {', '.join(sorted(FORMS))}")
+        effect = FORMS[table.effect].create(table.location, table.parameters)
         effect.check(self.structure.structure(), self.channels)
         return effect
 

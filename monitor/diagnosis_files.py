@@ -11,7 +11,7 @@ import tomlkit
 from tomlkit.items import AoT
 
 from monitor.diagnose import Diagnosis
-from monitor.effects import EFFECTS, Effect
+from monitor.effects import FORMS, Effect
 from monitor.gain import Gain
 from monitor.model import Model
 from monitor.publish.words import headline, in_words, separating_measurement
@@ -135,7 +135,7 @@ def model_from_plain(content: Mapping[str, Any], drawn: Model) -> Model:
         raise ValueError("no stiffnesses or no masses")
     return replace(
         drawn.with_stiffness(stiffness).with_masses(masses),
-        effects=tuple(EFFECTS[e["effect"]].create(e["location"], e["parameters"]) for e in content["effects"]),
+        effects=tuple(FORMS[e["effect"]].create(e["location"], e["parameters"]) for e in content["effects"]),
         correction=array("stiffness_correction_n_per_m", n, n),
         modal_damping=array("modal_damping_ratio", n),
     )

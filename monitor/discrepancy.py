@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from drivers.base import SampleBlock
 from monitor import standing
@@ -17,9 +18,9 @@ from monitor.config import Configuration
 from monitor.diagnose import Diagnosis, diagnose
 from monitor.diagnosis_files import content, model_to_plain
 from monitor.doubt import sure
-from monitor.effects import Context, Effect
+from monitor.effects import AmbientForces, Condition, Context, Effect
 from monitor.errors import BadInputError
-from monitor.evidence import classify
+from monitor.evidence import Evidence, classify
 from monitor.gain import Gain, Score, demand_gain, fitted_model, heldout_gain, score
 from monitor.model import Model
 from monitor.recordings import OnProgress, OnWarning, Progress, blocks, names
@@ -96,10 +97,16 @@ def learn(segments: Segments, config: Configuration) -> Reference:
     if segments.temperature.size:
         known = replace(known, reference_degc=float(segments.temperature[:, 1].mean()))
     settings = config.diagnosis.model_copy(update={"max_causes": max(config.diagnosis.max_causes, _STANDING)})
+    found = diagnose(evidence, known, context, settings)
+    if found.verdict == "unexplained" and evidence.drive is None:
+        shaped = _with_standing(known, (AmbientForces("frame"),), context, found.problem.conditions[0])
+        otherwise = diagnose(evidence, shaped, context, settings)
+        if _worth(otherwise, evidence) > _worth(found, evidence) + config.diagnosis.margin:
+            known, found = shaped, otherwise
     # Whatever the verdict: what describes the healthy data is no news later, and of what no data tell apart either does.
-    causes = diagnose(evidence, known, context, settings).final.effects
+    causes, condition = found.final.effects, found.problem.conditions[0]
     while True:
-        learnt = standing.learn(evidence, _with_standing(known, causes), context)[0]
+        learnt = standing.learn(evidence, _with_standing(known, causes, context, condition), context)[0]
         stays = [sure(e, std) for e, std in zip(learnt.effects(learnt.mean), learnt.standing_std, strict=True)]
         kept = tuple(e for e, own in zip(causes, stays[len(stays) - len(causes) :], strict=True) if own)
         if kept == causes:
@@ -145,11 +152,18 @@ def _nominal(config: Configuration) -> Reference:
     return replace(known, reference_degc=config.structure.reference_temperature_degc)
 
 
-def _with_standing(known: Reference, effects: tuple[Effect, ...]) -> Reference:
+def _worth(found: Diagnosis, evidence: Evidence) -> float:
+    """Log posterior less half the logarithm of the information for everything that stands or was found, nats."""
+    n = evidence.counts.sum() * evidence.band.n_bins * evidence.weight
+    return found.final.log_posterior - 0.5 * (found.problem.reference.n_standing + found.final.n_effect) * float(
+        np.log(n)
+    )
+
+
+def _with_standing(known: Reference, effects: tuple[Effect, ...], context: Context, condition: Condition) -> Reference:
     """The reference with effects whose sizes healthy data are yet to tell."""
     coordinates = np.concatenate([[], *[e.coordinates for e in effects]])
-    size = known.mean.size
-    precision = np.zeros((size + coordinates.size, size + coordinates.size))
-    precision[:size, :size] = known.precision
+    beforehand = np.concatenate([[], *[e.known(context, condition)[1] for e in effects]])
+    precision = block_diag(known.precision, np.diag(beforehand))
     model = replace(known.model, effects=(*known.model.effects, *effects))
     return replace(known, model=model, mean=np.concatenate([known.mean, coordinates]), precision=precision)

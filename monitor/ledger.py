@@ -12,7 +12,7 @@ from typing import Any
 
 from monitor.config import Configuration
 from monitor.diagnosis_files import effects_text, model_from_plain, structure_text
-from monitor.effects import EFFECTS, Effect, EffectError
+from monitor.effects import FORMS, Effect, EffectError
 from monitor.errors import BadInputError, MissingInputError
 from monitor.files import sha256
 
@@ -74,10 +74,10 @@ def extended_text(
 
 
 def _effect(cause: Mapping[str, Any], config: Configuration) -> Effect:
-    if cause["effect"] not in EFFECTS:
+    if cause["effect"] not in FORMS:
         raise EffectError(f"unknown effect {cause['effect']!r}")
     values = {name: float(p["value"]) for name, p in cause["parameters"].items()}
-    effect = EFFECTS[cause["effect"]].create(cause["location"], values)
+    effect = FORMS[cause["effect"]].create(cause["location"], values)
     effect.check(config.model().structure, config.channels)
     return effect
 

@@ -98,6 +98,10 @@ def cross_spectra(
     if share > 0.0:
         ground += condition.ground * ground_density(share, system, force, context, condition)
     density = np.column_stack([force * colour[:, None], np.full(fine.size, ground)])
+    common = sum(e.common_force for e in effects)
+    if common > 0.0:
+        answer = np.concatenate([answer, answer[:, :, : force.size] @ np.sqrt(force)[:, None]], axis=2)
+        density = np.column_stack([(1.0 - common) * density[:, :-1], density[:, -1], common * colour])
     spectra = blurred_products(answer, density, _TAPS)
     for effect in effects:
         for line in effect.lines():

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from scipy.linalg import block_diag
 
-from monitor.effects import EFFECTS
+from monitor.effects import FORMS
 from monitor.model import Model
 from monitor.reference import Reference
 
@@ -45,7 +45,7 @@ def from_plain(content: dict[str, Any] | None, model: Model, channels: tuple[str
     """
     if content is None:
         return None
-    effects = tuple(EFFECTS[e["effect"]].create(e["location"], e["parameters"]) for e in content["effects"])
+    effects = tuple(FORMS[e["effect"]].create(e["location"], e["parameters"]) for e in content["effects"])
     n, p = model.structure.n_dofs, model.structure.n_stories
     mean, precision = (np.array(content[name], dtype=float) for name in ("mean", "precision"))
     basis = np.array(content["basis"], dtype=float).reshape(-1, n, n)

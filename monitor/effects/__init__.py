@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from monitor.effects.added_mass import AddedMass
+from monitor.effects.ambient_forces import AmbientForces
 from monitor.effects.attached_oscillator import AttachedOscillator
 from monitor.effects.base import (
     Condition,
@@ -66,9 +67,14 @@ EFFECTS: dict[str, type[Effect]] = {
         SensorNoise,
     )
 }
+"""The catalogue: what a diagnosis looks for."""
+FORMS: dict[str, type[Effect]] = EFFECTS | {AmbientForces.name: AmbientForces}
+"""What a file may state: the catalogue, and what calibration alone learns."""
 
 __all__ = [
     "EFFECTS",
+    "FORMS",
+    "AmbientForces",
     "Condition",
     "Context",
     "Effect",
@@ -94,8 +100,8 @@ def parse_effect(text: str) -> Effect:
     """
     name, _, rest = text.partition(":")
     location, _, assignments = rest.partition(":")
-    if name not in EFFECTS:
-        raise EffectError(f"unknown effect {name!r}; known: {', '.join(sorted(EFFECTS))}")
+    if name not in FORMS:
+        raise EffectError(f"unknown effect {name!r}; known: {', '.join(sorted(FORMS))}")
     values: dict[str, float] = {}
     for assignment in filter(None, assignments.split(",")):
         key, _, value = assignment.partition("=")
@@ -103,4 +109,4 @@ def parse_effect(text: str) -> Effect:
             values[key.strip()] = float(value)
         except ValueError:
             raise EffectError(f"effect {text!r}: {assignment!r} is not PARAM=VALUE") from None
-    return EFFECTS[name].create(location.strip(), values)
+    return FORMS[name].create(location.strip(), values)

@@ -282,6 +282,11 @@ class Effect(ABC):
         return 1.0
 
     @property
+    def common_force(self) -> float:
+        """Share of each floor's force, in power, that acts on all floors at once."""
+        return 0.0
+
+    @property
     def ground_share(self) -> float:
         """Share of the acceleration's variance that comes from a common ground motion."""
         return 0.0

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from monitor.diagnose import Diagnosis
-from monitor.effects import EFFECTS
+from monitor.effects import FORMS
 from monitor.files import write_atomically
 from monitor.publish import charts
 from monitor.publish.charts import Axes, svg
@@ -243,7 +243,7 @@ def _parameters(diagnosis: Diagnosis, content: Content) -> str:
 def _signs(causes: Sequence[Content]) -> str:
     """How each kind of cause shows in the accelerations."""
     kinds = dict.fromkeys(c["effect"] for c in causes)
-    says = (f"How {name} shows: {escape(EFFECTS[name].signature)}." for name in kinds)
+    says = (f"How {name} shows: {escape(FORMS[name].signature)}." for name in kinds)
     return f"<p class='muted'>{'<br/>'.join(says)}</p>"
 
 

@@ -156,6 +156,9 @@ def in_words(effect_name: str, location: str, parameters: Values, reference: Ref
             return f"a machine drives {location} at {p['frequency_hz']} with {p['force_n']}"
         case "coloured_excitation":
             return f"the excitation is not white: its power falls off above {p['corner_hz']}"
+        case "ambient_forces":
+            alike = _percent(parameters["common_share"])
+            return f"the excitation is not white, but of a smooth spectrum; {alike} of it pushes all floors at once"
         case "base_excitation":
             return f"the ground moves: it causes {_percent(parameters['share'])} of the acceleration's variance"
         case "sensor_gain":
