@@ -20,7 +20,8 @@ from monitor.diagnosis_files import content, model_to_plain
 from monitor.doubt import sure
 from monitor.effects import AmbientForces, Condition, Context, Effect
 from monitor.errors import BadInputError
-from monitor.evidence import Evidence, classify
+from monitor.evidence import classify
+from monitor.fitting import fit
 from monitor.gain import Gain, Score, demand_gain, fitted_model, heldout_gain, score
 from monitor.model import Model
 from monitor.recordings import OnProgress, OnWarning, Progress, blocks, names
@@ -32,6 +33,8 @@ _TRIALS = np.errstate(over="ignore", invalid="ignore")
 
 _STANDING = 8
 """Causes at most that stand from the start: every sensor may have a gain of its own."""
+_FAR = 40
+"""Iterations of a fit to a spectrum of forces that may be far from white."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -96,13 +99,12 @@ def learn(segments: Segments, config: Configuration) -> Reference:
     evidence, context, known = classify(segments), _context(segments, config), _nominal(config)
     if segments.temperature.size:
         known = replace(known, reference_degc=float(segments.temperature[:, 1].mean()))
-    settings = config.diagnosis.model_copy(update={"max_causes": max(config.diagnosis.max_causes, _STANDING)})
-    found = diagnose(evidence, known, context, settings)
-    if found.verdict == "unexplained" and evidence.drive is None:
-        shaped = _with_standing(known, (AmbientForces("frame"),), context, found.problem.conditions[0])
-        otherwise = diagnose(evidence, shaped, context, settings)
-        if _worth(otherwise, evidence) > _worth(found, evidence) + config.diagnosis.margin:
-            known, found = shaped, otherwise
+    found = diagnose(evidence, known, context, config.diagnosis)
+    if found.verdict == "unexplained":
+        ambient = _with_standing(known, (AmbientForces("frame"),), context, found.problem.conditions[0])
+        known = ambient if evidence.drive is None and _gains(ambient, found) else known
+        more = config.diagnosis.model_copy(update={"max_causes": max(config.diagnosis.max_causes, _STANDING)})
+        found = diagnose(evidence, known, context, more)
     # Whatever the verdict: what describes the healthy data is no news later, and of what no data tell apart either does.
     causes, condition = found.final.effects, found.problem.conditions[0]
     while True:
@@ -152,12 +154,15 @@ def _nominal(config: Configuration) -> Reference:
     return replace(known, reference_degc=config.structure.reference_temperature_degc)
 
 
-def _worth(found: Diagnosis, evidence: Evidence) -> float:
-    """Log posterior less half the logarithm of the information for everything that stands or was found, nats."""
-    n = evidence.counts.sum() * evidence.band.n_bins * evidence.weight
-    return found.final.log_posterior - 0.5 * (found.problem.reference.n_standing + found.final.n_effect) * float(
-        np.log(n)
-    )
+def _gains(wider: Reference, found: Diagnosis) -> bool:
+    """Whether what a wider reference leaves to the data explains more than what it costs, beside what was found."""
+    problem, at = found.problem, found.final
+    end = problem.reference.mean.size
+    x = np.concatenate([at.x[:end], wider.mean[end:], at.x[end:]])
+    there = fit(replace(problem, reference=wider), x, at.effects, iterations=_FAR)
+    n = problem.evidence.counts.sum() * problem.evidence.band.n_bins * problem.evidence.weight
+    cost = 0.5 * (wider.mean.size - end) * float(np.log(n))
+    return there.log_posterior > at.log_posterior + cost + found.settings.margin
 
 
 def _with_standing(known: Reference, effects: tuple[Effect, ...], context: Context, condition: Condition) -> Reference:

@@ -65,7 +65,7 @@ def forces(problem: Problem, x: Array, effects: Sequence[Effect], seed: int) -> 
     if share > 0.0:
         system = extended(problem.system(x, effects), effects, context, problem.conditions[0])
         first = known[0]
-        ratio = ground_density(share, system, first, context, problem.conditions[0]) / first.mean()
+        ratio = ground_density(share, system, first, effects, context, problem.conditions[0]) / first.mean()
         ground = np.sqrt(ratio) * root.mean(axis=1) * rng.standard_normal(root.shape[0])
     noise = None
     if bent:

@@ -13,7 +13,7 @@ from monitor.effects import Condition, Context, Effect, System
 from monitor.evidence import Evidence, class_temperature
 from monitor.levels import ground_levels
 from monitor.likelihood import Problem
-from monitor.prediction import accelerance, extended, seen, variances
+from monitor.prediction import accelerance, extended, force_root, seen, variances
 from monitor.results import Array, ComplexArray
 
 _PILE = 20
@@ -74,7 +74,7 @@ def conditions(
 
 
 def forced_drift(problem: Problem, x: Array, effects: Sequence[Effect]) -> Array:
-    """RMS drift that the linearized model has under white forces, shape (classes, n_stories), m."""
+    """RMS drift that the linearized model has under forces of its level, shape (classes, n_stories), m; whatever their colour."""
     everything = (*problem.reference.effects(x), *effects)
     context, base = problem.context_at(x), problem.system(x, everything)
     n = context.structure.n_dofs
@@ -85,7 +85,8 @@ def forced_drift(problem: Problem, x: Array, effects: Sequence[Effect]) -> Array
         inverse = np.linalg.inv(system.mass)
         states.append(system.state_matrix())
         drive = np.zeros((2 * size, 2 * size))
-        drive[size:, size:] = inverse[:, :n] * force @ inverse[:, :n].T
+        root = inverse[:, :n] @ force_root(force, everything)
+        drive[size:, size:] = root @ root.T
         drives.append(drive)
     # Lyapunov's equation of all classes at once: in the eigenvectors' coordinates it is a division.
     poles, vectors = np.linalg.eig(np.array(states))
@@ -101,7 +102,7 @@ def _beyond(problem: Problem, x: Array, effects: Sequence[Effect]) -> float:
         return 1.0
     e, context = problem.evidence, problem.context_at(x)
     system = extended(problem.system(x, effects), effects, context, problem.conditions[0])
-    white = variances(system, e.counts @ problem.forces(x) / e.counts.sum(), context, e.band.hz[-1])[2]
+    white = variances(system, e.counts @ problem.forces(x) / e.counts.sum(), effects, context, e.band.hz[-1])[2]
     noise = problem.noise(x) * (e.rate_hz - 2.0 * e.band.hz[-1])
     return float((np.maximum(e.segments.above.mean(axis=0) - noise, 0.0) / white).mean())
 
@@ -112,7 +113,7 @@ def _moved(
 ) -> tuple[ComplexArray, ComplexArray]:  # fmt: skip
     """Roots of the density of displacements (order 0) and velocities (1) in given rows, and of the channels.
 
-    Shapes (n_hz, rows, n) and (n_hz, c, n), for independent white forces.
+    Shapes (n_hz, rows, columns) and (n_hz, c, columns), for independent forces of density one.
     """
     n = force.size
     size = system.mass.shape[0]
@@ -123,13 +124,13 @@ def _moved(
     colour = np.ones(hz.size)
     for effect in effects:
         colour = colour * effect.colour(hz)
-    root = np.sqrt(force * colour[:, None])[:, None, :]
-    floors = accelerance(system.mass, system.damping, system.stiffness, w, right)[:, :n, :n] * root
+    root = np.sqrt(colour)[:, None, None] * force_root(force, effects)
+    floors = accelerance(system.mass, system.damping, system.stiffness, w, right)[:, :n, :n] @ root
     motion = (rows @ floors) * w[:, None, None] ** (order - 2.0)[:, None] * (-1j) ** (2 - order)[:, None]
     if problem is None:
         return motion, motion
     clock = float(np.prod([effect.clock_factor for effect in effects]))
-    return motion, seen(system, effects, hz, clock, context, problem.conditions[k])[:, :, :n] * root
+    return motion, seen(system, effects, hz, clock, context, problem.conditions[k])[:, :, :n] @ root
 
 
 def _excess_degc(evidence: Evidence, k: int, reference_degc: float | None, lag_s: float) -> float:

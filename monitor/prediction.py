@@ -96,12 +96,12 @@ def cross_spectra(
     share = sum(e.ground_share for e in effects)
     ground = excitation.ground_noise
     if share > 0.0:
-        ground += condition.ground * ground_density(share, system, force, context, condition)
+        ground += condition.ground * ground_density(share, system, force, effects, context, condition)
+    if any(e.common_force for e in effects):
+        shared = answer[:, :, : force.size] @ force_root(force, effects)
+        answer = np.concatenate([shared, answer[:, :, force.size :]], axis=2)
+        force = np.ones(force.size + 1)
     density = np.column_stack([force * colour[:, None], np.full(fine.size, ground)])
-    common = sum(e.common_force for e in effects)
-    if common > 0.0:
-        answer = np.concatenate([answer, answer[:, :, : force.size] @ np.sqrt(force)[:, None]], axis=2)
-        density = np.column_stack([(1.0 - common) * density[:, :-1], density[:, -1], common * colour])
     spectra = blurred_products(answer, density, _TAPS)
     for effect in effects:
         for line in effect.lines():
@@ -139,9 +139,21 @@ def channel_response(system: System, hz: Array, context: Context) -> ComplexArra
     return np.asarray(_at_sensors(floors, context.sensors))
 
 
-def ground_density(share: float, system: System, force: Array, context: Context, condition: Condition) -> float:
+def force_root(force: Array, effects: Sequence[Effect]) -> Array:
+    """The floors' forces as sums of independent ones of density one, shape (n, n); with one column more where a part of them is
+    common to all floors.
+    """
+    root, common = np.sqrt(force), sum(e.common_force for e in effects)
+    if common == 0.0:
+        return np.diag(root)
+    return np.column_stack([np.diag(np.sqrt(1.0 - common) * root), np.sqrt(common) * root])
+
+
+def ground_density(
+    share: float, system: System, force: Array, effects: Sequence[Effect], context: Context, condition: Condition
+) -> float:
     """White ground acceleration that causes `share` of the channels' variance, mean over channels, beside the forces."""
-    by_force, by_ground, above = variances(system, force, context, condition.band_hz)
+    by_force, by_ground, above = variances(system, force, effects, context, condition.band_hz)
     by_force = by_force + (condition.beyond - 1.0) * above
     share = min(share, _MOST)
     if share < _LEAST_SHARE:
@@ -155,15 +167,21 @@ def ground_density(share: float, system: System, force: Array, context: Context,
     return float(np.exp(brentq(excess, middle - 25.0, middle + 25.0, xtol=1e-10)))
 
 
-def variances(system: System, force: Array, context: Context, band_hz: float) -> tuple[Array, Array, Array]:
-    """Variance of every channel, shape (c,): by white forces, by a ground acceleration of density one, and by the forces
+def variances(
+    system: System, force: Array, effects: Sequence[Effect], context: Context, band_hz: float
+) -> tuple[Array, Array, Array]:
+    """Variance of every channel, shape (c,): by the forces, by a white ground acceleration of density one, and by the forces
     above a frequency, all up to half the source's rate."""
     low, high = np.log(_LOWEST_HZ), np.log(0.5 * context.rate_hz)
     hz = np.exp(np.linspace(low, high, _LOG_STEPS))  # equal steps of the logarithm follow the peaks' width
-    power = np.abs(channel_response(system, hz, context)) ** 2
+    answer = channel_response(system, hz, context)
     n, weight = force.size, 2.0 * hz * np.gradient(np.log(hz))
-    by_force = power[:, :, :n] @ force
-    return weight @ by_force, weight @ power[:, :, n], (weight * (hz > band_hz)) @ by_force
+    colour = np.ones(hz.size)
+    for effect in effects:
+        colour = colour * effect.colour(hz)
+    by_force = (np.abs(answer[:, :, :n] @ force_root(force, effects)) ** 2).sum(axis=2) * colour[:, None]
+    by_ground = np.abs(answer[:, :, n]) ** 2
+    return weight @ by_force, weight @ by_ground, (weight * (hz > band_hz)) @ by_force
 
 
 @compiled(error_model="numpy")

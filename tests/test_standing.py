@@ -1,4 +1,4 @@
-"""What stands from the start is no news later, whether or not calibration could name it for certain."""
+"""What stands from the start is no news later, whether or not calibration could name it for certain or at all."""
 
 from __future__ import annotations
 
@@ -17,6 +17,10 @@ from tests.test_polish import CONFIG, RATE
 
 COLOUR = "coloured_excitation:frame:corner_hz=12"
 GAINS = ("sensor_gain:channel a1:gain=1.015", "sensor_gain:channel a2:gain=0.985")
+FORCES = "ambient_forces:frame:common_share=0.3," + ",".join(
+    f"rise_{i}={0.3 if i == 10 else -0.3 - 0.3 * (i > 10)}" for i in range(1, 16)
+)
+"""Falling ever faster, but for a hump at 8 Hz, and pushing floors together."""
 DAMPER = "story_damper:story 1:damping_n_s_per_m=0.4"
 CONTEXT = Context(CONFIG.model().structure, CONFIG.channels, CONFIG.sensor_matrix(), RATE)
 
@@ -36,9 +40,12 @@ def recorded(seed: int, *effects: str) -> Segments:
     return gather(blocks_of(ACCELERATION, motion.floors, CONFIG.channels, RATE, 10**18, 128), CONFIG)
 
 
-@pytest.mark.parametrize("standing", [(COLOUR, *GAINS), (DAMPER,)], ids=["colour and gains", "damper"])
+@pytest.mark.parametrize(
+    "standing", [(COLOUR, *GAINS), (DAMPER,), (FORCES,)], ids=["colour and gains", "damper", "forces of every day"]
+)
 def test_what_calibration_cannot_tell_apart_is_no_news_later(standing: tuple[str, ...]) -> None:
     known = learn(recorded(1, *standing), CONFIG)
+    assert ("ambient_forces" in [e.name for e in known.model.effects]) == (standing == (FORCES,))
     clean = diagnose(classify(recorded(2, *standing)), known, CONTEXT, CONFIG.diagnosis)
     assert clean.verdict == "none"
     loss = diagnose(

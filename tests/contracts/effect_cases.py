@@ -52,6 +52,7 @@ CASES = (
     "clock_rate:frame:relative=0.01",
     "sensor_clipping:channel a1:limit_m_s2=7.5",
     "sensor_noise:channel a3:rms_m_s2=2",
+    "ambient_forces:frame:common_share=0.3," + ",".join(f"rise_{i}={(-0.4, 0.3, -0.6)[i % 3]}" for i in range(1, 16)),
 )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from monitor.effects import EFFECTS, Effect, EffectError, Law, System, locations, parse_effect
+from monitor.effects import EFFECTS, FORMS, Effect, EffectError, Law, System, locations, parse_effect
 from monitor.model import Model
 from monitor.results import Array
 from monitor.simulate import linear_system, simulate
@@ -64,8 +64,8 @@ def absent(effect: Effect) -> Effect | None:
 
 def test_the_catalogue_is_the_contracts() -> None:
     assert list(EFFECTS) == NAMES
-    assert {text.partition(":")[0] for text in CASES} == set(NAMES)
-    for name, effect in EFFECTS.items():
+    assert {text.partition(":")[0] for text in CASES} == set(FORMS)
+    for name, effect in FORMS.items():
         assert effect.name == name and effect.__doc__ and effect.signature
 
 
@@ -76,18 +76,18 @@ def test_bounds_and_names_of_parameters_are_kept(text: str) -> None:
         edges = [p.high, np.nan, np.inf, -np.inf, *([p.low - 1e-6] if p.closed else [p.low])]
         for value in edges:
             with pytest.raises(EffectError, match=p.name):
-                EFFECTS[effect.name].create(effect.location, {**effect.values(), p.name: float(value)})
+                FORMS[effect.name].create(effect.location, {**effect.values(), p.name: float(value)})
         with pytest.raises(EffectError, match=p.name):
-            EFFECTS[effect.name].create(effect.location, {k: v for k, v in effect.values().items() if k != p.name})
+            FORMS[effect.name].create(effect.location, {k: v for k, v in effect.values().items() if k != p.name})
     with pytest.raises(EffectError, match="exactly"):
-        EFFECTS[effect.name].create(effect.location, {**effect.values(), "more": 1.0})
+        FORMS[effect.name].create(effect.location, {**effect.values(), "more": 1.0})
     for place in {"story 1", "floor 1", "channel a1", "channel a1,a2", "base", "frame"}:
         kind = {"story": "story", "floor": "floor"}.get(
             place.split()[0], "channels" if "," in place else place.split()[0]
         )
-        if kind not in EFFECTS[effect.name].places:
+        if kind not in FORMS[effect.name].places:
             with pytest.raises(EffectError, match="no place"):
-                EFFECTS[effect.name].create(place, effect.values())
+                FORMS[effect.name].create(place, effect.values())
 
 
 @every
@@ -98,7 +98,7 @@ def test_coordinates_go_there_and_back_and_stay_within_bounds(text: str) -> None
     np.testing.assert_allclose(list(again.values().values()), list(effect.values().values()), rtol=1e-12)
     for far in (-1e9, 1e9):
         pushed = effect.at(np.full(len(effect.parameters), far))
-        assert pushed == EFFECTS[effect.name].create(pushed.location, pushed.values())
+        assert pushed == FORMS[effect.name].create(pushed.location, pushed.values())
 
 
 @pytest.mark.parametrize("start", every_start(), ids=lambda s: f"{s.name}-{s.location}")
