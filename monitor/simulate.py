@@ -137,7 +137,7 @@ def simulate(
         If an effect shapes the forces or moves the ground, and `excitation` is the ground.
     """
     if excitation == "ground" and any(e.ground_share or np.ndim(e.colour(np.ones(1))) for e in model.effects):
-        raise ValueError("coloured_excitation and base_excitation need --excitation ambient or impulse")
+        raise ValueError("effects of the excitation need --excitation ambient or impulse")
     n = model.structure.n_dofs
     if context is None:
         context = Context(model.structure, tuple(f"a{j + 1}" for j in range(n)), np.eye(n), rate_hz)

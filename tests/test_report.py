@@ -15,7 +15,7 @@ from drivers.base import ACCELERATION
 from monitor.config import Configuration
 from monitor.diagnose import Cause, Diagnosis, DiagnosisSettings, diagnose
 from monitor.diagnosis_files import content as content_of
-from monitor.effects import EFFECTS, Context, Effect, parse_effect
+from monitor.effects import EFFECTS, FORMS, Context, Effect, parse_effect
 from monitor.evidence import classify
 from monitor.gain import Gain
 from monitor.preparation import prepare
@@ -208,7 +208,7 @@ def test_every_effect_has_words_with_its_place_and_its_unit() -> None:
         "base": "base",
         "frame": "frame",
     }
-    for name, effect in EFFECTS.items():
+    for name, effect in FORMS.items():
         for kind in effect.places:
             names = ["relative"] if (name, kind) == ("added_mass", "frame") else [p.name for p in effect.parameters]
             values = {n: {"value": VALUES.get(n, 12.0), "std": 0.0001} for n in names}
@@ -223,6 +223,8 @@ def test_every_effect_has_words_with_its_place_and_its_unit() -> None:
     [
         ("stiffness_change", "story 2", {"relative": (-0.082, 0.0005)}, "story 2 is 8.20 ± 0.10 % softer than"),
         ("stiffness_change", "frame", {"relative": (0.02, 0.001)}, "all stories are 2.00 ± 0.20 % stiffer than"),
+        ("ambient_forces", "frame", {"common_share": (0.3, 0.01)}, "spectrum, and 30.0 ± 2.0 % of it pushes all floors at once"),
+        ("ambient_forces", "frame", {"common_share": (0.001, 0.01)}, "not white, but of a smooth spectrum"),
         ("sensor_gain", "channel a2", {"gain": (0.95, 0.001)}, "channel a2 reads 5.00 ± 0.20 % too little"),
         ("time_offset", "channel a2", {"seconds": (0.002, 1e-5)}, "channel a2 comes 2.000 ± 0.020 ms late"),
         ("time_offset", "channel a2", {"seconds": (-0.002, 1e-5)}, "channel a2 comes 2.000 ± 0.020 ms early"),

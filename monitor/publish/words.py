@@ -157,8 +157,11 @@ def in_words(effect_name: str, location: str, parameters: Values, reference: Ref
         case "coloured_excitation":
             return f"the excitation is not white: its power falls off above {p['corner_hz']}"
         case "ambient_forces":
-            alike = _percent(parameters["common_share"])
-            return f"the excitation is not white, but of a smooth spectrum; {alike} of it pushes all floors at once"
+            alike = parameters["common_share"]
+            together = f", and {_percent(alike)} of it pushes all floors at once" * (
+                alike["value"] > 2.0 * alike["std"]
+            )
+            return f"the excitation is not white, but of a smooth spectrum{together}"
         case "base_excitation":
             return f"the ground moves: it causes {_percent(parameters['share'])} of the acceleration's variance"
         case "sensor_gain":
