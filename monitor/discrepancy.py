@@ -102,7 +102,8 @@ def learn(segments: Segments, config: Configuration) -> Reference:
     found = diagnose(evidence, known, context, config.diagnosis)
     if found.verdict == "unexplained":
         ambient = _with_standing(known, (AmbientForces("frame"),), context, found.problem.conditions[0])
-        known = ambient if evidence.drive is None and _gains(ambient, found) else known
+        stated = evidence.drive is not None or any(e.name == AmbientForces.name for e in known.model.effects)
+        known = known if stated or not _gains(ambient, found) else ambient
         more = config.diagnosis.model_copy(update={"max_causes": max(config.diagnosis.max_causes, _STANDING)})
         found = diagnose(evidence, known, context, more)
     # Whatever the verdict: what describes the healthy data is no news later, and of what no data tell apart either does.
@@ -167,8 +168,10 @@ def _gains(wider: Reference, found: Diagnosis) -> bool:
 
 def _with_standing(known: Reference, effects: tuple[Effect, ...], context: Context, condition: Condition) -> Reference:
     """The reference with effects whose sizes healthy data are yet to tell."""
+    beforehand = [e.known(context, condition) for e in effects]
+    told = np.concatenate([[], *[precision for _, precision in beforehand]])
     coordinates = np.concatenate([[], *[e.coordinates for e in effects]])
-    beforehand = np.concatenate([[], *[e.known(context, condition)[1] for e in effects]])
-    precision = block_diag(known.precision, np.diag(beforehand))
+    coordinates = np.where(told > 0.0, np.concatenate([[], *[mean for mean, _ in beforehand]]), coordinates)
+    precision = block_diag(known.precision, np.diag(told))
     model = replace(known.model, effects=(*known.model.effects, *effects))
     return replace(known, model=model, mean=np.concatenate([known.mean, coordinates]), precision=precision)

@@ -86,6 +86,15 @@ class Reference:
         k, m, d, *_ = self.sizes
         return self._looser(k + m + d, ln_std)
 
+    def with_daily_standing(self) -> Reference:
+        """Where standing effects may be of another size on another day, as far as they say so."""
+        out, first = self, self.mean.size - self.n_standing
+        for e in self.model.effects:
+            if e.daily:
+                out = out._looser(first, np.array(e.daily))
+            first += len(e.parameters)
+        return out
+
     def with_any_noise(self) -> Reference:
         """Where the channels, all alike, may be more or less noisy than the sensor of the ground."""
         return self._wider(self.channel_noises, _ANY_NOISE)

@@ -37,6 +37,7 @@ class AmbientForces(Effect):
         Parameter("common_share", 0.0, 0.99, closed=True, least=1e-3),
         *(Parameter(f"rise_{i}", -50.0, 50.0, least=1.0) for i in range(1, _KNOTS_HZ.size)),
     )
+    daily: ClassVar[tuple[float, ...]] = (0.05,) + (0.1,) * (_KNOTS_HZ.size - 1)
     signature: ClassVar[str] = (
         "frequencies and shapes as they were; a smooth spectrum, and floors that are pushed together"
     )
