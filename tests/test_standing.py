@@ -26,12 +26,11 @@ def forces(share: float, more: float) -> str:
 
 
 FORCES, ANOTHER_DAY = forces(0.3, 0.0), forces(0.33, 0.06)
-DAMPER = "story_damper:story 1:damping_n_s_per_m=0.4"
 CONTEXT = Context(CONFIG.model().structure, CONFIG.channels, CONFIG.sensor_matrix(), RATE)
 
 
 def recorded(seed: int, *effects: str) -> Segments:
-    """Ten minutes at a constant level, at which damper and friction are alike."""
+    """Ten minutes."""
     present: tuple[Effect, ...] = tuple(map(parse_effect, effects))
     motion = simulate(
         Model(CONFIG.model().structure, present),
@@ -45,9 +44,7 @@ def recorded(seed: int, *effects: str) -> Segments:
     return gather(blocks_of(ACCELERATION, motion.floors, CONFIG.channels, RATE, 10**18, 128), CONFIG)
 
 
-@pytest.mark.parametrize(
-    "standing", [(COLOUR, *GAINS), (DAMPER,), (FORCES,)], ids=["colour and gains", "damper", "forces of every day"]
-)
+@pytest.mark.parametrize("standing", [(COLOUR, *GAINS), (FORCES,)], ids=["colour and gains", "forces of every day"])
 def test_what_calibration_cannot_tell_apart_is_no_news_later(standing: tuple[str, ...]) -> None:
     known = learn(recorded(1, *standing), CONFIG)
     assert ("ambient_forces" in [e.name for e in known.model.effects]) == (standing == (FORCES,))
