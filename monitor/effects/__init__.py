@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections import ChainMap
+from collections.abc import Mapping
+
 from monitor.effects.added_mass import AddedMass
 from monitor.effects.ambient_forces import AmbientForces
 from monitor.effects.attached_oscillator import AttachedOscillator
@@ -68,8 +71,8 @@ EFFECTS: dict[str, type[Effect]] = {
     )
 }
 """The catalogue: what a diagnosis looks for."""
-FORMS: dict[str, type[Effect]] = EFFECTS | {AmbientForces.name: AmbientForces}
-"""What a file may state: the catalogue, and what calibration alone learns."""
+FORMS: Mapping[str, type[Effect]] = ChainMap(EFFECTS, {AmbientForces.name: AmbientForces})
+"""What a file may state: the catalogue, with whatever is added to it, and what calibration alone learns."""
 
 __all__ = [
     "EFFECTS",
