@@ -24,8 +24,10 @@ from monitor.evidence import classify
 from monitor.fitting import fit
 from monitor.gain import Gain, Score, demand_gain, fitted_model, heldout_gain, score
 from monitor.model import Model
+from monitor.preparation import FAR
 from monitor.recordings import OnProgress, OnWarning, Progress, blocks, names
 from monitor.reference import Reference, nominal
+from monitor.search import cost
 from monitor.segments import Segments, gather
 
 _TRIALS = np.errstate(over="ignore", invalid="ignore")
@@ -33,8 +35,6 @@ _TRIALS = np.errstate(over="ignore", invalid="ignore")
 
 _STANDING = 8
 """Causes at most that stand from the start: every sensor may have a gain of its own."""
-_FAR = 40
-"""Iterations of a fit to a spectrum of forces that may be far from white."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -102,10 +102,13 @@ def learn(segments: Segments, config: Configuration) -> Reference:
     found = diagnose(evidence, known, context, config.diagnosis)
     if found.verdict == "unexplained":
         ambient = _with_standing(known, (AmbientForces("frame"),), context, found.problem.conditions[0])
-        stated = evidence.drive is not None or any(e.name == AmbientForces.name for e in known.model.effects)
-        known = known if stated or not _gains(ambient, found) else ambient
-        more = config.diagnosis.model_copy(update={"max_causes": max(config.diagnosis.max_causes, _STANDING)})
-        found = diagnose(evidence, known, context, more)
+        stated = any(isinstance(e, AmbientForces) for e in known.model.effects)
+        shaped = evidence.drive is None and not stated and _gains(ambient, found)
+        most = config.diagnosis.max_causes
+        if shaped or len(found.rounds) >= most:  # else the search had ended by itself, and would again
+            known = ambient if shaped else known
+            more = config.diagnosis.model_copy(update={"max_causes": max(most, _STANDING)})
+            found = diagnose(evidence, known, context, more)
     # Whatever the verdict: what describes the healthy data is no news later, and of what no data tell apart either does.
     causes, condition = found.final.effects, found.problem.conditions[0]
     while True:
@@ -160,10 +163,8 @@ def _gains(wider: Reference, found: Diagnosis) -> bool:
     problem, at = found.problem, found.final
     end = problem.reference.mean.size
     x = np.concatenate([at.x[:end], wider.mean[end:], at.x[end:]])
-    there = fit(replace(problem, reference=wider), x, at.effects, iterations=_FAR)
-    n = problem.evidence.counts.sum() * problem.evidence.band.n_bins * problem.evidence.weight
-    cost = 0.5 * (wider.mean.size - end) * float(np.log(n))
-    return there.log_posterior > at.log_posterior + cost + found.settings.margin
+    there = fit(replace(problem, reference=wider), x, at.effects, iterations=FAR)
+    return there.log_posterior - at.log_posterior - cost(problem, wider.mean.size - end) > found.settings.margin
 
 
 def _with_standing(known: Reference, effects: tuple[Effect, ...], context: Context, condition: Condition) -> Reference:

@@ -13,7 +13,7 @@ from monitor.effects import Condition, Context, Effect, System
 from monitor.evidence import Evidence, class_temperature
 from monitor.levels import ground_levels
 from monitor.likelihood import Problem
-from monitor.prediction import accelerance, extended, force_root, seen, variances
+from monitor.prediction import accelerance, extended, force_colour, force_root, seen, variances
 from monitor.results import Array, ComplexArray
 
 _PILE = 20
@@ -121,10 +121,7 @@ def _moved(
     right[:n, :n] = np.eye(n)
     right[:, n] = -system.mass.sum(axis=1)
     w = 2.0 * np.pi * hz
-    colour = np.ones(hz.size)
-    for effect in effects:
-        colour = colour * effect.colour(hz)
-    root = np.sqrt(colour)[:, None, None] * force_root(force, effects)
+    root = np.sqrt(force_colour(effects, hz))[:, None, None] * force_root(force, effects)
     floors = accelerance(system.mass, system.damping, system.stiffness, w, right)[:, :n, :n] @ root
     motion = (rows @ floors) * w[:, None, None] ** (order - 2.0)[:, None] * (-1j) ** (2 - order)[:, None]
     if problem is None:

@@ -90,9 +90,7 @@ def cross_spectra(
     fine = band.fine_hz
     answer = seen(system, effects, fine, clock, context, condition)
     force = excitation.force
-    colour = np.ones(fine.size)
-    for effect in effects:
-        colour = colour * effect.colour(fine * clock)
+    colour = force_colour(effects, fine * clock)
     share = sum(e.ground_share for e in effects)
     ground = excitation.ground_noise
     if share > 0.0:
@@ -139,6 +137,14 @@ def channel_response(system: System, hz: Array, context: Context) -> ComplexArra
     return np.asarray(_at_sensors(floors, context.sensors))
 
 
+def force_colour(effects: Sequence[Effect], hz: Array) -> Array:
+    """Factor on the power density of the floors' forces, shape (n_hz,)."""
+    colour = np.ones(hz.size)
+    for effect in effects:
+        colour = colour * effect.colour(hz)
+    return colour
+
+
 def force_root(force: Array, effects: Sequence[Effect]) -> Array:
     """The floors' forces as sums of independent ones of density one, shape (n, n); with one column more where a part of them is
     common to all floors.
@@ -176,10 +182,8 @@ def variances(
     hz = np.exp(np.linspace(low, high, _LOG_STEPS))  # equal steps of the logarithm follow the peaks' width
     answer = channel_response(system, hz, context)
     n, weight = force.size, 2.0 * hz * np.gradient(np.log(hz))
-    colour = np.ones(hz.size)
-    for effect in effects:
-        colour = colour * effect.colour(hz)
-    by_force = (np.abs(answer[:, :, :n] @ force_root(force, effects)) ** 2).sum(axis=2) * colour[:, None]
+    by_force = (np.abs(answer[:, :, :n] @ force_root(force, effects)) ** 2).sum(axis=2)
+    by_force *= force_colour(effects, hz)[:, None]
     by_ground = np.abs(answer[:, :, n]) ** 2
     return weight @ by_force, weight @ by_ground, (weight * (hz > band_hz)) @ by_force
 

@@ -18,7 +18,7 @@ from monitor.reference import Reference
 from monitor.results import Array
 
 FAR = 40
-"""Iterations of a first fit to driven motion, whose phases tell more and lead on a longer way."""
+"""Iterations of a fit on a longer way: a first one to driven motion, whose phases tell more, or to forces far from white."""
 _HEAVY, _LIGHTER, _HELD_DAMPING = 0.05, 0.015, 1e4
 """Damping ratios at which that fit begins and goes on, and the precision that holds the former."""
 _TURNS = 4

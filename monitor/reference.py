@@ -88,12 +88,8 @@ class Reference:
 
     def with_daily_standing(self) -> Reference:
         """Where standing effects may be of another size on another day, as far as they say so."""
-        out, first = self, self.mean.size - self.n_standing
-        for e in self.model.effects:
-            if e.daily:
-                out = out._looser(first, np.array(e.daily))
-            first += len(e.parameters)
-        return out
+        std = np.concatenate([[], *[e.daily or np.zeros(len(e.parameters)) for e in self.model.effects]])
+        return self._looser(self.mean.size - self.n_standing, std) if std.any() else self
 
     def with_any_noise(self) -> Reference:
         """Where the channels, all alike, may be more or less noisy than the sensor of the ground."""

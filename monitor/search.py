@@ -246,5 +246,10 @@ def evidence_of(problem: Problem, null: Fit, fitted: Fit, n_more: int | None = N
     effect = fitted.effects[-1]
     n_more = len(effect.parameters) if n_more is None else n_more
     gain = fitted.log_posterior - null.log_posterior
+    return Candidate(effect, fitted, gain, gain - cost(problem, n_more))
+
+
+def cost(problem: Problem, n_more: int) -> float:
+    """Half the logarithm of the information for every parameter, nats."""
     n = problem.evidence.counts.sum() * problem.evidence.band.n_bins * problem.evidence.weight
-    return Candidate(effect, fitted, gain, gain - 0.5 * n_more * np.log(n))
+    return 0.5 * n_more * float(np.log(n))
