@@ -14,11 +14,19 @@ representations to compute orthogonal eigenvectors of symmetric tridiagonal matr
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
-from scipy.linalg import lapack
+from numpy.typing import NDArray
 
 from monitor.compiled import compiled
 from monitor.results import Array, ComplexArray
+
+Indices = NDArray[np.intp]
+Poles = tuple[Indices, ComplexArray, ComplexArray, ComplexArray]
+Region = tuple[float, float, float, float]
+"""Bounds of a pole's logarithm: its least and largest magnitude, and of its damping ratio."""
+EVERYWHERE: Region = (0.0, np.inf, -np.inf, np.inf)
 
 _EPS = 2.0**-52
 _TINY = 1e-290
@@ -30,53 +38,136 @@ _LEAST_GROWTH = 1e10
 """Of a solution with a pole as shift over the right side: the vector's residual is its inverse, times the order."""
 
 
-def upper_poles(a: Array, c: Array) -> tuple[ComplexArray, ComplexArray]:
-    """Eigenvalues of `a` above the real axis, shape (m,), and `c` times their eigenvectors, of any scale, shape (m, l).
+def upper_poles(a: Array, c: Array, orders: Sequence[int], region: Region = EVERYWHERE) -> Poles:
+    """Eigenvalues above the real axis and within a region, of the leading part of `a` of every order.
 
     Parameters
     ----------
     a : ndarray, shape (n, n)
     c : ndarray, shape (l, n)
+    orders : sequence of int
+        Rising, none above n.
+
+    Returns
+    -------
+    space : ndarray, shape (m,)
+        Index of each one's order in `orders`.
+    value : ndarray, shape (m,)
+    logarithm : ndarray, shape (m,)
+    shape : ndarray, shape (m, l)
+        `c` times the eigenvectors, of unit norm.
     """
-    reduced, scales, _ = lapack.dgehrd(a)
-    values, shapes, sound = _upper_poles(reduced.T, scales, c)
-    if sound:
-        return values, shapes
-    values, vectors = np.linalg.eig(a)
-    above = values.imag > 0
-    return values[above], (c @ vectors[:, above]).T
+    sizes = np.asarray(orders, dtype=np.intp)
+    space, value, logarithm, shape, sound = _upper_poles(
+        np.ascontiguousarray(a), np.ascontiguousarray(c), sizes, region
+    )
+    return (space, value, logarithm, shape) if sound else _by_lapack(a, c, orders, region)
+
+
+def _by_lapack(a: Array, c: Array, orders: Sequence[int], region: Region) -> Poles:
+    """As `upper_poles`, where the iteration does not converge or a vector does not show."""
+    value, shape = [np.zeros(0, complex)], [np.zeros((0, len(c)), complex)]
+    for n in orders:
+        values, vectors = np.linalg.eig(a[:n, :n])
+        kept = [k for k, one in enumerate(values) if one.imag > 0 and _within(complex(np.log(one)), region)]
+        value.append(values[kept])
+        shape.append((c[:, :n] @ vectors[:, kept]).T)
+    space = np.repeat(np.arange(len(orders)), [part.size for part in value[1:]])
+    values, shapes = np.concatenate(value), np.concatenate(shape)
+    return space, values, np.log(values), shapes / np.linalg.norm(shapes, axis=1, keepdims=True)
+
+
+@compiled()
+def _within(logarithm: complex, region: Region) -> bool:
+    """Whether the pole lies in the region."""
+    slowest, fastest, least_damped, most_damped = region
+    size = abs(logarithm)
+    return slowest < size < fastest and least_damped < -logarithm.real / size < most_damped
 
 
 @compiled(error_model="numpy", fastmath={"contract"})
-def _upper_poles(reduced_t: Array, scales: Array, c: Array) -> tuple[ComplexArray, ComplexArray, bool]:
-    """As `upper_poles`, from the transposed result of dgehrd; and whether it succeeded."""
-    n, l = reduced_t.shape[0], c.shape[0]  # noqa: E741 - the paper's letters
-    h, turned = np.zeros((n, n)), c.copy()
-    for i in range(n):
-        for j in range(max(i - 1, 0), n):
-            h[i, j] = reduced_t[j, i]
-    for k in range(n - 2):  # C times the reflections that reduced A
-        for i in range(l):
-            total = turned[i, k + 1]
-            for j in range(k + 2, n):
-                total += reduced_t[k, j] * turned[i, j]
-            total *= scales[k]
-            turned[i, k + 1] -= total
-            for j in range(k + 2, n):
-                turned[i, j] -= total * reduced_t[k, j]
-    values = _eigenvalues(h)
-    sound = not np.isnan(values[0])
-    values = values[values.imag > 0.0]
-    shapes = np.empty((values.size, l), dtype=np.complex128)
-    u, x = np.empty((n, n), dtype=np.complex128), np.empty(n, dtype=np.complex128)
-    for k in range(values.size):
-        sound = _vector(h, values[k], u, x) and sound
-        for i in range(l):
-            total = 0j
-            for j in range(n):
-                total += turned[i, j] * x[j]
-            shapes[k, i] = total
-    return values, shapes, sound
+def _upper_poles(
+    a: Array, c: Array, orders: Indices, region: Region
+) -> tuple[Indices, ComplexArray, ComplexArray, ComplexArray, bool]:
+    """As `upper_poles`; and whether all succeeded."""
+    most, l, largest = orders.sum() // 2, c.shape[0], orders.max() if orders.size else 0  # noqa: E741 - the paper's letters
+    space, value = np.empty(most, dtype=np.intp), np.empty(most, dtype=np.complex128)
+    logarithm, shape = np.empty(most, dtype=np.complex128), np.empty((most, l), dtype=np.complex128)
+    room, x = np.empty((largest, largest), dtype=np.complex128), np.empty(largest, dtype=np.complex128)
+    m, sound = 0, True
+    for s in range(orders.size):
+        n = orders[s]
+        h, turned = a[:n, :n].copy(), c[:, :n].copy()
+        _reduce(h, turned)
+        values = _eigenvalues(h)
+        sound = sound and not np.isnan(values[0])
+        for k in range(n):
+            if not values[k].imag > 0.0:
+                continue
+            space[m], value[m], logarithm[m] = s, values[k], np.log(values[k])
+            if not _within(logarithm[m], region):
+                continue
+            sound = _vector(h, values[k], room, x) and sound
+            size = 0.0
+            for i in range(l):
+                total = 0j
+                for j in range(n):
+                    total += turned[i, j] * x[j]
+                shape[m, i] = total
+                size += total.real**2 + total.imag**2
+            shape[m] /= np.sqrt(size)
+            m += 1
+    return space[:m].copy(), value[:m].copy(), logarithm[:m].copy(), shape[:m].copy(), sound
+
+
+@compiled(error_model="numpy", fastmath={"contract", "reassoc"})
+def _reduce(h: Array, c: Array) -> None:
+    """Turn `h` into Hessenberg form by reflections, and `c` with it, in place."""
+    n = h.shape[0]
+    room = np.empty((3, n))
+    for k in range(n - 2):
+        v, image, seen = room[0, k + 1 :], room[1, k + 1 :], room[2, k + 1 :]
+        square = 0.0
+        for i in range(k + 2, n):
+            square += h[i, k] * h[i, k]
+        if square == 0.0:
+            continue
+        first = h[k + 1, k]
+        size = np.sqrt(first * first + square)
+        size = size if first > 0.0 else -size
+        for i in range(v.size):
+            v[i], image[i], h[k + 1 + i, k] = h[k + 1 + i, k], 0.0, 0.0
+        v[0], h[k + 1, k] = first + size, -size
+        twice = 2.0 / (v[0] * v[0] + square)
+        below = h[k + 1 :, k + 1 :]
+        both = 0.0  # v^T A v
+        for i in range(v.size):
+            row, factor, total = below[i], v[i], 0.0
+            for j in range(v.size):
+                image[j] += factor * row[j]
+                total += row[j] * v[j]
+            seen[i] = total
+            both += factor * total
+        for i in range(v.size):
+            row, left = below[i], twice * v[i]
+            right = twice * (seen[i] - both * left)
+            for j in range(v.size):
+                row[j] -= left * image[j] + right * v[j]
+        for i in range(k + 1):
+            _reflect(h[i, k + 1 :], v, twice)
+        for i in range(c.shape[0]):
+            _reflect(c[i, k + 1 :], v, twice)
+
+
+@compiled(fastmath={"contract", "reassoc"})
+def _reflect(row: Array, v: Array, twice: float) -> None:
+    """`row` times the reflection along `v`, in place."""
+    total = 0.0
+    for j in range(v.size):
+        total += row[j] * v[j]
+    total *= twice
+    for j in range(v.size):
+        row[j] -= total * v[j]
 
 
 @compiled(error_model="numpy", fastmath={"contract"})

@@ -10,16 +10,25 @@ from monitor.results import Array, ComplexArray
 
 
 @compiled()
-def about_mean(products: Array, first: Array, second: Array, mean: Array, counts: NDArray[np.int64]) -> Array:
-    """Every block's lagged products about the window's mean instead of zero; parameters and result as in `LagSums`."""
-    out = np.empty(products.shape)
+def scatter(
+    products: Array, first: Array, second: Array, mean: Array, counts: NDArray[np.int64], past: NDArray[np.intp]
+) -> Array:
+    """How far every block's lagged products about the window's mean lie off the mean block's, at lags from 1 on, for the first
+    factors `past`; shape (2 i - 1, r, c, n_blocks), other parameters as in `LagSums`.
+    """
     n_blocks, n_lags, c, _ = products.shape
-    for b in range(n_blocks):
-        for tau in range(n_lags):
-            for i in range(c):
-                for j in range(c):
-                    moved = products[b, tau, i, j] - first[b, i] * mean[j] - mean[i] * second[b, tau, j]
-                    out[b, tau, i, j] = moved + counts[b] * (mean[i] * mean[j])
+    out, share = np.empty((n_lags - 1, past.size, c, n_blocks)), counts / counts.sum()
+    for tau in range(1, n_lags):
+        for k in range(past.size):
+            i = past[k]
+            for j in range(c):
+                row, total = out[tau - 1, k, j], 0.0
+                for b in range(n_blocks):
+                    moved = first[b, i] * mean[j] + mean[i] * second[b, tau, j]
+                    row[b] = products[b, tau, i, j] - moved + counts[b] * (mean[i] * mean[j])
+                    total += row[b]
+                for b in range(n_blocks):
+                    row[b] -= total * share[b]
     return out
 
 

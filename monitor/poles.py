@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from statistics import median
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 from scipy.optimize import linear_sum_assignment
 
 from monitor.model import Modes
 from monitor.results import Array, ComplexArray, ModalEstimate, Skipped, Window
 from monitor.settings import Settings
-from monitor.ssi import PoleTable, Realisation, SsiSettings, continuous, realise, state_space
+from monitor.ssi import PoleTable, Realisation, SsiSettings, realise, state_space
 from monitor.ssi import poles as all_poles
 from monitor.ssi_covariance import mode_deviations
 
@@ -45,24 +44,6 @@ class SelectionSettings(Settings):
     """So many of the model's lowest modes are looked for."""
     required_modes: int = Field(default=4, ge=1)
     """So many of the lowest must be found; higher ones are used where they show."""
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class _Poles:
-    """All plausible poles of all orders, one row each."""
-
-    orders: tuple[int, ...]
-    """Of the state spaces, plausible poles or not."""
-    space: NDArray[np.intp]
-    """Index in them."""
-    value: ComplexArray
-    """Discrete-time eigenvalue."""
-    frequency: Array
-    damping: Array
-    shape: ComplexArray
-    """Unit norm, shape (n_poles, c)."""
-    stable: Array
-    """1 if the order below has the same pole."""
 
 
 def mac(a: ComplexArray, b: ComplexArray) -> Array:
@@ -115,10 +96,11 @@ def identify(
     max_order = max(ssi.max_order, _ORDERS_PER_MODE * len(wanted))
     realisation = realise(window.sums, ssi, past, max_order)
     complete = realisation.singular_values.size < max_order
-    found = all_poles(realisation, range(2, max_order + 1, 2))
-    poles = _plausible(found, window.rate_hz, select, complete)
+    band_hz = (select.min_frequency_hz, _BAND * window.rate_hz)
+    poles = all_poles(realisation, range(2, max_order + 1, 2), window.rate_hz, band_hz, (0.0, select.max_damping_ratio))
+    stable = _stable(poles, select, complete)
     shapes = (sensors @ reference.shapes[:, list(wanted)]).T
-    modes = _match(poles, reference.frequencies_hz[list(wanted)], shapes, select)
+    modes = _match(poles, stable, reference.frequencies_hz[list(wanted)], shapes, select)
     missing = [str(i + 1) for i, m in zip(wanted[: select.required_modes], modes, strict=False) if m is None]
     if missing:
         return Skipped(
@@ -130,26 +112,24 @@ def identify(
     chosen = _common_order(poles, clusters)
     if chosen is None:
         return Skipped("no order shows every mode")
-    return _estimate(window, realisation, poles, chosen, wanted, refiner, ssi.uncertainty)
+    return _estimate(window, realisation, poles, stable, chosen, wanted, refiner, ssi.uncertainty)
 
 
-def _plausible(found: PoleTable, rate_hz: float, select: SelectionSettings, complete: bool) -> _Poles:
-    """Poles that could be modes.  Where the data have no more states (`complete`), the last order's need no other."""
+def _stable(poles: PoleTable, select: SelectionSettings, complete: bool) -> Array:
+    """1 for each pole that the order below has too.  With all states of the data seen (`complete`) the last order is believed."""
     from monitor.kernels import recurring  # compiled code takes a while to load
 
-    f, zeta = continuous(found.value, rate_hz)
-    good = (f > select.min_frequency_hz) & (f < _BAND * rate_hz) & (zeta > 0) & (zeta < select.max_damping_ratio)
-    space, shape, frequency = found.space[good], found.shape[good], f[good]
-    shape /= np.sqrt(np.einsum("pc,pc->p", shape.conj(), shape).real)[:, None]
-    stable = recurring(space, frequency, shape, select.stable_frequency, select.stable_mac)
+    stable = recurring(poles.space, poles.frequency, poles.shape, select.stable_frequency, select.stable_mac)
     if complete:
-        stable[space == len(found.orders) - 1] = 1.0
-    return _Poles(found.orders, space, found.value[good], frequency, zeta[good], shape, stable)
+        stable[poles.space == len(poles.orders) - 1] = 1.0
+    return stable
 
 
-def _match(poles: _Poles, frequencies: Array, shapes: Array, select: SelectionSettings) -> list[list[int] | None]:
+def _match(
+    poles: PoleTable, stable: Array, frequencies: Array, shapes: Array, select: SelectionSettings
+) -> list[list[int] | None]:
     """For every model mode, the stable poles of its counterpart; None where there is none."""
-    clusters = _clusters(poles, select)
+    clusters = _clusters(poles, stable, select)
     found: list[list[int] | None] = [None] * len(frequencies)
     if not clusters:
         return found
@@ -167,18 +147,18 @@ def _match(poles: _Poles, frequencies: Array, shapes: Array, select: SelectionSe
     return found
 
 
-def _clusters(poles: _Poles, select: SelectionSettings) -> list[list[int]]:
+def _clusters(poles: PoleTable, stable: Array, select: SelectionSettings) -> list[list[int]]:
     """Stable poles of the same mode, at most one an order, where enough orders agree."""
     from monitor.kernels import grouped
 
-    stable = np.flatnonzero(poles.stable)
+    rows = np.flatnonzero(stable)
     enough = max(1.0, select.min_stable_share * (len(poles.orders) - 1))
-    space, frequency, shape = poles.space[stable], poles.frequency[stable], poles.shape[stable]
+    space, frequency, shape = poles.space[rows], poles.frequency[rows], poles.shape[rows]
     group = grouped(space, frequency, shape, 2.0 * select.stable_frequency, select.stable_mac, enough)
-    return [stable[group == k].tolist() for k in range(group.max(initial=-1) + 1)]
+    return [rows[group == k].tolist() for k in range(group.max(initial=-1) + 1)]
 
 
-def _common_order(poles: _Poles, clusters: list[list[int]]) -> list[int] | None:
+def _common_order(poles: PoleTable, clusters: list[list[int]]) -> list[int] | None:
     """One pole a mode, all from the lowest order that shows them all with room for what is no mode.
 
     The exact order is a trap for data-driven identification (bias in frequency and damping); two more pairs remove
@@ -197,7 +177,8 @@ def _common_order(poles: _Poles, clusters: list[list[int]]) -> list[int] | None:
 def _estimate(
     window: Window,
     realisation: Realisation,
-    poles: _Poles,
+    poles: PoleTable,
+    stable: Array,
     rows: list[int],
     wanted: tuple[int, ...],
     refiner: Callable[[ModalEstimate], ModalEstimate] | None,
@@ -215,9 +196,7 @@ def _estimate(
         deviations=np.zeros((0, len(rows), 2 + 2 * shapes.shape[1])),
         first=window.first_block,
         order=order,
-        poles=np.stack(
-            [np.array(poles.orders, float)[poles.space], poles.frequency, poles.damping, poles.stable], axis=1
-        ),
+        poles=np.stack([np.array(poles.orders, float)[poles.space], poles.frequency, poles.damping, stable], axis=1),
     )
     better = estimate if refiner is None else refiner(estimate)
     if better is not estimate or not uncertainty:

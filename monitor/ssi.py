@@ -8,7 +8,6 @@ and costs the number of block rows rather than the number of samples.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
@@ -82,16 +81,20 @@ class StateSpace:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PoleTable:
-    """The poles of all orders above the real axis, one row each, by order."""
+    """Poles of all orders above the real axis, one row each, by order."""
 
     orders: tuple[int, ...]
-    """All that were identified."""
-    space: NDArray[np.intp]
+    """All that were identified, whether they have poles here or not."""
+    space: Indices
     """Index in `orders`."""
     value: ComplexArray
     """Discrete-time eigenvalue."""
+    frequency: Array
+    """Hz."""
+    damping: Array
+    """Ratio."""
     shape: ComplexArray
-    """Shape (n_poles, l)."""
+    """Unit norm, shape (n_poles, l)."""
 
 
 def gram(sums: LagSums) -> Array:
@@ -172,44 +175,46 @@ def _leading(matrix: Array, count: int) -> tuple[Array, Array]:
     return values[::-1], right_t[::-1].T
 
 
-def poles(realisation: Realisation, orders: range) -> PoleTable:
-    """The poles of every order, as far as the data have states."""
+def poles(
+    realisation: Realisation,
+    orders: range,
+    rate_hz: float,
+    band_hz: tuple[float, float] = (0.0, np.inf),
+    damping: tuple[float, float] = (-np.inf, np.inf),
+) -> PoleTable:
+    """The poles of every order, as far as the data have states, within the bounds of frequency and damping ratio."""
     from monitor.hessenberg import upper_poles  # compiled code takes a while to load
 
     told = tuple(n for n in orders if n <= realisation.observability.shape[1])
-    found = [upper_poles(a, c) for a, c in _matrices(realisation, told)]
-    space = np.repeat(np.arange(len(told)), [values.size for values, _ in found])
-    values = np.concatenate([np.zeros(0, dtype=complex), *(values for values, _ in found)])
-    shapes = np.concatenate([np.zeros((0, realisation.n_channels), dtype=complex), *(shapes for _, shapes in found)])
-    return PoleTable(told, space, values, shapes)
+    radian = 2.0 * np.pi / rate_hz
+    region = (radian * band_hz[0], radian * band_hz[1], *damping)
+    nested = realisation.states is None or not told
+    groups = [told] if nested else [(n,) for n in told]
+    found = [upper_poles(*_matrices(realisation, max(group, default=0)), group, region) for group in groups]
+    space = np.concatenate([k + spaces for k, (spaces, *_) in enumerate(found)])
+    value, logarithm, shape = (np.concatenate(parts) for parts in list(zip(*found, strict=True))[1:])
+    return PoleTable(told, space, value, *continuous(logarithm, rate_hz), shape)
 
 
 def state_space(realisation: Realisation, order: int) -> StateSpace:
     """A, C and all eigenvectors of one order."""
-    ((a, c),) = _matrices(realisation, (order,))
+    a, c = _matrices(realisation, order)
     values, vectors = np.linalg.eig(a)
     return StateSpace(order, values.astype(complex), vectors.astype(complex), c @ vectors, a, c)
 
 
-def _matrices(realisation: Realisation, orders: tuple[int, ...]) -> Iterator[tuple[Array, Array]]:
-    """A and C of every order, by algorithm 2 (or 1 where prepared)."""
-    l, o = realisation.n_channels, realisation.observability  # noqa: E741
-    shifted = o[:-l].T @ o[l:]
-    for n in orders:
-        if realisation.states is None:
-            yield shifted[:n, :n], o[:l, :n]
-        else:
-            yield _algorithm_1(realisation.states, o[:, :n], l)
+def _matrices(realisation: Realisation, order: int) -> tuple[Array, Array]:
+    """A and C by algorithm 2, where those of a lower order are their leading parts, or by algorithm 1 where prepared."""
+    l, o = realisation.n_channels, realisation.observability[:, :order]  # noqa: E741
+    if realisation.states is None:
+        return o[:-l].T @ o[l:], o[:l]
+    return _algorithm_1(realisation.states, o, l)
 
 
-def continuous(poles: ComplexArray, rate_hz: float) -> tuple[Array, Array]:
-    """Frequencies in Hz and damping ratios of discrete-time poles (eqs 14, 15); shapes as `poles`.
-
-    A pole at the origin has no frequency: NaN, which no selection accepts.
-    """
-    mu = np.log(np.where(poles == 0, np.nan, poles)) * rate_hz
-    size = np.abs(mu)
-    return size / (2.0 * np.pi), -mu.real / size
+def continuous(logarithm: ComplexArray, rate_hz: float) -> tuple[Array, Array]:
+    """Frequencies in Hz and damping ratios of discrete-time poles by their logarithms (eqs 14, 15); shapes as those."""
+    size = np.abs(logarithm)
+    return size * (rate_hz / (2.0 * np.pi)), -logarithm.real / size
 
 
 def _toeplitz(sums: LagSums, i: int, past: tuple[int, ...]) -> Array:

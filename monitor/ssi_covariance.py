@@ -19,9 +19,6 @@ import numpy as np
 from monitor.results import Array, ComplexArray, LagSums
 from monitor.ssi import Realisation, StateSpace
 
-_GATHERED = 1 << 24
-"""Numbers held at once."""
-
 
 def mode_deviations(
     sums: LagSums,
@@ -45,52 +42,41 @@ def mode_deviations(
     ndarray, shape (n_blocks, m, 2 + 2 c)
         Of ln f, damping ratio, real and imaginary part of the shape.
     """
-    n, l = space.order, realisation.n_channels  # noqa: E741 - the paper's letters
-    observability = realisation.observability[:, :n]
-    d_o = _observability_deviations(sums, realisation, n)
-    d_a = observability[:-l].T @ (d_o[:, l:] - d_o[:, :-l] @ space.a)
-    left = np.linalg.inv(space.right)
-    deviations = np.empty((d_o.shape[0], len(chosen), 2 + 2 * l))
-    for row, q in enumerate(chosen):
-        moved = left @ (d_a @ space.right[:, q]).T  # (n, n_blocks): w_j^H dA v_q
-        pole = space.poles[q]
-        mu = np.log(pole) * rate_hz
-        d_mu = moved[q] * rate_hz / pole
-        d_ln_f = (mu.conjugate() * d_mu).real / abs(mu) ** 2
-        deviations[:, row, 0] = d_ln_f
-        deviations[:, row, 1] = -d_mu.real / abs(mu) + mu.real / abs(mu) * d_ln_f
-        apart = pole - space.poles
-        apart[q] = 1.0
-        moved = moved / apart[:, None]
-        moved[q] = 0.0
-        d_shape = d_o[:, :l] @ space.right[:, q] + (space.shapes @ moved).T
-        gauge = int(np.argmin(np.abs(shapes[row] - 1.0)))
-        scale = space.shapes[gauge, q]
-        d_shape = (d_shape - shapes[row] * d_shape[:, gauge, None]) / scale
-        deviations[:, row, 2 : 2 + l] = d_shape.real
-        deviations[:, row, 2 + l :] = d_shape.imag
-    return deviations
+    l, observability = realisation.n_channels, realisation.observability[:, : space.order]  # noqa: E741 - the paper's letters
+    pole, modes = space.poles[chosen][:, None], np.arange(len(chosen))
+    d_ov = _moved_observability(sums, realisation, space.right[:, chosen])
+    # w_j^H dA v_q, shape (m, n, n_blocks), as A v_q = pole v_q
+    moved = np.linalg.solve(space.right, observability[:-l].T) @ (d_ov[:, l:] - pole[..., None] * d_ov[:, :-l])
+    mu = np.log(pole) * rate_hz
+    d_mu = moved[modes, chosen] * rate_hz / pole
+    d_ln_f = (mu.conjugate() * d_mu).real / np.abs(mu) ** 2
+    d_damping = (mu.real * d_ln_f - d_mu.real) / np.abs(mu)
+    apart = pole - space.poles
+    apart[modes, chosen] = np.inf
+    d_shape = d_ov[:, :l] + space.shapes @ (moved / apart[..., None])
+    gauge = np.abs(shapes - 1.0).argmin(axis=1)
+    d_shape = (d_shape - shapes[..., None] * d_shape[modes, gauge][:, None]) / space.shapes[gauge, chosen][
+        :, None, None
+    ]
+    told = np.concatenate([d_ln_f[:, None], d_damping[:, None], d_shape.real, d_shape.imag], axis=1)
+    return np.ascontiguousarray(told.transpose(2, 0, 1))
 
 
-def _observability_deviations(sums: LagSums, realisation: Realisation, n: int) -> Array:
-    """dO of every block, shape (n_blocks, l i, n)."""
-    from monitor.kernels import about_mean  # compiled code takes a while to load
+def _moved_observability(sums: LagSums, realisation: Realisation, states: ComplexArray) -> ComplexArray:
+    """dO of every block times some states, shape (m, l i, n_blocks) for states of shape (n, m)."""
+    from monitor.kernels import scatter  # compiled code takes a while to load
 
-    past = list(realisation.past)
-    l, r = realisation.n_channels, len(past)  # noqa: E741
-    i = realisation.right.shape[0] // r
-    n_blocks = len(sums.products)
-    mean = sums.total / sums.counts.sum()
+    past, n_blocks, m = np.array(realisation.past), len(sums.products), states.shape[1]
+    by_lag = scatter(sums.products, sums.first, sums.second, sums.mean, sums.counts, past)
+    z = realisation.right[:, : len(states)] @ np.concatenate([states.real, states.imag], axis=1)
+    back = z.T.reshape(2 * m, -1, past.size)[:, ::-1]
+    i = back.shape[1]
+    # Block (a, b) of d(Y_f Y_p^T) is the deviation at lag i + a - b, transposed: with z moved along by a, one product for all.
+    shifted = np.zeros((2 * m, i, 2 * i - 1, past.size))
+    for a in range(i):
+        shifted[:, a, a : a + i] = back
+    product = shifted.reshape(2 * m * i, -1) @ by_lag.reshape(shifted.shape[2] * past.size, -1)
     # A mean of n_blocks blocks has been taken out, so the squares fall short by that degree of freedom.
-    inflate = np.sqrt(n_blocks / (n_blocks - 1.0)) if n_blocks > 1 else 1.0
-    about = about_mean(sums.products, sums.first, sums.second, sums.mean, sums.counts)
-    deviation = (about - sums.counts[:, None, None, None] * mean) * inflate
-    # Block (a, b) of d(Y_f Y_p^T) is the deviation at lag i + a - b, transposed: a convolution over past blocks.
-    by_lag = deviation[:, 1:, past].transpose(0, 3, 1, 2)  # (blocks, l, lag - 1, r)
-    flipped = by_lag[:, :, ::-1].reshape(n_blocks, l, -1)  # windows over it run along increasing b
-    views = np.lib.stride_tricks.sliding_window_view(flipped, i * r, axis=2)[:, :, ::-r]  # (blocks, l, i, i r)
-    ordered = views.transpose(0, 2, 1, 3)  # gathered group by group: with many channels it is large
-    group = max(1, _GATHERED // (i * l * i * r))
-    z = realisation.right[:, :n]
-    parts = [ordered[b : b + group].reshape(-1, i * r) @ z for b in range(0, n_blocks, group)]
-    return np.concatenate(parts).reshape(n_blocks, i * l, n)
+    product *= np.sqrt(n_blocks / (n_blocks - 1.0)) if n_blocks > 1 else 1.0
+    parts = product.reshape(2, m, -1, n_blocks)
+    return np.asarray(parts[0] + 1j * parts[1])

@@ -239,14 +239,14 @@ def _emit(
 
 def _sum_up(grid: WindowGrid, state: WindowState) -> LagSums:
     """The lag sums of the window that the state's blocks make up."""
-    from monitor.kernels import about_mean
-
-    lags, blocks = grid.n_lags, state.blocks
+    lags, blocks, c = grid.n_lags, state.blocks, state.samples.shape[1]
     counts = np.full(len(blocks), grid.block_n)
     counts[-1] = grid.block_n - lags + 1
-    products, first, second = (np.array([getattr(b, name) for b in blocks]) for name in ("products", "first", "second"))
-    mean = np.array([b.total for b in blocks]).sum(axis=0) / grid.window_n
+    products = np.concatenate([b.products for b in blocks]).reshape(-1, lags, c, c)
+    first = np.concatenate([b.first for b in blocks]).reshape(-1, c)
+    second = np.concatenate([b.second for b in blocks]).reshape(-1, lags, c)
+    mean = np.concatenate([b.total for b in blocks]).reshape(-1, c).sum(axis=0) / grid.window_n
     head, tail = blocks[0].head - mean, state.samples[state.samples.shape[0] - lags + 1 :] - mean
-    p, f, s = (part.sum(axis=0, keepdims=True) for part in (products, first, second))
-    total = about_mean(p, f, s, mean, counts.sum(keepdims=True))[0]
+    moved = first.sum(axis=0)[:, None] * mean + mean[:, None] * second.sum(axis=0)[:, None, :]
+    total = products.sum(axis=0) - moved + counts.sum() * np.outer(mean, mean)
     return LagSums(products, first, second, mean, counts, head, tail, total)

@@ -10,7 +10,8 @@ from monitor.hessenberg import tridiagonal_vectors, upper_poles
 
 
 def assert_lapack_agrees(a: np.ndarray, c: np.ndarray, tolerance: float) -> None:
-    values, shapes = upper_poles(a, c)
+    _, values, logarithms, shapes = upper_poles(a, c, (len(a),))
+    np.testing.assert_allclose(np.exp(logarithms), values)
     wanted, vectors = np.linalg.eig(a)
     above = np.flatnonzero(wanted.imag > 0)
     assert values.size == above.size and shapes.shape == (above.size, len(c))
@@ -42,8 +43,8 @@ def test_lightly_damped_poles_of_very_different_size() -> None:
 
 @pytest.mark.parametrize("a", [np.zeros((4, 4)), np.eye(6), np.triu(np.ones((5, 5))), np.diag([1.0, 2.0])])
 def test_nothing_lies_above_the_axis(a: np.ndarray) -> None:
-    values, shapes = upper_poles(a, np.ones((2, len(a))))
-    assert values.shape == (0,) and shapes.shape == (0, 2)
+    space, values, _, shapes = upper_poles(a, np.ones((2, len(a))), (len(a),))
+    assert space.shape == values.shape == (0,) and shapes.shape == (0, 2)
 
 
 def test_shifts_in_a_cycle_are_left() -> None:
@@ -53,12 +54,28 @@ def test_shifts_in_a_cycle_are_left() -> None:
 
 
 def test_what_does_not_succeed_is_left_to_lapack(monkeypatch: pytest.MonkeyPatch) -> None:
-    def fails(*_: object) -> tuple[np.ndarray, np.ndarray, bool]:
-        return np.zeros(1, complex), np.zeros((1, 3), complex), False
+    def fails(*_: object) -> tuple[object, ...]:
+        return *([np.zeros(1, complex)] * 4), False
 
     monkeypatch.setattr(hessenberg, "_upper_poles", fails)
     rng = np.random.default_rng(0)
     assert_lapack_agrees(rng.standard_normal((7, 7)), rng.standard_normal((3, 7)), 1e-15)
+
+
+def test_leading_parts_are_matrices_of_their_own_and_a_region_only_leaves_out() -> None:
+    rng = np.random.default_rng(1)
+    a, c = rng.standard_normal((12, 12)) / 4.0, rng.standard_normal((3, 12))
+    orders, region = (4, 6, 7, 12), (0.8, 2.5, 0.0, 0.9)
+    space, values, logarithms, shapes = upper_poles(a, c, orders)
+    kept = [0.8 < abs(x) < 2.5 and 0.0 < -x.real / abs(x) < 0.9 for x in logarithms]
+    assert 0 < sum(kept) < len(kept)
+    for found, wanted in zip(upper_poles(a, c, orders, region), (space, values, logarithms, shapes), strict=True):
+        np.testing.assert_array_equal(found, wanted[kept])
+    assert all(len(found) == sum(kept) for found in hessenberg._by_lapack(a, c, orders, region))
+    for k, n in enumerate(orders):
+        alone = upper_poles(a[:n, :n], c[:, :n], (n,))
+        np.testing.assert_array_equal(alone[1], values[space == k])
+        np.testing.assert_array_equal(alone[3], shapes[space == k])
 
 
 def test_vectors_of_a_tridiagonal_matrix_are_orthonormal() -> None:

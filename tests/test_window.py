@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from monitor import window
-from monitor.kernels import about_mean
+from monitor.kernels import scatter
 from monitor.results import Skipped, Window
 from monitor.window import WindowGrid, WindowState
 
@@ -40,7 +40,9 @@ def assert_direct_sums(grid: WindowGrid, item: Item, samples: np.ndarray) -> Non
     """The window's sums are those of `samples` about their mean."""
     assert isinstance(item, Window)
     sums, total = item.sums, item.sums.total
-    blocks = about_mean(sums.products, sums.first, sums.second, sums.mean, sums.counts)
+    crossed = np.outer(sums.mean, sums.mean) * sums.counts[:, None, None, None]
+    moved = sums.first[:, None, :, None] * sums.mean + sums.mean[:, None] * sums.second[:, :, None]
+    blocks = sums.products - moved + crossed
     v = samples - samples.mean(axis=0)
     n, size = len(v), grid.block_n
     used = n - grid.n_lags + 1  # every lag sums the same number of products
@@ -51,6 +53,9 @@ def assert_direct_sums(grid: WindowGrid, item: Item, samples: np.ndarray) -> Non
         for tau in range(grid.n_lags):
             np.testing.assert_allclose(blocks[b, tau], v[k].T @ v[k + tau], atol=tolerance)
     np.testing.assert_allclose(total, blocks.sum(axis=0), atol=tolerance)
+    share = (sums.counts / sums.counts.sum())[:, None, None, None]
+    off = scatter(sums.products, sums.first, sums.second, sums.mean, sums.counts, np.array([1, 0]))
+    np.testing.assert_allclose(off, (blocks - share * total)[:, 1:, [1, 0]].transpose(1, 2, 3, 0), atol=tolerance)
     np.testing.assert_allclose(item.sums.head, v[: grid.n_lags - 1], atol=1e-12)
     np.testing.assert_allclose(item.sums.tail, v[n - grid.n_lags + 1 :], atol=1e-12)
 

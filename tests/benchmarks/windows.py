@@ -48,8 +48,7 @@ def least(samples: Array, big: Array) -> None:
     lapack.dormqr("L", "N", reflected[1:, :-1], scales, turned[1:, -30:], 64 * 30)
     triangular, scales, *_ = lapack.dgeqrf(big[:72, :30])
     lapack.dorgqr(triangular, scales)
-    for order in range(2, 31, 2):
-        upper_poles(big[:order, :order], big[:3, :order])
+    upper_poles(big[:30, :30], big[:3, :30], range(2, 31, 2))
 
 
 def peers(x: Array) -> dict[str, Callable[[], Any]]:
