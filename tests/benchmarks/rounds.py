@@ -38,13 +38,16 @@ class Cost:
         return [float(low), float(middle), float(high)]
 
 
-def interleaved(things: Mapping[str, Callable[[], object]], rounds: int) -> dict[str, Cost]:
-    """CPU time of everything, in turn, after one round that does not count."""
+def interleaved(things: Mapping[str, Callable[[], object]], rounds: int, least_s: float = 0.0) -> dict[str, Cost]:
+    """CPU time of everything, in turn, after one round that does not count; each is called over and over for `least_s`, as work
+    that goes on, or once, as work that is come upon when others' has emptied the caches."""
     taken: dict[str, list[float]] = {name: [] for name in things}
     for number in range(rounds + 1):
         for name, thing in things.items():
-            begin = time.process_time()
-            thing()
+            begin, calls, spent = time.process_time(), 0, 0.0
+            while not calls or spent < least_s:
+                thing()
+                calls, spent = calls + 1, time.process_time() - begin
             if number:
-                taken[name].append(time.process_time() - begin)
+                taken[name].append(spent / calls)
     return {name: Cost(name, seconds) for name, seconds in taken.items()}

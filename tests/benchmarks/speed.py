@@ -33,21 +33,22 @@ def compare_windows(rounds: int, told: dict[str, Any]) -> None:
     print("\n| one 10 s hop of a 400 s window, 15 orders | CPU ms (quartiles) | over the floor |\n|---|---|---|")
     for cost in costs.values():
         print(cost.row(floor))
-    for ours, peer in (
-        (windows.PLAIN, windows.PYOMA),
-        (windows.PLAIN, windows.PYOMA_1),
-        (windows.PLAIN, windows.KOMA),
-        (windows.UNREFINED, windows.PYOMA_UNC),
-        (windows.UNREFINED, windows.PYOMA_UNC_1),
-        (windows.FULL, windows.PYOMA_UNC),
-        (windows.FULL, windows.PYOMA_UNC_1),
-    ):
+    plain, uncertain = (windows.PYOMA, windows.PYOMA_1), (windows.PYOMA_UNC, windows.PYOMA_UNC_1)
+    ways = (
+        (windows.FOUND, plain),
+        (windows.PLAIN, plain),
+        (windows.FOUND_UNC, uncertain),
+        (windows.UNREFINED, uncertain),
+    )
+    for ours, peer in [(ours, peer) for ours, others in (*ways, (windows.FULL, uncertain)) for peer in others]:
         if peer in costs:
             low, middle, high = costs[peer].over(costs[ours])
             print(f"{peer} over {ours}: {middle:.3g} ({low:.3g}-{high:.3g})")
             told[f"{peer} over {ours}"] = middle
     for name, error in errors.items():
         print(f"error of the frequencies, {name}: {', '.join(f'{e:.3f}' for e in error)} %")
+    for cost in windows.cold(rounds).values():
+        print(f"single, between others' work: {cost.row()}")
     told["windows_ms"] = {name: 1e3 * cost.median for name, cost in costs.items()}
 
 

@@ -7,20 +7,27 @@ import os
 import warnings
 from collections.abc import Callable
 from contextlib import suppress
+from itertools import cycle
 from typing import Any
 
 import numpy as np
 from scipy.linalg import lapack
 
+from monitor import window
 from monitor.hessenberg import upper_poles
 from monitor.kernels import lag_products
-from monitor.results import Array, WindowResult
+from monitor.pipeline import Pipeline
+from monitor.poles import identify
+from monitor.results import Array, ModalEstimate, Window, WindowResult
 from tests.benchmarks.frames import Hops, baseline, configuration, floors
 from tests.benchmarks.rounds import Cost, interleaved
 
 FLOOR, PLAIN, FULL = "floor of a hop", "hop without uncertainty", "hop with uncertainty, refinement, updating, alarm"
 LEAST = "matrix work of a hop without uncertainty"
-UNREFINED = "hop with uncertainty, without refinement"
+UNREFINED = "hop with uncertainty, updating, alarm, without refinement"
+FOUND, FOUND_UNC = "its identification alone", "its identification alone, with uncertainty"
+_LEAST_S = 0.03
+"""For which each is called over and over: hops follow one another, as in a replay."""
 PYOMA, PYOMA_1 = "pyOMA2 cov, step 2 (our orders)", "pyOMA2 cov, step 1 (its default)"
 PYOMA_UNC, PYOMA_UNC_1 = "pyOMA2 cov, uncertainty, step 2", "pyOMA2 cov, uncertainty, step 1"
 KOMA = "koma cov"
@@ -49,6 +56,32 @@ def least(samples: Array, big: Array) -> None:
     triangular, scales, *_ = lapack.dgeqrf(big[:72, :30])
     lapack.dorgqr(triangular, scales)
     upper_poles(big[:30, :30], big[:3, :30], range(2, 31, 2))
+
+
+class Identification:
+    """What a hop does of what peers do: lag sums, realisation, poles, and beyond them which are modes and whose."""
+
+    def __init__(self, uncertainty: bool) -> None:
+        self.config = configuration(refined=False, uncertainty=uncertainty)
+        self.pipeline = Pipeline(self.config)
+        p, rows = self.config.processing, self.config.identification.block_rows
+        self.grid = window.WindowGrid.design(100.0, p.window_s, p.hop_s, 2 * rows, 0.0)
+        self.state = window.start(self.grid, 3, index=0)
+        motion = floors(self.config, p.window_s + 20 * p.hop_s, 100.0, 2)
+        self._pieces = cycle(np.split(motion, len(motion) // 1000))
+        self.found: ModalEstimate | None = None
+        while self.found is None:
+            self()
+
+    def __call__(self) -> None:
+        """Take in the next hop."""
+        line, c = self.pipeline, self.config
+        self.state, found = window.step(self.grid, self.state, next(self._pieces), 0)
+        for item in found:
+            assert isinstance(item, Window)
+            modes = identify(item, line.past, line.reference_modes, line.shown, c.identification, c.selection)
+            assert isinstance(modes, ModalEstimate)
+            self.found = modes
 
 
 def peers(x: Array) -> dict[str, Callable[[], Any]]:
@@ -92,14 +125,29 @@ def compare(rounds: int) -> tuple[dict[str, Cost], dict[str, list[float]]]:
         PLAIN: plain,
         UNREFINED: unrefined,
         FULL: full,
+        FOUND: Identification(uncertainty=False),
+        FOUND_UNC: Identification(uncertainty=True),
         **others,
     }
-    costs = interleaved(things, rounds)
+    costs = interleaved(things, rounds, _LEAST_S)
     truth = config.model().modes().frequencies_hz
     errors = {name: _errors(hops.results[-1], truth) for name, hops in ((PLAIN, plain), (FULL, full))}
     if PYOMA in others:
         errors[PYOMA] = _nearest(others[PYOMA]()[0][:, 7], truth)
     return costs, errors
+
+
+def cold(rounds: int) -> dict[str, Cost]:
+    """Costs of single hops between others' work that empties the caches, as a daemon's that comes once in 10 s."""
+    healthy, x = baseline(configuration()), np.random.default_rng(0).standard_normal((600, 600))
+    things = {
+        "others' work": lambda: np.linalg.svd(x),
+        PLAIN: Hops(configuration(refined=False, uncertainty=False), healthy),
+        "others' work again": lambda: np.linalg.svd(x),
+        FULL: Hops(configuration(), healthy),
+    }
+    costs = interleaved(things, rounds)
+    return {name: costs[name] for name in (PLAIN, FULL)}
 
 
 def _errors(result: WindowResult, truth: Array) -> list[float]:
