@@ -19,7 +19,7 @@ from monitor.cli_common import warn
 from monitor.errors import MissingInputError, WrongUsageError
 from monitor.parse import parse_address
 
-_LOOPBACK = "127.0.0.1"
+_LOOPBACK, _PORT = "127.0.0.1", 9090
 _SCREENS = ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET")
 
 
@@ -31,11 +31,17 @@ def view(
         bool, typer.Option("--web", help="In a browser: says the address, serves until interrupted.")
     ] = False,
     bind: Annotated[
-        str, typer.Option(metavar="ADDRESS", help="Where --web listens; there is no password.")
-    ] = _LOOPBACK,
-    port: Annotated[int, typer.Option(min=0, max=65535, help="Of the page, for --web; 0 takes a free one.")] = 9090,
+        str | None,
+        typer.Option(metavar="ADDRESS", help=f"Where --web listens, {_LOOPBACK} by default; there is no password."),
+    ] = None,
+    port: Annotated[
+        int | None,
+        typer.Option(min=0, max=65535, help=f"Of the page, for --web, {_PORT} by default; 0 takes a free one."),
+    ] = None,
 ) -> None:
     """Show a run in the Rerun viewer, or with --web in a browser."""
+    if not web and (bind is not None or port is not None):
+        raise WrongUsageError("--bind and --port go with --web")
     source, program = _source(what), _program()
     if not web and sys.platform == "linux" and not any(os.environ.get(name) for name in _SCREENS):
         raise WrongUsageError(
@@ -46,6 +52,7 @@ def view(
         # By itself the viewer would take data from whoever reaches port 9876, and hand `source` to a daemon that serves there.
         os.environ["RUST_LOG"] = "error"
         os.execv(program, [program, source, "--bind", _LOOPBACK, "--port", "auto"])
+    bind, port = _LOOPBACK if bind is None else bind, _PORT if port is None else port
     if bind != _LOOPBACK:
         warn(f"whoever reaches {bind} can see this; prefer an SSH tunnel to {_LOOPBACK}")
     page, data = _free(bind, port), _free(bind, 0)

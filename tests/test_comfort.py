@@ -109,6 +109,7 @@ def test_progress_is_for_terminals_only(site: Path, main: Cli) -> None:
         (["view", "nowhere"], 66, "replay --out DIR"),
         (["view", "."], 66, "leaves one"),
         (["view", "s.toml", "--web", "--port", "-1"], 2, "--port"),
+        (["view", "s.toml", "--port", "8000"], 2, "--web"),
         (["replay", "nowhere.mcap", "--structure", "s.toml", "--out", "o"], 66, "nowhere.mcap"),
         (["report", ".", "--out", "x.html"], 66, "replay --out"),
     ],

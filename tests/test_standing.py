@@ -6,10 +6,13 @@ import pytest
 
 from drivers.base import ACCELERATION
 from monitor.diagnose import diagnose
+from monitor.diagnosis_files import content as content_of
 from monitor.discrepancy import learn
 from monitor.effects import Context, Effect, parse_effect
 from monitor.evidence import classify
+from monitor.gain import Gain
 from monitor.model import Model
+from monitor.publish.report import page
 from monitor.record import blocks_of
 from monitor.segments import Segments, gather
 from monitor.simulate import simulate
@@ -49,8 +52,11 @@ def test_what_calibration_cannot_tell_apart_is_no_news_later(standing: tuple[str
     known = learn(recorded(1, *standing), CONFIG)
     assert ("ambient_forces" in [e.name for e in known.model.effects]) == (standing == (FORCES,))
     another_day = tuple(ANOTHER_DAY if e == FORCES else e for e in standing)
-    clean = diagnose(classify(recorded(2, *another_day)), known, CONTEXT, CONFIG.diagnosis)
+    segments = recorded(2, *another_day)
+    clean = diagnose(classify(segments), known, CONTEXT, CONFIG.diagnosis)
     assert clean.verdict == "none"
+    shown = page(clean, content_of(clean, Gain(), (), {"without": [], "with": []}), segments)
+    assert ("forces on the floors at calibration" in shown, "rise_1" in shown) == (standing == (FORCES,), False)
     loss = diagnose(
         classify(recorded(3, *standing, "stiffness_change:story 2:relative=-0.06")), known, CONTEXT, CONFIG.diagnosis
     )

@@ -11,12 +11,14 @@ import numpy as np
 
 from monitor.diagnose import Diagnosis
 from monitor.effects import FORMS
+from monitor.effects.ambient_forces import AmbientForces
 from monitor.files import write_atomically
 from monitor.publish import charts
 from monitor.publish.charts import Axes, svg
 from monitor.publish.comparison import Comparison, LevelDependence, compare, level_dependence
 from monitor.publish.page import document, table
 from monitor.publish.words import headline, in_words, interval, separating_measurement, unit
+from monitor.results import Array
 from monitor.segments import Segments
 
 __all__ = ["headline", "in_words", "page", "separating_measurement", "write_report"]
@@ -24,6 +26,8 @@ __all__ = ["headline", "in_words", "page", "separating_measurement", "write_repo
 Content = Mapping[str, Any]
 
 _NAMES = {"none": "nothing wrong", "named": "cause named", "ambiguous": "ambiguous", "unexplained": "unexplained"}
+_DRAWN = "rise_"
+"""Parameters that a curve shows: those of the spectrum of `AmbientForces`."""
 _SHOWN = 12
 """Rows of the misfit's table, bars of a ranking."""
 
@@ -51,7 +55,7 @@ def page(diagnosis: Diagnosis, content: Content, segments: Segments) -> str:
         _misfit(compared, diagnosis),
         "" if by_level is None else _levels(by_level),
         _ranking(diagnosis, content),
-        _parameters(diagnosis, content),
+        _parameters(diagnosis, content, compared.hz),
         _data(diagnosis, content, segments, compared),
     ]
     return document(f"Diagnosis: {told}", parts)
@@ -207,7 +211,7 @@ def _ranking(diagnosis: Diagnosis, content: Content) -> str:
     return "".join(out)
 
 
-def _parameters(diagnosis: Diagnosis, content: Content) -> str:
+def _parameters(diagnosis: Diagnosis, content: Content, hz: Array) -> str:
     """Causes with their numbers, alternatives, standing causes."""
     reference = diagnosis.problem.reference
     out = []
@@ -216,13 +220,15 @@ def _parameters(diagnosis: Diagnosis, content: Content) -> str:
         rows: list[Sequence[str]] = []
         for c in causes:
             first = in_words(c["effect"], c["location"], c["parameters"], reference)
-            for name, entry in c["parameters"].items() or [("", {})]:
+            shown = {k: v for k, v in c["parameters"].items() if not k.startswith(_DRAWN)}
+            for name, entry in shown.items() or [("", {})]:
                 value = interval(entry, 1.0, unit(name)) if name else ""
                 rows.append((c["effect"], c["location"], name, value, first))
                 first = ""
         if rows:
             out.append(f"<h2>{title}</h2>" + table(["effect", "place", "parameter", "value", "in words"], rows))
             out.append(_signs(causes))
+    out += [_colour(effect, hz) for effect in reference.model.effects if isinstance(effect, AmbientForces)]
     if content["alternatives"]:
         rivals = [
             (a["effect"], a["location"], f"{100 * a['probability']:.0f} %",
@@ -238,6 +244,21 @@ def _parameters(diagnosis: Diagnosis, content: Content) -> str:
         head = ["damage index (stiffness lost)", "#by refitting stiffness alone", "#beside the causes"]
         out.append("<h2>What it does to the damage index</h2>" + table(head, losses))
     return "".join(out)
+
+
+def _colour(forces: AmbientForces, hz: Array) -> str:
+    """The spectrum of the forces of every day."""
+    density = np.asarray(forces.colour(hz))
+    axes = Axes(
+        (float(hz[0]), float(hz[-1])),
+        (float(density.min()) / 1.3, float(density.max()) * 1.3),
+        (62, 22, 1010, 120),
+        True,
+    )
+    title = "forces on the floors at calibration: power density, 1 at 8 Hz; white ones would be level"
+    return (
+        f"<figure>{svg(1080, 176, title, axes.frame(title, 'frequency, Hz'), axes.line(hz, density, 'after'))}</figure>"
+    )
 
 
 def _signs(causes: Sequence[Content]) -> str:
