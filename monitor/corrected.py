@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from monitor.effects import EFFECTS, Effect
 from monitor.evidence import Evidence
-from monitor.likelihood import NUDGE, Problem
+from monitor.likelihood import Problem
 from monitor.motion import forced_drift
 from monitor.results import Array, ComplexArray
 from monitor.wishart import definite, grown_by
@@ -103,9 +103,7 @@ class Corrected(Problem):
         """See `Problem.slope`; of every class its own, since a law that bends much has its peaks elsewhere in each."""
         if not self._acts(effects):
             return Problem.slope(self, x, i, effects, spectra)
-        moved = x.copy()
-        moved[i] += NUDGE
-        return np.asarray((self.smooth(self.scatter(moved, effects)) - spectra) / NUDGE)
+        return self.slope_by_class(x, i, effects, spectra)
 
     def _acts(self, effects: Sequence[Effect]) -> bool:
         """Whether the correction is that of these effects."""

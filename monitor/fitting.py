@@ -9,8 +9,11 @@ import numpy as np
 
 from monitor.effects import Effect
 from monitor.likelihood import Problem, placed
+from monitor.reference import inverse
 from monitor.results import Array
 
+_STANDING = 0.1
+"""Longest step of a standing misfit's coordinates, in their units."""
 _NEAR = 1.0
 """Nats gained by a step after which the slopes are taken as they are."""
 
@@ -122,14 +125,8 @@ def _limited(problem: Problem, x: Array, step: Array, effects: Sequence[Effect])
     p = problem.reference.mean.size
     bound[: k + m] = 0.1
     bound[k + m : k + m + d + c] = 1.0
-    bound[k + m + d + c : p] = 0.1
+    bound[k + m + d + c : p] = _STANDING * problem.reference.units[k + m + d + c :]
     bound[p : problem.n_nuisance] = 2.0
     logarithms = [p.scale == "log" for e in effects for p in e.parameters]
     bound[problem.n_nuisance :] = np.where(logarithms, 0.5, np.inf)
     return np.asarray(x + np.clip(step, -bound, bound))
-
-
-def inverse(normal: Array) -> Array:
-    """Inverse of a normal matrix whose parameters have different units; directions without information get none."""
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
-    return np.asarray(scale[:, None] * np.linalg.pinv(normal * scale[:, None] * scale, hermitian=True) * scale)

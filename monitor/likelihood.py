@@ -31,7 +31,7 @@ _FORCE_STD, _LEVEL_STD, _NOISE_STD = 1.0, 5.0, 3.0
 """Prior of the logarithm of the floors' forces about their mean, of the classes' levels, of the common noise."""
 _WIND_STD = 0.15
 """The same of forces that a measured ground's quiet tells, about what they are all the time."""
-NUDGE = 1e-5
+_NUDGE = 1e-5
 """Finite difference of a nuisance, most of which are logarithms."""
 
 
@@ -152,21 +152,28 @@ class Problem(Forward):
         return out
 
     def slope(self, x: Array, i: int, effects: tuple[Effect, ...], spectra: ComplexArray) -> ComplexArray:
-        """As `slopes`, by nuisance i alone: taken at the middle class and scaled by level, as it only weighs the residual."""
+        """As `slopes`, by nuisance i alone: taken at the middle class and scaled by level, as it only weighs the residual, but
+        for what standing effects do to every class in its own way."""
+        if i in self._by_class:
+            return self.slope_by_class(x, i, effects, spectra)
         middle, first = self.n_classes // 2, self.reference.mean.size + self.context.structure.n_dofs
         scale = np.ones(self.n_classes)
         if self.evidence.power is None:
             scale = np.exp(x[first : first + self.n_classes] - x[first + middle])
-        moved = x.copy()
-        moved[i] += NUDGE
+        h, moved = self.nudged(x, i, effects)
         change = self.smooth(self.scatter(moved, effects, classes=[middle]))[0] - spectra[middle]
-        return np.asarray(change / NUDGE * scale[:, None, None, None])
+        return np.asarray(change / h * scale[:, None, None, None])
+
+    def slope_by_class(self, x: Array, i: int, effects: tuple[Effect, ...], spectra: ComplexArray) -> ComplexArray:
+        """As `slope`, of every class its own."""
+        h, moved = self.nudged(x, i, effects)
+        return np.asarray((self.smooth(self.scatter(moved, effects)) - spectra) / h)
 
     def effect_slopes(self, x: Array, effects: tuple[Effect, ...], spectra: ComplexArray) -> ComplexArray:
         """As `slopes`, by the extra effects' coordinates alone."""
         out = np.empty((x.size - self.n_nuisance, *spectra.shape), dtype=complex)
         for j in range(len(out)):
-            h, moved = self._nudged(x, self.n_nuisance + j, effects)
+            h, moved = self.nudged(x, self.n_nuisance + j, effects)
             out[j] = (self.smooth(self.scatter(moved, placed(effects, moved[self.n_nuisance :]))) - spectra) / h
         return out
 
@@ -182,7 +189,7 @@ class Problem(Forward):
         own = self.bent if self.bent is not None and self.bent.laws == _laws(effects) else None
         out = []
         for i in wanted:
-            h, moved = self._nudged(x, i, effects)
+            h, moved = self.nudged(x, i, effects)
             if i >= self.n_nuisance:
                 there = self.mean(moved, placed(effects, moved[self.n_nuisance :]))
                 assert there is not None
@@ -206,7 +213,7 @@ class Problem(Forward):
         here = bent(x)
 
         def added(i: int) -> ComplexArray:
-            h, moved = self._nudged(x, i, effects)
+            h, moved = self.nudged(x, i, effects)
             return np.asarray((bent(moved) - here) / h)
 
         slopes = np.zeros((self.n_nuisance, *here.shape), dtype=complex)
@@ -220,6 +227,13 @@ class Problem(Forward):
         linear = self.mean(x, effects, exact=False)
         assert linear is not None
         return linear
+
+    @property
+    def _by_class(self) -> list[int]:
+        """Coordinates of standing effects that depend on the condition, or do not follow the level."""
+        first = self.reference.mean.size - self.reference.n_standing
+        conditional = [e.conditional or bool(e.lines()) for e in self.reference.model.effects for _ in e.parameters]
+        return [first + j for j, by_class in enumerate(conditional) if by_class]
 
     @property
     def _moving(self) -> list[int]:
@@ -258,10 +272,13 @@ class Problem(Forward):
         rows = whiten(spectra, stacked, root)
         return rows[:, :-1], rows[:, -1]
 
-    def _nudged(self, x: Array, i: int, effects: Sequence[Effect]) -> tuple[float, Array]:
+    def nudged(self, x: Array, i: int, effects: Sequence[Effect]) -> tuple[float, Array]:
         """Finite difference for coordinate i, and x moved by it."""
         j, least = i - self.n_nuisance, [p.least for e in effects for p in e.parameters]
-        h = NUDGE if j < 0 else 1e-4 * max(abs(x[i]), least[j])
+        if j >= 0:
+            h = 1e-4 * max(abs(x[i]), least[j])
+        else:
+            h = _NUDGE * (self.reference.units[i] if i < self.reference.mean.size else 1.0)
         moved = x.copy()
         moved[i] += h
         return h, moved

@@ -73,7 +73,7 @@ def polish(problem: Problem, null: Fit, candidate: Candidate, *, fine: bool = Fa
     """Refit a candidate with nonlinear laws, its linearization corrected by simulation at the fitted size."""
     made = settle(problem, candidate.fit, fine=fine)
     softening = any(isinstance(e, CubicStiffness) and e.k3_n_per_m3 < 0.0 for e in candidate.fit.effects)
-    if softening and np.abs(made.problem.relative[0]).max() > _WILD:
+    if softening and not fine and np.abs(made.problem.relative[0]).max() > _WILD:
         other = settle(problem, _weaker(problem, candidate.fit), fine=fine)
         made = max(made, other, key=lambda m: m.fit.log_posterior)
     drift_skewness = skewness(made.transforms, problem)[0]

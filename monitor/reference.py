@@ -52,9 +52,19 @@ class Reference:
         return out
 
     @property
+    def units(self) -> Array:
+        """Sizes by which the coordinates are small or large: one, and of the standing effects' that of their own."""
+        return np.concatenate([np.ones(self.mean.size - self.n_standing), *[e.units for e in self.model.effects]])
+
+    @property
+    def covariance(self) -> Array:
+        """Of the coordinates; those without any precision have none."""
+        return inverse(self.precision)
+
+    @property
     def standing_std(self) -> list[Array]:
         """Standard deviations of every standing effect's coordinates, shape (p,) each."""
-        return self.standing(np.sqrt(np.diag(np.linalg.inv(self.precision))))
+        return self.standing(np.sqrt(np.diag(self.covariance)))
 
     @property
     def channel_noises(self) -> slice:
@@ -104,10 +114,10 @@ class Reference:
 
     def _looser(self, first: int, std: Array) -> Reference:
         """Where coordinates from `first` on may differ by so much more."""
-        covariance = np.linalg.inv(self.precision)
+        covariance = self.covariance
         these = np.arange(first, first + std.size)
         covariance[these, these] += std**2
-        precision = np.linalg.inv(covariance)
+        precision = inverse(covariance)
         return replace(self, precision=0.5 * (precision + precision.T))
 
 
@@ -145,6 +155,14 @@ def nominal(
     std = np.concatenate(
         [prior_std, np.full(n, 0.7), np.full(n_channels, 0.1), np.full(n_modes * (n_modes + 1) // 2, correction_std)]
     )
-    fixed = np.full(mean.size - std.size, 1e12)  # effects that the file states are taken as stated
+    fixed = np.concatenate(
+        [[], *[(1e-6 * e.units) ** -2 for e in model.effects]]
+    )  # what the file states is taken as stated
     basis = correction_basis(model, n_modes)
     return Reference(model, mean, np.diag(np.concatenate([std**-2.0, fixed])), basis)
+
+
+def inverse(normal: Array) -> Array:
+    """Inverse of a normal matrix whose parameters have different units; directions without information get none."""
+    scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    return np.asarray(scale[:, None] * np.linalg.pinv(normal * scale[:, None] * scale, hermitian=True) * scale)

@@ -10,11 +10,12 @@ from itertools import chain
 import numpy as np
 
 from monitor.effects import EFFECTS, Context, Effect, EffectError, locations
-from monitor.fitting import Fit, fit, inverse
+from monitor.fitting import Fit, fit
 from monitor.forward import Prediction
 from monitor.likelihood import Problem
 from monitor.parallel import each
 from monitor.preparation import COARSE, FAR, LONG, ROUGHLY
+from monitor.reference import inverse
 from monitor.results import Array
 
 _QUICKLY, _BRIEFLY = 5, 6
@@ -168,7 +169,7 @@ def _dragged(problem: Problem, null: Fit) -> bool:
 def _at_rest(problem: Problem, null: Fit, *more: Effect) -> tuple[Problem, Fit]:
     """The problem with its structure held where it was known to be, fitted; with further effects."""
     known = problem.reference
-    held = replace(problem, reference=replace(known, precision=known.precision + _HELD * np.eye(known.mean.size)))
+    held = replace(problem, reference=replace(known, precision=known.precision + np.diag(_HELD / known.units**2)))
     x = np.concatenate([known.mean, null.x[known.mean.size :]])
     return held, fit(held, x, (*null.effects, *more), iterations=_BRIEFLY)
 

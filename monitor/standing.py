@@ -10,7 +10,7 @@ from scipy.linalg import block_diag
 from monitor.effects import Context
 from monitor.evidence import Evidence
 from monitor.preparation import prepare
-from monitor.reference import Reference, correction_basis
+from monitor.reference import Reference, correction_basis, inverse
 from monitor.results import Array
 
 _FIXED = 1e-4
@@ -58,7 +58,7 @@ def learn(evidence: Evidence, known: Reference, context: Context) -> tuple[Refer
     wider = replace(known, mean=mean, precision=prior, basis=basis)
     _, fitted = prepare(evidence, wider, context)
     p = mean.size
-    precision = np.linalg.inv(fitted.covariance[:p, :p])
+    precision = inverse(fitted.covariance[:p, :p])
     learnt = replace(wider, mean=fitted.x[:p], precision=0.5 * (precision + precision.T))
     learnt = learnt.with_looser_damping(np.full(d, _DAMPING_DRIFT)).with_looser_noise(np.full(c, _NOISE_DRIFT))
     learnt = learnt.with_daily_standing()

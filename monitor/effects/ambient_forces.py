@@ -34,7 +34,7 @@ class AmbientForces(Effect):
     proportional: ClassVar[bool] = False
     places: ClassVar[tuple[str, ...]] = ("frame",)
     parameters: ClassVar[tuple[Parameter, ...]] = (
-        Parameter("common_share", 0.0, 0.99, closed=True, least=1e-3),
+        Parameter("common_share", 0.0, 0.99, closed=True, least=1.0),
         *(Parameter(f"rise_{i}", -50.0, 50.0, least=1.0) for i in range(1, _KNOTS_HZ.size)),
     )
     daily: ClassVar[tuple[float, ...]] = (0.05,) + (0.1,) * (_KNOTS_HZ.size - 1)

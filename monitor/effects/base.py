@@ -218,6 +218,12 @@ class Effect(ABC):
         return np.array([p.coordinate(getattr(self, p.name)) for p in self.parameters])
 
     @property
+    def units(self) -> Array:
+        """Sizes by which the coordinates are small or large, shape (p,): one for logarithms, else what they are here."""
+        sizes = zip(self.parameters, np.abs(self.coordinates), strict=True)
+        return np.array([1.0 if p.scale == "log" else max(size, p.least) for p, size in sizes])
+
+    @property
     def form_std(self) -> Array:
         """Standard deviation of the coordinates by `form_doubt`, shape (p,)."""
         return np.asarray(np.abs(self.coordinates) * np.array(self.form_doubt or (0.0,) * len(self.parameters)))
