@@ -30,7 +30,7 @@ class Corrected(Problem):
     """A problem with the linear terms of the correction by the laws' sizes; `offset` is its value at their centre."""
 
     laws: tuple[tuple[str, str], ...] = ()
-    """Names and places of the effects that were simulated."""
+    """Names and places of the effects that were simulated, besides those that stand."""
     centre: Array = field(default_factory=lambda: np.zeros(0))
     """Their coordinates there, shape (p,)."""
     base: ComplexArray = field(default_factory=lambda: np.zeros(0, dtype=complex))
@@ -83,7 +83,7 @@ class Corrected(Problem):
             return None
         here = [e for e in effects if (e.name, e.location) in self.laws]
         scale = self._scale(x, here)
-        sizes = np.concatenate([e.coordinates for e in here]) / scale
+        sizes = np.concatenate([[], *[e.coordinates for e in here]]) / scale
         relative = np.tensordot(np.append(1.0, sizes - self.centre), self.relative, axes=1)
         if any(e.amplitude_powers for e in here):
             centre = iter(np.split(self.centre * scale, np.cumsum([len(e.parameters) for e in here])))
@@ -178,8 +178,8 @@ def corrected(
     """
     plain = {f.name: getattr(problem, f.name) for f in fields(Problem)}
     linear, hz = replace(problem, offset=None), problem.evidence.band.hz
-    acting = [e for e in effects if e.nonlinear]
-    centre = np.concatenate([e.coordinates for e in acting])
+    acting = [e for e in effects if e.nonlinear]  # beside those that stand
+    centre = np.concatenate([[], *[e.coordinates for e in acting]])
 
     def relative_at(sizes: Array, offset: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
         parts = iter(np.split(sizes, np.cumsum([len(e.parameters) for e in acting])))

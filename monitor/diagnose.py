@@ -19,8 +19,8 @@ from monitor.fitting import Fit, fit
 from monitor.likelihood import Problem
 from monitor.misfit import Misfit, misfits, remainder, strayed
 from monitor.parallel import each
-from monitor.polish import Polished, finish, polish, settle, skewness
-from monitor.preparation import FAR, beside_wind, between_samples, exactly, prepare
+from monitor.polish import Polished, beside_standing, finish, polish, prepared, settle, skewness
+from monitor.preparation import FAR, beside_wind, between_samples, exactly
 from monitor.reference import Reference
 from monitor.results import Array
 from monitor.revision import joined, missed, moved, only, revised
@@ -93,7 +93,7 @@ def diagnose(evidence: Evidence, reference: Reference, context: Context, setting
 
     After a cause is accepted the search is repeated on the extended model, until nothing is left that it explains.
     """
-    problem, null = prepare(evidence, reference, context)
+    problem, null = prepared(evidence, reference, context)
     stage = _Stage(problem, null, null, (), np.zeros(context.structure.n_stories), settings.margin)
     rounds: list[tuple[Candidate, ...]] = []
     alternatives: tuple[tuple[Candidate, float], ...] = ()
@@ -201,7 +201,9 @@ def _finished(
     at, doubt = only(near, at, near.doubt, kept)
     # The last effect of an ambiguous answer was not accepted.
     accepted = tuple(c for c, stays in zip(accepted, kept, strict=False) if stays)
-    return near if _bent(at) else replace(near, offset=None), at, accepted, doubt
+    if not _bent(at):
+        return *beside_standing(near, at), accepted, doubt
+    return near, at, accepted, doubt
 
 
 def _verdict(

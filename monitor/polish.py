@@ -14,12 +14,16 @@ from typing import Any
 import numpy as np
 
 from monitor.corrected import Corrected, corrected
+from monitor.effects import Context
 from monitor.effects.cubic_stiffness import CubicStiffness
+from monitor.evidence import Evidence
 from monitor.exact import exact, forces, offset, offsets
 from monitor.fitting import Fit, fit
 from monitor.likelihood import Problem, placed
 from monitor.motion import conditions
 from monitor.parallel import each
+from monitor.preparation import prepare
+from monitor.reference import Reference
 from monitor.results import Array, ComplexArray
 from monitor.search import Candidate, evidence_of
 from monitor.stepping import loaded
@@ -40,6 +44,8 @@ _WILD, _WEAKER = 10.0, 0.7
 at else."""
 _UNSETTLED = 0.5
 """Share of the last move that is a standard deviation."""
+_STANDING = 2
+"""Times that laws which stand are simulated before anything else is looked for."""
 _OTHER = 1000
 """First seed of the simulations that slopes come from: chance that they shared with the offset would pull the fit."""
 _FEIGNED, _MUCH, _SLOPED = 0.5, 0.25, 5
@@ -83,6 +89,23 @@ def polish(problem: Problem, null: Fit, candidate: Candidate, *, fine: bool = Fa
     lost = made.problem.lost
     better = replace(better, gain=better.gain + lost, evidence=better.evidence + lost)
     return Polished(better, made.problem, drift_skewness, float(np.sqrt(2.0 * lost)))
+
+
+def prepared(evidence: Evidence, reference: Reference, context: Context) -> tuple[Problem, Fit]:
+    """As `prepare`, with what simulation adds to the laws that stand."""
+    problem, null = prepare(evidence, reference, context)
+    for _ in range(_STANDING):
+        problem, null = beside_standing(problem, null)
+    return problem, null
+
+
+def beside_standing(problem: Problem, at: Fit) -> tuple[Problem, Fit]:
+    """Without the correction of any law but those that stand, refitted; as it is where none does or the ground was measured."""
+    linear = replace(problem, offset=None)
+    if problem.evidence.drive is not None or not any(e.nonlinear for e in problem.reference.effects(at.x)):
+        return linear, at
+    made = settle(linear, at)
+    return made.problem, made.fit
 
 
 def settle(problem: Problem, at: Fit, *, fine: bool = True) -> Settled:

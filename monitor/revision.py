@@ -14,7 +14,7 @@ from monitor.fitting import Fit, fit
 from monitor.likelihood import Problem
 from monitor.motion import conditions
 from monitor.parallel import each
-from monitor.polish import Polished
+from monitor.polish import Polished, beside_standing
 from monitor.results import Array
 from monitor.search import Candidate, evidence_of, judge
 
@@ -91,7 +91,9 @@ def revised(
         if isinstance(problem, Corrected):
             problem = replace(problem, doubt=np.zeros(0))  # which was that of other causes
         at = fit(problem, at.x, at.effects)
-    return problem if any(e.nonlinear for e in at.effects) else replace(problem, offset=None), at, tuple(kept)
+    if not any(e.nonlinear for e in at.effects) and any(c.effect.nonlinear for c in accepted):
+        problem, at = beside_standing(problem, at)  # its law is gone
+    return problem, at, tuple(kept)
 
 
 def only(problem: Problem, at: Fit, doubt: Array, kept: Sequence[bool]) -> tuple[Fit, Array]:

@@ -9,7 +9,7 @@ from scipy.linalg import block_diag
 
 from monitor.effects import Context
 from monitor.evidence import Evidence
-from monitor.preparation import prepare
+from monitor.polish import prepared
 from monitor.reference import Reference, correction_basis, inverse
 from monitor.results import Array
 
@@ -34,7 +34,7 @@ def learn(evidence: Evidence, known: Reference, context: Context) -> tuple[Refer
     ndarray, shape (e,)
         The correction, relative to the modes' stiffness.
     """
-    _, form = prepare(evidence, known, context)
+    _, form = prepared(evidence, known, context)
     k, m, d, c, _ = known.sizes
     x = form.x[: known.mean.size]
     model = known.model.with_stiffness(np.exp(x[:k])).with_masses(np.exp(x[k : k + m]))
@@ -56,7 +56,7 @@ def learn(evidence: Evidence, known: Reference, context: Context) -> tuple[Refer
         known.precision[sizes, sizes] + np.diag(held),
     )
     wider = replace(known, mean=mean, precision=prior, basis=basis)
-    _, fitted = prepare(evidence, wider, context)
+    _, fitted = prepared(evidence, wider, context)
     p = mean.size
     precision = inverse(fitted.covariance[:p, :p])
     learnt = replace(wider, mean=fitted.x[:p], precision=0.5 * (precision + precision.T))
