@@ -94,9 +94,11 @@ def polish(problem: Problem, null: Fit, candidate: Candidate, *, fine: bool = Fa
 def prepared(evidence: Evidence, reference: Reference, context: Context) -> tuple[Problem, Fit]:
     """As `prepare`, with what simulation adds to the laws that stand."""
     problem, null = prepare(evidence, reference, context)
+    simulated = (problem, null)
     for _ in range(_STANDING):
-        problem, null = beside_standing(problem, null)
-    return problem, null
+        simulated = beside_standing(*simulated)
+    # Near the strongest motion that a law allows, forces fitted to its linear form make it run away: then that form stays.
+    return max(simulated, (problem, null), key=lambda made: made[1].log_posterior)
 
 
 def beside_standing(problem: Problem, at: Fit) -> tuple[Problem, Fit]:
