@@ -116,7 +116,7 @@ def learn(segments: Segments, config: Configuration) -> Reference:
         stays = [sure(e, std) for e, std in zip(learnt.effects(learnt.mean), learnt.standing_std, strict=True)]
         kept = tuple(e for e, own in zip(causes, stays[len(stays) - len(causes) :], strict=True) if own)
         if kept == causes:
-            return learnt
+            return learnt.with_daily_standing().with_known_lines()
         causes = kept  # beside the rest, the others are nothing
 
 

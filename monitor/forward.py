@@ -15,6 +15,9 @@ from monitor.prediction import Excitation, cross_spectra, extended, modally_damp
 from monitor.reference import Reference
 from monitor.results import Array, ComplexArray
 
+_LINE_BINS, _LINE_SHARE = 3.0, 0.01
+"""How far either side of a known machine's line spectra are not compared: in bins, and of its frequency (motors slip)."""
+
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Prediction:
@@ -58,9 +61,14 @@ class Forward:
         return int(self.reference.mean.size) + self.context.structure.n_dofs + self.n_classes + 1
 
     def widths(self) -> Array:
-        """Bins in each (coarse) bin."""
-        n = self.evidence.band.n_bins
-        return np.ones(n) if self.smoothing is None else 1.0 / (self.smoothing**2).sum(axis=1)
+        """Bins in each (coarse) bin; none about the lines of machines that are known."""
+        if self.smoothing is not None:
+            return np.asarray(1.0 / (self.smoothing**2).sum(axis=1))
+        band = self.evidence.band
+        out = np.ones(band.n_bins)
+        for line in self.reference.known_lines_hz:
+            out[np.abs(band.hz - line) <= max(_LINE_BINS * band.bin_hz, _LINE_SHARE * line)] = 0.0
+        return out
 
     def data(self) -> ComplexArray:
         """Measured cross-spectra, (classes, bins, c, c)."""

@@ -106,8 +106,8 @@ class Problem(Forward):
         """
         log_det, trace = log_det_and_trace(spectra, self.data() if data is None else data)
         if levelled:
-            c = spectra.shape[-1]
-            level = trace.mean(axis=1, keepdims=True) / c
+            c, widths = spectra.shape[-1], self.widths()
+            level = (trace @ widths)[:, None] / (c * widths.sum())
             log_det, trace = log_det + c * np.log(level), trace / level
         total = ((-log_det - trace) * self.widths()).sum(axis=1) @ self.evidence.counts * self.evidence.weight
         return float(total) if np.isfinite(total) else -np.inf

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import accumulate, pairwise
 
@@ -11,6 +12,8 @@ from monitor.effects import Effect
 from monitor.model import Model
 from monitor.results import Array
 
+_STATED = 1e-6
+"""Relative standard deviation of what the structure file states of effects."""
 _ANY_NOISE = 3.0
 """Standard deviation of the logarithm of a noise density that is not known."""
 
@@ -28,6 +31,8 @@ class Reference:
     basis: Array
     """Stiffness corrections that the standing misfit may be made of, shape (e, n, n), N/m; e = 0 for none."""
     reference_degc: float | None = None
+    known_lines_hz: tuple[float, ...] = ()
+    """Lines of machines that are known: what a recording has about them tells of those, not of the structure."""
 
     @property
     def sizes(self) -> tuple[int, int, int, int, int]:
@@ -98,8 +103,13 @@ class Reference:
 
     def with_daily_standing(self) -> Reference:
         """Where standing effects may be of another size on another day, as far as they say so."""
-        std = np.concatenate([[], *[e.daily or np.zeros(len(e.parameters)) for e in self.model.effects]])
+        std = np.concatenate([[], *[e.units * (e.daily or 0.0) for e in self.model.effects]])
         return self._looser(self.mean.size - self.n_standing, std) if std.any() else self
+
+    def with_known_lines(self) -> Reference:
+        """Where machines among the standing effects may run a little faster or slower, and unsteadily."""
+        lines = tuple(line.frequency_hz for e in self.effects(self.mean) for line in e.lines())
+        return replace(self, known_lines_hz=lines)
 
     def with_any_noise(self) -> Reference:
         """Where the channels, all alike, may be more or less noisy than the sensor of the ground."""
@@ -155,11 +165,14 @@ def nominal(
     std = np.concatenate(
         [prior_std, np.full(n, 0.7), np.full(n_channels, 0.1), np.full(n_modes * (n_modes + 1) // 2, correction_std)]
     )
-    fixed = np.concatenate(
-        [[], *[(1e-6 * e.units) ** -2 for e in model.effects]]
-    )  # what the file states is taken as stated
     basis = correction_basis(model, n_modes)
-    return Reference(model, mean, np.diag(np.concatenate([std**-2.0, fixed])), basis)
+    precision = np.diag(np.concatenate([std**-2.0, as_stated(model.effects)]))
+    return Reference(model, mean, precision, basis).with_known_lines()
+
+
+def as_stated(effects: Sequence[Effect]) -> Array:
+    """Precision of coordinates that are taken as stated."""
+    return np.concatenate([[], *[(_STATED * e.units) ** -2.0 for e in effects]])
 
 
 def inverse(normal: Array) -> Array:

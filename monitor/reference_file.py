@@ -10,10 +10,7 @@ from scipy.linalg import block_diag
 
 from monitor.effects import FORMS
 from monitor.model import Model
-from monitor.reference import Reference
-
-_STATED = 1e12
-"""Precision of what is taken as stated."""
+from monitor.reference import Reference, as_stated
 
 
 def to_plain(reference: Reference | None) -> dict[str, Any] | None:
@@ -63,7 +60,7 @@ def from_plain(content: dict[str, Any] | None, model: Model, channels: tuple[str
     return Reference(
         model=replace(model, effects=effects + added),
         mean=np.concatenate([mean, stated]),
-        precision=block_diag(precision, _STATED * np.eye(stated.size)) if stated.size else precision,
+        precision=block_diag(precision, np.diag(as_stated(added))) if stated.size else precision,
         basis=basis,
         reference_degc=None if degc is None else float(degc),
-    )
+    ).with_known_lines()

@@ -61,6 +61,5 @@ def learn(evidence: Evidence, known: Reference, context: Context) -> tuple[Refer
     precision = inverse(fitted.covariance[:p, :p])
     learnt = replace(wider, mean=fitted.x[:p], precision=0.5 * (precision + precision.T))
     learnt = learnt.with_looser_damping(np.full(d, _DAMPING_DRIFT)).with_looser_noise(np.full(c, _NOISE_DRIFT))
-    learnt = learnt.with_daily_standing()
     learnt = learnt.with_unseen_scale(float(np.sqrt(np.linalg.inv(known.precision[k : k + m, k : k + m]).sum()) / m))
     return learnt, learnt.parts(learnt.mean)[4]

@@ -175,7 +175,7 @@ class Effect(ABC):
     amplitude_powers: ClassVar[tuple[float, ...]] = ()
     """Of a story's nonlinear law: at a drift a times as large it acts as with parameters a^power times as large."""
     daily: ClassVar[tuple[float, ...]] = ()
-    """By how much each coordinate may be another on another day where it stands from the start, as standard deviations."""
+    """By how much each coordinate may be another on another day where it stands, in its units, as a standard deviation."""
     form_doubt: ClassVar[tuple[float, ...]] = ()
     """Relative standard deviation of each parameter that the law's form leaves open, whatever the data; none without."""
 

@@ -25,6 +25,7 @@ class HarmonicExcitation(Effect):
         Parameter("frequency_hz", 0.0, inf, "log"),
         Parameter("force_n", 0.0, inf, absent=0.0),
     )
+    daily: ClassVar[tuple[float, ...]] = (0.003, 1.0)
     signature: ClassVar[str] = (
         "a line at one frequency on every channel, narrower than any mode, with a narrow-band kurtosis of 1.5"
     )
