@@ -105,6 +105,11 @@ def diagnose(evidence: Evidence, reference: Reference, context: Context, setting
         close = together(tried, settings.rival)
         if len(close) > 1:
             close = _looked_ahead(close, settings)
+        beside = _beside(stage, close[0], settings) if len(close) > 1 else None
+        if beside is not None:  # the tie comes up again, last
+            stage, tried = beside
+            rounds[-1] = tuple(p.candidate for p in tried)
+            continue
         if len(close) > 1:
             alternatives = tuple(zip((p.candidate for p in close), probabilities(close).tolist(), strict=True))
             stage = replace(stage, problem=close[0].problem, at=close[0].candidate.fit)
@@ -185,6 +190,23 @@ def _with(stage: _Stage, best: Polished, settings: DiagnosisSettings) -> _Stage:
     if best.candidate.effect.nonlinear:
         margin = max(margin, settings.aftermath * best.candidate.gain, settings.margin + _SURE * best.chance)
     return _Stage(problem, at, stage.null, accepted, lean, margin)
+
+
+def _beside(stage: _Stage, tied: Polished, settings: DiagnosisSettings) -> tuple[_Stage, list[Polished]] | None:
+    """The stage with what is there whichever of some rivals is the cause, the best one being `tied`, and the candidates among
+    which it was found; None where there is nothing, or nothing that is told apart.
+    """
+    if len(stage.accepted) + 2 > settings.max_causes:
+        return None
+    there = _with(stage, tied, settings)
+    tried = _searched(there, settings)[1]
+    if not tried or tried[0].candidate.evidence < there.margin or len(together(tried, settings.rival)) > 1:
+        return None
+    found = tried[0].candidate.effect
+    if found.nonlinear:  # which is to be simulated with all else that is there
+        return None
+    alone = judge(stage.problem, stage.at, found)
+    return _with(stage, Polished(alone, stage.problem, stage.lean), settings), tried
 
 
 def _finished(

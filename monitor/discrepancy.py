@@ -100,11 +100,11 @@ def learn(segments: Segments, config: Configuration) -> Reference:
     if segments.temperature.size:
         known = replace(known, reference_degc=float(segments.temperature[:, 1].mean()))
     found = diagnose(evidence, known, context, config.diagnosis)
-    if found.verdict == "unexplained":
+    most = config.diagnosis.max_causes
+    if found.verdict == "unexplained" or len(found.causes) >= most:  # there may be more
         ambient = _with_standing(known, (AmbientForces("frame"),), context, found.problem.conditions[0])
         stated = any(isinstance(e, AmbientForces) for e in known.model.effects)
         shaped = evidence.drive is None and not stated and _gains(ambient, found)
-        most = config.diagnosis.max_causes
         if shaped or len(found.rounds) >= most:  # else the search had ended by itself, and would again
             known = ambient if shaped else known
             more = config.diagnosis.model_copy(update={"max_causes": max(most, _STANDING)})

@@ -22,6 +22,9 @@ from monitor.settings import Settings
 
 Indices = NDArray[np.intp]
 _RANK_TOLERANCE = 1e-12
+_LEAST_NOISE = 1e-5
+"""White noise, as a share of the power, that CVA's weights are formed with: where a lowpass leaves next to nothing up to half the
+rate, canonical correlations are all one otherwise, and rank nothing."""
 _SINGULAR_TOLERANCE = 1e-9
 _SQUARED_TOLERANCE, _APART = 1e-4, 1e-12
 """Least square of a singular value, and distance of two, over the largest, to be found as eigenvalues."""
@@ -127,10 +130,11 @@ def realise(sums: LagSums, settings: SsiSettings, past: tuple[int, ...], max_ord
         # PC's weight W2 turns the projection into Y_f Y_p^T, up to an orthogonal factor.
         values, white = _leading(g_fp, max_order)
     else:
-        half_pp = _inverse_root(full[earlier][:, earlier])
+        noise = _LEAST_NOISE if settings.variant == "CVA" else 0.0
+        half_pp = _inverse_root(full[earlier][:, earlier], noise)
         weighted = g_fp @ half_pp
         if settings.variant == "CVA":
-            weighted = _inverse_root(full[future, future]).T @ weighted
+            weighted = _inverse_root(full[future, future], noise).T @ weighted
         values, right = _leading(weighted, max_order)
         white = half_pp @ right
     # Noise-free data have no more singular values than the structure has states.
@@ -225,11 +229,14 @@ def _toeplitz(sums: LagSums, i: int, past: tuple[int, ...]) -> Array:
     return np.asarray(blocks.transpose(0, 3, 1, 2).reshape(i * lag_sum.shape[2], -1))
 
 
-def _inverse_root(matrix: Array) -> Array:
-    """W with W W^T the (pseudo-)inverse of a positive semidefinite matrix.
+def _inverse_root(matrix: Array, noise: float = 0.0) -> Array:
+    """W with W W^T the (pseudo-)inverse of a positive semidefinite matrix, plus white `noise` as a share of its mean power.
 
     Cholesky where the matrix has full rank; an eigenvalue decomposition where it has not (noise-free data).
     """
+    if noise:
+        matrix = matrix.copy()
+        matrix[np.diag_indices(len(matrix))] += noise * matrix.trace() / len(matrix)
     upper, failed = lapack.dpotrf(matrix)
     if not failed and upper.diagonal().min() ** 2 > _RANK_TOLERANCE * matrix.diagonal().max():
         return np.asarray(lapack.dtrtri(upper)[0])

@@ -297,7 +297,7 @@ def _iterated(
         if penalty == "initial":  # eq. 33 pulls towards the initial values, eq. 30 only brakes the step
             step -= _prior_pull(sensitivity, observation.weight, w_theta) @ (theta - initial)
         # A step that would make a stiffness negative is shortened: half way to zero at most.
-        step *= min(1.0, float(np.min(np.where(step < 0, -0.5 * theta / np.minimum(step, -1e-300), 1.0))))
+        step /= max(1.0, float(np.max(-2.0 * step / theta)))
         now, shortened = objective(z, theta), 0
         while True:
             model = _with_parameters(model, theta + step, with_masses)
