@@ -19,6 +19,9 @@ from monitor.ssi_covariance import mode_deviations
 
 _BAND = 0.45
 """Share of the sampling rate up to which modes are looked for: a little beyond the lowpass's edge."""
+_LITTLE_NOISE = 1e-5
+"""White noise, as a share of the power, for a second look.  Where a lowpass leaves next to nothing up to half the rate, as of a
+sensor at 100 Hz, the canonical correlations of CVA are all one, and rank nothing."""
 _ORDERS_PER_MODE = 6
 """Least largest order for each mode looked for: a mode needs two, and must be seen in half of all orders."""
 
@@ -94,14 +97,16 @@ def identify(
     if not wanted:
         return Skipped("every mode of the model lies beyond the band; check the units of masses and stiffness")
     max_order = max(ssi.max_order, _ORDERS_PER_MODE * len(wanted))
-    realisation = realise(window.sums, ssi, past, max_order)
-    complete = realisation.singular_values.size < max_order
-    band_hz = (select.min_frequency_hz, _BAND * window.rate_hz)
-    poles = all_poles(realisation, range(2, max_order + 1, 2), window.rate_hz, band_hz, (0.0, select.max_damping_ratio))
-    stable = _stable(poles, select, complete)
     shapes = (sensors @ reference.shapes[:, list(wanted)]).T
-    modes = _match(poles, stable, reference.frequencies_hz[list(wanted)], shapes, select)
-    missing = [str(i + 1) for i, m in zip(wanted[: select.required_modes], modes, strict=False) if m is None]
+    band_hz, damping = (select.min_frequency_hz, _BAND * window.rate_hz), (0.0, select.max_damping_ratio)
+    for noise in (0.0, _LITTLE_NOISE)[: 2 if ssi.variant == "CVA" else 1]:
+        realisation = realise(window.sums, ssi, past, max_order, noise)
+        poles = all_poles(realisation, range(2, max_order + 1, 2), window.rate_hz, band_hz, damping)
+        stable = _stable(poles, select, realisation.singular_values.size < max_order)
+        modes = _match(poles, stable, reference.frequencies_hz[list(wanted)], shapes, select)
+        missing = [str(i + 1) for i, m in zip(wanted[: select.required_modes], modes, strict=False) if m is None]
+        if not missing:
+            break
     if missing:
         return Skipped(
             f"no stable pole for mode {', '.join(missing)} of the model (frequency and shape; "

@@ -22,9 +22,6 @@ from monitor.settings import Settings
 
 Indices = NDArray[np.intp]
 _RANK_TOLERANCE = 1e-12
-_LEAST_NOISE = 1e-5
-"""White noise, as a share of the power, that CVA's weights are formed with: where a lowpass leaves next to nothing up to half the
-rate, canonical correlations are all one otherwise, and rank nothing."""
 _SINGULAR_TOLERANCE = 1e-9
 _SQUARED_TOLERANCE, _APART = 1e-4, 1e-12
 """Least square of a singular value, and distance of two, over the largest, to be found as eigenvalues."""
@@ -107,7 +104,9 @@ def gram(sums: LagSums) -> Array:
     return displaced(sums.total, sums.head, sums.tail)
 
 
-def realise(sums: LagSums, settings: SsiSettings, past: tuple[int, ...], max_order: int) -> Realisation:
+def realise(
+    sums: LagSums, settings: SsiSettings, past: tuple[int, ...], max_order: int, noise: float = 0.0
+) -> Realisation:
     """Factorize the weighted projection of the future on the past (eqs 5-8, 17).
 
     Parameters
@@ -116,6 +115,8 @@ def realise(sums: LagSums, settings: SsiSettings, past: tuple[int, ...], max_ord
         Reference columns.
     max_order : int
         Largest order wanted; lowered to the number of rows of the past.
+    noise : float
+        White noise, as a share of the power, that the weights of CVA and UPC are formed with.
     """
     i, l = settings.block_rows, sums.head.shape[1]  # noqa: E741 - the paper's letters
     past_rows = (np.arange(i)[:, None] * l + np.asarray(past)[None, :]).ravel()
@@ -130,7 +131,6 @@ def realise(sums: LagSums, settings: SsiSettings, past: tuple[int, ...], max_ord
         # PC's weight W2 turns the projection into Y_f Y_p^T, up to an orthogonal factor.
         values, white = _leading(g_fp, max_order)
     else:
-        noise = _LEAST_NOISE if settings.variant == "CVA" else 0.0
         half_pp = _inverse_root(full[earlier][:, earlier], noise)
         weighted = g_fp @ half_pp
         if settings.variant == "CVA":
