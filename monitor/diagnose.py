@@ -14,6 +14,7 @@ from monitor.corrected import Corrected
 from monitor.diagnosis_settings import DiagnosisSettings
 from monitor.doubt import deviations, sure
 from monitor.effects import Context, Effect
+from monitor.effects.attached_oscillator import AttachedOscillator
 from monitor.evidence import Evidence
 from monitor.fitting import Fit, fit
 from monitor.likelihood import Problem
@@ -38,6 +39,8 @@ _UNSURE = 0.1
 """Share of a gain by which a rough simulation may misjudge it."""
 _SURE = 3.0
 """Standard deviations of a simulation's chance that a further cause must beat."""
+_SWINGS = 0.5
+"""Damping ratio below which something swings by itself."""
 Verdict = Literal["none", "named", "ambiguous", "unexplained"]
 
 
@@ -296,8 +299,21 @@ def _round(problem: Problem, at: Fit, lean: Array, settings: DiagnosisSettings, 
     def judged(key: tuple[str, str]) -> Candidate:
         return judge(problem, at, chosen[key], bar=bar, rough=ended.get(key))
 
-    fitted = sorted(each(judged, chosen), key=lambda c: -c.evidence)
+    fitted = sorted(filter(partial(_is_one, problem), each(judged, chosen)), key=lambda c: -c.evidence)
     return sorted(_polished(problem, at, fitted, lean, settings), key=lambda p: -p.candidate.evidence)
+
+
+def _is_one(problem: Problem, candidate: Candidate) -> bool:
+    """Whether a linear cause is what it says: of a size that is beyond doubt not that of none; and, if it swings by itself, does
+    so within the band and is not damped at once, for a heavy thing that hardly moves stands for a damper.
+    """
+    effect, hz = candidate.effect, problem.evidence.band.hz
+    if isinstance(effect, AttachedOscillator):
+        swings = hz[0] <= effect.frequency_hz <= hz[-1] and effect.damping_ratio < _SWINGS
+        if not swings:
+            return False
+    own = np.sqrt(np.maximum(np.diag(candidate.fit.covariance)[problem.n_nuisance :], 0.0))
+    return effect.nonlinear or sure(effect, own[own.size - len(effect.parameters) :])
 
 
 def _chosen(

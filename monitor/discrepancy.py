@@ -18,7 +18,7 @@ from monitor.config import Configuration
 from monitor.diagnose import Diagnosis, diagnose
 from monitor.diagnosis_files import content, model_to_plain
 from monitor.doubt import sure
-from monitor.effects import AmbientForces, Condition, Context, Effect
+from monitor.effects import AmbientForces, Condition, Context, Effect, locations
 from monitor.errors import BadInputError
 from monitor.evidence import classify
 from monitor.fitting import fit
@@ -112,12 +112,28 @@ def learn(segments: Segments, config: Configuration) -> Reference:
     # Whatever the verdict: what describes the healthy data is no news later, and of what no data tell apart either does.
     causes, condition = found.final.effects, found.problem.conditions[0]
     while True:
-        learnt = standing.learn(evidence, _with_standing(known, causes, context, condition), context)[0]
+        alike = _alike(causes, context)
+        wider = _with_standing(known, (*causes, *alike), context, condition, n_guessed=len(alike))
+        learnt = standing.learn(evidence, wider, context)[0]
         stays = [sure(e, std) for e, std in zip(learnt.effects(learnt.mean), learnt.standing_std, strict=True)]
-        kept = tuple(e for e, own in zip(causes, stays[len(stays) - len(causes) :], strict=True) if own)
+        found_stays = stays[len(known.model.effects) :][: len(causes)]
+        kept = tuple(e for e, own in zip(causes, found_stays, strict=True) if own)
         if kept == causes:
             return learnt.with_daily_standing().with_known_lines()
         causes = kept  # beside the rest, the others are nothing
+
+
+def _alike(causes: tuple[Effect, ...], context: Context) -> tuple[Effect, ...]:
+    """Laws like those that were found, in proportion to the stiffness of every story where none was: what bends one story bends
+    the others, though healthy data do not show it."""
+    stiffness, out = context.structure.stiffness_n_per_m, {(e.name, e.location): e for e in causes}
+    for law in (e for e in causes if e.nonlinear and e.family == "structure" and e.location.startswith("story")):
+        if all(p.weighty for p in law.parameters):
+            for place in locations("story", context):
+                there = replace(law, location=place)
+                size = law.coordinates * stiffness[there.index] / stiffness[law.index]
+                out.setdefault((law.name, place), there.at(size))
+    return tuple(out.values())[len(causes) :]
 
 
 def evaluate(
@@ -167,9 +183,12 @@ def _gains(wider: Reference, found: Diagnosis) -> bool:
     return there.log_posterior - at.log_posterior - cost(problem, wider.mean.size - end) > found.settings.margin
 
 
-def _with_standing(known: Reference, effects: tuple[Effect, ...], context: Context, condition: Condition) -> Reference:
-    """The reference with effects whose sizes healthy data are yet to tell."""
-    beforehand = [e.known(context, condition) for e in effects]
+def _with_standing(
+    known: Reference, effects: tuple[Effect, ...], context: Context, condition: Condition, *, n_guessed: int = 0
+) -> Reference:
+    """The reference with effects whose sizes healthy data are yet to tell; those of the last may be nothing or twice as large."""
+    beforehand = [e.known(context, condition) for e in effects[: len(effects) - n_guessed]]
+    beforehand += [(e.coordinates, e.coordinates**-2.0) for e in effects[len(effects) - n_guessed :]]
     told = np.concatenate([[], *[precision for _, precision in beforehand]])
     coordinates = np.concatenate([[], *[e.coordinates for e in effects]])
     coordinates = np.where(told > 0.0, np.concatenate([[], *[mean for mean, _ in beforehand]]), coordinates)
