@@ -102,8 +102,8 @@ class Reference:
         return self._looser(k + m + d, ln_std)
 
     def with_daily_standing(self) -> Reference:
-        """Where standing effects may be of another size on another day, as far as they say so."""
-        std = np.concatenate([[], *[e.units * (e.daily or 0.0) for e in self.model.effects]])
+        """Where standing effects may be of another size on another day, or as the form of their law leaves open."""
+        std = np.concatenate([[], *[np.hypot(e.units * (e.daily or 0.0), e.form_std) for e in self.effects(self.mean)]])
         return self._looser(self.mean.size - self.n_standing, std) if std.any() else self
 
     def with_known_lines(self) -> Reference:

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.base import GROUND, SampleBlock
+from drivers.base import ACCELERATION, GROUND, SampleBlock
 from drivers.mcap_file import McapWriter, read_recordings
 from monitor import config
 from monitor.baseline import learn
@@ -20,6 +20,7 @@ from monitor.config import Configuration
 from monitor.errors import BadInputError, UserError
 from monitor.pipeline import Pipeline, Result
 from monitor.publish.lines import to_json, window_line
+from monitor.record import blocks_of
 from monitor.results import Gap, ModalEstimate, Samples, WindowResult
 from monitor.simulate import simulate
 from tests.conftest import T0_NS, Cut
@@ -67,6 +68,24 @@ HOLE = slice(3000, 3131)
 def with_hole(record: np.ndarray, cut: Cut, sizes: list[int]) -> list[SampleBlock]:
     after = cut(record[HOLE.stop :], RATE, sizes, first=HOLE.stop)
     return cut(record[: HOLE.start], RATE, sizes) + after
+
+
+def test_five_stories_at_the_working_rate_are_identified() -> None:
+    """A source at 100 Hz has next to nothing between the lowpass and half its rate."""
+    tables = {
+        "structure": {"kind": "shear_frame", "masses_kg": [1e5] * 5, "stiffness_n_per_m": [3.6e8] * 5},
+        "sensors": [{"channel": f"a{i}", "floor": i} for i in range(1, 6)],
+        "processing": {"window_s": 200.0},
+    }
+    site = Configuration.model_validate(tables)
+    motion = simulate(site.model(), duration_s=240.0, rate_hz=100.0, noise=0.01, seed=0).floors
+    pipeline = Pipeline(site)
+    blocks = blocks_of(ACCELERATION, motion, site.channels, 100.0, 10**18, 1000)
+    windows = [r for b in blocks for r in pipeline.push(b) if isinstance(r, WindowResult)]
+    assert len(windows) == 5
+    for window in windows:
+        assert window.modes is not None, window.skipped
+        np.testing.assert_allclose(window.modes.frequencies_hz, site.model().modes().frequencies_hz, rtol=0.01)
 
 
 def test_a_record_without_gaps_has_the_contracts_windows(site: Configuration, record: np.ndarray, cut: Cut) -> None:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
+from scipy.linalg import solve_continuous_lyapunov
 
 from drivers.base import ACCELERATION
+from monitor.config import Configuration
 from monitor.diagnose import diagnose
 from monitor.diagnosis_files import content as content_of
 from monitor.discrepancy import learn
@@ -61,3 +64,77 @@ def test_what_calibration_cannot_tell_apart_is_no_news_later(standing: tuple[str
         classify(recorded(3, *standing, "stiffness_change:story 2:relative=-0.06")), known, CONTEXT, CONFIG.diagnosis
     )
     assert [(c.effect.name, c.effect.location) for c in loss.causes] == [("stiffness_change", "story 2")]
+
+
+SITE = Configuration.model_validate(
+    {
+        "structure": {"kind": "shear_frame", "masses_kg": [9e4, 1e5], "stiffness_n_per_m": [1.6e8, 1.8e8]},
+        "sensors": [{"channel": "a1", "floor": 1}, {"channel": "a2", "floor": 2}],
+    }
+)
+BUILDING = Context(SITE.model().structure, SITE.channels, SITE.sensor_matrix(), 256.0)
+
+
+def measured(seed: int, *effects: str) -> Segments:
+    """Ten minutes of a building."""
+    present = tuple(map(parse_effect, effects))
+    motion = simulate(
+        Model(SITE.model().structure, present),
+        duration_s=600.0,
+        rate_hz=256.0,
+        noise=0.02,
+        level_spread=0.35,
+        seed=seed,
+        context=BUILDING,
+    )
+    return gather(blocks_of(ACCELERATION, motion.floors, SITE.channels, 256.0, 10**18, 1000), SITE)
+
+
+def drift_m() -> float:
+    """RMS of the upper story's drift under the simulator's forces of 1 N."""
+    model = SITE.model()
+    inverse = np.linalg.inv(model.mass_matrix())
+    a = np.block(
+        [[np.zeros((2, 2)), np.eye(2)], [-inverse @ model.stiffness_matrix(), -inverse @ model.damping_matrix()]]
+    )
+    b = np.vstack([np.zeros((2, 2)), inverse])
+    covariance = solve_continuous_lyapunov(a, -b @ b.T / 256.0)
+    return float(np.sqrt(np.array([1.0, -1.0]) @ covariance[:2, :2] @ [1.0, -1.0]))
+
+
+def test_softening_of_every_story_stands_whatever_its_unit() -> None:
+    """Coordinates of 1e20 are as good as of one, and classes of level tell softening from a loss."""
+    k3 = -0.03 * 1.7e8 / (3.0 * drift_m() ** 2)
+    assert abs(k3) > 1e20
+    softening = [f"cubic_stiffness:story {j}:k3_n_per_m3={k3:.6g}" for j in (1, 2)]
+    known = learn(measured(1, *softening), SITE)
+    found = known.effects(known.mean)
+    assert {(e.name, e.location) for e in found} == {("cubic_stiffness", f"story {j}") for j in (1, 2)}
+    for effect, std in zip(found, known.standing_std, strict=True):
+        assert std[0] < 0.4 * abs(k3)
+        assert abs(effect.coordinates[0] - k3) < 3.0 * std[0]
+    clean = diagnose(classify(measured(2, *softening)), known, BUILDING, SITE.diagnosis)
+    assert clean.verdict == "none", [c.effect for c in clean.causes]
+
+
+def test_a_machine_that_runs_otherwise_today_is_no_news() -> None:
+    machine = "harmonic_excitation:floor 2:frequency_hz=9.0,force_n=0.15"
+    known = learn(measured(1, machine), SITE)
+    assert [e.name for e in known.model.effects] == ["harmonic_excitation"] and len(known.known_lines_hz) == 1
+    today = "harmonic_excitation:floor 2:frequency_hz=9.035,force_n=0.22"
+    assert diagnose(classify(measured(2, today)), known, BUILDING, SITE.diagnosis).verdict == "none"
+    loss = diagnose(
+        classify(measured(3, today, "stiffness_change:story 1:relative=-0.08")), known, BUILDING, SITE.diagnosis
+    )
+    assert [(c.effect.name, c.effect.location) for c in loss.causes] == [("stiffness_change", "story 1")]
+
+
+def test_a_fault_beside_a_tie_is_named() -> None:
+    """Nothing tells a loss in the lowest story from a soft base; noise of a sensor is noise beside either."""
+    known = learn(measured(1), SITE)
+    hidden = ("stiffness_change:story 2:relative=-0.08", "sensor_noise:channel a1:rms_m_s2=3e-6")
+    found = diagnose(classify(measured(2, *hidden)), known, BUILDING, SITE.diagnosis)
+    assert found.verdict == "ambiguous"
+    assert [(c.effect.name, c.effect.location) for c in found.causes] == [("sensor_noise", "channel a1")]
+    rivals = {(c.effect.name, c.effect.location) for c, _ in found.alternatives}
+    assert rivals >= {("stiffness_change", "story 2"), ("base_flexibility", "base")}
