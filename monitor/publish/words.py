@@ -225,7 +225,14 @@ def headline(diagnosis: Diagnosis, content: Mapping[str, Any]) -> str:
             )
             certain = "; and ".join(told)
             return _sentence((f"{certain}; besides, " if told else "") + f"these data cannot tell which: {rivals}")
-    worst = f" at {diagnosis.left_over[0].where.removeprefix('f = ')}" if diagnosis.left_over else ""
+    worst = ""
+    if diagnosis.left_over:
+        where = diagnosis.left_over[0].where
+        worst = (
+            f" at {where.removeprefix('f = ')}"
+            if where.startswith("f = ")
+            else f" with what stood at calibration, {where},"
+        )
     known = f" Besides, {'; and '.join(told)}." if told else ""
     return f"Something is wrong{worst} that no known effect explains.{known}"
 
