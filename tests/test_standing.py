@@ -138,3 +138,10 @@ def test_a_fault_beside_a_tie_is_named() -> None:
     assert [(c.effect.name, c.effect.location) for c in found.causes] == [("sensor_noise", "channel a1")]
     rivals = {(c.effect.name, c.effect.location) for c, _ in found.alternatives}
     assert rivals >= {("stiffness_change", "story 2"), ("base_flexibility", "base")}
+
+
+def test_noise_that_stands_may_follow_the_motion() -> None:
+    known = learn(measured(1, "sensor_noise:channel a1:rms_m_s2=3e-6"), SITE)
+    assert [(e.name, e.location) for e in known.model.effects] == [("sensor_noise", "channel a1")]
+    louder = measured(2, "sensor_noise:channel a1:rms_m_s2=3.6e-6")
+    assert diagnose(classify(louder), known, BUILDING, SITE.diagnosis).verdict == "none"

@@ -22,7 +22,7 @@ class SensorNoise(Effect):
     order: ClassVar[int] = 2
     places: ClassVar[tuple[str, ...]] = ("channel",)
     parameters: ClassVar[tuple[Parameter, ...]] = (Parameter("rms_m_s2", 0.0, inf, absent=0.0),)
-    daily: ClassVar[tuple[float, ...]] = (0.5,)  # what is noise about a channel may follow its motion
+    daily: ClassVar[tuple[float, ...]] = (0.2,)  # what is noise about a channel may follow its motion
     signature: ClassVar[str] = "a raised floor between the peaks of one channel, its coherence down"
 
     rms_m_s2: float
