@@ -17,7 +17,7 @@ def draw(told: dict[str, Any], out: Path) -> None:
     matplotlib.rcParams.update({"svg.hashsalt": "shm", "font.size": 9})
     figure, axes = pyplot.subplots(1, 1 + len(growth), figsize=(15, 3.6), width_ratios=[2.4, *[1] * len(growth)])
     names, values = list(told["windows_ms"]), list(told["windows_ms"].values())
-    colours = ["#1f6fb4" if name.startswith(("hop", "the same")) else "#999999" for name in names]
+    colours = ["#1f6fb4" if name.startswith(("hop", "its")) else "#999999" for name in names]
     axes[0].barh(names[::-1], values[::-1], color=colours[::-1])
     axes[0].set(xscale="log", xlabel="CPU ms", title="one hop of a 400 s window")
     for axis, (what, points) in zip(axes[1:], growth.items(), strict=True):
