@@ -12,8 +12,8 @@ from monitor.likelihood import Problem, placed
 from monitor.reference import inverse
 from monitor.results import Array
 
-_STANDING = 0.1
-"""Longest step of a standing misfit's coordinates, in their units."""
+_STANDING = 0.5
+"""Longest step of standing effects' coordinates, in their units."""
 _NEAR = 1.0
 """Nats gained by a step after which the slopes are taken as they are."""
 
@@ -125,7 +125,10 @@ def _limited(problem: Problem, x: Array, step: Array, effects: Sequence[Effect])
     p = problem.reference.mean.size
     bound[: k + m] = 0.1
     bound[k + m : k + m + d + c] = 1.0
-    bound[k + m + d + c : p] = _STANDING * problem.reference.units[k + m + d + c :]
+    bound[k + m + d + c : p] = 0.1
+    bound[p - problem.reference.n_standing : p] = (
+        _STANDING * problem.reference.units[p - problem.reference.n_standing :]
+    )
     bound[p : problem.n_nuisance] = 2.0
     logarithms = [p.scale == "log" for e in effects for p in e.parameters]
     bound[problem.n_nuisance :] = np.where(logarithms, 0.5, np.inf)

@@ -121,6 +121,8 @@ def rank(problem: Problem, null: Fit, candidates: list[Effect]) -> list[tuple[fl
         held, rest = _at_rest(problem, null)
         lost = null.log_posterior - rest.log_posterior
         promised += [(gain - lost, effect) for gain, effect in _promised(held, rest, candidates)]
+        shaped = [e for e in candidates if e.parameters and not e.proportional]  # whose size no score test tells
+        promised += each(partial(_fitted_at_rest, problem, null), shaped)
     return sorted(promised, key=lambda item: -item[0])
 
 
@@ -172,6 +174,13 @@ def _at_rest(problem: Problem, null: Fit, *more: Effect) -> tuple[Problem, Fit]:
     held = replace(problem, reference=replace(known, precision=known.precision + np.diag(_HELD / known.units**2)))
     x = np.concatenate([known.mean, null.x[known.mean.size :]])
     return held, fit(held, x, (*null.effects, *more), iterations=_BRIEFLY)
+
+
+def _fitted_at_rest(problem: Problem, null: Fit, effect: Effect) -> tuple[float, Effect]:
+    """What an effect gains, fitted with the structure where it was known to be and then beside it; and the effect."""
+    near = _at_rest(problem, null, effect)[1]
+    near = fit(problem, near.x, near.effects, iterations=_BRIEFLY)
+    return near.log_posterior - null.log_posterior, near.effects[-1]
 
 
 def change(problem: Problem, here: Prediction, there: Prediction) -> Array:
@@ -233,7 +242,8 @@ def judge(
     found = evidence_of(problem, null, fitted(null.x, (*null.effects, effect), frozen=frozen))
     if not quick and _dragged(problem, null):
         near = _at_rest(problem, null, effect)[1]
-        if found.may_reach(bar) or sum(problem.score(near.x, near.effects)) > found.fit.log_posterior:
+        likely = found.may_reach(bar) or sum(problem.score(near.x, near.effects)) > found.fit.log_posterior
+        if likely or not effect.proportional:
             other = evidence_of(problem, null, fit(problem, near.x, near.effects, iterations=LONG))
             found = max(found, other, key=lambda c: c.evidence)
     if rough is not None and found.evidence < rough.evidence:

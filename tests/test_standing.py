@@ -64,6 +64,11 @@ def test_what_calibration_cannot_tell_apart_is_no_news_later(standing: tuple[str
         classify(recorded(3, *standing, "stiffness_change:story 2:relative=-0.06")), known, CONTEXT, CONFIG.diagnosis
     )
     assert [(c.effect.name, c.effect.location) for c in loss.causes] == [("stiffness_change", "story 2")]
+    if standing == (FORCES,):  # which could take up another corner without a word
+        other = diagnose(
+            classify(recorded(4, FORCES, "coloured_excitation:frame:corner_hz=9")), known, CONTEXT, CONFIG.diagnosis
+        )
+        assert [c.effect.name for c in other.causes] == ["coloured_excitation"]
 
 
 SITE = Configuration.model_validate(

@@ -34,6 +34,7 @@ class CubicStiffness(Effect):
     conditional: ClassVar[bool] = True
     nonlinear: ClassVar[bool] = True
     amplitude_powers: ClassVar[tuple[float, ...]] = (2.0,)
+    daily: ClassVar[tuple[float, ...]] = (0.2,)  # where it stands, it is read off few simulations
     form_doubt: ClassVar[tuple[float, ...]] = (
         0.1,
     )  # fits that begin elsewhere stop that far apart, where levels make up for it
