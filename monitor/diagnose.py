@@ -308,10 +308,10 @@ def _is_one(problem: Problem, candidate: Candidate) -> bool:
     so within the band and is not damped at once, for a heavy thing that hardly moves stands for a damper.
     """
     effect, hz = candidate.effect, problem.evidence.band.hz
-    if isinstance(effect, AttachedOscillator):
-        swings = hz[0] <= effect.frequency_hz <= hz[-1] and effect.damping_ratio < _SWINGS
-        if not swings:
-            return False
+    if isinstance(effect, AttachedOscillator) and not (
+        hz[0] <= effect.frequency_hz <= hz[-1] and effect.damping_ratio < _SWINGS
+    ):
+        return False
     own = np.sqrt(np.maximum(np.diag(candidate.fit.covariance)[problem.n_nuisance :], 0.0))
     return effect.nonlinear or sure(effect, own[own.size - len(effect.parameters) :])
 

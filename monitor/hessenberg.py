@@ -1,7 +1,7 @@
 """Eigenvalues and vectors of small matrices in Hessenberg form, without the rest that LAPACK would give.
 
 A window asks some fifteen matrices for their poles, of which those above the real axis and a few rows of the eigenvectors are
-looked at.  After LAPACK's reduction to Hessenberg form (zero below the first subdiagonal) the double-shift QR iteration acts on
+looked at.  After reduction to Hessenberg form (zero below the first subdiagonal) the double-shift QR iteration acts on
 what is not yet split off alone, for it need not keep the triangular form, and a vector follows from one solution with its pole as
 shift.  Of a symmetric one, whose form is tridiagonal, the leading vectors are wanted alone.
 

@@ -228,7 +228,7 @@ def _parameters(diagnosis: Diagnosis, content: Content, hz: Array) -> str:
         if rows:
             out.append(f"<h2>{title}</h2>" + table(["effect", "place", "parameter", "value", "in words"], rows))
             out.append(_signs(causes))
-    out += [_colour(effect, hz) for effect in reference.model.effects if isinstance(effect, AmbientForces)]
+    out += [_colour(effect, hz) for effect in reference.effects(reference.mean) if isinstance(effect, AmbientForces)]
     if content["alternatives"]:
         rivals = [
             (a["effect"], a["location"], f"{100 * a['probability']:.0f} %",

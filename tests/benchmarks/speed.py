@@ -34,13 +34,14 @@ def compare_windows(rounds: int, told: dict[str, Any]) -> None:
     for cost in costs.values():
         print(cost.row(floor))
     plain, uncertain = (windows.PYOMA, windows.PYOMA_1), (windows.PYOMA_UNC, windows.PYOMA_UNC_1)
-    ways = (
-        (windows.FOUND, plain),
-        (windows.PLAIN, plain),
-        (windows.FOUND_UNC, uncertain),
-        (windows.UNREFINED, uncertain),
-    )
-    for ours, peer in [(ours, peer) for ours, others in (*ways, (windows.FULL, uncertain)) for peer in others]:
+    ways = {
+        windows.FOUND: plain,
+        windows.PLAIN: (*plain, windows.KOMA),
+        windows.FOUND_UNC: uncertain,
+        windows.UNREFINED: uncertain,
+        windows.FULL: uncertain,
+    }
+    for ours, peer in ((ours, peer) for ours, others in ways.items() for peer in others):
         if peer in costs:
             low, middle, high = costs[peer].over(costs[ours])
             print(f"{peer} over {ours}: {middle:.3g} ({low:.3g}-{high:.3g})")
