@@ -182,9 +182,8 @@ def variances(
     hz = np.exp(np.linspace(low, high, _LOG_STEPS))  # equal steps of the logarithm follow the peaks' width
     answer = channel_response(system, hz, context)
     n, weight = force.size, 2.0 * hz * np.gradient(np.log(hz))
-    by_force = (np.abs(answer[:, :, :n] @ force_root(force, effects)) ** 2).sum(axis=2)
-    by_force *= force_colour(effects, hz)[:, None]
-    by_ground = np.abs(answer[:, :, n]) ** 2
+    by_force = _powers(answer[:, :, :n], force_root(force, effects)) * force_colour(effects, hz)[:, None]
+    by_ground = _powers(answer[:, :, n:], np.eye(1))
     return weight @ by_force, weight @ by_ground, (weight * (hz > band_hz)) @ by_force
 
 
@@ -253,6 +252,21 @@ def _at_sensors(floors: ComplexArray, sensors: Array) -> ComplexArray:
                 for j in range(columns):
                     out[k, s, j] += share * floors[k, i, j]
                 out[k, s, columns - 1] += share
+    return out
+
+
+@compiled(error_model="numpy")
+def _powers(answer: ComplexArray, root: Array) -> Array:
+    """Power density of every channel, shape (n_omega, c), by independent sources of density one through `root`."""
+    n_omega, c, n = answer.shape
+    out = np.zeros((n_omega, c))
+    for k in range(n_omega):
+        for a in range(c):
+            for s in range(root.shape[1]):
+                total = 0j
+                for j in range(n):
+                    total += root[j, s] * answer[k, a, j]
+                out[k, a] += total.real * total.real + total.imag * total.imag
     return out
 
 

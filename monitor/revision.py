@@ -77,8 +77,10 @@ def revised(
         # What simulation added to a law is its own: none takes its place, and it none's.
         linear = [] if cause.effect.nonlinear else [c for c in tried if not c.effect.nonlinear]
         rivals = [c.effect for c in linear if c.key not in taken]
-        best = max(each(partial(judge, problem, without), rivals[:_RIVALS]), key=lambda c: c.evidence, default=None)
-        if best is not None and best.evidence > max(worth + lead, margin):
+        bar = max(worth + lead, margin)
+        judged = each(partial(judge, problem, without, bar=bar), rivals[:_RIVALS])
+        best = max(judged, key=lambda c: c.evidence, default=None)
+        if best is not None and best.evidence > bar:
             effects = (*best.fit.effects[:i], best.effect, *best.fit.effects[i:-1])
             at = fit(problem, joined(best.fit.x[:n], effects), effects)
             kept[i], replaced = best, True
