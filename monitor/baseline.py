@@ -224,6 +224,14 @@ class _Effect(_Strict):
     parameters: dict[str, float]
 
 
+class _BandError(_Strict):
+    """`reference.BandError`."""
+
+    low_hz: float
+    high_hz: float
+    variance: float
+
+
 class _Reference(_Strict):
     """`Reference`, as `reference_file` writes it."""
 
@@ -233,6 +241,7 @@ class _Reference(_Strict):
     precision: Matrix
     basis: tuple[Matrix, ...]
     reference_degc: float | None
+    errors: tuple[_BandError, ...] = ()
 
 
 class _Content(_Strict):

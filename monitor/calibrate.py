@@ -17,6 +17,7 @@ from monitor.config import Configuration
 from monitor.errors import BadInputError
 from monitor.files import sha256
 from monitor.pipeline import Pipeline
+from monitor.publish.words import contradicted
 from monitor.recordings import OnProgress, OnWarning, Progress, blocks, names, pushed
 from monitor.results import WindowResult
 from monitor.second_solutions import second_solutions
@@ -76,7 +77,10 @@ def calibrate(
     if segments is None:
         on_warning("too short for a diagnosis to learn from; 'diagnose' will not take this baseline")
         return baseline, fit
-    return replace(baseline, reference=discrepancy.learn(segments, config)), fit
+    reference = discrepancy.learn(segments, config)
+    if reference.errors:
+        on_warning(contradicted(reference))
+    return replace(baseline, reference=reference), fit
 
 
 def _share(paths: list[Path], config: Configuration) -> float:

@@ -49,7 +49,8 @@ def diagnose(
     write_report(report, found.diagnosis, found.content, found.segments)
     write_view(view, found.diagnosis, found.content, found.segments)
     lines = [f"{found.diagnosis.verdict}: {found.content['says']}"]
-    lines += [f"already so at calibration: {cause['says']}" for cause in found.content["standing"]]
+    stood = [*found.content["standing"], *filter(None, [found.content["standing_misfit"]])]
+    lines += [f"already so at calibration: {one['says']}" for one in stood]
     if found.diagnosis.verdict != "none":
         low, high = found.gain.ci95
         lines.append(f"gain on held-out data: {found.gain.value:.3g} nats a sample (95 %: {low:.3g} to {high:.3g})")

@@ -103,7 +103,7 @@ def diagnose(evidence: Evidence, reference: Reference, context: Context, setting
     while len(stage.accepted) < settings.max_causes:
         stage, tried = _searched(stage, settings)
         rounds.append(tuple(p.candidate for p in tried))
-        if not tried or tried[0].candidate.evidence < stage.margin:
+        if not tried or tried[0].candidate.evidence < _due(stage, settings):
             break
         close = together(tried, settings.rival)
         if len(close) > 1:
@@ -144,7 +144,7 @@ def diagnose(evidence: Evidence, reference: Reference, context: Context, setting
 
 def _searched(stage: _Stage, settings: DiagnosisSettings) -> tuple[_Stage, list[Polished]]:
     """What may come next, best first; and the stage, fitted anew where the search came upon a better fit without any."""
-    worth = settings.worth * stage.margin / settings.margin
+    worth = settings.worth * _due(stage, settings) / settings.margin
     tried = _round(stage.problem, stage.at, stage.lean, settings, worth)
     better = missed(stage.problem, stage.at, tried) or _otherwise_between(stage, tried, worth)
     if better is None:
@@ -152,6 +152,12 @@ def _searched(stage: _Stage, settings: DiagnosisSettings) -> tuple[_Stage, list[
     problem, at = better
     stage = replace(stage, problem=problem, at=at, null=stage.null if stage.accepted else at)
     return stage, _round(problem, at, stage.lean, settings, worth)
+
+
+def _due(stage: _Stage, settings: DiagnosisSettings) -> float:
+    """Evidence that the next cause must have, nats."""
+    wrong = 0.5 * sum(m.size**2 for m in misfits(stage.problem, stage.at, settings))
+    return max(stage.margin, settings.share * wrong)
 
 
 def _otherwise_between(stage: _Stage, tried: list[Polished], worth: float) -> tuple[Problem, Fit] | None:
@@ -203,7 +209,7 @@ def _beside(stage: _Stage, tied: Polished, settings: DiagnosisSettings) -> tuple
         return None
     there = _with(stage, tied, settings)
     tried = _searched(there, settings)[1]
-    if not tried or tried[0].candidate.evidence < there.margin or len(together(tried, settings.rival)) > 1:
+    if not tried or tried[0].candidate.evidence < _due(there, settings) or len(together(tried, settings.rival)) > 1:
         return None
     found = tried[0].candidate.effect
     if found.nonlinear:  # which is to be simulated with all else that is there

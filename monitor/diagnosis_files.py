@@ -14,8 +14,8 @@ from monitor.diagnose import Diagnosis
 from monitor.effects import FORMS, Effect
 from monitor.gain import Gain
 from monitor.model import Model
-from monitor.publish.words import headline, in_words, separating_measurement
-from monitor.reference import Reference
+from monitor.publish.words import contradicted, headline, in_words, separating_measurement
+from monitor.reference import Reference, bands
 from monitor.results import Array
 from monitor.search import Candidate
 from monitor.structures import MatrixStructure
@@ -47,6 +47,7 @@ def content(diagnosis: Diagnosis, gain: Gain, known: Iterable[Effect], ddi_effec
         "misfit": [{"where": m.where, "size": _finite(m.size), "says": m.says} for m in diagnosis.misfit],
         "gain": _gain(gain),
         "standing": [c for c in _standing(reference) if (c["effect"], c["location"]) not in stated],
+        "standing_misfit": _standing_misfit(reference),
         "tried": [
             {"effect": c.effect.name, "location": c.effect.location, "log_evidence_over_none": _finite(c.evidence)}
             for c in diagnosis.tried
@@ -83,6 +84,13 @@ def _standing(reference: Reference) -> list[dict[str, Any]]:
         out.append(_cause(effect, {name: size["std"] for name, size in sizes.items()}, reference))
         first += n
     return out
+
+
+def _standing_misfit(reference: Reference) -> dict[str, Any] | None:
+    """What calibration left unexplained."""
+    if not reference.errors:
+        return None
+    return {"bands_hz": bands(reference.errors), "says": contradicted(reference)}
 
 
 def _sizes(effect: Effect, deviation: Array) -> dict[str, dict[str, float]]:

@@ -28,6 +28,8 @@ class DiagnosisSettings(Settings):
     """Share of the gain by which a linearized law may misjudge itself: rivals within it are simulated."""
     aftermath: float = Field(default=0.005, ge=0, lt=1)
     """Share of a nonlinear cause's gain that its simulation may still miss: less than that is no further cause."""
+    share: float = Field(default=0.05, ge=0, lt=1)
+    """Share of the squared misfit, in nats, that a cause must explain: less may be made up by what no cause explains."""
     remainder: float = Field(default=0.03, ge=0, lt=1)
     """Share of the squared misfit that a nonlinear cause may leave."""
     misfit: float = Field(default=6.0, gt=0)

@@ -114,7 +114,7 @@ def learn(segments: Segments, config: Configuration) -> Reference:
     while True:
         alike = _alike(causes, context)
         wider = _with_standing(known, (*causes, *alike), context, condition, n_guessed=len(alike))
-        learnt = standing.learn(evidence, wider, context)[0]
+        learnt = standing.learn(evidence, wider, context, config.diagnosis)[0]
         stays = [sure(e, std) for e, std in zip(learnt.effects(learnt.mean), learnt.standing_std, strict=True)]
         found_stays = stays[len(known.model.effects) :][: len(causes)]
         kept = tuple(e for e, own in zip(causes, found_stays, strict=True) if own)

@@ -61,13 +61,19 @@ class Forward:
         return int(self.reference.mean.size) + self.context.structure.n_dofs + self.n_classes + 1
 
     def widths(self) -> Array:
-        """Bins in each (coarse) bin; none about the lines of machines that are known."""
+        """Bins in each (coarse) bin; none about known machines' lines, and fewer where the model is known to err."""
         if self.smoothing is not None:
             return np.asarray(1.0 / (self.smoothing**2).sum(axis=1))
         band = self.evidence.band
         out = np.ones(band.n_bins)
         for line in self.reference.known_lines_hz:
             out[np.abs(band.hz - line) <= max(_LINE_BINS * band.bin_hz, _LINE_SHARE * line)] = 0.0
+        for error in self.reference.errors:
+            inside = (band.hz >= error.low_hz) & (band.hz < error.high_hz)
+            # An error that all bins and segments of a band share does not average out.
+            out[inside] /= 1.0 + error.variance * self.evidence.weight * self.evidence.counts.sum() * np.count_nonzero(
+                inside
+            )
         return out
 
     def data(self) -> ComplexArray:

@@ -11,9 +11,13 @@ from monitor.diagnosis_settings import DiagnosisSettings
 from monitor.fitting import Fit
 from monitor.levels import by_force, levels
 from monitor.likelihood import Problem
+from monitor.prediction import Band
+from monitor.reference import BandError
 from monitor.results import Array
 
 _BAND_HZ = 1.0
+_DOUBTFUL = 0.5
+"""Where the model fails in some band: from which share of the deviations that make a misfit on others are doubtful as well."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +72,7 @@ def _banded(residual: Array, n_classes: int, problem: Problem) -> tuple[Array, A
     c = problem.evidence.spectra.shape[-1]
     bins = problem.evidence.band.n_bins
     rows = residual.reshape(n_classes, bins, c * c)
-    per = max(1, round(_BAND_HZ / problem.evidence.band.bin_hz))
+    per = _per(problem.evidence.band)
     n = bins // per
     z = rows[:, : n * per].reshape(n_classes, n, per, c * c).sum(axis=(0, 2)) / np.sqrt(n_classes * per)
     matrix = np.zeros((n, c, c))
@@ -82,6 +86,11 @@ def _banded(residual: Array, n_classes: int, problem: Problem) -> tuple[Array, A
     return matrix, problem.evidence.band.hz[: n * per].reshape(n, per).mean(axis=1)
 
 
+def _per(band: Band) -> int:
+    """Bins that are summed up in a band."""
+    return max(1, round(_BAND_HZ / band.bin_hz))
+
+
 def misfits(problem: Problem, fitted: Fit, settings: DiagnosisSettings) -> tuple[Misfit, ...]:
     """Bands in which the model is wrong, worst first."""
     z, hz = residual_bands(problem, fitted)
@@ -89,6 +98,30 @@ def misfits(problem: Problem, fitted: Fit, settings: DiagnosisSettings) -> tuple
         z = z / np.sqrt(2.0)  # the simulation has as much chance in it as the recording
     late = _listed(drift_bands(problem, fitted), hz, problem, settings, ", more so late in the recording than early")
     return tuple(sorted(_listed(z, hz, problem, settings, "") + late, key=lambda m: -m.size))
+
+
+def errors(problem: Problem, fitted: Fit, settings: DiagnosisSettings) -> tuple[BandError, ...]:
+    """What healthy data show that the model, with all that is known to be wrong with it, does not explain, in bands.
+
+    None where the ground was measured: there the model's own error is among what is fitted.
+    """
+    if problem.evidence.drive is not None:
+        return ()
+    plain = replace(problem, reference=replace(problem.reference, errors=()))
+    here = plain.predict(fitted.x, fitted.effects)
+    z, hz = _banded(plain.whitened(here.spectra, here.spectra[None][:0], here.data)[1], plain.n_classes, plain)
+    if plain.offset is not None:
+        z = z / np.sqrt(2.0)  # as in `misfits`
+    size = np.maximum(np.abs(z), np.abs(drift_bands(plain, fitted))).max(axis=(1, 2), initial=0.0)
+    if size.max(initial=0.0) <= settings.misfit:
+        return ()
+    e = problem.evidence
+    half, told = 0.5 * _per(e.band) * e.band.bin_hz, e.weight * e.counts.sum() * _per(e.band)
+    return tuple(
+        BandError(float(f - half), float(f + half), float(s**2 / told))
+        for f, s in zip(hz, size, strict=True)
+        if s > _DOUBTFUL * settings.misfit
+    )
 
 
 def remainder(problem: Problem, at: Fit, null: Fit, misfit: Sequence[Misfit], left_over: Sequence[Misfit]) -> float:

@@ -18,6 +18,16 @@ _ANY_NOISE = 3.0
 """Standard deviation of the logarithm of a noise density that is not known."""
 
 
+@dataclass(frozen=True, slots=True)
+class BandError:
+    """What the model gets wrong in a band from the start, that no known effect explains."""
+
+    low_hz: float
+    high_hz: float
+    variance: float
+    """Of the relative error of the band's mean spectra."""
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class Reference:
     """What is known of the structure before the recording is seen."""
@@ -33,6 +43,8 @@ class Reference:
     reference_degc: float | None = None
     known_lines_hz: tuple[float, ...] = ()
     """Lines of machines that are known: what a recording has about them tells of those, not of the structure."""
+    errors: tuple[BandError, ...] = ()
+    """Bands in which healthy data contradict the model: what a recording has there tells the less the more they do."""
 
     @property
     def sizes(self) -> tuple[int, int, int, int, int]:
@@ -179,3 +191,14 @@ def inverse(normal: Array) -> Array:
     """Inverse of a normal matrix whose parameters have different units; directions without information get none."""
     scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
     return np.asarray(scale[:, None] * np.linalg.pinv(normal * scale[:, None] * scale, hermitian=True) * scale)
+
+
+def bands(errors: Sequence[BandError]) -> list[list[float]]:
+    """Lowest and highest frequencies of the bands, Hz, with neighbours joined."""
+    out: list[list[float]] = []
+    for e in errors:
+        if out and e.low_hz < out[-1][1] + 1e-6:
+            out[-1][1] = e.high_hz
+        else:
+            out.append([e.low_hz, e.high_hz])
+    return out

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -10,7 +10,7 @@ from scipy.linalg import block_diag
 
 from monitor.effects import FORMS
 from monitor.model import Model
-from monitor.reference import Reference, as_stated
+from monitor.reference import BandError, Reference, as_stated
 
 
 def to_plain(reference: Reference | None) -> dict[str, Any] | None:
@@ -27,6 +27,7 @@ def to_plain(reference: Reference | None) -> dict[str, Any] | None:
         "precision": reference.precision.tolist(),
         "basis": reference.basis.tolist(),
         "reference_degc": reference.reference_degc,
+        "errors": [asdict(e) for e in reference.errors],
     }
 
 
@@ -63,4 +64,5 @@ def from_plain(content: dict[str, Any] | None, model: Model, channels: tuple[str
         precision=block_diag(precision, np.diag(as_stated(added))) if stated.size else precision,
         basis=basis,
         reference_degc=None if degc is None else float(degc),
+        errors=tuple(BandError(**e) for e in content.get("errors", ())),
     ).with_known_lines()

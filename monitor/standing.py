@@ -7,8 +7,11 @@ from dataclasses import replace
 import numpy as np
 from scipy.linalg import block_diag
 
+from monitor.diagnosis_settings import DiagnosisSettings
 from monitor.effects import Context
 from monitor.evidence import Evidence
+from monitor.likelihood import Problem
+from monitor.misfit import errors
 from monitor.polish import prepared
 from monitor.reference import Reference, correction_basis, inverse
 from monitor.results import Array
@@ -21,12 +24,15 @@ _NOISE_DRIFT = 0.2
 """The same of a channel's noise density over the others': what is noise about a channel may follow its motion."""
 
 
-def learn(evidence: Evidence, known: Reference, context: Context) -> tuple[Reference, Array]:
+def learn(
+    evidence: Evidence, known: Reference, context: Context, settings: DiagnosisSettings
+) -> tuple[Reference, Array]:
     """The reference that healthy evidence makes of what was known before.
 
     First the model form alone is fitted.  Then its stiffnesses stay, standing effects of the structure stay as well as they are
     known, and a symmetric correction within the modes in the band, with the masses' ratios, takes up what it misses.  So every
-    direction that is left free is one that data fix, and the posterior is close to normal.
+    direction that is left free is one that data fix, and the posterior is close to normal.  What even so contradicts the model
+    in some bands is kept, and they count less from then on.
 
     Returns
     -------
@@ -56,10 +62,19 @@ def learn(evidence: Evidence, known: Reference, context: Context) -> tuple[Refer
         known.precision[sizes, sizes] + np.diag(held),
     )
     wider = replace(known, mean=mean, precision=prior, basis=basis)
-    _, fitted = prepared(evidence, wider, context)
-    p = mean.size
-    precision = inverse(fitted.covariance[:p, :p])
+    problem, fitted = prepared(evidence, wider, context)
+    p, wrong, covariance = mean.size, errors(problem, fitted, settings), fitted.covariance
+    if wrong:
+        wider = replace(wider, errors=wrong)
+        covariance = _covariance(replace(problem, reference=wider), fitted.x)
+    precision = inverse(covariance[:p, :p])
     learnt = replace(wider, mean=fitted.x[:p], precision=0.5 * (precision + precision.T))
     learnt = learnt.with_looser_damping(np.full(d, _DAMPING_DRIFT)).with_looser_noise(np.full(c, _NOISE_DRIFT))
     learnt = learnt.with_unseen_scale(float(np.sqrt(np.linalg.inv(known.precision[k : k + m, k : k + m]).sum()) / m))
     return learnt, learnt.parts(learnt.mean)[4]
+
+
+def _covariance(problem: Problem, x: Array) -> Array:
+    """Of parameters that were fitted to more than the problem now trusts, shape (p, p)."""
+    rows = problem.jacobian(x, (), problem.predict(x, ()))[0]
+    return inverse(rows.T @ rows + problem.prior(x, ())[1])

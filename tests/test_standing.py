@@ -10,7 +10,7 @@ from scipy.linalg import solve_continuous_lyapunov
 
 from drivers.base import ACCELERATION
 from monitor.config import Configuration
-from monitor.diagnose import diagnose
+from monitor.diagnose import Diagnosis, diagnose
 from monitor.diagnosis_files import content as content_of
 from monitor.discrepancy import learn
 from monitor.effects import Context, Effect, parse_effect
@@ -37,8 +37,8 @@ FORCES, ANOTHER_DAY = forces(0.3, 0.0), forces(0.33, 0.06)
 CONTEXT = Context(CONFIG.model().structure, CONFIG.channels, CONFIG.sensor_matrix(), RATE)
 
 
-def recorded(seed: int, *effects: str) -> Segments:
-    """Ten minutes."""
+def recorded(seed: int, *effects: str, crosstalk: float = 0.0) -> Segments:
+    """Ten minutes; so much of the first channel's signal is in the last one's."""
     present: tuple[Effect, ...] = tuple(map(parse_effect, effects))
     motion = simulate(
         Model(CONFIG.model().structure, present),
@@ -49,7 +49,8 @@ def recorded(seed: int, *effects: str) -> Segments:
         seed=seed,
         context=CONTEXT,
     )
-    return gather(blocks_of(ACCELERATION, motion.floors, CONFIG.channels, RATE, 10**18, 128), CONFIG)
+    seen = motion.floors + crosstalk * motion.floors[:, :1] * [0.0, 0.0, 1.0]
+    return gather(blocks_of(ACCELERATION, seen, CONFIG.channels, RATE, 10**18, 128), CONFIG)
 
 
 @pytest.mark.parametrize("standing", [(COLOUR, *GAINS), (FORCES,)], ids=["colour and gains", "forces of every day"])
@@ -77,6 +78,25 @@ def test_what_calibration_cannot_tell_apart_is_no_news_later(standing: tuple[str
             classify(recorded(4, FORCES, "coloured_excitation:frame:corner_hz=9")), known, CONTEXT, CONFIG.diagnosis
         )
         assert [c.effect.name for c in other.causes] == ["coloured_excitation"]
+
+
+def test_what_nothing_explains_at_calibration_is_no_news_later() -> None:
+    known = learn(recorded(1, crosstalk=0.1), CONFIG)
+    assert known.errors
+
+    def found(seed: int, *effects: str, crosstalk: float = 0.1) -> Diagnosis:
+        return diagnose(classify(recorded(seed, *effects, crosstalk=crosstalk)), known, CONTEXT, CONFIG.diagnosis)
+
+    clean = found(2)
+    assert clean.verdict == "none", [c.effect for c in clean.causes]
+    said = content_of(clean, Gain(), (), {"without": [], "with": []})
+    low, high = said["standing_misfit"]["bands_hz"][0]
+    assert f"{low:.1f}-{high:.1f}" in said["standing_misfit"]["says"] and "healthy" in said["says"]
+    loss = found(3, "stiffness_change:story 2:relative=-0.06")
+    assert [(c.effect.name, c.effect.location) for c in loss.causes] == [("stiffness_change", "story 2")]
+    size, std = loss.causes[0].effect.values()["relative"], loss.causes[0].std["relative"]
+    assert abs(size + 0.06) < 3.0 * std < 0.03
+    assert found(4, crosstalk=0.2).verdict != "none"  # more of it than there was
 
 
 SITE = Configuration.model_validate(

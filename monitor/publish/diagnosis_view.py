@@ -89,6 +89,8 @@ def _status(diagnosis: Diagnosis, content: Mapping[str, Any], segments: Segments
     for c in content["standing"]:
         words = in_words(c["effect"], c["location"], c["parameters"], diagnosis.problem.reference)
         lines += [f"Already so at calibration: {words}.", ""]
+    if content["standing_misfit"] is not None:
+        lines += [f"Already so at calibration: {content['standing_misfit']['says']}.", ""]
     lines += ["| tried | place | log evidence, nats |", "|---|---|---|"]
     lines += [f"| {t['effect']} | {t['location']} | {t['log_evidence_over_none']:.1f} |" for t in content["tried"]]
     lines += ["", "| misfit before | std. dev. | what it says |", "|---|---|---|"]

@@ -228,6 +228,8 @@ def _parameters(diagnosis: Diagnosis, content: Content, hz: Array) -> str:
         if rows:
             out.append(f"<h2>{title}</h2>" + table(["effect", "place", "parameter", "value", "in words"], rows))
             out.append(_signs(causes))
+    if content["standing_misfit"] is not None:
+        out.append(f"<p>Already so at calibration: {content['standing_misfit']['says']}.</p>")
     out += [_colour(effect, hz) for effect in reference.effects(reference.mean) if isinstance(effect, AmbientForces)]
     if content["alternatives"]:
         rivals = [

@@ -7,7 +7,7 @@ from math import floor, isfinite, log10
 from typing import Any
 
 from monitor.diagnose import Diagnosis
-from monitor.reference import Reference
+from monitor.reference import Reference, bands
 
 Values = Mapping[str, Mapping[str, float]]
 """Parameter name -> ``value`` and ``std``, as in diagnosis.json."""
@@ -203,6 +203,12 @@ def separating_measurement(alternatives: Sequence[Mapping[str, Any]]) -> str | N
     return "; ".join(dict.fromkeys(checks))
 
 
+def contradicted(reference: Reference) -> str:
+    """What calibration left unexplained, without a full stop."""
+    where = ", ".join(f"{low:.1f}-{high:.1f}" for low, high in bands(reference.errors))
+    return f"at {where} Hz no known effect explains the healthy data either, so what is seen there counts less"
+
+
 def headline(diagnosis: Diagnosis, content: Mapping[str, Any]) -> str:
     """The verdict in one plain sentence.
 
@@ -215,6 +221,8 @@ def headline(diagnosis: Diagnosis, content: Mapping[str, Any]) -> str:
     told = [in_words(c["effect"], c["location"], c["parameters"], reference) for c in content["causes"]]
     match content["verdict"]:
         case "none":
+            if content["standing_misfit"] is not None:
+                return "Nothing new: these data differ from the simulation no more than the healthy ones."
             return "Nothing wrong: the simulation explains these data."
         case "named":
             return _sentence("; and ".join(told))
