@@ -224,12 +224,13 @@ class _Effect(_Strict):
     parameters: dict[str, float]
 
 
-class _BandError(_Strict):
-    """`reference.BandError`."""
+class _StandingError(_Strict):
+    """`reference.StandingError`."""
 
-    low_hz: float
-    high_hz: float
-    variance: float
+    hz: Vector
+    real: tuple[Matrix, ...]
+    imaginary: tuple[Matrix, ...]
+    variance: Vector
 
 
 class _Reference(_Strict):
@@ -241,7 +242,7 @@ class _Reference(_Strict):
     precision: Matrix
     basis: tuple[Matrix, ...]
     reference_degc: float | None
-    errors: tuple[_BandError, ...] = ()
+    error: _StandingError | None = None
 
 
 class _Content(_Strict):

@@ -78,8 +78,8 @@ def calibrate(
         on_warning("too short for a diagnosis to learn from; 'diagnose' will not take this baseline")
         return baseline, fit
     reference = discrepancy.learn(segments, config)
-    if reference.errors:
-        on_warning(contradicted(reference))
+    if reference.error is not None:
+        on_warning(contradicted(reference.error))
     return replace(baseline, reference=reference), fit
 
 

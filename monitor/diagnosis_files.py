@@ -15,7 +15,7 @@ from monitor.effects import FORMS, Effect
 from monitor.gain import Gain
 from monitor.model import Model
 from monitor.publish.words import contradicted, headline, in_words, separating_measurement
-from monitor.reference import Reference, bands
+from monitor.reference import Reference
 from monitor.results import Array
 from monitor.search import Candidate
 from monitor.structures import MatrixStructure
@@ -88,9 +88,8 @@ def _standing(reference: Reference) -> list[dict[str, Any]]:
 
 def _standing_misfit(reference: Reference) -> dict[str, Any] | None:
     """What calibration left unexplained."""
-    if not reference.errors:
-        return None
-    return {"bands_hz": bands(reference.errors), "says": contradicted(reference)}
+    error = reference.error
+    return None if error is None else {"bands_hz": error.doubtful_hz(), "says": contradicted(error)}
 
 
 def _sizes(effect: Effect, deviation: Array) -> dict[str, dict[str, float]]:

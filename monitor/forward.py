@@ -14,6 +14,7 @@ from monitor.model import Model
 from monitor.prediction import Excitation, cross_spectra, extended, modally_damped
 from monitor.reference import Reference
 from monitor.results import Array, ComplexArray
+from monitor.wishart import grown_by
 
 _LINE_BINS, _LINE_SHARE = 3.0, 0.01
 """How far either side of a known machine's line spectra are not compared: in bins, and of its frequency (motors slip)."""
@@ -68,12 +69,12 @@ class Forward:
         out = np.ones(band.n_bins)
         for line in self.reference.known_lines_hz:
             out[np.abs(band.hz - line) <= max(_LINE_BINS * band.bin_hz, _LINE_SHARE * line)] = 0.0
-        for error in self.reference.errors:
-            inside = (band.hz >= error.low_hz) & (band.hz < error.high_hz)
-            # An error that all bins and segments of a band share does not average out.
-            out[inside] /= 1.0 + error.variance * self.evidence.weight * self.evidence.counts.sum() * np.count_nonzero(
-                inside
-            )
+        error = self.reference.error
+        if error is not None:
+            inside, at = error.at(band.hz)
+            # An error that all segments and bins of a narrow band share does not average out.
+            told = self.evidence.weight * self.evidence.counts.sum() * error.step_hz / band.bin_hz
+            out[inside] /= 1.0 + error.variance[at] * told
         return out
 
     def data(self) -> ComplexArray:
@@ -154,7 +155,17 @@ class Forward:
             else:
                 out.append(self._scaled(shared, level[k], noise, effects))
         stacked = np.stack(out)
-        return stacked if self.offset is None else stacked + self.offset[list(wanted)]
+        return self._as_healthy(stacked if self.offset is None else stacked + self.offset[list(wanted)])
+
+    def _as_healthy(self, spectra: ComplexArray) -> ComplexArray:
+        """With what the model gets wrong from the start."""
+        error = self.reference.error
+        if error is None:
+            return spectra
+        inside, at = error.at(self.evidence.band.hz)
+        relative = np.zeros_like(spectra)
+        relative[:, inside] = error.relative[at]
+        return grown_by(spectra, relative)
 
     def _scaled(self, unit: ComplexArray, level: float, noise: Array, effects: Sequence[Effect]) -> ComplexArray:
         """Another class's spectra where only the level differs: everything but the noise scales."""

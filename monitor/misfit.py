@@ -12,10 +12,15 @@ from monitor.fitting import Fit
 from monitor.levels import by_force, levels
 from monitor.likelihood import Problem
 from monitor.prediction import Band
-from monitor.reference import BandError
+from monitor.reference import StandingError
 from monitor.results import Array
 
 _BAND_HZ = 1.0
+_NARROW_HZ = 0.25
+_DAILY = 0.1
+"""Share of what the model gets wrong from the start that may be otherwise on another day."""
+_FARTHEST = 3.0
+"""Ratio of what is seen to what the model says beyond which this is no correction of the model: it is not trusted there."""
 _DOUBTFUL = 0.5
 """Where the model fails in some band: from which share of the deviations that make a misfit on others are doubtful as well."""
 
@@ -100,27 +105,37 @@ def misfits(problem: Problem, fitted: Fit, settings: DiagnosisSettings) -> tuple
     return tuple(sorted(_listed(z, hz, problem, settings, "") + late, key=lambda m: -m.size))
 
 
-def errors(problem: Problem, fitted: Fit, settings: DiagnosisSettings) -> tuple[BandError, ...]:
-    """What healthy data show that the model, with all that is known to be wrong with it, does not explain, in bands.
+def standing_error(problem: Problem, fitted: Fit, settings: DiagnosisSettings) -> StandingError | None:
+    """What healthy data show that the model, with all that is known to be wrong with it, does not explain.
 
-    None where the ground was measured: there the model's own error is among what is fitted.
+    None where it explains them, and where the ground was measured: there the model's own error is among what is fitted.
     """
-    if problem.evidence.drive is not None:
-        return ()
-    plain = replace(problem, reference=replace(problem.reference, errors=()))
-    here = plain.predict(fitted.x, fitted.effects)
-    z, hz = _banded(plain.whitened(here.spectra, here.spectra[None][:0], here.data)[1], plain.n_classes, plain)
-    if plain.offset is not None:
-        z = z / np.sqrt(2.0)  # as in `misfits`
-    size = np.maximum(np.abs(z), np.abs(drift_bands(plain, fitted))).max(axis=(1, 2), initial=0.0)
-    if size.max(initial=0.0) <= settings.misfit:
-        return ()
     e = problem.evidence
-    half, told = 0.5 * _per(e.band) * e.band.bin_hz, e.weight * e.counts.sum() * _per(e.band)
-    return tuple(
-        BandError(float(f - half), float(f + half), float(s**2 / told))
-        for f, s in zip(hz, size, strict=True)
-        if s > _DOUBTFUL * settings.misfit
+    if e.drive is not None:
+        return None
+    z, hz = residual_bands(problem, fitted)
+    if problem.offset is not None:
+        z = z / np.sqrt(2.0)  # as in `misfits`
+    late = np.abs(drift_bands(problem, fitted)).max(axis=(1, 2), initial=0.0)
+    size = np.maximum(np.abs(z).max(axis=(1, 2), initial=0.0), late)
+    if size.max(initial=0.0) <= settings.misfit:
+        return None
+    per, bins = _per(e.band), max(1, round(_NARROW_HZ / e.band.bin_hz))
+    n = hz.size * per // bins
+    inverse = np.linalg.inv(np.linalg.cholesky(problem.scatter(fitted.x, fitted.effects)))
+    seen = np.tensordot(e.counts / e.counts.sum(), inverse @ problem.data() @ inverse.conj().swapaxes(-1, -2), axes=1)
+    mean = seen[: n * bins].reshape(n, bins, *seen.shape[1:]).mean(axis=1)
+    band = np.arange(n) * bins // per
+    doubtful = size[band] > _DOUBTFUL * settings.misfit
+    drift = np.maximum(late**2 - settings.misfit, 0.0)[band]
+    ratios, vectors = np.linalg.eigh(mean)
+    bounded = np.clip(ratios, 1.0 / _FARTHEST, _FARTHEST)
+    relative = (vectors * (bounded - 1.0)[:, None, :]) @ vectors.conj().swapaxes(-1, -2)
+    unsure = (_DAILY * np.abs(bounded - 1.0) + np.abs(ratios - bounded)).max(axis=1)
+    return StandingError(
+        hz=e.band.hz[: n * bins].reshape(n, bins).mean(axis=1),
+        relative=relative * doubtful[:, None, None],
+        variance=((1.0 + drift) / (e.weight * e.counts.sum() * bins) + unsure**2) * doubtful,
     )
 
 

@@ -7,10 +7,11 @@ from dataclasses import dataclass, replace
 from itertools import accumulate, pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from monitor.effects import Effect
 from monitor.model import Model
-from monitor.results import Array
+from monitor.results import Array, ComplexArray
 
 _STATED = 1e-6
 """Relative standard deviation of what the structure file states of effects."""
@@ -18,14 +19,40 @@ _ANY_NOISE = 3.0
 """Standard deviation of the logarithm of a noise density that is not known."""
 
 
-@dataclass(frozen=True, slots=True)
-class BandError:
-    """What the model gets wrong in a band from the start, that no known effect explains."""
+@dataclass(frozen=True, eq=False, slots=True)
+class StandingError:
+    """What the model gets wrong from the start and no known effect explains: where its spectra are ``L L^H``, healthy ones are
+    ``L (1 + E) L^H``.
+    """
 
-    low_hz: float
-    high_hz: float
-    variance: float
-    """Of the relative error of the band's mean spectra."""
+    hz: Array
+    """Middles of narrow bands, evenly spaced, shape (m,); outside E is nothing."""
+    relative: ComplexArray
+    """E, shape (m, c, c)."""
+    variance: Array
+    """Of E, relative to one, shape (m,); nothing where E is."""
+
+    @property
+    def step_hz(self) -> float:
+        """Width of the bands."""
+        return float(self.hz[1] - self.hz[0])
+
+    def at(self, hz: Array) -> tuple[NDArray[np.bool_], NDArray[np.intp]]:
+        """Which frequencies lie within the bands, and the bands of these."""
+        band = np.floor((hz - self.hz[0]) / self.step_hz + 0.5).astype(int)
+        inside = (band >= 0) & (band < self.hz.size)
+        return inside, band[inside]
+
+    def doubtful_hz(self) -> list[list[float]]:
+        """Lowest and highest frequencies where E is something, with neighbours joined."""
+        out: list[list[float]] = []
+        for f in self.hz[self.variance > 0.0].tolist():
+            low, high = f - 0.5 * self.step_hz, f + 0.5 * self.step_hz
+            if out and low < out[-1][1] + 0.01 * self.step_hz:
+                out[-1][1] = high
+            else:
+                out.append([low, high])
+        return out
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -43,8 +70,8 @@ class Reference:
     reference_degc: float | None = None
     known_lines_hz: tuple[float, ...] = ()
     """Lines of machines that are known: what a recording has about them tells of those, not of the structure."""
-    errors: tuple[BandError, ...] = ()
-    """Bands in which healthy data contradict the model: what a recording has there tells the less the more they do."""
+    error: StandingError | None = None
+    """Of healthy data that contradict the model."""
 
     @property
     def sizes(self) -> tuple[int, int, int, int, int]:
@@ -191,14 +218,3 @@ def inverse(normal: Array) -> Array:
     """Inverse of a normal matrix whose parameters have different units; directions without information get none."""
     scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
     return np.asarray(scale[:, None] * np.linalg.pinv(normal * scale[:, None] * scale, hermitian=True) * scale)
-
-
-def bands(errors: Sequence[BandError]) -> list[list[float]]:
-    """Lowest and highest frequencies of the bands, Hz, with neighbours joined."""
-    out: list[list[float]] = []
-    for e in errors:
-        if out and e.low_hz < out[-1][1] + 1e-6:
-            out[-1][1] = e.high_hz
-        else:
-            out.append([e.low_hz, e.high_hz])
-    return out

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,7 +10,7 @@ from scipy.linalg import block_diag
 
 from monitor.effects import FORMS
 from monitor.model import Model
-from monitor.reference import BandError, Reference, as_stated
+from monitor.reference import Reference, StandingError, as_stated
 
 
 def to_plain(reference: Reference | None) -> dict[str, Any] | None:
@@ -27,7 +27,7 @@ def to_plain(reference: Reference | None) -> dict[str, Any] | None:
         "precision": reference.precision.tolist(),
         "basis": reference.basis.tolist(),
         "reference_degc": reference.reference_degc,
-        "errors": [asdict(e) for e in reference.errors],
+        "error": None if reference.error is None else _error_to_plain(reference.error),
     }
 
 
@@ -64,5 +64,31 @@ def from_plain(content: dict[str, Any] | None, model: Model, channels: tuple[str
         precision=block_diag(precision, np.diag(as_stated(added))) if stated.size else precision,
         basis=basis,
         reference_degc=None if degc is None else float(degc),
-        errors=tuple(BandError(**e) for e in content.get("errors", ())),
+        error=None if content["error"] is None else _error_from_plain(content["error"], len(channels)),
     ).with_known_lines()
+
+
+def _error_to_plain(error: StandingError) -> dict[str, Any]:
+    e = error.relative
+    return {
+        "hz": error.hz.tolist(),
+        "real": e.real.tolist(),
+        "imaginary": e.imag.tolist(),
+        "variance": error.variance.tolist(),
+    }
+
+
+def _error_from_plain(content: dict[str, Any], n_channels: int) -> StandingError:
+    hz, real, imaginary, variance = (
+        np.array(content[name], dtype=float) for name in ("hz", "real", "imaginary", "variance")
+    )
+    shape = (hz.size, n_channels, n_channels)
+    if (
+        hz.size < 2
+        or not (np.diff(hz) > 0.0).all()
+        or (real.shape, imaginary.shape, variance.shape) != (shape, shape, hz.shape)
+    ):
+        raise ValueError("the reference's standing error has the wrong shape")
+    if not all(np.isfinite(values).all() for values in (hz, real, imaginary, variance)) or (variance < 0.0).any():
+        raise ValueError("the reference's standing error holds numbers that are none")
+    return StandingError(hz, real + 1j * imaginary, variance)

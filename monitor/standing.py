@@ -11,7 +11,7 @@ from monitor.diagnosis_settings import DiagnosisSettings
 from monitor.effects import Context
 from monitor.evidence import Evidence
 from monitor.likelihood import Problem
-from monitor.misfit import errors
+from monitor.misfit import standing_error
 from monitor.polish import prepared
 from monitor.reference import Reference, correction_basis, inverse
 from monitor.results import Array
@@ -63,9 +63,9 @@ def learn(
     )
     wider = replace(known, mean=mean, precision=prior, basis=basis)
     problem, fitted = prepared(evidence, wider, context)
-    p, wrong, covariance = mean.size, errors(problem, fitted, settings), fitted.covariance
-    if wrong:
-        wider = replace(wider, errors=wrong)
+    p, wrong, covariance = mean.size, standing_error(problem, fitted, settings), fitted.covariance
+    if wrong is not None:
+        wider = replace(wider, error=wrong)
         covariance = _covariance(replace(problem, reference=wider), fitted.x)
     precision = inverse(covariance[:p, :p])
     learnt = replace(wider, mean=fitted.x[:p], precision=0.5 * (precision + precision.T))

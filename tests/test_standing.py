@@ -82,7 +82,7 @@ def test_what_calibration_cannot_tell_apart_is_no_news_later(standing: tuple[str
 
 def test_what_nothing_explains_at_calibration_is_no_news_later() -> None:
     known = learn(recorded(1, crosstalk=0.1), CONFIG)
-    assert known.errors
+    assert known.error is not None
 
     def found(seed: int, *effects: str, crosstalk: float = 0.1) -> Diagnosis:
         return diagnose(classify(recorded(seed, *effects, crosstalk=crosstalk)), known, CONTEXT, CONFIG.diagnosis)

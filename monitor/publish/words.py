@@ -7,7 +7,7 @@ from math import floor, isfinite, log10
 from typing import Any
 
 from monitor.diagnose import Diagnosis
-from monitor.reference import Reference, bands
+from monitor.reference import Reference, StandingError
 
 Values = Mapping[str, Mapping[str, float]]
 """Parameter name -> ``value`` and ``std``, as in diagnosis.json."""
@@ -203,9 +203,9 @@ def separating_measurement(alternatives: Sequence[Mapping[str, Any]]) -> str | N
     return "; ".join(dict.fromkeys(checks))
 
 
-def contradicted(reference: Reference) -> str:
+def contradicted(error: StandingError) -> str:
     """What calibration left unexplained, without a full stop."""
-    where = ", ".join(f"{low:.1f}-{high:.1f}" for low, high in bands(reference.errors))
+    where = ", ".join(f"{low:.1f}-{high:.1f}" for low, high in error.doubtful_hz())
     return f"at {where} Hz no known effect explains the healthy data either, so what is seen there counts less"
 
 
