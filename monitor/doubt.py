@@ -60,7 +60,7 @@ def form_doubt(problem: Problem, at: Fit, effect: Effect) -> Array:
         beside = (*problem.reference.effects(at.x), *at.effects)
         flexible = sum(1.0 / e.girder_to_column_ratio for e in beside if isinstance(e, JointFlexibility))
         girders = _GIRDERS * min(flexible, 1.0) if effect.name == "stiffness_change" else 0.0
-        return np.asarray(size * np.hypot(_FORM * rms, girders))
+        return np.asarray(np.hypot(effect.form_std, size * np.hypot(_FORM * rms, girders)))
     if effect.name == "cubic_stiffness" and effect.coordinates[0] < 0.0:
         drift = problem.conditions[problem.n_classes // 2].drift_m[effect.index]
         stiffness = problem.context_at(at.x).structure.stiffness_n_per_m[effect.index]

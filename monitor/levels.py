@@ -27,7 +27,9 @@ def by_force(problem: Problem, x: Array, effects: Sequence[Effect]) -> ComplexAr
     What none of them makes alone is shared by the forces.
     """
     p, n = problem.reference.mean.size, problem.context.structure.n_dofs
-    still, linear = _silent(problem, x), replace(problem, offset=None)
+    still = _silent(problem, x)
+    # What simulation adds, and what the model gets wrong from the start, is relative to all that acts together.
+    linear = replace(problem, offset=None, reference=replace(problem.reference, error=None))
     calm = replace(linear, conditions=tuple(replace(c, ground=0.0) for c in problem.conditions))
     whole, ground = problem.scatter(still, effects), linear.scatter(still, effects) - calm.scatter(still, effects)
     none = still.copy()

@@ -21,7 +21,7 @@ from monitor.fitting import fit
 from monitor.gain import Gain, fitted_model, score
 from monitor.model import Model
 from monitor.preparation import prepare
-from monitor.reference import nominal
+from monitor.reference import StandingError, nominal
 from monitor.reference_file import from_plain, to_plain
 from monitor.search import Candidate
 from monitor.segments import Segments
@@ -225,9 +225,20 @@ def test_a_reference_survives_the_baseline_file(damped: Segments) -> None:
     site = settings()
     model = Model(site.model().structure, (parse_effect(DAMPER),))
     known = nominal(model, site.prior_std(), 3)
-    learnt, _ = learn(classify(damped), known, context_of(site))
+    learnt, _ = learn(classify(damped), known, context_of(site), site.diagnosis)
     again = from_plain(json.loads(json.dumps(to_plain(learnt), allow_nan=False)), site.model(), site.channels)
-    assert again is not None
+    assert again is not None and again.error is None
+    wrong = StandingError(np.array([2.0, 2.25]), np.full((2, 3, 3), 0.1 - 0.2j), np.array([0.0, 0.01]))
+    doubted = from_plain(
+        json.loads(json.dumps(to_plain(replace(learnt, error=wrong)), allow_nan=False)), site.model(), site.channels
+    )
+    assert doubted is not None and doubted.error is not None
+    np.testing.assert_array_equal(doubted.error.relative, wrong.relative)
+    assert doubted.error.doubtful_hz() == [[2.125, 2.375]]
+    assert doubted.error.at(np.array([1.8, 2.1, 2.3, 2.4]))[1].tolist() == [0, 1]
+    content = to_plain(replace(learnt, error=wrong)) or {}
+    with pytest.raises(ValueError, match="standing error"):
+        from_plain(content | {"error": content["error"] | {"variance": [0.0]}}, site.model(), site.channels)
     assert [e.name for e in again.effects(again.mean)] == ["story_damper"]
     for name in ("mean", "precision", "basis"):
         np.testing.assert_array_equal(getattr(again, name), getattr(learnt, name))

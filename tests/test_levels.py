@@ -129,7 +129,7 @@ def test_noise_that_follows_each_channels_motion_is_no_cause() -> None:
         return classify(gather(blocks_of(ACCELERATION, floors, config.channels, RATE, 10**18, 128), config))
 
     healthy = evidence(np.ones(3), 1)
-    known, _ = learn(healthy, nominal(config.model(), np.full(6, 0.002), 3), context)
+    known, _ = learn(healthy, nominal(config.model(), np.full(6, 0.002), 3), context, config.diagnosis)
     later = diagnose(evidence(np.array([1.0, 1.0, 1.25]), 2), known, context, config.diagnosis)
     assert later.verdict == "none"
     noisy = diagnose(evidence(np.array([1.0, 1.0, 5.0]), 3), known, context, config.diagnosis)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from drivers.base import ACCELERATION
-from monitor.doubt import deviations, sure
+from monitor.doubt import deviations, form_doubt, sure
 from monitor.effects import Context, parse_effect
 from monitor.evidence import classify
 from monitor.fitting import Fit, fit
@@ -82,6 +82,8 @@ def test_what_has_no_sure_size_is_no_cause(loaded: tuple[Problem, Fit]) -> None:
     own = deviations(problem, at, np.array([0.0, 0.1, 0.0]))
     kept = [sure(e, std) for e, std in zip(at.effects, own, strict=True)]
     assert kept == [True, False, True]
+    crack = fit(problem, null.x, (parse_effect("bilinear_stiffness:story 1:relative_drop=0.3"),), iterations=0)
+    assert form_doubt(problem, crack, crack.effects[0])[0] >= 0.015 * 0.3  # of its form, whatever the frame's
     alone, doubt = only(problem, at, np.array([1.0, 2.0, 3.0]), kept)
     assert [e.name for e in alone.effects] == ["added_mass", "time_offset"]
     assert doubt.tolist() == [1.0, 3.0]
