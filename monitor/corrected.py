@@ -177,7 +177,7 @@ def corrected(
         By the coordinates of the nonlinear effects; none where they are not known.
     """
     plain = {f.name: getattr(problem, f.name) for f in fields(Problem)}
-    linear, hz = replace(problem, offset=None), problem.evidence.band.hz
+    linear, hz = problem.of_model_alone(), problem.evidence.band.hz
     acting = [e for e in effects if e.nonlinear]  # beside those that stand
     centre = np.concatenate([[], *[e.coordinates for e in acting]])
 

@@ -160,7 +160,7 @@ def _sensors_offset(
 ) -> ComplexArray:
     """As `offset` where a sensor bends: less what the linear sensors say under the same forces and noise."""
     gain, everything = problem.evidence.band.gain, (*problem.reference.effects(x), *effects)
-    problem, diagonal = replace(problem, offset=None), np.arange(len(problem.context.channels))
+    problem, diagonal = problem.of_model_alone(), np.arange(len(problem.context.channels))
     out, bent = averaged(problem, x, effects, transforms), _bent(everything)
     for k, y in enumerate(_linear(problem, x, everything, acting)):
         out[k] -= _products(y) * gain[:, None, None]
@@ -172,7 +172,7 @@ def _sides(
     problem: Problem, x: Array, effects: tuple[Effect, ...], transforms: ComplexArray
 ) -> tuple[Problem, ComplexArray, ComplexArray]:
     """The problem linear at the simulation's motion, the exact spectra of every class and those that it expects."""
-    problem, everything = replace(problem, offset=None), (*problem.reference.effects(x), *effects)
+    problem, everything = problem.of_model_alone(), (*problem.reference.effects(x), *effects)
     simulated, diagonal = averaged(problem, x, effects, transforms), np.arange(len(problem.context.channels))
     noise = _noise(problem, x, everything)[:, None, :] * problem.evidence.band.gain[:, None]
     simulated[:, :, diagonal, diagonal] += noise

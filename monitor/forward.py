@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from monitor.effects import Condition, Context, Effect, System
 from monitor.evidence import Evidence
 from monitor.model import Model
 from monitor.prediction import Excitation, cross_spectra, extended, modally_damped
-from monitor.reference import Reference
+from monitor.reference import Reference, StandingError
 from monitor.results import Array, ComplexArray
 from monitor.wishart import grown_by
 
@@ -61,6 +62,15 @@ class Forward:
         """Length of the vector before the extra effects' coordinates."""
         return int(self.reference.mean.size) + self.context.structure.n_dofs + self.n_classes + 1
 
+    @property
+    def _error(self) -> StandingError | None:
+        """That of the reference; beside a measured ground the spectra about the response have another one of their own."""
+        return self.reference.error if self.evidence.drive is None else None
+
+    def of_model_alone(self) -> Self:
+        """The same without what simulation adds, and without what the model gets wrong from the start."""
+        return replace(self, offset=None, reference=replace(self.reference, error=None))
+
     def widths(self) -> Array:
         """Bins in each (coarse) bin; none about known machines' lines, and fewer where the model is known to err."""
         if self.smoothing is not None:
@@ -69,7 +79,7 @@ class Forward:
         out = np.ones(band.n_bins)
         for line in self.reference.known_lines_hz:
             out[np.abs(band.hz - line) <= max(_LINE_BINS * band.bin_hz, _LINE_SHARE * line)] = 0.0
-        error = self.reference.error
+        error = self._error
         if error is not None:
             inside, at = error.at(band.hz)
             # An error that all segments and bins of a narrow band share does not average out.
@@ -159,7 +169,7 @@ class Forward:
 
     def _as_healthy(self, spectra: ComplexArray) -> ComplexArray:
         """With what the model gets wrong from the start."""
-        error = self.reference.error
+        error = self._error
         if error is None:
             return spectra
         inside, at = error.at(self.evidence.band.hz)

@@ -29,7 +29,7 @@ def by_force(problem: Problem, x: Array, effects: Sequence[Effect]) -> ComplexAr
     p, n = problem.reference.mean.size, problem.context.structure.n_dofs
     still = _silent(problem, x)
     # What simulation adds, and what the model gets wrong from the start, is relative to all that acts together.
-    linear = replace(problem, offset=None, reference=replace(problem.reference, error=None))
+    linear = problem.of_model_alone()
     calm = replace(linear, conditions=tuple(replace(c, ground=0.0) for c in problem.conditions))
     whole, ground = problem.scatter(still, effects), linear.scatter(still, effects) - calm.scatter(still, effects)
     none = still.copy()

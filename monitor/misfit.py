@@ -127,7 +127,7 @@ def standing_error(problem: Problem, fitted: Fit, settings: DiagnosisSettings) -
     mean = seen[: n * bins].reshape(n, bins, *seen.shape[1:]).mean(axis=1)
     band = np.arange(n) * bins // per
     doubtful = size[band] > _DOUBTFUL * settings.misfit
-    drift = np.maximum(late**2 - settings.misfit, 0.0)[band]
+    drift = np.where(late > settings.misfit, late, 0.0)[band] ** 2
     ratios, vectors = np.linalg.eigh(mean)
     bounded = np.clip(ratios, 1.0 / _FARTHEST, _FARTHEST)
     relative = (vectors * (bounded - 1.0)[:, None, :]) @ vectors.conj().swapaxes(-1, -2)
