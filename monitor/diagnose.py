@@ -18,7 +18,7 @@ from monitor.effects.attached_oscillator import AttachedOscillator
 from monitor.evidence import Evidence
 from monitor.fitting import Fit, fit
 from monitor.likelihood import Problem
-from monitor.misfit import Misfit, misfits, remainder, strayed
+from monitor.misfit import Misfit, misfits, remainder, strayed, wrong_nats
 from monitor.parallel import each
 from monitor.polish import Polished, beside_standing, finish, polish, prepared, settle, skewness
 from monitor.preparation import FAR, beside_wind, between_samples, exactly
@@ -156,8 +156,9 @@ def _searched(stage: _Stage, settings: DiagnosisSettings) -> tuple[_Stage, list[
 
 def _due(stage: _Stage, settings: DiagnosisSettings) -> float:
     """Evidence that the next cause must have, nats."""
-    wrong = 0.5 * sum(m.size**2 for m in misfits(stage.problem, stage.at, settings))
-    return max(stage.margin, settings.share * wrong)
+    if stage.problem.evidence.drive is not None:  # most of what is wrong is in the response, which misfits do not count
+        return stage.margin
+    return max(stage.margin, settings.share * wrong_nats(stage.problem, misfits(stage.problem, stage.at, settings)))
 
 
 def _otherwise_between(stage: _Stage, tried: list[Polished], worth: float) -> tuple[Problem, Fit] | None:

@@ -29,7 +29,7 @@ class DiagnosisSettings(Settings):
     aftermath: float = Field(default=0.005, ge=0, lt=1)
     """Share of a nonlinear cause's gain that its simulation may still miss: less than that is no further cause."""
     share: float = Field(default=0.05, ge=0, lt=1)
-    """Share of the squared misfit, in nats, that a cause must explain: less may be made up by what no cause explains."""
+    """Share of the misfit, in nats, that a cause must explain where no ground was measured: less may be made up by the rest."""
     remainder: float = Field(default=0.03, ge=0, lt=1)
     """Share of the squared misfit that a nonlinear cause may leave."""
     misfit: float = Field(default=6.0, gt=0)

@@ -105,6 +105,15 @@ def misfits(problem: Problem, fitted: Fit, settings: DiagnosisSettings) -> tuple
     return tuple(sorted(_listed(z, hz, problem, settings, "") + late, key=lambda m: -m.size))
 
 
+def wrong_nats(problem: Problem, misfit: Sequence[Misfit]) -> float:
+    """What misfits cost, nats: half the squares of small deviations; of large ones, as of power that is many times the model's,
+    the likelihood counts the first power.
+    """
+    e = problem.evidence
+    many = np.sqrt(e.weight * e.counts.sum() * _per(e.band))
+    return float(sum(0.5 * m.size**2 / (1.0 + m.size / many) for m in misfit))
+
+
 def standing_error(problem: Problem, fitted: Fit, settings: DiagnosisSettings) -> StandingError | None:
     """What healthy data show that the model, with all that is known to be wrong with it, does not explain.
 
