@@ -227,14 +227,17 @@ def test_zenoh_blocks_lost_repeated_swapped_among_hostile_payloads(
             wire[k], wire[k + 2] = wire[k + 2], wire[k]
     payloads = hostile(stream[50], rng)
     with daemon_at(site) as daemon, plain_put(site) as put:
-        before = daemon.rss_mb
+        before = np.inf
         for k, block in enumerate(wire):
+            if k == len(wire) // 2:  # by when compiled code is loaded, which alone takes nearly 100 MB
+                until(lambda: bool(site.results), "a window")
+                before = daemon.rss_mb
             put(codec.encode(block))
             put(payloads[k % len(payloads)])
             if k % 10 == 0:
                 put(bytes(2 << 20))
         until(lambda: len(site.results) == 9, "all windows")
-        assert daemon.rss_mb - before < 100.0
+        assert daemon.rss_mb - before < 50.0
         over = threading.Event()
         flooding = threading.Thread(target=lambda: [put(b"\xff" * 1000) for _ in iter(over.is_set, True)], daemon=True)
         flooding.start()
