@@ -101,9 +101,9 @@ def diagnose(evidence: Evidence, reference: Reference, context: Context, setting
     rounds: list[tuple[Candidate, ...]] = []
     alternatives: tuple[tuple[Candidate, float], ...] = ()
     while len(stage.accepted) < settings.max_causes:
-        stage, tried = _searched(stage, settings)
+        stage, tried, due = _searched(stage, settings)
         rounds.append(tuple(p.candidate for p in tried))
-        if not tried or tried[0].candidate.evidence < _due(stage, settings):
+        if not tried or tried[0].candidate.evidence < due:
             break
         close = together(tried, settings.rival)
         if len(close) > 1:
@@ -142,16 +142,18 @@ def diagnose(evidence: Evidence, reference: Reference, context: Context, setting
     )
 
 
-def _searched(stage: _Stage, settings: DiagnosisSettings) -> tuple[_Stage, list[Polished]]:
-    """What may come next, best first; and the stage, fitted anew where the search came upon a better fit without any."""
-    worth = settings.worth * _due(stage, settings) / settings.margin
+def _searched(stage: _Stage, settings: DiagnosisSettings) -> tuple[_Stage, list[Polished], float]:
+    """The stage, fitted anew where the search came upon a better fit without any cause; what may come next, best first; and
+    the evidence that it must have."""
+    due = _due(stage, settings)
+    worth = settings.worth * due / settings.margin
     tried = _round(stage.problem, stage.at, stage.lean, settings, worth)
     better = missed(stage.problem, stage.at, tried) or _otherwise_between(stage, tried, worth)
     if better is None:
-        return stage, tried
+        return stage, tried, due
     problem, at = better
     stage = replace(stage, problem=problem, at=at, null=stage.null if stage.accepted else at)
-    return stage, _round(problem, at, stage.lean, settings, worth)
+    return stage, _round(problem, at, stage.lean, settings, worth), _due(stage, settings)
 
 
 def _due(stage: _Stage, settings: DiagnosisSettings) -> float:
@@ -209,8 +211,8 @@ def _beside(stage: _Stage, tied: Polished, settings: DiagnosisSettings) -> tuple
     if len(stage.accepted) + 2 > settings.max_causes:
         return None
     there = _with(stage, tied, settings)
-    tried = _searched(there, settings)[1]
-    if not tried or tried[0].candidate.evidence < _due(there, settings) or len(together(tried, settings.rival)) > 1:
+    _, tried, due = _searched(there, settings)
+    if not tried or tried[0].candidate.evidence < due or len(together(tried, settings.rival)) > 1:
         return None
     found = tried[0].candidate.effect
     if found.nonlinear:  # which is to be simulated with all else that is there

@@ -58,6 +58,10 @@ class Evidence:
     by_temperature: bool = False
     """Whether the classes are of temperature too."""
 
+    def pieces(self, n_bins: float) -> float:
+        """Independent pieces of information that all segments hold on so many bins."""
+        return float(self.weight * self.counts.sum() * n_bins)
+
 
 _BIN_CORRELATION = (2.0 / 3.0) ** 2, (1.0 / 6.0) ** 2
 """Squared correlations of the Hann taper's neighbouring bins, one and two apart."""

@@ -83,8 +83,7 @@ class Forward:
         if error is not None:
             inside, at = error.at(band.hz)
             # An error that all segments and bins of a narrow band share does not average out.
-            told = self.evidence.weight * self.evidence.counts.sum() * error.step_hz / band.bin_hz
-            out[inside] /= 1.0 + error.variance[at] * told
+            out[inside] /= 1.0 + error.variance[at] * self.evidence.pieces(error.step_hz / band.bin_hz)
         return out
 
     def data(self) -> ComplexArray:

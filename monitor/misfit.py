@@ -15,8 +15,8 @@ from monitor.prediction import Band
 from monitor.reference import StandingError
 from monitor.results import Array
 
-_BAND_HZ = 1.0
-_NARROW_HZ = 0.25
+_BAND_HZ, _NARROW_HZ = 1.0, 0.25
+"""Width of the bands in which misfits are looked for, and of those in which they are kept."""
 _DAILY = 0.1
 """Share of what the model gets wrong from the start that may be otherwise on another day."""
 _FARTHEST = 3.0
@@ -96,11 +96,15 @@ def _per(band: Band) -> int:
     return max(1, round(_BAND_HZ / band.bin_hz))
 
 
+def _beyond_chance(problem: Problem, fitted: Fit) -> tuple[Array, Array]:
+    """As `residual_bands`, over the chance in what is compared: a simulation has as much in it as the recording."""
+    z, hz = residual_bands(problem, fitted)
+    return (z if problem.offset is None else z / np.sqrt(2.0)), hz
+
+
 def misfits(problem: Problem, fitted: Fit, settings: DiagnosisSettings) -> tuple[Misfit, ...]:
     """Bands in which the model is wrong, worst first."""
-    z, hz = residual_bands(problem, fitted)
-    if problem.offset is not None:
-        z = z / np.sqrt(2.0)  # the simulation has as much chance in it as the recording
+    z, hz = _beyond_chance(problem, fitted)
     late = _listed(drift_bands(problem, fitted), hz, problem, settings, ", more so late in the recording than early")
     return tuple(sorted(_listed(z, hz, problem, settings, "") + late, key=lambda m: -m.size))
 
@@ -109,8 +113,7 @@ def wrong_nats(problem: Problem, misfit: Sequence[Misfit]) -> float:
     """What misfits cost, nats: half the squares of small deviations; of large ones, as of power that is many times the model's,
     the likelihood counts the first power.
     """
-    e = problem.evidence
-    many = np.sqrt(e.weight * e.counts.sum() * _per(e.band))
+    many = np.sqrt(problem.evidence.pieces(_per(problem.evidence.band)))
     return float(sum(0.5 * m.size**2 / (1.0 + m.size / many) for m in misfit))
 
 
@@ -122,9 +125,7 @@ def standing_error(problem: Problem, fitted: Fit, settings: DiagnosisSettings) -
     e = problem.evidence
     if e.drive is not None:
         return None
-    z, hz = residual_bands(problem, fitted)
-    if problem.offset is not None:
-        z = z / np.sqrt(2.0)  # as in `misfits`
+    z, hz = _beyond_chance(problem, fitted)
     late = np.abs(drift_bands(problem, fitted)).max(axis=(1, 2), initial=0.0)
     size = np.maximum(np.abs(z).max(axis=(1, 2), initial=0.0), late)
     if size.max(initial=0.0) <= settings.misfit:
@@ -144,7 +145,7 @@ def standing_error(problem: Problem, fitted: Fit, settings: DiagnosisSettings) -
     return StandingError(
         hz=e.band.hz[: n * bins].reshape(n, bins).mean(axis=1),
         relative=relative * doubtful[:, None, None],
-        variance=((1.0 + drift) / (e.weight * e.counts.sum() * bins) + unsure**2) * doubtful,
+        variance=((1.0 + drift) / e.pieces(bins) + unsure**2) * doubtful,
     )
 
 
