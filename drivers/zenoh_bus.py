@@ -26,7 +26,7 @@ from drivers.base import (
 )
 from drivers.inbox import Inbox
 from drivers.reorder import Reorder
-from drivers.zenoh_session import Key, SessionSettings, open_session, where
+from drivers.zenoh_session import Callbacks, Key, SessionSettings, open_session, where
 
 ENCODING = f"application/protobuf;{codec.SCHEMA_NAME}"
 _UNITS = {ACCELERATION: "m/s^2", GROUND: "m/s^2", TEMPERATURE: "degC"}
@@ -103,6 +103,7 @@ class ZenohSource:
         self._ready: deque[SampleBlock] = deque()
         self._session: zenoh.Session | None = None
         self._entities: list[Any] = []
+        self._callbacks = Callbacks()
         self._alive: set[str] = set()
 
     def open(self) -> None:
@@ -116,8 +117,8 @@ class ZenohSource:
                 self._subscribe(session, topic, key)
             alive = _beside(self._settings.key, "alive/*")
             self._entities += [
-                session.liveliness().declare_subscriber(alive, self._on_alive, history=True),
-                session.info.declare_transport_events_listener(self._on_transport, history=False),
+                session.liveliness().declare_subscriber(alive, self._callbacks.of(self._on_alive), history=True),
+                session.info.declare_transport_events_listener(self._callbacks.of(self._on_transport), history=False),
             ]
         except zenoh.ZError as error:
             self.close()
@@ -136,14 +137,14 @@ class ZenohSource:
         subscriber = ext.declare_advanced_subscriber(
             session,
             key,
-            on_sample,
+            self._callbacks.of(on_sample),
             history=ext.HistoryConfig(detect_late_publishers=True, max_samples=history) if history else None,
             recovery=ext.RecoveryConfig(periodic_queries=_ASK_AGAIN, heartbeat=None),
         )
         self._entities += [
             subscriber,
-            subscriber.sample_miss_listener(self._on_miss),
-            session.declare_queryable(_received_key(key), self._on_received),
+            subscriber.sample_miss_listener(self._callbacks.of(self._on_miss)),
+            session.declare_queryable(_received_key(key), self._callbacks.of(self._on_received)),
         ]
 
     def read(self, timeout_s: float) -> SampleBlock | None:
@@ -209,6 +210,7 @@ class ZenohSource:
             entity.undeclare()
         if session is not None:
             session.close()  # type: ignore[no-untyped-call]
+        self._callbacks.join()
         self._alive.clear()
 
     def _count(self, event: str, times: int = 1) -> None:

@@ -6,6 +6,10 @@ Nothing is ever searched for: no multicast, no gossip, only the endpoints that a
 from __future__ import annotations
 
 import json
+import logging
+import threading
+import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -13,6 +17,8 @@ import zenoh
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from drivers.base import SourceError
+
+_log = logging.getLogger(__name__)
 
 Key = Annotated[str, Field(pattern=r"^[^/*$?#@\s][^/*$?#\s]*(/[^/*$?#@\s][^/*$?#\s]*)*$", max_length=256)]
 """A key without wildcards; chunks that begin with ``@`` are Zenoh's own and are matched by no ``**``."""
@@ -62,6 +68,27 @@ class SessionSettings(BaseModel):
         if self.tls is None and any(not e.startswith("tcp/") for e in (*self.connect, *self.listen)):
             raise ValueError("endpoints of tls or quic need the `tls` table")
         return self
+
+
+class Callbacks:
+    """A session's callbacks.  Zenoh runs each in a thread of its own, which goes on with what it holds after its entity is
+    undeclared; an interpreter that ends meanwhile is aborted."""
+
+    def __init__(self) -> None:
+        self._ended: list[threading.Event] = []
+
+    def of(self, function: Callable[[Any], None]) -> zenoh.handlers.Callback[Any]:
+        """What to hand to Zenoh, once, in place of a function."""
+        ended = threading.Event()
+        self._ended.append(ended)
+        return zenoh.handlers.Callback(function, drop=ended.set)
+
+    def join(self, timeout_s: float = 10.0) -> None:
+        """Wait until all have ended whose entities are undeclared; no longer than `timeout_s`."""
+        deadline, ended = time.monotonic() + timeout_s, self._ended
+        self._ended = []
+        if not all(event.wait(max(0.0, deadline - time.monotonic())) for event in ended):
+            _log.warning("a callback of Zenoh has not ended %g s after it was undeclared", timeout_s)
 
 
 def configuration(settings: SessionSettings, folder: Path) -> zenoh.Config:

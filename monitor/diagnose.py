@@ -19,8 +19,9 @@ from monitor.evidence import Evidence
 from monitor.fitting import Fit, fit
 from monitor.likelihood import Problem
 from monitor.misfit import Misfit, misfits, remainder, strayed, wrong_nats
+from monitor.moments import Heard, Moments, heard
 from monitor.parallel import each
-from monitor.polish import Polished, beside_standing, finish, polish, prepared, settle, skewness
+from monitor.polish import Polished, beside_standing, finish, polish, prepared, settle
 from monitor.preparation import FAR, beside_wind, between_samples, exactly
 from monitor.reference import Reference
 from monitor.results import Array
@@ -85,8 +86,8 @@ class _Stage:
     null: Fit
     """The model form without causes, fitted."""
     accepted: tuple[Candidate, ...]
-    lean: Array
-    """Skewness of every story's drift that the accepted laws explain, shape (n,)."""
+    moments: Moments
+    """What the accepted laws add to those of a normal process."""
     margin: float
     """Evidence from which a further cause is one, nats."""
 
@@ -96,8 +97,8 @@ def diagnose(evidence: Evidence, reference: Reference, context: Context, setting
 
     After a cause is accepted the search is repeated on the extended model, until nothing is left that it explains.
     """
-    problem, null = prepared(evidence, reference, context)
-    stage = _Stage(problem, null, null, (), np.zeros(context.structure.n_stories), settings.margin)
+    problem, null, standing = prepared(evidence, reference, context)
+    stage = _Stage(problem, null, null, (), standing, settings.margin)
     rounds: list[tuple[Candidate, ...]] = []
     alternatives: tuple[tuple[Candidate, float], ...] = ()
     while len(stage.accepted) < settings.max_causes:
@@ -147,13 +148,13 @@ def _searched(stage: _Stage, settings: DiagnosisSettings) -> tuple[_Stage, list[
     the evidence that it must have."""
     due = _due(stage, settings)
     worth = settings.worth * due / settings.margin
-    tried = _round(stage.problem, stage.at, stage.lean, settings, worth)
+    tried = _round(stage.problem, stage.at, stage.moments, settings, worth)
     better = missed(stage.problem, stage.at, tried) or _otherwise_between(stage, tried, worth)
     if better is None:
         return stage, tried, due
     problem, at = better
     stage = replace(stage, problem=problem, at=at, null=stage.null if stage.accepted else at)
-    return stage, _round(problem, at, stage.lean, settings, worth), _due(stage, settings)
+    return stage, _round(problem, at, stage.moments, settings, worth), _due(stage, settings)
 
 
 def _due(stage: _Stage, settings: DiagnosisSettings) -> float:
@@ -195,13 +196,13 @@ def _with(stage: _Stage, best: Polished, settings: DiagnosisSettings) -> _Stage:
     if driven and _bent(at):
         problem, at = exactly(problem, at)
     problem, at = beside_wind(problem, at)
-    lean, margin = best.skewness, stage.margin
+    added, margin = best.moments, stage.margin
     if len(accepted) > 1 and _bent(at) and not driven:  # corrected without the newest cause
         made = settle(problem, at)
-        problem, at, lean = made.problem, made.fit, skewness(made.transforms, problem)[0]
+        problem, at, added = made.problem, made.fit, made.moments
     if best.candidate.effect.nonlinear:
         margin = max(margin, settings.aftermath * best.candidate.gain, settings.margin + _SURE * best.chance)
-    return _Stage(problem, at, stage.null, accepted, lean, margin)
+    return _Stage(problem, at, stage.null, accepted, added, margin)
 
 
 def _beside(stage: _Stage, tied: Polished, settings: DiagnosisSettings) -> tuple[_Stage, list[Polished]] | None:
@@ -218,7 +219,7 @@ def _beside(stage: _Stage, tied: Polished, settings: DiagnosisSettings) -> tuple
     if found.nonlinear:  # which is to be simulated with all else that is there
         return None
     alone = judge(stage.problem, stage.at, found)
-    return _with(stage, Polished(alone, stage.problem, stage.lean), settings), tried
+    return _with(stage, Polished(alone, stage.problem, stage.moments), settings), tried
 
 
 def _finished(
@@ -236,7 +237,7 @@ def _finished(
     # The last effect of an ambiguous answer was not accepted.
     accepted = tuple(c for c, stays in zip(accepted, kept, strict=False) if stays)
     if not _bent(at):
-        return *beside_standing(near, at), accepted, doubt
+        return *beside_standing(near, at)[:2], accepted, doubt
     return near, at, accepted, doubt
 
 
@@ -262,7 +263,7 @@ def _looked_ahead(close: list[Polished], settings: DiagnosisSettings) -> list[Po
         return close
     total = []
     for p in close[: settings.tried]:
-        second = _round(_extended(p.problem, p.candidate.fit), p.candidate.fit, p.skewness, settings, settings.worth)
+        second = _round(_extended(p.problem, p.candidate.fit), p.candidate.fit, p.moments, settings, settings.worth)
         more = second[0].candidate.evidence if second else 0.0
         total.append(p.candidate.evidence + (more if more > settings.margin else 0.0))
     best = int(np.argmax(total))
@@ -295,7 +296,7 @@ def _bent(at: Fit) -> bool:
     return any(e.nonlinear for e in at.effects)
 
 
-def _round(problem: Problem, at: Fit, lean: Array, settings: DiagnosisSettings, worth: float) -> list[Polished]:
+def _round(problem: Problem, at: Fit, added: Moments, settings: DiagnosisSettings, worth: float) -> list[Polished]:
     """The best candidates beside what was accepted, by evidence, of those that promise a gain of `worth`."""
     # What stood at calibration may have changed, but for laws, which are simulated one at a place.
     standing = [e for e in problem.reference.effects(at.x) if e.nonlinear or not e.parameters]
@@ -309,7 +310,7 @@ def _round(problem: Problem, at: Fit, lean: Array, settings: DiagnosisSettings, 
         return judge(problem, at, chosen[key], bar=bar, rough=ended.get(key))
 
     fitted = sorted(filter(partial(_is_one, problem), each(judged, chosen)), key=lambda c: -c.evidence)
-    return sorted(_polished(problem, at, fitted, lean, settings), key=lambda p: -p.candidate.evidence)
+    return sorted(_polished(problem, at, fitted, added, settings), key=lambda p: -p.candidate.evidence)
 
 
 def _is_one(problem: Problem, candidate: Candidate) -> bool:
@@ -372,53 +373,67 @@ def _driven(
 
 
 def _polished(
-    problem: Problem, at: Fit, candidates: list[Candidate], lean: Array, settings: DiagnosisSettings
+    problem: Problem, at: Fit, candidates: list[Candidate], added: Moments, settings: DiagnosisSettings
 ) -> list[Polished]:
-    """Candidates as they compare once nonlinear laws near the top were simulated and the drifts' skewness was heard.
-
-    A one-sided law leaves the drift skewed; no linear cause and no symmetric law does.
-    """
+    """Candidates as they compare once nonlinear laws near the top were simulated and the moments were heard."""
     # A response to a measured ground is that of the exact laws.
     if not candidates or candidates[0].evidence < settings.margin or problem.evidence.drive is not None:
-        return [Polished(c, problem, lean) for c in candidates]
+        return [Polished(c, problem, added) for c in candidates]
     best = candidates[0]
     reach = best.evidence - max(settings.rival, settings.linearization * best.gain)
     doubtful = [c for c in candidates if c.evidence > reach]
     if not any(c.effect.nonlinear for c in doubtful):
-        return [Polished(c, problem, lean) for c in candidates]
-    measured, std = skewness(problem.evidence.segments.values, problem)
+        return [Polished(c, problem, added) for c in candidates]
+    measured = heard(problem.evidence.segments.values, problem, at)
     bent = [c for c in doubtful if c.effect.nonlinear]
     simulated = {p.candidate.key: p for p in each(partial(polish, problem, at), bent)}
     first = max((simulated[c.key].candidate if c.key in simulated else c).evidence for c in candidates)
     near = [p for p in simulated.values() if p.candidate.evidence > first - _UNSURE * max(p.candidate.gain, _SMALL)]
-    finer = each(lambda p: polish(p.problem, at, p.candidate, fine=True), near)
+    finer = each(lambda p: polish(p.problem, at, p.candidate, "fine"), near)
     simulated |= {p.candidate.key: p for p in finer}
-    return [
-        _heard(
-            simulated.get(c.key, Polished(c, problem, lean)), lean, measured, std, 2.0 if c.key in simulated else 1.0
-        )
-        for c in candidates
-    ]
+    made = _compared(problem, candidates, simulated, added, measured)
+    tied = [p.candidate.key for p in together(made, settings.rival) if p.chance > 0.0]
+    if not tied or len(together([replace(p, chance=0.0) for p in made], settings.rival)) > 1:
+        return made  # more simulations would change nothing
+    finest = each(lambda key: polish(simulated[key].problem, at, simulated[key].candidate, "finest"), tied)
+    return _compared(problem, candidates, simulated | {p.candidate.key: p for p in finest}, added, measured)
 
 
-def _heard(made: Polished, lean: Array, measured: Array, std: Array, spread: float) -> Polished:
-    """A candidate with what the drifts' skewness says of it, turned round where that fits better.
+def _compared(
+    problem: Problem,
+    candidates: list[Candidate],
+    simulated: dict[tuple[str, str], Polished],
+    before: Moments,
+    measured: Heard,
+) -> list[Polished]:
+    """Candidates, simulated or not, with what the measured moments say of them against the one whose spectra fit best; `before`
+    are the moments that the causes accepted before add."""
+    polished = [simulated.get(c.key, Polished(c, problem, before)) for c in candidates]
+    turned = [_turned(p, before, measured) for p in polished]
+    first = max(turned, key=lambda pair: pair[0].candidate.evidence)[1]
+    return [_credited(p, likelihood - first) for p, likelihood in turned]
 
-    `spread` is 2 where the law was simulated, since a simulation has as much chance in it as the recording.
-    """
-    problem, candidate = made.problem, made.candidate
-    size = [
-        float(-0.5 * ((((measured - s) / std) ** 2) / spread + np.log(spread)).sum())
-        for s in (made.skewness, 2 * lean - made.skewness)
-    ]
-    mirror = candidate.effect.mirrored()
-    if mirror is not None and size[1] > size[0]:
-        old = candidate.fit
-        turned = replace(old, effects=(*old.effects[:-1], mirror), x=_mirrored(old, mirror))
-        candidate, size = replace(candidate, effect=mirror, fit=turned), size[::-1]
-        if isinstance(problem, Corrected):
-            problem = problem.mirrored(mirror)
-    return replace(made, problem=problem, candidate=replace(candidate, evidence=candidate.evidence + size[0]))
+
+def _turned(made: Polished, before: Moments, measured: Heard) -> tuple[Polished, float]:
+    """A candidate, turned round where the measured moments ask for that, and their log likelihood."""
+    as_it_is, mirror = measured.log_likelihood(made.moments, made.spread), made.candidate.effect.mirrored()
+    if mirror is None:
+        return made, as_it_is
+    other = made.moments.mirrored(before)
+    turned = measured.log_likelihood(other, made.spread)
+    if turned <= as_it_is:
+        return made, as_it_is
+    old = made.candidate.fit
+    candidate = replace(
+        made.candidate, effect=mirror, fit=replace(old, effects=(*old.effects[:-1], mirror), x=_mirrored(old, mirror))
+    )
+    problem = made.problem.mirrored(mirror) if isinstance(made.problem, Corrected) else made.problem
+    return replace(made, candidate=candidate, problem=problem, moments=other), turned
+
+
+def _credited(made: Polished, nats: float) -> Polished:
+    """A candidate with so much more evidence."""
+    return replace(made, candidate=replace(made.candidate, evidence=made.candidate.evidence + nats))
 
 
 def _mirrored(fitted: Fit, mirror: Effect) -> Array:

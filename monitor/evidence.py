@@ -74,11 +74,7 @@ def _information_weight() -> float:
 def classify(segments: Segments) -> Evidence:
     """Average the segments' cross-spectra in classes of level and, where it was measured and varies, of temperature."""
     x = segments.values
-    mean = np.einsum("ska,skb->kab", x, x.conj()) / x.shape[0]
-    floor = 1e-6 * np.einsum("kaa->k", mean).real / mean.shape[1]
-    inverse = np.linalg.inv(mean + floor[:, None, None] * np.eye(mean.shape[1]))
-    # Whitened by the mean spectrum every bin counts alike, so that the class follows the excitation, not one mode's chance.
-    level = np.einsum("ska,kab,skb->s", x.conj(), inverse, x).real
+    level = relative_level(x)
     # With the ground measured one class: its response is no mean over levels, and quiet stretches must not outweigh it.
     most = _LEVEL_CLASSES if segments.drive is None else 1
     label = _quantiles(level, min(most, max(1, level.size // _MIN_SEGMENTS_A_CLASS)))
@@ -113,6 +109,18 @@ def classify(segments: Segments) -> Evidence:
         drive=segments.drive,
         by_temperature=by_temperature,
     )
+
+
+def relative_level(x: ComplexArray) -> Array:
+    """Level of every segment's power over the mean of all, shape (n_segments,), of transforms, shape (n_segments, n_bins, c).
+
+    Whitened by the mean spectrum every bin counts alike, so that it follows the excitation, not one mode's chance.
+    """
+    mean = np.einsum("ska,skb->kab", x, x.conj()) / x.shape[0]
+    floor = 1e-6 * np.einsum("kaa->k", mean).real / mean.shape[1]
+    inverse = np.linalg.inv(mean + floor[:, None, None] * np.eye(mean.shape[1]))
+    level = np.einsum("ska,kab,skb->s", x.conj(), inverse, x).real
+    return np.asarray(level / level.mean())
 
 
 def _quantiles(value: Array, n: int) -> NDArray[np.intp]:

@@ -43,6 +43,20 @@ class Forces:
     """For what sensors add."""
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class Sides:
+    """One simulation of the exact laws beside the linearized ones under the same forces."""
+
+    controlled: ComplexArray
+    """Exact spectra less those that the linearized laws make expect, with a control variate, shape (classes, n_bins, c, c)."""
+    free: ComplexArray
+    """The same without one."""
+    bent: ComplexArray
+    """Transforms of the segments behind all sensors under the exact laws, shape (n_segments, n_bins, c)."""
+    straight: ComplexArray
+    """Under the linearized laws."""
+
+
 def forces(problem: Problem, x: Array, effects: Sequence[Effect], seed: int) -> Forces:
     """Random forces of every segment's own level: one segment to swing in, then the segments one after the other."""
     e, context = problem.evidence, problem.context_at(x)
@@ -126,49 +140,51 @@ def offset(
     A structure's law is made linear at the motion that the simulation's own spectra tell, as it is for the measured ones.
     """
     if _bent((*problem.reference.effects(x), *effects)):
-        return _sensors_offset(problem, x, effects, acting, transforms)
-    _, simulated, expected = _sides(problem, x, effects, transforms)
+        return _sensors_sides(problem, x, effects, acting, transforms).controlled
+    _, simulated, expected = _compared(problem, x, effects, transforms)
     return np.asarray(simulated - expected)
 
 
-def offsets(
-    problem: Problem, x: Array, effects: tuple[Effect, ...], acting: Forces, transforms: ComplexArray
-) -> tuple[ComplexArray, ComplexArray]:
-    """As `offset`, with a control variate and without it.
+def sides(problem: Problem, x: Array, effects: tuple[Effect, ...], acting: Forces, transforms: ComplexArray) -> Sides:
+    """What the exact laws make of forces, of `exact`'s transforms, beside what the linearized ones do.
 
     The linearized system under the same forces is the control: its simulated spectra less those expected, times the likeness
     of the two responses, are taken off (its chance is theirs as far as they are alike).  A sensor's law is always compared so.
     """
     e, everything = problem.evidence, (*problem.reference.effects(x), *effects)
     if _bent(everything):
-        sensors = _sensors_offset(problem, x, effects, acting, transforms)
-        return sensors, sensors
-    problem, simulated, expected = _sides(problem, x, effects, transforms)
+        return _sensors_sides(problem, x, effects, acting, transforms)
+    problem, simulated, expected = _compared(problem, x, effects, transforms)
     noise, diagonal = _noise(problem, x, everything), np.arange(len(problem.context.channels))
-    out = np.empty_like(e.spectra)
-    for k, y in enumerate(_linear(problem, x, everything, acting)):
+    out, bent, straight = np.empty_like(e.spectra), np.empty_like(transforms), np.empty_like(transforms)
+    for k, (members, y) in enumerate(zip(e.members, _linear(problem, x, everything, acting), strict=True)):
         linear = _products(y) * e.band.gain[:, None, None]
         linear[:, diagonal, diagonal] += noise[k] * e.band.gain[:, None]
-        z, members = _through(transforms[e.members[k]], everything, problem, k), e.members[k]
+        z = _through(transforms[members], everything, problem, k)
         likeness = _likeness(np.einsum("sfa,sfb->fab", z, y.conj()) / members.size, _products(y))
         out[k] = simulated[k] - expected[k] - likeness[:, None, None] * (linear - expected[k])
-    return out, np.asarray(simulated - expected)
+        bent[members], straight[members] = z, y
+    return Sides(out, np.asarray(simulated - expected), bent, straight)
 
 
-def _sensors_offset(
+def _sensors_sides(
     problem: Problem, x: Array, effects: tuple[Effect, ...], acting: Forces, transforms: ComplexArray
-) -> ComplexArray:
-    """As `offset` where a sensor bends: less what the linear sensors say under the same forces and noise."""
+) -> Sides:
+    """As `sides` where a sensor bends: less what the linear sensors say under the same forces and noise."""
     gain, everything = problem.evidence.band.gain, (*problem.reference.effects(x), *effects)
     problem, diagonal = problem.of_model_alone(), np.arange(len(problem.context.channels))
-    out, bent = averaged(problem, x, effects, transforms), _bent(everything)
+    out, sensors = averaged(problem, x, effects, transforms), _bent(everything)
+    others = [effect for effect in everything if effect not in sensors]
+    bent, straight = np.empty_like(transforms), np.empty_like(transforms)
     for k, y in enumerate(_linear(problem, x, everything, acting)):
+        members = problem.evidence.members[k]
         out[k] -= _products(y) * gain[:, None, None]
-        out[k][:, diagonal, diagonal] -= _added(bent, problem, k) * gain[:, None]  # what clipping adds
-    return out
+        out[k][:, diagonal, diagonal] -= _added(sensors, problem, k) * gain[:, None]  # what clipping adds
+        bent[members], straight[members] = _through(transforms[members], others, problem, k), y
+    return Sides(out, out, bent, straight)
 
 
-def _sides(
+def _compared(
     problem: Problem, x: Array, effects: tuple[Effect, ...], transforms: ComplexArray
 ) -> tuple[Problem, ComplexArray, ComplexArray]:
     """The problem linear at the simulation's motion, the exact spectra of every class and those that it expects."""

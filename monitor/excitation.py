@@ -13,7 +13,7 @@ from monitor.corrected import relative_to
 from monitor.driven import Between
 from monitor.effects import Condition, Context, Effect
 from monitor.evidence import Evidence, classify
-from monitor.exact import exact, forces, offsets
+from monitor.exact import exact, forces, sides
 from monitor.likelihood import Problem, alike
 from monitor.model import Model
 from monitor.motion import conditions
@@ -118,7 +118,7 @@ def _beyond(problem: Problem, x: Array, linear: ComplexArray) -> ComplexArray:
 
     def added(seed: int) -> ComplexArray:
         acting = forces(problem, x, (), seed)
-        return offsets(problem, x, (), acting, exact(problem, x, (), acting))[0]
+        return sides(problem, x, (), acting, exact(problem, x, (), acting)).controlled
 
     return relative_to(linear, np.mean(each(added, range(_SIMULATIONS)), axis=0), problem.evidence.band.hz)
 

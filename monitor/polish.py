@@ -1,4 +1,4 @@
-"""What statistical linearization leaves out, measured by simulating the exact law, and the skewness that tells laws apart.
+"""What statistical linearization leaves out, measured by simulating the exact law.
 
 The same forces drive the exact law and the linearized systems of every class; the difference of their averaged spectra
 is little disturbed by chance and is added to the prediction, with its slopes by the law's sizes, so that the fit that
@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -17,9 +17,10 @@ from monitor.corrected import Corrected, corrected
 from monitor.effects import Context
 from monitor.effects.cubic_stiffness import CubicStiffness
 from monitor.evidence import Evidence
-from monitor.exact import exact, forces, offset, offsets
+from monitor.exact import exact, forces, offset, sides
 from monitor.fitting import Fit, fit
 from monitor.likelihood import Problem, placed
+from monitor.moments import Moments, moments, none
 from monitor.motion import conditions
 from monitor.parallel import each
 from monitor.preparation import prepare
@@ -30,11 +31,14 @@ from monitor.stepping import loaded
 
 Rounds = tuple[tuple[int, bool], ...]
 """Simulations in each round, and whether slopes are taken too."""
-_ROUGH: Rounds = ((1, True),)
-_FINE: Rounds = ((2, True),)
-"""For a rival, and for the best.  Without slopes from the start, a law that is far from its linearization is fitted away."""
 _LEAST, _MOST, _LOSS = 3, 10, 100.0
 """Simulations for what is published: one for so many nats that the chance of a single one takes away."""
+Care = Literal["rough", "fine", "finest"]
+"""For a rival; for the best; and where the simulations' chance makes a tie."""
+_ROUNDS: dict[Care, Rounds] = {"rough": ((1, True),), "fine": ((2, True),), "finest": ((_MOST, False),)}
+"""Without slopes from the start, a law that is far from its linearization is fitted away."""
+_SENSORS: dict[Care, Rounds] = {"rough": ((1, False),), "fine": ((_LEAST, False),), "finest": ((_MOST, False),)}
+"""Slopes by sensors' sizes are told by samples: there is nothing to simulate twice."""
 _VAGUE = 0.15
 """Share of a law's size that may be in doubt by chance; else the most are made, as what is rare shows in few of them."""
 _STEP = 0.1
@@ -59,8 +63,10 @@ class Polished:
     candidate: Candidate
     problem: Problem
     """With the correction of the linearized law."""
-    skewness: Array
-    """Of every story's drift in the simulation, shape (n,)."""
+    moments: Moments
+    """What all laws add to those of a normal process, in simulation."""
+    spread: float = 1.0
+    """How many times the chance of a recording's moments that of their difference has."""
     chance: float = 0.0
     """Standard deviation of the evidence by the simulations' chance, nats."""
 
@@ -71,50 +77,53 @@ class Settled:
 
     problem: Corrected
     fit: Fit
-    transforms: ComplexArray
-    """Of one simulation's segments, shape (n_segments, n_bins, c)."""
+    moments: Moments
+    """What the laws add to those of a normal process."""
+    simulations: int
+    """How many the moments are the mean of."""
 
 
-def polish(problem: Problem, null: Fit, candidate: Candidate, *, fine: bool = False) -> Polished:
+def polish(problem: Problem, null: Fit, candidate: Candidate, care: Care = "rough") -> Polished:
     """Refit a candidate with nonlinear laws, its linearization corrected by simulation at the fitted size."""
-    made = settle(problem, candidate.fit, fine=fine)
+    made = settle(problem, candidate.fit, care)
     softening = any(isinstance(e, CubicStiffness) and e.k3_n_per_m3 < 0.0 for e in candidate.fit.effects)
-    if softening and not fine and np.abs(made.problem.relative[0]).max() > _WILD:
-        other = settle(problem, _weaker(problem, candidate.fit), fine=fine)
+    if softening and care == "rough" and np.abs(made.problem.relative[0]).max() > _WILD:
+        other = settle(problem, _weaker(problem, candidate.fit), care)
         made = max(made, other, key=lambda m: m.fit.log_posterior)
-    drift_skewness = skewness(made.transforms, problem)[0]
+    spread = 1.0 + 1.0 / made.simulations
     better = evidence_of(made.problem, null, made.fit)
-    if better.gain < candidate.gain <= better.gain + made.problem.lost:  # the simulations' chance decides nothing
-        return Polished(candidate, problem, drift_skewness)
+    simulated = isinstance(problem, Corrected) and candidate.key in problem.laws
+    if (
+        not simulated and better.gain < candidate.gain <= better.gain + made.problem.lost
+    ):  # their chance decides nothing
+        return Polished(candidate, problem, made.moments, spread)
     lost = made.problem.lost
     better = replace(better, gain=better.gain + lost, evidence=better.evidence + lost)
-    return Polished(better, made.problem, drift_skewness, float(np.sqrt(2.0 * lost)))
+    return Polished(better, made.problem, made.moments, spread, float(np.sqrt(2.0 * lost)))
 
 
-def prepared(evidence: Evidence, reference: Reference, context: Context) -> tuple[Problem, Fit]:
-    """As `prepare`, with what simulation adds to the laws that stand."""
+def prepared(evidence: Evidence, reference: Reference, context: Context) -> tuple[Problem, Fit, Moments]:
+    """As `prepare`, with what simulation adds to the laws that stand, and what they add to the moments."""
     problem, null = prepare(evidence, reference, context)
-    simulated = (problem, null)
+    simulated = (problem, null, none(problem))
     for _ in range(_STANDING):
-        simulated = beside_standing(*simulated)
+        simulated = beside_standing(*simulated[:2])
     # Near the strongest motion that a law allows, forces fitted to its linear form make it run away: then that form stays.
-    return max(simulated, (problem, null), key=lambda made: made[1].log_posterior)
+    return max(simulated, (problem, null, none(problem)), key=lambda made: made[1].log_posterior)
 
 
-def beside_standing(problem: Problem, at: Fit) -> tuple[Problem, Fit]:
+def beside_standing(problem: Problem, at: Fit) -> tuple[Problem, Fit, Moments]:
     """Without the correction of any law but those that stand, refitted; as it is where none does or the ground was measured."""
     linear = replace(problem, offset=None)
     if problem.evidence.drive is not None or not any(e.nonlinear for e in problem.reference.effects(at.x)):
-        return linear, at
+        return linear, at, none(problem)
     made = settle(linear, at)
-    return made.problem, made.fit
+    return made.problem, made.fit, made.moments
 
 
-def settle(problem: Problem, at: Fit, *, fine: bool = True) -> Settled:
-    """Refit with all nonlinear laws simulated, for a rival or, `fine`, for the best."""
-    if _sensors_alone(at):  # slopes by their sizes are told by samples: there is nothing to simulate twice
-        return _settled(problem, at, ((_LEAST if fine else 1, False),))
-    return _settled(problem, at, _FINE if fine else _ROUGH)
+def settle(problem: Problem, at: Fit, care: Care = "fine") -> Settled:
+    """Refit with all nonlinear laws simulated."""
+    return _settled(problem, at, (_SENSORS if _sensors_alone(at) else _ROUNDS)[care])
 
 
 def _weaker(problem: Problem, at: Fit) -> Fit:
@@ -148,6 +157,7 @@ def _settled(problem: Problem, at: Fit, rounds: Rounds) -> Settled:
         done = each(lambda piece: piece(), pieces)
         made = done[-count:]
         offsets, free = np.array([m[0] for m in made]), np.array([m[1] for m in made])
+        added = sum((m[2] for m in made), none(linear)) / count
         if sloped:
             new = np.array(done[:count])
             known = kept + count
@@ -161,7 +171,7 @@ def _settled(problem: Problem, at: Fit, rounds: Rounds) -> Settled:
     if doubt.size:
         more = np.diag(_spread(near, at) - at.covariance)[near.n_nuisance :]
         doubt = np.sqrt(doubt**2 + np.maximum(more, 0.0))
-    return Settled(replace(near, lost=lost, doubt=doubt), at, made[0][2])
+    return Settled(replace(near, lost=lost, doubt=doubt), at, added, count)
 
 
 def finish(problem: Problem, at: Fit) -> tuple[Corrected, Fit]:
@@ -191,12 +201,12 @@ def finish(problem: Problem, at: Fit) -> tuple[Corrected, Fit]:
     return replace(last.problem, doubt=np.hypot(last.problem.doubt, _UNSETTLED * moved)), last.fit
 
 
-def _simulated(problem: Problem, at: Fit, seed: int) -> tuple[ComplexArray, ComplexArray, ComplexArray | None]:
-    """Offset, the same without a control variate, and the transforms of the first simulation."""
+def _simulated(problem: Problem, at: Fit, seed: int) -> tuple[ComplexArray, ComplexArray, Moments]:
+    """Offset, the same without a control variate, and what the laws add to the moments."""
     acting = forces(problem, at.x, at.effects, seed)
-    transforms = exact(problem, at.x, at.effects, acting)
-    # One simulation's are enough, and to hand them over costs more than to make them.
-    return *offsets(problem, at.x, at.effects, acting, transforms), transforms if seed == 0 else None
+    made = sides(problem, at.x, at.effects, acting, exact(problem, at.x, at.effects, acting))
+    added = moments(made.bent, problem, at) - moments(made.straight, problem, at)
+    return made.controlled, made.free, added
 
 
 def _sloped(problem: Problem, at: Fit, seed: int) -> ComplexArray:
@@ -282,19 +292,3 @@ def _chance(problem: Corrected, at: Fit, offsets: ComplexArray, free: ComplexArr
     own, whole = (s.var(axis=1, ddof=1) for s in steps)
     expected = np.diag(at.covariance @ (rows.T @ rows) @ at.covariance)[n:]
     return lost, np.sqrt(own / k + np.maximum(whole - expected, 0.0))
-
-
-def skewness(transforms: ComplexArray, problem: Problem) -> tuple[Array, Array]:
-    """Skewness of every story's drift in the band, mean over segments, and its standard deviation, shape (n,) each.
-
-    Accelerations become drifts in the frequency domain; tapered segments keep the sign of the third moment.
-    """
-    band, context = problem.evidence.band, problem.context
-    floors = transforms[:, :, : len(context.channels)] @ np.linalg.pinv(context.sensors).T
-    drift = floors @ context.structure.drift_matrix().T / (-((2.0 * np.pi * band.hz) ** 2))[:, None]
-    length = 4 * (band.first + band.n_bins)  # room for the third power
-    full = np.zeros((drift.shape[0], length // 2 + 1, drift.shape[2]), dtype=complex)
-    full[:, band.first : band.first + band.n_bins] = drift
-    d = np.fft.irfft(full, n=length, axis=1)
-    third = (d**3).mean(axis=1) / (d**2).mean(axis=1) ** 1.5
-    return third.mean(axis=0), third.std(axis=0, ddof=1) / np.sqrt(third.shape[0])

@@ -94,7 +94,7 @@ def revised(
             problem = replace(problem, doubt=np.zeros(0))  # which was that of other causes
         at = fit(problem, at.x, at.effects)
     if not any(e.nonlinear for e in at.effects) and any(c.effect.nonlinear for c in accepted):
-        problem, at = beside_standing(problem, at)  # its law is gone
+        problem, at, _ = beside_standing(problem, at)  # its law is gone
     return problem, at, tuple(kept)
 
 

@@ -40,7 +40,7 @@ def learn(
     ndarray, shape (e,)
         The correction, relative to the modes' stiffness.
     """
-    _, form = prepared(evidence, known, context)
+    _, form, _ = prepared(evidence, known, context)
     k, m, d, c, _ = known.sizes
     x = form.x[: known.mean.size]
     model = known.model.with_stiffness(np.exp(x[:k])).with_masses(np.exp(x[k : k + m]))
@@ -62,7 +62,7 @@ def learn(
         known.precision[sizes, sizes] + np.diag(held),
     )
     wider = replace(known, mean=mean, precision=prior, basis=basis)
-    problem, fitted = prepared(evidence, wider, context)
+    problem, fitted, _ = prepared(evidence, wider, context)
     p, wrong, covariance = mean.size, standing_error(problem, fitted, settings), fitted.covariance
     if wrong is not None:
         wider = replace(wider, error=wrong)

@@ -12,7 +12,7 @@ from monitor.config import Configuration
 from monitor.corrected import _bounded, corrected
 from monitor.effects import Context, Effect, parse_effect
 from monitor.evidence import classify
-from monitor.exact import exact, forces, offsets
+from monitor.exact import exact, forces, sides
 from monitor.fitting import Fit, fit
 from monitor.likelihood import Problem
 from monitor.model import Model
@@ -59,8 +59,8 @@ def test_a_law_that_hardly_bends_has_no_offset(bent: tuple[Problem, Fit]) -> Non
     for size in (1e3, STRONG):
         at = replace(null, effects=(parse_effect(CUBIC.format(size)),))
         acting = forces(problem, at.x, at.effects, 3)
-        made, _ = offsets(problem, at.x, at.effects, acting, exact(problem, at.x, at.effects, acting))
-        sizes.append(whitened_rms(problem, at, made))
+        made = sides(problem, at.x, at.effects, acting, exact(problem, at.x, at.effects, acting))
+        sizes.append(whitened_rms(problem, at, made.controlled))
     assert sizes[0] < 0.05 < 4.0 * sizes[0] < sizes[1]
 
 
@@ -135,7 +135,7 @@ def test_a_correction_grows_with_the_motion(bent: tuple[Problem, Fit]) -> None:
 
     def simulated(x: np.ndarray, law: Effect = law) -> np.ndarray:
         made = [forces(problem, x, (law,), seed) for seed in range(2)]
-        return np.mean([offsets(problem, x, (law,), f, exact(problem, x, (law,), f))[0] for f in made], axis=0)
+        return np.mean([sides(problem, x, (law,), f, exact(problem, x, (law,), f)).controlled for f in made], axis=0)
 
     here = simulated(x)
     slope = (simulated(x, law.at(1.1 * law.coordinates)) - here) / (0.1 * law.coordinates[0])

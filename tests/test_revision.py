@@ -14,6 +14,7 @@ from monitor.evidence import classify
 from monitor.fitting import Fit, fit
 from monitor.likelihood import Problem
 from monitor.model import Model
+from monitor.moments import none
 from monitor.polish import Polished
 from monitor.preparation import prepare
 from monitor.record import blocks_of
@@ -45,12 +46,12 @@ def test_a_candidate_gets_no_credit_for_what_the_model_without_it_could_have_don
     x = null.x.copy()
     x[:3] += 0.05
     stuck = fit(problem, x, iterations=1)
-    tried = [Polished(judge(problem, stuck, parse_effect("sensor_gain:channel a1:gain=1.001")), problem, np.zeros(3))]
+    tried = [Polished(judge(problem, stuck, parse_effect("sensor_gain:channel a1:gain=1.001")), problem, none(problem))]
     assert tried[0].candidate.gain > 100.0
     better = missed(problem, stuck, tried)
     assert better is not None
     assert better[1].log_posterior == pytest.approx(null.log_posterior, abs=1.0)
-    again = [Polished(judge(problem, null, tried[0].candidate.effect), problem, np.zeros(3))]
+    again = [Polished(judge(problem, null, tried[0].candidate.effect), problem, none(problem))]
     assert missed(problem, null, again) is None
 
 

@@ -7,6 +7,7 @@ import numpy as np
 from monitor.effects import BilinearStiffness, StiffnessChange
 from monitor.fitting import Fit
 from monitor.likelihood import Problem
+from monitor.moments import Moments
 from monitor.polish import Polished
 from monitor.rivals import probabilities, together
 from monitor.search import Candidate
@@ -18,7 +19,9 @@ def judged(evidence: float, chance: float = 0.0) -> Polished:
     none = np.zeros(0)
     fit = Fit(none, (), 0.0, 0.0, np.zeros((0, 0)), True, np.zeros((0, 0)), none, none)
     effect = StiffnessChange("story 1", -0.02) if chance == 0.0 else BilinearStiffness("story 1", 0.04)
-    return Polished(Candidate(effect, fit, evidence, evidence), Problem.__new__(Problem), none, chance)
+    return Polished(
+        Candidate(effect, fit, evidence, evidence), Problem.__new__(Problem), Moments(none, none), chance=chance
+    )
 
 
 def test_a_linear_cause_is_beaten_by_odds_alone() -> None:

@@ -19,7 +19,7 @@ import zenoh
 from pydantic import Field, ValidationError
 from zenoh import ext
 
-from drivers.zenoh_session import Key, SessionSettings, open_session
+from drivers.zenoh_session import Callbacks, Key, SessionSettings, open_session
 from monitor.parse import told
 from monitor.publish.lines import alarm_line, to_json
 from monitor.publish.requests import MAX_REQUEST_BYTES, Request
@@ -131,12 +131,13 @@ class ZenohOut:
                 self._changed.wait_for(lambda: self._closed, pause)
 
     def _publish(self) -> None:
+        callbacks = Callbacks()
         with open_session(self._settings, self._folder) as session:
             publishers = {name: self._publisher(session, name, kept) for name, kept in _CACHES.items()}
             entities: list[Any] = [
                 session.liveliness().declare_token(f"{self.prefix}/alive/monitor"),
-                session.declare_queryable(f"{self.prefix}/state", self._on_state),
-                session.declare_queryable(f"{self.prefix}/ack", self._on_request),
+                session.declare_queryable(f"{self.prefix}/state", callbacks.of(self._on_state)),
+                session.declare_queryable(f"{self.prefix}/ack", callbacks.of(self._on_request)),
             ]
             self.failed = None
             try:
@@ -148,6 +149,7 @@ class ZenohOut:
             finally:
                 for entity in entities:
                     entity.undeclare()
+        callbacks.join()
 
     def _publisher(self, session: zenoh.Session, name: str, kept: int) -> ext.AdvancedPublisher:
         return ext.declare_advanced_publisher(
