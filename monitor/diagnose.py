@@ -38,6 +38,8 @@ _MOVED = 0.05
 """Relative change of a frequency from which it matters what of the damping stayed."""
 _UNSURE = 0.1
 """Share of a gain by which a rough simulation may misjudge it."""
+_EVEN = 1.0
+"""Nats of a simulation's chance from which rivals are simulated once more."""
 _SURE = 3.0
 """Standard deviations of a simulation's chance that a further cause must beat."""
 _SWINGS = 0.5
@@ -392,9 +394,10 @@ def _polished(
     finer = each(lambda p: polish(p.problem, at, p.candidate, "fine"), near)
     simulated |= {p.candidate.key: p for p in finer}
     made = _compared(problem, candidates, simulated, added, measured)
-    tied = [p.candidate.key for p in together(made, settings.rival) if p.chance > 0.0]
-    if not tied or len(together([replace(p, chance=0.0) for p in made], settings.rival)) > 1:
-        return made  # more simulations would change nothing
+    close = together(made, settings.rival)
+    tied = [p.candidate.key for p in close if p.chance > _EVEN and len(close) > 1]
+    if not tied:
+        return made
     finest = each(lambda key: polish(simulated[key].problem, at, simulated[key].candidate, "finest"), tied)
     return _compared(problem, candidates, simulated | {p.candidate.key: p for p in finest}, added, measured)
 

@@ -22,6 +22,8 @@ _BANDS = 1.3
 """Highest frequency kept of the simulations, over the band's last."""
 _STICKY = 3
 """Steps a sample where a law is friction."""
+_AT_ONCE = 1e3
+"""Frequency, in samples a second, at which nothing but inertia answers."""
 _SPARSE, _TURNS = 16, 12
 """Samples of which one is taken to find a level, and iterations."""
 _NEAR_BINS = 2
@@ -207,12 +209,15 @@ def _linear(problem: Problem, x: Array, effects: tuple[Effect, ...], acting: For
     bent = _bent(effects)
     hz = np.arange(_kept(problem)) * acting.rate_hz / len(acting.floors)
     sources = acting.floors if acting.ground is None else np.column_stack([acting.floors, acting.ground])
-    driven = _spectrum(sources, problem) * np.sinc(hz / acting.rate_hz)[:, None] ** 2  # straight between samples
+    driven, straight = _spectrum(sources, problem), np.sinc(hz / acting.rate_hz)[:, None] ** 2
     heard = 0.0 if acting.noise is None else _spectrum(acting.noise, problem)
     for k, members in enumerate(problem.evidence.members):
         system = extended(base, effects, context, problem.conditions[k])
         answer = channel_response(system, hz, context)[:, :, : driven.shape[1]]
-        y = _transformed(np.einsum("fcj,fj->fc", answer, driven) + heard, problem, members)
+        at_once = channel_response(system, np.array([_AT_ONCE * acting.rate_hz]), context)[0, :, : driven.shape[1]]
+        # Forces run straight between samples.  What that adds far above the band, where floors answer at once, is folded into it.
+        folded = (driven * (1.0 - straight)) @ at_once.T
+        y = _transformed(np.einsum("fcj,fj->fc", answer, driven * straight) + folded + heard, problem, members)
         yield _through(_through(y, bent, problem, k), [e for e in effects if e not in bent], problem, k)
 
 

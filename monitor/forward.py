@@ -63,8 +63,8 @@ class Forward:
         return int(self.reference.mean.size) + self.context.structure.n_dofs + self.n_classes + 1
 
     @property
-    def _error(self) -> StandingError | None:
-        """That of the reference; beside a measured ground the spectra about the response have another one of their own."""
+    def error(self) -> StandingError | None:
+        """What the model gets wrong from the start.  Beside a measured ground the spectra about the response have another one."""
         return self.reference.error if self.evidence.drive is None else None
 
     def of_model_alone(self) -> Self:
@@ -79,7 +79,7 @@ class Forward:
         out = np.ones(band.n_bins)
         for line in self.reference.known_lines_hz:
             out[np.abs(band.hz - line) <= max(_LINE_BINS * band.bin_hz, _LINE_SHARE * line)] = 0.0
-        error = self._error
+        error = self.error
         if error is not None:
             inside, at = error.at(band.hz)
             # An error that all segments and bins of a narrow band share does not average out.
@@ -168,7 +168,7 @@ class Forward:
 
     def _as_healthy(self, spectra: ComplexArray) -> ComplexArray:
         """With what the model gets wrong from the start."""
-        error = self._error
+        error = self.error
         if error is None:
             return spectra
         inside, at = error.at(self.evidence.band.hz)

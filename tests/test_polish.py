@@ -61,7 +61,7 @@ def test_a_law_that_hardly_bends_has_no_offset(bent: tuple[Problem, Fit]) -> Non
         acting = forces(problem, at.x, at.effects, 3)
         made = sides(problem, at.x, at.effects, acting, exact(problem, at.x, at.effects, acting))
         sizes.append(whitened_rms(problem, at, made.controlled))
-    assert sizes[0] < 0.05 < 4.0 * sizes[0] < sizes[1]
+    assert sizes[0] < 1e-3 < 0.1 < sizes[1]
 
 
 def test_classes_that_swing_more_than_the_model_says_are_heard(bent: tuple[Problem, Fit]) -> None:

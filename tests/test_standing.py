@@ -98,8 +98,8 @@ def test_what_nothing_explains_at_calibration_is_no_news_later() -> None:
     assert [(c.effect.name, c.effect.location) for c in loss.causes] == [("stiffness_change", "story 2")]
     size, std = loss.causes[0].effect.values()["relative"], loss.causes[0].std["relative"]
     assert abs(size + 0.06) < 2.0 * std < 0.04
-    more = prepared(classify(recorded(4, crosstalk=0.45)), known, CONTEXT)
-    assert misfits(*more, CONFIG.diagnosis)  # which is news
+    problem, null, _ = prepared(classify(recorded(4, crosstalk=0.45)), known, CONTEXT)
+    assert misfits(problem, null, CONFIG.diagnosis)  # which is news
 
 
 SITE = Configuration.model_validate(

@@ -32,6 +32,7 @@ svg .band { fill: var(--after); opacity: .25; }
 svg .limit { stroke: var(--bad); }
 svg .good { fill: var(--good); opacity: .6; }
 svg .chance { fill: var(--quiet); opacity: .25; }
+svg .known { fill: var(--muted); opacity: .13; }
 """
 """Uses the page's colours --ink, --muted, --line, --quiet, --before, --after, --good and --bad."""
 

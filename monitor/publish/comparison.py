@@ -48,6 +48,8 @@ class Comparison:
     z_after: Array
     limit: float
     """Standard deviations from which a band counts as misfit."""
+    doubtful_hz: list[list[float]]
+    """Where the model contradicted healthy data, so that what is seen counts less."""
     extended: bool
     """Whether there is a cause, so that before and after differ."""
 
@@ -120,6 +122,7 @@ def compare(diagnosis: Diagnosis, segments: Segments) -> Comparison:
         z_before=chance * z_before,
         z_after=chance * residual_bands(problem, diagnosis.final)[0],
         limit=diagnosis.settings.misfit,
+        doubtful_hz=[] if problem.error is None else problem.error.doubtful_hz(),
         extended=bool(diagnosis.final.effects),
     )
 

@@ -25,7 +25,7 @@ __all__ = ["headline", "in_words", "page", "separating_measurement", "write_repo
 
 Content = Mapping[str, Any]
 
-_NAMES = {"none": "nothing wrong", "named": "cause named", "ambiguous": "ambiguous", "unexplained": "unexplained"}
+_NAMES = {"none": "nothing new", "named": "cause named", "ambiguous": "ambiguous", "unexplained": "unexplained"}
 _DRAWN = "rise_"
 """Parameters that a curve shows: those of the spectrum of `AmbientForces`."""
 _SHOWN = 12
@@ -104,8 +104,11 @@ def _spectra(c: Comparison) -> str:
         out.append(f"<figure>{drawing}</figure>")
     out.append(
         "<p class='muted'>Ratio 1: the simulation is right; the grey strip is what chance allows. Shaded orange: "
-        "bands with a misfit on this channel; shaded red: what is left after.</p>"
+        "bands with a misfit on this channel; shaded red: what is left after."
     )
+    if c.doubtful_hz:
+        out.append(" Shaded grey: there the healthy data contradict the model too, and what is seen counts less.")
+    out.append("</p>")
     return "".join(out)
 
 
@@ -116,7 +119,10 @@ def _channel(c: Comparison, i: int, name: str) -> str:
     furthest = float(np.abs(np.log(np.maximum(np.stack([c.ratio_before[i], c.ratio_after[i]]), 1e-3))).max())
     reach = float(np.clip(np.exp(1.1 * furthest), 1.5, 20.0))
     lower = Axes(x, (1.0 / reach, reach), (62, 244, 1010, 100), log_y=True)
-    marks, n = [], 2 if c.extended else 1
+    marks, n = (
+        [axes.shade((low, high), "known") for low, high in c.doubtful_hz for axes in (upper, lower)],
+        2 if c.extended else 1,
+    )
     for z, kind in ((c.z_before, "off"), (c.z_after, "still"))[:n]:
         wrong = (np.abs(z) > c.limit)[:, i, :].any(axis=1) | (np.abs(z) > c.limit)[:, :, i].any(axis=1)
         for at in c.band_hz[wrong]:
