@@ -135,7 +135,8 @@ def test_a_correction_grows_with_the_motion(bent: tuple[Problem, Fit]) -> None:
 
     def simulated(x: np.ndarray, law: Effect = law) -> np.ndarray:
         made = [forces(problem, x, (law,), seed) for seed in range(2)]
-        return np.mean([sides(problem, x, (law,), f, exact(problem, x, (law,), f)).controlled for f in made], axis=0)
+        both = [sides(problem, x, (law,), f, exact(problem, x, (law,), f)).controlled for f in made]
+        return np.asarray(np.mean(both, axis=0))
 
     here = simulated(x)
     slope = (simulated(x, law.at(1.1 * law.coordinates)) - here) / (0.1 * law.coordinates[0])

@@ -25,7 +25,7 @@ from drivers import codec
 from drivers.base import ACCELERATION, TEMPERATURE, EndOfStream, SampleBlock, SourceContext, SourceError
 from drivers.reorder import Reorder
 from drivers.zenoh_bus import PublisherSettings, ZenohPublisher, ZenohSettings, ZenohSource
-from drivers.zenoh_session import SessionSettings, open_session
+from drivers.zenoh_session import Callbacks, SessionSettings, open_session
 from monitor import config
 from tests.zenoh_router import Router, free_port
 
@@ -244,6 +244,26 @@ def test_a_router_that_dies_and_returns_costs_nothing_that_the_cache_holds(
 
 
 @pytest.mark.usefixtures("router")
+def test_callbacks_have_ended_when_a_session_is_left(router: Router, endpoint: str) -> None:
+    """Zenoh goes on calling back what it holds after an entity is undeclared, which an ending interpreter does not survive."""
+    called, callbacks = Counter[str](), Callbacks()
+
+    def slow(_: zenoh.Sample) -> None:
+        time.sleep(0.002)
+        called["slow"] += 1
+
+    with open_session(SessionSettings(connect=(endpoint,)), Path()) as session:
+        subscriber = session.declare_subscriber("a/key", callbacks.of(slow))
+        for _ in range(200):
+            session.put("a/key", b"")
+        until(lambda: called["slow"] > 0, "a call")
+        subscriber.undeclare()
+    callbacks.join()
+    after = called["slow"]
+    time.sleep(0.05)
+    assert called["slow"] == after == 200
+
+
 def test_a_killed_publisher_is_noticed_and_its_successor_is_read(listen: Make, endpoint: str) -> None:
     source = listen()
     first = _sender(endpoint, 10, N, "client", "wait")
