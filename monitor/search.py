@@ -140,17 +140,21 @@ def _promised(problem: Problem, null: Fit, candidates: list[Effect]) -> list[tup
     tangent, driven = np.asfortranarray(tangent), problem.evidence.drive is not None
 
     def promised(effect: Effect) -> list[tuple[float, Effect]]:
-        moved = problem.predict(null.x, (*null.effects, effect))
-        # What it gains as it stands, once the levels have followed: for starts that happen to lie near the truth.
-        whole = problem.log_likelihood(moved.spectra, moved.data, levelled=True) - null.log_likelihood
-        if not effect.proportional:
-            return [(whole, effect)]
-        # The phases of a driven response turn far between two fits: whole changes rank better there (docs/measured-frames.md).
-        v = change(problem, here, moved) if driven else _slope(problem, null, here, effect)
+        if effect.proportional and not driven:
+            out, v = [], _slope(problem, null, here, effect)
+        else:
+            moved = problem.predict(null.x, (*null.effects, effect))
+            # What it gains as it stands, once the levels have followed: for starts that happen to lie near the truth.
+            whole = problem.log_likelihood(moved.spectra, moved.data, levelled=True) - null.log_likelihood
+            out = [(whole, effect)]
+            if not effect.proportional:
+                return out
+            # Phases of a driven response turn far between two fits: whole changes rank better there (docs/measured-frames.md).
+            v = change(problem, here, moved)
         along = tangent.T @ v
         information, score = float(v @ v - along @ normal @ along), float(v @ residual - along @ normal @ own_slope)
         grown = None if information < 1e-9 else _grown(effect, score / information)
-        return [(whole, effect)] if grown is None else [(whole, effect), (0.5 * score**2 / information, grown)]
+        return out if grown is None else [*out, (0.5 * score**2 / information, grown)]
 
     return list(chain.from_iterable(each(promised, candidates)))
 
