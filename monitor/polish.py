@@ -90,14 +90,11 @@ def polish(problem: Problem, null: Fit, candidate: Candidate, care: Care = "roug
     if softening and care == "rough" and np.abs(made.problem.relative[0]).max() > _WILD:
         other = settle(problem, _weaker(problem, candidate.fit), care)
         made = max(made, other, key=lambda m: m.fit.log_posterior)
-    spread = 1.0 + 1.0 / made.simulations
+    lost, spread = made.problem.lost, 1.0 + 1.0 / made.simulations
     better = evidence_of(made.problem, null, made.fit)
     simulated = isinstance(problem, Corrected) and candidate.key in problem.laws
-    if (
-        not simulated and better.gain < candidate.gain <= better.gain + made.problem.lost
-    ):  # their chance decides nothing
+    if not simulated and better.gain < candidate.gain <= better.gain + lost:  # the simulations' chance decides nothing
         return Polished(candidate, problem, made.moments, spread)
-    lost = made.problem.lost
     better = replace(better, gain=better.gain + lost, evidence=better.evidence + lost)
     return Polished(better, made.problem, made.moments, spread, float(np.sqrt(2.0 * lost)))
 
