@@ -36,7 +36,17 @@ _SWINGS = 0.5
 
 
 def contest(problem: Problem, at: Fit, added: Moments, settings: DiagnosisSettings, worth: float) -> list[Polished]:
-    """The best candidates beside what was accepted, by evidence, of those that promise a gain of `worth`."""
+    """The best candidates beside what was accepted, by evidence, of those that promise a gain of `worth`.
+
+    Parameters
+    ----------
+    at : Fit
+        With the causes that were accepted.
+    added : Moments
+        What these add to the moments of a normal process.
+    worth : float
+        Nats that the score test must promise.
+    """
     # What stood at calibration may have changed, but for laws, which are simulated one at a place.
     standing = [e for e in problem.reference.effects(at.x) if e.nonlinear or not e.parameters]
     taken = [(e.name, e.location) for e in (*standing, *at.effects)]
