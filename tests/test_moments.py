@@ -8,17 +8,21 @@ import numpy as np
 import pytest
 
 from drivers.base import ACCELERATION
+from monitor.contest import _turned
 from monitor.diagnose import diagnose
 from monitor.effects import Context, parse_effect
+from monitor.effects.gap_contact import GapContact
 from monitor.evidence import classify
 from monitor.fitting import Fit
 from monitor.likelihood import Problem
 from monitor.model import Model
 from monitor.moments import Heard, Moments, heard, none
+from monitor.polish import Polished
 from monitor.preparation import prepare
 from monitor.record import blocks_of
 from monitor.reference import nominal
 from monitor.results import Array
+from monitor.search import Candidate
 from monitor.segments import Segments, gather
 from monitor.simulate import simulate
 from tests.test_polish import CONFIG, RATE
@@ -97,3 +101,21 @@ def test_friction_and_a_damper_are_told_apart_at_one_level(effect: str) -> None:
     assert [(c.effect.name, c.effect.location) for c in found.causes] == [(truth.name, truth.location)], (
         found.alternatives
     )
+
+
+def test_a_law_that_is_turned_round_lends_its_new_skewness_to_what_follows() -> None:
+    stop = GapContact("story 1", 1e-3, 2e3)
+    mirror = stop.mirrored()
+    assert mirror is not None
+    x, none_at_all = stop.coordinates, np.zeros(0)
+    fitted = Fit(x, (stop,), 0.0, 0.0, np.zeros((2, 2)), True, np.zeros((0, 2)), none_at_all, none_at_all)
+    before, made = Moments(np.zeros(3), np.zeros(3)), Moments(np.array([0.3, 0.0, 0.0]), np.array([0.1, 0.0, 0.0]))
+    std = Moments(np.full(3, 0.05), np.full(3, 0.05))
+    polished = Polished(Candidate(stop, fitted, 50.0, 50.0), Problem.__new__(Problem), made)
+    as_it_is, _ = _turned(polished, before, Heard(made, std, 0.0))
+    assert as_it_is is polished
+    measured = Heard(made.mirrored(before), std, 0.0)
+    turned, likelihood = _turned(polished, before, measured)
+    assert turned.candidate.effect == mirror == turned.candidate.fit.effects[0]
+    assert turned.moments.skewness == pytest.approx([-0.3, 0.0, 0.0])
+    assert likelihood == pytest.approx(measured.log_likelihood(made, 1.0) + 0.5 * (0.6 / 0.05) ** 2)
