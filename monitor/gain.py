@@ -265,10 +265,17 @@ def demand_gain(diagnosis: Diagnosis, gain: Gain) -> Diagnosis:
     """A named cause stands only if it gains on held-out data beyond doubt; else nothing is named.
 
     A law that only loud blocks show gains in few of them, which a bootstrap of blocks cannot tell from none: there the sum
-    counts.
+    counts.  Of what is stated beside something unexplained, which blurs the interval too, the sum must not be a loss.
     """
     loud = any(cause.effect.nonlinear for cause in diagnosis.causes) and gain.nats > _SURE_NATS
-    if diagnosis.verdict != "named" or gain.ci95[0] > 0.0 or loud:
+    match diagnosis.verdict:
+        case "named":
+            stands = gain.ci95[0] > 0.0 or loud
+        case "unexplained":
+            stands = not diagnosis.causes or gain.value >= 0.0
+        case _:
+            return diagnosis
+    if stands:
         return diagnosis
     return replace(
         diagnosis,

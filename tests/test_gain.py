@@ -14,7 +14,8 @@ from monitor.diagnosis_settings import DiagnosisSettings
 from monitor.effects import Context, Effect, parse_effect
 from monitor.evidence import classify
 from monitor.fitting import fit
-from monitor.gain import demand_gain, fitted_model, heldout_gain, score
+from monitor.gain import Gain, demand_gain, fitted_model, heldout_gain, score
+from monitor.misfit import Misfit
 from monitor.model import Model
 from monitor.polish import finish
 from monitor.preparation import prepare
@@ -138,6 +139,10 @@ def test_a_cause_that_is_not_there_gains_nothing_and_is_not_named(clean: Segment
     assert gain.ci95[0] <= 0.0
     settled = demand_gain(found, gain)
     assert (settled.verdict, settled.causes, settled.final) == ("none", (), found.null)
+    beside = replace(found, verdict="unexplained", misfit=(Misfit("f = 1 Hz", 9.0, "more"),))
+    loss, nothing_held_out = replace(gain, before=1.0, after=0.9999), Gain()
+    assert demand_gain(beside, loss).causes == ()
+    assert demand_gain(beside, replace(loss, after=1.0001)) is beside is demand_gain(beside, nothing_held_out)
 
 
 def test_too_short_a_recording_holds_nothing_out(clean: Segments) -> None:
