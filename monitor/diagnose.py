@@ -17,15 +17,16 @@ from monitor.effects import Context, Effect
 from monitor.evidence import Evidence
 from monitor.fitting import Fit, fit
 from monitor.likelihood import Problem
-from monitor.misfit import Misfit, misfits, remainder, strayed, wrong_nats
+from monitor.misfit import Misfit, misfits, remainder, strayed, wrong_bins, wrong_nats
 from monitor.moments import Moments
+from monitor.parallel import each
 from monitor.polish import Polished, beside_standing, finish, prepared, settle
 from monitor.preparation import FAR, beside_wind, between_samples, exactly
 from monitor.reference import Reference
 from monitor.results import Array
-from monitor.revision import missed, moved, only, revised
+from monitor.revision import joined, missed, moved, only, revised
 from monitor.rivals import probabilities, same, together
-from monitor.search import Candidate, judge
+from monitor.search import Candidate, cost, judge
 
 _LIKELY = 2
 """Candidates that are asked how a measured ground moved between its samples."""
@@ -116,6 +117,9 @@ def diagnose(evidence: Evidence, reference: Reference, context: Context, setting
     left_over = (*strayed(problem, at, settings), *misfits(problem, at, settings))
     share = remainder(problem, at, stage.null, misfit, left_over)
     verdict = _verdict(share, left_over, accepted, bool(alternatives), settings)
+    if verdict == "unexplained":
+        problem, at, accepted, doubt = _sure_elsewhere(problem, at, accepted, doubt, settings)
+        left_over = (*strayed(problem, at, settings), *misfits(problem, at, settings))
     # A response shows more than bands do: what the modes' ratios and their dependence on the level say.
     plain = (ratios(problem, at), level_dependence(backbone(problem, stage.null)))
     still = level_dependence(backbone(problem, at))
@@ -222,14 +226,47 @@ def _finished(
     near, at = finish(problem, at)
     # What the law's better size leaves of another cause may be nothing.
     kept = [sure(e, std) for e, std in zip(at.effects, deviations(near, at, near.doubt), strict=True)]
-    if not any(kept) or all(kept):
+    if not any(kept):
         return near, at, accepted, near.doubt
-    at, doubt = only(near, at, near.doubt, kept)
+    return _kept(near, at, accepted, near.doubt, kept)
+
+
+def _kept(
+    problem: Problem, at: Fit, accepted: tuple[Candidate, ...], doubt: Array, kept: Sequence[bool]
+) -> tuple[Problem, Fit, tuple[Candidate, ...], Array]:
+    """With some of the effects alone."""
+    if all(kept):
+        return problem, at, accepted, doubt
+    bent = _bent(at)
+    at, doubt = only(problem, at, doubt, kept)
     # The last effect of an ambiguous answer was not accepted.
     accepted = tuple(c for c, stays in zip(accepted, kept, strict=False) if stays)
-    if not _bent(at):
-        return *beside_standing(near, at)[:2], accepted, doubt
-    return near, at, accepted, doubt
+    if bent and not _bent(at):
+        return *beside_standing(problem, at)[:2], accepted, doubt
+    return problem, at, accepted, doubt
+
+
+def _sure_elsewhere(
+    problem: Problem, at: Fit, accepted: tuple[Candidate, ...], doubt: Array, settings: DiagnosisSettings
+) -> tuple[Problem, Fit, tuple[Candidate, ...], Array]:
+    """Beside something unexplained with those causes alone that other bands show too: in its own it makes up tones, oscillators
+    and laws that are none.
+    """
+    wrong = wrong_bins(problem, at, settings)
+    if not accepted or not wrong.any() or problem.evidence.drive is not None:
+        return problem, at, accepted, doubt
+    elsewhere = replace(problem, left_out=wrong)
+    whole = fit(elsewhere, at.x, at.effects)
+
+    def shown(i: int) -> bool:
+        if i >= len(accepted):
+            return True
+        others = (*at.effects[:i], *at.effects[i + 1 :])
+        without = fit(elsewhere, joined(whole.x[: problem.n_nuisance], others), others)
+        gain = whole.log_posterior - without.log_posterior
+        return gain - cost(elsewhere, len(at.effects[i].parameters)) > settings.margin
+
+    return _kept(problem, at, accepted, doubt, each(shown, range(len(at.effects))))
 
 
 def _verdict(

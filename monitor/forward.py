@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from monitor import driven
 from monitor.effects import Condition, Context, Effect, System
@@ -51,6 +52,8 @@ class Forward:
     """Whether the damping matrix is that of the structure without the extra effects; else its modal ratios stay."""
     smoothing: Array | None = None
     """Averages bins into coarse ones, shape (n_coarse, n_bins), for a start from far away."""
+    left_out: NDArray[np.bool_] | None = None
+    """Bins that are not compared, shape (n_bins,)."""
 
     @property
     def n_classes(self) -> int:
@@ -79,6 +82,8 @@ class Forward:
         out = np.ones(band.n_bins)
         for line in self.reference.known_lines_hz:
             out[np.abs(band.hz - line) <= max(_LINE_BINS * band.bin_hz, _LINE_SHARE * line)] = 0.0
+        if self.left_out is not None:
+            out[self.left_out] = 0.0
         error = self.error
         if error is not None:
             inside, at = error.at(band.hz)

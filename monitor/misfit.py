@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from monitor.diagnosis_settings import DiagnosisSettings
 from monitor.fitting import Fit
@@ -107,6 +108,15 @@ def misfits(problem: Problem, fitted: Fit, settings: DiagnosisSettings) -> tuple
     z, hz = _beyond_chance(problem, fitted)
     late = _listed(drift_bands(problem, fitted), hz, problem, settings, ", more so late in the recording than early")
     return tuple(sorted(_listed(z, hz, problem, settings, "") + late, key=lambda m: -m.size))
+
+
+def wrong_bins(problem: Problem, fitted: Fit, settings: DiagnosisSettings) -> NDArray[np.bool_]:
+    """Which frequencies lie in bands where the model is wrong, shape (n_bins,)."""
+    wrong = (
+        np.maximum(np.abs(_beyond_chance(problem, fitted)[0]), np.abs(drift_bands(problem, fitted))) > settings.misfit
+    )
+    bins = np.repeat(wrong.any(axis=(1, 2)), _per(problem.evidence.band))
+    return np.concatenate([bins, np.zeros(problem.evidence.band.n_bins - bins.size, dtype=bool)])
 
 
 def wrong_nats(problem: Problem, misfit: Sequence[Misfit]) -> float:

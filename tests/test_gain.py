@@ -11,6 +11,7 @@ from drivers.base import ACCELERATION
 from monitor.config import Configuration
 from monitor.diagnose import Diagnosis
 from monitor.diagnosis_settings import DiagnosisSettings
+from monitor.discrepancy import judged
 from monitor.effects import Context, Effect, parse_effect
 from monitor.evidence import classify
 from monitor.fitting import fit
@@ -161,3 +162,26 @@ def test_a_law_that_bends_is_judged_at_the_motion_that_it_makes() -> None:
     gain = heldout_gain(segments, replace(found, problem=problem, final=final), settings())
     assert gain.ci95[0] > 0.0
     assert gain.csd_error_after < 0.5 * gain.csd_error_before
+
+
+def test_what_a_swinging_gain_leaves_over_is_not_made_up_by_tones_and_oscillators() -> None:
+    """They explain its sidebands beside a mode, where the model stays wrong, and nothing elsewhere."""
+    config = settings()
+    context = context_of(config)
+    motion = simulate(
+        Model(context.structure),
+        duration_s=1200.0,
+        rate_hz=RATE,
+        noise=0.02,
+        level_spread=0.35,
+        seed=61,
+        context=context,
+    )
+    swing = 1.0 + 0.3 * np.sin(2.0 * np.pi * np.arange(len(motion.floors))[:, None] / RATE / 240.0) * [0.0, 0.0, 1.0]
+    seen = blocks_of(ACCELERATION, motion.floors * swing, config.channels, RATE, 10**18, 100)
+    known = nominal(config.model(), np.full(6, 0.002), 3)
+    found, _ = judged(gather(seen, config), known, config)
+    assert found.verdict == "unexplained"
+    accepted = {round_[0].effect.name for round_ in found.rounds if round_}
+    assert accepted & {"harmonic_excitation", "attached_oscillator"}  # the search comes upon them
+    assert not {c.effect.name for c in found.causes} & {"harmonic_excitation", "attached_oscillator"}

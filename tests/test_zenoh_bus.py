@@ -244,7 +244,7 @@ def test_a_router_that_dies_and_returns_costs_nothing_that_the_cache_holds(
 
 
 @pytest.mark.usefixtures("router")
-def test_callbacks_have_ended_when_a_session_is_left(router: Router, endpoint: str) -> None:
+def test_callbacks_have_ended_when_a_session_is_left(endpoint: str) -> None:
     """Zenoh goes on calling back what it holds after an entity is undeclared, which an ending interpreter does not survive."""
     called, callbacks = Counter[str](), Callbacks()
 
@@ -264,6 +264,7 @@ def test_callbacks_have_ended_when_a_session_is_left(router: Router, endpoint: s
     assert called["slow"] == after == 200
 
 
+@pytest.mark.usefixtures("router")
 def test_a_killed_publisher_is_noticed_and_its_successor_is_read(listen: Make, endpoint: str) -> None:
     source = listen()
     first = _sender(endpoint, 10, N, "client", "wait")
