@@ -26,7 +26,7 @@ from drivers.base import (
 )
 from drivers.inbox import Inbox
 from drivers.reorder import Reorder
-from drivers.zenoh_session import Callbacks, Key, SessionSettings, open_session, where
+from drivers.zenoh_session import Callbacks, Key, SessionSettings, leave, open_session, where
 
 ENCODING = f"application/protobuf;{codec.SCHEMA_NAME}"
 _UNITS = {ACCELERATION: "m/s^2", GROUND: "m/s^2", TEMPERATURE: "degC"}
@@ -209,7 +209,7 @@ class ZenohSource:
         for entity in reversed(entities):  # a callback outlives its object otherwise
             entity.undeclare()
         if session is not None:
-            session.close()  # type: ignore[no-untyped-call]
+            leave(session)
         self._callbacks.join()
         self._alive.clear()
 
@@ -292,4 +292,4 @@ class ZenohPublisher:
                 congestion_control=zenoh.CongestionControl.BLOCK,
             ):  # fmt: skip
                 pass
-        self._session.close()  # type: ignore[no-untyped-call]
+        leave(self._session)

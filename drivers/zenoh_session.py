@@ -144,6 +144,14 @@ def open_session(settings: SessionSettings, folder: Path) -> zenoh.Session:
         raise SourceError(f"no Zenoh {settings.mode} session with {where(settings)}: {error}") from error
 
 
+def leave(session: zenoh.Session) -> None:
+    """Close a session.  Behind a flood Zenoh may give that up after 10 s; by then nothing is lost that was to be kept."""
+    try:
+        session.close()  # type: ignore[no-untyped-call]
+    except zenoh.ZError as error:
+        _log.warning("a Zenoh session was left without its end: %s", error)
+
+
 def where(settings: SessionSettings) -> str:
     """The endpoints, for messages."""
     return ", ".join(settings.connect or settings.listen)

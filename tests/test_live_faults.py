@@ -21,7 +21,7 @@ from drivers.base import SampleBlock
 from drivers.mcap_file import read_recordings
 from drivers.socketcand_server import SocketcandServer, frame_text
 from drivers.zenoh_bus import PublisherSettings, ZenohPublisher
-from drivers.zenoh_session import SessionSettings, open_session
+from drivers.zenoh_session import SessionSettings, leave, open_session
 from monitor import config
 from monitor.emulate import CanSink, pieces
 from monitor.outputs import Publisher, Session
@@ -193,8 +193,9 @@ def node_of(site: Site) -> Iterator[ZenohPublisher]:
 @contextmanager
 def plain_put(site: Site) -> Iterator[Callable[[bytes], None]]:
     """A publisher of raw bytes."""
-    with open_session(SessionSettings(connect=(f"tcp/127.0.0.1:{site.port}",)), Path()) as session:
-        yield session.declare_publisher(KEY, congestion_control=zenoh.CongestionControl.BLOCK).put
+    session = open_session(SessionSettings(connect=(f"tcp/127.0.0.1:{site.port}",)), Path())
+    yield session.declare_publisher(KEY, congestion_control=zenoh.CongestionControl.BLOCK).put
+    leave(session)
 
 
 def hostile(good: SampleBlock, rng: random.Random) -> list[bytes]:
