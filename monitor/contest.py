@@ -17,7 +17,6 @@ from monitor.likelihood import Problem
 from monitor.moments import Heard, Moments, heard
 from monitor.parallel import each
 from monitor.polish import Polished, polish
-from monitor.results import Array
 from monitor.revision import joined
 from monitor.rivals import together
 from monitor.search import Candidate, best_of_each, judge, rank, starts
@@ -174,9 +173,8 @@ def _turned(made: Polished, before: Moments, measured: Heard) -> tuple[Polished,
     if turned <= as_it_is:
         return made, as_it_is
     old = made.candidate.fit
-    candidate = replace(
-        made.candidate, effect=mirror, fit=replace(old, effects=(*old.effects[:-1], mirror), x=_mirrored(old, mirror))
-    )
+    x = joined(old.x[: -len(mirror.parameters)], (mirror,))
+    candidate = replace(made.candidate, effect=mirror, fit=replace(old, effects=(*old.effects[:-1], mirror), x=x))
     problem = made.problem.mirrored(mirror) if isinstance(made.problem, Corrected) else made.problem
     return replace(made, candidate=candidate, problem=problem, moments=other), turned
 
@@ -184,7 +182,3 @@ def _turned(made: Polished, before: Moments, measured: Heard) -> tuple[Polished,
 def _credited(made: Polished, nats: float) -> Polished:
     """A candidate with so much more evidence."""
     return replace(made, candidate=replace(made.candidate, evidence=made.candidate.evidence + nats))
-
-
-def _mirrored(fitted: Fit, mirror: Effect) -> Array:
-    return joined(fitted.x[: -len(mirror.parameters)], (mirror,))

@@ -16,7 +16,7 @@ import zenoh
 from pydantic import Field, ValidationError
 
 from drivers.base import SourceError
-from drivers.zenoh_session import Key, SessionSettings, open_session
+from drivers.zenoh_session import Key, SessionSettings, leave, open_session
 from monitor.config import read_toml
 from monitor.errors import BadConfigurationError, MissingInputError
 from monitor.parse import told
@@ -101,7 +101,7 @@ class Fleet:
 
     def __exit__(self, *_: object) -> None:
         """Leave the network."""
-        self._session.close()  # type: ignore[no-untyped-call]
+        leave(self._session)
 
     def look(self) -> list[SiteStatus]:
         """Every site that is there or ought to be, by name."""

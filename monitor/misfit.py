@@ -97,26 +97,26 @@ def _per(band: Band) -> int:
     return max(1, round(_BAND_HZ / band.bin_hz))
 
 
-def _beyond_chance(problem: Problem, fitted: Fit) -> tuple[Array, Array]:
-    """As `residual_bands`, over the chance in what is compared: a simulation has as much in it as the recording."""
+def _beyond_chance(problem: Problem, fitted: Fit) -> tuple[Array, Array, Array]:
+    """As `residual_bands`, over the chance in what is compared (a simulation has as much in it as the recording), `drift_bands`,
+    and the bands' middles."""
     z, hz = residual_bands(problem, fitted)
-    return (z if problem.offset is None else z / np.sqrt(2.0)), hz
+    return z if problem.offset is None else z / np.sqrt(2.0), drift_bands(problem, fitted), hz
 
 
 def misfits(problem: Problem, fitted: Fit, settings: DiagnosisSettings) -> tuple[Misfit, ...]:
     """Bands in which the model is wrong, worst first."""
-    z, hz = _beyond_chance(problem, fitted)
-    late = _listed(drift_bands(problem, fitted), hz, problem, settings, ", more so late in the recording than early")
+    z, drift, hz = _beyond_chance(problem, fitted)
+    late = _listed(drift, hz, problem, settings, ", more so late in the recording than early")
     return tuple(sorted(_listed(z, hz, problem, settings, "") + late, key=lambda m: -m.size))
 
 
 def wrong_bins(problem: Problem, fitted: Fit, settings: DiagnosisSettings) -> NDArray[np.bool_]:
     """Which frequencies lie in bands where the model is wrong, shape (n_bins,)."""
-    wrong = (
-        np.maximum(np.abs(_beyond_chance(problem, fitted)[0]), np.abs(drift_bands(problem, fitted))) > settings.misfit
-    )
-    bins = np.repeat(wrong.any(axis=(1, 2)), _per(problem.evidence.band))
-    return np.concatenate([bins, np.zeros(problem.evidence.band.n_bins - bins.size, dtype=bool)])
+    z, drift, _ = _beyond_chance(problem, fitted)
+    wrong = (np.maximum(np.abs(z), np.abs(drift)) > settings.misfit).any(axis=(1, 2))
+    bins = np.repeat(wrong, _per(problem.evidence.band))
+    return np.pad(bins, (0, problem.evidence.band.n_bins - bins.size))
 
 
 def wrong_nats(problem: Problem, misfit: Sequence[Misfit]) -> float:
@@ -135,8 +135,8 @@ def standing_error(problem: Problem, fitted: Fit, settings: DiagnosisSettings) -
     e = problem.evidence
     if e.drive is not None:
         return None
-    z, hz = _beyond_chance(problem, fitted)
-    late = np.abs(drift_bands(problem, fitted)).max(axis=(1, 2), initial=0.0)
+    z, drifts, hz = _beyond_chance(problem, fitted)
+    late = np.abs(drifts).max(axis=(1, 2), initial=0.0)
     size = np.maximum(np.abs(z).max(axis=(1, 2), initial=0.0), late)
     if size.max(initial=0.0) <= settings.misfit:
         return None

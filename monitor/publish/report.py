@@ -25,7 +25,6 @@ __all__ = ["headline", "in_words", "page", "separating_measurement", "write_repo
 
 Content = Mapping[str, Any]
 
-_NAMES = {"none": "nothing new", "named": "cause named", "ambiguous": "ambiguous", "unexplained": "unexplained"}
 _DRAWN = "rise_"
 """Parameters that a curve shows: those of the spectrum of `AmbientForces`."""
 _SHOWN = 12
@@ -64,7 +63,8 @@ def page(diagnosis: Diagnosis, content: Content, segments: Segments) -> str:
 def _head(told: str, content: Content, compared: Comparison, segments: Segments) -> str:
     """Verdict, what to do, key figures, how to read."""
     verdict = content["verdict"]
-    out = [f'<span class="verdict {verdict}">{_NAMES[verdict]}</span><h1>{escape(told)}</h1>']
+    badge = {"none": told.partition(":")[0].lower(), "named": "cause named"}.get(verdict, verdict)
+    out = [f'<span class="verdict {verdict}">{badge}</span><h1>{escape(told)}</h1>']
     if content["separating_measurement"]:
         out.append(f"<p><b>To tell them apart:</b> {escape(content['separating_measurement'])}.</p>")
     gain, error = content["gain"]["log_score_per_sample"], content["gain"]["csd_error"]
@@ -119,10 +119,8 @@ def _channel(c: Comparison, i: int, name: str) -> str:
     furthest = float(np.abs(np.log(np.maximum(np.stack([c.ratio_before[i], c.ratio_after[i]]), 1e-3))).max())
     reach = float(np.clip(np.exp(1.1 * furthest), 1.5, 20.0))
     lower = Axes(x, (1.0 / reach, reach), (62, 244, 1010, 100), log_y=True)
-    marks, n = (
-        [axes.shade((low, high), "known") for low, high in c.doubtful_hz for axes in (upper, lower)],
-        2 if c.extended else 1,
-    )
+    marks = [axes.shade((low, high), "known") for low, high in c.doubtful_hz for axes in (upper, lower)]
+    n = 2 if c.extended else 1
     for z, kind in ((c.z_before, "off"), (c.z_after, "still"))[:n]:
         wrong = (np.abs(z) > c.limit)[:, i, :].any(axis=1) | (np.abs(z) > c.limit)[:, :, i].any(axis=1)
         for at in c.band_hz[wrong]:

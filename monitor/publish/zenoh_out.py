@@ -12,6 +12,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Mapping
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ import zenoh
 from pydantic import Field, ValidationError
 from zenoh import ext
 
-from drivers.zenoh_session import Callbacks, Key, SessionSettings, open_session
+from drivers.zenoh_session import Callbacks, Key, SessionSettings, leave, open_session
 from monitor.parse import told
 from monitor.publish.lines import alarm_line, to_json
 from monitor.publish.requests import MAX_REQUEST_BYTES, Request
@@ -131,25 +132,23 @@ class ZenohOut:
                 self._changed.wait_for(lambda: self._closed, pause)
 
     def _publish(self) -> None:
-        callbacks = Callbacks()
-        with open_session(self._settings, self._folder) as session:
+        session, callbacks = open_session(self._settings, self._folder), Callbacks()
+        with ExitStack() as ending:
+            ending.callback(callbacks.join)
+            ending.callback(leave, session)
             publishers = {name: self._publisher(session, name, kept) for name, kept in _CACHES.items()}
-            entities: list[Any] = [
+            for entity in (
                 session.liveliness().declare_token(f"{self.prefix}/alive/monitor"),
                 session.declare_queryable(f"{self.prefix}/state", callbacks.of(self._on_state)),
                 session.declare_queryable(f"{self.prefix}/ack", callbacks.of(self._on_request)),
-            ]
+            ):
+                ending.callback(entity.undeclare)
             self.failed = None
-            try:
-                while (taken := self._take()) is not None:
-                    name, text = taken
-                    publishers[name].put(text)
-                for _ in session.get(f"{self.prefix}/closing", timeout=1.0):  # comes back behind what was put before
-                    pass
-            finally:
-                for entity in entities:
-                    entity.undeclare()
-        callbacks.join()
+            while (taken := self._take()) is not None:
+                name, text = taken
+                publishers[name].put(text)
+            for _ in session.get(f"{self.prefix}/closing", timeout=1.0):  # comes back behind what was put before
+                pass
 
     def _publisher(self, session: zenoh.Session, name: str, kept: int) -> ext.AdvancedPublisher:
         return ext.declare_advanced_publisher(
