@@ -12,13 +12,14 @@ IEC 62682, Management of alarm systems for the process industries; ANSI/ISA-18.2
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from pydantic import Field
 
 from monitor import sequential
-from monitor.results import WHOLE, Alarm, AlarmCondition, Array, DamageReading, Level
-from monitor.sequential import Evidence, History
+from monitor.results import WHOLE, Alarm, AlarmCondition, DamageReading, Level
+from monitor.sequential import History
 from monitor.settings import Settings
 
 
@@ -111,16 +112,14 @@ def step(state: AlarmState, damage: DamageReading, t_ns: int, settings: AlarmSet
     """Judge one window's damage reading; `t_ns` is the window's end."""
     history, evidence = sequential.look(state.history, damage, t_ns, settings.model_form)
     shared = sequential.shared_change(evidence.loss, evidence.std)
-    own = evidence.loss - _shared_by_others(evidence)
+    own = evidence.loss - sequential.shared_by_others(evidence.loss, evidence.std)
     *before, whole_before = state.stories
     judged = [
         s if j in damage.unidentified else _judge(s, float(loss), float(z), float(std), t_ns, settings)
         for j, (s, loss, z, std) in enumerate(zip(before, own, evidence.z, evidence.std, strict=True), start=1)
     ]
     std = float(evidence.std.max())
-    # Its cause is open, so it is never more than an advisory.
-    advisory_only = settings.model_copy(update={"confirm_s": np.inf, "min_loss": settings.uniform_loss})
-    whole = _judge(whole_before, shared, shared / std, std, t_ns, advisory_only)
+    whole = _judge(whole_before, shared, shared / std, std, t_ns, _advisory_only(settings))
     lost = {
         j: f"story {j} lost {100 * d:.1f} ± {200 * s:.1f} % (mean of the latest windows)"
         for j, (d, s) in enumerate(zip(own, evidence.std, strict=True), start=1)
@@ -205,12 +204,10 @@ def _unshelved(alarm: StoryState, t_ns: int) -> StoryState:
     return replace(alarm, shelved=None) if alarm.shelved is not None and t_ns >= alarm.shelved.until_ns else alarm
 
 
-def _shared_by_others(evidence: Evidence) -> Array:
-    """What all stories but one share, for each that one, shape (n,)."""
-    loss, std = evidence.loss, evidence.std
-    if loss.size == 1:
-        return np.zeros(1)
-    return np.array([sequential.shared_change(np.delete(loss, j), np.delete(std, j)) for j in range(loss.size)])
+@lru_cache(maxsize=8)
+def _advisory_only(settings: AlarmSettings) -> AlarmSettings:
+    """For the structure as a whole: the cause is open, so it is never more than an advisory."""
+    return settings.model_copy(update={"confirm_s": np.inf, "min_loss": settings.uniform_loss})
 
 
 def _judge(alarm: StoryState, loss: float, z: float, std: float, t_ns: int, settings: AlarmSettings) -> StoryState:
@@ -235,8 +232,10 @@ def _judge(alarm: StoryState, loss: float, z: float, std: float, t_ns: int, sett
             unacknowledged=alarm.unacknowledged or risen,
             acknowledged_by="" if risen else alarm.acknowledged_by,
         )
+    if not active:
+        return alarm
     quiet = t_ns if alarm.quiet_since_ns is None else min(alarm.quiet_since_ns, t_ns)
-    if active and t_ns - quiet < settings.clear_s * 1e9:
+    if t_ns - quiet < settings.clear_s * 1e9:
         return replace(alarm, since_ns=None, quiet_since_ns=quiet)
     return replace(alarm, level=Level.NORMAL, since_ns=None, quiet_since_ns=None)
 

@@ -82,10 +82,13 @@ class Conditioner:
         from monitor.kernels import filtered, interpolate  # compiled code takes a while to load
 
         latest, memory = filtered(self.sos, np.ascontiguousarray(samples), state.filter_memory)
-        extended = np.concatenate([state.history, latest])
         n_in = state.n_in + samples.shape[0]
         p, q = self.step.numerator, self.step.denominator
         n_out = -(-n_in * q // p)  # all outputs k whose latest source sample, floor(k p / q), has come
+        if q == 1:  # nothing lies between samples
+            output = np.ascontiguousarray(latest[state.n_out * p - state.n_in :: p])
+            return ConditionState(memory, state.history, n_in, n_out), output
+        extended = np.concatenate([state.history, latest])
         k = np.arange(state.n_out, n_out, dtype=np.int64)
         whole, phase = np.divmod(k * p, q)
         first = whole - state.n_in  # the oldest of the taps, as an index into `extended`

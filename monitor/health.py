@@ -210,12 +210,14 @@ def _noise_floor(x: Array, rate_hz: float) -> Array:
     """Of each row, m/s^2/sqrt(Hz): Hann window on the span's middle."""
     n = min(x.shape[1], _FFT_N)
     start = (x.shape[1] - n) // 2
-    taper = _taper(n)
-    power = np.abs(np.fft.rfft(x[:, start : start + n] * taper, axis=1)) ** 2 * (2.0 / (rate_hz * (taper @ taper)))
-    tenth = power.shape[1] // 10
-    return np.asarray(np.sqrt(np.partition(power, tenth, axis=1)[:, tenth] / _TENTH))
+    spectrum = np.fft.rfft(x[:, start : start + n] * _taper(n), axis=1)
+    power, tenth = spectrum.real**2 + spectrum.imag**2, spectrum.shape[1] // 10
+    power.partition(tenth, axis=1)
+    return np.asarray(np.sqrt(power[:, tenth] * (2.0 / (rate_hz * _TENTH))))
 
 
 @lru_cache(maxsize=8)
 def _taper(n: int) -> Array:
-    return np.asarray(np.hanning(n + 2)[1:-1])
+    """Hann's, of unit energy."""
+    taper = np.hanning(n + 2)[1:-1]
+    return np.asarray(taper / np.sqrt(taper @ taper))

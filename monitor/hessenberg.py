@@ -139,17 +139,16 @@ def _reduce(h: Array, c: Array) -> None:
             v[i], image[i], h[k + 1 + i, k] = h[k + 1 + i, k], 0.0, 0.0
         v[0], h[k + 1, k] = first + size, -size
         twice = 2.0 / (v[0] * v[0] + square)
-        below = h[k + 1 :, k + 1 :]
         both = 0.0  # v^T A v
         for i in range(v.size):
-            row, factor, total = below[i], v[i], 0.0
+            row, factor, total = h[k + 1 + i, k + 1 :], v[i], 0.0
             for j in range(v.size):
                 image[j] += factor * row[j]
                 total += row[j] * v[j]
             seen[i] = total
             both += factor * total
         for i in range(v.size):
-            row, left = below[i], twice * v[i]
+            row, left = h[k + 1 + i, k + 1 :], twice * v[i]
             right = twice * (seen[i] - both * left)
             for j in range(v.size):
                 row[j] -= left * image[j] + right * v[j]
@@ -229,12 +228,11 @@ def _sweep(h: Array, begin: int, end: int, stuck: bool) -> None:
             h[k, k - 1], h[k + 1, k - 1], h[k + 2, k - 1] = -size, 0.0, 0.0
         p += size  # the reflection is 1 - (u, v, w)^T (1, q, r)
         u, v, w, q, r = p / size, q / size, r / size, q / p, r / p
-        above, row, below = h[k], h[k + 1], h[k + 2]
-        for j in range(k, end + 1):
-            total = above[j] + q * row[j] + r * below[j]
-            above[j] -= total * u
-            row[j] -= total * v
-            below[j] -= total * w
+        above, row, below = h[k, k : end + 1], h[k + 1, k : end + 1], h[k + 2, k : end + 1]
+        for j in range(above.size):
+            one, two, three = above[j], row[j], below[j]  # fetched before anything is stored, which could be the same
+            total = one + q * two + r * three
+            above[j], row[j], below[j] = one - total * u, two - total * v, three - total * w
         for i in range(begin, min(end, k + 3) + 1):
             total = u * h[i, k] + v * h[i, k + 1] + w * h[i, k + 2]
             h[i, k] -= total
@@ -250,38 +248,47 @@ def _vector(h: Array, pole: complex, u: ComplexArray, x: ComplexArray) -> bool:
     for j in range(n):
         norm = max(norm, abs(h[0, j]))
         u[0, j] = h[0, j]
+    for k in range(n - 1):
+        norm = max(norm, abs(h[k + 1, k]))
+    least = _EPS * norm
     u[0, 0] -= pole
     for k in range(
         n - 1
     ):  # Gaussian elimination of h - pole; a row is exchanged with the next where that has the larger pivot
         beside = h[k + 1, k]
-        norm = max(norm, abs(beside))
         for j in range(k + 1, n):
             u[k + 1, j] = h[k + 1, j]
         u[k + 1, k + 1] -= pole
         if abs(u[k, k].real) + abs(u[k, k].imag) >= abs(beside):
+            x[k] = _inverse(u[k, k], least)
             if beside != 0.0:
-                factor = beside / u[k, k]
+                factor = beside * x[k]
                 for j in range(k + 1, n):
                     u[k + 1, j] -= factor * u[k, j]
         else:
-            factor = u[k, k] / beside
-            u[k, k] = beside
+            x[k] = complex(1.0 / beside)
+            factor = u[k, k] * x[k].real
             for j in range(k + 1, n):
                 lower = u[k + 1, j]
                 u[k + 1, j] = u[k, j] - factor * lower
                 u[k, j] = lower
+    x[n - 1] = _inverse(u[n - 1, n - 1], least)
     growth = 0.0
-    for i in range(n - 1, -1, -1):
+    for i in range(n - 1, -1, -1):  # x holds the inverse pivots of the rows above
         total = 1.0 + 0j
         for j in range(i + 1, n):
             total -= u[i, j] * x[j]
-        pivot = u[i, i]
-        if abs(pivot.real) + abs(pivot.imag) < _EPS * norm:
-            pivot = complex(_EPS * norm)
-        x[i] = total / pivot
+        x[i] *= total
         growth = max(growth, abs(x[i].real) + abs(x[i].imag))
     return growth * norm >= _LEAST_GROWTH
+
+
+@compiled(error_model="numpy")
+def _inverse(pivot: complex, least: float) -> complex:
+    """Of a pivot, or of the `least` where it is smaller."""
+    if abs(pivot.real) + abs(pivot.imag) < least:
+        return complex(1.0 / least)
+    return pivot.conjugate() / (pivot.real**2 + pivot.imag**2)
 
 
 @compiled(error_model="numpy")

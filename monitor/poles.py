@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from math import log
 from statistics import median
 
 import numpy as np
@@ -138,14 +139,14 @@ def _match(
     found: list[list[int] | None] = [None] * len(frequencies)
     if not clusters:
         return found
-    centre = np.array([median(poles.frequency[c].tolist()) for c in clusters])
-    shape = np.array([poles.shape[c[len(c) // 2]] for c in clusters])
-    likeness = mac(shapes.astype(complex), shape)
-    distance = np.abs(np.log(centre[None, :] / frequencies[:, None]))
-    forbidden = (distance > np.log(select.max_frequency_ratio)) | (likeness < select.min_model_mac)
+    each, most = poles.frequency.tolist(), log(select.max_frequency_ratio)
+    centre = np.array([median([each[pole] for pole in c]) for c in clusters])
+    likeness = mac(shapes.astype(complex), poles.shape[[c[len(c) // 2] for c in clusters]])
+    distance = np.abs(np.log(centre / frequencies[:, None]))
+    forbidden = (distance > most) | (likeness < select.min_model_mac)
     support = np.array([len(c) for c in clusters]) / len(poles.orders)
     # How many orders show a mode says more than how near the drawing it lies.
-    cost = 0.5 * distance / np.log(select.max_frequency_ratio) + 2.0 * (1.0 - likeness) + (1.0 - support)
+    cost = (0.5 / most) * distance + 2.0 * (1.0 - likeness) + (1.0 - support)
     for i, j in zip(*linear_sum_assignment(np.where(forbidden, 1e3, cost)), strict=True):
         if not forbidden[i, j]:
             found[i] = clusters[j]

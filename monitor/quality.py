@@ -35,10 +35,7 @@ def check(
         return Skipped(f"channel {', '.join(dead)} does not move")
     # Each channel at unit variance, so that a loud one does not hide that the others are noise.
     lags = lag_sum.diagonal(axis1=1, axis2=2) / products / variance
-    n = lags.shape[0]
-    weights = (1.0 - np.arange(n) / n)[:, None] * lags
-    cosines = _cosines(n, rate_hz, cutoff_hz)
-    spectrum = np.maximum(2.0 * cosines @ weights - weights[0], 1e-12).sum(axis=1)
+    spectrum = np.maximum(_bartlett(lags.shape[0], rate_hz, cutoff_hz) @ lags, 1e-12).sum(axis=1)
     flatness = float(np.exp(np.log(spectrum).mean()) / spectrum.mean())
     if flatness > settings.max_spectral_flatness:
         return Skipped(f"response too close to the noise (spectral flatness {flatness:.2f})")
@@ -46,7 +43,8 @@ def check(
 
 
 @lru_cache(maxsize=8)
-def _cosines(n: int, rate_hz: float, cutoff_hz: float) -> Array:
-    """Of every lag at every frequency of the spectrum."""
-    frequency = np.arange(1.0, 0.9 * cutoff_hz, 0.5)
-    return np.asarray(np.cos(2.0 * np.pi * frequency[:, None] * np.arange(n) / rate_hz))
+def _bartlett(n: int, rate_hz: float, cutoff_hz: float) -> Array:
+    """What every lag and its negative add at every frequency of the spectrum."""
+    frequency, lag = np.arange(1.0, 0.9 * cutoff_hz, 0.5), np.arange(n)
+    cosines = np.cos(2.0 * np.pi * frequency[:, None] * lag / rate_hz)
+    return np.asarray(np.where(lag, 2.0, 1.0) * (1.0 - lag / n) * cosines)

@@ -80,7 +80,7 @@ def look(history: History, reading: DamageReading, t_ns: int, model_form: float)
     n = reading.ddi.size
     own = reading.ddi_covariance - reading.common_covariance + (1e-24 - reading.form_variance) * np.eye(n)
     model_form = max(model_form, reading.model_form)
-    variance = np.diag(own)
+    variance = own.diagonal()
     history = _remembered(history, reading.ddi, variance, t_ns)
     chain = _disjoint(history)
     age = (t_ns - history.t_ns[chain]) / history.window_ns
@@ -88,7 +88,7 @@ def look(history: History, reading: DamageReading, t_ns: int, model_form: float)
     ddi, variance = history.ddi[chain], history.variance[chain]
     means = np.cumsum(ddi, axis=0)[counts - 1] / counts[:, None]
     variances = np.cumsum(variance, axis=0)[counts - 1] / counts[:, None] ** 2
-    scale = np.sqrt(variances / np.diag(own))
+    scale = np.sqrt(variances / own.diagonal())
     covariance = own * scale[:, :, None] * scale[:, None, :] + reading.common_covariance
     z, std = statistic(means, covariance, model_form)
     agrees = np.abs(ddi[0] - means) <= _AGREEMENT * np.sqrt(variance[0] * (1.0 - 2.0 / counts[:, None]) + variances)
@@ -161,8 +161,8 @@ def statistic(means: Array, covariance: Array, model_form: float) -> tuple[Array
     spread = np.sqrt(variance[..., None, :] + np.take_along_axis(variance, least, axis=-1)[..., None])
     weight = np.where(others & (np.abs(differs) <= _SIGNIFICANT * spread), 1.0 / variance[..., None, :], 0.0)
     contrast = np.eye(n) - weight / weight.sum(axis=-1, keepdims=True)
-    against = np.einsum("...ij,...j->...i", contrast, means)
-    against /= np.sqrt(np.einsum("...ij,...jk,...ik->...i", contrast, covariance, contrast))
+    against = (contrast @ means[..., None])[..., 0]
+    against /= np.sqrt(((contrast @ covariance) * contrast).sum(axis=-1))
     return np.minimum(z, against + _CREDIT), std
 
 
@@ -173,3 +173,11 @@ def shared_change(loss: Array, std: Array) -> float:
     """
     alike = np.abs(np.sign(loss).sum()) == loss.size and (np.abs(loss) > _SIGNIFICANT * std).all()
     return float(loss[np.abs(loss).argmin()]) if alike and loss.size else 0.0
+
+
+def shared_by_others(loss: Array, std: Array) -> Array:
+    """What all stories but one share, for each that one, shape (n,)."""
+    n = loss.size
+    if np.count_nonzero(np.abs(loss) > _SIGNIFICANT * std) < n - 1:
+        return np.zeros(n)
+    return np.array([shared_change(np.delete(loss, j), np.delete(std, j)) for j in range(n)])

@@ -9,6 +9,7 @@ and costs the number of block rows rather than the number of samples.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Literal
 
 import numpy as np
@@ -119,13 +120,11 @@ def realise(
         White noise, as a share of the power, that the weights of CVA and UPC are formed with.
     """
     i, l = settings.block_rows, sums.head.shape[1]  # noqa: E741 - the paper's letters
-    past_rows = (np.arange(i)[:, None] * l + np.asarray(past)[None, :]).ravel()
-    future = slice(i * l, 2 * i * l)
+    past_rows, future = _past_rows(i, l, past), slice(i * l, 2 * i * l)
     max_order = min(max_order, len(past_rows) - 1, (i - 1) * l)
     by_covariance = settings.variant == "COV"
     full = np.zeros((0, 0)) if by_covariance and settings.algorithm == 2 else gram(sums)
-    every = len(past_rows) == i * l and (past_rows[:-1] < past_rows[1:]).all()
-    earlier = slice(0, i * l) if every else past_rows  # a slice copies nothing
+    earlier = slice(0, i * l) if past == tuple(range(l)) else past_rows  # a slice copies nothing
     g_fp = _toeplitz(sums, i, past) if by_covariance else full[future, earlier]
     if settings.variant in ("COV", "PC"):
         # PC's weight W2 turns the projection into Y_f Y_p^T, up to an orthogonal factor.
@@ -149,6 +148,12 @@ def realise(
     return Realisation(o, z, values, past, l, states)
 
 
+@lru_cache(maxsize=8)
+def _past_rows(i: int, l: int, past: tuple[int, ...]) -> Indices:  # noqa: E741
+    """Rows of the Hankel matrix's upper half that belong to the reference columns."""
+    return np.asarray((np.arange(i)[:, None] * l + np.asarray(past)[None, :]).ravel())
+
+
 def _orthonormal(o: Array, z: Array, l: int) -> tuple[Array, Array]:  # noqa: E741
     """O and Z in the basis of `Realisation`, as far as the columns are independent; they stay nested over orders."""
     r, reflectors, *_ = lapack.dgeqrf(o[:-l])
@@ -156,8 +161,14 @@ def _orthonormal(o: Array, z: Array, l: int) -> tuple[Array, Array]:  # noqa: E7
     size = np.abs(r.diagonal())
     weak = np.flatnonzero(size < _SINGULAR_TOLERANCE * size[0])
     sound = int(weak[0]) if weak.size else size.size
-    inverse, _ = lapack.dtrtri(np.triu(r[:sound, :sound]))  # below lie the reflectors
+    inverse, _ = lapack.dtrtri(r[:sound, :sound] * _upper(sound))  # below lie the reflectors
     return np.concatenate([q[:, :sound], o[-l:, :sound] @ inverse]), z[:, :sound] @ inverse
+
+
+@lru_cache(maxsize=8)
+def _upper(n: int) -> Array:
+    """1 on the diagonal and above, else 0."""
+    return np.triu(np.ones((n, n)))
 
 
 def _leading(matrix: Array, count: int) -> tuple[Array, Array]:
@@ -192,11 +203,12 @@ def poles(
     told = tuple(n for n in orders if n <= realisation.observability.shape[1])
     radian = 2.0 * np.pi / rate_hz
     region = (radian * band_hz[0], radian * band_hz[1], *damping)
-    nested = realisation.states is None or not told
-    groups = [told] if nested else [(n,) for n in told]
-    found = [upper_poles(*_matrices(realisation, max(group, default=0)), group, region) for group in groups]
-    space = np.concatenate([k + spaces for k, (spaces, *_) in enumerate(found)])
-    value, logarithm, shape = (np.concatenate(parts) for parts in list(zip(*found, strict=True))[1:])
+    if realisation.states is None or not told:
+        space, value, logarithm, shape = upper_poles(*_matrices(realisation, max(told, default=0)), told, region)
+    else:
+        found = [upper_poles(*_matrices(realisation, n), (n,), region) for n in told]
+        space = np.concatenate([k + spaces for k, (spaces, *_) in enumerate(found)])
+        value, logarithm, shape = (np.concatenate(parts) for parts in list(zip(*found, strict=True))[1:])
     return PoleTable(told, space, value, *continuous(logarithm, rate_hz), shape)
 
 

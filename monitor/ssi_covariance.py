@@ -15,6 +15,7 @@ multi-order uncertainty computation for stochastic subspace identification, MSSP
 from __future__ import annotations
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from monitor.results import Array, ComplexArray, LagSums
 from monitor.ssi import Realisation, StateSpace
@@ -69,14 +70,11 @@ def _moved_observability(sums: LagSums, realisation: Realisation, states: Comple
     past, n_blocks, m = np.array(realisation.past), len(sums.products), states.shape[1]
     by_lag = scatter(sums.products, sums.first, sums.second, sums.mean, sums.counts, past)
     z = realisation.right[:, : len(states)] @ np.concatenate([states.real, states.imag], axis=1)
-    back = z.T.reshape(2 * m, -1, past.size)[:, ::-1]
-    i = back.shape[1]
-    # Block (a, b) of d(Y_f Y_p^T) is the deviation at lag i + a - b, transposed: with z moved along by a, one product for all.
-    shifted = np.zeros((2 * m, i, 2 * i - 1, past.size))
-    for a in range(i):
-        shifted[:, a, a : a + i] = back
-    product = shifted.reshape(2 * m * i, -1) @ by_lag.reshape(shifted.shape[2] * past.size, -1)
     # A mean of n_blocks blocks has been taken out, so the squares fall short by that degree of freedom.
-    product *= np.sqrt(n_blocks / (n_blocks - 1.0)) if n_blocks > 1 else 1.0
-    parts = product.reshape(2, m, -1, n_blocks)
+    z *= np.sqrt(n_blocks / (n_blocks - 1.0)) if n_blocks > 1 else 1.0
+    back = z.T.reshape(2 * m, -1, past.size)[:, ::-1].reshape(2 * m, -1)
+    # Block (a, b) of d(Y_f Y_p^T) is the deviation at lag i + a - b, transposed: row a needs i lags on end, from its own on.
+    lags = by_lag.reshape(len(by_lag) * past.size, -1)
+    product = back @ sliding_window_view(lags, back.shape[1], axis=0)[:: past.size].transpose(0, 2, 1)
+    parts = product.transpose(1, 0, 2).reshape(2, m, -1, n_blocks)
     return np.asarray(parts[0] + 1j * parts[1])

@@ -8,11 +8,13 @@ masses.  Directions of theta that the data do not see are held by the prior, and
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
+from scipy.linalg import lapack
 from scipy.optimize import linear_sum_assignment
 
 from monitor.model import Model, Modes
@@ -26,6 +28,8 @@ _LOWEST = 1e-9
 """Eigenvalues are kept above this share of the highest: a step may leave a structure that would not stand."""
 _STILL = 1e-6
 """A channel at which a shape has less than this share of its largest component cannot be its gauge."""
+_LEAST_PIVOT = 1e-9
+"""Of normal equations with a diagonal of one: below, they are as good as singular."""
 _LOYALTY = 0.5
 """Modes are taken in another order than that of their frequencies when each is more alike so by more than this on average;
 a mode that was matched at all (`poles.SelectionSettings.min_model_mac`) so never leaves a model that has them in order."""
@@ -138,8 +142,15 @@ def _carried(modes: ModalEstimate, rows: Array, scale: Array, gauges: tuple[int,
 
 def _told(shapes: Array | ComplexArray, gauges: tuple[int, ...]) -> tuple[NDArray[np.bool_], Any]:
     """Which components of shapes, shape (m, c), stand in z: all but the gauges'; and these, shape (m,)."""
-    told = np.arange(shapes.shape[1]) != np.array(gauges)[:, None]
-    return told, shapes[~told]
+    told, gauge = _beside(shapes.shape[1], gauges)
+    return told, shapes[gauge]
+
+
+@lru_cache(maxsize=64)
+def _beside(n_channels: int, gauges: tuple[int, ...]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Which components of each shape are not its gauge, and which are, shape (m, c)."""
+    told = np.arange(n_channels) != np.array(gauges)[:, None]
+    return told, ~told
 
 
 def counterparts(modes: Modes, sensors: Array, observation: Observation) -> tuple[int, ...]:
@@ -159,7 +170,7 @@ def counterparts(modes: Modes, sensors: Array, observation: Observation) -> tupl
     if not observation.gauges:
         return tuple(by_rank.tolist())
     seen = np.ones((m, len(sensors)))
-    seen[np.arange(len(sensors)) != np.array(observation.gauges)[:, None]] = observation.z[m:]
+    seen[_beside(len(sensors), observation.gauges)[0]] = observation.z[m:]
     shapes = sensors @ modes.shapes
     power = (shapes**2).sum(axis=0)
     power = np.maximum(power, 1e-6 * power.max())  # what no sensor sees is like nothing
@@ -193,15 +204,16 @@ def predict(model: Model, sensors: Array, observation: Observation, with_masses:
 def _recognized(model: Model, sensors: Array, observation: Observation, with_masses: bool) -> tuple[Array, Array]:
     """As `predict`, of those modes that are the observed ones."""
     modes = model.modes()
-    observation = replace(observation, model_mode=counterparts(modes, sensors, observation))
+    found = counterparts(modes, sensors, observation)
+    if found != observation.model_mode:
+        observation = replace(observation, model_mode=found)
     return _predicted(model, modes, sensors, observation, with_masses)
 
 
 def _predicted(
     model: Model, modes: Modes, sensors: Array, observation: Observation, with_masses: bool
 ) -> tuple[Array, Array]:
-    d_k, d_m = _matrix_derivatives(model, with_masses)
-    d_lambda, d_shapes = fox_kapoor(modes, d_k, d_m)
+    d_lambda, d_shapes = fox_kapoor(modes, *_matrix_derivatives(model, with_masses))
     used = list(observation.model_mode)
     lam = np.maximum(modes.eigenvalues, _LOWEST * modes.eigenvalues[-1])[used]
     z = [np.log(lam) if observation.log else lam]
@@ -358,16 +370,22 @@ def _prior_pull(sensitivity: Array, weight: Array, w_theta: Array) -> Array:
 
 
 def _solve_scaled(normal: Array, right: Array) -> Array:
-    """Solve the normal equations after scaling their diagonal to one (stiffness and mass differ by 1e4)."""
-    scale = 1.0 / np.sqrt(np.diag(normal))
-    scaled = normal * scale[:, None] * scale
-    return np.asarray(scale[:, None] * np.linalg.lstsq(scaled, scale[:, None] * right, rcond=1e-13)[0])
+    """Solve the normal equations after scaling their diagonal to one (stiffness and mass differ by 1e4).
+
+    By Cholesky where every pivot counts, else by the shortest least-squares solution.
+    """
+    scale = 1.0 / np.sqrt(normal.diagonal())
+    scaled, wanted = normal * scale[:, None] * scale, scale[:, None] * right
+    factor, solution, failed = lapack.dposv(scaled, wanted)
+    if failed or factor.diagonal().min() ** 2 < _LEAST_PIVOT:
+        solution = np.linalg.lstsq(scaled, wanted, rcond=1e-13)[0]
+    return np.asarray(scale[:, None] * solution)
 
 
-def _matrix_derivatives(model: Model, with_masses: bool) -> tuple[Array, Array]:
+def _matrix_derivatives(model: Model, with_masses: bool) -> tuple[Array, Array | None]:
     d_k = model.stiffness_derivatives()
     if not with_masses:
-        return d_k, np.zeros_like(d_k)
+        return d_k, None
     d_m = model.structure.mass_derivatives()
     return np.concatenate([d_k, np.zeros_like(d_m)]), np.concatenate([np.zeros_like(d_k), d_m])
 

@@ -105,8 +105,16 @@ class ShearFrame:
 
     def stiffness_derivatives(self) -> Array:
         """dK / dk_j of rigid joints, shape (n, n, n): first axis is the story."""
-        drift = self.drift_matrix()
-        return np.asarray(np.einsum("ja,jb->jab", drift, drift))
+        return _drift_products(self.n_stories)
+
+
+@cache
+def _drift_products(n: int) -> Array:
+    """Of every story's drift with itself, shape (n, n, n)."""
+    drift = _drift_matrix(n)
+    products = drift[:, :, None] * drift[:, None, :]
+    products.setflags(write=False)
+    return products
 
 
 @cache
