@@ -27,9 +27,20 @@ from monitor.files import finish, partial
 _log = logging.getLogger(__name__)
 
 FORMAT = "shm-monitor state"
-VERSION = 1
+
+
+def _without_doubled_sums(tree: Any) -> Any:
+    """From version 1: blocks of a window kept sums that others tell as well."""
+    run = tree["session"]["pipeline"]["run"] if "session" in tree else None
+    for block in run["window"]["blocks"] if run is not None else ():
+        block["shifted"] = block.pop("second")
+        del block["first"], block["total"]
+    return tree
+
+
+VERSION = 2
 """To be raised, with an entry in `UPGRADES`, when a field of the state comes, goes or changes its meaning."""
-UPGRADES: dict[int, Callable[[Any], Any]] = {}
+UPGRADES: dict[int, Callable[[Any], Any]] = {1: _without_doubled_sums}
 """Version -> what makes its plain value (`plain`) that of the next version."""
 _DTYPES = ("<f8", "<c16", "<i8", "<f4", "|b1")
 _ARRAY = "@array"

@@ -8,11 +8,12 @@ from numpy.typing import NDArray
 from monitor.compiled import compiled
 from monitor.results import Array, ComplexArray
 
+IMPOSSIBLE = 1e3
+"""Cost of what must not be."""
+
 
 @compiled()
-def scatter(
-    products: Array, first: Array, second: Array, mean: Array, counts: NDArray[np.int64], past: NDArray[np.intp]
-) -> Array:
+def scatter(products: Array, shifted: Array, mean: Array, counts: NDArray[np.int64], past: NDArray[np.intp]) -> Array:
     """How far every block's lagged products about the window's mean lie off the mean block's, at lags from 1 on, for the first
     factors `past`; shape (2 i - 1, r, c, n_blocks), other parameters as in `LagSums`.
     """
@@ -24,7 +25,7 @@ def scatter(
             for j in range(c):
                 row, total = out[tau - 1, k, j], 0.0
                 for b in range(n_blocks):
-                    moved = first[b, i] * mean[j] + mean[i] * second[b, tau, j]
+                    moved = shifted[b, 0, i] * mean[j] + mean[i] * shifted[b, tau, j]
                     row[b] = products[b, tau, i, j] - moved + counts[b] * (mean[i] * mean[j])
                     total += row[b]
                 for b in range(n_blocks):
@@ -55,6 +56,32 @@ def displaced(lag_sum: Array, head: Array, tail: Array) -> Array:
                     row, column = (a + 1) * c + i, (a + 1 + tau) * c + j
                     out[row, column] = out[column, row] = total
     return out
+
+
+@compiled(fastmath={"contract"})
+def flatness(lag_sum: Array, weights: Array) -> float:
+    """Geometric over arithmetic mean of the channels' summed spectrum.
+
+    Each channel counts at unit variance, so that a loud one does not hide that the others are noise.
+
+    Parameters
+    ----------
+    lag_sum : ndarray, shape (n_lags, c, c)
+    weights : ndarray, shape (n_frequencies, n_lags)
+        Of every lag in the spectrum at every frequency.
+    """
+    logs, mean = 0.0, 0.0
+    for f in range(weights.shape[0]):
+        total = 0.0
+        for i in range(lag_sum.shape[1]):
+            power = 0.0
+            for tau in range(lag_sum.shape[0]):
+                power += weights[f, tau] * lag_sum[tau, i, i]
+            total += max(power / lag_sum[0, i, i], 1e-12)
+        logs += np.log(total)
+        mean += total
+    n = weights.shape[0]
+    return float(np.exp(logs / n) / (mean / n))
 
 
 @compiled()
@@ -95,8 +122,8 @@ def interpolate(x: Array, first: NDArray[np.int64], phase: NDArray[np.int64], ta
 
 
 @compiled(fastmath={"reassoc", "contract"})
-def lag_products(x: Array, n: int, n_lags: int) -> tuple[Array, Array, Array]:
-    """Sums over k < n of ``x[:, k] x[:, k + tau]^T``, of ``x[:, k]``, and of ``x[:, k + tau]``, for every lag.
+def lag_products(x: Array, n: int, n_lags: int) -> tuple[Array, Array]:
+    """Sums over k < n of ``x[:, k] x[:, k + tau]^T`` and of ``x[:, k + tau]``, for every lag.
 
     Sums may be taken in another order than written, so that the processor adds many numbers at once.
 
@@ -106,7 +133,7 @@ def lag_products(x: Array, n: int, n_lags: int) -> tuple[Array, Array, Array]:
 
     Returns
     -------
-    ndarray, shape (n_lags, c, c); ndarray, shape (c,); ndarray, shape (n_lags, c)
+    ndarray, shape (n_lags, c, c); ndarray, shape (n_lags, c)
     """
     c = x.shape[0]
     products, shifted = np.empty((n_lags, c, c)), np.empty((n_lags, c))
@@ -128,7 +155,7 @@ def lag_products(x: Array, n: int, n_lags: int) -> tuple[Array, Array, Array]:
                     first += now[k] * one[k]
                     second += now[k] * two[k]
                 products[tau, i, j], products[after, i, j] = first, second
-    return products, shifted[0].copy(), shifted
+    return products, shifted
 
 
 @compiled()
@@ -208,6 +235,48 @@ def grouped(
         if best.size >= enough:
             group[best] = modes
             modes += 1
+
+
+@compiled()
+def unlikeness(
+    group: NDArray[np.intp],
+    frequency: Array,
+    shape: ComplexArray,
+    n_orders: int,
+    model_ln_f: Array,
+    model_shape: Array,
+    most_distance: float,
+    least_likeness: float,
+) -> Array:
+    """How unlike each of the model's modes every identified one is, shape (k, n_modes); IMPOSSIBLE beyond the bounds.
+
+    Frequency (the median over orders), shape, and how many orders show it, which says more than how near the drawing it lies.
+
+    Parameters
+    ----------
+    group : ndarray, shape (n_poles,)
+        Number of each pole's mode, -1 for none.
+    frequency : ndarray, shape (n_poles,)
+    shape : ndarray, shape (n_poles, c)
+        Of unit norm.
+    model_ln_f : ndarray, shape (k,)
+    model_shape : ndarray, shape (k, c)
+    """
+    n_modes = group.max() + 1 if group.size else 0
+    out = np.full((model_ln_f.size, n_modes), IMPOSSIBLE)
+    for j in range(n_modes):
+        members = np.flatnonzero(group == j)
+        ln_f, middle = np.log(np.median(frequency[members])), shape[members[members.size // 2]]
+        for i in range(model_ln_f.size):
+            distance, total, power = abs(ln_f - model_ln_f[i]), 0j, 0.0
+            for s in range(middle.size):
+                total += model_shape[i, s] * middle[s]
+                power += model_shape[i, s] ** 2
+            likeness = (total.real**2 + total.imag**2) / power if power > 0.0 else 0.0
+            if distance <= most_distance and likeness >= least_likeness:
+                shown = members.size / n_orders
+                out[i, j] = 0.5 * distance / most_distance + 2.0 * (1.0 - likeness) + (1.0 - shown)
+    return out
 
 
 @compiled(fastmath={"reassoc", "nnan", "nsz"})

@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from math import log
-from statistics import median
 
 import numpy as np
 from pydantic import Field
 from scipy.optimize import linear_sum_assignment
 
 from monitor.model import Modes
-from monitor.results import Array, ComplexArray, ModalEstimate, Skipped, Window
+from monitor.results import Array, ModalEstimate, Skipped, Window
 from monitor.settings import Settings
 from monitor.ssi import PoleTable, Realisation, SsiSettings, realise, state_space
 from monitor.ssi import poles as all_poles
@@ -48,12 +47,6 @@ class SelectionSettings(Settings):
     """So many of the model's lowest modes are looked for."""
     required_modes: int = Field(default=4, ge=1)
     """So many of the lowest must be found; higher ones are used where they show."""
-
-
-def mac(a: ComplexArray, b: ComplexArray) -> Array:
-    """Modal assurance criterion of every row of `a` with every row of `b`, shape (n_a, n_b), 0 to 1."""
-    power = np.einsum("ij,ij->i", a.conj(), a).real[:, None] * np.einsum("ij,ij->i", b.conj(), b).real
-    return np.asarray(np.abs(a.conj() @ b.T) ** 2 / power)
 
 
 def expected(reference: Modes, highest_hz: float, select: SelectionSettings) -> tuple[int, ...]:
@@ -135,33 +128,34 @@ def _match(
     poles: PoleTable, stable: Array, frequencies: Array, shapes: Array, select: SelectionSettings
 ) -> list[list[int] | None]:
     """For every model mode, the stable poles of its counterpart; None where there is none."""
-    clusters = _clusters(poles, stable, select)
-    found: list[list[int] | None] = [None] * len(frequencies)
-    if not clusters:
-        return found
-    each, most = poles.frequency.tolist(), log(select.max_frequency_ratio)
-    centre = np.array([median([each[pole] for pole in c]) for c in clusters])
-    likeness = mac(shapes.astype(complex), poles.shape[[c[len(c) // 2] for c in clusters]])
-    distance = np.abs(np.log(centre / frequencies[:, None]))
-    forbidden = (distance > most) | (likeness < select.min_model_mac)
-    support = np.array([len(c) for c in clusters]) / len(poles.orders)
-    # How many orders show a mode says more than how near the drawing it lies.
-    cost = (0.5 / most) * distance + 2.0 * (1.0 - likeness) + (1.0 - support)
-    for i, j in zip(*linear_sum_assignment(np.where(forbidden, 1e3, cost)), strict=True):
-        if not forbidden[i, j]:
-            found[i] = clusters[j]
-    return found
+    from monitor.kernels import IMPOSSIBLE, grouped, unlikeness
 
-
-def _clusters(poles: PoleTable, stable: Array, select: SelectionSettings) -> list[list[int]]:
-    """Stable poles of the same mode, at most one an order, where enough orders agree."""
-    from monitor.kernels import grouped
-
-    rows = np.flatnonzero(stable)
     enough = max(1.0, select.min_stable_share * (len(poles.orders) - 1))
-    space, frequency, shape = poles.space[rows], poles.frequency[rows], poles.shape[rows]
-    group = grouped(space, frequency, shape, 2.0 * select.stable_frequency, select.stable_mac, enough)
-    return [rows[group == k].tolist() for k in range(group.max(initial=-1) + 1)]
+    rows = np.flatnonzero(stable)
+    group = np.full(stable.size, -1)
+    group[rows] = grouped(
+        poles.space[rows],
+        poles.frequency[rows],
+        poles.shape[rows],
+        2.0 * select.stable_frequency,
+        select.stable_mac,
+        enough,
+    )
+    cost = unlikeness(
+        group,
+        poles.frequency,
+        poles.shape,
+        len(poles.orders),
+        np.log(frequencies),
+        shapes,
+        log(select.max_frequency_ratio),
+        select.min_model_mac,
+    )
+    found: list[list[int] | None] = [None] * len(frequencies)
+    for i, j in zip(*linear_sum_assignment(cost), strict=True):
+        if cost[i, j] < IMPOSSIBLE:
+            found[i] = np.flatnonzero(group == j).tolist()
+    return found
 
 
 def _common_order(poles: PoleTable, clusters: list[list[int]]) -> list[int] | None:

@@ -83,10 +83,8 @@ class LagSums:
 
     products: Array
     """Shape (n_blocks, 2 i, c, c), (m/s^2)^2: ``sum_k y[k] y[k + tau]^T`` over the samples k of a block."""
-    first: Array
-    """Shape (n_blocks, c): sums of the first factors."""
-    second: Array
-    """Shape (n_blocks, 2 i, c): sums of the second factors."""
+    shifted: Array
+    """Shape (n_blocks, 2 i, c): sums of the second factors, at lag 0 of the first ones as well."""
     mean: Array
     """Shape (c,), of the window, m/s^2."""
     counts: NDArray[np.int64]

@@ -68,7 +68,7 @@ def _moved_observability(sums: LagSums, realisation: Realisation, states: Comple
     from monitor.kernels import scatter  # compiled code takes a while to load
 
     past, n_blocks, m = np.array(realisation.past), len(sums.products), states.shape[1]
-    by_lag = scatter(sums.products, sums.first, sums.second, sums.mean, sums.counts, past)
+    by_lag = scatter(sums.products, sums.shifted, sums.mean, sums.counts, past)
     z = realisation.right[:, : len(states)] @ np.concatenate([states.real, states.imag], axis=1)
     # A mean of n_blocks blocks has been taken out, so the squares fall short by that degree of freedom.
     z *= np.sqrt(n_blocks / (n_blocks - 1.0)) if n_blocks > 1 else 1.0

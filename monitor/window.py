@@ -79,12 +79,8 @@ class _Block:
 
     products: Array
     """Shape (n_lags, c, c): products that begin in this block; of the latest block, those wholly inside."""
-    first: Array
-    """Shape (c,): sum of their first factors."""
-    second: Array
-    """Shape (n_lags, c): sum of their second factors."""
-    total: Array
-    """Shape (c,): sum of the block's samples."""
+    shifted: Array
+    """Shape (n_lags, c): sum of their second factors; at lag 0, of the first ones as well."""
     head: Array
     """Shape (n_lags - 1, c): the block's first samples."""
 
@@ -191,10 +187,10 @@ def _close_block(grid: WindowGrid, state: WindowState) -> WindowState:
     blocks = list(state.blocks)
     if blocks:
         around = np.ascontiguousarray(state.samples[-size - lags + 1 : -size + lags - 1].T)
-        products, first, second = lag_products(around, lags - 1, lags)  # begin in that one and end in this
+        products, shifted = lag_products(around, lags - 1, lags)  # begin in that one and end in this
         b = blocks[-1]
-        blocks[-1] = replace(b, products=b.products + products, first=b.first + first, second=b.second + second)
-    blocks.append(_Block(*inner, block.sum(axis=1), state.samples[-size:][: lags - 1].copy()))
+        blocks[-1] = _Block(b.products + products, b.shifted + shifted, b.head)
+    blocks.append(_Block(*inner, state.samples[-size:][: lags - 1].copy()))
     return replace(state, blocks=tuple(blocks[-(grid.window_n // size) :]))
 
 
@@ -243,10 +239,9 @@ def _sum_up(grid: WindowGrid, state: WindowState) -> LagSums:
     counts = np.full(len(blocks), grid.block_n)
     counts[-1] = grid.block_n - lags + 1
     products = np.concatenate([b.products for b in blocks]).reshape(-1, lags, c, c)
-    first = np.concatenate([b.first for b in blocks]).reshape(-1, c)
-    second = np.concatenate([b.second for b in blocks]).reshape(-1, lags, c)
-    mean = np.concatenate([b.total for b in blocks]).reshape(-1, c).sum(axis=0) / grid.window_n
-    head, tail = blocks[0].head - mean, state.samples[state.samples.shape[0] - lags + 1 :] - mean
-    moved = first.sum(axis=0)[:, None] * mean + mean[:, None] * second.sum(axis=0)[:, None, :]
+    shifted = np.concatenate([b.shifted for b in blocks]).reshape(-1, lags, c)
+    head, tail, sums = blocks[0].head, state.samples[state.samples.shape[0] - lags + 1 :], shifted.sum(axis=0)
+    mean = (sums[0] + tail.sum(axis=0)) / grid.window_n
+    moved = sums[0][:, None] * mean + mean[:, None] * sums[:, None, :]
     total = products.sum(axis=0) - moved + counts.sum() * np.outer(mean, mean)
-    return LagSums(products, first, second, mean, counts, head, tail, total)
+    return LagSums(products, shifted, mean, counts, head - mean, tail - mean, total)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import logging
 import os
+import re
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from fractions import Fraction
@@ -156,11 +158,12 @@ def test_what_cannot_be_used_is_refused_with_the_reason(
 
 def test_an_older_version_is_upgraded_step_by_step(monkeypatch: pytest.MonkeyPatch) -> None:
     old = to_bytes("k", LEAF)
-    monkeypatch.setattr(checkpoint, "VERSION", 3)
-    monkeypatch.setitem(checkpoint.UPGRADES, 1, lambda tree: tree | {"number": tree["number"] + 10})
-    with pytest.raises(CheckpointError, match="version 2, which cannot be upgraded"):
+    present = checkpoint.VERSION
+    monkeypatch.setattr(checkpoint, "VERSION", present + 2)
+    monkeypatch.setitem(checkpoint.UPGRADES, present, lambda tree: tree | {"number": tree["number"] + 10})
+    with pytest.raises(CheckpointError, match=f"version {present + 1}, which cannot be upgraded"):
         from_bytes(old, "k", Leaf)
-    monkeypatch.setitem(checkpoint.UPGRADES, 2, lambda tree: tree | {"array": tree["array"] * 2.0})
+    monkeypatch.setitem(checkpoint.UPGRADES, present + 1, lambda tree: tree | {"array": tree["array"] * 2.0})
     found = from_bytes(old, "k", Leaf)
     assert found.number == 11 and found.array.tolist() == [0.0, 2.0, 4.0]
 
@@ -202,9 +205,20 @@ def test_objects_and_unknown_types_are_never_written() -> None:
             to_bytes("k", replace(LEAF, array=value))
 
 
+def as_version_1(data: bytes) -> bytes:
+    """The checkpoint as an older program wrote it: with sums in each block that others tell as well."""
+    line, _, body = data.partition(b"\n")
+    text, _, arrays = body.partition(b"\n")
+    text = re.sub(rb'"shifted":(\{[^}]*\})', rb'"first":\1,"second":\1,"total":\1', text)
+    body = text + b"\n" + arrays
+    head = json.loads(line) | {"version": 1, "sha256": hashlib.sha256(body).hexdigest()}
+    return json.dumps(head).encode() + b"\n" + body
+
+
+@pytest.mark.parametrize("version", [1, 2])
 @pytest.mark.parametrize("at", [1, 27, 40])
 def test_a_pipeline_goes_on_from_its_state_as_if_nothing_had_been(
-    frame_text: str, cut: Cut, tmp_path: Path, at: int
+    frame_text: str, cut: Cut, tmp_path: Path, at: int, version: int
 ) -> None:
     path = tmp_path / "s.toml"
     path.write_text(frame_text)
@@ -221,6 +235,8 @@ def test_a_pipeline_goes_on_from_its_state_as_if_nothing_had_been(
     for block in blocks[:at]:
         first.push(block)
     data = to_bytes("k", Saved(first.state, 5, 6))
+    assert version in (1, checkpoint.VERSION)
+    data = data if version == checkpoint.VERSION else as_version_1(data)
     saved = from_bytes(data, "k", Saved)
     assert same(first.state, saved.session)
     second.restore(saved.session)

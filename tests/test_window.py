@@ -41,7 +41,7 @@ def assert_direct_sums(grid: WindowGrid, item: Item, samples: np.ndarray) -> Non
     assert isinstance(item, Window)
     sums, total = item.sums, item.sums.total
     crossed = np.outer(sums.mean, sums.mean) * sums.counts[:, None, None, None]
-    moved = sums.first[:, None, :, None] * sums.mean + sums.mean[:, None] * sums.second[:, :, None]
+    moved = sums.shifted[:, :1, :, None] * sums.mean + sums.mean[:, None] * sums.shifted[:, :, None]
     blocks = sums.products - moved + crossed
     v = samples - samples.mean(axis=0)
     n, size = len(v), grid.block_n
@@ -54,7 +54,7 @@ def assert_direct_sums(grid: WindowGrid, item: Item, samples: np.ndarray) -> Non
             np.testing.assert_allclose(blocks[b, tau], v[k].T @ v[k + tau], atol=tolerance)
     np.testing.assert_allclose(total, blocks.sum(axis=0), atol=tolerance)
     share = (sums.counts / sums.counts.sum())[:, None, None, None]
-    off = scatter(sums.products, sums.first, sums.second, sums.mean, sums.counts, np.array([1, 0]))
+    off = scatter(sums.products, sums.shifted, sums.mean, sums.counts, np.array([1, 0]))
     np.testing.assert_allclose(off, (blocks - share * total)[:, 1:, [1, 0]].transpose(1, 2, 3, 0), atol=tolerance)
     np.testing.assert_allclose(item.sums.head, v[: grid.n_lags - 1], atol=1e-12)
     np.testing.assert_allclose(item.sums.tail, v[n - grid.n_lags + 1 :], atol=1e-12)
@@ -65,7 +65,7 @@ def same_bits(a: list[Item], b: list[Item]) -> None:
     for x, y in zip(a, b, strict=True):
         if isinstance(x, Window) and isinstance(y, Window):
             assert (x.index, x.t_end_ns, x.window_s, x.rate_hz) == (y.index, y.t_end_ns, y.window_s, y.rate_hz)
-            for name in ("products", "first", "second", "mean", "counts", "head", "tail"):
+            for name in ("products", "shifted", "mean", "counts", "head", "tail"):
                 np.testing.assert_array_equal(getattr(x.sums, name), getattr(y.sums, name))
         else:
             assert x == y
