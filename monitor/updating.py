@@ -164,19 +164,27 @@ def counterparts(modes: Modes, sensors: Array, observation: Observation) -> tupl
     sensors : ndarray, shape (c, n)
         Picks the sensors out of the floors.
     """
-    m, used = len(observation.model_mode), sorted(observation.model_mode)
-    by_rank = np.empty(m, dtype=np.intp)
-    by_rank[observation.z[:m].argsort(kind="stable")] = used
+    by_rank, seen = _ranked(observation, len(sensors))
     if not observation.gauges:
         return tuple(by_rank.tolist())
-    seen = np.ones((m, len(sensors)))
-    seen[_beside(len(sensors), observation.gauges)[0]] = observation.z[m:]
     shapes = sensors @ modes.shapes
     power = (shapes**2).sum(axis=0)
     power = np.maximum(power, 1e-6 * power.max())  # what no sensor sees is like nothing
-    likeness = (seen @ shapes) ** 2 / ((seen**2).sum(axis=1)[:, None] * power)
-    likeness[np.arange(m), by_rank] += _LOYALTY
+    likeness = (seen @ shapes) ** 2 / power
+    likeness[np.arange(by_rank.size), by_rank] += _LOYALTY
     return tuple(linear_sum_assignment(likeness, maximize=True)[1].tolist())
+
+
+@lru_cache(maxsize=8)
+def _ranked(observation: Observation, n_channels: int) -> tuple[NDArray[np.intp], Array]:
+    """The model's modes by rank of the observed frequencies, shape (m,), and the observed shapes of unit norm, shape (m, c)."""
+    m = len(observation.model_mode)
+    by_rank = np.empty(m, dtype=np.intp)
+    by_rank[observation.z[:m].argsort(kind="stable")] = sorted(observation.model_mode)
+    seen = np.ones((m, n_channels))
+    if observation.gauges:
+        seen[_beside(n_channels, observation.gauges)[0]] = observation.z[m:]
+    return by_rank, seen / np.sqrt((seen**2).sum(axis=1, keepdims=True))
 
 
 def predict(model: Model, sensors: Array, observation: Observation, with_masses: bool) -> tuple[Array, Array]:
