@@ -139,31 +139,16 @@ def statistic(means: Array, covariance: Array, model_form: float) -> tuple[Array
 
     Parameters
     ----------
-    means : ndarray, shape (..., n)
-    covariance : ndarray, shape (..., n, n)
+    means : ndarray, shape (k, n)
+    covariance : ndarray, shape (k, n, n)
 
     Returns
     -------
-    ndarray, shape (..., n), twice
+    ndarray, shape (k, n), twice
     """
-    n = means.shape[-1]
-    others = ~np.eye(n, dtype=bool)
-    leak = model_form * np.where(others, np.abs(means)[..., None, :], 0.0).max(axis=-1)
-    covariance = covariance + np.eye(n) * (leak**2)[..., None]
-    variance = np.einsum("...ii->...i", covariance)
-    std = np.sqrt(variance)
-    z = means / std
-    if n == 1:
-        return z, std
-    size = np.where(others, np.abs(means)[..., None, :], np.inf)
-    least = size.argmin(axis=-1)  # (..., n): of the others, as each story sees them
-    differs = means[..., None, :] - np.take_along_axis(means, least, axis=-1)[..., None]
-    spread = np.sqrt(variance[..., None, :] + np.take_along_axis(variance, least, axis=-1)[..., None])
-    weight = np.where(others & (np.abs(differs) <= _SIGNIFICANT * spread), 1.0 / variance[..., None, :], 0.0)
-    contrast = np.eye(n) - weight / weight.sum(axis=-1, keepdims=True)
-    against = (contrast @ means[..., None])[..., 0]
-    against /= np.sqrt(((contrast @ covariance) * contrast).sum(axis=-1))
-    return np.minimum(z, against + _CREDIT), std
+    from monitor.kernels import evidence_of_loss  # compiled code takes a while to load
+
+    return evidence_of_loss(means, covariance, model_form, _SIGNIFICANT, _CREDIT)
 
 
 def shared_change(loss: Array, std: Array) -> float:

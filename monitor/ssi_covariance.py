@@ -15,7 +15,7 @@ multi-order uncertainty computation for stochastic subspace identification, MSSP
 from __future__ import annotations
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
+from numpy.lib.stride_tricks import as_strided
 
 from monitor.results import Array, ComplexArray, LagSums
 from monitor.ssi import Realisation, StateSpace
@@ -75,6 +75,7 @@ def _moved_observability(sums: LagSums, realisation: Realisation, states: Comple
     back = z.T.reshape(2 * m, -1, past.size)[:, ::-1].reshape(2 * m, -1)
     # Block (a, b) of d(Y_f Y_p^T) is the deviation at lag i + a - b, transposed: row a needs i lags on end, from its own on.
     lags = by_lag.reshape(len(by_lag) * past.size, -1)
-    product = back @ sliding_window_view(lags, back.shape[1], axis=0)[:: past.size].transpose(0, 2, 1)
+    (down, along), i = lags.strides, back.shape[1] // past.size
+    product = back @ as_strided(lags, (i, back.shape[1], lags.shape[1]), (down * past.size, down, along))
     parts = product.transpose(1, 0, 2).reshape(2, m, -1, n_blocks)
     return np.asarray(parts[0] + 1j * parts[1])
