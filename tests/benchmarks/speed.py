@@ -28,7 +28,7 @@ from tests.benchmarks.rounds import Cost  # noqa: E402
 
 def compare_windows(rounds: int, told: dict[str, Any]) -> None:
     """A hop beside its floor and its peers."""
-    costs, errors = windows.compare(rounds)
+    costs = windows.compare(rounds)
     floor = costs[windows.FLOOR]
     print("\n| one 10 s hop of a 400 s window, 15 orders | CPU ms (quartiles) | over the floor |\n|---|---|---|")
     for cost in costs.values():
@@ -46,8 +46,8 @@ def compare_windows(rounds: int, told: dict[str, Any]) -> None:
             low, middle, high = costs[peer].over(costs[ours])
             print(f"{peer} over {ours}: {middle:.3g} ({low:.3g}-{high:.3g})")
             told[f"{peer} over {ours}"] = middle
-    for name, error in errors.items():
-        print(f"error of the frequencies, {name}: {', '.join(f'{e:.3f}' for e in error)} %")
+    for name, error in windows.accuracy(4 * rounds).items():
+        print(f"RMS error of the frequencies, {4 * rounds} windows, {name}: {', '.join(f'{e:.3f}' for e in error)} %")
     for cost in windows.cold(rounds).values():
         print(f"single, between others' work: {cost.row()}")
     told["windows_ms"] = {name: 1e3 * cost.median for name, cost in costs.items()}

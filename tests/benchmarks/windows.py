@@ -13,13 +13,16 @@ from typing import Any
 import numpy as np
 from scipy.linalg import lapack
 
+from drivers.base import ACCELERATION
 from monitor import window
+from monitor.config import Configuration
 from monitor.hessenberg import upper_poles
 from monitor.kernels import lag_products
 from monitor.pipeline import Pipeline
 from monitor.poles import identify
+from monitor.record import blocks_of
 from monitor.results import Array, ModalEstimate, Window, WindowResult
-from tests.benchmarks.frames import Hops, baseline, configuration, floors
+from tests.benchmarks.frames import T0_NS, Hops, baseline, configuration, floors
 from tests.benchmarks.rounds import Cost, interleaved
 
 FLOOR, PLAIN, FULL = "floor of a hop", "hop without uncertainty", "hop with uncertainty, refinement, updating, alarm"
@@ -110,31 +113,49 @@ def peers(x: Array) -> dict[str, Callable[[], Any]]:
     return found
 
 
-def compare(rounds: int) -> tuple[dict[str, Cost], dict[str, list[float]]]:
-    """Costs of a hop and of its peers, and the largest error of a frequency in percent."""
+def compare(rounds: int) -> dict[str, Cost]:
+    """Costs of a hop and of its peers."""
     config = configuration()
     healthy = baseline(config)
     x = floors(config, 400.0, 100.0, 3)
     samples, big = x[:1000], np.random.default_rng(0).standard_normal((75, 75))
-    plain = Hops(configuration(refined=False, uncertainty=False), healthy)
-    unrefined, full = Hops(configuration(refined=False), healthy), Hops(config, healthy)
-    others = peers(x)
     things = {
         FLOOR: lambda: floor(samples, big),
         LEAST: lambda: least(samples, big),
-        PLAIN: plain,
-        UNREFINED: unrefined,
-        FULL: full,
+        PLAIN: Hops(configuration(refined=False, uncertainty=False), healthy),
+        UNREFINED: Hops(configuration(refined=False), healthy),
+        FULL: Hops(config, healthy),
         FOUND: Identification(uncertainty=False),
         FOUND_UNC: Identification(uncertainty=True),
-        **others,
+        **peers(x),
     }
-    costs = interleaved(things, rounds, _LEAST_S)
-    truth = config.model().modes().frequencies_hz
-    errors = {name: _errors(hops.results[-1], truth) for name, hops in ((PLAIN, plain), (FULL, full))}
-    if PYOMA in others:
-        errors[PYOMA] = _nearest(others[PYOMA]()[0][:, 7], truth)
-    return costs, errors
+    return interleaved(things, rounds, _LEAST_S)
+
+
+def accuracy(count: int) -> dict[str, Array]:
+    """RMS errors of the frequencies over so many windows, the same ones for all, in percent."""
+    ours = {PLAIN: configuration(refined=False, uncertainty=False), FULL: configuration()}
+    truth = ours[FULL].model().modes().frequencies_hz
+    errors: dict[str, list[Array]] = {}
+    for seed in range(count):
+        x = floors(ours[FULL], 400.0, 100.0, 100 + seed)
+        found = {name: _identified(config, x) for name, config in ours.items()}
+        others = peers(x)
+        if PYOMA in others:  # its poles at order 14; the nearest to the truth, which flatters
+            poles = others[PYOMA]()[0][:, 7]
+            found[PYOMA] = np.array([poles[np.nanargmin(np.abs(poles - f))] for f in truth])
+        for name, frequencies in found.items():
+            errors.setdefault(name, []).append(100.0 * (frequencies / truth - 1.0))
+    return {name: np.sqrt(np.mean(np.square(each), axis=0)) for name, each in errors.items()}
+
+
+def _identified(config: Configuration, x: Array) -> Array:
+    """Frequencies of the one window of `x`, as the pipeline finds them."""
+    line = Pipeline(config)
+    results = [r for b in blocks_of(ACCELERATION, x, config.channels, 100.0, T0_NS, 1000) for r in line.push(b)]
+    (modes,) = [r.modes for r in results if isinstance(r, WindowResult)]
+    assert modes is not None
+    return modes.frequencies_hz
 
 
 def cold(rounds: int) -> dict[str, Cost]:
@@ -148,16 +169,6 @@ def cold(rounds: int) -> dict[str, Cost]:
     }
     costs = interleaved(things, rounds)
     return {name: costs[name] for name in (PLAIN, FULL)}
-
-
-def _errors(result: WindowResult, truth: Array) -> list[float]:
-    assert result.modes is not None, result.skipped
-    return [float(e) for e in 100.0 * np.abs(result.modes.frequencies_hz / truth - 1.0)]
-
-
-def _nearest(found: Array, truth: Array) -> list[float]:
-    """By the pole nearest to the truth of each mode, which flatters."""
-    return [float(100.0 * np.nanmin(np.abs(found / f - 1.0))) for f in truth]
 
 
 def growth(rounds: int, channels: tuple[int, ...]) -> dict[str, list[tuple[float, Cost]]]:
