@@ -192,7 +192,7 @@ class Pipeline:
         )
         refiner = partial(refine, item, settings=c.refinement)
         modes = identify(
-            item, self.past, self.reference_modes, self.shown, c.identification, c.selection, wanted, refiner
+            item, self.past, self.reference_modes, self.shown, c.identification, c.selection, wanted, cutoff_hz, refiner
         )
         if self.acquisition and not isinstance(modes, Skipped):
             modes = acquisition.undo(modes, self.acquisition, self.context)

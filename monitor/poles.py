@@ -19,9 +19,6 @@ from monitor.ssi_covariance import mode_deviations
 
 _BAND = 0.45
 """Share of the sampling rate up to which modes are looked for: a little beyond the lowpass's edge."""
-_LITTLE_NOISE = 1e-5
-"""White noise, as a share of the power, for a second look.  Where a lowpass leaves next to nothing up to half the rate, as of a
-sensor at 100 Hz, the canonical correlations of CVA are all one, and rank nothing."""
 _ORDERS_PER_MODE = 6
 """Least largest order for each mode looked for: a mode needs two, and must be seen in half of all orders."""
 
@@ -63,6 +60,7 @@ def identify(
     ssi: SsiSettings,
     select: SelectionSettings,
     wanted: tuple[int, ...] | None = None,
+    cutoff_hz: float | None = None,
     refiner: Callable[[ModalEstimate], ModalEstimate] | None = None,
 ) -> ModalEstimate | Skipped:
     """Modes of a window: every order, stabilisation, and the model's counterparts.
@@ -77,6 +75,8 @@ def identify(
         Picks the sensors out of the model's floors.
     wanted : tuple of int, optional
         The model's modes to look for, in the order that the estimate is to have; by default those in the band.
+    cutoff_hz : float, optional
+        Of the lowpass that the samples went through.
     refiner : callable, optional
         Betters an estimate that has no deviations yet and gives it its own; where it hands the same back, they follow from the
         subspace identification, whose costly covariance is formed then alone.
@@ -93,14 +93,12 @@ def identify(
     max_order = max(ssi.max_order, _ORDERS_PER_MODE * len(wanted))
     shapes = (sensors @ reference.shapes[:, list(wanted)]).T
     band_hz, damping = (select.min_frequency_hz, _BAND * window.rate_hz), (0.0, select.max_damping_ratio)
-    for noise in (0.0, _LITTLE_NOISE)[: 2 if ssi.variant == "CVA" else 1]:
-        realisation = realise(window.sums, ssi, past, max_order, noise)
-        poles = all_poles(realisation, range(2, max_order + 1, 2), window.rate_hz, band_hz, damping)
-        stable = _stable(poles, select, realisation.singular_values.size < max_order)
-        modes = _match(poles, stable, reference.frequencies_hz[list(wanted)], shapes, select)
-        missing = [str(i + 1) for i, m in zip(wanted[: select.required_modes], modes, strict=False) if m is None]
-        if not missing:
-            break
+    cutoff = 0.5 if cutoff_hz is None else cutoff_hz / window.rate_hz
+    realisation = realise(window.sums, ssi, past, max_order, cutoff)
+    poles = all_poles(realisation, range(2, max_order + 1, 2), window.rate_hz, band_hz, damping)
+    stable = _stable(poles, select, realisation.singular_values.size < max_order)
+    modes = _match(poles, stable, reference.frequencies_hz[list(wanted)], shapes, select)
+    missing = [str(i + 1) for i, m in zip(wanted[: select.required_modes], modes, strict=False) if m is None]
     if missing:
         return Skipped(
             f"no stable pole for mode {', '.join(missing)} of the model (frequency and shape; "

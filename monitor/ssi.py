@@ -26,6 +26,8 @@ _RANK_TOLERANCE = 1e-12
 _SINGULAR_TOLERANCE = 1e-9
 _SQUARED_TOLERANCE, _APART = 1e-4, 1e-12
 """Least square of a singular value, and distance of two, over the largest, to be found as eigenvalues."""
+_FILL = 0.03
+"""Power of the noise beyond the lowpass that weights are formed with, over that of the channel."""
 _LARGE = 500
 """Rows from which only the wanted singular triplets are computed."""
 
@@ -106,7 +108,7 @@ def gram(sums: LagSums) -> Array:
 
 
 def realise(
-    sums: LagSums, settings: SsiSettings, past: tuple[int, ...], max_order: int, noise: float = 0.0
+    sums: LagSums, settings: SsiSettings, past: tuple[int, ...], max_order: int, cutoff: float = 0.5
 ) -> Realisation:
     """Factorize the weighted projection of the future on the past (eqs 5-8, 17).
 
@@ -116,8 +118,8 @@ def realise(
         Reference columns.
     max_order : int
         Largest order wanted; lowered to the number of rows of the past.
-    noise : float
-        White noise, as a share of the power, that the weights of CVA and UPC are formed with.
+    cutoff : float
+        Of the lowpass that the samples went through, cycles per sample.
     """
     i, l = settings.block_rows, sums.head.shape[1]  # noqa: E741 - the paper's letters
     past_rows, future = _past_rows(i, l, past), slice(i * l, 2 * i * l)
@@ -130,17 +132,17 @@ def realise(
         # PC's weight W2 turns the projection into Y_f Y_p^T, up to an orthogonal factor.
         values, white = _leading(g_fp, max_order)
     else:
-        half_pp = _inverse_root(full[earlier][:, earlier], noise)
+        half_pp = _weight(full[earlier][:, earlier], len(past), cutoff)
         weighted = g_fp @ half_pp
         if settings.variant == "CVA":
-            weighted = _inverse_root(full[future, future], noise).T @ weighted
+            weighted = _weight(full[future, future], l, cutoff).T @ weighted
         values, right = _leading(weighted, max_order)
         white = half_pp @ right
     # Noise-free data have no more singular values than the structure has states.
     rank = max(2, int(np.count_nonzero(values[:max_order] > _SINGULAR_TOLERANCE * values[0])))
     if rank < max_order and settings.variant == "CVA":
         # Their canonical correlations are all one, which ranks nothing: weigh by energy instead.
-        return realise(sums, settings.model_copy(update={"variant": "UPC"}), past, max_order)
+        return realise(sums, settings.model_copy(update={"variant": "UPC"}), past, max_order, cutoff)
     values = values[:rank]
     z = white[:, :rank] / np.sqrt(np.maximum(values, 1e-300))
     states = _state_products(full, past_rows, i, l) if settings.algorithm == 1 else None
@@ -241,14 +243,35 @@ def _toeplitz(sums: LagSums, i: int, past: tuple[int, ...]) -> Array:
     return np.asarray(blocks.transpose(0, 3, 1, 2).reshape(i * lag_sum.shape[2], -1))
 
 
-def _inverse_root(matrix: Array, noise: float = 0.0) -> Array:
-    """W with W W^T the (pseudo-)inverse of a positive semidefinite matrix, plus white `noise` as a share of its mean power.
+def _weight(gram: Array, n_channels: int, cutoff: float) -> Array:
+    """W with W W^T the inverse of a Gram matrix in which white noise fills what a lowpass has taken.
+
+    Where next to nothing is left up to half the rate, canonical correlations are all one: states of that nothing come before the
+    structure's, and an order that cuts through them biases the modes.  What the states are does not depend on the
+    weights, only which come first; within the band these are those of Table 1.
+    """
+    if cutoff >= 0.5:
+        return _inverse_root(gram)
+    filled, i = gram.copy(), len(gram) // n_channels
+    blocks = filled.reshape(i, n_channels, i, n_channels)
+    for c in range(n_channels):
+        blocks[:, c, :, c] += gram[c, c] * _beyond(i, cutoff)
+    return _inverse_root(filled)
+
+
+@lru_cache(maxsize=8)
+def _beyond(i: int, cutoff: float) -> Array:
+    """Covariances at i moments of white noise beyond the cutoff, of power `_FILL`, shape (i, i)."""
+    lag = np.abs(np.arange(i)[:, None] - np.arange(i))
+    within = 2.0 * cutoff * np.sinc(2.0 * cutoff * lag)
+    return np.asarray(_FILL * ((lag == 0) - within) / (1.0 - 2.0 * cutoff))
+
+
+def _inverse_root(matrix: Array) -> Array:
+    """W with W W^T the (pseudo-)inverse of a positive semidefinite matrix.
 
     Cholesky where the matrix has full rank; an eigenvalue decomposition where it has not (noise-free data).
     """
-    if noise:
-        matrix = matrix.copy()
-        matrix[np.diag_indices(len(matrix))] += noise * matrix.trace() / len(matrix)
     upper, failed = lapack.dpotrf(matrix)
     if not failed and upper.diagonal().min() ** 2 > _RANK_TOLERANCE * matrix.diagonal().max():
         return np.asarray(lapack.dtrtri(upper)[0])

@@ -82,7 +82,15 @@ class Identification:
         self.state, found = window.step(self.grid, self.state, next(self._pieces), 0)
         for item in found:
             assert isinstance(item, Window)
-            modes = identify(item, line.past, line.reference_modes, line.shown, c.identification, c.selection)
+            modes = identify(
+                item,
+                line.past,
+                line.reference_modes,
+                line.shown,
+                c.identification,
+                c.selection,
+                cutoff_hz=c.processing.cutoff_hz,
+            )
             assert isinstance(modes, ModalEstimate)
             self.found = modes
 
