@@ -142,7 +142,7 @@ class ModalEstimate:
     first: int
     """Number of the first deviation on the stream's grid: windows that overlap share what happened there."""
     order: int
-    """State-space order that the estimate was taken from."""
+    """State-space order that the estimate was taken from (a mode that it splits, from another)."""
     poles: Array
     """Shape (n_poles, 4): order, frequency in Hz, damping ratio, 1 if stable; the stabilisation diagram."""
     weight_factor: Array | None = None
