@@ -236,18 +236,25 @@ def _unsplit(
     Forces that are not steady, an earthquake's say, make two poles of one mode in most orders that have room for both; they
     lie somewhere about the mode, each uncertain by percents.
     """
-    frequency, damping = found.frequencies_hz.copy(), found.damping_ratio.copy()
-    shapes, deviations = found.shapes.copy(), found.deviations.copy()
-    cycles = frequency * window.sums.counts.sum() / window.rate_hz
-    allowed = np.sqrt(damping / (2.0 * np.pi * cycles))  # Au (2014), of a mode that stands alone
-    split = np.flatnonzero(found.frequencies_std_hz > _SPLIT * allowed * frequency)
-    for m in split:
-        near = np.abs(poles.frequency / frequency[m] - 1.0) < 2.0 * select.stable_frequency
-        alike = np.abs(poles.shape @ poles.shape[rows[m]].conj()) ** 2 > select.stable_mac
-        told = [(_deviations(window, realisation, poles, [row]), row) for row in np.flatnonzero(near & alike).tolist()]
-        best, row = min(told, key=lambda one: float((one[0][:, 0, 0] ** 2).sum()))
-        frequency[m], damping[m], shapes[m] = poles.frequency[row], poles.damping[row], _scaled(poles.shape[[row]])[0]
-        deviations[:, m] = best[:, 0]
+    cycles = found.frequencies_hz * window.sums.counts.sum() / window.rate_hz
+    allowed = found.frequencies_hz * np.sqrt(
+        found.damping_ratio / (2.0 * np.pi * cycles)
+    )  # Au, of a mode that stands alone
+    split = np.flatnonzero(found.frequencies_std_hz > _SPLIT * allowed)
     if not split.size:
         return found
-    return replace(found, frequencies_hz=frequency, damping_ratio=damping, shapes=shapes, deviations=deviations)
+    deviations, chosen = found.deviations.copy(), np.array(rows)
+    for m in split:
+        near = np.abs(poles.frequency / poles.frequency[rows[m]] - 1.0) < 2.0 * select.stable_frequency
+        alike = np.abs(poles.shape @ poles.shape[rows[m]].conj()) ** 2 > select.stable_mac
+        same = np.flatnonzero(near & alike)
+        told = [_deviations(window, realisation, poles, [row])[:, 0] for row in same.tolist()]
+        best = int(np.argmin([(d[:, 0] ** 2).sum() for d in told]))
+        chosen[m], deviations[:, m] = same[best], told[best]
+    return replace(
+        found,
+        frequencies_hz=poles.frequency[chosen],
+        damping_ratio=poles.damping[chosen],
+        shapes=_scaled(poles.shape[chosen]),
+        deviations=deviations,
+    )
