@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from monitor.baseline import Baseline
@@ -42,7 +44,7 @@ def step(
     """
     observation = observe(modes, settings, baseline.gauges if baseline is not None else None)
     if baseline is not None:
-        observation, reference = baseline.target(observation), reference.as_built()
+        observation, reference = baseline.target(observation), _as_built(reference)
     if prior_std is None:
         prior_std = np.full(reference.structure.n_stories, settings.parameter_std)
     fit = update(reference, sensors, observation, settings, prior_std=prior_std)
@@ -86,6 +88,10 @@ def step(
         unidentified=tuple(int(j) + 1 for j in np.flatnonzero(fit.identifiable < 1.0 - UNSEEN**2)),
     )
     return estimate, reading
+
+
+_as_built = lru_cache(maxsize=4)(Model.as_built)
+"""The same model every window, of which updating remembers the modes."""
 
 
 def _misfit_of_change(fit: Update, observation: Observation, covariance: Array) -> float:

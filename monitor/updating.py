@@ -206,22 +206,29 @@ def predict(model: Model, sensors: Array, observation: Observation, with_masses:
     numpy.linalg.LinAlgError
         If the model has no modes, or one of them does not move at its gauge.
     """
-    return _predicted(model, model.modes(), sensors, observation, with_masses)
+    return _predicted(_sensitive_modes(model, with_masses), sensors, observation)
 
 
-def _recognized(model: Model, sensors: Array, observation: Observation, with_masses: bool) -> tuple[Array, Array]:
-    """As `predict`, of those modes that are the observed ones."""
+def _sensitive_modes(model: Model, with_masses: bool) -> tuple[Modes, Array, Array]:
+    """A model's modes and their derivatives by the parameters."""
     modes = model.modes()
-    found = counterparts(modes, sensors, observation)
-    if found != observation.model_mode:
-        observation = replace(observation, model_mode=found)
-    return _predicted(model, modes, sensors, observation, with_masses)
+    return modes, *fox_kapoor(modes, *_matrix_derivatives(model, with_masses))
 
 
-def _predicted(
-    model: Model, modes: Modes, sensors: Array, observation: Observation, with_masses: bool
-) -> tuple[Array, Array]:
-    d_lambda, d_shapes = fox_kapoor(modes, *_matrix_derivatives(model, with_masses))
+_starting_modes = lru_cache(maxsize=4)(_sensitive_modes)
+"""Of models that updates start from: every window's starts from the baseline's."""
+
+
+def _recognized(found: tuple[Modes, Array, Array], sensors: Array, observation: Observation) -> tuple[Array, Array]:
+    """As `predict`, of those modes that are the observed ones."""
+    own = counterparts(found[0], sensors, observation)
+    if own != observation.model_mode:
+        observation = replace(observation, model_mode=own)
+    return _predicted(found, sensors, observation)
+
+
+def _predicted(found: tuple[Modes, Array, Array], sensors: Array, observation: Observation) -> tuple[Array, Array]:
+    modes, d_lambda, d_shapes = found
     used = list(observation.model_mode)
     lam = np.maximum(modes.eigenvalues, _LOWEST * modes.eigenvalues[-1])[used]
     z = [np.log(lam) if observation.log else lam]
@@ -299,9 +306,10 @@ def _iterated(
     theta, history = initial.copy(), [initial]
     w_theta = 1.0 / (relative * initial) ** 2
     converged, penalty = False, settings.penalty
-    z, sensitivity = _recognized(model, sensors, observation, with_masses)
-    if penalty == "weighted" and holds and _seen(sensitivity, observation.weight, initial, relative)[1].size:
-        penalty = "initial"
+    z, sensitivity = _recognized(_starting_modes(model, with_masses), sensors, observation)
+    if penalty == "weighted" and holds:
+        least = np.linalg.eigvalsh(_information(sensitivity, observation.weight, initial, relative))[0]
+        penalty = "initial" if 1.0 / np.sqrt(1.0 + max(least, 0.0)) > UNSEEN else penalty
 
     def objective(z: Array, where: Array) -> float:
         """J of eqs 25 and 31."""
@@ -318,19 +326,21 @@ def _iterated(
             step -= _prior_pull(sensitivity, observation.weight, w_theta) @ (theta - initial)
         # A step that would make a stiffness negative is shortened: half way to zero at most.
         step /= max(1.0, float(np.max(-2.0 * step / theta)))
+        if np.abs(step / theta).max() < settings.tolerance:  # so little is linear
+            converged, theta, z = True, theta + step, z + sensitivity @ step
+            model = _with_parameters(model, theta, with_masses)
+            history.append(theta)
+            break
         now, shortened = objective(z, theta), 0
         while True:
             model = _with_parameters(model, theta + step, with_masses)
-            z, sensitivity = _recognized(model, sensors, observation, with_masses)
+            z, sensitivity = _recognized(_sensitive_modes(model, with_masses), sensors, observation)
             better = objective(z, theta + step) <= now
             if better or not overdetermined or shortened == 6:
                 break
             step, shortened = 0.5 * step, shortened + 1  # the linearized step overshot: the model's form is wrong
         theta = theta + step
         history.append(theta)
-        if np.abs(step / theta).max() < settings.tolerance:
-            converged = True
-            break
     gain = _gain(sensitivity, observation.weight, w_theta, penalty)
     identifiable, unseen = _seen(sensitivity, observation.weight, initial, relative)
     left = (np.eye(theta.size) - gain @ sensitivity) * (relative * initial)
@@ -349,14 +359,18 @@ def _iterated(
     )
 
 
+def _information(sensitivity: Array, weight: Array, initial: Array, relative: Array) -> Array:
+    """What the data say, with parameters in units of their prior deviations: the prior says one in every direction."""
+    scaled = sensitivity * (relative * initial)
+    return np.asarray(scaled.T @ weight @ scaled)
+
+
 def _seen(sensitivity: Array, weight: Array, initial: Array, relative: Array) -> tuple[Array, Array]:
     """`Update.identifiable` and `Update.unseen`: what the data's information adds to the prior's.
 
-    With parameters in units of their prior deviations the prior's information is one in every direction and the data's
-    has eigenvalues g along its eigenvectors; the posterior variance is 1 / (1 + g) of the prior's.
+    The data's information has eigenvalues g along its eigenvectors; the posterior variance is 1 / (1 + g) of the prior's.
     """
-    scaled = sensitivity * (relative * initial)
-    g, directions = np.linalg.eigh(scaled.T @ weight @ scaled)
+    g, directions = np.linalg.eigh(_information(sensitivity, weight, initial, relative))
     share = 1.0 / (1.0 + np.maximum(g, 0.0))
     unseen = (directions[:, np.sqrt(share) > UNSEEN] * relative[:, None]).T
     return 1.0 - directions**2 @ share, unseen / np.linalg.norm(unseen, axis=1, keepdims=True)
