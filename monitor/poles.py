@@ -114,7 +114,10 @@ def identify(
         )
     wanted = tuple(i for i, m in zip(wanted, modes, strict=True) if m is not None)
     clusters = [m for m in modes if m is not None]
-    chosen = _common_order(poles, clusters)
+    # Canonical correlations rank all modes alike, those that are not looked for too; energy ranks those that matter first.
+    in_band = int(np.count_nonzero(reference.frequencies_hz < cutoff * window.rate_hz))
+    crowd = min(in_band, ssi.max_order // 2 - 2) if ssi.used(window.sums.head.shape[1]) in ("CVA", "UPC") else 0
+    chosen = _common_order(poles, clusters, 2 * max(len(clusters), crowd) + 4)
     if chosen is None:
         return Skipped("no order shows every mode")
     return _estimate(window, realisation, poles, stable, chosen, wanted, refiner, ssi, select)
@@ -164,14 +167,13 @@ def _match(
     return found
 
 
-def _common_order(poles: PoleTable, clusters: list[list[int]]) -> list[int] | None:
-    """One pole a mode, all from the lowest order that shows them all with room for what is no mode.
+def _common_order(poles: PoleTable, clusters: list[list[int]], enough: int) -> list[int] | None:
+    """One pole a mode, all from the lowest order, from `enough` on, that shows them all with room for what is no mode.
 
     The exact order is a trap for data-driven identification (bias in frequency and damping); two more pairs remove
     it, and higher orders only add variance.  Noise-free data have no such orders: then the highest below.
     """
     shown = [dict(zip(poles.space[c].tolist(), c, strict=True)) for c in clusters]
-    enough = 2 * len(clusters) + 4
     above = [s for s, order in enumerate(poles.orders) if order >= enough]
     below = [s for s, order in enumerate(poles.orders) if order < enough]
     for s in above + below[::-1]:

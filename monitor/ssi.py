@@ -28,6 +28,8 @@ _SQUARED_TOLERANCE, _APART = 1e-4, 1e-12
 """Least square of a singular value, and distance of two, over the largest, to be found as eigenvalues."""
 _FILL = 0.03
 """Power of the noise beyond the lowpass that weights are formed with, over that of the channel."""
+_MANY = 10
+"""Channels up to which `auto` is CVA: with more, and as many modes, its orders are biased, and its weights cost their cube."""
 _LARGE = 500
 """Rows from which only the wanted singular triplets are computed."""
 
@@ -35,8 +37,8 @@ _LARGE = 500
 class SsiSettings(Settings):
     """How the state-space models are identified."""
 
-    variant: Literal["CVA", "UPC", "PC", "COV"] = "CVA"
-    """Weights of Table 1, or COV: covariance-driven, on the lag covariances themselves."""
+    variant: Literal["auto", "CVA", "UPC", "PC", "COV"] = "auto"
+    """Weights of Table 1, or COV: covariance-driven, on the lag covariances. auto: CVA up to ten channels, else COV."""
     algorithm: Literal[1, 2] = 2
     """1: from the state sequences (eqs 9-11); 2: from the observability matrix (eqs 12, 13)."""
     block_rows: int = Field(default=25, ge=4, le=200)
@@ -47,6 +49,12 @@ class SsiSettings(Settings):
     """Channels that make up the past; all when empty."""
     uncertainty: bool = True
     """Without it modes alone are told, at a third of the cost: a change of unknown significance is not judged."""
+
+    def used(self, n_channels: int) -> Literal["CVA", "UPC", "PC", "COV"]:
+        """The variant for so many channels."""
+        if self.variant != "auto":
+            return self.variant
+        return "CVA" if n_channels <= _MANY else "COV"
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -124,23 +132,24 @@ def realise(
     i, l = settings.block_rows, sums.head.shape[1]  # noqa: E741 - the paper's letters
     past_rows, future = _past_rows(i, l, past), slice(i * l, 2 * i * l)
     max_order = min(max_order, len(past_rows) - 1, (i - 1) * l)
-    by_covariance = settings.variant == "COV"
+    variant = settings.used(l)
+    by_covariance = variant == "COV"
     full = np.zeros((0, 0)) if by_covariance and settings.algorithm == 2 else gram(sums)
     earlier = slice(0, i * l) if past == tuple(range(l)) else past_rows  # a slice copies nothing
     g_fp = _toeplitz(sums, i, past) if by_covariance else full[future, earlier]
-    if settings.variant in ("COV", "PC"):
+    if variant in ("COV", "PC"):
         # PC's weight W2 turns the projection into Y_f Y_p^T, up to an orthogonal factor.
         values, white = _leading(g_fp, max_order)
     else:
         half_pp = _weight(full[earlier][:, earlier], len(past), cutoff)
         weighted = g_fp @ half_pp
-        if settings.variant == "CVA":
+        if variant == "CVA":
             weighted = _weight(full[future, future], l, cutoff).T @ weighted
         values, right = _leading(weighted, max_order)
         white = half_pp @ right
     # Noise-free data have no more singular values than the structure has states.
     rank = max(2, int(np.count_nonzero(values[:max_order] > _SINGULAR_TOLERANCE * values[0])))
-    if rank < max_order and settings.variant == "CVA":
+    if rank < max_order and variant == "CVA":
         # Their canonical correlations are all one, which ranks nothing: weigh by energy instead.
         return realise(sums, settings.model_copy(update={"variant": "UPC"}), past, max_order, cutoff)
     values = values[:rank]

@@ -124,22 +124,27 @@ def test_a_realisation_with_fewer_states_than_the_smallest_order_has_no_poles(re
     assert (table.orders, table.value.shape, table.shape.shape) == ((), (0,), (0, 3))
 
 
-def test_states_of_what_the_lowpass_left_do_not_come_before_the_structures() -> None:
-    """Five stories recorded at 100 Hz: with the weights of Table 1 to the letter most windows had no fifth mode, and the others
-    lay 0.1 to 0.2 % off, which is one standard deviation of a window."""
-    frame = Model(ShearFrame(np.full(5, 0.33), np.full(5, 2000.0), 0.01))
+@pytest.mark.parametrize(("stories", "stiffness", "most"), [(5, 2000.0, 3.5), (10, 2000.0, 3.5), (20, 8000.0, 6.0)])
+def test_frequencies_are_not_biased_by_states_that_are_not_looked_for(
+    stories: int, stiffness: float, most: float
+) -> None:
+    """Recorded at 100 Hz.  With the weights of Table 1 to the letter states of what the lowpass left come before the structure's:
+    five stories mostly had no fifth mode; and with CVA modes beyond the wanted ones bias these, of twenty stories by 0.25 %,
+    21 deviations of the mean.  COV's own bias, with as many, is half a deviation of a window: two of the mean of twelve.
+    """
+    frame = Model(ShearFrame(np.full(stories, 0.33), np.full(stories, stiffness), 0.01))
     grid = WindowGrid.design(100.0, 400.0, 10.0, 50, 0.0)
-    lowpass = Conditioner.design(100.0, 100.0, 40.0)
+    lowpass, every, wanted = Conditioner.design(100.0, 100.0, 40.0), tuple(range(stories)), min(stories, 8)
     found = []
     for seed in range(12):
         floors = simulate(frame, duration_s=400.0, rate_hz=100.0, noise=0.05, seed=seed).floors
-        _, values = lowpass.step_block(lowpass.start(5), floors)
-        (item,) = window.step(grid, window.start(grid, 5, index=0), values, 0)[1]
+        _, values = lowpass.step_block(lowpass.start(stories), floors)
+        (item,) = window.step(grid, window.start(grid, stories, index=0), values, 0)[1]
         assert isinstance(item, Window)
         settings = SsiSettings(uncertainty=False)
-        modes = identify(item, tuple(range(5)), frame.modes(), np.eye(5), settings, SelectionSettings(), cutoff_hz=40.0)
+        modes = identify(item, every, frame.modes(), np.eye(stories), settings, SelectionSettings(), cutoff_hz=40.0)
         assert isinstance(modes, ModalEstimate)
-        assert modes.model_mode.tolist() == [0, 1, 2, 3, 4]
-        found.append(modes.frequencies_hz / frame.modes().frequencies_hz - 1.0)
+        assert modes.model_mode.tolist() == list(range(wanted))
+        found.append(modes.frequencies_hz / frame.modes().frequencies_hz[:wanted] - 1.0)
     errors = np.array(found)
-    assert np.abs(errors.mean(axis=0) / (errors.std(axis=0, ddof=1) / np.sqrt(12))).max() < 3.5
+    assert np.abs(errors.mean(axis=0) / (errors.std(axis=0, ddof=1) / np.sqrt(12))).max() < most

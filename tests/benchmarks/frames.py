@@ -29,8 +29,7 @@ def configuration(n: int = 3, *, refined: bool = True, uncertainty: bool = True,
         "sensors": [{"channel": f"a{i}", "floor": i} for i in range(1, n + 1)],
         "processing": processing,
         "refinement": {"enabled": refined},
-        # With many channels the canonical correlations of a band-limited record are all one, which ranks nothing.
-        "identification": {"uncertainty": uncertainty, "variant": "CVA" if n == 3 else "COV"},
+        "identification": {"uncertainty": uncertainty},
     }
     return Configuration.model_validate(tables)
 
