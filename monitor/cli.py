@@ -24,6 +24,7 @@ from monitor import (
     config,
     exposure,
     outlets,
+    poles,
 )
 from monitor.allocator import keep_freed
 from monitor.cli_common import Json, Recordings, Structure, address, leave_unread, progress, say, time_ns, warn
@@ -256,14 +257,17 @@ def check(
     outlets.make_outlets(file, settings, dry=True)
     for open_door in exposure.warnings(file, settings):
         warn(open_door)
-    frequencies = settings.model().modes().frequencies_hz
+    modes, p = settings.model().modes(), settings.processing
+    frequencies = modes.frequencies_hz
     head = f"{file}: no problems; {len(settings.structure.masses_kg)} stories, channels {', '.join(settings.channels)}"
     text = f"{head}\nnatural frequencies: {', '.join(f'{f:.4g}' for f in frequencies)} Hz"
     content = {"file": str(file), "channels": list(settings.channels), "frequencies_hz": frequencies.tolist()}
     say(text, content, as_json)
-    beyond = [f"{f:.4g}" for f in frequencies if f > settings.processing.cutoff_hz]
+    beyond = [f"{f:.4g}" for f in frequencies if f > p.cutoff_hz]
     if beyond:
-        warn(f"modes at {', '.join(beyond)} Hz lie beyond cutoff_hz = {settings.processing.cutoff_hz:g}")
+        warn(f"modes at {', '.join(beyond)} Hz lie beyond cutoff_hz = {p.cutoff_hz:g}")
+    if lags := poles.advice(modes, p.rate_hz, p.cutoff_hz, settings.identification, settings.selection):
+        warn(lags)
 
 
 @app.command()

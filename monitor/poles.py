@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from math import log
+from math import ceil, log
 
 import numpy as np
 from pydantic import Field
@@ -26,6 +26,8 @@ _BAND = 0.45
 """Share of the sampling rate up to which modes are looked for: a little beyond the lowpass's edge."""
 _ORDERS_PER_MODE = 6
 """Least largest order for each mode looked for: a mode needs two, and must be seen in half of all orders."""
+_RATE_STEPS = 0.7
+"""Advised rate, in steps of 5 Hz, for each Hz of the highest mode looked for: the cutoff, 0.4 of the rate, is 1.4 times it."""
 _SPLIT = 4.0
 """Standard deviation of a frequency, over what ambient vibration allows, from which the order is taken to split the mode:
 simulated white and coloured forces give 1 to 3.5, earthquakes on measured frames 3 to 43."""
@@ -43,7 +45,7 @@ class SelectionSettings(Settings):
     stable_mac: float = Field(default=0.95, gt=0, lt=1)
     """Least modal assurance criterion between the two."""
     min_stable_share: float = Field(default=0.5, gt=0, le=1)
-    """Share of the orders above the first in which a mode must be stable."""
+    """Share of the orders with room for all modes in the band in which a mode must be stable."""
     max_frequency_ratio: float = Field(default=1.5, gt=1)
     """A mode farther than this factor from the model's is not its counterpart."""
     min_model_mac: float = Field(default=0.5, ge=0, lt=1)
@@ -58,6 +60,24 @@ def expected(reference: Modes, highest_hz: float, select: SelectionSettings) -> 
     """Which of the model's modes (0 = lowest) a recording up to `highest_hz` should show."""
     n = min(int(np.count_nonzero(reference.frequencies_hz < highest_hz)), select.max_modes)
     return tuple(range(n))
+
+
+def advice(
+    reference: Modes, rate_hz: float, cutoff_hz: float, ssi: SsiSettings, select: SelectionSettings
+) -> str | None:
+    """What to set where the lags do not span the lowest mode's period, which then comes out late and uncertain; else None."""
+    span_s, lowest = 2 * ssi.block_rows / rate_hz, float(reference.frequencies_hz[0])
+    wanted = expected(reference, cutoff_hz, select)
+    if not wanted or span_s * lowest >= 1.0:
+        return None
+    enough = min(rate_hz, 5.0 * ceil(_RATE_STEPS * float(reference.frequencies_hz[wanted[-1]])))
+    rows = ceil(0.5 * enough / lowest)
+    better = [f"rate_hz = {enough:g}, cutoff_hz = {0.4 * enough:g} in [processing]"] if enough < rate_hz else []
+    better += [f"block_rows = {rows} in [identification]"] if rows > ssi.block_rows else []
+    return (
+        f"lags of {span_s:.2g} s do not span the lowest mode's period of {1.0 / lowest:.2g} s; they do, and all {len(wanted)} modes "
+        f"looked for are seen, with {' and '.join(better)}"
+    )
 
 
 def identify(
@@ -105,17 +125,17 @@ def identify(
     realisation = realise(window.sums, ssi, past, max_order, cutoff)
     poles = all_poles(realisation, range(2, max_order + 1, 2), window.rate_hz, band_hz, damping)
     stable = _stable(poles, select, realisation.singular_values.size < max_order)
-    modes = _match(poles, stable, reference.frequencies_hz[list(wanted)], shapes, select)
+    in_band = int(np.count_nonzero(reference.frequencies_hz < cutoff * window.rate_hz))
+    modes = _match(poles, stable, reference.frequencies_hz[list(wanted)], shapes, select, in_band)
     missing = [str(i + 1) for i, m in zip(wanted[: select.required_modes], modes, strict=False) if m is None]
     if missing:
         return Skipped(
             f"no stable pole for mode {', '.join(missing)} of the model (frequency and shape; "
-            "check floors, signs and units of the channels)"
+            "check floors, signs and units of the channels, and what `check` says of the lags)"
         )
     wanted = tuple(i for i, m in zip(wanted, modes, strict=True) if m is not None)
     clusters = [m for m in modes if m is not None]
     # Canonical correlations rank all modes alike, those that are not looked for too; energy ranks those that matter first.
-    in_band = int(np.count_nonzero(reference.frequencies_hz < cutoff * window.rate_hz))
     crowd = min(in_band, ssi.max_order // 2 - 2) if ssi.used(window.sums.head.shape[1]) in ("CVA", "UPC") else 0
     chosen = _common_order(poles, clusters, 2 * max(len(clusters), crowd) + 4)
     if chosen is None:
@@ -134,12 +154,16 @@ def _stable(poles: PoleTable, select: SelectionSettings, complete: bool) -> Arra
 
 
 def _match(
-    poles: PoleTable, stable: Array, frequencies: Array, shapes: Array, select: SelectionSettings
+    poles: PoleTable, stable: Array, frequencies: Array, shapes: Array, select: SelectionSettings, in_band: int
 ) -> list[list[int] | None]:
-    """For every model mode, the stable poles of its counterpart; None where there is none."""
+    """For every model mode, the stable poles of its counterpart; None where there is none.
+
+    A mode must be stable in its share of the orders that have room for all modes in the band, in a third of all at least.
+    """
     from monitor.kernels import IMPOSSIBLE, grouped, unlikeness
 
-    enough = max(1.0, select.min_stable_share * (len(poles.orders) - 1))
+    roomy = sum(order >= 2 * in_band for order in poles.orders)
+    enough = max(1.0, select.min_stable_share * min(len(poles.orders) - 1, max(roomy, len(poles.orders) // 3)))
     rows = np.flatnonzero(stable)
     group = np.full(stable.size, -1)
     group[rows] = grouped(

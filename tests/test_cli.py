@@ -472,12 +472,19 @@ def test_check_of_a_good_file_tells_its_frequencies(site: Site) -> None:
     assert done.stderr == ""
 
 
-def test_check_warns_of_modes_beyond_the_cutoff(site: Site) -> None:
-    stiff = site.folder / "stiff.toml"
-    stiff.write_text(site.quick.read_text().replace("2909.4511", "290945.11"))
-    done = site.main("check", stiff)
+@pytest.mark.parametrize(
+    ("story", "words"),
+    [
+        ("290945.11", ("cutoff_hz = 40",)),
+        ("29.094511", ("lags of 0.2 s", "rate_hz = 65, cutoff_hz = 26", "block_rows = 23")),
+    ],
+)
+def test_check_warns_of_modes_beyond_the_band(site: Site, story: str, words: tuple[str, ...]) -> None:
+    other = site.folder / "other.toml"
+    other.write_text(site.quick.read_text().replace("2909.4511", story))
+    done = site.main("check", other)
     assert_ok(done)
-    assert done.stderr.startswith("warning: ") and "cutoff_hz = 40" in done.stderr
+    assert done.stderr.startswith("warning: ") and all(w in done.stderr for w in words), done.stderr
 
 
 def _changed(site: Site, **changes: object) -> str:
