@@ -74,9 +74,9 @@ def advice(
     rows = ceil(0.5 * enough / lowest)
     better = [f"rate_hz = {enough:g}, cutoff_hz = {0.4 * enough:g} in [processing]"] if enough < rate_hz else []
     better += [f"block_rows = {rows} in [identification]"] if rows > ssi.block_rows else []
+    period_s = 1.0 / lowest
     return (
-        f"lags of {span_s:.2g} s do not span the lowest mode's period of {1.0 / lowest:.2g} s; they do, and all {len(wanted)} modes "
-        f"looked for are seen, with {' and '.join(better)}"
+        f"lags of {span_s:.2g} s do not span the lowest mode's period of {period_s:.2g} s: set {' and '.join(better)}"
     )
 
 

@@ -476,7 +476,7 @@ def test_check_of_a_good_file_tells_its_frequencies(site: Site) -> None:
     ("story", "words"),
     [
         ("290945.11", ("cutoff_hz = 40",)),
-        ("29.094511", ("lags of 0.2 s", "rate_hz = 65, cutoff_hz = 26", "block_rows = 23")),
+        ("29.094511", ("lags of 0.2 s", "rate_hz = 65, cutoff_hz = 26", "block_rows = 22")),
     ],
 )
 def test_check_warns_of_modes_beyond_the_band(site: Site, story: str, words: tuple[str, ...]) -> None:
