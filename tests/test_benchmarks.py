@@ -22,7 +22,7 @@ def test_rounds_are_interleaved_and_the_first_does_not_count() -> None:
 def test_ratios_are_taken_round_by_round() -> None:
     slow, fast = Cost("slow", [2.0, 20.0, 2.0]), Cost("fast", [1.0, 10.0, 1.0])
     assert slow.over(fast) == [2.0, 2.0, 2.0]
-    assert slow.row(fast, unit=1.0) == "| slow | 2 (2-11) | 2 (2-2) |"
+    assert slow.row(fast, unit=1.0) == "| slow | 2 (2-11) | 2 | 2 (2-2) |"
 
 
 def test_the_command_runs(tmp_path: Path) -> None:
