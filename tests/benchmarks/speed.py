@@ -1,7 +1,7 @@
 """All speeds in one run, side by side, as Markdown tables: a hop and its peers, its growth, recordings, a diagnosis.
 
 Run: ``make benchmark``, or ``python tests/benchmarks/speed.py [--quick] [--hours 24] [--rounds 25] [--json F] [--plot F.svg]``.
-CPU time of the process, one thread of linear algebra; medians of interleaved rounds, quartiles, and the fastest; ratios in the run.
+CPU time of the process, one thread of linear algebra; medians of interleaved rounds, quartiles, the fastest; ratios in the run.
 Peers are measured where they are installed (tests/benchmarks/requirements.txt).
 """
 
