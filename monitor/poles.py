@@ -25,7 +25,7 @@ from monitor.ssi_covariance import mode_deviations
 _BAND = 0.45
 """Share of the sampling rate up to which modes are looked for: a little beyond the lowpass's edge."""
 _ORDERS_PER_MODE = 6
-"""Least largest order for each mode looked for: a mode needs two, and must be seen in half of all orders."""
+"""Least largest order for each mode looked for: a mode needs two, and must be stable in half of the orders that have room."""
 _RATE_STEPS = 0.7
 """Advised rate, in steps of 5 Hz, for each Hz of the highest mode looked for: the cutoff, 0.4 of the rate, is 1.4 times it."""
 _SPLIT = 4.0
