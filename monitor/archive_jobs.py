@@ -19,7 +19,8 @@ from monitor.archive import Survey
 from monitor.baseline import load
 from monitor.errors import UserError
 from monitor.files import write_atomically
-from monitor.outputs import Publisher, Session
+from monitor.outputs import Session
+from monitor.outputs_base import Publisher
 from monitor.publish.lines import to_json
 from monitor.publish.table import SCHEMA, table
 from monitor.recordings import blocks

@@ -79,7 +79,7 @@ class Conditioner:
         ndarray, shape (n_output, n_channels), m/s^2
             Output sample k, counted from the start, lies at source sample ``k * step``.
         """
-        from monitor.kernels import filtered, interpolate  # compiled code takes a while to load
+        from monitor.kernels_signals import filtered, interpolate  # compiled code takes a while to load
 
         latest, memory = filtered(self.sos, np.ascontiguousarray(samples), state.filter_memory)
         n_in = state.n_in + samples.shape[0]

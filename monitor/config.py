@@ -18,7 +18,7 @@ from monitor.diagnosis_settings import DiagnosisSettings
 from monitor.effects import FORMS, Effect, EffectError
 from monitor.errors import BadConfigurationError, MissingInputError
 from monitor.health import HealthSettings
-from monitor.logs import LogSettings
+from monitor.log_settings import LogSettings
 from monitor.matrix_files import read_matrices
 from monitor.model import Model
 from monitor.parse import parse_address, told

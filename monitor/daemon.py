@@ -23,7 +23,8 @@ from monitor.errors import BadConfigurationError, BadInputError, MissingInputErr
 from monitor.health import Health
 from monitor.history import History
 from monitor.outlets import Outlet, make_outlets
-from monitor.outputs import Publisher, Session, View, scene
+from monitor.outputs import Session, View, scene
+from monitor.outputs_base import Publisher
 from monitor.pipeline import Result
 from monitor.publish.lines import standing_line, to_json
 from monitor.publish.requests import apply

@@ -198,7 +198,7 @@ def _told(state: HealthState, dropped: int, channels: tuple[str, ...]) -> Health
 
 def _examined(x: Array, rate_hz: float, channels: tuple[str, ...]) -> tuple[ChannelHealth, ...]:
     """Each of the rows of `x`, shape (c, n)."""
-    from monitor.kernels import described  # compiled code takes a while to load
+    from monitor.kernels_signals import described  # compiled code takes a while to load
 
     about, (mean, rms, peak, spikes, moves, clipped) = described(x, _SPIKE, _PILED, _PILED_RATIO)
     n = x.shape[1]

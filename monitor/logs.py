@@ -9,18 +9,10 @@ import sys
 from datetime import UTC, datetime
 from typing import Literal
 
-from monitor.settings import Settings
+from monitor.log_settings import LogSettings
 
 _PLAIN = re.compile(r"[^\s\"=\\\x00-\x1f\x7f-\x9f]+")
 _MOST_TEXT = 4000
-
-
-class LogSettings(Settings):
-    """``[log]`` of the site file."""
-
-    format: Literal["text", "json"] = "text"
-    """``key=value`` pairs, or JSON."""
-    level: Literal["debug", "info", "warning", "error"] = "warning"
 
 
 class LineFormatter(logging.Formatter):

@@ -15,6 +15,7 @@ from monitor.alarm import AlarmState
 from monitor.baseline import Baseline
 from monitor.config import Configuration
 from monitor.health import Health
+from monitor.outputs_base import Publisher
 from monitor.pipeline import Pipeline, PipelineState, Result
 from monitor.publish.lines import to_json, window_line
 from monitor.publish.summary import Episode, Quality, Summary
@@ -24,25 +25,6 @@ from monitor.watcher import FINDING_KEYS, Watcher, WatcherState
 if TYPE_CHECKING:  # Rerun takes a second to load, and not every session has a view
     from monitor.publish.rerun_scene import Scene
     from monitor.publish.rerun_view import RerunPublisher
-
-
-class Publisher:
-    """Takes results; what a kind of publisher has no use for passes by."""
-
-    def samples(self, samples: Samples) -> None:
-        """Conditioned samples."""
-
-    def gap(self, gap: Gap) -> None:
-        """Samples are missing."""
-
-    def window(self, result: WindowResult, line: str) -> None:
-        """Everything said about a window; `line` is its line of results.jsonl."""
-
-    def health(self, health: Health) -> None:
-        """The sensors in a span."""
-
-    def finding(self, finding: dict[str, Any]) -> None:
-        """A diagnosis is there."""
 
 
 class View(Publisher):

@@ -145,7 +145,7 @@ def identify(
 
 def _stable(poles: PoleTable, select: SelectionSettings, complete: bool) -> Array:
     """1 for each pole that the order below has too.  With all states of the data seen (`complete`) the last order is believed."""
-    from monitor.kernels import recurring  # compiled code takes a while to load
+    from monitor.kernels_identification import recurring  # compiled code takes a while to load
 
     stable = recurring(poles.space, poles.frequency, poles.shape, select.stable_frequency, select.stable_mac)
     if complete:
@@ -160,7 +160,7 @@ def _match(
 
     A mode must be stable in its share of the orders that have room for all modes in the band, in a third of all at least.
     """
-    from monitor.kernels import IMPOSSIBLE, grouped, unlikeness
+    from monitor.kernels_identification import IMPOSSIBLE, grouped, unlikeness
 
     roomy = sum(order >= 2 * in_band for order in poles.orders)
     enough = max(1.0, select.min_stable_share * min(len(poles.orders) - 1, max(roomy, len(poles.orders) // 3)))

@@ -25,7 +25,7 @@ def check(
 
     The spectrum is the lag window estimate (Bartlett) of the summed channels, from 1 Hz to 0.9 of the cutoff.
     """
-    from monitor.kernels import flatness  # compiled code takes a while to load
+    from monitor.kernels_signals import flatness  # compiled code takes a while to load
 
     variance = (sums.total[0].diagonal() / sums.counts.sum()).tolist()
     # A sensor that gives a constant leaves rounding errors only.

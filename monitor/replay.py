@@ -14,7 +14,8 @@ from monitor.baseline import Baseline
 from monitor.config import Configuration
 from monitor.errors import MissingInputError
 from monitor.files import demand_place, write_atomically
-from monitor.outputs import Publisher, Session, View, scene
+from monitor.outputs import Session, View, scene
+from monitor.outputs_base import Publisher
 from monitor.publish.line_schema import LINE_SCHEMA
 from monitor.publish.lines import LinesFile, to_json
 from monitor.recordings import OnProgress, OnWarning, Progress, blocks, duration_s, pushed

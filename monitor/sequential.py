@@ -146,7 +146,7 @@ def statistic(means: Array, covariance: Array, model_form: float) -> tuple[Array
     -------
     ndarray, shape (k, n), twice
     """
-    from monitor.kernels import evidence_of_loss  # compiled code takes a while to load
+    from monitor.kernels_damage import evidence_of_loss  # compiled code takes a while to load
 
     return evidence_of_loss(means, covariance, model_form, _SIGNIFICANT, _CREDIT)
 

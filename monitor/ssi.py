@@ -110,7 +110,7 @@ class PoleTable:
 
 def gram(sums: LagSums) -> Array:
     """Gram matrix of the block Hankel matrix of eq. 3 with all channels, shape (2 i l, 2 i l), not normalized."""
-    from monitor.kernels import displaced  # compiled code takes a while to load
+    from monitor.kernels_identification import displaced  # compiled code takes a while to load
 
     return displaced(sums.total, sums.head, sums.tail)
 

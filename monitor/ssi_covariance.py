@@ -65,7 +65,7 @@ def mode_deviations(
 
 def _moved_observability(sums: LagSums, realisation: Realisation, states: ComplexArray) -> ComplexArray:
     """dO of every block times some states, shape (m, l i, n_blocks) for states of shape (n, m)."""
-    from monitor.kernels import scatter  # compiled code takes a while to load
+    from monitor.kernels_identification import scatter  # compiled code takes a while to load
 
     past, n_blocks, m = np.array(realisation.past), len(sums.products), states.shape[1]
     by_lag = scatter(sums.products, sums.shifted, sums.mean, sums.counts, past)

@@ -180,7 +180,7 @@ def _close_block(grid: WindowGrid, state: WindowState) -> WindowState:
     size, lags = grid.block_n, grid.n_lags
     if state.n < size:  # the run began inside this block
         return state
-    from monitor.kernels import lag_products  # compiled code takes a while to load
+    from monitor.kernels_signals import lag_products  # compiled code takes a while to load
 
     block = np.ascontiguousarray(state.samples[-size:].T)
     inner = lag_products(block, size - lags + 1, lags)

@@ -28,7 +28,8 @@ from drivers.base import SampleBlock, SourceHealth
 from drivers.mcap_file import McapWriter, read_recordings
 from monitor import checkpoint, config, history
 from monitor.daemon import Daemon
-from monitor.outputs import Publisher, Session
+from monitor.outputs import Session
+from monitor.outputs_base import Publisher
 from monitor.results import Level, WindowResult
 from monitor.resume import KeptAlarms
 from monitor.vitals import failures

@@ -24,7 +24,8 @@ from drivers.zenoh_bus import PublisherSettings, ZenohPublisher
 from drivers.zenoh_session import SessionSettings, leave, open_session
 from monitor import config
 from monitor.emulate import CanSink, pieces
-from monitor.outputs import Publisher, Session
+from monitor.outputs import Session
+from monitor.outputs_base import Publisher
 from monitor.results import WindowResult
 from tests.live_rig import (
     DEPLOY,

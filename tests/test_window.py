@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from monitor import window
-from monitor.kernels import scatter
+from monitor.kernels_identification import scatter
 from monitor.results import Skipped, Window
 from monitor.window import WindowGrid, WindowState
 

@@ -17,7 +17,7 @@ from drivers.base import ACCELERATION
 from monitor import window
 from monitor.config import Configuration
 from monitor.hessenberg import upper_poles
-from monitor.kernels import lag_products
+from monitor.kernels_signals import lag_products
 from monitor.pipeline import Pipeline
 from monitor.poles import identify
 from monitor.record import blocks_of

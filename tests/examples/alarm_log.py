@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from monitor.outputs import Publisher
+from monitor.outputs_base import Publisher
 from monitor.results import Level, WindowResult
 
 
