@@ -14,12 +14,12 @@ from drivers.can_open import CanSettings
 from drivers.mcap_source import McapSettings
 from drivers.zenoh_bus import ZenohSettings
 from drivers.zenoh_session import TlsSettings
-from monitor.config import Configuration, EffectTable, SensorTable
-from monitor.fleet import FleetSettings
-from monitor.notify import NotifySettings
-from monitor.publish.metrics import MetricsSettings
-from monitor.publish.zenoh_out import ZenohOutSettings
-from monitor.structures.tables import MatricesTable, ShearFrameTable
+from monitor.config.configuration import Configuration, EffectTable, SensorTable
+from monitor.model.structures.tables import MatricesTable, ShearFrameTable
+from monitor.service.fleet import FleetSettings
+from monitor.service.outlets.metrics import MetricsSettings
+from monitor.service.outlets.notify import NotifySettings
+from monitor.service.outlets.zenoh import ZenohOutSettings
 
 PAGE = Path(__file__).with_suffix(".md")
 _HEAD = """# Settings

@@ -7,17 +7,20 @@ from functools import partial
 from math import ceil, floor
 
 from drivers.base import ACCELERATION, TEMPERATURE, SampleBlock
-from monitor import acquisition, alarm, align, damage, health, quality, temperature, track, window
-from monitor.baseline import Baseline
-from monitor.condition import Conditioner, ConditionState
-from monitor.config import Configuration
-from monitor.effects import Context
-from monitor.errors import BadInputError
-from monitor.health import Health, HealthState
-from monitor.poles import expected, identify
-from monitor.results import Alarm, Gap, Level, ModalEstimate, Samples, Skipped, Temperature, Window, WindowResult
-from monitor.whittle import refine
-from monitor.window import WindowGrid, WindowState
+from monitor.config.configuration import Configuration
+from monitor.core.errors import BadInputError
+from monitor.core.results import Alarm, Gap, Level, ModalEstimate, Samples, Skipped, Temperature, Window, WindowResult
+from monitor.damage import alarm, damage_index
+from monitor.damage.baseline import Baseline
+from monitor.identification import sensor_correction, tracking
+from monitor.identification.stabilization import expected, identify
+from monitor.identification.whittle import refine
+from monitor.model.effects import Context
+from monitor.signals import alignment, sensor_health, temperature, window_quality
+from monitor.signals import windows as window
+from monitor.signals.resampling import Conditioner, ConditionState
+from monitor.signals.sensor_health import Health, HealthState
+from monitor.signals.windows import WindowGrid, WindowState
 
 _MOST_DECIMATION = 1000
 _SET_BACK_S = 0.25
@@ -42,11 +45,11 @@ class Run:
 class PipelineState:
     """All that the next block needs of those before; nothing else remembers anything."""
 
-    align: align.AlignState
+    align: alignment.AlignState
     run: Run | None
     alarm: alarm.AlarmState
     temperature: temperature.TemperatureState
-    track: track.TrackState
+    track: tracking.TrackState
     health: HealthState
 
 
@@ -69,12 +72,14 @@ class Pipeline:
         self.sensors = config.sensor_matrix()
         self.acquisition = tuple(e for e in config.model().effects if e.family == "sensor")
         self.context = Context(self.reference.structure, config.channels, self.sensors, config.processing.rate_hz)
-        self.shown = acquisition.sensed(self.acquisition, self.context)
+        self.shown = sensor_correction.sensed(self.acquisition, self.context)
         self.prior_std = config.prior_std()[: self.reference.structure.n_stories]
         names = config.identification.reference_channels or config.channels
         self.past = tuple(config.channels.index(name) for name in names)
         alarms = alarm.start(self.reference.structure.n_stories, config.processing.window_s)
-        self.state = PipelineState(align.start(), None, alarms, temperature.start(), track.TrackState(), HealthState())
+        self.state = PipelineState(
+            alignment.start(), None, alarms, temperature.start(), tracking.TrackState(), HealthState()
+        )
 
     def push(self, block: SampleBlock) -> list[Result]:
         """Everything that a block brings about, in order.
@@ -97,7 +102,7 @@ class Pipeline:
             self._feel(block)
         if block.topic != ACCELERATION:
             return []
-        align_state, pieces = align.step(self.state.align, block, self.config.channels)
+        align_state, pieces = alignment.step(self.state.align, block, self.config.channels)
         self.state = replace(self.state, align=align_state)
         results: list[Result] = []
         for piece in pieces:
@@ -122,7 +127,7 @@ class Pipeline:
                 )
         return results
 
-    def _begin(self, piece: align.Piece, previous: Run | None) -> Run:
+    def _begin(self, piece: alignment.Piece, previous: Run | None) -> Run:
         """A new run of samples: filters start at rest, windows stay on the stream's grid."""
         p, n_channels = self.config.processing, len(self.config.channels)
         if piece.rate_hz > _MOST_DECIMATION * p.rate_hz:
@@ -155,11 +160,11 @@ class Pipeline:
         begun = window.start(grid, n_channels, index=index, previous=last)
         return Run(t0_ns, grid, conditioner, conditioner.start(n_channels), begun)
 
-    def _examine(self, piece: align.Piece, dropped: int) -> list[Health]:
+    def _examine(self, piece: alignment.Piece, dropped: int) -> list[Health]:
         """What the sensors are like, every so often."""
         c = self.config
         spans_s = c.processing.window_s + c.health.span_s
-        state, found = health.step(self.state.health, piece, dropped, c.channels, c.health, spans_s)
+        state, found = sensor_health.step(self.state.health, piece, dropped, c.channels, c.health, spans_s)
         self.state = replace(self.state, health=state)
         return found
 
@@ -180,9 +185,9 @@ class Pipeline:
         def skip(reason: Skipped, seen: ModalEstimate | None = None) -> WindowResult:
             return self._skip(item.index, item.t_end_ns, item.window_s, reason, item.rms_m_s2, seen)
 
-        skipped = quality.check(item.sums, item.rate_hz, cutoff_hz, c.channels, c.quality)
+        skipped = window_quality.check(item.sums, item.rate_hz, cutoff_hz, c.channels, c.quality)
         begin_ns = item.t_end_ns - round(item.window_s * 1e9)
-        skipped = skipped or health.check(self.state.health, begin_ns, item.t_end_ns, c.health)
+        skipped = skipped or sensor_health.check(self.state.health, begin_ns, item.t_end_ns, c.health)
         if skipped is not None:
             return skip(skipped)
         wanted = (
@@ -195,7 +200,7 @@ class Pipeline:
             item, self.past, self.reference_modes, self.shown, c.identification, c.selection, wanted, cutoff_hz, refiner
         )
         if self.acquisition and not isinstance(modes, Skipped):
-            modes = acquisition.undo(modes, self.acquisition, self.context)
+            modes = sensor_correction.undo(modes, self.acquisition, self.context)
         tracks = self._follow(None if isinstance(modes, Skipped) else modes, item)
         if isinstance(modes, Skipped):
             return skip(modes)
@@ -206,7 +211,9 @@ class Pipeline:
         if healthy is not None and healthy.model_mode != shown:
             return skip(Skipped("modes are not the baseline's"), modes)
         felt = self._felt(item.t_end_ns)
-        stiffness, reading = damage.step(modes, self.reference, healthy, self.sensors, c.updating, felt, self.prior_std)
+        stiffness, reading = damage_index.step(
+            modes, self.reference, healthy, self.sensors, c.updating, felt, self.prior_std
+        )
         if not stiffness.converged:
             return skip(Skipped("model updating did not converge"), modes)
         if self.baseline is None:
@@ -230,8 +237,8 @@ class Pipeline:
 
     def _follow(self, modes: ModalEstimate | None, item: Window) -> tuple[int, ...]:
         """Identity of every mode over time; a window in which none was found is a look too."""
-        seen = track.observed(modes, item.window_s)
-        state, tracked = track.step(self.state.track, seen, item.t_end_ns, self.config.tracking)
+        seen = tracking.observed(modes, item.window_s)
+        state, tracked = tracking.step(self.state.track, seen, item.t_end_ns, self.config.tracking)
         self.state = replace(self.state, track=state)
         return tuple(int(number) for number in tracked.observed)
 

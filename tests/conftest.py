@@ -14,8 +14,8 @@ import pytest
 from threadpoolctl import threadpool_limits
 
 from drivers.base import ACCELERATION, SampleBlock
-from monitor import config
-from monitor.simulate import simulate
+from monitor.config import configuration
+from monitor.model.simulation import simulate
 from tests.frame_text import THREE_STORIES
 
 FRAME = (
@@ -89,7 +89,7 @@ def cli() -> Cli:
 @pytest.fixture(scope="session")
 def main() -> Cli:
     """Runs a command within this process: far faster, and an exception that escapes fails the test."""
-    from monitor.cli import main as entry
+    from monitor.cli.app import main as entry
 
     def run(*arguments: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
         out, err, argv = io.StringIO(), io.StringIO(), sys.argv
@@ -112,4 +112,4 @@ def record(frame_text: str, tmp_path_factory: pytest.TempPathFactory) -> np.ndar
     """A minute of the frame at 128 Hz, shape (7680, 3), m/s^2."""
     path = tmp_path_factory.mktemp("s") / "s.toml"
     path.write_text(frame_text)
-    return simulate(config.load(path).model(), duration_s=60.0, rate_hz=128.0, noise=0.03, seed=6).floors
+    return simulate(configuration.load(path).model(), duration_s=60.0, rate_hz=128.0, noise=0.03, seed=6).floors

@@ -19,9 +19,9 @@ import tomlkit
 
 from drivers.base import ACCELERATION, SampleBlock
 from drivers.mcap_file import McapWriter, read_recordings
-from monitor import config
-from monitor.record import blocks_of, parse_damage
-from monitor.simulate import simulate
+from monitor.config import configuration
+from monitor.model.simulation import simulate
+from monitor.runs.synthetic_recording import blocks_of, parse_damage
 from tests.zenoh_router import Router, free_port
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -186,7 +186,7 @@ def make_site(folder: Path, kind: str, processing: dict[str, float], **tables: d
 
 def blocks(seconds: float, seed: int, *damage: str) -> list[SampleBlock]:
     """A simulated stream of the shipped site file's frame whose amplitudes the DBC can carry."""
-    settings = config.load(DEPLOY / "can.toml")
+    settings = configuration.load(DEPLOY / "can.toml")
     model = settings.model()
     model = replace(model, effects=(*model.effects, *map(parse_damage, damage)))
     floors = simulate(model, duration_s=seconds, rate_hz=RATE_HZ, noise=0.03, seed=seed).floors

@@ -16,8 +16,9 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from drivers.base import EndOfStream, SampleBlock, SourceHealth
-from monitor import config, logs
-from monitor.daemon import Daemon
+from monitor.config import configuration
+from monitor.service import logs
+from monitor.service.daemon import Daemon
 from tests.conftest import CHANNELS, T0_NS
 
 RATE, SIZE = 128.0, 64
@@ -67,7 +68,7 @@ def forked(log: Path, arguments: list[str]) -> None:
 
 def main(arguments: list[str]) -> None:
     site, stream, position, pace_s, missed = arguments
-    settings = config.load(Path(site))
+    settings = configuration.load(Path(site))
     logs.begin(settings.log, settings.site_name)
     source = Live(np.load(stream), Path(position), float(pace_s), int(missed))
     with threadpool_limits(limits=1):

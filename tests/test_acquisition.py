@@ -5,16 +5,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from monitor.acquisition import sensed, undo
-from monitor.baseline import load, save
-from monitor.calibrate import calibrate
-from monitor.config import load as load_config
-from monitor.effects import Context, parse_effect
+from monitor.config.configuration import load as load_config
+from monitor.core.results import ModalEstimate, WindowResult
+from monitor.damage.baseline import load, save
+from monitor.identification.sensor_correction import sensed, undo
+from monitor.model.effects import Context, parse_effect
+from monitor.model.structures import ShearFrame
 from monitor.pipeline import Pipeline
-from monitor.record import simulate_to
-from monitor.recordings import blocks
-from monitor.results import ModalEstimate, WindowResult
-from monitor.structures import ShearFrame
+from monitor.runs.calibrate import calibrate
+from monitor.runs.recordings import blocks
+from monitor.runs.synthetic_recording import simulate_to
 from tests.conftest import T0_NS
 
 CONTEXT = Context(ShearFrame(np.ones(3), 1000.0 * np.ones(3), 0.01), ("a1", "a2", "a3"), np.eye(3), 100.0)

@@ -8,10 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from monitor import alarm
-from monitor.alarm import AlarmSettings, AlarmState, StoryState
-from monitor.results import WHOLE, Alarm, AlarmCondition, DamageReading, Level
-from monitor.sequential import shared_change
+from monitor.core.results import WHOLE, Alarm, AlarmCondition, DamageReading, Level
+from monitor.damage import alarm
+from monitor.damage.alarm import AlarmSettings, AlarmState, StoryState
+from monitor.damage.sequential_test import shared_change
 
 HOP_NS = 10_000_000_000
 SETTINGS = AlarmSettings(significance=4.0, min_loss=0.005, alarm_loss=0.10, confirm_s=100, clear_s=50, deadband=1.0)

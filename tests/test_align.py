@@ -12,9 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.base import ACCELERATION, SampleBlock
-from monitor import align
-from monitor.align import AlignState, Piece
-from monitor.errors import BadInputError
+from monitor.core.errors import BadInputError
+from monitor.signals import alignment
+from monitor.signals.alignment import AlignState, Piece
 
 T0 = 1_767_225_600_000_000_000
 RATE = 100.0
@@ -29,10 +29,10 @@ def block(begin: int, end: int, **changes: object) -> SampleBlock:
 
 
 def feed(*blocks: SampleBlock, channels: tuple[str, ...] = CHANNELS) -> tuple[AlignState, list[Piece]]:
-    state = align.start()
+    state = alignment.start()
     pieces: list[Piece] = []
     for item in blocks:
-        state, new = align.step(state, item, channels)
+        state, new = alignment.step(state, item, channels)
         pieces += new
     return state, pieces
 
@@ -157,7 +157,7 @@ def test_empty_blocks_change_nothing() -> None:
     state, pieces = feed(block(0, 100), block(100, 100), block(100, 200))
     assert_record(pieces, (0, 200))
     assert dropped(state) == 0
-    assert align.step(None, block(5, 5), CHANNELS) == (None, [])
+    assert alignment.step(None, block(5, 5), CHANNELS) == (None, [])
 
 
 def test_channels_are_found_by_name_and_others_ignored() -> None:
@@ -209,12 +209,12 @@ def test_whatever_is_lost_or_repeated_each_sample_comes_once_at_its_time(
 def test_a_sensor_clock_a_little_off_loses_no_sample_in_a_day_or_says_so(true_rate: float) -> None:
     """100 parts in a million: by sequence nothing is missing, so nothing may be cut out without a gap."""
     zeros = np.zeros((6000, 2), dtype=np.float32)
-    state = align.start()
+    state = alignment.start()
     silent, before = 0, 0
     for minute in range(1440):
         first = 6000 * minute
         item = SampleBlock(ACCELERATION, T0 + round(first / true_rate * 1e9), first, 100.0, CHANNELS, "m/s^2", zeros)
-        state, pieces = align.step(state, item, CHANNELS)
+        state, pieces = alignment.step(state, item, CHANNELS)
         cut_out = state.dropped > before
         silent += cut_out and all(p.gap is None for p in pieces)
         before = state.dropped
@@ -235,10 +235,10 @@ def stream(
     count: int, offset_ns: Callable[[int], int], *, size: int = 100, rate: float = RATE
 ) -> Iterator[tuple[AlignState, list[Piece]]]:
     """Blocks in sequence whose times are off by what `offset_ns` says of each one's number."""
-    zeros, state = np.zeros((size, 2), dtype=np.float32), align.start()
+    zeros, state = np.zeros((size, 2), dtype=np.float32), alignment.start()
     for k in range(count):
         t_ns = T0 + round(k * size / rate * 1e9) + offset_ns(k)
-        state, pieces = align.step(
+        state, pieces = alignment.step(
             state, SampleBlock(ACCELERATION, t_ns, k * size, rate, CHANNELS, "m/s^2", zeros), CHANNELS
         )
         yield state, pieces
@@ -248,7 +248,7 @@ def stream(
 def test_a_clock_that_drifts_for_days_makes_no_gap_and_times_follow_it(ppm: int) -> None:
     """Three days, a minute a block: 26 s off in the end."""
     drift_ns = lambda k: round(k * 60e9 * ppm * 1e-6)  # noqa: E731
-    state = align.start()
+    state = alignment.start()
     for k, (state, pieces) in enumerate(stream(3 * 1440, drift_ns, size=6000)):  # noqa: B007
         (piece,) = pieces
         assert piece.gap is None
@@ -295,7 +295,7 @@ def test_a_clock_set_back_with_a_sequence_begun_anew_is_believed_after_a_minute(
     for begin in range(0, 7000, size):
         values = np.zeros((size, 2), np.float32)
         item = block(0, 1, t_ns=T0 - 86400 * 10**9 + begin * 10**7, sequence=begin, samples=values)
-        state, pieces = align.step(state, item, CHANNELS)
+        state, pieces = alignment.step(state, item, CHANNELS)
         anew += [p.gap for p in pieces if p.gap is not None]
         accepted += sum(len(p.values) for p in pieces)
     assert len(anew) == 1
@@ -308,7 +308,9 @@ def test_one_forged_block_does_not_stop_the_stream() -> None:
     state, _ = feed(block(0, 1000), forged)
     accepted = 0
     for k in range(70):
-        state, pieces = align.step(state, block(0, 100, t_ns=T0 + (10 + k) * 10**9, sequence=1000 + 100 * k), CHANNELS)
+        state, pieces = alignment.step(
+            state, block(0, 100, t_ns=T0 + (10 + k) * 10**9, sequence=1000 + 100 * k), CHANNELS
+        )
         accepted += sum(len(p.values) for p in pieces)
     assert accepted >= 1000
 

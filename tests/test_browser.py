@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from monitor.publish.period import read_period, write_period
-from monitor.publish.rerun_view import RerunPublisher
-from monitor.results import Level
+from monitor.core.results import Level
+from monitor.publish.reports.period_report import read_period, write_period
+from monitor.publish.viewer.publisher import RerunPublisher
 from tests.debian import demand
 from tests.test_period import json_lines, line_of
 from tests.test_rerun_view import SCENE, window

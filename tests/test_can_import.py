@@ -10,8 +10,8 @@ import pytest
 
 from drivers import frames
 from drivers.mcap_file import read_recordings
-from monitor.errors import BadInputError, MissingInputError
-from monitor.importers import import_files
+from monitor.core.errors import BadInputError, MissingInputError
+from monitor.runs.importers import import_files
 
 DBC = Path(__file__).parents[1] / "deploy" / "frame.dbc"
 T0 = 1_767_225_600

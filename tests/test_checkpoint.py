@@ -20,14 +20,15 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 
-from monitor import checkpoint, config
-from monitor.checkpoint import CheckpointError, from_bytes, load, previous, save, to_bytes
-from monitor.outputs import Session, SessionState
+from monitor.config import configuration
+from monitor.core.results import WindowResult
+from monitor.model.simulation import simulate
 from monitor.pipeline import Pipeline
-from monitor.publish.lines import to_json, window_line
-from monitor.results import WindowResult
-from monitor.resume import Saved
-from monitor.simulate import simulate
+from monitor.publish.results.lines import to_json, window_line
+from monitor.runs.session import Session, SessionState
+from monitor.service import serialization
+from monitor.service.restart import Saved
+from monitor.service.serialization import CheckpointError, from_bytes, load, previous, save, to_bytes
 from tests.conftest import Cut
 
 RATE = 128.0
@@ -158,12 +159,12 @@ def test_what_cannot_be_used_is_refused_with_the_reason(
 
 def test_an_older_version_is_upgraded_step_by_step(monkeypatch: pytest.MonkeyPatch) -> None:
     old = to_bytes("k", LEAF)
-    present = checkpoint.VERSION
-    monkeypatch.setattr(checkpoint, "VERSION", present + 2)
-    monkeypatch.setitem(checkpoint.UPGRADES, present, lambda tree: tree | {"number": tree["number"] + 10})
+    present = serialization.VERSION
+    monkeypatch.setattr(serialization, "VERSION", present + 2)
+    monkeypatch.setitem(serialization.UPGRADES, present, lambda tree: tree | {"number": tree["number"] + 10})
     with pytest.raises(CheckpointError, match=f"version {present + 1}, which cannot be upgraded"):
         from_bytes(old, "k", Leaf)
-    monkeypatch.setitem(checkpoint.UPGRADES, present + 1, lambda tree: tree | {"array": tree["array"] * 2.0})
+    monkeypatch.setitem(serialization.UPGRADES, present + 1, lambda tree: tree | {"array": tree["array"] * 2.0})
     found = from_bytes(old, "k", Leaf)
     assert found.number == 11 and found.array.tolist() == [0.0, 2.0, 4.0]
 
@@ -222,7 +223,7 @@ def test_a_pipeline_goes_on_from_its_state_as_if_nothing_had_been(
 ) -> None:
     path = tmp_path / "s.toml"
     path.write_text(frame_text)
-    settings = config.load(path)
+    settings = configuration.load(path)
     blocks = cut(simulate(settings.model(), duration_s=60.0, rate_hz=RATE, noise=0.03, seed=6).floors, RATE)
     del blocks[20]  # a gap, so that a run lies behind another
 
@@ -235,8 +236,8 @@ def test_a_pipeline_goes_on_from_its_state_as_if_nothing_had_been(
     for block in blocks[:at]:
         first.push(block)
     data = to_bytes("k", Saved(first.state, 5, 6))
-    assert version in (1, checkpoint.VERSION)
-    data = data if version == checkpoint.VERSION else as_version_1(data)
+    assert version in (1, serialization.VERSION)
+    data = data if version == serialization.VERSION else as_version_1(data)
     saved = from_bytes(data, "k", Saved)
     assert same(first.state, saved.session)
     second.restore(saved.session)
@@ -246,14 +247,14 @@ def test_a_pipeline_goes_on_from_its_state_as_if_nothing_had_been(
 
 
 def test_what_changes_results_changes_the_key_and_nothing_else_does() -> None:
-    assert checkpoint.fingerprint({"a": 1, "b": [1.0]}) == checkpoint.fingerprint({"b": [1.0], "a": 1})
-    assert checkpoint.fingerprint({"a": 1}) != checkpoint.fingerprint({"a": 2})
+    assert serialization.fingerprint({"a": 1, "b": [1.0]}) == serialization.fingerprint({"b": [1.0], "a": 1})
+    assert serialization.fingerprint({"a": 1}) != serialization.fingerprint({"a": 2})
 
 
 def test_session_state_is_a_copy(frame_text: str, cut: Cut, tmp_path: Path) -> None:
     path = tmp_path / "s.toml"
     path.write_text(frame_text)
-    session = Session(config.load(path), None, (), None, tmp_path)
+    session = Session(configuration.load(path), None, (), None, tmp_path)
     before: SessionState = session.state
     for block in cut(np.random.default_rng(1).standard_normal((4000, 3)), RATE):
         session.push(block)

@@ -21,10 +21,10 @@ from typer.models import ArgumentInfo, CommandInfo
 from drivers import codec
 from drivers.base import ACCELERATION, GROUND
 from drivers.mcap_file import McapWriter, read_recordings, recording_info, scan_messages
-from monitor import config
-from monitor.cli import app
-from monitor.model import Model
-from monitor.simulate import simulate
+from monitor.cli.app import app
+from monitor.config import configuration
+from monitor.model.model import Model
+from monitor.model.simulation import simulate
 from tests.conftest import T0_NS, Cli, Cut
 
 ROS2 = Path(__file__).parent / "data" / "mcap-ros2"
@@ -720,12 +720,12 @@ def test_by_default_a_recording_lasts_1200_s_at_1024_hz(main: Cli) -> None:
 def test_damage_and_effects_are_in_the_motion_and_in_the_metadata(
     site: Site, option: str, value: str, effect: tuple[str, str, dict[str, float]], tmp_path: Path
 ) -> None:
-    from monitor.effects import EFFECTS
+    from monitor.model.effects import EFFECTS
 
     path = tmp_path / "s.mcap"
     assert_ok(short(site, path, option, value, "--seed", 4, "--noise", 0.1))
     name, location, parameters = effect
-    structure = config.load(site.quick).model().structure
+    structure = configuration.load(site.quick).model().structure
     planted = Model(structure, (EFFECTS[name].create(location, parameters),))
     motion = simulate(planted, duration_s=3.0, rate_hz=128.0, noise=0.1, seed=4)
     np.testing.assert_array_equal(samples(path), motion.floors.astype(np.float32))
@@ -737,7 +737,7 @@ def test_damage_and_effects_are_in_the_motion_and_in_the_metadata(
 def test_damage_and_effects_add_up(site: Site, tmp_path: Path) -> None:
     more = ("--damage", "story1=0.1", "--damage", "story3=0.3", "--effect", "stiffness_change:story 2:relative=0.5")
     assert_ok(short(site, tmp_path / "s.mcap", *more, "--noise", 0))
-    structure = config.load(site.quick).model()
+    structure = configuration.load(site.quick).model()
     planted = structure.with_stiffness(structure.structure.stiffness_n_per_m * [0.9, 1.5, 0.7])
     motion = simulate(planted, duration_s=3.0, rate_hz=128.0)
     np.testing.assert_allclose(samples(tmp_path / "s.mcap"), motion.floors, atol=1e-4 * motion.floors.std())

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from drivers.mcap_file import scan_messages
-from monitor import config
+from monitor.config import configuration
 from tests.conftest import Cli
 from tests.test_cli import assert_ok, assert_refused, strict
 from tests.test_diagnosis_files import KEYS
@@ -64,8 +64,8 @@ def test_a_wrong_gain_is_named_and_five_files_are_left(site: Site) -> None:
 def test_the_extended_file_holds_the_cause_and_scores_better_on_new_data(site: Site, tmp_path: Path) -> None:
     updated, extended = (site.out / f"structure.{name}.toml" for name in ("updated", "extended"))
     assert "# the end" in extended.read_text()
-    assert [e.name for e in config.load(extended).model().effects] == ["sensor_gain"]
-    assert config.load(updated).model().effects == ()
+    assert [e.name for e in configuration.load(extended).model().effects] == ["sensor_gain"]
+    assert configuration.load(updated).model().effects == ()
     new = site.simulate(tmp_path / "new.mcap", "--effect", "sensor_gain:channel a2:gain=1.3", "--seed", 62)
     before, after = (site.evaluate(new, path) for path in (updated, extended))
     assert before.keys() == {"log_score_per_sample", "csd_error", "samples"}

@@ -17,10 +17,10 @@ import pytest
 import rerun as rr
 from typer.main import get_command
 
-from monitor import cli_view
-from monitor.cli import app
-from monitor.errors import WrongUsageError
-from monitor.results import GAP, Skipped
+from monitor.cli import view
+from monitor.cli.app import app
+from monitor.core.errors import WrongUsageError
+from monitor.core.results import GAP, Skipped
 from tests.conftest import Cli
 from tests.test_rerun_view import listening as addresses
 
@@ -131,7 +131,7 @@ def test_the_native_viewer_listens_on_loopback_and_on_a_port_of_its_own(
     monkeypatch.setenv("DISPLAY", ":99")
     monkeypatch.setattr("os.execv", replace)
     with pytest.raises(SystemExit) as ended:
-        cli_view.view(str(tmp_path))
+        view.view(str(tmp_path))
     assert ended.value.code == [str(tmp_path / "live.rrd"), "--bind", "127.0.0.1", "--port", "auto"]
 
 
@@ -141,7 +141,7 @@ def test_without_a_screen_the_browser_is_named(tmp_path: Path, monkeypatch: pyte
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"):
         monkeypatch.delenv(name, raising=False)
     with pytest.raises(WrongUsageError, match=r"no screen here .*--web"):
-        cli_view.view(str(tmp_path))
+        view.view(str(tmp_path))
 
 
 def test_a_gap_is_told_with_what_helps() -> None:

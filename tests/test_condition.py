@@ -11,8 +11,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.signal import sosfilt, sosfreqz
 
-from monitor.condition import Conditioner
-from monitor.kernels_signals import filtered
+from monitor.signals.kernels import filtered
+from monitor.signals.resampling import Conditioner
 
 RATES = ["50", "100", "120", "200", "500.5", "1000", "1024", "1024.37"]
 every_rate = pytest.mark.parametrize("rate", RATES)

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from monitor import config
-from monitor.config import Configuration
-from monitor.errors import BadConfigurationError, MissingInputError, UserError
+from monitor.config import configuration
+from monitor.config.configuration import Configuration
+from monitor.core.errors import BadConfigurationError, MissingInputError, UserError
 
 Load = Callable[[str], Configuration]
 
@@ -21,7 +21,7 @@ def load(tmp_path: Path) -> Load:
     def from_text(text: str) -> Configuration:
         path = tmp_path / "frame.toml"
         path.write_text(text, encoding="utf-8")
-        return config.load(path)
+        return configuration.load(path)
 
     return from_text
 
@@ -171,13 +171,13 @@ def test_what_is_no_text_is_bad_configuration(tmp_path: Path) -> None:
     path = tmp_path / "frame.toml"
     path.write_bytes(b"\xff\xfe\x00[")
     with pytest.raises(BadConfigurationError, match=r"frame\.toml: not UTF-8"):
-        config.load(path)
+        configuration.load(path)
 
 
 def test_a_missing_file_or_a_directory_is_missing_input(tmp_path: Path) -> None:
     for path in (tmp_path / "none.toml", tmp_path):
         with pytest.raises(MissingInputError) as caught:
-            config.load(path)
+            configuration.load(path)
         assert caught.value.exit_code == 66
         assert str(path) in str(caught.value)
 
@@ -273,7 +273,7 @@ def test_every_shipped_file_is_sound() -> None:
     shipped = [path for path in shipped if path.name != "index.toml"]
     assert len(shipped) >= 4
     for path in shipped:
-        frequencies = config.load(path).model().modes().frequencies_hz
+        frequencies = configuration.load(path).model().modes().frequencies_hz
         assert (frequencies > 0).all()
 
 

@@ -24,18 +24,19 @@ from hypothesis import strategies as st
 from drivers.base import GROUND, TEMPERATURE, EndOfStream, SampleBlock, SourceError, SourceHealth
 from drivers.mcap_file import McapWriter, read_recordings
 from drivers.recorder import unfit
-from monitor import appended, config
-from monitor.appended import AppendedLines
-from monitor.daemon import Daemon
-from monitor.errors import BadConfigurationError, BadInputError, MissingInputError
-from monitor.outputs import Session
-from monitor.publish.lines import to_json
-from monitor.publish.metrics import Metrics, MetricsSettings
-from monitor.publish.requests import Request
-from monitor.reader import BlockQueue, Reader
-from monitor.results import Gap, WindowResult
-from monitor.status import look, tell
-from monitor.vitals import losses, plain
+from monitor.config import configuration
+from monitor.core.errors import BadConfigurationError, BadInputError, MissingInputError
+from monitor.core.results import Gap, WindowResult
+from monitor.publish.results.lines import to_json
+from monitor.runs.session import Session
+from monitor.service import appended_lines
+from monitor.service.appended_lines import AppendedLines
+from monitor.service.daemon import Daemon
+from monitor.service.daemon_health import losses, plain
+from monitor.service.outlets.metrics import Metrics, MetricsSettings
+from monitor.service.requests import Request
+from monitor.service.status import look, tell
+from monitor.service.threads import BlockQueue, Reader
 from tests.conftest import T0_NS, Cli, Cut
 
 RATE = 128.0
@@ -318,7 +319,7 @@ def test_lines_that_the_disk_refuses_come_when_it_takes_them_again(
 def test_lines_that_find_no_room_to_wait_are_told_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    monkeypatch.setattr(appended, "_MOST_PENDING_BYTES", 1000)
+    monkeypatch.setattr(appended_lines, "_MOST_PENDING_BYTES", 1000)
     file = AppendedLines(tmp_path / "lines")
     with monkeypatch.context() as full:
         full.setattr(os, "write", lambda handle, data: (_ for _ in ()).throw(OSError(28, os.strerror(28))))
@@ -534,7 +535,7 @@ def test_no_block_whatever_it_says_ends_the_monitor_or_comes_back_as_nonsense(
     path = tmp_path_factory.getbasetemp() / "hostile.toml"
     path.write_text(frame_text)
     blocks = cut(record, RATE)[:40]
-    session = Session(config.load(path), None, (), None, path.parent / "findings")
+    session = Session(configuration.load(path), None, (), None, path.parent / "findings")
     for k, block in enumerate(blocks):
         for place, t_ns, sequence, rate, factor, n in hostile:
             if place == k:

@@ -8,17 +8,17 @@ import re
 import numpy as np
 import pytest
 
-from monitor import baseline, damage
-from monitor.config import Configuration
-from monitor.damage import sequential_reading
-from monitor.effects import parse_effect
-from monitor.errors import BadInputError
-from monitor.model import Model
+from monitor.config.configuration import Configuration
+from monitor.core.errors import BadInputError
+from monitor.core.results import ModalEstimate, WindowResult
+from monitor.damage import baseline, damage_index
+from monitor.damage.damage_index import sequential_reading
+from monitor.model.effects import parse_effect
+from monitor.model.model import Model
+from monitor.model.simulation import simulate
+from monitor.model.structures import ShearFrame
 from monitor.pipeline import Pipeline
-from monitor.record import blocks_of
-from monitor.results import ModalEstimate, WindowResult
-from monitor.simulate import simulate
-from monitor.structures import ShearFrame
+from monitor.runs.synthetic_recording import blocks_of
 
 MASSES = np.array([0.3253, 0.3514, 0.3129])
 STIFFNESS = np.array([2909.4511, 1514.8507, 1897.6986])
@@ -72,7 +72,7 @@ def test_wrong_masses_and_flexible_joints_bias_a_5_percent_loss_by_less_than_hal
     config = drawing(signs)
     healthy, _ = baseline.learn(config, [exact_modes(truth((0, 0, 0)))], np.ones(1), ())
     loss = tuple(0.05 if j + 1 == story else 0.0 for j in range(3))
-    _, reading = damage.step(exact_modes(truth(loss)), healthy.model, healthy, np.eye(3), config.updating)
+    _, reading = damage_index.step(exact_modes(truth(loss)), healthy.model, healthy, np.eye(3), config.updating)
     assert np.abs(reading.ddi - loss).max() < 0.005
     assert int(np.argmax(reading.ddi)) == story - 1
 
@@ -85,7 +85,7 @@ def test_beside_joints_that_the_model_knows_a_loss_is_that_of_the_columns(story:
     healthy, _ = baseline.learn(config, [exact_modes(truth((0, 0, 0)))], np.ones(1), ())
     lost = parse_effect(f"stiffness_change:story {story}:relative=-0.15")
     now = exact_modes(Model(truth((0, 0, 0)).structure, (*JOINTS, lost)))
-    _, reading = damage.step(now, healthy.model, healthy, np.eye(3), config.updating)
+    _, reading = damage_index.step(now, healthy.model, healthy, np.eye(3), config.updating)
     np.testing.assert_allclose(reading.ddi, 0.15 * np.eye(3)[story - 1], atol=2e-3)
 
 
@@ -93,7 +93,7 @@ def test_an_unchanged_structure_reads_zero_however_wrong_the_drawing() -> None:
     config = drawing((1, -1, 1))
     healthy, _ = baseline.learn(config, [exact_modes(truth((0, 0, 0)))], np.ones(1), ())
     assert np.abs(healthy.misfit).max() > 0.005  # the drawing is wrong indeed, and stays so
-    _, reading = damage.step(exact_modes(truth((0, 0, 0))), healthy.model, healthy, np.eye(3), config.updating)
+    _, reading = damage_index.step(exact_modes(truth((0, 0, 0))), healthy.model, healthy, np.eye(3), config.updating)
     assert np.abs(reading.ddi).max() < 1e-6
 
 
@@ -189,6 +189,6 @@ def test_a_baseline_survives_its_file(tmp_path) -> None:
     baseline.save(healthy, tmp_path / "b.json")
     again = baseline.load(tmp_path / "b.json", config)
     modes = exact_modes(truth((0.0, 0.05, 0.0)))
-    first, second = (damage.step(modes, b.model, b, np.eye(3), config.updating)[1] for b in (healthy, again))
+    first, second = (damage_index.step(modes, b.model, b, np.eye(3), config.updating)[1] for b in (healthy, again))
     np.testing.assert_array_equal(first.ddi, second.ddi)
     np.testing.assert_array_equal(first.ddi_covariance, second.ddi_covariance)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from monitor import demo
+from monitor.runs import demo
 from tests.conftest import Cli
 from tests.debian import demand
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from monitor import config, exposure
+from monitor.config import configuration, security_check
 from tests.conftest import Cli
 from tests.debian import demand
 
@@ -97,7 +97,7 @@ def test_the_container_file_is_of_known_form() -> None:
 def test_the_site_file_is_sound_and_opens_no_door(tmp_path: Path, main: Cli) -> None:
     done = main("check", DEPLOY / "site.toml")
     assert done.returncode == 0, done.stderr
-    assert not exposure.warnings(DEPLOY / "site.toml", config.load(DEPLOY / "site.toml"))
+    assert not security_check.warnings(DEPLOY / "site.toml", configuration.load(DEPLOY / "site.toml"))
     # Every table and setting that is only shown is sound too.
     text = (DEPLOY / "site.toml").read_text()
     shown = re.sub(r"^# (\w+ = |\[)", r"\1", text, flags=re.MULTILINE).replace('"baseline.json"', '"b.json"')

@@ -10,22 +10,22 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag
 
-from monitor import config
-from monitor.diagnose import Cause, Diagnosis, Misfit
-from monitor.diagnosis_files import content, effects_text, model_from_plain, model_to_plain, structure_text
-from monitor.diagnosis_settings import DiagnosisSettings
-from monitor.effects import parse_effect
-from monitor.errors import BadConfigurationError
-from monitor.evidence import classify
-from monitor.fitting import fit
-from monitor.gain import Gain, fitted_model, score
-from monitor.model import Model
-from monitor.preparation import prepare
-from monitor.reference import StandingError, nominal
-from monitor.reference_file import from_plain, to_plain
-from monitor.search import Candidate
-from monitor.segments import Segments
-from monitor.standing import learn
+from monitor.config import configuration
+from monitor.core.errors import BadConfigurationError
+from monitor.diagnosis.cross_validation import Gain, fitted_model, score
+from monitor.diagnosis.files import content, effects_text, model_from_plain, model_to_plain, structure_text
+from monitor.diagnosis.healthy_prior import learn
+from monitor.diagnosis.initial_fit import prepare
+from monitor.diagnosis.score_test import Candidate
+from monitor.diagnosis.settings import DiagnosisSettings
+from monitor.diagnosis.stepwise_selection import Cause, Diagnosis, Misfit
+from monitor.inference.map_estimate import fit
+from monitor.inference.observed_spectra import classify
+from monitor.inference.segments import Segments
+from monitor.model.effects import parse_effect
+from monitor.model.model import Model
+from monitor.model.prior import StandingError, nominal
+from monitor.model.prior_file import from_plain, to_plain
 from tests.test_gain import DAMPER, context_of, recorded, settings
 
 KEYS = {"verdict", "cause", "causes", "alternatives", "separating_measurement", "misfit", "gain", "standing", "tried"}
@@ -109,10 +109,10 @@ def test_what_is_not_determined_stays_finite(named: Diagnosis) -> None:
     assert np.isfinite(plain(replace(named, causes=(cause,)))["causes"][0]["parameters"]["damping_n_s_per_m"]["std"])
 
 
-def loaded(folder: Path, text: str) -> config.Configuration:
+def loaded(folder: Path, text: str) -> configuration.Configuration:
     path = folder / "s.toml"
     path.write_text(text)
-    return config.load(path)
+    return configuration.load(path)
 
 
 def test_a_structure_file_keeps_tables_and_comments_and_holds_the_model(tmp_path: Path) -> None:

@@ -26,7 +26,7 @@ from pathlib import Path
 import pytest
 import typer
 
-from monitor.cli import app
+from monitor.cli.app import app
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted(

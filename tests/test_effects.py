@@ -13,11 +13,11 @@ from mcap.reader import make_reader
 
 from drivers.base import ACCELERATION, TEMPERATURE, SampleBlock
 from drivers.mcap_file import read_recordings
-from monitor import config
-from monitor.effects import parse_effect
-from monitor.effects.joint_flexibility import JointFlexibility
-from monitor.model import Model
-from monitor.simulate import simulate
+from monitor.config import configuration
+from monitor.model.effects import parse_effect
+from monitor.model.effects.joint_flexibility import JointFlexibility
+from monitor.model.model import Model
+from monitor.model.simulation import simulate
 from tests.contracts.effect_cases import CASES, CONTEXT, STRUCTURE
 
 Run = Callable[..., subprocess.CompletedProcess[str]]
@@ -118,7 +118,7 @@ def test_any_effect_may_stand_in_a_structure_file(main: Run, tmp_path: Path, fra
     table = f'\n[[effects]]\neffect = "{effect.name}"\nlocation = "{effect.location}"\nparameters = {{ {values} }}\n'
     path.write_text(frame_text + table)
     assert main("check", path).returncode == 0
-    model = config.load(path).model()
+    model = configuration.load(path).model()
     assert model.effects == (effect,)
     assert np.isfinite(model.stiffness_derivatives()).all() and np.isfinite(model.damping_matrix()).all()
 

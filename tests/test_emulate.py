@@ -17,8 +17,8 @@ from drivers.base import ACCELERATION, TEMPERATURE, SampleBlock, SourceContext, 
 from drivers.can_bus import CanSource
 from drivers.mcap_file import McapWriter
 from drivers.socketcand_server import SocketcandServer, frame_text
-from monitor import emulate
-from monitor.errors import BadConfigurationError, MissingInputError
+from monitor.core.errors import BadConfigurationError, MissingInputError
+from monitor.runs import emulate
 
 DEPLOY = Path(__file__).parents[1] / "deploy"
 CHANNELS = ("a1", "a2", "a3")

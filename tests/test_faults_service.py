@@ -26,14 +26,15 @@ import pytest
 
 from drivers.base import SampleBlock, SourceHealth
 from drivers.mcap_file import McapWriter, read_recordings
-from monitor import checkpoint, config, history
-from monitor.daemon import Daemon
-from monitor.outputs import Session
-from monitor.outputs_base import Publisher
-from monitor.results import Level, WindowResult
-from monitor.resume import KeptAlarms
-from monitor.vitals import failures
-from monitor.watch import Request
+from monitor.config import configuration
+from monitor.core.results import Level, WindowResult
+from monitor.diagnosis.trigger import Request
+from monitor.publish.base import Publisher
+from monitor.runs.session import Session
+from monitor.service import history, serialization
+from monitor.service.daemon import Daemon
+from monitor.service.daemon_health import failures
+from monitor.service.restart import KeptAlarms
 from tests.conftest import T0_NS, Cli, Cut
 from tests.live_site import RATE
 from tests.test_daemon import SITE, Scripted, own, summary
@@ -98,7 +99,7 @@ def expected(site: Path, blocks: list[SampleBlock]) -> list[dict[str, Any]]:
 
     kept = Kept()
     kept.lines = []
-    session = Session(config.load(site), None, (kept,), None, site.parent / "none")
+    session = Session(configuration.load(site), None, (kept,), None, site.parent / "none")
     for block in blocks:
         session.push(block)
     return kept.lines
@@ -329,10 +330,10 @@ def test_a_corrupt_checkpoint_costs_the_state_and_no_alarm(
     state = site.parent / "out" / "state"
     kept = state / "alarms"
     key = json.loads(kept.read_bytes().partition(b"\n")[0])["key"]
-    alarms = checkpoint.load(kept, key, KeptAlarms)
+    alarms = serialization.load(kept, key, KeptAlarms)
     assert alarms is not None
     latched = replace(alarms.stories[1], level=Level.ALARM, latched=Level.ALARM)
-    checkpoint.save(kept, key, KeptAlarms((alarms.stories[0], latched, *alarms.stories[2:])))
+    serialization.save(kept, key, KeptAlarms((alarms.stories[0], latched, *alarms.stories[2:])))
     for name in ("checkpoint", "checkpoint.previous"):
         if (state / name).exists():
             (state / name).write_bytes(b"\0" * 5000)
@@ -418,7 +419,7 @@ def test_a_diagnosis_that_hangs_or_is_killed_is_a_finding_and_ends_with_the_daem
             super().__init__([sys.executable, "-c", program], **options)
             started.append(self)
 
-    monkeypatch.setattr("monitor.worker.subprocess.Popen", Bad)
+    monkeypatch.setattr("monitor.runs.diagnosis_process.subprocess.Popen", Bad)
     daemon = Daemon(site, Scripted(cut(record, RATE)))
     daemon.session.watcher._ask(Request(T0_NS, T0_NS + S, "by hand"))
     daemon.run()
@@ -426,7 +427,7 @@ def test_a_diagnosis_that_hangs_or_is_killed_is_a_finding_and_ends_with_the_daem
     assert finding["verdict"] is None
     assert len(lines(site.parent / "out")) == 9
     # The one that still runs when the daemon ends is ended with it.
-    monkeypatch.setattr("monitor.worker.subprocess.Popen", Bad)
+    monkeypatch.setattr("monitor.runs.diagnosis_process.subprocess.Popen", Bad)
     daemon = Daemon(site, Endless(cut(record, RATE), 9))
     daemon.reader.source.daemon = daemon  # type: ignore[attr-defined]
     daemon.session.watcher._ask(Request(T0_NS, T0_NS + S, "by hand"))

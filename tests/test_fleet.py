@@ -14,10 +14,11 @@ import tomlkit
 
 from deploy.compose import composed
 from drivers.zenoh_bus import PublisherSettings, ZenohPublisher
-from monitor import config, fleet
-from monitor.fleet import ALARM, TROUBLE, WELL, SiteStatus, status
-from monitor.publish.fleet_view import text
-from monitor.simulate import simulate
+from monitor.config import configuration
+from monitor.model.simulation import simulate
+from monitor.service import fleet
+from monitor.service.fleet import ALARM, TROUBLE, WELL, SiteStatus, status
+from monitor.service.fleet_view import text
 from tests.conftest import T0_NS, Cli, Cut
 from tests.live_rig import DEPLOY, Command, until
 from tests.zenoh_router import Router, free_port
@@ -142,7 +143,7 @@ def feed(folder: Path, names: list[str], port: int, cut: Cut) -> dict[str, float
     first = {}
     with ExitStack() as stack:
         for number, name in enumerate(names):
-            model = config.load(folder / f"{name}.toml").model()
+            model = configuration.load(folder / f"{name}.toml").model()
             first[name] = float(model.modes().frequencies_hz[0])
             settings = PublisherSettings(key=f"shm/{name}/acceleration", connect=(f"tcp/127.0.0.1:{port}",))
             publisher = ZenohPublisher(settings)

@@ -8,22 +8,22 @@ import numpy as np
 import pytest
 
 from drivers.base import ACCELERATION
-from monitor.config import Configuration
-from monitor.diagnose import Diagnosis
-from monitor.diagnosis_settings import DiagnosisSettings
-from monitor.discrepancy import judged
-from monitor.effects import Context, Effect, parse_effect
-from monitor.evidence import classify
-from monitor.fitting import fit
-from monitor.gain import Gain, demand_gain, fitted_model, heldout_gain, score
-from monitor.misfit import Misfit
-from monitor.model import Model
-from monitor.polish import finish
-from monitor.preparation import prepare
-from monitor.record import blocks_of
-from monitor.reference import nominal
-from monitor.segments import Segments, gather
-from monitor.simulate import simulate
+from monitor.config.configuration import Configuration
+from monitor.diagnosis.cross_validation import Gain, demand_gain, fitted_model, heldout_gain, score
+from monitor.diagnosis.initial_fit import prepare
+from monitor.diagnosis.lack_of_fit import Misfit
+from monitor.diagnosis.settings import DiagnosisSettings
+from monitor.diagnosis.simulation_refit import finish
+from monitor.diagnosis.stepwise_selection import Diagnosis
+from monitor.inference.map_estimate import fit
+from monitor.inference.observed_spectra import classify
+from monitor.inference.segments import Segments, gather
+from monitor.model.effects import Context, Effect, parse_effect
+from monitor.model.model import Model
+from monitor.model.prior import nominal
+from monitor.model.simulation import simulate
+from monitor.runs.diagnose import judged
+from monitor.runs.synthetic_recording import blocks_of
 
 RATE = 100.0
 TRUTH = {"kind": "shear_frame", "masses_kg": [0.33, 0.35, 0.31], "stiffness_n_per_m": [2900.0, 1500.0, 1900.0]}

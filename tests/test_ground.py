@@ -10,23 +10,23 @@ import pytest
 
 from drivers.base import ACCELERATION, GROUND
 from drivers.mcap_file import read_recordings
-from monitor.backbone import backbone, level_dependence, ratios
-from monitor.config import Configuration, load
-from monitor.diagnose import diagnose
-from monitor.diagnosis_settings import DiagnosisSettings
-from monitor.effects import Context, parse_effect
-from monitor.evidence import classify
-from monitor.gain import score
-from monitor.likelihood import Problem
-from monitor.model import Model
-from monitor.motion import conditions
-from monitor.preparation import prepare
-from monitor.record import blocks_of
-from monitor.reference import nominal
-from monitor.results import Array
-from monitor.search import judge
-from monitor.segments import Segments, gather
-from monitor.simulate import level_wander, respond, simulate
+from monitor.config.configuration import Configuration, load
+from monitor.core.results import Array
+from monitor.diagnosis.backbone import backbone, level_dependence, ratios
+from monitor.diagnosis.cross_validation import score
+from monitor.diagnosis.initial_fit import prepare
+from monitor.diagnosis.score_test import judge
+from monitor.diagnosis.settings import DiagnosisSettings
+from monitor.diagnosis.stepwise_selection import diagnose
+from monitor.inference.linearization import conditions
+from monitor.inference.observed_spectra import classify
+from monitor.inference.posterior import Problem
+from monitor.inference.segments import Segments, gather
+from monitor.model.effects import Context, parse_effect
+from monitor.model.model import Model
+from monitor.model.prior import nominal
+from monitor.model.simulation import level_wander, respond, simulate
+from monitor.runs.synthetic_recording import blocks_of
 
 RATE = 1000.0
 RECORDINGS = Path(__file__).parent.parent / "recordings"
@@ -87,8 +87,8 @@ def test_of_a_long_recording_the_strongest_minutes_are_used_and_the_response_to_
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     whole = recorded(seed=12, rate_hz=200.0)
-    monkeypatch.setattr("monitor.segments._DRIVEN_SEGMENTS", 12)
-    monkeypatch.setattr("monitor.segments._LEAD_S", 30.0)
+    monkeypatch.setattr("monitor.inference.segments._DRIVEN_SEGMENTS", 12)
+    monkeypatch.setattr("monitor.inference.segments._LEAD_S", 30.0)
     part = recorded(seed=12, rate_hz=200.0)
     assert whole.drive is not None and part.drive is not None
     assert part.t_s.size == part.values.shape[0] == part.drive.first.size == 12 < whole.t_s.size

@@ -9,14 +9,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from monitor import config, health
-from monitor.effects import EFFECTS
-from monitor.health import ChannelHealth, Health, HealthSettings, HealthState
-from monitor.model import Model
+from monitor.config import configuration
+from monitor.core.results import Gap, WindowResult
+from monitor.model.effects import EFFECTS
+from monitor.model.model import Model
+from monitor.model.simulation import simulate
+from monitor.model.structures import ShearFrame
 from monitor.pipeline import Pipeline
-from monitor.results import Gap, WindowResult
-from monitor.simulate import simulate
-from monitor.structures import ShearFrame
+from monitor.signals import sensor_health
+from monitor.signals.sensor_health import ChannelHealth, Health, HealthSettings, HealthState
 from tests.conftest import CHANNELS, Cut
 
 RATE = 200.0
@@ -42,7 +43,7 @@ def motion() -> np.ndarray:
 def run(*pieces: Piece, dropped: int = 0, keep_s: float = 1e3) -> tuple[HealthState, list[Health]]:
     state, found = HealthState(), []
     for piece in pieces:
-        state, new = health.step(state, piece, dropped, CHANNELS, SETTINGS, keep_s)
+        state, new = sensor_health.step(state, piece, dropped, CHANNELS, SETTINGS, keep_s)
         found += new
     return state, found
 
@@ -63,7 +64,7 @@ def channel(values: np.ndarray, which: int = 1) -> ChannelHealth:
 
 def verdict(values: np.ndarray) -> str:
     state, _ = run(Piece(0, values))
-    skipped = health.check(state, 0, round(len(values) / RATE * 1e9), SETTINGS)
+    skipped = sensor_health.check(state, 0, round(len(values) / RATE * 1e9), SETTINGS)
     return "" if skipped is None else skipped.reason
 
 
@@ -196,7 +197,7 @@ def test_sensor_faults_that_a_diagnosis_explains_keep_their_windows(name: str, p
 def test_the_pipeline_skips_with_the_reason_and_goes_on(frame_text: str, tmp_path: object, cut: Cut) -> None:
     path = tmp_path / "s.toml"  # type: ignore[operator]
     path.write_text(frame_text)
-    site = config.load(path)
+    site = configuration.load(path)
     spoilt = simulate(site.model(), duration_s=80.0, rate_hz=RATE, noise=0.03, seed=5).floors
     spoilt[4000:8000, 0] = 1.0
     pipeline = Pipeline(site)

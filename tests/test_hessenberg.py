@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from monitor import hessenberg
-from monitor.hessenberg import tridiagonal_vectors, upper_poles
+from monitor.identification import eigen
+from monitor.identification.eigen import tridiagonal_vectors, upper_poles
 
 
 def assert_lapack_agrees(a: np.ndarray, c: np.ndarray, tolerance: float) -> None:
@@ -49,7 +49,7 @@ def test_nothing_lies_above_the_axis(a: np.ndarray) -> None:
 
 def test_shifts_in_a_cycle_are_left() -> None:
     a = np.roll(np.eye(4), 1, axis=0)  # the fourth roots of one: the plain shifts stand still on it
-    assert np.isfinite(hessenberg._eigenvalues(a)).all()
+    assert np.isfinite(eigen._eigenvalues(a)).all()
     assert_lapack_agrees(a, np.ones((1, 4)), 1e-12)
 
 
@@ -57,7 +57,7 @@ def test_what_does_not_succeed_is_left_to_lapack(monkeypatch: pytest.MonkeyPatch
     def fails(*_: object) -> tuple[object, ...]:
         return *([np.zeros(1, complex)] * 4), False
 
-    monkeypatch.setattr(hessenberg, "_upper_poles", fails)
+    monkeypatch.setattr(eigen, "_upper_poles", fails)
     rng = np.random.default_rng(0)
     assert_lapack_agrees(rng.standard_normal((7, 7)), rng.standard_normal((3, 7)), 1e-15)
 
@@ -71,7 +71,7 @@ def test_leading_parts_are_matrices_of_their_own_and_a_region_only_leaves_out() 
     assert 0 < sum(kept) < len(kept)
     for found, wanted in zip(upper_poles(a, c, orders, region), (space, values, logarithms, shapes), strict=True):
         np.testing.assert_array_equal(found, wanted[kept])
-    assert all(len(found) == sum(kept) for found in hessenberg._by_lapack(a, c, orders, region))
+    assert all(len(found) == sum(kept) for found in eigen._by_lapack(a, c, orders, region))
     for k, n in enumerate(orders):
         alone = upper_poles(a[:n, :n], c[:, :n], (n,))
         np.testing.assert_array_equal(alone[1], values[space == k])

@@ -13,11 +13,11 @@ from typing import Any
 import pyarrow.parquet
 import pytest
 
-from monitor import history
-from monitor.errors import MissingInputError
-from monitor.export import export
-from monitor.history import History, limit, open_database
-from monitor.state_settings import StateSettings
+from monitor.config.state_settings import StateSettings
+from monitor.core.errors import MissingInputError
+from monitor.service import history
+from monitor.service.export import export
+from monitor.service.history import History, limit, open_database
 from tests.conftest import T0_NS, Cli
 
 HOP_NS = 10 * 10**9

@@ -10,8 +10,8 @@ import pytest
 
 from drivers.base import ACCELERATION, GROUND
 from drivers.mcap_file import RecordingInfo, read_recordings
-from monitor.errors import BadInputError, MissingInputError
-from monitor.importers import import_files
+from monitor.core.errors import BadInputError, MissingInputError
+from monitor.runs.importers import import_files
 
 DATA = Path(__file__).parent / "data"
 WHEN_NS = 1_767_323_045 * 10**9

@@ -12,7 +12,7 @@ from mcap.reader import make_reader
 from mcap.writer import Writer
 
 from drivers.mcap_file import read_recordings
-from monitor.publish.line_schema import LINE_SCHEMA
+from monitor.publish.results.schema import LINE_SCHEMA
 from tests.conftest import Cli
 
 pandas = pytest.importorskip("pandas")

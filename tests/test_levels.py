@@ -9,23 +9,23 @@ import pytest
 from scipy.linalg import block_diag
 
 from drivers.base import ACCELERATION
-from monitor.diagnose import diagnose
-from monitor.diagnosis_settings import DiagnosisSettings
-from monitor.effects import Context, parse_effect
-from monitor.evidence import Evidence, classify
-from monitor.fitting import Fit
-from monitor.levels import by_force, ground_levels, levels
-from monitor.likelihood import Problem
-from monitor.misfit import drift_bands, strayed
-from monitor.model import Model
-from monitor.record import blocks_of
-from monitor.reference import nominal
-from monitor.results import Array
-from monitor.search import _off_the_bin, starts
-from monitor.segments import gather
-from monitor.simulate import simulate
-from monitor.spectrum import hann_amplitude
-from monitor.standing import learn
+from monitor.core.results import Array
+from monitor.diagnosis.healthy_prior import learn
+from monitor.diagnosis.lack_of_fit import drift_bands, strayed
+from monitor.diagnosis.score_test import _off_the_bin, starts
+from monitor.diagnosis.settings import DiagnosisSettings
+from monitor.diagnosis.stepwise_selection import diagnose
+from monitor.inference.force_levels import by_force, ground_levels, levels
+from monitor.inference.map_estimate import Fit
+from monitor.inference.observed_spectra import Evidence, classify
+from monitor.inference.posterior import Problem
+from monitor.inference.segments import gather
+from monitor.model.effects import Context, parse_effect
+from monitor.model.model import Model
+from monitor.model.prior import nominal
+from monitor.model.simulation import simulate
+from monitor.runs.synthetic_recording import blocks_of
+from monitor.signals.welch import hann_amplitude
 from tests.test_polish import CONFIG, RATE, posed
 
 GROUND = parse_effect("base_excitation:base:share=0.4")

@@ -22,11 +22,11 @@ from drivers.mcap_file import read_recordings
 from drivers.socketcand_server import SocketcandServer, frame_text
 from drivers.zenoh_bus import PublisherSettings, ZenohPublisher
 from drivers.zenoh_session import SessionSettings, leave, open_session
-from monitor import config
-from monitor.emulate import CanSink, pieces
-from monitor.outputs import Session
-from monitor.outputs_base import Publisher
-from monitor.results import WindowResult
+from monitor.config import configuration
+from monitor.core.results import WindowResult
+from monitor.publish.base import Publisher
+from monitor.runs.emulate import CanSink, pieces
+from monitor.runs.session import Session
 from tests.live_rig import (
     DEPLOY,
     KEY,
@@ -60,7 +60,7 @@ class Lines(Publisher):
 def lines_of(site: Site, stream: Sequence[SampleBlock]) -> list[dict[str, Any]]:
     """What a replay says."""
     told = Lines()
-    session = Session(config.load(site.path), None, (told,), None, site.path.parent / "none")
+    session = Session(configuration.load(site.path), None, (told,), None, site.path.parent / "none")
     for block in stream:
         session.push(block)
     return [json.loads(line) for line in told.lines]

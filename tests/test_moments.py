@@ -8,23 +8,23 @@ import numpy as np
 import pytest
 
 from drivers.base import ACCELERATION
-from monitor.contest import _turned
-from monitor.diagnose import diagnose
-from monitor.effects import Context, parse_effect
-from monitor.effects.gap_contact import GapContact
-from monitor.evidence import classify
-from monitor.fitting import Fit
-from monitor.likelihood import Problem
-from monitor.model import Model
-from monitor.moments import Heard, Moments, heard, none
-from monitor.polish import Polished
-from monitor.preparation import prepare
-from monitor.record import blocks_of
-from monitor.reference import nominal
-from monitor.results import Array
-from monitor.search import Candidate
-from monitor.segments import Segments, gather
-from monitor.simulate import simulate
+from monitor.core.results import Array
+from monitor.diagnosis.initial_fit import prepare
+from monitor.diagnosis.score_test import Candidate
+from monitor.diagnosis.selection_round import _turned
+from monitor.diagnosis.simulation_refit import Polished
+from monitor.diagnosis.stepwise_selection import diagnose
+from monitor.inference.higher_moments import Heard, Moments, heard, none
+from monitor.inference.map_estimate import Fit
+from monitor.inference.observed_spectra import classify
+from monitor.inference.posterior import Problem
+from monitor.inference.segments import Segments, gather
+from monitor.model.effects import Context, parse_effect
+from monitor.model.effects.gap_contact import GapContact
+from monitor.model.model import Model
+from monitor.model.prior import nominal
+from monitor.model.simulation import simulate
+from monitor.runs.synthetic_recording import blocks_of
 from tests.test_polish import CONFIG, RATE
 
 CONTEXT = Context(CONFIG.model().structure, CONFIG.channels, CONFIG.sensor_matrix(), RATE)

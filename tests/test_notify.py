@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from monitor import notify
-from monitor.notify import Addresses, Notifier, NotifySettings, addresses
-from monitor.outbox import Outbox
-from monitor.publish.notices import Notice, NoticeSettings, Told, of_finding, of_health, of_window
-from monitor.results import Alarm, AlarmCondition, Level, Skipped, WindowResult
-from monitor.vitals import losses
+from monitor.core.results import Alarm, AlarmCondition, Level, Skipped, WindowResult
+from monitor.service.daemon_health import losses
+from monitor.service.outlets import notify
+from monitor.service.outlets.notices import Notice, NoticeSettings, Told, of_finding, of_health, of_window
+from monitor.service.outlets.notify import Addresses, Notifier, NotifySettings, addresses
+from monitor.service.outlets.outbox import Outbox
 from tests.zenoh_router import free_port
 
 SETTINGS = NoticeSettings()
@@ -329,7 +329,7 @@ def test_the_outbox_is_bounded_and_survives_damage_and_a_full_disk(
         raise OSError(28, "No space left on device")
 
     with monkeypatch.context() as patch:
-        patch.setattr("monitor.outbox.write_atomically", full)
+        patch.setattr("monitor.service.outlets.outbox.write_atomically", full)
         again.add(Told(), [Notice("alarm", True, "kept", "")], ["a"])
         assert again.failed is not None and "space" in again.failed
     again.add(Told(lost=True), [], ["a"])

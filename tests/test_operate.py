@@ -19,16 +19,16 @@ import numpy as np
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
-from monitor import config, exposure
-from monitor.errors import BadConfigurationError, MissingInputError
-from monitor.logs import LineFormatter
-from monitor.publish import inbox
-from monitor.publish.inbox import Inbox
-from monitor.publish.metrics import reason_class
-from monitor.publish.requests import Request
-from monitor.reload import changed
-from monitor.simulate import simulate
-from monitor.status import look
+from monitor.config import configuration, security_check
+from monitor.core.errors import BadConfigurationError, MissingInputError
+from monitor.model.simulation import simulate
+from monitor.service.logs import LineFormatter
+from monitor.service.outlets import inbox
+from monitor.service.outlets.inbox import Inbox
+from monitor.service.outlets.metrics import reason_class
+from monitor.service.reload import changed
+from monitor.service.requests import Request
+from monitor.service.status import look
 from tests.conftest import Cli
 from tests.live_site import RATE
 from tests.zenoh_router import free_port
@@ -86,7 +86,7 @@ def running(frame_text: str, tmp_path_factory: pytest.TempPathFactory) -> Iterat
     folder, port = tmp_path_factory.mktemp("site"), free_port()
     site = folder / "site.toml"
     site.write_text(SITE.format(port=port) + frame_text)
-    floors = simulate(config.load(site).model(), duration_s=60.0, rate_hz=RATE, noise=0.03, seed=6).floors
+    floors = simulate(configuration.load(site).model(), duration_s=60.0, rate_hz=RATE, noise=0.03, seed=6).floors
     np.save(folder / "stream.npy", floors.astype(np.float32))
     arguments = [site, folder / "stream.npy", folder / "position", "0.025", "0"]
     with (folder / "log").open("wb") as log:
@@ -225,7 +225,7 @@ def test_a_request_to_a_site_that_never_ran_is_refused_and_leaves_nothing(
 def test_only_some_tables_may_change(tmp_path: Path, frame_text: str) -> None:
     path = tmp_path / "site.toml"
     path.write_text(SITE.format(port=1) + frame_text)
-    now = config.load(path)
+    now = configuration.load(path)
     path.write_text(path.read_text().replace("diagnose = false", "diagnose = true"))
     assert changed(path, now).watch.diagnose
     path.write_text(path.read_text().replace('name = "bench"', 'name = "other"'))
@@ -237,7 +237,7 @@ def test_only_some_tables_may_change(tmp_path: Path, frame_text: str) -> None:
 def test_what_diagnoses_were_begun_with_needs_a_restart(tmp_path: Path, frame_text: str, key: str) -> None:
     path = tmp_path / "site.toml"
     path.write_text(SITE.format(port=1) + frame_text)
-    now = config.load(path)
+    now = configuration.load(path)
     path.write_text(path.read_text().replace("diagnose = false", f"diagnose = false\n{key} = 900.0\nmisfit = 7.0"))
     with pytest.raises(BadConfigurationError, match=rf": \[watch\] {key} changed; restart"):
         changed(path, now)
@@ -349,7 +349,7 @@ def test_open_doors_are_named(tmp_path: Path, frame_text: str, main: Cli) -> Non
     path = tmp_path / "site.toml"
     text = SITE.format(port=1) + frame_text
     path.write_text(text)
-    assert not exposure.warnings(path, config.load(path))
+    assert not security_check.warnings(path, configuration.load(path))
     urls = tmp_path / "urls"
     urls.write_text("")
     urls.chmod(0o644)
@@ -358,7 +358,7 @@ def test_open_doors_are_named(tmp_path: Path, frame_text: str, main: Cli) -> Non
         'kind = "mcap"\nfiles = ["rec.mcap"]', 'kind = "zenoh"\nkey = "a/b"\nmode = "peer"\nlisten = ["tcp/[::]:7447"]'
     )
     path.write_text('notify = {url_file = "urls"}\n' + text)
-    found = exposure.warnings(path, config.load(path))
+    found = security_check.warnings(path, configuration.load(path))
     assert [w.partition(":")[0] for w in found] == [
         "output.serve",
         "output.metrics",

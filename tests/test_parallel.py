@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from monitor.errors import NoResourcesError
-from monitor.parallel import each
+from monitor.core.errors import NoResourcesError
+from monitor.core.parallel import each
 
 CORES = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1
 ENDLESS = """

@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 from pydantic import ValidationError
 
-from monitor.config import OutputSettings
-from monitor.parse import parse_address, told, utc_ns
-from monitor.publish.metrics import MetricsSettings
-from monitor.publish.requests import Request
+from monitor.config.configuration import OutputSettings
+from monitor.core.parse import parse_address, told, utc_ns
+from monitor.service.outlets.metrics import MetricsSettings
+from monitor.service.requests import Request
 from tests.conftest import T0_NS, Cli
 
 

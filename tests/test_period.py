@@ -11,7 +11,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from monitor.publish.period import read_period, write_period
+from monitor.publish.reports.period_report import read_period, write_period
 from tests.conftest import Cli
 
 T0 = 1_767_225_600 * 10**9  # 2026-01-01

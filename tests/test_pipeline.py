@@ -14,15 +14,15 @@ from hypothesis import strategies as st
 
 from drivers.base import ACCELERATION, GROUND, SampleBlock
 from drivers.mcap_file import McapWriter, read_recordings
-from monitor import config
-from monitor.baseline import learn
-from monitor.config import Configuration
-from monitor.errors import BadInputError, UserError
+from monitor.config import configuration
+from monitor.config.configuration import Configuration
+from monitor.core.errors import BadInputError, UserError
+from monitor.core.results import Gap, ModalEstimate, Samples, WindowResult
+from monitor.damage.baseline import learn
+from monitor.model.simulation import simulate
 from monitor.pipeline import Pipeline, Result
-from monitor.publish.lines import to_json, window_line
-from monitor.record import blocks_of
-from monitor.results import Gap, ModalEstimate, Samples, WindowResult
-from monitor.simulate import simulate
+from monitor.publish.results.lines import to_json, window_line
+from monitor.runs.synthetic_recording import blocks_of
 from tests.conftest import T0_NS, Cut
 from tests.test_structures import configured, learned, results_of
 from tests.test_updating import HEALTHY, two_directions
@@ -35,7 +35,7 @@ DURATION_S = 42.0
 def site(tmp_path_factory: pytest.TempPathFactory, frame_text: str) -> Configuration:
     path = tmp_path_factory.mktemp("site") / "frame.toml"
     path.write_text(frame_text)
-    return config.load(path)
+    return configuration.load(path)
 
 
 @pytest.fixture(scope="module")
@@ -270,9 +270,9 @@ def test_a_hop_too_short_for_a_slow_source_is_told_as_such(tmp_path: Path, frame
     """0.2 s hold 2 block_rows samples at 100 Hz, but not at 50 Hz."""
     path = tmp_path / "frame.toml"
     path.write_text(frame_text.replace("hop_s = 5.0", "hop_s = 0.2"))
-    slow = simulate(config.load(path).model(), duration_s=30.0, rate_hz=50.0, noise=0.03, seed=8).floors
+    slow = simulate(configuration.load(path).model(), duration_s=30.0, rate_hz=50.0, noise=0.03, seed=8).floors
     with pytest.raises(UserError, match="hop_s"):
-        push(Pipeline(config.load(path)), cut(slow, 50.0))
+        push(Pipeline(configuration.load(path)), cut(slow, 50.0))
 
 
 def test_without_a_baseline_nothing_is_ever_announced(site: Configuration, record: np.ndarray, cut: Cut) -> None:

@@ -8,21 +8,21 @@ import numpy as np
 import pytest
 
 from drivers.base import ACCELERATION
-from monitor.config import Configuration
-from monitor.corrected import _bounded, corrected
-from monitor.effects import Context, Effect, parse_effect
-from monitor.evidence import classify
-from monitor.exact import exact, forces, sides
-from monitor.fitting import Fit, fit
-from monitor.likelihood import Problem
-from monitor.model import Model
-from monitor.motion import conditions
-from monitor.polish import finish
-from monitor.preparation import prepare
-from monitor.record import blocks_of
-from monitor.reference import nominal
-from monitor.segments import gather
-from monitor.simulate import simulate
+from monitor.config.configuration import Configuration
+from monitor.diagnosis.initial_fit import prepare
+from monitor.diagnosis.simulation_refit import finish
+from monitor.inference.corrected_posterior import _bounded, corrected
+from monitor.inference.exact_simulation import exact, forces, sides
+from monitor.inference.linearization import conditions
+from monitor.inference.map_estimate import Fit, fit
+from monitor.inference.observed_spectra import classify
+from monitor.inference.posterior import Problem
+from monitor.inference.segments import gather
+from monitor.model.effects import Context, Effect, parse_effect
+from monitor.model.model import Model
+from monitor.model.prior import nominal
+from monitor.model.simulation import simulate
+from monitor.runs.synthetic_recording import blocks_of
 
 RATE = 128.0
 FRAME = {"kind": "shear_frame", "masses_kg": [0.33, 0.35, 0.31], "stiffness_n_per_m": [2900.0, 1500.0, 1900.0]}

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from monitor import quality, window
-from monitor.model import Model
-from monitor.quality import QualitySettings
-from monitor.results import Skipped, Window
-from monitor.simulate import simulate
-from monitor.structures import ShearFrame
-from monitor.window import WindowGrid
+from monitor.core.results import Skipped, Window
+from monitor.model.model import Model
+from monitor.model.simulation import simulate
+from monitor.model.structures import ShearFrame
+from monitor.signals import window_quality, windows
+from monitor.signals.window_quality import QualitySettings
+from monitor.signals.windows import WindowGrid
 
 CHANNELS = ("a1", "a2", "a3")
 FRAME = Model(ShearFrame(np.array([0.3253, 0.3514, 0.3129]), np.array([2909.4511, 1514.8507, 1897.6986]), 0.01))
@@ -19,9 +19,9 @@ FRAME = Model(ShearFrame(np.array([0.3253, 0.3514, 0.3129]), np.array([2909.4511
 
 def check(samples: np.ndarray, settings: QualitySettings | None = None, lags: int = 20) -> Skipped | None:
     grid = WindowGrid(100.0, len(samples), 500, lags)
-    _, (item,) = window.step(grid, window.start(grid, samples.shape[1], index=0), samples, 0)
+    _, (item,) = windows.step(grid, windows.start(grid, samples.shape[1], index=0), samples, 0)
     assert isinstance(item, Window)
-    return quality.check(item.sums, 100.0, 40.0, CHANNELS, settings or QualitySettings())
+    return window_quality.check(item.sums, 100.0, 40.0, CHANNELS, settings or QualitySettings())
 
 
 @pytest.fixture(scope="module")

@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 
 from drivers.mcap_file import read_recordings, recording_info
-from monitor import baseline, calibrate, config
-from monitor.files import sha256
+from monitor.config import configuration
+from monitor.core.files import sha256
+from monitor.core.results import WindowResult
+from monitor.damage import baseline
 from monitor.pipeline import Pipeline
-from monitor.results import WindowResult
+from monitor.runs import calibrate
 
 FOLDER = Path(__file__).parents[1] / "recordings"
 INDEX = tomllib.loads((FOLDER / "index.toml").read_text())
@@ -36,7 +38,7 @@ def test_a_recording_is_what_the_index_says(name: str) -> None:
 @pytest.mark.parametrize("name", REPLAYS)
 def test_a_replay_gives_what_the_index_says(name: str) -> None:
     entry = REPLAYS[name]
-    settings = config.load(FOLDER / entry["structure"])
+    settings = configuration.load(FOLDER / entry["structure"])
     healthy: baseline.Baseline | None = None
     if entry.get("calibrate"):
         healthy, _ = calibrate.calibrate([FOLDER / f for f in entry["calibrate"]], settings)

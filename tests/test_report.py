@@ -12,23 +12,23 @@ import pytest
 from rerun.chunk import RrdReader
 
 from drivers.base import ACCELERATION
-from monitor.config import Configuration
-from monitor.diagnose import Cause, Diagnosis, DiagnosisSettings, diagnose
-from monitor.diagnosis_files import content as content_of
-from monitor.effects import EFFECTS, FORMS, Context, Effect, parse_effect
-from monitor.evidence import classify
-from monitor.gain import Gain
-from monitor.preparation import prepare
-from monitor.publish.charts import decades, ticks
-from monitor.publish.comparison import compare, level_dependence
-from monitor.publish.diagnosis_view import write_view
-from monitor.publish.report import write_report
-from monitor.publish.words import in_words, interval, separating_measurement
-from monitor.record import blocks_of
-from monitor.reference import nominal
-from monitor.search import judge
-from monitor.segments import Segments, gather
-from monitor.simulate import simulate
+from monitor.config.configuration import Configuration
+from monitor.diagnosis.cross_validation import Gain
+from monitor.diagnosis.files import content as content_of
+from monitor.diagnosis.initial_fit import prepare
+from monitor.diagnosis.score_test import judge
+from monitor.diagnosis.stepwise_selection import Cause, Diagnosis, DiagnosisSettings, diagnose
+from monitor.diagnosis.wording import in_words, interval, separating_measurement
+from monitor.inference.observed_spectra import classify
+from monitor.inference.segments import Segments, gather
+from monitor.model.effects import EFFECTS, FORMS, Context, Effect, parse_effect
+from monitor.model.prior import nominal
+from monitor.model.simulation import simulate
+from monitor.publish.reports.charts import decades, ticks
+from monitor.publish.reports.comparison import compare, level_dependence
+from monitor.publish.reports.diagnosis_report import write_report
+from monitor.publish.viewer.diagnosis_view import write_view
+from monitor.runs.synthetic_recording import blocks_of
 
 CONFIG = Configuration.model_validate(
     {

@@ -19,10 +19,10 @@ import pyarrow.dataset as ds
 import pyarrow.parquet as pq
 
 from drivers.mcap_file import McapWriter
-from monitor import config
-from monitor.archive import Survey, expand, runs
-from monitor.reprocess import reprocess
-from monitor.simulate import simulate
+from monitor.config import configuration
+from monitor.model.simulation import simulate
+from monitor.runs.archive.inventory import Survey, expand, runs
+from monitor.runs.archive.reprocess import reprocess
 from tests.conftest import T0_NS, Cli, Cut
 
 RATE = 128.0
@@ -64,7 +64,7 @@ def archive(tmp_path_factory: pytest.TempPathFactory, frame_text: str, cut: Cut)
     """A stream in three files with a pause before the last, another stream, and a recording that is too short."""
     folder = tmp_path_factory.mktemp("archive")
     (folder / "frame.toml").write_text(frame_text)
-    model = config.load(folder / "frame.toml").model()
+    model = configuration.load(folder / "frame.toml").model()
     x = simulate(model, duration_s=120.0, rate_hz=RATE, noise=0.03, seed=1).floors
     edges = {"a/1": (0, 5000), "a/2": (5000, 9000), "a/3": (10000, len(x)), "b/short": (0, 500)}
     for name, (begin, end) in edges.items():
@@ -149,15 +149,15 @@ def test_what_is_done_is_not_done_again_and_what_changed_is(archive: Path, done:
 def test_an_interrupted_run_leaves_nothing_in_the_dataset(
     archive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from monitor import archive_jobs
+    from monitor.runs.archive import jobs
 
     def fails(*_: object) -> None:
         raise OSError(28, "No space left on device", "results")
 
-    monkeypatch.setattr(archive_jobs, "pass_through", fails)
+    monkeypatch.setattr(jobs, "pass_through", fails)
     (tmp_path / "windows").mkdir()
-    task = archive_jobs.Task("name", "b", (archive / "b/whole.mcap",), archive / "frame.toml", None, tmp_path)
-    assert archive_jobs.replayed(task).error == "results: No space left on device"
+    task = jobs.Task("name", "b", (archive / "b/whole.mcap",), archive / "frame.toml", None, tmp_path)
+    assert jobs.replayed(task).error == "results: No space left on device"
     assert not list(tmp_path.rglob("*.parquet")) and not list(tmp_path.rglob("*.part"))
 
 
@@ -220,14 +220,14 @@ def test_a_cluster_gives_the_same(archive: Path, done: Path, scheduler: str, tmp
 
 def test_memory_holds_a_few_windows_only(archive: Path, done: Path, tmp_path: Path) -> None:
     """Long runs are written in row groups."""
-    from monitor import archive_jobs
-    from monitor.archive_jobs import Windows
+    from monitor.runs.archive import jobs
+    from monitor.runs.archive.jobs import Windows
 
     rows = Windows(tmp_path / "x.part", tmp_path / "x.parquet", "s", {})
     row = lines(ds.dataset(done / "windows").head(1).to_pylist())[0]
-    for _ in range(archive_jobs._ROWS + 1):
+    for _ in range(jobs._ROWS + 1):
         rows.window(None, json.dumps(row))  # type: ignore[arg-type]
     assert len(rows._lines) == 1
     rows.close()
     assert pq.ParquetFile(tmp_path / "x.parquet").metadata.num_row_groups == 2
-    assert np.array_equal(pq.read_table(tmp_path / "x.parquet")["window"], [row["window"]] * (archive_jobs._ROWS + 1))
+    assert np.array_equal(pq.read_table(tmp_path / "x.parquet")["window"], [row["window"]] * (jobs._ROWS + 1))

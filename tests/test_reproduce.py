@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from monitor import reproduce
+from monitor.runs import paper_tables
 
 
 @pytest.fixture(scope="module")
 def content() -> dict:
-    return reproduce.reproduce(seeds=4)
+    return paper_tables.reproduce(seeds=4)
 
 
 def printed(ours: list[float], paper: list[float], digits: int, unit: int = 0) -> None:
@@ -26,7 +26,7 @@ def test_table_2(content: dict) -> None:
 
 @pytest.mark.parametrize("row", ["2", "4", "6", "12", "20", "100"])
 def test_table_3_but_for_its_misprint(content: dict, row: str) -> None:
-    paper = list(reproduce.PAPER["table_3"][row])
+    paper = list(paper_tables.PAPER["table_3"][row])
     if paper[2] == 23.3:
         paper[2] = 23.0  # the measured value, which the fit meets
     printed(content["table_3"][row], paper, 4)
@@ -34,12 +34,12 @@ def test_table_3_but_for_its_misprint(content: dict, row: str) -> None:
 
 @pytest.mark.parametrize("row", ["1", "2", "4", "8", "12", "20", "100"])
 def test_table_4_to_one_unit_in_the_last_digit(content: dict, row: str) -> None:
-    printed(content["table_4"][row], reproduce.PAPER["table_4"][row], 4, unit=1)
+    printed(content["table_4"][row], paper_tables.PAPER["table_4"][row], 4, unit=1)
 
 
 @pytest.mark.parametrize("row", ["adjusted", "case_1", "case_2"])
 def test_table_5(content: dict, row: str) -> None:
-    printed(content["table_5"][row], reproduce.PAPER["table_5"][row], 4)
+    printed(content["table_5"][row], paper_tables.PAPER["table_5"][row], 4)
 
 
 def test_tables_6_and_7_lie_at_the_true_frequencies(content: dict) -> None:
@@ -56,7 +56,7 @@ def test_shapes_bring_every_index_within_a_point(content: dict) -> None:
 
 
 def test_the_report_shows_ours_beside_the_papers(content: dict) -> None:
-    text = reproduce.report(content)
+    text = paper_tables.report(content)
     for number in range(2, 8):
         assert f"Table {number}" in text
     assert "misprint" in text

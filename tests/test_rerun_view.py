@@ -17,16 +17,8 @@ from rerun.chunk import RrdReader
 from scipy.signal import welch
 
 from drivers.base import ClockHealth
-from monitor.health import ChannelHealth, Health
-from monitor.model import Model
-from monitor.parse import parse_address
-from monitor.publish import rerun_picture, rerun_scene
-from monitor.publish.rerun_queue import Output
-from monitor.publish.rerun_scene import Scene, severity
-from monitor.publish.rerun_spectra import predicted
-from monitor.publish.rerun_tiers import TIER, WHOLE_NS, Thinning
-from monitor.publish.rerun_view import RerunPublisher
-from monitor.results import (
+from monitor.core.parse import parse_address
+from monitor.core.results import (
     Alarm,
     DamageReading,
     Gap,
@@ -37,8 +29,17 @@ from monitor.results import (
     StiffnessEstimate,
     WindowResult,
 )
-from monitor.simulate import simulate
-from monitor.structures import ShearFrame
+from monitor.model.model import Model
+from monitor.model.simulation import simulate
+from monitor.model.structures import ShearFrame
+from monitor.publish.viewer import picture
+from monitor.publish.viewer import scene as rerun_scene
+from monitor.publish.viewer.publisher import RerunPublisher
+from monitor.publish.viewer.queue import Output
+from monitor.publish.viewer.scene import Scene, severity
+from monitor.publish.viewer.spectra import predicted
+from monitor.publish.viewer.thinning import TIER, WHOLE_NS, Thinning
+from monitor.signals.sensor_health import ChannelHealth, Health
 
 T0 = 1_772_359_200_000_000_000
 SCENE = Scene(
@@ -99,7 +100,7 @@ def read(file: Path) -> dict[str, dict[int, object]]:
 def stuck(monkeypatch: pytest.MonkeyPatch) -> Iterator[threading.Event]:
     """A viewer that hangs until the event is set."""
     release = threading.Event()
-    monkeypatch.setattr(rerun_picture.Picture, "draw", lambda self, item: release.wait(30))
+    monkeypatch.setattr(picture.Picture, "draw", lambda self, item: release.wait(30))
     yield release
     release.set()
 
@@ -177,7 +178,7 @@ def test_a_hung_viewer_costs_drops_not_time(tmp_path: Path, stuck: threading.Eve
 
 def test_lossless_waits_for_a_slow_viewer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     seen: list[int] = []
-    monkeypatch.setattr(rerun_picture.Picture, "draw", lambda self, item: (time.sleep(0.01), seen.append(item.index)))
+    monkeypatch.setattr(picture.Picture, "draw", lambda self, item: (time.sleep(0.01), seen.append(item.index)))
     view = RerunPublisher(SCENE, file=tmp_path / "live.rrd", serve=None, lossless=True, queue_size=2)
     for k in range(40):
         view.window(window(k))
@@ -195,7 +196,7 @@ def test_a_failure_is_told_once_and_goes_no_further(
     def broken(self: object, item: object) -> None:
         raise ValueError("no such colour")
 
-    monkeypatch.setattr(rerun_picture.Picture, "draw", broken)
+    monkeypatch.setattr(picture.Picture, "draw", broken)
     with caplog.at_level(logging.ERROR):
         view = RerunPublisher(SCENE, file=file, serve=None, lossless=lossless, queue_size=2)
         for k in range(50):

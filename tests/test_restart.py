@@ -25,15 +25,17 @@ from threadpoolctl import threadpool_limits
 from drivers.base import SampleBlock
 from drivers.mcap_file import McapWriter, read_recordings
 from drivers.recorder import recorded
-from monitor import baseline, checkpoint, config
-from monitor.alarm import AlarmState, StoryState, acknowledge
-from monitor.appended import AppendedLines
-from monitor.outputs import Session
-from monitor.reader import Recording
-from monitor.results import Level
-from monitor.resume import Keeper, Saved
-from monitor.simulate import simulate
-from monitor.vitals import plain
+from monitor.config import configuration
+from monitor.core.results import Level
+from monitor.damage import baseline
+from monitor.damage.alarm import AlarmState, StoryState, acknowledge
+from monitor.model.simulation import simulate
+from monitor.runs.session import Session
+from monitor.service import serialization
+from monitor.service.appended_lines import AppendedLines
+from monitor.service.daemon_health import plain
+from monitor.service.restart import Keeper, Saved
+from monitor.service.threads import Recording
 from tests.conftest import T0_NS, Cli, Cut
 from tests.live_site import RATE, SIZE, forked, given
 
@@ -73,11 +75,11 @@ def floors(frame_text: str, tmp_path_factory: pytest.TempPathFactory) -> tuple[n
     """A healthy record, and one in which story 2 softens and recovers."""
     path = tmp_path_factory.mktemp("s") / "s.toml"
     path.write_text(frame_text)
-    model = config.load(path).model()
+    model = configuration.load(path).model()
     weak = path.with_name("weak.toml")
     weak.write_text(frame_text.replace("1514.8507", "900.0"))
     healthy = simulate(model, duration_s=400.0, rate_hz=RATE, noise=0.03, seed=6).floors
-    damaged = simulate(config.load(weak).model(), duration_s=90.0, rate_hz=RATE, noise=0.03, seed=7).floors
+    damaged = simulate(configuration.load(weak).model(), duration_s=90.0, rate_hz=RATE, noise=0.03, seed=7).floors
     return healthy, np.concatenate([healthy[: round(90 * RATE)], damaged])
 
 
@@ -203,16 +205,16 @@ def check(site: Path, main: Cli, toll: Toll) -> None:
 
 def check_state(site: Path) -> None:
     """What the last checkpoint holds is bit for bit what all recordings up to it give."""
-    settings = config.load(site)
+    settings = configuration.load(site)
     session = Session(settings, baseline.load(site.parent / "baseline.json", settings), (), None, site.parent)
     file = (site.parent / "out" / "state" / "checkpoint").read_bytes()
-    saved = checkpoint.from_bytes(file, json.loads(file.partition(b"\n")[0])["key"], Saved)
+    saved = serialization.from_bytes(file, json.loads(file.partition(b"\n")[0])["key"], Saved)
     with threadpool_limits(limits=1):
         for stamp_ns, block in recorded(site.parent / "out" / "recordings", 0):
             if stamp_ns <= saved.stamp_ns:
                 session.push(block)
     for name in ("pipeline", "summary", "quality"):
-        known, wanted = (checkpoint.to_bytes("", getattr(state, name)) for state in (saved.session, session.state))
+        known, wanted = (serialization.to_bytes("", getattr(state, name)) for state in (saved.session, session.state))
         assert known == wanted, name
 
 
@@ -321,7 +323,7 @@ def test_an_acknowledged_alarm_stays_so_with_and_without_checkpoints(
 ) -> None:
     path = tmp_path / "site.toml"
     path.write_text(f"[state]\ncheckpoint_s = {checkpoint_s}\n[recorder]\nenabled = false\n{frame_text}")
-    settings, out = config.load(path), tmp_path / "out"
+    settings, out = configuration.load(path), tmp_path / "out"
     (out / "state").mkdir(parents=True)
     raised = StoryState(Level.WARNING, since_ns=T0_NS, unacknowledged=True)
 

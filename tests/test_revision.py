@@ -8,21 +8,21 @@ import numpy as np
 import pytest
 
 from drivers.base import ACCELERATION
-from monitor.doubt import deviations, form_doubt, sure
-from monitor.effects import Context, parse_effect
-from monitor.evidence import classify
-from monitor.fitting import Fit, fit
-from monitor.likelihood import Problem
-from monitor.model import Model
-from monitor.moments import none
-from monitor.polish import Polished
-from monitor.preparation import prepare
-from monitor.record import blocks_of
-from monitor.reference import nominal
-from monitor.revision import joined, missed, only, revised
-from monitor.search import judge
-from monitor.segments import gather
-from monitor.simulate import simulate
+from monitor.diagnosis.backward_elimination import joined, missed, only, revised
+from monitor.diagnosis.initial_fit import prepare
+from monitor.diagnosis.parameter_uncertainty import deviations, form_doubt, sure
+from monitor.diagnosis.score_test import judge
+from monitor.diagnosis.simulation_refit import Polished
+from monitor.inference.higher_moments import none
+from monitor.inference.map_estimate import Fit, fit
+from monitor.inference.observed_spectra import classify
+from monitor.inference.posterior import Problem
+from monitor.inference.segments import gather
+from monitor.model.effects import Context, parse_effect
+from monitor.model.model import Model
+from monitor.model.prior import nominal
+from monitor.model.simulation import simulate
+from monitor.runs.synthetic_recording import blocks_of
 from tests.test_polish import CONFIG, RATE
 
 MASS, OFFSET = "added_mass:floor 2:mass_kg=0.04", "time_offset:channel a3:seconds=0.0006"

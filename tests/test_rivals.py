@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from monitor.effects import BilinearStiffness, StiffnessChange
-from monitor.fitting import Fit
-from monitor.likelihood import Problem
-from monitor.moments import Moments
-from monitor.polish import Polished
-from monitor.rivals import probabilities, together
-from monitor.search import Candidate
+from monitor.diagnosis.ambiguity import probabilities, together
+from monitor.diagnosis.score_test import Candidate
+from monitor.diagnosis.simulation_refit import Polished
+from monitor.inference.higher_moments import Moments
+from monitor.inference.map_estimate import Fit
+from monitor.inference.posterior import Problem
+from monitor.model.effects import BilinearStiffness, StiffnessChange
 
 RIVAL = 4.6
 

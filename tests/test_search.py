@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 from drivers.base import ACCELERATION
-from monitor.effects import ChannelSwap, Context, SensorGain
-from monitor.evidence import classify
-from monitor.prediction import accelerance
-from monitor.preparation import prepare
-from monitor.record import blocks_of
-from monitor.reference import nominal
-from monitor.search import best_of_each, judge, rank, starts
-from monitor.segments import gather
-from monitor.simulate import simulate
+from monitor.diagnosis.initial_fit import prepare
+from monitor.diagnosis.score_test import best_of_each, judge, rank, starts
+from monitor.inference.cross_spectra import accelerance
+from monitor.inference.observed_spectra import classify
+from monitor.inference.segments import gather
+from monitor.model.effects import ChannelSwap, Context, SensorGain
+from monitor.model.prior import nominal
+from monitor.model.simulation import simulate
+from monitor.runs.synthetic_recording import blocks_of
 from tests.test_polish import CONFIG, RATE
 
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.signal import csd, lsim
 
-from monitor.effects import Context, EffectError, parse_effect
-from monitor.model import Model
-from monitor.simulate import level_wander, linear_system, respond, respond_exactly, respond_newmark, simulate
-from monitor.stepping import march
-from monitor.structures import ShearFrame
+from monitor.model.effects import Context, EffectError, parse_effect
+from monitor.model.integration import march
+from monitor.model.model import Model
+from monitor.model.simulation import level_wander, linear_system, respond, respond_exactly, respond_newmark, simulate
+from monitor.model.structures import ShearFrame
 
 FRAME = Model(
     ShearFrame(np.array([0.3253, 0.3514, 0.3129]), np.array([2909.4511, 1514.8507, 1897.6986]), 0.01, np.full(3, 0.1))
@@ -189,7 +189,7 @@ def test_the_lag_of_the_temperature_is_first_order() -> None:
 
 def story_force(text: str) -> np.ndarray:
     """Drift and force of the story that the effect is on, shape (2, 2001)."""
-    from monitor.stepping import phi
+    from monitor.model.integration import phi
 
     effect = parse_effect(text)
     law = effect.laws(FRAME.structure)[0]

@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from monitor import window
-from monitor.condition import Conditioner
-from monitor.model import Model
-from monitor.poles import SelectionSettings, advice, identify
-from monitor.results import ModalEstimate, Skipped, Window
-from monitor.simulate import simulate
-from monitor.ssi import SsiSettings, continuous, gram, poles, realise, state_space
-from monitor.structures import ShearFrame
-from monitor.window import WindowGrid
+from monitor.core.results import ModalEstimate, Skipped, Window
+from monitor.identification.ssi import SsiSettings, continuous, gram, poles, realise, state_space
+from monitor.identification.stabilization import SelectionSettings, advice, identify
+from monitor.model.model import Model
+from monitor.model.simulation import simulate
+from monitor.model.structures import ShearFrame
+from monitor.signals import windows as window
+from monitor.signals.resampling import Conditioner
+from monitor.signals.windows import WindowGrid
 
 MASSES = np.array([0.3253, 0.3514, 0.3129])
 STIFFNESS = np.array([2909.4511, 1514.8507, 1897.6986])

@@ -9,18 +9,18 @@ import pytest
 from scipy.linalg import solve_continuous_lyapunov
 
 from drivers.base import ACCELERATION
-from monitor.config import Configuration
-from monitor.diagnose import Diagnosis, diagnose
-from monitor.diagnosis_files import content as content_of
-from monitor.discrepancy import learn
-from monitor.effects import Context, Effect, parse_effect
-from monitor.evidence import classify
-from monitor.gain import Gain
-from monitor.model import Model
-from monitor.publish.report import page
-from monitor.record import blocks_of
-from monitor.segments import Segments, gather
-from monitor.simulate import linear_system, simulate
+from monitor.config.configuration import Configuration
+from monitor.diagnosis.cross_validation import Gain
+from monitor.diagnosis.files import content as content_of
+from monitor.diagnosis.stepwise_selection import Diagnosis, diagnose
+from monitor.inference.observed_spectra import classify
+from monitor.inference.segments import Segments, gather
+from monitor.model.effects import Context, Effect, parse_effect
+from monitor.model.model import Model
+from monitor.model.simulation import linear_system, simulate
+from monitor.publish.reports.diagnosis_report import page
+from monitor.runs.diagnose import learn
+from monitor.runs.synthetic_recording import blocks_of
 from tests.test_polish import CONFIG, RATE
 
 COLOUR = "coloured_excitation:frame:corner_hz=12"

@@ -9,16 +9,17 @@ import numpy as np
 import pytest
 from scipy.io import mmwrite
 
-from monitor import baseline, config
-from monitor.config import Configuration
-from monitor.effects import parse_effect
-from monitor.errors import BadConfigurationError, MissingInputError
-from monitor.model import Model
+from monitor.config import configuration
+from monitor.config.configuration import Configuration
+from monitor.core.errors import BadConfigurationError, MissingInputError
+from monitor.core.results import WindowResult
+from monitor.damage import baseline
+from monitor.model.effects import parse_effect
+from monitor.model.model import Model
+from monitor.model.simulation import simulate
+from monitor.model.structures import ShearFrame
 from monitor.pipeline import Pipeline
-from monitor.record import blocks_of
-from monitor.results import WindowResult
-from monitor.simulate import simulate
-from monitor.structures import ShearFrame
+from monitor.runs.synthetic_recording import blocks_of
 
 SHEAR = ShearFrame(np.array([0.3253, 0.3514, 0.3129]), np.array([2909.4511, 1514.8507, 1897.6986]), 0.01)
 
@@ -139,7 +140,7 @@ def test_matrices_may_stand_in_files(tmp_path: Path) -> None:
         mmwrite(tmp_path / f"dk{j}.mtx", slope)
     names = {"mass_matrix": "all.npz", "stiffness_matrix": "k.json",
              "stiffness_derivatives": [f"dk{j}.mtx" for j in range(3)]}  # fmt: skip
-    model = config.load(toml(table | names, tmp_path)).model()
+    model = configuration.load(toml(table | names, tmp_path)).model()
     np.testing.assert_array_equal(model.stiffness_matrix(), SHEAR.stiffness_matrix())
     np.testing.assert_array_equal(model.stiffness_derivatives(), SHEAR.stiffness_derivatives())
     np.testing.assert_array_equal(model.mass_matrix(), SHEAR.mass_matrix())
@@ -166,12 +167,12 @@ def test_wrong_matrices_are_told(changes: dict, message: str, tmp_path: Path) ->
     (tmp_path / "bad.npz").write_text("no archive")
     (tmp_path / "k.json").write_text("{}")
     with pytest.raises(BadConfigurationError, match=message.replace("[", r"\[")):
-        config.load(toml(matrices_table(**changes), tmp_path))
+        configuration.load(toml(matrices_table(**changes), tmp_path))
 
 
 def test_a_missing_matrix_file_is_a_missing_input(tmp_path: Path) -> None:
     with pytest.raises(MissingInputError, match=r"nowhere\.npz"):
-        config.load(toml(matrices_table(mass_matrix="nowhere.npz"), tmp_path))
+        configuration.load(toml(matrices_table(mass_matrix="nowhere.npz"), tmp_path))
 
 
 def test_ranges_are_priors_of_stiffnesses_then_masses() -> None:

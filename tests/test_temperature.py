@@ -12,19 +12,21 @@ from hypothesis import strategies as st
 
 from drivers.base import ACCELERATION, TEMPERATURE, SampleBlock
 from drivers.mcap_file import McapWriter
-from monitor import baseline, config, dependence, temperature
-from monitor.calibrate import calibrate
-from monitor.config import Configuration
-from monitor.dependence import Change, Dependence
-from monitor.errors import BadInputError
-from monitor.model import Model
+from monitor.config import configuration
+from monitor.config.configuration import Configuration
+from monitor.core.errors import BadInputError
+from monitor.core.results import Temperature, WindowResult
+from monitor.damage import baseline, temperature_compensation
+from monitor.damage.temperature_compensation import Change, Dependence
+from monitor.model.model import Model
+from monitor.model.simulation import simulate
 from monitor.pipeline import Pipeline
-from monitor.publish.lines import to_json, window_line
-from monitor.record import blocks_of
-from monitor.replay import replay
-from monitor.results import Temperature, WindowResult
-from monitor.simulate import simulate
-from monitor.temperature import LAGS_S, TemperatureSettings, TemperatureState
+from monitor.publish.results.lines import to_json, window_line
+from monitor.runs.calibrate import calibrate
+from monitor.runs.replay import replay
+from monitor.runs.synthetic_recording import blocks_of
+from monitor.signals import temperature
+from monitor.signals.temperature import LAGS_S, TemperatureSettings, TemperatureState
 from tests.conftest import CHANNELS, T0_NS, Cut
 
 PER_DEGC = 1.5e-3
@@ -153,7 +155,7 @@ def test_learned_slopes_lie_within_their_stated_errors() -> None:
     for slope in (UNIFORM, np.array([1.2e-3, 1.5e-3, 1.8e-3])):
         errors = []
         for seed in range(12):
-            found = dependence.learn(changes(RAMP, slope, seed), 0.0, SETTINGS)
+            found = temperature_compensation.learn(changes(RAMP, slope, seed), 0.0, SETTINGS)
             assert found is not None
             errors.append((found.per_degc - slope) / np.sqrt(np.diag(found.covariance)))
         assert 0.6 < np.sqrt(np.mean(np.square(errors))) < 1.25
@@ -161,7 +163,7 @@ def test_learned_slopes_lie_within_their_stated_errors() -> None:
 
 def test_stories_that_follow_unlike_in_sign_are_not_pulled_to_a_common_slope() -> None:
     slope = np.array([2.0e-3, -2.0e-3, 0.0])
-    found = [dependence.learn(changes(RAMP, slope, seed), 0.0, SETTINGS) for seed in range(6)]
+    found = [temperature_compensation.learn(changes(RAMP, slope, seed), 0.0, SETTINGS) for seed in range(6)]
     errors = [(d.per_degc - slope) / np.sqrt(np.diag(d.covariance)) for d in found if d is not None]
     assert len(errors) == 6
     assert np.sqrt(np.mean(np.square(errors))) < 1.5
@@ -170,19 +172,25 @@ def test_stories_that_follow_unlike_in_sign_are_not_pulled_to_a_common_slope() -
 def test_a_days_record_tells_the_lag() -> None:
     day = 15.0 + 5.0 * np.sin(np.arange(540) * 160.0 / 86_400 * 2 * np.pi)
     for lag_s in (0.0, 960.0, 5431.0):
-        found = dependence.learn(changes(day, UNIFORM, 3, lag_s, 160.0), 86_400.0, SETTINGS)
+        found = temperature_compensation.learn(changes(day, UNIFORM, 3, lag_s, 160.0), 86_400.0, SETTINGS)
         assert found is not None
         assert abs(LAGS_S.index(found.lag_s) - LAGS_S.index(lag_s)) <= (1 if lag_s else 3)
 
 
 def test_nothing_is_learned_from_what_tells_nothing() -> None:
-    assert dependence.learn(changes(RAMP, UNIFORM, 0), 0.0, SETTINGS) is not None
-    assert dependence.learn(changes(10.0 + 0.3 * (RAMP - 10.0), UNIFORM, 0), 0.0, SETTINGS) is None  # too narrow
-    assert dependence.learn(changes(RAMP, 0.0 * UNIFORM, 0), 0.0, SETTINGS) is None  # not significant
-    assert dependence.learn(changes(RAMP[::50], 2.0 * UNIFORM, 0), 0.0, SETTINGS) is None  # too few windows
+    assert temperature_compensation.learn(changes(RAMP, UNIFORM, 0), 0.0, SETTINGS) is not None
+    assert (
+        temperature_compensation.learn(changes(10.0 + 0.3 * (RAMP - 10.0), UNIFORM, 0), 0.0, SETTINGS) is None
+    )  # too narrow
+    assert temperature_compensation.learn(changes(RAMP, 0.0 * UNIFORM, 0), 0.0, SETTINGS) is None  # not significant
+    assert (
+        temperature_compensation.learn(changes(RAMP[::50], 2.0 * UNIFORM, 0), 0.0, SETTINGS) is None
+    )  # too few windows
     some = changes(RAMP, UNIFORM, 0)
     unknown = [Change(c.relative, c.deviations, c.places, None) for c in some]
-    assert dependence.learn([*some[:120], *unknown[120:]], 0.0, SETTINGS) is None  # their mean is another's
+    assert (
+        temperature_compensation.learn([*some[:120], *unknown[120:]], 0.0, SETTINGS) is None
+    )  # their mean is another's
 
 
 def test_what_sensors_do_not_see_follows_what_they_see() -> None:
@@ -190,7 +198,7 @@ def test_what_sensors_do_not_see_follows_what_they_see() -> None:
     shown = np.linalg.qr(np.array([[1.0, 1.0, 0.0], [0.5, 0.0, 1.0]]).T)[0]
     onto = shown @ shown.T
     some = [Change(c.relative @ onto, c.deviations @ onto, c.places, c.temperature) for c in changes(RAMP, UNIFORM, 4)]
-    found = dependence.learn(some, 0.0, SETTINGS)
+    found = temperature_compensation.learn(some, 0.0, SETTINGS)
     assert found is not None
     std = np.sqrt(np.diag(found.covariance))
     assert (np.abs(found.per_degc - PER_DEGC) < 3.0 * std).all()
@@ -201,7 +209,7 @@ def test_scatter_beyond_the_windows_own_widens_the_slopes_error() -> None:
     some = changes(RAMP, UNIFORM, 1)
     rng = np.random.default_rng(2)
     wild = [Change(c.relative + 3e-3 * rng.standard_normal(3), c.deviations, c.places, c.temperature) for c in some]
-    calm, widened = (dependence.learn(c, 0.0, SETTINGS) for c in (some, wild))
+    calm, widened = (temperature_compensation.learn(c, 0.0, SETTINGS) for c in (some, wild))
     assert calm is not None
     assert widened is not None
     assert (np.diag(widened.covariance) > 1.5 * np.diag(calm.covariance)).all()
@@ -226,7 +234,7 @@ def test_uncertainty_grows_away_from_the_reference_and_faster_outside_the_range_
 def site(tmp_path_factory: pytest.TempPathFactory, frame_text: str) -> Configuration:
     path = tmp_path_factory.mktemp("site") / "frame.toml"
     path.write_text(frame_text + "\n[temperature]\npatience_s = 8.0\nmax_age_s = 15.0\n")
-    return config.load(path)
+    return configuration.load(path)
 
 
 def test_arrival_order_within_patience_changes_nothing(site: Configuration, cut: Cut) -> None:
@@ -271,7 +279,7 @@ def _piece(model: Model, duration_s: float, rate_hz: float, seed: int) -> np.nda
 def slow_site(tmp_path_factory: pytest.TempPathFactory, frame_text: str) -> Configuration:
     path = tmp_path_factory.mktemp("site") / "frame.toml"
     path.write_text(frame_text.replace("window_s = 20.0\nhop_s = 5.0", "window_s = 200.0\nhop_s = 50.0"))
-    return config.load(path)
+    return configuration.load(path)
 
 
 @pytest.fixture(scope="module")

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from monitor.results import ModalEstimate
-from monitor.track import Observed, Status, TrackedModes, TrackSettings, TrackState, observed, step
+from monitor.core.results import ModalEstimate
+from monitor.identification.tracking import Observed, Status, TrackedModes, TrackSettings, TrackState, observed, step
 
 TOWER = Path(__file__).parent / "data" / "tower-modal" / "tower.npz"
 HOUR_NS = 3_600_000_000_000

@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from monitor.effects import parse_effect
-from monitor.model import Model
-from monitor.reproduce import convergence
-from monitor.second_solutions import second_solutions
-from monitor.structures import MatrixStructure, ShearFrame
-from monitor.updating import Observation, UpdatingSettings, counterparts, predict, update
+from monitor.damage.alternative_solutions import second_solutions
+from monitor.damage.updating import Observation, UpdatingSettings, counterparts, predict, update
+from monitor.model.effects import parse_effect
+from monitor.model.model import Model
+from monitor.model.structures import MatrixStructure, ShearFrame
+from monitor.runs.paper_tables import convergence
 
 MASSES = np.array([0.3253, 0.3514, 0.3129])
 INITIAL = np.array([2251.8509, 2251.8509, 1811.292])

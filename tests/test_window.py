@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from monitor import window
-from monitor.kernels_identification import scatter
-from monitor.results import Skipped, Window
-from monitor.window import WindowGrid, WindowState
+from monitor.core.results import Skipped, Window
+from monitor.identification.kernels import scatter
+from monitor.signals import windows
+from monitor.signals.windows import WindowGrid, WindowState
 
 T0 = 1_767_225_600_123_456_789
 LAGS = 6
@@ -27,13 +27,13 @@ def feed(
 ) -> tuple[WindowState, list[Item]]:
     items: list[Item] = []
     for part in np.split(samples, edges or []):
-        state, new = window.step(grid, state, part, T0)
+        state, new = windows.step(grid, state, part, T0)
         items += new
     return state, items
 
 
 def run(grid: WindowGrid, samples: np.ndarray, edges: list[int] | None = None) -> list[Item]:
-    return feed(grid, window.start(grid, samples.shape[1], index=0), samples, edges)[1]
+    return feed(grid, windows.start(grid, samples.shape[1], index=0), samples, edges)[1]
 
 
 def assert_direct_sums(grid: WindowGrid, item: Item, samples: np.ndarray) -> None:
@@ -122,8 +122,8 @@ def test_windows_around_a_gap(first: int, hole: int, second: int) -> None:
     """On one grid: whole windows from one side alone, holed ones with their data length, empty ones absent."""
     end = first + hole + second
     signal = np.random.default_rng(first).normal(size=(end, 2))
-    state, items = feed(GRID, window.start(GRID, 2, index=0), signal[:first])
-    state = window.start(GRID, 2, index=first + hole, previous=state)
+    state, items = feed(GRID, windows.start(GRID, 2, index=0), signal[:first])
+    state = windows.start(GRID, 2, index=first + hole, previous=state)
     _, after = feed(GRID, state, signal[first + hole :], [second // 3])
     there = np.ones(end, dtype=bool)
     there[first : first + hole] = False
@@ -151,20 +151,20 @@ def test_windows_around_a_gap(first: int, hole: int, second: int) -> None:
 
 
 def test_a_window_over_three_runs_counts_the_data_of_all() -> None:
-    state = window.start(GRID, 2, index=0)
+    state = windows.start(GRID, 2, index=0)
     for begin, end in ((0, 30), (35, 42), (50, 60)):
         if begin:
-            state = window.start(GRID, 2, index=begin, previous=state)
+            state = windows.start(GRID, 2, index=begin, previous=state)
         state, items = feed(GRID, state, RECORD[begin:end])
     assert items == [(0, T0 + 600_000_000, pytest.approx(0.47), Skipped("gap in the data"))]
 
 
 def test_the_state_does_not_grow_with_the_number_of_gaps() -> None:
     """A daemon with a bad plug meets a million gaps; only those that a coming window touches matter."""
-    state = window.start(GRID, 2, index=0)
+    state = windows.start(GRID, 2, index=0)
     state, _ = feed(GRID, state, RECORD[:30])
     for number in range(1, 200):
-        state = window.start(GRID, 2, index=40 * number, previous=state)
+        state = windows.start(GRID, 2, index=40 * number, previous=state)
         state, _ = feed(GRID, state, RECORD[:30])
     assert len(state.past_runs) <= 4
 
@@ -172,8 +172,8 @@ def test_the_state_does_not_grow_with_the_number_of_gaps() -> None:
 def test_a_clock_that_jumps_costs_no_work_for_every_window_that_is_not_there() -> None:
     """1970 until the first time message, then today: 350 million windows in between.  30 days of them show it."""
     grid, away = WindowGrid(100.0, 2000, 500, LAGS), 30 * 86400 * 100
-    state, _ = feed(grid, window.start(grid, 2, index=0), RECORD)
-    state = window.start(grid, 2, index=away, previous=state)
+    state, _ = feed(grid, windows.start(grid, 2, index=0), RECORD)
+    state = windows.start(grid, 2, index=away, previous=state)
     began = time.process_time()
     _, items = feed(grid, state, np.tile(RECORD, (8, 1)))
     assert [i.index for i in items if isinstance(i, Window)] == [away // 500 + k for k in range(3)]

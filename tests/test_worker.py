@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from drivers.base import SampleBlock
-from monitor import watch
-from monitor.results import Alarm, Level, Skipped, StiffnessEstimate, WindowResult
-from monitor.watch import Request, WatchSettings, WatchState
-from monitor.worker import Diagnoser, Recent
+from monitor.core.results import Alarm, Level, Skipped, StiffnessEstimate, WindowResult
+from monitor.diagnosis import trigger
+from monitor.diagnosis.trigger import Request, WatchSettings, WatchState
+from monitor.runs.diagnosis_process import Diagnoser, Recent
 from tests.conftest import T0_NS, Cut
 
 WINDOW_S = 100.0
@@ -31,10 +31,10 @@ def requests(results: list[WindowResult], settings: WatchSettings | None = None)
     settings = settings or WatchSettings()
     state, out, t_ns = WatchState(), [], 0
     for result in results:
-        state, request = watch.step(state, result, settings, WINDOW_S)
+        state, request = trigger.step(state, result, settings, WINDOW_S)
         out.append(request)
         t_ns = result.t_end_ns
-    out.append(watch.finish(state, t_ns, settings, WINDOW_S))
+    out.append(trigger.finish(state, t_ns, settings, WINDOW_S))
     return [r for r in out if r is not None]
 
 

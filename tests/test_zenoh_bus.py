@@ -26,7 +26,7 @@ from drivers.base import ACCELERATION, TEMPERATURE, EndOfStream, SampleBlock, So
 from drivers.reorder import Reorder
 from drivers.zenoh_bus import PublisherSettings, ZenohPublisher, ZenohSettings, ZenohSource
 from drivers.zenoh_session import Callbacks, SessionSettings, open_session
-from monitor import config
+from monitor.config import configuration as config
 from tests.zenoh_router import Router, free_port
 
 KEY = "shm/test-frame/acceleration"

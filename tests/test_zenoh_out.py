@@ -17,11 +17,11 @@ import pytest
 import zenoh
 
 from drivers.zenoh_session import SessionSettings, open_session
-from monitor import alarm
-from monitor.publish.lines import to_json, window_line
-from monitor.publish.requests import MAX_REQUEST_BYTES, Request, apply
-from monitor.publish.zenoh_out import ZenohOut, ZenohOutSettings
-from monitor.results import WHOLE, Alarm, AlarmCondition, DamageReading, Gap, Level, Skipped, WindowResult
+from monitor.core.results import WHOLE, Alarm, AlarmCondition, DamageReading, Gap, Level, Skipped, WindowResult
+from monitor.damage import alarm
+from monitor.publish.results.lines import to_json, window_line
+from monitor.service.outlets.zenoh import ZenohOut, ZenohOutSettings
+from monitor.service.requests import MAX_REQUEST_BYTES, Request, apply
 from tests.test_zenoh_bus import until
 from tests.zenoh_router import Router, free_port
 

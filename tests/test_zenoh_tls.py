@@ -20,7 +20,7 @@ from drivers import codec
 from drivers.base import SourceContext, SourceError
 from drivers.zenoh_bus import PublisherSettings, ZenohPublisher, ZenohSettings, ZenohSource
 from drivers.zenoh_session import SessionSettings, open_session
-from monitor.publish.zenoh_out import ZenohOut, ZenohOutSettings
+from monitor.service.outlets.zenoh import ZenohOut, ZenohOutSettings
 from tests.test_zenoh_bus import CHANNELS, block, take, until
 from tests.zenoh_router import Router, free_port
 

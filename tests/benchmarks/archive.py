@@ -19,12 +19,13 @@ from mcap.reader import make_reader
 from drivers import codec
 from drivers.base import ACCELERATION
 from drivers.mcap_file import read_recordings
-from monitor import align, window
-from monitor.archive_jobs import WINDOWS
-from monitor.condition import Conditioner
-from monitor.config import Configuration
-from monitor.recordings import blocks
-from monitor.window import WindowGrid
+from monitor.config.configuration import Configuration
+from monitor.runs.archive.jobs import WINDOWS
+from monitor.runs.recordings import blocks
+from monitor.signals import alignment
+from monitor.signals import windows as window
+from monitor.signals.resampling import Conditioner
+from monitor.signals.windows import WindowGrid
 from tests.benchmarks.frames import baseline, configuration, write
 from tests.benchmarks.rounds import Cost, interleaved
 from tests.frame_text import THREE_STORIES
@@ -46,12 +47,12 @@ def library(path: Path, decoded: bool) -> int:
 def windowed(path: Path, config: Configuration) -> int:
     """Everything before identification, and nothing else."""
     p, n_lags = config.processing, 2 * config.identification.block_rows
-    state, count = align.start(), 0
+    state, count = alignment.start(), 0
     conditioner = memory = grid = held = None
     for block in blocks([path], config, lambda _: None):
         if block.topic != ACCELERATION:
             continue
-        state, pieces = align.step(state, block, config.channels)
+        state, pieces = alignment.step(state, block, config.channels)
         for piece in pieces:
             if conditioner is None or memory is None or grid is None or held is None:
                 conditioner = Conditioner.design(piece.rate_hz, p.rate_hz, p.cutoff_hz, 10.0)
@@ -92,7 +93,7 @@ def command(*arguments: object) -> Run:
     """Run a command of the monitor to its end."""
     # A child's ru_maxrss begins with its parent's, so it tells its own peak.
     code = (
-        "import atexit, sys; from pathlib import Path; from monitor.cli import main; sys.argv[0] = 'shm-monitor'\n"
+        "import atexit, sys; from pathlib import Path; from monitor.cli.app import main; sys.argv[0] = 'shm-monitor'\n"
         "told = Path('/proc/self/status'); atexit.register(lambda: print(told.read_text(), file=sys.stderr)); main()"
     )
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "PYTHONPATH": str(Path(__file__).parents[2])}
@@ -108,7 +109,7 @@ def command(*arguments: object) -> Run:
 
 def _kinds(folder: Path, config: Configuration) -> dict[str, tuple[object, ...]]:
     """Options of a replay with all that it can do, and of one without what costs the most."""
-    from monitor.baseline import save
+    from monitor.damage.baseline import save
 
     save(baseline(config), folder / "baseline.json")
     (folder / "frame.toml").write_text(THREE_STORIES)

@@ -10,12 +10,12 @@ import numpy as np
 
 from drivers.base import ACCELERATION, SampleBlock
 from drivers.mcap_file import McapWriter
-from monitor.baseline import Baseline, learn
-from monitor.config import Configuration
+from monitor.config.configuration import Configuration
+from monitor.core.results import Array, WindowResult
+from monitor.damage.baseline import Baseline, learn
+from monitor.model.simulation import simulate
 from monitor.pipeline import Pipeline
-from monitor.record import blocks_of
-from monitor.results import Array, WindowResult
-from monitor.simulate import simulate
+from monitor.runs.synthetic_recording import blocks_of
 
 T0_NS = 1_767_225_600_000_000_000
 PAPER = ([0.3253, 0.3514, 0.3129], [2909.4511, 1514.8507, 1897.6986])

@@ -14,14 +14,14 @@ import numpy as np
 from scipy.linalg import lapack
 
 from drivers.base import ACCELERATION
-from monitor import window
-from monitor.config import Configuration
-from monitor.hessenberg import upper_poles
-from monitor.kernels_signals import lag_products
+from monitor.config.configuration import Configuration
+from monitor.core.results import Array, ModalEstimate, Window, WindowResult
+from monitor.identification.eigen import upper_poles
+from monitor.identification.stabilization import identify
 from monitor.pipeline import Pipeline
-from monitor.poles import identify
-from monitor.record import blocks_of
-from monitor.results import Array, ModalEstimate, Window, WindowResult
+from monitor.runs.synthetic_recording import blocks_of
+from monitor.signals import windows
+from monitor.signals.kernels import lag_products
 from tests.benchmarks.frames import T0_NS, Hops, baseline, configuration, floors
 from tests.benchmarks.rounds import Cost, interleaved
 
@@ -68,8 +68,8 @@ class Identification:
         self.config = configuration(refined=False, uncertainty=uncertainty)
         self.pipeline = Pipeline(self.config)
         p, rows = self.config.processing, self.config.identification.block_rows
-        self.grid = window.WindowGrid.design(100.0, p.window_s, p.hop_s, 2 * rows, 0.0)
-        self.state = window.start(self.grid, 3, index=0)
+        self.grid = windows.WindowGrid.design(100.0, p.window_s, p.hop_s, 2 * rows, 0.0)
+        self.state = windows.start(self.grid, 3, index=0)
         motion = floors(self.config, p.window_s + 20 * p.hop_s, 100.0, 2)
         self._pieces = cycle(np.split(motion, len(motion) // 1000))
         self.found: ModalEstimate | None = None
@@ -79,7 +79,7 @@ class Identification:
     def __call__(self) -> None:
         """Take in the next hop."""
         line, c = self.pipeline, self.config
-        self.state, found = window.step(self.grid, self.state, next(self._pieces), 0)
+        self.state, found = windows.step(self.grid, self.state, next(self._pieces), 0)
         for item in found:
             assert isinstance(item, Window)
             modes = identify(

@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from monitor.effects import Condition, Context, Effect, System, parse_effect
-from monitor.model import Model
-from monitor.prediction import Band, Excitation, cross_spectra
-from monitor.results import Array, ComplexArray
-from monitor.simulate import simulate
-from monitor.spectrum import SegmentDesign, transform
-from monitor.structures import ShearFrame
+from monitor.core.results import Array, ComplexArray
+from monitor.inference.cross_spectra import Band, Excitation, cross_spectra
+from monitor.model.effects import Condition, Context, Effect, System, parse_effect
+from monitor.model.model import Model
+from monitor.model.simulation import simulate
+from monitor.model.structures import ShearFrame
+from monitor.signals.welch import SegmentDesign, transform
 
 STRUCTURE = ShearFrame(
     np.array([0.3253, 0.3514, 0.3129]), np.array([2909.4511, 1514.8507, 1897.6986]), 0.01, np.array([0.093, 0.093, 0.1])

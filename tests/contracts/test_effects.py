@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from monitor.effects import EFFECTS, FORMS, Effect, EffectError, Law, System, locations, parse_effect
-from monitor.model import Model
-from monitor.results import Array
-from monitor.simulate import linear_system, simulate
-from monitor.structures import MatrixStructure, ShearFrame
+from monitor.core.results import Array
+from monitor.model.effects import EFFECTS, FORMS, Effect, EffectError, Law, System, locations, parse_effect
+from monitor.model.model import Model
+from monitor.model.simulation import linear_system, simulate
+from monitor.model.structures import MatrixStructure, ShearFrame
 from tests.contracts.effect_cases import (
     CASES,
     CONTEXT,
@@ -145,7 +145,7 @@ def test_of_no_size_it_changes_not_a_bit(none: Effect) -> None:
 
 
 def force(law: Law, displacement: float, velocity: float) -> float:
-    from monitor.stepping import phi
+    from monitor.model.integration import phi
 
     return float(phi(int(law.kind), *law.parameters, displacement, velocity))
 

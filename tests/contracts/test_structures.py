@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.linalg import eigh
 
-from monitor.structures import MatrixStructure, ShearFrame, Structure
+from monitor.model.structures import MatrixStructure, ShearFrame, Structure
 
 
 def cantilever(elements: int = 4) -> MatrixStructure:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from monitor.outputs_base import Publisher
-from monitor.results import Level, WindowResult
+from monitor.core.results import Level, WindowResult
+from monitor.publish.base import Publisher
 
 
 class AlarmLog(Publisher):

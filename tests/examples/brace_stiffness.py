@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from math import inf
 from typing import ClassVar, Literal, Self
 
-from monitor.effects import Condition, Context, Effect, Parameter
-from monitor.results import Array
-from monitor.structures import Structure
+from monitor.core.results import Array
+from monitor.model.effects import Condition, Context, Effect, Parameter
+from monitor.model.structures import Structure
 
 
 @dataclass(frozen=True)

@@ -10,12 +10,12 @@ import pytest
 
 from drivers import registry
 from drivers.base import SourceContext
-from monitor import config
-from monitor.config import Configuration, make_source
-from monitor.daemon import Daemon
-from monitor.effects import EFFECTS, Condition, Context, parse_effect
-from monitor.outputs import Session
-from monitor.results import Alarm, Level, Skipped, WindowResult
+from monitor.config import configuration
+from monitor.config.configuration import Configuration, make_source
+from monitor.core.results import Alarm, Level, Skipped, WindowResult
+from monitor.model.effects import EFFECTS, Condition, Context, parse_effect
+from monitor.runs.session import Session
+from monitor.service.daemon import Daemon
 from tests.conftest import Cli
 from tests.examples.alarm_log import AlarmLog
 from tests.examples.brace_stiffness import BraceStiffness
@@ -54,7 +54,7 @@ def test_the_effect_is_simulated_and_raises_every_frequency(
 ) -> None:
     monkeypatch.setitem(EFFECTS, "brace_stiffness", BraceStiffness)
     (tmp_path / "s.toml").write_text(frame_text)
-    plain = config.load(tmp_path / "s.toml").model()
+    plain = configuration.load(tmp_path / "s.toml").model()
     braced = replace(plain, effects=(parse_effect("brace_stiffness:story 2:stiffness_n_per_m=300"),))
     assert np.all(braced.modes().frequencies_hz > plain.modes().frequencies_hz)
     effect = "brace_stiffness:story 2:stiffness_n_per_m=300"
@@ -70,7 +70,7 @@ def test_the_effect_is_simulated_and_raises_every_frequency(
 
 def test_the_structure_is_a_cantilever(tmp_path: Path, main: Cli) -> None:
     write_cantilever(tmp_path / "mast.toml", n=8)
-    settings: Configuration = config.load(tmp_path / "mast.toml")
+    settings: Configuration = configuration.load(tmp_path / "mast.toml")
     hz = settings.model().modes().frequencies_hz
     # Clamped-free beam: f2 / f1 = 6.27; eight lumped masses come within some percent.
     assert 5.5 < hz[1] / hz[0] < 6.5
@@ -86,7 +86,7 @@ def test_the_structure_is_a_cantilever(tmp_path: Path, main: Cli) -> None:
 def test_the_publisher_notes_changes_only(tmp_path: Path, frame_text: str) -> None:
     (tmp_path / "s.toml").write_text(frame_text)
     log = AlarmLog(tmp_path / "alarms.log")
-    session = Session(config.load(tmp_path / "s.toml"), None, (log,), None, tmp_path)
+    session = Session(configuration.load(tmp_path / "s.toml"), None, (log,), None, tmp_path)
     assert session.windows == 0
     for k, level in enumerate([Level.NORMAL, Level.ADVISORY, Level.ADVISORY, Level.ALARM, Level.NORMAL]):
         log.window(WindowResult(k, k, 20.0, None, None, None, Alarm(level, (2,), f"is {level.value}"), None), "")

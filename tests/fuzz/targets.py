@@ -50,13 +50,16 @@ from drivers.recorder import recorded, recover, unfit
 from drivers.ros2_imu import decode_imu
 from drivers.socketcand_server import frame_text
 from drivers.zenoh_bus import ZenohSettings, ZenohSource
-from monitor import alarm, baseline, checkpoint, config, importers, ledger
-from monitor.errors import BadInputError, UserError
-from monitor.outbox import Outbox
-from monitor.outputs import Session
-from monitor.publish.inbox import Inbox
-from monitor.publish.requests import Request, apply
-from monitor.resume import Saved
+from monitor.config import configuration
+from monitor.core.errors import BadInputError, UserError
+from monitor.damage import alarm, baseline
+from monitor.runs import importers, ledger
+from monitor.runs.session import Session
+from monitor.service import serialization
+from monitor.service.outlets.inbox import Inbox
+from monitor.service.outlets.outbox import Outbox
+from monitor.service.requests import Request, apply
+from monitor.service.restart import Saved
 from tests.frame_text import THREE_STORIES
 
 ROOT = Path(__file__).parents[2]
@@ -112,8 +115,8 @@ def _file(name: str, data: bytes) -> Path:
 
 
 @functools.cache
-def _settings() -> config.Configuration:
-    return config.load(_file("structure.toml", STRUCTURE.encode()))
+def _settings() -> configuration.Configuration:
+    return configuration.load(_file("structure.toml", STRUCTURE.encode()))
 
 
 def block(k: int = 0, n: int = 16, **changes: Any) -> SampleBlock:
@@ -378,7 +381,7 @@ def _mcap_seeds() -> list[bytes]:
 def _toml(data: bytes) -> None:
     path = _file("site.toml", data)
     with contextlib.suppress(UserError):
-        settings = config.load(path)
+        settings = configuration.load(path)
         settings.model().modes()
 
 
@@ -454,14 +457,14 @@ def _log_of_kind(suffix: str) -> Target:
 def _checkpoint(data: bytes) -> None:
     """The body may be anything: its checksum fits, as a file has that somebody made to harm."""
     head = {
-        "format": checkpoint.FORMAT,
-        "version": checkpoint.VERSION,
+        "format": serialization.FORMAT,
+        "version": serialization.VERSION,
         "key": "k",
         "sha256": hashlib.sha256(data).hexdigest(),
     }
     for raw in (data, json.dumps(head).encode() + b"\n" + data):
-        with contextlib.suppress(checkpoint.CheckpointError):
-            checkpoint.from_bytes(raw, "k", Saved)
+        with contextlib.suppress(serialization.CheckpointError):
+            serialization.from_bytes(raw, "k", Saved)
 
 
 def _session() -> Session:
@@ -472,7 +475,7 @@ def _session() -> Session:
 def _checkpoint_seeds() -> list[bytes]:
     session, made = _session(), []
     for k in range(3):
-        made.append(checkpoint.to_bytes("k", Saved(session.state, T0_NS + k, k)).partition(b"\n")[2])
+        made.append(serialization.to_bytes("k", Saved(session.state, T0_NS + k, k)).partition(b"\n")[2])
         session.push(block(k, 200))
     return made
 
@@ -485,9 +488,9 @@ def _baseline(data: bytes) -> None:
 
 @functools.cache
 def _baseline_seeds() -> list[bytes]:
-    from monitor.calibrate import calibrate
-    from monitor.record import blocks_of
-    from monitor.simulate import simulate
+    from monitor.model.simulation import simulate
+    from monitor.runs.calibrate import calibrate
+    from monitor.runs.synthetic_recording import blocks_of
 
     settings = _settings()
     floors = simulate(settings.model(), duration_s=60.0, rate_hz=100.0, noise=0.03, seed=1).floors

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 
 from drivers.base import SampleBlock
-from monitor import discrepancy
-from monitor.config import Configuration
-from monitor.diagnose import Diagnosis
-from monitor.reference import Reference
-from monitor.segments import gather
+from monitor.config.configuration import Configuration
+from monitor.diagnosis.stepwise_selection import Diagnosis
+from monitor.inference.segments import gather
+from monitor.model.prior import Reference
+from monitor.runs import diagnose
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,13 +28,13 @@ class Baseline:
 def calibrate(drawing: str, blocks: Iterable[SampleBlock]) -> Baseline:
     """Learn the healthy structure."""
     config = Configuration.model_validate(tomllib.loads(drawing))
-    return Baseline(config, discrepancy.learn(gather(blocks, config), config))
+    return Baseline(config, diagnose.learn(gather(blocks, config), config))
 
 
 def answer(baseline: Baseline, blocks: Iterable[SampleBlock]) -> dict[str, Any]:
     """What `diagnosis.json` says."""
     segments = gather(blocks, baseline.config)
-    d, gain = discrepancy.judged(segments, baseline.reference, baseline.config)
+    d, gain = diagnose.judged(segments, baseline.reference, baseline.config)
     return {
         "verdict": d.verdict,
         "causes": _causes(d),

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from monitor.effects import parse_effect
-from monitor.model import Model
-from monitor.simulate import respond
-from monitor.structures import ShearFrame
+from monitor.model.effects import parse_effect
+from monitor.model.model import Model
+from monitor.model.simulation import respond
+from monitor.model.structures import ShearFrame
 from tests.hidden import catalogue, world
 from tests.hidden.frame import Frame, drifts
 from tests.hidden.truth import Site, Truth, healthy

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import lfilter
 
-from monitor import sequential
-from monitor.alarm import AlarmSettings
-from monitor.results import Array
-from monitor.spectrum import overlap_correlation
+from monitor.core.results import Array
+from monitor.damage import sequential_test
+from monitor.damage.alarm import AlarmSettings
+from monitor.signals.welch import overlap_correlation
 
 HOP_S, WINDOW_S = 10.0, 400.0
 WINDOW, SEGMENTS = 40, 39
@@ -86,16 +86,16 @@ def _boxcar(values: Array, n: int) -> Array:
 def evidence(ddi: Array, variance: Array, common: Array, floor: float) -> Array:
     """`sequential.look` over a series of windows without holes: its z, shape (hops, n), right wherever it exceeds `floor`."""
     n_hops, n = ddi.shape
-    memory = round(sequential._STD_MEMORY_S / HOP_S)
+    memory = round(sequential_test._STD_MEMORY_S / HOP_S)
     log = np.log(variance)
     smooth = np.cumsum(log[: memory + 1], axis=0) / np.arange(1, min(memory + 1, n_hops) + 1)[:, None]
     if n_hops > memory + 1:
         share = 1.0 / (memory + 1)
         rest, _ = lfilter([share], [1.0, share - 1.0], log[memory + 1 :], axis=0, zi=(1.0 - share) * smooth[-1:])
         smooth = np.vstack([smooth, rest])
-    variance = np.maximum(variance / sequential._LUCK**2, np.exp(smooth))
+    variance = np.maximum(variance / sequential_test._LUCK**2, np.exp(smooth))
     best = np.full((n_hops, n), -np.inf)
-    for stretch in sequential.STRETCHES:
+    for stretch in sequential_test.STRETCHES:
         sums, spreads, counts = np.zeros_like(ddi), np.zeros_like(ddi), np.zeros((n_hops, 1))
         for back in range(0, stretch * WINDOW, WINDOW):
             sums[back:] += ddi[: n_hops - back]
@@ -106,8 +106,8 @@ def evidence(ddi: Array, variance: Array, common: Array, floor: float) -> Array:
         if not at.size:
             continue
         covariance = (spread[at] + common)[:, :, None] * np.eye(n)
-        z, _ = sequential.statistic(mean[at], covariance, AlarmSettings().model_form)
-        limit = sequential._AGREEMENT * np.sqrt(variance[at] * (1.0 - 2.0 / counts[at]) + spread[at])
+        z, _ = sequential_test.statistic(mean[at], covariance, AlarmSettings().model_form)
+        limit = sequential_test._AGREEMENT * np.sqrt(variance[at] * (1.0 - 2.0 / counts[at]) + spread[at])
         agrees = (np.abs(ddi[at] - mean[at]) <= limit) | (stretch == 1)
         best[at] = np.maximum(best[at], np.where(agrees, z, -np.inf))
     return best

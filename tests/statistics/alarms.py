@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from drivers.base import ACCELERATION
-from monitor.alarm import AlarmSettings
-from monitor.baseline import Baseline, learn
+from monitor.core.results import Array, Level, WindowResult
+from monitor.damage.alarm import AlarmSettings
+from monitor.damage.baseline import Baseline, learn
+from monitor.model.simulation import simulate
 from monitor.pipeline import Pipeline
-from monitor.record import blocks_of
-from monitor.results import Array, Level, WindowResult
-from monitor.simulate import simulate
+from monitor.runs.synthetic_recording import blocks_of
 from tests.statistics.alarm_twin import HOP_S, MONTH, TWIN, WINDOW_S, Twin, episodes, evidence
 from tests.statistics.estimates import STIFFNESS, configuration
 

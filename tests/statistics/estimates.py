@@ -19,15 +19,15 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from drivers.base import ACCELERATION
-from monitor import damage
-from monitor.baseline import Baseline, learn
-from monitor.config import Configuration
+from monitor.config.configuration import Configuration
+from monitor.core.results import ModalEstimate, StiffnessEstimate, WindowResult
+from monitor.damage import damage_index
+from monitor.damage.baseline import Baseline, learn
+from monitor.identification.whittle import RefinementSettings
+from monitor.model.simulation import simulate
 from monitor.pipeline import Pipeline
-from monitor.record import blocks_of
-from monitor.reproduce import MASSES_KG
-from monitor.results import ModalEstimate, StiffnessEstimate, WindowResult
-from monitor.simulate import simulate
-from monitor.whittle import RefinementSettings
+from monitor.runs.paper_tables import MASSES_KG
+from monitor.runs.synthetic_recording import blocks_of
 
 STIFFNESS = np.array([2909.4511, 1514.8507, 1897.6986])
 BASELINE_S, WINDOW_S = 1200.0, 400.0
@@ -163,7 +163,7 @@ def trials(n_baselines: int, n_windows: int, spread: float, seed: int, processes
     good = [r for r in judged if r.modes is not None and r.damage is not None]
     config = configuration(WINDOW_S)
     modes = [r.modes for r in good if r.modes is not None]
-    known = [damage.step(m, config.model(), None, np.eye(3), config.updating)[0] for m in modes]
+    known = [damage_index.step(m, config.model(), None, np.eye(3), config.updating)[0] for m in modes]
     index = Estimates(
         np.array([r.damage.ddi for r in good if r.damage]),
         np.array([r.damage.ddi_std for r in good if r.damage]),

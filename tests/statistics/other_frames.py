@@ -19,11 +19,11 @@ from scipy.signal import resample_poly
 from threadpoolctl import threadpool_limits
 
 from drivers.base import ACCELERATION, SampleBlock
-from monitor.config import Configuration
-from monitor.effects import Context, parse_effect
-from monitor.model import Model
-from monitor.record import blocks_of
-from monitor.simulate import respond_exactly, simulate
+from monitor.config.configuration import Configuration
+from monitor.model.effects import Context, parse_effect
+from monitor.model.model import Model
+from monitor.model.simulation import respond_exactly, simulate
+from monitor.runs.synthetic_recording import blocks_of
 from tests.hidden import engine
 
 LEAST_HZ = 1000.0

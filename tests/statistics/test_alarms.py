@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from monitor import alarm, sequential
-from monitor.alarm import AlarmSettings
-from monitor.results import DamageReading, Level
+from monitor.core.results import DamageReading, Level
+from monitor.damage import alarm, sequential_test
+from monitor.damage.alarm import AlarmSettings
 from tests.statistics.alarm_twin import HOP_S, TWIN, WINDOW, WINDOW_S, evidence
 from tests.statistics.alarms import (
     THRESHOLD,
@@ -34,13 +34,13 @@ def end_ns(k: int) -> int:
 
 
 def test_the_twin_judges_as_the_alarm_does(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sequential, "_STD_MEMORY_S", 2000.0)
+    monkeypatch.setattr(sequential_test, "_STD_MEMORY_S", 2000.0)
     ddi, variance, common = readings(1000, 3)
     ddi[400:800, 1] += 0.004
     fast = evidence(ddi, variance, common, -9.0)
-    history = sequential.begin(3, WINDOW_S)
+    history = sequential_test.begin(3, WINDOW_S)
     for k, row in enumerate(ddi):
-        history, seen = sequential.look(
+        history, seen = sequential_test.look(
             history, reading(row, variance[k], common), end_ns(k), AlarmSettings().model_form
         )
         np.testing.assert_allclose(seen.z, fast[k], rtol=1e-9)

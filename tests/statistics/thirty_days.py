@@ -19,12 +19,13 @@ from PIL import Image, ImageDraw
 from threadpoolctl import threadpool_limits
 
 from drivers.base import ACCELERATION, TEMPERATURE, SampleBlock
-from monitor import alarm, damage, temperature
-from monitor.baseline import Baseline, learn
+from monitor.core.results import WHOLE, DamageReading, Temperature, WindowResult
+from monitor.damage import alarm, damage_index
+from monitor.damage.baseline import Baseline, learn
+from monitor.model.simulation import simulate
 from monitor.pipeline import Pipeline
-from monitor.record import blocks_of
-from monitor.results import WHOLE, DamageReading, Temperature, WindowResult
-from monitor.simulate import simulate
+from monitor.runs.synthetic_recording import blocks_of
+from monitor.signals import temperature
 from tests.statistics.estimates import STIFFNESS, configuration
 
 HOUR_S, DAY_S, WINDOW_S, HOP_S = 3600, 86_400, 400, 10
@@ -117,7 +118,7 @@ def watch(readings: list[tuple[int, DamageReading]]) -> Watch:
 def readings(windows: list[WindowResult], baseline: Baseline) -> list[tuple[int, DamageReading]]:
     sensors = CONFIG.sensor_matrix()
     return [
-        (r.t_end_ns, damage.step(r.modes, baseline.model, baseline, sensors, CONFIG.updating, r.temperature)[1])
+        (r.t_end_ns, damage_index.step(r.modes, baseline.model, baseline, sensors, CONFIG.updating, r.temperature)[1])
         for r in windows
         if r.modes is not None
     ]

@@ -14,14 +14,14 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from drivers.base import ACCELERATION
-from monitor.baseline import learn
-from monitor.config import Configuration
-from monitor.effects import EFFECTS
-from monitor.model import Model
+from monitor.config.configuration import Configuration
+from monitor.core.results import WindowResult
+from monitor.damage.baseline import learn
+from monitor.model.effects import EFFECTS
+from monitor.model.model import Model
+from monitor.model.simulation import simulate
 from monitor.pipeline import Pipeline
-from monitor.record import blocks_of
-from monitor.results import WindowResult
-from monitor.simulate import simulate
+from monitor.runs.synthetic_recording import blocks_of
 from tests.statistics.estimates import BASELINE_S, WINDOW_S, configuration
 
 LOSS = 0.05

@@ -26,15 +26,18 @@ from threadpoolctl import threadpool_limits
 
 from drivers.base import ACCELERATION, EndOfStream, SampleBlock, SourceHealth
 from drivers.mcap_file import McapWriter
-from monitor import alarm, baseline, config, logs, outputs
-from monitor.calibrate import calibrate
-from monitor.daemon import Daemon
-from monitor.health import Health
-from monitor.outputs import Session
+from monitor.config import configuration
+from monitor.core.results import Gap, Skipped, WindowResult
+from monitor.damage import alarm, baseline
+from monitor.model.simulation import simulate
 from monitor.pipeline import Pipeline, Result
-from monitor.record import blocks_of
-from monitor.results import Gap, Skipped, WindowResult
-from monitor.simulate import simulate
+from monitor.runs import session as outputs
+from monitor.runs.calibrate import calibrate
+from monitor.runs.session import Session
+from monitor.runs.synthetic_recording import blocks_of
+from monitor.service import logs
+from monitor.service.daemon import Daemon
+from monitor.signals.sensor_health import Health
 from tests.frame_text import THREE_STORIES
 from tests.live_site import RATE, SIZE, given
 from tests.statistics.alarm_twin import HOP_S, TWIN, WINDOW, WINDOW_S
@@ -82,7 +85,7 @@ def make_site(folder: Path, keep_gb: float) -> tuple[Path, list[SampleBlock]]:
     """A site with a baseline, and twenty minutes of its healthy samples."""
     site = folder / "site.toml"
     site.write_text(SITE.format(keep_gb=keep_gb))
-    settings = config.load(site)
+    settings = configuration.load(site)
     floors = simulate(settings.model(), duration_s=1200.0, rate_hz=RATE, noise=0.1, seed=1).floors
     healthy = list(blocks_of(ACCELERATION, floors, settings.channels, RATE, T0_NS, 1024))
     with McapWriter(folder / "healthy.mcap") as writer:
@@ -182,7 +185,7 @@ class Hops:
 def twin(days: int, folder: Path, seed: int = 20261121) -> None:
     """Windows drawn, everything else as on a site."""
     site, healthy = make_site(folder, keep_gb=0.02)
-    settings = config.load(site)
+    settings = configuration.load(site)
     seen: list[Any] = []
 
     class Kept(outputs.Publisher):
@@ -219,7 +222,7 @@ def twin(days: int, folder: Path, seed: int = 20261121) -> None:
 def raw(hours: float, folder: Path) -> None:
     """The daemon as a process on samples."""
     site, _ = make_site(folder, keep_gb=0.1)
-    settings = config.load(site)
+    settings = configuration.load(site)
     stream = simulate(settings.model(), duration_s=3600.0, rate_hz=RATE, noise=0.1, seed=2).floors
     np.save(folder / "stream.npy", stream.astype(np.float32))
     position, begun = folder / "position", time.monotonic()

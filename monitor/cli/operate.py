@@ -1,0 +1,152 @@
+"""The commands by which operators see and steer a running daemon."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from pydantic import ValidationError
+
+from monitor.cli.common import Json, say, time_ns, warn
+from monitor.config import configuration
+from monitor.config.configuration import Configuration
+from monitor.core.errors import BadConfigurationError, MissingInputError, WrongUsageError
+from monitor.core.files import spare_inputs
+from monitor.core.parse import told
+
+if TYPE_CHECKING:
+    from monitor.service.requests import Request
+
+_WAIT_S = 5.0
+
+
+def status(
+    place: Annotated[Path, typer.Argument(metavar="SITE.toml|DIR", help="Site file, or the daemon's output folder.")],
+    as_json: Json = False,
+) -> None:
+    """What a daemon does, in ten lines.
+
+    Exit code 0: all well; 10: an alarm stands; 11: it runs, but source, recorder or a way out does not; 12: not running, or
+    silent for a minute.
+    """
+    from monitor.service import status as reader
+
+    found = reader.look(_folder(place))
+    say(reader.tell(found), found, as_json)
+    raise typer.Exit(found["exit_code"])
+
+
+def ack(
+    file: Annotated[Path, typer.Argument(metavar="SITE.toml", help="Site file of the running daemon.")],
+    story: Annotated[int, typer.Option(min=0, metavar="N", help="Story; 0: the structure as a whole.")],
+    who: Annotated[str, typer.Option(metavar="NAME", help="Who decides; stands in the ledger.")],
+    note: Annotated[str, typer.Option(help="Why; shelving needs it.")] = "",
+    shelve: Annotated[
+        float | None, typer.Option(min=0.0, max=720.0, metavar="HOURS", help="Announce nothing for so long.")
+    ] = None,
+    unshelve: Annotated[bool, typer.Option("--unshelve", help="Announce again.")] = False,
+    reset: Annotated[
+        bool, typer.Option("--reset", help="Release a latched alarm that is over and acknowledged.")
+    ] = False,
+    as_json: Json = False,
+) -> None:
+    """Acknowledge the alarm of a story, or shelve or reset it.
+
+    Goes over Zenoh where [output.zenoh] is, else through the daemon's folder, to which the asker needs write access.
+    """
+    from monitor.service.requests import Request
+
+    settings = configuration.load(file)
+    stories = settings.model().structure.n_stories
+    if story > stories:
+        raise WrongUsageError(f"--story {story}: {file} has {stories}, and 0 for the whole")
+    if sum((shelve is not None, unshelve, reset)) > 1:
+        raise WrongUsageError("--shelve, --unshelve and --reset exclude each other")
+    action = "shelve" if shelve is not None else "unshelve" if unshelve else "reset" if reset else "acknowledge"
+    wish = {"action": action, "story": story, "who": who, "note": note, "seconds": 3600.0 * (shelve or 0.0)}
+    try:
+        request = Request.model_validate(wish)
+    except ValidationError as error:
+        raise WrongUsageError("; ".join(told(error))) from error
+    applied, said = None, ""
+    if settings.output.zenoh is not None:
+        said = _over_zenoh(file, settings, request.model_dump_json())
+    if not said:
+        applied, said = _by_file(file.resolve().parent / settings.output.dir, request)
+    say(said, {"applied": applied, "says": said}, as_json)
+
+
+def export(
+    place: Annotated[Path, typer.Argument(metavar="SITE.toml|DIR", help="Site file, or the daemon's output folder.")],
+    out: Annotated[Path, typer.Option(metavar="FILE.parquet|FILE.csv", help="Written when whole.")],
+    table: Annotated[
+        str, typer.Option(help="windows, alarms, requests (acknowledgements), findings, gaps or health.")
+    ] = "windows",
+    begin: Annotated[str | None, typer.Option("--from", metavar="TIME", help="ISO 8601, UTC; included.")] = None,
+    end: Annotated[str | None, typer.Option("--to", metavar="TIME", help="ISO 8601, UTC; not included.")] = None,
+    as_json: Json = False,
+) -> None:
+    """The history as a table.  SI units, times in UTC as ns since 1970; a running daemon is not disturbed."""
+    from monitor.service import export as writer
+
+    spare_inputs([out], [place])
+    until_ns = time_ns("--to", end)
+    span = time_ns("--from", begin) or 0, (1 << 63) - 1 if until_ns is None else until_ns
+    rows = writer.export(_folder(place) / "state" / "history.db", table, out, span)
+    say(f"{rows} rows of {table} in {out}", {"rows": rows, "table": table, "out": str(out)}, as_json)
+
+
+def _folder(place: Path) -> Path:
+    """The daemon's output folder."""
+    return place if place.is_dir() else place.resolve().parent / configuration.load(place).output.dir
+
+
+def _over_zenoh(file: Path, settings: Configuration, request: str) -> str:
+    """What came of it; nothing if nobody answers, then the folder is the way.
+
+    Raises
+    ------
+    WrongUsageError
+        It was refused.
+    """
+    from drivers.base import SourceError
+    from monitor.service.outlets.zenoh import ZenohOutSettings, ask, key_prefix
+
+    try:
+        joining = ZenohOutSettings.model_validate(settings.output.zenoh)
+    except ValidationError as error:
+        problems = told(error, "output", "zenoh")
+        raise BadConfigurationError("\n".join(f"{file}: {problem}" for problem in problems)) from error
+    try:
+        answer = ask(joining, file.resolve().parent, key_prefix(settings.site_name, joining), request, _WAIT_S)
+    except SourceError as error:
+        warn(f"{error}; leaving the request in the daemon's folder")
+        return ""
+    if answer is None:
+        warn("nobody answers over Zenoh; leaving the request in the daemon's folder")
+        return ""
+    if not answer.get("accepted"):
+        raise WrongUsageError(f"refused: {answer.get('reason')}")
+    return "accepted; it is applied with the next data"
+
+
+def _by_file(out: Path, request: Request) -> tuple[bool, str]:
+    """Whether it was applied yet, and that in words."""
+    from monitor.service import status as reader
+    from monitor.service.outlets import inbox
+
+    reader.demand_state(out)
+    try:
+        place = inbox.ask(out / "state" / "requests", request)
+    except OSError as error:
+        raise MissingInputError(f"{out / 'state' / 'requests'}: cannot be written: {error.strerror}") from error
+    deadline = time.monotonic() + _WAIT_S
+    while place.exists() and reader.running(out) and time.monotonic() < deadline:
+        time.sleep(0.1)
+    if not place.exists():
+        return True, "applied, and noted in ledger.jsonl"
+    if reader.running(out):
+        return False, "left for the daemon; it is applied with the next data"
+    return False, "the daemon does not run; it is applied with the first data of its next run"

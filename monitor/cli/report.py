@@ -1,0 +1,51 @@
+"""The command `report`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from monitor.cli.common import Json, say, time_ns, warn
+from monitor.core.files import demand_place, spare_inputs
+
+_INPUTS = ("results.jsonl", "summary.json", "health.jsonl", "health.jsonl.1", "ledger.jsonl")
+
+
+def report(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="What 'replay --out' or [output] dir names.")],
+    out: Annotated[Path, typer.Option(metavar="REPORT.html", help="Page to write.")],
+    start: Annotated[
+        str | None, typer.Option("--from", metavar="T", help="UTC, ISO 8601; the first window's by default.")
+    ] = None,
+    end: Annotated[
+        str | None, typer.Option("--to", metavar="T", help="UTC, ISO 8601; the last window's by default.")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """A period of a run as one page.  Availability, damage, alarms, modes, quality, findings.  Windows count where they end."""
+    from monitor.publish.reports.period_report import read_period, write_period
+
+    from_ns, to_ns = time_ns("--from", start), time_ns("--to", end)
+    if from_ns is not None and to_ns is not None and from_ns >= to_ns:
+        raise typer.BadParameter("--from is not before --to")
+    spare_inputs([out], [folder / name for name in _INPUTS])
+    period = read_period(folder, from_ns, to_ns)
+    demand_place(out)
+    write_period(out, period)
+    r = period.results
+    if r.damaged:
+        warn(f"{folder / 'results.jsonl'}: unreadable lines left out: {r.damaged}")
+    told = {
+        "report": str(out),
+        "from_ns": r.grid.from_ns,
+        "to_ns": r.grid.to_ns,
+        "windows": r.windows,
+        "windows_due": r.due,
+        "judged": sum(r.judged),
+        "alarms": len(period.episodes),
+        "findings": len(period.findings),
+    }
+    says = f"{told['judged']} of {r.due} windows judged, alarms: {told['alarms']}, findings: {told['findings']}"
+    say(f"{says}\nreport in {out}", told, as_json)

@@ -1,0 +1,77 @@
+"""The command `reprocess`."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from monitor.cli.common import Json, Structure, say, warn
+from monitor.core.errors import BadInputError
+
+
+def reprocess(
+    recordings: Annotated[
+        list[str], typer.Argument(metavar="GLOB...", help="Recordings, or patterns as 'archive/**/*.mcap'.")
+    ],
+    structure: Structure,
+    out: Annotated[
+        Path, typer.Option(metavar="DIR", help="Folder for the results; what is done there is not done again.")
+    ],
+    baseline: Annotated[Path | None, typer.Option(metavar="B.json", help="Healthy baseline by 'calibrate'.")] = None,
+    diagnose: Annotated[bool, typer.Option("--diagnose", help="Also diagnose each recording by itself.")] = False,
+    gap: Annotated[
+        float | None,
+        typer.Option(
+            min=0.0, max=1e9, help="Pause in s after which a recording begins a new replay; window_s by default."
+        ),
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(metavar="ADDRESS", help="Dask scheduler, as tcp://127.0.0.1:8786; local processes without."),
+    ] = None,
+    workers: Annotated[
+        int | None, typer.Option(min=1, max=1024, help="Local processes; one a core by default.")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Replay an archive on many processes.  Writes a Parquet dataset of all windows in DIR/windows.
+
+    Recordings of one folder that follow one another are one replay, with the results that 'replay' gives for them.
+    """
+    from monitor.runs.archive.inventory import expand
+    from monitor.runs.archive.jobs import WINDOWS
+    from monitor.runs.archive.reprocess import reprocess as run
+
+    outcomes = run(
+        expand(recordings),
+        structure,
+        baseline,
+        out,
+        diagnose=diagnose,
+        longest_gap_s=gap,
+        scheduler=scheduler,
+        workers=workers,
+        on_done=_progress(),
+    )
+    for outcome in outcomes:
+        for message in outcome.warnings:
+            warn(message)
+    made, there = (sum(o.error is None and o.made is made for o in outcomes) for made in (True, False))
+    errors = [o.error for o in outcomes if o.error is not None]
+    text = f"{made} done, {there} done before; windows in {out / WINDOWS}"
+    say(text, {"done": made, "done_before": there, "failed": len(errors), "windows": str(out / WINDOWS)}, as_json)
+    if errors:
+        raise BadInputError("\n".join([f"{len(errors)} could not be done", *errors]))
+
+
+def _progress() -> Callable[[int, int], None]:
+    """Tasks done, on a terminal only."""
+    if not sys.stderr.isatty():
+        return lambda done, of: None
+    return lambda done, of: print(
+        f"\rreprocess: {done} of {of}", end="" if done < of else "\n", file=sys.stderr, flush=True
+    )

@@ -1,0 +1,290 @@
+"""TOML to settings; every problem is reported at once."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import Field, ValidationError, field_validator, model_validator
+
+from drivers.base import Source, SourceContext, SourceError
+from drivers.recorder import RecorderSettings
+from drivers.registry import UnknownSourceError, source_type
+from monitor.config.log_settings import LogSettings
+from monitor.config.matrix_files import read_matrices
+from monitor.config.state_settings import StateSettings
+from monitor.core.errors import BadConfigurationError, MissingInputError
+from monitor.core.parse import parse_address, told
+from monitor.core.results import Array
+from monitor.core.settings import Settings
+from monitor.damage.alarm import AlarmSettings
+from monitor.damage.updating import UpdatingSettings
+from monitor.diagnosis.settings import DiagnosisSettings
+from monitor.diagnosis.trigger import WatchSettings
+from monitor.identification.ssi import SsiSettings
+from monitor.identification.stabilization import SelectionSettings
+from monitor.identification.tracking import TrackSettings
+from monitor.identification.whittle import RefinementSettings
+from monitor.model.effects import FORMS, Effect, EffectError
+from monitor.model.model import Model
+from monitor.model.structures.tables import StructureTable
+from monitor.signals.sensor_health import HealthSettings
+from monitor.signals.temperature import TemperatureSettings
+from monitor.signals.window_quality import QualitySettings
+from monitor.signals.windows import common_step_s
+
+Positive = Annotated[float, Field(gt=0)]
+
+
+class SensorTable(Settings):
+    """``[[sensors]]``: one accelerometer."""
+
+    channel: str = Field(min_length=1)
+    """Its name in the data."""
+    floor: int = Field(ge=1)
+    """Floor (degree of freedom) that it sits on; 1 is the top floor."""
+
+
+class EffectTable(Settings):
+    """``[[effects]]``: one effect that extends the structure."""
+
+    effect: str
+    """Its name, as in docs/effects.md."""
+    location: str
+    """``story 2``, ``floor 1``, ``channel a2``, ``base`` or ``frame``."""
+    parameters: dict[str, float] = Field(default_factory=dict)
+
+
+class ProcessingSettings(Settings):
+    """``[processing]``: from the source's samples to windows."""
+
+    rate_hz: Positive = 100.0
+    """After resampling; slower sources keep their own rate."""
+    cutoff_hz: Positive = 40.0
+    """Of the lowpass; modes beyond it are not looked for."""
+    window_s: Positive = 400.0
+    """Length of the data that one result rests on."""
+    hop_s: Positive = 10.0
+    """From one window to the next."""
+
+    @model_validator(mode="after")
+    def _consistent(self) -> ProcessingSettings:
+        if self.hop_s > self.window_s:
+            raise ValueError("hop_s is longer than window_s")
+        if self.cutoff_hz >= 0.5 * self.rate_hz:
+            raise ValueError("cutoff_hz must lie below half of rate_hz")
+        return self
+
+
+class SiteSettings(Settings):
+    """``[site]`` of the daemon's file."""
+
+    name: str = ""
+    """In keys, metrics, messages and the log; the structure's by default."""
+    baseline: str | None = None
+    """File that 'calibrate' wrote, relative to the site file, as all its paths; no alarm without one."""
+
+
+class OutputSettings(Settings):
+    """``[output]`` of the daemon's file."""
+
+    dir: str = "out"
+    """Folder of everything that the daemon writes."""
+    serve: str | None = None
+    """HOST:PORT where Rerun viewers may join."""
+    zenoh: dict[str, Any] | None = None
+    """Where results, alarms and health are published (`monitor.service.outlets`)."""
+    metrics: dict[str, Any] | None = None
+    """Where Prometheus may ask (`monitor.service.outlets`)."""
+
+    @field_validator("serve")
+    @classmethod
+    def _serves(cls, text: str | None) -> str | None:
+        if text is not None:
+            parse_address(text)
+        return text
+
+    @property
+    def address(self) -> tuple[str, int] | None:
+        """Host and port of `serve`."""
+        return None if self.serve is None else parse_address(self.serve)
+
+
+class Configuration(Settings):
+    """Everything a structure file or a site file may hold."""
+
+    structure: StructureTable
+    sensors: tuple[SensorTable, ...] = Field(min_length=1)
+    effects: tuple[EffectTable, ...] = ()
+    processing: ProcessingSettings = ProcessingSettings()
+    quality: QualitySettings = QualitySettings()
+    health: HealthSettings = HealthSettings()
+    identification: SsiSettings = SsiSettings()
+    selection: SelectionSettings = SelectionSettings()
+    refinement: RefinementSettings = RefinementSettings()
+    tracking: TrackSettings = TrackSettings()
+    updating: UpdatingSettings = UpdatingSettings()
+    temperature: TemperatureSettings = TemperatureSettings()
+    alarm: AlarmSettings = AlarmSettings()
+    diagnosis: DiagnosisSettings = DiagnosisSettings()
+    watch: WatchSettings = WatchSettings()
+    topics: dict[str, str] = Field(default_factory=dict)
+    """Topic map for foreign recordings: ROS 2 Imu topic to channel, as ``"/imu/top" = "a1.x"``."""
+    site: SiteSettings = SiteSettings()
+    source: dict[str, Any] | None = None
+    output: OutputSettings = OutputSettings()
+    recorder: RecorderSettings = RecorderSettings()
+    state: StateSettings = StateSettings()
+    log: LogSettings = LogSettings()
+    notify: dict[str, Any] = Field(default_factory=dict)
+    """Whom to tell (`monitor.service.outlets`)."""
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Configuration:
+        problems = []
+        n = len(self.structure.masses_kg)
+        names = [s.channel for s in self.sensors]
+        problems += [f"sensors: channel {c!r} stands twice" for c in sorted({c for c in names if names.count(c) > 1})]
+        problems += [f"sensors: {s.channel!r} is on floor {s.floor} of {n}" for s in self.sensors if s.floor > n]
+        references = self.identification.reference_channels
+        problems += [f"identification: no channel {c!r}" for c in references if c not in names]
+        for table in self.effects:
+            try:
+                self._effect(table)
+            except EffectError as error:
+                problems.append(f"effects: {error}")
+        p, lags = self.processing, 2 * self.identification.block_rows
+        step_s = common_step_s(p.window_s, p.hop_s)
+        if step_s * p.rate_hz < lags:
+            problems.append(
+                f"processing: window_s and hop_s have a common step of {step_s:g} s, "
+                f"but {lags / p.rate_hz:g} s (2 block_rows samples) is the least: set a longer hop_s that divides window_s"
+            )
+        elif abs(step_s * p.rate_hz - round(step_s * p.rate_hz)) > 1e-6:
+            problems.append(f"processing: window_s and hop_s must be whole numbers of samples at {p.rate_hz:g} Hz")
+        if not problems:
+            problems += self._standing()
+        if problems:
+            raise ValueError("\n".join(problems))
+        return self
+
+    def _standing(self) -> list[str]:
+        """What is wrong with the model as a whole."""
+        if np.linalg.eigvalsh(self.model().stiffness_matrix()).min() <= 0:
+            subject = "effects: with them the structure" if self.effects else "structure: it"
+            return [f"{subject} would not stand (its stiffness is not positive)"]
+        low, high = self.selection.min_frequency_hz, self.processing.cutoff_hz
+        hz = self.model().modes().frequencies_hz
+        if hz[0] > high or hz[-1] < low:
+            where = "beyond cutoff_hz" if hz[0] > high else f"below {low:g} Hz (selection.min_frequency_hz)"
+            return [f"structure: every natural frequency lies {where}; are masses in kg, stiffness in N/m?"]
+        return []
+
+    def _effect(self, table: EffectTable) -> Effect:
+        if table.effect not in FORMS:
+            raise EffectError(f"unknown effect {table.effect!r}; known: {', '.join(sorted(FORMS))}")
+        effect = FORMS[table.effect].create(table.location, table.parameters)
+        effect.check(self.structure.structure(), self.channels)
+        return effect
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Channel names in the structure file's order."""
+        return tuple(s.channel for s in self.sensors)
+
+    @property
+    def site_name(self) -> str:
+        """What the site is called in messages and keys."""
+        return self.site.name or self.structure.name or "site"
+
+    def model(self) -> Model:
+        """The nominal model with the file's effects."""
+        table = self.structure
+        effects = tuple(self._effect(t) for t in self.effects)
+        return Model(table.structure(), effects, table.correction(), table.modal_damping())
+
+    def sensor_matrix(self) -> Array:
+        """Picks the sensors out of the floors, shape (c, n)."""
+        matrix = np.zeros((len(self.sensors), len(self.structure.masses_kg)))
+        for row, sensor in enumerate(self.sensors):
+            matrix[row, sensor.floor - 1] = 1.0
+        return matrix
+
+    def prior_std(self) -> Array:
+        """Relative standard deviations of stiffnesses, then masses, shape (p + n,)."""
+        return self.structure.prior_std()
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """The tables of a TOML file.
+
+    Raises
+    ------
+    MissingInputError
+        If the file does not exist, cannot be read or is a directory.
+    BadConfigurationError
+        If it is not TOML.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, ValueError) as error:
+        if isinstance(error, UnicodeDecodeError):
+            raise BadConfigurationError(f"{path}: not UTF-8 text, so no TOML file") from error
+        raise MissingInputError(f"{path}: {getattr(error, 'strerror', None) or error}") from error
+    try:
+        return tomllib.loads(text)
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        raise BadConfigurationError(f"{path}: not a TOML file: {error}") from error
+
+
+def load(path: Path) -> Configuration:
+    """Settings from a structure file or a site file.
+
+    Raises
+    ------
+    MissingInputError, BadConfigurationError
+        The latter lists every problem, one a line.
+    """
+    tables = read_toml(path)
+    if isinstance(tables.get("structure"), dict):
+        tables["structure"] = read_matrices(tables["structure"], path.parent)
+    problems: list[str] = []
+    try:
+        config = Configuration.model_validate(tables)
+    except ValidationError as error:
+        problems += told(error)
+    if isinstance(tables.get("source"), dict):
+        channels = () if problems else config.channels
+        try:
+            make_source(tables["source"], SourceContext(channels, path.parent))
+        except BadConfigurationError as error:
+            problems += str(error).split("\n")
+    if problems:
+        raise BadConfigurationError("\n".join(f"{path}: {problem}" for problem in problems))
+    return config
+
+
+def make_source(table: Mapping[str, Any], context: SourceContext) -> Source:
+    """The driver of a ``[source]`` table, not yet open.
+
+    Raises
+    ------
+    BadConfigurationError
+        One problem a line.
+    """
+    try:
+        driver = source_type(str(table.get("kind", "")))
+        settings = driver.Settings.model_validate(table)
+        source: Source = driver(settings, context)
+        return source
+    except UnknownSourceError as error:
+        raise BadConfigurationError(f"source.kind: {error}") from error
+    except ImportError as error:
+        raise BadConfigurationError(f"source.kind: {table['kind']!r} cannot be loaded: {error}") from error
+    except ValidationError as error:
+        raise BadConfigurationError("\n".join(told(error, "source"))) from error
+    except (OSError, ValueError, SourceError) as error:
+        raise BadConfigurationError(f"source: {error}") from error

@@ -1,0 +1,58 @@
+"""Matrices of a structure file that stand in files of their own."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.io import mmread
+
+from monitor.core.errors import BadConfigurationError, MissingInputError
+
+_KEYS = ("mass_matrix", "stiffness_matrix", "stiffness_derivatives")
+
+
+def read_matrices(table: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """``[structure]`` with file names replaced by what the files hold.
+
+    A name ends in ``.npz`` (NumPy) or ``.json``, which hold the matrix under the key's name, or in ``.mtx`` (Matrix
+    Market), which holds one matrix; `stiffness_derivatives` may be a list of such names.
+
+    Parameters
+    ----------
+    folder : Path
+        What relative names are relative to.
+
+    Raises
+    ------
+    MissingInputError, BadConfigurationError
+    """
+
+    def filled(key: str, value: Any) -> Any:
+        if isinstance(value, str):
+            return _read(folder / value, key)
+        return [filled(key, v) for v in value] if isinstance(value, list) and key == _KEYS[2] else value
+
+    return {key: filled(key, value) if key in _KEYS else value for key, value in table.items()}
+
+
+def _read(path: Path, key: str) -> Any:
+    try:
+        if path.suffix == ".npz":
+            with np.load(path, allow_pickle=False) as arrays:
+                return arrays[key].tolist()
+        if path.suffix == ".json":
+            return json.loads(path.read_text(encoding="utf-8"))[key]
+        if path.suffix == ".mtx":
+            matrix = mmread(path)
+            return (matrix if isinstance(matrix, np.ndarray) else matrix.toarray()).tolist()
+    except OSError as error:
+        raise MissingInputError(f"{path}: {error.strerror or error}") from error
+    except KeyError as error:
+        raise BadConfigurationError(f"{path}: holds no {key!r}") from error
+    except (ValueError, TypeError, RecursionError, zipfile.BadZipFile) as error:
+        raise BadConfigurationError(f"{path}: unreadable as {path.suffix}: {error}") from error
+    raise BadConfigurationError(f"{path}: matrices are read from .npz, .json and .mtx files")

@@ -1,0 +1,56 @@
+"""What of a site file lets in more than this machine, or shows secrets."""
+
+from __future__ import annotations
+
+import ipaddress
+import stat
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from monitor.config.configuration import Configuration
+
+
+def warnings(path: Path, config: Configuration) -> list[str]:
+    """One sentence for each open door."""
+    found = []
+    address = config.output.address
+    if address is not None and not is_loopback(address[0]):
+        found.append(
+            f"output.serve: the Rerun server at {config.output.serve} knows no password: all who reach it see all"
+        )
+    metrics = config.output.metrics or {}
+    host = str(metrics.get("listen", "127.0.0.1:9464")).rpartition(":")[0]
+    if not is_loopback(host) and "client_ca" not in metrics:
+        found.append(f"output.metrics: all who reach {host} may read; set certificate, private_key and client_ca")
+    for name, table in (("source", config.source), ("output.zenoh", config.output.zenoh)):
+        for key, says in (
+            ("listen", "is open to the network without TLS: whoever reaches it may send and ask anything"),
+            ("connect", "leaves this machine without TLS: data may be read and forged on the way"),
+        ):
+            endpoints = (e for e in _endpoints(table, key) if e.startswith("tcp/"))
+            away = (e for e in endpoints if not is_loopback(e[4:].rpartition(":")[0]))
+            found += [f"{name}.{key}: {endpoint} {says}" for endpoint in away]
+    return found + _readable(path, config)
+
+
+def is_loopback(host: str) -> bool:
+    """Whether only this machine can reach it."""
+    try:
+        return ipaddress.ip_address(host.strip("[]")).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+def _endpoints(table: Mapping[str, Any] | None, key: str) -> list[str]:
+    value = (table or {}).get(key, [])
+    return [str(item) for item in value] if isinstance(value, list | tuple) else []
+
+
+def _readable(path: Path, config: Configuration) -> list[str]:
+    name = config.notify.get("url_file")
+    try:
+        mode = (path.resolve().parent / str(name)).stat().st_mode if name is not None else 0
+    except OSError:
+        return []
+    return [f"notify.url_file: {name} can be read by everyone: chmod o-r"] if mode & stat.S_IROTH else []

@@ -1,0 +1,72 @@
+"""Files that are whole or not there."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Iterable
+from errno import EISDIR
+from pathlib import Path
+
+from monitor.core.errors import MissingInputError, WrongUsageError
+
+
+def partial(path: Path) -> Path:
+    """Where a file is written before it takes its final name."""
+    return path.with_name(path.name + ".part")
+
+
+def spare_inputs(outputs: Iterable[Path], inputs: Iterable[Path | None]) -> None:
+    """Refuse to write over what is read.
+
+    Raises
+    ------
+    WrongUsageError
+    """
+    taken = {path.resolve() for path in inputs if path is not None}
+    for path in outputs:
+        if path.resolve() in taken:
+            raise WrongUsageError(f"{path} is an input of this command; name another place for its output")
+
+
+def demand_place(path: Path) -> None:
+    """Make the folder of an output and see that a file can be written there.
+
+    Raises
+    ------
+    MissingInputError
+    """
+    try:
+        path.resolve().parent.mkdir(parents=True, exist_ok=True)
+        if path.is_dir():
+            raise IsADirectoryError(EISDIR, "is a folder")
+        with partial(path).open("w"):
+            pass
+        partial(path).unlink()
+    except OSError as error:
+        raise MissingInputError(f"{path}: cannot be written: {error.strerror}") from error
+
+
+def finish(path: Path) -> None:
+    """Give the partial file of `path` its final name."""
+    os.replace(partial(path), path)
+
+
+def write_atomically(path: Path, text: str) -> None:
+    """Write a small text file under its final name only when complete."""
+    temporary = partial(path)
+    try:
+        with temporary.open("w", encoding="utf-8") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        finish(path)
+    except OSError:
+        temporary.unlink(missing_ok=True)
+        raise
+
+
+def sha256(path: Path) -> str:
+    """Checksum of a file, hexadecimal."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -1,0 +1,261 @@
+"""The only place that decides: alarms by evidence, persistence and size, in the vocabulary of IEC 62682.
+
+An alarm for each story and one for the structure as a whole.  It becomes active when the evidence (`sequential`) has exceeded the
+threshold for the on-delay, and returns to normal when it has stayed below threshold less deadband for the off-delay.
+Operators acknowledge, shelve and reset it; none of this changes what is measured.
+
+References
+----------
+IEC 62682, Management of alarm systems for the process industries; ANSI/ISA-18.2, figure 3 (alarm state transition diagram).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+from pydantic import Field
+
+from monitor.core.results import WHOLE, Alarm, AlarmCondition, DamageReading, Level
+from monitor.core.settings import Settings
+from monitor.damage import sequential_test
+from monitor.damage.sequential_test import History
+
+
+class AlarmSettings(Settings):
+    """When a loss of stiffness is announced."""
+
+    significance: float = Field(default=6.5, gt=0)
+    """Evidence, in standard deviations, from which a loss is significant (one-sided)."""
+    min_loss: float = Field(default=0.002, ge=0, lt=1)
+    """Losses below this are never announced."""
+    alarm_loss: float = Field(default=0.10, gt=0, lt=1)
+    """A confirmed loss of at least this is an `alarm`."""
+    model_form: float = Field(default=0.05, ge=0)
+    """Share of another story's loss that the model's wrong form may show here (one standard deviation)."""
+    uniform_loss: float = Field(default=0.05, gt=0, lt=1)
+    """A change alike in all stories is announced, as `advisory` of the whole structure, from this loss on."""
+    confirm_s: float = Field(default=10.0, ge=0)
+    """On-delay: a loss is confirmed when it has stayed significant this long."""
+    clear_s: float = Field(default=100.0, ge=0)
+    """Off-delay: an announced loss is cleared when it has stayed insignificant this long."""
+    deadband: float = Field(default=1.0, ge=0)
+    """Standard deviations by which an announced loss may fall below its thresholds before it counts as gone."""
+    latching: bool = False
+    """An alarm that returned to normal stays announced until it is reset."""
+
+
+@dataclass(frozen=True, slots=True)
+class Shelving:
+    """Taken out of the announcements by an operator, for a time."""
+
+    until_ns: int
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class StoryState:
+    """One alarm: a story's, or that of the whole structure."""
+
+    level: Level = Level.NORMAL
+    """As the data say now."""
+    since_ns: int | None = None
+    """End of the first window of the unbroken run of significant ones."""
+    quiet_since_ns: int | None = None
+    latched: Level = Level.NORMAL
+    """Highest level since the last reset, where alarms latch."""
+    unacknowledged: bool = False
+    acknowledged_by: str = ""
+    shelved: Shelving | None = None
+
+    @property
+    def announced(self) -> Level:
+        """The level that operators see: none while shelved."""
+        if self.shelved is not None:
+            return Level.NORMAL
+        return max(self.level, self.latched, key=lambda level: level.rank)
+
+    @property
+    def condition(self) -> AlarmCondition:
+        """State in the standard's diagram."""
+        if self.shelved is not None:
+            return AlarmCondition.SHELVED
+        if self.level is not Level.NORMAL:
+            return AlarmCondition.UNACKNOWLEDGED if self.unacknowledged else AlarmCondition.ACKNOWLEDGED
+        if self.latched is not Level.NORMAL:
+            return AlarmCondition.LATCHED_UNACKNOWLEDGED if self.unacknowledged else AlarmCondition.LATCHED_ACKNOWLEDGED
+        return AlarmCondition.RETURNED_UNACKNOWLEDGED if self.unacknowledged else AlarmCondition.NORMAL
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class AlarmState:
+    """All that the next window needs."""
+
+    stories: tuple[StoryState, ...]
+    """The stories', then that of the structure as a whole."""
+    history: History
+
+
+def start(n_stories: int, window_s: float = 400.0) -> AlarmState:
+    """State before the first window.
+
+    Parameters
+    ----------
+    window_s : float
+        Length of the windows: readings further apart share no data.
+    """
+    return AlarmState((StoryState(),) * (n_stories + 1), sequential_test.begin(n_stories, window_s))
+
+
+def step(state: AlarmState, damage: DamageReading, t_ns: int, settings: AlarmSettings) -> tuple[AlarmState, Alarm]:
+    """Judge one window's damage reading; `t_ns` is the window's end."""
+    history, evidence = sequential_test.look(state.history, damage, t_ns, settings.model_form)
+    shared = sequential_test.shared_change(evidence.loss, evidence.std)
+    own = evidence.loss - sequential_test.shared_by_others(evidence.loss, evidence.std)
+    *before, whole_before = state.stories
+    judged = [
+        s if j in damage.unidentified else _judge(s, float(loss), float(z), float(std), t_ns, settings)
+        for j, (s, loss, z, std) in enumerate(zip(before, own, evidence.z, evidence.std, strict=True), start=1)
+    ]
+    std = float(evidence.std.max())
+    whole = _judge(whole_before, shared, shared / std, std, t_ns, _advisory_only(settings))
+    lost = {
+        j: f"story {j} lost {100 * d:.1f} ± {200 * s:.1f} % (mean of the latest windows)"
+        for j, (d, s) in enumerate(zip(own, evidence.std, strict=True), start=1)
+    }
+    lost[WHOLE] = f"all stories lost {100 * shared:.1f} % alike (weather, mass, clock or stiffness)"
+    alike = f"all stories changed alike, stiffness by {-100 * shared:+.1f} % (weather, mass, clock or stiffness)"
+    state = AlarmState(tuple(_unshelved(s, t_ns) for s in (*judged, whole)), history)
+    return state, _summarize(state.stories, lost, alike if shared else "")
+
+
+def hold(state: AlarmState, t_ns: int) -> tuple[AlarmState, Alarm]:
+    """The alarm while nothing can be said: as it was, but for shelving whose time is over."""
+    stories = tuple(_unshelved(s, t_ns) for s in state.stories)
+    return replace(state, stories=stories), _summarize(stories, {}, "unchanged: the window was skipped")
+
+
+def acknowledge(state: AlarmState, story: int, who: str) -> AlarmState:
+    """An operator has seen a story's alarm (`WHOLE`: the structure's); one that rises later is to be seen again.
+
+    Raises
+    ------
+    ValueError
+        If there is no such story.
+    """
+    alarm = _of(state, story)
+    if not alarm.unacknowledged:
+        return state
+    return _with(state, story, replace(alarm, unacknowledged=False, acknowledged_by=who))
+
+
+def reset(state: AlarmState, story: int) -> AlarmState:
+    """Release a latched alarm that has returned to normal and was acknowledged; any other stays as it is.
+
+    Raises
+    ------
+    ValueError
+        If there is no such story.
+    """
+    alarm = _of(state, story)
+    if alarm.condition is not AlarmCondition.LATCHED_ACKNOWLEDGED:
+        return state
+    return _with(state, story, replace(alarm, latched=Level.NORMAL))
+
+
+def shelve(state: AlarmState, story: int, until_ns: int, reason: str) -> AlarmState:
+    """Announce a story's alarm no more until then; it is tracked on, and comes back when the time is over.
+
+    Raises
+    ------
+    ValueError
+        If there is no such story or no reason is given.
+    """
+    if not reason.strip():
+        raise ValueError("shelving needs a reason")
+    return _with(state, story, replace(_of(state, story), shelved=Shelving(until_ns, reason)))
+
+
+def unshelve(state: AlarmState, story: int) -> AlarmState:
+    """Announce a shelved alarm again.
+
+    Raises
+    ------
+    ValueError
+        If there is no such story.
+    """
+    return _with(state, story, replace(_of(state, story), shelved=None))
+
+
+def _of(state: AlarmState, story: int) -> StoryState:
+    if not 0 <= story < len(state.stories):
+        raise ValueError(f"no story {story}: there are {len(state.stories) - 1}, and {WHOLE} for the whole")
+    return state.stories[story - 1]  # the whole structure's is the last
+
+
+def _with(state: AlarmState, story: int, alarm: StoryState) -> AlarmState:
+    stories = list(state.stories)
+    stories[story - 1] = alarm
+    return replace(state, stories=tuple(stories))
+
+
+def _unshelved(alarm: StoryState, t_ns: int) -> StoryState:
+    return replace(alarm, shelved=None) if alarm.shelved is not None and t_ns >= alarm.shelved.until_ns else alarm
+
+
+@lru_cache(maxsize=8)
+def _advisory_only(settings: AlarmSettings) -> AlarmSettings:
+    """For the structure as a whole: the cause is open, so it is never more than an advisory."""
+    return settings.model_copy(update={"confirm_s": np.inf, "min_loss": settings.uniform_loss})
+
+
+def _judge(alarm: StoryState, loss: float, z: float, std: float, t_ns: int, settings: AlarmSettings) -> StoryState:
+    active = alarm.level is not Level.NORMAL
+    band = settings.deadband if active else 0.0
+    slack = band * std
+    if z >= settings.significance - band and loss >= settings.min_loss - slack:
+        since = t_ns if alarm.since_ns is None else min(alarm.since_ns, t_ns)  # the clock may have been set back
+        if t_ns - since < settings.confirm_s * 1e9 and alarm.level.rank < Level.WARNING.rank:
+            level = Level.ADVISORY
+        else:
+            least = settings.alarm_loss - (slack if alarm.level is Level.ALARM else 0.0)
+            level = Level.ALARM if loss >= least else Level.WARNING
+        latched = max(alarm.latched, level, key=lambda x: x.rank) if settings.latching else alarm.latched
+        risen = level.rank > alarm.level.rank
+        return replace(
+            alarm,
+            level=level,
+            since_ns=since,
+            quiet_since_ns=None,
+            latched=latched,
+            unacknowledged=alarm.unacknowledged or risen,
+            acknowledged_by="" if risen else alarm.acknowledged_by,
+        )
+    if not active:
+        return alarm
+    quiet = t_ns if alarm.quiet_since_ns is None else min(alarm.quiet_since_ns, t_ns)
+    if t_ns - quiet < settings.clear_s * 1e9:
+        return replace(alarm, since_ns=None, quiet_since_ns=quiet)
+    return replace(alarm, level=Level.NORMAL, since_ns=None, quiet_since_ns=None)
+
+
+def _summarize(stories: tuple[StoryState, ...], lost: dict[int, str], otherwise: str) -> Alarm:
+    alarms = dict(zip([*range(1, len(stories)), WHOLE], stories, strict=True))
+    active: dict[int, Level] = {j: a.announced for j, a in alarms.items() if a.announced is not Level.NORMAL}
+    conditions: dict[int, AlarmCondition] = {
+        j: a.condition for j, a in alarms.items() if a.condition is not AlarmCondition.NORMAL
+    }
+    level = max(active.values(), key=lambda item: item.rank, default=Level.NORMAL)
+    highest = [j for j, item in active.items() if item is level]
+    words = [lost[j] for j in highest if j in lost] or [otherwise or "no significant loss"]
+    if highest and WHOLE not in highest and otherwise and lost:
+        words.append(otherwise)
+    if level is Level.ADVISORY and highest != [WHOLE]:
+        words.append("not confirmed yet")
+    words += [f"{_name(j)} shelved: {a.shelved.reason}" for j, a in alarms.items() if a.shelved is not None]
+    return Alarm(level, tuple(j for j in highest if j != WHOLE), ", ".join(words), active, conditions)
+
+
+def _name(story: int) -> str:
+    return f"story {story}" if story != WHOLE else "the whole structure"

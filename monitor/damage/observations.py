@@ -1,0 +1,32 @@
+"""The mean of many windows' modes, with its covariance."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from monitor.core.results import Array, ModalEstimate
+from monitor.damage.updating import Observation, UpdatingSettings, observe
+
+
+def mean_observation(windows: list[ModalEstimate], settings: UpdatingSettings) -> Observation:
+    """Mean over windows, with the influence of every stretch of data that they share."""
+    gauges = observe(windows[0], settings).gauges
+    observations = [observe(m, settings, gauges if settings.use_shapes else None) for m in windows]
+    influence: dict[tuple[bool, int], Array] = {}
+    for m, o in zip(windows, observations, strict=True):
+        for b, row in enumerate(o.deviations):
+            place = (m.refined, m.first + b)
+            influence[place] = influence.get(place, 0.0) + row / len(windows)
+    deviations = np.array(list(influence.values()))
+    last = observations[-1]
+    # The mean weighs its components as a window does, and as heavily as the scatter of the data says.
+    shape_of_weight = np.mean([o.weight for o in observations], axis=0)
+    shrink = np.mean((deviations**2).sum(axis=0) * np.diag(shape_of_weight)) if len(windows) > 1 else 1.0
+    return Observation(
+        z=np.mean([o.z for o in observations], axis=0),
+        weight=shape_of_weight / shrink,
+        deviations=deviations,
+        model_mode=last.model_mode,
+        gauges=gauges,
+        log=last.log,
+    )

@@ -1,0 +1,42 @@
+"""Derivatives of a model's modes by its parameters (eqs 18-20)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from monitor.core.results import Array
+from monitor.model.model import Modes
+
+
+def fox_kapoor(modes: Modes, d_k: Array, d_m: Array | None = None) -> tuple[Array, Array]:
+    """Derivatives of eigenvalues (eq. 20) and mode shapes (eq. 19, expanded in the modes).
+
+    Parameters
+    ----------
+    d_k, d_m : ndarray, shape (p, n, n)
+        Without `d_m` masses stay as they are.
+
+    Returns
+    -------
+    d_lambda : ndarray, shape (n, p)
+    d_shapes : ndarray, shape (n, n, p)
+        ``d_shapes[i]`` is the derivative of mode i, floors by parameters, at unit modal mass.
+
+    References
+    ----------
+    R. L. Fox, M. P. Kapoor, Rates of change of eigenvalues and eigenvectors, AIAA Journal 6 (1968) 2426-2429.
+    """
+    phi, lam = modes.shapes, modes.eigenvalues
+    mixed, diagonal = phi.T @ d_k @ phi, np.arange(lam.size)
+    own: Array | float = 0.0
+    if d_m is not None:
+        m_modal = phi.T @ d_m @ phi
+        mixed -= lam * m_modal
+        own = -0.5 * m_modal[:, diagonal, diagonal]
+    d_lambda = mixed[:, diagonal, diagonal].T
+    apart = lam[None, :] - lam[:, None]  # lambda_i - lambda_r at (r, i)
+    # Modes that coincide may mix at will; their mixing is left out.
+    apart[np.abs(apart) < 1e-9 * lam] = np.inf
+    coefficients = mixed / apart
+    coefficients[:, diagonal, diagonal] = own
+    return d_lambda, (phi @ coefficients).transpose(2, 1, 0)

@@ -1,0 +1,418 @@
+"""Iterative model updating by penalty functions (paper, section 3, eqs 18-33).
+
+The measured vector z holds, for each mode, its eigenvalue (or the eigenvalue's logarithm) and, if wanted, the
+components of its shape relative to a gauge component.  Parameters are story stiffnesses and, for a baseline, floor
+masses.  Directions of theta that the data do not see are held by the prior, and said.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+from scipy.linalg import lapack
+from scipy.optimize import linear_sum_assignment
+
+from monitor.core.results import Array, ComplexArray, ModalEstimate
+from monitor.core.settings import Settings
+from monitor.damage.sensitivity import fox_kapoor
+from monitor.model.model import Model, Modes
+
+UNSEEN = 0.7
+"""A parameter, or a direction, is not identified when the data leave more than this share of its prior deviation."""
+_LOWEST = 1e-9
+"""Eigenvalues are kept above this share of the highest: a step may leave a structure that would not stand."""
+_STILL = 1e-6
+"""A channel at which a shape has less than this share of its largest component cannot be its gauge."""
+_LEAST_PIVOT = 1e-9
+"""Of normal equations with a diagonal of one: below, they are as good as singular."""
+_LOYALTY = 0.5
+"""Modes are taken in another order than that of their frequencies when each is more alike so by more than this on average;
+a mode that was matched at all (`poles.SelectionSettings.min_model_mac`) so never leaves a model that has them in order."""
+
+Penalty = Literal["least_squares", "weighted", "step", "initial", "minimum_norm"]
+
+
+class UpdatingSettings(Settings):
+    """How stiffness follows from modes."""
+
+    penalty: Penalty = "weighted"
+    """least_squares: eqs 22-24; weighted: 25-27; step: 28-30; initial: 31-33; minimum_norm: 21."""
+    use_shapes: bool = True
+    """Use mode shapes besides frequencies; without them, as the paper, the fit loses most of the information."""
+    eigenvalue: Literal["log", "linear"] = "log"
+    """Compare eigenvalues by their logarithms (changes cancel a scale error of the masses) or as the paper does."""
+    parameter_std: float = Field(default=0.2, gt=0)
+    """Relative standard deviation for W_theta where no prior is given; the service gives the ranges of the structure file."""
+    max_iterations: int = Field(default=50, ge=1)
+    """Without convergence by then a window is skipped."""
+    tolerance: float = Field(default=1e-7, gt=0)
+    """Converged when no parameter moves by more than this fraction."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Observation:
+    """The measured vector z_m of eq. 27 and what it is made of."""
+
+    z: Array
+    """Shape (n_data,): eigenvalues (or logarithms), then shape components mode by mode."""
+    weight: Array
+    """Shape (n_data, n_data): W of eq. 27, the inverse of a covariance or of its diagonal."""
+    deviations: Array
+    """Shape (n_blocks, n_data): influences whose squares sum to the covariance of z."""
+    model_mode: tuple[int, ...]
+    """Which modes of the model (0 = lowest) these are, before an update reorders them (`counterparts`)."""
+    gauges: tuple[int, ...]
+    """Channel whose shape component is 1, for each mode; empty when shapes are not used."""
+    log: bool
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Update:
+    """Outcome of the iteration; not having converged is a value, not an error."""
+
+    model: Model
+    parameters: Array
+    """Shape (n_parameters,)."""
+    gain: Array
+    """Shape (n_parameters, n_data): d parameters / d z at the solution."""
+    sensitivity: Array
+    """Shape (n_data, n_parameters): S at the solution."""
+    residual: Array
+    """Shape (n_data,): z_m - z."""
+    converged: bool
+    iterations: int
+    """0 where a mode does not move at its gauge, or cannot be computed: then nothing is learned and the model stays."""
+    history: Array
+    """Shape (iterations + 1, n_parameters), the initial values first."""
+    identifiable: Array
+    """Shape (n_parameters,): share of each parameter's prior variance that the data take away, 0 to 1."""
+    unseen: Array
+    """Shape (n_unseen, n_parameters): directions of relative change, of length 1, that the data do not see (`UNSEEN`)."""
+    prior_left: Array
+    """Shape (n_parameters, n_parameters): the part of the prior's covariance that the gain leaves in the parameters."""
+
+
+def observe(modes: ModalEstimate, settings: UpdatingSettings, gauges: tuple[int, ...] | None = None) -> Observation:
+    """z_m with its variances from identified modes.
+
+    Parameters
+    ----------
+    gauges : tuple of int, optional
+        Channel to scale each shape by; by default the largest component.  A change since a baseline needs the
+        baseline's.
+    """
+    log = settings.eigenvalue == "log"
+    omega_squared = (2.0 * np.pi * modes.frequencies_hz) ** 2
+    if not settings.use_shapes:
+        gauges = ()
+    elif gauges is None:
+        gauges = tuple(int(g) for g in np.abs(modes.shapes).argmax(axis=1))
+    z = [np.log(omega_squared) if log else omega_squared]
+    if gauges:
+        told, at_gauge = _told(modes.shapes, gauges)
+        z.append((modes.shapes / at_gauge[:, None]).real[told])
+    scale = np.full(omega_squared.shape, 2.0) if log else 2.0 * omega_squared
+    deviations = _carried(modes, modes.deviations, scale, gauges)
+    if modes.weight_factor is None:
+        weight = np.diag(1.0 / (deviations**2).sum(axis=0))
+    else:
+        factor = _carried(modes, modes.weight_factor, scale, gauges)
+        weight = np.linalg.inv(factor.T @ factor)
+    model_mode = tuple(int(i) for i in modes.model_mode)
+    return Observation(np.concatenate(z), weight, deviations, model_mode, gauges, log)
+
+
+def _carried(modes: ModalEstimate, rows: Array, scale: Array, gauges: tuple[int, ...]) -> Array:
+    """What rows of (ln f, damping, Re shape, Im shape) do to z, shape (n_rows, n_data)."""
+    c = modes.shapes.shape[1]
+    parts = [rows[:, :, 0] * scale]
+    if gauges:
+        told, at_gauge = _told(modes.shapes, gauges)
+        d_shapes = rows[:, :, 2 : 2 + c] + 1j * rows[:, :, 2 + c :]
+        shapes = modes.shapes / at_gauge[:, None]
+        d_ratio = (d_shapes - shapes * d_shapes[:, ~told][:, :, None]) / at_gauge[:, None]
+        parts.append(d_ratio.real[:, told])
+    return np.concatenate(parts, axis=1)
+
+
+def _told(shapes: Array | ComplexArray, gauges: tuple[int, ...]) -> tuple[NDArray[np.bool_], Any]:
+    """Which components of shapes, shape (m, c), stand in z: all but the gauges'; and these, shape (m,)."""
+    told, gauge = _beside(shapes.shape[1], gauges)
+    return told, shapes[gauge]
+
+
+@lru_cache(maxsize=64)
+def _beside(n_channels: int, gauges: tuple[int, ...]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Which components of each shape are not its gauge, and which are, shape (m, c)."""
+    told = np.arange(n_channels) != np.array(gauges)[:, None]
+    return told, ~told
+
+
+def counterparts(modes: Modes, sensors: Array, observation: Observation) -> tuple[int, ...]:
+    """Which of a model's modes the observed ones are, in their order: by frequency, and where a change has brought modes
+    into another order, by shape.
+
+    Parameters
+    ----------
+    modes : Modes
+        Of a model under change: in time its modes are those of `observation.model_mode`, by rank.
+    sensors : ndarray, shape (c, n)
+        Picks the sensors out of the floors.
+    """
+    by_rank, seen = _ranked(observation, len(sensors))
+    if not observation.gauges:
+        return tuple(by_rank.tolist())
+    shapes = sensors @ modes.shapes
+    power = (shapes**2).sum(axis=0)
+    power = np.maximum(power, 1e-6 * power.max())  # what no sensor sees is like nothing
+    likeness = (seen @ shapes) ** 2 / power
+    likeness[np.arange(by_rank.size), by_rank] += _LOYALTY
+    return tuple(linear_sum_assignment(likeness, maximize=True)[1].tolist())
+
+
+@lru_cache(maxsize=8)
+def _ranked(observation: Observation, n_channels: int) -> tuple[NDArray[np.intp], Array]:
+    """The model's modes by rank of the observed frequencies, shape (m,), and the observed shapes of unit norm, shape (m, c)."""
+    m = len(observation.model_mode)
+    by_rank = np.empty(m, dtype=np.intp)
+    by_rank[observation.z[:m].argsort(kind="stable")] = sorted(observation.model_mode)
+    seen = np.ones((m, n_channels))
+    if observation.gauges:
+        seen[_beside(n_channels, observation.gauges)[0]] = observation.z[m:]
+    return by_rank, seen / np.sqrt((seen**2).sum(axis=1, keepdims=True))
+
+
+def predict(model: Model, sensors: Array, observation: Observation, with_masses: bool) -> tuple[Array, Array]:
+    """The model's z and its sensitivity S = dz / d theta (eqs 18-20), its modes by rank.
+
+    Parameters
+    ----------
+    sensors : ndarray, shape (c, n)
+        Picks the sensors out of the floors.
+
+    Returns
+    -------
+    z : ndarray, shape (n_data,)
+    sensitivity : ndarray, shape (n_data, n_parameters)
+        Parameters are the stiffnesses, then the masses if `with_masses`.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If the model has no modes, or one of them does not move at its gauge.
+    """
+    return _predicted(_sensitive_modes(model, with_masses), sensors, observation)
+
+
+def _sensitive_modes(model: Model, with_masses: bool) -> tuple[Modes, Array, Array]:
+    """A model's modes and their derivatives by the parameters."""
+    modes = model.modes()
+    return modes, *fox_kapoor(modes, *_matrix_derivatives(model, with_masses))
+
+
+_starting_modes = lru_cache(maxsize=4)(_sensitive_modes)
+"""Of models that updates start from: every window's starts from the baseline's."""
+
+
+def _recognized(found: tuple[Modes, Array, Array], sensors: Array, observation: Observation) -> tuple[Array, Array]:
+    """As `predict`, of those modes that are the observed ones."""
+    own = counterparts(found[0], sensors, observation)
+    if own != observation.model_mode:
+        observation = replace(observation, model_mode=own)
+    return _predicted(found, sensors, observation)
+
+
+def _predicted(found: tuple[Modes, Array, Array], sensors: Array, observation: Observation) -> tuple[Array, Array]:
+    modes, d_lambda, d_shapes = found
+    used = list(observation.model_mode)
+    lam = np.maximum(modes.eigenvalues, _LOWEST * modes.eigenvalues[-1])[used]
+    z = [np.log(lam) if observation.log else lam]
+    rows = [d_lambda[used] / lam[:, None] if observation.log else d_lambda[used]]
+    if observation.gauges:
+        shapes, d_at_sensors = (sensors @ modes.shapes[:, used]).T, sensors @ d_shapes[used]
+        told, at_gauge = _told(shapes, observation.gauges)
+        if (np.abs(at_gauge) <= _STILL * np.abs(shapes).max(axis=1)).any():
+            raise np.linalg.LinAlgError("a mode does not move at its gauge")
+        ratio = shapes / at_gauge[:, None]
+        d_ratio = (d_at_sensors - ratio[:, :, None] * d_at_sensors[~told][:, None]) / at_gauge[:, None, None]
+        z.append(ratio[told])
+        rows.append(d_ratio[told])
+    return np.concatenate(z), np.concatenate(rows)
+
+
+def update(
+    model: Model,
+    sensors: Array,
+    observation: Observation,
+    settings: UpdatingSettings,
+    *,
+    prior_std: Array | None = None,
+    with_masses: bool = False,
+) -> Update:
+    """Iterate eq. 23, 27, 30 or 33 from the model's present parameters.
+
+    Parameters
+    ----------
+    prior_std : ndarray, shape (n_parameters,), optional
+        Relative standard deviations for W_theta; by default `settings.parameter_std` for all.  With them, penalty
+        ``weighted`` turns into ``initial`` where the data leave a direction unseen, which nothing else would hold.
+    with_masses : bool
+        Update the floor masses too; their scale is held by the prior alone, so this wants penalty ``initial``.
+    """
+    structure = model.structure
+    initial = np.concatenate([structure.stiffness_n_per_m, structure.masses_kg][: 2 if with_masses else 1])
+    relative = np.full(initial.size, settings.parameter_std) if prior_std is None else prior_std
+    try:
+        return _iterated(model, sensors, observation, settings, initial, relative, prior_std is not None, with_masses)
+    except np.linalg.LinAlgError:
+        nothing = np.zeros((initial.size, observation.z.size))
+        return Update(
+            model=model,
+            parameters=initial,
+            gain=nothing,
+            sensitivity=nothing.T,
+            residual=np.zeros(observation.z.size),
+            converged=False,
+            iterations=0,
+            history=initial[None],
+            identifiable=np.zeros(initial.size),
+            unseen=np.eye(initial.size),
+            prior_left=np.diag((relative * initial) ** 2),
+        )
+
+
+def _iterated(
+    model: Model,
+    sensors: Array,
+    observation: Observation,
+    settings: UpdatingSettings,
+    initial: Array,
+    relative: Array,
+    holds: bool,
+    with_masses: bool,
+) -> Update:
+    """`update` from parameters `initial`; the prior deviations `relative` hold what is unseen, if they may (`holds`).
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        As `predict`, or on the way.
+    """
+    theta, history = initial.copy(), [initial]
+    w_theta = 1.0 / (relative * initial) ** 2
+    converged, penalty = False, settings.penalty
+    z, sensitivity = _recognized(_starting_modes(model, with_masses), sensors, observation)
+    if penalty == "weighted" and holds:
+        least = np.linalg.eigvalsh(_information(sensitivity, observation.weight, initial, relative))[0]
+        penalty = "initial" if 1.0 / np.sqrt(1.0 + max(least, 0.0)) > UNSEEN else penalty
+
+    def objective(z: Array, where: Array) -> float:
+        """J of eqs 25 and 31."""
+        error, pull = observation.z - z, where - initial
+        held = float(pull @ (w_theta * pull)) if penalty == "initial" else 0.0
+        return float(error @ observation.weight @ error) + held
+
+    # With as many parameters as data there is nothing to trade, and the plain iteration is the paper's.
+    overdetermined = observation.z.size > theta.size or penalty == "initial"
+    for _ in range(settings.max_iterations):
+        gain = _gain(sensitivity, observation.weight, w_theta, penalty)
+        step = gain @ (observation.z - z)
+        if penalty == "initial":  # eq. 33 pulls towards the initial values, eq. 30 only brakes the step
+            step -= _prior_pull(sensitivity, observation.weight, w_theta) @ (theta - initial)
+        # A step that would make a stiffness negative is shortened: half way to zero at most.
+        step /= max(1.0, float(np.max(-2.0 * step / theta)))
+        if np.abs(step / theta).max() < settings.tolerance:  # so little is linear
+            converged, theta, z = True, theta + step, z + sensitivity @ step
+            model = _with_parameters(model, theta, with_masses)
+            history.append(theta)
+            break
+        now, shortened = objective(z, theta), 0
+        while True:
+            model = _with_parameters(model, theta + step, with_masses)
+            z, sensitivity = _recognized(_sensitive_modes(model, with_masses), sensors, observation)
+            better = objective(z, theta + step) <= now
+            if better or not overdetermined or shortened == 6:
+                break
+            step, shortened = 0.5 * step, shortened + 1  # the linearized step overshot: the model's form is wrong
+        theta = theta + step
+        history.append(theta)
+    gain = _gain(sensitivity, observation.weight, w_theta, penalty)
+    identifiable, unseen = _seen(sensitivity, observation.weight, initial, relative)
+    left = (np.eye(theta.size) - gain @ sensitivity) * (relative * initial)
+    return Update(
+        model=model,
+        parameters=theta,
+        gain=gain,
+        sensitivity=sensitivity,
+        residual=observation.z - z,
+        converged=converged,
+        iterations=len(history) - 1,
+        history=np.array(history),
+        identifiable=identifiable,
+        unseen=unseen,
+        prior_left=left @ left.T,
+    )
+
+
+def _information(sensitivity: Array, weight: Array, initial: Array, relative: Array) -> Array:
+    """What the data say, with parameters in units of their prior deviations: the prior says one in every direction."""
+    scaled = sensitivity * (relative * initial)
+    return np.asarray(scaled.T @ weight @ scaled)
+
+
+def _seen(sensitivity: Array, weight: Array, initial: Array, relative: Array) -> tuple[Array, Array]:
+    """`Update.identifiable` and `Update.unseen`: what the data's information adds to the prior's.
+
+    The data's information has eigenvalues g along its eigenvectors; the posterior variance is 1 / (1 + g) of the prior's.
+    """
+    g, directions = np.linalg.eigh(_information(sensitivity, weight, initial, relative))
+    share = 1.0 / (1.0 + np.maximum(g, 0.0))
+    unseen = (directions[:, np.sqrt(share) > UNSEEN] * relative[:, None]).T
+    return 1.0 - directions**2 @ share, unseen / np.linalg.norm(unseen, axis=1, keepdims=True)
+
+
+def _gain(sensitivity: Array, weight: Array, w_theta: Array, penalty: Penalty) -> Array:
+    """The matrix that turns z_m - z into a step of theta."""
+    if penalty in ("least_squares", "minimum_norm"):
+        return np.asarray(np.linalg.pinv(sensitivity))  # eq. 23; with too few data, the shortest step (eq. 21)
+    weighted = sensitivity.T @ weight
+    normal = weighted @ sensitivity
+    if penalty in ("step", "initial"):
+        normal = normal + np.diag(w_theta)
+    return _solve_scaled(normal, weighted)
+
+
+def _prior_pull(sensitivity: Array, weight: Array, w_theta: Array) -> Array:
+    return _solve_scaled(sensitivity.T @ weight @ sensitivity + np.diag(w_theta), np.diag(w_theta))
+
+
+def _solve_scaled(normal: Array, right: Array) -> Array:
+    """Solve the normal equations after scaling their diagonal to one (stiffness and mass differ by 1e4).
+
+    By Cholesky where every pivot counts, else by the shortest least-squares solution.
+    """
+    scale = 1.0 / np.sqrt(normal.diagonal())
+    scaled, wanted = normal * scale[:, None] * scale, scale[:, None] * right
+    factor, solution, failed = lapack.dposv(scaled, wanted)
+    if failed or factor.diagonal().min() ** 2 < _LEAST_PIVOT:
+        solution = np.linalg.lstsq(scaled, wanted, rcond=1e-13)[0]
+    return np.asarray(scale[:, None] * solution)
+
+
+def _matrix_derivatives(model: Model, with_masses: bool) -> tuple[Array, Array | None]:
+    d_k = model.stiffness_derivatives()
+    if not with_masses:
+        return d_k, None
+    d_m = model.structure.mass_derivatives()
+    return np.concatenate([d_k, np.zeros_like(d_m)]), np.concatenate([np.zeros_like(d_k), d_m])
+
+
+def _with_parameters(model: Model, theta: Array, with_masses: bool) -> Model:
+    p = model.structure.n_stories
+    updated = model.with_stiffness(theta[:p])
+    return updated.with_masses(theta[p:]) if with_masses else updated

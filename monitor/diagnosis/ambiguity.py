@@ -1,0 +1,42 @@
+"""Candidates that data cannot tell apart, though one of them fits best."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from monitor.core.results import Array
+from monitor.diagnosis.score_test import change
+from monitor.diagnosis.simulation_refit import Polished
+from monitor.inference.map_estimate import Fit
+from monitor.inference.posterior import Problem
+
+_TIED = 1.0
+"""Nats between two predictions that are one and the same."""
+
+
+def together(tried: list[Polished], rival: float) -> list[Polished]:
+    """Those against which the log odds of the best are below `rival` nats, best first."""
+    tried = sorted(tried, key=lambda p: -p.candidate.evidence)
+    return [p for p, odds in zip(tried, _log_odds(tried), strict=True) if odds > -rival]
+
+
+def probabilities(close: list[Polished]) -> Array:
+    """Of candidates against each other, the first being the best, shape (n,)."""
+    odds = np.exp(_log_odds(close))
+    return np.asarray(odds / odds.sum())
+
+
+def _log_odds(ordered: list[Polished]) -> Array:
+    """Of candidates against the first, the best, shape (n,): the more chance there is in the evidence, the nearer to even
+    (D. MacKay, Neural Computation 4 (1992) 720).
+    """
+    best = ordered[0]
+    apart = np.array([p.candidate.evidence - best.candidate.evidence for p in ordered])
+    chance = np.array([np.hypot(p.chance, best.chance) for p in ordered])
+    return np.asarray(apart / np.sqrt(1.0 + np.pi / 8.0 * chance**2))
+
+
+def same(problem: Problem, one: Fit, other: Fit) -> bool:
+    """Whether two fits predict spectra that these data cannot tell apart, whatever else is added."""
+    apart = change(problem, problem.predict(one.x, one.effects), problem.predict(other.x, other.effects))
+    return bool(0.5 * float(apart @ apart) < _TIED)

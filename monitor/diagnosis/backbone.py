@@ -1,0 +1,129 @@
+"""What a measured ground tells of a frame in plain terms: its modes' ratios, and how its first mode follows the level."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from monitor.core.results import Array, ComplexArray
+from monitor.diagnosis.lack_of_fit import Misfit
+from monitor.inference.map_estimate import Fit
+from monitor.inference.posterior import Problem, placed
+
+_NEAR = 0.6, 1.6
+"""Frequencies of the first mode's equation, over the first frequency."""
+_CLEAR = 0.1
+"""Share of a segment's power near the mode that its equation may leave."""
+_FEWEST = 6
+_MEDIAN = 1.4826 * 1.2533
+"""Standard deviation of a normal sample's median times the root of its size, over the median deviation."""
+_TELLING, _CERTAIN = 0.004, 6.0
+"""Relative change of a frequency or of a ratio that is worth a word, and standard deviations that it must have."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Backbone:
+    """The first frequency of every segment that shows it clearly, by the level of its motion."""
+
+    amplitude_m: Array
+    """Peak displacement of the top floor in the first mode relative to the ground, sqrt(2) x RMS, shape (n,), ascending."""
+    hz: Array
+    """Measured, shape (n,)."""
+    model_hz: Array
+    """The same of the model's response, shape (n,)."""
+
+
+def backbone(problem: Problem, at: Fit) -> Backbone | None:
+    """Frequency of the first mode in every segment; None where too few show it, or no ground was measured.
+
+    In each, ``y + 2 zeta w y' + w^2 y = -gamma g`` is solved by least squares in the frequency domain for the floors' motion
+    relative to the ground in the first mode.
+    """
+    e, mean = problem.evidence, problem.mean(at.x, at.effects)
+    if e.drive is None or mean is None:
+        return None
+    effects = (*problem.reference.effects(at.x), *at.effects)
+    mass, shape = problem.system(at.x, effects).mass, problem.model(at.x, effects).modes().shapes[:, 0].real
+    first = float(problem.model(at.x, effects).modes().frequencies_hz[0])
+    sensors = problem.context.sensors
+    # Channels to the first mode's coordinate, which is the top floor's motion in it.
+    to_mode = np.linalg.pinv(sensors).T @ mass @ shape * shape[0]
+    near = (e.band.hz > _NEAR[0] * first) & (e.band.hz < _NEAR[1] * first)
+    ground, w = e.drive.ground(e.band)[:, near], 2.0 * np.pi * e.band.hz[near]
+    steady = to_mode @ sensors.sum(axis=1)
+    rows = []
+    for measured, predicted, g in zip(e.segments.values[:, near], mean[:, near], ground, strict=True):
+        hz, amplitude, left = _solved(measured @ to_mode - steady * g, g, w)
+        model_hz, _, model_left = _solved(predicted @ to_mode - steady * g, g, w)
+        if max(left, model_left) < _CLEAR:
+            rows.append((amplitude * np.sqrt(2.0 * e.band.bin_hz), hz, model_hz))
+    if len(rows) < _FEWEST:
+        return None
+    columns = np.array(sorted(rows)).T
+    return Backbone(*columns)
+
+
+def _solved(y: ComplexArray, ground: ComplexArray, w: Array) -> tuple[float, float, float]:
+    """Frequency, root of the summed power of the displacement, and the share of power left over."""
+    a = np.column_stack([y / -(w**2), y / (1j * w), ground])
+    split, target = np.concatenate([a.real, a.imag]), -np.concatenate([y.real, y.imag])
+    x, *_ = np.linalg.lstsq(split, target, rcond=None)
+    omega = float(np.sqrt(max(x[0], 0.0)))
+    left = float(((split @ x - target) ** 2).sum() / (target**2).sum())
+    size = float(np.sqrt(2.0 * (np.abs(y / w**2) ** 2).sum()))
+    return omega / (2.0 * np.pi), size, left
+
+
+def level_dependence(found: Backbone | None) -> Misfit | None:
+    """How the first mode follows the level; None where it does no more than the model's."""
+    if found is None:
+        return None
+    third = max(2, found.hz.size // 3)
+    low, high = slice(0, third), slice(-third, None)
+    apart = found.hz - found.model_hz
+    change = float(np.median(apart[high]) - np.median(apart[low]))
+    # Medians and their scatter: a segment in which a strong motion begins or ends tells its frequency badly.
+    std = float(np.hypot(*[_MEDIAN * np.median(np.abs(x - np.median(x))) for x in (apart[low], apart[high])]))
+    std = std / np.sqrt(third) + 1e-9
+    if abs(change) < _TELLING * found.hz.mean() or abs(change) < _CERTAIN * std:
+        return None
+    ends = [[float(np.median(x[s])) for x in (found.amplitude_m, found.hz, found.model_hz)] for s in (low, high)]
+    (a, f, m), (b, g, n) = ends
+    says = (
+        f"the first mode {'falls' if g < f else 'rises'} with the level, from {f:.2f} Hz at {1e3 * a:.2g} mm of the top "
+        f"floor to {g:.2f} Hz at {1e3 * b:.2g} mm; in the model from {m:.2f} to {n:.2f} Hz"
+    )
+    return Misfit(f"f = {min(found.hz):.1f}-{max(found.hz):.1f} Hz, first mode", abs(change) / std, says)
+
+
+def ratios(problem: Problem, at: Fit) -> Misfit | None:
+    """Frequency ratios that the drawing does not have; None where the fitted model keeps them, or no ground was measured."""
+    if problem.evidence.drive is None or not at.effects:
+        return None
+    drawn = problem.reference.model.modes().frequencies_hz
+    found = problem.model(at.x, (*problem.reference.effects(at.x), *at.effects)).modes().frequencies_hz[: drawn.size]
+    had, has = drawn[1:] / drawn[0], found[1:] / found[0]
+    apart = has / had - 1.0
+    std = np.sqrt(np.maximum(_ratio_variance(problem, at, has), 1e-18)) / had
+    if np.max(np.abs(apart) / std) < _CERTAIN or np.abs(apart).max() < 5.0 * _TELLING:
+        return None
+    told = [" and ".join(f"f{i}/f1 {r:.2f}" for i, r in enumerate(x, start=2)) for x in (has, had)]
+    where = f"f = {found[0]:.1f}-{found[-1]:.1f} Hz, all modes"
+    return Misfit(
+        where,
+        float(np.max(np.abs(apart) / std)),
+        f"frequency ratios: {told[0]} explain the response, the drawing has {told[1]}",
+    )
+
+
+def _ratio_variance(problem: Problem, at: Fit, here: Array) -> Array:
+    """Variance of the frequency ratios, by their slopes."""
+    slopes = np.zeros((here.size, at.x.size))
+    for i in range(at.x.size):
+        moved, h = at.x.copy(), 1e-5 * max(1.0, abs(at.x[i]))
+        moved[i] += h
+        effects = (*problem.reference.effects(moved), *placed(at.effects, moved[problem.n_nuisance :]))
+        f = problem.model(moved, effects).modes().frequencies_hz[: here.size + 1]
+        slopes[:, i] = (f[1:] / f[0] - here) / h
+    return np.asarray(np.einsum("ij,jk,ik->i", slopes, at.covariance, slopes))

@@ -1,0 +1,210 @@
+"""What a diagnosis leaves behind: diagnosis.json, and the structure file with what was learned (docs/diagnosis.md)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import tomlkit
+from tomlkit.items import AoT
+
+from monitor.core.results import Array
+from monitor.diagnosis.cross_validation import Gain
+from monitor.diagnosis.score_test import Candidate
+from monitor.diagnosis.stepwise_selection import Diagnosis
+from monitor.diagnosis.wording import contradicted, headline, in_words, separating_measurement
+from monitor.model.effects import FORMS, Effect
+from monitor.model.model import Model
+from monitor.model.prior import Reference
+from monitor.model.structures import MatrixStructure
+
+_MOST = 1e300
+"""Stands for "not determined": JSON has no infinity."""
+
+
+def content(diagnosis: Diagnosis, gain: Gain, known: Iterable[Effect], ddi_effect: Mapping[str, Any]) -> dict[str, Any]:
+    """The content of diagnosis.json.
+
+    Parameters
+    ----------
+    known : iterable of Effect
+        What the structure file itself states: no finding of the calibration.
+    ddi_effect : mapping
+        See `monitor.diagnosis.damage_index_effect`.
+    """
+    reference = diagnosis.problem.reference
+    causes = [_cause(c.effect, c.std, reference) for c in diagnosis.causes]
+    alternatives = [_alternative(c, share) for c, share in diagnosis.alternatives]
+    stated = {(e.name, e.location) for e in known}
+    out: dict[str, Any] = {
+        "verdict": diagnosis.verdict,
+        "cause": causes[0] if diagnosis.verdict == "named" else None,
+        "causes": causes,
+        "alternatives": alternatives,
+        "separating_measurement": separating_measurement(alternatives),
+        "misfit": [{"where": m.where, "size": _finite(m.size), "says": m.says} for m in diagnosis.misfit],
+        "gain": _gain(gain),
+        "standing": [c for c in _standing(reference) if (c["effect"], c["location"]) not in stated],
+        "standing_misfit": _standing_misfit(reference),
+        "tried": [
+            {"effect": c.effect.name, "location": c.effect.location, "log_evidence_over_none": _finite(c.evidence)}
+            for c in diagnosis.tried
+        ],
+        "left_over": [{"where": m.where, "size": _finite(m.size), "says": m.says} for m in diagnosis.left_over],
+        "ddi_effect": dict(ddi_effect),
+    }
+    return {**out, "says": headline(diagnosis, out)}
+
+
+def _cause(effect: Effect, std: Mapping[str, float], reference: Reference) -> dict[str, Any]:
+    sizes = {name: {"value": _finite(v), "std": _finite(std[name])} for name, v in effect.values().items()}
+    says = in_words(effect.name, effect.location, sizes, reference)
+    return {"effect": effect.name, "location": effect.location, "parameters": sizes, "says": says}
+
+
+def _alternative(candidate: Candidate, probability: float) -> dict[str, Any]:
+    effect = candidate.effect
+    n = len(effect.parameters)
+    last = np.diag(candidate.fit.covariance)[candidate.fit.x.size - n :]
+    sizes = _sizes(effect, np.sqrt(np.maximum(last, 0.0)))
+    return {"effect": effect.name, "location": effect.location, "probability": probability, "parameters": sizes}
+
+
+def _standing(reference: Reference) -> list[dict[str, Any]]:
+    """The causes that calibration found, with what the healthy data say of their sizes."""
+    # In units of their own: a law's size in N/m^3 is known to so few parts in 1e24 that it would pass for nothing.
+    unit = np.maximum(np.diag(reference.precision), 1e-300) ** -0.5
+    variance = unit**2 * np.diag(np.linalg.pinv(reference.precision * np.outer(unit, unit), hermitian=True))
+    first, out = reference.mean.size - reference.n_standing, []
+    for effect in reference.effects(reference.mean):
+        n = len(effect.parameters)
+        sizes = _sizes(effect, np.hypot(np.sqrt(np.maximum(variance[first : first + n], 0.0)), effect.form_std))
+        out.append(_cause(effect, {name: size["std"] for name, size in sizes.items()}, reference))
+        first += n
+    return out
+
+
+def _standing_misfit(reference: Reference) -> dict[str, Any] | None:
+    """What calibration left unexplained."""
+    error = reference.error
+    return None if error is None else {"bands_hz": error.doubtful_hz(), "says": contradicted(error)}
+
+
+def _sizes(effect: Effect, deviation: Array) -> dict[str, dict[str, float]]:
+    """Parameters with standard deviations from those of their coordinates."""
+    out = {}
+    for p, d in zip(effect.parameters, deviation.tolist(), strict=True):
+        value = float(getattr(effect, p.name))
+        slope = {"linear": 1.0, "log": abs(value), "inverse": value**2}[p.scale]
+        out[p.name] = {"value": _finite(value), "std": _finite(d * slope)}
+    return out
+
+
+def _finite(value: float) -> float:
+    return float(np.clip(np.nan_to_num(value, nan=_MOST), -_MOST, _MOST))
+
+
+def _gain(gain: Gain) -> dict[str, Any]:
+    score = {"before": gain.before, "after": gain.after, "gain": gain.value, "ci95": list(gain.ci95)}
+    error = {"before": gain.csd_error_before, "after": gain.csd_error_after}
+    return {"log_score_per_sample": score, "csd_error": error, "heldout": gain.heldout}
+
+
+def model_to_plain(model: Model, reference_degc: float | None) -> dict[str, Any]:
+    """A fitted model."""
+    return {
+        "stiffness_n_per_m": _plain(model.structure.stiffness_n_per_m),
+        "masses_kg": _plain(model.structure.masses_kg),
+        "modal_damping_ratio": None if model.modal_damping is None else _plain(model.modal_damping),
+        "stiffness_correction_n_per_m": None if model.correction is None else _plain(model.correction),
+        "reference_temperature_degc": reference_degc,
+        "effects": [{"effect": e.name, "location": e.location, "parameters": e.values()} for e in model.effects],
+    }
+
+
+def model_from_plain(content: Mapping[str, Any], drawn: Model) -> Model:
+    """The fitted model, on the structure file's.
+
+    Raises
+    ------
+    ValueError, KeyError, TypeError
+        If the content is no model of this structure.
+    """
+    n, p = drawn.structure.n_dofs, drawn.structure.n_stories
+
+    def array(name: str, *shape: int) -> Array | None:
+        return None if content[name] is None else np.array(content[name], dtype=float).reshape(shape)
+
+    stiffness, masses = array("stiffness_n_per_m", p), array("masses_kg", n)
+    if stiffness is None or masses is None:
+        raise ValueError("no stiffnesses or no masses")
+    return replace(
+        drawn.with_stiffness(stiffness).with_masses(masses),
+        effects=tuple(FORMS[e["effect"]].create(e["location"], e["parameters"]) for e in content["effects"]),
+        correction=array("stiffness_correction_n_per_m", n, n),
+        modal_damping=array("modal_damping_ratio", n),
+    )
+
+
+def structure_text(text: str, model: Model, reference_degc: float | None = None) -> str:
+    """A structure file with another model in it: every other table, and every comment, stay as they are.
+
+    Parameters
+    ----------
+    text : str
+        The structure file.
+    reference_degc : float, optional
+        Temperature at which the model's stiffnesses hold; written where an effect depends on it.
+    """
+    document = tomlkit.parse(text)
+    table: Any = document["structure"]
+    structure = model.structure
+    table["stiffness_n_per_m"] = _plain(structure.stiffness_n_per_m)
+    if isinstance(structure, MatrixStructure):
+        # Not by the names of files: they would be looked for beside the new file.
+        table["mass_matrix"] = _plain(structure.mass_matrix())
+        table["stiffness_matrix"] = _plain(structure.stiffness_matrix())
+        table["stiffness_derivatives"] = _plain(structure.stiffness_derivatives())
+    else:
+        table["masses_kg"] = _plain(structure.masses_kg)
+    if model.modal_damping is not None:
+        table["modal_damping_ratio"] = _plain(model.modal_damping)
+    if model.correction is not None and model.correction.any():
+        table["stiffness_correction_n_per_m"] = _plain(model.correction)
+    if reference_degc is not None and any(e.name == "temperature_stiffness" for e in model.effects):
+        table["reference_temperature_degc"] = float(f"{reference_degc:.6g}")
+    return effects_text(tomlkit.dumps(document), model.effects)
+
+
+def effects_text(text: str, effects: Iterable[Effect]) -> str:
+    """A structure file with these effects: parameters set where the file states the effect, the others added.
+
+    Of two effects of a kind at one place, which add up, each has an entry of its own.
+    """
+    document = tomlkit.parse(text)
+    listed: Any = document.get("effects")
+    if not isinstance(listed, AoT):
+        document.pop("effects", None)
+        listed = tomlkit.aot()
+    stated = list(listed)
+    for effect in effects:
+        like = [i for i, t in enumerate(stated) if (t["effect"], t["location"]) == (effect.name, effect.location)]
+        if like:
+            found = stated.pop(like[0])
+        else:
+            found = tomlkit.table()
+            found["effect"], found["location"] = effect.name, effect.location
+            listed.append(found)
+        parameters = tomlkit.inline_table()
+        parameters.update({name: float(f"{value:.10g}") for name, value in effect.values().items()})
+        found["parameters"] = parameters
+    if listed and "effects" not in document:
+        document["effects"] = listed
+    return tomlkit.dumps(document)
+
+
+def _plain(values: Array) -> Any:
+    """Numbers with ten significant digits, nested as the array is."""
+    return [_plain(v) for v in values] if values.ndim else float(f"{float(values):.10g}")

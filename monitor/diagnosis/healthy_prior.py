@@ -1,0 +1,80 @@
+"""What calibration learns of the healthy structure for later diagnoses: its model, and what that model misses from the start."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from monitor.core.results import Array
+from monitor.diagnosis.lack_of_fit import standing_error
+from monitor.diagnosis.settings import DiagnosisSettings
+from monitor.diagnosis.simulation_refit import prepared
+from monitor.inference.observed_spectra import Evidence
+from monitor.inference.posterior import Problem
+from monitor.model.effects import Context
+from monitor.model.prior import Reference, correction_basis, inverse
+
+_FIXED = 1e-4
+_CORRECTION_STD = 0.1
+_DAMPING_DRIFT = 0.05
+"""Relative change of a mode's damping that needs no cause."""
+_NOISE_DRIFT = 0.2
+"""The same of a channel's noise density over the others': what is noise about a channel may follow its motion."""
+
+
+def learn(
+    evidence: Evidence, known: Reference, context: Context, settings: DiagnosisSettings
+) -> tuple[Reference, Array]:
+    """The reference that healthy evidence makes of what was known before.
+
+    First the model form alone is fitted.  Then its stiffnesses stay, standing effects of the structure stay as well as they are
+    known, and a symmetric correction within the modes in the band, with the masses' ratios, takes up what it misses.  So every
+    direction that is left free is one that data fix, and the posterior is close to normal.  What even so contradicts the model
+    in some bands is kept, and they count less from then on.
+
+    Returns
+    -------
+    Reference
+    ndarray, shape (e,)
+        The correction, relative to the modes' stiffness.
+    """
+    _, form, _ = prepared(evidence, known, context)
+    k, m, d, c, _ = known.sizes
+    x = form.x[: known.mean.size]
+    model = known.model.with_stiffness(np.exp(x[:k])).with_masses(np.exp(x[k : k + m]))
+    n_modes = int(np.count_nonzero(model.modes().frequencies_hz < evidence.band.hz[-1]))
+    basis = correction_basis(model, n_modes)
+    standing = known.effects(x)
+    effects = np.concatenate([[], *[e.coordinates for e in standing]])
+    sizes = slice(known.mean.size - effects.size, known.mean.size)
+    # The correction could take the place of these, and their sizes drift far beside it.
+    like = [e.family == "structure" and not e.conditional for e in standing for _ in e.parameters]
+    held = np.where(like, 1.0 / np.diag(form.covariance)[sizes], 0.0)
+    mean = np.concatenate([x[: k + m + d + c], np.zeros(basis.shape[0]), effects])
+    prior = block_diag(
+        np.eye(k) / _FIXED**2,
+        known.precision[k : k + m, k : k + m]
+        + 1.0 / (m * _FIXED) ** 2,  # their common scale cannot be seen: fixed for now
+        known.precision[k + m : k + m + d + c, k + m : k + m + d + c],
+        np.eye(basis.shape[0]) / _CORRECTION_STD**2,
+        known.precision[sizes, sizes] + np.diag(held),
+    )
+    wider = replace(known, mean=mean, precision=prior, basis=basis)
+    problem, fitted, _ = prepared(evidence, wider, context)
+    p, wrong, covariance = mean.size, standing_error(problem, fitted, settings), fitted.covariance
+    if wrong is not None:
+        wider = replace(wider, error=wrong)
+        covariance = _covariance(replace(problem, reference=wider), fitted.x)
+    precision = inverse(covariance[:p, :p])
+    learnt = replace(wider, mean=fitted.x[:p], precision=0.5 * (precision + precision.T))
+    learnt = learnt.with_looser_damping(np.full(d, _DAMPING_DRIFT)).with_looser_noise(np.full(c, _NOISE_DRIFT))
+    learnt = learnt.with_unseen_scale(float(np.sqrt(np.linalg.inv(known.precision[k : k + m, k : k + m]).sum()) / m))
+    return learnt, learnt.parts(learnt.mean)[4]
+
+
+def _covariance(problem: Problem, x: Array) -> Array:
+    """Of parameters that were fitted to more than the problem now trusts, shape (p, p)."""
+    rows = problem.jacobian(x, (), problem.predict(x, ()))[0]
+    return inverse(rows.T @ rows + problem.prior(x, ())[1])

@@ -1,0 +1,132 @@
+"""A recording's problem before any cause is looked for, and what a measured ground asks of its fits."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import get_args
+
+import numpy as np
+
+from monitor.core.results import Array
+from monitor.inference.excitation_fit import told_by_quiet
+from monitor.inference.ground_response import Between
+from monitor.inference.linearization import conditions
+from monitor.inference.map_estimate import Fit, fit
+from monitor.inference.observed_spectra import Evidence
+from monitor.inference.posterior import Problem
+from monitor.model.effects import Condition, Context
+from monitor.model.prior import Reference
+
+FAR = 40
+"""Iterations of a fit on a longer way: a first one to driven motion, whose phases tell more, or to forces far from white."""
+_HEAVY, _LIGHTER, _HELD_DAMPING = 0.05, 0.015, 1e4
+"""Damping ratios at which that fit begins and goes on, and the precision that holds the former."""
+_TURNS = 4
+"""Times at most that the exact laws' slopes are taken anew."""
+ROUGHLY, LONG = 4, 15
+"""Iterations by which ways of the ground between its samples, and kinds of causes, are compared; of a fit to the end."""
+COARSE = 0.3
+"""Nats that the last step of a fit to driven motion may promise, which tells causes apart by hundreds."""
+_FORCED, _MODEL_ERROR = 1e-3, 0.5
+"""With the ground measured: power that forces cause, and error of the model, as shares of what is seen, at the start."""
+
+
+def prepare(evidence: Evidence, reference: Reference, context: Context) -> tuple[Problem, Fit]:
+    """The problem without extra effects, fitted, with the motion of every class known.
+
+    Nonlinear laws are made linear at the motion of the fitted model, so the fit is made twice where standing effects
+    need it.
+    """
+    n, c = context.structure.n_dofs, len(context.channels)
+    if evidence.drive is not None:
+        reference = reference.with_any_noise()
+    unknown = Condition(
+        np.ones(context.structure.n_stories), np.ones(context.structure.n_stories), np.ones(n), np.ones(c)
+    )
+    plain = replace(
+        reference,
+        model=replace(reference.model, effects=()),
+        mean=reference.mean[: reference.mean.size - reference.n_standing],
+    )
+    plain = replace(plain, precision=reference.precision[: plain.mean.size, : plain.mean.size])
+    problem = Problem(evidence, plain, context, (unknown,) * evidence.counts.size)
+    null = fit(problem, _first_guess(problem)) if evidence.drive is None else _from_afar(problem)
+    problem, null = between_samples(problem, null)
+    problem = replace(problem, conditions=conditions(problem, null.x, ()))
+    if not reference.n_standing:
+        return beside_wind(problem, null)
+    x = np.concatenate([null.x[: plain.mean.size], reference.mean[plain.mean.size :], null.x[plain.mean.size :]])
+    for _ in range(2):
+        problem = replace(problem, reference=reference)
+        null = fit(problem, x)
+        x = null.x
+        problem = replace(problem, conditions=conditions(problem, x, ()))
+    return beside_wind(problem, null)
+
+
+def beside_wind(problem: Problem, at: Fit) -> tuple[Problem, Fit]:
+    """With the forces that the quiet tells, where the ground was measured."""
+    if problem.evidence.drive is None:
+        return problem, at
+    first, n = problem.reference.mean.size, problem.context.structure.n_dofs
+    x = told_by_quiet(problem, at.x, at.effects)
+    problem = replace(problem, wind=x[first : first + n])
+    return problem, fit(problem, x, at.effects, iterations=FAR)
+
+
+def _from_afar(problem: Problem) -> Fit:
+    """The first fit to driven motion, whose phases lead back from nearby only: with heavy damping first, for wide peaks."""
+    known, x = problem.reference, _first_guess(problem)
+    k, m, d, *_ = known.sizes
+    modes = np.arange(k + m, k + m + d)
+    mean, precision = known.mean.copy(), known.precision.copy()
+    mean[modes] = np.log(_HEAVY)
+    precision[modes, modes] += _HELD_DAMPING
+    wide = replace(problem, reference=replace(known, mean=mean, precision=precision))
+    near = fit(wide, np.concatenate([mean, x[mean.size :]]), iterations=LONG).x
+    near[modes] = np.log(_LIGHTER)
+    return fit(problem, near, iterations=FAR)
+
+
+def between_samples(problem: Problem, at: Fit) -> tuple[Problem, Fit]:
+    """With the ground's motion between its samples that explains the floors best, where the ground was measured."""
+    drive = problem.evidence.drive
+    if drive is None:
+        return problem, at
+    tried = [(problem, at)]
+    for between in get_args(Between):
+        if between != drive.between:
+            other = replace(problem, evidence=replace(problem.evidence, drive=replace(drive, between=between)))
+            tried.append((other, fit(other, at.x, at.effects, iterations=ROUGHLY)))
+    problem, best = max(tried, key=lambda pair: pair[1].log_posterior)
+    return problem, at if best is at else fit(problem, best.x, best.effects, iterations=FAR)
+
+
+def exactly(problem: Problem, at: Fit) -> tuple[Problem, Fit]:
+    """With the exact laws' slopes at the best fit to a measured ground's response; linearized ones lead near it only."""
+    for _ in range(_TURNS):
+        problem, before = problem.with_exact_slopes(at.x, at.effects), at
+        at = fit(problem, at.x, at.effects, iterations=FAR)
+        if at.log_posterior < before.log_posterior + COARSE:
+            break
+    return problem, at
+
+
+def _first_guess(problem: Problem) -> Array:
+    """Nuisances as known before, forces and noise from the power of the spectra."""
+    e, n = problem.evidence, problem.context.structure.n_dofs
+    c = len(problem.context.channels)
+    power = np.einsum("kfaa->kfa", e.spectra[:, :, :c, :c]).real
+    noise = np.log(max(0.3 * float(np.quantile(power.mean(axis=(0, 2)), 0.02)), 1e-300))
+    x = np.concatenate([problem.reference.mean, np.zeros(n), np.zeros(problem.n_classes), [noise - 10.0]])
+    predicted = np.einsum("kfaa->kfa", problem.scatter(x, ())[:, :, :c, :c]).real
+    # Medians over frequency: peaks that do not lie where they should must not set the level.
+    ratio = np.median(power / predicted, axis=(1, 2))
+    p = problem.reference.mean.size
+    x[p : p + n] = np.log(ratio.mean())
+    x[p + n : p + n + problem.n_classes] = np.log(ratio / ratio.mean())
+    x[-1] = noise
+    if e.power is not None:
+        x[p : p + n] += np.log(_FORCED)
+        x[p + n : p + n + problem.n_classes] = np.log(power / e.power).mean(axis=(1, 2)) + 2.0 * np.log(_MODEL_ERROR)
+    return x

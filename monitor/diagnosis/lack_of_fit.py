@@ -1,0 +1,202 @@
+"""Where a recording and a fitted model differ, in bands, over the whole recording and between its halves."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from monitor.core.results import Array
+from monitor.diagnosis.settings import DiagnosisSettings
+from monitor.inference.cross_spectra import Band
+from monitor.inference.force_levels import by_force, levels
+from monitor.inference.map_estimate import Fit
+from monitor.inference.posterior import Problem
+from monitor.model.prior import StandingError
+
+_BAND_HZ, _NARROW_HZ = 1.0, 0.25
+"""Width of the bands in which misfits are looked for, and of those in which they are kept."""
+_DAILY = 0.1
+"""Share of what the model gets wrong from the start that may be otherwise on another day."""
+_FARTHEST = 3.0
+"""Ratio of what is seen to what the model says beyond which this is no correction of the model: it is not trusted there."""
+_DOUBTFUL = 0.5
+"""Where the model fails in some band: from which share of the deviations that make a misfit on others are doubtful as well."""
+
+
+@dataclass(frozen=True, slots=True)
+class Misfit:
+    """Where measured and modelled spectra differ."""
+
+    where: str
+    size: float
+    """Standard deviations."""
+    says: str
+
+
+def drift_bands(problem: Problem, fitted: Fit) -> Array:
+    """What the later half of a recording shows more than the earlier one, as `residual_bands`.
+
+    Each half is compared with the model's spectra of its own classes, each at its own level of every force, so that a change of
+    level or weather is no drift, nor is wind that comes and goes floor by floor.
+    """
+    e = problem.evidence
+    mean = problem.mean(fitted.x, fitted.effects)
+    x = e.segments.values if mean is None else e.segments.values - mean
+    predicted = problem.scatter(fitted.x, fitted.effects)
+    parts = by_force(problem, fitted.x, fitted.effects)
+    signal = parts.sum(axis=0)
+    late = e.t_s > np.median(e.t_s)
+    z = []
+    for half in (late, ~late):
+        model, data, counts = predicted.copy(), predicted.copy(), np.zeros(problem.n_classes)
+        for k, members in enumerate(e.members):
+            own = x[members[half[members]]]
+            counts[k] = len(own)
+            if len(own):
+                data[k] = np.einsum("sfa,sfb->fab", own, own.conj()) / len(own)
+                noise = predicted[k] - signal[k]
+                model[k] = np.tensordot(levels(parts[:, k], noise, data[k]), parts[:, k], axes=1) + noise
+        halved = replace(problem, evidence=replace(e, counts=counts))
+        z.append(_banded(halved.whitened(model, model[None], data)[1], problem.n_classes, problem)[0])
+    return np.asarray((z[0] - z[1]) / np.sqrt(2.0))
+
+
+def residual_bands(problem: Problem, fitted: Fit) -> tuple[Array, Array]:
+    """Misfit in bands as standard deviations, shape (bands, c, c), and the bands' middles in Hz.
+
+    The diagonal is too much (positive) or too little power in the whitened channels, below it the real and above it the
+    imaginary part of their coherence.
+    """
+    return _banded(fitted.residual, problem.n_classes, problem)
+
+
+def _banded(residual: Array, n_classes: int, problem: Problem) -> tuple[Array, Array]:
+    """Whitened rows summed in bands."""
+    c = problem.evidence.spectra.shape[-1]
+    bins = problem.evidence.band.n_bins
+    rows = residual.reshape(n_classes, bins, c * c)
+    per = _per(problem.evidence.band)
+    n = bins // per
+    z = rows[:, : n * per].reshape(n_classes, n, per, c * c).sum(axis=(0, 2)) / np.sqrt(n_classes * per)
+    matrix = np.zeros((n, c, c))
+    at = 0
+    for i in range(c):
+        for j in range(i):
+            matrix[:, i, j], matrix[:, j, i] = z[:, at], z[:, at + 1]
+            at += 2
+        matrix[:, i, i] = z[:, at]
+        at += 1
+    return matrix, problem.evidence.band.hz[: n * per].reshape(n, per).mean(axis=1)
+
+
+def _per(band: Band) -> int:
+    """Bins that are summed up in a band."""
+    return max(1, round(_BAND_HZ / band.bin_hz))
+
+
+def _beyond_chance(problem: Problem, fitted: Fit) -> tuple[Array, Array, Array]:
+    """As `residual_bands`, over the chance in what is compared (a simulation has as much in it as the recording), `drift_bands`,
+    and the bands' middles."""
+    z, hz = residual_bands(problem, fitted)
+    return z if problem.offset is None else z / np.sqrt(2.0), drift_bands(problem, fitted), hz
+
+
+def misfits(problem: Problem, fitted: Fit, settings: DiagnosisSettings) -> tuple[Misfit, ...]:
+    """Bands in which the model is wrong, worst first."""
+    z, drift, hz = _beyond_chance(problem, fitted)
+    late = _listed(drift, hz, problem, settings, ", more so late in the recording than early")
+    return tuple(sorted(_listed(z, hz, problem, settings, "") + late, key=lambda m: -m.size))
+
+
+def wrong_bins(problem: Problem, fitted: Fit, settings: DiagnosisSettings) -> NDArray[np.bool_]:
+    """Which frequencies lie in bands where the model is wrong, shape (n_bins,)."""
+    z, drift, _ = _beyond_chance(problem, fitted)
+    wrong = (np.maximum(np.abs(z), np.abs(drift)) > settings.misfit).any(axis=(1, 2))
+    bins = np.repeat(wrong, _per(problem.evidence.band))
+    return np.pad(bins, (0, problem.evidence.band.n_bins - bins.size))
+
+
+def wrong_nats(problem: Problem, misfit: Sequence[Misfit]) -> float:
+    """What misfits cost, nats: half the squares of small deviations; of large ones, as of power that is many times the model's,
+    the likelihood counts the first power.
+    """
+    many = np.sqrt(problem.evidence.pieces(_per(problem.evidence.band)))
+    return float(sum(0.5 * m.size**2 / (1.0 + m.size / many) for m in misfit))
+
+
+def standing_error(problem: Problem, fitted: Fit, settings: DiagnosisSettings) -> StandingError | None:
+    """What healthy data show that the model, with all that is known to be wrong with it, does not explain.
+
+    None where it explains them, and where the ground was measured: there the model's own error is among what is fitted.
+    """
+    e = problem.evidence
+    if e.drive is not None:
+        return None
+    z, drifts, hz = _beyond_chance(problem, fitted)
+    late = np.abs(drifts).max(axis=(1, 2), initial=0.0)
+    size = np.maximum(np.abs(z).max(axis=(1, 2), initial=0.0), late)
+    if size.max(initial=0.0) <= settings.misfit:
+        return None
+    per, bins = _per(e.band), max(1, round(_NARROW_HZ / e.band.bin_hz))
+    n = hz.size * per // bins
+    inverse = np.linalg.inv(np.linalg.cholesky(problem.scatter(fitted.x, fitted.effects)))
+    seen = np.tensordot(e.counts / e.counts.sum(), inverse @ problem.data() @ inverse.conj().swapaxes(-1, -2), axes=1)
+    mean = seen[: n * bins].reshape(n, bins, *seen.shape[1:]).mean(axis=1)
+    band = np.arange(n) * bins // per
+    doubtful = size[band] > _DOUBTFUL * settings.misfit
+    drift = np.where(late > settings.misfit, late, 0.0)[band] ** 2
+    ratios, vectors = np.linalg.eigh(mean)
+    bounded = np.clip(ratios, 1.0 / _FARTHEST, _FARTHEST)
+    relative = (vectors * (bounded - 1.0)[:, None, :]) @ vectors.conj().swapaxes(-1, -2)
+    unsure = (_DAILY * np.abs(bounded - 1.0) + np.abs(ratios - bounded)).max(axis=1)
+    return StandingError(
+        hz=e.band.hz[: n * bins].reshape(n, bins).mean(axis=1),
+        relative=relative * doubtful[:, None, None],
+        variance=((1.0 + drift) / e.pieces(bins) + unsure**2) * doubtful,
+    )
+
+
+def remainder(problem: Problem, at: Fit, null: Fit, misfit: Sequence[Misfit], left_over: Sequence[Misfit]) -> float:
+    """What is left over, as a share of what the model without causes got wrong, by squared deviations.
+
+    With the ground measured by their sizes, and all of it told by the final model's error: the one that the model without causes
+    has learnt to expect hides most of what it gets wrong.
+    """
+    if problem.evidence.drive is None:
+        return sum(m.size**2 for m in left_over) / max(sum(m.size**2 for m in misfit), 1.0)
+    here, there = problem.predict(at.x, at.effects), problem.predict(null.x, null.effects)
+    residual = problem.whitened(here.spectra, here.spectra[None][:0], there.data)[1]
+    wrong = float(np.abs(_banded(residual, problem.n_classes, problem)[0]).sum())
+    return sum(m.size for m in left_over) / max(wrong, 1.0)
+
+
+def strayed(problem: Problem, fitted: Fit, settings: DiagnosisSettings) -> tuple[Misfit, ...]:
+    """Effects that stood at calibration and are of another size now, which a fit's nuisances take up without a word."""
+    known, out = problem.reference, []
+    away = known.standing(np.abs(fitted.x[: known.mean.size] - known.mean))
+    for effect, far, std in zip(known.effects(fitted.x), away, known.standing_std, strict=True):
+        own = far / std
+        if own.max(initial=0.0) > settings.misfit:
+            now = ", ".join(f"{name} {value:.4g}" for name, value in effect.values().items())
+            where = f"{effect.name.replace('_', ' ')} of {effect.location}"
+            out.append(Misfit(where, float(own.max()), f"what stood at calibration is of another size now: {now}"))
+    return tuple(out)
+
+
+def _listed(z: Array, hz: Array, problem: Problem, settings: DiagnosisSettings, when: str) -> tuple[Misfit, ...]:
+    names = [*problem.context.channels, "ground"]
+    out = []
+    for band, i, j in np.argwhere(np.abs(z) > settings.misfit):
+        size = float(z[band, i, j])
+        where = f"f = {hz[band] - 0.5:.1f}-{hz[band] + 0.5:.1f} Hz, "
+        if i == j:
+            says = f"{'more' if size > 0 else 'less'} power than the model has, given the channels before it"
+            where += f"channel {names[i]}"
+        else:
+            says = f"the {'real' if i > j else 'imaginary'} part of their coherence is not the model's"
+            where += f"channels {names[i]} and {names[j]}"
+        out.append(Misfit(where, abs(size), says + when))
+    return tuple(out)

@@ -1,0 +1,179 @@
+"""Compiled loops of identification: blocks of lag sums, matching of poles."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from monitor.core.compilation import compiled
+from monitor.core.results import Array, ComplexArray
+
+IMPOSSIBLE = 1e3
+"""Cost of what must not be."""
+
+
+@compiled()
+def scatter(products: Array, shifted: Array, mean: Array, counts: NDArray[np.int64], past: NDArray[np.intp]) -> Array:
+    """How far every block's lagged products about the window's mean lie off the mean block's, at lags from 1 on, for the first
+    factors `past`; shape (2 i - 1, r, c, n_blocks), other parameters as in `LagSums`.
+    """
+    n_blocks, n_lags, c, _ = products.shape
+    out, share = np.empty((n_lags - 1, past.size, c, n_blocks)), counts / counts.sum()
+    for tau in range(1, n_lags):
+        for k in range(past.size):
+            i = past[k]
+            for j in range(c):
+                row, total = out[tau - 1, k, j], 0.0
+                for b in range(n_blocks):
+                    moved = shifted[b, 0, i] * mean[j] + mean[i] * shifted[b, tau, j]
+                    row[b] = products[b, tau, i, j] - moved + counts[b] * (mean[i] * mean[j])
+                    total += row[b]
+                for b in range(n_blocks):
+                    row[b] -= total * share[b]
+    return out
+
+
+@compiled()
+def displaced(lag_sum: Array, head: Array, tail: Array) -> Array:
+    """Gram matrix of the block Hankel matrix with these lag sums as first block row, shape (n_lags c, n_lags c).
+
+    A block is the one above it on its diagonal with the product at the window's head taken off and the one at its tail put on.
+
+    Parameters
+    ----------
+    lag_sum : ndarray, shape (n_lags, c, c)
+    head, tail : ndarray, shape (n_lags - 1, c)
+    """
+    lags, c, _ = lag_sum.shape
+    out = np.empty((lags * c, lags * c))
+    for tau in range(lags):
+        for i in range(c):
+            for j in range(c):
+                total = lag_sum[tau, i, j]
+                out[i, tau * c + j] = out[tau * c + j, i] = total
+                for a in range(lags - tau - 1):
+                    total += tail[a, i] * tail[a + tau, j] - head[a, i] * head[a + tau, j]
+                    row, column = (a + 1) * c + i, (a + 1 + tau) * c + j
+                    out[row, column] = out[column, row] = total
+    return out
+
+
+@compiled()
+def _likeness(a: ComplexArray, b: ComplexArray) -> float:
+    """Modal assurance criterion of two shapes of unit norm."""
+    total = 0j
+    for i in range(a.size):
+        total += np.conj(a[i]) * b[i]
+    return float(total.real**2 + total.imag**2)
+
+
+@compiled()
+def recurring(
+    space: NDArray[np.intp], frequency: Array, shape: ComplexArray, most_change: float, least_likeness: float
+) -> Array:
+    """For each pole 1 if the order below has the same, else 0.
+
+    Parameters
+    ----------
+    space : ndarray, shape (n_poles,)
+        Number of the order, rising.
+    frequency : ndarray, shape (n_poles,)
+    shape : ndarray, shape (n_poles, c)
+        Of unit norm.
+    """
+    found = np.zeros(frequency.size)
+    for p in range(frequency.size):
+        for q in range(p):
+            if (
+                space[q] == space[p] - 1
+                and abs(frequency[p] / frequency[q] - 1.0) < most_change
+                and _likeness(shape[p], shape[q]) > least_likeness
+            ):
+                found[p] = 1.0
+    return found
+
+
+@compiled()
+def grouped(
+    space: NDArray[np.intp],
+    frequency: Array,
+    shape: ComplexArray,
+    most_change: float,
+    least_likeness: float,
+    enough: float,
+) -> NDArray[np.intp]:
+    """Number of the mode of each pole, -1 for none; parameters as in `recurring`.
+
+    A mode has one pole an order, in `enough` of them or more.
+    """
+    n = frequency.size
+    near = np.zeros((n, n), dtype=np.bool_)
+    for i in range(n):
+        for j in range(n):
+            if abs(frequency[i] / frequency[j] - 1.0) < most_change:
+                near[i, j] = _likeness(shape[i], shape[j]) > least_likeness
+    group, free, modes = np.full(n, -1), np.ones(n, dtype=np.bool_), 0
+    while True:
+        # The pole with most companions is the best centre of a mode; where even that has too few, no other has enough.
+        seed, most = 0, 0
+        for i in range(n):
+            companions = 0
+            for j in range(n):
+                companions += free[i] and free[j] and near[i, j]
+            if companions > most:
+                seed, most = i, companions
+        if most < enough:
+            return group
+        best, away = np.full(space[-1] + 1, -1), np.abs(frequency - frequency[seed])
+        for j in range(n):
+            if free[j] and near[seed, j]:
+                free[j] = False
+                rival = best[space[j]]
+                if rival < 0 or away[j] < away[rival]:
+                    best[space[j]] = j
+        best = best[best >= 0]
+        if best.size >= enough:
+            group[best] = modes
+            modes += 1
+
+
+@compiled()
+def unlikeness(
+    group: NDArray[np.intp],
+    frequency: Array,
+    shape: ComplexArray,
+    n_orders: int,
+    model_ln_f: Array,
+    model_shape: Array,
+    most_distance: float,
+    least_likeness: float,
+) -> Array:
+    """How unlike each of the model's modes every identified one is, shape (k, n_modes); IMPOSSIBLE beyond the bounds.
+
+    Frequency (the median over orders), shape, and how many orders show it, which says more than how near the drawing it lies.
+
+    Parameters
+    ----------
+    group : ndarray, shape (n_poles,)
+        Number of each pole's mode, -1 for none.
+    frequency : ndarray, shape (n_poles,)
+    shape : ndarray, shape (n_poles, c)
+        Of unit norm.
+    model_ln_f : ndarray, shape (k,)
+    model_shape : ndarray, shape (k, c)
+    """
+    n_modes = group.max() + 1 if group.size else 0
+    out = np.full((model_ln_f.size, n_modes), IMPOSSIBLE)
+    for j in range(n_modes):
+        members = np.flatnonzero(group == j)
+        ln_f, middle = np.log(np.median(frequency[members])), shape[members[members.size // 2]]
+        for i in range(model_ln_f.size):
+            distance, total, power = abs(ln_f - model_ln_f[i]), 0j, 0.0
+            for s in range(middle.size):
+                total += model_shape[i, s] * middle[s]
+                power += model_shape[i, s] ** 2
+            likeness = (total.real**2 + total.imag**2) / power if power > 0.0 else 0.0
+            if distance <= most_distance and likeness >= least_likeness:
+                shown = members.size / n_orders
+                out[i, j] = 0.5 * distance / most_distance + 2.0 * (1.0 - likeness) + (1.0 - shown)
+    return out

@@ -1,0 +1,246 @@
+"""Maximum-likelihood refinement of modes on a window's own cross-spectra (debiased Whittle).
+
+Started from the subspace estimate, a modal model (`whittle_model`) is fitted to the segments' cross-spectra about the
+modes; every segment has its own level, so that wind that wanders costs no information.  Fisher scoring reaches the statistical
+limit in two or three steps.  The information matrix then weighs the updating; it also gives the covariance its form and the
+scatter of the segments' scores gives its size, and its form too as far as the two disagree.
+
+References
+----------
+P. Whittle, Estimation and information in stationary time series, Arkiv foer Matematik 2 (1953) 423-434; A. M. Sykulski et al.,
+The debiased Whittle likelihood, Biometrika 106 (2019) 251-266; O. Ledoit, M. Wolf, A well-conditioned estimator for
+large-dimensional covariance matrices, Journal of Multivariate Analysis 88 (2004) 365-411; J. G. MacKinnon, H. White, Some
+heteroskedasticity-consistent covariance matrix estimators with improved finite sample properties, Journal of Econometrics 29
+(1985) 305-325.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from pydantic import Field
+
+from monitor.core.results import Array, ComplexArray, ModalEstimate, Window
+from monitor.core.settings import Settings
+from monitor.identification.whittle_model import (
+    Layout,
+    Point,
+    Spectrum,
+    cross_spectra,
+    layout_of,
+    packed,
+    packed_columns,
+    predict,
+    product,
+    triangle,
+    upper,
+)
+from monitor.signals.welch import overlap_correlation
+
+_WEAK_STD = 3.0
+_HOPELESS = 20.0
+"""Power of the data over the model's from which no fit is tried; near a start that leads anywhere it is between 1 and 2."""
+_MOST_ENTRIES = 4_000_000
+"""Of the spectrum's slopes: some twenty channels with eight modes."""
+
+
+class RefinementSettings(Settings):
+    """Maximum-likelihood refinement of the subspace estimate."""
+
+    enabled: bool = True
+    segment_s: float = Field(default=20.0, gt=0)
+    """Length of the segments whose cross-spectra are averaged; rounded to whole blocks."""
+    half_band: float = Field(default=12.0, gt=0)
+    """Spectra are fitted this many of its half-power bandwidths either side of each mode, and at least 8 bins."""
+    max_iterations: int = Field(default=8, ge=1)
+    tolerance: float = Field(default=0.3, gt=0)
+    """Converged when no parameter moves by more than this many of its standard deviations."""
+    min_segments: int = Field(default=6, ge=3)
+
+
+def refine(window: Window, modes: ModalEstimate, settings: RefinementSettings) -> ModalEstimate:
+    """The maximum-likelihood estimate near a subspace estimate.
+
+    Returns
+    -------
+    ModalEstimate
+        The subspace estimate itself where there are too few segments, or so many channels that the scoring would take
+        longer than it is worth, or where it does not settle nearby.
+    """
+    from monitor.identification.whittle_kernels import inverses  # compiled code takes a while to load
+
+    if not settings.enabled or len(window.segments) < settings.min_segments:
+        return modes
+    layout = layout_of(modes, settings.half_band, len(window.segments[0]), window.segment_bin_hz)
+    if layout.columns.size * layout.counts.size > _MOST_ENTRIES:
+        return modes
+    data = cross_spectra(layout, window.segments)
+    n_segments, n_modal = len(data), layout.n_modal
+    try:
+        point = _start(layout, modes, data.mean(axis=0))
+        for iteration in range(settings.max_iterations):
+            model = predict(layout, point)
+            inverse = inverses(model.value)
+            level = _levels(layout, inverse, data)
+            if level.mean() > _HOPELESS:  # responses that are none of these modes: the scoring would run away
+                return modes
+            level /= level.mean()
+            curve, information = _curve(layout, inverse, model)
+            mean = np.tensordot(1.0 / level, data, axes=1) / n_segments
+            score = product((mean - upper(model.value))[None], curve)[0]
+            # Next to none may be known of a noise that hides below the response: a wide prior keeps it in bounds.
+            weak = np.arange(n_modal + len(layout.pairs), len(information))
+            information[weak, weak] += 1.0 / (_WEAK_STD**2 * n_segments)
+            if not np.diag(information).min() > 0.0:  # more modes than the channels can tell apart
+                return modes
+            scale = 1.0 / np.sqrt(np.diag(information))
+            covariance = scale[:, None] * np.linalg.inv(information * scale[:, None] * scale) * scale
+            if not (np.isfinite(covariance).all() and np.diag(covariance).min() > 0):
+                return modes
+            step = covariance @ score
+            moved = np.abs(step) / np.sqrt(np.diag(covariance) / n_segments)
+            point = _moved(layout, point, step)
+            if iteration and moved[:n_modal].max() < settings.tolerance:
+                scores = product(data, curve) / level[:, None]
+                influence = (scores - scores.mean(axis=0)) @ covariance[:, :n_modal] / n_segments
+                rows, factor = _uncertainty(influence, covariance[:n_modal, :n_modal] / n_segments)
+                damping = slice(point.ln_f.size, 2 * point.ln_f.size)
+                rows[:, damping] *= _leverage(rows[:, damping], len(information) / point.ln_f.size)
+                return _estimate(layout, point, modes, rows, factor, window.first_segment)
+    except np.linalg.LinAlgError:
+        return modes
+    return modes
+
+
+def _curve(layout: Layout, inverse: ComplexArray, model: Spectrum) -> tuple[ComplexArray, Array]:
+    """What a packed spectrum is multiplied by for its score, and the Fisher information of one segment."""
+    curve = packed(layout, inverse @ model.u, inverse @ model.v) * layout.counts
+    return curve, product(curve, packed(layout, model.u[None], model.v))
+
+
+def _start(layout: Layout, modes: ModalEstimate, mean: ComplexArray) -> Point:
+    """Modes from the subspace estimate; forces and noise, in which the spectrum is linear, by weighted least squares."""
+    from monitor.identification.whittle_kernels import inverses  # compiled code takes a while to load
+
+    m, c = modes.shapes.shape
+    gauge = modes.shapes[np.arange(m), list(layout.gauges)]
+    i, j = triangle(c)
+    power = mean[i == j].real
+    p = Point(
+        np.log(modes.frequencies_hz),
+        np.log(modes.damping_ratio),
+        (modes.shapes / gauge[:, None]).real.T,
+        np.eye(m),
+        0.01 * (power @ layout.sizes) / layout.sizes.sum(),
+        np.zeros(2),
+    )
+    rough = np.zeros((mean.shape[1], c, c), dtype=complex)
+    rough[:, i, j] = mean.T
+    rough[:, j, i] = mean.conj().T
+    rough[:, range(c), range(c)] = (power + 0.05 * power.mean(axis=0)).T
+    model, inverse = predict(layout, p), inverses(rough)
+    linear = slice(layout.n_modal, layout.columns[-2])
+    u, v = model.u[:, linear], model.v[:, :, linear]
+    curve = packed_columns(inverse @ u, inverse @ v) * layout.counts
+    x = np.linalg.solve(product(curve, packed_columns(u[None], v)), product(mean[None], curve)[0])
+    n_pairs = len(layout.pairs)
+    forces = np.zeros((m, m))
+    for (a, b), entry in zip(layout.pairs, x[:n_pairs], strict=True):
+        forces[a, b] = forces[b, a] = entry
+    values, vectors = np.linalg.eigh(forces)
+    forces = (vectors * np.maximum(values, 1e-3 * values[-1])) @ vectors.T
+    # The noise's slope is by its logarithm, so its coefficient is a factor.
+    return replace(p, forces=forces, noise=p.noise * np.clip(x[n_pairs:], 1e-2, 1e2))
+
+
+def _levels(layout: Layout, inverse: ComplexArray, data: ComplexArray) -> Array:
+    """Maximum-likelihood level of every segment, shape (segments,): 1 where it is the model's."""
+    weight = upper(inverse) * layout.counts
+    return np.asarray(product(data, weight[None])[:, 0] / (inverse.shape[-1] * layout.sizes.sum()))
+
+
+def _moved(layout: Layout, p: Point, step: Array) -> Point:
+    """A scoring step, bounded so that a bad start cannot run away."""
+    m, n_free = len(layout.gauges), len(layout.free)
+    shapes, forces = p.shapes.copy(), p.forces.copy()
+    for (i, j), value in zip(layout.free, step[2 * m :], strict=False):
+        shapes[j, i] += value
+    for (i, j), value in zip(layout.pairs, step[2 * m + n_free :], strict=False):
+        forces[i, j] += value
+        forces[j, i] = forces[i, j]
+    ln_noise, colour = np.split(np.clip(step[2 * m + n_free + len(layout.pairs) :], -1.0, 1.0), [p.noise.size])
+    ln_damping = p.ln_damping + np.clip(step[m : 2 * m], -0.5, 0.5)
+    return Point(
+        p.ln_f + np.clip(step[:m], -0.02, 0.02),
+        ln_damping,
+        shapes,
+        forces,
+        p.noise * np.exp(ln_noise),
+        p.colour + colour,
+    )
+
+
+def _uncertainty(influence: Array, covariance: Array) -> tuple[Array, Array]:
+    """Rows of influence whose squares sum to the best covariance, and a factor of the model's.
+
+    In coordinates where the model's covariance is the identity, that of the segments' scatter is shrunk towards a
+    multiple of it, by as much as its own sampling error exceeds its departure from it (Ledoit and Wolf): a form read off
+    some 40 segments alone would give the damage index the long tails of Student's t.
+
+    Parameters
+    ----------
+    influence : ndarray, shape (segments, n)
+        Of each segment on the estimate, mean zero.
+    covariance : ndarray, shape (n, n)
+        Of the estimate by the information matrix, right but for a factor.
+    """
+    n_segments = len(influence)
+    factor = np.linalg.cholesky(covariance)
+    # A mean has been taken out, and neighbours share half their samples: each adds its share to the variance.
+    inflate = np.sqrt(n_segments / (n_segments - 1.0) * (1.0 + 2.0 * overlap_correlation()))
+    white = inflate * np.linalg.solve(factor, influence.T).T
+    values, vectors = np.linalg.eigh(white.T @ white)
+    departure = ((values - values.mean()) ** 2).sum()
+    sampling = ((white**2).sum(axis=1) ** 2).sum() - (values**2).sum() / n_segments
+    share = min(1.0, sampling / max(departure, 1e-300))
+    # Segments fewer than parameters do not span them all: what they span stands for the rest.
+    spanned = values > 1e-9 * values[-1]
+    values, vectors = values[spanned], vectors[:, spanned]
+    turn = np.sqrt(1.0 - share + share * values.mean() / values)
+    return np.asarray(white @ (vectors * turn) @ vectors.T @ factor.T), np.asarray(factor.T)
+
+
+def _leverage(rows: Array, n_fitted: float) -> Array:
+    """Factor on the deviations of ln damping, shape (m,), for the parameters fitted to the data of each mode.
+
+    Damping is read off a scatter: one over the variance of its logarithm is how many independent numbers lie under the
+    peak, `n_fitted` parameters follow them, and to second order that widens the error (HC3 of MacKinnon and White).
+    """
+    return np.asarray(1.0 / (1.0 - np.minimum(0.5, n_fitted * (rows**2).sum(axis=0))))
+
+
+def _estimate(
+    layout: Layout, p: Point, modes: ModalEstimate, rows: Array, factor: Array, first_segment: int
+) -> ModalEstimate:
+    """Frequencies, damping and real shapes of the fit with influences; imaginary parts stay the subspace estimate's."""
+    m, c = modes.shapes.shape
+
+    def spread(rows: Array) -> Array:
+        out = np.zeros((rows.shape[0], m, 2 + 2 * c))
+        out[:, :, 0] = rows[:, :m]
+        out[:, :, 1] = rows[:, m : 2 * m] * np.exp(p.ln_damping)
+        for column, (i, j) in enumerate(layout.free):
+            out[:, i, 2 + j] = rows[:, 2 * m + column]
+        return out
+
+    return replace(
+        modes,
+        frequencies_hz=np.exp(p.ln_f),
+        damping_ratio=np.exp(p.ln_damping),
+        shapes=p.shapes.T + 1j * modes.shapes.imag,
+        deviations=spread(rows),
+        first=first_segment,
+        weight_factor=spread(factor),
+        refined=True,
+    )

@@ -1,0 +1,302 @@
+"""Cross-spectra that a model predicts for a recording's segments: ``S = R T H Q H^H T^H R^H + lines + noise``.
+
+H is the acceleration the floors answer forces with, T picks the channels, R is what the acquisition makes of them; the
+result is blurred as the segments' taper blurs it (debiased Whittle), so that it may be compared with their mean.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import eigh
+from scipy.optimize import brentq
+
+from monitor.core.compilation import compiled
+from monitor.core.results import Array, ComplexArray
+from monitor.model.effects import Condition, Context, Effect, System
+from monitor.signals.welch import LEAKAGE_OFFSETS, hann_amplitude, leakage
+
+_TAPS = leakage()
+_LEAST_SHARE, _MOST = 1e-9, 0.999
+"""Of the variance that comes from the ground: less is none, more is this."""
+_BLOCK = 64
+"""Frequencies whose systems are solved together."""
+_LOWEST_HZ, _LOG_STEPS = 0.05, 4000
+"""Where the ground's variance is summed up from, and in how many steps."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Band:
+    """The frequencies that are compared."""
+
+    first: int
+    """Index of the first bin."""
+    n_bins: int
+    bin_hz: float
+    """Spacing of the bins, the reciprocal of the segments' length."""
+    gain: Array
+    """Power gain of the anti-alias filter at the bins, shape (n_bins,)."""
+
+    @property
+    def hz(self) -> Array:
+        """Shape (n_bins,)."""
+        return np.asarray((self.first + np.arange(self.n_bins)) * self.bin_hz)
+
+    @property
+    def fine_hz(self) -> Array:
+        """Half-bin grid that reaches as far beyond the band as the taper blurs."""
+        low, high = LEAKAGE_OFFSETS[0], 2 * (self.n_bins - 1) + LEAKAGE_OFFSETS[-1]
+        return np.asarray((2 * self.first + np.arange(low, high + 1)) * (0.5 * self.bin_hz))
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Excitation:
+    """What drives the structure and its sensors, as two-sided power densities."""
+
+    force: Array
+    """White forces on the floors, shape (n,), N^2/Hz."""
+    noise: Array
+    """White noise of the channels, shape (c,), (m/s^2)^2/Hz."""
+    ground_noise: float = 0.0
+    """White noise of a measured ground motion, which the prediction takes for motion, (m/s^2)^2/Hz."""
+
+
+def modally_damped(mass: Array, stiffness: Array, ratios: Array) -> System:
+    """The linear system with given damping ratios of its modes, shape (n,)."""
+    eigenvalues, shapes = eigh(stiffness, mass)
+    carried = mass @ shapes
+    return System(mass, (carried * (2.0 * ratios * np.sqrt(np.maximum(eigenvalues, 0.0)))) @ carried.T, stiffness)
+
+
+def extended(system: System, effects: Sequence[Effect], context: Context, condition: Condition) -> System:
+    """The system with what effects add at a condition."""
+    for effect in effects:
+        system = effect.extend(system, context, condition)
+    return system
+
+
+def cross_spectra(
+    system: System,
+    effects: Sequence[Effect],
+    excitation: Excitation,
+    band: Band,
+    context: Context,
+    condition: Condition,
+) -> ComplexArray:
+    """Expected cross-spectra of the segments, shape (n_bins, c, c), (m/s^2)^2/Hz, two-sided."""
+    clock = float(np.prod([e.clock_factor for e in effects]))
+    fine = band.fine_hz
+    answer = seen(system, effects, fine, clock, context, condition)
+    force = excitation.force
+    colour = force_colour(effects, fine * clock)
+    share = sum(e.ground_share for e in effects)
+    ground = excitation.ground_noise
+    if share > 0.0:
+        ground += condition.ground * ground_density(share, system, force, effects, context, condition)
+    if any(e.common_force for e in effects):
+        shared = answer[:, :, : force.size] @ force_root(force, effects)
+        answer = np.concatenate([shared, answer[:, :, force.size :]], axis=2)
+        force = np.ones(force.size + 1)
+    density = np.column_stack([force * colour[:, None], np.full(fine.size, ground)])
+    spectra = blurred_products(answer, density, _TAPS)
+    for effect in effects:
+        for line in effect.lines():
+            at = np.array([line.frequency_hz / clock])
+            y = seen(system, effects, at, clock, context, condition)[0, :, line.floor]
+            offset = (band.hz - at) / band.bin_hz
+            power = line.force_n**2 / 4.0 * (8.0 / 3.0) / band.bin_hz * hann_amplitude(offset) ** 2
+            spectra[:, : y.size, : y.size] += power[:, None, None] * np.outer(y, y.conj())
+    extra = sum((e.noise_variance(context, condition) for e in effects), np.zeros(len(context.channels)))
+    noise = excitation.noise + np.asarray(extra) / context.rate_hz
+    diagonal = np.arange(noise.size)
+    spectra[:, diagonal, diagonal] += noise
+    return np.asarray(spectra * band.gain[:, None, None])
+
+
+def seen(
+    system: System, effects: Sequence[Effect], hz: Array, clock: float, context: Context, condition: Condition
+) -> ComplexArray:
+    """Channels' response to forces on the floors and, last, to a ground acceleration, shape (n_hz, c, n + 1)."""
+    answer = channel_response(system, clock * hz, context)
+    for effect in effects:
+        response = effect.response(hz * clock, context, condition)
+        if response is not None:
+            answer = response @ answer
+    return answer
+
+
+def channel_response(system: System, hz: Array, context: Context) -> ComplexArray:
+    """True acceleration at the sensors for forces on the floors and, last, a ground acceleration, shape (n_hz, c, n + 1)."""
+    n = context.structure.n_dofs
+    right = np.zeros((system.mass.shape[0], n + 1))
+    right[:n, :n] = np.eye(n)
+    right[:, n] = -system.mass.sum(axis=1)
+    floors = accelerance(system.mass, system.damping, system.stiffness, 2.0 * np.pi * hz, right)
+    return np.asarray(_at_sensors(floors, context.sensors))
+
+
+def force_colour(effects: Sequence[Effect], hz: Array) -> Array:
+    """Factor on the power density of the floors' forces, shape (n_hz,)."""
+    colour = np.ones(hz.size)
+    for effect in effects:
+        colour = colour * effect.colour(hz)
+    return colour
+
+
+def force_root(force: Array, effects: Sequence[Effect]) -> Array:
+    """The floors' forces as sums of independent ones of density one, shape (n, n); with one column more where a part of them is
+    common to all floors.
+    """
+    root, common = np.sqrt(force), sum(e.common_force for e in effects)
+    if common == 0.0:
+        return np.diag(root)
+    return np.column_stack([np.diag(np.sqrt(1.0 - common) * root), np.sqrt(common) * root])
+
+
+def ground_density(
+    share: float, system: System, force: Array, effects: Sequence[Effect], context: Context, condition: Condition
+) -> float:
+    """White ground acceleration that causes `share` of the channels' variance, mean over channels, beside the forces."""
+    by_force, by_ground, above = variances(system, force, effects, context, condition.band_hz)
+    by_force = by_force + (condition.beyond - 1.0) * above
+    share = min(share, _MOST)
+    if share < _LEAST_SHARE:
+        return 0.0
+
+    def excess(ln_density: float) -> float:
+        part = np.exp(ln_density) * by_ground
+        return float((part / (part + by_force)).mean()) - share
+
+    middle = float(np.log(by_force.mean() / by_ground.mean()))
+    return float(np.exp(brentq(excess, middle - 25.0, middle + 25.0, xtol=1e-10)))
+
+
+def variances(
+    system: System, force: Array, effects: Sequence[Effect], context: Context, band_hz: float
+) -> tuple[Array, Array, Array]:
+    """Variance of every channel, shape (c,): by the forces, by a white ground acceleration of density one, and by the forces
+    above a frequency, all up to half the source's rate."""
+    low, high = np.log(_LOWEST_HZ), np.log(0.5 * context.rate_hz)
+    hz = np.exp(np.linspace(low, high, _LOG_STEPS))  # equal steps of the logarithm follow the peaks' width
+    answer = channel_response(system, hz, context)
+    n, weight = force.size, 2.0 * hz * np.gradient(np.log(hz))
+    by_force = _powers(answer[:, :, :n], force_root(force, effects)) * force_colour(effects, hz)[:, None]
+    by_ground = _powers(answer[:, :, n:], np.eye(1))
+    return weight @ by_force, weight @ by_ground, (weight * (hz > band_hz)) @ by_force
+
+
+@compiled(error_model="numpy")
+def accelerance(mass: Array, damping: Array, stiffness: Array, omega: Array, right: Array) -> ComplexArray:
+    """Acceleration per force, ``-w^2 (K + i w C - w^2 M)^-1 right``, shape (n_omega, N, columns).
+
+    NaN where a pivot vanishes, which of a symmetric matrix with a definite imaginary part only one without mass does.
+    """
+    size, columns = right.shape
+    out = np.empty((omega.size, size, columns), dtype=np.complex128)
+    # A block of frequencies at a time, each step of the elimination for all of them: the machine works on several at once.
+    re, im = np.empty((2, size, size + columns, _BLOCK))
+    by_re, by_im = np.empty((2, _BLOCK))
+    for first in range(0, omega.size, _BLOCK):
+        w = omega[first : first + _BLOCK]
+        m = w.size
+        for i in range(size):
+            for j in range(size):
+                for k in range(m):
+                    re[i, j, k], im[i, j, k] = stiffness[i, j] - w[k] * w[k] * mass[i, j], w[k] * damping[i, j]
+            for j in range(columns):
+                for k in range(m):
+                    re[i, size + j, k], im[i, size + j, k] = -w[k] * w[k] * right[i, j], 0.0
+        for p in range(size):
+            for k in range(m):  # the pivot's inverse takes its place; scaled, as squares of what is small vanish
+                x, y = re[p, p, k], im[p, p, k]
+                scale = 1.0 / max(abs(x), abs(y))
+                x, y = x * scale, y * scale
+                scale /= x * x + y * y
+                re[p, p, k], im[p, p, k] = x * scale, -y * scale
+            for i in range(p + 1, size):
+                for k in range(m):
+                    by_re[k] = re[i, p, k] * re[p, p, k] - im[i, p, k] * im[p, p, k]
+                    by_im[k] = re[i, p, k] * im[p, p, k] + im[i, p, k] * re[p, p, k]
+                for j in range(p + 1, size + columns):
+                    for k in range(m):
+                        re[i, j, k] -= by_re[k] * re[p, j, k] - by_im[k] * im[p, j, k]
+                        im[i, j, k] -= by_re[k] * im[p, j, k] + by_im[k] * re[p, j, k]
+        for p in range(size - 1, -1, -1):
+            for j in range(size, size + columns):
+                for i in range(p + 1, size):
+                    for k in range(m):
+                        re[p, j, k] -= re[p, i, k] * re[i, j, k] - im[p, i, k] * im[i, j, k]
+                        im[p, j, k] -= re[p, i, k] * im[i, j, k] + im[p, i, k] * re[i, j, k]
+                for k in range(m):
+                    x, y = re[p, j, k], im[p, j, k]
+                    re[p, j, k] = x * re[p, p, k] - y * im[p, p, k]
+                    im[p, j, k] = x * im[p, p, k] + y * re[p, p, k]
+                    out[first + k, p, j - size] = complex(re[p, j, k], im[p, j, k])
+    return out
+
+
+@compiled(error_model="numpy")
+def _at_sensors(floors: ComplexArray, sensors: Array) -> ComplexArray:
+    """Sensors' absolute acceleration, shape (n_omega, c, columns); the floors' is relative to the ground in the last column."""
+    n_omega, _, columns = floors.shape
+    c, n = sensors.shape
+    out = np.zeros((n_omega, c, columns), dtype=np.complex128)
+    for s in range(c):
+        for i in range(n):
+            share = sensors[s, i]
+            if share == 0.0:  # nearly all are
+                continue
+            for k in range(n_omega):
+                for j in range(columns):
+                    out[k, s, j] += share * floors[k, i, j]
+                out[k, s, columns - 1] += share
+    return out
+
+
+@compiled(error_model="numpy")
+def _powers(answer: ComplexArray, root: Array) -> Array:
+    """Power density of every channel, shape (n_omega, c), by independent sources of density one through `root`."""
+    n_omega, c, n = answer.shape
+    out = np.zeros((n_omega, c))
+    for k in range(n_omega):
+        for a in range(c):
+            for s in range(root.shape[1]):
+                total = 0j
+                for j in range(n):
+                    total += root[j, s] * answer[k, a, j]
+                out[k, a] += total.real * total.real + total.imag * total.imag
+    return out
+
+
+@compiled(error_model="numpy")
+def blurred_products(answer: ComplexArray, density: Array, taps: Array) -> ComplexArray:
+    """Products ``answer density answer^H`` on the half-bin grid, blurred into bins, shape (n_bins, c, c).
+
+    Parameters
+    ----------
+    answer : ndarray, shape (n_fine, c, columns)
+    density : ndarray, shape (n_fine, columns)
+        Power of each column's source.
+    """
+    n_fine, c, n = answer.shape
+    n_bins = (n_fine - taps.size) // 2 + 1
+    fine = np.empty((n_fine, c, c), dtype=np.complex128)
+    for k in range(n_fine):
+        for a in range(c):
+            for b in range(a + 1):
+                total = 0j
+                for j in range(n):
+                    total += density[k, j] * answer[k, a, j] * np.conj(answer[k, b, j])
+                fine[k, a, b] = total
+    out = np.empty((n_bins, c, c), dtype=np.complex128)
+    for k in range(n_bins):
+        for a in range(c):
+            for b in range(a + 1):
+                total = 0j
+                for t in range(taps.size):
+                    total += taps[t] * fine[2 * k + t, a, b]
+                out[k, a, b] = total
+                out[k, b, a] = np.conj(total)
+    return out

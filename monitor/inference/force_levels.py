@@ -1,0 +1,76 @@
+"""What each force, or the ground, makes of the spectra, and how strong each was: wind comes and goes floor by floor."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from monitor.core.results import Array, ComplexArray
+from monitor.inference.posterior import Problem
+from monitor.model.effects import Effect
+
+_NONE = -100.0
+"""Logarithm of a force's or of noise's density that is none."""
+_APART = 1e-6
+"""How different what forces make must be for each to have a level of its own."""
+_STEPS = 4
+"""Of Fisher scoring to the levels; from nearby it converges in two."""
+_LEAST = 0.1
+"""What one step leaves of a level."""
+
+
+def by_force(problem: Problem, x: Array, effects: Sequence[Effect]) -> ComplexArray:
+    """Each force's part of the spectra without noise and, last, an unmeasured ground's, shape (n + 1, classes, n_bins, c, c).
+
+    What none of them makes alone is shared by the forces.
+    """
+    p, n = problem.reference.mean.size, problem.context.structure.n_dofs
+    still = _silent(problem, x)
+    # What simulation adds, and what the model gets wrong from the start, is relative to all that acts together.
+    linear = problem.of_model_alone()
+    calm = replace(linear, conditions=tuple(replace(c, ground=0.0) for c in problem.conditions))
+    whole, ground = problem.scatter(still, effects), linear.scatter(still, effects) - calm.scatter(still, effects)
+    none = still.copy()
+    none[p : p + n] = _NONE
+    alone, unforced = [], calm.scatter(none, effects)
+    for j in range(n):
+        one = none.copy()
+        one[p + j] = still[p + j]
+        alone.append(calm.scatter(one, effects) - unforced)
+    parts = np.stack([*alone, ground])
+    parts[:n] += (whole - parts.sum(axis=0)) / n
+    return parts
+
+
+def ground_levels(problem: Problem, x: Array, effects: Sequence[Effect]) -> Array:
+    """How strongly an unmeasured ground shook in every class, over the forces, relative to the whole recording: (classes,)."""
+    e, linear = problem.evidence, replace(problem, offset=None)
+    *alone, ground = by_force(linear, x, effects)
+    forces = np.sum(alone, axis=0)
+    noise = linear.scatter(x, effects) - ground - forces
+    own = np.array([levels(np.stack(c[:2]), *c[2:]) for c in zip(forces, ground, noise, e.spectra, strict=True)])
+    relative = np.array([c.ground for c in problem.conditions]) * own[:, 1] / own[:, 0]
+    strength = e.counts * own[:, 0] * np.einsum("kfaa->k", forces).real
+    return np.asarray(relative * strength.sum() / (relative @ strength))
+
+
+def levels(parts: ComplexArray, noise: ComplexArray, data: ComplexArray) -> Array:
+    """Factors on the parts, each of shape (n_bins, c, c), that explain the data best beside the noise, shape (n_parts,)."""
+    level = np.ones(len(parts))
+    for _ in range(_STEPS):
+        model = np.tensordot(level, parts, axes=1) + noise
+        inverse = np.linalg.inv(model)
+        slopes = inverse @ parts
+        rise = np.einsum("jfab,fba->j", slopes @ inverse, data - model).real
+        step = np.linalg.lstsq(np.einsum("ifab,jfba->ij", slopes, slopes).real, rise, rcond=_APART)[0]
+        level = np.maximum(level + step, _LEAST * level)
+    return level
+
+
+def _silent(problem: Problem, x: Array) -> Array:
+    """The nuisances without noise."""
+    still = x.copy()
+    still[problem.n_nuisance - 1] = _NONE
+    return still

@@ -1,0 +1,314 @@
+"""The response to a measured ground motion: a known input's known output, with nothing of chance in it.
+
+What a segment shows beyond it is left to forces, noise and the model's own error (output error identification).
+
+References
+----------
+L. Ljung, System Identification: Theory for the User (1999), section 4.2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import irfft, next_fast_len, rfft
+from scipy.linalg import eigh
+
+from monitor.core.compilation import compiled
+from monitor.core.results import Array, ComplexArray
+from monitor.inference.cross_spectra import Band, accelerance
+from monitor.model.effects import Condition, Context, Effect, System
+from monitor.signals.welch import SegmentDesign, taper
+
+Between = Literal["smooth", "straight", "held"]
+"""How the ground moves between its samples: as a sensor's filter leaves it, or as a simulation reads them."""
+
+_IMAGES = (0, -1, 1)
+_PAD_S = 40.0
+"""Zeros after a run, in which its last motion dies out before it wraps."""
+_ALIGNED = 0.02
+"""Samples by which the ground's instants may differ from the floors'."""
+_FINER, _LEAST_STEP_HZ = 4, 1000.0
+"""Steps of nonlinear laws: samples of the ground to one of the recording, and their least rate."""
+_SLOWEST = 0.2 / (2.0 * np.pi)
+"""Motion slower than this share of the first frequency is the sensors' tilt; in Hz over rad/s."""
+_STEEP = 12
+"""Order of the highpass that takes it away."""
+_LEFT = 0.05
+"""Least gain of the anti-alias filter that is undone."""
+_LEAST = 6
+"""Segments that a run must cover."""
+_SMOOTH_HZ = 12.0
+_MEAN_ROWS = 2.0
+"""Information of a complex normal's mean, over that of its squared modulus."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Run:
+    """A stretch of ground motion without a gap, in the frequency domain."""
+
+    spectrum: ComplexArray
+    """Unscaled transform of the conditioned samples with zeros after them, m/s^2, shape (n // 2 + 1,)."""
+    n: int
+    """Samples, zeros included."""
+    length: int
+    """Samples without them."""
+    passed: ComplexArray
+    """What the anti-alias filter makes of the frequencies, shape (n // 2 + 1,)."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Drive:
+    """The measured ground motion, whole, and where the recording's segments lie in it."""
+
+    runs: tuple[Run, ...]
+    run: NDArray[np.intp]
+    """Of every segment, shape (n_segments,)."""
+    first: NDArray[np.intp]
+    """First sample of every segment in its run."""
+    design: SegmentDesign
+    source_hz: float
+    """Rate of the source's samples."""
+    between: Between = "smooth"
+
+    def images(self, hz: Array) -> Iterator[tuple[float, Array | ComplexArray]]:
+        """Frequencies that samples do not tell from `hz`, as distances, and the share of the ground's motion at each."""
+        if self.between == "smooth":
+            yield 0.0, np.ones(hz.size)
+            return
+        for k in _IMAGES:
+            x = hz / self.source_hz + k
+            yield (
+                k * self.source_hz,
+                np.sinc(x) ** 2 if self.between == "straight" else np.sinc(x) * np.exp(-1j * np.pi * x),
+            )
+
+    def part(self, chosen: NDArray[np.bool_] | NDArray[np.intp]) -> Drive:
+        """The chosen segments alone."""
+        return replace(self, run=self.run[chosen], first=self.first[chosen])
+
+    def hz(self, run: Run, band: Band) -> Array:
+        """Frequencies of a run's transform as far as they matter in the band."""
+        hz = np.arange(run.n // 2 + 1) * (self.design.rate_hz / run.n)
+        return np.asarray(hz[: np.searchsorted(hz, 1.1 * band.hz[-1])])
+
+    def ground(self, band: Band) -> ComplexArray:
+        """Transforms of the ground's own motion in every segment, shape (n_segments, n_bins)."""
+        out = np.empty((self.run.size, band.n_bins), dtype=complex)
+        for members, samples in self.moved(np.ones((run.n // 2 + 1, 1), dtype=complex) for run in self.runs):
+            out[members] = _transforms(self.design, samples)[:, band.first : band.first + band.n_bins, 0]
+        return out
+
+    def moved(self, answers: Iterable[ComplexArray]) -> Iterator[tuple[NDArray[np.intp], Array]]:
+        """Segments of every run and their samples, shape (n, columns), given each run's answer per frequency."""
+        for i, (run, answer) in enumerate(zip(self.runs, answers, strict=True)):
+            samples = irfft(answer.T * run.spectrum[: len(answer)], n=run.n)
+            members = np.flatnonzero(self.run == i)
+            windows = np.lib.stride_tricks.sliding_window_view(samples, self.design.n, axis=1)
+            yield members, np.moveaxis(windows[:, self.first[members]], 0, -1)
+
+
+def locate(
+    runs: Sequence[tuple[int, Array]],
+    segments_t_ns: Sequence[int],
+    design: SegmentDesign,
+    source_hz: float,
+    filtered: Callable[[Array], ComplexArray],
+) -> tuple[Drive, NDArray[np.bool_]] | None:
+    """The drive of segments that begin at given times, with which of them a run covers; None where too few are.
+
+    Parameters
+    ----------
+    runs : sequence of (int, ndarray)
+        UTC of the first sample in ns and conditioned samples, m/s^2, of every run.
+    filtered : callable
+        What the conditioning makes of frequencies in Hz.
+    """
+    which, first, covered = [], [], np.ones(len(segments_t_ns), dtype=bool)
+    for s, t_ns in enumerate(segments_t_ns):
+        for i, (begin, samples) in enumerate(runs):
+            at = (t_ns - begin) * 1e-9 * design.rate_hz
+            if abs(at - round(at)) < _ALIGNED and 0 <= round(at) <= samples.size - design.n:
+                which.append(i)
+                first.append(round(at))
+                break
+        else:
+            covered[s] = False
+    if len(which) < max(_LEAST, 0.5 * covered.size):
+        return None
+    made = []
+    for _, samples in runs:
+        n = next_fast_len(round(samples.size + _PAD_S * design.rate_hz), real=True)
+        hz = np.arange(n // 2 + 1) * (design.rate_hz / n)
+        made.append(Run(np.asarray(rfft(samples, n=n)), n, samples.size, filtered(hz)))
+    return Drive(
+        tuple(made), np.array(which, dtype=np.intp), np.array(first, dtype=np.intp), design, source_hz
+    ), covered
+
+
+def response(
+    drive: Drive, system: System, effects: Sequence[Effect], band: Band, context: Context, condition: Condition
+) -> ComplexArray:
+    """Transforms of the channels' response in every segment, shape (n_segments, n_bins, c)."""
+    clock = float(np.prod([e.clock_factor for e in effects]))
+    out = np.empty((drive.run.size, band.n_bins, len(context.channels)), dtype=complex)
+
+    def answer(run: Run) -> ComplexArray:
+        hz = drive.hz(run, band)
+        floors = np.zeros((hz.size, context.structure.n_dofs), dtype=complex)
+        for far, share in drive.images(hz):
+            floors += share[:, None] * (_relative(system, clock * (hz + far), context) + 1.0)
+        channels = np.asarray(floors @ context.sensors.T, dtype=np.complex128)
+        return _seen(channels, effects, clock * hz, context, condition)
+
+    for members, samples in drive.moved(answer(run) for run in drive.runs):
+        out[members] = _transforms(drive.design, samples)[:, band.first : band.first + band.n_bins]
+    return out
+
+
+def _seen(
+    channels: ComplexArray, effects: Sequence[Effect], hz: Array, context: Context, condition: Condition
+) -> ComplexArray:
+    """What sensors make of the true accelerations, shape (n_hz, c)."""
+    for effect in effects:
+        response = effect.response(hz, context, condition)
+        if response is not None:
+            channels = np.asarray((response @ channels[:, :, None])[:, :, 0])
+    return channels
+
+
+def _relative(system: System, hz: Array, context: Context) -> ComplexArray:
+    """Acceleration of the floors over the ground's, relative to it, shape (n_hz, n)."""
+    right = -system.mass.sum(axis=1)[:, None]
+    floors = accelerance(system.mass, system.damping, system.stiffness, 2.0 * np.pi * hz, right)
+    return np.asarray(floors[:, : context.structure.n_dofs, 0])
+
+
+def _transforms(design: SegmentDesign, samples: Array) -> ComplexArray:
+    """`monitor.signals.welch.transform` of many segments at once, shape (n_segments, n_bins, c)."""
+    tapered = np.moveaxis(samples, 1, -1) * (taper(design.n) / np.sqrt(design.rate_hz))
+    return np.asarray(np.moveaxis(rfft(tapered, axis=-1)[..., : design.n_bins], -1, 1))
+
+
+def exact_response(
+    drive: Drive, system: System, effects: Sequence[Effect], band: Band, context: Context, condition: Condition
+) -> ComplexArray:
+    """As `response`, with nonlinear laws stepped in time instead of made linear.
+
+    Parameters
+    ----------
+    system : System
+        Without what the nonlinear effects add.
+    """
+    from monitor.model.integration import march  # compiled code takes a while to load
+
+    laws = [law for effect in effects for law in effect.laws(context.structure)]
+    n, inertia = context.structure.n_dofs, system.mass.sum(axis=1)
+    lowest = _SLOWEST * float(np.sqrt(eigh(system.stiffness, system.mass, eigvals_only=True).min()))
+    clock = float(np.prod([e.clock_factor for e in effects]))
+    out = np.empty((drive.run.size, band.n_bins, len(context.channels)), dtype=complex)
+    for i, run in enumerate(drive.runs):
+        hz = np.asarray(np.arange(run.n // 2 + 1) * (drive.design.rate_hz / run.n), dtype=np.float64)
+        finer = drive.design.rate_hz * _FINER
+        # The laws see the ground before the filter, as far as it leaves any of it.
+        kept = np.abs(run.passed) > _LEFT
+        moved = next(drive.images(hz))[1] * run.spectrum * np.where(kept, 1.0 / np.where(kept, run.passed, 1.0), 0.0)
+        # Steps run straight between samples, which is a lowpass; slow tilt is no motion.
+        shape = 1.0 / np.sinc(hz / finer) ** 2 / (1.0 + (lowest / np.maximum(hz, 1e-9)) ** _STEEP)
+        ground = irfft(shape * moved, n=run.n * _FINER)[: run.length * _FINER] * _FINER
+        floors = march(system, n, laws, -ground[:, None] * inertia, finer * clock, None, _LEAST_STEP_HZ)
+        floors = np.pad(floors[::_FINER], ((0, run.n - run.length), (0, 0)))
+        absolute = np.asarray((rfft(floors, axis=0) + moved[:, None]) * run.passed[:, None]) @ context.sensors.T
+        samples = irfft(_seen(np.asarray(absolute, dtype=complex), effects, hz * clock, context, condition).T, n=run.n)
+        members = np.flatnonzero(drive.run == i)
+        windows = np.lib.stride_tricks.sliding_window_view(samples, drive.design.n, axis=1)
+        made = _transforms(drive.design, np.moveaxis(windows[:, drive.first[members]], 0, -1))
+        out[members] = made[:, band.first : band.first + band.n_bins]
+    return out
+
+
+def motion_rms(
+    drive: Drive, system: System, band: Band, context: Context, rows: Array, order: int, lowest_hz: float
+) -> Array:
+    """RMS over the segments of the floors' motion relative to the ground, in given rows of it.
+
+    Parameters
+    ----------
+    rows : ndarray, shape (m, n)
+    order : {0, 1}
+        0 for displacement, 1 for velocity.
+    lowest_hz : float
+        What is slower is the sensors' tilt and drift.
+    """
+
+    def answer(run: Run) -> ComplexArray:
+        hz = drive.hz(run, band)
+        w = 2.0 * np.pi * np.maximum(hz, lowest_hz)
+        relative = (
+            _relative(system, w / (2.0 * np.pi), context) @ rows.T / (-(w**2))[:, None] * (1j * w[:, None]) ** order
+        )
+        return np.asarray(relative * (hz >= lowest_hz)[:, None])
+
+    power, n = np.zeros(len(rows)), 0
+    for _, samples in drive.moved(answer(run) for run in drive.runs):
+        power += (samples**2).sum(axis=(0, 1)) if samples.size else 0.0
+        n += samples.shape[0] * drive.design.n
+    return np.asarray(np.sqrt(power / max(n, 1)))
+
+
+def smooth_power(transforms: ComplexArray, bin_hz: float) -> Array:
+    """Mean power of segments, smoothed widely, shape (n_bins, c): what a model's own error is measured by.
+
+    An error with peaks of its own would excuse a wrong response just where it tells the most.
+    """
+    power = (np.abs(transforms) ** 2).mean(axis=0)
+    half = round(0.5 * _SMOOTH_HZ / bin_hz)
+    padded = np.pad(power, ((half, half), (0, 0)), mode="edge")
+    return np.asarray(np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1, axis=0).mean(axis=-1))
+
+
+def products(transforms: ComplexArray, members: Sequence[NDArray[np.intp]]) -> ComplexArray:
+    """Mean cross-products of every class's segments, shape (classes, n_bins, c, c)."""
+    by_bin = [transforms[m].transpose(1, 2, 0) for m in members]
+    return np.stack([x @ x.conj().swapaxes(1, 2) / x.shape[2] for x in by_bin])
+
+
+def mean_rows(
+    spectra: ComplexArray, stacked: ComplexArray, members: Sequence[NDArray[np.intp]], weight: Array
+) -> Array:
+    """Changes of the segments' means as real rows of unit information, shape (n_segments * n_bins * c * 2, p).
+
+    Parameters
+    ----------
+    spectra : ndarray, shape (classes, n_bins, c, c)
+        Of what is left of the segments.
+    stacked : ndarray, shape (p, n_segments, n_bins, c)
+    weight : ndarray, shape (classes,)
+        Independent pieces of information a segment and bin.
+    """
+    of = np.empty(stacked.shape[1], dtype=np.intp)
+    for k, m in enumerate(members):
+        of[m] = k
+    scale = np.sqrt(_MEAN_ROWS * weight)[:, None, None, None]
+    whiteners = np.asarray(scale * np.linalg.inv(np.linalg.cholesky(spectra)), dtype=np.complex128)
+    return np.asarray(_whitened_means(whiteners, of, stacked).reshape(len(stacked), -1).T)
+
+
+@compiled(error_model="numpy")
+def _whitened_means(whiteners: ComplexArray, of: NDArray[np.intp], stacked: ComplexArray) -> Array:
+    """Real and imaginary parts of every whitened segment, shape (p, 2, n_segments, n_bins, c); `of` is each one's class."""
+    p, segments, bins, c = stacked.shape
+    out = np.empty((p, 2, segments, bins, c))
+    for q in range(p):
+        for s in range(segments):
+            for f in range(bins):
+                for i in range(c):
+                    total = 0j
+                    for a in range(i + 1):
+                        total += whiteners[of[s], f, i, a] * stacked[q, s, f, a]
+                    out[q, 0, s, f, i], out[q, 1, s, f, i] = total.real, total.imag
+    return out

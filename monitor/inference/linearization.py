@@ -1,0 +1,138 @@
+"""The motion of a recording's classes, at which nonlinear laws are made linear."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+
+import numpy as np
+from scipy.linalg import eigh
+
+from monitor.core.results import Array, ComplexArray
+from monitor.inference.cross_spectra import accelerance, extended, force_colour, force_root, seen, variances
+from monitor.inference.force_levels import ground_levels
+from monitor.inference.ground_response import motion_rms
+from monitor.inference.observed_spectra import Evidence, class_temperature
+from monitor.inference.posterior import Problem
+from monitor.model.effects import Condition, Context, Effect, System
+
+_PILE = 20
+"""Samples that share the largest magnitude only where something clips them."""
+_MOST_BINS = 1 << 16
+"""Frequencies at which the model's motion is summed."""
+_SLOW, _LEAST_MOTION = 0.4, 0.3
+"""Share of the lowest frequency below which motion is not heard; least share of the model's variance that is left."""
+
+
+def conditions(
+    problem: Problem, x: Array, effects: tuple[Effect, ...], spectra: ComplexArray | None = None
+) -> tuple[Condition, ...]:
+    """RMS motion of every class, as its spectra (by default the measured ones) tell it under the fitted model, and its
+    temperature.
+
+    A class's narrow modes swing more or less by chance than its forces' level says, and nonlinear laws follow the motion:
+    the model's variance is corrected by what a Wiener filter sees of the motion in the spectra.
+    """
+    e, context = problem.evidence, problem.context_at(x)
+    everything = (*problem.reference.effects(x), *effects)
+    base, damping = problem.system(x, everything), np.exp(problem.reference.parts(x)[2])
+    n, forces = context.structure.n_dofs, problem.forces(x)
+    drift = context.structure.drift_matrix()
+    rows, order = np.vstack([drift, drift, np.eye(n)]), np.repeat([0, 1, 1], [len(drift), len(drift), n])
+    excess = None if e.drive is not None else (e.spectra if spectra is None else spectra) - problem.scatter(x, effects)
+    beyond, out = _beyond(problem, x, everything), []
+    shaken = e.drive is None and any(effect.ground_share for effect in everything)
+    ground = ground_levels(problem, x, effects) if shaken else np.ones(problem.n_classes)
+    for k in range(problem.n_classes):
+        system = extended(base, everything, context, problem.conditions[k])
+        lowest = np.sqrt(max(eigh(base.stiffness, base.mass, eigvals_only=True).min(), 1e-6)) / (2.0 * np.pi)
+        step = min(0.25 * e.band.bin_hz, 0.25 * damping.min() * lowest)
+        step = max(step, e.band.hz[-1] / _MOST_BINS)  # a damping that the fit lets go to nothing
+        hz = np.arange(max(0.2 * lowest, step), e.band.hz[-1] * 1.2, step)
+        motion, _ = _moved(system, everything, hz, forces[k], rows, order, context)
+        variance = 2.0 * step * (np.abs(motion) ** 2).sum(axis=(0, 2))
+        if excess is not None:
+            motion, seen_there = _moved(system, everything, e.band.hz, forces[k], rows, order, context, problem, k)
+            channels = seen_there @ seen_there.conj().swapaxes(-1, -2) + np.diag(problem.noise(x))
+            wiener = np.linalg.solve(channels, seen_there @ motion.conj().swapaxes(-1, -2)).conj().swapaxes(-1, -2)
+            # What is slower than the structure is the noise of sensors that are integrated twice.
+            heard = (e.band.hz > _SLOW * lowest)[:, None, None] / e.band.gain[:, None, None] * excess[k]
+            more = np.einsum("fra,fab,frb->r", wiener, heard, wiener.conj()).real
+            variance = np.maximum(variance + 2.0 * e.band.bin_hz * more, _LEAST_MOTION * variance)
+        else:
+            assert e.drive is not None
+            drive = e.drive.part(e.members[k])
+            driven = [motion_rms(drive, system, e.band, context, rows[order == o], o, 0.2 * lowest) for o in (0, 1)]
+            variance = variance + np.concatenate(driven) ** 2
+        rms = np.sqrt(variance)
+        warmer = partial(_excess_degc, e, k, problem.reference.reference_degc)
+        m = len(drift)
+        piled, band_hz = e.piled >= _PILE, float(e.band.hz[-1])
+        moved = rms[:m], rms[m : 2 * m], rms[2 * m :]
+        out.append(Condition(*moved, e.rms[k], warmer, e.peak, piled, beyond, band_hz, float(ground[k])))
+    return tuple(out)
+
+
+def forced_drift(problem: Problem, x: Array, effects: Sequence[Effect]) -> Array:
+    """RMS drift that the linearized model has under forces of its level, shape (classes, n_stories), m; whatever their colour."""
+    everything = (*problem.reference.effects(x), *effects)
+    context, base = problem.context_at(x), problem.system(x, everything)
+    n = context.structure.n_dofs
+    states, drives = [], []
+    for condition, force in zip(problem.conditions, problem.forces(x), strict=True):
+        system = extended(base, everything, context, condition)
+        size = system.mass.shape[0]
+        inverse = np.linalg.inv(system.mass)
+        states.append(system.state_matrix())
+        drive = np.zeros((2 * size, 2 * size))
+        root = inverse[:, :n] @ force_root(force, everything)
+        drive[size:, size:] = root @ root.T
+        drives.append(drive)
+    # Lyapunov's equation of all classes at once: in the eigenvectors' coordinates it is a division.
+    poles, vectors = np.linalg.eig(np.array(states))
+    back = np.linalg.inv(vectors)
+    inner = back @ np.array(drives) @ back.conj().swapaxes(1, 2) / -(poles[:, :, None] + poles[:, None, :].conj())
+    rows = context.structure.drift_matrix() @ vectors[:, :n]
+    return np.asarray(np.sqrt(0.5 * np.einsum("kra,kab,krb->kr", rows, inner, rows.conj()).real))
+
+
+def _beyond(problem: Problem, x: Array, effects: Sequence[Effect]) -> float:
+    """See `Condition.beyond`; 1 without a shaken ground, whose motion would be taken for what forces cause."""
+    if not any(effect.ground_share for effect in effects):
+        return 1.0
+    e, context = problem.evidence, problem.context_at(x)
+    system = extended(problem.system(x, effects), effects, context, problem.conditions[0])
+    white = variances(system, e.counts @ problem.forces(x) / e.counts.sum(), effects, context, e.band.hz[-1])[2]
+    noise = problem.noise(x) * (e.rate_hz - 2.0 * e.band.hz[-1])
+    return float((np.maximum(e.segments.above.mean(axis=0) - noise, 0.0) / white).mean())
+
+
+def _moved(
+    system: System, effects: Sequence[Effect], hz: Array, force: Array, rows: Array, order: Array, context: Context,
+    problem: Problem | None = None, k: int = 0,
+) -> tuple[ComplexArray, ComplexArray]:  # fmt: skip
+    """Roots of the density of displacements (order 0) and velocities (1) in given rows, and of the channels.
+
+    Shapes (n_hz, rows, columns) and (n_hz, c, columns), for independent forces of density one.
+    """
+    n = force.size
+    size = system.mass.shape[0]
+    right = np.zeros((size, n + 1))
+    right[:n, :n] = np.eye(n)
+    right[:, n] = -system.mass.sum(axis=1)
+    w = 2.0 * np.pi * hz
+    root = np.sqrt(force_colour(effects, hz))[:, None, None] * force_root(force, effects)
+    floors = accelerance(system.mass, system.damping, system.stiffness, w, right)[:, :n, :n] @ root
+    motion = (rows @ floors) * w[:, None, None] ** (order - 2.0)[:, None] * (-1j) ** (2 - order)[:, None]
+    if problem is None:
+        return motion, motion
+    clock = float(np.prod([effect.clock_factor for effect in effects]))
+    return motion, seen(system, effects, hz, clock, context, problem.conditions[k])[:, :, :n] @ root
+
+
+def _excess_degc(evidence: Evidence, k: int, reference_degc: float | None, lag_s: float) -> float:
+    """See `Condition.excess_degc`: than at the baseline's mean temperature, else the recording's."""
+    value = class_temperature(evidence, k, lag_s)
+    if value is None:
+        return 0.0
+    return value - (float(evidence.temperature[:, 1].mean()) if reference_degc is None else reference_degc)

@@ -1,0 +1,271 @@
+"""A recording's segments: conditioned as the pipeline does, cut, tapered, transformed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import chain, islice
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.base import ACCELERATION, GROUND, TEMPERATURE, SampleBlock
+from monitor.config.configuration import Configuration
+from monitor.core.errors import BadInputError
+from monitor.core.results import Array, ComplexArray
+from monitor.inference import ground_response
+from monitor.inference.cross_spectra import Band
+from monitor.inference.ground_response import Drive
+from monitor.signals import alignment
+from monitor.signals.resampling import Conditioner, ConditionState
+from monitor.signals.welch import SegmentDesign, taper, transform
+from monitor.signals.windows import WindowGrid, common_step_s
+
+Runs = Sequence[tuple[int, Array]]
+"""UTC of the first sample in ns and samples of every stretch of ground motion without a gap, m/s^2."""
+Located = tuple[Drive, NDArray[np.bool_]]
+_LOW = 0.05
+_HIGH = 0.9
+"""Band as shares of the cutoff."""
+_DRIVEN_SEGMENT_S = 5.0
+"""Segments of a recording whose ground is measured: a response needs no resolution, and short ones follow its level."""
+_DRIVEN_SEGMENTS = 72
+"""Most segments of such a recording, three minutes: a known input tells so much that more would only take time."""
+_LEAD_S = 60.0
+"""Ground motion that is kept before them, whose response they still hold."""
+_HEAD = 64
+"""Blocks among which a measured ground shows."""
+_SAME = 1e-6
+"""Relative difference of magnitudes that rounding explains."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Segments:
+    """Tapered transforms of a recording's half-overlapping segments."""
+
+    values: ComplexArray
+    """Shape (n_segments, n_bins, c), m/s^2/sqrt(Hz)."""
+    t_s: Array
+    """Middle of each, s since the recording's first sample, shape (n_segments,)."""
+    rms: Array
+    """RMS of every channel's source samples, shape (n_segments, c), m/s^2."""
+    above: Array
+    """Variance of the tapered source samples above the band, shape (n_segments, c), (m/s^2)^2."""
+    peak: Array
+    """Largest magnitude of every channel's source samples, shape (c,)."""
+    piled: NDArray[np.int64]
+    """How many of a channel's samples share it, shape (c,)."""
+    drive: Drive | None
+    """The measured ground motion."""
+    temperature: Array
+    """Shape (n_readings, 2): s since the recording's first sample, degC; no rows where none was measured."""
+    band: Band
+    rate_hz: float
+    """Of the source's samples."""
+    samples: int
+    """Sample instants after resampling that the segments cover, each counted once whatever the number of channels."""
+
+    def part(self, chosen: NDArray[np.bool_]) -> Segments:
+        """The chosen segments alone."""
+        share = float(chosen.mean()) if chosen.size else 0.0
+        return replace(
+            self,
+            values=self.values[chosen],
+            t_s=self.t_s[chosen],
+            rms=self.rms[chosen],
+            above=self.above[chosen],
+            drive=None if self.drive is None else self.drive.part(chosen),
+            samples=round(self.samples * share),
+        )
+
+
+def gather(blocks: Iterable[SampleBlock], config: Configuration) -> Segments:
+    """Condition a recording as the pipeline does and cut it into segments.
+
+    Where the ground was measured, those of the three minutes in which it moved most, with its motion from a minute before.
+
+    Raises
+    ------
+    BadInputError
+        If there are fewer than six segments: 70 s of usable data, 18 s where the ground was measured.
+    """
+    blocks = iter(blocks)
+    head = list(islice(blocks, _HEAD))
+    segment_s = _DRIVEN_SEGMENT_S if any(b.topic == GROUND for b in head) else config.refinement.segment_s
+    floors, ground = _Stream(config, config.channels, segment_s), _Stream(config, None, segment_s)
+    temperature: list[tuple[int, float]] = []
+    for block in chain(head, blocks):
+        if block.topic == ACCELERATION:
+            floors.push(block)
+        elif block.topic == GROUND:
+            ground.push(block)
+        elif block.topic == TEMPERATURE:
+            step_ns = 1e9 / block.sample_rate_hz
+            temperature += [(block.t_ns + round(i * step_ns), float(v)) for i, v in enumerate(block.samples[:, 0])]
+    if len(floors.segments) < 6:
+        raise BadInputError(
+            f"{floors.seconds:.0f} s of usable data without a gap; a diagnosis takes at least {floors.least_s:.0f} s"
+        )
+    assert floors.design is not None
+    design, conditioner = floors.design, floors.conditioner
+    first, last = (round(x * conditioner.cutoff_hz / design.step_hz) for x in (_LOW, _HIGH))
+    first = max(first, 4)
+    t0 = floors.t0_ns
+    gain = _filter_gain(conditioner, last + 1, design.step_hz)
+    band = Band(first, last - first + 1, design.step_hz, gain[first:])
+    runs = [(t, np.concatenate(values)[:, 0]) for t, values in ground.runs]
+    located = None
+    if runs:
+        to_segments = partial(
+            ground_response.locate,
+            design=design,
+            source_hz=conditioner.rate_in_hz,
+            filtered=lambda hz: _filter(conditioner, hz),
+        )
+        located = _strongest(runs, list(floors.segments), band, to_segments)
+    drive, covered = located or (None, np.ones(len(floors.segments), dtype=bool))
+    readings = np.array([((t - t0) * 1e-9, v) for t, v in temperature if np.isfinite(v)]).reshape(-1, 2)
+    transforms, rms, tapered = (np.stack(x) for x in zip(*floors.segments.values(), strict=True))
+    below = 2.0 * design.step_hz * (np.abs(transforms[:, 1 : last + 1]) ** 2 / gain[1:, None]).sum(axis=1)
+    segments = Segments(
+        values=transforms[:, first : last + 1],
+        t_s=np.array([(t - t0) * 1e-9 for t in floors.segments]) + 0.5 / design.step_hz,
+        rms=rms,
+        above=np.maximum(tapered - below, 0.0),
+        peak=floors.peak,
+        piled=floors.piled,
+        drive=None,
+        temperature=readings,
+        band=band,
+        rate_hz=conditioner.rate_in_hz,
+        samples=round(floors.seconds * conditioner.rate_hz),
+    )
+    return replace(segments.part(covered), drive=drive)
+
+
+def _strongest(
+    runs: Runs, t_ns: Sequence[int], band: Band, locate: Callable[[Runs, Sequence[int]], Located | None]
+) -> Located | None:
+    """As `driven.locate`, with no more than `_DRIVEN_SEGMENTS` in a row, those in which the ground moves most."""
+    located = locate(runs, t_ns)
+    if located is None or located[0].first.size <= _DRIVEN_SEGMENTS:
+        return located
+    drive, covered = located
+    power = (np.abs(drive.ground(band)) ** 2).sum(axis=1)
+    first = int(np.convolve(power, np.ones(_DRIVEN_SEGMENTS), mode="valid").argmax())
+    chosen = np.flatnonzero(covered)[first : first + _DRIVEN_SEGMENTS]
+    rate_hz, times = drive.design.rate_hz, [t_ns[i] for i in chosen]
+    cut = []
+    for begin, samples in runs:
+        ends_s = np.array([times[0] - begin, times[-1] - begin]) * 1e-9 + [-_LEAD_S, drive.design.n / rate_hz]
+        low, high = np.clip(np.rint(ends_s * rate_hz).astype(int), 0, samples.size)
+        if high > low:
+            cut.append((begin + round(low / rate_hz * 1e9), samples[low:high]))
+    located = locate(cut, times)
+    assert located is not None, "covered before"
+    kept = np.zeros(covered.size, dtype=bool)
+    kept[chosen] = True
+    return located[0], kept
+
+
+class _Stream:
+    """One topic on its way from blocks to segments."""
+
+    def __init__(self, config: Configuration, channels: tuple[str, ...] | None, segment_s: float) -> None:
+        self._config, self._channels, self._segment_s = config, channels, segment_s
+        self._align = alignment.start()
+        self._rest: Array | None = None
+        self._state: ConditionState
+        self._run_ns = 0
+        self._done = 0
+        self.design: SegmentDesign | None = None
+        self.least_s = 3.5 * segment_s
+        self.segments: dict[int, tuple[ComplexArray, Array, Array]] = {}
+        """Transform, RMS and tapered variance of the source samples by the time of their first sample, UTC ns."""
+        self.t0_ns = 0
+        self.seconds = 0.0
+        self.peak = np.zeros(len(channels or ("ground",)))
+        self.piled = np.zeros(self.peak.size, dtype=np.int64)
+        self.runs: list[tuple[int, list[Array]]] = []
+        """Conditioned samples without a gap, each with the time of its first one, UTC ns; of the ground only."""
+        self._keep = channels is None
+        self._raw: list[Array] = []
+        """Source samples of the segment to come."""
+
+    def push(self, block: SampleBlock) -> None:
+        """Add a block's samples."""
+        self._channels = self._channels or block.channels[:1]
+        self._align, pieces = alignment.step(self._align, block, self._channels)
+        for piece in pieces:
+            if self._rest is None or piece.gap is not None:
+                self._begin(piece)
+            self._state, values = self.conditioner.step_block(self._state, piece.values)
+            if self._keep:
+                self.runs[-1][1].append(values)
+            self.seconds += values.shape[0] / self.conditioner.rate_hz
+            self._heap(np.abs(piece.values))
+            self._raw.append(piece.values)
+            self._cut(values)
+
+    def _heap(self, magnitude: Array) -> None:
+        """Follow the largest magnitude and how many samples share it."""
+        if not magnitude.size:
+            return
+        top = magnitude.max(axis=0)
+        self.piled[top > self.peak * (1.0 + _SAME)] = 0
+        self.peak = np.maximum(self.peak, top)
+        self.piled += (magnitude >= self.peak * (1.0 - _SAME)).sum(axis=0)
+
+    def _begin(self, piece: alignment.Piece) -> None:
+        p = self._config.processing
+        self.conditioner = Conditioner.design(piece.rate_hz, p.rate_hz, p.cutoff_hz, common_step_s(p.window_s, p.hop_s))
+        self._state = self.conditioner.start(len(self._channels or ()))
+        self._rest = np.zeros((0, len(self._channels or ())))
+        if self.design is None:
+            self.design = self._designed()
+            self.t0_ns = piece.t_ns
+        self._run_ns, self._done, self._raw = piece.t_ns, 0, []
+        if self._keep:
+            self.runs.append((piece.t_ns, []))
+
+    def _designed(self) -> SegmentDesign:
+        """Segments on the pipeline's grid; those of driven motion are shorter than its blocks."""
+        p, conditioner = self._config.processing, self.conditioner
+        if self._segment_s < self._config.refinement.segment_s:
+            n = 2 * round(0.5 * self._segment_s * conditioner.rate_hz)
+            kept = round(conditioner.cutoff_hz * n / conditioner.rate_hz) + 1
+            return SegmentDesign(conditioner.rate_hz, n, min(n // 2 + 1, kept))
+        lags = 2 * self._config.identification.block_rows
+        return WindowGrid.design(
+            conditioner.rate_hz, p.window_s, p.hop_s, lags, self._segment_s, conditioner.cutoff_hz
+        ).segments
+
+    def _cut(self, values: Array) -> None:
+        assert self._rest is not None
+        assert self.design is not None
+        n = self.design.n
+        rest = np.concatenate([self._rest, values])
+        while rest.shape[0] >= n:
+            t_ns = self._run_ns + round(self._done / self.design.rate_hz * 1e9)
+            raw = np.concatenate(self._raw)
+            n_raw = round(n * self.conditioner.rate_in_hz / self.design.rate_hz)
+            if self._done:  # the first half segment holds the filter's start from rest
+                own = raw[:n_raw] - raw[:n_raw].mean(axis=0)
+                tapered = ((taper(len(own))[:, None] * own) ** 2).sum(axis=0)
+                self.segments[t_ns] = transform(self.design, rest[:n]), own.std(axis=0), tapered
+            rest, self._done = rest[n // 2 :], self._done + n // 2
+            self._raw = [raw[n_raw // 2 :]]
+        self._rest = rest
+
+
+def _filter_gain(conditioner: Conditioner, n: int, step_hz: float) -> Array:
+    """Power gain of the anti-alias filter at the first n bins."""
+    return np.asarray(np.abs(_filter(conditioner, np.asarray(np.arange(n) * step_hz, dtype=float))) ** 2)
+
+
+def _filter(conditioner: Conditioner, hz: Array) -> ComplexArray:
+    """Response of the anti-alias filter."""
+    from scipy.signal import sosfreqz  # takes most of a second to load
+
+    return np.asarray(sosfreqz(conditioner.sos, worN=hz, fs=conditioner.rate_in_hz)[1])

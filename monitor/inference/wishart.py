@@ -1,0 +1,139 @@
+"""Compiled kernels of the complex Wishart likelihood, one small matrix a class and bin."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from monitor.core.compilation import compiled
+from monitor.core.results import Array, ComplexArray
+
+
+@compiled(error_model="numpy")
+def _cholesky(a: ComplexArray, out: ComplexArray) -> bool:
+    c = a.shape[0]
+    for j in range(c):
+        total = a[j, j].real
+        for k in range(j):
+            total -= out[j, k].real ** 2 + out[j, k].imag ** 2
+        if not total > 0.0:
+            return False
+        root = np.sqrt(total)
+        out[j, j] = root
+        for i in range(j + 1, c):
+            value = a[i, j]
+            for k in range(j):
+                value -= out[i, k] * np.conj(out[j, k])
+            out[i, j] = value / root
+    return True
+
+
+@compiled(error_model="numpy")
+def log_det_and_trace(spectra: ComplexArray, data: ComplexArray) -> tuple[Array, Array]:
+    """``ln det S`` (infinite where S is not positive definite) and ``tr(S^-1 data)`` of every class and bin."""
+    classes, bins, c, _ = spectra.shape
+    log_det, trace = np.full((classes, bins), np.inf), np.zeros((classes, bins))
+    lower = np.zeros((c, c), dtype=np.complex128)
+    inverse = np.zeros((c, c), dtype=np.complex128)
+    for k in range(classes):
+        for f in range(bins):
+            if not _cholesky(spectra[k, f], lower):
+                continue
+            _invert_lower(lower, inverse)
+            total = 0.0
+            for i in range(c):
+                total += np.log(lower[i, i].real)
+            log_det[k, f], total = 2.0 * total, 0.0
+            for i in range(c):
+                for a in range(i + 1):
+                    for b in range(i + 1):
+                        total += (inverse[i, a] * data[k, f, a, b] * np.conj(inverse[i, b])).real
+            trace[k, f] = total
+    return log_det, trace
+
+
+@compiled(error_model="numpy")
+def _invert_lower(lower: ComplexArray, out: ComplexArray) -> None:
+    c = lower.shape[0]
+    for j in range(c):
+        out[j, j] = 1.0 / lower[j, j]
+        for i in range(j + 1, c):
+            total = 0j
+            for k in range(j, i):
+                total -= lower[i, k] * out[k, j]
+            out[i, j] = total / lower[i, i]
+
+
+@compiled(error_model="numpy")
+def definite(matrices: ComplexArray) -> NDArray[np.bool_]:
+    """Which Hermitian matrices, shape (classes, bins, c, c), are positive definite."""
+    classes, bins, c, _ = matrices.shape
+    out = np.empty((classes, bins), dtype=np.bool_)
+    lower = np.zeros((c, c), dtype=np.complex128)
+    for k in range(classes):
+        for f in range(bins):
+            out[k, f] = _cholesky(matrices[k, f], lower)
+    return out
+
+
+@compiled(error_model="numpy")
+def grown_by(spectra: ComplexArray, relative: ComplexArray) -> ComplexArray:
+    """``S + L dS L^H`` with ``S = L L^H``, of every class and bin; NaN where S is not positive definite."""
+    classes, bins, c, _ = spectra.shape
+    out = spectra.copy()
+    lower = np.zeros((c, c), dtype=np.complex128)
+    half = np.empty((c, c), dtype=np.complex128)
+    for k in range(classes):
+        for f in range(bins):
+            if not _cholesky(spectra[k, f], lower):
+                out[k, f] = np.nan
+                continue
+            for i in range(c):
+                for b in range(c):
+                    total = 0j
+                    for a in range(i + 1):
+                        total += lower[i, a] * relative[k, f, a, b]
+                    half[i, b] = total
+            for i in range(c):
+                for j in range(c):
+                    for b in range(j + 1):
+                        out[k, f, i, j] += half[i, b] * np.conj(lower[j, b])
+    return out
+
+
+@compiled(error_model="numpy")
+def whiten(spectra: ComplexArray, slopes: ComplexArray, root: Array) -> Array:
+    """Rows ``root L^-1 dS L^-H`` as reals, shape (classes * bins * c * c, p)."""
+    p, classes, bins, c, _ = slopes.shape
+    out = np.empty((classes * bins * c * c, p))
+    lower = np.zeros((c, c), dtype=np.complex128)
+    inverse = np.zeros((c, c), dtype=np.complex128)
+    half = np.empty((c, c), dtype=np.complex128)
+    for k in range(classes):
+        for f in range(bins):
+            row = (k * bins + f) * c * c
+            if not _cholesky(spectra[k, f], lower):
+                out[row : row + c * c] = 0.0
+                continue
+            _invert_lower(lower, inverse)
+            for q in range(p):
+                for i in range(c):
+                    for b in range(i + 1):  # what lies above follows from symmetry
+                        total = 0j
+                        for a in range(i + 1):
+                            total += inverse[i, a] * slopes[q, k, f, a, b]
+                        half[i, b] = total
+                at = row
+                for i in range(c):
+                    for j in range(i + 1):
+                        total = 0j
+                        for b in range(j + 1):
+                            total += half[i, b] * np.conj(inverse[j, b])
+                        if i == j:
+                            out[at, q] = root[k, f] * total.real
+                            at += 1
+                        else:
+                            out[at, q] = root[k, f] * np.sqrt(2.0) * total.real
+                            out[at + 1, q] = root[k, f] * np.sqrt(2.0) * total.imag
+                            at += 2
+    return out

@@ -1,0 +1,105 @@
+"""Effects by name: what a structure file leaves out.  One file each; `Model` and the simulator use the same objects."""
+
+from __future__ import annotations
+
+from collections import ChainMap
+from collections.abc import Mapping
+
+from monitor.model.effects.added_mass import AddedMass
+from monitor.model.effects.ambient_forces import AmbientForces
+from monitor.model.effects.attached_oscillator import AttachedOscillator
+from monitor.model.effects.base import Condition, Context, Effect, EffectError, Law, LawKind, Line, System, locations
+from monitor.model.effects.base_excitation import BaseExcitation
+from monitor.model.effects.base_flexibility import BaseFlexibility
+from monitor.model.effects.bilinear_stiffness import BilinearStiffness
+from monitor.model.effects.channel_swap import ChannelSwap
+from monitor.model.effects.clock_rate import ClockRate
+from monitor.model.effects.coloured_excitation import ColouredExcitation
+from monitor.model.effects.coulomb_friction import CoulombFriction
+from monitor.model.effects.cubic_stiffness import CubicStiffness
+from monitor.model.effects.gap_contact import GapContact
+from monitor.model.effects.gravity_softening import GravitySoftening
+from monitor.model.effects.harmonic_excitation import HarmonicExcitation
+from monitor.model.effects.joint_flexibility import JointFlexibility
+from monitor.model.effects.parameter import Parameter
+from monitor.model.effects.quadratic_damping import QuadraticDamping
+from monitor.model.effects.sensor_clipping import SensorClipping
+from monitor.model.effects.sensor_gain import SensorGain
+from monitor.model.effects.sensor_noise import SensorNoise
+from monitor.model.effects.sensor_polarity import SensorPolarity
+from monitor.model.effects.stiffness_change import StiffnessChange
+from monitor.model.effects.story_damper import StoryDamper
+from monitor.model.effects.temperature_stiffness import TemperatureStiffness
+from monitor.model.effects.time_offset import TimeOffset
+
+EFFECTS: dict[str, type[Effect]] = {
+    effect.name: effect
+    for effect in (
+        StiffnessChange,
+        AddedMass,
+        TemperatureStiffness,
+        CubicStiffness,
+        GapContact,
+        BilinearStiffness,
+        CoulombFriction,
+        QuadraticDamping,
+        StoryDamper,
+        BaseFlexibility,
+        JointFlexibility,
+        GravitySoftening,
+        AttachedOscillator,
+        HarmonicExcitation,
+        ColouredExcitation,
+        BaseExcitation,
+        SensorGain,
+        SensorPolarity,
+        ChannelSwap,
+        TimeOffset,
+        ClockRate,
+        SensorClipping,
+        SensorNoise,
+    )
+}
+"""The catalogue: what a diagnosis looks for."""
+FORMS: Mapping[str, type[Effect]] = ChainMap(EFFECTS, {AmbientForces.name: AmbientForces})
+"""What a file may state: the catalogue, with whatever is added to it, and what calibration alone learns."""
+
+__all__ = [
+    "EFFECTS",
+    "FORMS",
+    "AmbientForces",
+    "Condition",
+    "Context",
+    "Effect",
+    "EffectError",
+    "Law",
+    "LawKind",
+    "Line",
+    "Parameter",
+    "StiffnessChange",
+    "System",
+    "locations",
+    "parse_effect",
+]
+
+
+def parse_effect(text: str) -> Effect:
+    """The effect written as ``NAME:LOCATION:PARAM=VALUE,...`` (the command line's form).
+
+    Raises
+    ------
+    EffectError
+        If name, place or parameters are not the effect's.
+    """
+    name, _, rest = text.partition(":")
+    location, _, assignments = rest.partition(":")
+    if name not in FORMS:
+        raise EffectError(f"unknown effect {name!r}; known: {', '.join(sorted(FORMS))}")
+    values: dict[str, float] = {}
+    for assignment in filter(None, assignments.split(",")):
+        key, _, value = assignment.partition("=")
+        try:
+            values[key.strip()] = float(value)
+        except ValueError:
+            raise EffectError(f"effect {text!r}: {assignment!r} is not PARAM=VALUE") from None
+    return FORMS[name].create(location.strip(), values)

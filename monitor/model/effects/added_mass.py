@@ -1,0 +1,67 @@
+"""Mass that the drawing does not know, on one floor or on all alike."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import inf
+from typing import ClassVar, Literal
+
+import numpy as np
+
+from monitor.core.results import Array
+from monitor.model.effects.base import Condition, Context, Effect
+from monitor.model.effects.parameter import Parameter
+from monitor.model.structures import Structure
+
+_SIGNATURE = "frequencies fall in the pattern of one floor (of the frame: all alike, as a uniform loss of stiffness)"
+
+
+@dataclass(frozen=True)
+class AddedMass(Effect):
+    """A floor's mass m becomes m + mass_kg; on the frame, where it is an `AddedMassEverywhere`, m (1 + relative)."""
+
+    name: ClassVar[str] = "added_mass"
+    family: ClassVar[Literal["structure", "excitation", "sensor"]] = "structure"
+    places: ClassVar[tuple[str, ...]] = ("floor", "frame")
+    parameters: ClassVar[tuple[Parameter, ...]] = (Parameter("mass_kg", 0.0, inf, absent=0.0),)
+    signature: ClassVar[str] = _SIGNATURE
+
+    mass_kg: float
+
+    @classmethod
+    def create(cls, location: str, parameters: Mapping[str, float]) -> Effect:
+        """See `Effect.create`."""
+        if location == "frame":
+            return AddedMassEverywhere.create(location, parameters)
+        return super().create(location, parameters)
+
+    def structural(self, mass: Array, stiffness: Array, structure: Structure) -> tuple[Array, Array]:
+        """See `Effect.structural`."""
+        return np.asarray(mass + self.mass_kg * self.pattern(structure)), stiffness
+
+    @classmethod
+    def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Effect, ...]:
+        """See `Effect.starts`."""
+        if location == "frame":
+            return tuple(AddedMassEverywhere(location, r) for r in (0.003, 0.02, 0.08))
+        start = cls(location, 0.0)
+        mass = float(context.structure.masses_kg[start.index])
+        return tuple(cls(location, share * mass) for share in (0.003, 0.02, 0.1))
+
+
+@dataclass(frozen=True)
+class AddedMassEverywhere(Effect):
+    """`AddedMass` on the frame: the same fraction on every floor."""
+
+    name: ClassVar[str] = "added_mass"
+    family: ClassVar[Literal["structure", "excitation", "sensor"]] = "structure"
+    places: ClassVar[tuple[str, ...]] = ("frame",)
+    parameters: ClassVar[tuple[Parameter, ...]] = (Parameter("relative", 0.0, 10.0, absent=0.0),)
+    signature: ClassVar[str] = _SIGNATURE
+
+    relative: float
+
+    def structural(self, mass: Array, stiffness: Array, structure: Structure) -> tuple[Array, Array]:
+        """See `Effect.structural`."""
+        return mass * (1.0 + self.relative), stiffness

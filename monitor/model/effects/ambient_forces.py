@@ -1,0 +1,93 @@
+"""Forces of every day, which are neither white nor apart from each other."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, Literal
+
+import numpy as np
+from scipy.fft import irfft, next_fast_len, rfft
+
+from monitor.core.results import Array
+from monitor.model.effects.base import Condition, Context, Effect
+from monitor.model.effects.parameter import Parameter
+
+_KNOTS_HZ = 2.0 ** (0.5 * np.arange(-4, 12))
+"""Half octaves, from 0.25 to 45 Hz."""
+_ANCHOR_HZ = 8.0
+"""Where the level of the forces is that of white ones."""
+_STEEP, _COMMON = 0.7, 0.3
+"""What is known before: a slope of 6 dB an octave or less, and a common share that is not most of it."""
+
+
+@dataclass(frozen=True)
+class AmbientForces(Effect):
+    """How the floors' forces differ from white and independent ones: a smooth spectrum, and a part that pushes all alike.
+
+    The logarithm of the power density runs straight over half octaves, and on at its ends' values.  Of each floor's power the
+    common share acts on all floors at once, in proportion to the root of each floor's own.  Calibration alone looks for it: what
+    stands so is a property of the site, and what differs on another day has a name in the catalogue.
+    """
+
+    name: ClassVar[str] = "ambient_forces"
+    family: ClassVar[Literal["structure", "excitation", "sensor"]] = "excitation"
+    proportional: ClassVar[bool] = False
+    places: ClassVar[tuple[str, ...]] = ("frame",)
+    parameters: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("common_share", 0.0, 0.99, closed=True, least=1.0),
+        *(Parameter(f"rise_{i}", -50.0, 50.0, least=1.0) for i in range(1, _KNOTS_HZ.size)),
+    )
+    daily: ClassVar[tuple[float, ...]] = (0.05,) + (0.1,) * (_KNOTS_HZ.size - 1)
+    signature: ClassVar[str] = (
+        "frequencies and shapes as they were; a smooth spectrum, and floors that are pushed together"
+    )
+
+    common_share: float = 0.0
+    rise_1: float = 0.0
+    """Logarithm of the power density at 0.35 Hz over that at 0.25 Hz; and so on, half an octave each."""
+    rise_2: float = 0.0
+    rise_3: float = 0.0
+    rise_4: float = 0.0
+    rise_5: float = 0.0
+    rise_6: float = 0.0
+    rise_7: float = 0.0
+    rise_8: float = 0.0
+    rise_9: float = 0.0
+    rise_10: float = 0.0
+    rise_11: float = 0.0
+    rise_12: float = 0.0
+    rise_13: float = 0.0
+    rise_14: float = 0.0
+    rise_15: float = 0.0
+
+    @property
+    def common_force(self) -> float:
+        """See `Effect.common_force`."""
+        return self.common_share
+
+    def colour(self, hz: Array) -> Array | float:
+        """See `Effect.colour`."""
+        knots = np.log(_KNOTS_HZ)
+        density = np.concatenate([[0.0], np.cumsum(self.coordinates[1:])])
+        at = np.log(np.maximum(hz, 1e-9))
+        return np.asarray(np.exp(np.interp(at, knots, density) - np.interp(np.log(_ANCHOR_HZ), knots, density)))
+
+    def drive(self, forces: Array, rate_hz: float) -> Array:
+        """See `Effect.drive`; the symmetric root of the correlation mixes the floors."""
+        count, n = forces.shape
+        size = forces.std(axis=0)
+        own = np.sqrt(1.0 - self.common_share)
+        whole = (np.sqrt(1.0 - self.common_share + n * self.common_share) - own) / n
+        alone = forces / np.where(size > 0.0, size, 1.0)
+        mixed = size * (own * alone + whole * alone.sum(axis=1, keepdims=True))
+        length = next_fast_len(count, real=True)
+        hz = np.arange(length // 2 + 1) * (rate_hz / length)
+        return np.asarray(
+            irfft(rfft(mixed, n=length, axis=0) * np.sqrt(self.colour(hz))[:, None], n=length, axis=0)[:count]
+        )
+
+    def known(self, context: Context, condition: Condition) -> tuple[Array, Array]:
+        """See `Effect.known`."""
+        std = np.full(len(self.parameters), _STEEP)
+        std[0] = _COMMON
+        return np.zeros(std.size), std**-2.0

@@ -1,0 +1,67 @@
+"""Something that swings on a floor."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import inf, pi
+from typing import ClassVar, Literal, Self
+
+import numpy as np
+
+from monitor.core.results import Array
+from monitor.model.effects.base import Condition, Context, Effect, System
+from monitor.model.effects.parameter import Parameter
+
+_DAMPING, _LN_DAMPING_STD = 0.03, 0.8
+
+
+@dataclass(frozen=True)
+class AttachedOscillator(Effect):
+    """A mass on a spring and a damper, appended to the system as one more degree of freedom."""
+
+    name: ClassVar[str] = "attached_oscillator"
+    family: ClassVar[Literal["structure", "excitation", "sensor"]] = "structure"
+    places: ClassVar[tuple[str, ...]] = ("floor",)
+    parameters: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("mass_kg", 0.0, inf, absent=0.0),
+        Parameter("frequency_hz", 0.0, inf, "log"),
+        Parameter("damping_ratio", 0.0, 1.0, "log"),
+    )
+    signature: ClassVar[str] = (
+        "one pole more, near a mode as two peaks in one place of the spectrum, with normal kurtosis"
+    )
+
+    mass_kg: float
+    frequency_hz: float
+    """On a floor that is held."""
+    damping_ratio: float
+
+    def extend(self, system: System, context: Context, condition: Condition) -> System:
+        """See `Effect.extend`."""
+        if self.mass_kg == 0.0:
+            return system
+        size = system.mass.shape[0]
+        link = np.zeros(size + 1)
+        link[self.index], link[size] = -1.0, 1.0
+        joint = np.outer(link, link)
+        omega = 2.0 * pi * self.frequency_hz
+        mass, damping, stiffness = (np.pad(m, (0, 1)) for m in (system.mass, system.damping, system.stiffness))
+        mass[size, size] = self.mass_kg
+        return System(
+            mass,
+            np.asarray(damping + 2.0 * self.damping_ratio * omega * self.mass_kg * joint),
+            np.asarray(stiffness + omega**2 * self.mass_kg * joint),
+        )
+
+    def known(self, context: Context, condition: Condition) -> tuple[Array, Array]:
+        """See `Effect.known`: a few percent of damping, give or take a factor of two."""
+        mean = self.coordinates
+        mean[2] = np.log(_DAMPING)
+        return mean, np.array([0.0, 0.0, _LN_DAMPING_STD**-2])
+
+    @classmethod
+    def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
+        """See `Effect.starts`."""
+        j = int(location.partition(" ")[2]) - 1
+        mass = 0.03 * float(context.structure.masses_kg[j])
+        return tuple(cls(location, mass, float(hz), 0.03) for hz in np.geomspace(6.0, 25.0, 16))

@@ -1,0 +1,373 @@
+"""What every effect is: a place, parameters, and one law with two faces.
+
+The spectral face says how the effect changes a linear model's matrices, excitation and sensors at a condition (level of
+vibration, temperature); the likelihood, the updating and the alarms use it.  The time face is the exact law that the
+simulator integrates.  An effect overrides only what it changes.
+"""
+
+from __future__ import annotations
+
+from abc import ABC
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields, replace
+from enum import IntEnum
+from math import inf
+from typing import ClassVar, Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from monitor.core.results import Array, ComplexArray
+from monitor.model.effects.parameter import Parameter
+from monitor.model.structures import Structure
+
+
+class EffectError(ValueError):
+    """Name, place or parameters of an effect are wrong; the message says which and what is allowed."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Context:
+    """Where an effect acts."""
+
+    structure: Structure
+    channels: tuple[str, ...]
+    sensors: Array
+    """Shape (c, n): picks the channels out of the floors."""
+    rate_hz: float
+    """Of the source's samples."""
+
+
+def _none_degc(lag_s: float) -> float:
+    return 0.0
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Condition:
+    """The motion and weather at which nonlinear laws are made linear: one level class of a recording."""
+
+    drift_m: Array
+    """RMS drift of every story, shape (n,)."""
+    drift_velocity_m_s: Array
+    """RMS rate of every story's drift, shape (n,)."""
+    floor_velocity_m_s: Array
+    """RMS velocity of every floor, shape (n,)."""
+    channel_m_s2: Array
+    """RMS of every channel's samples, shape (c,)."""
+    excess_degc: Callable[[float], float] = field(default=_none_degc)
+    """Temperature above the reference after a first-order lag in s."""
+    channel_peak_m_s2: Array = field(default_factory=lambda: np.full(1, np.inf))
+    """Largest magnitude of every channel's samples in the whole recording, shape (c,)."""
+    channel_piled: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(1, dtype=bool))
+    """Whether many of a channel's samples share its largest magnitude, shape (c,)."""
+    beyond: float = 1.0
+    """What the forces cause above the band that is compared, over what white ones would up to half the source's rate."""
+    band_hz: float = np.inf
+    """Where that begins."""
+    ground: float = 1.0
+    """How strongly an unmeasured ground shook, over the forces, relative to the whole recording."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class System:
+    """A linear system: the structure's dofs first, then those that effects add."""
+
+    mass: Array
+    """Shape (N, N), kg."""
+    damping: Array
+    """Shape (N, N), N s/m."""
+    stiffness: Array
+    """Shape (N, N), N/m."""
+
+    def plus(self, *, damping: Array | float = 0.0, stiffness: Array | float = 0.0) -> System:
+        """With terms on the structure's dofs, shape (n, n)."""
+
+        def padded(base: Array, term: Array | float) -> Array:
+            out = base.copy()
+            if not np.isscalar(term):
+                n = np.asarray(term).shape[0]
+                out[:n, :n] += term
+            return out
+
+        return replace(self, damping=padded(self.damping, damping), stiffness=padded(self.stiffness, stiffness))
+
+    def state_matrix(self) -> Array:
+        """Of displacements and velocities, shape (2N, 2N), 1/s."""
+        size = self.mass.shape[0]
+        inverse = np.linalg.inv(self.mass)
+        return np.block([[np.zeros((size, size)), np.eye(size)], [-inverse @ self.stiffness, -inverse @ self.damping]])
+
+    def decoupled(self) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+        """First-order equations ``dq/dt = pole q + drive @ forces``, one of each conjugate pair.
+
+        Returns
+        -------
+        poles : ndarray, shape (m,), rad/s
+        shapes : ndarray, shape (2N, m)
+            Displacements and velocities are the real part of ``shapes @ q``.
+        drive : ndarray, shape (m, N)
+        """
+        inverse = np.linalg.inv(self.mass)
+        poles, shapes = np.linalg.eig(self.state_matrix())
+        drive = np.linalg.solve(shapes, np.vstack([np.zeros_like(inverse), inverse]).astype(complex))
+        kept = poles.imag >= 0
+        return poles[kept].astype(complex), shapes[:, kept] * np.where(poles.imag > 0, 2.0, 1.0)[kept], drive[kept]
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """A harmonic force."""
+
+    floor: int
+    """Index from 0."""
+    frequency_hz: float
+    force_n: float
+    """Amplitude."""
+
+
+class LawKind(IntEnum):
+    """Which phi of `monitor.model.integration`; its two parameters in brackets."""
+
+    CUBIC = 0
+    """(k3, drift at which its force has faded to half)"""
+    CONTACT = 1
+    """(gap, stiffness that comes in beyond it)"""
+    FRICTION = 2
+    """(force, velocity that regularizes its sign)"""
+    QUADRATIC = 3
+    """(coefficient, unused)"""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Law:
+    """An exact nonlinear force: ``-direction * phi(direction . x, direction . v)`` on the structure's dofs.
+
+    `kind` picks phi in `monitor.model.integration`, compiled once for all of them.
+    """
+
+    kind: LawKind
+    direction: Array
+    """Shape (n,): a story's drift or a floor."""
+    parameters: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Effect(ABC):
+    """A term that the drawing leaves out.  Subclasses add one float field a parameter, in `parameters`' order."""
+
+    name: ClassVar[str]
+    family: ClassVar[Literal["structure", "excitation", "sensor"]]
+    places: ClassVar[tuple[str, ...]]
+    """Kinds of place: ``story``, ``floor``, ``channel``, ``channels`` (a pair), ``base``, ``frame``."""
+    parameters: ClassVar[tuple[Parameter, ...]]
+    signature: ClassVar[str]
+    """How it shows in the accelerations, in one sentence."""
+    conditional: ClassVar[bool] = False
+    """Whether its spectral face depends on the condition."""
+    nonlinear: ClassVar[bool] = False
+    """Whether its spectral face is a linearization (parameters are polished by simulation)."""
+
+    proportional: ClassVar[bool] = True
+    """Whether twice its amplitude makes about twice the change, so that a score test can tell its size."""
+
+    order: ClassVar[int] = 1
+    """Power of its amplitude with which the spectra change."""
+    amplitude_powers: ClassVar[tuple[float, ...]] = ()
+    """Of a story's nonlinear law: at a drift a times as large it acts as with parameters a^power times as large."""
+    daily: ClassVar[tuple[float, ...]] = ()
+    """By how much each coordinate may be another on another day where it stands, in its units, as a standard deviation."""
+    form_doubt: ClassVar[tuple[float, ...]] = ()
+    """Relative standard deviation of each parameter that the law's form leaves open, whatever the data; none without."""
+
+    location: str
+    """As in the contract: ``story 2``, ``floor 1``, ``channel a2``, ``base``, ``frame``."""
+
+    # --- identity -------------------------------------------------------------------------------------------
+
+    @classmethod
+    def create(cls, location: str, parameters: Mapping[str, float]) -> Effect:
+        """The effect at `location`.
+
+        Raises
+        ------
+        EffectError
+            If the place is not one of `places` or the parameters are not exactly the effect's.
+        """
+        if _kind(location) not in cls.places:
+            forms = {"story": "story N", "floor": "floor N", "channel": "channel NAME", "channels": "channel NAME,NAME"}
+            allowed = ", ".join(forms.get(p, p) for p in cls.places)
+            raise EffectError(f"{cls.name}: no place {location!r}; allowed: {allowed}")
+        wanted = [p.name for p in cls.parameters]
+        if set(parameters) != set(wanted):
+            raise EffectError(f"{cls.name}: needs exactly {', '.join(wanted) or 'no parameters'}")
+        for p in cls.parameters:
+            value = parameters[p.name]
+            if not p.allows(value):
+                lower = f", {'at least' if p.closed else 'above'} {p.low:g}" if p.low > -inf else ""
+                upper = f", below {p.high:g}" if p.high < inf else ""
+                raise EffectError(f"{cls.name}: {p.name} = {value:g} must be finite{lower}{upper}")
+        return cls(location, **parameters)
+
+    def values(self) -> dict[str, float]:
+        """Parameters by name."""
+        return {f.name: getattr(self, f.name) for f in fields(self) if f.name != "location"}
+
+    @property
+    def coordinates(self) -> Array:
+        """Parameters in the coordinates of estimation, shape (p,)."""
+        return np.array([p.coordinate(getattr(self, p.name)) for p in self.parameters])
+
+    @property
+    def units(self) -> Array:
+        """Sizes by which the coordinates are small or large, shape (p,): one for logarithms, else what they are here."""
+        sizes = zip(self.parameters, np.abs(self.coordinates), strict=True)
+        return np.array([1.0 if p.scale == "log" else max(size, p.least) for p, size in sizes])
+
+    @property
+    def form_std(self) -> Array:
+        """Standard deviation of the coordinates by `form_doubt`, shape (p,)."""
+        return np.asarray(np.abs(self.coordinates) * np.array(self.form_doubt or (0.0,) * len(self.parameters)))
+
+    def at(self, coordinates: Array) -> Self:
+        """The same effect elsewhere in its parameters' space, kept within their bounds."""
+        values = {p.name: p.value(float(x)) for p, x in zip(self.parameters, coordinates, strict=True)}
+        return type(self)(self.location, **values)
+
+    def known(self, context: Context, condition: Condition) -> tuple[Array, Array]:
+        """What the recording tells of the coordinates besides its spectra: mean and precision, shape (p,) each."""
+        return self.coordinates, np.zeros(len(self.parameters))
+
+    def mirrored(self) -> Effect | None:
+        """The same law with left and right exchanged, which no spectrum tells from it; None where that is itself."""
+        return None
+
+    @property
+    def index(self) -> int:
+        """Story or floor as an index from 0.  Meaningless elsewhere."""
+        return int(self.location.partition(" ")[2]) - 1
+
+    def direction(self, structure: Structure) -> Array:
+        """Picks the story's drift or the floor's motion out of the floors', shape (n,)."""
+        rows = structure.drift_matrix() if self.location.startswith("story") else np.eye(structure.n_dofs)
+        return np.asarray(rows[self.index])
+
+    def pattern(self, structure: Structure) -> Array:
+        """Matrix of a unit spring or damper there, shape (n, n)."""
+        direction = self.direction(structure)
+        return np.outer(direction, direction)
+
+    def channel_indices(self, context: Context) -> tuple[int, ...]:
+        """Places of the named channels in the structure file's order."""
+        return tuple(context.channels.index(name) for name in self.location.partition(" ")[2].split(","))
+
+    def check(self, structure: Structure, channels: tuple[str, ...]) -> None:
+        """Raises EffectError if the structure has no such place."""
+        kind, _, which = self.location.partition(" ")
+        counts = {"story": (structure.n_stories, "stories"), "floor": (structure.n_dofs, "floors")}
+        if kind in counts and self.index >= counts[kind][0]:
+            raise EffectError("{}: {!r} does not exist; {} {}".format(self.name, self.location, *counts[kind]))
+        if kind == "channel":
+            for name in which.split(","):
+                if name not in channels:
+                    raise EffectError(f"{self.name}: no channel {name!r}; the structure file has {', '.join(channels)}")
+
+    # --- spectral face --------------------------------------------------------------------------------------
+
+    def altered(self, structure: Structure) -> Structure:
+        """The structure after what this effect does to its members, from which all effects' matrices follow."""
+        return structure
+
+    def structural(self, mass: Array, stiffness: Array, structure: Structure) -> tuple[Array, Array]:
+        """Mass and stiffness matrices with this effect, shape (n, n) each; the structure's damping follows them."""
+        return mass, stiffness
+
+    def extend(self, system: System, context: Context, condition: Condition) -> System:
+        """The system with what does not enter the structure's own damping: dampers, dofs, linearized laws."""
+        return system
+
+    def colour(self, hz: Array) -> Array | float:
+        """Factor on the power density of the floors' forces at frequencies `hz`."""
+        return 1.0
+
+    @property
+    def common_force(self) -> float:
+        """Share of each floor's force, in power, that acts on all floors at once."""
+        return 0.0
+
+    @property
+    def ground_share(self) -> float:
+        """Share of the acceleration's variance that comes from a common ground motion."""
+        return 0.0
+
+    def lines(self) -> tuple[Line, ...]:
+        """Harmonic forces."""
+        return ()
+
+    def response(self, hz: Array, context: Context, condition: Condition) -> ComplexArray | None:
+        """What the acquisition makes of true channels, shape (n_hz or 1, c, c); None leaves them."""
+        return None
+
+    def noise_variance(self, context: Context, condition: Condition) -> Array | float:
+        """Variance of white noise at the source's rate that is added to each channel, shape (c,), (m/s^2)^2."""
+        return 0.0
+
+    @property
+    def clock_factor(self) -> float:
+        """True rate over nominal rate."""
+        return 1.0
+
+    # --- time face ------------------------------------------------------------------------------------------
+
+    def laws(self, structure: Structure) -> tuple[Law, ...]:
+        """Exact nonlinear forces."""
+        return ()
+
+    def stiffness_factor(self, excess_degc: Array, rate_hz: float) -> Array | None:
+        """Factor on the stiffness matrix at every sample, shape (n_samples,), from the temperature above its reference."""
+        return None
+
+    def drive(self, forces: Array, rate_hz: float) -> Array:
+        """The floors' forces with this effect, shape (n_samples, n), N."""
+        return forces
+
+    def measure(self, samples: Array, rate_hz: float, context: Context, rng: np.random.Generator) -> Array:
+        """What the acquisition makes of true samples, shape (n_samples, c), m/s^2."""
+        return samples
+
+    # --- search ---------------------------------------------------------------------------------------------
+
+    @classmethod
+    def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Effect, ...]:
+        """Small sizes of the effect at a place, one for each shape that must be tried (both signs share one)."""
+        raise NotImplementedError
+
+    @classmethod
+    def at_frequency(cls, location: str, hz: float, context: Context, condition: Condition) -> Effect | None:
+        """A small size of the effect at a frequency where the spectra show too much power; None where it has none."""
+        return None
+
+
+def _kind(location: str) -> str:
+    """Which kind of place a location names, or the empty string."""
+    kind, _, which = location.partition(" ")
+    if kind in ("frame", "base") and not which:
+        return kind
+    if kind in ("story", "floor") and which.isdecimal() and int(which) > 0:
+        return kind
+    if kind == "channel" and which:
+        names = which.split(",")
+        return {1: "channel", 2: "channels"}.get(len(names), "") if all(names) else ""
+    return ""
+
+
+def locations(kind: str, context: Context) -> tuple[str, ...]:
+    """Every place of a kind."""
+    if kind in ("frame", "base"):
+        return (kind,)
+    if kind in ("story", "floor"):
+        count = context.structure.n_stories if kind == "story" else context.structure.n_dofs
+        return tuple(f"{kind} {j + 1}" for j in range(count))
+    names = context.channels
+    if kind == "channel":
+        return tuple(f"channel {name}" for name in names)
+    return tuple(f"channel {a},{b}" for i, a in enumerate(names) for b in names[i + 1 :])

@@ -1,0 +1,36 @@
+"""Ground that moves under the frame, as traffic shakes it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, Literal, Self
+
+from monitor.model.effects.base import Condition, Context, Effect
+from monitor.model.effects.parameter import Parameter
+
+
+@dataclass(frozen=True)
+class BaseExcitation(Effect):
+    """A white, horizontal ground acceleration, felt by all floors at once, beside the forces on the floors."""
+
+    name: ClassVar[str] = "base_excitation"
+    family: ClassVar[Literal["structure", "excitation", "sensor"]] = "excitation"
+    places: ClassVar[tuple[str, ...]] = ("base",)
+    parameters: ClassVar[tuple[Parameter, ...]] = (Parameter("share", 0.0, 1.0, absent=0.0),)
+    signature: ClassVar[str] = "one common input: coherent channels, each with the ground's own motion in it"
+
+    conditional: ClassVar[bool] = True
+    form_doubt: ClassVar[tuple[float, ...]] = (0.03,)  # how far up the ground's motion, or the forces', is white
+
+    share: float
+    """Fraction of a channel's acceleration variance at the source's rate that the ground causes, mean over channels."""
+
+    @property
+    def ground_share(self) -> float:
+        """See `Effect.ground_share`."""
+        return self.share
+
+    @classmethod
+    def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
+        """See `Effect.starts`."""
+        return (cls(location, 0.2),)

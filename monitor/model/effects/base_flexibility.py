@@ -1,0 +1,48 @@
+"""A light footing on a spring: the ground gives way under the lowest story."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import inf
+from typing import ClassVar, Literal, Self
+
+import numpy as np
+
+from monitor.core.results import Array
+from monitor.model.effects.base import Condition, Context, Effect, EffectError
+from monitor.model.effects.parameter import Parameter
+from monitor.model.structures import ShearFrame, Structure
+
+
+@dataclass(frozen=True)
+class BaseFlexibility(Effect):
+    """A spring under the whole frame, in series with the lowest story; the footing is massless.
+
+    The footing's motion is condensed statically, whatever the frame above it: K - K 1 (K 1)^T / (1^T K 1 + k_b).
+    """
+
+    name: ClassVar[str] = "base_flexibility"
+    family: ClassVar[Literal["structure", "excitation", "sensor"]] = "structure"
+    places: ClassVar[tuple[str, ...]] = ("base",)
+    parameters: ClassVar[tuple[Parameter, ...]] = (Parameter("stiffness_n_per_m", 0.0, inf, "inverse", inf),)
+    signature: ClassVar[str] = "as a loss of stiffness in the lowest story, exactly"
+
+    stiffness_n_per_m: float
+
+    def check(self, structure: Structure, channels: tuple[str, ...]) -> None:
+        """See `Effect.check`."""
+        if not isinstance(structure, ShearFrame):
+            raise EffectError(
+                f"{self.name}: needs a shear frame, a structure given by matrices has the footing in them"
+            )
+
+    def structural(self, mass: Array, stiffness: Array, structure: Structure) -> tuple[Array, Array]:
+        """See `Effect.structural`."""
+        pull = stiffness.sum(axis=1)  # what a unit motion of the footing does to the floors
+        condensed = np.outer(pull, pull) / (pull.sum() + self.stiffness_n_per_m)
+        return mass, np.asarray(stiffness - condensed)
+
+    @classmethod
+    def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
+        """See `Effect.starts`."""
+        return (cls(location, 20.0 * float(context.structure.stiffness_n_per_m[-1])),)

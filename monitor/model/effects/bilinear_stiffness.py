@@ -1,0 +1,48 @@
+"""A crack that breathes: open for positive drift, closed for negative."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, Literal, Self
+
+from monitor.model.effects.base import Condition, Context, Effect, Law, LawKind, System
+from monitor.model.effects.gap_contact import mean_contact
+from monitor.model.effects.parameter import Parameter
+from monitor.model.structures import Structure
+
+
+@dataclass(frozen=True)
+class BilinearStiffness(Effect):
+    """Story stiffness k (1 - relative_drop) for positive drift, k for negative.
+
+    Linearized about the mean drift that it brings, k (1 - 0.5 drop) and a little less, the same at every level.
+    """
+
+    name: ClassVar[str] = "bilinear_stiffness"
+    family: ClassVar[Literal["structure", "excitation", "sensor"]] = "structure"
+    places: ClassVar[tuple[str, ...]] = ("story",)
+    parameters: ClassVar[tuple[Parameter, ...]] = (Parameter("relative_drop", 0.0, 1.0, absent=0.0),)
+    signature: ClassVar[str] = (
+        "half the frequency drop of an open crack, the same at every level, with a skewed drift and second harmonics"
+    )
+    nonlinear: ClassVar[bool] = True
+    amplitude_powers: ClassVar[tuple[float, ...]] = (0.0,)
+    form_doubt: ClassVar[tuple[float, ...]] = (0.015,)  # simulators written apart differ by 1 to 2 %
+
+    relative_drop: float
+
+    def extend(self, system: System, context: Context, condition: Condition) -> System:
+        """See `Effect.extend`."""
+        k = float(context.structure.stiffness_n_per_m[self.index])
+        drop = self.relative_drop * k
+        return system.plus(stiffness=-drop * mean_contact(k, -drop, 0.0) * self.pattern(context.structure))
+
+    def laws(self, structure: Structure) -> tuple[Law, ...]:
+        """See `Effect.laws`."""
+        drop = self.relative_drop * float(structure.stiffness_n_per_m[self.index])
+        return (Law(LawKind.CONTACT, self.direction(structure), (0.0, -drop)),)
+
+    @classmethod
+    def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
+        """See `Effect.starts`."""
+        return (cls(location, 0.05),)

@@ -1,0 +1,52 @@
+"""Two cables in each other's socket."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, Literal, Self
+
+import numpy as np
+
+from monitor.core.results import Array, ComplexArray
+from monitor.model.effects.base import Condition, Context, Effect, EffectError
+from monitor.model.effects.parameter import Parameter
+from monitor.model.structures import Structure
+
+
+@dataclass(frozen=True)
+class ChannelSwap(Effect):
+    """Two channels have each other's name."""
+
+    name: ClassVar[str] = "channel_swap"
+    family: ClassVar[Literal["structure", "excitation", "sensor"]] = "sensor"
+    proportional: ClassVar[bool] = False
+    places: ClassVar[tuple[str, ...]] = ("channels",)
+    parameters: ClassVar[tuple[Parameter, ...]] = ()
+    signature: ClassVar[str] = "two channels change places in all shapes, frequencies untouched"
+
+    def check(self, structure: Structure, channels: tuple[str, ...]) -> None:
+        """See `Effect.check`."""
+        super().check(structure, channels)
+        first, second = (channels.index(name) for name in self.location.partition(" ")[2].split(","))
+        if first >= second:
+            pair = f"channel {channels[second]},{channels[first]}" if first > second else "two different channels"
+            raise EffectError(f"{self.name}: {self.location!r}: expected {pair}, in the structure file's order")
+
+    def response(self, hz: Array, context: Context, condition: Condition) -> ComplexArray | None:
+        """See `Effect.response`."""
+        return np.eye(len(context.channels), dtype=complex)[None, self._order(context)]
+
+    def measure(self, samples: Array, rate_hz: float, context: Context, rng: np.random.Generator) -> Array:
+        """See `Effect.measure`."""
+        return samples[:, self._order(context)]
+
+    def _order(self, context: Context) -> list[int]:
+        order = list(range(len(context.channels)))
+        first, second = self.channel_indices(context)
+        order[first], order[second] = second, first
+        return order
+
+    @classmethod
+    def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
+        """See `Effect.starts`."""
+        return (cls(location),)

@@ -1,0 +1,46 @@
+"""Forces that are weaker at high frequencies, as of wind."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import exp, inf, pi
+from typing import ClassVar, Literal, Self
+
+import numpy as np
+
+from monitor.core.results import Array
+from monitor.model.effects.base import Condition, Context, Effect
+from monitor.model.effects.parameter import Parameter
+
+
+@dataclass(frozen=True)
+class ColouredExcitation(Effect):
+    """Power density of the floors' forces times 1 / (1 + (f / corner_hz)^2); the level at 0 Hz stays.
+
+    White forces pass a first-order recursion, which is the sampled Ornstein-Uhlenbeck process exactly.
+    """
+
+    name: ClassVar[str] = "coloured_excitation"
+    family: ClassVar[Literal["structure", "excitation", "sensor"]] = "excitation"
+    proportional: ClassVar[bool] = False
+    places: ClassVar[tuple[str, ...]] = ("frame",)
+    parameters: ClassVar[tuple[Parameter, ...]] = (Parameter("corner_hz", 0.0, inf, "inverse", inf),)
+    signature: ClassVar[str] = "frequencies and shapes as they were, the whole spectrum tilted"
+
+    corner_hz: float
+
+    def colour(self, hz: Array) -> Array | float:
+        """See `Effect.colour`."""
+        return np.asarray(1.0 / (1.0 + (hz / self.corner_hz) ** 2))
+
+    def drive(self, forces: Array, rate_hz: float) -> Array:
+        """See `Effect.drive`."""
+        from scipy.signal import lfilter  # takes most of a second to load
+
+        keep = exp(-2.0 * pi * self.corner_hz / rate_hz)
+        return np.asarray(lfilter([1.0 - keep], [1.0, -keep], forces, axis=0))
+
+    @classmethod
+    def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
+        """See `Effect.starts`."""
+        return tuple(cls(location, hz) for hz in (4.0, 8.0, 16.0))

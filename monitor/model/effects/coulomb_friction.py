@@ -1,0 +1,58 @@
+"""Dry friction across a story."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import inf, pi, sqrt
+from typing import ClassVar, Literal, Self
+
+import numpy as np
+
+from monitor.model.effects.base import Condition, Context, Effect, Law, LawKind, System
+from monitor.model.effects.parameter import Parameter
+from monitor.model.structures import Structure
+
+_STICK = 8.0
+
+
+@dataclass(frozen=True)
+class CoulombFriction(Effect):
+    """A force of constant size against the drift's velocity.
+
+    Integrated with tanh(v / v0) for the sign of v, v0 = F / (8 sqrt(k m)), m what the story moves when only
+    it moves: a creep well below any velocity that matters, since v0 falls with F.  Linearized: c + sqrt(2 / pi) F / s_v,
+    s_v the RMS drift velocity.
+    """
+
+    name: ClassVar[str] = "coulomb_friction"
+    family: ClassVar[Literal["structure", "excitation", "sensor"]] = "structure"
+    places: ClassVar[tuple[str, ...]] = ("story",)
+    parameters: ClassVar[tuple[Parameter, ...]] = (Parameter("friction_force_n", 0.0, inf, absent=0.0),)
+    signature: ClassVar[str] = "damping falls with the level, frequencies hardly move"
+    conditional: ClassVar[bool] = True
+    nonlinear: ClassVar[bool] = True
+    amplitude_powers: ClassVar[tuple[float, ...]] = (-1.0,)
+    form_doubt: ClassVar[tuple[float, ...]] = (0.04,)  # laws that creep, or stick harder than they slide
+
+    friction_force_n: float
+
+    def extend(self, system: System, context: Context, condition: Condition) -> System:
+        """See `Effect.extend`."""
+        damping = sqrt(2.0 / pi) * self.friction_force_n / float(condition.drift_velocity_m_s[self.index])
+        return system.plus(damping=damping * self.pattern(context.structure))
+
+    def laws(self, structure: Structure) -> tuple[Law, ...]:
+        """See `Effect.laws`."""
+        if self.friction_force_n == 0.0:
+            return ()
+        direction = self.direction(structure)
+        mass = 1.0 / float(direction @ np.linalg.solve(structure.mass_matrix(), direction))
+        impedance = sqrt(float(structure.stiffness_n_per_m[self.index]) * mass)
+        creep = self.friction_force_n / (_STICK * impedance)
+        return (Law(LawKind.FRICTION, direction, (self.friction_force_n, creep)),)
+
+    @classmethod
+    def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
+        """See `Effect.starts`."""
+        j = int(location.partition(" ")[2]) - 1
+        return (cls(location, 0.03 * float(context.structure.stiffness_n_per_m[j] * condition.drift_m[j])),)

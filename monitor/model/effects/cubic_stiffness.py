@@ -1,0 +1,65 @@
+"""A story that hardens or softens with its drift."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import inf, sqrt
+from typing import ClassVar, Literal, Self
+
+import numpy as np
+
+from monitor.model.effects.base import Condition, Context, Effect, Law, LawKind, System
+from monitor.model.effects.parameter import Parameter
+from monitor.model.structures import Structure
+
+_NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(40)
+_WEIGHTS /= _WEIGHTS.sum()
+"""Mean over a standard normal variable."""
+
+
+@dataclass(frozen=True)
+class CubicStiffness(Effect):
+    """Story force k d + k3 d^3.
+
+    A softening cubic would run away, so its force fades as 1 / (1 + (d / q)^4), q^2 = k / |k3|: up to the sixth order it is the
+    cubic, and the tangent stays positive.  Linearized: k + E[d phi(d)] / s_d^2 for a normal drift, k + 3 k3 s_d^2 where it
+    hardens.
+    """
+
+    name: ClassVar[str] = "cubic_stiffness"
+    family: ClassVar[Literal["structure", "excitation", "sensor"]] = "structure"
+    places: ClassVar[tuple[str, ...]] = ("story",)
+    parameters: ClassVar[tuple[Parameter, ...]] = (Parameter("k3_n_per_m3", -inf, inf, absent=0.0),)
+    signature: ClassVar[str] = "frequencies rise (fall) with the level, damping does not, the drift is not skewed"
+    conditional: ClassVar[bool] = True
+    nonlinear: ClassVar[bool] = True
+    amplitude_powers: ClassVar[tuple[float, ...]] = (2.0,)
+    daily: ClassVar[tuple[float, ...]] = (0.2,)  # where it stands, it is read off few simulations
+    form_doubt: ClassVar[tuple[float, ...]] = (
+        0.1,
+    )  # fits that begin elsewhere stop that far apart, where levels make up for it
+
+    k3_n_per_m3: float
+
+    def extend(self, system: System, context: Context, condition: Condition) -> System:
+        """See `Effect.extend`."""
+        s, faded = float(condition.drift_m[self.index]), self._faded_m(context.structure)
+        fourth = float(_WEIGHTS @ (_NODES**4 / (1.0 + (s * _NODES / faded) ** 4)))
+        return system.plus(stiffness=self.k3_n_per_m3 * s**2 * fourth * self.pattern(context.structure))
+
+    def laws(self, structure: Structure) -> tuple[Law, ...]:
+        """See `Effect.laws`."""
+        return (Law(LawKind.CUBIC, self.direction(structure), (self.k3_n_per_m3, self._faded_m(structure))),)
+
+    def _faded_m(self, structure: Structure) -> float:
+        """Drift at which the cubic's force has faded to half."""
+        if self.k3_n_per_m3 >= 0.0:
+            return 1e30
+        return sqrt(float(structure.stiffness_n_per_m[self.index]) / -self.k3_n_per_m3)
+
+    @classmethod
+    def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
+        """See `Effect.starts`."""
+        j = int(location.partition(" ")[2]) - 1
+        k, s = float(context.structure.stiffness_n_per_m[j]), float(condition.drift_m[j])
+        return tuple(cls(location, size * k / (3.0 * s**2)) for size in (0.03, 0.1, -0.03, -0.08))

@@ -1,0 +1,87 @@
+"""Something that a story touches only when it drifts far enough."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from math import erfc, exp, inf, pi, sqrt
+from typing import ClassVar, Literal, Self
+
+from monitor.model.effects.base import Condition, Context, Effect, Law, LawKind, System
+from monitor.model.effects.parameter import Parameter
+from monitor.model.structures import Structure
+
+
+@dataclass(frozen=True)
+class GapContact(Effect):
+    """Story force k d + kc (d - gap) for d beyond the gap; a negative gap closes for negative drift.
+
+    Linearized at the story's RMS drift, about the mean drift that the one-sided force brings (`mean_contact`).
+    """
+
+    name: ClassVar[str] = "gap_contact"
+    family: ClassVar[Literal["structure", "excitation", "sensor"]] = "structure"
+    places: ClassVar[tuple[str, ...]] = ("story",)
+    parameters: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("gap_m", -inf, inf),
+        Parameter("contact_stiffness_n_per_m", 0.0, inf, absent=0.0),
+    )
+    signature: ClassVar[str] = (
+        "stiffer above a level only, the drift skewed, bursts of high frequency on two neighbours"
+    )
+    conditional: ClassVar[bool] = True
+    nonlinear: ClassVar[bool] = True
+    amplitude_powers: ClassVar[tuple[float, ...]] = (-1.0, 0.0)
+    form_doubt: ClassVar[tuple[float, ...]] = (0.05, 0.12)  # how hard a contact is while it closes
+
+    gap_m: float
+    """Negative: closes for negative drift."""
+    contact_stiffness_n_per_m: float
+
+    def extend(self, system: System, context: Context, condition: Condition) -> System:
+        """See `Effect.extend`."""
+        k = float(context.structure.stiffness_n_per_m[self.index])
+        s = float(condition.drift_m[self.index])
+        share = mean_contact(k, self.contact_stiffness_n_per_m, abs(self.gap_m) / s)
+        return system.plus(stiffness=self.contact_stiffness_n_per_m * share * self.pattern(context.structure))
+
+    def laws(self, structure: Structure) -> tuple[Law, ...]:
+        """See `Effect.laws`."""
+        parameters = (self.gap_m, self.contact_stiffness_n_per_m)
+        return (Law(LawKind.CONTACT, self.direction(structure), parameters),)
+
+    def mirrored(self) -> Effect | None:
+        """See `Effect.mirrored`."""
+        return replace(self, gap_m=-self.gap_m)
+
+    @classmethod
+    def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
+        """See `Effect.starts`."""
+        j = int(location.partition(" ")[2]) - 1
+        k, s = float(context.structure.stiffness_n_per_m[j]), float(condition.drift_m[j])
+        return tuple(cls(location, gap * s, 0.5 * k) for gap in (1.2, 1.7, 2.2, -1.2, -1.7, -2.2))
+
+
+def mean_contact(stiffness: float, contact: float, gap: float) -> float:
+    """Share of time that a normal drift of unit RMS spends beyond a gap, on its way about its own mean.
+
+    Parameters
+    ----------
+    stiffness : float
+        Of the story, N/m.
+    contact : float
+        Stiffness that comes in beyond the gap, N/m; negative for one that is lost.
+    gap : float
+        Over the RMS drift.
+
+    Notes
+    -----
+    The mean m bears no load: ``k m + kc E[(m + z - gap)+] = 0``, solved by Newton's method (the left side is monotonic
+    and convex or concave).
+    """
+    mean = 0.0
+    for _ in range(12):
+        a = gap - mean
+        beyond = 0.5 * erfc(a / sqrt(2.0))
+        overlap = exp(-0.5 * a**2) / sqrt(2.0 * pi) - a * beyond
+        mean -= (stiffness * mean + contact * overlap) / (stiffness + contact * beyond)
+    return 0.5 * erfc((gap - mean) / sqrt(2.0))

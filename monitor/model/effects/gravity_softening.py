@@ -1,0 +1,51 @@
+"""Gravity pulls a leaning story further over (P-delta)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import inf
+from typing import ClassVar, Literal, Self
+
+import numpy as np
+
+from monitor.core.results import Array
+from monitor.model.effects.base import Condition, Context, Effect, EffectError
+from monitor.model.effects.parameter import Parameter
+from monitor.model.structures import Structure
+
+_GRAVITY_M_S2 = 9.80665
+
+
+@dataclass(frozen=True)
+class GravitySoftening(Effect):
+    """Story stiffness k becomes k - factor N / h, N the weight above, h the story's height.
+
+    Theory fixes the factor: 1 for hinged columns, 1.2 for columns clamped at both ends.
+    """
+
+    name: ClassVar[str] = "gravity_softening"
+    family: ClassVar[Literal["structure", "excitation", "sensor"]] = "structure"
+    places: ClassVar[tuple[str, ...]] = ("frame",)
+    parameters: ClassVar[tuple[Parameter, ...]] = (Parameter("factor", 0.0, inf, absent=0.0),)
+    signature: ClassVar[str] = (
+        "all frequencies lower, the first most, at every level: a fixed pattern of losses, growing downwards"
+    )
+
+    factor: float
+
+    def check(self, structure: Structure, channels: tuple[str, ...]) -> None:
+        """See `Effect.check`."""
+        if structure.story_heights_m is None:
+            raise EffectError(f"{self.name}: needs story_heights_m in the structure file")
+
+    def structural(self, mass: Array, stiffness: Array, structure: Structure) -> tuple[Array, Array]:
+        """See `Effect.structural`."""
+        assert structure.story_heights_m is not None, "refused by `check`"
+        weight = _GRAVITY_M_S2 * np.cumsum(mass.sum(axis=1))
+        lost = self.factor * weight / structure.story_heights_m
+        return mass, np.asarray(stiffness - np.einsum("j,jab->ab", lost, structure.stiffness_derivatives()))
+
+    @classmethod
+    def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
+        """See `Effect.starts`."""
+        return (cls(location, 0.6),)

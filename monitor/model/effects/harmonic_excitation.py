@@ -1,0 +1,57 @@
+"""A machine that runs on a floor."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import inf, pi
+from typing import ClassVar, Literal, Self
+
+import numpy as np
+
+from monitor.core.results import Array
+from monitor.model.effects.base import Condition, Context, Effect, Line
+from monitor.model.effects.parameter import Parameter
+
+
+@dataclass(frozen=True)
+class HarmonicExcitation(Effect):
+    """A force ``force_n sin(2 pi frequency_hz t)``, t from the recording's first sample."""
+
+    name: ClassVar[str] = "harmonic_excitation"
+    family: ClassVar[Literal["structure", "excitation", "sensor"]] = "excitation"
+    order: ClassVar[int] = 2
+    places: ClassVar[tuple[str, ...]] = ("floor",)
+    parameters: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("frequency_hz", 0.0, inf, "log"),
+        Parameter("force_n", 0.0, inf, absent=0.0),
+    )
+    daily: ClassVar[tuple[float, ...]] = (0.003, 1.0)
+    signature: ClassVar[str] = (
+        "a line at one frequency on every channel, narrower than any mode, with a narrow-band kurtosis of 1.5"
+    )
+
+    frequency_hz: float
+    force_n: float
+    """Amplitude."""
+
+    def lines(self) -> tuple[Line, ...]:
+        """See `Effect.lines`."""
+        return (Line(self.index, self.frequency_hz, self.force_n),)
+
+    def drive(self, forces: Array, rate_hz: float) -> Array:
+        """See `Effect.drive`."""
+        driven = forces.copy()
+        driven[:, self.index] += self.force_n * np.sin(2.0 * pi * self.frequency_hz / rate_hz * np.arange(len(forces)))
+        return driven
+
+    @classmethod
+    def at_frequency(cls, location: str, hz: float, context: Context, condition: Condition) -> Self:
+        """A weak line at a frequency, as of a peak in the spectrum."""
+        j = int(location.partition(" ")[2]) - 1
+        return cls(location, hz, 0.1 * float(context.structure.masses_kg[j] * condition.channel_m_s2.mean()))
+
+    @classmethod
+    def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
+        """See `Effect.starts`."""
+        grid = np.geomspace(6.0, 30.0, 8)
+        return tuple(cls.at_frequency(location, float(hz), context, condition) for hz in grid)

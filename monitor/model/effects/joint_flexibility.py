@@ -1,0 +1,46 @@
+"""Joints that rotate: the girders of a one-bay frame are not rigid."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from math import inf
+from typing import ClassVar, Literal, Self
+
+from monitor.model.effects.base import Condition, Context, Effect, EffectError
+from monitor.model.effects.parameter import Parameter
+from monitor.model.structures import ShearFrame, Structure
+
+
+@dataclass(frozen=True)
+class JointFlexibility(Effect):
+    """Story shear from two columns clamped into joints that rotate, held by one girder a floor.
+
+    Both joints of a floor rotate alike (sway), so each floor has one rotation; `ShearFrame` condenses them.
+    """
+
+    name: ClassVar[str] = "joint_flexibility"
+    family: ClassVar[Literal["structure", "excitation", "sensor"]] = "structure"
+    places: ClassVar[tuple[str, ...]] = ("frame",)
+    parameters: ClassVar[tuple[Parameter, ...]] = (Parameter("girder_to_column_ratio", 0.0, inf, "inverse", inf),)
+    signature: ClassVar[str] = "frequency ratios above a uniform shear frame's, and shapes that no set of stories gives"
+
+    girder_to_column_ratio: float
+    """(E I_g / L_g) / (E I_c / h), one girder and one column, E I_c / h the mean over stories."""
+
+    def check(self, structure: Structure, channels: tuple[str, ...]) -> None:
+        """See `Effect.check`."""
+        if not isinstance(structure, ShearFrame):
+            raise EffectError(
+                f"{self.name}: needs a shear frame, a structure given by matrices has its girders in them"
+            )
+
+    def altered(self, structure: Structure) -> Structure:
+        """See `Effect.altered`; beside joints that were known, they are by so much more flexible."""
+        assert isinstance(structure, ShearFrame), "refused by `check`"
+        more = 0.0 if self.girder_to_column_ratio == inf else 1.0 / self.girder_to_column_ratio
+        return replace(structure, column_to_girder=structure.column_to_girder + more)
+
+    @classmethod
+    def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
+        """See `Effect.starts`."""
+        return (cls(location, 50.0),)

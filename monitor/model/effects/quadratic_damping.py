@@ -1,0 +1,49 @@
+"""Drag of a floor in air or water."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import inf, pi, sqrt
+from typing import ClassVar, Literal, Self
+
+from monitor.model.effects.base import Condition, Context, Effect, Law, LawKind, System
+from monitor.model.effects.parameter import Parameter
+from monitor.model.structures import Structure
+
+
+@dataclass(frozen=True)
+class QuadraticDamping(Effect):
+    """Force c2 v |v| against a floor's velocity (relative to the ground).
+
+    Linearized: c + sqrt(8 / pi) c2 s_v, s_v the RMS velocity of the floor.
+    """
+
+    name: ClassVar[str] = "quadratic_damping"
+    family: ClassVar[Literal["structure", "excitation", "sensor"]] = "structure"
+    places: ClassVar[tuple[str, ...]] = ("floor",)
+    parameters: ClassVar[tuple[Parameter, ...]] = (Parameter("coefficient_n_s2_per_m2", 0.0, inf, absent=0.0),)
+    signature: ClassVar[str] = "damping rises with the level, frequencies stay"
+    conditional: ClassVar[bool] = True
+    nonlinear: ClassVar[bool] = True
+    amplitude_powers: ClassVar[tuple[float, ...]] = (1.0,)
+
+    coefficient_n_s2_per_m2: float
+
+    def extend(self, system: System, context: Context, condition: Condition) -> System:
+        """See `Effect.extend`."""
+        speed = float(condition.floor_velocity_m_s[self.index])
+        damping = sqrt(8.0 / pi) * self.coefficient_n_s2_per_m2 * speed
+        return system.plus(damping=damping * self.pattern(context.structure))
+
+    def laws(self, structure: Structure) -> tuple[Law, ...]:
+        """See `Effect.laws`."""
+        return (Law(LawKind.QUADRATIC, self.direction(structure), (self.coefficient_n_s2_per_m2, 0.0)),)
+
+    @classmethod
+    def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
+        """See `Effect.starts`."""
+        j = int(location.partition(" ")[2]) - 1
+        structure = context.structure
+        stiffness = float(structure.stiffness_matrix()[j, j])
+        own = 2.0 * structure.damping_ratio * sqrt(stiffness * float(structure.masses_kg[j]))
+        return (cls(location, 0.5 * own / (sqrt(8.0 / pi) * float(condition.floor_velocity_m_s[j]))),)

@@ -1,0 +1,115 @@
+"""A sensor whose range is too small."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from math import erf, erfc, exp, inf, pi, sqrt
+from typing import ClassVar, Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from monitor.core.results import Array, ComplexArray
+from monitor.model.effects.base import Condition, Context, Effect
+from monitor.model.effects.parameter import Parameter
+from monitor.model.effects.sensor_gain import on_channel
+
+_NEVER = 10.0
+"""Limit over RMS that is never met."""
+_ALWAYS = 0.05
+"""Least limit over RMS: all that is left of the signal is its sign."""
+
+
+_PILE_STD = 1e-4
+"""Relative standard deviation of the limit where samples pile up at it."""
+_UNCLIPPED = 4.5
+"""RMS values that a signal exceeds somewhere in a recording if nothing stops it."""
+
+
+@dataclass(frozen=True)
+class SensorClipping(Effect):
+    """Samples end at +-limit_m_s2.
+
+    Linearized by Bussgang's theorem for a normal signal of RMS s: a gain erf(a / sqrt(2)), a = limit / s, and a distortion,
+    uncorrelated with the signal and taken to be white, that makes up the rest of the clipped signal's variance.  What is
+    known is the RMS of the clipped samples; s follows from it.
+    """
+
+    name: ClassVar[str] = "sensor_clipping"
+    family: ClassVar[Literal["structure", "excitation", "sensor"]] = "sensor"
+    proportional: ClassVar[bool] = False
+    places: ClassVar[tuple[str, ...]] = ("channel",)
+    parameters: ClassVar[tuple[Parameter, ...]] = (Parameter("limit_m_s2", 0.0, inf, "inverse", inf),)
+    signature: ClassVar[str] = "one channel with flat tops, its kurtosis below 3"
+    conditional: ClassVar[bool] = True
+    nonlinear: ClassVar[bool] = True
+
+    limit_m_s2: float
+
+    def response(self, hz: Array, context: Context, condition: Condition) -> ComplexArray | None:
+        """See `Effect.response`."""
+        j = self.channel_indices(context)[0]
+        return on_channel(erf(self._limit(condition, j) / sqrt(2.0)), j, context)
+
+    def noise_variance(self, context: Context, condition: Condition) -> Array | float:
+        """See `Effect.noise_variance`."""
+        j = self.channel_indices(context)[0]
+        a = self._limit(condition, j)
+        distortion = clipped_power(a) - erf(a / sqrt(2.0)) ** 2
+        variance = np.zeros(len(context.channels))
+        variance[j] = max(distortion, 0.0) * condition.channel_m_s2[j] ** 2 / clipped_power(a)
+        return variance
+
+    def measure(self, samples: Array, rate_hz: float, context: Context, rng: np.random.Generator) -> Array:
+        """See `Effect.measure`."""
+        j = self.channel_indices(context)[0]
+        measured = samples.copy()
+        measured[:, j] = np.clip(measured[:, j], -self.limit_m_s2, self.limit_m_s2)
+        return measured
+
+    def _limit(self, condition: Condition, channel: int) -> float:
+        """The limit over the unclipped signal's RMS."""
+        return _before_clipping(self.limit_m_s2 / float(condition.channel_m_s2[channel]))
+
+    @classmethod
+    def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
+        """See `Effect.starts`."""
+        j = context.channels.index(location.partition(" ")[2])
+        rms, peak = float(condition.channel_m_s2[j]), _of(condition.channel_peak_m_s2, j)
+        if _of(condition.channel_piled, j):
+            return (cls(location, peak),)
+        if peak > _UNCLIPPED * rms:
+            return (cls(location, 2.0 * rms),) if peak == inf else ()
+        return (cls(location, 0.8 * peak), cls(location, 0.999 * peak))
+
+    def known(self, context: Context, condition: Condition) -> tuple[Array, Array]:
+        """See `Effect.known`: where samples pile up at the largest magnitude, that is the limit."""
+        j = self.channel_indices(context)[0]
+        if not _of(condition.channel_piled, j):
+            return self.coordinates, np.zeros(1)
+        peak = _of(condition.channel_peak_m_s2, j)
+        return np.array([1.0 / peak]), np.array([(peak / _PILE_STD) ** 2])
+
+
+def _of(values: Array | NDArray[np.bool_], channel: int) -> float:
+    """A channel's value; where the condition says nothing there is one for all."""
+    return float(values[min(channel, values.size - 1)])
+
+
+@lru_cache(maxsize=256)  # every spectrum asks anew
+def _before_clipping(ratio: float) -> float:
+    """A limit over the unclipped signal's RMS, from the limit over the clipped one's."""
+    if ratio >= _NEVER:
+        return _NEVER
+    low, high = 0.0, ratio  # a / sqrt(power) falls with a to 1, where all samples are clipped
+    for _ in range(50):
+        a = 0.5 * (low + high)
+        low, high = (a, high) if a < ratio * sqrt(clipped_power(a)) else (low, a)
+    return max(high, _ALWAYS)
+
+
+def clipped_power(a: float) -> float:
+    """Variance of a unit normal variable clipped at +-a."""
+    power = erf(a / sqrt(2.0)) - sqrt(2.0 / pi) * a * exp(-0.5 * a**2) + a**2 * erfc(a / sqrt(2.0))
+    return max(power, 0.0)  # rounding, where next to nothing is left

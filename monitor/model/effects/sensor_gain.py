@@ -1,0 +1,49 @@
+"""A channel calibrated wrongly."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import inf
+from typing import ClassVar, Literal, Self
+
+import numpy as np
+
+from monitor.core.results import Array, ComplexArray
+from monitor.model.effects.base import Condition, Context, Effect
+from monitor.model.effects.parameter import Parameter
+
+
+@dataclass(frozen=True)
+class SensorGain(Effect):
+    """Samples times `gain`."""
+
+    name: ClassVar[str] = "sensor_gain"
+    family: ClassVar[Literal["structure", "excitation", "sensor"]] = "sensor"
+    places: ClassVar[tuple[str, ...]] = ("channel",)
+    parameters: ClassVar[tuple[Parameter, ...]] = (Parameter("gain", 0.0, inf, "log", 1.0),)
+    signature: ClassVar[str] = "one factor on one channel in all shapes, frequencies untouched"
+
+    gain: float
+
+    def response(self, hz: Array, context: Context, condition: Condition) -> ComplexArray | None:
+        """See `Effect.response`."""
+        return on_channel(self.gain, self.channel_indices(context)[0], context)
+
+    def measure(self, samples: Array, rate_hz: float, context: Context, rng: np.random.Generator) -> Array:
+        """See `Effect.measure`."""
+        measured = samples.copy()
+        measured[:, self.channel_indices(context)[0]] *= self.gain
+        return measured
+
+    @classmethod
+    def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
+        """See `Effect.starts`."""
+        return (cls(location, 1.02),)
+
+
+def on_channel(factor: complex | ComplexArray, channel: int, context: Context) -> ComplexArray:
+    """The response that multiplies one channel, shape (n_hz or 1, c, c)."""
+    factors = np.atleast_1d(factor)
+    response = np.tile(np.eye(len(context.channels), dtype=complex), (factors.size, 1, 1))
+    response[:, channel, channel] = factors
+    return response

@@ -1,0 +1,47 @@
+"""A channel noisier than the others."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import inf
+from typing import ClassVar, Literal, Self
+
+import numpy as np
+
+from monitor.core.results import Array
+from monitor.model.effects.base import Condition, Context, Effect
+from monitor.model.effects.parameter import Parameter
+
+
+@dataclass(frozen=True)
+class SensorNoise(Effect):
+    """White noise in addition to the common floor."""
+
+    name: ClassVar[str] = "sensor_noise"
+    family: ClassVar[Literal["structure", "excitation", "sensor"]] = "sensor"
+    order: ClassVar[int] = 2
+    places: ClassVar[tuple[str, ...]] = ("channel",)
+    parameters: ClassVar[tuple[Parameter, ...]] = (Parameter("rms_m_s2", 0.0, inf, absent=0.0),)
+    daily: ClassVar[tuple[float, ...]] = (0.2,)  # what is noise about a channel may follow its motion
+    signature: ClassVar[str] = "a raised floor between the peaks of one channel, its coherence down"
+
+    rms_m_s2: float
+    """At the source's rate."""
+
+    def noise_variance(self, context: Context, condition: Condition) -> Array | float:
+        """See `Effect.noise_variance`."""
+        variance = np.zeros(len(context.channels))
+        variance[self.channel_indices(context)[0]] = self.rms_m_s2**2
+        return variance
+
+    def measure(self, samples: Array, rate_hz: float, context: Context, rng: np.random.Generator) -> Array:
+        """See `Effect.measure`."""
+        measured = samples.copy()
+        measured[:, self.channel_indices(context)[0]] += self.rms_m_s2 * rng.standard_normal(len(samples))
+        return measured
+
+    @classmethod
+    def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
+        """See `Effect.starts`."""
+        j = context.channels.index(location.partition(" ")[2])
+        return (cls(location, 0.15 * float(condition.channel_m_s2[j])),)

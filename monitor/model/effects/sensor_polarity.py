@@ -1,0 +1,40 @@
+"""A channel mounted or wired the wrong way round."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, Literal, Self
+
+import numpy as np
+
+from monitor.core.results import Array, ComplexArray
+from monitor.model.effects.base import Condition, Context, Effect
+from monitor.model.effects.parameter import Parameter
+from monitor.model.effects.sensor_gain import on_channel
+
+
+@dataclass(frozen=True)
+class SensorPolarity(Effect):
+    """Samples times -1."""
+
+    name: ClassVar[str] = "sensor_polarity"
+    family: ClassVar[Literal["structure", "excitation", "sensor"]] = "sensor"
+    proportional: ClassVar[bool] = False
+    places: ClassVar[tuple[str, ...]] = ("channel",)
+    parameters: ClassVar[tuple[Parameter, ...]] = ()
+    signature: ClassVar[str] = "one channel upside down in all shapes, frequencies untouched"
+
+    def response(self, hz: Array, context: Context, condition: Condition) -> ComplexArray | None:
+        """See `Effect.response`."""
+        return on_channel(-1.0, self.channel_indices(context)[0], context)
+
+    def measure(self, samples: Array, rate_hz: float, context: Context, rng: np.random.Generator) -> Array:
+        """See `Effect.measure`."""
+        measured = samples.copy()
+        measured[:, self.channel_indices(context)[0]] *= -1.0
+        return measured
+
+    @classmethod
+    def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
+        """See `Effect.starts`."""
+        return (cls(location),)

@@ -1,0 +1,44 @@
+"""A story, or every story alike, lost or gained stiffness."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, Literal, Self
+
+import numpy as np
+
+from monitor.core.results import Array
+from monitor.model.effects.base import Condition, Context, Effect
+from monitor.model.effects.parameter import Parameter
+from monitor.model.structures import Structure
+
+
+@dataclass(frozen=True)
+class StiffnessChange(Effect):
+    """Stiffness k becomes k (1 + relative)."""
+
+    name: ClassVar[str] = "stiffness_change"
+    family: ClassVar[Literal["structure", "excitation", "sensor"]] = "structure"
+    places: ClassVar[tuple[str, ...]] = ("story", "frame")
+    parameters: ClassVar[tuple[Parameter, ...]] = (Parameter("relative", -1.0, 10.0, absent=0.0),)
+    signature: ClassVar[str] = (
+        "frequencies and shapes move in the pattern of one story (of the frame: all frequencies alike), at every level"
+    )
+
+    relative: float
+    """-0.2 = 20 % lost."""
+
+    def altered(self, structure: Structure) -> Structure:
+        """See `Effect.altered`."""
+        if self.location == "frame":
+            return structure
+        return structure.changed(self.relative * np.eye(structure.n_stories)[self.index])
+
+    def structural(self, mass: Array, stiffness: Array, structure: Structure) -> tuple[Array, Array]:
+        """See `Effect.structural`."""
+        return mass, stiffness * (1.0 + self.relative) if self.location == "frame" else stiffness
+
+    @classmethod
+    def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
+        """See `Effect.starts`."""
+        return tuple(cls(location, r) for r in (-0.003, -0.02, -0.08, 0.08, -0.14))

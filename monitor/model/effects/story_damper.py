@@ -1,0 +1,32 @@
+"""A viscous damper across a story."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import inf
+from typing import ClassVar, Literal, Self
+
+from monitor.model.effects.base import Condition, Context, Effect, System
+from monitor.model.effects.parameter import Parameter
+
+
+@dataclass(frozen=True)
+class StoryDamper(Effect):
+    """Force c times the drift's velocity, in addition to the structure's own damping."""
+
+    name: ClassVar[str] = "story_damper"
+    family: ClassVar[Literal["structure", "excitation", "sensor"]] = "structure"
+    places: ClassVar[tuple[str, ...]] = ("story",)
+    parameters: ClassVar[tuple[Parameter, ...]] = (Parameter("damping_n_s_per_m", 0.0, inf, absent=0.0),)
+    signature: ClassVar[str] = "damping up in the modes that move this story, complex shapes, equal at every level"
+
+    damping_n_s_per_m: float
+
+    def extend(self, system: System, context: Context, condition: Condition) -> System:
+        """See `Effect.extend`."""
+        return system.plus(damping=self.damping_n_s_per_m * self.pattern(context.structure))
+
+    @classmethod
+    def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
+        """See `Effect.starts`."""
+        return (cls(location, 0.1),)

@@ -1,0 +1,57 @@
+"""Stiffness that follows the weather."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import exp, inf
+from typing import ClassVar, Literal, Self
+
+import numpy as np
+
+from monitor.core.results import Array
+from monitor.model.effects.base import Condition, Context, Effect, System
+from monitor.model.effects.parameter import Parameter
+
+
+@dataclass(frozen=True)
+class TemperatureStiffness(Effect):
+    """Every stiffness k becomes k (1 + per_degc T), T the temperature above its reference after a first-order lag.
+
+    The damping stays.
+    """
+
+    name: ClassVar[str] = "temperature_stiffness"
+    family: ClassVar[Literal["structure", "excitation", "sensor"]] = "structure"
+    places: ClassVar[tuple[str, ...]] = ("frame",)
+    parameters: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("per_degc", -1.0, 1.0, absent=0.0),
+        Parameter("lag_s", 0.0, inf, closed=True, least=60.0),
+    )
+    signature: ClassVar[str] = (
+        "all frequencies by the same factor, shapes untouched, following the temperature, equal at every level"
+    )
+    conditional: ClassVar[bool] = True
+
+    per_degc: float
+    """Relative change per kelvin."""
+    lag_s: float
+    """The first temperature is taken to have lasted."""
+
+    def extend(self, system: System, context: Context, condition: Condition) -> System:
+        """See `Effect.extend`."""
+        n = context.structure.n_stories
+        return system.plus(stiffness=self.per_degc * condition.excess_degc(self.lag_s) * system.stiffness[:n, :n])
+
+    def stiffness_factor(self, excess_degc: Array, rate_hz: float) -> Array | None:
+        """See `Effect.stiffness_factor`."""
+        from scipy.signal import lfilter  # takes most of a second to load
+
+        if self.lag_s > 0.0:
+            keep = exp(-1.0 / (rate_hz * self.lag_s))
+            excess_degc = lfilter([1.0 - keep], [1.0, -keep], excess_degc, zi=[keep * excess_degc[0]])[0]
+        return np.asarray(1.0 + self.per_degc * excess_degc)
+
+    @classmethod
+    def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
+        """See `Effect.starts`."""
+        return cls(location, 1e-3, 0.0), cls(location, 1e-3, 600.0)

@@ -1,0 +1,51 @@
+"""A channel that comes late."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import ceil, pi
+from typing import ClassVar, Literal, Self
+
+import numpy as np
+from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
+
+from monitor.core.results import Array, ComplexArray
+from monitor.model.effects.base import Condition, Context, Effect
+from monitor.model.effects.parameter import Parameter
+from monitor.model.effects.sensor_gain import on_channel
+
+_PAD_N = 1024
+"""Samples of silence, in which what is delayed beyond the end dies away instead of coming round to the start."""
+
+
+@dataclass(frozen=True)
+class TimeOffset(Effect):
+    """Sample k of the channel is the motion of `seconds` before: a band-limited fractional delay."""
+
+    name: ClassVar[str] = "time_offset"
+    family: ClassVar[Literal["structure", "excitation", "sensor"]] = "sensor"
+    places: ClassVar[tuple[str, ...]] = ("channel",)
+    parameters: ClassVar[tuple[Parameter, ...]] = (Parameter("seconds", -1.0, 1.0, absent=0.0),)
+    signature: ClassVar[str] = "the phase of one channel falls in proportion to the frequency"
+
+    seconds: float
+
+    def response(self, hz: Array, context: Context, condition: Condition) -> ComplexArray | None:
+        """See `Effect.response`."""
+        return on_channel(np.exp(-2j * pi * hz * self.seconds), self.channel_indices(context)[0], context)
+
+    def measure(self, samples: Array, rate_hz: float, context: Context, rng: np.random.Generator) -> Array:
+        """See `Effect.measure`."""
+        if self.seconds == 0.0:
+            return samples
+        j, n = self.channel_indices(context)[0], len(samples)
+        padded = next_fast_len(n + ceil(self.seconds * rate_hz) + _PAD_N, real=True)
+        delay = np.exp(-2j * pi * rfftfreq(padded, 1.0 / rate_hz) * self.seconds)
+        measured = samples.copy()
+        measured[:, j] = irfft(rfft(samples[:, j], padded) * delay, padded)[:n]
+        return measured
+
+    @classmethod
+    def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
+        """See `Effect.starts`."""
+        return tuple(cls(location, s) for s in (0.5e-3, 1.5e-3, -1.5e-3, 3e-3, -3e-3, 4.5e-3, -4.5e-3))

@@ -1,0 +1,121 @@
+"""``Model = structure + effects``: the one idea that updating, simulation and diagnosis share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import lapack
+
+from monitor.core.results import Array
+from monitor.model.effects import Effect
+from monitor.model.structures import Structure
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Modes:
+    """Undamped modes of a model, lowest first."""
+
+    eigenvalues: Array
+    """Shape (n,), (rad/s)^2."""
+    shapes: Array
+    """Shape (n, n): shapes[:, i] is mode i at the floors, with unit modal mass."""
+
+    @property
+    def frequencies_hz(self) -> Array:
+        """Shape (n,)."""
+        return np.asarray(np.sqrt(self.eigenvalues) / (2.0 * np.pi))
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Model:
+    """A structure and the effects that its drawing leaves out."""
+
+    structure: Structure
+    effects: tuple[Effect, ...] = ()
+    correction: Array | None = None
+    """Stiffness that neither the structure's form nor an effect explains, shape (n, n), N/m: the standing model error."""
+    modal_damping: Array | None = None
+    """Damping ratio of every mode, shape (n,), in place of the structure's Rayleigh damping."""
+
+    def with_stiffness(self, stiffness_n_per_m: Array) -> Model:
+        """The same model with other story stiffnesses, shape (p,), N/m."""
+        return replace(self, structure=self.structure.with_stiffness(stiffness_n_per_m))
+
+    def as_built(self) -> Model:
+        """The same model, of which stiffnesses may now change, and nothing that is sized by them."""
+        return replace(self, structure=self.structure.changed(np.zeros(self.structure.n_stories)))
+
+    def with_masses(self, masses_kg: Array) -> Model:
+        """The same model with other floor masses, shape (n,), kg."""
+        return replace(self, structure=self.structure.with_masses(masses_kg))
+
+    def structural_matrices(self) -> tuple[Array, Array]:
+        """Mass and stiffness matrices with the effects that are linear at every level, shape (n, n), kg and N/m."""
+        structure = self.structure
+        for effect in self.effects:  # members first, whenever they changed: joints and a base join what is there
+            structure = effect.altered(structure)
+        mass, stiffness = structure.mass_matrix(), structure.stiffness_matrix()
+        for effect in self.effects:
+            mass, stiffness = effect.structural(mass, stiffness, structure)
+        return mass, stiffness if self.correction is None else stiffness + self.correction
+
+    def mass_matrix(self) -> Array:
+        """Shape (n, n), kg."""
+        return self.structural_matrices()[0]
+
+    def stiffness_matrix(self) -> Array:
+        """Shape (n, n), N/m."""
+        return self.structural_matrices()[1]
+
+    def damping_ratios(self) -> Array:
+        """Damping ratio of every mode, shape (n,)."""
+        if self.modal_damping is not None:
+            return self.modal_damping
+        modes = self.modes()
+        modal = np.einsum("ai,ab,bi->i", modes.shapes, self.damping_matrix(), modes.shapes)
+        return np.asarray(modal / (2.0 * np.sqrt(modes.eigenvalues)))
+
+    def damping_matrix(self) -> Array:
+        """Rayleigh damping with the structure's ratio in modes 1 and 2, or the modal ratios where given, shape (n, n), N s/m."""
+        omega = np.sqrt(self.modes().eigenvalues)
+        if self.modal_damping is not None:
+            carried = self.mass_matrix() @ self.modes().shapes
+            return np.asarray((carried * (2.0 * self.modal_damping * omega)) @ carried.T)
+        first, second = omega[0], omega[min(1, omega.size - 1)]
+        ratio = self.structure.damping_ratio
+        if omega.size == 1:
+            return np.asarray(2.0 * ratio * first * self.mass_matrix())
+        alpha = 2.0 * ratio * first * second / (first + second)
+        beta = 2.0 * ratio / (first + second)
+        return np.asarray(alpha * self.mass_matrix() + beta * self.stiffness_matrix())
+
+    def stiffness_derivatives(self) -> Array:
+        """dK / dk_j, shape (n_stories, n, n): exact for the bare structure, central differences with effects."""
+        if not self.effects:
+            return self.structure.stiffness_derivatives()
+        stiffness = self.structure.stiffness_n_per_m
+        step = 1e-5 * stiffness
+        pairs = [(self.with_stiffness(stiffness + e), self.with_stiffness(stiffness - e)) for e in np.diag(step)]
+        return np.array(
+            [
+                (up.stiffness_matrix() - down.stiffness_matrix()) / (2.0 * h)
+                for (up, down), h in zip(pairs, step, strict=True)
+            ]
+        )
+
+    def modes(self) -> Modes:
+        """Solve K phi = lambda M phi.
+
+        Raises
+        ------
+        numpy.linalg.LinAlgError
+            If the mass matrix is not positive definite.
+        """
+        mass, stiffness = self.structural_matrices()
+        if not (np.isfinite(mass).all() and np.isfinite(stiffness).all()):
+            raise np.linalg.LinAlgError("mass or stiffness is not finite")
+        eigenvalues, shapes, failed = lapack.dsygvd(stiffness, mass)  # without the checks of `eigh`, which take longer
+        if failed:
+            raise np.linalg.LinAlgError("the mass matrix is not positive definite")
+        return Modes(eigenvalues, shapes)

@@ -1,0 +1,94 @@
+"""A diagnosis's reference as a part of the baseline file."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from monitor.model.effects import FORMS
+from monitor.model.model import Model
+from monitor.model.prior import Reference, StandingError, as_stated
+
+
+def to_plain(reference: Reference | None) -> dict[str, Any] | None:
+    """JSON content; the structure itself and what its file states come from the structure file."""
+    if reference is None:
+        return None
+    return {
+        "effects": [
+            {"effect": e.name, "location": e.location, "parameters": e.values()}
+            for e in reference.effects(reference.mean)
+        ],
+        "correction": reference.parts(reference.mean)[4].tolist(),
+        "mean": reference.mean.tolist(),
+        "precision": reference.precision.tolist(),
+        "basis": reference.basis.tolist(),
+        "reference_degc": reference.reference_degc,
+        "error": None if reference.error is None else _error_to_plain(reference.error),
+    }
+
+
+def from_plain(content: dict[str, Any] | None, model: Model, channels: tuple[str, ...]) -> Reference | None:
+    """The reference on the structure file's model.
+
+    Effects that the file states by now, as after a finding was accepted, and the calibration did not know are added as stated.
+
+    Raises
+    ------
+    ValueError, KeyError, TypeError
+        If the content is not a reference of this structure.
+    """
+    if content is None:
+        return None
+    effects = tuple(FORMS[e["effect"]].create(e["location"], e["parameters"]) for e in content["effects"])
+    n, p = model.structure.n_dofs, model.structure.n_stories
+    mean, precision = (np.array(content[name], dtype=float) for name in ("mean", "precision"))
+    basis = np.array(content["basis"], dtype=float).reshape(-1, n, n)
+    size = p + 2 * n + len(channels) + basis.shape[0] + sum(len(e.parameters) for e in effects)
+    degc = content["reference_degc"]
+    if mean.shape != (size,) or precision.shape != (size, size):
+        raise ValueError(f"the reference has shapes {mean.shape} and {precision.shape}, not ({size},)")
+    if not (np.isfinite(mean).all() and np.isfinite(precision).all() and np.isfinite(basis).all()):
+        raise ValueError("the reference holds numbers that are not finite")
+    for effect in effects:
+        effect.check(model.structure, channels)
+    known = {(e.name, e.location) for e in effects}
+    added = tuple(e for e in model.effects if (e.name, e.location) not in known)
+    stated = np.concatenate([[], *[e.coordinates for e in added]])
+    return Reference(
+        model=replace(model, effects=effects + added),
+        mean=np.concatenate([mean, stated]),
+        precision=block_diag(precision, np.diag(as_stated(added))) if stated.size else precision,
+        basis=basis,
+        reference_degc=None if degc is None else float(degc),
+        error=None if content["error"] is None else _error_from_plain(content["error"], len(channels)),
+    ).with_known_lines()
+
+
+def _error_to_plain(error: StandingError) -> dict[str, Any]:
+    e = error.relative
+    return {
+        "hz": error.hz.tolist(),
+        "real": e.real.tolist(),
+        "imaginary": e.imag.tolist(),
+        "variance": error.variance.tolist(),
+    }
+
+
+def _error_from_plain(content: dict[str, Any], n_channels: int) -> StandingError:
+    hz, real, imaginary, variance = (
+        np.array(content[name], dtype=float) for name in ("hz", "real", "imaginary", "variance")
+    )
+    shape = (hz.size, n_channels, n_channels)
+    if (
+        hz.size < 2
+        or not (np.diff(hz) > 0.0).all()
+        or (real.shape, imaginary.shape, variance.shape) != (shape, shape, hz.shape)
+    ):
+        raise ValueError("the reference's standing error has the wrong shape")
+    if not all(np.isfinite(values).all() for values in (hz, real, imaginary, variance)) or (variance < 0.0).any():
+        raise ValueError("the reference's standing error holds numbers that are none")
+    return StandingError(hz, real + 1j * imaginary, variance)

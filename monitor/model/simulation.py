@@ -1,0 +1,231 @@
+"""Integrates a Model in time: recordings with known truth.
+
+Everything of ours is stepped by `monitor.model.integration`: exactly where the model is linear (force straight between
+samples, so that nothing is delayed).  Newmark's average acceleration at the paper's steps is for `reproduce` alone: it lengthens periods
+to ``f_N = atan(pi f dt) / (pi dt)``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from scipy.optimize import brentq
+
+from monitor.core.results import Array
+from monitor.model.effects import Condition, Context, System
+from monitor.model.model import Model
+
+ExcitationKind = Literal["ambient", "impulse", "ground"]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Motion:
+    """What the sensors of a simulated structure said."""
+
+    rate_hz: float
+    floors: Array
+    """Absolute accelerations, shape (n_samples, c), m/s^2; one channel a floor unless sensors were named."""
+    ground: Array | None
+    """Ground acceleration, where it was measured, shape (n_samples,), m/s^2."""
+
+
+def linear_system(model: Model) -> System:
+    """Structure, its damping and what effects add that is linear at every level."""
+    n = model.structure.n_dofs
+    mass, stiffness = model.structural_matrices()
+    system = System(mass, model.damping_matrix(), stiffness)
+    context = Context(model.structure, (), np.zeros((0, n)), 1.0)
+    nowhere = Condition(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0))
+    for effect in model.effects:
+        if not (effect.conditional or effect.nonlinear):  # of those the exact law acts
+            system = effect.extend(system, context, nowhere)
+    return system
+
+
+def respond_exactly(model: Model, forces: Array, rate_hz: float) -> Array:
+    """Accelerations of the floors under forces that run straight between samples, nonlinear laws left out.
+
+    Parameters
+    ----------
+    forces : ndarray, shape (n_samples, n), N
+        More columns act on the degrees of freedom that effects append.
+    rate_hz : float
+
+    Returns
+    -------
+    ndarray, shape (n_samples, n), m/s^2
+        Relative to the ground; at rest before the first sample.
+    """
+    from monitor.model.integration import march  # compiled code takes a while to load
+
+    return march(linear_system(model), model.structure.n_dofs, (), forces, rate_hz, step_hz=rate_hz)
+
+
+def respond_newmark(model: Model, forces: Array, rate_hz: float) -> Array:
+    """Accelerations of the floors by Newmark's average-acceleration method (gamma 1/2, beta 1/4).
+
+    Parameters and return value as `respond_exactly`.  In modal coordinates of a classically damped model the method
+    is the bilinear transform of ``s^2 / (s^2 + 2 zeta w s + w^2)``.
+    """
+    from scipy.signal import lfilter  # takes most of a second to load
+
+    modes = model.modes()
+    omega = np.sqrt(modes.eigenvalues)
+    zeta = np.diag(modes.shapes.T @ model.damping_matrix() @ modes.shapes) / (2.0 * omega)
+    dt = 1.0 / rate_hz
+    modal_force = forces @ modes.shapes
+    modal_acceleration = np.empty_like(modal_force)
+    for i, (w, z) in enumerate(zip(omega, zeta, strict=True)):
+        a = 4.0 / dt**2
+        b = 4.0 * z * w / dt
+        numerator = [a, -2.0 * a, a]
+        denominator = [a + b + w**2, 2.0 * (w**2 - a), a - b + w**2]
+        modal_acceleration[:, i] = lfilter(numerator, denominator, modal_force[:, i])
+    return np.asarray(modal_acceleration @ modes.shapes.T)
+
+
+def level_wander(n: int, rate_hz: float, spread: float, rng: np.random.Generator) -> Array:
+    """A slowly wandering level with mean square 1: log-normal, correlated over 60 s, shape (n,)."""
+    if spread == 0.0:
+        return np.ones(n)
+    from scipy.signal import lfilter  # takes most of a second to load
+
+    step = max(1, int(rate_hz))
+    knots = n // step + 2
+    decay = np.exp(-step / rate_hz / 60.0)
+    white = rng.standard_normal(knots) * np.sqrt(1.0 - decay**2)
+    white[0] /= np.sqrt(1.0 - decay**2)
+    slow = np.interp(np.arange(n) / step, np.arange(knots), lfilter([1.0], [1.0, -decay], white))
+    sigma = np.sqrt(np.log1p(spread**2))
+    return np.asarray(np.exp(sigma * slow - sigma**2))
+
+
+def simulate(
+    model: Model,
+    *,
+    duration_s: float,
+    rate_hz: float,
+    excitation: ExcitationKind = "ambient",
+    noise: float = 0.0,
+    level_spread: float = 0.0,
+    seed: int = 0,
+    context: Context | None = None,
+    excess_degc: Array | None = None,
+) -> Motion:
+    """A recording's worth of motion.
+
+    Parameters
+    ----------
+    excitation : {"ambient", "impulse", "ground"}
+        Independent white forces of 1 N on every floor; a hammer blow on the middle floor every 10 s; a white ground
+        acceleration of 0.5 m/s^2, measured.
+    noise : float
+        Sensor noise, white at `rate_hz`, as a fraction of the mean over channels of the acceleration's RMS, the same
+        on every channel.  It passes the sensor effects as the motion does.
+    level_spread : float
+        Relative spread of the excitation's slowly wandering level (0.35 for wind).
+    context : Context, optional
+        Names and places of the sensors; by default one a floor, a1 to an.
+    excess_degc : ndarray, shape (n_samples,), optional
+        Temperature above the reference; none by default.
+
+    Raises
+    ------
+    ValueError
+        If an effect shapes the forces or moves the ground, and `excitation` is the ground.
+    """
+    if excitation == "ground" and any(e.ground_share or np.ndim(e.colour(np.ones(1))) for e in model.effects):
+        raise ValueError("effects of the excitation need --excitation ambient or impulse")
+    n = model.structure.n_dofs
+    if context is None:
+        context = Context(model.structure, tuple(f"a{j + 1}" for j in range(n)), np.eye(n), rate_hz)
+    rng = np.random.default_rng(seed)
+    own = rng.spawn(1)[0]  # of effects, so that the same seed gives the same forces and noise without them
+    n_samples = round(duration_s * rate_hz)
+    true_rate_hz = rate_hz * float(np.prod([e.clock_factor for e in model.effects]))
+    level = level_wander(n_samples, rate_hz, level_spread, rng)[:, None]
+    forces, ground = np.zeros((n_samples, n)), None
+    if excitation == "ambient":
+        forces = level * rng.standard_normal((n_samples, n))
+    elif excitation == "impulse":
+        forces[:: max(1, round(10.0 * rate_hz)), n // 2] = rate_hz  # 1 N s within one sample
+    else:
+        ground = 0.5 * level[:, 0] * rng.standard_normal(n_samples)
+    for effect in model.effects:
+        forces = effect.drive(forces, true_rate_hz)
+    moving = _hidden_ground(model, forces, level[:, 0], true_rate_hz, context, own) if ground is None else ground
+    clean = respond(model, forces, moving, true_rate_hz, excess_degc) @ context.sensors.T
+    rms = noise * float(np.sqrt((clean**2).mean(axis=0)).mean())
+    samples = clean + rms * rng.standard_normal(clean.shape)
+    if ground is not None:
+        ground = ground + rms * rng.standard_normal(n_samples)
+    for effect in model.effects:
+        samples = effect.measure(samples, true_rate_hz, context, own)
+    return Motion(rate_hz, samples, ground)
+
+
+def respond(
+    model: Model,
+    forces: Array,
+    ground: Array | None,
+    rate_hz: float,
+    excess_degc: Array | None = None,
+    step_hz: float | None = None,
+) -> Array:
+    """Absolute accelerations of the floors, shape (n_samples, n), every law at work.
+
+    Parameters
+    ----------
+    forces : ndarray, shape (n_samples, n), N
+    ground : ndarray, shape (n_samples,), m/s^2, or None for ground at rest
+    rate_hz : float
+    excess_degc : ndarray, shape (n_samples,), optional
+        Temperature above the reference.
+    step_hz : float, optional
+        Least rate at which nonlinear laws are stepped; `monitor.model.integration.STEP_HZ` unless told otherwise.
+    """
+    if ground is not None:
+        forces = _with_inertia(model, forces, ground)
+    laws = [law for effect in model.effects for law in effect.laws(model.structure)]
+    factors = [] if excess_degc is None else [e.stiffness_factor(excess_degc, rate_hz) for e in model.effects]
+    changing = [f for f in factors if f is not None]
+    if laws or changing:
+        from monitor.model.integration import STEP_HZ, march  # compiled code takes a while to load
+
+        factor = np.prod(changing, axis=0) if changing else None
+        step_hz = STEP_HZ if step_hz is None else step_hz
+        floors = march(linear_system(model), model.structure.n_dofs, laws, forces, rate_hz, factor, step_hz)
+    else:
+        floors = respond_exactly(model, forces, rate_hz)
+    return floors if ground is None else floors + ground[:, None]
+
+
+def _with_inertia(model: Model, forces: Array, ground: Array) -> Array:
+    """Forces on every degree of freedom in a frame that moves with the ground, shape (n_samples, N)."""
+    inertia = linear_system(model).mass.sum(axis=1)
+    padded = np.pad(forces, ((0, 0), (0, inertia.size - forces.shape[1])))
+    return np.asarray(padded - ground[:, None] * inertia)
+
+
+def _hidden_ground(
+    model: Model, forces: Array, level: Array, rate_hz: float, context: Context, rng: np.random.Generator
+) -> Array | None:
+    """Ground acceleration that causes the effects' share of the channels' variance, as the linear model answers."""
+    share = sum(e.ground_share for e in model.effects)
+    if share <= 0.0:
+        return None
+    if share >= 1.0:
+        raise ValueError(f"base_excitation: shares add up to {share:g}, not below 1")
+    ground = np.asarray(level * rng.standard_normal(level.size))
+    shaken = respond_exactly(model, _with_inertia(model, np.zeros_like(forces), ground), rate_hz) + ground[:, None]
+    by_ground = ((shaken @ context.sensors.T) ** 2).mean(axis=0)
+    by_force = ((respond_exactly(model, forces, rate_hz) @ context.sensors.T) ** 2).mean(axis=0)
+
+    def excess(ln_power: float) -> float:
+        part = np.exp(ln_power) * by_ground
+        return float((part / (part + by_force)).mean()) - share
+
+    middle = float(np.log(by_force.mean() / by_ground.mean()))
+    return np.asarray(ground * np.exp(0.5 * brentq(excess, middle - 25.0, middle + 25.0)))

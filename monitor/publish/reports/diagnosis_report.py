@@ -1,0 +1,298 @@
+"""The diagnosis as one HTML page: the verdict first, then the evidence for it.  Needs no network and prints."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from html import escape
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from monitor.core.files import write_atomically
+from monitor.core.results import Array
+from monitor.diagnosis.stepwise_selection import Diagnosis
+from monitor.diagnosis.wording import headline, in_words, interval, separating_measurement, unit
+from monitor.inference.segments import Segments
+from monitor.model.effects import FORMS
+from monitor.model.effects.ambient_forces import AmbientForces
+from monitor.publish.reports import charts
+from monitor.publish.reports.charts import Axes, svg
+from monitor.publish.reports.comparison import Comparison, LevelDependence, compare, level_dependence
+from monitor.publish.reports.page import document, table
+
+__all__ = ["headline", "in_words", "page", "separating_measurement", "write_report"]
+
+Content = Mapping[str, Any]
+
+_DRAWN = "rise_"
+"""Parameters that a curve shows: those of the spectrum of `AmbientForces`."""
+_SHOWN = 12
+"""Rows of the misfit's table, bars of a ranking."""
+
+
+def write_report(path: Path, diagnosis: Diagnosis, content: Content, segments: Segments) -> None:
+    """Write the page; the file appears under its name only when complete.
+
+    Parameters
+    ----------
+    content : mapping
+        diagnosis.json.
+    segments : Segments
+        What was judged.
+    """
+    write_atomically(path, page(diagnosis, content, segments))
+
+
+def page(diagnosis: Diagnosis, content: Content, segments: Segments) -> str:
+    """The page, which is well-formed XML as well."""
+    compared, by_level = compare(diagnosis, segments), level_dependence(diagnosis)
+    told = headline(diagnosis, content)
+    parts = [
+        _head(told, content, compared, segments),
+        _spectra(compared),
+        _misfit(compared, diagnosis),
+        "" if by_level is None else _levels(by_level),
+        _ranking(diagnosis, content),
+        _parameters(diagnosis, content, compared.hz),
+        _data(diagnosis, content, segments, compared),
+    ]
+    return document(f"Diagnosis: {told}", parts)
+
+
+def _head(told: str, content: Content, compared: Comparison, segments: Segments) -> str:
+    """Verdict, what to do, key figures, how to read."""
+    verdict = content["verdict"]
+    badge = {"none": told.partition(":")[0].lower(), "named": "cause named"}.get(verdict, verdict)
+    out = [f'<span class="verdict {verdict}">{badge}</span><h1>{escape(told)}</h1>']
+    if content["separating_measurement"]:
+        out.append(f"<p><b>To tell them apart:</b> {escape(content['separating_measurement'])}.</p>")
+    gain, error = content["gain"]["log_score_per_sample"], content["gain"]["csd_error"]
+    low, high = gain["ci95"]
+    wrong = [int((np.abs(z) > compared.limit).sum()) for z in (compared.z_before, compared.z_after)]
+    figures = [
+        (f"{wrong[0]} → {wrong[1]}" if compared.extended else f"{wrong[0]}",
+         f"bands with a misfit beyond {compared.limit:g} standard deviations"),
+        (_minutes(segments), f"of data, {len(compared.channels)} channels"),
+    ]  # fmt: skip
+    if compared.extended:
+        figures = [
+            (f"{gain['gain']:+.4f} ({low:+.4f} to {high:+.4f})", "gain on held-out data, nats a sample, 95 % interval"),
+            (f"{100 * error['before']:.1f} → {100 * error['after']:.1f} %", "error of held-out cross-spectra"),
+            *figures,
+        ]
+    out.append('<div class="figures">' + "".join(f"<div><b>{a}</b>{escape(b)}</div>" for a, b in figures) + "</div>")
+    out.append(
+        '<p class="muted"><b>How to read this page.</b> A simulation of the structure was fitted to the measured '
+        "vibration twice: <i>before</i>, with the model as it was, its numbers refitted, and <i>after</i>, with the "
+        "cause above added (the most probable one, where several remain). A cause counts if measured and simulated "
+        "spectra then agree within chance, on data that the fit has not seen. Intervals (±) are two standard "
+        "deviations, about 95 %.</p>"
+    )
+    return "".join(out)
+
+
+def _spectra(c: Comparison) -> str:
+    """Measured and modelled spectra of every channel, and their ratio."""
+    out = ["<h2>Measured against simulated</h2><p>"]
+    keys = [("ink", "measured"), ("before", "simulated, before"), ("after", "simulated, after")]
+    for kind, words in keys if c.extended else [keys[0], ("before", "simulated")]:
+        out.append(f'<span class="key" style="color: var(--{kind})">━ {words}</span> &#160; ')
+    out.append("</p>")
+    for i, name in enumerate(c.channels):
+        drawing = _channel(c, i, name)
+        out.append(f"<figure>{drawing}</figure>")
+    out.append(
+        "<p class='muted'>Ratio 1: the simulation is right; the grey strip is what chance allows. Shaded orange: "
+        "bands with a misfit on this channel; shaded red: what is left after."
+    )
+    if c.doubtful_hz:
+        out.append(" Shaded grey: there the healthy data contradict the model too, and what is seen counts less.")
+    out.append("</p>")
+    return "".join(out)
+
+
+def _channel(c: Comparison, i: int, name: str) -> str:
+    x = (float(c.hz[0]), float(c.hz[-1]))
+    power = np.concatenate([c.measured[i], c.before[i], c.after[i]])
+    upper = Axes(x, (float(power.min()) / 1.3, float(power.max()) * 1.6), (62, 22, 1010, 190), log_y=True)
+    furthest = float(np.abs(np.log(np.maximum(np.stack([c.ratio_before[i], c.ratio_after[i]]), 1e-3))).max())
+    reach = float(np.clip(np.exp(1.1 * furthest), 1.5, 20.0))
+    lower = Axes(x, (1.0 / reach, reach), (62, 244, 1010, 100), log_y=True)
+    marks = [axes.shade((low, high), "known") for low, high in c.doubtful_hz for axes in (upper, lower)]
+    n = 2 if c.extended else 1
+    for z, kind in ((c.z_before, "off"), (c.z_after, "still"))[:n]:
+        wrong = (np.abs(z) > c.limit)[:, i, :].any(axis=1) | (np.abs(z) > c.limit)[:, :, i].any(axis=1)
+        for at in c.band_hz[wrong]:
+            span = (max(float(at) - c.width_hz / 2, x[0]), min(float(at) + c.width_hz / 2, x[1]))
+            marks += [upper.shade(span, kind), lower.shade(span, kind)]
+    marks.append(lower.shade(x, "chance", (1.0 / (1.0 + c.chance), 1.0 + c.chance)))
+    title = f"{name}: power spectral density, (m/s²)²/Hz"
+    marks += [upper.frame(title, numbers=False), lower.frame("measured / simulated", "frequency, Hz")]
+    for values, kind in ((c.measured, "measured"), (c.before, "before dashed"), (c.after, "after"))[: n + 1]:
+        marks.append(upper.line(c.hz, values[i], kind))
+    for values, kind in ((c.ratio_before, "before"), (c.ratio_after, "after"))[:n]:
+        marks.append(lower.line(c.ratio_hz, values[i], kind))
+    return svg(1080, 378, f"Measured and simulated spectrum of {name}, and their ratio", *marks)
+
+
+def _misfit(c: Comparison, diagnosis: Diagnosis) -> str:
+    """Heat maps before and after, and the worst places in words."""
+    rows = c.rows()
+    if len(rows) > 36:  # many channels: the worst rows tell the story
+        size = [np.abs(c.z_before[:, i, j]).max() + np.abs(c.z_after[:, i, j]).max() for _, i, j in rows]
+        rows = [rows[k] for k in sorted(np.argsort(size)[-36:])]
+    x = (float(c.band_hz[0]) - c.width_hz / 2, float(c.band_hz[-1]) + c.width_hz / 2)
+    stages = [("before", c.z_before, diagnosis.misfit), ("after", c.z_after, diagnosis.left_over)]
+    stages = stages if c.extended else stages[:1]
+    out = ["<h2>Where the misfit is</h2><div class='pair'>"]
+    for when, z, _ in stages:
+        values = np.array([z[:, i, j] for _, i, j in rows])
+        title = f"{when}: worst {np.abs(z).max():.1f} standard deviations"
+        out.append(f"<figure>{charts.heat(values, x, [r[0] for r in rows], 12.0, title, f'Misfit {when}')}</figure>")
+    out.append(
+        "</div><p class='muted'>Red: measured more than simulated, blue: less; full colour at 12 standard deviations, "
+        f"chance up to {c.limit:g}. Power is counted given the channels above; the other rows compare how two channels "
+        "move together.</p>"
+    )
+    for when, _, found in stages:
+        if found:
+            worst = [(m.where.removeprefix("f = "), f"{m.size:.1f}", m.says) for m in found[:_SHOWN]]
+            more = f"<p class='muted'>and {len(found) - _SHOWN} more</p>" if len(found) > _SHOWN else ""
+            out.append(table([f"Misfit {when}", "#std. dev.", "what it says"], worst) + more)
+        else:
+            out.append(f"<p>No misfit {when if c.extended else 'beyond chance'}.</p>")
+    return "".join(out)
+
+
+def _levels(by: LevelDependence) -> str:
+    """Frequency and damping of every mode by class."""
+    n = by.frequency_hz.shape[1]
+    margin = 0.08 * float(np.ptp(by.at) or 1.0)
+    x = (float(by.at[0]) - margin, float(by.at[-1]) + margin)
+    out = []
+    series = (
+        ("frequency, Hz", by.frequency_hz, by.frequency_std, by.model_frequency_hz),
+        ("damping, %", 100 * by.damping, 100 * by.damping_std, 100 * by.model_damping),
+    )
+    for mode in range(n):
+        marks = []
+        for column, (name, value, std, model) in enumerate(series):
+            y, half, curve = value[:, mode], 2.0 * std[:, mode], model[:, mode]
+            low, high = min((y - half).min(), curve.min()), max((y + half).max(), curve.max())
+            pad = 0.1 * (high - low) + 1e-9
+            axes = Axes(x, (float(low - pad), float(high + pad)), (62 + 540 * column, 22, 460, 120))
+            marks += [axes.frame(f"mode {mode + 1}: {name}", by.axis if mode == n - 1 else "")]
+            marks += [axes.line(by.at, curve, "after"), axes.dots(by.at, y, half)]
+        out.append(f"<figure>{svg(1080, 176, f'Mode {mode + 1} by class', *marks)}</figure>")
+    note = "Points: each class fitted alone, with 95 % intervals. Line: what the model with its causes predicts."
+    return f"<h2>How the modes move</h2>{''.join(out)}<p class='muted'>{note}</p>"
+
+
+def _ranking(diagnosis: Diagnosis, content: Content) -> str:
+    """Bars of log evidence, one chart a round of the search."""
+    accepted = [(c["effect"], c["location"]) for c in content["causes"]]
+    rivals = {c.key for c, _ in diagnosis.alternatives}
+    out = ["<h2>Which causes were tried</h2>"]
+    for i, candidates in enumerate(diagnosis.rounds):
+        shown = [c for c in candidates if np.isfinite(c.evidence)][:_SHOWN]
+        if not shown:
+            continue
+        if i:
+            before = " at ".join(accepted[i - 1]) if i <= len(accepted) else "the best of these"
+            out.append(f"<p>With {escape(before)} in the model:</p>")
+        winner = accepted[i] if i < len(accepted) else None
+        last = i == len(accepted)
+        kinds = ["accepted" if c.key == winner else "rival" if last and c.key in rivals else "" for c in shown]
+        names = [f"{c.effect.name}, {c.effect.location}" for c in shown]
+        out.append(
+            f"<figure>{charts.bars(names, [c.evidence for c in shown], kinds, 'Evidence of each cause')}</figure>"
+        )
+    out.append(
+        "<p class='muted'>Log evidence over the model without the cause, nats: 5 is odds of 150 to 1. "
+        "Blue: accepted; orange: cannot be told apart; grey: not accepted.</p>"
+    )
+    return "".join(out)
+
+
+def _parameters(diagnosis: Diagnosis, content: Content, hz: Array) -> str:
+    """Causes with their numbers, alternatives, standing causes."""
+    reference = diagnosis.problem.reference
+    out = []
+    lists = (("Causes", content["causes"]), ("Already so at calibration", content["standing"]))
+    for title, causes in lists:
+        rows: list[Sequence[str]] = []
+        for c in causes:
+            first = in_words(c["effect"], c["location"], c["parameters"], reference)
+            shown = {k: v for k, v in c["parameters"].items() if not k.startswith(_DRAWN)}
+            for name, entry in shown.items() or [("", {})]:
+                value = interval(entry, 1.0, unit(name)) if name else ""
+                rows.append((c["effect"], c["location"], name, value, first))
+                first = ""
+        if rows:
+            out.append(f"<h2>{title}</h2>" + table(["effect", "place", "parameter", "value", "in words"], rows))
+            out.append(_signs(causes))
+    if content["standing_misfit"] is not None:
+        out.append(f"<p>Already so at calibration: {content['standing_misfit']['says']}.</p>")
+    out += [_colour(effect, hz) for effect in reference.effects(reference.mean) if isinstance(effect, AmbientForces)]
+    if content["alternatives"]:
+        rivals = [
+            (a["effect"], a["location"], f"{100 * a['probability']:.0f} %",
+             in_words(a["effect"], a["location"], a["parameters"], reference))
+            for a in content["alternatives"]
+        ]  # fmt: skip
+        out.append("<h2>Alternatives</h2>" + table(["effect", "place", "#probability", "in words"], rivals))
+        out.append(_signs(content["alternatives"]))
+    index = content.get("ddi_effect", {})
+    if index.get("with"):
+        pairs = enumerate(zip(index["without"], index["with"], strict=True), 1)
+        losses = [(f"story {j}", *(f"{round(100 * v, 1) + 0.0:.1f} %" for v in pair)) for j, pair in pairs]
+        head = ["damage index (stiffness lost)", "#by refitting stiffness alone", "#beside the causes"]
+        out.append("<h2>What it does to the damage index</h2>" + table(head, losses))
+    return "".join(out)
+
+
+def _colour(forces: AmbientForces, hz: Array) -> str:
+    """The spectrum of the forces of every day."""
+    density = np.asarray(forces.colour(hz))
+    axes = Axes(
+        (float(hz[0]), float(hz[-1])),
+        (float(density.min()) / 1.3, float(density.max()) * 1.3),
+        (62, 22, 1010, 120),
+        True,
+    )
+    title = "forces on the floors at calibration: power density, 1 at 8 Hz; white ones would be level"
+    return (
+        f"<figure>{svg(1080, 176, title, axes.frame(title, 'frequency, Hz'), axes.line(hz, density, 'after'))}</figure>"
+    )
+
+
+def _signs(causes: Sequence[Content]) -> str:
+    """How each kind of cause shows in the accelerations."""
+    kinds = dict.fromkeys(c["effect"] for c in causes)
+    says = (f"How {name} shows: {escape(FORMS[name].signature)}." for name in kinds)
+    return f"<p class='muted'>{'<br/>'.join(says)}</p>"
+
+
+def _data(diagnosis: Diagnosis, content: Content, segments: Segments, c: Comparison) -> str:
+    """What was judged, and by what."""
+    e = diagnosis.problem.evidence
+    rows = [
+        ("length", f"{_minutes(segments)}; {segments.samples} sample instants"),
+        ("channels", ", ".join(c.channels) + f"; source at {segments.rate_hz:g} Hz"),
+        ("segments", f"{segments.t_s.size} of {1.0 / e.band.bin_hz:g} s, Hann taper, half overlapping"),
+        ("classes", f"{e.counts.size} of vibration level or temperature: " + ", ".join(f"{n:g}" for n in e.counts)),
+        ("band", f"{c.hz[0]:.2f} to {c.hz[-1]:.2f} Hz in steps of {e.band.bin_hz:g} Hz"),
+        ("ground motion", "measured, and used as input" if e.drive is not None else "not measured"),
+        ("likelihood", "debiased Whittle likelihood of the classes' cross-spectra (complex Wishart), "
+         f"tempered by {e.weight:.2f} for the correlation of neighbouring bins and segments"),
+        ("reference", "baseline" if diagnosis.problem.reference.basis.shape[0] else "structure file"),
+        ("held out", content["gain"]["heldout"]),
+    ]  # fmt: skip
+    return "<h2>The data judged</h2>" + table([], rows)
+
+
+def _minutes(segments: Segments) -> str:
+    """Length of the data, from the segments' middles."""
+    seconds = float(np.ptp(segments.t_s)) + 1.0 / segments.band.bin_hz
+    return f"{seconds / 60.0:.1f} min"

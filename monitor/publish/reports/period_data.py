@@ -1,0 +1,257 @@
+"""What a run's results say of a period, in memory that does not grow with it: curves keep a mean and an envelope a bin."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from itertools import pairwise
+from math import inf
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from monitor.core.errors import BadInputError, MissingInputError
+from monitor.core.results import WHOLE, Array, Level
+
+MOST_BINS = 1000
+"""A curve is drawn as its envelope's two sides: 2000 points."""
+_MOST_MODES = 8
+_SAME_MODE = 0.1
+"""Frequencies nearer than this (relative) are one mode where tracking has not said so yet."""
+_HEAD, _TAIL_BYTES = 50, 1 << 17
+_T_END = re.compile(rb'"t_end_ns": (\d+)')
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Envelope:
+    """A quantity over a period, n of its bins having values."""
+
+    t_ns: Array
+    """Shape (n,): middles of the bins, UTC."""
+    index: NDArray[np.intp]
+    """Shape (n,): numbers of the bins."""
+    low: Array
+    """Shape (n,): least value less its half-interval."""
+    mean: Array
+    high: Array
+
+    def pieces(self) -> list[slice]:
+        """Runs without more than one empty bin in between."""
+        cuts = [0, *(np.flatnonzero(np.diff(self.index) > 2) + 1).tolist(), self.index.size]
+        return [slice(a, b) for a, b in pairwise(cuts) if b > a]
+
+
+@dataclass(slots=True)
+class Grid:
+    """Bins of equal length over ``(from_ns, to_ns]``."""
+
+    from_ns: int
+    to_ns: int
+    n: int
+
+    def at(self, t_ns: int) -> int:
+        """The bin of a time; beyond the period the nearest."""
+        return min(max((t_ns - self.from_ns - 1) * self.n // (self.to_ns - self.from_ns), 0), self.n - 1)
+
+
+class Curve:
+    """Collects an `Envelope`."""
+
+    def __init__(self, grid: Grid) -> None:
+        self._grid = grid
+        self._low, self._high = [inf] * grid.n, [-inf] * grid.n
+        self._total, self._count = [0.0] * grid.n, [0] * grid.n
+        self.values = 0
+        self.latest = 0.0
+
+    def add(self, at: int, value: float, half: float = 0.0) -> None:
+        """A value with its half-interval, in bin `at`."""
+        self._low[at] = min(self._low[at], value - half)
+        self._high[at] = max(self._high[at], value + half)
+        self._total[at] += value
+        self._count[at] += 1
+        self.values, self.latest = self.values + 1, value
+
+    def envelope(self) -> Envelope:
+        """What was collected."""
+        count = np.array(self._count)
+        use = np.flatnonzero(count)
+        width = (self._grid.to_ns - self._grid.from_ns) / self._grid.n
+        low, total, high = (np.array(v, dtype=np.float64)[use] for v in (self._low, self._total, self._high))
+        middles = np.asarray(self._grid.from_ns + (use + 0.5) * width)
+        return Envelope(middles, use, low, total / count[use], high)
+
+
+@dataclass(slots=True)
+class Episode:
+    """One alarm from its first to its last window in the period."""
+
+    level: str
+    story: int
+    """`WHOLE` for the structure."""
+    t_first_ns: int
+    t_last_ns: int | None
+    """None while it lasts."""
+    ddi: float
+    """At the highest level, the latest."""
+    ddi_std: float
+
+
+@dataclass(slots=True)
+class Results:
+    """results.jsonl over a period."""
+
+    grid: Grid
+    hop_s: float
+    begun_ns: int
+    """A hop before the run's first window ended."""
+    windows: int = 0
+    skipped: Counter[str] = field(default_factory=Counter)
+    judged: list[int] = field(default_factory=list)
+    """Of each bin."""
+    refused: list[int] = field(default_factory=list)
+    """Of each bin: windows of which nothing could be said."""
+    modes: list[Curve] = field(default_factory=list)
+    """Frequencies with two standard deviations, Hz."""
+    ddi: list[Curve] = field(default_factory=list)
+    """Of each story, with two standard deviations."""
+    temperature: Curve | None = None
+    misfit: Curve | None = None
+    unidentified: set[int] = field(default_factory=set)
+    episodes: list[Episode] = field(default_factory=list)
+    damaged: int = 0
+    """Lines that are no JSON."""
+    no_baseline: bool = False
+    _tracks: dict[int, Curve] = field(default_factory=dict)
+    _open: dict[int, Episode] = field(default_factory=dict)
+
+    @property
+    def due(self) -> int:
+        """Windows that an unbroken stream would have given since the run began."""
+        span_ns = self.grid.to_ns - max(self.grid.from_ns, self.begun_ns)
+        return max(self.windows, round(span_ns / (self.hop_s * 1e9)))
+
+    def add(self, line: dict[str, Any]) -> None:
+        """Take a line in."""
+        t_ns = int(line["t_end_ns"])
+        at = self.grid.at(t_ns)
+        self.windows += 1
+        if line["skipped"] is not None:
+            self.skipped[re.sub(r" \(.*", "", line["skipped"])] += 1
+            self.refused[at] += 1
+            return
+        self.judged[at] += 1
+        tracks = line.get("mode_tracks") or []
+        frequencies, stds = line["frequencies_hz"] or [], line["frequencies_std_hz"] or []
+        for i, (f, std) in enumerate(zip(frequencies, stds, strict=True)):
+            self._mode(tracks[i] if i < len(tracks) else -1, f).add(at, f, 2.0 * (std or 0.0))
+        if line["ddi"] is not None:
+            self.ddi = self.ddi or [Curve(self.grid) for _ in line["ddi"]]
+            for curve, value, std in zip(self.ddi, line["ddi"], line["ddi_std"], strict=False):
+                curve.add(at, value, 2.0 * std)
+            self.unidentified |= set(line.get("unidentified") or [])
+        for name in ("temperature_degc", "misfit"):
+            if (value := line.get(name)) is not None:
+                curve = getattr(self, name.partition("_")[0]) or Curve(self.grid)
+                setattr(self, name.partition("_")[0], curve)
+                curve.add(at, value)
+        self.no_baseline = line["alarm"]["reason"].startswith("no baseline")
+        self._alarm(line, t_ns)
+
+    def _mode(self, track: int, frequency: float) -> Curve:
+        """The curve that a frequency continues: its track's, else the nearest."""
+        if track in self._tracks:
+            return self._tracks[track]
+        near = [c for c in self.modes if abs(frequency - c.latest) < _SAME_MODE * c.latest]
+        curve = min(near, key=lambda c: abs(frequency - c.latest), default=None)
+        if curve is None:
+            curve = Curve(self.grid)
+            self.modes.append(curve)
+        if track >= 0:
+            self._tracks[track] = curve
+        return curve
+
+    def _alarm(self, line: dict[str, Any], t_ns: int) -> None:
+        level = Level(line["alarm"]["level"])
+        active = (line["alarm"]["stories"] or [WHOLE]) if level is not Level.NORMAL else []
+        for story in [s for s in self._open if s not in active]:
+            self._open.pop(story).t_last_ns = t_ns
+        for story in active:
+            j = int(np.argmin(line["ddi"])) if story == WHOLE else story - 1
+            reading = float(line["ddi"][j]), float(line["ddi_std"][j])
+            episode = self._open.get(story)
+            if episode is None:
+                self._open[story] = Episode(level.value, story, t_ns, None, *reading)
+                self.episodes.append(self._open[story])
+            elif level.rank >= Level(episode.level).rank:
+                episode.level, (episode.ddi, episode.ddi_std) = level.value, reading
+
+    def common_modes(self) -> list[Curve]:
+        """The modes that show most often, by frequency."""
+        common = [c for c in self.modes if c.values >= 0.02 * sum(self.judged)]
+        often = sorted(common, key=lambda c: -c.values)[:_MOST_MODES]
+        return sorted(often, key=lambda c: c.latest)
+
+
+def read_results(folder: Path, from_ns: int | None, to_ns: int | None) -> Results:
+    """results.jsonl of a folder; windows belong to the period in which they end.
+
+    Raises
+    ------
+    MissingInputError
+        No such file.
+    BadInputError
+        No window ends in the period, or the file holds no results.
+    """
+    path = folder / "results.jsonl"
+    try:
+        first_ns, last_ns, hop_s = _extent(path)
+        begun_ns = first_ns - round(hop_s * 1e9)
+        start = begun_ns if from_ns is None else from_ns
+        stop = last_ns if to_ns is None else to_ns
+        length_s = (stop - start) * 1e-9
+        grid = Grid(start, max(stop, start + 1), int(np.clip(length_s / hop_s, 1, MOST_BINS)))
+        results = Results(grid, hop_s, begun_ns, judged=[0] * grid.n, refused=[0] * grid.n)
+        with path.open("rb") as file:
+            for raw in _between(file, start, stop):
+                try:
+                    results.add(json.loads(raw))
+                except (ValueError, KeyError, TypeError, IndexError):
+                    results.damaged += 1
+    except OSError as error:
+        raise MissingInputError(
+            f"{path}: {error.strerror}; give the folder that 'replay --out' or [output] dir names"
+        ) from error
+    if not results.windows:
+        has = f"it has {utc(first_ns)} to {utc(last_ns)}"
+        raise BadInputError(f"{path}: no window ends within the period; {has} UTC: change --from and --to")
+    return results
+
+
+def _between(lines: Iterator[bytes], start: int, stop: int) -> Iterator[bytes]:
+    for raw in lines:
+        found = _T_END.search(raw)
+        if found is not None and start < int(found[1]) <= stop and raw.endswith(b"\n"):
+            yield raw
+
+
+def _extent(path: Path) -> tuple[int, int, float]:
+    """Ends of the first and the last window, UTC in ns, and the hop in s."""
+    with path.open("rb") as file:
+        head = [int(found[1]) for _, raw in zip(range(_HEAD), file, strict=False) if (found := _T_END.search(raw))]
+        file.seek(max(0, path.stat().st_size - _TAIL_BYTES))
+        tail = [int(t) for t in _T_END.findall(file.read())]
+    if not head or not tail:
+        raise BadInputError(f"{path}: no results in it; was the recording shorter than a window?")
+    steps = [b - a for a, b in pairwise(head) if b > a]
+    return head[0], max(tail[-1], head[0]), min(steps, default=10_000_000_000) * 1e-9
+
+
+def utc(t_ns: float) -> str:
+    """A time to the second, ISO 8601 without its zone."""
+    return str(np.datetime64(round(t_ns * 1e-9), "s")).replace("T", " ")

@@ -1,0 +1,212 @@
+"""What stands beside a run's results: sensors' quality, findings, and what people decided."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from monitor.core.parse import utc_ns
+from monitor.core.results import WHOLE
+from monitor.publish.reports.period_data import Episode, utc
+
+_REQUEST = re.compile(r"(acknowledge|reset|shelve|unshelve) alarm of story (\d+): ?(.*)", re.DOTALL)
+
+
+@dataclass(frozen=True, slots=True)
+class ChannelQuality:
+    """One channel; None where it was not recorded."""
+
+    name: str
+    rms_m_s2: float
+    spikes: int
+    stuck_s: float
+    clipped: float
+    """Samples."""
+    peak_m_s2: float | None = None
+    noise_floor: float | None = None
+    """Median, m/s^2/sqrt(Hz)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Quality:
+    """Sensors and stream."""
+
+    says: str
+    """What the figures are of."""
+    availability: float | None
+    gaps: int
+    lost_s: float
+    overlaps: int
+    channels: tuple[ChannelQuality, ...]
+    clocks: tuple[tuple[str, float, float], ...] = ()
+    """Node, largest offset in s, latest drift in ppm."""
+
+
+@dataclass(frozen=True, slots=True)
+class Decision:
+    """A line of the ledger."""
+
+    t_ns: int
+    who: str
+    what: str
+    action: str = ""
+    story: int = -1
+    """Of an operator's request; `WHOLE` is the structure."""
+
+
+@dataclass(slots=True)
+class _Sum:
+    power: float = 0.0
+    peak: float = 0.0
+    spikes: int = 0
+    stuck_s: float = 0.0
+    clipped: float = 0.0
+    floors: list[float] = field(default_factory=list)
+
+
+class Health:
+    """health.jsonl, the file set aside included, over a period."""
+
+    def __init__(self, folder: Path, from_ns: int, to_ns: int) -> None:
+        self._sums: dict[str, _Sum] = {}
+        self._clocks: dict[str, tuple[float, float]] = {}
+        self._seconds = self._lost_s = 0.0
+        self._gaps = self._overlaps = 0
+        self._ends: list[int] = []
+        self._times: list[tuple[int, int]] = []
+        for line in (line for name in ("health.jsonl.1", "health.jsonl") for line in _lines(folder / name)):
+            if line.get("t_ns") is None:
+                continue
+            self._times.append((line["wall_ns"], line["t_ns"]))
+            if from_ns < line["t_ns"] <= to_ns:
+                self._add(line)
+
+    def _add(self, line: dict[str, Any]) -> None:
+        stream = line["stream"]
+        seconds = stream["samples"] / stream["rate_hz"]
+        self._ends.append(line["t_ns"])
+        self._seconds += seconds
+        self._lost_s += stream["lost_s"]
+        self._gaps += stream["gaps"]
+        self._overlaps += stream["overlaps"]
+        for c in line["channels"]:
+            total = self._sums.setdefault(c["channel"], _Sum())
+            total.power += (c["rms_m_s2"] or 0.0) ** 2 * seconds
+            total.peak = max(total.peak, c["peak_m_s2"] or 0.0)
+            total.spikes += c["spikes"]
+            total.stuck_s += seconds if c["repeated"] == 1.0 else 0.0
+            total.clipped += c["clipped"] * stream["samples"]
+            total.floors += [c["noise_floor"]] if c["noise_floor"] is not None else []
+        for clock in (line.get("source") or {}).get("clocks", ()):
+            offset, drift = clock["offset_s"] or 0.0, clock["drift_ppm"] or 0.0
+            largest = self._clocks.get(clock["node"], (0.0, 0.0))[0]
+            self._clocks[clock["node"]] = (max(largest, abs(offset)), drift)
+
+    def quality(self) -> Quality | None:
+        """None without a line in the period."""
+        if not self._ends:
+            return None
+        channels = tuple(
+            ChannelQuality(
+                name,
+                float(np.sqrt(s.power / max(self._seconds, 1e-9))),
+                s.spikes,
+                s.stuck_s,
+                s.clipped,
+                s.peak,
+                float(np.median(s.floors)) if s.floors else None,
+            )
+            for name, s in self._sums.items()
+        )
+        ends = [utc(t) for t in (min(self._ends), max(self._ends))]
+        says = f"health.jsonl, {len(self._ends)} spans that end from {ends[0]} to {ends[1]} UTC"
+        share = self._seconds / max(self._seconds + self._lost_s, 1e-9)
+        clocks = tuple((node, *c) for node, c in self._clocks.items())
+        return Quality(says, share, self._gaps, self._lost_s, self._overlaps, channels, clocks)
+
+    def data_ns(self, wall_ns: int) -> int:
+        """When it was by the data's time: a stream may run faster than the clock."""
+        near = min(self._times, key=lambda pair: abs(pair[0] - wall_ns), default=(wall_ns, wall_ns))
+        return near[1] if abs(near[0] - wall_ns) < 60e9 else wall_ns
+
+
+def summary_of(folder: Path) -> dict[str, Any]:
+    """summary.json; empty where there is none that can be read."""
+    try:
+        content = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return content if isinstance(content, dict) else {}
+
+
+def quality_of(summary: dict[str, Any]) -> Quality | None:
+    """A replay's quality, which is that of the whole run."""
+    table = summary.get("quality")
+    if not table:
+        return None
+    channels = tuple(
+        ChannelQuality(name, c["rms_m_s2"], c["spikes"], c["stuck_s"], c["clipped_samples"])
+        for name, c in table["channels"].items()
+    )
+    says = "summary.json, the whole run"
+    return Quality(says, table["availability"], table["gaps"], table["lost_s"], table["overlaps"], channels)
+
+
+def findings_of(folder: Path, from_ns: int, to_ns: int) -> list[dict[str, Any]]:
+    """Diagnoses of the period's data, in their order."""
+    found = [f for path in (folder / "findings").rglob("*.json") for f in _lines(path, whole=True)]
+    return sorted((f for f in found if from_ns < f.get("t_ns", 0) <= to_ns), key=lambda f: int(f["t_ns"]))
+
+
+def decisions_of(folder: Path, health: Health) -> list[Decision]:
+    """The ledger in the folder."""
+    out = []
+    for line in _lines(folder / "ledger.jsonl"):
+        t_ns = health.data_ns(utc_ns(line["when"]))
+        asked = _REQUEST.fullmatch(line["what"])
+        action, story = (asked[1], int(asked[2])) if asked else ("", -1)
+        out.append(Decision(t_ns, line["who"], line["what"], action, story))
+    return out
+
+
+def verdict(episode: Episode, findings: list[dict[str, Any]]) -> str | None:
+    """What a diagnosis of an alarm's time said."""
+    overlapping = (
+        f["says"]
+        for f in findings
+        if f.get("says")
+        and episode.t_first_ns <= f["t_ns"]
+        and (episode.t_last_ns is None or f["from_ns"] <= episode.t_last_ns)
+    )
+    return next(overlapping, None)
+
+
+def answers(episode: Episode, decisions: list[Decision], following_ns: float) -> list[Decision]:
+    """What operators asked of an alarm's story from its beginning to the story's next alarm."""
+    return [d for d in decisions if d.story == episode.story and episode.t_first_ns <= d.t_ns < following_ns]
+
+
+def story_name(story: int) -> str:
+    """A story, or all of them."""
+    return "every story" if story == WHOLE else f"story {story}"
+
+
+def _lines(path: Path, *, whole: bool = False) -> Iterator[dict[str, Any]]:
+    """The JSON objects of a file; what cannot be read is left out."""
+    try:
+        text = path.read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        return
+    for part in [text] if whole else text.splitlines():
+        try:
+            value = json.loads(part)
+        except ValueError:
+            continue
+        if isinstance(value, dict):
+            yield value

@@ -1,0 +1,279 @@
+"""A period of a run as one HTML page: is it healthy, can it be trusted, what was decided.  Needs no network and prints."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from html import escape
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from monitor.core.errors import BadInputError
+from monitor.core.files import write_atomically
+from monitor.core.results import WHOLE, Level, Skipped
+from monitor.publish.reports import period_notes as notes
+from monitor.publish.reports.page import document, table
+from monitor.publish.reports.period_data import Episode, Results, read_results, utc
+from monitor.publish.reports.period_notes import Decision, Quality, story_name
+from monitor.publish.reports.time_charts import HEIGHT, TimeAxes, draw, figure, panel, time_axes
+
+_SHOWN = 200
+"""Rows of a table."""
+_UNKNOWN = "–"
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Period:
+    """All that the page tells."""
+
+    name: str
+    results: Results
+    quality: Quality | None
+    episodes: list[Episode]
+    findings: list[dict[str, Any]]
+    decisions: list[Decision]
+    thresholds: Mapping[str, float]
+    """`alarm_loss`, `min_loss`, `significance`; empty where the run did not say."""
+
+
+def read_period(folder: Path, from_ns: int | None, to_ns: int | None) -> Period:
+    """What a replay or the daemon left in a folder of a period; all of it where no ends are given.
+
+    Raises
+    ------
+    MissingInputError, BadInputError
+        There are no results, or none of that period.
+    """
+    results = read_results(folder, from_ns, to_ns)
+    start, stop = results.grid.from_ns, results.grid.to_ns
+    with _as_written(folder / "health.jsonl"):
+        health = notes.Health(folder, start, stop)
+    with _as_written(folder / "summary.json"):
+        summary = notes.summary_of(folder)
+        quality = health.quality() or notes.quality_of(summary)
+        episodes = results.episodes + _missed(results.episodes, summary, start, stop)
+        thresholds = {str(name): float(value) for name, value in summary.get("thresholds", {}).items()}
+    with _as_written(folder / "ledger.jsonl"):
+        decisions = [d for d in notes.decisions_of(folder, health) if start < d.t_ns <= stop]
+    with _as_written(folder / "findings"):
+        findings = notes.findings_of(folder, start, stop)
+    episodes.sort(key=lambda e: e.t_first_ns)
+    return Period(folder.resolve().name, results, quality, episodes, findings, decisions, thresholds)
+
+
+@contextmanager
+def _as_written(path: Path) -> Iterator[None]:
+    """What a file of the run holds, or whose it is not, said of the file."""
+    try:
+        yield
+    except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
+        raise BadInputError(f"{path}: not as the monitor writes it ({error!r}); move it away and ask again") from error
+
+
+def _missed(known: Sequence[Episode], summary: Mapping[str, Any], start: int, stop: int) -> list[Episode]:
+    """Alarms that a higher one of another story hid in the lines; the summary has them."""
+    out = []
+    for a in summary.get("alarms", ()):
+        last = a["t_last_ns"]
+        e = Episode(a["level"], a["story"] or WHOLE, a["t_first_ns"], last, a["ddi"], a["ddi_std"])
+        same = [k for k in known if k.story == e.story and (last is None or k.t_first_ns <= last)]
+        same = [k for k in same if k.t_last_ns is None or k.t_last_ns >= e.t_first_ns]
+        if e.t_first_ns <= stop and (last is None or last > start) and not same:
+            out.append(e)
+    return out
+
+
+def write_period(path: Path, period: Period) -> None:
+    """Write the page; the file appears under its name only when complete."""
+    write_atomically(path, page(period))
+
+
+def page(period: Period) -> str:
+    """The page, which is well-formed XML as well."""
+    parts = [_head(period), _damage(period), _alarms(period), _modes(period), _trust(period), _findings(period)]
+    return document(f"{period.name}: {_span(period)}", parts)
+
+
+def _span(period: Period) -> str:
+    return f"{utc(period.results.grid.from_ns)} to {utc(period.results.grid.to_ns)} UTC"
+
+
+def _percent(value: float, std: float) -> str:
+    """With two standard deviations."""
+    return f"{100 * value:.2f} ± {200 * std:.2f} %"
+
+
+def _head(period: Period) -> str:
+    """The verdict, the span, key figures."""
+    r = period.results
+    worst = max(period.episodes, key=lambda e: (Level(e.level).rank, e.ddi), default=None)
+    if worst is not None:
+        kind, word = ("ambiguous" if worst.level == "advisory" else ""), worst.level
+        ended = "" if worst.t_last_ns is None else f", until {utc(worst.t_last_ns)[:16]} UTC"
+        says = f"{story_name(worst.story)} lost {_percent(worst.ddi, worst.ddi_std)} of its stiffness{ended}"
+    elif not sum(r.judged):
+        kind, word, says = "ambiguous", "cannot say", "nothing could be judged"
+    elif r.no_baseline:
+        kind, word, says = "ambiguous", "no baseline", "no alarm can be raised without a baseline"
+    else:
+        kind, word, says = "none", "no alarm", "no change beyond chance since the baseline"
+    figures = [
+        (f"{100 * sum(r.judged) / r.due:.1f} %", f"of {r.due} windows due were judged, one every {r.hop_s:g} s"),
+        (f"{len(period.episodes)}", "alarm" if len(period.episodes) == 1 else "alarms"),
+    ]
+    if period.quality is not None and period.quality.availability is not None:
+        figures.insert(0, (f"{100 * period.quality.availability:.2f} %", "of the samples due came"))
+    if r.ddi:
+        latest = [(f"{100 * c.latest:.2f} %", f"story {j}, latest") for j, c in enumerate(r.ddi, 1)]
+        figures += latest if len(latest) <= 4 else [max(latest, key=lambda f: float(f[0].split()[0]))]
+    boxes = "".join(f"<div><b>{a}</b>{escape(b)}</div>" for a, b in figures)
+    return (
+        f'<span class="verdict {kind}">{word}</span><h1>{escape(says[0].upper() + says[1:])}.</h1>'
+        f'<p class="muted">{escape(period.name)}, {_span(period)}</p><div class="figures">{boxes}</div>'
+        '<p class="muted">The damage index is the share of a story\'s stiffness lost since the baseline. Shaded: least '
+        "to greatest value in each step of time, with two standard deviations; line: their mean. Times are those of "
+        "the windows' ends, by the data.</p>"
+    )
+
+
+def _damage(period: Period) -> str:
+    """The index of every story on one scale, with alarms and threshold."""
+    if not period.results.ddi:
+        return ""
+    limit, r = period.thresholds.get("alarm_loss"), period.results
+    curves = [c.envelope() for c in r.ddi]
+    low = 100 * min(0.0, *(float(e.low.min()) for e in curves))
+    high = 100 * max(limit or 0.0, 0.001, *(float(e.high.max()) for e in curves))
+    out = ["<h2>Damage index</h2>"]
+    for j, e in enumerate(curves, 1):
+        axes = time_axes(period.results.grid, low, high)
+        marks = [
+            axes.shade(_clipped(axes, a.t_first_ns, a.t_last_ns), "still" if a.level == "alarm" else "off")
+            for a in period.episodes
+            if a.story in (j, WHOLE)
+        ]
+        lines = [(0.0, "before dashed")] + ([(100 * limit, "limit dashed")] if limit is not None else [])
+        marks += [axes.line(np.array(axes.x), np.full(2, y), kind) for y, kind in lines]
+        seen = "; the modes say next to nothing of it" if j in r.unidentified else ""
+        title = f"story {j}: stiffness lost, %{seen}"
+        out.append(figure(title, HEIGHT, axes.frame(title), *marks, *draw(axes, e, 100.0)))
+    return "".join(out) + f"<p class='muted'>{_thresholds(period.thresholds)}</p>"
+
+
+def _thresholds(thresholds: Mapping[str, float]) -> str:
+    shades = "Shaded orange: advisory or warning; red: alarm."
+    if not {"alarm_loss", "min_loss", "significance"} <= thresholds.keys():
+        return f"{shades} The run did not note its thresholds."
+    return (
+        f"{shades} Announced from {thresholds['significance']:g} standard deviations of the evidence and a loss of "
+        f"{100 * thresholds['min_loss']:g} % on; dashed red: a confirmed loss of "
+        f"{100 * thresholds['alarm_loss']:g} % is an alarm."
+    )
+
+
+def _clipped(axes: TimeAxes, from_ns: int, to_ns: int | None) -> tuple[float, float]:
+    start, stop = axes.x
+    return max(start, from_ns * 1e-9), min(stop, stop if to_ns is None else to_ns * 1e-9)
+
+
+def _alarms(period: Period) -> str:
+    """Every alarm with what the diagnosis said and what operators did."""
+    if not period.episodes:
+        return "<h2>Alarms</h2><p>None.</p>"
+    rows = []
+    for i, e in enumerate(period.episodes[:_SHOWN]):
+        later = (n.t_first_ns for n in period.episodes[i + 1 :] if n.story == e.story)
+        asked = notes.answers(e, period.decisions, next(later, float("inf")))
+        done = "; ".join(f"{d.action} by {d.who}, {utc(d.t_ns)}" for d in asked) or "nobody yet"
+        ended = "lasts" if e.t_last_ns is None else utc(e.t_last_ns)
+        said = notes.verdict(e, period.findings) or "not diagnosed"
+        rows.append((e.level, story_name(e.story), utc(e.t_first_ns), ended, _percent(e.ddi, e.ddi_std), said, done))
+    head = ["level", "where", "@from, UTC", "@to, UTC", "#stiffness lost", "diagnosis", "acknowledged"]
+    return "<h2>Alarms</h2>" + table(head, rows) + _more(len(period.episodes))
+
+
+def _more(count: int) -> str:
+    return f"<p>{count - _SHOWN} more are not shown.</p>" if count > _SHOWN else ""
+
+
+def _modes(period: Period) -> str:
+    """Frequencies, and the temperature on the same axis."""
+    curves = period.results.common_modes()
+    if not curves:
+        return ""
+    panels = [panel(period.results.grid, c, f"mode {i}: frequency, Hz") for i, c in enumerate(curves, 1)]
+    return (
+        "<h2>Modes</h2>" + "".join(panels) + panel(period.results.grid, period.results.temperature, "temperature, degC")
+    )
+
+
+def _trust(period: Period) -> str:
+    """Availability, goodness of fit, sensors, clocks."""
+    r, q = period.results, period.quality
+    rows = [(Skipped(reason).mend, str(n)) for reason, n in r.skipped.most_common(_SHOWN)]
+    missing = r.due - r.windows
+    rows += [("no data, or the monitor did not run", str(missing))] if missing > 0 else []
+    rows += [("a line of results.jsonl that cannot be read", str(r.damaged))] if r.damaged else []
+    out = ["<h2>Can it be trusted</h2>", _strip(period)]
+    out.append(table(["windows that say nothing, and why", "#windows"], rows) if rows else "")
+    title = "goodness of fit: squared misfit over its expectation (1: stiffness explains the change)"
+    out.append(panel(period.results.grid, r.misfit, title))
+    if q is None:
+        return "".join([*out, "<p class='muted'>No record of the sensors' quality in this period.</p>"])
+    out.append(f"<h2>Sensors</h2><p class='muted'>From {escape(q.says)}.</p>")
+    came = "not known" if q.availability is None else f"{100 * q.availability:.3f} %"
+    stream = [("samples that came", came), ("gaps", str(q.gaps)), ("lost, s", f"{q.lost_s:.6g}")]
+    out.append(table([], [*stream, ("samples dropped (repeated, late, not finite)", str(q.overlaps))]))
+    head = ["channel", "#RMS, m/s²", "#peak, m/s²", "#spikes", "#stuck, s", "#clipped samples", "#noise, m/s²/√Hz"]
+    channels = [
+        (c.name, f"{c.rms_m_s2:.4g}", _known(c.peak_m_s2), str(c.spikes), f"{c.stuck_s:g}", f"{c.clipped:.0f}",
+         _known(c.noise_floor))
+        for c in q.channels
+    ]  # fmt: skip
+    clocks = [(node, f"{1e3 * offset:.3g}", f"{drift:.3g}") for node, offset, drift in q.clocks]
+    told = [i for i in range(len(head)) if any(c[i] != _UNKNOWN for c in channels)]  # a replay knows no peaks
+    out.append(table([head[i] for i in told], [[c[i] for i in told] for c in channels]))
+    out.append(table(["clock", "#largest offset, ms", "#drift, ppm"], clocks) if clocks else "")
+    return "".join(out)
+
+
+def _known(value: float | None) -> str:
+    return _UNKNOWN if value is None else f"{value:.4g}"
+
+
+def _strip(period: Period) -> str:
+    """Where windows were judged, where nothing could be said, and where there is nothing."""
+    r = period.results
+    axes = time_axes(period.results.grid, 0.0, 1.0, 26.0)
+    width = (axes.x[1] - axes.x[0]) / r.grid.n
+    kinds = ["good" if j and not s else "off" if s else "" for j, s in zip(r.judged, r.refused, strict=True)]
+    marks, start = [], 0
+    for kind, run in groupby(kinds):
+        stop = start + len(list(run))
+        if kind:
+            span = (axes.x[0] + start * width, axes.x[0] + stop * width)
+            marks.append(axes.shade(span, kind))
+        start = stop
+    title = "windows: green judged, orange skipped in part or whole, blank none"
+    return figure(title, 26.0, axes.frame(title), *marks)
+
+
+def _findings(period: Period) -> str:
+    """Diagnoses, and all that people decided."""
+    out = []
+    if period.findings:
+        rows = [
+            (str(f.get("id", "")), utc(f["t_ns"]), f.get("reason") or "", f.get("verdict") or "failed",
+             f.get("says") or f.get("error") or "")
+            for f in period.findings[:_SHOWN]
+        ]  # fmt: skip
+        out.append("<h2>Findings</h2>" + table(["no.", "@data until, UTC", "asked because", "verdict", "says"], rows))
+        out.append(_more(len(period.findings)))
+    if period.decisions:
+        lines = [(utc(d.t_ns), d.who, d.what) for d in period.decisions[:_SHOWN]]
+        out.append("<h2>Ledger</h2>" + table(["@when, UTC", "who", "what"], lines) + _more(len(period.decisions)))
+    return "".join(out)

@@ -1,0 +1,145 @@
+"""Results as JSON: one line a window, and the summary of a run (README.md: results.jsonl, summary.json)."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from monitor.core.files import finish, partial
+from monitor.core.results import Alarm, Skipped, WindowResult
+from monitor.damage.alarm import AlarmState, hold
+
+
+def _rounded(values: Any) -> Any:
+    """Plain numbers with nine significant digits: more than the data hold, and lines stay short."""
+    return _each(np.asarray(values, dtype=float).tolist())
+
+
+def _each(value: Any) -> Any:
+    if isinstance(value, list):
+        return [_each(v) for v in value]
+    return float(f"{value:.9g}") if math.isfinite(value) else None
+
+
+def window_line(result: WindowResult) -> dict[str, Any]:
+    """The line of a window, strict JSON; null where nothing was estimated."""
+    modes, stiffness, damage = result.modes, result.stiffness, result.damage
+    shapes = None
+    if modes is not None:
+        shapes = _rounded(np.stack([modes.shapes.real, modes.shapes.imag], axis=-1))
+    return {
+        "window": result.index,
+        "t_end_ns": result.t_end_ns,
+        "window_s": _rounded(result.window_s),
+        "frequencies_hz": modes and _rounded(modes.frequencies_hz),
+        "frequencies_std_hz": modes and _rounded(modes.frequencies_std_hz),
+        "damping_ratio": modes and _rounded(modes.damping_ratio),
+        "damping_std": modes and _rounded(modes.damping_std),
+        "mode_shapes": shapes,
+        "order": modes and modes.order,
+        "refined": modes and modes.refined,
+        "stiffness_n_per_m": stiffness and _rounded(stiffness.stiffness_n_per_m),
+        "stiffness_std": stiffness and _rounded(np.sqrt(np.diag(stiffness.covariance))),
+        "ddi": damage and _rounded(damage.ddi),
+        "ddi_std": damage and _rounded(damage.ddi_std),
+        "ddi_sequential": damage and _rounded(damage.ddi_sequential),
+        "loss_n_per_m": damage and _rounded(damage.loss_n_per_m),
+        "unidentified": damage and list(damage.unidentified),
+        "mode_tracks": list(result.mode_tracks),
+        "misfit": stiffness and _rounded(stiffness.misfit),
+        "temperature_degc": result.temperature and _rounded(result.temperature.lagged_degc[0]),
+        "temperature_effect": None
+        if damage is None or damage.temperature_effect is None
+        else _rounded(damage.temperature_effect),
+        "alarm": {
+            "level": result.alarm.level.value,
+            "stories": list(result.alarm.stories),
+            "reason": result.alarm.reason,
+        },
+        "skipped": result.skipped and result.skipped.reason,
+    }
+
+
+def alarm_line(alarm: Alarm) -> dict[str, Any]:
+    """An alarm as JSON; story ``0`` is the structure as a whole."""
+    return {
+        "level": alarm.level.value,
+        "stories": list(alarm.stories),
+        "reason": alarm.reason,
+        "active": {str(story): level.value for story, level in alarm.active.items()},
+        "conditions": {str(story): condition.value for story, condition in alarm.conditions.items()},
+    }
+
+
+def standing_line(state: AlarmState) -> dict[str, Any]:
+    """What stands now, operators' wishes since the latest window included."""
+    _, standing = hold(state, 0)
+    return {key: value for key, value in alarm_line(standing).items() if key != "reason"}
+
+
+def to_json(value: dict[str, Any]) -> str:
+    """Strict JSON on one line."""
+    return json.dumps(value, allow_nan=False, separators=(", ", ": "))
+
+
+class LinesFile:
+    """results.jsonl, under its final name only when closed."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._file = partial(path).open("w", encoding="utf-8")
+
+    def write(self, line: str) -> None:
+        """Add one line."""
+        self._file.write(line + "\n")
+
+    def close(self) -> None:
+        """Flush to the disk and take the final name."""
+        self._file.flush()
+        os.fsync(self._file.fileno())
+        self._file.close()
+        finish(self._path)
+
+    def abandon(self) -> None:
+        """Leave nothing behind."""
+        self._file.close()
+        partial(self._path).unlink(missing_ok=True)
+
+
+def replay_story(summary: dict[str, Any], *, has_baseline: bool) -> str:
+    """A replay in words."""
+    pace = f"{summary['realtime_factor']:.0f} x real time" + (", diagnosis apart" if summary["alarms"] else "")
+    text = [f"{summary['windows']} windows, {summary['skipped']} skipped, {pace}"]
+    if summary["frequencies_hz"] is not None:
+        pairs = zip(
+            summary["frequencies_hz"],
+            summary["structure_file_frequencies_hz"],
+            summary["frequency_misfit"],
+            strict=False,
+        )
+        for i, (measured, drawn, misfit) in enumerate(pairs, start=1):
+            text.append(
+                f"mode {i}: {measured:.4g} Hz measured, {drawn:.4g} Hz by the structure file "
+                f"(the data lie {100 * misfit:+.1f} % off)"
+            )
+    for a in summary["alarms"]:
+        text.append(
+            f"{a['level']}: {_place(a['story'])} lost {100 * a['ddi']:.2f} ± {200 * a['ddi_std']:.2f} % "
+            f"(latest window; {a['loss_n_per_m']:.4g} N/m)"
+        )
+    for reason, count in summary["skip_reasons"].items():
+        text.append(f"{count} of {summary['windows']} windows could not be judged: {Skipped(reason).mend}")
+    if summary["skipped"] == summary["windows"]:
+        text.append("nothing could be judged, so nothing is said about the structure's health")
+    elif not summary["alarms"]:
+        text.append("no alarm" if has_baseline else "no baseline, so no alarm can be raised; make one with 'calibrate'")
+    return "\n".join(text)
+
+
+def _place(story: int | None) -> str:
+    return "every story" if story is None else f"story {story}"

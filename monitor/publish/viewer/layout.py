@@ -1,0 +1,102 @@
+"""Where things stand in the viewer: a page for each question."""
+
+from __future__ import annotations
+
+import rerun as rr
+import rerun.blueprint as rrb
+
+from monitor.publish.viewer.scene import STABILISATION, Scene
+
+_DARK = (24, 26, 30)
+ALL_TIME = rrb.TimeAxis(
+    view_range=rr.TimeRange(start=rr.TimeRangeBoundary.infinite(), end=rr.TimeRangeBoundary.infinite())
+)
+"""Otherwise plots show one minute about the cursor."""
+
+
+def _plot(origin: str, name: str, *, legend: bool = True) -> rrb.TimeSeriesView:
+    """Series over all the time there is."""
+    corner = rrb.PlotLegend("LeftTop", visible=legend)
+    return rrb.TimeSeriesView(origin=origin, name=name, plot_legend=corner, axis_x=ALL_TIME)
+
+
+def blueprint(scene: Scene, page: int = 0) -> rrb.Blueprint:
+    """Is it healthy (shown first), can I trust it, what does it do now: `page` 0, 1, 2."""
+    return rrb.Blueprint(
+        rrb.Tabs(_healthy(scene), _trust(), _now(scene), active_tab=page),
+        rrb.TimePanel(state="collapsed", timeline="time", play_state="following"),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+    )
+
+
+def _frame(scene: Scene) -> rrb.Spatial3DView:
+    n = scene.n_stories
+    centre = 0.275 * n
+    eye = rrb.EyeControls3D(position=(centre, -1.1 - 0.5 * n, 0.75), look_target=(centre, 0.0, 0.42))
+    return rrb.Spatial3DView(
+        origin="/frame", name="Stiffness lost and mode shapes", eye_controls=eye,
+        line_grid=rrb.LineGrid3D(visible=False), background=_DARK,
+    )  # fmt: skip
+
+
+def _canvas(path: str, name: str) -> rrb.Spatial2DView:
+    width, height = STABILISATION
+    bounds = rrb.VisualBounds2D(x_range=[-0.2 * width, 1.06 * width], y_range=[-1.06 * height, 0.14 * height])
+    return rrb.Spatial2DView(origin="/", contents=f"{path}/**", visual_bounds=bounds, background=_DARK, name=name)
+
+
+def _events() -> rrb.TextLogView:
+    columns = rrb.TextLogColumns(text_log_columns=["LogLevel", "Body"])
+    return rrb.TextLogView(origin="/", contents=["/alarms", "/events"], name="Alarms and events", columns=columns)
+
+
+def _healthy(scene: Scene) -> rrb.Horizontal:
+    """The state at the left, how it came about at the right."""
+    n = scene.n_stories
+    modes = [_plot(f"/modes/frequency/{i}", f"Mode {i}, Hz", legend=False) for i in range(1, n + 1)]
+    since = "since the baseline" if scene.has_baseline else "against the structure file"
+    status = rrb.TextDocumentView(origin="/status", name="Status")
+    left = rrb.Vertical(_frame(scene), status, row_shares=[1, 1])
+    right = rrb.Vertical(
+        rrb.Tabs(
+            _plot("/ddi", f"Stiffness lost {since} (DDI), %"),
+            _plot("/stiffness", "Stiffness, N/m"),
+            active_tab=0 if scene.has_baseline else 1,
+        ),
+        rrb.StateTimelineView(origin="/alarm_level", name="Alarm level", time_view=ALL_TIME),
+        rrb.Vertical(*modes) if n <= 3 else _plot("/modes/frequency", "Frequencies, Hz"),
+        _events(),
+        row_shares=[5, 2, 6, 3],
+    )
+    return rrb.Horizontal(left, right, column_shares=[2, 3], name="Is it healthy?")
+
+
+def _trust() -> rrb.Horizontal:
+    """What the diagnosis says and the estimate rests on; sensors and clocks."""
+    left = rrb.Vertical(
+        rrb.TextDocumentView(origin="/verdict", name="Verdict"),
+        _canvas("/stabilisation", "Stabilisation diagram: order over frequency, Hz"),
+        _plot("/trust/misfit", "Goodness of fit: squared misfit over its expectation"),
+        row_shares=[2, 3, 2],
+    )
+    right = rrb.Vertical(
+        _plot("/quality/availability", "Samples that came, %", legend=False),
+        _plot("/quality/rms", "RMS, m/s²"),
+        _plot("/quality/noise_floor", "Noise floor, m/s²/√Hz"),
+        rrb.Tabs(_plot("/quality/clipped", "Clipped, %"), _plot("/clock", "Clock offset, ms"), active_tab=0),
+    )
+    return rrb.Horizontal(left, right, name="Can I trust it?")
+
+
+def _now(scene: Scene) -> rrb.Horizontal:
+    """Streams, spectra with the model's, mode shapes."""
+    left = rrb.Vertical(
+        _plot("/streams", "Acceleration, m/s²"),
+        _canvas("/spectra", "Power over frequency: measured, and the model's (white)"),
+        row_shares=[2, 3],
+    )
+    shapes = _frame(scene)
+    shapes.name = "Mode shapes: they move on the timeline 'phase'"
+    right = rrb.Vertical(shapes, _plot("/modes/damping", "Damping, %"), row_shares=[3, 2])
+    return rrb.Horizontal(left, right, column_shares=[3, 2], name="What does it do now?")

@@ -1,0 +1,273 @@
+"""Draws results into a Rerun recording; owned by one thread."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import rerun as rr
+
+from monitor.core.results import DamageReading, Gap, Level, ModalEstimate, Samples, StiffnessEstimate, WindowResult
+from monitor.publish.viewer.layout import blueprint
+from monitor.publish.viewer.mode_shapes import Shapes, label
+from monitor.publish.viewer.rows import Rows, Strips, ui_radius
+from monitor.publish.viewer.scene import (
+    COLUMNS,
+    GREEN,
+    GREY,
+    HOLE,
+    LEVELS,
+    LIVE_BLOCK_S,
+    RED,
+    SERIES,
+    STABILISATION,
+    Scene,
+    plus_minus,
+    rows,
+    severity,
+    status,
+    utc,
+)
+from monitor.publish.viewer.spectra import FILE_EVERY_S, LIVE_EVERY_S, Spectra
+from monitor.publish.viewer.thinning import Thinning
+from monitor.publish.viewer.trust import Clocks, Trust
+from monitor.signals.sensor_health import Health
+
+Item = Samples | WindowResult | Gap | Health | Clocks | dict[str, Any]
+"""What can be drawn; a dict is a finding."""
+
+
+class Picture:
+    """Draws on one recording; lives in the worker's thread."""
+
+    def __init__(self, scene: Scene, stream: rr.RecordingStream, block_s: float, *, thin: bool = False) -> None:
+        self._scene, self._stream, self._block_s = scene, stream, block_s
+        self._rows, self._most, self._gathered = Rows(stream), max(1, round(block_s / LIVE_BLOCK_S)), 0
+        self._blocks: list[Samples] = []
+        self._level: Level | None = None
+        self._skipped: str | None = None
+        self._extent = (1.0, 1.0)
+        every_s = LIVE_EVERY_S if block_s <= LIVE_BLOCK_S else FILE_EVERY_S
+        self._spectra, self._trust = Spectra(scene, stream, self._rows, every_s), Trust(scene, stream, self._rows)
+        heights = np.asarray(scene.story_heights_m, dtype=float)
+        self._z = np.append(np.cumsum(heights[::-1])[::-1], 0.0) / heights.sum()
+        """Shape (n + 1,): height of floor 1 (top) .. n and of the ground, the whole frame 1 high."""
+        self._shapes = Shapes(scene, stream, self._rows, self._z)
+        stories = list(pairwise(self._z.tolist()))
+        self._columns = Strips(np.array([(x, y, foot), (x, y, top)]) for top, foot in stories for x, y in COLUMNS)
+        self._thin = Thinning() if thin else None
+
+    def begin(self) -> None:
+        """Names, colours and what never changes."""
+        self._stream.send_blueprint(blueprint(self._scene))
+        self._trust.begin()
+        for i, channel in enumerate(self._scene.channels):
+            self._style(self._stream_path(channel), [channel], i)
+        for i in range(self._scene.n_stories):
+            for entity in ("ddi", "stiffness"):
+                self._style(f"/{entity}/story_{i + 1}", [f"story {i + 1}"] * 3, i)
+            for entity in ("frequency", "damping"):
+                self._style(f"/modes/{entity}/{i + 1}", [f"mode {i + 1}"] * 3, i)
+        threshold = rr.SeriesLines(names=["alarm"], colors=[RED], widths=[1.0])
+        self._stream.log("/ddi/alarm_loss", threshold, static=True)
+        words = [level.value for level in LEVELS]
+        states = rr.StateConfiguration(values=words, labels=words, colors=[colour for _, colour in LEVELS.values()])
+        self._stream.log("/alarm_level", states, static=True)
+        centres = [(0.3, 0.3, z) for z in self._z]
+        half = [(0.33, 0.33, 0.012)] * self._scene.n_stories + [(0.45, 0.45, 0.008)]
+        slabs = rr.Boxes3D(centers=centres, half_sizes=half, colors=[(150, 155, 165)], fill_mode="solid")
+        self._stream.log("/frame/floors", slabs, static=True)
+
+    @staticmethod
+    def _stream_path(channel: str) -> str:
+        return "/streams/" + rr.escape_entity_path_part(channel)
+
+    def _style(self, path: str, names: list[str], i: int) -> None:
+        """Name and colour a line, and its bounds fainter and thinner."""
+        colour = SERIES[i % len(SERIES)]
+        faint = (*colour, 110)
+        self._stream.log(
+            path,
+            rr.SeriesLines(names=names, colors=[(*colour, 255), faint, faint][: len(names)],
+                           widths=[2.0, 0.7, 0.7][: len(names)]),
+            static=True,
+        )  # fmt: skip
+
+    def draw(self, item: Item) -> None:
+        """Whatever comes out of the queue."""
+        if isinstance(item, Samples):
+            self.samples(item)
+        elif isinstance(item, Health):
+            self._trust.health(item)
+        elif isinstance(item, Clocks):
+            self._trust.clocks(item)
+        elif isinstance(item, dict):
+            self._trust.finding(item)
+        elif isinstance(item, Gap):
+            self.gap(item)
+        else:
+            self.window(item)
+        if isinstance(item, Health | WindowResult):
+            self._gathered += 1
+            if self._gathered >= self._most * self._stretch:
+                self._send()
+
+    @property
+    def _stretch(self) -> int:
+        """Viewers that watch are not kept waiting."""
+        return 1 if self._thin is None or self._block_s <= LIVE_BLOCK_S else self._thin.stretch
+
+    def samples(self, samples: Samples) -> None:
+        """Collect blocks until they are long enough to send."""
+        self._spectra.samples(samples)
+        if self._blocks:
+            last = self._blocks[-1]
+            due = last.t_ns + len(last.values) / last.rate_hz * 1e9
+            if samples.rate_hz != last.rate_hz or abs(samples.t_ns - due) > 0.5e9 / samples.rate_hz:
+                self.flush()
+        self._blocks.append(samples)
+        if sum(len(block.values) for block in self._blocks) >= self._block_s * self._stretch * samples.rate_hz:
+            self.flush()
+
+    def finish(self) -> None:
+        """Send what is left, and the latest mode shapes as a motion."""
+        self.flush()
+        self._send()
+        self._shapes.animate()
+
+    def flush(self) -> None:
+        """Send the samples collected."""
+        if not self._blocks:
+            return
+        first = self._blocks[0]
+        values = np.concatenate([block.values for block in self._blocks])
+        self._blocks = []
+        t_ns = first.t_ns + np.round(np.arange(len(values)) * (1e9 / first.rate_hz)).astype(np.int64)
+        if self._thin is not None:
+            t_ns, values = self._thin.samples(t_ns, values)
+        time = rr.TimeColumn("time", timestamp=t_ns.astype("datetime64[ns]"))
+        for channel, column in zip(self._scene.channels, values.T, strict=True):
+            self._stream.send_columns(self._stream_path(channel), [time], rr.Scalars.columns(scalars=column))
+
+    def _send(self) -> None:
+        self._rows.send()
+        self._gathered = 0
+
+    def gap(self, gap: Gap) -> None:
+        """Break the streams where samples are missing."""
+        self.flush()
+        self._at(gap.t_ns)
+        self._event(f"gap of {gap.duration_s:.3g} s: {gap.reason}", rr.TextLogLevel.WARN)
+        for channel in self._scene.channels:
+            self._stream.log(self._stream_path(channel), rr.Scalars(np.nan))
+
+    def window(self, result: WindowResult) -> None:
+        """Everything said about one window, at its end."""
+        if self._thin is not None and not self._thin.window(result):
+            return
+        self._at(result.t_end_ns)
+        self._rows.text("/status", status(self._scene, result))
+        self._alarm(result)
+        reason = result.skipped.reason if result.skipped else None
+        if reason != self._skipped:
+            self._event(f"no result: {reason}" if reason else "results again", rr.TextLogLevel.INFO)
+            self._skipped = reason
+        modes = {row[0]: row for row in rows(result.modes)} if result.modes else {}
+        for k in range(self._scene.n_stories):
+            _, f, fs, d, ds = modes.get(k, (k, *[None] * 4))
+            self._bounded(f"/modes/frequency/{k + 1}", f, fs)
+            self._bounded(f"/modes/damping/{k + 1}", d, ds, 100.0)
+        self._stiffness(result.stiffness)
+        self._damage(result.damage)
+        self._shapes.draw(result.modes)
+        self._trust.misfit(None if result.stiffness is None else result.stiffness.misfit)
+        self._spectra.window(result)
+        if result.modes is not None:
+            self._stabilisation(result.modes)
+
+    def _at(self, t_ns: int) -> None:
+        self._stream.set_time("time", timestamp=utc(t_ns))
+        self._rows.at(t_ns)
+
+    def _event(self, text: str, level: rr.TextLogLevel) -> None:
+        self._stream.log("/events", rr.TextLog(text, level=level))
+
+    def _alarm(self, result: WindowResult) -> None:
+        """Tell changes of level only; a recording begins as normal."""
+        alarm = result.alarm
+        if result.skipped is not None and alarm.level is Level.NORMAL:
+            return  # not judged is not normal
+        if alarm.level is self._level:
+            return
+        if self._level is not None or alarm.level is not Level.NORMAL:
+            level, colour = LEVELS[alarm.level]
+            where = f" (story {', '.join(map(str, alarm.stories))})" if alarm.stories else ""
+            text = f"{alarm.level.value}{where}: {alarm.reason}"
+            self._stream.log("/alarms", rr.TextLog(text, level=level, color=colour))
+        self._level = alarm.level
+        self._stream.log("/alarm_level", rr.StateChange(state=alarm.level.value))
+
+    def _bounded(self, path: str, value: float | None, std: float | None, scale: float = 1.0) -> None:
+        """One value with its two standard deviations either side, or a hole."""
+        if value is None or std is None:
+            self._rows.scalars(path, *HOLE)
+        else:
+            self._rows.scalars(path, scale * value, scale * (value - 2 * std), scale * (value + 2 * std))
+
+    def _stiffness(self, stiffness: StiffnessEstimate | None) -> None:
+        n = self._scene.n_stories
+        values = stiffness.stiffness_n_per_m.tolist() if stiffness else [None] * n
+        stds = np.sqrt(np.diag(stiffness.covariance)).tolist() if stiffness else [None] * n
+        for j, (value, std) in enumerate(zip(values, stds, strict=True)):
+            self._bounded(f"/stiffness/story_{j + 1}", value, std)
+
+    def _damage(self, damage: DamageReading | None) -> None:
+        """The index over time, and the frame coloured by it."""
+        loss_at, n = self._scene.alarm_loss, self._scene.n_stories
+        readings: list[tuple[float | None, float | None]] = [(None, None)] * n
+        if damage is not None:
+            readings = list(zip(damage.ddi.tolist(), damage.ddi_std.tolist(), strict=True))
+        if damage is not None:
+            self._rows.scalars("/ddi/alarm_loss", 100.0 * loss_at)
+        colours, places, labels = [], [], []
+        for j, (ddi, std) in enumerate(readings):
+            self._bounded(f"/ddi/story_{j + 1}", ddi, std, 100.0)
+            top, foot = self._z[j], self._z[j + 1]
+            colours.append(severity(ddi, loss_at))
+            places.append((-0.45, 0.0, (top + foot) / 2))
+            known = "unknown" if ddi is None or std is None else plus_minus(ddi, std, 100) + " %"
+            labels.append(f"story {j + 1}: {known}")
+        of_stories = np.array(colours, dtype=np.uint8)
+        of_columns = np.repeat(of_stories, len(COLUMNS), axis=0)
+        self._rows.add("/frame/stories", rr.LineStrips3D, strips=self._columns, colors=of_columns, radii=[0.022])
+        label(self._rows, "/frame/stories/labels", places, labels, of_stories)
+
+    def _stabilisation(self, modes: ModalEstimate) -> None:
+        """Poles in (Hz, order), stretched to the canvas, with their axes and the modes chosen."""
+        poles = modes.poles
+        if not len(poles):
+            return
+        f_max = max(self._extent[0], 5.0 * np.ceil(poles[:, 1].max() / 5.0))
+        n_max = max(self._extent[1], 10.0 * np.ceil(poles[:, 0].max() / 10.0))
+        if (f_max, n_max) != self._extent:
+            self._extent = (f_max, n_max)
+            self._stabilisation_axes(f_max, n_max)
+        colours = np.where(poles[:, 3:] > 0, GREEN, GREY).astype(np.uint8)
+        width, height = STABILISATION
+        self._rows.add("/stabilisation", rr.Transform3D, scale=[(width / f_max, -height / n_max, 1.0)])
+        self._rows.add("/stabilisation", rr.Points2D, positions=poles[:, [1, 0]], colors=colours,
+                       radii=ui_radius(2.5), draw_order=[2.0])  # fmt: skip
+        chosen = Strips(np.array([(f, 0.0), (f, n_max)]) for f in modes.frequencies_hz.tolist())
+        self._rows.add("/stabilisation/modes", rr.LineStrips2D, strips=chosen,
+                       colors=[SERIES[k % len(SERIES)] for k in modes.model_mode.tolist()],
+                       radii=ui_radius(0.8), draw_order=[1.0])  # fmt: skip
+
+    def _stabilisation_axes(self, f_max: float, n_max: float) -> None:
+        """Drawn anew only when they grow."""
+        frame = rr.LineStrips2D([[(0, n_max), (0, 0), (f_max, 0)]], colors=[GREY], draw_order=0.0)
+        self._stream.log("/stabilisation/axes", frame)
+        ticks = [(f, 0.0) for f in np.linspace(0, f_max, 6)] + [(-0.1 * f_max, n) for n in np.linspace(0, n_max, 3)[1:]]
+        texts = [f"{f:g} Hz" for f, _ in ticks[:6]] + [f"order {n:g}" for _, n in ticks[6:]]
+        marks = rr.Points2D(ticks, labels=texts, colors=[GREY], radii=rr.Radius.ui_points(2.0), show_labels=True)
+        self._stream.log("/stabilisation/ticks", marks)

@@ -1,0 +1,105 @@
+"""What the monitor says, as a Rerun recording: a file to keep, a server that viewers join, or both.
+
+The only clock is the data's: everything stands on the timeline ``time``, in UTC.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from drivers.base import ClockHealth
+from monitor.core.results import Gap, Samples, WindowResult
+from monitor.publish.viewer.picture import Item, Picture
+from monitor.publish.viewer.queue import Output, Worker
+from monitor.publish.viewer.scene import FILE_BLOCK_S, LIVE_BLOCK_S, Scene
+from monitor.publish.viewer.trust import Clocks
+from monitor.signals.sensor_health import Health
+
+
+class RerunPublisher:
+    """Publishes results to a file, to viewers that join, or both, and never holds up or fails its caller.
+
+    Parameters
+    ----------
+    scene : Scene
+    file : Path, optional
+        Written beside itself as ``.part`` and renamed by `close`.
+    serve : (str, int), optional
+        Address and port where viewers may join.
+    lossless : bool
+        Whether a full queue makes the caller wait (replay to a file) or drops and counts (daemon).
+    queue_size : int
+        Blocks and results that may wait.
+
+    Notes
+    -----
+    Trouble of any kind, an unwritable file and a taken port included, shows in `failed`, and is logged once.
+    """
+
+    def __init__(
+        self, scene: Scene, *, file: Path | None, serve: tuple[str, int] | None, lossless: bool, queue_size: int = 256
+    ) -> None:
+        self._scene, self._file, self._serve = scene, file, serve
+        self._timeout_s = 10.0
+        self._worker: Worker[Item] = Worker("rerun", self._run, queue_size, lossless)
+
+    @property
+    def dropped(self) -> int:
+        """Blocks, results and gaps that found the queue full."""
+        return self._worker.dropped
+
+    @property
+    def failed(self) -> str | None:
+        """Why nothing is published any more."""
+        return self._worker.failed
+
+    def samples(self, samples: Samples) -> None:
+        """Publish conditioned samples, shape (n_samples, c), m/s^2, in blocks of any size."""
+        self._worker.put(replace(samples, values=samples.values.copy()))  # the caller may reuse its buffer
+
+    def window(self, result: WindowResult) -> None:
+        """Publish everything said about a window."""
+        self._worker.put(result)
+
+    def gap(self, gap: Gap) -> None:
+        """Publish that samples are missing."""
+        self._worker.put(gap)
+
+    def health(self, health: Health) -> None:
+        """Publish what the sensors are like."""
+        self._worker.put(health)
+
+    def clocks(self, t_ns: int, clocks: Sequence[ClockHealth]) -> None:
+        """Publish what the sensor nodes' clocks are like."""
+        self._worker.put(Clocks(t_ns, tuple(clocks)))
+
+    def finding(self, finding: dict[str, Any]) -> None:
+        """Publish what a diagnosis said."""
+        self._worker.put(finding)
+
+    def close(self, timeout_s: float = 10.0) -> None:
+        """Publish what waits and finish the file; gives up after `timeout_s`."""
+        self._timeout_s = timeout_s
+        self._worker.close(timeout_s)
+
+    def abort(self, timeout_s: float = 10.0) -> None:
+        """Stop at once and leave no file."""
+        self._worker.close(timeout_s, cancel=True)
+
+    def _run(self, take: Callable[[], Item | None]) -> None:
+        """Work of the thread: open, draw until the queue is closed, finish."""
+        output = Output(self._scene.name, self._file, self._serve)
+        try:
+            block_s = LIVE_BLOCK_S if self._serve else FILE_BLOCK_S
+            picture = Picture(self._scene, output.stream, block_s, thin=self._file is not None)
+            picture.begin()
+            while (item := take()) is not None:
+                picture.draw(item)
+            picture.finish()
+            if not self._worker.cancelled:
+                output.close(self._timeout_s)
+        finally:
+            output.abandon()

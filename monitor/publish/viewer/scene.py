@@ -1,0 +1,113 @@
+"""What stands in the viewer: the site, the status text, colours.  Pure functions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import UTC, datetime
+
+import numpy as np
+import rerun as rr
+
+from monitor.core.results import Array, Level, ModalEstimate, WindowResult
+from monitor.model.model import Model
+
+Colour = tuple[int, int, int]
+
+GREEN, AMBER, RED, GREY = (80, 190, 110), (240, 180, 50), (230, 70, 60), (130, 130, 130)
+SERIES: tuple[Colour, ...] = ((90, 170, 250), (250, 170, 70), (190, 130, 240), (90, 210, 190), (240, 120, 160))
+LEVELS = {
+    Level.NORMAL: (rr.TextLogLevel.INFO, GREEN),
+    Level.ADVISORY: (rr.TextLogLevel.INFO, (220, 215, 100)),
+    Level.WARNING: (rr.TextLogLevel.WARN, AMBER),
+    Level.ALARM: (rr.TextLogLevel.CRITICAL, RED),
+}
+LIVE_BLOCK_S, FILE_BLOCK_S = 1.0, 60.0
+"""Samples are sent in blocks of at least this length, results so many at a time: few for viewers that watch, many for a small
+file that is written fast."""
+COLUMNS = ((0.0, 0.0), (0.6, 0.0), (0.6, 0.6), (0.0, 0.6))
+"""Corners of the frame; it is drawn 1 high."""
+STABILISATION = (100.0, 55.0)
+"""Width and height of the stabilisation diagram's canvas."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Scene:
+    """What the viewer needs to know of the site."""
+
+    name: str
+    channels: tuple[str, ...]
+    sensor_floor: tuple[int, ...]
+    """Floor of each channel, from 1 = top."""
+    story_heights_m: Array
+    """Shape (n,); story 1 = top.  Only their proportions are drawn."""
+    baseline_frequencies_hz: Array | None
+    """Shape (m,); mode 0 = lowest."""
+    has_baseline: bool
+    alarm_loss: float
+    """Relative stiffness loss that counts as an alarm."""
+    model: Model | None = None
+    """Predicts spectra; none are without."""
+    cutoff_hz: float = 40.0
+    """Highest frequency that is looked at."""
+    misfit_asks: float = 5.0
+    """Goodness of fit at which a diagnosis is asked for."""
+
+    @property
+    def n_stories(self) -> int:
+        """Stories, as many as the model has modes."""
+        return len(self.story_heights_m)
+
+
+def severity(loss: float | None, alarm_loss: float) -> Colour:
+    """Colour of a story: green, amber at half of `alarm_loss`, red from there on; grey when unknown."""
+    if loss is None:
+        return GREY
+    x = min(max(2.0 * loss / alarm_loss, 0.0), 2.0)
+    first, last, share = (GREEN, AMBER, x) if x < 1.0 else (AMBER, RED, x - 1.0)
+    red, green, blue = (round(a + share * (b - a)) for a, b in zip(first, last, strict=True))
+    return red, green, blue
+
+
+def utc(t_ns: int) -> np.datetime64:
+    """UTC nanoseconds as NumPy's time."""
+    return np.datetime64(t_ns, "ns")
+
+
+def plus_minus(value: float, std: float, scale: float = 1.0, digits: int = 1) -> str:
+    """A value with two standard deviations."""
+    return f"{value * scale:.{digits}f} ± {2 * std * scale:.{digits}f}"
+
+
+def status(scene: Scene, result: WindowResult) -> str:
+    """The state after a window in words, Markdown; intervals are two standard deviations."""
+    end = datetime.fromtimestamp(result.t_end_ns * 1e-9, UTC)
+    alarm, modes, damage = result.alarm, result.modes, result.damage
+    judged = result.skipped is None or alarm.level is not Level.NORMAL
+    lines = [f"# {alarm.level.value.upper() if judged else 'NOT JUDGED'}", alarm.reason, ""]
+    if result.skipped is not None:
+        lines += [f"**No result for this window:** {result.skipped.reason}", ""]
+    if damage is not None:
+        since = "since the baseline" if scene.has_baseline else "against the structure file (no baseline)"
+        lines += [f"Stiffness lost {since}, alarm from {100 * scene.alarm_loss:g} %", ""]
+        lines += ["| story | loss, % (± 2σ) |", "|---|---|"]
+        pairs = zip(damage.ddi, damage.ddi_std, strict=True)
+        lines += [f"| {j} | {plus_minus(d, s, 100)} |" for j, (d, s) in enumerate(pairs, 1)] + [""]
+    if modes is not None:
+        lines += ["| mode | frequency, Hz (± 2σ) | baseline, Hz | damping, % (± 2σ) |", "|---|---|---|---|"]
+        for k, f, fs, d, ds in rows(modes):
+            base = scene.baseline_frequencies_hz
+            was = f"{base[k]:.3f}" if base is not None and k < len(base) else "-"
+            lines.append(f"| {k + 1} | {plus_minus(f, fs, digits=3)} | {was} | {plus_minus(d, ds, 100, 2)} |")
+    lines += ["", f"{scene.name}, window of {result.window_s:g} s to {end:%Y-%m-%d %H:%M:%S} UTC"]
+    return "\n".join(lines)
+
+
+def rows(modes: ModalEstimate) -> list[tuple[int, float, float, float, float]]:
+    """For each mode: number of the model's mode, frequency and its std (Hz), damping ratio and its std."""
+    columns = (modes.frequencies_hz, modes.frequencies_std_hz, modes.damping_ratio, modes.damping_std)
+    table = np.column_stack(columns).tolist()
+    return [(int(k), f, fs, d, ds) for k, (f, fs, d, ds) in zip(modes.model_mode, table, strict=True)]
+
+
+HOLE = (np.nan,) * 3
+"""No value: breaks a line and its bounds, where no row would be bridged, and a Clear or an empty row drags the axis to 0."""

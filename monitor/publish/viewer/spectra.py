@@ -1,0 +1,117 @@
+"""The viewer's spectra: what the sensors say lately, and what the model that fits the window says they should."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+import rerun as rr
+
+from monitor.core.results import Array, Samples, WindowResult
+from monitor.model.model import Model
+from monitor.publish.viewer.rows import Rows, Strips, ui_radius
+from monitor.publish.viewer.scene import GREY, SERIES, STABILISATION, Scene
+from monitor.signals.welch import taper
+
+LIVE_EVERY_S, FILE_EVERY_S = 60.0, 200.0
+"""They change slowly: half of what is averaged is new after 200 s."""
+_SEGMENT_S, _LONGEST_S = 20.0, 400.0
+_DECADES = 7.0
+"""Of power, shown of each channel."""
+_MOST_CHANNELS = 6
+MODEL = (235, 235, 235)
+
+
+def predicted(scene: Scene, result: WindowResult, hz: Array) -> Array:
+    """Power of the channels under equal white forces on all floors, shape (n_hz, c), up to their level.
+
+    Modes superposed: the model at the window's stiffnesses, with the window's damping where it was measured.
+    """
+    assert isinstance(scene.model, Model)
+    k = result.stiffness
+    model = scene.model if k is None else scene.model.with_stiffness(k.stiffness_n_per_m)
+    modes, damping = model.modes(), np.array(model.damping_ratios())
+    if result.modes is not None:
+        damping[result.modes.model_mode] = result.modes.damping_ratio
+    w = 2.0 * np.pi * hz[:, None]
+    modal = w**2 / (modes.eigenvalues - w**2 + 2j * damping * np.sqrt(modes.eigenvalues) * w)
+    seen = modes.shapes[[floor - 1 for floor in scene.sensor_floor]]
+    return np.asarray((np.abs(np.einsum("cm,fm,nm->fcn", seen, modal, modes.shapes)) ** 2).sum(axis=2))
+
+
+class Spectra:
+    """Draws both, one channel over the other, every so many seconds of data."""
+
+    def __init__(self, scene: Scene, stream: rr.RecordingStream, to: Rows, every_s: float) -> None:
+        self._scene, self._stream, self._to = scene, stream, to
+        self._every_ns = round(every_s * 1e9)
+        self._blocks: deque[Samples] = deque()
+        self._drawn_ns, self._axes = -self._every_ns, False
+
+    def samples(self, samples: Samples) -> None:
+        """Keep the latest; what stands before a gap or another rate is let go."""
+        if self._blocks:
+            last = self._blocks[-1]
+            due = last.t_ns + len(last.values) / last.rate_hz * 1e9
+            if samples.rate_hz != last.rate_hz or abs(samples.t_ns - due) > 0.5e9 / samples.rate_hz:
+                self._blocks.clear()
+        self._blocks.append(samples)
+        while samples.t_ns - self._blocks[0].t_ns > _LONGEST_S * 1e9:
+            self._blocks.popleft()
+
+    def window(self, result: WindowResult) -> None:
+        """Draw, if it is time; the stream stands at the window's end."""
+        if not self._blocks or result.t_end_ns - self._drawn_ns < self._every_ns:
+            return
+        rate, values = self._blocks[0].rate_hz, np.concatenate([b.values for b in self._blocks])
+        if len(values) < _SEGMENT_S * rate:
+            return
+        self._drawn_ns = result.t_end_ns
+        hz, power = _power(values[:, :_MOST_CHANNELS], rate)
+        band = (hz > 0.01 * self._scene.cutoff_hz) & (hz <= self._scene.cutoff_hz)
+        hz, power = hz[band], power[band]
+        lanes = power.shape[1]
+        width, height = STABILISATION
+        scale = (width / self._scene.cutoff_hz, -height / lanes, 1.0)
+        colours = [SERIES[c % len(SERIES)] for c in range(lanes)]
+        top = np.log10(power.max(axis=0) * 3.0)
+        lines = Strips(_lane(hz, p, t, lanes - 1 - c) for c, (p, t) in enumerate(zip(power.T, top, strict=True)))
+        self._to.add("/spectra", rr.Transform3D, scale=[scale])
+        self._to.add("/spectra/measured", rr.LineStrips2D, strips=lines, colors=colours, radii=ui_radius(0.7))
+        if self._scene.model is not None:
+            model = predicted(self._scene, result, hz)[:, :lanes]
+            model *= power.sum() / model.sum()
+            lines = Strips(_lane(hz, p, t, lanes - 1 - c) for c, (p, t) in enumerate(zip(model.T, top, strict=True)))
+            self._to.add("/spectra/model", rr.LineStrips2D, strips=lines, colors=[MODEL], radii=ui_radius(0.4))
+        if not self._axes:
+            self._axes = True
+            self._draw_axes(lanes)
+
+    def _draw_axes(self, lanes: int) -> None:
+        f_max = self._scene.cutoff_hz
+        frame = [[(0, c), (f_max, c)] for c in range(lanes + 1)]
+        self._stream.log(
+            "/spectra/axes", rr.LineStrips2D(frame, colors=[GREY], radii=rr.Radius.ui_points(0.3)), static=True
+        )
+        places = [(f, 0.0) for f in np.linspace(0, f_max, 5)]
+        places += [(-0.09 * f_max, lanes - 0.5 - c) for c in range(lanes)]
+        labels = [f"{f:g} Hz" for f, _ in places[:5]] + list(self._scene.channels[:lanes])
+        marks = rr.Points2D(places, labels=labels, colors=[GREY], radii=rr.Radius.ui_points(1.5), show_labels=True)
+        self._stream.log("/spectra/ticks", marks, static=True)
+
+
+def _power(values: Array, rate_hz: float) -> tuple[Array, Array]:
+    """Frequencies and mean periodograms, shape (n_hz, c), of half-overlapping tapered segments, up to a factor."""
+    n = round(_SEGMENT_S * rate_hz)
+    # Single precision is enough for a picture.
+    segments = np.lib.stride_tricks.sliding_window_view(values.astype(np.float32), n, axis=0)[:: n // 2]
+    spectra = np.fft.rfft((segments - segments.mean(axis=-1, keepdims=True)) * taper(n).astype(np.float32))
+    return np.asarray(np.arange(n // 2 + 1) * (rate_hz / n), dtype=float), np.asarray(
+        (spectra.real**2 + spectra.imag**2).mean(axis=0).T
+    )
+
+
+def _lane(hz: Array, power: Array, top: float, lane: int) -> Array:
+    """Logarithm of a channel's power in a lane 1 high, `_DECADES` below `top` at its foot."""
+    level = (np.log10(np.maximum(power, 1e-300)) - top) / _DECADES + 1.0
+    return np.column_stack([hz, lane + np.clip(level, 0.0, 1.0)])

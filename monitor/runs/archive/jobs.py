@@ -1,0 +1,155 @@
+"""What a process of `reprocess` does: survey a recording, replay a run of them, diagnose one."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import pyarrow.parquet as pq
+from threadpoolctl import threadpool_limits
+
+from drivers.base import ACCELERATION, RecordingError
+from drivers.mcap_file import recording_info
+from monitor.config import configuration
+from monitor.core.errors import UserError
+from monitor.core.files import write_atomically
+from monitor.core.memory import keep_freed
+from monitor.core.results import WindowResult
+from monitor.damage.baseline import load
+from monitor.publish.base import Publisher
+from monitor.publish.results.arrow_table import SCHEMA, table
+from monitor.publish.results.lines import to_json
+from monitor.runs.archive.inventory import Survey
+from monitor.runs.recordings import blocks
+from monitor.runs.replay import begun, pass_through
+from monitor.runs.session import Session
+
+WINDOWS, RUNS, DIAGNOSES = "windows", "runs", "diagnoses"
+"""Folders in the output: the Parquet dataset; of each run its summary and findings; of each recording its diagnosis."""
+KEPT = b"shm-monitor"
+"""Key of a Parquet file's metadata under which its run stands."""
+_ROWS = 2048
+"""Windows held before they are written, a row group."""
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """What a process needs to know to make one result."""
+
+    name: str
+    stream: str
+    paths: tuple[Path, ...]
+    structure: Path
+    baseline: Path | None
+    out: Path
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What became of one result."""
+
+    name: str
+    paths: tuple[Path, ...]
+    error: str | None = None
+    made: bool = True
+    """False where it was there already."""
+    warnings: list[str] = field(default_factory=list)
+
+
+class Windows(Publisher):
+    """The windows of a run as one file of the dataset, row group by row group."""
+
+    def __init__(self, scratch: Path, final: Path, stream: str, kept: dict[str, Any]) -> None:
+        self._scratch, self._final, self._stream = scratch, final, stream
+        schema = SCHEMA.with_metadata({KEPT: json.dumps(kept).encode()})
+        self._file = pq.ParquetWriter(scratch, schema, compression="zstd")
+        self._lines: list[dict[str, Any]] = []
+
+    def window(self, result: WindowResult, line: str) -> None:
+        """Keep its line."""
+        self._lines.append(json.loads(line))
+        if len(self._lines) >= _ROWS:
+            self._flush()
+
+    def close(self) -> None:
+        """Finish the file and let the dataset have it."""
+        self._flush()
+        self._file.close()
+        os.replace(self._scratch, self._final)
+
+    def abandon(self) -> None:
+        """Leave nothing behind."""
+        self._file.close()
+        self._scratch.unlink(missing_ok=True)
+
+    def _flush(self) -> None:
+        if self._lines:
+            self._file.write_table(table(self._lines, self._stream).replace_schema_metadata(self._file.schema.metadata))
+            self._lines = []
+
+
+def survey(item: tuple[Path, dict[str, str]]) -> Survey | str:
+    """What a recording (with a map of its ROS 2 topics) holds, or what is wrong with it."""
+    path, topics = item
+    try:
+        info = recording_info(path, topic_map=topics or None)
+    except RecordingError as error:
+        return str(error)
+    end_ns = info.t_start_ns + round(info.duration_s * 1e9)
+    return Survey(str(path.parent), info.channels[ACCELERATION], info.sample_rate_hz, info.t_start_ns, end_ns, path)
+
+
+def replayed(task: Task) -> Outcome:
+    """One run through the pipeline."""
+    outcome = Outcome(task.name, task.paths)
+    keep_freed()
+    try:
+        with threadpool_limits(limits=1):
+            _replay(task, outcome.warnings)
+    except UserError as error:
+        return replace(outcome, error=str(error))
+    except OSError as error:
+        return replace(outcome, error=f"{error.filename or task.out}: {error.strerror or error}")
+    return outcome
+
+
+def _replay(task: Task, warnings: list[str]) -> None:
+    settings = configuration.load(task.structure)
+    healthy = None if task.baseline is None else load(task.baseline, settings)
+    paths, folder = list(task.paths), task.out / RUNS / task.name
+    source = begun(blocks(paths, settings, warnings.append))
+    folder.mkdir(parents=True, exist_ok=True)
+    kept = {"recordings": list(map(str, paths)), "stream": task.stream}
+    rows = Windows(folder / "windows.part", task.out / WINDOWS / f"{task.name}.parquet", task.stream, kept)
+    session = Session(settings, healthy, (rows,), (task.structure, task.baseline), folder / "findings")
+    try:
+        factor = pass_through(session, source, paths)
+        write_atomically(folder / "summary.json", to_json({**session.content(factor), **kept}) + "\n")
+        rows.close()
+    except BaseException:
+        rows.abandon()
+        raise
+    finally:
+        session.watcher.close()
+
+
+def diagnosed(task: Task) -> Outcome:
+    """One recording's diagnosis."""
+    from monitor.runs import diagnose
+
+    outcome = Outcome(task.name, task.paths)
+    try:
+        settings = configuration.load(task.structure)
+        healthy = None if task.baseline is None else load(task.baseline, settings)
+        with threadpool_limits(limits=1):
+            found = diagnose.find(list(task.paths), settings, healthy, outcome.warnings.append)
+        final = task.out / DIAGNOSES / f"{task.name}.json"
+        write_atomically(final, json.dumps(found.content, indent=1, allow_nan=False) + "\n")
+    except UserError as error:
+        return replace(outcome, error=str(error))
+    except OSError as error:
+        return replace(outcome, error=f"{error.filename or task.out}: {error.strerror or error}")
+    return outcome

@@ -1,0 +1,192 @@
+"""Archives: many recordings replayed, each run of them once, by several processes or a cluster (Dask).
+
+A run's results are those that `replay` gives for its recordings.  They appear under their final names when they are whole, and
+those that are there are not made again, so that a command that was interrupted goes on where it stopped.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from dataclasses import asdict
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any, TypeVar
+
+import dask
+import pyarrow.parquet as pq
+from dask.callbacks import Callback
+
+from monitor.config import configuration as config
+from monitor.core.errors import MissingInputError
+from monitor.core.files import spare_inputs, write_atomically
+from monitor.damage.baseline import load
+from monitor.runs.archive.inventory import Run, Survey, fingerprint, identity, runs
+from monitor.runs.archive.jobs import DIAGNOSES, KEPT, RUNS, WINDOWS, Outcome, Task, diagnosed, replayed, survey
+
+Job = TypeVar("Job")
+Done = TypeVar("Done")
+_SURVEYS = "surveys.json"
+Work = Callable[[Callable[[Any], Any], Sequence[Any]], list[Any]]
+"""Gives the function of every job."""
+
+
+def reprocess(
+    recordings: Sequence[Path],
+    structure: Path,
+    baseline: Path | None,
+    out: Path,
+    *,
+    diagnose: bool = False,
+    longest_gap_s: float | None = None,
+    scheduler: str | None = None,
+    workers: int | None = None,
+    on_done: Callable[[int, int], None] = lambda done, of: None,
+) -> list[Outcome]:
+    """Replay, and where asked diagnose, all recordings that are not done yet.
+
+    Parameters
+    ----------
+    diagnose : bool
+        Also diagnose each recording by itself; alarms have their diagnoses anyhow, as in `replay`.
+    longest_gap_s : float, optional
+        Pause after which recordings of one folder are no longer one replay; the window's length by default.
+    scheduler : str, optional
+        Address of a Dask scheduler whose workers see the same files; processes on this machine without.
+    workers : int, optional
+        How many of these; one a core by default.
+
+    Raises
+    ------
+    WrongUsageError
+        A file of `out` is one that is read.
+    BadConfigurationError, MissingInputError
+        Of the structure file and the baseline.  What is wrong with a recording is told by its outcome.
+    """
+    spare_inputs([out / _SURVEYS], [*recordings, structure, baseline])
+    settings = config.load(structure)
+    if baseline is not None:
+        load(baseline, settings)
+    configuration = _configuration(settings, baseline)
+    try:
+        for folder in (WINDOWS, RUNS, DIAGNOSES):
+            (out / folder).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise MissingInputError(f"{out}: cannot be written: {error.strerror}") from error
+
+    with _crew(scheduler, workers, on_done) as work:
+        surveys, failed = _surveyed(recordings, settings.topics, out, work)
+        gap_s = settings.processing.window_s if longest_gap_s is None else longest_gap_s
+        wanted = runs(surveys, gap_s)
+        tasks = [_task(run.name(configuration), run.stream, run.paths, structure, baseline, out) for run in wanted]
+        outcomes = _made(replayed, tasks, [out / WINDOWS / f"{task.name}.parquet" for task in tasks], work)
+        if diagnose:
+            single = [Run(s.folder, (s.path,), s.t_start_ns, s.t_end_ns) for s in surveys]
+            tasks = [_task(one.name(configuration), one.stream, one.paths, structure, baseline, out) for one in single]
+            outcomes += _made(diagnosed, tasks, [out / DIAGNOSES / f"{task.name}.json" for task in tasks], work)
+        _forget(out, {run.name(configuration): run for run in wanted}, failed=[o.name for o in outcomes if o.error])
+    return failed + outcomes
+
+
+def _task(name: str, stream: str, paths: tuple[Path, ...], structure: Path, baseline: Path | None, out: Path) -> Task:
+    return Task(name, stream, paths, structure.resolve(), baseline and baseline.resolve(), out.resolve())
+
+
+def _made(
+    function: Callable[[Task], Outcome],
+    tasks: Sequence[Task],
+    results: Sequence[Path],
+    work: Work,
+) -> list[Outcome]:
+    """Make the results that are not there."""
+    there = [Outcome(t.name, t.paths, made=False) for t, r in zip(tasks, results, strict=True) if r.exists()]
+    return there + work(function, [t for t, r in zip(tasks, results, strict=True) if not r.exists()])
+
+
+def _configuration(settings: config.Configuration, baseline: Path | None) -> str:
+    """Everything besides the recordings that results depend on."""
+    told = settings.model_dump_json(exclude={"output", "source"})
+    return fingerprint(told, "" if baseline is None else baseline.read_text(encoding="utf-8"))
+
+
+@contextmanager
+def _crew(scheduler: str | None, workers: int | None, on_done: Callable[[int, int], None]) -> Iterator[Work]:
+    """Whoever does the work: this process where one is enough, several of this machine, or a cluster."""
+    count = workers or os.cpu_count() or 1
+    if scheduler is not None:
+        from distributed import Client, as_completed
+
+        try:
+            client = Client(scheduler, timeout="30s")
+        except (OSError, ValueError) as error:
+            raise MissingInputError(f"--scheduler {scheduler}: cannot be reached: {error}") from error
+
+        def on_cluster(function: Callable[[Job], Done], jobs: Sequence[Job]) -> list[Done]:
+            futures = client.map(function, jobs, pure=False)
+            for number, _ in enumerate(as_completed(futures), start=1):
+                on_done(number, len(jobs))
+            return list(client.gather(futures))
+
+        with client:
+            yield on_cluster
+        return
+    # New interpreters, never forks: threads of this one may hold locks.
+    with ProcessPoolExecutor(count, get_context("spawn")) as pool:
+        options = {"scheduler": "sync"} if count == 1 else {"scheduler": "processes", "pool": pool, "chunksize": 1}
+
+        def here(function: Callable[[Job], Done], jobs: Sequence[Job]) -> list[Done]:
+            number = iter(range(1, len(jobs) + 1))
+            with Callback(posttask=lambda *_: on_done(next(number, len(jobs)), len(jobs))):
+                return list(dask.compute(*[dask.delayed(function, pure=False)(job) for job in jobs], **options))
+
+        yield here
+
+
+def _surveyed(
+    recordings: Sequence[Path], topics: dict[str, str], out: Path, work: Work
+) -> tuple[list[Survey], list[Outcome]]:
+    """What each recording holds, read once and kept in ``surveys.json``."""
+    kept_in = out / _SURVEYS
+    try:
+        kept: dict[str, Any] = json.loads(kept_in.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        kept = {}
+    surveys, failed, new = [], [], []
+    for path in recordings:
+        try:
+            known = kept.get(key := identity(path))
+        except OSError as error:
+            failed.append(Outcome(str(path), (path,), f"{path}: cannot be opened: {error.strerror}"))
+            continue
+        if known is None:
+            new.append((key, path))
+        else:
+            surveys.append(_survey_of(known))
+    looked_at = work(survey, [(path, topics) for _, path in new])
+    for (key, path), found in zip(new, looked_at, strict=True):
+        if isinstance(found, str):
+            failed.append(Outcome(str(path), (path,), found))
+        else:
+            surveys.append(found)
+            kept[key] = asdict(found) | {"path": str(path)}
+    write_atomically(kept_in, json.dumps(kept, indent=0) + "\n")
+    return surveys, failed
+
+
+def _survey_of(kept: dict[str, Any]) -> Survey:
+    return Survey(**{**kept, "channels": tuple(kept["channels"]), "path": Path(kept["path"])})
+
+
+def _forget(out: Path, now: dict[str, Run], failed: list[str]) -> None:
+    """Remove files of the dataset whose recordings stand in another by now: no window is in it twice."""
+    covered = {str(path) for name, run in now.items() if name not in failed for path in run.paths}
+    for file in (out / WINDOWS).glob("*.parquet"):
+        if file.stem not in now:
+            metadata = pq.read_schema(file).metadata or {}
+            if covered & set(json.loads(metadata.get(KEPT, b"{}")).get("recordings", ())):
+                file.unlink()
+                shutil.rmtree(out / RUNS / file.stem, ignore_errors=True)

@@ -1,0 +1,141 @@
+"""The healthy baseline from recordings, in one pass over them."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from drivers.base import SampleBlock
+from drivers.mcap_file import recording_info
+from monitor.config.configuration import Configuration
+from monitor.core.errors import BadInputError
+from monitor.core.files import sha256
+from monitor.core.results import WindowResult
+from monitor.damage.alternative_solutions import second_solutions
+from monitor.damage.baseline import Baseline, learn
+from monitor.damage.updating import Observation, Update
+from monitor.diagnosis.wording import contradicted
+from monitor.inference.segments import Segments, gather
+from monitor.pipeline import Pipeline
+from monitor.runs import diagnose
+from monitor.runs.recordings import OnProgress, OnWarning, Progress, blocks, names, pushed
+
+_COMMON = 0.9
+"""A mode belongs to the baseline when this share of the windows shows it."""
+_LONGEST_S = 40_000.0
+"""Of healthy data that a diagnosis learns from: 4000 segments of 20 s."""
+_SURELY_SHORT_BYTES = 40_000_000
+_HOUR_NS = 3_600_000_000_000
+
+
+def calibrate(
+    paths: list[Path],
+    config: Configuration,
+    *,
+    on_warning: OnWarning = lambda _: None,
+    on_progress: OnProgress = lambda _: None,
+) -> tuple[Baseline, Update]:
+    """The healthy baseline from recordings.
+
+    Raises
+    ------
+    MissingInputError, BadInputError
+    """
+    pipeline, progress = Pipeline(config), Progress(on_progress)
+    good: list[WindowResult] = []
+    reasons: list[str] = []
+
+    def passing() -> Iterator[SampleBlock]:
+        """The blocks, once the pipeline has seen them."""
+        for block in blocks(paths, config, on_warning):
+            progress.saw(block)
+            for result in pushed(pipeline, block, paths):
+                if isinstance(result, WindowResult):
+                    good.extend([result] if result.skipped is None else [])
+                    reasons.extend([result.skipped.mend] if result.skipped is not None else [])
+            yield block
+
+    segments = _segments(passing(), config, _share(paths, config))
+    progress.demand(pipeline, len(good) + len(reasons), paths)
+    if not good:
+        raise BadInputError(f"{names(paths)}: no window could be identified, the last because: {reasons[-1]}")
+    if reasons:
+        on_warning(f"{len(reasons)} of {len(good) + len(reasons)} windows were left out, the last: {reasons[-1]}")
+    good = _with_common_modes(good)
+    recordings = tuple({"file": p.name, "sha256": sha256(p)} for p in paths)
+    windows = [r.modes for r in good if r.modes is not None]
+    rms = np.array([r.rms_m_s2 for r in good])
+    assert progress.first is not None
+    span_ns = (progress.first.t_ns, pipeline.state.align.t_next_ns())
+    temperatures = [r.temperature for r in good if r.modes is not None]
+    baseline, fit = learn(config, windows, rms, recordings, span_ns, temperatures)
+    _tell_doubts(baseline, config, good[-1], on_warning)
+    if segments is None:
+        on_warning("too short for a diagnosis to learn from; 'diagnose' will not take this baseline")
+        return baseline, fit
+    reference = diagnose.learn(segments, config)
+    if reference.error is not None:
+        on_warning(contradicted(reference.error))
+    return replace(baseline, reference=reference), fit
+
+
+def _share(paths: list[Path], config: Configuration) -> float:
+    """Which share of every hour a diagnosis learns from, so that memory stays bounded."""
+    if sum(p.stat().st_size for p in paths) < _SURELY_SHORT_BYTES:
+        return 1.0
+    seconds = sum(recording_info(p, topic_map=config.topics or None).duration_s for p in paths)
+    return min(1.0, _LONGEST_S / seconds)
+
+
+def _segments(blocks: Iterator[SampleBlock], config: Configuration, share: float) -> Segments | None:
+    """Segments of the beginning of every hour; all blocks are taken, whatever is kept.  None if there are too few."""
+    refused: list[BadInputError] = []
+
+    def kept() -> Iterator[SampleBlock]:
+        begun = 0
+        try:
+            for block in blocks:
+                begun = begun or block.t_ns
+                if (block.t_ns - begun) % _HOUR_NS < share * _HOUR_NS:
+                    yield block
+        except BadInputError as error:
+            refused.append(error)
+            raise
+
+    try:
+        return gather(kept(), config)
+    except BadInputError:
+        if refused:
+            raise
+        return None
+
+
+def _with_common_modes(windows: list[WindowResult]) -> list[WindowResult]:
+    """The windows with those modes alone that nearly all of them show, without the few that do not."""
+    seen = Counter(int(k) for w in windows if w.modes is not None for k in w.modes.model_mode)
+    common = frozenset(k for k, count in seen.items() if count >= _COMMON * len(windows))
+    kept = [replace(w, modes=w.modes.only(common)) for w in windows if w.modes is not None]
+    return [w for w in kept if w.modes is not None and w.modes.model_mode.size == len(common)]
+
+
+def _tell_doubts(baseline: Baseline, config: Configuration, last: WindowResult, on_warning: OnWarning) -> None:
+    """What these sensors and modes cannot tell, said before anybody relies on it."""
+    unidentified = last.damage.unidentified if last.damage is not None else ()
+    if unidentified:
+        on_warning(
+            f"the modes say next to nothing about story {', '.join(map(str, unidentified))}: damage there "
+            "cannot be judged; more sensors or more modes would help"
+        )
+    if config.updating.use_shapes:
+        return
+    z = baseline.z - baseline.misfit
+    target = Observation(z, np.eye(z.size), np.zeros((1, z.size)), baseline.model_mode, (), baseline.log)
+    for other in second_solutions(baseline.model, config.sensor_matrix(), target, config.updating):
+        on_warning(
+            f"the same frequencies also follow from stiffnesses {', '.join(f'{k:.1f}' for k in other)} N/m: frequencies "
+            "alone cannot tell which is true; set use_shapes = true under [updating]"
+        )

@@ -1,0 +1,50 @@
+"""The tour behind `make demo`: calibrate, watch damage appear, replay a measured frame."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from monitor.config import configuration
+from monitor.core.errors import MissingInputError
+from monitor.core.files import demand_place
+from monitor.damage import baseline
+from monitor.publish.results.lines import replay_story
+from monitor.runs import calibrate, replay
+
+
+def run(recordings: Path, out: Path, *, say: Callable[[str], None], on_warning: Callable[[str], None]) -> None:
+    """Leave the demo's results in `out`.
+
+    Raises
+    ------
+    MissingInputError, BadInputError
+        If `recordings` does not hold the shipped recordings, or nothing can be written in `out`.
+    """
+    if not (recordings / "frame.toml").is_file():
+        raise MissingInputError(f"{recordings}: no recordings here; run in the project's folder or give --recordings")
+    frame = configuration.load(recordings / "frame.toml")
+    demand_place(out / "baseline.json")
+    say("1. Calibrating on a healthy recording of a simulated three-story frame whose drawing is wrong on purpose ...")
+    healthy, _ = calibrate.calibrate([recordings / "frame-healthy.mcap"], frame, on_warning=on_warning)
+    baseline.save(healthy, out / "baseline.json")
+    say("2. Replaying 1000 s of it in which story 2 loses 12 % of its stiffness after 400 s ...")
+    parts = [recordings / "frame-before.mcap", recordings / "frame-after.mcap"]
+    files = (recordings / "frame.toml", out / "baseline.json")
+    summary = replay.replay(parts, frame, healthy, out, files=files, on_warning=on_warning)
+    say(_indent(replay_story(summary, has_baseline=True)))
+    say("3. Replaying a measured frame (mini shake table, an earthquake record played by the table) ...")
+    measured = configuration.load(recordings / "mini-shake-table-flexible.toml")
+    target = out / "measured-frame"
+    summary = replay.replay(
+        [recordings / "mini-shake-table-flexible.mcap"], measured, None, target, on_warning=on_warning
+    )
+    say(_indent(replay_story(summary, has_baseline=False)))
+    say("Look at it:")
+    for folder in (out, target):
+        say(f"   .venv/bin/shm-monitor view {folder}    (--web for a browser)")
+    say(f"Numbers: {out / 'results.jsonl'} (a line a window), {out / 'summary.json'}")
+
+
+def _indent(text: str) -> str:
+    return "\n".join(f"   {line}" for line in text.splitlines())

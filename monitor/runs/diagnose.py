@@ -1,0 +1,197 @@
+"""What a simulation gets wrong, from recordings: the work behind `diagnose`, `evaluate` and the online diagnosis."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from drivers.base import SampleBlock
+from monitor.config.configuration import Configuration
+from monitor.core.errors import BadInputError
+from monitor.damage.baseline import Baseline
+from monitor.diagnosis import healthy_prior
+from monitor.diagnosis.cross_validation import Gain, Score, demand_gain, fitted_model, heldout_gain, score
+from monitor.diagnosis.damage_index_effect import ddi_effect
+from monitor.diagnosis.files import content, model_to_plain
+from monitor.diagnosis.initial_fit import FAR
+from monitor.diagnosis.parameter_uncertainty import sure
+from monitor.diagnosis.score_test import cost
+from monitor.diagnosis.stepwise_selection import Diagnosis, diagnose
+from monitor.inference.map_estimate import fit
+from monitor.inference.observed_spectra import classify
+from monitor.inference.segments import Segments, gather
+from monitor.model.effects import AmbientForces, Condition, Context, Effect, locations
+from monitor.model.model import Model
+from monitor.model.prior import Reference, nominal
+from monitor.runs.recordings import OnProgress, OnWarning, Progress, blocks, names
+
+_TRIALS = np.errstate(over="ignore", invalid="ignore")
+"""A fit's trial step that overflows has no likelihood, and is refused for that."""
+
+_STANDING = 8
+"""Causes at most that stand from the start: every sensor may have a gain of its own."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Finding:
+    """A diagnosis with all that is published of it."""
+
+    diagnosis: Diagnosis
+    gain: Gain
+    content: dict[str, Any]
+    """diagnosis.json."""
+    segments: Segments
+    updated: Model
+    """The old model form, refitted."""
+    extended: Model
+    """With the causes."""
+    reference_degc: float | None
+    """Temperature at which the models' stiffnesses hold."""
+
+
+@_TRIALS
+def find(
+    paths: list[Path],
+    config: Configuration,
+    baseline: Baseline | None,
+    on_warning: OnWarning,
+    on_progress: OnProgress = lambda _: None,
+) -> Finding:
+    """Diagnose recordings against the baseline, or against the structure file without one.
+
+    Raises
+    ------
+    MissingInputError, BadInputError
+    """
+    segments = _read(paths, config, on_warning, on_progress)
+    if baseline is not None and baseline.reference is None:
+        raise BadInputError(
+            "the baseline holds nothing for a diagnosis to start from; calibrate anew, on 70 s or more without a gap"
+        )
+    reference = _nominal(config) if baseline is None or baseline.reference is None else baseline.reference
+    settled, gain = judged(segments, reference, config)
+    updated, extended = (fitted_model(settled.problem, at) for at in (settled.null, settled.final))
+    degc = reference.reference_degc
+    if degc is None and segments.temperature.size:
+        degc = float(segments.temperature[:, 1].mean())
+    plain = content(settled, gain, config.model().effects, ddi_effect(settled))
+    plain |= {"model": model_to_plain(extended, degc), "since_calibration": baseline is not None}
+    return Finding(settled, gain, plain, segments, updated, extended, degc)
+
+
+@_TRIALS
+def judged(segments: Segments, reference: Reference, config: Configuration) -> tuple[Diagnosis, Gain]:
+    """The diagnosis as it stands before held-out data, and its gain there."""
+    diagnosis = diagnose(classify(segments), reference, _context(segments, config), config.diagnosis)
+    gain = heldout_gain(segments, diagnosis, config)
+    settled = demand_gain(diagnosis, gain)
+    return settled, gain if settled is diagnosis else Gain()
+
+
+@_TRIALS
+def learn(segments: Segments, config: Configuration) -> Reference:
+    """What healthy data say of the structure: the reference of later diagnoses, with what is wrong from the start."""
+    evidence, context, known = classify(segments), _context(segments, config), _nominal(config)
+    if segments.temperature.size:
+        known = replace(known, reference_degc=float(segments.temperature[:, 1].mean()))
+    found = diagnose(evidence, known, context, config.diagnosis)
+    most = config.diagnosis.max_causes
+    if found.verdict == "unexplained" or len(found.causes) >= most:  # there may be more
+        ambient = _with_standing(known, (AmbientForces("frame"),), context, found.problem.conditions[0])
+        stated = any(isinstance(e, AmbientForces) for e in known.model.effects)
+        shaped = evidence.drive is None and not stated and _gains(ambient, found)
+        if shaped or len(found.rounds) >= most:  # else the search had ended by itself, and would again
+            known = ambient if shaped else known
+            more = config.diagnosis.model_copy(update={"max_causes": max(most, _STANDING)})
+            found = diagnose(evidence, known, context, more)
+    # Whatever the verdict: what describes the healthy data is no news later, and of what no data tell apart either does.
+    causes, condition = found.final.effects, found.problem.conditions[0]
+    while True:
+        alike = _alike(causes, context)
+        wider = _with_standing(known, (*causes, *alike), context, condition, n_guessed=len(alike))
+        learnt = healthy_prior.learn(evidence, wider, context, config.diagnosis)[0]
+        stays = [sure(e, std) for e, std in zip(learnt.effects(learnt.mean), learnt.standing_std, strict=True)]
+        found_stays = stays[len(known.model.effects) :][: len(causes)]
+        kept = tuple(e for e, own in zip(causes, found_stays, strict=True) if own)
+        if kept == causes:
+            return learnt.with_daily_standing().with_known_lines()
+        causes = kept  # beside the rest, the others are nothing
+
+
+def _alike(causes: tuple[Effect, ...], context: Context) -> tuple[Effect, ...]:
+    """Laws like those that were found, in proportion to the stiffness of every story where none was: what bends one story bends
+    the others, though healthy data do not show it."""
+    stiffness, out = context.structure.stiffness_n_per_m, {(e.name, e.location): e for e in causes}
+    for law in (e for e in causes if e.nonlinear and e.family == "structure" and e.location.startswith("story")):
+        if all(p.weighty for p in law.parameters):
+            for place in locations("story", context):
+                there = replace(law, location=place)
+                size = law.coordinates * stiffness[there.index] / stiffness[law.index]
+                out.setdefault((law.name, place), there.at(size))
+    return tuple(out.values())[len(causes) :]
+
+
+def evaluate(
+    paths: list[Path], config: Configuration, on_warning: OnWarning, on_progress: OnProgress = lambda _: None
+) -> Score:
+    """How well the structure file's model predicts recordings.
+
+    Raises
+    ------
+    MissingInputError, BadInputError
+    """
+    segments = _read(paths, config, on_warning, on_progress)
+    degc = config.structure.reference_temperature_degc
+    return score(segments, config.model(), _context(segments, config), config, degc)
+
+
+def _read(paths: list[Path], config: Configuration, on_warning: OnWarning, on_progress: OnProgress) -> Segments:
+    progress = Progress(on_progress)
+
+    def passing() -> Iterator[SampleBlock]:
+        for block in blocks(paths, config, on_warning):
+            progress.saw(block)
+            yield block
+
+    try:
+        return gather(passing(), config)
+    except BadInputError as error:
+        told = str(error)
+        raise BadInputError(told if str(paths[0]) in told else f"{names(paths)}: {told}") from error
+
+
+def _context(segments: Segments, config: Configuration) -> Context:
+    return Context(config.model().structure, config.channels, config.sensor_matrix(), segments.rate_hz)
+
+
+def _nominal(config: Configuration) -> Reference:
+    known = nominal(config.model(), config.prior_std(), len(config.channels))
+    return replace(known, reference_degc=config.structure.reference_temperature_degc)
+
+
+def _gains(wider: Reference, found: Diagnosis) -> bool:
+    """Whether what a wider reference leaves to the data explains more than what it costs, beside what was found."""
+    problem, at = found.problem, found.final
+    end = problem.reference.mean.size
+    x = np.concatenate([at.x[:end], wider.mean[end:], at.x[end:]])
+    there = fit(replace(problem, reference=wider), x, at.effects, iterations=FAR)
+    return there.log_posterior - at.log_posterior - cost(problem, wider.mean.size - end) > found.settings.margin
+
+
+def _with_standing(
+    known: Reference, effects: tuple[Effect, ...], context: Context, condition: Condition, *, n_guessed: int = 0
+) -> Reference:
+    """The reference with effects whose sizes healthy data are yet to tell; those of the last may be nothing or twice as large."""
+    beforehand = [e.known(context, condition) for e in effects[: len(effects) - n_guessed]]
+    beforehand += [(e.coordinates, e.coordinates**-2.0) for e in effects[len(effects) - n_guessed :]]
+    told = np.concatenate([[], *[precision for _, precision in beforehand]])
+    coordinates = np.concatenate([[], *[e.coordinates for e in effects]])
+    coordinates = np.where(told > 0.0, np.concatenate([[], *[mean for mean, _ in beforehand]]), coordinates)
+    precision = block_diag(known.precision, np.diag(told))
+    model = replace(known.model, effects=(*known.model.effects, *effects))
+    return replace(known, model=model, mean=np.concatenate([known.mean, coordinates]), precision=precision)

@@ -1,0 +1,261 @@
+"""Sensor nodes that are none: a stream of blocks sent over CAN or Zenoh at its real pace."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Protocol
+
+import can
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import ValidationError
+
+from drivers import frames
+from drivers.base import ACCELERATION, SampleBlock, SourceError
+from drivers.frames import Layout
+from drivers.socketcand_server import SocketcandServer, frame_text
+from monitor.core.errors import BadConfigurationError, BadInputError, MissingInputError
+from monitor.core.parse import parse_address, told
+
+CAN_PIECE_S = 0.01
+"""Frames leave in bursts of so many seconds, as a node's transmit queue lets them."""
+BLOCK_SAMPLES = 128
+"""Of a block over Zenoh."""
+FORMS = "can:socketcand-server:HOST:PORT, can:INTERFACE:CHANNEL or zenoh:MODE:ENDPOINT:KEY"
+
+
+class Sink(Protocol):
+    """Where a stream goes."""
+
+    def send(self, block: SampleBlock) -> None:
+        """Send a block."""
+
+    def close(self) -> None:
+        """Finish what is on its way and leave."""
+
+
+def emulate(blocks: Iterable[SampleBlock], sink: Sink, *, speed: float | None = 1.0) -> int:
+    """Send blocks when they are due; None: at once.  Returns the number of samples sent of `/acceleration`."""
+    begun, first_ns, count = time.monotonic(), None, 0
+    for block in blocks:
+        if first_ns is None:
+            first_ns = block.t_ns
+        if speed is not None:
+            due_s = ((block.t_ns - first_ns) * 1e-9 + block.n_samples / block.sample_rate_hz) / speed
+            time.sleep(max(0.0, begun + due_s - time.monotonic()))
+        sink.send(block)
+        count += block.n_samples if block.topic == ACCELERATION else 0
+    return count
+
+
+def pieces(blocks: Iterable[SampleBlock], n_samples: int) -> Iterator[SampleBlock]:
+    """Blocks cut at multiples of `n_samples` in sequence."""
+    for block in blocks:
+        start = 0
+        while start < block.n_samples:
+            stop = min(block.n_samples, start + n_samples - (block.sequence + start) % n_samples)
+            t_ns = block.t_ns + round(start / block.sample_rate_hz * 1e9)
+            yield replace(block, t_ns=t_ns, sequence=block.sequence + start, samples=block.samples[start:stop])
+            start = stop
+
+
+Transmit = Callable[[Layout, list[float], NDArray[np.uint8]], None]
+"""Sends the frames of one message: its layout, UTC of each in s, shape (n, n_bytes)."""
+
+
+class CanSink:
+    """Blocks as the frames of a DBC; only `/acceleration` goes over CAN.
+
+    A frame carries the time of its last sample.
+    """
+
+    def __init__(
+        self, layouts: tuple[Layout, ...], transmit: Transmit, close: Callable[[], None], *, counts_frames: bool = False
+    ) -> None:
+        self._layouts, self._transmit, self._close, self._by_frame = layouts, transmit, close, counts_frames
+        self._rest: dict[str, SampleBlock] = {}
+        self.saturated = 0
+        """Numbers beyond what the DBC can say, sent as the nearest that it can."""
+        self.left_out = 0
+        """Samples that did not fill a frame."""
+
+    def send(self, block: SampleBlock) -> None:
+        """Quantise and send."""
+        if block.topic != ACCELERATION:
+            return
+        for layout in self._layouts:
+            self._send(layout, block)
+
+    def close(self) -> None:
+        """Leave."""
+        self.left_out += sum(rest.n_samples for rest in self._rest.values())
+        self._rest = {}
+        self._close()
+
+    def _send(self, layout: Layout, block: SampleBlock) -> None:
+        n = layout.n_samples
+        rest = self._rest.pop(layout.name, None)
+        if rest is not None and rest.sequence + rest.n_samples == block.sequence:
+            block = replace(rest, samples=np.concatenate((rest.samples, block.samples)))
+        elif rest is not None:
+            self.left_out += rest.n_samples
+        # Frames begin at multiples of their samples, wherever blocks do.
+        skip = -block.sequence % n
+        self.left_out += min(skip, block.n_samples) if rest is None else 0
+        whole = max(0, block.n_samples - skip) // n * n
+        if block.n_samples > skip + whole:
+            end = skip + whole
+            t_ns = block.t_ns + round(end / block.sample_rate_hz * 1e9)
+            self._rest[layout.name] = replace(
+                block, t_ns=t_ns, sequence=block.sequence + end, samples=block.samples[end:]
+            )
+        if not whole:
+            return
+        columns = [block.channels.index(name) for name in layout.channels]
+        at = np.arange(skip, skip + whole, n)
+        numbers = block.sequence + at
+        data, saturated = layout.encode(
+            block.samples[skip : skip + whole, columns].astype(np.float64), numbers // n if self._by_frame else numbers
+        )
+        self.saturated += saturated
+        times = [(block.t_ns + round((k + n - 1) / block.sample_rate_hz * 1e9)) * 1e-9 for k in at.tolist()]
+        self._transmit(layout, times, data)
+
+
+def _over_tcp(server: SocketcandServer) -> Transmit:
+    def transmit(layout: Layout, times: list[float], data: NDArray[np.uint8]) -> None:
+        server.send(
+            b"".join(
+                frame_text(layout.frame_id, layout.extended, t_s, row.tobytes())
+                for t_s, row in zip(times, data, strict=True)
+            )
+        )
+
+    return transmit
+
+
+def _over_bus(bus: can.BusABC) -> Transmit:
+    def transmit(layout: Layout, times: list[float], data: NDArray[np.uint8]) -> None:
+        for t_s, row in zip(times, data, strict=True):
+            message = can.Message(
+                timestamp=t_s,
+                arbitration_id=layout.frame_id,
+                is_extended_id=layout.extended,
+                is_fd=layout.n_bytes > 8,
+                data=row.tobytes(),
+            )
+            try:
+                bus.send(message, timeout=1.0)
+            except can.CanError as error:
+                raise MissingInputError(f"the bus takes no frames: {error}") from error
+
+    return transmit
+
+
+def open_sink(
+    to: str,
+    channels: tuple[str, ...],
+    *,
+    dbc: Path | None = None,
+    wait_s: float = 60.0,
+    say: Callable[[str], None] = lambda _: None,
+) -> tuple[Sink, float]:
+    """The destination that `to` names (see `FORMS`), and the length of what it likes at a time: s of data or, from 1 up, samples.
+
+    A server waits `wait_s` for its first client.
+
+    Raises
+    ------
+    BadConfigurationError
+        If `to` is of no known form, or the DBC cannot carry the channels.
+    MissingInputError
+        If it cannot be reached.
+    """
+    kind, _, rest = to.partition(":")
+    if kind == "zenoh":
+        if dbc is not None:
+            raise BadConfigurationError(f"--to {to!r}: --dbc is for CAN")
+        return _zenoh(to, rest), BLOCK_SAMPLES
+    interface, _, channel = rest.partition(":")
+    if kind != "can" or not interface or not channel:
+        raise BadConfigurationError(f"--to {to!r}: expected {FORMS}")
+    if dbc is None:
+        raise BadConfigurationError(f"--to {to!r}: CAN needs --dbc FILE.dbc")
+    try:
+        layouts = frames.load(dbc, channels)
+    except frames.FrameError as error:
+        raise BadConfigurationError(str(error)) from error
+    if interface != "socketcand-server":
+        try:
+            bus = can.Bus(interface=interface, channel=channel, fd=any(layout.n_bytes > 8 for layout in layouts))
+        except (can.CanError, OSError, ValueError, TypeError, ImportError) as error:
+            raise MissingInputError(f"--to {to!r}: {error}") from error
+        return CanSink(layouts, _over_bus(bus), bus.shutdown), CAN_PIECE_S
+    try:
+        host, port = parse_address(channel, any_port=True)
+    except ValueError:
+        raise BadConfigurationError(f"--to {to!r}: expected {FORMS}") from None
+    try:
+        server = SocketcandServer(host, port)
+    except OSError as error:
+        raise MissingInputError(f"--to {to!r}: {error.strerror or error}") from error
+    say(f"socketcand server on {host}:{server.port}, waiting for a client")
+    if not server.wait_for_client(wait_s):
+        server.close()
+        raise MissingInputError(f"--to {to!r}: no client came within {wait_s:g} s")
+    return CanSink(layouts, _over_tcp(server), server.close), CAN_PIECE_S
+
+
+def _zenoh(to: str, rest: str) -> Sink:
+    from drivers.zenoh_bus import PublisherSettings, ZenohPublisher
+
+    mode, _, place = rest.partition(":")
+    endpoint, _, key = place.rpartition(":")
+    if not endpoint or not key:
+        raise BadConfigurationError(f"--to {to!r}: expected {FORMS}")
+    where = {"listen" if mode == "router" else "connect": [endpoint]}
+    try:
+        return ZenohPublisher(PublisherSettings.model_validate({"mode": mode, "key": key, **where}))
+    except ValidationError as error:
+        raise BadConfigurationError(f"--to {to!r}: {'; '.join(told(error))}") from error
+    except SourceError as error:
+        raise MissingInputError(f"--to {to!r}: {error}") from error
+
+
+def send_all(
+    blocks: Iterable[SampleBlock], to: str, *, dbc: Path | None, speed: float | None, say: Callable[[str], None]
+) -> None:
+    """Open the destination by the first block's channels, send everything, say what could not be sent as it was.
+
+    Raises
+    ------
+    BadConfigurationError, MissingInputError
+        See `open_sink`.
+    BadInputError
+        If there is nothing to send.
+    """
+    stream = iter(blocks)
+    head: list[SampleBlock] = []
+    for block in stream:
+        head.append(block)
+        if block.topic == ACCELERATION:
+            break
+    else:
+        raise BadInputError("nothing of /acceleration to send")
+    sink, length = open_sink(to, head[-1].channels, dbc=dbc, say=say)
+    try:
+        n = round(length) if length >= 1 else max(1, round(length * head[-1].sample_rate_hz))
+        count = emulate(pieces(_chain(head, stream), n), sink, speed=speed)
+    finally:
+        sink.close()
+    say(f"{count} samples sent")
+    if isinstance(sink, CanSink) and (sink.saturated or sink.left_out):
+        say(f"{sink.saturated} numbers saturated, {sink.left_out} samples left out")
+
+
+def _chain(head: list[SampleBlock], rest: Iterator[SampleBlock]) -> Iterator[SampleBlock]:
+    yield from head
+    yield from rest

@@ -1,0 +1,251 @@
+"""Foreign data to recordings: CSV of any dialect, Xsens DOT, zipped CSV, NPZ, CAN logs."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+import zlib
+from pathlib import Path
+
+import numpy as np
+
+from drivers.base import ACCELERATION, GROUND, RecordingError, SampleBlock
+from drivers.mcap_file import McapWriter, RecordingInfo, recording_info
+from drivers.mcap_records import MAGIC
+from monitor.core.errors import BadInputError, MissingInputError
+from monitor.runs.importers import can_log, csv_table, npz, xsens_dot
+from monitor.runs.importers.table import UNITS, Array, OnWarning, Table, Ticks, join, sample_numbers, unit_factor
+
+__all__ = ["import_files"]
+_MAX_UNZIPPED = 1 << 31
+
+
+def import_files(
+    files: list[Path],
+    out: Path,
+    *,
+    rate_hz: float | None = None,
+    unit: str = "m/s^2",
+    channels: dict[str, str] | None = None,
+    ground: str | None = None,
+    start_ns: int | None = None,
+    dbc: Path | None = None,
+    on_warning: OnWarning = lambda _: None,
+) -> RecordingInfo:
+    """Write the readings of `files` as one recording and say what it holds.
+
+    Parameters
+    ----------
+    rate_hz
+        Needed where no file tells; overrides a time column.
+    unit
+        Of columns whose header states none: m/s^2, g, mg, gal.
+    channels
+        Channel name -> "FILE" or "FILE:COLUMN", FILE by name or stem; by default the columns of one file,
+        the stems of several.
+    ground
+        "FILE" or "FILE:COLUMN" of the base motion.
+    start_ns
+        UTC of the first sample, since 1970; 1970 if neither this nor a file tells.
+    dbc
+        What the frames of CAN logs mean.
+
+    Raises
+    ------
+    BadInputError
+        If the data cannot be used.
+    MissingInputError
+        If a file cannot be read, or `out` not written.
+    """
+    if rate_hz is not None and not (np.isfinite(rate_hz) and rate_hz > 0):
+        raise BadInputError(f"--rate {rate_hz}: must be a positive number of Hz")
+    if unit_factor(unit) is None:
+        raise BadInputError(f"--unit {unit!r}: known for acceleration: {', '.join(UNITS)}")
+    if any(map(can_log.is_log, files)):
+        can_log.check_options(files, dbc, channels, ground, start_ns)
+        assert dbc is not None
+        try:
+            return can_log.import_log(files[0], out, dbc=dbc, rate_hz=rate_hz, on_warning=on_warning)
+        except OSError as error:
+            raise MissingInputError(f"{out}: cannot be written: {error.strerror or error}") from error
+    if dbc is not None:
+        raise BadInputError(f"{dbc}: --dbc is for CAN logs; {files[0]} is none by its name")
+    tables, clock = join([_load(path, on_warning) for path in files], on_warning)
+    chosen, base = _choose(tables, channels, ground)
+    rate, numbers = _timing(tables, clock, rate_hz, on_warning)
+    start_ns = _start(tables, on_warning) if start_ns is None else start_ns
+    # One must fit 64-bit nanoseconds; a damaged counter does not.
+    if not 1e-3 <= rate <= 1e7 or start_ns + numbers[-1] * 1e9 / rate > 4e18:
+        raise BadInputError(f"{files[0]}: {rate} Hz and {numbers[-1]} samples in all are absurd")
+    samples = np.column_stack([table.acceleration(column, unit) for table, column in chosen.values()])
+    motion = None if base is None else base[0].acceleration(base[1], unit)[:, None]
+    if not np.isfinite(samples).all():
+        on_warning(f"{np.count_nonzero(~np.isfinite(samples))} samples are missing or no finite numbers")
+    gaps, lost = np.count_nonzero(np.diff(numbers) > 1), int(numbers[-1]) + 1 - len(numbers)
+    if gaps:
+        on_warning(f"{gaps} {'gap' if gaps == 1 else 'gaps'} between samples: {lost / rate:.6g} s are missing")
+    try:
+        _write(out, tuple(chosen), samples, motion, rate, numbers, start_ns)
+        return recording_info(out)
+    except OSError as error:
+        raise MissingInputError(f"{out}: cannot be written: {error.strerror or error}") from error
+    except RecordingError as error:
+        raise BadInputError(str(error)) from error
+
+
+def _load(path: Path, on_warning: OnWarning) -> Table:
+    try:
+        if not path.is_file():
+            raise MissingInputError(f"{path}: {'is no file' if path.exists() else 'does not exist'}")
+        raw = path.read_bytes()
+    except (OSError, ValueError) as error:
+        raise MissingInputError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from error
+    if raw.startswith(b"LOGG"):
+        raise BadInputError(f"{path}: is a CAN log; name it with the suffix .blf")
+    if raw.startswith(MAGIC):
+        raise BadInputError(f"{path}: is an MCAP recording already; use it as it is")
+    if raw.startswith(b"PK\x03\x04"):
+        members = _members(path, raw)
+        if all(name.endswith(".npy") for name in members):
+            return _checked(npz.to_table(path, raw))
+        raw = _unzip(path, raw, members)
+    cells = csv_table.cut(path, csv_table.decode_text(path, raw), on_warning)
+    dialect = xsens_dot if xsens_dot.is_xsens(cells) else csv_table
+    return _checked(dialect.to_table(cells, on_warning))
+
+
+def _checked(table: Table) -> Table:
+    if len(table.values) < 2:
+        raise BadInputError(f"{table.path}: {len(table.values)} samples are too few")
+    return table
+
+
+def _members(path: Path, raw: bytes) -> list[str]:
+    try:
+        with zipfile.ZipFile(io.BytesIO(raw)) as archive:
+            return [name for name in archive.namelist() if not name.endswith("/")]
+    except (zipfile.BadZipFile, ValueError, NotImplementedError) as error:
+        raise BadInputError(f"{path}: damaged zip archive: {error}") from error
+
+
+def _unzip(path: Path, raw: bytes, members: list[str]) -> bytes:
+    tables = [name for name in members if ".csv" in name.lower()] or members
+    if len(tables) != 1:
+        raise BadInputError(f"{path}: holds {len(tables)} tables; unpack it and name one: {', '.join(tables)}")
+    try:
+        with zipfile.ZipFile(io.BytesIO(raw)) as archive, archive.open(tables[0]) as member:
+            data = member.read(_MAX_UNZIPPED + 1)  # whatever size the archive claims
+    except (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, NotImplementedError, ValueError) as error:
+        raise BadInputError(f"{path}: damaged or encrypted zip archive: {error}") from error
+    if len(data) > _MAX_UNZIPPED:
+        raise BadInputError(f"{path}: {tables[0]} is larger than {_MAX_UNZIPPED >> 20} MiB; cut it")
+    return data
+
+
+_Column = tuple[Table, str]
+
+
+def _choose(
+    tables: list[Table], channels: dict[str, str] | None, ground: str | None
+) -> tuple[dict[str, _Column], _Column | None]:
+    """Channel name -> its column, and the column of the base motion."""
+    base = _find(tables, ground) if ground else None
+    if channels:
+        return {name: _find(tables, reference) for name, reference in channels.items()}, base
+    rest = [(table, column) for table in tables for column in table.default if (table, column) != base]
+    if base is not None and len(tables) > 1:
+        rest = [pair for pair in rest if pair[0] is not base[0]]
+    names = [column if len(tables) == 1 else table.names[0] for table, column in rest]
+    if len(set(names)) != len(names):
+        raise BadInputError(
+            f"several columns would be channel {max(names, key=names.count)!r}; name each: --channel NAME=FILE:COLUMN"
+        )
+    if not rest:
+        raise BadInputError(f"{tables[0].path}: no column is left for the floors besides the ground")
+    return dict(zip(names, rest, strict=True)), base
+
+
+def _find(tables: list[Table], reference: str) -> _Column:
+    exact = [(table, None) for table in tables if reference in table.names]
+    parts = [
+        (table, reference[len(name) + 1 :])
+        for table in tables
+        for name in dict.fromkeys(table.names)
+        if reference.startswith(name + ":")
+    ]
+    found = exact or parts[:1]
+    if not found and len(tables) == 1 and reference in tables[0].columns:
+        return tables[0], reference
+    if len(found) != 1:
+        what = "names several files" if found else "names no file"
+        there = ", ".join(f"{table.path} ({', '.join(table.columns)})" for table in tables)
+        raise BadInputError(
+            f"{reference!r} {what}; the files, with their columns, are {there}; "
+            f"write FILE:COLUMN, as {tables[0].names[0]}:{tables[0].columns[0]}"
+        )
+    table, column = found[0]
+    if column is None:
+        if len(table.default) != 1:
+            raise BadInputError(f"{table.path}: name a column: {', '.join(table.columns)}")
+        column = table.default[0]
+    return table, column
+
+
+def _timing(
+    tables: list[Table], clock: Ticks | None, rate_hz: float | None, on_warning: OnWarning
+) -> tuple[float, Ticks]:
+    """Rate and the number of every sample, (n,)."""
+    count = len(tables[0].values)
+    stated = rate_hz or next((table.rate_hz for table in tables if table.rate_hz), None)
+    if clock is None:
+        if stated is None:
+            raise BadInputError(f"{tables[0].path}: no time column tells the rate; give --rate HZ")
+        return stated, np.arange(count)
+    try:
+        rate, numbers = sample_numbers(tables[0].path, clock)
+    except BadInputError:
+        if stated is None:
+            raise
+        on_warning(f"{tables[0].path}: the time column is irregular and not used; samples run at {stated} Hz")
+        return stated, np.arange(count)
+    counter = tables[0].index
+    if counter is not None:
+        if np.diff(counter).min() < 1:
+            raise BadInputError(f"{tables[0].path}: the packet counter does not rise; export it again")
+        numbers = counter - counter[0]
+    if stated is not None and abs(stated / rate - 1) > 0.01:
+        on_warning(f"{tables[0].path}: the time column says {rate} Hz; {stated} Hz is used")
+    return stated or rate, numbers
+
+
+def _start(tables: list[Table], on_warning: OnWarning) -> int:
+    """UTC of the first sample as the files tell it, nanoseconds since 1970."""
+    known = [table.start_ns for table in tables if table.start_ns is not None and table.start_ns >= 0]
+    if not known:
+        on_warning("no file tells when it was recorded; the recording begins in 1970 (see --start)")
+    return known[0] if known else 0
+
+
+def _write(
+    out: Path,
+    names: tuple[str, ...],
+    samples: Array,
+    motion: Array | None,
+    rate: float,
+    numbers: Ticks,
+    start_ns: int,
+) -> None:
+    """Blocks of a second; a lost sample ends a block."""
+    limit = max(1, round(rate))
+    breaks = np.flatnonzero(np.diff(numbers) != 1) + 1
+    with McapWriter(out) as writer:
+        for run in np.split(np.arange(len(numbers)), breaks):
+            for first in range(0, len(run), limit):
+                rows = run[first : first + limit]
+                number = int(numbers[rows[0]])
+                for topic, channels, values in (ACCELERATION, names, samples), (GROUND, ("ground",), motion):
+                    if values is not None:
+                        t_ns = start_ns + round(number * 1e9 / rate)
+                        with np.errstate(over="ignore"):  # beyond float32: infinite, as the pipeline expects
+                            block = values[rows].astype(np.float32)
+                        writer.write(SampleBlock(topic, t_ns, number, rate, channels, "m/s^2", block))

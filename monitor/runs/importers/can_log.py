@@ -1,0 +1,98 @@
+"""CAN logs (.blf .asc .log .trc .mf4): through the driver that also reads buses, so that both give the same samples."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+
+from drivers.base import EndOfStream, SampleBlock, SourceContext, SourceError
+from drivers.can_bus import CanSource
+from drivers.can_open import LOG_SUFFIXES, CanSettings
+from drivers.frames import FrameError
+from drivers.mcap_file import McapWriter, RecordingInfo, recording_info
+from monitor.core.errors import BadInputError, MissingInputError
+from monitor.runs.importers.table import OnWarning
+
+_SILENT = ("frames", "samples", "foreign", "overruns")
+"""Counts that are no trouble, or told by others."""
+
+
+def is_log(path: Path) -> bool:
+    """By its suffix."""
+    return path.suffix.lower() in LOG_SUFFIXES
+
+
+def check_options(
+    files: list[Path], dbc: Path | None, channels: dict[str, str] | None, ground: str | None, start_ns: int | None
+) -> None:
+    """Refuse what a log with its DBC already says, and a log without one.
+
+    Raises
+    ------
+    BadInputError
+        If more or less is given.
+    """
+    if len(files) > 1:
+        raise BadInputError(f"{files[0]}: import CAN logs one by one")
+    if dbc is None:
+        raise BadInputError(f"{files[0]}: a CAN log needs --dbc FILE.dbc to say what its frames mean")
+    if channels or ground or start_ns is not None:
+        raise BadInputError(f"{files[0]}: its DBC names the channels and it has times: no --channel, --ground, --start")
+
+
+def import_log(path: Path, out: Path, *, dbc: Path, rate_hz: float | None, on_warning: OnWarning) -> RecordingInfo:
+    """Write the samples of a log as a recording and say what it holds.
+
+    Raises
+    ------
+    BadInputError
+        If log and DBC cannot be used.
+    MissingInputError
+        If one of them cannot be read.
+    """
+    if rate_hz is None:
+        raise BadInputError(f"{path}: neither frames nor DBC tell the sample rate; give --rate HZ")
+    if not rate_hz <= 1e6:
+        raise BadInputError(f"--rate {rate_hz}: at most 1e6 Hz")
+    for file in (path, dbc):
+        if not file.is_file():
+            raise MissingInputError(f"{file}: {'is no file' if file.exists() else 'does not exist'}")
+    settings = CanSettings(interface="log", channel=str(path.resolve()), dbc=str(dbc.resolve()), sample_rate_hz=rate_hz)
+    try:
+        source = CanSource(settings, SourceContext(channels=()))
+        blocks = _blocks(source)
+        first = next(blocks, None)
+    except (FrameError, SourceError) as error:
+        raise BadInputError(str(error)) from error
+    counts = source.health().counts
+    if first is None:
+        names = ", ".join(f"{layout.name} ({layout.frame_id:#x})" for layout in source.layouts)
+        raise BadInputError(
+            f"{path}: no samples of {names}; it holds {counts['foreign']} other and {counts['undecodable']} undecodable "
+            f"frames{': ' + source.health().detail if source.health().detail else ''}"
+        )
+    try:
+        with McapWriter(out) as writer:
+            writer.write(first)
+            for block in blocks:
+                writer.write(block)
+    except SourceError as error:
+        raise BadInputError(f"{path}: {error}") from error
+    health = source.health()
+    for name, count in health.counts.items():
+        if count and name not in _SILENT:
+            on_warning(f"{path}: {count} {name.replace('_', ' ')}")
+    if health.detail:
+        on_warning(f"{path}: {health.detail}")
+    return recording_info(out)
+
+
+def _blocks(source: CanSource) -> Iterator[SampleBlock]:
+    try:
+        with suppress(EndOfStream):
+            source.open()
+            while (block := source.read(1.0)) is not None:
+                yield block
+    finally:
+        source.close()

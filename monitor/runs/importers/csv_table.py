@@ -1,0 +1,230 @@
+"""Delimited text of any dialect: delimiter, decimal comma, encoding, leading comments, dates."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections import Counter
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+
+from monitor.core.errors import BadInputError
+from monitor.core.parse import utc_ns
+from monitor.runs.importers.table import Array, OnWarning, Table, Ticks, unit_factor
+
+_NUMBER = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?|[+-]?(nan|inf)", re.IGNORECASE)
+_DATE = re.compile(r"\d{1,4}[-./]\d{1,2}[-./]\d{1,4}([ T_]\d{1,2}:\d{2}.*)?")
+_DATE_FORMATS = ("ISO", "%d.%m.%Y %H:%M:%S", "%Y/%m/%d %H:%M:%S", "%m/%d/%Y %H:%M:%S", "%d/%m/%Y %H:%M:%S")
+_HEADER = re.compile(r"(.*?)\s*(?:[\[(]([^\])]*)[\])])?\s*")
+_TIME = re.compile(r"(t(_[mun]?s)?|time.*|zeit.*|date.*|datum.*|sampletimefine|elapsed.*)", re.IGNORECASE)
+_COUNTER = re.compile(r"(|#|index|sample|samples|counter|packetcounter|nr\.?|no\.?|n)", re.IGNORECASE)
+_TICKS = {"s": 10**9, "sec": 10**9, "ms": 10**6, "us": 1000, "µs": 1000, "ns": 1, "min": 60 * 10**9}
+
+
+@dataclass(frozen=True, slots=True)
+class Cells:
+    """A text file cut into cells."""
+
+    path: Path
+    preamble: tuple[str, ...]
+    """Lines before the rows."""
+    header: tuple[str, ...]
+    """Names with units; empty without a header row."""
+    rows: list[list[str]]
+    first_line: int
+    """Line number of the first row, from 1."""
+
+    def numbers(self, column: int) -> Array:
+        """One column, shape (n_rows,); an empty cell is a missing sample (NaN).
+
+        Raises
+        ------
+        BadInputError
+            If a cell is no number; the message gives its line.
+        """
+        cells = [row[column] or "nan" for row in self.rows]
+        try:
+            return np.array([cell.replace(",", ".") for cell in cells], dtype=np.float64)
+        except ValueError:
+            bad = next((at for at, cell in enumerate(cells) if not _NUMBER.fullmatch(cell)), 0)
+            raise BadInputError(
+                f"{self.path}: line {self.first_line + bad}: {cells[bad][:40]!r} in column {column + 1} is no number"
+            ) from None
+
+
+def decode_text(path: Path, raw: bytes) -> str:
+    """The file's text: UTF-8 or UTF-16 by their marks, else cp1252, else latin-1.
+
+    Raises
+    ------
+    BadInputError
+        If the bytes are no text.
+    """
+    if raw.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return raw.decode("utf-16", errors="replace")
+    if not raw.strip():
+        raise BadInputError(f"{path}: is empty")
+    if b"\0" in raw:
+        raise BadInputError(f"{path}: is no text table and no other known format (CSV, zipped CSV, NPZ)")
+    for encoding in ("utf-8-sig", "cp1252"):
+        try:
+            return raw.decode(encoding)
+        except UnicodeDecodeError:
+            continue
+    return raw.decode("latin-1")
+
+
+def cut(path: Path, text: str, on_warning: OnWarning) -> Cells:
+    """Find delimiter, header and data rows.
+
+    Raises
+    ------
+    BadInputError
+        If there is no table of numbers, or a row has another number of cells.
+    """
+    lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    while lines and not lines[-1].strip(" ,;\t"):
+        lines.pop()
+    # The table's end tells its shape: the head may be comments.  Its last line may be cut.
+    tail = [line for line in lines[-101:] if line.strip()][:-1] or lines
+    delimiter = next((mark for mark in "\t;," if sum(mark in line for line in tail) * 2 > len(tail)), None)
+    try:
+        rows = [_split(line, delimiter) for line in lines]
+    except csv.Error as error:
+        raise BadInputError(f"{path}: {error}") from error
+    tail_widths = Counter(len(row) for row in rows[-101:] if any(row))
+    width = tail_widths.most_common(1)[0][0] if tail_widths else 0
+    first = next((at for at, row in enumerate(rows) if len(row) == width and _is_data(row)), None)
+    if first is None:
+        raise BadInputError(f"{path}: no rows of numbers found; is it a CSV table?")
+    head = next((at for at in range(first - 1, -1, -1) if any(rows[at])), None)
+    header: list[str] = []
+    # Some loggers end the header, but no row, with a delimiter.
+    if head is not None and (len(rows[head]) == width or rows[head][width:] == [""]):
+        header = rows[head][:width]
+        header[0] = header[0].lstrip("#% ") or header[0]  # numpy.savetxt's mark of a comment
+        if any(map(_NUMBER.fullmatch, header)) and not any(map(_TIME.fullmatch, header)):
+            bad = next((cell for cell in header if not _NUMBER.fullmatch(cell)), header[0])
+            raise BadInputError(f"{path}: line {head + 1}: {bad[:40]!r} is no number")
+    body = rows[first:]
+    if len(body) > 1 and len(body[-1]) < width:
+        on_warning(f"{path}: line {len(lines)} is cut short and left out")
+        body.pop()
+    for at, row in enumerate(body):
+        if len(row) != width:
+            raise BadInputError(f"{path}: line {first + at + 1}: {len(row)} cells where {width} are expected")
+    return Cells(path, tuple(lines[:first]), tuple(header), body, first + 1)
+
+
+def to_table(cells: Cells, on_warning: OnWarning) -> Table:
+    """Columns of numbers on the clock of the time column, if there is one.
+
+    Raises
+    ------
+    BadInputError
+        If a cell is no number or no time.
+    """
+    width = len(cells.rows[0])
+    parts = [_HEADER.fullmatch(name) for name in cells.header]
+    names = [part[1] if part else "" for part in parts] or [f"column{at + 1}" for at in range(width)]
+    units = [(part[2] or "") if part else "" for part in parts] or [""] * width
+    dated = [at for at in range(width) if _DATE.fullmatch(cells.rows[0][at])]
+    clock = next(iter(dated or [at for at in range(width) if _TIME.fullmatch(names[at])]), None)
+    time_ns = start_ns = None
+    if clock in dated and clock is not None:
+        time_ns = _dates(cells, clock)
+        start_ns = int(time_ns[0])
+        _warn_swapped(cells.path, start_ns, on_warning)
+    elif clock is not None:
+        time_ns = _ticks(cells, clock, names[clock], units[clock])
+        if time_ns[0] > 10**18:  # seconds since 1970, after 2001
+            start_ns = int(time_ns[0])
+    kept = [at for at in range(width) if at != clock and not _COUNTER.fullmatch(names[at])]
+    if not kept:
+        raise BadInputError(f"{cells.path}: no column besides time and counter")
+    columns = tuple(names[at] for at in kept)
+    if len(set(columns)) != len(columns):
+        raise BadInputError(f"{cells.path}: columns of the same name in the header: {', '.join(columns)}")
+    default = columns
+    if any(units[at] for at in kept):
+        # A file that states units is believed: strains and forces are no accelerations.
+        default = tuple(names[at] for at in kept if unit_factor(units[at]) is not None) or columns
+        if len(default) < len(columns):
+            others = ", ".join(name for name in columns if name not in default)
+            on_warning(f"{cells.path}: left out, since they have no unit of acceleration: {others}")
+    return Table(
+        path=cells.path,
+        columns=columns,
+        units=tuple(units[at] for at in kept),
+        values=np.column_stack([cells.numbers(at) for at in kept]),
+        default=default,
+        time_ns=time_ns,
+        start_ns=start_ns,
+    )
+
+
+def _split(line: str, delimiter: str | None) -> list[str]:
+    if delimiter and '"' in line:
+        return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [""])]
+    return [cell.strip(' \t"') for cell in (line.split(delimiter) if delimiter else line.split())]
+
+
+def _is_data(row: list[str]) -> bool:
+    numbers = sum(bool(_NUMBER.fullmatch(cell)) for cell in row)
+    others = sum(bool(cell) and not _NUMBER.fullmatch(cell) and not _DATE.fullmatch(cell) for cell in row)
+    return numbers > 0 and others == 0
+
+
+def _ticks(cells: Cells, column: int, name: str, unit: str) -> Ticks:
+    suffix = name.rpartition("_")[2]
+    if name.casefold() == "sampletimefine":
+        tick = 1000
+    else:
+        tick = _TICKS.get(unit.strip(" -") or suffix.casefold(), 0 if unit.strip(" -") else 10**9)
+    if not tick:
+        raise BadInputError(f"{cells.path}: unknown unit {unit!r} of column {name!r}; known: {', '.join(_TICKS)}")
+    seconds = cells.numbers(column)
+    if not np.isfinite(seconds).all() or np.abs(seconds).max() > 4e18 / tick:
+        bad = int(np.argmax(~np.isfinite(seconds)))
+        raise BadInputError(f"{cells.path}: line {cells.first_line + bad}: no time in column {name!r}")
+    ticks: Ticks = np.rint(seconds * tick).astype(np.int64)
+    return ticks
+
+
+def _dates(cells: Cells, column: int) -> Ticks:
+    texts = [row[column] for row in cells.rows]
+    # One form for the whole file: month and day must not change places within it.
+    for form in _DATE_FORMATS:
+        times = [_moment(text, form) for text in texts[:1]]
+        if times[0] is not None and None not in (times := [_moment(text, form) for text in texts]):
+            return np.array(times, dtype=np.int64)
+    bad = next(
+        (at for at, text in enumerate(texts) if not any(_moment(text, form) is not None for form in _DATE_FORMATS)), 0
+    )
+    raise BadInputError(f"{cells.path}: line {cells.first_line + bad}: {texts[bad][:40]!r} is no date")
+
+
+def _moment(text: str, form: str) -> int | None:
+    """Nanoseconds since 1970 of a date in one of the forms, UTC unless told; None if it is none."""
+    try:
+        if form != "ISO":
+            clock, _, fraction = text.rpartition(":")[2].replace(",", ".").partition(".")
+            whole = text.rpartition(":")[0] + ":" + clock
+            text = datetime.strptime(whole, form).replace(microsecond=int(fraction[:6].ljust(6, "0"))).isoformat()
+        return utc_ns(text)
+    except ValueError:
+        return None
+
+
+def _warn_swapped(path: Path, start_ns: int, on_warning: OnWarning) -> None:
+    day = datetime.fromtimestamp(start_ns / 1e9, UTC).date()
+    named = re.search(r"(\d{4})-(\d{2})-(\d{2})", path.name)
+    if (
+        named
+        and (int(named[1]), int(named[2]), int(named[3])) == (day.year, day.day, day.month)
+        and day.day != day.month
+    ):
+        on_warning(f"{path}: starts on {day}, but its name says {named[0]}: day and month seem swapped; see --start")

@@ -1,0 +1,70 @@
+"""The Xsens DOT dialect of CSV: a packet counter, a microsecond clock of 32 bit, local start time."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+
+from monitor.core.errors import BadInputError
+from monitor.core.parse import utc_ns
+from monitor.runs.importers.csv_table import Cells
+from monitor.runs.importers.table import OnWarning, Table
+
+_START = re.compile(r"StartTime:[\s,;]*(\d{4}-\d{2}-\d{2})_(\d{2}:\d{2}:\d{2})_(\d{3})\s*(\w*)")
+_HOURS = {"UTC": 0, "GMT": 0, "PST": -8, "PDT": -7, "MST": -7, "MDT": -6, "CST": -6, "CDT": -5, "EST": -5}
+_HOURS |= {"EDT": -4, "CET": 1, "CEST": 2, "": 0}
+_WRAP = 1 << 32
+
+
+def is_xsens(cells: Cells) -> bool:
+    """Whether the header is the dialect's."""
+    return {"PacketCounter", "SampleTimeFine"} <= set(cells.header)
+
+
+def to_table(cells: Cells, on_warning: OnWarning) -> Table:
+    """The accelerations (m/s^2) on the sensor's own clock; Acc_X unless the caller names others.
+
+    Raises
+    ------
+    BadInputError
+        If a cell is no number or there is no acceleration.
+    """
+    columns = tuple(name for name in cells.header if name.startswith("Acc_"))
+    if not columns:
+        raise BadInputError(f"{cells.path}: no Acc_ column; export the free or calibrated acceleration")
+    values = np.column_stack([cells.numbers(cells.header.index(name)) for name in columns])
+    micros = cells.numbers(cells.header.index("SampleTimeFine"))
+    counter = cells.numbers(cells.header.index("PacketCounter"))
+    if not ((np.abs(micros) < 1e15).all() and (np.abs(counter) < 1e15).all()):
+        raise BadInputError(f"{cells.path}: empty or absurd cells in PacketCounter or SampleTimeFine")
+    clock = micros.astype(np.int64)
+    clock[1:] += _WRAP * np.cumsum(np.diff(clock) < -_WRAP // 2)
+    start_ns = _start_ns(cells, on_warning)
+    # The device writes the orientation before its first acceleration is there: zeros, gravity too.
+    first = int(len(values) > 1 and not values[0].any())
+    if start_ns is not None:
+        start_ns += 1000 * int(clock[first] - clock[0])
+    return Table(
+        path=cells.path,
+        columns=columns,
+        units=("m/s^2",) * len(columns),
+        values=values[first:],
+        default=("Acc_X",) if "Acc_X" in columns else columns[:1],
+        time_ns=1000 * clock[first:],
+        index=counter[first:].astype(np.int64),
+        start_ns=start_ns,
+    )
+
+
+def _start_ns(cells: Cells, on_warning: OnWarning) -> int | None:
+    found = next((match for line in cells.preamble if (match := _START.search(line))), None)
+    if found is None:
+        return None
+    hours = _HOURS.get(found[4].upper())
+    if hours is None:
+        on_warning(f"{cells.path}: unknown time zone {found[4]!r} in StartTime; taken as UTC")
+    try:
+        return utc_ns(f"{found[1]}T{found[2]}.{found[3]}") - 3600 * (hours or 0) * 10**9
+    except ValueError as error:
+        raise BadInputError(f"{cells.path}: StartTime {error}") from error

@@ -1,0 +1,156 @@
+"""Recordings through the pipeline, with results as files."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Iterator
+from itertools import chain
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from drivers.base import SampleBlock
+from drivers.mcap_file import McapWriter
+from monitor.config.configuration import Configuration
+from monitor.core.errors import MissingInputError
+from monitor.core.files import demand_place, write_atomically
+from monitor.core.results import WindowResult
+from monitor.damage.baseline import Baseline
+from monitor.publish.base import Publisher
+from monitor.publish.results.lines import LinesFile, to_json
+from monitor.publish.results.schema import LINE_SCHEMA
+from monitor.runs.recordings import OnProgress, OnWarning, Progress, blocks, duration_s, pushed
+from monitor.runs.session import Session, View, scene
+
+if TYPE_CHECKING:  # takes a second to load, and an archive's replays have no view
+    from monitor.publish.viewer.publisher import RerunPublisher
+
+__all__ = ["RESULT_FILES", "begun", "pass_through", "replay", "scene"]
+
+RESULT_FILES = ("results.jsonl", "results.mcap", "live.rrd", "summary.json")
+"""What `replay` leaves in its folder."""
+
+
+class _Files(Publisher):
+    """The files of a replay; each takes its final name when it is whole, and none before the last window."""
+
+    def __init__(self, out: Path) -> None:
+        for name in RESULT_FILES:
+            demand_place(out / name)
+        self._out = out
+        self._lines = LinesFile(out / "results.jsonl")
+        self._results = McapWriter(out / "results.mcap")
+
+    def window(self, result: WindowResult, line: str) -> None:
+        self._lines.write(line)
+        self._results.write_json("/results", result.t_end_ns, line, LINE_SCHEMA)
+
+    def close(self, summary: dict[str, Any], findings: Iterable[dict[str, Any]]) -> None:
+        try:
+            for finding in findings:
+                self._results.write_json("/findings", finding["t_ns"], to_json(finding))
+            self._lines.close()
+            self._results.close()
+            write_atomically(self._out / "summary.json", to_json(summary) + "\n")
+        except OSError as error:
+            raise MissingInputError(f"{self._out}: cannot be written: {error.strerror}") from error
+
+    def abandon(self) -> None:
+        self._lines.abandon()
+        self._results.abort()
+
+
+def replay(
+    paths: list[Path],
+    config: Configuration,
+    baseline: Baseline | None,
+    out: Path,
+    *,
+    speed: float | None = None,
+    serve: tuple[str, int] | None = None,
+    files: tuple[Path, Path | None] | None = None,
+    on_warning: OnWarning = lambda _: None,
+    on_progress: OnProgress = lambda _: None,
+) -> dict[str, Any]:
+    """Run recordings through the pipeline, write `RESULT_FILES` and return the content of summary.json.
+
+    Parameters
+    ----------
+    speed : float, optional
+        Times real time; as fast as possible when None.
+    serve : (str, int), optional
+        Address and port where Rerun viewers may join meanwhile.
+    files : (Path, Path or None), optional
+        Structure and baseline file, for the diagnoses that alarms ask for; none are made without.
+
+    Raises
+    ------
+    MissingInputError, BadInputError
+        Too short for one window, missing channels, unreadable files.
+    """
+    from monitor.publish.viewer.publisher import RerunPublisher
+
+    pieces = {} if speed is None else {"longest_s": 0.0}  # viewers want samples as they were taken
+    source = begun(blocks(paths, config, on_warning, **pieces))  # bad input shows before any output is begun
+    written = _Files(out)
+    view = RerunPublisher(scene(config, baseline), file=out / "live.rrd", serve=serve, lossless=True)
+    session = Session(config, baseline, (written, View(view)), files, out / "findings")
+    try:
+        factor = pass_through(session, source, paths, speed=speed, on_progress=on_progress)
+        content = session.content(factor)
+        written.close(content, session.watcher.found)
+        view.close(timeout_s=120.0)
+    except BaseException:
+        written.abandon()
+        view.abort()
+        raise
+    finally:
+        session.watcher.close()
+    _tell_losses(session, view, out, on_warning)
+    return content
+
+
+def begun(source: Iterator[SampleBlock]) -> Iterator[SampleBlock]:
+    """The same blocks, the first of them read already."""
+    return chain([first] if (first := next(source, None)) is not None else [], source)
+
+
+def pass_through(
+    session: Session,
+    source: Iterable[SampleBlock],
+    paths: list[Path],
+    *,
+    speed: float | None = None,
+    on_progress: OnProgress = lambda _: None,
+) -> float:
+    """Push all blocks and wait for the findings; the data's length over the time that it took.
+
+    Raises
+    ------
+    BadInputError
+        Too short for one window, or refused by the pipeline.
+    """
+    progress, started = Progress(on_progress), time.monotonic()
+    for block in source:
+        progress.saw(block)
+        if speed is not None:
+            _wait(started, duration_s(progress.first, block) / speed)
+        pushed(session, block, paths)
+    progress.demand(session.pipeline, session.windows, paths)
+    factor = duration_s(progress.first, progress.last) / max(time.monotonic() - started, 1e-9)
+    session.finish()
+    return factor
+
+
+def _tell_losses(session: Session, view: RerunPublisher, out: Path, on_warning: OnWarning) -> None:
+    """What went wrong on the way without ending the replay."""
+    for finding in session.watcher.found:
+        if "error" in finding:
+            on_warning(f"finding {finding['id']} ({finding['reason']}) came to nothing: {finding['error']}")
+    if view.failed is not None:
+        on_warning(f"{out / 'live.rrd'} was not written: {view.failed}")
+    if session.dropped:
+        on_warning(f"{session.dropped} samples were repeated, late or not finite and were dropped")
+
+
+def _wait(started: float, due_s: float) -> None:
+    time.sleep(max(0.0, started + due_s - time.monotonic()))

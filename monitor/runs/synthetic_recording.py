@@ -1,0 +1,191 @@
+"""Simulated recordings: the bridge from the simulator to recording files."""
+
+from __future__ import annotations
+
+import heapq
+import json
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from math import isfinite
+from pathlib import Path
+from typing import cast, get_args
+
+import numpy as np
+
+from drivers.base import ACCELERATION, GROUND, TEMPERATURE, SampleBlock
+from drivers.mcap_file import McapWriter
+from monitor.config.configuration import Configuration
+from monitor.core.errors import BadConfigurationError, MissingInputError
+from monitor.core.results import Array
+from monitor.model.effects import Context, Effect, EffectError, StiffnessChange, parse_effect
+from monitor.model.model import Model
+from monitor.model.simulation import ExcitationKind, Motion, simulate
+
+_TEMPERATURE_HZ = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Weather:
+    """A temperature that goes up and down: mean - swing / 2 cos(2 pi t / period_s)."""
+
+    mean_degc: float
+    swing_k: float
+    """From the lowest to the highest."""
+    period_s: float
+    reference_degc: float
+    """At which the stiffness is the structure file's."""
+
+    @classmethod
+    def parse(cls, text: str | None, duration_s: float) -> Weather:
+        """``MEAN[,SWING[,PERIOD[,REFERENCE]]]``; by default 10 K about 20 degC in one period, the mean as reference.
+
+        Raises
+        ------
+        ValueError
+            If the text is not of that form.
+        """
+        parts = (text or "20").split(",")
+        try:
+            values = [float(part) for part in parts]
+            mean, swing, period, reference = [*values, *[20.0, 10.0, duration_s, values[0]][len(values) :]]
+        except ValueError:
+            raise ValueError(f"--temperature {text!r}: expected MEAN[,SWING[,PERIOD_S[,REFERENCE]]]") from None
+        if not (all(isfinite(value) for value in values) and swing >= 0.0 and period > 0.0):
+            raise ValueError(f"--temperature {text!r}: needs finite numbers, SWING >= 0, PERIOD_S > 0")
+        return cls(mean, swing, period, reference)
+
+    def degc(self, n: int, rate_hz: float) -> Array:
+        """Shape (n,)."""
+        turn = 2.0 * np.pi / (rate_hz * self.period_s)
+        return np.asarray(self.mean_degc - 0.5 * self.swing_k * np.cos(turn * np.arange(n)))
+
+
+def blocks_of(
+    topic: str,
+    values: Array,
+    channels: tuple[str, ...],
+    rate_hz: float,
+    t0_ns: int,
+    block_n: int,
+    first: int = 0,
+    unit: str = "m/s^2",
+) -> Iterator[SampleBlock]:
+    """Cut samples, shape (n_samples, n_channels), into blocks of `block_n`; `first` is the first one's sequence."""
+    for start in range(0, values.shape[0], block_n):
+        t_ns = t0_ns + round((first + start) / rate_hz * 1e9)
+        yield SampleBlock(
+            topic, t_ns, first + start, rate_hz, channels, unit, values[start : start + block_n].astype(np.float32)
+        )
+
+
+def parse_damage(text: str) -> Effect:
+    """``storyN=LOSS``, LOSS between 0 and 1."""
+    match = re.fullmatch(r"story ?(\d+)=([0-9.eE+-]+)", text)
+    try:
+        loss = float(match[2]) if match else np.nan
+    except ValueError:
+        loss = np.nan
+    if match is None or not 0.0 <= loss < 1.0:
+        raise EffectError(f"--damage {text!r}: expected storyN=LOSS with 0 <= LOSS < 1, as story1=0.2")
+    return StiffnessChange.create(f"story {match[1]}", {"relative": -loss})
+
+
+def simulate_to(
+    out: Path,
+    config: Configuration,
+    *,
+    duration_s: float,
+    excitation: str,
+    noise: float,
+    damage: list[str],
+    effects: list[str],
+    rate_hz: float,
+    level_spread: float,
+    t0_ns: int,
+    seed: int,
+    temperature: str | None = None,
+) -> None:
+    """Write a simulated recording that begins at `t0_ns` (UTC, since 1970), with the truth in its metadata.
+
+    Raises
+    ------
+    BadConfigurationError
+        If damage, effect, excitation or temperature cannot be understood.
+    MissingInputError
+        If the file cannot be written.
+    """
+    if excitation not in get_args(ExcitationKind):
+        raise BadConfigurationError(f"--excitation {excitation!r}: one of {', '.join(get_args(ExcitationKind))}")
+    try:
+        model = config.model()
+        planted = [*map(parse_damage, damage), *map(parse_effect, effects)]
+        truth = _standing(replace(model, effects=(*model.effects, *planted)), config.channels)
+        n_samples = round(duration_s * rate_hz) if isfinite(duration_s) else 0
+        if n_samples <= 0:
+            raise ValueError(f"--duration {duration_s:g}: not even one sample at {rate_hz:g} Hz")
+        weather = None
+        if temperature is not None or any(e.name == "temperature_stiffness" for e in truth.effects):
+            weather = Weather.parse(temperature, duration_s)
+        motion = simulate(
+            truth,
+            duration_s=duration_s,
+            rate_hz=rate_hz,
+            excitation=cast(ExcitationKind, excitation),
+            noise=noise,
+            level_spread=level_spread,
+            seed=seed,
+            context=Context(model.structure, config.channels, config.sensor_matrix(), rate_hz),
+            excess_degc=None if weather is None else weather.degc(n_samples, rate_hz) - weather.reference_degc,
+        )
+    except ValueError as error:  # EffectError among them
+        raise BadConfigurationError(str(error)) from error
+    metadata = {
+        "structure": config.structure.model_dump_json(),
+        "effects": json.dumps([{"effect": e.name, "location": e.location, **e.values()} for e in planted]),
+        "excitation": excitation,
+        "noise": repr(noise),
+        "level_spread": repr(level_spread),
+        "seed": str(seed),
+    }
+    if weather is not None:
+        metadata["reference_degc"] = repr(weather.reference_degc)
+    _write(out, _blocks(motion, config.channels, weather, t0_ns), {"simulated": metadata})
+
+
+def _standing(truth: Model, channels: tuple[str, ...]) -> Model:
+    """The model, once its effects have their places and it bears its own weight.
+
+    Raises
+    ------
+    ValueError
+        If not.
+    """
+    for effect in truth.effects:
+        effect.check(truth.structure, channels)
+    if np.linalg.eigvalsh(truth.stiffness_matrix()).min() <= 0:
+        places = ", ".join(e.location for e in truth.effects)
+        raise ValueError(f"a structure that lost so much ({places}) would not stand")
+    return truth
+
+
+def _blocks(motion: Motion, channels: tuple[str, ...], weather: Weather | None, t0_ns: int) -> Iterator[SampleBlock]:
+    """All streams in blocks of one second, in time order."""
+    rate_hz, n_samples = motion.rate_hz, len(motion.floors)
+    block_n = max(1, round(rate_hz))
+    streams = [blocks_of(ACCELERATION, motion.floors, channels, rate_hz, t0_ns, block_n)]
+    if motion.ground is not None:
+        streams.append(blocks_of(GROUND, motion.ground[:, None], ("ground",), rate_hz, t0_ns, block_n))
+    if weather is not None:
+        degc = weather.degc(int((n_samples - 1) / rate_hz * _TEMPERATURE_HZ) + 1, _TEMPERATURE_HZ)
+        streams.append(blocks_of(TEMPERATURE, degc[:, None], ("air",), _TEMPERATURE_HZ, t0_ns, 1, unit="degC"))
+    return heapq.merge(*streams, key=lambda block: block.t_ns)
+
+
+def _write(out: Path, blocks: Iterator[SampleBlock], metadata: dict[str, dict[str, str]]) -> None:
+    try:
+        with McapWriter(out, metadata) as writer:
+            for block in blocks:
+                writer.write(block)
+    except OSError as error:
+        raise MissingInputError(f"{out}: cannot be written: {error.strerror}") from error

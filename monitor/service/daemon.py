@@ -1,0 +1,303 @@
+"""The long-running service: one thread reads, this one evaluates, one records; nothing else remembers anything."""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import signal
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import asdict
+from datetime import UTC, datetime
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from drivers.base import RecordingError, RecordingMissingError, SampleBlock, Source, SourceContext
+from drivers.recorder import unfit
+from monitor.config import configuration
+from monitor.core.errors import BadConfigurationError, BadInputError, MissingInputError
+from monitor.core.results import Gap, WindowResult
+from monitor.damage import baseline
+from monitor.pipeline import Result
+from monitor.publish.base import Publisher
+from monitor.publish.results.lines import standing_line, to_json
+from monitor.publish.viewer.publisher import RerunPublisher
+from monitor.runs import ledger
+from monitor.runs.recordings import Progress, duration_s
+from monitor.runs.session import Session, View, scene
+from monitor.service import restart, systemd
+from monitor.service.appended_lines import AppendedLines
+from monitor.service.daemon_health import Vitals, Way, plain
+from monitor.service.history import History
+from monitor.service.outlets import Outlet, make_outlets
+from monitor.service.reload import reread
+from monitor.service.requests import apply
+from monitor.service.threads import Chores, Reader, Recording
+from monitor.signals.sensor_health import Health
+
+_log = logging.getLogger(__name__)
+
+_TICK_S = 0.2
+_QUIET_S = 10.0
+"""Without data, health is told this often; the summary is written no more often."""
+_STOP_S, _DRAIN_S, _END_S = 1.5, 2.5, 4.5
+"""From the signal on, the source is waited for until the first, the queue until the second, all the rest until the last."""
+_DURABLE_S = 0.5
+"""Longest wait for the disk before an alarm's change is told."""
+_LATEST = 50
+_HEALTH_FILE_BYTES = 16 << 20
+
+
+class Daemon(Publisher):
+    """One site.
+
+    Parameters
+    ----------
+    path : Path
+        Site file; its paths are relative to its folder.
+    source : Source, optional
+        In place of the one that the file names.
+    outlets : sequence of Outlet, optional
+        Besides those that the file names; closed in reverse order.
+
+    Raises
+    ------
+    MissingInputError, BadConfigurationError
+    """
+
+    def __init__(self, path: Path, source: Source | None = None, outlets: Sequence[Outlet] = ()) -> None:
+        self.settings = settings = configuration.load(path)
+        folder = path.resolve().parent
+        if source is None and settings.source is None:
+            raise BadConfigurationError(f"{path}: source: missing; name a kind, as in deploy/*.toml")
+        healthy_path = None if settings.site.baseline is None else folder / settings.site.baseline
+        healthy = None if healthy_path is None else baseline.load(healthy_path, settings)
+        self.out = folder / settings.output.dir
+        self._vitals, self._progress = Vitals(self.out), Progress(lambda _: None)
+        self._begun_s = self._health_s = self._summary_s = self._sync_s = time.monotonic()
+        self._path, self._stopping, self._changed, self._end_s = path, False, False, float("inf")
+        self._outlets: tuple[Outlet, ...] = (*make_outlets(path, settings), *outlets)
+        try:
+            (self.out / "state").mkdir(parents=True, exist_ok=True)
+            self._lock = restart.lock(self.out / "state" / "lock", self.out)
+            self._lines = AppendedLines(self.out / "results.jsonl")
+            self._health_lines = AppendedLines(self.out / "health.jsonl", _HEALTH_FILE_BYTES)
+            self._recording = Recording(self.out / "recordings", settings.recorder)
+            self._keeper = restart.Keeper(self.out, settings, healthy_path, self._recording, self._lines)
+            restart.note_baseline(self.out, path, healthy_path)
+        except OSError as error:
+            raise MissingInputError(f"{self.out}: cannot be written: {error.strerror}") from error
+        view = partial(RerunPublisher, scene(settings, healthy), file=None, lossless=False)
+        self._view = view(serve=settings.output.address) if settings.output.address is not None else None
+        publishers = (self,) if self._view is None else (self, View(self._view))
+        findings = self.out / "findings" / f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}"
+        self._begin = partial(Session, settings, healthy, publishers, (path, healthy_path), findings)
+        spans = settings.processing.hop_s, settings.health.span_s
+        self._chores = Chores()
+        self._history = History(self.out / "state" / "history.db", settings.state, *spans)
+        self._alarm: object = None
+        known_ns = self._keeper.resume(self._new_session, self._history.window)
+        if source is None:
+            assert settings.source is not None
+            source = configuration.make_source(settings.source, SourceContext(settings.channels, folder, known_ns))
+        self.reader = Reader(source)
+
+    def _new_session(self) -> Session:
+        self.session = self._begin()
+        return self.session
+
+    def run(self) -> None:
+        """Until the source ends or a signal comes.
+
+        Raises
+        ------
+        MissingInputError, BadInputError
+            The source's files are missing or unusable.
+        """
+        previous = {number: signal.signal(number, self._signal) for number in (signal.SIGTERM, signal.SIGINT)}
+        previous[signal.SIGHUP] = signal.signal(signal.SIGHUP, self._hang_up)
+        try:
+            self.reader.start()
+            self._loop()
+            if self.reader.ended:
+                self.session.finish(lambda: self._stopping)
+                self._keeper.forget()
+            else:
+                self._keeper.save(self.session)
+        finally:
+            self._close()
+            for number, handler in previous.items():
+                signal.signal(number, handler)
+        if isinstance(self.reader.failure, RecordingMissingError):
+            raise MissingInputError(str(self.reader.failure)) from self.reader.failure
+        if isinstance(self.reader.failure, RecordingError):
+            raise BadInputError(str(self.reader.failure)) from self.reader.failure
+        if self.reader.failure is not None:
+            raise self.reader.failure
+
+    def window(self, result: WindowResult, line: str) -> None:
+        """Write and send it, unless a former run did."""
+        self._history.episodes([asdict(e) for e in self.session.episodes[-_LATEST:]])
+        if result.index in self._keeper.written:
+            return
+        self._history.window(json.loads(line))
+        self._lines.write(line)
+        for outlet in self._outlets:
+            outlet.window(result, line)
+
+    def gap(self, gap: Gap) -> None:
+        """Send it."""
+        self._history.gap(gap.t_ns, gap.duration_s, gap.reason)
+        if self._keeper.resuming:
+            return
+        for outlet in self._outlets:
+            outlet.gap(gap)
+
+    def health(self, health: Health | None) -> None:
+        """Write and send it with the rest that there is to say."""
+        span: dict[str, Any] | None = None
+        if health is not None:
+            span = plain(health)
+            self._history.health(span)
+            if self._view is not None:
+                self._view.clocks(health.t_end_ns, self.reader.source.health().clocks)
+        if self._keeper.resuming:
+            return
+        self._health_s = time.monotonic()
+        line = self._vitals.line(span, self.reader, self._recording.health(), self._ways())
+        self._health_lines.write(json.dumps(line, allow_nan=False))
+        for outlet in self._outlets:
+            outlet.health(line)
+
+    def finding(self, finding: dict[str, Any]) -> None:
+        """Send it."""
+        self._history.finding(finding)
+        for outlet in self._outlets:
+            outlet.finding(finding)
+
+    def _signal(self, number: int, _: object) -> None:
+        self._stopping, self._end_s = True, time.monotonic() + _END_S
+        signal.signal(number, signal.SIG_DFL)  # the next one ends at once
+
+    def _hang_up(self, number: int, _: object) -> None:
+        self._changed = True
+
+    def _loop(self) -> None:
+        ready, told = False, False
+        watchdog_s, barked_s = systemd.watchdog_s(), time.monotonic()
+        while not self.reader.queue.over:
+            item = self.reader.queue.take(_TICK_S)
+            now = time.monotonic()
+            if self.reader.opened and not ready:
+                ready = True
+                print("READY", file=sys.stderr, flush=True)
+                systemd.notify("READY=1")
+            if watchdog_s is not None and now - barked_s >= watchdog_s:
+                barked_s = now
+                systemd.notify("WATCHDOG=1")
+            if item is not None and now < self._end_s - (_END_S - _DRAIN_S):
+                self._take(*item)
+            elif item is not None:
+                self._vitals.unprocessed += 1
+            self._now_and_then(now)
+            if self._stopping and not told:
+                told = True
+                systemd.notify("STOPPING=1")
+                self.reader.stop(max(0.0, self._end_s - (_END_S - _STOP_S) - time.monotonic()))
+
+    def _take(self, block: SampleBlock, arrived_s: float) -> None:
+        """Evaluate, record what was taken in, then publish: the recordings replayed are this run again."""
+        self._vitals.received(block)
+        reason = unfit(block)
+        if reason is not None:
+            self._vitals.refuse(reason)
+            return
+        before = self.session.windows
+        try:
+            self.session.push(block, partial(self._accepted, block))
+        except BadInputError as error:
+            self._vitals.refuse(str(error))
+            return
+        self._progress.saw(block)
+        if self.session.windows > before:
+            self._vitals.published(arrived_s)
+        self._keeper.took(self.session, block)
+
+    def _accepted(self, block: SampleBlock, results: Sequence[Result]) -> None:
+        """Record it; what makes an alarm come or go is on the disk before anybody hears of it."""
+        self._recording.write(block)
+        alarms = [(r.alarm.active, r.alarm.conditions) for r in results if isinstance(r, WindowResult)]
+        if any(alarm != self._alarm for alarm in alarms):
+            self._alarm = alarms[-1]
+            self._recording.flush(_DURABLE_S)
+
+    def _serve(self, outlet: Outlet) -> None:
+        """Apply what operators asked for, and note it in the ledger."""
+        for request in outlet.take_requests():
+            try:
+                self.session.alter_alarm(partial(apply, request=request, t_ns=self.session.now_ns))
+                says = f"{request.action} alarm of story {request.story}: {request.note}"
+                ledger.record(self.out / "results.jsonl", {"says": says, "causes": []}, {}, request.who)
+                self._history.request(self.session.now_ns, request.model_dump())
+                self._keeper.save_now(self.session)
+            except (ValueError, MissingInputError) as error:
+                _log.warning("request of %s: %s", request.who, error)
+
+    def _reread(self) -> None:
+        """Go on with the site file's thresholds as they are now."""
+        self._changed = False
+        self.settings = reread(self._path, self.settings, self._outlets, self.out)
+        self.session.reconfigure(self.settings)
+
+    def _now_and_then(self, now: float) -> None:
+        if self._changed:
+            self._reread()
+        for outlet in self._outlets if self._progress.first is not None else ():  # wishes count from the data's time
+            self._serve(outlet)
+        if now - self._health_s >= _QUIET_S:
+            self.health(None)
+        if now - self._sync_s >= self.settings.recorder.flush_s:
+            self._sync_s = now
+            self._lines.flush()
+            self._chores.do("sync", self._lines.sync)
+        if now - self._summary_s >= _QUIET_S:
+            self._write_summary()
+
+    def _write_summary(self) -> None:
+        self._summary_s = time.monotonic()
+        seconds = duration_s(self._progress.first, self._progress.last)
+        content = self.session.content(seconds / max(self._summary_s - self._begun_s, 1e-9))
+        v = self._vitals
+        content |= {"refused_blocks": v.refused, "unprocessed_blocks": v.unprocessed, "latency_ms": v.latency()}
+        content["alarm"] = standing_line(self.session.pipeline.state.alarm)
+        self._chores.write(self.out / "summary.json", to_json(plain(content)) + "\n")
+
+    def _ways(self) -> list[tuple[str, Way]]:
+        """All ways out, by name."""
+        own: dict[str, Way | None] = {"viewer": self._view, "checkpoint": self._keeper, "history": self._history}
+        own |= {"results.jsonl": self._lines, "health.jsonl": self._health_lines}
+        return [(n, way) for n, way in own.items() if way is not None] + [(type(o).__name__, o) for o in self._outlets]
+
+    def _close(self) -> None:
+        self._end_s = min(self._end_s, time.monotonic() + _END_S)
+        self.reader.stop(0.1)  # it has ended, but for an error
+        self._recording.close(self._share_s())
+        self.session.watcher.close(self._share_s())
+        self.health(None)
+        self._write_summary()
+        self._history.close(self._share_s())
+        for lines in (self._lines, self._health_lines):
+            self._chores.do(f"close {id(lines)}", lines.close)
+        for outlet in reversed(self._outlets):
+            outlet.close(self._share_s())
+        if self._view is not None:
+            self._view.close(self._share_s())
+        self._chores.close(self._share_s())
+        os.close(self._lock)
+
+    def _share_s(self) -> float:
+        """How long one more may take to close: half of what is left, so that who hangs leaves time to the others."""
+        return max(0.0, self._end_s - time.monotonic()) / 2.0

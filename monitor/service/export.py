@@ -1,0 +1,103 @@
+"""The history as a table for other programs: Parquet or CSV, one column a number."""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+from monitor.core.errors import BadInputError, MissingInputError, WrongUsageError
+from monitor.core.files import demand_place, finish, partial
+from monitor.service.history import TABLES
+
+_BATCH = 20_000
+_TIME = {"windows": "t_end_ns", "alarms": "t_first_ns"}
+"""What a table's rows are ordered by; others by `t_ns`."""
+_LISTS = ("frequencies_hz", "frequencies_std_hz", "damping_ratio", "damping_std", "ddi", "ddi_std", "loss_n_per_m")
+FORMATS = (".parquet", ".csv")
+
+
+def export(database: Path, table: str, out: Path, span_ns: tuple[int, int]) -> int:
+    """Write the rows of a table in order of time; a list of n values becomes the columns NAME_1 .. NAME_n.
+
+    Parameters
+    ----------
+    database : Path
+        history.db, of a running daemon too.
+    span_ns : (int, int)
+        UTC, ns, from the first to before the last.
+
+    Returns
+    -------
+    int
+        Rows.
+
+    Raises
+    ------
+    WrongUsageError, MissingInputError, BadInputError
+    """
+    if table not in TABLES:
+        raise WrongUsageError(f"--table {table}: known: {', '.join(TABLES)}")
+    if out.suffix not in FORMATS:
+        raise WrongUsageError(f"{out}: name a file that ends in {' or '.join(FORMATS)}")
+    if not database.is_file():
+        raise MissingInputError(f"{database}: no history here; give a site file, or the dir of its [output]")
+    demand_place(out)
+    try:
+        with closing(sqlite3.connect(f"{database.resolve().as_uri()}?mode=ro", uri=True, timeout=10.0)) as source:
+            rows = _write(source, table, out, span_ns)
+    except sqlite3.Error as error:
+        partial(out).unlink(missing_ok=True)
+        raise BadInputError(f"{database}: cannot be read: {error}") from error
+    finish(out)
+    return rows
+
+
+def _write(source: sqlite3.Connection, table: str, out: Path, span_ns: tuple[int, int]) -> int:
+    import pyarrow as pa
+    import pyarrow.csv
+    import pyarrow.parquet
+
+    schema, count = pa.schema([(n, _kind(pa, k)) for n, k, *_ in _columns(source, table, span_ns)]), 0
+    make: Any = pyarrow.parquet.ParquetWriter if out.suffix == ".parquet" else pyarrow.csv.CSVWriter
+    with make(str(partial(out)), schema) as writer:
+        for batch in _batches(source, table, span_ns):
+            writer.write_table(pa.Table.from_pydict(batch, schema=schema))
+            count += len(next(iter(batch.values())))
+    return count
+
+
+def _kind(pa: Any, declared: str) -> Any:
+    return {"INTEGER": pa.int64(), "REAL": pa.float64()}.get(declared, pa.string())
+
+
+def _span(table: str) -> str:
+    time = _TIME.get(table, "t_ns")
+    return f"FROM {table} WHERE {time} >= ? AND {time} < ? ORDER BY {time}, id"
+
+
+def _columns(source: sqlite3.Connection, table: str, span_ns: tuple[int, int]) -> Iterator[tuple[str, str, str, int]]:
+    """Name, declared type, name in the database, and index in its list or -1."""
+    for _, name, declared, *_ in source.execute(f"PRAGMA table_info({table})").fetchall():
+        if name in _LISTS and table == "windows":
+            (most,) = source.execute(f"SELECT max(json_array_length({name})) {_span(table)}", span_ns).fetchone()
+            for k in range(most or 0):
+                yield f"{name}_{k + 1}", "REAL", name, k
+        elif name != "id":
+            yield name, declared, name, -1
+
+
+def _batches(source: sqlite3.Connection, table: str, span_ns: tuple[int, int]) -> Iterator[dict[str, list[Any]]]:
+    columns = list(_columns(source, table, span_ns))
+    names = list(dict.fromkeys(held for *_, held, _ in columns))
+    rows = source.execute(f"SELECT {', '.join(names)} {_span(table)}", span_ns)
+    while batch := rows.fetchmany(_BATCH):
+        held = dict(zip(names, zip(*batch, strict=True), strict=True))
+        lists = {name: [json.loads(text or "[]") for text in held[name]] for name in names if name in _LISTS}
+        yield {
+            shown: list(held[name]) if k < 0 else [values[k] if k < len(values) else None for values in lists[name]]
+            for shown, _, name, k in columns
+        }

@@ -1,0 +1,263 @@
+"""Years of results to ask questions of: an SQLite database beside results.jsonl, which stays the truth.
+
+A thread of its own writes what is put into a bounded queue.  A locked or full database is tried again, a damaged one is set
+aside and begun anew; neither ever holds up or ends the monitor.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import logging
+import os
+import sqlite3
+import threading
+from collections import deque
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from monitor.config.state_settings import StateSettings
+
+_log = logging.getLogger(__name__)
+
+VERSION = 1
+"""Kept as the database's user_version; to be raised with an entry in `UPGRADES`."""
+UPGRADES: dict[int, str] = {}
+"""Version -> SQL that makes a database of it one of the next version."""
+_SCHEMA = """
+CREATE TABLE windows (
+    id INTEGER PRIMARY KEY, t_end_ns INTEGER NOT NULL, window INTEGER NOT NULL, window_s REAL, level TEXT, skipped TEXT,
+    temperature_degc REAL, misfit REAL, frequencies_hz TEXT, frequencies_std_hz TEXT, damping_ratio TEXT, damping_std TEXT,
+    ddi TEXT, ddi_std TEXT, loss_n_per_m TEXT, UNIQUE (t_end_ns, window));
+CREATE TABLE alarms (
+    id INTEGER PRIMARY KEY, story INTEGER NOT NULL, t_first_ns INTEGER NOT NULL, t_last_ns INTEGER, level TEXT,
+    ddi REAL, ddi_std REAL, loss_n_per_m REAL, UNIQUE (story, t_first_ns));
+CREATE TABLE requests (id INTEGER PRIMARY KEY, t_ns INTEGER, action TEXT, story INTEGER, who TEXT, note TEXT, seconds REAL);
+CREATE TABLE findings (
+    id INTEGER PRIMARY KEY, t_ns INTEGER NOT NULL, from_ns INTEGER NOT NULL, reason TEXT, verdict TEXT, says TEXT, causes TEXT,
+    UNIQUE (t_ns, from_ns));
+CREATE TABLE gaps (id INTEGER PRIMARY KEY, t_ns INTEGER NOT NULL, duration_s REAL, reason TEXT, UNIQUE (t_ns, reason));
+CREATE TABLE health (
+    id INTEGER PRIMARY KEY, t_ns INTEGER NOT NULL UNIQUE, rate_hz REAL, samples INTEGER, availability REAL, gaps INTEGER,
+    lost_s REAL, overlaps INTEGER, channels TEXT);
+CREATE TABLE thinned (name TEXT PRIMARY KEY, id INTEGER NOT NULL);
+"""
+TABLES = ("windows", "alarms", "requests", "findings", "gaps", "health")
+_UPDATED = {"alarms": "(story, t_first_ns)", "findings": "(t_ns, from_ns)"}
+"""Tables whose rows change, and by what a row is known; of the others what stands stays."""
+_NORMAL = {"windows": "level = 'normal'", "health": "gaps = 0 AND availability >= 1.0"}
+_ONE_IN = 60
+_MOST_QUEUED = 20_000
+_COMMIT_S, _RETRY_S, _LIMIT_EVERY, _LIMIT_ROWS = 1.0, 10.0, 1000, 5000
+
+Row = dict[str, Any]
+
+
+class History:
+    """Takes rows; never waits, never raises.  With ``history = false`` it lets them go and touches no file.
+
+    Parameters
+    ----------
+    hop_s, span_s : float
+        Time from one window, and from one health span, to the next: age is counted in rows, which no clock can falsify.
+
+    Attributes
+    ----------
+    dropped : int
+        Rows that found no room to wait.
+    failed : str or None
+        Why rows wait; None while all is well.
+    """
+
+    def __init__(self, path: Path, settings: StateSettings, hop_s: float, span_s: float) -> None:
+        self._path, self._enabled = path, settings.history
+        day = 86_400.0
+        full = {"windows": settings.windows_days * day / hop_s, "health": settings.health_days * day / span_s}
+        per_day = {"windows": day / hop_s, "health": day / span_s}
+        self._keep = {t: (int(full[t]), int(settings.keep_days * per_day[t])) for t in full}
+        self._rows: deque[tuple[str, Row]] = deque()
+        self._wake = threading.Event()
+        self._closing = threading.Event()
+        self._told: dict[tuple[int | None, int], Row] = {}
+        self._inserted = 0
+        self.dropped, self._losing = 0, False
+        self.failed: str | None = None
+        self._thread = threading.Thread(target=self._work, name="history", daemon=True)
+        if self._enabled:
+            self._thread.start()
+
+    def window(self, line: Mapping[str, Any]) -> None:
+        """A line of results.jsonl."""
+        row = {
+            name: line.get(name) for name in ("t_end_ns", "window", "window_s", "skipped", "temperature_degc", "misfit")
+        }
+        lists = (
+            "frequencies_hz",
+            "frequencies_std_hz",
+            "damping_ratio",
+            "damping_std",
+            "ddi",
+            "ddi_std",
+            "loss_n_per_m",
+        )
+        self._put("windows", row | {name: _text(line.get(name)) for name in lists} | {"level": line["alarm"]["level"]})
+
+    def episodes(self, episodes: Iterable[Mapping[str, Any]]) -> None:
+        """The latest alarms as they stand now; story None is the structure as a whole."""
+        now = {(e["story"], e["t_first_ns"]): {**e, "story": e["story"] or 0} for e in episodes}
+        for key, row in now.items():
+            if self._told.get(key) != row:
+                self._put("alarms", row)
+        self._told = now
+
+    def request(self, t_ns: int, request: Mapping[str, Any]) -> None:
+        """What an operator asked for."""
+        self._put("requests", {"t_ns": t_ns, **request})
+
+    def finding(self, finding: Mapping[str, Any]) -> None:
+        """A diagnosis."""
+        names = ("t_ns", "from_ns", "reason", "verdict", "says")
+        self._put("findings", {name: finding[name] for name in names} | {"causes": _text(finding["causes"])})
+
+    def gap(self, t_ns: int, duration_s: float, reason: str) -> None:
+        """Missing samples."""
+        self._put("gaps", {"t_ns": t_ns, "duration_s": duration_s, "reason": reason})
+
+    def health(self, span: Mapping[str, Any]) -> None:
+        """A span of sensor health."""
+        names = ("t_ns", "rate_hz", "samples", "availability", "gaps", "lost_s", "overlaps")
+        self._put("health", {name: span[name] for name in names} | {"channels": _text(span["channels"])})
+
+    def close(self, timeout_s: float) -> None:
+        """Write what waits, no longer than that."""
+        self._closing.set()
+        self._wake.set()
+        if self._enabled:
+            self._thread.join(timeout_s)
+
+    def _put(self, table: str, row: Row) -> None:
+        if len(self._rows) >= _MOST_QUEUED:
+            if not self._losing:
+                _log.error("%s: %d rows wait; rows are lost from here on", self._path, len(self._rows))
+            self._losing = True
+            self.dropped += 1
+        elif self._enabled:
+            self._rows.append((table, row))
+            self._wake.set()
+
+    def _work(self) -> None:
+        database: sqlite3.Connection | None = None
+        while self._rows or not self._closing.is_set():
+            self._wake.wait()
+            self._closing.wait(_COMMIT_S)  # many rows, one transaction
+            self._wake.clear()
+            try:
+                database = open_database(self._path) if database is None else database
+                self._write(database)
+                self.failed, self._losing = None, False
+            except (sqlite3.Error, OSError) as error:
+                self._tell(str(error))
+                if database is not None:
+                    database.close()
+                database = None
+                if is_damage(error) and set_aside(self._path, str(error)):
+                    self._wake.set()
+                    continue
+                if self._closing.is_set():
+                    return
+                self._closing.wait(_RETRY_S)
+                self._wake.set()
+        if database is not None:
+            database.close()
+
+    def _tell(self, reason: str) -> None:
+        if self.failed != reason:
+            _log.warning("%s: %s; %d rows wait", self._path, reason, len(self._rows))
+        self.failed = reason
+
+    def _write(self, database: sqlite3.Connection) -> None:
+        batch = list(self._rows)
+        with database:
+            for table, row in batch:
+                database.execute(_statement(table, tuple(row)), tuple(row.values()))
+        for _ in batch:
+            self._rows.popleft()
+        self._inserted += len(batch)
+        if self._inserted >= _LIMIT_EVERY:
+            self._inserted = 0
+            for table, (full, most) in self._keep.items():
+                with database:
+                    limit(database, table, full, most)
+
+
+def open_database(path: Path) -> sqlite3.Connection:
+    """The database, made or upgraded if need be.
+
+    Raises ``sqlite3.Error``.
+    """
+    database = sqlite3.connect(path, timeout=2.0, check_same_thread=False)
+    try:
+        database.execute("PRAGMA journal_mode = WAL")
+        database.execute("PRAGMA synchronous = NORMAL")
+        (version,) = database.execute("PRAGMA user_version").fetchone()
+        if version > VERSION:
+            raise sqlite3.DatabaseError(f"written by a newer program (version {version}, this one knows {VERSION})")
+        while version < VERSION:
+            script = _SCHEMA if version == 0 else UPGRADES[version]
+            version = VERSION if version == 0 else version + 1
+            database.executescript(f"BEGIN; {script} PRAGMA user_version = {version}; COMMIT;")
+    except BaseException:
+        database.close()
+        raise
+    return database
+
+
+def is_damage(error: Exception) -> bool:
+    """Whether waiting will not mend it: no lock, no want of space."""
+    return type(error) is sqlite3.DatabaseError
+
+
+def set_aside(path: Path, reason: str) -> bool:
+    """Give a database that cannot be used another name; whether the disk lets us."""
+    numbered = (path.with_name(f"{path.name}.damaged-{n}") for n in range(1, 10_000))
+    place = next(p for p in numbered if not p.exists())
+    _log.error("%s: %s; set aside as %s, a new one is begun", path, reason, place.name)
+    with contextlib.suppress(OSError):
+        os.replace(path, place)
+        for end in ("-wal", "-shm"):
+            path.with_name(path.name + end).unlink(missing_ok=True)
+        return True
+    return False
+
+
+def limit(database: sqlite3.Connection, table: str, full: int, most: int) -> None:
+    """Thin out and remove old rows of a table, some at a time.
+
+    Parameters
+    ----------
+    full, most : int
+        Of so many latest rows all are kept; of those before only unusual ones and one in sixty; of those before `most` none.
+    """
+    (last,) = database.execute(f"SELECT coalesce(max(id), 0) FROM {table}").fetchone()
+    (thinned,) = database.execute("SELECT coalesce(max(id), 0) FROM thinned WHERE name = ?", (table,)).fetchone()
+    end = min(last - full, thinned + _LIMIT_ROWS)
+    if end > thinned:
+        where = f"id > ? AND id <= ? AND id % {_ONE_IN} != 0 AND {_NORMAL[table]}"
+        database.execute(f"DELETE FROM {table} WHERE {where}", (thinned, end))
+        database.execute("INSERT OR REPLACE INTO thinned (name, id) VALUES (?, ?)", (table, end))
+    oldest = f"SELECT id FROM {table} WHERE id <= ? ORDER BY id LIMIT {_LIMIT_ROWS}"
+    database.execute(f"DELETE FROM {table} WHERE id IN ({oldest})", (last - most,))
+
+
+def _statement(table: str, names: tuple[str, ...]) -> str:
+    """An insertion that may be repeated."""
+    head = f"INSERT INTO {table} ({', '.join(names)}) VALUES ({', '.join('?' * len(names))}) ON CONFLICT"
+    if table not in _UPDATED:
+        return f"{head} DO NOTHING"
+    changes = ", ".join(f"{name} = excluded.{name}" for name in names)
+    return f"{head} {_UPDATED[table]} DO UPDATE SET {changes}"
+
+
+def _text(value: Any) -> str | None:
+    return None if value is None else json.dumps(value, separators=(",", ":"))

@@ -1,0 +1,56 @@
+"""The service's log: one line an event on standard error, for the platform to keep and rotate."""
+
+from __future__ import annotations
+
+import json
+import logging
+import re
+import sys
+from datetime import UTC, datetime
+from typing import Literal
+
+from monitor.config.log_settings import LogSettings
+
+_PLAIN = re.compile(r"[^\s\"=\\\x00-\x1f\x7f-\x9f]+")
+_MOST_TEXT = 4000
+
+
+class LineFormatter(logging.Formatter):
+    """An event as one line, whatever its text holds: nobody's data can forge a second one.
+
+    Parameters
+    ----------
+    site : str
+        Named in each line.
+    """
+
+    def __init__(self, style: Literal["text", "json"], site: str) -> None:
+        super().__init__()
+        self._json, self._site = style == "json", site
+
+    def format(self, record: logging.LogRecord) -> str:
+        """The line, without its end."""
+        fields = {
+            "time": datetime.fromtimestamp(record.created, UTC).isoformat(timespec="milliseconds"),
+            "level": record.levelname.lower(),
+            "site": self._site,
+            "logger": record.name,
+            "message": record.getMessage()[:_MOST_TEXT],
+        }
+        if record.exc_info:
+            fields["exception"] = self.formatException(record.exc_info)[-_MOST_TEXT:]
+        if self._json:
+            return json.dumps(fields)
+        return " ".join(f"{k}={v if _PLAIN.fullmatch(v) else json.dumps(v)}" for k, v in fields.items())
+
+
+def begin(settings: LogSettings, site: str) -> None:
+    """Log in this way from now on.
+
+    The library that delivers notifications is silenced: at some levels it writes the addresses, which hold secrets.
+    """
+    handler = logging.StreamHandler(sys.stderr)
+    handler.setFormatter(LineFormatter(settings.format, site))
+    logging.basicConfig(handlers=[handler], level=settings.level.upper(), force=True)
+    for name in ("apprise", "urllib3", "requests"):
+        logging.getLogger(name).setLevel(logging.CRITICAL + 1)

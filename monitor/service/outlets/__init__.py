@@ -1,0 +1,135 @@
+"""Publishers that leave this machine or its process, by the site file's tables; each is imported only when it is asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol, cast
+
+from pydantic import BaseModel, ValidationError
+
+from monitor.config.configuration import Configuration
+from monitor.core.errors import BadConfigurationError
+from monitor.core.parse import told
+from monitor.core.results import Gap, WindowResult
+from monitor.service.outlets.inbox import Inbox
+from monitor.service.outlets.notify import Addresses, Notifier, NotifySettings, addresses
+
+if TYPE_CHECKING:
+    from monitor.service.requests import Request
+
+
+class Outlet(Protocol):
+    """Never waits, never raises; why nothing gets out is in `failed`, what was lost in `dropped`."""
+
+    @property
+    def failed(self) -> str | None:
+        """None while all is well."""
+
+    @property
+    def dropped(self) -> int:
+        """What found no room to wait, since the start."""
+
+    def window(self, result: WindowResult, line: str) -> None:
+        """A window's results, also as its line of results.jsonl."""
+
+    def gap(self, gap: Gap) -> None:
+        """Samples are missing."""
+
+    def health(self, health: Mapping[str, Any]) -> None:
+        """A line of health.jsonl."""
+
+    def finding(self, finding: Mapping[str, Any]) -> None:
+        """A diagnosis that was asked for is there."""
+
+    def take_requests(self) -> Sequence[Request]:
+        """What operators asked for since the last call; by now, that is applied."""
+
+    def close(self, timeout_s: float) -> None:
+        """Hand over what waits, no longer than that."""
+
+
+def make_outlets(path: Path, config: Configuration, *, dry: bool = False) -> tuple[Outlet, ...]:
+    """The publishers that a site file asks for; with `dry` its tables are only checked.
+
+    Raises
+    ------
+    BadConfigurationError
+        One problem a line.
+    """
+    folder, name = path.resolve().parent, config.site_name
+    state = folder / config.output.dir / "state"
+    problems: list[str] = []
+    makers = [
+        _maker("zenoh", config.output.zenoh, _zenoh, folder, problems),
+        _maker("metrics", config.output.metrics, _metrics, folder, problems),
+    ]
+    settings, to = _notify(config, folder, problems)
+    if problems:
+        raise BadConfigurationError("\n".join(f"{path}: {problem}" for problem in problems))
+    if dry:
+        return ()
+    made = tuple(make(name) for make in makers if make is not None)
+    return Inbox(state / "requests"), *made, Notifier(name, settings, to, state / "outbox.jsonl")
+
+
+def change_outlets(path: Path, config: Configuration, outlets: Sequence[Outlet]) -> None:
+    """Let those of a running monitor that can go on with the settings of a file that was read again.
+
+    Raises
+    ------
+    BadConfigurationError
+        One problem a line; nothing has changed then.
+    """
+    problems: list[str] = []
+    settings, to = _notify(config, path.resolve().parent, problems)
+    if problems:
+        raise BadConfigurationError("\n".join(f"{path}: {problem}" for problem in problems))
+    for outlet in outlets:
+        if isinstance(outlet, Notifier):
+            outlet.change(settings, to)
+
+
+def _notify(config: Configuration, folder: Path, problems: list[str]) -> tuple[NotifySettings, Addresses]:
+    try:
+        settings = NotifySettings.model_validate(config.notify)
+        return settings, addresses(settings, folder)
+    except ValidationError as error:
+        problems += told(error, "notify")
+    except ValueError as error:
+        problems += [f"notify.{line}" for line in str(error).split("\n")]
+    return NotifySettings(), Addresses()
+
+
+def _zenoh() -> tuple[Any, type[BaseModel]]:
+    from monitor.service.outlets.zenoh import ZenohOut, ZenohOutSettings
+
+    return ZenohOut, ZenohOutSettings
+
+
+def _metrics() -> tuple[Any, type[BaseModel]]:
+    from monitor.service.outlets.metrics import Metrics, MetricsSettings
+
+    return Metrics, MetricsSettings
+
+
+def _maker(
+    name: str, table: Any, load: Callable[[], tuple[Any, type[BaseModel]]], folder: Path, problems: list[str]
+) -> _Maker | None:
+    """What makes the outlet of a table of ``[output]``, its library loaded only where the table is there."""
+    if table is None:
+        return None
+    try:
+        kind, settings_type = load()
+        settings = settings_type.model_validate(table)
+    except ImportError as error:
+        problems.append(f"output.{name}: cannot be loaded: {error}")
+    except ValidationError as error:
+        problems += told(error, "output", name)
+    else:
+        return lambda site: cast(Outlet, kind(site, settings, folder))
+    return None
+
+
+class _Maker(Protocol):
+    def __call__(self, name: str) -> Outlet: ...

@@ -1,0 +1,265 @@
+"""Prometheus metrics, on loopback unless told otherwise.
+
+Counts are the monitor's own, taken over as they are when asked; nothing is remembered here but the latest lines.
+"""
+
+from __future__ import annotations
+
+import logging
+import platform
+import re
+import threading
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, cast
+
+from prometheus_client import CollectorRegistry, start_http_server
+from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, HistogramMetricFamily, Metric
+from prometheus_client.registry import Collector
+from pydantic import field_validator, model_validator
+
+from monitor import __version__
+from monitor.core.parse import parse_address
+from monitor.core.results import WHOLE, Gap, Level, WindowResult
+from monitor.core.settings import Settings
+from monitor.service.requests import Request
+
+_log = logging.getLogger(__name__)
+_MOST_LABELS = 256
+"""Values of one label: what a node on the bus calls itself must not fill the database."""
+_REASONS = {
+    "gap": "gap",
+    "does not move": "dead_channel",
+    "is stuck": "stuck_channel",
+    "is clipped": "clipped_channel",
+    "noise": "noise",
+    "beyond the band": "beyond_band",
+    "updating": "updating",
+    "mode": "modes",
+}
+"""What a reason says -> its class; the first that fits."""
+
+
+class MetricsSettings(Settings):
+    """``[output.metrics]`` of the site file."""
+
+    listen: str = "127.0.0.1:9464"
+    """HOST:PORT."""
+    certificate: Path | None = None
+    """PEM files for TLS, relative to the site file; with `client_ca`, readers show a certificate too."""
+    private_key: Path | None = None
+    client_ca: Path | None = None
+
+    @field_validator("listen")
+    @classmethod
+    def _listens(cls, text: str) -> str:
+        parse_address(text, any_port=True)
+        return text
+
+    @model_validator(mode="after")
+    def _sound(self) -> MetricsSettings:
+        if (self.certificate is None) != (self.private_key is None):
+            raise ValueError("certificate and private_key go together")
+        if self.client_ca is not None and self.certificate is None:
+            raise ValueError("client_ca needs certificate and private_key")
+        return self
+
+    @property
+    def address(self) -> tuple[str, int]:
+        """Host and port."""
+        return parse_address(self.listen, any_port=True)
+
+
+class Metrics(Collector):
+    """Answers Prometheus (`monitor.service.outlets.Outlet`).
+
+    A port that is taken shows in `failed`, and is tried again with each line of health.
+
+    Attributes
+    ----------
+    port : int or None
+        Where it listens.
+    """
+
+    dropped = 0  # it keeps the latest alone, and nothing waits
+
+    def __init__(self, site: str, settings: MetricsSettings, folder: Path = Path()) -> None:
+        self.failed: str | None = None
+        self.port: int | None = None
+        self._site, self._settings, self._folder = site, settings, folder
+        self._server: Any = None
+        self._lock = threading.Lock()
+        self._health: Mapping[str, Any] = {}
+        self._result: WindowResult | None = None
+        self._active: Mapping[int, Level] = {}
+        self._windows = self._gaps = self._samples = self._dropped = 0
+        self._lost_s = 0.0
+        self._skipped = dict.fromkeys([*_REASONS.values(), "other"], 0)
+        self._findings = 0
+
+    def window(self, result: WindowResult, line: str) -> None:
+        """Count it, and keep it if it says something."""
+        with self._lock:
+            self._windows += 1
+            self._active = result.alarm.active
+            if result.skipped is None:
+                self._result = result
+            else:
+                self._skipped[reason_class(result.skipped.reason)] += 1
+
+    def gap(self, gap: Gap) -> None:
+        """Count it."""
+        with self._lock:
+            self._gaps += 1
+            self._lost_s += max(0.0, gap.duration_s)
+
+    def health(self, health: Mapping[str, Any]) -> None:
+        """Keep the latest; begin to listen."""
+        with self._lock:
+            self._health = health
+            if (stream := health["stream"]) is not None:
+                self._samples += stream["samples"]
+                self._dropped += stream["overlaps"]
+        if self._server is None:
+            self._listen()
+
+    def finding(self, finding: Mapping[str, Any]) -> None:
+        """Count it."""
+        with self._lock:
+            self._findings += 1
+
+    def take_requests(self) -> Sequence[Request]:
+        """None come this way."""
+        return ()
+
+    def close(self, timeout_s: float) -> None:
+        """Listen no more."""
+        if self._server is not None:
+            self._server.shutdown()
+            self._server.server_close()
+
+    def collect(self) -> Iterator[Metric]:
+        """All metrics as they are now."""
+        with self._lock:  # never while a reader is slow
+            return iter(list(self._families()))
+
+    def _families(self) -> Iterator[Metric]:
+        build = GaugeMetricFamily("shm_build_info", "Versions and site.", labels=("version", "python", "site"))
+        build.add_metric((__version__, platform.python_version(), self._site), 1)
+        yield build
+        yield CounterMetricFamily("shm_windows", "Windows.", self._windows)
+        yield _labelled(CounterMetricFamily, "shm_windows_skipped", "Windows without a word.", self._skipped, "reason")
+        yield CounterMetricFamily("shm_samples", "Samples taken, of each channel.", self._samples)
+        yield CounterMetricFamily("shm_gaps", "Gaps.", self._gaps)
+        yield CounterMetricFamily("shm_lost_seconds", "Data missing in gaps.", self._lost_s)
+        yield CounterMetricFamily("shm_dropped_samples", "Repeated, late or not finite.", self._dropped)
+        yield CounterMetricFamily("shm_findings", "Diagnoses made.", self._findings)
+        if self._result is not None:
+            yield from _of_result(self._result, self._active)
+        if self._health:
+            yield from _of_health(self._health)
+
+    def _listen(self) -> None:
+        s = self._settings
+        registry = CollectorRegistry(auto_describe=False)
+        registry.register(self)
+        host, port = s.address
+        tls: dict[str, Any] = {
+            name: str(self._folder / path)
+            for name, path in (("certfile", s.certificate), ("keyfile", s.private_key), ("client_cafile", s.client_ca))
+            if path is not None
+        }
+        try:
+            self._server, _ = start_http_server(
+                port, host, registry, client_auth_required=s.client_ca is not None, **tls
+            )
+            self.port, self.failed = self._server.server_port, None
+        except (OSError, ValueError) as error:
+            if self.failed is None:
+                _log.error("no metrics at %s for now: %s", s.listen, error)
+            self.failed = f"{s.listen}: {error}"
+
+
+def reason_class(reason: str) -> str:
+    """One of few words for why a window says nothing."""
+    return next((name for part, name in _REASONS.items() if re.search(part, reason)), "other")
+
+
+def _of_result(result: WindowResult, active: Mapping[int, Level]) -> Iterator[Metric]:
+    assert result.damage is not None
+    assert result.modes is not None
+    assert result.stiffness is not None
+    stories = [str(j) for j in range(1, len(result.damage.ddi) + 1)]
+    yield GaugeMetricFamily("shm_window_end_timestamp_seconds", "UTC of the data.", result.t_end_ns * 1e-9)
+    for name, says, values in (
+        ("shm_ddi", "Relative stiffness loss since the baseline.", result.damage.ddi),
+        ("shm_ddi_std", "Its standard deviation.", result.damage.ddi_std),
+    ):
+        shown = {j: float(x) for j, x in zip(stories, values, strict=True)}
+        yield _labelled(GaugeMetricFamily, name, says, shown, "story")
+    ranks = {j: active.get(int(j), Level.NORMAL).rank for j in [*stories, str(WHOLE)]}
+    says = "0 normal, 1 advisory, 2 warning, 3 alarm; story 0 is the whole structure."
+    yield _labelled(GaugeMetricFamily, "shm_alarm_level", says, ranks, "story")
+    hz = {str(k): float(f) for k, f in enumerate(result.modes.frequencies_hz, start=1)}
+    yield _labelled(GaugeMetricFamily, "shm_frequency_hertz", "Natural frequencies.", hz, "mode")
+    yield GaugeMetricFamily("shm_goodness_of_fit", "1 where stiffness explains the change.", result.stiffness.misfit)
+
+
+def _of_health(health: Mapping[str, Any]) -> Iterator[Metric]:
+    source, recorder = health["source"], health["recorder"]
+    single: list[tuple[type[Any], str, str, Any]] = [
+        (GaugeMetricFamily, "shm_source_connected", "Whether the source is open.", source["connected"]),
+        (CounterMetricFamily, "shm_source_losses", "Times the source failed.", source["lost"]),
+        (CounterMetricFamily, "shm_refused_blocks", "Blocks turned away.", health["refused"]["blocks"]),
+        (GaugeMetricFamily, "shm_queue_blocks", "Blocks that wait.", health["queue"]),
+        (GaugeMetricFamily, "shm_data_delay_seconds", "Clock less time of the data.", health["delay_s"]),
+        (GaugeMetricFamily, "shm_latency_max_seconds", "Longest since the start.", 1e-3 * health["latency_ms"]["max"]),
+        (GaugeMetricFamily, "shm_uptime_seconds", "Since the start.", health.get("uptime_s")),
+        (GaugeMetricFamily, "shm_disk_free_bytes", "Where results go.", health.get("disk_free_bytes")),
+    ]
+    if (stream := health["stream"]) is not None:
+        single += [
+            (GaugeMetricFamily, "shm_sample_rate_hertz", "By the source.", stream["rate_hz"]),
+            (GaugeMetricFamily, "shm_availability_ratio", "Samples come over due, last span.", stream["availability"]),
+        ]
+    if recorder is not None:
+        single += [
+            (GaugeMetricFamily, "shm_recorder_recording", "1 while it records.", recorder["recording"]),
+            (CounterMetricFamily, "shm_recorder_lost_blocks", "Blocks not recorded.", recorder["lost_blocks"]),
+            (CounterMetricFamily, "shm_recorder_files", "Files begun.", recorder["files"]),
+        ]
+    for family, name, says, value in single:
+        if value is not None:
+            yield family(name, says, float(value))
+    events = {k: n for k, n in source["counts"].items()}
+    yield _labelled(CounterMetricFamily, "shm_source_events", "The driver's counts.", events, "event")
+    for name, says, key in (
+        ("shm_clock_offset_seconds", "Arrival less time of the samples.", "offset_s"),
+        ("shm_clock_drift_ppm", "How much faster than nominal a node samples.", "drift_ppm"),
+    ):
+        clocks = {c["node"]: c[key] for c in source["clocks"]}
+        yield _labelled(GaugeMetricFamily, name, says, clocks, "node")
+    rms = {c["channel"]: c["rms_m_s2"] for c in health["channels"]}
+    yield _labelled(GaugeMetricFamily, "shm_channel_rms_m_s2", "About the mean, last span.", rms, "channel")
+    blocked = {name: 1 for name in health["failed"]}
+    yield _labelled(GaugeMetricFamily, "shm_output_failed", "Ways out that are blocked.", blocked, "output")
+    lost = health.get("lost", {})
+    yield _labelled(CounterMetricFamily, "shm_output_lost", "Found no room on its way out.", lost, "output")
+    yield _latency(health["latency_ms"]["windows"])
+
+
+def _latency(windows: Mapping[str, int]) -> Metric:
+    """From the arrival of a window's last sample to its line."""
+    total, buckets = 0, []
+    for edge, count in windows.items():
+        total += count
+        buckets.append(("+Inf" if edge.startswith(">") else str(float(edge.split()[1]) / 1e3), float(total)))
+    return HistogramMetricFamily("shm_latency_seconds", "Last sample to published line.", buckets, None)
+
+
+def _labelled(family: type[Any], name: str, says: str, values: Mapping[str, float | None], label: str) -> Metric:
+    metric = family(name, says, labels=(label,))
+    for key, value in list(values.items())[:_MOST_LABELS]:
+        if value is not None:
+            metric.add_metric((key,), float(value))
+    return cast(Metric, metric)

@@ -1,0 +1,126 @@
+"""Messages on their way: on the disk until everyone has them, in order, in bounded number."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import logging
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+
+from monitor.core.files import write_atomically
+from monitor.core.results import Level
+from monitor.service.outlets.notices import Notice, Told
+
+_log = logging.getLogger(__name__)
+
+VERSION = 1
+MOST_MESSAGES = 256
+
+
+@dataclass(frozen=True, slots=True)
+class Message:
+    """A notice with what it takes to deliver it."""
+
+    id: int
+    """Counts up for as long as the file lives; a reader may tell repeats by it."""
+    when: str
+    """UTC, when it was made, ISO 8601."""
+    notice: Notice
+    to: tuple[str, ...]
+    """Keys of those who still lack it."""
+
+
+class Outbox:
+    """Messages and what was told last, in one file that is replaced whole with every change.
+
+    What is told and what still has to be delivered change together, so no crash can part them.  A file that cannot be read is
+    set aside; what the disk does not take is kept in memory, and `failed` says so.
+
+    Parameters
+    ----------
+    most : int
+        Messages that may wait; then the oldest go and are counted in `dropped`.
+    """
+
+    def __init__(self, path: Path, most: int = MOST_MESSAGES) -> None:
+        self._path, self._most = path, most
+        self._messages: list[Message] = []
+        self._next_id = 1
+        self.told = Told()
+        self.dropped = 0
+        self.failed: str | None = None
+        self._load()
+
+    def __len__(self) -> int:
+        return len(self._messages)
+
+    def add(self, told: Told, notices: Iterable[Notice], to: Sequence[str]) -> None:
+        """Queue notices for everyone; `told` is what has been told when they are."""
+        when = datetime.now(UTC).isoformat(timespec="seconds")
+        notices = list(notices)
+        if not notices and told == self.told:
+            return
+        # An end of judging is renewed with every window; it alone is not worth a write.
+        worth = bool(notices) or replace(told, judged_ns=None) != replace(self.told, judged_ns=None)
+        self.told = told
+        for notice in notices:
+            self._messages += [Message(self._next_id, when, notice, tuple(to))] if to else []
+            self._next_id += 1
+        excess = max(0, len(self._messages) - self._most)
+        if excess:
+            _log.error("%s: %d messages wait; the oldest %d are given up", self._path, len(self._messages), excess)
+        self.dropped += excess
+        del self._messages[:excess]
+        if worth:
+            self._save()
+
+    def first(self, key: str) -> Message | None:
+        """The oldest message that `key` still lacks."""
+        return next((m for m in self._messages if key in m.to), None)
+
+    def delivered(self, message: Message, key: str) -> None:
+        """One has it now."""
+        changed = (replace(m, to=tuple(k for k in m.to if k != key)) if m is message else m for m in self._messages)
+        self._messages = [m for m in changed if m.to]
+        self._save()
+
+    def only(self, keys: Iterable[str]) -> None:
+        """Forget everyone else: their addresses are gone."""
+        known = set(keys)
+        kept = (replace(m, to=tuple(k for k in m.to if k in known)) for m in self._messages)
+        self._messages = [m for m in kept if m.to]
+
+    def _save(self) -> None:
+        levels = {str(k): v.value for k, v in self.told.levels.items()}
+        # When a window was last judged is no use after a restart: no windows come in between.
+        told = {**asdict(self.told), "levels": levels, "judged_ns": None}
+        head = {"version": VERSION, "next_id": self._next_id, "told": told}
+        lines = [json.dumps(head), *(json.dumps(asdict(m)) for m in self._messages)]
+        try:
+            write_atomically(self._path, "\n".join(lines) + "\n")
+            self.failed = None
+        except OSError as error:
+            self.failed = f"{self._path}: {error.strerror or error}"
+
+    def _load(self) -> None:
+        try:
+            head, *lines = map(json.loads, self._path.read_text(encoding="utf-8").splitlines())
+            if head["version"] != VERSION:
+                raise ValueError(f"version {head['version']}")
+            levels = {int(k): Level(v) for k, v in head["told"]["levels"].items()}
+            told = Told(**{**head["told"], "levels": levels})
+            messages = [
+                Message(int(m["id"]), str(m["when"]), Notice(**m["notice"]), tuple(map(str, m["to"]))) for m in lines
+            ]
+            self._next_id, self.told, self._messages = int(head["next_id"]), told, messages[-self._most :]
+        except FileNotFoundError:
+            return
+        except OSError as error:
+            self.failed = f"{self._path}: {error.strerror or error}"
+        except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
+            self.failed = f"{self._path}: damaged ({error}); set aside"
+            with contextlib.suppress(OSError):
+                self._path.replace(self._path.with_name(self._path.name + ".damaged"))

@@ -1,0 +1,219 @@
+"""What the monitor says, over Zenoh: results, alarms, health, gaps; and what operators ask of it.
+
+Keys stand in `docs/zenoh.md`.  The session is its own: the source's may be held up by a full queue, this one never is.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import re
+import threading
+import time
+from collections import deque
+from collections.abc import Mapping
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import zenoh
+from pydantic import Field, ValidationError
+from zenoh import ext
+
+from drivers.zenoh_session import Callbacks, Key, SessionSettings, leave, open_session
+from monitor.core.parse import told
+from monitor.core.results import Gap, WindowResult
+from monitor.publish.results.lines import alarm_line, to_json
+from monitor.service.requests import MAX_REQUEST_BYTES, Request
+
+_log = logging.getLogger(__name__)
+_RETRY_S = (0.5, 30.0)
+_CACHES = {"results": 64, "alarm": 64, "health": 1, "gap": 64, "finding": 64}
+"""Key below the prefix -> values kept for subscribers that come late."""
+
+
+class ZenohOutSettings(SessionSettings):
+    """``[output.zenoh]`` of the site file: where results go and operators' requests come from."""
+
+    prefix: Key | None = None
+    """Where the keys begin; ``shm/<site>`` by default."""
+    max_requests: int = Field(default=64, ge=1)
+    """Requests of operators that may wait; more are refused."""
+
+
+class ZenohOut:
+    """Publishes what is said about each window, and collects requests; never holds up or fails its caller.
+
+    Parameters
+    ----------
+    site : str
+        Name in the keys, where the settings give no prefix.
+    folder : Path
+        Where relative paths of the settings begin.
+    queue_size : int
+        Messages that may wait while the network is away; then the oldest go, and are counted in `dropped`.
+
+    Notes
+    -----
+    Trouble shows in `failed` while it lasts and is logged once; the network is tried again for ever.
+    """
+
+    def __init__(self, site: str, settings: ZenohOutSettings, folder: Path = Path(), *, queue_size: int = 256) -> None:
+        self.prefix = key_prefix(site, settings)
+        self.dropped = 0
+        self.failed: str | None = None
+        self._settings, self._folder = settings, folder
+        self._waiting: deque[tuple[str, str]] = deque(maxlen=queue_size)
+        self._requests: deque[Request] = deque()
+        self._latest: dict[str, str] = {}
+        self._alarm: tuple[Any, ...] = ()
+        self._changed = threading.Condition()
+        self._closed = False
+        self._thread = threading.Thread(target=self._run, name="zenoh-out", daemon=True)
+        self._thread.start()
+
+    def window(self, result: WindowResult, line: str) -> None:
+        """Publish a window's line of results.jsonl, and its alarm where that changed."""
+        self._put("results", line)
+        alarm = alarm_line(result.alarm)
+        if (alarm["level"], alarm["active"], alarm["conditions"]) != self._alarm:
+            self._alarm = alarm["level"], alarm["active"], alarm["conditions"]
+            self._put("alarm", to_json({"t_end_ns": result.t_end_ns, **alarm}))
+
+    def gap(self, gap: Gap) -> None:
+        """Publish that samples are missing."""
+        self._put("gap", to_json({"t_ns": gap.t_ns, "duration_s": gap.duration_s, "reason": gap.reason}))
+
+    def health(self, health: Mapping[str, Any]) -> None:
+        """Publish a line of health.jsonl."""
+        self._put("health", to_json(dict(health)))
+
+    def finding(self, finding: Mapping[str, Any]) -> None:
+        """Publish what a diagnosis found."""
+        keys = ("id", "t_ns", "from_ns", "reason", "verdict", "says", "causes")
+        self._put("finding", to_json({key: finding[key] for key in keys}))
+
+    def take_requests(self) -> list[Request]:
+        """The operators' requests since the last call, oldest first; for the thread that owns the alarms."""
+        with self._changed:
+            requests = list(self._requests)
+            self._requests.clear()
+        return requests
+
+    def close(self, timeout_s: float = 5.0) -> None:
+        """Publish what waits and leave; gives up after `timeout_s`."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+        self._thread.join(timeout_s)
+
+    def _put(self, name: str, text: str) -> None:
+        with self._changed:
+            self._latest[name] = text
+            self.dropped += len(self._waiting) == self._waiting.maxlen
+            self._waiting.append((name, text))
+            self._changed.notify_all()
+
+    def _run(self) -> None:
+        """Work of the thread: join, publish until closed, join again if that breaks."""
+        pause = _RETRY_S[0]
+        while True:
+            begun = time.monotonic()
+            try:
+                self._publish()
+            except Exception as error:  # noqa: BLE001 - the network's troubles, of whatever kind, never reach the monitor
+                if self.failed is None:
+                    _log.error("nothing is published over Zenoh for now: %s", error)
+                self.failed = f"{type(error).__name__}: {error}"
+            if self._closed:
+                return
+            pause = _RETRY_S[0] if time.monotonic() - begun > _RETRY_S[1] else min(2 * pause, _RETRY_S[1])
+            with self._changed:
+                self._changed.wait_for(lambda: self._closed, pause)
+
+    def _publish(self) -> None:
+        session, callbacks = open_session(self._settings, self._folder), Callbacks()
+        with ExitStack() as ending:
+            ending.callback(callbacks.join)
+            ending.callback(leave, session)
+            publishers = {name: self._publisher(session, name, kept) for name, kept in _CACHES.items()}
+            for entity in (
+                session.liveliness().declare_token(f"{self.prefix}/alive/monitor"),
+                session.declare_queryable(f"{self.prefix}/state", callbacks.of(self._on_state)),
+                session.declare_queryable(f"{self.prefix}/ack", callbacks.of(self._on_request)),
+            ):
+                ending.callback(entity.undeclare)
+            self.failed = None
+            while (taken := self._take()) is not None:
+                name, text = taken
+                publishers[name].put(text)
+            for _ in session.get(f"{self.prefix}/closing", timeout=1.0):  # comes back behind what was put before
+                pass
+
+    def _publisher(self, session: zenoh.Session, name: str, kept: int) -> ext.AdvancedPublisher:
+        return ext.declare_advanced_publisher(
+            session,
+            f"{self.prefix}/{name}",
+            encoding=zenoh.Encoding.APPLICATION_JSON,
+            # A reader that hangs loses messages rather than holding up all others; it may ask the cache again.
+            congestion_control=zenoh.CongestionControl.DROP,
+            reliability=zenoh.Reliability.RELIABLE,
+            cache=ext.CacheConfig(kept),
+            sample_miss_detection=ext.MissDetectionConfig(heartbeat=None, sporadic_heartbeat=1.0),
+            publisher_detection=True,
+        )
+
+    def _take(self) -> tuple[str, str] | None:
+        with self._changed:
+            self._changed.wait_for(lambda: self._waiting or self._closed)
+            return self._waiting.popleft() if self._waiting else None
+
+    def _on_state(self, query: zenoh.Query) -> None:
+        with self._changed:
+            text = "{" + ", ".join(f'"{name}": {self._latest.get(name, "null")}' for name in _CACHES) + "}"
+        with query:
+            query.reply(f"{self.prefix}/state", text, encoding=zenoh.Encoding.APPLICATION_JSON)
+
+    def _on_request(self, query: zenoh.Query) -> None:
+        trouble = self._refused(query.payload)
+        answer = to_json({"accepted": trouble is None, "reason": trouble})
+        with query:
+            query.reply(f"{self.prefix}/ack", answer, encoding=zenoh.Encoding.APPLICATION_JSON)
+
+    def _refused(self, payload: zenoh.ZBytes | None) -> str | None:
+        """Queue a request; why not, if it cannot be."""
+        if payload is None or len(payload) > MAX_REQUEST_BYTES:
+            return f"a request is a JSON object of at most {MAX_REQUEST_BYTES} bytes"
+        try:
+            request = Request.model_validate_json(payload.to_bytes())
+        except ValidationError as error:
+            return "; ".join(told(error))
+        with self._changed:
+            if len(self._requests) >= self._settings.max_requests:
+                return "too many requests wait"
+            self._requests.append(request)
+        return None
+
+
+def key_prefix(site: str, settings: ZenohOutSettings) -> str:
+    """Where the keys of a site begin."""
+    return settings.prefix or "shm/" + (re.sub(r"[^0-9A-Za-z._-]+", "-", site) or "site")
+
+
+def ask(settings: ZenohOutSettings, folder: Path, prefix: str, request: str, timeout_s: float) -> dict[str, Any] | None:
+    """Hand a request (`monitor.service.requests`) to a running monitor; its answer, or None if nobody answers.
+
+    Raises
+    ------
+    SourceError
+        The network cannot be joined.
+    """
+    # A monitor that listens is connected to, one that connects is met at the same router.
+    where = settings.listen or settings.connect
+    joining = settings.model_copy(update={"mode": "client", "connect": where, "listen": ()})
+    with open_session(joining, folder) as session:
+        for reply in session.get(f"{prefix}/ack", payload=request, timeout=timeout_s):
+            if reply.ok is not None:
+                answer: dict[str, Any] = json.loads(reply.ok.payload.to_bytes())
+                return answer
+    return None

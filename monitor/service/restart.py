@@ -1,0 +1,254 @@
+"""What of one run the next goes on from: the lock, the baseline in use, checkpoints, and the recordings since the last."""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import json
+import logging
+import os
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from drivers.base import ACCELERATION, SampleBlock
+from drivers.recorder import recorded
+from monitor.config.configuration import Configuration
+from monitor.core.errors import BadConfigurationError, BadInputError
+from monitor.core.files import sha256, write_atomically
+from monitor.damage.alarm import StoryState
+from monitor.runs import ledger
+from monitor.runs.session import Session, SessionState
+from monitor.service import serialization
+from monitor.service.appended_lines import AppendedLines
+from monitor.service.threads import Recording
+
+_log = logging.getLogger(__name__)
+
+_KEYED = (
+    "sensors",
+    "effects",
+    "processing",
+    "health",
+    "identification",
+    "selection",
+    "refinement",
+    "tracking",
+    "updating",
+    "temperature",
+)
+"""Tables of the site file that results depend on, besides the structure.  Limits of alarm, quality and watch may change."""
+_LONGEST_WAIT_S = 0.5
+_MOST_LINES_BYTES = 64 << 20
+
+
+@dataclass(frozen=True, slots=True)
+class Saved:
+    """A checkpoint."""
+
+    session: SessionState
+    stamp_ns: int
+    """Log time of the latest block that it knows; those after it are taken from the recordings."""
+    results_bytes: int
+    """Length of results.jsonl."""
+
+
+@dataclass(frozen=True, slots=True)
+class KeptAlarms:
+    """The alarms, kept apart: they outlast a change of the configuration."""
+
+    stories: tuple[StoryState, ...]
+
+
+class Keeper:
+    """Writes checkpoints and resumes from them.
+
+    A checkpoint is written by the recorder's thread, when all blocks that it knows are on the disk: so the recordings that
+    follow it begin where it ends, whatever happens.  With ``checkpoint_s = 0`` the alarms alone are written, when they change.
+
+    Parameters
+    ----------
+    out : Path
+        The daemon's folder.
+    healthy : Path or None
+        Baseline file.
+
+    Attributes
+    ----------
+    written : set of int
+        Windows whose lines a former run wrote after its last checkpoint: they are not to be told again.
+    resuming : bool
+        Blocks are taken from the recordings, not from the source.
+    failed : str or None
+        Why there is no checkpoint; None while all is well.
+    """
+
+    dropped = 0  # a newer one replaces one that could not be written
+
+    def __init__(
+        self, out: Path, config: Configuration, healthy: Path | None, recording: Recording, lines: AppendedLines
+    ) -> None:
+        self._out, self._config, self._recording, self._lines = out, config, recording, lines
+        tables = config.model_dump(mode="json", include={*_KEYED})
+        structure = config.structure.model_dump(mode="json", exclude={"name"})
+        baseline = None if healthy is None else sha256(healthy)
+        self._key = serialization.fingerprint({"tables": tables, "structure": structure, "baseline": baseline})
+        # Alarms are known by their stories: that many must there be, whatever is known of them.
+        self._alarm_key = serialization.fingerprint({"stories": len(config.structure.stiffness_n_per_m)})
+        self._place, self._alarms = out / "state" / "checkpoint", out / "state" / "alarms"
+        self._seconds, self._due, self._busy = 0.0, False, False
+        self._stories: tuple[StoryState, ...] | None = None
+        self.written: set[int] = set()
+        self.resuming = False
+        self.failed: str | None = None
+
+    def resume(self, begin: Callable[[], Session], known: Callable[[dict[str, Any]], None]) -> int:
+        """Bring a new session to where the last run stopped.
+
+        Parameters
+        ----------
+        begin : callable
+            Makes a new session.
+        known : callable
+            Told the lines of results.jsonl since the checkpoint.
+
+        Returns
+        -------
+        int
+            UTC up to which samples are known, ns; 0 if nothing could be resumed from.
+
+        Notes
+        -----
+        Without a usable checkpoint only the alarms are taken over: what was announced stays so until the data, or an operator,
+        say otherwise.
+        """
+        saved = serialization.load(self._place, self._key, Saved) if self._config.state.checkpoint_s else None
+        session = begin()
+        if saved is not None:
+            for line in self._lines_since(saved.results_bytes):
+                self.written.add(line["window"])
+                known(line)
+            self.resuming = True
+            try:
+                self._catch_up(session, saved)
+                return session.now_ns
+            except Exception:  # noqa: BLE001 - whatever is wrong with the state of yesterday, today must be monitored
+                _log.exception("%s: not resumed from; monitoring begins anew", self._place)
+                session.watcher.close()
+                session = begin()
+                self.written.clear()
+            finally:
+                self.resuming = False
+        kept = serialization.load(self._alarms, self._alarm_key, KeptAlarms)
+        if kept is not None:
+            session.alter_alarm(lambda state: replace(state, stories=kept.stories))
+        self.save(session)  # a run that ends before its first checkpoint is gone on from, not begun anew
+        return 0
+
+    def took(self, session: Session, block: SampleBlock) -> None:
+        """A block was evaluated and what it brought about told; now and then that is worth a checkpoint."""
+        every_s = self._config.state.checkpoint_s
+        self._seconds += block.n_samples / block.sample_rate_hz if block.topic == ACCELERATION else 0.0
+        worth_it = self._seconds >= every_s if every_s else self._stories != session.pipeline.state.alarm.stories
+        if self._due or worth_it:
+            self.save(session)
+
+    def save(self, session: Session) -> None:
+        """Write a checkpoint, soon; where none are wanted, the alarms alone."""
+        self._due = bool(self._busy or self._lines.failed)
+        if self._due:
+            return
+        self._busy, self._seconds, self._stories = True, 0.0, session.pipeline.state.alarm.stories
+        self._recording.then(partial(self._write, session.state, self._lines.size))
+
+    def save_now(self, session: Session) -> None:
+        """Write a checkpoint and wait for it, though not for long."""
+        self._recording.flush(_LONGEST_WAIT_S)
+        self.save(session)
+        self._recording.flush(_LONGEST_WAIT_S)
+
+    def forget(self) -> None:
+        """The stream is over: the next one begins anew."""
+        for place in (self._place, self._alarms):
+            self._recording.then(partial(self._forget, place))
+
+    def _forget(self, place: Path, _: int) -> None:
+        serialization.forget(place)
+
+    def _write(self, state: SessionState, results_bytes: int, stamp_ns: int) -> None:
+        try:
+            self._lines.sync()
+            serialization.save(self._alarms, self._alarm_key, KeptAlarms(state.pipeline.alarm.stories))
+            if self._config.state.checkpoint_s:
+                serialization.save(self._place, self._key, Saved(state, stamp_ns, results_bytes))
+            self.failed = None
+        except OSError as error:
+            self.failed = f"{self._place}: {error.strerror or error}"
+            _log.warning("no checkpoint: %s", self.failed)
+        finally:
+            self._busy = False
+
+    def _catch_up(self, session: Session, saved: Saved) -> None:
+        """Take in what was recorded since the checkpoint; what came shortly before it may be asked for by a diagnosis."""
+        folder, restored = self._out / "recordings", False
+        from_ns = max(0, saved.stamp_ns - round(session.watcher.longest_s * 1e9))
+        for stamp_ns, block in recorded(folder, from_ns) if self._config.recorder.enabled else ():
+            if stamp_ns <= saved.stamp_ns:
+                session.watcher.remember(block)
+                continue
+            if not restored:
+                session.restore(saved.session)
+                restored = True
+            with contextlib.suppress(BadInputError):
+                session.push(block)
+        if not restored:
+            session.restore(saved.session)
+
+    def _lines_since(self, offset: int) -> list[dict[str, Any]]:
+        with (self._out / "results.jsonl").open("rb") as file:
+            file.seek(offset)
+            texts = file.read(_MOST_LINES_BYTES).split(b"\n")
+        found = []
+        for text in texts:
+            try:
+                line = json.loads(text)
+            except ValueError:
+                continue
+            if isinstance(line, dict) and {"window", "t_end_ns", "alarm"} <= line.keys():
+                found.append(line)
+        return found
+
+
+def lock(path: Path, out: Path) -> int:
+    """A lock that ends with the process.
+
+    Raises
+    ------
+    BadConfigurationError
+        Another daemon holds it.
+    """
+    handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        os.close(handle)
+        raise BadConfigurationError(f"{out}: another daemon writes here; name another dir under [output]") from error
+    return handle
+
+
+def note_baseline(out: Path, site: Path, healthy: Path | None) -> None:
+    """A line in the ledger when the reference for damage is not the one of the run before."""
+    place = out / "state" / "baseline.json"
+    now = {"baseline_sha256": None if healthy is None else sha256(healthy)}
+    try:
+        before = json.loads(place.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        before = None
+    if before == now:
+        return
+    if before is not None:
+        finding = {"says": "monitoring goes on from another baseline", "causes": []}
+        ledger.record(out / "results.jsonl", finding, {"site": site, "baseline": healthy}, None)
+    write_atomically(place, json.dumps(now) + "\n")

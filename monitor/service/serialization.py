@@ -1,0 +1,248 @@
+"""State on the disk, exactly as it was: any frozen dataclass of numbers, text and arrays; whole, checked, never pickled.
+
+A file is one line of JSON (format, version, key, checksum of the rest), one line of JSON that holds the value with arrays
+replaced by where they lie, and the bytes of the arrays.  Types come from the reader's dataclasses, never from the file.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import logging
+import os
+import types
+from collections.abc import Callable, Mapping
+from dataclasses import fields, is_dataclass
+from enum import Enum
+from fractions import Fraction
+from functools import cache
+from pathlib import Path
+from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
+
+import numpy as np
+
+from drivers.disk import sync_folder
+from monitor.core.files import finish, partial
+
+_log = logging.getLogger(__name__)
+
+FORMAT = "shm-monitor state"
+
+
+def _without_doubled_sums(tree: Any) -> Any:
+    """From version 1: blocks of a window kept sums that others tell as well."""
+    run = tree["session"]["pipeline"]["run"] if "session" in tree else None
+    for block in run["window"]["blocks"] if run is not None else ():
+        block["shifted"] = block.pop("second")
+        del block["first"], block["total"]
+    return tree
+
+
+VERSION = 2
+"""To be raised, with an entry in `UPGRADES`, when a field of the state comes, goes or changes its meaning."""
+UPGRADES: dict[int, Callable[[Any], Any]] = {1: _without_doubled_sums}
+"""Version -> what makes its plain value (`plain`) that of the next version."""
+_DTYPES = ("<f8", "<c16", "<i8", "<f4", "|b1")
+_ARRAY = "@array"
+_MOST_BYTES = 1 << 30
+
+T = TypeVar("T")
+
+
+class CheckpointError(Exception):
+    """A file that nothing can be resumed from; the message says why."""
+
+
+def fingerprint(parts: Mapping[str, Any]) -> str:
+    """Checksum of what a state depends on, of plain values."""
+    text = json.dumps(parts, sort_keys=True, default=str)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def save(path: Path, key: str, value: object) -> int:
+    """Write a value, whole or not at all; what stood there before is kept beside it, as `previous`.
+
+    Returns
+    -------
+    int
+        Bytes written.
+
+    Raises ``OSError`` if the disk does not take it; the last checkpoint then still stands.
+    """
+    data, temporary = to_bytes(key, value), partial(path)
+    try:
+        with temporary.open("wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        if path.exists():
+            os.replace(path, previous(path))
+        finish(path)
+        sync_folder(path.parent)
+    except OSError:
+        temporary.unlink(missing_ok=True)
+        raise
+    return len(data)
+
+
+def load(path: Path, key: str, cls: type[T]) -> T | None:
+    """The value last written under this key, else the one before; None, with the reasons logged, if neither can be used."""
+    for place in (path, previous(path)):
+        try:
+            return from_bytes(_read(place), key, cls)
+        except FileNotFoundError:
+            continue
+        except (OSError, CheckpointError) as error:
+            _log.warning("%s: not resumed from: %s", place, error)
+    return None
+
+
+def forget(path: Path) -> None:
+    """Remove a value and the one before it, if the disk lets us."""
+    for place in (path, previous(path)):
+        try:
+            place.unlink(missing_ok=True)
+        except OSError as error:
+            _log.warning("%s: cannot be removed: %s", place, error.strerror)
+
+
+def previous(path: Path) -> Path:
+    """Where the value before the present one is kept."""
+    return path.with_name(path.name + ".previous")
+
+
+def to_bytes(key: str, value: object) -> bytes:
+    """A checkpoint's content."""
+    arrays: list[bytes] = []
+    size = 0
+
+    def pack(item: object) -> object:
+        nonlocal size
+        if isinstance(item, np.generic):
+            return item.item()
+        if not isinstance(item, np.ndarray) or item.dtype.str not in _DTYPES:
+            raise TypeError(f"cannot be kept: {type(item).__name__} {getattr(item, 'dtype', '')}")
+        # The order of axes in memory is kept: sums of floats depend on it.
+        axes = np.argsort([-abs(s) for s in item.strides], kind="stable").tolist()
+        data = item.transpose(axes).tobytes()
+        place = {_ARRAY: [item.dtype.str, list(item.shape), axes, size]}
+        arrays.append(data)
+        size += len(data)
+        return place
+
+    text = json.dumps(plain(value), default=pack, separators=(",", ":"))
+    body = b"".join([text.encode(), b"\n", *arrays])
+    head = {"format": FORMAT, "version": VERSION, "key": key, "sha256": hashlib.sha256(body).hexdigest()}
+    return json.dumps(head).encode() + b"\n" + body
+
+
+def from_bytes(data: bytes, key: str, cls: type[T]) -> T:
+    """The value of a checkpoint's content.
+
+    Raises
+    ------
+    CheckpointError
+        Foreign, damaged, of a newer version, of one that nobody can upgrade, or of another configuration.
+    """
+    try:
+        line, _, body = data.partition(b"\n")
+        head = json.loads(line) if len(line) < 1000 else {}
+        if not isinstance(head, dict) or head.get("format") != FORMAT:
+            raise CheckpointError("this is no checkpoint")
+        if head["sha256"] != hashlib.sha256(body).hexdigest():
+            raise CheckpointError("its checksum does not fit: it is damaged")
+        version = int(head["version"])
+        if version > VERSION:
+            raise CheckpointError(f"it was written by a newer program (version {version}, this one knows {VERSION})")
+        if head["key"] != key:
+            raise CheckpointError("it belongs to another configuration or baseline")
+        text, _, arrays = body.partition(b"\n")
+        tree = json.loads(text, object_hook=lambda item: _unpack(item, arrays))
+        while version < VERSION:
+            if version not in UPGRADES:
+                raise CheckpointError(f"it is of version {version}, which cannot be upgraded")
+            tree, version = UPGRADES[version](tree), version + 1
+        result = build(cls, tree)
+    except (ValueError, KeyError, TypeError, IndexError, OverflowError, RecursionError) as error:
+        raise CheckpointError(f"it does not fit this program: {error!r}") from error
+    assert isinstance(result, cls)
+    return result
+
+
+def plain(value: object) -> Any:
+    """A value as dicts, lists, numbers, text and arrays; a dict becomes a list of pairs."""
+    if is_dataclass(value) and not isinstance(value, type):
+        return {f.name: plain(getattr(value, f.name)) for f in fields(value) if f.init}
+    if isinstance(value, dict):
+        return [[plain(k), plain(v)] for k, v in value.items()]
+    if isinstance(value, list | tuple):
+        return [plain(v) for v in value]
+    if isinstance(value, Enum):
+        return value.value
+    if isinstance(value, Fraction):
+        return str(value)
+    return value
+
+
+def build(hint: Any, tree: Any) -> Any:
+    """What `plain` made the tree from, by the type that it is to have.
+
+    Raises
+    ------
+    ValueError
+        If it is of another.
+    """
+    origin, arguments = get_origin(hint), get_args(hint)
+    if is_dataclass(hint) and isinstance(hint, type):
+        wanted = _fields(hint)
+        if not isinstance(tree, dict) or tree.keys() != wanted.keys():
+            raise ValueError(f"{hint.__name__} has other fields")
+        return hint(**{name: build(kind, tree[name]) for name, kind in wanted.items()})
+    if origin in (Union, types.UnionType):
+        if tree is None and type(None) in arguments:
+            return None
+        (kind,) = (a for a in arguments if a is not type(None))
+        return build(kind, tree)
+    if hint is np.ndarray or origin is np.ndarray:
+        return _checked(tree, np.ndarray)
+    if origin in (tuple, list, dict):
+        return _collection(origin, arguments, _checked(tree, list))
+    if hint is Fraction or (isinstance(hint, type) and issubclass(hint, Enum)):
+        return hint(_checked(tree, str))
+    return _checked(tree, (float, int) if hint is float else hint)
+
+
+def _collection(origin: Any, arguments: tuple[Any, ...], items: list[Any]) -> Any:
+    if origin is dict:
+        return {build(arguments[0], k): build(arguments[1], v) for k, v in items}
+    if origin is list or arguments[-1] is Ellipsis:
+        return origin(build(arguments[0], item) for item in items)
+    return tuple(build(kind, item) for kind, item in zip(arguments, items, strict=True))
+
+
+def _checked(tree: Any, kind: Any) -> Any:
+    if not isinstance(tree, kind) or (isinstance(tree, bool) and kind is not bool):
+        raise ValueError(f"{str(tree)[:40]!r} is no {kind}")
+    return tree
+
+
+@cache
+def _fields(cls: type) -> dict[str, Any]:
+    hints = get_type_hints(cls)
+    return {f.name: hints[f.name] for f in fields(cls) if f.init}
+
+
+def _unpack(item: dict[str, Any], arrays: bytes) -> Any:
+    if _ARRAY not in item:
+        return item
+    dtype, shape, axes, offset = item[_ARRAY]
+    if dtype not in _DTYPES or any(not isinstance(n, int) or n < 0 for n in (*shape, offset)):
+        raise ValueError(f"an array of {dtype!r}, shape {shape}")
+    laid = [shape[a] for a in axes]
+    values = np.frombuffer(arrays, dtype, count=int(np.prod(laid, dtype=object)), offset=offset)
+    return values.reshape(laid).copy().transpose(np.argsort(axes).tolist())
+
+
+def _read(path: Path) -> bytes:
+    with path.open("rb") as file:
+        return file.read(_MOST_BYTES)

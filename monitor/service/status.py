@@ -1,0 +1,198 @@
+"""What a daemon's folder says of it: read from outside, changing nothing."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import time
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from monitor.core.errors import MissingInputError
+
+HEALTHY, ALARM, TROUBLE, DOWN = 0, 10, 11, 12
+"""Exit codes: all well; an alarm stands; it runs, but something does not; it does not run, or stands still."""
+_SILENT_S = 60.0
+"""Health is told at least every 10 s."""
+_TAIL_BYTES = 1 << 20
+_OF_HEALTH, _OF_RESULT = {"wall_ns", "source", "recorder", "failed"}, {"t_end_ns", "skipped"}
+"""Keys without which a line is another's."""
+
+
+def running(out: Path) -> bool:
+    """Whether a daemon holds the folder."""
+    try:
+        handle = os.open(out / "state" / "lock", os.O_RDONLY | os.O_CLOEXEC)
+    except OSError:
+        return False
+    try:
+        fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    finally:
+        os.close(handle)  # and with it the lock
+    return False
+
+
+def demand_state(out: Path) -> None:
+    """Refuse a folder that no daemon has ever written into.
+
+    Raises
+    ------
+    MissingInputError
+    """
+    if not (out / "state").is_dir():
+        raise MissingInputError(f"{out}: no daemon has written here; give a site file, or the dir of its [output]")
+
+
+def look(out: Path) -> dict[str, Any]:
+    """All that is known, as `status --json` prints it.
+
+    Raises
+    ------
+    MissingInputError
+        There is no such folder, or no daemon has ever written there.
+    """
+    demand_state(out)
+    health = _last_line(out / "health.jsonl", _OF_HEALTH) or _last_line(out / "health.jsonl.1", _OF_HEALTH)
+    age_s = None if health is None else (time.time_ns() - health["wall_ns"]) * 1e-9
+    is_running = running(out)
+    status: dict[str, Any] = {
+        "dir": str(out),
+        "running": is_running,
+        "silent_s": age_s,
+        "summary": _read(out / "summary.json"),
+        "health": health,
+        "result": _last_line(out / "results.jsonl", _OF_RESULT),
+    }
+    troubles = _troubles(health) if is_running else []
+    if not is_running:
+        code, state = DOWN, "not running"
+    elif age_s is None or age_s > _SILENT_S:
+        code, state = DOWN, "silent"
+    elif _level(status) != "normal":
+        code, state = ALARM, _level(status)
+    else:
+        code, state = (TROUBLE, "trouble") if troubles else (HEALTHY, "healthy")
+    return {"state": state, "exit_code": code, "troubles": troubles, **status}
+
+
+def tell(status: dict[str, Any]) -> str:
+    """The same in ten lines."""
+    summary, health, result = (status[k] or {} for k in ("summary", "health", "result"))
+    source, recorder, quality = (
+        d or {} for d in (health.get("source"), health.get("recorder"), summary.get("quality"))
+    )
+    up_s = health.get("uptime_s")
+    seen = "no health line" if status["silent_s"] is None else f"heard of {status['silent_s']:.0f} s ago"
+    up = f", up {up_s / 3600:.1f} h" if status["running"] and up_s is not None else ""
+    rows = [("state", f"{status['state'].upper()} ({'running' if status['running'] else 'not running'}{up}; {seen})")]
+    connected = "connected" if source.get("connected") else f"NOT connected {source.get('error', '')}".rstrip()
+    rows.append(("source", f"{connected}, lost {source.get('lost', 0)} times; {_delay(health)}"))
+    rows.append(("quality", _quality(quality, health)))
+    rows.append(("windows", f"{summary.get('windows', 0)}, {summary.get('skipped', 0)} skipped; {_latest(result)}"))
+    rows.append(("modes", _pairs(result.get("frequencies_hz"), result.get("frequencies_std_hz"), "Hz", 1.0)))
+    baseless = str((result.get("alarm") or {}).get("reason")).startswith("no baseline")
+    since, why = (" against the structure file", "; no baseline, so none can be raised") if baseless else ("", "")
+    rows.append(("loss", _pairs(result.get("ddi"), result.get("ddi_std"), "%" + since, 100.0)))
+    rows.append(("alarm", _alarm(summary.get("alarm"), result) + why))
+    rows.append(("recorder", _recorder(recorder, health)))
+    found = summary.get("findings") or []
+    rows.append(("findings", f"{len(found)}; latest: {found[-1]['says'] or found[-1]['reason']}" if found else "none"))
+    lost = "".join(f"; {n} lost on the way to {name}" for name, n in health.get("lost", {}).items())
+    rows.append(("blocked", ("; ".join(status["troubles"]) or "nothing") + lost))
+    return "\n".join(f"{name:<9} {text}" for name, text in rows)
+
+
+def _level(status: dict[str, Any]) -> str:
+    standing = (status["summary"] or {}).get("alarm") or (status["result"] or {}).get("alarm") or {}
+    return str(standing.get("level", "normal"))
+
+
+def _troubles(health: dict[str, Any] | None) -> list[str]:
+    if health is None:
+        return []
+    troubles = [] if health["source"]["connected"] else [f"source: {health['source']['error'] or 'not connected'}"]
+    recorder = health["recorder"]
+    troubles += [f"recorder: {recorder['detail']}"] if recorder is not None and not recorder["recording"] else []
+    return troubles + [f"{name}: {why}" for name, why in health["failed"].items()]
+
+
+def _delay(health: dict[str, Any]) -> str:
+    t_ns = health.get("t_ns")
+    return "no data in the last span" if t_ns is None else f"data until {_utc(t_ns)}"
+
+
+def _quality(quality: dict[str, Any], health: dict[str, Any]) -> str:
+    share = quality.get("availability")
+    refused = (health.get("refused") or {}).get("blocks", 0)
+    return (
+        f"{'nothing received' if share is None else f'{100 * share:.2f} % available'}, {quality.get('gaps', 0)} gaps, "
+        f"{quality.get('lost_s', 0.0):.1f} s lost, {refused} blocks refused, queue {health.get('queue', 0)}"
+    )
+
+
+def _latest(result: dict[str, Any]) -> str:
+    if not result:
+        return "none yet"
+    fit = "" if result.get("misfit") is None else f", goodness of fit {result['misfit']:.2f}"
+    return f"latest {_utc(result['t_end_ns'])}: {result['skipped'] or 'judged'}{fit}"
+
+
+def _pairs(values: list[float] | None, stds: list[float] | None, unit: str, scale: float) -> str:
+    if not values or not stds:
+        return "the latest window says nothing"
+    said = (f"{scale * v:.3f} +- {scale * s:.3f}" for v, s in zip(values, stds, strict=False) if s is not None)
+    return ", ".join(said) + f" {unit}"
+
+
+def _alarm(standing: dict[str, Any] | None, result: dict[str, Any]) -> str:
+    if standing is None:
+        return str((result.get("alarm") or {}).get("level", "nothing known"))
+    names = {"0": "the whole structure"}
+    parts = [
+        f"{names.get(j, f'story {j}')} {standing['active'].get(j, 'normal')} ({condition})"
+        for j, condition in standing["conditions"].items()
+    ]
+    return "; ".join([str(standing["level"]), *parts])
+
+
+def _recorder(recorder: dict[str, Any], health: dict[str, Any]) -> str:
+    if not recorder:
+        return "off"
+    state = "recording" if recorder["recording"] else f"PAUSED: {recorder['detail']}"
+    free = health.get("disk_free_bytes")
+    return f"{state}, {recorder['lost_blocks']} blocks lost, {'?' if free is None else f'{free / 2**30:.1f}'} GiB free"
+
+
+def _utc(t_ns: int) -> str:
+    return f"{datetime.fromtimestamp(t_ns * 1e-9, UTC):%Y-%m-%d %H:%M:%S} UTC"
+
+
+def _read(path: Path) -> dict[str, Any] | None:
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    return content if isinstance(content, dict) else None
+
+
+def _last_line(path: Path, keys: set[str]) -> dict[str, Any] | None:
+    """The last line that is whole and has these keys; None if it is not among the last two."""
+    try:
+        with path.open("rb") as file:
+            size = file.seek(0, os.SEEK_END)
+            file.seek(max(0, size - _TAIL_BYTES))
+            rows = file.read().split(b"\n")[:-1]
+    except OSError:
+        return None
+    for row in reversed(rows[-2:]):
+        try:
+            content = json.loads(row)
+        except ValueError:
+            continue
+        if isinstance(content, dict) and keys <= content.keys():
+            return content
+    return None

@@ -1,0 +1,275 @@
+"""The threads beside the main one, one that reads a source and one that records, each behind a bounded queue."""
+
+from __future__ import annotations
+
+import contextlib
+import logging
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Generic, TypeVar
+
+from drivers.base import EndOfStream, SampleBlock, Source, SourceError
+from drivers.recorder import Recorder, RecorderHealth, RecorderSettings
+from monitor.core.files import write_atomically
+
+_log = logging.getLogger(__name__)
+
+_POLL_S = 0.2
+_LEAST_WAIT_S, _LONGEST_WAIT_S = 0.5, 30.0
+_MOST_TEXT = 300
+
+
+T = TypeVar("T")
+
+
+class BlockQueue(Generic[T]):
+    """Blocks, or what stands among them, in order; full, in number or bytes, it makes the giver wait, so nothing is lost."""
+
+    def __init__(self, most_blocks: int = 1024, most_bytes: int = 8 << 20) -> None:
+        self._most_blocks, self._most_bytes = most_blocks, most_bytes
+        self._items: deque[tuple[T, float]] = deque()
+        self._bytes = 0
+        self._closed = self._unbounded = False
+        self._changed = threading.Condition()
+
+    def put(self, block: T) -> None:
+        """Hand a block over, once there is room."""
+        arrived_s = time.monotonic()
+        with self._changed:
+            self._changed.wait_for(lambda: self._closed or self._unbounded or self._has_room(_size(block)))
+            self._items.append((block, arrived_s))
+            self._bytes += _size(block)
+            self._changed.notify_all()
+
+    def take(self, timeout_s: float) -> tuple[T, float] | None:
+        """The next block and when it came (monotonic s); None if none came in time or none will."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._items or self._closed, timeout_s)
+            if not self._items:
+                return None
+            block, arrived_s = self._items.popleft()
+            self._bytes -= _size(block)
+            self._changed.notify_all()
+            return block, arrived_s
+
+    def lift(self) -> None:
+        """Let go who waits for room: the giver is about to end."""
+        with self._changed:
+            self._unbounded = True
+            self._changed.notify_all()
+
+    def close(self) -> None:
+        """Nothing waits any more; what is in the queue can still be taken."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+
+    @property
+    def over(self) -> bool:
+        """Closed and empty."""
+        with self._changed:
+            return self._closed and not self._items
+
+    def __len__(self) -> int:
+        return len(self._items)
+
+    def _has_room(self, size: int) -> bool:
+        few = len(self._items) < self._most_blocks and self._bytes + size <= self._most_bytes
+        return few or not self._items  # one block, however large, always fits
+
+
+def _size(item: object) -> int:
+    return item.samples.nbytes if isinstance(item, SampleBlock) else 0
+
+
+class Reader:
+    """Reads a source in a thread of its own, and opens it again whenever it is lost.
+
+    Attributes
+    ----------
+    queue : BlockQueue
+        Closed when nothing more comes.
+    opened : bool
+        The source has been open at least once.
+    ended : bool
+        The source has given all that it has.
+    failure : Exception or None
+        What ended reading for good: neither an end nor a loss that reopening may mend.
+    lost : int
+        Times the source failed or could not be opened.
+    error : str
+        Why, the last time; empty while all is well.
+    """
+
+    def __init__(self, source: Source, queue: BlockQueue[SampleBlock] | None = None) -> None:
+        self.source = source
+        self.queue: BlockQueue[SampleBlock] = BlockQueue() if queue is None else queue
+        self.opened = self.ended = False
+        self.failure: Exception | None = None
+        self.lost = 0
+        self.error = ""
+        self._received = 0
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._work, name="reader", daemon=True)
+
+    def start(self) -> None:
+        """Begin."""
+        self._thread.start()
+
+    def stop(self, timeout_s: float) -> None:
+        """Read no more but what has arrived; waits for the source to close, but no longer than `timeout_s`."""
+        self._stop.set()
+        self.queue.lift()
+        self._thread.join(timeout_s)
+        self.queue.close()
+
+    def _work(self) -> None:
+        wait_s = _LEAST_WAIT_S
+        while not self._stop.is_set():
+            before = self._received
+            try:
+                self._read()
+            except EndOfStream:
+                self.ended = True
+                break
+            except SourceError as error:
+                self.lost += 1
+                self.error = str(error)[:_MOST_TEXT] or type(error).__name__
+                wait_s = _LEAST_WAIT_S if self._received > before else min(2.0 * wait_s, _LONGEST_WAIT_S)
+                _log.warning("source lost: %s; opening it again in %.1f s", self.error, wait_s)
+            except Exception as error:  # noqa: BLE001 - the main thread raises it again
+                self.failure = error
+                break
+            finally:
+                self.source.close()
+            self._stop.wait(wait_s)
+        try:
+            if self.failure is None:
+                self._drain()
+        finally:
+            self.queue.close()
+
+    def _drain(self) -> None:
+        """What a closed source still holds."""
+        with contextlib.suppress(EndOfStream, SourceError):
+            while (block := self.source.read(0.0)) is not None:
+                self.queue.put(block)
+
+    def _read(self) -> None:
+        self.source.open()
+        self.opened = True
+        self.error = ""
+        while not self._stop.is_set():
+            block = self.source.read(_POLL_S)
+            if block is not None:
+                self._received += 1
+                self.queue.put(block)
+
+
+Job = Callable[[int], None]
+"""Something to be done when all blocks before it are on the disk; told the log time of the last one."""
+
+
+class Recording:
+    """The recorder in a thread of its own, behind a queue of minutes: a slow disk holds up nothing.
+
+    Not `enabled`, it records nothing but still does jobs.
+    """
+
+    def __init__(self, folder: Path, settings: RecorderSettings) -> None:
+        self._recorder = Recorder(folder, settings) if settings.enabled else None
+        self._queue: BlockQueue[SampleBlock | Job] = BlockQueue(4096, 64 << 20)
+        self._thread = threading.Thread(target=self._work, name="recorder", daemon=True)
+        self._thread.start()
+
+    def health(self) -> RecorderHealth | None:
+        """How recording goes; None if nothing is to be recorded."""
+        return None if self._recorder is None else self._recorder.health()
+
+    def write(self, block: SampleBlock) -> None:
+        """Hand a block over."""
+        if self._recorder is not None:
+            self._queue.put(block)
+
+    def then(self, job: Job) -> None:
+        """Do this, in the recorder's thread, once all blocks so far are on the disk."""
+        self._queue.put(job)
+
+    def flush(self, timeout_s: float) -> bool:
+        """Wait until all blocks so far are on the disk; whether they are in time."""
+        done = threading.Event()
+        self.then(lambda _: done.set())
+        return done.wait(timeout_s)
+
+    def close(self, timeout_s: float) -> None:
+        """Write what waits and finish the file."""
+        self._queue.close()
+        self._thread.join(timeout_s)
+
+    def _work(self) -> None:
+        recorder = self._recorder
+        while not self._queue.over:
+            item = self._queue.take(1.0)
+            if item is None:
+                if recorder is not None:
+                    recorder.tick()
+            elif isinstance(item[0], SampleBlock):
+                assert recorder is not None
+                recorder.write(item[0])
+            else:
+                if recorder is not None:
+                    recorder.flush()
+                item[0](0 if recorder is None else recorder.stamp_ns)
+        if recorder is not None:
+            recorder.close()
+
+
+class Chores:
+    """Small jobs that may wait for the disk, done in a thread of their own so that nobody else waits.
+
+    Of jobs of one name only the latest is done.
+    """
+
+    def __init__(self) -> None:
+        self._jobs: dict[str, Callable[[], None]] = {}
+        self._changed = threading.Condition()
+        self._closed = False
+        self._thread = threading.Thread(target=self._work, name="chores", daemon=True)
+        self._thread.start()
+
+    def do(self, name: str, job: Callable[[], None]) -> None:
+        """Do a job soon; it must not raise."""
+        with self._changed:
+            self._jobs[name] = job
+            self._changed.notify_all()
+
+    def write(self, path: Path, text: str) -> None:
+        """Write a small file soon; it does no harm if the disk refuses."""
+        self.do(str(path), partial(_write, path, text))
+
+    def close(self, timeout_s: float) -> None:
+        """Do what is left, no longer than that."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+        self._thread.join(timeout_s)
+
+    def _work(self) -> None:
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._jobs or self._closed)
+                if not self._jobs:
+                    return
+                job = self._jobs.pop(next(iter(self._jobs)))
+            job()
+
+
+def _write(path: Path, text: str) -> None:
+    try:
+        write_atomically(path, text)
+    except OSError as error:
+        _log.warning("%s: %s", path, error.strerror)

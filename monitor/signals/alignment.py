@@ -1,0 +1,172 @@
+"""Blocks to one gapless run of samples in the structure's channel order; everything else is a gap."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from math import ceil
+
+import numpy as np
+
+from drivers.base import SampleBlock
+from monitor.core.errors import BadInputError
+from monitor.core.results import Array, Gap
+
+_MAX_CLOCK_OFFSET_S = 1.0
+"""Jump of the clock, from one block to the next in sequence, from which samples may have been lost."""
+_MAX_DRIFT = 1e-3
+"""No clock is further off than this: a stream that is has another rate than it says."""
+_RELABEL_NS = 250_000_000
+"""Times of samples follow the clock in steps of at least this; less is jitter."""
+_PATIENCE_S = 60.0
+"""Length of late data after which the clock was set back rather than blocks delayed."""
+_MOST_CHANNELS = 1024
+_MOST_RATE_HZ = 1e6
+_MAX_INT = 1 << 62
+
+
+@dataclass(frozen=True, slots=True)
+class AlignState:
+    """Where the stream stands."""
+
+    t_run_ns: int
+    """UTC of the current run's first sample."""
+    n_run: int
+    """Samples in the current run; 0 before the first."""
+    next_sequence: int
+    rate_hz: float
+    dropped: int
+    """Samples thrown away: repeated, late or not finite."""
+    offset_ns: int = 0
+    """By how much the clock has drifted in this run: the latest block's time less that counted from the run's first."""
+    label_ns: int = 0
+    """How much of that the times given to samples have taken over."""
+    late: int = 0
+    """Samples in a row that were dropped for coming late."""
+
+    def t_next_ns(self) -> int:
+        """When the next sample of the run is due."""
+        return self.t_run_ns + round(self.n_run / self.rate_hz * 1e9) + self.label_ns
+
+
+def start() -> AlignState:
+    """State before the first sample."""
+    return AlignState(t_run_ns=0, n_run=0, next_sequence=0, rate_hz=1.0, dropped=0)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Piece:
+    """Consecutive finite samples; `gap` tells what was lost before them, if anything."""
+
+    t_ns: int
+    values: Array
+    """Shape (n_samples, c), m/s^2, float64."""
+    gap: Gap | None
+    rate_hz: float
+    shift_ns: int = 0
+    """What times of samples from here on are later than those before would have it: the clock drifts."""
+
+
+def select(block: SampleBlock, channels: tuple[str, ...]) -> Array:
+    """The structure's channels of a block, shape (n_samples, c), m/s^2.
+
+    Raises
+    ------
+    BadInputError
+        If a channel is missing, the unit is not m/s^2, or a number is absurd.
+    """
+    if len(block.channels) > _MOST_CHANNELS:
+        raise BadInputError(f"{block.topic}: {len(block.channels)} channels, {_MOST_CHANNELS} are the most")
+    if block.sample_rate_hz > _MOST_RATE_HZ:
+        raise BadInputError(f"{block.topic}: a rate of {block.sample_rate_hz:g} Hz, {_MOST_RATE_HZ:g} Hz is the most")
+    if not (0 <= block.t_ns < _MAX_INT and block.sequence < _MAX_INT):
+        raise BadInputError(f"{block.topic}: time {block.t_ns} ns or sequence {block.sequence} is absurd")
+    missing = [name for name in channels if name not in block.channels]
+    if missing:
+        raise BadInputError(
+            f"{block.topic}: channel {', '.join(missing)} of the structure file is not in the data, which has "
+            f"{', '.join(block.channels)}; name the channels alike"
+        )
+    if block.unit != "m/s^2":
+        raise BadInputError(f"{block.topic}: unit {block.unit!r}, expected 'm/s^2'")
+    columns = [block.channels.index(name) for name in channels]
+    with np.errstate(invalid="ignore"):  # signalling NaN: a hole like any other
+        if block.channels == channels:
+            return np.asarray(block.samples, dtype=np.float64)
+        return block.samples[:, columns].astype(np.float64)
+
+
+def step(state: AlignState, block: SampleBlock, channels: tuple[str, ...]) -> tuple[AlignState, list[Piece]]:
+    """Place a block in the stream.
+
+    Returns
+    -------
+    state : AlignState
+    pieces : list of Piece
+        In order; empty if nothing of the block is new.
+
+    Notes
+    -----
+    Blocks in sequence are one run as long as the clock does not jump between two of them: a clock some parts in a million off
+    makes no gap.  Times of samples count on from the run's first; when the clock has left that by a quarter of a second
+    they follow it in one step.  A source whose times are exact never makes one.
+    """
+    values = select(block, channels)
+    if np.isfinite(values).all():
+        return _place(state, block, values, 0)
+    finite = np.asarray(np.isfinite(values).all(axis=1))
+    pieces: list[Piece] = []
+    edges = np.flatnonzero(np.diff(finite)) + 1
+    for begin, end in zip([0, *edges], [*edges, len(finite)], strict=True):
+        if finite[begin]:
+            state, new = _place(state, block, values[begin:end], int(begin))
+            pieces.extend(new)
+        else:
+            state = replace(state, dropped=state.dropped + int(end - begin))
+    return state, pieces
+
+
+def _place(state: AlignState, block: SampleBlock, values: Array, offset: int) -> tuple[AlignState, list[Piece]]:
+    """One run of finite samples that begins `offset` samples into the block."""
+    rate, n = block.sample_rate_hz, values.shape[0]
+    t_ns, sequence = block.t_ns + round(offset / rate * 1e9), block.sequence + offset
+    if n == 0:
+        return state, []
+    begun = AlignState(t_ns, n, sequence + n, rate, state.dropped)
+    if state.n_run == 0:
+        return begun, [Piece(t_ns, values, None, rate)]
+    due_ns = state.t_next_ns()
+    late_s = (t_ns - due_ns) * 1e-9
+    if rate != state.rate_hz:
+        reason = f"sample rate changed from {state.rate_hz:g} to {rate:g} Hz"
+        return begun, [Piece(t_ns, values, Gap(due_ns, max(late_s, 0.0), reason), rate)]
+    offset_ns = t_ns - due_ns + state.label_ns
+    jump_s = (offset_ns - state.offset_ns) * 1e-9
+    drifted_s = abs(offset_ns) * 1e-9 - _MAX_DRIFT * state.n_run / rate
+    follows = (sequence == state.next_sequence and abs(jump_s) < _MAX_CLOCK_OFFSET_S) or abs(jump_s) * rate <= 0.5
+    if follows and drifted_s < _MAX_CLOCK_OFFSET_S:
+        shift_ns = offset_ns - state.label_ns if abs(offset_ns - state.label_ns) >= _RELABEL_NS else 0
+        state = replace(
+            state,
+            n_run=state.n_run + n,
+            next_sequence=sequence + n,
+            offset_ns=offset_ns,
+            label_ns=state.label_ns + shift_ns,
+            late=0,
+        )
+        return state, [Piece(due_ns + shift_ns, values, None, rate, shift_ns)]
+    patience = ceil(_PATIENCE_S * rate) - state.late
+    if not follows and jump_s < 0 and sequence < state.next_sequence and patience > 0:
+        # Repeated or late: keep only what is new.  The sequence says what is, unless it has begun anew with another file.
+        behind = state.next_sequence - sequence
+        if abs(jump_s + behind / rate) >= _MAX_CLOCK_OFFSET_S:
+            behind = min(behind, round(-jump_s * rate))
+        known = min(n, max(1, behind), patience)  # in samples: blocks of any size end it at the same one
+        state = replace(state, dropped=state.dropped + known, late=state.late + known)
+        return _place(state, block, values[known:], offset + known)
+    if follows:
+        reason = f"the clock and the stated rate are at odds: {offset_ns * 1e-9:+.3f} s in {state.n_run / rate:.0f} s"
+    elif sequence > state.next_sequence and jump_s > 0:
+        reason = f"{sequence - state.next_sequence} samples missing"
+    else:
+        reason = f"the clock jumped by {late_s:+.3f} s"
+    return begun, [Piece(t_ns, values, Gap(due_ns, max(late_s, 0.0), reason), rate)]

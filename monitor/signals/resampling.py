@@ -1,0 +1,127 @@
+"""Streaming lowpass and rational resampling: the same output, bit for bit, for any block size.
+
+An eighth-order Chebyshev type I lowpass (0.05 dB ripple, the usual decimation design; paper, section 4) runs at the
+source's rate; a polyphase windowed-sinc interpolator then picks the filtered signal at the new instants.  The
+interpolator is causal, so its constant delay, like the filter's, is the same on every channel and leaves modes
+untouched.  Sources slower than the wanted rate keep their own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import lru_cache
+from math import floor
+
+import numpy as np
+
+from monitor.core.results import Array
+
+_ORDER, _RIPPLE_DB = 8, 0.05
+_STOPBAND_DB = 90.0
+_MAX_PHASES = 4096
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Conditioner:
+    """The design of filter and resampler for one source rate."""
+
+    rate_in_hz: float
+    rate_hz: float
+    """Rate after resampling: the wanted one, or the source's if that is lower."""
+    cutoff_hz: float
+    sos: Array
+    """Second-order sections of the lowpass."""
+    step: Fraction
+    """Source samples per output sample, at least 1."""
+    taps: Array
+    """Shape (n_phases, n_taps): interpolation weights on the n_taps latest filtered samples, oldest first."""
+
+    @classmethod
+    @lru_cache(maxsize=16)  # every gap asks anew, and a stream may have hundreds a second
+    def design(cls, rate_in_hz: float, rate_hz: float, cutoff_hz: float, step_s: float | None = None) -> Conditioner:
+        """The conditioner from `rate_in_hz` to `rate_hz` with the lowpass at `cutoff_hz`.
+
+        A slower source keeps its own rate, or, where `step_s` must hold whole samples, the next lower one that does.
+        A cutoff beyond 0.8 of the Nyquist frequency of the slower rate is lowered to it.  Rates are matched by a
+        ratio of integers, exact to 1e-6.
+        """
+        from scipy.signal import cheby1  # takes most of a second to load
+
+        out_hz = rate_hz
+        if rate_in_hz < rate_hz:
+            out_hz = rate_in_hz if step_s is None else floor(rate_in_hz * step_s + 1e-9) / step_s
+        cutoff_hz = min(cutoff_hz, 0.4 * out_hz)
+        sos = cheby1(_ORDER, _RIPPLE_DB, cutoff_hz, fs=rate_in_hz, output="sos")
+        step = 1 / Fraction(out_hz / rate_in_hz).limit_denominator(_MAX_PHASES)
+        return cls(rate_in_hz, out_hz, cutoff_hz, np.asarray(sos), step, _interpolator(step, cutoff_hz / rate_in_hz))
+
+    def start(self, n_channels: int) -> ConditionState:
+        """State at rest, before the first sample."""
+        return ConditionState(
+            filter_memory=np.zeros((self.sos.shape[0], 2, n_channels)),
+            history=np.zeros((self.taps.shape[1] - 1, n_channels)),
+            n_in=0,
+            n_out=0,
+        )
+
+    def step_block(self, state: ConditionState, samples: Array) -> tuple[ConditionState, Array]:
+        """Filter and resample the next samples.
+
+        Parameters
+        ----------
+        state : ConditionState
+        samples : ndarray, shape (n_samples, n_channels), m/s^2
+
+        Returns
+        -------
+        state : ConditionState
+        ndarray, shape (n_output, n_channels), m/s^2
+            Output sample k, counted from the start, lies at source sample ``k * step``.
+        """
+        from monitor.signals.kernels import filtered, interpolate  # compiled code takes a while to load
+
+        latest, memory = filtered(self.sos, np.ascontiguousarray(samples), state.filter_memory)
+        n_in = state.n_in + samples.shape[0]
+        p, q = self.step.numerator, self.step.denominator
+        n_out = -(-n_in * q // p)  # all outputs k whose latest source sample, floor(k p / q), has come
+        if q == 1:  # nothing lies between samples
+            output = np.ascontiguousarray(latest[state.n_out * p - state.n_in :: p])
+            return ConditionState(memory, state.history, n_in, n_out), output
+        extended = np.concatenate([state.history, latest])
+        k = np.arange(state.n_out, n_out, dtype=np.int64)
+        whole, phase = np.divmod(k * p, q)
+        first = whole - state.n_in  # the oldest of the taps, as an index into `extended`
+        output = interpolate(extended, first, phase, self.taps)
+        history = extended[extended.shape[0] - (self.taps.shape[1] - 1) :]
+        return ConditionState(memory, history, n_in, n_out), output
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class ConditionState:
+    """What the next block needs of those before."""
+
+    filter_memory: Array
+    """Shape (n_sections, 2, n_channels)."""
+    history: Array
+    """Shape (n_taps - 1, n_channels): the latest filtered samples."""
+    n_in: int
+    n_out: int
+
+
+def _interpolator(step: Fraction, passband: float) -> Array:
+    """Kaiser-windowed sinc weights, shape (n_phases, n_taps).
+
+    The signal ends at the lowpass's cutoff (`passband`, cycles per source sample); images begin at 1 - passband, so
+    that is the whole transition band.
+    """
+    if step.denominator == 1:
+        return np.ones((1, 1))
+    edge = 1.15 * passband  # the lowpass needs a little room to fall
+    transition = 2.0 * np.pi * (1.0 - 2.0 * edge)
+    half = int(np.ceil(((_STOPBAND_DB - 8.0) / (2.285 * transition) + 1.0) / 2.0))
+    beta = 0.1102 * (_STOPBAND_DB - 8.7)
+    offsets = np.arange(2 * half)[None, :] - (half - 1 + np.arange(step.denominator)[:, None] / step.denominator)
+    window = np.i0(beta * np.sqrt(np.clip(1.0 - (offsets / half) ** 2, 0.0, None))) / np.i0(beta)
+    weights = np.sinc(offsets) * window
+    return np.asarray(weights / weights.sum(axis=1, keepdims=True))

@@ -1,0 +1,223 @@
+"""What the sensors and the stream are like, span by span of data time; and whether that spoils a window.
+
+Reported for each channel: level, spikes, stuck and clipped samples, noise floor; for the stream: availability, gaps, overlaps.
+Only what no estimate can survive keeps a window out: a clipped or noisy channel is for the diagnosis to explain.
+
+References
+----------
+SeisComP, scqc: quality parameters of waveforms.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Protocol
+
+import numpy as np
+from pydantic import Field
+
+from monitor.core.results import Array, Gap, Skipped
+from monitor.core.settings import Settings
+
+_MOST_SAMPLES = 1 << 18
+"""A span is cut shorter than this whatever the rate: it is kept in memory until it ends."""
+_SPIKE = 12.0
+_PILED, _PILED_RATIO = 8, 4
+_FFT_N = 2048
+_TENTH = -np.log(0.9)
+"""The lower tenth of a periodogram's bins over their mean, for white noise (exponential distribution)."""
+
+
+class HealthSettings(Settings):
+    """``[health]``: sensor checks."""
+
+    span_s: float = Field(default=10.0, gt=0)
+    """Length of data told of at once."""
+    max_stuck: float = Field(default=0.1, gt=0, le=1)
+    """Share of a window in which a channel may give one constant value while others move."""
+    max_clipped: float = Field(default=0.5, gt=0, le=1)
+    """Share of a window's samples that may lie at a channel's limits."""
+
+
+@dataclass(frozen=True, slots=True)
+class ChannelHealth:
+    """One channel in one span."""
+
+    channel: str
+    mean_m_s2: float
+    rms_m_s2: float
+    """About the mean."""
+    peak_m_s2: float
+    """Largest magnitude about the mean."""
+    spikes: int
+    """Single samples far off both neighbours: twelve times the mean step and more."""
+    repeated: float
+    """Share of samples that equal the one before; 1: stuck."""
+    clipped: float
+    """Share of samples at the largest or least value, where these are piled up."""
+    noise_floor: float
+    """Quietest tenth of the spectrum, m/s^2/sqrt(Hz)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Health:
+    """All channels in one span."""
+
+    t_ns: int
+    """UTC of the first sample."""
+    t_end_ns: int
+    """Exclusive end, UTC."""
+    rate_hz: float
+    samples: int
+    availability: float
+    """Share of the span's samples that came."""
+    gaps: int
+    lost_s: float
+    overlaps: int
+    """Samples that were repeated, late or not finite, and dropped."""
+    channels: tuple[ChannelHealth, ...]
+
+
+class Piece(Protocol):
+    """Consecutive samples, as `align` gives them."""
+
+    @property
+    def t_ns(self) -> int:
+        """UTC of the first sample."""
+
+    @property
+    def values(self) -> Array:
+        """Shape (n_samples, c), m/s^2."""
+
+    @property
+    def gap(self) -> Gap | None:
+        """What was lost before them."""
+
+    @property
+    def rate_hz(self) -> float:
+        """Samples a second."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class HealthState:
+    """The span that is being filled, and those behind that a window may still need."""
+
+    t_ns: int = 0
+    t_end_ns: int = 0
+    rate_hz: float = 1.0
+    parts: tuple[Array, ...] = ()
+    """The span's samples so far, each of shape (.., c)."""
+    n: int = 0
+    gaps: int = 0
+    lost_s: float = 0.0
+    dropped: int = 0
+    """Of the stream when the span began."""
+    spans: tuple[Health, ...] = ()
+
+
+def step(
+    state: HealthState, piece: Piece, dropped: int, channels: tuple[str, ...], settings: HealthSettings, keep_s: float
+) -> tuple[HealthState, list[Health]]:
+    """Add samples; every span that they complete is told.
+
+    Parameters
+    ----------
+    dropped : int
+        Samples of the stream dropped so far.
+    keep_s : float
+        How far behind the newest span `check` looks.
+    """
+    found: list[Health] = []
+    rate, t_ns, values = piece.rate_hz, piece.t_ns, piece.values
+    size = max(2, min(round(settings.span_s * rate), _MOST_SAMPLES))
+
+    def close() -> None:
+        nonlocal state
+        told = _told(state, dropped, channels)
+        found.append(told)
+        spans = tuple(s for s in (*state.spans, told) if abs(told.t_end_ns - s.t_end_ns) <= keep_s * 1e9)
+        state = HealthState(t_ns, t_ns, rate, dropped=dropped, spans=spans)
+
+    if piece.gap is not None:
+        state = replace(state, gaps=state.gaps + 1, lost_s=state.lost_s + piece.gap.duration_s)
+    if state.n and (rate != state.rate_hz or state.n + state.lost_s * rate >= size):
+        close()
+    while values.shape[0]:
+        room = max(1, size - state.n - round(state.lost_s * rate))
+        part, values = values[:room], values[room:]
+        begun_ns, n = state.t_ns if state.n else t_ns, state.n + part.shape[0]
+        t_ns += round(part.shape[0] / rate * 1e9)
+        state = HealthState(
+            begun_ns, t_ns, rate, (*state.parts, part), n, state.gaps, state.lost_s, state.dropped, state.spans
+        )
+        if part.shape[0] == room:
+            close()
+    return state, found
+
+
+def check(state: HealthState, begin_ns: int, end_ns: int, settings: HealthSettings) -> Skipped | None:
+    """Why the window from `begin_ns` to `end_ns` cannot be identified, by the spans wholly within it; or None."""
+    inside = [s for s in state.spans if begin_ns <= s.t_ns and s.t_end_ns <= end_ns + 1000]  # times are rounded
+    n = sum(s.samples for s in inside)
+    if not n:
+        return None
+    stuck: defaultdict[str, int] = defaultdict(int)
+    clipped: defaultdict[str, float] = defaultdict(float)
+    for s in inside:
+        for c in s.channels:
+            # All quiet at once is a structure at rest, in steps of the sensors' resolution.
+            if c.repeated == 1.0 and any(other.repeated < 0.5 for other in s.channels):
+                stuck[c.channel] += s.samples
+            if c.clipped:
+                clipped[c.channel] += s.samples * c.clipped
+    for c in inside[0].channels:
+        if stuck[c.channel] > settings.max_stuck * n:
+            return Skipped(f"channel {c.channel} is stuck ({100 * stuck[c.channel] / n:.0f} % of the window)")
+        if clipped[c.channel] / n > settings.max_clipped:
+            return Skipped(f"channel {c.channel} is clipped ({100 * clipped[c.channel] / n:.0f} % of its samples)")
+    return None
+
+
+def _told(state: HealthState, dropped: int, channels: tuple[str, ...]) -> Health:
+    x = np.ascontiguousarray(np.concatenate(state.parts).T)
+    wanted = state.n + state.lost_s * state.rate_hz
+    return Health(
+        t_ns=state.t_ns,
+        t_end_ns=state.t_end_ns,
+        rate_hz=state.rate_hz,
+        samples=state.n,
+        availability=state.n / wanted,
+        gaps=state.gaps,
+        lost_s=state.lost_s,
+        overlaps=dropped - state.dropped,
+        channels=_examined(x, state.rate_hz, channels),
+    )
+
+
+def _examined(x: Array, rate_hz: float, channels: tuple[str, ...]) -> tuple[ChannelHealth, ...]:
+    """Each of the rows of `x`, shape (c, n)."""
+    from monitor.signals.kernels import described  # compiled code takes a while to load
+
+    about, (mean, rms, peak, spikes, moves, clipped) = described(x, _SPIKE, _PILED, _PILED_RATIO)
+    n = x.shape[1]
+    told = mean, rms, peak, spikes.astype(int), 1.0 - moves / max(n - 1, 1), clipped / n, _noise_floor(about, rate_hz)
+    return tuple(ChannelHealth(*one) for one in zip(channels, *(values.tolist() for values in told), strict=True))
+
+
+def _noise_floor(x: Array, rate_hz: float) -> Array:
+    """Of each row, m/s^2/sqrt(Hz): Hann window on the span's middle."""
+    n = min(x.shape[1], _FFT_N)
+    start = (x.shape[1] - n) // 2
+    spectrum = np.fft.rfft(x[:, start : start + n] * _taper(n), axis=1)
+    power, tenth = spectrum.real**2 + spectrum.imag**2, spectrum.shape[1] // 10
+    power.partition(tenth, axis=1)
+    return np.asarray(np.sqrt(power[:, tenth] * (2.0 / (rate_hz * _TENTH))))
+
+
+@lru_cache(maxsize=8)
+def _taper(n: int) -> Array:
+    """Hann's, of unit energy."""
+    taper = np.hanning(n + 2)[1:-1]
+    return np.asarray(taper / np.sqrt(taper @ taper))

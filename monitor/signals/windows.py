@@ -1,0 +1,247 @@
+"""Sliding windows as lag sums: each hop costs one hop of products, however long the window.
+
+The time axis is cut into blocks that tile windows and hops, on a fixed grid.  A block's lagged products are formed
+once; a window only adds up its blocks.  So the cost is the hop's, the sum never drifts, and the blocks are at hand
+for the uncertainty.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from math import ceil, gcd
+
+import numpy as np
+
+from monitor.core.results import GAP, Array, ComplexArray, LagSums, Skipped, Window
+from monitor.signals.welch import SegmentDesign, transform
+
+_BLOCK_S = 10.0
+
+
+def common_step_s(window_s: float, hop_s: float) -> float:
+    """The largest step of time that tiles windows and hops, which count in milliseconds; 0 if shorter than one."""
+    return gcd(round(window_s * 1e3), round(hop_s * 1e3)) / 1e3 if round(hop_s * 1e3) else 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class WindowGrid:
+    """Where windows lie on the axis of conditioned samples."""
+
+    rate_hz: float
+    window_n: int
+    hop_n: int
+    n_lags: int
+    segment_s: float = 20.0
+    max_hz: float = 40.0
+    """Highest frequency kept of the segments' transforms."""
+
+    @classmethod
+    def design(
+        cls, rate_hz: float, window_s: float, hop_s: float, n_lags: int, segment_s: float = 20.0, max_hz: float = 40.0
+    ) -> WindowGrid:
+        """Grid of windows; `rate_hz` must give whole blocks (`common_step_s`)."""
+        return cls(rate_hz, round(window_s * rate_hz), round(hop_s * rate_hz), n_lags, segment_s, max_hz)
+
+    @property
+    def block_n(self) -> int:
+        """Samples in a block: the largest of at most 10 s that tiles windows and hops."""
+        return _block_n(self.window_n, self.hop_n, self.n_lags, self.rate_hz)
+
+    @property
+    def segment_step(self) -> int:
+        """Blocks from one segment's start to the next; a segment is twice as long; 0 where none is wanted."""
+        return max(1, round(0.5 * self.segment_s * self.rate_hz / self.block_n)) if self.segment_s else 0
+
+    @property
+    def segments(self) -> SegmentDesign:
+        """Length and frequencies of the segments."""
+        n = 2 * self.segment_step * self.block_n
+        return SegmentDesign(self.rate_hz, n, min(n // 2 + 1, round(self.max_hz * n / self.rate_hz) + 1))
+
+    def end(self, k: int) -> int:
+        """Index just past window k's last sample."""
+        return k * self.hop_n + self.window_n
+
+
+@lru_cache(maxsize=16)
+def _block_n(window_n: int, hop_n: int, n_lags: int, rate_hz: float) -> int:
+    step = gcd(window_n, hop_n)
+    least = max(1, ceil(step / (_BLOCK_S * rate_hz)))
+    parts = (q for q in range(least, step // n_lags + 1) if step % q == 0)
+    return step // next(parts, 1)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Block:
+    """Lagged products of one block of samples."""
+
+    products: Array
+    """Shape (n_lags, c, c): products that begin in this block; of the latest block, those wholly inside."""
+    shifted: Array
+    """Shape (n_lags, c): sum of their second factors; at lag 0, of the first ones as well."""
+    head: Array
+    """Shape (n_lags - 1, c): the block's first samples."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class WindowState:
+    """What the next samples need of those before; one run without gaps, and where older runs lay."""
+
+    start: int
+    """Grid index of the current run's first sample."""
+    n: int
+    """Samples in the current run."""
+    next_window: int
+    samples: Array
+    """The latest samples of the run, two blocks or a segment of them, shape (.., c)."""
+    blocks: tuple[_Block, ...]
+    """The latest complete blocks of the run, at most one window of them."""
+    segments: tuple[tuple[int, ComplexArray], ...] = ()
+    """(number, transform) of the run's latest segments, at most one window of them."""
+    past_runs: tuple[tuple[int, int, int], ...] = ()
+    """(start, end, samples) of earlier runs that a coming window may still touch; those within one block are one entry, so
+    that a storm of gaps is carried as lightly as one."""
+
+
+def start(grid: WindowGrid, n_channels: int, *, index: int, previous: WindowState | None = None) -> WindowState:
+    """State before the first sample of a run that begins at grid index `index`."""
+    runs: tuple[tuple[int, int, int], ...] = ()
+    next_window = 0
+    if previous is not None:
+        runs = _all_runs(grid, previous)
+        next_window = _touching(grid, runs, index, previous.next_window)
+        if runs and runs[0][1] <= next_window * grid.hop_n:
+            runs = tuple(r for r in runs if r[1] > next_window * grid.hop_n)
+    return WindowState(index, 0, next_window, np.zeros((0, n_channels)), (), (), runs)
+
+
+def _all_runs(grid: WindowGrid, state: WindowState) -> tuple[tuple[int, int, int], ...]:
+    """Earlier runs and the current one, in order."""
+    runs, begin, end, n = state.past_runs, state.start, state.start + state.n, state.n
+    if n and runs and runs[-1][0] // grid.block_n == (end - 1) // grid.block_n:
+        begin, n = runs[-1][0], n + runs[-1][2]
+        runs = runs[:-1]
+    return (*runs, (begin, end, n)) if n else runs
+
+
+def step(
+    grid: WindowGrid, state: WindowState, samples: Array, t0_ns: int
+) -> tuple[WindowState, list[Window | tuple[int, int, float, Skipped]]]:
+    """Add samples and emit every window that they complete.
+
+    Parameters
+    ----------
+    samples : ndarray, shape (n_samples, c), m/s^2
+    t0_ns : int
+        UTC of grid index 0.
+
+    Returns
+    -------
+    state : WindowState
+    list
+        Windows in order; one with a hole in it is ``(index, t_end_ns, data_s, Skipped)``.
+    """
+    results: list[Window | tuple[int, int, float, Skipped]] = []
+    while samples.shape[0]:
+        # Up to the next block boundary, so that each block is formed from the same samples however they came.
+        room = grid.block_n - (state.start + state.n) % grid.block_n
+        part, samples = samples[:room], samples[room:]
+        state = _append(grid, state, part)
+        end = state.start + state.n
+        if end % grid.block_n == 0:
+            state = _close_segment(grid, _close_block(grid, state))
+        while grid.end(state.next_window) <= end:
+            k = state.next_window
+            state = replace(state, next_window=_touching(grid, state.past_runs, state.start, k + 1))
+            results.extend(_emit(grid, state, k, t0_ns))
+    return state, results
+
+
+def _touching(grid: WindowGrid, runs: tuple[tuple[int, int, int], ...], start: int, k: int) -> int:
+    """The first window from k on that holds data of earlier `runs` or of the one that begins at `start`.
+
+    Windows that lie wholly in a gap are passed over at once, however long it was.
+    """
+    if runs and runs[-1][1] > k * grid.hop_n:
+        return k
+    return max(k, (start - grid.window_n) // grid.hop_n + 1)
+
+
+def _append(grid: WindowGrid, state: WindowState, part: Array) -> WindowState:
+    keep = max(2 * grid.block_n, grid.segments.n)
+    joined = np.concatenate([state.samples, part])[-keep:]
+    return replace(state, n=state.n + part.shape[0], samples=joined)
+
+
+def _close_block(grid: WindowGrid, state: WindowState) -> WindowState:
+    """Form the block that has just become complete, and the seam of the one before it."""
+    size, lags = grid.block_n, grid.n_lags
+    if state.n < size:  # the run began inside this block
+        return state
+    from monitor.signals.kernels import lag_products  # compiled code takes a while to load
+
+    block = np.ascontiguousarray(state.samples[-size:].T)
+    inner = lag_products(block, size - lags + 1, lags)
+    blocks = list(state.blocks)
+    if blocks:
+        around = np.ascontiguousarray(state.samples[-size - lags + 1 : -size + lags - 1].T)
+        products, shifted = lag_products(around, lags - 1, lags)  # begin in that one and end in this
+        b = blocks[-1]
+        blocks[-1] = _Block(b.products + products, b.shifted + shifted, b.head)
+    blocks.append(_Block(*inner, state.samples[-size:][: lags - 1].copy()))
+    return replace(state, blocks=tuple(blocks[-(grid.window_n // size) :]))
+
+
+def _close_segment(grid: WindowGrid, state: WindowState) -> WindowState:
+    """Transform the segment that ends here, if one does and it lies wholly in the run."""
+    if not grid.segment_step:
+        return state
+    design = grid.segments
+    number, odd = divmod((state.start + state.n) // grid.block_n - 2 * grid.segment_step, grid.segment_step)
+    if odd or state.n < design.n:
+        return state
+    made = (number, transform(design, state.samples[-design.n :]))
+    fit = max(0, grid.window_n // (grid.segment_step * grid.block_n) - 1)
+    return replace(state, segments=(*state.segments, made)[-fit:] if fit else ())
+
+
+def _emit(
+    grid: WindowGrid, state: WindowState, k: int, t0_ns: int
+) -> Iterator[Window | tuple[int, int, float, Skipped]]:
+    end = grid.end(k)
+    begin = end - grid.window_n
+    t_end_ns = t0_ns + round(end / grid.rate_hz * 1e9)
+    if begin >= state.start:
+        step = grid.segment_step * grid.block_n
+        inside = [(i, x) for i, x in state.segments if i * step >= begin]
+        yield Window(
+            index=k,
+            t_end_ns=t_end_ns,
+            window_s=grid.window_n / grid.rate_hz,
+            rate_hz=grid.rate_hz,
+            sums=_sum_up(grid, state),
+            first_block=begin // grid.block_n,
+            segments=tuple(x for _, x in inside),
+            segment_bin_hz=grid.segments.step_hz if inside else 0.0,
+            first_segment=inside[0][0] if inside else 0,
+        )
+        return
+    data_n = sum(max(0, min(n, end - s, e - begin, grid.window_n)) for s, e, n in _all_runs(grid, state))
+    if data_n:  # a window without any data is not worth a line
+        yield k, t_end_ns, data_n / grid.rate_hz, Skipped(GAP)
+
+
+def _sum_up(grid: WindowGrid, state: WindowState) -> LagSums:
+    """The lag sums of the window that the state's blocks make up."""
+    lags, blocks, c = grid.n_lags, state.blocks, state.samples.shape[1]
+    counts = np.full(len(blocks), grid.block_n)
+    counts[-1] = grid.block_n - lags + 1
+    products = np.concatenate([b.products for b in blocks]).reshape(-1, lags, c, c)
+    shifted = np.concatenate([b.shifted for b in blocks]).reshape(-1, lags, c)
+    head, tail, sums = blocks[0].head, state.samples[state.samples.shape[0] - lags + 1 :], shifted.sum(axis=0)
+    mean = (sums[0] + tail.sum(axis=0)) / grid.window_n
+    moved = sums[0][:, None] * mean + mean[:, None] * sums[:, None, :]
+    total = products.sum(axis=0) - moved + counts.sum() * np.outer(mean, mean)
+    return LagSums(products, shifted, mean, counts, head - mean, tail - mean, total)
