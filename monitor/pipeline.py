@@ -13,7 +13,7 @@ from monitor.core.results import Alarm, Gap, Level, ModalEstimate, Samples, Skip
 from monitor.damage import alarm, damage_index
 from monitor.damage.baseline import Baseline
 from monitor.identification import sensor_correction, tracking
-from monitor.identification.stabilization import expected, identify
+from monitor.identification.stabilization import expected_modes, identify
 from monitor.identification.whittle import refine
 from monitor.model.effects import Context
 from monitor.signals import alignment, sensor_health, temperature, window_quality
@@ -72,7 +72,7 @@ class Pipeline:
         self.sensors = config.sensor_matrix()
         self.acquisition = tuple(e for e in config.model().effects if e.family == "sensor")
         self.context = Context(self.reference.structure, config.channels, self.sensors, config.processing.rate_hz)
-        self.shown = sensor_correction.sensed(self.acquisition, self.context)
+        self.shown = sensor_correction.seen_by_sensors(self.acquisition, self.context)
         self.prior_std = config.prior_std()[: self.reference.structure.n_stories]
         names = config.identification.reference_channels or config.channels
         self.past = tuple(config.channels.index(name) for name in names)
@@ -176,7 +176,7 @@ class Pipeline:
 
     def _felt(self, t_end_ns: int) -> Temperature | None:
         c = self.config
-        return temperature.felt(self.state.temperature, t_end_ns, c.processing.window_s, c.temperature)
+        return temperature.window_temperature(self.state.temperature, t_end_ns, c.processing.window_s, c.temperature)
 
     def _judge(self, item: Window, cutoff_hz: float) -> WindowResult:
         """One whole window: identification, updating, damage, alarm."""
@@ -191,7 +191,7 @@ class Pipeline:
         if skipped is not None:
             return skip(skipped)
         wanted = (
-            expected(self.reference_modes, cutoff_hz, c.selection)
+            expected_modes(self.reference_modes, cutoff_hz, c.selection)
             if self.baseline is None
             else self.baseline.model_mode
         )
@@ -200,7 +200,7 @@ class Pipeline:
             item, self.past, self.reference_modes, self.shown, c.identification, c.selection, wanted, cutoff_hz, refiner
         )
         if self.acquisition and not isinstance(modes, Skipped):
-            modes = sensor_correction.undo(modes, self.acquisition, self.context)
+            modes = sensor_correction.correct_modes(modes, self.acquisition, self.context)
         tracks = self._follow(None if isinstance(modes, Skipped) else modes, item)
         if isinstance(modes, Skipped):
             return skip(modes)

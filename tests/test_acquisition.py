@@ -8,7 +8,7 @@ import pytest
 from monitor.config.configuration import load as load_config
 from monitor.core.results import ModalEstimate, WindowResult
 from monitor.damage.baseline import load, save
-from monitor.identification.sensor_correction import sensed, undo
+from monitor.identification.sensor_correction import correct_modes, seen_by_sensors
 from monitor.model.effects import Context, parse_effect
 from monitor.model.structures import ShearFrame
 from monitor.pipeline import Pipeline
@@ -51,7 +51,7 @@ def test_true_modes_come_back_with_their_deviations() -> None:
     moved = [(_seen(true + d, hz) / _seen(true + d, hz)[[0, 1], np.abs(seen).argmax(axis=1)][:, None]) for d in small]
     change = np.array(moved) - seen / scale
     deviations = np.concatenate([np.zeros((4, 2, 2)), change.real, change.imag], axis=2)
-    back = undo(_estimate(seen / scale, hz / 1.01, deviations), FAULTS, CONTEXT)
+    back = correct_modes(_estimate(seen / scale, hz / 1.01, deviations), FAULTS, CONTEXT)
     np.testing.assert_allclose(back.frequencies_hz, hz)
     np.testing.assert_allclose(back.shapes, true, atol=1e-12)
     expected = small - true * small[:, [0, 1], [0, 2]][:, :, None]  # the largest component stays 1
@@ -59,7 +59,7 @@ def test_true_modes_come_back_with_their_deviations() -> None:
 
 
 def test_measured_shapes_are_recognized_through_swap_and_sign() -> None:
-    np.testing.assert_allclose(sensed(FAULTS[2:4], CONTEXT), [[0, 0, 1], [0, 1, 0], [-1, 0, 0]])
+    np.testing.assert_allclose(seen_by_sensors(FAULTS[2:4], CONTEXT), [[0, 0, 1], [0, 1, 0], [-1, 0, 0]])
 
 
 @pytest.mark.parametrize(

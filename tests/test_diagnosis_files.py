@@ -12,19 +12,19 @@ from scipy.linalg import block_diag
 
 from monitor.config import configuration
 from monitor.core.errors import BadConfigurationError
-from monitor.diagnosis.cross_validation import Gain, fitted_model, score
+from monitor.diagnosis.cross_validation import HeldOutGain, fitted_model, score
 from monitor.diagnosis.files import content, effects_text, model_from_plain, model_to_plain, structure_text
-from monitor.diagnosis.healthy_prior import learn
-from monitor.diagnosis.initial_fit import prepare
+from monitor.diagnosis.healthy_prior import learn_prior
+from monitor.diagnosis.initial_fit import fit_linearized
 from monitor.diagnosis.score_test import Candidate
 from monitor.diagnosis.settings import DiagnosisSettings
 from monitor.diagnosis.stepwise_selection import Cause, Diagnosis, Misfit
-from monitor.inference.map_estimate import fit
+from monitor.inference.map_estimate import maximize_posterior
 from monitor.inference.observed_spectra import classify
 from monitor.inference.segments import Segments
 from monitor.model.effects import parse_effect
 from monitor.model.model import Model
-from monitor.model.prior import StandingError, nominal
+from monitor.model.prior import ModelDiscrepancy, prior_from_drawing
 from monitor.model.prior_file import from_plain, to_plain
 from tests.test_gain import DAMPER, context_of, recorded, settings
 
@@ -63,21 +63,23 @@ def damped() -> Segments:
 @pytest.fixture(scope="module")
 def named(damped: Segments) -> Diagnosis:
     site = settings()
-    problem, null = prepare(classify(damped), nominal(site.model(), site.prior_std(), 3), context_of(site))
-    final = fit(problem, null.x, (parse_effect(DAMPER),))
+    problem, null = fit_linearized(
+        classify(damped), prior_from_drawing(site.model(), site.prior_std(), 3), context_of(site)
+    )
+    final = maximize_posterior(problem, null.x, (parse_effect(DAMPER),))
     cause = Cause(final.effects[0], {"damping_n_s_per_m": 0.1})
     tried = (Candidate(final.effects[0], final, 50.0, 45.0),)
     misfit = (Misfit("f = 5.0-6.0 Hz, channel a1", 9.0, "less power"),)
     return Diagnosis("named", (cause,), (), misfit, (), tried, problem, null, final, DiagnosisSettings())
 
 
-def plain(diagnosis: Diagnosis, gain: Gain | None = None) -> dict:
-    out = content(diagnosis, gain or Gain(), (), {"without": [], "with": []})
+def plain(diagnosis: Diagnosis, gain: HeldOutGain | None = None) -> dict:
+    out = content(diagnosis, gain or HeldOutGain(), (), {"without": [], "with": []})
     return json.loads(json.dumps(out, allow_nan=False))
 
 
 def test_a_named_cause_has_its_size_and_every_key_is_there(named: Diagnosis) -> None:
-    out = plain(named, Gain(1.0, 1.5, (0.4, 0.6), csd_error_before=0.2, csd_error_after=0.1, heldout="blocks"))
+    out = plain(named, HeldOutGain(1.0, 1.5, (0.4, 0.6), csd_error_before=0.2, csd_error_after=0.1, heldout="blocks"))
     assert out.keys() >= KEYS
     assert out["cause"] == out["causes"][0]
     assert (out["cause"]["effect"], out["cause"]["location"]) == ("story_damper", "story 1")
@@ -224,11 +226,11 @@ def test_diagnosis_settings_are_checked_with_the_rest(tmp_path: Path) -> None:
 def test_a_reference_survives_the_baseline_file(damped: Segments) -> None:
     site = settings()
     model = Model(site.model().structure, (parse_effect(DAMPER),))
-    known = nominal(model, site.prior_std(), 3)
-    learnt, _ = learn(classify(damped), known, context_of(site), site.diagnosis)
+    known = prior_from_drawing(model, site.prior_std(), 3)
+    learnt, _ = learn_prior(classify(damped), known, context_of(site), site.diagnosis)
     again = from_plain(json.loads(json.dumps(to_plain(learnt), allow_nan=False)), site.model(), site.channels)
     assert again is not None and again.error is None
-    wrong = StandingError(np.array([2.0, 2.25]), np.full((2, 3, 3), 0.1 - 0.2j), np.array([0.0, 0.01]))
+    wrong = ModelDiscrepancy(np.array([2.0, 2.25]), np.full((2, 3, 3), 0.1 - 0.2j), np.array([0.0, 0.01]))
     doubted = from_plain(
         json.loads(json.dumps(to_plain(replace(learnt, error=wrong)), allow_nan=False)), site.model(), site.channels
     )

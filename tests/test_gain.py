@@ -9,18 +9,18 @@ import pytest
 
 from drivers.base import ACCELERATION
 from monitor.config.configuration import Configuration
-from monitor.diagnosis.cross_validation import Gain, demand_gain, fitted_model, heldout_gain, score
-from monitor.diagnosis.initial_fit import prepare
-from monitor.diagnosis.lack_of_fit import Misfit
+from monitor.diagnosis.cross_validation import HeldOutGain, fitted_model, heldout_gain, require_gain, score
+from monitor.diagnosis.initial_fit import fit_linearized
+from monitor.diagnosis.lack_of_fit import LackOfFit
 from monitor.diagnosis.settings import DiagnosisSettings
-from monitor.diagnosis.simulation_refit import finish
+from monitor.diagnosis.simulation_refit import refine_fit
 from monitor.diagnosis.stepwise_selection import Diagnosis
-from monitor.inference.map_estimate import fit
+from monitor.inference.map_estimate import maximize_posterior
 from monitor.inference.observed_spectra import classify
 from monitor.inference.segments import Segments, gather
 from monitor.model.effects import Context, Effect, parse_effect
 from monitor.model.model import Model
-from monitor.model.prior import nominal
+from monitor.model.prior import prior_from_drawing
 from monitor.model.simulation import simulate
 from monitor.runs.diagnose import judged
 from monitor.runs.synthetic_recording import blocks_of
@@ -52,9 +52,9 @@ def context_of(config: Configuration) -> Context:
 def explained_by(effect: Effect, segments: Segments) -> Diagnosis:
     """What an engine that believes in `effect` would say."""
     config = settings()
-    reference = nominal(config.model(), config.prior_std(), 3)
-    problem, null = prepare(classify(segments), reference, context_of(config))
-    final = fit(problem, null.x, (effect,))
+    reference = prior_from_drawing(config.model(), config.prior_std(), 3)
+    problem, null = fit_linearized(classify(segments), reference, context_of(config))
+    final = maximize_posterior(problem, null.x, (effect,))
     return Diagnosis("named", (), (), (), (), (), problem, null, final, DiagnosisSettings())
 
 
@@ -118,7 +118,7 @@ def test_a_true_cause_gains_on_data_that_it_was_not_fitted_to(damped: Segments) 
     assert 0.0 < gain.ci95[0] < gain.value < gain.ci95[1]
     assert gain.value == pytest.approx(gain.after - gain.before)
     assert "blocks" in gain.heldout
-    assert demand_gain(found, gain) is found
+    assert require_gain(found, gain) is found
 
 
 def test_the_gain_is_what_the_fitted_models_score(damped: Segments) -> None:
@@ -138,12 +138,12 @@ def test_a_cause_that_is_not_there_gains_nothing_and_is_not_named(clean: Segment
     found = explained_by(parse_effect("sensor_gain:channel a2:gain=1.02"), clean)
     gain = heldout_gain(clean, found, settings())
     assert gain.ci95[0] <= 0.0
-    settled = demand_gain(found, gain)
+    settled = require_gain(found, gain)
     assert (settled.verdict, settled.causes, settled.final) == ("none", (), found.null)
-    beside = replace(found, verdict="unexplained", misfit=(Misfit("f = 1 Hz", 9.0, "more"),))
-    loss, nothing_held_out = replace(gain, before=1.0, after=0.9999), Gain()
-    assert demand_gain(beside, loss).causes == ()
-    assert demand_gain(beside, replace(loss, after=1.0001)) is beside is demand_gain(beside, nothing_held_out)
+    beside = replace(found, verdict="unexplained", misfit=(LackOfFit("f = 1 Hz", 9.0, "more"),))
+    loss, nothing_held_out = replace(gain, before=1.0, after=0.9999), HeldOutGain()
+    assert require_gain(beside, loss).causes == ()
+    assert require_gain(beside, replace(loss, after=1.0001)) is beside is require_gain(beside, nothing_held_out)
 
 
 def test_too_short_a_recording_holds_nothing_out(clean: Segments) -> None:
@@ -158,7 +158,7 @@ def test_a_law_that_bends_is_judged_at_the_motion_that_it_makes() -> None:
     stiffening = parse_effect("cubic_stiffness:story 2:k3_n_per_m3=1e8")
     segments = recorded((stiffening,), seed=43)
     found = explained_by(stiffening, segments)
-    problem, final = finish(found.problem, found.final)
+    problem, final = refine_fit(found.problem, found.final)
     gain = heldout_gain(segments, replace(found, problem=problem, final=final), settings())
     assert gain.ci95[0] > 0.0
     assert gain.csd_error_after < 0.5 * gain.csd_error_before
@@ -179,7 +179,7 @@ def test_what_a_swinging_gain_leaves_over_is_not_made_up_by_tones_and_oscillator
     )
     swing = 1.0 + 0.3 * np.sin(2.0 * np.pi * np.arange(len(motion.floors))[:, None] / RATE / 240.0) * [0.0, 0.0, 1.0]
     seen = blocks_of(ACCELERATION, motion.floors * swing, config.channels, RATE, 10**18, 100)
-    known = nominal(config.model(), np.full(6, 0.002), 3)
+    known = prior_from_drawing(config.model(), np.full(6, 0.002), 3)
     found, _ = judged(gather(seen, config), known, config)
     assert found.verdict == "unexplained"
     accepted = {round_[0].effect.name for round_ in found.rounds if round_}

@@ -14,17 +14,17 @@ from monitor.config.configuration import Configuration, load
 from monitor.core.results import Array
 from monitor.diagnosis.backbone import backbone, level_dependence, ratios
 from monitor.diagnosis.cross_validation import score
-from monitor.diagnosis.initial_fit import prepare
-from monitor.diagnosis.score_test import judge
+from monitor.diagnosis.initial_fit import fit_linearized
+from monitor.diagnosis.score_test import fit_best
 from monitor.diagnosis.settings import DiagnosisSettings
 from monitor.diagnosis.stepwise_selection import diagnose
-from monitor.inference.linearization import conditions
+from monitor.inference.linearization import linearize
 from monitor.inference.observed_spectra import classify
-from monitor.inference.posterior import Problem
+from monitor.inference.posterior import Posterior
 from monitor.inference.segments import Segments, gather
 from monitor.model.effects import Context, parse_effect
 from monitor.model.model import Model
-from monitor.model.prior import nominal
+from monitor.model.prior import prior_from_drawing
 from monitor.model.simulation import level_wander, respond, simulate
 from monitor.runs.synthetic_recording import blocks_of
 
@@ -75,7 +75,7 @@ def recorded(
 )
 def test_a_driven_frame_tells_its_cause(effects: tuple[str, ...], name: str | None, parameter: float | None) -> None:
     segments = recorded(*effects, seed=11)
-    known = nominal(DRAWING.model(), DRAWING.prior_std(), 3)
+    known = prior_from_drawing(DRAWING.model(), DRAWING.prior_std(), 3)
     found = diagnose(classify(segments), known, CONTEXT, DiagnosisSettings())
     assert [c.effect.name for c in found.causes] == ([] if name is None else [name])
     assert not found.alternatives
@@ -100,7 +100,9 @@ def test_of_a_long_recording_the_strongest_minutes_are_used_and_the_response_to_
     assert sum(run.length for run in part.drive.runs) < 0.7 * sum(run.length for run in whole.drive.runs)
     answers = []
     for segments in (whole, part):
-        problem, _ = prepare(classify(segments), nominal(settings().model(), np.full(6, 1e-3), 3), CONTEXT)
+        problem, _ = fit_linearized(
+            classify(segments), prior_from_drawing(settings().model(), np.full(6, 1e-3), 3), CONTEXT
+        )
         answers.append(problem.mean(problem.reference.mean, ()))
     np.testing.assert_allclose(answers[1], answers[0][same], atol=3e-3 * float(np.abs(answers[0]).max()))
 
@@ -121,7 +123,7 @@ def windy(*effects: str, share: float, seed: int) -> Segments:
 
 @pytest.mark.parametrize("share", [0.003, 0.1])
 def test_wind_beside_a_measured_ground_is_no_cause_and_hides_none(share: float) -> None:
-    known, context = nominal(settings().model(), np.full(6, 1e-3), 3), replace(CONTEXT, rate_hz=200.0)
+    known, context = prior_from_drawing(settings().model(), np.full(6, 1e-3), 3), replace(CONTEXT, rate_hz=200.0)
     clean = diagnose(classify(windy(share=share, seed=21)), known, context, DiagnosisSettings())
     assert (clean.verdict, clean.causes) == ("none", ())
     lost = windy("stiffness_change:story 2:relative=-0.05", share=share, seed=22)
@@ -135,8 +137,8 @@ def test_wind_beside_a_measured_ground_is_no_cause_and_hides_none(share: float) 
 
 def test_how_the_ground_moves_between_samples_is_asked_again_beside_a_cause() -> None:
     evidence = classify(recorded("added_mass:floor 3:mass_kg=0.06", seed=25, rate_hz=200.0))
-    known, context = nominal(settings().model(), np.full(6, 1e-3), 3), replace(CONTEXT, rate_hz=200.0)
-    drive = prepare(evidence, known, context)[0].evidence.drive
+    known, context = prior_from_drawing(settings().model(), np.full(6, 1e-3), 3), replace(CONTEXT, rate_hz=200.0)
+    drive = fit_linearized(evidence, known, context)[0].evidence.drive
     assert drive is not None
     assert drive.between == "held", "another motion makes up for some of the mass"
     found = diagnose(evidence, known, context, DiagnosisSettings())
@@ -149,9 +151,9 @@ def test_how_the_ground_moves_between_samples_is_asked_again_beside_a_cause() ->
 @pytest.mark.parametrize("rate_hz", [100.0, 200.0, 512.0])
 def test_how_the_ground_moves_between_slow_samples_is_found_and_no_cause_made_of_it(rate_hz: float) -> None:
     segments = recorded(seed=15, rate_hz=rate_hz)  # the simulation's ground runs straight
-    known = nominal(DRAWING.model(), DRAWING.prior_std(), 3)
+    known = prior_from_drawing(DRAWING.model(), DRAWING.prior_std(), 3)
     context = replace(CONTEXT, rate_hz=rate_hz)
-    problem, null = prepare(classify(segments), known, context)
+    problem, null = fit_linearized(classify(segments), known, context)
     assert problem.evidence.drive is not None
     assert problem.evidence.drive.between == "straight"
     left = problem.predict(null.x, ()).left
@@ -175,10 +177,12 @@ def test_the_measured_frame_is_no_shear_frame_and_softens_with_the_level() -> No
     config = load(RECORDINGS / "mini-shake-table-flexible.toml")
     segments = gather(read_recordings([RECORDINGS / "mini-shake-table-flexible.mcap"]), config)
     context = Context(config.model().structure, config.channels, config.sensor_matrix(), segments.rate_hz)
-    problem, null = prepare(classify(segments), nominal(config.model(), config.prior_std(), 3), context)
+    problem, null = fit_linearized(
+        classify(segments), prior_from_drawing(config.model(), config.prior_std(), 3), context
+    )
     assert problem.evidence.drive is not None
     assert problem.evidence.drive.between == "smooth"
-    joints = judge(problem, null, parse_effect("joint_flexibility:frame:girder_to_column_ratio=3"))
+    joints = fit_best(problem, null, parse_effect("joint_flexibility:frame:girder_to_column_ratio=3"))
     assert joints.evidence > 100.0
     told = ratios(problem, joints.fit)
     assert told is not None
@@ -221,12 +225,12 @@ def test_drifts_follow_the_measured_ground() -> None:
     spectrum[hz < 0.3] = 0.0
     spectrum[1:] /= -((2.0 * np.pi * hz[1:]) ** 2)[:, None]
     drift = np.fft.irfft(spectrum, n=len(floors), axis=0) @ CONTEXT.structure.drift_matrix().T
-    (condition,) = conditions(problem, x, ())
+    (condition,) = linearize(problem, x, ())
     np.testing.assert_allclose(condition.drift_m, drift.std(axis=0), rtol=0.15)
 
 
-def _true_problem(segments: Segments) -> tuple[Problem, Array]:
+def _true_problem(segments: Segments) -> tuple[Posterior, Array]:
     """The true structure's problem, fitted so closely to what is known that it stays true."""
-    known = nominal(settings().model(), np.full(6, 1e-6), 3)
-    problem, null = prepare(classify(segments), known, CONTEXT)
+    known = prior_from_drawing(settings().model(), np.full(6, 1e-6), 3)
+    problem, null = fit_linearized(classify(segments), known, CONTEXT)
     return problem, null.x

@@ -9,26 +9,26 @@ import pytest
 
 from drivers.base import ACCELERATION
 from monitor.core.results import Array
-from monitor.diagnosis.initial_fit import prepare
+from monitor.diagnosis.initial_fit import fit_linearized
 from monitor.diagnosis.score_test import Candidate
 from monitor.diagnosis.selection_round import _turned
-from monitor.diagnosis.simulation_refit import Polished
+from monitor.diagnosis.simulation_refit import RefittedCandidate
 from monitor.diagnosis.stepwise_selection import diagnose
-from monitor.inference.higher_moments import Heard, Moments, heard, none
-from monitor.inference.map_estimate import Fit
+from monitor.inference.higher_moments import MeasuredMoments, Moments, measure_moments, normal_moments
+from monitor.inference.map_estimate import MapEstimate
 from monitor.inference.observed_spectra import classify
-from monitor.inference.posterior import Problem
+from monitor.inference.posterior import Posterior
 from monitor.inference.segments import Segments, gather
 from monitor.model.effects import Context, parse_effect
 from monitor.model.effects.gap_contact import GapContact
 from monitor.model.model import Model
-from monitor.model.prior import nominal
+from monitor.model.prior import prior_from_drawing
 from monitor.model.simulation import simulate
 from monitor.runs.synthetic_recording import blocks_of
 from tests.test_polish import CONFIG, RATE
 
 CONTEXT = Context(CONFIG.model().structure, CONFIG.channels, CONFIG.sensor_matrix(), RATE)
-KNOWN = nominal(CONFIG.model(), np.full(6, 0.002), 3)
+KNOWN = prior_from_drawing(CONFIG.model(), np.full(6, 0.002), 3)
 
 
 def recorded(
@@ -52,9 +52,9 @@ def recorded(
     return gather(blocks_of(ACCELERATION, floors, CONFIG.channels, RATE, 10**18, 128), CONFIG)
 
 
-def posed(segments: Segments) -> tuple[Problem, Fit, Heard]:
-    problem, null = prepare(classify(segments), KNOWN, CONTEXT)
-    return problem, null, heard(problem.evidence.segments.values, problem, null)
+def posed(segments: Segments) -> tuple[Posterior, MapEstimate, MeasuredMoments]:
+    problem, null = fit_linearized(classify(segments), KNOWN, CONTEXT)
+    return problem, null, measure_moments(problem.evidence.segments.values, problem, null)
 
 
 def test_a_normal_process_has_none() -> None:
@@ -69,7 +69,7 @@ def test_a_normal_process_has_none() -> None:
 def test_a_tone_lowers_the_kurtosis_of_its_mode_and_no_law_is_heard_in_it() -> None:
     problem, _, found = posed(recorded(4, tone=100.0))
     assert found.mean.kurtosis[0] == pytest.approx(-1.5, abs=0.1)
-    nothing, drag = none(problem), replace(none(problem), kurtosis=np.array([-0.3, 0.0, 0.0]))
+    nothing, drag = normal_moments(problem), replace(normal_moments(problem), kurtosis=np.array([-0.3, 0.0, 0.0]))
     assert found.log_likelihood(drag, 1.0) - found.log_likelihood(nothing, 1.0) < 3.0  # 50 and more by the normal law
 
 
@@ -77,9 +77,11 @@ def test_gusts_are_told_from_heavy_tails() -> None:
     gusts = np.exp(0.25 * np.random.default_rng(5).standard_normal(600))  # of 2 s
     problem, _, found = posed(recorded(5, gusts=gusts))
     assert found.uneven > 0.1
-    friction = replace(none(problem), kurtosis=np.array([0.3, 0.3, 0.3]))
+    friction = replace(normal_moments(problem), kurtosis=np.array([0.3, 0.3, 0.3]))
     calm = replace(found, uneven=0.0)
-    for_friction = [h.log_likelihood(friction, 1.0) - h.log_likelihood(none(problem), 1.0) for h in (found, calm)]
+    for_friction = [
+        h.log_likelihood(friction, 1.0) - h.log_likelihood(normal_moments(problem), 1.0) for h in (found, calm)
+    ]
     assert for_friction[0] < 2.0 < for_friction[1]
 
 
@@ -108,13 +110,13 @@ def test_a_law_that_is_turned_round_lends_its_new_skewness_to_what_follows() -> 
     mirror = stop.mirrored()
     assert mirror is not None
     x, none_at_all = stop.coordinates, np.zeros(0)
-    fitted = Fit(x, (stop,), 0.0, 0.0, np.zeros((2, 2)), True, np.zeros((0, 2)), none_at_all, none_at_all)
+    fitted = MapEstimate(x, (stop,), 0.0, 0.0, np.zeros((2, 2)), True, np.zeros((0, 2)), none_at_all, none_at_all)
     before, made = Moments(np.zeros(3), np.zeros(3)), Moments(np.array([0.3, 0.0, 0.0]), np.array([0.1, 0.0, 0.0]))
     std = Moments(np.full(3, 0.05), np.full(3, 0.05))
-    polished = Polished(Candidate(stop, fitted, 50.0, 50.0), Problem.__new__(Problem), made)
-    as_it_is, _ = _turned(polished, before, Heard(made, std, 0.0))
+    polished = RefittedCandidate(Candidate(stop, fitted, 50.0, 50.0), Posterior.__new__(Posterior), made)
+    as_it_is, _ = _turned(polished, before, MeasuredMoments(made, std, 0.0))
     assert as_it_is is polished
-    measured = Heard(made.mirrored(before), std, 0.0)
+    measured = MeasuredMoments(made.mirrored(before), std, 0.0)
     turned, likelihood = _turned(polished, before, measured)
     assert turned.candidate.effect == mirror == turned.candidate.fit.effects[0]
     assert turned.moments.skewness == pytest.approx([-0.3, 0.0, 0.0])

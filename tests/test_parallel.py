@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from monitor.core.errors import NoResourcesError
-from monitor.core.parallel import each
+from monitor.core.parallel import parallel_map
 
 CORES = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1
 ENDLESS = """
@@ -37,8 +37,8 @@ def test_results_stand_in_the_order_of_the_items() -> None:
         time.sleep(0.01 * (5 - n))
         return n * n
 
-    assert each(slow, range(5)) == [0, 1, 4, 9, 16]
-    assert each(slow, []) == []
+    assert parallel_map(slow, range(5)) == [0, 1, 4, 9, 16]
+    assert parallel_map(slow, []) == []
 
 
 def test_the_callers_handling_of_errors_holds() -> None:
@@ -48,19 +48,19 @@ def test_the_callers_handling_of_errors_holds() -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         with np.errstate(over="ignore"):
-            assert each(overflow, [10.0, 1.0]) == [np.inf, 1e308]
+            assert parallel_map(overflow, [10.0, 1.0]) == [np.inf, 1e308]
         with np.errstate(over="raise"), pytest.raises(FloatingPointError):
-            each(overflow, [10.0])
+            parallel_map(overflow, [10.0])
 
 
 def test_what_an_item_raises_reaches_the_caller_and_nothing_else_is_told(capfd: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(ZeroDivisionError):
-        each(lambda n: 1 / n, [1, 0, *range(2, 40)])
+        parallel_map(lambda n: 1 / n, [1, 0, *range(2, 40)])
     assert capfd.readouterr().err == ""
 
 
 def _worked_in(n: int) -> set[int]:
-    return set(each(lambda _: os.getpid(), range(n)))
+    return set(parallel_map(lambda _: os.getpid(), range(n)))
 
 
 @pytest.mark.skipif(CORES < 2, reason="one core")
@@ -71,7 +71,7 @@ def test_work_is_done_beside_the_caller() -> None:
 
 
 def test_one_after_the_other_within_a_share_of_the_work_and_beside_threads() -> None:
-    assert all(len(pids) == 1 for pids in each(lambda _: _worked_in(4), range(2)))
+    assert all(len(pids) == 1 for pids in parallel_map(lambda _: _worked_in(4), range(2)))
     over = threading.Event()
     other = threading.Thread(target=over.wait)
     other.start()
@@ -110,7 +110,7 @@ def test_an_interrupt_ends_the_work_at_once(tmp_path: Path) -> None:
 def test_work_that_is_killed_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(threading, "active_count", lambda: 1)
     with pytest.raises(NoResourcesError, match="killed"):
-        each(lambda _: os.kill(os.getpid(), signal.SIGKILL), range(2))
+        parallel_map(lambda _: os.kill(os.getpid(), signal.SIGKILL), range(2))
 
 
 @pytest.mark.skipif(CORES < 2, reason="one core")

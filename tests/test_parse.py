@@ -8,7 +8,7 @@ import pytest
 from pydantic import ValidationError
 
 from monitor.config.configuration import OutputSettings
-from monitor.core.parse import parse_address, told, utc_ns
+from monitor.core.parse import parse_address, settings_problems, utc_ns
 from monitor.service.outlets.metrics import MetricsSettings
 from monitor.service.requests import Request
 from tests.conftest import T0_NS, Cli
@@ -58,9 +58,9 @@ def test_what_is_no_time_is_wrong_usage_in_every_command(main: Cli, tmp_path: Pa
 def test_problems_are_told_with_their_place_and_without_the_values() -> None:
     with pytest.raises(ValidationError) as caught:
         Request.model_validate({"action": "reset", "story": "s3cret", "who": ""})
-    lines = told(caught.value, "output", "zenoh")
+    lines = settings_problems(caught.value, "output", "zenoh")
     assert [line.partition(": ")[0] for line in lines] == ["output.zenoh.story", "output.zenoh.who"]
     assert "s3cret" not in "".join(lines)
     with pytest.raises(ValidationError) as caught:
         Request(action="shelve", story=1, who="ann")
-    assert told(caught.value) == ["shelving needs a note and seconds"]
+    assert settings_problems(caught.value) == ["shelving needs a note and seconds"]

@@ -9,18 +9,18 @@ import pytest
 
 from drivers.base import ACCELERATION
 from monitor.config.configuration import Configuration
-from monitor.diagnosis.initial_fit import prepare
-from monitor.diagnosis.simulation_refit import finish
-from monitor.inference.corrected_posterior import _bounded, corrected
-from monitor.inference.exact_simulation import exact, forces, sides
-from monitor.inference.linearization import conditions
-from monitor.inference.map_estimate import Fit, fit
+from monitor.diagnosis.initial_fit import fit_linearized
+from monitor.diagnosis.simulation_refit import refine_fit
+from monitor.inference.corrected_posterior import _bounded, correct_posterior
+from monitor.inference.exact_simulation import draw_forces, simulate_exact, simulate_spectra
+from monitor.inference.linearization import linearize
+from monitor.inference.map_estimate import MapEstimate, maximize_posterior
 from monitor.inference.observed_spectra import classify
-from monitor.inference.posterior import Problem
+from monitor.inference.posterior import Posterior
 from monitor.inference.segments import gather
 from monitor.model.effects import Context, Effect, parse_effect
 from monitor.model.model import Model
-from monitor.model.prior import nominal
+from monitor.model.prior import prior_from_drawing
 from monitor.model.simulation import simulate
 from monitor.runs.synthetic_recording import blocks_of
 
@@ -33,57 +33,57 @@ CONFIG = Configuration.model_validate(
 )
 
 
-def posed(effect: Effect, seed: int = 5) -> tuple[Problem, Fit]:
+def posed(effect: Effect, seed: int = 5) -> tuple[Posterior, MapEstimate]:
     """A recording with the effect, and the model without it fitted."""
     model = Model(CONFIG.model().structure, (effect,))
     context = Context(CONFIG.model().structure, CONFIG.channels, CONFIG.sensor_matrix(), RATE)
     motion = simulate(model, duration_s=400.0, rate_hz=RATE, noise=0.05, level_spread=0.35, seed=seed, context=context)
     blocks = blocks_of(ACCELERATION, motion.floors, CONFIG.channels, RATE, 10**18, 128)
-    known = nominal(CONFIG.model(), np.full(6, 0.002), 3)
-    return prepare(classify(gather(blocks, CONFIG)), known, context)
+    known = prior_from_drawing(CONFIG.model(), np.full(6, 0.002), 3)
+    return fit_linearized(classify(gather(blocks, CONFIG)), known, context)
 
 
 @pytest.fixture(scope="module")
-def bent() -> tuple[Problem, Fit]:
+def bent() -> tuple[Posterior, MapEstimate]:
     return posed(parse_effect(CUBIC.format(STRONG)))
 
 
-def whitened_rms(problem: Problem, at: Fit, change: np.ndarray) -> float:
+def whitened_rms(problem: Posterior, at: MapEstimate, change: np.ndarray) -> float:
     rows, _ = problem.whitened(problem.scatter(at.x, at.effects), change[None])
     return float(np.sqrt((rows**2).mean()))
 
 
-def test_a_law_that_hardly_bends_has_no_offset(bent: tuple[Problem, Fit]) -> None:
+def test_a_law_that_hardly_bends_has_no_offset(bent: tuple[Posterior, MapEstimate]) -> None:
     problem, null = bent
     sizes = []
     for size in (1e3, STRONG):
         at = replace(null, effects=(parse_effect(CUBIC.format(size)),))
-        acting = forces(problem, at.x, at.effects, 3)
-        made = sides(problem, at.x, at.effects, acting, exact(problem, at.x, at.effects, acting))
+        acting = draw_forces(problem, at.x, at.effects, 3)
+        made = simulate_spectra(problem, at.x, at.effects, acting, simulate_exact(problem, at.x, at.effects, acting))
         sizes.append(whitened_rms(problem, at, made.controlled))
     assert sizes[0] < 1e-3 < 0.1 < sizes[1]
 
 
-def test_classes_that_swing_more_than_the_model_says_are_heard(bent: tuple[Problem, Fit]) -> None:
+def test_classes_that_swing_more_than_the_model_says_are_heard(bent: tuple[Posterior, MapEstimate]) -> None:
     problem, null = bent
     predicted = problem.scatter(null.x, ())
-    plain = conditions(problem, null.x, (), predicted)
+    plain = linearize(problem, null.x, (), predicted)
     factors = np.ones((problem.n_classes, 1, 1, 1))
     factors[-1] = 4.0
-    louder = conditions(problem, null.x, (), predicted * factors)
+    louder = linearize(problem, null.x, (), predicted * factors)
     assert louder[0].drift_m == pytest.approx(plain[0].drift_m)
     assert louder[-1].drift_m == pytest.approx(2.0 * plain[-1].drift_m, rel=0.1)
     assert louder[-1].floor_velocity_m_s == pytest.approx(2.0 * plain[-1].floor_velocity_m_s, rel=0.1)
 
 
-def test_a_correction_follows_its_slopes_and_leaves_other_effects_alone(bent: tuple[Problem, Fit]) -> None:
+def test_a_correction_follows_its_slopes_and_leaves_other_effects_alone(bent: tuple[Posterior, MapEstimate]) -> None:
     problem, null = bent
     law = parse_effect(CUBIC.format(STRONG))
     plain = problem.scatter(null.x, (law,))
     more = parse_effect(CUBIC.format(1.01 * STRONG))
     other = problem.scatter(null.x, (more,))
     slope = 0.2 / STRONG * plain + 0.1 * (other - plain) / (0.01 * STRONG)
-    made = corrected(problem, null.x, (law,), 0.1 * plain, slope[None])
+    made = correct_posterior(problem, null.x, (law,), 0.1 * plain, slope[None])
     assert made.scatter(null.x, (law,)) == pytest.approx(1.1 * plain)
     assert whitened_rms(problem, null, made.scatter(null.x, (more,)) - 1.102 * other) < 0.002
     assert made.scatter(null.x, ()) == pytest.approx(problem.scatter(null.x, ()))
@@ -94,11 +94,11 @@ def test_a_correction_follows_its_slopes_and_leaves_other_effects_alone(bent: tu
     assert made.part(problem.evidence, other_way).scatter(x, (law,))[::-1] == pytest.approx(1.1 * plain)
 
 
-def test_the_scale_of_masses_and_stiffness_that_nothing_shows_stays_unseen(bent: tuple[Problem, Fit]) -> None:
+def test_the_scale_of_masses_and_stiffness_that_nothing_shows_stays_unseen(bent: tuple[Posterior, MapEstimate]) -> None:
     problem, null = bent
     law, rng = parse_effect(CUBIC.format(STRONG)), np.random.default_rng(0)
     plain = problem.scatter(null.x, (law,))
-    made = corrected(problem, null.x, (law,), 0.1 * plain, rng.uniform(0.1, 0.3) / STRONG * plain[None])
+    made = correct_posterior(problem, null.x, (law,), 0.1 * plain, rng.uniform(0.1, 0.3) / STRONG * plain[None])
     x, p = null.x.copy(), problem.reference.mean.size
     k, m, *_ = problem.reference.sizes
     x[: k + m] += 0.2
@@ -116,35 +116,37 @@ def test_a_law_that_cannot_stand_has_no_likelihood() -> None:
     assert np.linalg.eigvalsh(both[1]) == pytest.approx(-0.85 * np.ones((2, 3)))
 
 
-def test_simulation_mends_what_linearization_misses(bent: tuple[Problem, Fit]) -> None:
+def test_simulation_mends_what_linearization_misses(bent: tuple[Posterior, MapEstimate]) -> None:
     problem, null = bent
-    at = fit(problem, null.x, (parse_effect(CUBIC.format(0.3 * STRONG)),))
-    made, best = finish(problem, at)
+    at = maximize_posterior(problem, null.x, (parse_effect(CUBIC.format(0.3 * STRONG)),))
+    made, best = refine_fit(problem, at)
     n = problem.n_nuisance
     std = float(np.hypot(np.sqrt(best.covariance[n, n]), made.doubt[0]))
     assert abs(best.x[n] - STRONG) < 3.0 * std
     assert std < 0.15 * STRONG
 
 
-def test_a_correction_grows_with_the_motion(bent: tuple[Problem, Fit]) -> None:
+def test_a_correction_grows_with_the_motion(bent: tuple[Posterior, MapEstimate]) -> None:
     """As a new simulation at another level says; a fit that takes it for constant is led away from the truth."""
     problem, null = bent
     law, n = parse_effect(CUBIC.format(0.3 * STRONG)), problem.reference.mean.size
     x = np.append(null.x, law.coordinates)
-    problem = replace(problem, conditions=conditions(problem, x, (law,)))
+    problem = replace(problem, conditions=linearize(problem, x, (law,)))
 
     def simulated(x: np.ndarray, law: Effect = law) -> np.ndarray:
-        made = [forces(problem, x, (law,), seed) for seed in range(2)]
-        both = [sides(problem, x, (law,), f, exact(problem, x, (law,), f)).controlled for f in made]
+        made = [draw_forces(problem, x, (law,), seed) for seed in range(2)]
+        both = [simulate_spectra(problem, x, (law,), f, simulate_exact(problem, x, (law,), f)).controlled for f in made]
         return np.asarray(np.mean(both, axis=0))
 
     here = simulated(x)
     slope = (simulated(x, law.at(1.1 * law.coordinates)) - here) / (0.1 * law.coordinates[0])
-    made = corrected(problem, x, (law,), here, slope[None])
+    made = correct_posterior(problem, x, (law,), here, slope[None])
     louder = x.copy()
     louder[n + 3 + problem.n_classes - 1] += 0.1
     plain, at = problem.scatter(louder, (law,)), replace(null, x=x, effects=(law,))
-    anew = corrected(problem, louder, (law,), simulated(louder), np.zeros((0, *here.shape))).scatter(louder, (law,))
+    anew = correct_posterior(problem, louder, (law,), simulated(louder), np.zeros((0, *here.shape))).scatter(
+        louder, (law,)
+    )
     constant = plain + made.scatter(x, (law,)) - problem.scatter(x, (law,))
     assert whitened_rms(problem, at, made.scatter(louder, (law,)) - anew) < 0.3 * whitened_rms(
         problem, at, constant - anew

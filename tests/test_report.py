@@ -13,16 +13,16 @@ from rerun.chunk import RrdReader
 
 from drivers.base import ACCELERATION
 from monitor.config.configuration import Configuration
-from monitor.diagnosis.cross_validation import Gain
+from monitor.diagnosis.cross_validation import HeldOutGain
 from monitor.diagnosis.files import content as content_of
-from monitor.diagnosis.initial_fit import prepare
-from monitor.diagnosis.score_test import judge
+from monitor.diagnosis.initial_fit import fit_linearized
+from monitor.diagnosis.score_test import fit_best
 from monitor.diagnosis.stepwise_selection import Cause, Diagnosis, DiagnosisSettings, diagnose
 from monitor.diagnosis.wording import in_words, interval, separating_measurement
 from monitor.inference.observed_spectra import classify
 from monitor.inference.segments import Segments, gather
 from monitor.model.effects import EFFECTS, FORMS, Context, Effect, parse_effect
-from monitor.model.prior import nominal
+from monitor.model.prior import prior_from_drawing
 from monitor.model.simulation import simulate
 from monitor.publish.reports.charts import decades, ticks
 from monitor.publish.reports.comparison import compare, level_dependence
@@ -40,9 +40,9 @@ CONFIG = Configuration.model_validate(
         "sensors": [{"channel": name, "floor": i} for i, name in enumerate(("a1", "a2 <b>&", "a3"), 1)],
     }
 )
-REFERENCE = nominal(CONFIG.model(), 0.01 * CONFIG.prior_std(), 3)
+REFERENCE = prior_from_drawing(CONFIG.model(), 0.01 * CONFIG.prior_std(), 3)
 """Known so well that its stiffnesses cannot take up a cause."""
-GAIN = Gain(
+GAIN = HeldOutGain(
     1.0,
     1.05,
     (0.04, 0.06),
@@ -60,7 +60,7 @@ class Case:
 
     @property
     def content(self):
-        gain = GAIN if self.diagnosis.final.effects else Gain()
+        gain = GAIN if self.diagnosis.final.effects else HeldOutGain()
         return content_of(self.diagnosis, gain, (), {"without": [], "with": []})
 
 
@@ -76,8 +76,8 @@ def recorded(*effects: Effect, rate_hz: float = 200.0) -> tuple[Segments, Contex
 def searched(truth: tuple[str, ...], tried: tuple[str, ...], verdict: str, *, causes: int = 0) -> Case:
     """A diagnosis whose candidates are given, so that the search's choice is not what is tested here."""
     segments, context = recorded(*(parse_effect(t) for t in truth))
-    problem, null = prepare(classify(segments), REFERENCE, context)
-    candidates = tuple(judge(problem, null, parse_effect(t)) for t in tried)
+    problem, null = fit_linearized(classify(segments), REFERENCE, context)
+    candidates = tuple(fit_best(problem, null, parse_effect(t)) for t in tried)
     blank = diagnose(classify(segments), REFERENCE, context, DiagnosisSettings(worth=1e9))
     best = candidates[0]
     std = dict.fromkeys(best.effect.values(), 0.001)

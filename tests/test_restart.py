@@ -34,7 +34,7 @@ from monitor.runs.session import Session
 from monitor.service import serialization
 from monitor.service.appended_lines import AppendedLines
 from monitor.service.daemon_health import plain
-from monitor.service.restart import Keeper, Saved
+from monitor.service.restart import Checkpointer, Saved
 from monitor.service.threads import Recording
 from tests.conftest import T0_NS, Cli, Cut
 from tests.live_site import RATE, SIZE, forked, given
@@ -335,7 +335,7 @@ def test_an_acknowledged_alarm_stays_so_with_and_without_checkpoints(
     def alarm_of_story_2(change: Callable[[AlarmState], AlarmState] | None) -> StoryState:
         """As a new process finds it; then it is changed, as the data or an operator would."""
         recording, lines = Recording(out / "recordings", settings.recorder), AppendedLines(out / "results.jsonl")
-        keeper = Keeper(out, settings, None, recording, lines)
+        keeper = Checkpointer(out, settings, None, recording, lines)
         session = Session(settings, None, (), None, tmp_path)
         keeper.resume(lambda: session, lambda _: None)
         recording.flush(10.0)

@@ -4,34 +4,34 @@ from __future__ import annotations
 
 import numpy as np
 
-from monitor.diagnosis.ambiguity import probabilities, together
+from monitor.diagnosis.ambiguity import probabilities, tied_candidates
 from monitor.diagnosis.score_test import Candidate
-from monitor.diagnosis.simulation_refit import Polished
+from monitor.diagnosis.simulation_refit import RefittedCandidate
 from monitor.inference.higher_moments import Moments
-from monitor.inference.map_estimate import Fit
-from monitor.inference.posterior import Problem
+from monitor.inference.map_estimate import MapEstimate
+from monitor.inference.posterior import Posterior
 from monitor.model.effects import BilinearStiffness, StiffnessChange
 
 RIVAL = 4.6
 
 
-def judged(evidence: float, chance: float = 0.0) -> Polished:
+def judged(evidence: float, chance: float = 0.0) -> RefittedCandidate:
     none = np.zeros(0)
-    fit = Fit(none, (), 0.0, 0.0, np.zeros((0, 0)), True, np.zeros((0, 0)), none, none)
+    fit = MapEstimate(none, (), 0.0, 0.0, np.zeros((0, 0)), True, np.zeros((0, 0)), none, none)
     effect = StiffnessChange("story 1", -0.02) if chance == 0.0 else BilinearStiffness("story 1", 0.04)
-    return Polished(
-        Candidate(effect, fit, evidence, evidence), Problem.__new__(Problem), Moments(none, none), chance=chance
+    return RefittedCandidate(
+        Candidate(effect, fit, evidence, evidence), Posterior.__new__(Posterior), Moments(none, none), chance=chance
     )
 
 
 def test_a_linear_cause_is_beaten_by_odds_alone() -> None:
     best, near, far = judged(100.0), judged(96.0), judged(94.0)
-    assert together([far, near, best], RIVAL) == [best, near]
+    assert tied_candidates([far, near, best], RIVAL) == [best, near]
     assert np.allclose(probabilities([best, near]), np.array([1.0, np.exp(-4.0)]) / (1.0 + np.exp(-4.0)))
 
 
 def test_the_chance_of_a_simulation_evens_the_odds() -> None:
     best, law, far = judged(100.0), judged(93.0, chance=2.0), judged(90.0, chance=2.0)
-    assert together([far, law, best], RIVAL) == [best, law]
+    assert tied_candidates([far, law, best], RIVAL) == [best, law]
     assert np.exp(-RIVAL) < probabilities([best, law])[1] < 2.0 * np.exp(-RIVAL)
     assert probabilities([best, far])[1] > 10.0 * np.exp(-10.0)

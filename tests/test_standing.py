@@ -10,7 +10,7 @@ from scipy.linalg import solve_continuous_lyapunov
 
 from drivers.base import ACCELERATION
 from monitor.config.configuration import Configuration
-from monitor.diagnosis.cross_validation import Gain
+from monitor.diagnosis.cross_validation import HeldOutGain
 from monitor.diagnosis.files import content as content_of
 from monitor.diagnosis.stepwise_selection import Diagnosis, diagnose
 from monitor.inference.observed_spectra import classify
@@ -61,7 +61,7 @@ def test_what_calibration_cannot_tell_apart_is_no_news_later(standing: tuple[str
     segments = recorded(2, *another_day)
     clean = diagnose(classify(segments), known, CONTEXT, CONFIG.diagnosis)
     assert clean.verdict == "none"
-    shown = page(clean, content_of(clean, Gain(), (), {"without": [], "with": []}), segments)
+    shown = page(clean, content_of(clean, HeldOutGain(), (), {"without": [], "with": []}), segments)
     title = "forces on the floors at calibration"
     assert (title in shown, "rise_1" in shown) == (standing == (FORCES,), False)
     if title in shown:  # falling, not level
@@ -89,7 +89,7 @@ def test_what_nothing_explains_at_calibration_is_no_news_later() -> None:
 
     clean = found(2)
     assert clean.verdict == "none", [c.effect for c in clean.causes]
-    said = content_of(clean, Gain(), (), {"without": [], "with": []})
+    said = content_of(clean, HeldOutGain(), (), {"without": [], "with": []})
     low, high = said["standing_misfit"]["bands_hz"][0]
     assert f"{low:.1f}-{high:.1f}" in said["standing_misfit"]["says"] and "healthy" in said["says"]
     loss = found(3, "stiffness_change:story 2:relative=-0.06")

@@ -57,7 +57,7 @@ def kept(blocks: list[SampleBlock]) -> TemperatureState:
 
 
 def felt(state: TemperatureState, end_s: float, window_s: float = 400.0) -> Temperature | None:
-    return temperature.felt(state, T0_NS + round(end_s * 1e9), window_s, SETTINGS)
+    return temperature.window_temperature(state, T0_NS + round(end_s * 1e9), window_s, SETTINGS)
 
 
 @pytest.mark.parametrize(("rate_hz", "within"), [(0.1, 0.06), (1.0, 0.006), (50.0, 0.006)])

@@ -14,7 +14,7 @@ from monitor.config import configuration
 from monitor.config.configuration import Configuration
 from monitor.core.errors import BadConfigurationError, MissingInputError, WrongUsageError
 from monitor.core.files import spare_inputs
-from monitor.core.parse import told
+from monitor.core.parse import settings_problems
 
 if TYPE_CHECKING:
     from monitor.service.requests import Request
@@ -69,7 +69,7 @@ def ack(
     try:
         request = Request.model_validate(wish)
     except ValidationError as error:
-        raise WrongUsageError("; ".join(told(error))) from error
+        raise WrongUsageError("; ".join(settings_problems(error))) from error
     applied, said = None, ""
     if settings.output.zenoh is not None:
         said = _over_zenoh(file, settings, request.model_dump_json())
@@ -117,7 +117,7 @@ def _over_zenoh(file: Path, settings: Configuration, request: str) -> str:
     try:
         joining = ZenohOutSettings.model_validate(settings.output.zenoh)
     except ValidationError as error:
-        problems = told(error, "output", "zenoh")
+        problems = settings_problems(error, "output", "zenoh")
         raise BadConfigurationError("\n".join(f"{file}: {problem}" for problem in problems)) from error
     try:
         answer = ask(joining, file.resolve().parent, key_prefix(settings.site_name, joining), request, _WAIT_S)

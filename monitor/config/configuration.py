@@ -17,7 +17,7 @@ from monitor.config.log_settings import LogSettings
 from monitor.config.matrix_files import read_matrices
 from monitor.config.state_settings import StateSettings
 from monitor.core.errors import BadConfigurationError, MissingInputError
-from monitor.core.parse import parse_address, told
+from monitor.core.parse import parse_address, settings_problems
 from monitor.core.results import Array
 from monitor.core.settings import Settings
 from monitor.damage.alarm import AlarmSettings
@@ -255,7 +255,7 @@ def load(path: Path) -> Configuration:
     try:
         config = Configuration.model_validate(tables)
     except ValidationError as error:
-        problems += told(error)
+        problems += settings_problems(error)
     if isinstance(tables.get("source"), dict):
         channels = () if problems else config.channels
         try:
@@ -285,6 +285,6 @@ def make_source(table: Mapping[str, Any], context: SourceContext) -> Source:
     except ImportError as error:
         raise BadConfigurationError(f"source.kind: {table['kind']!r} cannot be loaded: {error}") from error
     except ValidationError as error:
-        raise BadConfigurationError("\n".join(told(error, "source"))) from error
+        raise BadConfigurationError("\n".join(settings_problems(error, "source"))) from error
     except (OSError, ValueError, SourceError) as error:
         raise BadConfigurationError(f"source: {error}") from error

@@ -25,7 +25,7 @@ _shared: tuple[Callable[[Any], Any], list[Any]]
 """What a forked process works on, in that process."""
 
 
-def each(function: Callable[[_Item], _Made], items: Iterable[_Item]) -> list[_Made]:
+def parallel_map(function: Callable[[_Item], _Made], items: Iterable[_Item]) -> list[_Made]:
     """``[function(item) for item in items]``, in forked processes on Linux: interpreted code runs on one core of a process.
 
     The function must be pure and its results picklable; its items need not be.  One after the other within such a process,

@@ -41,7 +41,7 @@ def utc_ns(text: str) -> int:
     return t_ns
 
 
-def told(error: ValidationError, *place: str) -> list[str]:
+def settings_problems(error: ValidationError, *place: str) -> list[str]:
     """One line a problem, with where it lies below `place`; without the values, which may be secret."""
     lines = []
     for problem in error.errors():

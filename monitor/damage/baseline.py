@@ -14,7 +14,7 @@ from pydantic import ConfigDict, Field, ValidationError
 from monitor.config.configuration import Configuration
 from monitor.core.errors import BadInputError, MissingInputError
 from monitor.core.files import write_atomically
-from monitor.core.parse import told
+from monitor.core.parse import settings_problems
 from monitor.core.results import Array, ModalEstimate, Temperature
 from monitor.core.settings import Settings
 from monitor.damage import temperature_compensation
@@ -23,7 +23,7 @@ from monitor.damage.temperature_compensation import Dependence
 from monitor.damage.updating import Observation, Update, counterparts, observe, predict, update
 from monitor.model import prior_file
 from monitor.model.model import Model
-from monitor.model.prior import Reference
+from monitor.model.prior import StructuralPrior
 from monitor.model.structures.tables import Matrix, Positive
 
 FORMAT = 1
@@ -66,7 +66,7 @@ class Baseline:
     """Name and sha256 of every recording used."""
     span_ns: tuple[int, int] = (0, 0)
     """UTC of the healthy data's first sample and of their end."""
-    reference: Reference | None = None
+    reference: StructuralPrior | None = None
     """What a diagnosis starts from; None where the healthy data were too short for one."""
 
     def only(self, model_modes: tuple[int, ...]) -> Baseline:
@@ -235,7 +235,7 @@ class _StandingError(_Strict):
 
 
 class _Reference(_Strict):
-    """`Reference`, as `reference_file` writes it."""
+    """`StructuralPrior`, as `reference_file` writes it."""
 
     effects: tuple[_Effect, ...]
     correction: Vector
@@ -312,7 +312,9 @@ def load(path: Path, config: Configuration) -> Baseline:
         content = _Content.model_validate_json(text)
         loaded = _built(content, config)
     except ValidationError as error:
-        raise BadInputError(f"{path}: not a baseline file ({told(error)[0]}); make one with 'calibrate'") from error
+        raise BadInputError(
+            f"{path}: not a baseline file ({settings_problems(error)[0]}); make one with 'calibrate'"
+        ) from error
     except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
         raise BadInputError(f"{path}: not a baseline file ({error!r}); make one with 'calibrate'") from error
     problem = _mismatch(loaded, config)

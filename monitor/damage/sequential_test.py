@@ -50,7 +50,7 @@ class History:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Evidence:
+class SequentialStatistic:
     """What the windows up to now say of each story."""
 
     z: Array
@@ -67,7 +67,7 @@ def begin(n_stories: int, window_s: float) -> History:
     return History(round(window_s * 1e9), np.zeros(0, dtype=np.int64), none, none, np.zeros(n_stories), 0.0)
 
 
-def look(history: History, reading: DamageReading, t_ns: int, model_form: float) -> tuple[History, Evidence]:
+def look(history: History, reading: DamageReading, t_ns: int, model_form: float) -> tuple[History, SequentialStatistic]:
     """Take in one window's reading.
 
     Parameters
@@ -94,7 +94,7 @@ def look(history: History, reading: DamageReading, t_ns: int, model_form: float)
     agrees = np.abs(ddi[0] - means) <= _AGREEMENT * np.sqrt(variance[0] * (1.0 - 2.0 / counts[:, None]) + variances)
     agrees[0] = True
     longest = len(STRETCHES) - 1 - agrees[::-1].argmax(axis=0), np.arange(z.shape[1])
-    return history, Evidence(np.where(agrees, z, -np.inf).max(axis=0), means[longest], std[longest])
+    return history, SequentialStatistic(np.where(agrees, z, -np.inf).max(axis=0), means[longest], std[longest])
 
 
 def _remembered(history: History, ddi: Array, variance: Array, t_ns: int) -> History:

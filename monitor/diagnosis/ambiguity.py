@@ -6,27 +6,27 @@ import numpy as np
 
 from monitor.core.results import Array
 from monitor.diagnosis.score_test import change
-from monitor.diagnosis.simulation_refit import Polished
-from monitor.inference.map_estimate import Fit
-from monitor.inference.posterior import Problem
+from monitor.diagnosis.simulation_refit import RefittedCandidate
+from monitor.inference.map_estimate import MapEstimate
+from monitor.inference.posterior import Posterior
 
 _TIED = 1.0
 """Nats between two predictions that are one and the same."""
 
 
-def together(tried: list[Polished], rival: float) -> list[Polished]:
+def tied_candidates(tried: list[RefittedCandidate], rival: float) -> list[RefittedCandidate]:
     """Those against which the log odds of the best are below `rival` nats, best first."""
     tried = sorted(tried, key=lambda p: -p.candidate.evidence)
     return [p for p, odds in zip(tried, _log_odds(tried), strict=True) if odds > -rival]
 
 
-def probabilities(close: list[Polished]) -> Array:
+def probabilities(close: list[RefittedCandidate]) -> Array:
     """Of candidates against each other, the first being the best, shape (n,)."""
     odds = np.exp(_log_odds(close))
     return np.asarray(odds / odds.sum())
 
 
-def _log_odds(ordered: list[Polished]) -> Array:
+def _log_odds(ordered: list[RefittedCandidate]) -> Array:
     """Of candidates against the first, the best, shape (n,): the more chance there is in the evidence, the nearer to even
     (D. MacKay, Neural Computation 4 (1992) 720).
     """
@@ -36,7 +36,7 @@ def _log_odds(ordered: list[Polished]) -> Array:
     return np.asarray(apart / np.sqrt(1.0 + np.pi / 8.0 * chance**2))
 
 
-def same(problem: Problem, one: Fit, other: Fit) -> bool:
+def same(problem: Posterior, one: MapEstimate, other: MapEstimate) -> bool:
     """Whether two fits predict spectra that these data cannot tell apart, whatever else is added."""
     apart = change(problem, problem.predict(one.x, one.effects), problem.predict(other.x, other.effects))
     return bool(0.5 * float(apart @ apart) < _TIED)

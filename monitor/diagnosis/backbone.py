@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from monitor.core.results import Array, ComplexArray
-from monitor.diagnosis.lack_of_fit import Misfit
-from monitor.inference.map_estimate import Fit
-from monitor.inference.posterior import Problem, placed
+from monitor.diagnosis.lack_of_fit import LackOfFit
+from monitor.inference.map_estimate import MapEstimate
+from monitor.inference.posterior import Posterior, with_coordinates
 
 _NEAR = 0.6, 1.6
 """Frequencies of the first mode's equation, over the first frequency."""
@@ -34,7 +34,7 @@ class Backbone:
     """The same of the model's response, shape (n,)."""
 
 
-def backbone(problem: Problem, at: Fit) -> Backbone | None:
+def backbone(problem: Posterior, at: MapEstimate) -> Backbone | None:
     """Frequency of the first mode in every segment; None where too few show it, or no ground was measured.
 
     In each, ``y + 2 zeta w y' + w^2 y = -gamma g`` is solved by least squares in the frequency domain for the floors' motion
@@ -75,7 +75,7 @@ def _solved(y: ComplexArray, ground: ComplexArray, w: Array) -> tuple[float, flo
     return omega / (2.0 * np.pi), size, left
 
 
-def level_dependence(found: Backbone | None) -> Misfit | None:
+def level_dependence(found: Backbone | None) -> LackOfFit | None:
     """How the first mode follows the level; None where it does no more than the model's."""
     if found is None:
         return None
@@ -94,10 +94,10 @@ def level_dependence(found: Backbone | None) -> Misfit | None:
         f"the first mode {'falls' if g < f else 'rises'} with the level, from {f:.2f} Hz at {1e3 * a:.2g} mm of the top "
         f"floor to {g:.2f} Hz at {1e3 * b:.2g} mm; in the model from {m:.2f} to {n:.2f} Hz"
     )
-    return Misfit(f"f = {min(found.hz):.1f}-{max(found.hz):.1f} Hz, first mode", abs(change) / std, says)
+    return LackOfFit(f"f = {min(found.hz):.1f}-{max(found.hz):.1f} Hz, first mode", abs(change) / std, says)
 
 
-def ratios(problem: Problem, at: Fit) -> Misfit | None:
+def ratios(problem: Posterior, at: MapEstimate) -> LackOfFit | None:
     """Frequency ratios that the drawing does not have; None where the fitted model keeps them, or no ground was measured."""
     if problem.evidence.drive is None or not at.effects:
         return None
@@ -110,20 +110,20 @@ def ratios(problem: Problem, at: Fit) -> Misfit | None:
         return None
     told = [" and ".join(f"f{i}/f1 {r:.2f}" for i, r in enumerate(x, start=2)) for x in (has, had)]
     where = f"f = {found[0]:.1f}-{found[-1]:.1f} Hz, all modes"
-    return Misfit(
+    return LackOfFit(
         where,
         float(np.max(np.abs(apart) / std)),
         f"frequency ratios: {told[0]} explain the response, the drawing has {told[1]}",
     )
 
 
-def _ratio_variance(problem: Problem, at: Fit, here: Array) -> Array:
+def _ratio_variance(problem: Posterior, at: MapEstimate, here: Array) -> Array:
     """Variance of the frequency ratios, by their slopes."""
     slopes = np.zeros((here.size, at.x.size))
     for i in range(at.x.size):
         moved, h = at.x.copy(), 1e-5 * max(1.0, abs(at.x[i]))
         moved[i] += h
-        effects = (*problem.reference.effects(moved), *placed(at.effects, moved[problem.n_nuisance :]))
+        effects = (*problem.reference.effects(moved), *with_coordinates(at.effects, moved[problem.n_nuisance :]))
         f = problem.model(moved, effects).modes().frequencies_hz[: here.size + 1]
         slopes[:, i] = (f[1:] / f[0] - here) / h
     return np.asarray(np.einsum("ij,jk,ik->i", slopes, at.covariance, slopes))

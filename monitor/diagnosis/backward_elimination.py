@@ -8,14 +8,14 @@ from functools import partial
 
 import numpy as np
 
-from monitor.core.parallel import each
+from monitor.core.parallel import parallel_map
 from monitor.core.results import Array
-from monitor.diagnosis.score_test import Candidate, evidence_of, judge
-from monitor.diagnosis.simulation_refit import Polished, beside_standing
-from monitor.inference.corrected_posterior import Corrected
-from monitor.inference.linearization import conditions
-from monitor.inference.map_estimate import Fit, fit
-from monitor.inference.posterior import Problem
+from monitor.diagnosis.score_test import Candidate, fit_best, score_candidate
+from monitor.diagnosis.simulation_refit import RefittedCandidate, fit_persistent_effects
+from monitor.inference.corrected_posterior import CorrectedPosterior
+from monitor.inference.linearization import linearize
+from monitor.inference.map_estimate import MapEstimate, maximize_posterior
+from monitor.inference.posterior import Posterior
 from monitor.model.effects import Effect
 
 _MISSED = 3.0
@@ -24,7 +24,9 @@ _RIVALS = 3
 """Causes of the same round that are tried again in place of one."""
 
 
-def missed(problem: Problem, at: Fit, tried: Sequence[Polished]) -> tuple[Problem, Fit] | None:
+def simulate_what_was_missed(
+    problem: Posterior, at: MapEstimate, tried: Sequence[RefittedCandidate]
+) -> tuple[Posterior, MapEstimate] | None:
     """A better fit of the same form than `at`, where a candidate's fit came upon one; None where none did.
 
     Else the candidate would get the credit for it.
@@ -33,31 +35,31 @@ def missed(problem: Problem, at: Fit, tried: Sequence[Polished]) -> tuple[Proble
     likely = [sum(problem.score(*start)) for start in begun]
     if not begun or not max(likely) > at.log_posterior + _MISSED:
         return None
-    found = fit(problem, *begun[int(np.argmax(likely))])
+    found = maximize_posterior(problem, *begun[int(np.argmax(likely))])
     problem = moved(problem, found)
-    return problem, fit(problem, found.x, found.effects)
+    return problem, maximize_posterior(problem, found.x, found.effects)
 
 
-def moved(problem: Problem, at: Fit) -> Problem:
+def moved(problem: Posterior, at: MapEstimate) -> Posterior:
     """The problem with its classes' motion as the fitted model has it; a correction stays at the motion that was simulated."""
-    if isinstance(problem, Corrected):
+    if isinstance(problem, CorrectedPosterior):
         return problem
-    return replace(problem, conditions=conditions(problem, at.x, at.effects))
+    return replace(problem, conditions=linearize(problem, at.x, at.effects))
 
 
-def revised(
-    problem: Problem,
-    at: Fit,
+def revise_candidates(
+    problem: Posterior,
+    at: MapEstimate,
     accepted: Sequence[Candidate],
     rounds: Sequence[Sequence[Candidate]],
     margin: float,
     lead: float,
-) -> tuple[Problem, Fit, tuple[Candidate, ...]]:
+) -> tuple[Posterior, MapEstimate, tuple[Candidate, ...]]:
     """The causes once the later ones are known: without what they made superfluous, and rivals where these are better now.
 
     Parameters
     ----------
-    at : Fit
+    at : MapEstimate
         With the accepted causes, and after them the most probable alternative where there is one.
     rounds
         Of every cause, the candidates among which it was accepted; then that of the alternatives.
@@ -71,18 +73,18 @@ def revised(
             break  # nothing came after it
         n, i = problem.n_nuisance, kept.index(cause)
         rest = (*at.effects[:i], *at.effects[i + 1 :])
-        without = fit(problem, joined(at.x[:n], rest), rest)
-        worth = evidence_of(problem, without, at, len(cause.effect.parameters)).evidence
+        without = maximize_posterior(problem, joined(at.x[:n], rest), rest)
+        worth = score_candidate(problem, without, at, len(cause.effect.parameters)).evidence
         taken = {cause.key, *(c.key for c in later), *((e.name, e.location) for e in rest)}
         # What simulation added to a law is its own: none takes its place, and it none's.
         linear = [] if cause.effect.nonlinear else [c for c in tried if not c.effect.nonlinear]
         rivals = [c.effect for c in linear if c.key not in taken]
         bar = max(worth + lead, margin)
-        judged = each(partial(judge, problem, without, bar=bar), rivals[:_RIVALS])
+        judged = parallel_map(partial(fit_best, problem, without, bar=bar), rivals[:_RIVALS])
         best = max(judged, key=lambda c: c.evidence, default=None)
         if best is not None and best.evidence > bar:
             effects = (*best.fit.effects[:i], best.effect, *best.fit.effects[i:-1])
-            at = fit(problem, joined(best.fit.x[:n], effects), effects)
+            at = maximize_posterior(problem, joined(best.fit.x[:n], effects), effects)
             kept[i], replaced = best, True
         elif worth > margin:
             continue
@@ -90,19 +92,19 @@ def revised(
             at = without
             del kept[i]
         problem = moved(problem, at)
-        if isinstance(problem, Corrected):
+        if isinstance(problem, CorrectedPosterior):
             problem = replace(problem, doubt=np.zeros(0))  # which was that of other causes
-        at = fit(problem, at.x, at.effects)
+        at = maximize_posterior(problem, at.x, at.effects)
     if not any(e.nonlinear for e in at.effects) and any(c.effect.nonlinear for c in accepted):
-        problem, at, _ = beside_standing(problem, at)  # its law is gone
+        problem, at, _ = fit_persistent_effects(problem, at)  # its law is gone
     return problem, at, tuple(kept)
 
 
-def only(problem: Problem, at: Fit, doubt: Array, kept: Sequence[bool]) -> tuple[Fit, Array]:
+def only(problem: Posterior, at: MapEstimate, doubt: Array, kept: Sequence[bool]) -> tuple[MapEstimate, Array]:
     """The fit, and the doubt of its sizes, with some of its effects alone."""
     effects = tuple(e for e, stays in zip(at.effects, kept, strict=True) if stays)
     sizes = np.array([stays for e, stays in zip(at.effects, kept, strict=True) for _ in e.parameters])
-    return fit(problem, joined(at.x[: problem.n_nuisance], effects), effects), doubt[sizes]
+    return maximize_posterior(problem, joined(at.x[: problem.n_nuisance], effects), effects), doubt[sizes]
 
 
 def joined(nuisances: Array, effects: Sequence[Effect]) -> Array:

@@ -14,15 +14,15 @@ from numpy.typing import NDArray
 from scipy.special import ndtri, stdtrit
 
 from monitor.config.configuration import Configuration
-from monitor.core.parallel import each
+from monitor.core.parallel import parallel_map
 from monitor.core.results import Array, ComplexArray
 from monitor.diagnosis.stepwise_selection import Diagnosis
-from monitor.inference.excitation_fit import Nearby, excited, nearest
+from monitor.inference.excitation_fit import ExcitationStart, fit_excitation, nearest_classes
 from monitor.inference.ground_response import Drive
-from monitor.inference.linearization import conditions
-from monitor.inference.map_estimate import Fit, fit
-from monitor.inference.observed_spectra import Evidence, classify
-from monitor.inference.posterior import Problem
+from monitor.inference.linearization import linearize
+from monitor.inference.map_estimate import MapEstimate, maximize_posterior
+from monitor.inference.observed_spectra import ObservedSpectra, classify
+from monitor.inference.posterior import Posterior
 from monitor.inference.segments import Segments
 from monitor.model.effects import Context, Effect
 from monitor.model.model import Model
@@ -66,7 +66,7 @@ class Score:
 
 
 @dataclass(frozen=True, slots=True)
-class Gain:
+class HeldOutGain:
     """Scores of the old model form and of the extended one on data that neither was fitted to."""
 
     before: float = 0.0
@@ -94,7 +94,7 @@ def score(
     config: Configuration,
     reference_degc: float | None = None,
     held: NDArray[np.bool_] | None = None,
-    near: Nearby | None = None,
+    near: ExcitationStart | None = None,
 ) -> Score:
     """Score a model on a recording.
 
@@ -105,13 +105,13 @@ def score(
     ----------
     held : ndarray of bool, shape (n_segments,), optional
         The segments that count; levels and noise are those of the whole recording all the same.
-    near : Nearby, optional
+    near : ExcitationStart, optional
         An excitation that is nearly this one: quicker.  The score is the same within far less than a nat, unless it brings
         along what was simulated with more care than is taken here.
     """
     evidence = classify(segments)
     held = np.ones(segments.t_s.size, dtype=bool) if held is None else held
-    problem, x = excited(evidence, model, replace(context, structure=model.structure), reference_degc, near)
+    problem, x = fit_excitation(evidence, model, replace(context, structure=model.structure), reference_degc, near)
     predicted, mean = problem.scatter(x, ()), problem.mean(x, ())
     left = segments.values if mean is None else segments.values - mean
     seen = segments.values[held]
@@ -135,7 +135,7 @@ def _sample_instants(segments: Segments, held: NDArray[np.bool_], config: Config
     return round(0.5 * np.count_nonzero(held) * rate_hz / segments.band.bin_hz)
 
 
-def _segment_nats(x: ComplexArray, evidence: Evidence, predicted: ComplexArray) -> Array:
+def _segment_nats(x: ComplexArray, evidence: ObservedSpectra, predicted: ComplexArray) -> Array:
     """Log likelihood of every segment under its class's spectra; their sum is that of the classes' means."""
     out = np.empty(x.shape[0])
     for spectra, members in zip(predicted, evidence.members, strict=True):
@@ -145,7 +145,7 @@ def _segment_nats(x: ComplexArray, evidence: Evidence, predicted: ComplexArray) 
     return out
 
 
-def heldout_gain(segments: Segments, diagnosis: Diagnosis, config: Configuration) -> Gain:
+def heldout_gain(segments: Segments, diagnosis: Diagnosis, config: Configuration) -> HeldOutGain:
     """Gain of a diagnosis's extended model over the old form, each judged on blocks that it was not fitted to.
 
     The recording is cut into contiguous blocks; both forms are judged by `score` on every fourth of them, fitted to the
@@ -154,11 +154,11 @@ def heldout_gain(segments: Segments, diagnosis: Diagnosis, config: Configuration
     """
     effects = diagnosis.final.effects
     if not effects:
-        return Gain()
+        return HeldOutGain()
     block, n_blocks, block_s = _blocks(segments)
     folds = min(_FOLDS, n_blocks)
     if any(np.count_nonzero((block >= 0) & (block % folds == fold)) < 2 for fold in range(folds)):
-        return Gain(heldout="none: the recording is too short to hold any of it out")
+        return HeldOutGain(heldout="none: the recording is too short to hold any of it out")
     context, reference = diagnosis.problem.context, diagnosis.problem.reference
     nats, samples = np.zeros((2, n_blocks)), np.zeros(n_blocks)
     spectra = np.zeros((2, 2, *segments.values.shape[1:], segments.values.shape[2]), dtype=complex)
@@ -178,7 +178,7 @@ def heldout_gain(segments: Segments, diagnosis: Diagnosis, config: Configuration
         ]
 
     parts = [(block >= 0) & (block % folds == fold) for fold in range(folds)]
-    for held, judged in zip(parts, each(scores, parts), strict=True):
+    for held, judged in zip(parts, parallel_map(scores, parts), strict=True):
         for i, one in enumerate(judged):
             nats[i] += np.bincount(block[held], one.nats, n_blocks)
             spectra[i] += np.count_nonzero(held) * np.stack([one.measured, one.modelled])
@@ -188,7 +188,7 @@ def heldout_gain(segments: Segments, diagnosis: Diagnosis, config: Configuration
     gains = (nats[1] - nats[0])[drawn].sum(axis=1) / np.maximum(samples[drawn].sum(axis=1), 1.0)
     value = (nats[1] - nats[0]).sum() / total
     low, high = value + _widening(n_blocks) * (np.quantile(gains, [0.025, 0.975]) - value)
-    return Gain(
+    return HeldOutGain(
         before=float(nats[0].sum() / total),
         after=float(nats[1].sum() / total),
         ci95=(float(low), float(high)),
@@ -222,7 +222,9 @@ def _blocks(segments: Segments) -> tuple[NDArray[np.intp], int, float]:
     return np.where(first == last, first, -1), n, float(length)
 
 
-def _forms(evidence: Evidence, effects: tuple[Effect, ...], whole: Diagnosis) -> list[tuple[Model, Nearby]]:
+def _forms(
+    evidence: ObservedSpectra, effects: tuple[Effect, ...], whole: Diagnosis
+) -> list[tuple[Model, ExcitationStart]]:
     """The old model form and the extended one, fitted, each with its excitation.
 
     From the whole recording's fits, which lie near: a response's phases lead back from nearby only, and all else comes quicker.
@@ -230,18 +232,18 @@ def _forms(evidence: Evidence, effects: tuple[Effect, ...], whole: Diagnosis) ->
     It is simulated anew where both forms have laws, which must be judged alike, and where classes are not of level alone.
     """
     n_classes = evidence.counts.size
-    problem = whole.problem.part(evidence, nearest(whole.problem.n_classes, n_classes))
+    problem = whole.problem.part(evidence, nearest_classes(whole.problem.n_classes, n_classes))
     p, n = problem.reference.mean.size, whole.problem.n_nuisance
     by_level = not (evidence.by_temperature or whole.problem.evidence.by_temperature)
     shared = by_level and not any(e.nonlinear for e in problem.reference.model.effects)
 
-    def fitted(x: Array, effects: tuple[Effect, ...]) -> tuple[Model, Nearby]:
-        x = np.concatenate([x[:p], Nearby.at(whole.problem, x).of(n_classes).vector, x[n:]])
+    def fitted(x: Array, effects: tuple[Effect, ...]) -> tuple[Model, ExcitationStart]:
+        x = np.concatenate([x[:p], ExcitationStart.at(whole.problem, x).of(n_classes).vector, x[n:]])
         here = problem
         if evidence.drive is None and any(e.conditional for e in (*problem.reference.effects(x), *effects)):
-            here = replace(problem, conditions=conditions(replace(problem, offset=None), x, effects))
-        at = fit(here, x, effects, iterations=_DRIVEN if evidence.drive is not None else _PART)
-        return fitted_model(here, at), Nearby.at(here, at.x, here.beyond(at.x, at.effects) if shared else None)
+            here = replace(problem, conditions=linearize(replace(problem, offset=None), x, effects))
+        at = maximize_posterior(here, x, effects, iterations=_DRIVEN if evidence.drive is not None else _PART)
+        return fitted_model(here, at), ExcitationStart.at(here, at.x, here.beyond(at.x, at.effects) if shared else None)
 
     return [fitted(whole.null.x, whole.null.effects), fitted(whole.final.x, effects)]
 
@@ -252,7 +254,7 @@ def _as_moved(drive: Drive | None, diagnosis: Diagnosis) -> Drive | None:
     return None if drive is None or whole is None else replace(drive, between=whole.between)
 
 
-def fitted_model(problem: Problem, at: Fit) -> Model:
+def fitted_model(problem: Posterior, at: MapEstimate) -> Model:
     """The model at a fit, with the standing effects and those that were found."""
     effects = (*problem.reference.effects(at.x), *at.effects)
     model, damping = problem.model(at.x, effects), problem.system(at.x, effects).damping
@@ -261,7 +263,7 @@ def fitted_model(problem: Problem, at: Fit) -> Model:
     return replace(model, modal_damping=modal / (2.0 * np.sqrt(np.maximum(modes.eigenvalues, 1e-12))))
 
 
-def demand_gain(diagnosis: Diagnosis, gain: Gain) -> Diagnosis:
+def require_gain(diagnosis: Diagnosis, gain: HeldOutGain) -> Diagnosis:
     """A named cause stands only if it gains on held-out data beyond doubt; else nothing is named.
 
     A law that only loud blocks show gains in few of them, which a bootstrap of blocks cannot tell from none: there the sum

@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from monitor.core.parallel import each
+from monitor.core.parallel import parallel_map
 from monitor.core.results import Array
 from monitor.diagnosis.stepwise_selection import Diagnosis
-from monitor.inference.linearization import conditions
-from monitor.inference.map_estimate import Fit, fit
-from monitor.inference.posterior import Problem
+from monitor.inference.linearization import linearize
+from monitor.inference.map_estimate import MapEstimate, maximize_posterior
+from monitor.inference.posterior import Posterior
 from monitor.model.effects import Effect
 
 _STIFFNESS_STD = 0.2
@@ -34,23 +34,23 @@ def ddi_effect(diagnosis: Diagnosis) -> dict[str, Any]:
     problem = _with_free_stiffness(diagnosis.problem)
     # The offset is a cause's.
     forms = [(replace(problem, offset=None), diagnosis.null.x, ()), (problem, diagnosis.final.x, causes)]
-    alone, *beside = each(lambda form: _fitted(*form), forms[: 2 if causes else 1])
+    alone, *beside = parallel_map(lambda form: _fitted(*form), forms[: 2 if causes else 1])
     known = np.exp(problem.reference.parts(problem.reference.mean)[0])
 
-    def index(at: Fit) -> list[float]:
+    def index(at: MapEstimate) -> list[float]:
         return [float(v) for v in 1.0 - np.exp(problem.reference.parts(at.x)[0]) / known]
 
     return {"without": index(alone), "with": index(*(beside or [alone]))}
 
 
-def _fitted(problem: Problem, x: Array, effects: tuple[Effect, ...]) -> Fit:
+def _fitted(problem: Posterior, x: Array, effects: tuple[Effect, ...]) -> MapEstimate:
     """The fit, laws that depend on the level being linear at the motion that it shows."""
-    at = fit(problem, x, effects)
-    problem = replace(problem, conditions=conditions(problem, at.x, at.effects))
-    return fit(problem, at.x, at.effects)
+    at = maximize_posterior(problem, x, effects)
+    problem = replace(problem, conditions=linearize(problem, at.x, at.effects))
+    return maximize_posterior(problem, at.x, at.effects)
 
 
-def _with_free_stiffness(problem: Problem) -> Problem:
+def _with_free_stiffness(problem: Posterior) -> Posterior:
     """The baseline holds its stiffnesses fixed; an index asks what they are now."""
     k = problem.reference.sizes[0]
     precision = problem.reference.precision.copy()

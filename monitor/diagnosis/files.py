@@ -11,20 +11,22 @@ import tomlkit
 from tomlkit.items import AoT
 
 from monitor.core.results import Array
-from monitor.diagnosis.cross_validation import Gain
+from monitor.diagnosis.cross_validation import HeldOutGain
 from monitor.diagnosis.score_test import Candidate
 from monitor.diagnosis.stepwise_selection import Diagnosis
 from monitor.diagnosis.wording import contradicted, headline, in_words, separating_measurement
 from monitor.model.effects import FORMS, Effect
 from monitor.model.model import Model
-from monitor.model.prior import Reference
+from monitor.model.prior import StructuralPrior
 from monitor.model.structures import MatrixStructure
 
 _MOST = 1e300
 """Stands for "not determined": JSON has no infinity."""
 
 
-def content(diagnosis: Diagnosis, gain: Gain, known: Iterable[Effect], ddi_effect: Mapping[str, Any]) -> dict[str, Any]:
+def content(
+    diagnosis: Diagnosis, gain: HeldOutGain, known: Iterable[Effect], ddi_effect: Mapping[str, Any]
+) -> dict[str, Any]:
     """The content of diagnosis.json.
 
     Parameters
@@ -58,7 +60,7 @@ def content(diagnosis: Diagnosis, gain: Gain, known: Iterable[Effect], ddi_effec
     return {**out, "says": headline(diagnosis, out)}
 
 
-def _cause(effect: Effect, std: Mapping[str, float], reference: Reference) -> dict[str, Any]:
+def _cause(effect: Effect, std: Mapping[str, float], reference: StructuralPrior) -> dict[str, Any]:
     sizes = {name: {"value": _finite(v), "std": _finite(std[name])} for name, v in effect.values().items()}
     says = in_words(effect.name, effect.location, sizes, reference)
     return {"effect": effect.name, "location": effect.location, "parameters": sizes, "says": says}
@@ -72,7 +74,7 @@ def _alternative(candidate: Candidate, probability: float) -> dict[str, Any]:
     return {"effect": effect.name, "location": effect.location, "probability": probability, "parameters": sizes}
 
 
-def _standing(reference: Reference) -> list[dict[str, Any]]:
+def _standing(reference: StructuralPrior) -> list[dict[str, Any]]:
     """The causes that calibration found, with what the healthy data say of their sizes."""
     # In units of their own: a law's size in N/m^3 is known to so few parts in 1e24 that it would pass for nothing.
     unit = np.maximum(np.diag(reference.precision), 1e-300) ** -0.5
@@ -86,7 +88,7 @@ def _standing(reference: Reference) -> list[dict[str, Any]]:
     return out
 
 
-def _standing_misfit(reference: Reference) -> dict[str, Any] | None:
+def _standing_misfit(reference: StructuralPrior) -> dict[str, Any] | None:
     """What calibration left unexplained."""
     error = reference.error
     return None if error is None else {"bands_hz": error.doubtful_hz(), "says": contradicted(error)}
@@ -106,7 +108,7 @@ def _finite(value: float) -> float:
     return float(np.clip(np.nan_to_num(value, nan=_MOST), -_MOST, _MOST))
 
 
-def _gain(gain: Gain) -> dict[str, Any]:
+def _gain(gain: HeldOutGain) -> dict[str, Any]:
     score = {"before": gain.before, "after": gain.after, "gain": gain.value, "ci95": list(gain.ci95)}
     error = {"before": gain.csd_error_before, "after": gain.csd_error_after}
     return {"log_score_per_sample": score, "csd_error": error, "heldout": gain.heldout}

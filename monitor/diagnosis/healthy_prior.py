@@ -8,13 +8,13 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from monitor.core.results import Array
-from monitor.diagnosis.lack_of_fit import standing_error
+from monitor.diagnosis.lack_of_fit import estimate_model_discrepancy
 from monitor.diagnosis.settings import DiagnosisSettings
-from monitor.diagnosis.simulation_refit import prepared
-from monitor.inference.observed_spectra import Evidence
-from monitor.inference.posterior import Problem
+from monitor.diagnosis.simulation_refit import fit_initial_model
+from monitor.inference.observed_spectra import ObservedSpectra
+from monitor.inference.posterior import Posterior
 from monitor.model.effects import Context
-from monitor.model.prior import Reference, correction_basis, inverse
+from monitor.model.prior import StructuralPrior, correction_basis, inverse
 
 _FIXED = 1e-4
 _CORRECTION_STD = 0.1
@@ -24,9 +24,9 @@ _NOISE_DRIFT = 0.2
 """The same of a channel's noise density over the others': what is noise about a channel may follow its motion."""
 
 
-def learn(
-    evidence: Evidence, known: Reference, context: Context, settings: DiagnosisSettings
-) -> tuple[Reference, Array]:
+def learn_prior(
+    evidence: ObservedSpectra, known: StructuralPrior, context: Context, settings: DiagnosisSettings
+) -> tuple[StructuralPrior, Array]:
     """The reference that healthy evidence makes of what was known before.
 
     First the model form alone is fitted.  Then its stiffnesses stay, standing effects of the structure stay as well as they are
@@ -36,11 +36,11 @@ def learn(
 
     Returns
     -------
-    Reference
+    StructuralPrior
     ndarray, shape (e,)
         The correction, relative to the modes' stiffness.
     """
-    _, form, _ = prepared(evidence, known, context)
+    _, form, _ = fit_initial_model(evidence, known, context)
     k, m, d, c, _ = known.sizes
     x = form.x[: known.mean.size]
     model = known.model.with_stiffness(np.exp(x[:k])).with_masses(np.exp(x[k : k + m]))
@@ -62,8 +62,8 @@ def learn(
         known.precision[sizes, sizes] + np.diag(held),
     )
     wider = replace(known, mean=mean, precision=prior, basis=basis)
-    problem, fitted, _ = prepared(evidence, wider, context)
-    p, wrong, covariance = mean.size, standing_error(problem, fitted, settings), fitted.covariance
+    problem, fitted, _ = fit_initial_model(evidence, wider, context)
+    p, wrong, covariance = mean.size, estimate_model_discrepancy(problem, fitted, settings), fitted.covariance
     if wrong is not None:
         wider = replace(wider, error=wrong)
         covariance = _covariance(replace(problem, reference=wider), fitted.x)
@@ -74,7 +74,7 @@ def learn(
     return learnt, learnt.parts(learnt.mean)[4]
 
 
-def _covariance(problem: Problem, x: Array) -> Array:
+def _covariance(problem: Posterior, x: Array) -> Array:
     """Of parameters that were fitted to more than the problem now trusts, shape (p, p)."""
     rows = problem.jacobian(x, (), problem.predict(x, ()))[0]
     return inverse(rows.T @ rows + problem.prior(x, ())[1])

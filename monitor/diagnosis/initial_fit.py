@@ -8,14 +8,14 @@ from typing import get_args
 import numpy as np
 
 from monitor.core.results import Array
-from monitor.inference.excitation_fit import told_by_quiet
+from monitor.inference.excitation_fit import forces_from_quiet_segments
 from monitor.inference.ground_response import Between
-from monitor.inference.linearization import conditions
-from monitor.inference.map_estimate import Fit, fit
-from monitor.inference.observed_spectra import Evidence
-from monitor.inference.posterior import Problem
+from monitor.inference.linearization import linearize
+from monitor.inference.map_estimate import MapEstimate, maximize_posterior
+from monitor.inference.observed_spectra import ObservedSpectra
+from monitor.inference.posterior import Posterior
 from monitor.model.effects import Condition, Context
-from monitor.model.prior import Reference
+from monitor.model.prior import StructuralPrior
 
 FAR = 40
 """Iterations of a fit on a longer way: a first one to driven motion, whose phases tell more, or to forces far from white."""
@@ -31,7 +31,9 @@ _FORCED, _MODEL_ERROR = 1e-3, 0.5
 """With the ground measured: power that forces cause, and error of the model, as shares of what is seen, at the start."""
 
 
-def prepare(evidence: Evidence, reference: Reference, context: Context) -> tuple[Problem, Fit]:
+def fit_linearized(
+    evidence: ObservedSpectra, reference: StructuralPrior, context: Context
+) -> tuple[Posterior, MapEstimate]:
     """The problem without extra effects, fitted, with the motion of every class known.
 
     Nonlinear laws are made linear at the motion of the fitted model, so the fit is made twice where standing effects
@@ -49,32 +51,32 @@ def prepare(evidence: Evidence, reference: Reference, context: Context) -> tuple
         mean=reference.mean[: reference.mean.size - reference.n_standing],
     )
     plain = replace(plain, precision=reference.precision[: plain.mean.size, : plain.mean.size])
-    problem = Problem(evidence, plain, context, (unknown,) * evidence.counts.size)
-    null = fit(problem, _first_guess(problem)) if evidence.drive is None else _from_afar(problem)
+    problem = Posterior(evidence, plain, context, (unknown,) * evidence.counts.size)
+    null = maximize_posterior(problem, _first_guess(problem)) if evidence.drive is None else _from_afar(problem)
     problem, null = between_samples(problem, null)
-    problem = replace(problem, conditions=conditions(problem, null.x, ()))
+    problem = replace(problem, conditions=linearize(problem, null.x, ()))
     if not reference.n_standing:
         return beside_wind(problem, null)
     x = np.concatenate([null.x[: plain.mean.size], reference.mean[plain.mean.size :], null.x[plain.mean.size :]])
     for _ in range(2):
         problem = replace(problem, reference=reference)
-        null = fit(problem, x)
+        null = maximize_posterior(problem, x)
         x = null.x
-        problem = replace(problem, conditions=conditions(problem, x, ()))
+        problem = replace(problem, conditions=linearize(problem, x, ()))
     return beside_wind(problem, null)
 
 
-def beside_wind(problem: Problem, at: Fit) -> tuple[Problem, Fit]:
+def beside_wind(problem: Posterior, at: MapEstimate) -> tuple[Posterior, MapEstimate]:
     """With the forces that the quiet tells, where the ground was measured."""
     if problem.evidence.drive is None:
         return problem, at
     first, n = problem.reference.mean.size, problem.context.structure.n_dofs
-    x = told_by_quiet(problem, at.x, at.effects)
+    x = forces_from_quiet_segments(problem, at.x, at.effects)
     problem = replace(problem, wind=x[first : first + n])
-    return problem, fit(problem, x, at.effects, iterations=FAR)
+    return problem, maximize_posterior(problem, x, at.effects, iterations=FAR)
 
 
-def _from_afar(problem: Problem) -> Fit:
+def _from_afar(problem: Posterior) -> MapEstimate:
     """The first fit to driven motion, whose phases lead back from nearby only: with heavy damping first, for wide peaks."""
     known, x = problem.reference, _first_guess(problem)
     k, m, d, *_ = known.sizes
@@ -83,12 +85,12 @@ def _from_afar(problem: Problem) -> Fit:
     mean[modes] = np.log(_HEAVY)
     precision[modes, modes] += _HELD_DAMPING
     wide = replace(problem, reference=replace(known, mean=mean, precision=precision))
-    near = fit(wide, np.concatenate([mean, x[mean.size :]]), iterations=LONG).x
+    near = maximize_posterior(wide, np.concatenate([mean, x[mean.size :]]), iterations=LONG).x
     near[modes] = np.log(_LIGHTER)
-    return fit(problem, near, iterations=FAR)
+    return maximize_posterior(problem, near, iterations=FAR)
 
 
-def between_samples(problem: Problem, at: Fit) -> tuple[Problem, Fit]:
+def between_samples(problem: Posterior, at: MapEstimate) -> tuple[Posterior, MapEstimate]:
     """With the ground's motion between its samples that explains the floors best, where the ground was measured."""
     drive = problem.evidence.drive
     if drive is None:
@@ -97,22 +99,22 @@ def between_samples(problem: Problem, at: Fit) -> tuple[Problem, Fit]:
     for between in get_args(Between):
         if between != drive.between:
             other = replace(problem, evidence=replace(problem.evidence, drive=replace(drive, between=between)))
-            tried.append((other, fit(other, at.x, at.effects, iterations=ROUGHLY)))
+            tried.append((other, maximize_posterior(other, at.x, at.effects, iterations=ROUGHLY)))
     problem, best = max(tried, key=lambda pair: pair[1].log_posterior)
-    return problem, at if best is at else fit(problem, best.x, best.effects, iterations=FAR)
+    return problem, at if best is at else maximize_posterior(problem, best.x, best.effects, iterations=FAR)
 
 
-def exactly(problem: Problem, at: Fit) -> tuple[Problem, Fit]:
+def exactly(problem: Posterior, at: MapEstimate) -> tuple[Posterior, MapEstimate]:
     """With the exact laws' slopes at the best fit to a measured ground's response; linearized ones lead near it only."""
     for _ in range(_TURNS):
         problem, before = problem.with_exact_slopes(at.x, at.effects), at
-        at = fit(problem, at.x, at.effects, iterations=FAR)
+        at = maximize_posterior(problem, at.x, at.effects, iterations=FAR)
         if at.log_posterior < before.log_posterior + COARSE:
             break
     return problem, at
 
 
-def _first_guess(problem: Problem) -> Array:
+def _first_guess(problem: Posterior) -> Array:
     """Nuisances as known before, forces and noise from the power of the spectra."""
     e, n = problem.evidence, problem.context.structure.n_dofs
     c = len(problem.context.channels)

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from monitor.core.results import Array
 from monitor.diagnosis.settings import DiagnosisSettings
 from monitor.inference.cross_spectra import Band
-from monitor.inference.force_levels import by_force, levels
-from monitor.inference.map_estimate import Fit
-from monitor.inference.posterior import Problem
-from monitor.model.prior import StandingError
+from monitor.inference.force_levels import fit_levels, spectra_by_force
+from monitor.inference.map_estimate import MapEstimate
+from monitor.inference.posterior import Posterior
+from monitor.model.prior import ModelDiscrepancy
 
 _BAND_HZ, _NARROW_HZ = 1.0, 0.25
 """Width of the bands in which misfits are looked for, and of those in which they are kept."""
@@ -27,7 +27,7 @@ _DOUBTFUL = 0.5
 
 
 @dataclass(frozen=True, slots=True)
-class Misfit:
+class LackOfFit:
     """Where measured and modelled spectra differ."""
 
     where: str
@@ -36,7 +36,7 @@ class Misfit:
     says: str
 
 
-def drift_bands(problem: Problem, fitted: Fit) -> Array:
+def drift_bands(problem: Posterior, fitted: MapEstimate) -> Array:
     """What the later half of a recording shows more than the earlier one, as `residual_bands`.
 
     Each half is compared with the model's spectra of its own classes, each at its own level of every force, so that a change of
@@ -46,7 +46,7 @@ def drift_bands(problem: Problem, fitted: Fit) -> Array:
     mean = problem.mean(fitted.x, fitted.effects)
     x = e.segments.values if mean is None else e.segments.values - mean
     predicted = problem.scatter(fitted.x, fitted.effects)
-    parts = by_force(problem, fitted.x, fitted.effects)
+    parts = spectra_by_force(problem, fitted.x, fitted.effects)
     signal = parts.sum(axis=0)
     late = e.t_s > np.median(e.t_s)
     z = []
@@ -58,13 +58,13 @@ def drift_bands(problem: Problem, fitted: Fit) -> Array:
             if len(own):
                 data[k] = np.einsum("sfa,sfb->fab", own, own.conj()) / len(own)
                 noise = predicted[k] - signal[k]
-                model[k] = np.tensordot(levels(parts[:, k], noise, data[k]), parts[:, k], axes=1) + noise
+                model[k] = np.tensordot(fit_levels(parts[:, k], noise, data[k]), parts[:, k], axes=1) + noise
         halved = replace(problem, evidence=replace(e, counts=counts))
         z.append(_banded(halved.whitened(model, model[None], data)[1], problem.n_classes, problem)[0])
     return np.asarray((z[0] - z[1]) / np.sqrt(2.0))
 
 
-def residual_bands(problem: Problem, fitted: Fit) -> tuple[Array, Array]:
+def residual_bands(problem: Posterior, fitted: MapEstimate) -> tuple[Array, Array]:
     """Misfit in bands as standard deviations, shape (bands, c, c), and the bands' middles in Hz.
 
     The diagonal is too much (positive) or too little power in the whitened channels, below it the real and above it the
@@ -73,7 +73,7 @@ def residual_bands(problem: Problem, fitted: Fit) -> tuple[Array, Array]:
     return _banded(fitted.residual, problem.n_classes, problem)
 
 
-def _banded(residual: Array, n_classes: int, problem: Problem) -> tuple[Array, Array]:
+def _banded(residual: Array, n_classes: int, problem: Posterior) -> tuple[Array, Array]:
     """Whitened rows summed in bands."""
     c = problem.evidence.spectra.shape[-1]
     bins = problem.evidence.band.n_bins
@@ -97,21 +97,21 @@ def _per(band: Band) -> int:
     return max(1, round(_BAND_HZ / band.bin_hz))
 
 
-def _beyond_chance(problem: Problem, fitted: Fit) -> tuple[Array, Array, Array]:
+def _beyond_chance(problem: Posterior, fitted: MapEstimate) -> tuple[Array, Array, Array]:
     """As `residual_bands`, over the chance in what is compared (a simulation has as much in it as the recording), `drift_bands`,
     and the bands' middles."""
     z, hz = residual_bands(problem, fitted)
     return z if problem.offset is None else z / np.sqrt(2.0), drift_bands(problem, fitted), hz
 
 
-def misfits(problem: Problem, fitted: Fit, settings: DiagnosisSettings) -> tuple[Misfit, ...]:
+def find_lack_of_fit(problem: Posterior, fitted: MapEstimate, settings: DiagnosisSettings) -> tuple[LackOfFit, ...]:
     """Bands in which the model is wrong, worst first."""
     z, drift, hz = _beyond_chance(problem, fitted)
     late = _listed(drift, hz, problem, settings, ", more so late in the recording than early")
     return tuple(sorted(_listed(z, hz, problem, settings, "") + late, key=lambda m: -m.size))
 
 
-def wrong_bins(problem: Problem, fitted: Fit, settings: DiagnosisSettings) -> NDArray[np.bool_]:
+def wrong_bins(problem: Posterior, fitted: MapEstimate, settings: DiagnosisSettings) -> NDArray[np.bool_]:
     """Which frequencies lie in bands where the model is wrong, shape (n_bins,)."""
     z, drift, _ = _beyond_chance(problem, fitted)
     wrong = (np.maximum(np.abs(z), np.abs(drift)) > settings.misfit).any(axis=(1, 2))
@@ -119,7 +119,7 @@ def wrong_bins(problem: Problem, fitted: Fit, settings: DiagnosisSettings) -> ND
     return np.pad(bins, (0, problem.evidence.band.n_bins - bins.size))
 
 
-def wrong_nats(problem: Problem, misfit: Sequence[Misfit]) -> float:
+def wrong_nats(problem: Posterior, misfit: Sequence[LackOfFit]) -> float:
     """What misfits cost, nats: half the squares of small deviations; of large ones, as of power that is many times the model's,
     the likelihood counts the first power.
     """
@@ -127,7 +127,9 @@ def wrong_nats(problem: Problem, misfit: Sequence[Misfit]) -> float:
     return float(sum(0.5 * m.size**2 / (1.0 + m.size / many) for m in misfit))
 
 
-def standing_error(problem: Problem, fitted: Fit, settings: DiagnosisSettings) -> StandingError | None:
+def estimate_model_discrepancy(
+    problem: Posterior, fitted: MapEstimate, settings: DiagnosisSettings
+) -> ModelDiscrepancy | None:
     """What healthy data show that the model, with all that is known to be wrong with it, does not explain.
 
     None where it explains them, and where the ground was measured: there the model's own error is among what is fitted.
@@ -152,14 +154,16 @@ def standing_error(problem: Problem, fitted: Fit, settings: DiagnosisSettings) -
     bounded = np.clip(ratios, 1.0 / _FARTHEST, _FARTHEST)
     relative = (vectors * (bounded - 1.0)[:, None, :]) @ vectors.conj().swapaxes(-1, -2)
     unsure = (_DAILY * np.abs(bounded - 1.0) + np.abs(ratios - bounded)).max(axis=1)
-    return StandingError(
+    return ModelDiscrepancy(
         hz=e.band.hz[: n * bins].reshape(n, bins).mean(axis=1),
         relative=relative * doubtful[:, None, None],
         variance=((1.0 + drift) / e.pieces(bins) + unsure**2) * doubtful,
     )
 
 
-def remainder(problem: Problem, at: Fit, null: Fit, misfit: Sequence[Misfit], left_over: Sequence[Misfit]) -> float:
+def remainder(
+    problem: Posterior, at: MapEstimate, null: MapEstimate, misfit: Sequence[LackOfFit], left_over: Sequence[LackOfFit]
+) -> float:
     """What is left over, as a share of what the model without causes got wrong, by squared deviations.
 
     With the ground measured by their sizes, and all of it told by the final model's error: the one that the model without causes
@@ -173,7 +177,9 @@ def remainder(problem: Problem, at: Fit, null: Fit, misfit: Sequence[Misfit], le
     return sum(m.size for m in left_over) / max(wrong, 1.0)
 
 
-def strayed(problem: Problem, fitted: Fit, settings: DiagnosisSettings) -> tuple[Misfit, ...]:
+def find_level_dependence(
+    problem: Posterior, fitted: MapEstimate, settings: DiagnosisSettings
+) -> tuple[LackOfFit, ...]:
     """Effects that stood at calibration and are of another size now, which a fit's nuisances take up without a word."""
     known, out = problem.reference, []
     away = known.standing(np.abs(fitted.x[: known.mean.size] - known.mean))
@@ -182,11 +188,11 @@ def strayed(problem: Problem, fitted: Fit, settings: DiagnosisSettings) -> tuple
         if own.max(initial=0.0) > settings.misfit:
             now = ", ".join(f"{name} {value:.4g}" for name, value in effect.values().items())
             where = f"{effect.name.replace('_', ' ')} of {effect.location}"
-            out.append(Misfit(where, float(own.max()), f"what stood at calibration is of another size now: {now}"))
+            out.append(LackOfFit(where, float(own.max()), f"what stood at calibration is of another size now: {now}"))
     return tuple(out)
 
 
-def _listed(z: Array, hz: Array, problem: Problem, settings: DiagnosisSettings, when: str) -> tuple[Misfit, ...]:
+def _listed(z: Array, hz: Array, problem: Posterior, settings: DiagnosisSettings, when: str) -> tuple[LackOfFit, ...]:
     names = [*problem.context.channels, "ground"]
     out = []
     for band, i, j in np.argwhere(np.abs(z) > settings.misfit):
@@ -198,5 +204,5 @@ def _listed(z: Array, hz: Array, problem: Problem, settings: DiagnosisSettings, 
         else:
             says = f"the {'real' if i > j else 'imaginary'} part of their coherence is not the model's"
             where += f"channels {names[i]} and {names[j]}"
-        out.append(Misfit(where, abs(size), says + when))
+        out.append(LackOfFit(where, abs(size), says + when))
     return tuple(out)

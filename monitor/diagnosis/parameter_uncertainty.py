@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from monitor.core.results import Array
-from monitor.inference.map_estimate import Fit
-from monitor.inference.posterior import Problem
+from monitor.inference.map_estimate import MapEstimate
+from monitor.inference.posterior import Posterior
 from monitor.model.effects import Effect
 from monitor.model.effects.joint_flexibility import JointFlexibility
 
@@ -21,18 +21,18 @@ _SURE = 2.0
 """Standard deviations from nothing that a size must have to be one."""
 
 
-def deviations(problem: Problem, at: Fit, doubt: Array) -> list[Array]:
+def deviations(problem: Posterior, at: MapEstimate, doubt: Array) -> list[Array]:
     """Standard deviations of every effect's coordinates, shape (p,) each; `doubt` are those by simulation, of all of them."""
     first, out = 0, []
     own = np.sqrt(np.maximum(np.diag(at.covariance)[problem.n_nuisance :], 0.0))
     for effect in at.effects:
         these = slice(first, first + len(effect.parameters))
-        out.append(np.hypot(own[these], np.hypot(doubt[these], form_doubt(problem, at, effect))))
+        out.append(np.hypot(own[these], np.hypot(doubt[these], form_variance(problem, at, effect))))
         first = these.stop
     return out
 
 
-def sure(effect: Effect, deviation: Array) -> bool:
+def is_significant(effect: Effect, deviation: Array) -> bool:
     """Whether a size is beyond doubt not that of no effect; what has no size always is."""
     away = [
         abs(x - (p.coordinate(p.absent) if np.isfinite(p.absent) else 0.0)) >= _SURE * std
@@ -42,7 +42,7 @@ def sure(effect: Effect, deviation: Array) -> bool:
     return all(away)
 
 
-def form_doubt(problem: Problem, at: Fit, effect: Effect) -> Array:
+def form_variance(problem: Posterior, at: MapEstimate, effect: Effect) -> Array:
     """What the model's form leaves open of an effect's coordinates, as standard deviations, shape (p,).
 
     A size relative to a story's stiffness is known no better than that stiffness, which a frame that is no shear frame blurs;

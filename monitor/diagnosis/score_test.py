@@ -9,12 +9,12 @@ from itertools import chain
 
 import numpy as np
 
-from monitor.core.parallel import each
+from monitor.core.parallel import parallel_map
 from monitor.core.results import Array
 from monitor.diagnosis.initial_fit import COARSE, FAR, LONG, ROUGHLY
 from monitor.inference.forward_model import Prediction
-from monitor.inference.map_estimate import Fit, fit
-from monitor.inference.posterior import Problem
+from monitor.inference.map_estimate import MapEstimate, maximize_posterior
+from monitor.inference.posterior import Posterior
 from monitor.model.effects import EFFECTS, Context, Effect, EffectError, locations
 from monitor.model.prior import inverse
 
@@ -41,7 +41,7 @@ class Candidate:
     """One effect at one place, fitted."""
 
     effect: Effect
-    fit: Fit
+    fit: MapEstimate
     gain: float
     """Log posterior above the model without it, nats."""
     evidence: float
@@ -57,7 +57,7 @@ class Candidate:
         return self.evidence + max(self.gain, _MORE) > bar
 
 
-def starts(problem: Problem, null: Fit, taken: Iterable[tuple[str, str]] = ()) -> list[Effect]:
+def candidate_starts(problem: Posterior, null: MapEstimate, taken: Iterable[tuple[str, str]] = ()) -> list[Effect]:
     """A small size of every effect at every place, and of every shape that must be tried.
 
     Where a law bends already, no other is tried: it would only mend what is not known of the first one's form.
@@ -86,7 +86,7 @@ def _possible(effect: Effect, context: Context) -> bool:
     return True
 
 
-def peaks(problem: Problem, null: Fit, n: int = 3) -> Array:
+def peaks(problem: Posterior, null: MapEstimate, n: int = 3) -> Array:
     """Frequencies at which the measured power exceeds the model's the most, Hz; of lines, to a small part of a bin."""
     c = problem.evidence.spectra.shape[-1]
     shape = (problem.n_classes, problem.evidence.band.n_bins, c * c)
@@ -111,23 +111,23 @@ def _off_the_bin(power: Array, at: int) -> float:
     return float((2.0 * ratio - 1.0) / (ratio + 1.0) * (1 if beside[1] > beside[0] else -1))
 
 
-def rank(problem: Problem, null: Fit, candidates: list[Effect]) -> list[tuple[float, Effect]]:
+def rank_by_score(problem: Posterior, null: MapEstimate, candidates: list[Effect]) -> list[tuple[float, Effect]]:
     """Gain that the score test promises for every start, best first; each effect moved to the size that it suggests.
 
     A fit that went far to explain what it cannot hides what would explain it; so effects are tried beside what was known, too.
     """
     promised = _promised(problem, null, candidates)
-    if _dragged(problem, null):
+    if _far_from_prior(problem, null):
         held, rest = _at_rest(problem, null)
         lost = null.log_posterior - rest.log_posterior
         promised += [(gain - lost, effect) for gain, effect in _promised(held, rest, candidates)]
         shaped = [e for e in candidates if e.parameters and not e.proportional]  # whose size no score test tells
-        promised += each(partial(_fitted_at_rest, problem, null), shaped)
+        promised += parallel_map(partial(_fitted_at_rest, problem, null), shaped)
     return sorted(promised, key=lambda item: -item[0])
 
 
-def _promised(problem: Problem, null: Fit, candidates: list[Effect]) -> list[tuple[float, Effect]]:
-    """As `rank`, about one fit: the change of the spectra that a small effect makes, less what the nuisances explain, is
+def _promised(problem: Posterior, null: MapEstimate, candidates: list[Effect]) -> list[tuple[float, Effect]]:
+    """As `rank_by_score`, about one fit: the change of the spectra that a small effect makes, less what the nuisances explain, is
     compared with the residual.
     """
     here = problem.predict(null.x, null.effects)
@@ -156,10 +156,10 @@ def _promised(problem: Problem, null: Fit, candidates: list[Effect]) -> list[tup
         grown = None if information < 1e-9 else _grown(effect, score / information)
         return out if grown is None else [*out, (0.5 * score**2 / information, grown)]
 
-    return list(chain.from_iterable(each(promised, candidates)))
+    return list(chain.from_iterable(parallel_map(promised, candidates)))
 
 
-def _slope(problem: Problem, null: Fit, here: Prediction, effect: Effect) -> Array:
+def _slope(problem: Posterior, null: MapEstimate, here: Prediction, effect: Effect) -> Array:
     """Whitened change by an effect, in proportion to what next to nothing of it makes: where noise is little, even a small
     effect's change is far from a straight line."""
     slight = _sized(effect, _SLIGHT ** (1.0 / effect.order))
@@ -167,27 +167,27 @@ def _slope(problem: Problem, null: Fit, here: Prediction, effect: Effect) -> Arr
     return np.asarray(change(problem, here, problem.predict(null.x, (*null.effects, slight))) / _SLIGHT)
 
 
-def _dragged(problem: Problem, null: Fit) -> bool:
+def _far_from_prior(problem: Posterior, null: MapEstimate) -> bool:
     """Whether a fit went far from what was known before, whose response is not told by phases."""
     return problem.evidence.drive is None and null.log_prior < _DRAGGED
 
 
-def _at_rest(problem: Problem, null: Fit, *more: Effect) -> tuple[Problem, Fit]:
+def _at_rest(problem: Posterior, null: MapEstimate, *more: Effect) -> tuple[Posterior, MapEstimate]:
     """The problem with its structure held where it was known to be, fitted; with further effects."""
     known = problem.reference
     held = replace(problem, reference=replace(known, precision=known.precision + np.diag(_HELD / known.units**2)))
     x = np.concatenate([known.mean, null.x[known.mean.size :]])
-    return held, fit(held, x, (*null.effects, *more), iterations=_BRIEFLY)
+    return held, maximize_posterior(held, x, (*null.effects, *more), iterations=_BRIEFLY)
 
 
-def _fitted_at_rest(problem: Problem, null: Fit, effect: Effect) -> tuple[float, Effect]:
+def _fitted_at_rest(problem: Posterior, null: MapEstimate, effect: Effect) -> tuple[float, Effect]:
     """What an effect gains, fitted with the structure where it was known to be and then beside it; and the effect."""
     near = _at_rest(problem, null, effect)[1]
-    near = fit(problem, near.x, near.effects, iterations=_BRIEFLY)
+    near = maximize_posterior(problem, near.x, near.effects, iterations=_BRIEFLY)
     return near.log_posterior - null.log_posterior, near.effects[-1]
 
 
-def change(problem: Problem, here: Prediction, there: Prediction) -> Array:
+def change(problem: Posterior, here: Prediction, there: Prediction) -> Array:
     """Whitened change from one prediction to another."""
     change, _ = problem.whitened(here.spectra, (there.spectra - here.spectra)[None], here.data)
     if here.left is None or there.left is None:
@@ -225,9 +225,9 @@ def best_of_each(ranked: list[tuple[float, Effect]]) -> list[tuple[float, Effect
     return out
 
 
-def judge(
-    problem: Problem,
-    null: Fit,
+def fit_best(
+    problem: Posterior,
+    null: MapEstimate,
     effect: Effect,
     *,
     quick: bool = False,
@@ -242,29 +242,31 @@ def judge(
     # Driven motion tells so much that a cause bends the other slopes at once.
     frozen = null.jacobian[:, : problem.n_nuisance] if quick and not driven else None
     few, many = (ROUGHLY, FAR) if driven else (_QUICKLY, LONG)
-    fitted = partial(fit, problem, iterations=few if quick else many, tolerance=COARSE if driven else _FINE)
-    found = evidence_of(problem, null, fitted(null.x, (*null.effects, effect), frozen=frozen))
-    if not quick and _dragged(problem, null):
+    fitted = partial(
+        maximize_posterior, problem, iterations=few if quick else many, tolerance=COARSE if driven else _FINE
+    )
+    found = score_candidate(problem, null, fitted(null.x, (*null.effects, effect), frozen=frozen))
+    if not quick and _far_from_prior(problem, null):
         near = _at_rest(problem, null, effect)[1]
         likely = found.may_reach(bar) or sum(problem.score(near.x, near.effects)) > found.fit.log_posterior
         if likely or not effect.proportional:
-            other = evidence_of(problem, null, fit(problem, near.x, near.effects, iterations=LONG))
+            other = score_candidate(problem, null, maximize_posterior(problem, near.x, near.effects, iterations=LONG))
             found = max(found, other, key=lambda c: c.evidence)
     if rough is not None and found.evidence < rough.evidence:
-        again = evidence_of(problem, null, fitted(rough.fit.x, rough.fit.effects))
+        again = score_candidate(problem, null, fitted(rough.fit.x, rough.fit.effects))
         found = max(found, again, key=lambda c: c.evidence)
     return found
 
 
-def evidence_of(problem: Problem, null: Fit, fitted: Fit, n_more: int | None = None) -> Candidate:
+def score_candidate(problem: Posterior, null: MapEstimate, fitted: MapEstimate, n_more: int | None = None) -> Candidate:
     """What a fit gains by its last effect, or by `n_more` parameters."""
     effect = fitted.effects[-1]
     n_more = len(effect.parameters) if n_more is None else n_more
     gain = fitted.log_posterior - null.log_posterior
-    return Candidate(effect, fitted, gain, gain - cost(problem, n_more))
+    return Candidate(effect, fitted, gain, gain - parameter_cost(problem, n_more))
 
 
-def cost(problem: Problem, n_more: int) -> float:
+def parameter_cost(problem: Posterior, n_more: int) -> float:
     """Half the logarithm of the information for every parameter, nats."""
     n = problem.evidence.counts.sum() * problem.evidence.band.n_bins * problem.evidence.weight
     return 0.5 * n_more * float(np.log(n))

@@ -7,17 +7,17 @@ from functools import partial
 
 import numpy as np
 
-from monitor.core.parallel import each
-from monitor.diagnosis.ambiguity import together
+from monitor.core.parallel import parallel_map
+from monitor.diagnosis.ambiguity import tied_candidates
 from monitor.diagnosis.backward_elimination import joined
-from monitor.diagnosis.parameter_uncertainty import sure
-from monitor.diagnosis.score_test import Candidate, best_of_each, judge, rank, starts
+from monitor.diagnosis.parameter_uncertainty import is_significant
+from monitor.diagnosis.score_test import Candidate, best_of_each, candidate_starts, fit_best, rank_by_score
 from monitor.diagnosis.settings import DiagnosisSettings
-from monitor.diagnosis.simulation_refit import Polished, polish
-from monitor.inference.corrected_posterior import Corrected
-from monitor.inference.higher_moments import Heard, Moments, heard
-from monitor.inference.map_estimate import Fit
-from monitor.inference.posterior import Problem
+from monitor.diagnosis.simulation_refit import RefittedCandidate, refit_by_simulation
+from monitor.inference.corrected_posterior import CorrectedPosterior
+from monitor.inference.higher_moments import MeasuredMoments, Moments, measure_moments
+from monitor.inference.map_estimate import MapEstimate
+from monitor.inference.posterior import Posterior
 from monitor.model.effects import Effect
 from monitor.model.effects.attached_oscillator import AttachedOscillator
 
@@ -34,12 +34,14 @@ _SWINGS = 0.5
 """Damping ratio below which something swings by itself."""
 
 
-def contest(problem: Problem, at: Fit, added: Moments, settings: DiagnosisSettings, worth: float) -> list[Polished]:
+def run_selection_round(
+    problem: Posterior, at: MapEstimate, added: Moments, settings: DiagnosisSettings, worth: float
+) -> list[RefittedCandidate]:
     """The best candidates beside what was accepted, by evidence, of those that promise a gain of `worth`.
 
     Parameters
     ----------
-    at : Fit
+    at : MapEstimate
         With the causes that were accepted.
     added : Moments
         What these add to the moments of a normal process.
@@ -49,19 +51,23 @@ def contest(problem: Problem, at: Fit, added: Moments, settings: DiagnosisSettin
     # What stood at calibration may have changed, but for laws, which are simulated one at a place.
     standing = [e for e in problem.reference.effects(at.x) if e.nonlinear or not e.parameters]
     taken = [(e.name, e.location) for e in (*standing, *at.effects)]
-    ranked = [item for item in best_of_each(rank(problem, at, starts(problem, at, taken))) if item[0] > worth]
+    ranked = [
+        item
+        for item in best_of_each(rank_by_score(problem, at, candidate_starts(problem, at, taken)))
+        if item[0] > worth
+    ]
     choose = _chosen if problem.evidence.drive is None else _driven
     chosen, rough, bar = choose(problem, at, ranked, settings)
     ended = {c.key: c for c in rough}
 
     def judged(key: tuple[str, str]) -> Candidate:
-        return judge(problem, at, chosen[key], bar=bar, rough=ended.get(key))
+        return fit_best(problem, at, chosen[key], bar=bar, rough=ended.get(key))
 
-    fitted = sorted(filter(partial(_is_one, problem), each(judged, chosen)), key=lambda c: -c.evidence)
+    fitted = sorted(filter(partial(_is_one, problem), parallel_map(judged, chosen)), key=lambda c: -c.evidence)
     return sorted(_polished(problem, at, fitted, added, settings), key=lambda p: -p.candidate.evidence)
 
 
-def _is_one(problem: Problem, candidate: Candidate) -> bool:
+def _is_one(problem: Posterior, candidate: Candidate) -> bool:
     """Whether a linear cause is what it says: of a size that is beyond doubt not that of none; and, if it swings by itself, does
     so within the band and is not damped at once, for a heavy thing that hardly moves stands for a damper.
     """
@@ -71,11 +77,11 @@ def _is_one(problem: Problem, candidate: Candidate) -> bool:
     ):
         return False
     own = np.sqrt(np.maximum(np.diag(candidate.fit.covariance)[problem.n_nuisance :], 0.0))
-    return effect.nonlinear or sure(effect, own[own.size - len(effect.parameters) :])
+    return effect.nonlinear or is_significant(effect, own[own.size - len(effect.parameters) :])
 
 
 def _chosen(
-    problem: Problem, at: Fit, ranked: list[tuple[float, Effect]], settings: DiagnosisSettings
+    problem: Posterior, at: MapEstimate, ranked: list[tuple[float, Effect]], settings: DiagnosisSettings
 ) -> tuple[dict[tuple[str, str], Effect], list[Candidate], float]:
     """Effects worth a fit to the end, by name and place; the rough fits; the evidence below which a cause does not matter."""
     rough = _roughly(problem, at, [e for _, e in ranked[: settings.ranked]])
@@ -88,20 +94,20 @@ def _chosen(
     return {(e.name, e.location): e for _, e in ranked[: settings.favourites]} | chosen, rough, bar
 
 
-def _roughly(problem: Problem, at: Fit, effects: list[Effect]) -> list[Candidate]:
+def _roughly(problem: Posterior, at: MapEstimate, effects: list[Effect]) -> list[Candidate]:
     """Effects fitted roughly, best first."""
 
     def rough(effect: Effect) -> Candidate:
-        found = judge(problem, at, effect, quick=True)
+        found = fit_best(problem, at, effect, quick=True)
         return replace(
             found, fit=replace(found.fit, jacobian=np.zeros((0, found.fit.x.size)))
         )  # a megabyte that nobody asks for
 
-    return sorted(each(rough, effects), key=lambda c: -c.evidence)
+    return sorted(parallel_map(rough, effects), key=lambda c: -c.evidence)
 
 
 def _driven(
-    problem: Problem, at: Fit, ranked: list[tuple[float, Effect]], _: DiagnosisSettings
+    problem: Posterior, at: MapEstimate, ranked: list[tuple[float, Effect]], _: DiagnosisSettings
 ) -> tuple[dict[tuple[str, str], Effect], list[Candidate], float]:
     """As `_chosen` where the ground is measured: the best few of all kinds, and the best one's kind at every place.
 
@@ -121,49 +127,51 @@ def _driven(
 
 
 def _polished(
-    problem: Problem, at: Fit, candidates: list[Candidate], added: Moments, settings: DiagnosisSettings
-) -> list[Polished]:
+    problem: Posterior, at: MapEstimate, candidates: list[Candidate], added: Moments, settings: DiagnosisSettings
+) -> list[RefittedCandidate]:
     """Candidates as they compare once nonlinear laws near the top were simulated and the moments were heard."""
     # A response to a measured ground is that of the exact laws.
     if not candidates or candidates[0].evidence < settings.margin or problem.evidence.drive is not None:
-        return [Polished(c, problem, added) for c in candidates]
+        return [RefittedCandidate(c, problem, added) for c in candidates]
     best = candidates[0]
     reach = best.evidence - max(settings.rival, settings.linearization * best.gain)
     doubtful = [c for c in candidates if c.evidence > reach]
     if not any(c.effect.nonlinear for c in doubtful):
-        return [Polished(c, problem, added) for c in candidates]
-    measured = heard(problem.evidence.segments.values, problem, at)
+        return [RefittedCandidate(c, problem, added) for c in candidates]
+    measured = measure_moments(problem.evidence.segments.values, problem, at)
     bent = [c for c in doubtful if c.effect.nonlinear]
-    simulated = {p.candidate.key: p for p in each(partial(polish, problem, at), bent)}
+    simulated = {p.candidate.key: p for p in parallel_map(partial(refit_by_simulation, problem, at), bent)}
     first = max((simulated[c.key].candidate if c.key in simulated else c).evidence for c in candidates)
     near = [p for p in simulated.values() if p.candidate.evidence > first - _UNSURE * max(p.candidate.gain, _SMALL)]
-    finer = each(lambda p: polish(p.problem, at, p.candidate, "fine"), near)
+    finer = parallel_map(lambda p: refit_by_simulation(p.problem, at, p.candidate, "fine"), near)
     simulated |= {p.candidate.key: p for p in finer}
     made = _compared(problem, candidates, simulated, added, measured)
-    close = together(made, settings.rival)
+    close = tied_candidates(made, settings.rival)
     tied = [p.candidate.key for p in close if p.chance > _EVEN and len(close) > 1]
     if not tied:
         return made
-    finest = each(lambda key: polish(simulated[key].problem, at, simulated[key].candidate, "finest"), tied)
+    finest = parallel_map(
+        lambda key: refit_by_simulation(simulated[key].problem, at, simulated[key].candidate, "finest"), tied
+    )
     return _compared(problem, candidates, simulated | {p.candidate.key: p for p in finest}, added, measured)
 
 
 def _compared(
-    problem: Problem,
+    problem: Posterior,
     candidates: list[Candidate],
-    simulated: dict[tuple[str, str], Polished],
+    simulated: dict[tuple[str, str], RefittedCandidate],
     before: Moments,
-    measured: Heard,
-) -> list[Polished]:
+    measured: MeasuredMoments,
+) -> list[RefittedCandidate]:
     """Candidates, simulated or not, with what the measured moments say of them against the one whose spectra fit best; `before`
     are the moments that the causes accepted before add."""
-    polished = [simulated.get(c.key, Polished(c, problem, before)) for c in candidates]
+    polished = [simulated.get(c.key, RefittedCandidate(c, problem, before)) for c in candidates]
     turned = [_turned(p, before, measured) for p in polished]
     first = max(turned, key=lambda pair: pair[0].candidate.evidence)[1]
     return [_credited(p, likelihood - first) for p, likelihood in turned]
 
 
-def _turned(made: Polished, before: Moments, measured: Heard) -> tuple[Polished, float]:
+def _turned(made: RefittedCandidate, before: Moments, measured: MeasuredMoments) -> tuple[RefittedCandidate, float]:
     """A candidate, turned round where the measured moments ask for that, and their log likelihood."""
     as_it_is, mirror = measured.log_likelihood(made.moments, made.spread), made.candidate.effect.mirrored()
     if mirror is None:
@@ -175,10 +183,10 @@ def _turned(made: Polished, before: Moments, measured: Heard) -> tuple[Polished,
     old = made.candidate.fit
     x = joined(old.x[: -len(mirror.parameters)], (mirror,))
     candidate = replace(made.candidate, effect=mirror, fit=replace(old, effects=(*old.effects[:-1], mirror), x=x))
-    problem = made.problem.mirrored(mirror) if isinstance(made.problem, Corrected) else made.problem
+    problem = made.problem.mirrored(mirror) if isinstance(made.problem, CorrectedPosterior) else made.problem
     return replace(made, candidate=candidate, problem=problem, moments=other), turned
 
 
-def _credited(made: Polished, nats: float) -> Polished:
+def _credited(made: RefittedCandidate, nats: float) -> RefittedCandidate:
     """A candidate with so much more evidence."""
     return replace(made, candidate=replace(made.candidate, evidence=made.candidate.evidence + nats))

@@ -13,21 +13,21 @@ from typing import Any, Literal
 
 import numpy as np
 
-from monitor.core.parallel import each
+from monitor.core.parallel import parallel_map
 from monitor.core.results import Array, ComplexArray
-from monitor.diagnosis.initial_fit import prepare
-from monitor.diagnosis.score_test import Candidate, evidence_of
-from monitor.inference.corrected_posterior import Corrected, corrected
-from monitor.inference.exact_simulation import exact, forces, offset, sides
-from monitor.inference.higher_moments import Moments, moments, none
-from monitor.inference.linearization import conditions
-from monitor.inference.map_estimate import Fit, fit
-from monitor.inference.observed_spectra import Evidence
-from monitor.inference.posterior import Problem, placed
+from monitor.diagnosis.initial_fit import fit_linearized
+from monitor.diagnosis.score_test import Candidate, score_candidate
+from monitor.inference.corrected_posterior import CorrectedPosterior, correct_posterior
+from monitor.inference.exact_simulation import draw_forces, linearization_error, simulate_exact, simulate_spectra
+from monitor.inference.higher_moments import Moments, normal_moments, simulate_moments
+from monitor.inference.linearization import linearize
+from monitor.inference.map_estimate import MapEstimate, maximize_posterior
+from monitor.inference.observed_spectra import ObservedSpectra
+from monitor.inference.posterior import Posterior, with_coordinates
 from monitor.model.effects import Context
 from monitor.model.effects.cubic_stiffness import CubicStiffness
 from monitor.model.integration import loaded
-from monitor.model.prior import Reference
+from monitor.model.prior import StructuralPrior
 
 Rounds = tuple[tuple[int, bool], ...]
 """Simulations in each round, and whether slopes are taken too."""
@@ -57,11 +57,11 @@ _FEIGNED, _MUCH, _SLOPED = 0.5, 0.25, 5
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Polished:
+class RefittedCandidate:
     """A candidate whose law was simulated."""
 
     candidate: Candidate
-    problem: Problem
+    problem: Posterior
     """With the correction of the linearized law."""
     moments: Moments
     """What all laws add to those of a normal process, in simulation."""
@@ -72,70 +72,74 @@ class Polished:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Settled:
+class SimulatedFit:
     """A fit whose laws were simulated where it lies."""
 
-    problem: Corrected
-    fit: Fit
+    problem: CorrectedPosterior
+    fit: MapEstimate
     moments: Moments
     """What the laws add to those of a normal process."""
     simulations: int
     """How many the moments are the mean of."""
 
 
-def polish(problem: Problem, null: Fit, candidate: Candidate, care: Care = "rough") -> Polished:
+def refit_by_simulation(
+    problem: Posterior, null: MapEstimate, candidate: Candidate, care: Care = "rough"
+) -> RefittedCandidate:
     """Refit a candidate with nonlinear laws, its linearization corrected by simulation at the fitted size."""
-    made = settle(problem, candidate.fit, care)
+    made = fit_by_simulation(problem, candidate.fit, care)
     softening = any(isinstance(e, CubicStiffness) and e.k3_n_per_m3 < 0.0 for e in candidate.fit.effects)
     if softening and care == "rough" and np.abs(made.problem.relative[0]).max() > _WILD:
-        other = settle(problem, _weaker(problem, candidate.fit), care)
+        other = fit_by_simulation(problem, _weaker(problem, candidate.fit), care)
         made = max(made, other, key=lambda m: m.fit.log_posterior)
     lost, spread = made.problem.lost, 1.0 + 1.0 / made.simulations
-    better = evidence_of(made.problem, null, made.fit)
-    simulated = isinstance(problem, Corrected) and candidate.key in problem.laws
+    better = score_candidate(made.problem, null, made.fit)
+    simulated = isinstance(problem, CorrectedPosterior) and candidate.key in problem.laws
     if not simulated and better.gain < candidate.gain <= better.gain + lost:  # the simulations' chance decides nothing
-        return Polished(candidate, problem, made.moments, spread)
+        return RefittedCandidate(candidate, problem, made.moments, spread)
     better = replace(better, gain=better.gain + lost, evidence=better.evidence + lost)
-    return Polished(better, made.problem, made.moments, spread, float(np.sqrt(2.0 * lost)))
+    return RefittedCandidate(better, made.problem, made.moments, spread, float(np.sqrt(2.0 * lost)))
 
 
-def prepared(evidence: Evidence, reference: Reference, context: Context) -> tuple[Problem, Fit, Moments]:
-    """As `prepare`, with what simulation adds to the laws that stand, and what they add to the moments."""
-    problem, null = prepare(evidence, reference, context)
-    simulated = (problem, null, none(problem))
+def fit_initial_model(
+    evidence: ObservedSpectra, reference: StructuralPrior, context: Context
+) -> tuple[Posterior, MapEstimate, Moments]:
+    """As `fit_linearized`, with what simulation adds to the laws that stand, and what they add to the moments."""
+    problem, null = fit_linearized(evidence, reference, context)
+    simulated = (problem, null, normal_moments(problem))
     for _ in range(_STANDING):
-        simulated = beside_standing(*simulated[:2])
+        simulated = fit_persistent_effects(*simulated[:2])
     # Near the strongest motion that a law allows, forces fitted to its linear form make it run away: then that form stays.
-    return max(simulated, (problem, null, none(problem)), key=lambda made: made[1].log_posterior)
+    return max(simulated, (problem, null, normal_moments(problem)), key=lambda made: made[1].log_posterior)
 
 
-def beside_standing(problem: Problem, at: Fit) -> tuple[Problem, Fit, Moments]:
+def fit_persistent_effects(problem: Posterior, at: MapEstimate) -> tuple[Posterior, MapEstimate, Moments]:
     """Without the correction of any law but those that stand, refitted; as it is where none does or the ground was measured."""
     linear = replace(problem, offset=None)
     if problem.evidence.drive is not None or not any(e.nonlinear for e in problem.reference.effects(at.x)):
-        return linear, at, none(problem)
-    made = settle(linear, at)
+        return linear, at, normal_moments(problem)
+    made = fit_by_simulation(linear, at)
     return made.problem, made.fit, made.moments
 
 
-def settle(problem: Problem, at: Fit, care: Care = "fine") -> Settled:
+def fit_by_simulation(problem: Posterior, at: MapEstimate, care: Care = "fine") -> SimulatedFit:
     """Refit with all nonlinear laws simulated."""
-    return _settled(problem, at, (_SENSORS if _sensors_alone(at) else _ROUNDS)[care])
+    return _iterate_simulation(problem, at, (_SENSORS if _sensors_alone(at) else _ROUNDS)[care])
 
 
-def _weaker(problem: Problem, at: Fit) -> Fit:
+def _weaker(problem: Posterior, at: MapEstimate) -> MapEstimate:
     """Where a fit begins with weaker laws."""
     x = at.x.copy()
     x[problem.n_nuisance :][[e.nonlinear for e in at.effects for _ in e.parameters]] *= _WEAKER
-    return replace(at, x=x, effects=placed(at.effects, x[problem.n_nuisance :]))
+    return replace(at, x=x, effects=with_coordinates(at.effects, x[problem.n_nuisance :]))
 
 
-def _sensors_alone(at: Fit) -> bool:
+def _sensors_alone(at: MapEstimate) -> bool:
     """Whether no law but sensors' is nonlinear."""
     return all(e.family == "sensor" for e in at.effects if e.nonlinear)
 
 
-def _settled(problem: Problem, at: Fit, rounds: Rounds) -> Settled:
+def _iterate_simulation(problem: Posterior, at: MapEstimate, rounds: Rounds) -> SimulatedFit:
     """Refit with all nonlinear laws simulated, a round for every number of simulations.
 
     Slopes of the offset by the sizes matter since a linearized law may be far more or far less sensitive to its size than the
@@ -143,96 +147,100 @@ def _settled(problem: Problem, at: Fit, rounds: Rounds) -> Settled:
     """
     loaded()
     slopes, feigned, known = _slopes(problem, at), np.zeros((0, 0)), 0
-    if len(slopes) and isinstance(problem, Corrected):
+    if len(slopes) and isinstance(problem, CorrectedPosterior):
         feigned, known = problem.feigned, problem.simulations
     linear = replace(problem, offset=None)
     for count, sloped in rounds:
-        linear = replace(linear, conditions=conditions(linear, at.x, at.effects))
+        linear = replace(linear, conditions=linearize(linear, at.x, at.effects))
         kept = known if known > 1 else 0  # a single one was taken on the way
         pieces: list[partial[Any]] = [partial(_sloped, linear, at, _OTHER + kept + i) for i in range(count * sloped)]
         pieces += [partial(_simulated, linear, at, i) for i in range(count)]
-        done = each(lambda piece: piece(), pieces)
+        done = parallel_map(lambda piece: piece(), pieces)
         made = done[-count:]
         offsets, free = np.array([m[0] for m in made]), np.array([m[1] for m in made])
-        added = sum((m[2] for m in made), none(linear)) / count
+        added = sum((m[2] for m in made), normal_moments(linear)) / count
         if sloped:
             new = np.array(done[:count])
             known = kept + count
             slopes = new.mean(axis=0) if not kept else (kept * slopes + new.sum(axis=0)) / known
-        near = corrected(linear, at.x, at.effects, offsets.mean(axis=0), slopes)
+        near = correct_posterior(linear, at.x, at.effects, offsets.mean(axis=0), slopes)
         if sloped:
-            feigned = _feigned(near, at, new) * count / known
+            feigned = _spurious_information(near, at, new) * count / known
         near = replace(near, feigned=feigned, simulations=known)
-        at = fit(near, at.x, at.effects, iterations=8)
+        at = maximize_posterior(near, at.x, at.effects, iterations=8)
     lost, doubt = _chance(near, at, offsets, free)
     if doubt.size:
         more = np.diag(_spread(near, at) - at.covariance)[near.n_nuisance :]
         doubt = np.sqrt(doubt**2 + np.maximum(more, 0.0))
-    return Settled(replace(near, lost=lost, doubt=doubt), at, added, count)
+    return SimulatedFit(replace(near, lost=lost, doubt=doubt), at, added, count)
 
 
-def finish(problem: Problem, at: Fit) -> tuple[Corrected, Fit]:
-    """As `settle`, for what is published: the more chance the simulations have, the more of them.
+def refine_fit(problem: Posterior, at: MapEstimate) -> tuple[CorrectedPosterior, MapEstimate]:
+    """As `fit_by_simulation`, for what is published: the more chance the simulations have, the more of them.
 
     What the sizes still move in it is a doubt, and where the fit gets worse, the one that it began with stands.
     """
-    if isinstance(problem, Corrected) and problem.doubt.size == at.n_effect:  # simulated finely with all that is there
+    if (
+        isinstance(problem, CorrectedPosterior) and problem.doubt.size == at.n_effect
+    ):  # simulated finely with all that is there
         near, start = problem, at
     else:
-        made = settle(problem, at)
+        made = fit_by_simulation(problem, at)
         near, start = made.problem, made.fit
     if _sensors_alone(at):
         return near, start
     count = int(np.clip(np.ceil(2.0 * near.lost / _LOSS), _LEAST, _MOST))
     rounds: Rounds = ((count, False),) if count == _LEAST else ((count // 2, True), (count, False))
-    if _largest(_feigned_part(near, start)) > _MUCH:
+    if _largest(_spurious_share(near, start)) > _MUCH:
         rounds = ((max(count, _SLOPED - near.simulations), True),)
-    last = _settled(near, start, rounds)
+    last = _iterate_simulation(near, start, rounds)
     sizes = last.fit.x[problem.n_nuisance :]
     bent = np.array([e.nonlinear for e in at.effects for _ in e.parameters])
     if (last.problem.doubt > _VAGUE * np.abs(sizes))[bent].any():
-        last = _settled(last.problem, last.fit, ((_MOST, False),))
+        last = _iterate_simulation(last.problem, last.fit, ((_MOST, False),))
     moved = np.abs(last.fit.x - start.x)[problem.n_nuisance :]
     if last.fit.log_posterior + last.problem.lost < start.log_posterior + near.lost:
         return replace(near, doubt=np.hypot(last.problem.doubt, moved)), start
     return replace(last.problem, doubt=np.hypot(last.problem.doubt, _UNSETTLED * moved)), last.fit
 
 
-def _simulated(problem: Problem, at: Fit, seed: int) -> tuple[ComplexArray, ComplexArray, Moments]:
+def _simulated(problem: Posterior, at: MapEstimate, seed: int) -> tuple[ComplexArray, ComplexArray, Moments]:
     """Offset, the same without a control variate, and what the laws add to the moments."""
-    acting = forces(problem, at.x, at.effects, seed)
-    made = sides(problem, at.x, at.effects, acting, exact(problem, at.x, at.effects, acting))
-    added = moments(made.bent, problem, at) - moments(made.straight, problem, at)
+    acting = draw_forces(problem, at.x, at.effects, seed)
+    made = simulate_spectra(problem, at.x, at.effects, acting, simulate_exact(problem, at.x, at.effects, acting))
+    added = simulate_moments(made.bent, problem, at) - simulate_moments(made.straight, problem, at)
     return made.controlled, made.free, added
 
 
-def _sloped(problem: Problem, at: Fit, seed: int) -> ComplexArray:
+def _sloped(problem: Posterior, at: MapEstimate, seed: int) -> ComplexArray:
     """Slopes of the offset by the laws' sizes, shape (p, classes, n_bins, c, c); none by a sensor's, which samples tell."""
     laws = [(i, e) for i, e in enumerate(e for e in at.effects for _ in e.parameters) if e.nonlinear]
     out = np.zeros((len(laws), *problem.evidence.spectra.shape), dtype=complex)
-    acting = forces(problem, at.x, at.effects, seed)
-    here = offset(problem, at.x, at.effects, acting, exact(problem, at.x, at.effects, acting))
+    acting = draw_forces(problem, at.x, at.effects, seed)
+    here = linearization_error(problem, at.x, at.effects, acting, simulate_exact(problem, at.x, at.effects, acting))
     for slope, (i, effect) in zip(out, laws, strict=True):
         if effect.family == "sensor":
             continue
         x = at.x.copy()
         step = _STEP * abs(x[problem.n_nuisance + i])
         x[problem.n_nuisance + i] += step
-        effects = placed(at.effects, x[problem.n_nuisance :])
-        slope[:] = (offset(problem, x, effects, acting, exact(problem, x, effects, acting)) - here) / step
+        effects = with_coordinates(at.effects, x[problem.n_nuisance :])
+        slope[:] = (
+            linearization_error(problem, x, effects, acting, simulate_exact(problem, x, effects, acting)) - here
+        ) / step
     return out
 
 
-def _slopes(problem: Problem, at: Fit) -> ComplexArray:
+def _slopes(problem: Posterior, at: MapEstimate) -> ComplexArray:
     """Those that a problem has for the laws of a fit; none otherwise."""
-    if isinstance(problem, Corrected) and problem.laws == tuple(
+    if isinstance(problem, CorrectedPosterior) and problem.laws == tuple(
         (e.name, e.location) for e in at.effects if e.nonlinear
     ):
         return problem.slopes_by_size
     return np.zeros((0, *problem.evidence.spectra.shape), dtype=complex)
 
 
-def _feigned(problem: Corrected, at: Fit, slopes: ComplexArray) -> Array:
+def _spurious_information(problem: CorrectedPosterior, at: MapEstimate, slopes: ComplexArray) -> Array:
     """Information that chance in the mean of simulated slopes, shape (k, p, classes, n_bins, c, c), feigns: shape (p, p)."""
     k, p = slopes.shape[:2]
     if k < 2:
@@ -244,10 +252,10 @@ def _feigned(problem: Corrected, at: Fit, slopes: ComplexArray) -> Array:
     return np.asarray(np.einsum("rka,rkb->ab", rows, rows) / (k * (k - 1)))
 
 
-def _feigned_part(problem: Problem, at: Fit) -> Array:
+def _spurious_share(problem: Posterior, at: MapEstimate) -> Array:
     """Covariance times feigned information, shape (n, n)."""
     whole = np.zeros_like(at.covariance)
-    if isinstance(problem, Corrected) and problem.feigned.any():
+    if isinstance(problem, CorrectedPosterior) and problem.feigned.any():
         sizes = [e.nonlinear for e in at.effects for _ in e.parameters]
         bent = problem.n_nuisance + np.flatnonzero(sizes)
         whole[np.ix_(bent, bent)] = problem.feigned
@@ -255,21 +263,23 @@ def _feigned_part(problem: Problem, at: Fit) -> Array:
 
 
 def _largest(part: Array) -> float:
-    """Largest share of the information on any size that is feigned, of `_feigned_part`."""
+    """Largest share of the information on any size that is feigned, of `_spurious_share`."""
     return float(np.abs(np.linalg.eigvals(part)).max())
 
 
-def _spread(problem: Problem, at: Fit) -> Array:
+def _spread(problem: Posterior, at: MapEstimate) -> Array:
     """Covariance of estimates whose slopes have chance in them, shape (n, n).
 
     Such a fit takes its information J'J for larger than it is, and its covariance for smaller.
     """
-    part = _feigned_part(problem, at)
+    part = _spurious_share(problem, at)
     wider = np.linalg.inv(np.eye(len(part)) - part * min(1.0, _FEIGNED / max(_largest(part), 1e-9)))
     return np.asarray(wider @ at.covariance @ wider.T)
 
 
-def _chance(problem: Corrected, at: Fit, offsets: ComplexArray, free: ComplexArray) -> tuple[float, Array]:
+def _chance(
+    problem: CorrectedPosterior, at: MapEstimate, offsets: ComplexArray, free: ComplexArray
+) -> tuple[float, Array]:
     """What the simulations' chance costs in log likelihood, and what it adds to the sizes' standard deviation.
 
     A nonlinear response is not normal, so a recording's spectra scatter more than the likelihood knows: as the spectra of

@@ -7,7 +7,7 @@ from math import floor, isfinite, log10
 from typing import Any
 
 from monitor.diagnosis.stepwise_selection import Diagnosis
-from monitor.model.prior import Reference, StandingError
+from monitor.model.prior import ModelDiscrepancy, StructuralPrior
 
 Values = Mapping[str, Mapping[str, float]]
 """Parameter name -> ``value`` and ``std``, as in diagnosis.json."""
@@ -87,14 +87,14 @@ def _percent(entry: Mapping[str, float]) -> str:
     return _magnitude(entry, 100.0, "%")
 
 
-def in_words(effect_name: str, location: str, parameters: Values, reference: Reference) -> str:
+def in_words(effect_name: str, location: str, parameters: Values, reference: StructuralPrior) -> str:
     """One sentence, without its full stop, on an effect and its size; intervals are two standard deviations.
 
     Parameters
     ----------
     effect_name, location, parameters
         As in diagnosis.json.
-    reference : Reference
+    reference : StructuralPrior
         What "more" and "less" refer to.
 
     Raises
@@ -203,7 +203,7 @@ def separating_measurement(alternatives: Sequence[Mapping[str, Any]]) -> str | N
     return "; ".join(dict.fromkeys(checks))
 
 
-def contradicted(error: StandingError) -> str:
+def contradicted(error: ModelDiscrepancy) -> str:
     """What calibration left unexplained, without a full stop."""
     where = ", ".join(f"{low:.1f}-{high:.1f}" for low, high in error.doubtful_hz())
     return f"at {where} Hz no known effect explains the healthy data either, so what is seen there counts less"

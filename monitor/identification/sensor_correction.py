@@ -23,12 +23,12 @@ def response(effects: Sequence[Effect], hz: float, context: Context) -> ComplexA
     return out
 
 
-def sensed(effects: Sequence[Effect], context: Context) -> Array:
+def seen_by_sensors(effects: Sequence[Effect], context: Context) -> Array:
     """The sensor matrix as the channels show it, shape (c, n): what measured shapes are to be recognized by."""
     return np.asarray(response(effects, 0.0, context).real @ context.sensors)
 
 
-def undo(modes: ModalEstimate, effects: Sequence[Effect], context: Context) -> ModalEstimate:
+def correct_modes(modes: ModalEstimate, effects: Sequence[Effect], context: Context) -> ModalEstimate:
     """The structure's modes from those that the channels show, shapes with their largest component 1 again."""
     clock = float(np.prod([e.clock_factor for e in effects]))
     shapes, deviations = modes.shapes.copy(), modes.deviations.copy()

@@ -56,7 +56,7 @@ class SelectionSettings(Settings):
     """So many of the lowest must be found; higher ones are used where they show."""
 
 
-def expected(reference: Modes, highest_hz: float, select: SelectionSettings) -> tuple[int, ...]:
+def expected_modes(reference: Modes, highest_hz: float, select: SelectionSettings) -> tuple[int, ...]:
     """Which of the model's modes (0 = lowest) a recording up to `highest_hz` should show."""
     n = min(int(np.count_nonzero(reference.frequencies_hz < highest_hz)), select.max_modes)
     return tuple(range(n))
@@ -67,7 +67,7 @@ def advice(
 ) -> str | None:
     """What to set where the lags do not span the lowest mode's period, which then comes out late and uncertain; else None."""
     span_s, lowest = 2 * ssi.block_rows / rate_hz, float(reference.frequencies_hz[0])
-    wanted = expected(reference, cutoff_hz, select)
+    wanted = expected_modes(reference, cutoff_hz, select)
     if not wanted or span_s * lowest >= 1.0:
         return None
     enough = min(rate_hz, 5.0 * ceil(_RATE_STEPS * float(reference.frequencies_hz[wanted[-1]])))
@@ -115,7 +115,7 @@ def identify(
         Skipped names the model's required modes that no stable pole matches.
     """
     if wanted is None:
-        wanted = expected(reference, _BAND * window.rate_hz, select)
+        wanted = expected_modes(reference, _BAND * window.rate_hz, select)
     if not wanted:
         return Skipped("every mode of the model lies beyond the band; check the units of masses and stiffness")
     max_order = max(ssi.max_order, _ORDERS_PER_MODE * len(wanted))

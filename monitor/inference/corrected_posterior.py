@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from monitor.core.results import Array, ComplexArray
 from monitor.inference.linearization import forced_drift
-from monitor.inference.observed_spectra import Evidence
-from monitor.inference.posterior import Problem
+from monitor.inference.observed_spectra import ObservedSpectra
+from monitor.inference.posterior import Posterior
 from monitor.inference.wishart import definite, grown_by
 from monitor.model.effects import EFFECTS, Effect
 
@@ -26,7 +26,7 @@ _STEP = 0.01
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Corrected(Problem):
+class CorrectedPosterior(Posterior):
     """A problem with the linear terms of the correction by the laws' sizes; `offset` is its value at their centre."""
 
     laws: tuple[tuple[str, str], ...] = ()
@@ -52,10 +52,10 @@ class Corrected(Problem):
     ln_mass: float = 0.0
     """Mean logarithm of the masses there."""
 
-    def part(self, evidence: Evidence, classes: NDArray[np.intp]) -> Corrected:
-        """See `Problem.part`; the correction is a matter of the law, not of what was measured."""
+    def part(self, evidence: ObservedSpectra, classes: NDArray[np.intp]) -> CorrectedPosterior:
+        """See `Posterior.part`; the correction is a matter of the law, not of what was measured."""
         return replace(
-            Problem.part(self, evidence, classes),
+            Posterior.part(self, evidence, classes),
             offset=None if self.offset is None else self.offset[classes],
             base=self.base[classes],
             relative=self.relative[:, classes],
@@ -64,13 +64,13 @@ class Corrected(Problem):
         )
 
     def scatter(self, x: Array, effects: Sequence[Effect], *, classes: Sequence[int] | None = None) -> ComplexArray:
-        """See `Problem.scatter`.
+        """See `Posterior.scatter`.
 
         The correction is relative to the spectra: peaks that move or grow take it along.  Where the motion grows, a law acts
         as one of another size does; where all masses and stiffnesses do, as one that is as much smaller.
         """
         plain = replace(self, offset=None)
-        linear = Problem.scatter(plain, x, effects, classes=classes)
+        linear = Posterior.scatter(plain, x, effects, classes=classes)
         relative = self.beyond(x, effects)
         if relative is None:
             return linear
@@ -78,7 +78,7 @@ class Corrected(Problem):
         return grown_by(linear, relative if classes is None else relative[list(classes)])
 
     def beyond(self, x: Array, effects: Sequence[Effect]) -> ComplexArray | None:
-        """See `Problem.beyond`."""
+        """See `Posterior.beyond`."""
         if not self._acts(effects):
             return None
         here = [e for e in effects if (e.name, e.location) in self.laws]
@@ -100,16 +100,16 @@ class Corrected(Problem):
         return np.array([grown if p.weighty else 1.0 for e in laws for p in e.parameters])
 
     def slope(self, x: Array, i: int, effects: tuple[Effect, ...], spectra: ComplexArray) -> ComplexArray:
-        """See `Problem.slope`; of every class its own, since a law that bends much has its peaks elsewhere in each."""
+        """See `Posterior.slope`; of every class its own, since a law that bends much has its peaks elsewhere in each."""
         if not self._acts(effects):
-            return Problem.slope(self, x, i, effects, spectra)
+            return Posterior.slope(self, x, i, effects, spectra)
         return self.slope_by_class(x, i, effects, spectra)
 
     def _acts(self, effects: Sequence[Effect]) -> bool:
         """Whether the correction is that of these effects."""
         return self.offset is not None and set(self.laws) <= {(e.name, e.location) for e in effects}
 
-    def mirrored(self, law: Effect) -> Corrected:
+    def mirrored(self, law: Effect) -> CorrectedPosterior:
         """The same with a law's other hand, whose spectra are the same."""
         centre, relative, grown, first = self.centre.copy(), self.relative.copy(), self.by_motion.copy(), 0
         for name, place in self.laws:
@@ -165,9 +165,9 @@ def relative_to(spectra: ComplexArray, offset: ComplexArray, hz: Array) -> Compl
     return _bounded(_smooth(_around(inverse, offset), hz))
 
 
-def corrected(
-    problem: Problem, x: Array, effects: tuple[Effect, ...], offset: ComplexArray, slopes: ComplexArray
-) -> Corrected:
+def correct_posterior(
+    problem: Posterior, x: Array, effects: tuple[Effect, ...], offset: ComplexArray, slopes: ComplexArray
+) -> CorrectedPosterior:
     """The problem with a correction that was simulated at given parameters, smoothed relative to the spectra.
 
     Parameters
@@ -176,7 +176,7 @@ def corrected(
     slopes : ndarray, shape (p, classes, n_bins, c, c) or (0, ...)
         By the coordinates of the nonlinear effects; none where they are not known.
     """
-    plain = {f.name: getattr(problem, f.name) for f in fields(Problem)}
+    plain = {f.name: getattr(problem, f.name) for f in fields(Posterior)}
     linear, hz = problem.of_model_alone(), problem.evidence.band.hz
     acting = [e for e in effects if e.nonlinear]  # beside those that stand
     centre = np.concatenate([[], *[e.coordinates for e in acting]])
@@ -184,7 +184,7 @@ def corrected(
     def relative_at(sizes: Array, offset: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
         parts = iter(np.split(sizes, np.cumsum([len(e.parameters) for e in acting])))
         moved = [e.at(next(parts)) if e.nonlinear else e for e in effects]
-        base = np.asarray(np.linalg.cholesky(Problem.scatter(linear, x, moved)), dtype=np.complex128)
+        base = np.asarray(np.linalg.cholesky(Posterior.scatter(linear, x, moved)), dtype=np.complex128)
         return base, _smooth(_around(np.linalg.inv(base), offset), hz)
 
     base, here = relative_at(centre, offset)
@@ -193,7 +193,7 @@ def corrected(
     by_size = []
     for i, step in enumerate(np.diag(_STEP * np.abs(centre))):
         by_size.append((relative_at(centre + step, offset + known[i] * step[i])[1] - here) / step[i])
-    return Corrected(
+    return CorrectedPosterior(
         **plain | {"offset": offset},
         laws=tuple((e.name, e.location) for e in acting),
         centre=centre,

@@ -10,8 +10,8 @@ from scipy.fft import irfft, next_fast_len, rfft
 
 from monitor.core.results import Array, ComplexArray
 from monitor.inference.cross_spectra import channel_response, extended, ground_density
-from monitor.inference.linearization import conditions
-from monitor.inference.posterior import Problem
+from monitor.inference.linearization import linearize
+from monitor.inference.posterior import Posterior
 from monitor.model.effects import Context, Effect, LawKind
 from monitor.model.simulation import respond
 from monitor.signals.welch import taper
@@ -46,7 +46,7 @@ class Forces:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Sides:
+class SimulatedSpectra:
     """One simulation of the exact laws beside the linearized ones under the same forces."""
 
     controlled: ComplexArray
@@ -59,7 +59,7 @@ class Sides:
     """Under the linearized laws."""
 
 
-def forces(problem: Problem, x: Array, effects: Sequence[Effect], seed: int) -> Forces:
+def draw_forces(problem: Posterior, x: Array, effects: Sequence[Effect], seed: int) -> Forces:
     """Random forces of every segment's own level: one segment to swing in, then the segments one after the other."""
     e, context = problem.evidence, problem.context_at(x)
     effects = (*problem.reference.effects(x), *effects)
@@ -89,7 +89,7 @@ def forces(problem: Problem, x: Array, effects: Sequence[Effect], seed: int) -> 
     return Forces(rate, floors, ground, noise, rng)
 
 
-def _samples(problem: Problem) -> int:
+def _samples(problem: Posterior) -> int:
     """In half a segment."""
     band = problem.evidence.band
     return int(next_fast_len(int(np.ceil(_STEPS_A_PERIOD * band.hz[-1] / band.bin_hz / 2.0))))
@@ -100,7 +100,7 @@ def _bent(effects: Sequence[Effect]) -> list[Effect]:
     return [effect for effect in effects if effect.family == "sensor" and effect.nonlinear]
 
 
-def exact(problem: Problem, x: Array, effects: Sequence[Effect], acting: Forces) -> ComplexArray:
+def simulate_exact(problem: Posterior, x: Array, effects: Sequence[Effect], acting: Forces) -> ComplexArray:
     """Transforms of the segments under the exact laws before the linear sensors, shape (n_segments, n_bins, c)."""
     context, everything = problem.context_at(x), (*problem.reference.effects(x), *effects)
     model, finer = problem.model(x, everything), 1
@@ -115,7 +115,7 @@ def exact(problem: Problem, x: Array, effects: Sequence[Effect], acting: Forces)
     return _transformed(_spectrum(seen, problem), problem, range(problem.evidence.t_s.size))
 
 
-def _measured(effect: Effect, samples: Array, problem: Problem, acting: Forces, context: Context) -> Array:
+def _measured(effect: Effect, samples: Array, problem: Posterior, acting: Forces, context: Context) -> Array:
     """What a sensor's law makes of samples at the measured RMS, which beyond the band the model need not meet."""
     e, part = problem.evidence, samples[::_SPARSE]
     wanted = np.sqrt(e.counts @ e.rms**2 / e.counts.sum())[: samples.shape[1]]
@@ -126,16 +126,16 @@ def _measured(effect: Effect, samples: Array, problem: Problem, acting: Forces, 
     return np.asarray(effect.measure(samples * louder, acting.rate_hz, context, acting.rng) / louder)
 
 
-def averaged(problem: Problem, x: Array, effects: Sequence[Effect], transforms: ComplexArray) -> ComplexArray:
-    """Spectra of every class behind the linear sensors, shape (classes, n_bins, c, c), of `exact`'s transforms."""
+def class_means(problem: Posterior, x: Array, effects: Sequence[Effect], transforms: ComplexArray) -> ComplexArray:
+    """Spectra of every class behind the linear sensors, shape (classes, n_bins, c, c), of `simulate_exact`'s transforms."""
     e, everything = problem.evidence, (*problem.reference.effects(x), *effects)
     straight = [effect for effect in everything if effect not in _bent(everything)]
     out = [_products(_through(transforms[m], straight, problem, k)) for k, m in enumerate(e.members)]
     return np.asarray(np.stack(out) * e.band.gain[:, None, None])
 
 
-def offset(
-    problem: Problem, x: Array, effects: tuple[Effect, ...], acting: Forces, transforms: ComplexArray
+def linearization_error(
+    problem: Posterior, x: Array, effects: tuple[Effect, ...], acting: Forces, transforms: ComplexArray
 ) -> ComplexArray:
     """Exact less linearized spectra of every class, shape (classes, n_bins, c, c).
 
@@ -147,8 +147,10 @@ def offset(
     return np.asarray(simulated - expected)
 
 
-def sides(problem: Problem, x: Array, effects: tuple[Effect, ...], acting: Forces, transforms: ComplexArray) -> Sides:
-    """What the exact laws make of forces, of `exact`'s transforms, beside what the linearized ones do.
+def simulate_spectra(
+    problem: Posterior, x: Array, effects: tuple[Effect, ...], acting: Forces, transforms: ComplexArray
+) -> SimulatedSpectra:
+    """What the exact laws make of forces, of `simulate_exact`'s transforms, beside what the linearized ones do.
 
     The linearized system under the same forces is the control: its simulated spectra less those expected, times the likeness
     of the two responses, are taken off (its chance is theirs as far as they are alike).  A sensor's law is always compared so.
@@ -166,16 +168,16 @@ def sides(problem: Problem, x: Array, effects: tuple[Effect, ...], acting: Force
         likeness = _likeness(np.einsum("sfa,sfb->fab", z, y.conj()) / members.size, _products(y))
         out[k] = simulated[k] - expected[k] - likeness[:, None, None] * (linear - expected[k])
         bent[members], straight[members] = z, y
-    return Sides(out, np.asarray(simulated - expected), bent, straight)
+    return SimulatedSpectra(out, np.asarray(simulated - expected), bent, straight)
 
 
 def _sensors_sides(
-    problem: Problem, x: Array, effects: tuple[Effect, ...], acting: Forces, transforms: ComplexArray
-) -> Sides:
-    """As `sides` where a sensor bends: less what the linear sensors say under the same forces and noise."""
+    problem: Posterior, x: Array, effects: tuple[Effect, ...], acting: Forces, transforms: ComplexArray
+) -> SimulatedSpectra:
+    """As `simulate_spectra` where a sensor bends: less what the linear sensors say under the same forces and noise."""
     gain, everything = problem.evidence.band.gain, (*problem.reference.effects(x), *effects)
     problem, diagonal = problem.of_model_alone(), np.arange(len(problem.context.channels))
-    out, sensors = averaged(problem, x, effects, transforms), _bent(everything)
+    out, sensors = class_means(problem, x, effects, transforms), _bent(everything)
     others = [effect for effect in everything if effect not in sensors]
     bent, straight = np.empty_like(transforms), np.empty_like(transforms)
     for k, y in enumerate(_linear(problem, x, everything, acting)):
@@ -183,27 +185,27 @@ def _sensors_sides(
         out[k] -= _products(y) * gain[:, None, None]
         out[k][:, diagonal, diagonal] -= _added(sensors, problem, k) * gain[:, None]  # what clipping adds
         bent[members], straight[members] = _through(transforms[members], others, problem, k), y
-    return Sides(out, out, bent, straight)
+    return SimulatedSpectra(out, out, bent, straight)
 
 
 def _compared(
-    problem: Problem, x: Array, effects: tuple[Effect, ...], transforms: ComplexArray
-) -> tuple[Problem, ComplexArray, ComplexArray]:
+    problem: Posterior, x: Array, effects: tuple[Effect, ...], transforms: ComplexArray
+) -> tuple[Posterior, ComplexArray, ComplexArray]:
     """The problem linear at the simulation's motion, the exact spectra of every class and those that it expects."""
     problem, everything = problem.of_model_alone(), (*problem.reference.effects(x), *effects)
-    simulated, diagonal = averaged(problem, x, effects, transforms), np.arange(len(problem.context.channels))
+    simulated, diagonal = class_means(problem, x, effects, transforms), np.arange(len(problem.context.channels))
     noise = _noise(problem, x, everything)[:, None, :] * problem.evidence.band.gain[:, None]
     simulated[:, :, diagonal, diagonal] += noise
-    problem = replace(problem, conditions=conditions(problem, x, effects, simulated))
+    problem = replace(problem, conditions=linearize(problem, x, effects, simulated))
     return problem, simulated, problem.scatter(x, effects)
 
 
-def _noise(problem: Problem, x: Array, effects: Sequence[Effect]) -> Array:
+def _noise(problem: Posterior, x: Array, effects: Sequence[Effect]) -> Array:
     """Density of the channels' noise in every class, shape (classes, c)."""
     return np.array([problem.noise(x) + _added(effects, problem, k) for k in range(problem.n_classes)])
 
 
-def _linear(problem: Problem, x: Array, effects: tuple[Effect, ...], acting: Forces) -> Iterator[ComplexArray]:
+def _linear(problem: Posterior, x: Array, effects: tuple[Effect, ...], acting: Forces) -> Iterator[ComplexArray]:
     """Transforms of every class's segments as its linearized system answers the forces."""
     context, base = problem.context_at(x), problem.system(x, effects)
     bent = _bent(effects)
@@ -221,7 +223,7 @@ def _linear(problem: Problem, x: Array, effects: tuple[Effect, ...], acting: For
         yield _through(_through(y, bent, problem, k), [e for e in effects if e not in bent], problem, k)
 
 
-def _added(effects: Sequence[Effect], problem: Problem, k: int) -> Array:
+def _added(effects: Sequence[Effect], problem: Posterior, k: int) -> Array:
     """Density of the white noise that effects add to the channels."""
     context = problem.context
     variance = sum((f.noise_variance(context, problem.conditions[k]) for f in effects), np.zeros(len(context.channels)))
@@ -239,7 +241,7 @@ def _products(transforms: ComplexArray) -> ComplexArray:
     return np.asarray(np.einsum("sfa,sfb->fab", transforms, transforms.conj()) / len(transforms))
 
 
-def _through(transforms: ComplexArray, effects: Sequence[Effect], problem: Problem, k: int) -> ComplexArray:
+def _through(transforms: ComplexArray, effects: Sequence[Effect], problem: Posterior, k: int) -> ComplexArray:
     """Transforms after the effects' responses."""
     for effect in effects:
         response = effect.response(problem.evidence.band.hz, problem.context, problem.conditions[k])
@@ -249,25 +251,25 @@ def _through(transforms: ComplexArray, effects: Sequence[Effect], problem: Probl
     return transforms
 
 
-def _coarse(problem: Problem) -> int:
+def _coarse(problem: Posterior) -> int:
     """Samples in half a segment of the series that holds the band alone."""
     band = problem.evidence.band
     fast = next_fast_len(int(np.ceil(_BANDS * band.hz[-1] / band.bin_hz)), real=True)
     return int(min(fast, round(problem.evidence.rate_hz / band.bin_hz / 2)))
 
 
-def _kept(problem: Problem) -> int:
+def _kept(problem: Posterior) -> int:
     """Frequencies of a whole series that matter in the band."""
     return (problem.evidence.t_s.size + 2) * _coarse(problem) // 2 + 1
 
 
-def _spectrum(samples: Array, problem: Problem) -> ComplexArray:
+def _spectrum(samples: Array, problem: Posterior) -> ComplexArray:
     """Lowest frequencies of whole series, shape (n, columns), scaled so that fewer samples keep the amplitude."""
     n = _kept(problem)
     return np.asarray(rfft(np.ascontiguousarray(samples.T))[:, :n].T * (2.0 * (n - 1) / len(samples)))
 
 
-def _transformed(spectrum: ComplexArray, problem: Problem, wanted: Iterable[int]) -> ComplexArray:
+def _transformed(spectrum: ComplexArray, problem: Posterior, wanted: Iterable[int]) -> ComplexArray:
     """Tapered transforms of the wanted segments in the band, shape (n_wanted, n_bins, c), of a series at a lower rate."""
     band, half = problem.evidence.band, _coarse(problem)
     samples = irfft(np.ascontiguousarray(spectrum.T), n=(problem.evidence.t_s.size + 2) * half)

@@ -9,19 +9,19 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from monitor.core.parallel import each
+from monitor.core.parallel import parallel_map
 from monitor.core.results import Array, ComplexArray
 from monitor.inference.corrected_posterior import relative_to
-from monitor.inference.exact_simulation import exact, forces, sides
+from monitor.inference.exact_simulation import draw_forces, simulate_exact, simulate_spectra
 from monitor.inference.ground_response import Between
-from monitor.inference.linearization import conditions
-from monitor.inference.observed_spectra import Evidence, classify
-from monitor.inference.posterior import Problem, alike
+from monitor.inference.linearization import linearize
+from monitor.inference.observed_spectra import ObservedSpectra, classify
+from monitor.inference.posterior import Posterior, difference_operator
 from monitor.inference.wishart import grown_by
 from monitor.model.effects import Condition, Context, Effect
 from monitor.model.integration import loaded
 from monitor.model.model import Model
-from monitor.model.prior import Reference, nominal
+from monitor.model.prior import StructuralPrior, prior_from_drawing
 
 _FORCE_STD, _LEVEL_STD = 1.0, 5.0
 """Prior of the logarithms of the floors' forces about one level, of the classes' levels and of the noise."""
@@ -42,7 +42,7 @@ _FORCED = 1e-3
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Nearby:
+class ExcitationStart:
     """The excitation of a recording that is like the one at hand, or part of it, under nearly the same model."""
 
     forces: Array
@@ -55,15 +55,15 @@ class Nearby:
     """What exact laws add to the linearized spectra, relative to them, shape (classes, n_bins, c, c); None if not known."""
 
     @classmethod
-    def at(cls, problem: Problem, x: Array, beyond: ComplexArray | None = None) -> Self:
+    def at(cls, problem: Posterior, x: Array, beyond: ComplexArray | None = None) -> Self:
         """That of a vector of nuisances."""
         first, last = problem.reference.mean.size, problem.n_nuisance - 1
         forces, levels = np.split(x[first:last], [problem.context.structure.n_dofs])
         return cls(forces, levels, float(x[last]), beyond)
 
-    def of(self, n_classes: int) -> Nearby:
+    def of(self, n_classes: int) -> ExcitationStart:
         """For as many classes of rising level."""
-        like = nearest(self.levels.size, n_classes)
+        like = nearest_classes(self.levels.size, n_classes)
         return replace(self, levels=self.levels[like], beyond=None if self.beyond is None else self.beyond[like])
 
     @property
@@ -72,14 +72,18 @@ class Nearby:
         return np.concatenate([self.forces, self.levels, [self.noise]])
 
 
-def nearest(n: int, wanted: int) -> NDArray[np.intp]:
+def nearest_classes(n: int, wanted: int) -> NDArray[np.intp]:
     """Of n classes of rising level those nearest to as many as are wanted."""
     return np.rint(np.linspace(0, n - 1, wanted)).astype(np.intp)
 
 
-def excited(
-    evidence: Evidence, model: Model, context: Context, reference_degc: float | None, near: Nearby | None = None
-) -> tuple[Problem, Array]:
+def fit_excitation(
+    evidence: ObservedSpectra,
+    model: Model,
+    context: Context,
+    reference_degc: float | None,
+    near: ExcitationStart | None = None,
+) -> tuple[Posterior, Array]:
     """The model's problem with levels and noise fitted, from nearby where that is known; everything else as it is stated.
 
     Laws that depend on the level are made linear at the motion that the model itself shows, hence the repetition; what that
@@ -87,11 +91,11 @@ def excited(
     """
     n, c = context.structure.n_dofs, len(context.channels)
     stories = context.structure.n_stories
-    known = replace(nominal(model, np.ones(stories + n), c), reference_degc=reference_degc)
+    known = replace(prior_from_drawing(model, np.ones(stories + n), c), reference_degc=reference_degc)
     first = known.mean.size - known.n_standing
     plain = replace(known, model=replace(model, effects=()), mean=known.mean[:first])
     unknown = Condition(np.ones(stories), np.ones(stories), np.ones(n), np.ones(c))
-    problem = Problem(evidence, plain, context, (unknown,) * evidence.counts.size)
+    problem = Posterior(evidence, plain, context, (unknown,) * evidence.counts.size)
     problem = _as_moved(problem, known)
     # With the ground measured one level is fitted for all forces, which therefore begin alike.
     near = None if near is None or evidence.drive is not None else near.of(problem.n_classes)
@@ -100,7 +104,7 @@ def excited(
         x = _fit_levels(problem, x)
     for _ in range(2 if model.effects else 0):
         excitation = x[problem.reference.mean.size :]
-        problem = replace(problem, conditions=conditions(problem, x, ()), reference=known)
+        problem = replace(problem, conditions=linearize(problem, x, ()), reference=known)
         x = _fit_levels(problem, np.concatenate([known.mean, excitation]))
     if evidence.drive is None and any(e.nonlinear for e in model.effects):
         linear = problem.scatter(x, ())
@@ -111,19 +115,19 @@ def excited(
     return problem, x
 
 
-def _beyond(problem: Problem, x: Array, linear: ComplexArray) -> ComplexArray:
+def _beyond(problem: Posterior, x: Array, linear: ComplexArray) -> ComplexArray:
     """What the exact laws add to the linearized spectra, relative to them, by simulation."""
 
     loaded()
 
     def added(seed: int) -> ComplexArray:
-        acting = forces(problem, x, (), seed)
-        return sides(problem, x, (), acting, exact(problem, x, (), acting)).controlled
+        acting = draw_forces(problem, x, (), seed)
+        return simulate_spectra(problem, x, (), acting, simulate_exact(problem, x, (), acting)).controlled
 
-    return relative_to(linear, np.mean(each(added, range(_SIMULATIONS)), axis=0), problem.evidence.band.hz)
+    return relative_to(linear, np.mean(parallel_map(added, range(_SIMULATIONS)), axis=0), problem.evidence.band.hz)
 
 
-def _as_moved(problem: Problem, known: Reference) -> Problem:
+def _as_moved(problem: Posterior, known: StructuralPrior) -> Posterior:
     """With the motion of a measured ground between its samples that leaves the least of the floors' unexplained."""
     drive = problem.evidence.drive
     if drive is None:
@@ -131,7 +135,7 @@ def _as_moved(problem: Problem, known: Reference) -> Problem:
     whole = replace(problem, reference=known)
     x = np.concatenate([known.mean, np.zeros(whole.n_nuisance - known.mean.size)])
 
-    def moved(between: Between) -> Problem:
+    def moved(between: Between) -> Posterior:
         return replace(whole, evidence=replace(whole.evidence, drive=replace(drive, between=between)))
 
     def left(between: Between) -> float:
@@ -143,7 +147,7 @@ def _as_moved(problem: Problem, known: Reference) -> Problem:
     return replace(problem, evidence=moved(min(get_args(Between), key=left)).evidence)
 
 
-def _first_guess(problem: Problem) -> Array:
+def _first_guess(problem: Posterior) -> Array:
     """Levels from the medians over frequency of the channels' power, noise from its least."""
     e, c = problem.evidence, len(problem.context.channels)
     power = np.einsum("kfaa->kfa", e.spectra[:, :, :c, :c]).real
@@ -162,7 +166,7 @@ def _first_guess(problem: Problem) -> Array:
     return x
 
 
-def _fit_driven(problem: Problem, x: Array) -> Array:
+def _fit_driven(problem: Posterior, x: Array) -> Array:
     """Most probable level of the forces, of the model's own error in every class, noise of the ground and of the channels,
     the rest of `x` kept.
 
@@ -183,7 +187,7 @@ def _fit_driven(problem: Problem, x: Array) -> Array:
     return np.asarray(x + minimize(cost, np.zeros(k + 3), method="Powell", options={"xtol": 1e-3}).x @ moving)
 
 
-def told_by_quiet(problem: Problem, x: Array, effects: tuple[Effect, ...]) -> Array:
+def forces_from_quiet_segments(problem: Posterior, x: Array, effects: tuple[Effect, ...]) -> Array:
     """The vector with the forces beside a measured ground that its quietest segments tell, the rest of `x` kept.
 
     Wind blows there too, while what the model's response lacks grows with the ground's motion.
@@ -194,7 +198,7 @@ def told_by_quiet(problem: Problem, x: Array, effects: tuple[Effect, ...]) -> Ar
     assert e.power is not None
     moved = (np.abs(mean) ** 2 / e.power).mean(axis=(1, 2))
     quiet = classify(replace(e.segments, drive=e.drive).part(moved <= np.quantile(moved, _QUIET)))
-    like = nearest(problem.n_classes, quiet.counts.size)
+    like = nearest_classes(problem.n_classes, quiet.counts.size)
     there, last = problem.part(quiet, like), x[p + n + problem.n_classes :]
     known = np.concatenate([x[: p + n], x[p + n : p + n + problem.n_classes][like], last])
     out = x.copy()
@@ -202,7 +206,7 @@ def told_by_quiet(problem: Problem, x: Array, effects: tuple[Effect, ...]) -> Ar
     return out
 
 
-def _fit_levels(problem: Problem, x: Array) -> Array:
+def _fit_levels(problem: Posterior, x: Array) -> Array:
     """Most probable forces, levels of the classes and noise, the rest of `x` kept: Fisher scoring, Levenberg-Marquardt steps.
 
     How strongly each floor is shaken belongs to the recording as its level does; were it held equal, a wrong structure that
@@ -211,14 +215,14 @@ def _fit_levels(problem: Problem, x: Array) -> Array:
     return _by_scoring(problem, x) if problem.evidence.drive is None else _fit_driven(problem, x)
 
 
-def _by_scoring(problem: Problem, x: Array, effects: tuple[Effect, ...] = (), iterations: int = 40) -> Array:
+def _by_scoring(problem: Posterior, x: Array, effects: tuple[Effect, ...] = (), iterations: int = 40) -> Array:
     """As `_fit_levels`, beside further effects, whose coordinates follow in `x`."""
     p, n, k, damping = problem.reference.mean.size, problem.context.structure.n_dofs, problem.n_classes, 1e-3
     end = problem.n_nuisance
     first, data = x[p:end].copy(), problem.predict(x, effects).data  # levels move no mean
     precision = np.diag(np.r_[np.full(n, _FORCE_STD), np.full(k + 1, _LEVEL_STD)] ** -2.0)
     if problem.evidence.drive is not None:  # no class's level is theirs
-        precision[:n, :n] = alike(n)
+        precision[:n, :n] = difference_operator(n)
 
     def moved(by: Array) -> tuple[Array, ComplexArray, float]:
         at = np.r_[x[:p], x[p:end] + by, x[end:]]

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from monitor.core.results import Array, ComplexArray
-from monitor.inference.posterior import Problem
+from monitor.inference.posterior import Posterior
 from monitor.model.effects import Effect
 
 _NONE = -100.0
@@ -21,7 +21,7 @@ _LEAST = 0.1
 """What one step leaves of a level."""
 
 
-def by_force(problem: Problem, x: Array, effects: Sequence[Effect]) -> ComplexArray:
+def spectra_by_force(problem: Posterior, x: Array, effects: Sequence[Effect]) -> ComplexArray:
     """Each force's part of the spectra without noise and, last, an unmeasured ground's, shape (n + 1, classes, n_bins, c, c).
 
     What none of them makes alone is shared by the forces.
@@ -44,19 +44,19 @@ def by_force(problem: Problem, x: Array, effects: Sequence[Effect]) -> ComplexAr
     return parts
 
 
-def ground_levels(problem: Problem, x: Array, effects: Sequence[Effect]) -> Array:
+def ground_levels(problem: Posterior, x: Array, effects: Sequence[Effect]) -> Array:
     """How strongly an unmeasured ground shook in every class, over the forces, relative to the whole recording: (classes,)."""
     e, linear = problem.evidence, replace(problem, offset=None)
-    *alone, ground = by_force(linear, x, effects)
+    *alone, ground = spectra_by_force(linear, x, effects)
     forces = np.sum(alone, axis=0)
     noise = linear.scatter(x, effects) - ground - forces
-    own = np.array([levels(np.stack(c[:2]), *c[2:]) for c in zip(forces, ground, noise, e.spectra, strict=True)])
+    own = np.array([fit_levels(np.stack(c[:2]), *c[2:]) for c in zip(forces, ground, noise, e.spectra, strict=True)])
     relative = np.array([c.ground for c in problem.conditions]) * own[:, 1] / own[:, 0]
     strength = e.counts * own[:, 0] * np.einsum("kfaa->k", forces).real
     return np.asarray(relative * strength.sum() / (relative @ strength))
 
 
-def levels(parts: ComplexArray, noise: ComplexArray, data: ComplexArray) -> Array:
+def fit_levels(parts: ComplexArray, noise: ComplexArray, data: ComplexArray) -> Array:
     """Factors on the parts, each of shape (n_bins, c, c), that explain the data best beside the noise, shape (n_parts,)."""
     level = np.ones(len(parts))
     for _ in range(_STEPS):
@@ -69,7 +69,7 @@ def levels(parts: ComplexArray, noise: ComplexArray, data: ComplexArray) -> Arra
     return level
 
 
-def _silent(problem: Problem, x: Array) -> Array:
+def _silent(problem: Posterior, x: Array) -> Array:
     """The nuisances without noise."""
     still = x.copy()
     still[problem.n_nuisance - 1] = _NONE

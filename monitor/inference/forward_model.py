@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 from monitor.core.results import Array, ComplexArray
 from monitor.inference import ground_response
 from monitor.inference.cross_spectra import Excitation, cross_spectra, extended, modally_damped
-from monitor.inference.observed_spectra import Evidence
+from monitor.inference.observed_spectra import ObservedSpectra
 from monitor.inference.wishart import grown_by
 from monitor.model.effects import Condition, Context, Effect, System
 from monitor.model.model import Model
-from monitor.model.prior import Reference, StandingError
+from monitor.model.prior import ModelDiscrepancy, StructuralPrior
 
 _LINE_BINS, _LINE_SHARE = 3.0, 0.01
 """How far either side of a known machine's line spectra are not compared: in bins, and of its frequency (motors slip)."""
@@ -38,11 +38,11 @@ class Prediction:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Forward:
+class ForwardModel:
     """From nuisances and effects to what the segments should be."""
 
-    evidence: Evidence
-    reference: Reference
+    evidence: ObservedSpectra
+    reference: StructuralPrior
     context: Context
     conditions: tuple[Condition, ...]
     """One a class."""
@@ -66,7 +66,7 @@ class Forward:
         return int(self.reference.mean.size) + self.context.structure.n_dofs + self.n_classes + 1
 
     @property
-    def error(self) -> StandingError | None:
+    def error(self) -> ModelDiscrepancy | None:
         """What the model gets wrong from the start.  Beside a measured ground the spectra about the response have another one."""
         return self.reference.error if self.evidence.drive is None else None
 

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from scipy.fft import ifft, irfft, next_fast_len
 
 from monitor.core.results import Array, ComplexArray
-from monitor.inference.map_estimate import Fit
+from monitor.inference.map_estimate import MapEstimate
 from monitor.inference.observed_spectra import relative_level
-from monitor.inference.posterior import Problem
+from monitor.inference.posterior import Posterior
 from monitor.signals.welch import overlap_correlation, taper
 
 _ABOUT = 0.15
@@ -52,14 +52,14 @@ class Moments:
         return Moments(2.0 * about.skewness - self.skewness, self.kurtosis)
 
 
-def none(problem: Problem) -> Moments:
+def normal_moments(problem: Posterior) -> Moments:
     """Those of a normal process."""
     structure = problem.context.structure
     return Moments(np.zeros(structure.n_stories), np.zeros(structure.n_dofs))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Heard:
+class MeasuredMoments:
     """A recording's moments with their chance."""
 
     mean: Moments
@@ -78,16 +78,16 @@ class Heard:
         return float(-0.5 * (skew.sum() + tails))
 
 
-def heard(transforms: ComplexArray, problem: Problem, at: Fit) -> Heard:
+def measure_moments(transforms: ComplexArray, problem: Posterior, at: MapEstimate) -> MeasuredMoments:
     """Moments of a recording's segments, shape (n_segments, n_bins, c); the modes are those of a fit."""
     split = _split(transforms, problem, at)
     skew, tails = _skewness(split.floors, problem), [_kurtosis(narrow, split.level) for narrow in split.modes]
     mean, std = (Moments(skew[i], np.array([t[i] for t in tails])) for i in (0, 1))
-    return Heard(mean, std, _uneven(split, problem.evidence.band.hz))
+    return MeasuredMoments(mean, std, _uneven(split, problem.evidence.band.hz))
 
 
-def moments(transforms: ComplexArray, problem: Problem, at: Fit) -> Moments:
-    """As `heard`, without their chance."""
+def simulate_moments(transforms: ComplexArray, problem: Posterior, at: MapEstimate) -> Moments:
+    """As `measure_moments`, without their chance."""
     split = _split(transforms, problem, at)
     tails = np.array([_kurtosis(narrow, split.level)[0] for narrow in split.modes])
     return Moments(_skewness(split.floors, problem)[0], tails)
@@ -107,7 +107,7 @@ class _Split:
     """Bins that are about none."""
 
 
-def _split(transforms: ComplexArray, problem: Problem, at: Fit) -> _Split:
+def _split(transforms: ComplexArray, problem: Posterior, at: MapEstimate) -> _Split:
     context, hz = problem.context, problem.evidence.band.hz
     floors = transforms[:, :, : len(context.channels)] @ np.linalg.pinv(context.sensors).T
     model = problem.model(at.x, (*problem.reference.effects(at.x), *at.effects))
@@ -128,7 +128,7 @@ def _uneven(split: _Split, hz: Array) -> float:
     return max(0.0, float(np.dot(found, weight)) / max(sum(weight), 1.0))
 
 
-def _skewness(floors: ComplexArray, problem: Problem) -> tuple[Array, Array]:
+def _skewness(floors: ComplexArray, problem: Posterior) -> tuple[Array, Array]:
     """Mean over segments, and its standard deviation.
 
     Accelerations become drifts in the frequency domain; tapered segments keep the sign of the third moment.

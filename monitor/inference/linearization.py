@@ -12,8 +12,8 @@ from monitor.core.results import Array, ComplexArray
 from monitor.inference.cross_spectra import accelerance, extended, force_colour, force_root, seen, variances
 from monitor.inference.force_levels import ground_levels
 from monitor.inference.ground_response import motion_rms
-from monitor.inference.observed_spectra import Evidence, class_temperature
-from monitor.inference.posterior import Problem
+from monitor.inference.observed_spectra import ObservedSpectra, class_temperature
+from monitor.inference.posterior import Posterior
 from monitor.model.effects import Condition, Context, Effect, System
 
 _PILE = 20
@@ -24,8 +24,8 @@ _SLOW, _LEAST_MOTION = 0.4, 0.3
 """Share of the lowest frequency below which motion is not heard; least share of the model's variance that is left."""
 
 
-def conditions(
-    problem: Problem, x: Array, effects: tuple[Effect, ...], spectra: ComplexArray | None = None
+def linearize(
+    problem: Posterior, x: Array, effects: tuple[Effect, ...], spectra: ComplexArray | None = None
 ) -> tuple[Condition, ...]:
     """RMS motion of every class, as its spectra (by default the measured ones) tell it under the fitted model, and its
     temperature.
@@ -73,7 +73,7 @@ def conditions(
     return tuple(out)
 
 
-def forced_drift(problem: Problem, x: Array, effects: Sequence[Effect]) -> Array:
+def forced_drift(problem: Posterior, x: Array, effects: Sequence[Effect]) -> Array:
     """RMS drift that the linearized model has under forces of its level, shape (classes, n_stories), m; whatever their colour."""
     everything = (*problem.reference.effects(x), *effects)
     context, base = problem.context_at(x), problem.system(x, everything)
@@ -96,7 +96,7 @@ def forced_drift(problem: Problem, x: Array, effects: Sequence[Effect]) -> Array
     return np.asarray(np.sqrt(0.5 * np.einsum("kra,kab,krb->kr", rows, inner, rows.conj()).real))
 
 
-def _beyond(problem: Problem, x: Array, effects: Sequence[Effect]) -> float:
+def _beyond(problem: Posterior, x: Array, effects: Sequence[Effect]) -> float:
     """See `Condition.beyond`; 1 without a shaken ground, whose motion would be taken for what forces cause."""
     if not any(effect.ground_share for effect in effects):
         return 1.0
@@ -109,7 +109,7 @@ def _beyond(problem: Problem, x: Array, effects: Sequence[Effect]) -> float:
 
 def _moved(
     system: System, effects: Sequence[Effect], hz: Array, force: Array, rows: Array, order: Array, context: Context,
-    problem: Problem | None = None, k: int = 0,
+    problem: Posterior | None = None, k: int = 0,
 ) -> tuple[ComplexArray, ComplexArray]:  # fmt: skip
     """Roots of the density of displacements (order 0) and velocities (1) in given rows, and of the channels.
 
@@ -130,7 +130,7 @@ def _moved(
     return motion, seen(system, effects, hz, clock, context, problem.conditions[k])[:, :, :n] @ root
 
 
-def _excess_degc(evidence: Evidence, k: int, reference_degc: float | None, lag_s: float) -> float:
+def _excess_degc(evidence: ObservedSpectra, k: int, reference_degc: float | None, lag_s: float) -> float:
     """See `Condition.excess_degc`: than at the baseline's mean temperature, else the recording's."""
     value = class_temperature(evidence, k, lag_s)
     if value is None:

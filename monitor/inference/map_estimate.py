@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from monitor.core.results import Array
-from monitor.inference.posterior import Problem, placed
+from monitor.inference.posterior import Posterior, with_coordinates
 from monitor.model.effects import Effect
 from monitor.model.prior import inverse
 
@@ -19,7 +19,7 @@ _NEAR = 1.0
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Fit:
+class MapEstimate:
     """A model fitted to evidence."""
 
     x: Array
@@ -51,15 +51,15 @@ class Fit:
         return sum(len(e.parameters) for e in self.effects)
 
 
-def fit(
-    problem: Problem,
+def maximize_posterior(
+    problem: Posterior,
     x: Array,
     effects: tuple[Effect, ...] = (),
     *,
     iterations: int = 12,
     tolerance: float = 0.02,
     frozen: Array | None = None,
-) -> Fit:
+) -> MapEstimate:
     """Most probable parameters near `x` by Fisher scoring with Levenberg-Marquardt steps.
 
     Parameters
@@ -95,7 +95,7 @@ def fit(
                 normal * scale[:, None] * scale + (damping + 1e-12) * np.eye(x.size), scale * gradient
             )
             moved = _limited(problem, x, step, effects)
-            there = placed(effects, moved[problem.n_nuisance :])
+            there = with_coordinates(effects, moved[problem.n_nuisance :])
             moved = np.concatenate([moved[: problem.n_nuisance], *[e.coordinates for e in there]])
             candidate = problem.predict(moved, there)
             new_ll = problem.log_likelihood(candidate.spectra, candidate.data)
@@ -115,10 +115,10 @@ def fit(
             converged = True
             break
     covariance = inverse(normal)
-    return Fit(x, effects, ll, lp, covariance, converged, rows, residual, mean_residual)
+    return MapEstimate(x, effects, ll, lp, covariance, converged, rows, residual, mean_residual)
 
 
-def _limited(problem: Problem, x: Array, step: Array, effects: Sequence[Effect]) -> Array:
+def _limited(problem: Posterior, x: Array, step: Array, effects: Sequence[Effect]) -> Array:
     """A step bounded so that a bad start cannot run away."""
     bound = np.full(x.size, np.inf)
     k, m, d, c, _ = problem.reference.sizes

@@ -23,7 +23,7 @@ _WITHIN = 21
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Evidence:
+class ObservedSpectra:
     """Cross-spectra of one recording by class: what every model is scored against."""
 
     spectra: ComplexArray
@@ -71,7 +71,7 @@ def _information_weight() -> float:
     return 1.0 / ((1.0 + 2.0 * sum(_BIN_CORRELATION)) * (1.0 + 2.0 * overlap_correlation()))
 
 
-def classify(segments: Segments) -> Evidence:
+def classify(segments: Segments) -> ObservedSpectra:
     """Average the segments' cross-spectra in classes of level and, where it was measured and varies, of temperature."""
     x = segments.values
     level = relative_level(x)
@@ -90,7 +90,7 @@ def classify(segments: Segments) -> Evidence:
     for m in members:
         relative[m] = level[m] / level[m].mean()
     power = None if segments.drive is None else ground_response.smooth_power(x, segments.band.bin_hz)
-    return Evidence(
+    return ObservedSpectra(
         spectra=spectra,
         counts=np.array([float(m.size) for m in members]),
         weight=_information_weight(),
@@ -149,7 +149,7 @@ def _temperature_at(readings: Array, t_s: Array, length_s: float, lag_s: float =
     return np.asarray(np.interp(within, t, value).mean(axis=1))
 
 
-def class_temperature(evidence: Evidence, k: int, lag_s: float) -> float | None:
+def class_temperature(evidence: ObservedSpectra, k: int, lag_s: float) -> float | None:
     """Mean temperature of class k after a first-order lag of `lag_s`, degC; None where none was measured."""
     length_s = 1.0 / evidence.band.bin_hz
     degc = _temperature_at(evidence.temperature, evidence.t_s[evidence.members[k]], length_s, lag_s)

@@ -19,11 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from monitor.core.parallel import each
+from monitor.core.parallel import parallel_map
 from monitor.core.results import Array, ComplexArray
 from monitor.inference import ground_response
-from monitor.inference.forward_model import Forward, Prediction, diagonal_of
-from monitor.inference.observed_spectra import Evidence
+from monitor.inference.forward_model import ForwardModel, Prediction, diagonal_of
+from monitor.inference.observed_spectra import ObservedSpectra
 from monitor.inference.wishart import log_det_and_trace, whiten
 from monitor.model.effects import Effect
 
@@ -36,7 +36,7 @@ _NUDGE = 1e-5
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Bent:
+class ExactSlopes:
     """What exact laws add, near one fit, to the slopes of their linearized response."""
 
     laws: frozenset[tuple[str, str]]
@@ -46,16 +46,16 @@ class Bent:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Problem(Forward):
+class Posterior(ForwardModel):
     """Evidence, what is known before it, and where effects act: how likely parameters are."""
 
-    bent: Bent | None = None
+    bent: ExactSlopes | None = None
     """What laws add to the linearized slopes of a response to a measured ground; None where those serve."""
 
     wind: Array | None = None
     """Logarithms of the forces beside a measured ground that its quiet tells, shape (n,); None while they are not known."""
 
-    def part(self, evidence: Evidence, classes: NDArray[np.intp]) -> Self:
+    def part(self, evidence: ObservedSpectra, classes: NDArray[np.intp]) -> Self:
         """The same for other segments, whose classes are like those of these numbers here."""
         return replace(self, evidence=evidence, conditions=tuple(self.conditions[k] for k in classes), bent=None)
 
@@ -95,7 +95,7 @@ class Problem(Forward):
         own = x[p : p + n]
         if self.wind is not None:
             return self.wind, np.eye(n) / _WIND_STD**2
-        return own if self.evidence.power is not None else np.full(n, own.mean()), alike(n)
+        return own if self.evidence.power is not None else np.full(n, own.mean()), difference_operator(n)
 
     def log_likelihood(
         self, spectra: ComplexArray, data: ComplexArray | None = None, *, levelled: bool = False
@@ -174,7 +174,9 @@ class Problem(Forward):
         out = np.empty((x.size - self.n_nuisance, *spectra.shape), dtype=complex)
         for j in range(len(out)):
             h, moved = self.nudged(x, self.n_nuisance + j, effects)
-            out[j] = (self.smooth(self.scatter(moved, placed(effects, moved[self.n_nuisance :]))) - spectra) / h
+            out[j] = (
+                self.smooth(self.scatter(moved, with_coordinates(effects, moved[self.n_nuisance :]))) - spectra
+            ) / h
         return out
 
     def mean_slopes(
@@ -191,7 +193,7 @@ class Problem(Forward):
         for i in wanted:
             h, moved = self.nudged(x, i, effects)
             if i >= self.n_nuisance:
-                there = self.mean(moved, placed(effects, moved[self.n_nuisance :]))
+                there = self.mean(moved, with_coordinates(effects, moved[self.n_nuisance :]))
                 assert there is not None
                 out.append((there - mean) / h)
             elif i in self._moving:
@@ -217,8 +219,8 @@ class Problem(Forward):
             return np.asarray((bent(moved) - here) / h)
 
         slopes = np.zeros((self.n_nuisance, *here.shape), dtype=complex)
-        slopes[self._moving] = each(added, self._moving)
-        return replace(self, bent=Bent(_laws(effects), slopes))
+        slopes[self._moving] = parallel_map(added, self._moving)
+        return replace(self, bent=ExactSlopes(_laws(effects), slopes))
 
     def _linear_mean(self, x: Array, effects: tuple[Effect, ...], mean: ComplexArray) -> ComplexArray:
         """The linearized laws' response where the exact ones' is `mean`."""
@@ -288,13 +290,13 @@ def _laws(effects: Sequence[Effect]) -> frozenset[tuple[str, str]]:
     return frozenset((e.name, e.location) for e in effects if e.nonlinear)
 
 
-def alike(n: int) -> Array:
+def difference_operator(n: int) -> Array:
     """Precision of the logarithms of forces on n floors that are about as strong, at a level that is hardly known."""
     one = np.full((n, n), 1.0 / n)
     return np.asarray((np.eye(n) - one) / _FORCE_STD**2 + one / _LEVEL_STD**2)
 
 
-def placed(effects: Sequence[Effect], coordinates: Array) -> tuple[Effect, ...]:
+def with_coordinates(effects: Sequence[Effect], coordinates: Array) -> tuple[Effect, ...]:
     """Effects at a joint vector of coordinates."""
     out = []
     for e in effects:

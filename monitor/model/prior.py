@@ -20,7 +20,7 @@ _ANY_NOISE = 3.0
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class StandingError:
+class ModelDiscrepancy:
     """What the model gets wrong from the start and no known effect explains: where its spectra are ``L L^H``, healthy ones are
     ``L (1 + E) L^H``.
     """
@@ -56,7 +56,7 @@ class StandingError:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Reference:
+class StructuralPrior:
     """What is known of the structure before the recording is seen."""
 
     model: Model
@@ -70,7 +70,7 @@ class Reference:
     reference_degc: float | None = None
     known_lines_hz: tuple[float, ...] = ()
     """Lines of machines that are known: what a recording has about them tells of those, not of the structure."""
-    error: StandingError | None = None
+    error: ModelDiscrepancy | None = None
     """Of healthy data that contradict the model."""
 
     @property
@@ -125,43 +125,43 @@ class Reference:
         """The standing effects at a vector of nuisances."""
         return tuple(e.at(own) for e, own in zip(self.model.effects, self.standing(x), strict=True))
 
-    def with_unseen_scale(self, std: float) -> Reference:
+    def with_unseen_scale(self, std: float) -> StructuralPrior:
         """Where all masses and stiffnesses together may be larger or smaller by so much, which no output shows."""
         k, m, *_ = self.sizes
         return self._wider(slice(k + m), std)
 
-    def with_looser_damping(self, ln_std: Array) -> Reference:
+    def with_looser_damping(self, ln_std: Array) -> StructuralPrior:
         """Where the damping of every mode may differ by so much more, shape (n,)."""
         k, m, *_ = self.sizes
         return self._looser(k + m, ln_std)
 
-    def with_looser_noise(self, ln_std: Array) -> Reference:
+    def with_looser_noise(self, ln_std: Array) -> StructuralPrior:
         """Where the noise density of every channel, over their mean, may differ by so much more, shape (c,)."""
         k, m, d, *_ = self.sizes
         return self._looser(k + m + d, ln_std)
 
-    def with_daily_standing(self) -> Reference:
+    def with_daily_standing(self) -> StructuralPrior:
         """Where standing effects may be of another size on another day, or as the form of their law leaves open."""
         std = np.concatenate([[], *[np.hypot(e.units * (e.daily or 0.0), e.form_std) for e in self.effects(self.mean)]])
         return self._looser(self.mean.size - self.n_standing, std) if std.any() else self
 
-    def with_known_lines(self) -> Reference:
+    def with_known_lines(self) -> StructuralPrior:
         """Where machines among the standing effects may run a little faster or slower, and unsteadily."""
         lines = tuple(line.frequency_hz for e in self.effects(self.mean) for line in e.lines())
         return replace(self, known_lines_hz=lines)
 
-    def with_any_noise(self) -> Reference:
+    def with_any_noise(self) -> StructuralPrior:
         """Where the channels, all alike, may be more or less noisy than the sensor of the ground."""
         return self._wider(self.channel_noises, _ANY_NOISE)
 
-    def _wider(self, these: slice, std: float) -> Reference:
+    def _wider(self, these: slice, std: float) -> StructuralPrior:
         """Where coordinates may all together be larger or smaller by so much more."""
         along = np.zeros(self.mean.size)
         along[these] = std
         held = self.precision @ along  # Sherman and Morrison: what is not known at all has no covariance
         return replace(self, precision=self.precision - np.outer(held, held) / (1.0 + along @ held))
 
-    def _looser(self, first: int, std: Array) -> Reference:
+    def _looser(self, first: int, std: Array) -> StructuralPrior:
         """Where coordinates from `first` on may differ by so much more."""
         covariance = self.covariance
         these = np.arange(first, first + std.size)
@@ -180,9 +180,9 @@ def correction_basis(model: Model, n_modes: int) -> Array:
     return np.array([0.5 * (o + o.T) for o in outer]).reshape(-1, n, n)
 
 
-def nominal(
+def prior_from_drawing(
     model: Model, prior_std: Array, n_channels: int, n_modes: int = 0, correction_std: float = 0.1
-) -> Reference:
+) -> StructuralPrior:
     """What the structure file alone says.
 
     Parameters
@@ -206,7 +206,7 @@ def nominal(
     )
     basis = correction_basis(model, n_modes)
     precision = np.diag(np.concatenate([std**-2.0, as_stated(model.effects)]))
-    return Reference(model, mean, precision, basis).with_known_lines()
+    return StructuralPrior(model, mean, precision, basis).with_known_lines()
 
 
 def as_stated(effects: Sequence[Effect]) -> Array:

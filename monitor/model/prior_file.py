@@ -10,10 +10,10 @@ from scipy.linalg import block_diag
 
 from monitor.model.effects import FORMS
 from monitor.model.model import Model
-from monitor.model.prior import Reference, StandingError, as_stated
+from monitor.model.prior import ModelDiscrepancy, StructuralPrior, as_stated
 
 
-def to_plain(reference: Reference | None) -> dict[str, Any] | None:
+def to_plain(reference: StructuralPrior | None) -> dict[str, Any] | None:
     """JSON content; the structure itself and what its file states come from the structure file."""
     if reference is None:
         return None
@@ -31,7 +31,7 @@ def to_plain(reference: Reference | None) -> dict[str, Any] | None:
     }
 
 
-def from_plain(content: dict[str, Any] | None, model: Model, channels: tuple[str, ...]) -> Reference | None:
+def from_plain(content: dict[str, Any] | None, model: Model, channels: tuple[str, ...]) -> StructuralPrior | None:
     """The reference on the structure file's model.
 
     Effects that the file states by now, as after a finding was accepted, and the calibration did not know are added as stated.
@@ -58,7 +58,7 @@ def from_plain(content: dict[str, Any] | None, model: Model, channels: tuple[str
     known = {(e.name, e.location) for e in effects}
     added = tuple(e for e in model.effects if (e.name, e.location) not in known)
     stated = np.concatenate([[], *[e.coordinates for e in added]])
-    return Reference(
+    return StructuralPrior(
         model=replace(model, effects=effects + added),
         mean=np.concatenate([mean, stated]),
         precision=block_diag(precision, np.diag(as_stated(added))) if stated.size else precision,
@@ -68,7 +68,7 @@ def from_plain(content: dict[str, Any] | None, model: Model, channels: tuple[str
     ).with_known_lines()
 
 
-def _error_to_plain(error: StandingError) -> dict[str, Any]:
+def _error_to_plain(error: ModelDiscrepancy) -> dict[str, Any]:
     e = error.relative
     return {
         "hz": error.hz.tolist(),
@@ -78,7 +78,7 @@ def _error_to_plain(error: StandingError) -> dict[str, Any]:
     }
 
 
-def _error_from_plain(content: dict[str, Any], n_channels: int) -> StandingError:
+def _error_from_plain(content: dict[str, Any], n_channels: int) -> ModelDiscrepancy:
     hz, real, imaginary, variance = (
         np.array(content[name], dtype=float) for name in ("hz", "real", "imaginary", "variance")
     )
@@ -91,4 +91,4 @@ def _error_from_plain(content: dict[str, Any], n_channels: int) -> StandingError
         raise ValueError("the reference's standing error has the wrong shape")
     if not all(np.isfinite(values).all() for values in (hz, real, imaginary, variance)) or (variance < 0.0).any():
         raise ValueError("the reference's standing error holds numbers that are none")
-    return StandingError(hz, real + 1j * imaginary, variance)
+    return ModelDiscrepancy(hz, real + 1j * imaginary, variance)

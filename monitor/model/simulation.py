@@ -1,8 +1,8 @@
 """Integrates a Model in time: recordings with known truth.
 
 Everything of ours is stepped by `monitor.model.integration`: exactly where the model is linear (force straight between
-samples, so that nothing is delayed).  Newmark's average acceleration at the paper's steps is for `reproduce` alone: it lengthens periods
-to ``f_N = atan(pi f dt) / (pi dt)``.
+samples, so that nothing is delayed).  Newmark's average acceleration at the paper's steps is for `reproduce` alone: it
+lengthens periods to ``f_N = atan(pi f dt) / (pi dt)``.
 """
 
 from __future__ import annotations

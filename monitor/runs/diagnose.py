@@ -15,19 +15,19 @@ from monitor.config.configuration import Configuration
 from monitor.core.errors import BadInputError
 from monitor.damage.baseline import Baseline
 from monitor.diagnosis import healthy_prior
-from monitor.diagnosis.cross_validation import Gain, Score, demand_gain, fitted_model, heldout_gain, score
+from monitor.diagnosis.cross_validation import HeldOutGain, Score, fitted_model, heldout_gain, require_gain, score
 from monitor.diagnosis.damage_index_effect import ddi_effect
 from monitor.diagnosis.files import content, model_to_plain
 from monitor.diagnosis.initial_fit import FAR
-from monitor.diagnosis.parameter_uncertainty import sure
-from monitor.diagnosis.score_test import cost
+from monitor.diagnosis.parameter_uncertainty import is_significant
+from monitor.diagnosis.score_test import parameter_cost
 from monitor.diagnosis.stepwise_selection import Diagnosis, diagnose
-from monitor.inference.map_estimate import fit
+from monitor.inference.map_estimate import maximize_posterior
 from monitor.inference.observed_spectra import classify
 from monitor.inference.segments import Segments, gather
 from monitor.model.effects import AmbientForces, Condition, Context, Effect, locations
 from monitor.model.model import Model
-from monitor.model.prior import Reference, nominal
+from monitor.model.prior import StructuralPrior, prior_from_drawing
 from monitor.runs.recordings import OnProgress, OnWarning, Progress, blocks, names
 
 _TRIALS = np.errstate(over="ignore", invalid="ignore")
@@ -42,7 +42,7 @@ class Finding:
     """A diagnosis with all that is published of it."""
 
     diagnosis: Diagnosis
-    gain: Gain
+    gain: HeldOutGain
     content: dict[str, Any]
     """diagnosis.json."""
     segments: Segments
@@ -85,16 +85,16 @@ def find(
 
 
 @_TRIALS
-def judged(segments: Segments, reference: Reference, config: Configuration) -> tuple[Diagnosis, Gain]:
+def judged(segments: Segments, reference: StructuralPrior, config: Configuration) -> tuple[Diagnosis, HeldOutGain]:
     """The diagnosis as it stands before held-out data, and its gain there."""
     diagnosis = diagnose(classify(segments), reference, _context(segments, config), config.diagnosis)
     gain = heldout_gain(segments, diagnosis, config)
-    settled = demand_gain(diagnosis, gain)
-    return settled, gain if settled is diagnosis else Gain()
+    settled = require_gain(diagnosis, gain)
+    return settled, gain if settled is diagnosis else HeldOutGain()
 
 
 @_TRIALS
-def learn(segments: Segments, config: Configuration) -> Reference:
+def learn(segments: Segments, config: Configuration) -> StructuralPrior:
     """What healthy data say of the structure: the reference of later diagnoses, with what is wrong from the start."""
     evidence, context, known = classify(segments), _context(segments, config), _nominal(config)
     if segments.temperature.size:
@@ -114,8 +114,10 @@ def learn(segments: Segments, config: Configuration) -> Reference:
     while True:
         alike = _alike(causes, context)
         wider = _with_standing(known, (*causes, *alike), context, condition, n_guessed=len(alike))
-        learnt = healthy_prior.learn(evidence, wider, context, config.diagnosis)[0]
-        stays = [sure(e, std) for e, std in zip(learnt.effects(learnt.mean), learnt.standing_std, strict=True)]
+        learnt = healthy_prior.learn_prior(evidence, wider, context, config.diagnosis)[0]
+        stays = [
+            is_significant(e, std) for e, std in zip(learnt.effects(learnt.mean), learnt.standing_std, strict=True)
+        ]
         found_stays = stays[len(known.model.effects) :][: len(causes)]
         kept = tuple(e for e, own in zip(causes, found_stays, strict=True) if own)
         if kept == causes:
@@ -169,23 +171,25 @@ def _context(segments: Segments, config: Configuration) -> Context:
     return Context(config.model().structure, config.channels, config.sensor_matrix(), segments.rate_hz)
 
 
-def _nominal(config: Configuration) -> Reference:
-    known = nominal(config.model(), config.prior_std(), len(config.channels))
+def _nominal(config: Configuration) -> StructuralPrior:
+    known = prior_from_drawing(config.model(), config.prior_std(), len(config.channels))
     return replace(known, reference_degc=config.structure.reference_temperature_degc)
 
 
-def _gains(wider: Reference, found: Diagnosis) -> bool:
+def _gains(wider: StructuralPrior, found: Diagnosis) -> bool:
     """Whether what a wider reference leaves to the data explains more than what it costs, beside what was found."""
     problem, at = found.problem, found.final
     end = problem.reference.mean.size
     x = np.concatenate([at.x[:end], wider.mean[end:], at.x[end:]])
-    there = fit(replace(problem, reference=wider), x, at.effects, iterations=FAR)
-    return there.log_posterior - at.log_posterior - cost(problem, wider.mean.size - end) > found.settings.margin
+    there = maximize_posterior(replace(problem, reference=wider), x, at.effects, iterations=FAR)
+    return (
+        there.log_posterior - at.log_posterior - parameter_cost(problem, wider.mean.size - end) > found.settings.margin
+    )
 
 
 def _with_standing(
-    known: Reference, effects: tuple[Effect, ...], context: Context, condition: Condition, *, n_guessed: int = 0
-) -> Reference:
+    known: StructuralPrior, effects: tuple[Effect, ...], context: Context, condition: Condition, *, n_guessed: int = 0
+) -> StructuralPrior:
     """The reference with effects whose sizes healthy data are yet to tell; those of the last may be nothing or twice as large."""
     beforehand = [e.known(context, condition) for e in effects[: len(effects) - n_guessed]]
     beforehand += [(e.coordinates, e.coordinates**-2.0) for e in effects[len(effects) - n_guessed :]]

@@ -18,7 +18,7 @@ from drivers.base import ACCELERATION, SampleBlock, SourceError
 from drivers.frames import Layout
 from drivers.socketcand_server import SocketcandServer, frame_text
 from monitor.core.errors import BadConfigurationError, BadInputError, MissingInputError
-from monitor.core.parse import parse_address, told
+from monitor.core.parse import parse_address, settings_problems
 
 CAN_PIECE_S = 0.01
 """Frames leave in bursts of so many seconds, as a node's transmit queue lets them."""
@@ -220,7 +220,7 @@ def _zenoh(to: str, rest: str) -> Sink:
     try:
         return ZenohPublisher(PublisherSettings.model_validate({"mode": mode, "key": key, **where}))
     except ValidationError as error:
-        raise BadConfigurationError(f"--to {to!r}: {'; '.join(told(error))}") from error
+        raise BadConfigurationError(f"--to {to!r}: {'; '.join(settings_problems(error))}") from error
     except SourceError as error:
         raise MissingInputError(f"--to {to!r}: {error}") from error
 

@@ -86,7 +86,7 @@ class Daemon(Publisher):
             self._lines = AppendedLines(self.out / "results.jsonl")
             self._health_lines = AppendedLines(self.out / "health.jsonl", _HEALTH_FILE_BYTES)
             self._recording = Recording(self.out / "recordings", settings.recorder)
-            self._keeper = restart.Keeper(self.out, settings, healthy_path, self._recording, self._lines)
+            self._keeper = restart.Checkpointer(self.out, settings, healthy_path, self._recording, self._lines)
             restart.note_baseline(self.out, path, healthy_path)
         except OSError as error:
             raise MissingInputError(f"{self.out}: cannot be written: {error.strerror}") from error

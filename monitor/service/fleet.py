@@ -19,7 +19,7 @@ from drivers.base import SourceError
 from drivers.zenoh_session import Key, SessionSettings, leave, open_session
 from monitor.config.configuration import read_toml
 from monitor.core.errors import BadConfigurationError, MissingInputError
-from monitor.core.parse import told
+from monitor.core.parse import settings_problems
 from monitor.core.settings import Settings
 
 _MOST_BYTES = 1 << 20
@@ -76,7 +76,7 @@ def load(path: Path) -> FleetSettings:
     try:
         return _FleetFile.model_validate(read_toml(path)).fleet
     except ValidationError as error:
-        raise BadConfigurationError("\n".join(f"{path}: {problem}" for problem in told(error))) from error
+        raise BadConfigurationError("\n".join(f"{path}: {problem}" for problem in settings_problems(error))) from error
 
 
 class Fleet:

@@ -62,7 +62,7 @@ class KeptAlarms:
     stories: tuple[StoryState, ...]
 
 
-class Keeper:
+class Checkpointer:
     """Writes checkpoints and resumes from them.
 
     A checkpoint is written by the recorder's thread, when all blocks that it knows are on the disk: so the recordings that

@@ -103,7 +103,9 @@ def reach_ns(window_s: float, settings: TemperatureSettings) -> int:
     return round((window_s + settings.patience_s + settings.max_age_s) / _S_PER_NS)
 
 
-def felt(state: TemperatureState, t_end_ns: int, window_s: float, settings: TemperatureSettings) -> Temperature | None:
+def window_temperature(
+    state: TemperatureState, t_end_ns: int, window_s: float, settings: TemperatureSettings
+) -> Temperature | None:
     """The temperature of the window that ends at `t_end_ns`; None if none is known.
 
     The mean of the samples of its stretch (see `TemperatureSettings.patience_s`) or, between the samples of a slow

@@ -13,7 +13,7 @@ from drivers.base import SampleBlock
 from monitor.config.configuration import Configuration
 from monitor.diagnosis.stepwise_selection import Diagnosis
 from monitor.inference.segments import gather
-from monitor.model.prior import Reference
+from monitor.model.prior import StructuralPrior
 from monitor.runs import diagnose
 
 
@@ -22,7 +22,7 @@ class Baseline:
     """What calibration keeps."""
 
     config: Configuration
-    reference: Reference
+    reference: StructuralPrior
 
 
 def calibrate(drawing: str, blocks: Iterable[SampleBlock]) -> Baseline:

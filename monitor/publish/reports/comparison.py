@@ -7,13 +7,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from monitor.core.parallel import each
+from monitor.core.parallel import parallel_map
 from monitor.core.results import Array, ComplexArray
 from monitor.diagnosis.lack_of_fit import residual_bands
 from monitor.diagnosis.stepwise_selection import Diagnosis
-from monitor.inference.map_estimate import fit
+from monitor.inference.map_estimate import maximize_posterior
 from monitor.inference.observed_spectra import class_temperature
-from monitor.inference.posterior import Problem
+from monitor.inference.posterior import Posterior
 from monitor.inference.segments import Segments
 
 _RATIO_HZ = 0.25
@@ -150,13 +150,13 @@ def level_dependence(diagnosis: Diagnosis) -> LevelDependence | None:
     return LevelDependence(axis, at[order], f, f_std, d, d_std, model_f, model_d)
 
 
-def _equivalents(problem: Problem, spectra: ComplexArray, x: Array, classes: NDArray[np.intp]) -> list[Array]:
+def _equivalents(problem: Posterior, spectra: ComplexArray, x: Array, classes: NDArray[np.intp]) -> list[Array]:
     """As `_equivalent`, of several classes: shape (classes, n) each."""
-    fitted = each(lambda k: _equivalent(problem, spectra[k], x, k), classes)
+    fitted = parallel_map(lambda k: _equivalent(problem, spectra[k], x, k), classes)
     return [np.array(column) for column in zip(*fitted, strict=True)]
 
 
-def _equivalent(problem: Problem, spectra: ComplexArray, x: Array, k: int) -> tuple[Array, Array, Array, Array]:
+def _equivalent(problem: Posterior, spectra: ComplexArray, x: Array, k: int) -> tuple[Array, Array, Array, Array]:
     """Frequencies, their standard deviations, damping ratios and theirs: the old model form fitted to class k's spectra."""
     e, reference = problem.evidence, problem.reference
     alone = replace(
@@ -178,7 +178,7 @@ def _equivalent(problem: Problem, spectra: ComplexArray, x: Array, k: int) -> tu
         offset=None,
     )
     force, noise = x[p : p + n] + x[p + n + k], x[p + n + problem.n_classes]
-    fitted = fit(one, np.concatenate([x[:p], force, [0.0, noise]]))
+    fitted = maximize_posterior(one, np.concatenate([x[:p], force, [0.0, noise]]))
 
     def frequencies(x: Array) -> Array:
         return one.model(x, reference.effects(x)).modes().frequencies_hz

@@ -10,7 +10,7 @@ from pydantic import BaseModel, ValidationError
 
 from monitor.config.configuration import Configuration
 from monitor.core.errors import BadConfigurationError
-from monitor.core.parse import told
+from monitor.core.parse import settings_problems
 from monitor.core.results import Gap, WindowResult
 from monitor.service.outlets.inbox import Inbox
 from monitor.service.outlets.notify import Addresses, Notifier, NotifySettings, addresses
@@ -95,7 +95,7 @@ def _notify(config: Configuration, folder: Path, problems: list[str]) -> tuple[N
         settings = NotifySettings.model_validate(config.notify)
         return settings, addresses(settings, folder)
     except ValidationError as error:
-        problems += told(error, "notify")
+        problems += settings_problems(error, "notify")
     except ValueError as error:
         problems += [f"notify.{line}" for line in str(error).split("\n")]
     return NotifySettings(), Addresses()
@@ -125,7 +125,7 @@ def _maker(
     except ImportError as error:
         problems.append(f"output.{name}: cannot be loaded: {error}")
     except ValidationError as error:
-        problems += told(error, "output", name)
+        problems += settings_problems(error, "output", name)
     else:
         return lambda site: cast(Outlet, kind(site, settings, folder))
     return None

@@ -15,7 +15,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from monitor.core.files import finish, partial
-from monitor.core.parse import told
+from monitor.core.parse import settings_problems
 from monitor.core.results import Gap, WindowResult
 from monitor.service.requests import MAX_REQUEST_BYTES, Request
 
@@ -117,7 +117,7 @@ def _read(path: Path) -> Request | None:
             raise ValueError(f"more than {MAX_REQUEST_BYTES} bytes")
         return Request.model_validate_json(data)
     except ValidationError as error:
-        _log.warning("%s: no request: %s", path.name, "; ".join(told(error)))
+        _log.warning("%s: no request: %s", path.name, "; ".join(settings_problems(error)))
     except (OSError, ValueError) as error:
         _log.warning("%s: no request: %s", path.name, error)
     return None

@@ -21,7 +21,7 @@ from pydantic import Field, ValidationError
 from zenoh import ext
 
 from drivers.zenoh_session import Callbacks, Key, SessionSettings, leave, open_session
-from monitor.core.parse import told
+from monitor.core.parse import settings_problems
 from monitor.core.results import Gap, WindowResult
 from monitor.publish.results.lines import alarm_line, to_json
 from monitor.service.requests import MAX_REQUEST_BYTES, Request
@@ -187,7 +187,7 @@ class ZenohOut:
         try:
             request = Request.model_validate_json(payload.to_bytes())
         except ValidationError as error:
-            return "; ".join(told(error))
+            return "; ".join(settings_problems(error))
         with self._changed:
             if len(self._requests) >= self._settings.max_requests:
                 return "too many requests wait"
