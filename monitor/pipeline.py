@@ -7,20 +7,35 @@ from functools import partial
 from math import ceil, floor
 
 from drivers.base import ACCELERATION, TEMPERATURE, SampleBlock
-from monitor.config.configuration import Configuration
-from monitor.core.errors import BadInputError
-from monitor.core.results import Alarm, Gap, Level, ModalEstimate, Samples, Skipped, Temperature, Window, WindowResult
-from monitor.damage import alarm, damage_index
-from monitor.damage.baseline import Baseline
-from monitor.identification import sensor_correction, tracking
-from monitor.identification.stabilization import expected_modes, identify
-from monitor.identification.whittle import refine
-from monitor.model.effects import Context
-from monitor.signals import alignment, sensor_health, temperature, window_quality
+from monitor.config import Configuration
+from monitor.core import (
+    Alarm,
+    BadInputError,
+    Gap,
+    Level,
+    ModalEstimate,
+    Samples,
+    Skipped,
+    Temperature,
+    Window,
+    WindowResult,
+)
+from monitor.damage import Baseline, alarm, damage_index
+from monitor.identification import expected_modes, identify, refine, sensor_correction, tracking
+from monitor.model import Context
+from monitor.signals import (
+    Conditioner,
+    ConditionState,
+    Health,
+    HealthState,
+    WindowGrid,
+    WindowState,
+    alignment,
+    sensor_health,
+    temperature,
+    window_quality,
+)
 from monitor.signals import windows as window
-from monitor.signals.resampling import Conditioner, ConditionState
-from monitor.signals.sensor_health import Health, HealthState
-from monitor.signals.windows import WindowGrid, WindowState
 
 _MOST_DECIMATION = 1000
 _SET_BACK_S = 0.25

@@ -16,9 +16,10 @@ from monitor.diagnosis.cross_validation import HeldOutGain, fitted_model, score
 from monitor.diagnosis.files import content, effects_text, model_from_plain, model_to_plain, structure_text
 from monitor.diagnosis.healthy_prior import learn_prior
 from monitor.diagnosis.initial_fit import fit_linearized
+from monitor.diagnosis.lack_of_fit import LackOfFit
 from monitor.diagnosis.score_test import Candidate
 from monitor.diagnosis.settings import DiagnosisSettings
-from monitor.diagnosis.stepwise_selection import Cause, Diagnosis, Misfit
+from monitor.diagnosis.stepwise_selection import Cause, Diagnosis
 from monitor.inference.map_estimate import maximize_posterior
 from monitor.inference.observed_spectra import classify
 from monitor.inference.segments import Segments
@@ -69,7 +70,7 @@ def named(damped: Segments) -> Diagnosis:
     final = maximize_posterior(problem, null.x, (parse_effect(DAMPER),))
     cause = Cause(final.effects[0], {"damping_n_s_per_m": 0.1})
     tried = (Candidate(final.effects[0], final, 50.0, 45.0),)
-    misfit = (Misfit("f = 5.0-6.0 Hz, channel a1", 9.0, "less power"),)
+    misfit = (LackOfFit("f = 5.0-6.0 Hz, channel a1", 9.0, "less power"),)
     return Diagnosis("named", (cause,), (), misfit, (), tried, problem, null, final, DiagnosisSettings())
 
 

@@ -17,9 +17,16 @@ from monitor.cli import fleet as cli_fleet
 from monitor.cli import run as cli_run
 from monitor.cli.common import Json, Recordings, Structure, address, leave_unread, progress, say, time_ns, warn
 from monitor.config import configuration, security_check
-from monitor.core.errors import BadConfigurationError, MissingInputError, NoResourcesError, UserError
-from monitor.core.files import demand_place, spare_inputs, write_atomically
-from monitor.core.memory import keep_freed
+from monitor.core import (
+    BadConfigurationError,
+    MissingInputError,
+    NoResourcesError,
+    UserError,
+    demand_place,
+    keep_freed,
+    spare_inputs,
+    write_atomically,
+)
 from monitor.identification import stabilization
 from monitor.service import outlets
 
@@ -58,8 +65,8 @@ def replay(
     as_json: Json = False,
 ) -> None:
     """Run recordings through the monitor.  Writes results.jsonl, results.mcap, live.rrd and summary.json in DIR."""
-    from monitor.damage.baseline import load
-    from monitor.publish.results.lines import replay_story
+    from monitor.damage import load
+    from monitor.publish import replay_story
     from monitor.runs import replay as run
 
     spare_inputs([out / name for name in run.RESULT_FILES], [*recordings, structure, baseline])
@@ -90,8 +97,8 @@ def calibrate(
     as_json: Json = False,
 ) -> None:
     """Learn the healthy baseline.  It holds the updated stiffness with covariance, modes, the misfit that remains."""
-    from monitor.damage.baseline import save
-    from monitor.runs.calibrate import calibrate as learn
+    from monitor.damage import save
+    from monitor.runs import calibrate as learn
 
     spare_inputs([out], [*recordings, structure])
     settings = configuration.load(structure)
@@ -201,7 +208,7 @@ def import_(
     as_json: Json = False,
 ) -> None:
     """Foreign data to our recording format."""
-    from monitor.runs.importers import import_files
+    from monitor.runs import import_files
 
     spare_inputs([out], [*files, dbc])
     channels = {}

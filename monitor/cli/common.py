@@ -11,7 +11,7 @@ from typing import Annotated, Any, get_type_hints
 import typer
 from typer.models import ArgumentInfo, OptionInfo
 
-from monitor.core.parse import parse_address, utc_ns
+from monitor.core import parse_address, utc_ns
 
 Recordings = Annotated[list[Path], typer.Argument(metavar="REC.mcap...", help="Recordings, in any order.")]
 Structure = Annotated[Path, typer.Option(metavar="S.toml", help="Structure file.")]

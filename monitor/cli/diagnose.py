@@ -10,7 +10,7 @@ import typer
 
 from monitor.cli.common import Json, Recordings, Structure, progress, say, warn
 from monitor.config import configuration
-from monitor.core.files import demand_place, spare_inputs, write_atomically
+from monitor.core import demand_place, spare_inputs, write_atomically
 
 Healthy = Annotated[Path | None, typer.Option(metavar="B.json", help="Healthy baseline by 'calibrate'.")]
 
@@ -26,8 +26,8 @@ def diagnose(
 
     Writes diagnosis.json, report.html, diagnosis.rrd and the extended model in DIR.
     """
-    from monitor.damage.baseline import load
-    from monitor.diagnosis.files import structure_text
+    from monitor.damage import load
+    from monitor.diagnosis import structure_text
     from monitor.runs import diagnose as discrepancy
 
     names = ("diagnosis.json", "report.html", "structure.updated.toml", "structure.extended.toml", "diagnosis.rrd")
@@ -43,8 +43,7 @@ def diagnose(
     write_atomically(updated, structure_text(text, found.updated, found.reference_degc))
     write_atomically(extended, structure_text(text, found.extended, found.reference_degc))
     # Rerun starts threads of its own, beside which nothing should be forked.
-    from monitor.publish.reports.diagnosis_report import write_report
-    from monitor.publish.viewer.diagnosis_view import write_view
+    from monitor.publish import write_report, write_view
 
     write_report(report, found.diagnosis, found.content, found.segments)
     write_view(view, found.diagnosis, found.content, found.segments)
@@ -87,7 +86,7 @@ def accept(
 
     With the baseline that the finding refers to, the causes alone are added: the baseline brings the healthy stiffness.
     """
-    from monitor.damage.baseline import load
+    from monitor.damage import load
     from monitor.runs import ledger
 
     spare_inputs([out, out.parent / ledger.LEDGER], [finding, structure, baseline])

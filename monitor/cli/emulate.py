@@ -32,8 +32,8 @@ def send(recordings: list[Path], to: str, dbc: Path | None, speed: str | None) -
     """Send recordings; what is sent is said on standard error."""
     from drivers.base import RecordingError, RecordingMissingError
     from drivers.mcap_file import read_recordings
-    from monitor.core.errors import BadInputError, MissingInputError
-    from monitor.runs.emulate import send_all
+    from monitor.core import BadInputError, MissingInputError
+    from monitor.runs import send_all
 
     try:
         blocks = read_recordings(recordings)

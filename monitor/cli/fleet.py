@@ -12,8 +12,7 @@ from typing import Annotated
 import typer
 
 from monitor.cli.common import address
-from monitor.core.errors import MissingInputError
-from monitor.core.files import demand_place, spare_inputs
+from monitor.core import MissingInputError, demand_place, spare_inputs
 
 _ALARM, _TROUBLE = 10, 11
 """Exit codes: an alarm stands; a monitor cannot be relied on."""
@@ -35,8 +34,8 @@ def fleet(
 
     Exit code of the last look: 0 all well, 10 an alarm stands, 11 a monitor is missing, silent or cannot judge.
     """
+    from monitor.service import FleetView, text
     from monitor.service import fleet as ships
-    from monitor.service.fleet_view import FleetView, text
 
     if count is not None and every is None:
         raise typer.BadParameter("--count says how often to look: needs --every")

@@ -10,14 +10,11 @@ import typer
 from pydantic import ValidationError
 
 from monitor.cli.common import Json, say, time_ns, warn
-from monitor.config import configuration
-from monitor.config.configuration import Configuration
-from monitor.core.errors import BadConfigurationError, MissingInputError, WrongUsageError
-from monitor.core.files import spare_inputs
-from monitor.core.parse import settings_problems
+from monitor.config import Configuration, configuration
+from monitor.core import BadConfigurationError, MissingInputError, WrongUsageError, settings_problems, spare_inputs
 
 if TYPE_CHECKING:
-    from monitor.service.requests import Request
+    from monitor.service import Request
 
 _WAIT_S = 5.0
 
@@ -56,7 +53,7 @@ def ack(
 
     Goes over Zenoh where [output.zenoh] is, else through the daemon's folder, to which the asker needs write access.
     """
-    from monitor.service.requests import Request
+    from monitor.service import Request
 
     settings = configuration.load(file)
     stories = settings.model().structure.n_stories
@@ -112,7 +109,7 @@ def _over_zenoh(file: Path, settings: Configuration, request: str) -> str:
         It was refused.
     """
     from drivers.base import SourceError
-    from monitor.service.outlets.zenoh import ZenohOutSettings, ask, key_prefix
+    from monitor.service import ZenohOutSettings, ask, key_prefix
 
     try:
         joining = ZenohOutSettings.model_validate(settings.output.zenoh)

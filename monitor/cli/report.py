@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from monitor.cli.common import Json, say, time_ns, warn
-from monitor.core.files import demand_place, spare_inputs
+from monitor.core import demand_place, spare_inputs
 
 _INPUTS = ("results.jsonl", "summary.json", "health.jsonl", "health.jsonl.1", "ledger.jsonl")
 
@@ -25,7 +25,7 @@ def report(
     as_json: Json = False,
 ) -> None:
     """A period of a run as one page.  Availability, damage, alarms, modes, quality, findings.  Windows count where they end."""
-    from monitor.publish.reports.period_report import read_period, write_period
+    from monitor.publish import read_period, write_period
 
     from_ns, to_ns = time_ns("--from", start), time_ns("--to", end)
     if from_ns is not None and to_ns is not None and from_ns >= to_ns:

@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from monitor.cli.common import Json, Structure, say, warn
-from monitor.core.errors import BadInputError
+from monitor.core import BadInputError
 
 
 def reprocess(
@@ -42,9 +42,8 @@ def reprocess(
 
     Recordings of one folder that follow one another are one replay, with the results that 'replay' gives for them.
     """
-    from monitor.runs.archive.inventory import expand
-    from monitor.runs.archive.jobs import WINDOWS
-    from monitor.runs.archive.reprocess import reprocess as run
+    from monitor.runs import WINDOWS, expand
+    from monitor.runs import reprocess as run
 
     outcomes = run(
         expand(recordings),

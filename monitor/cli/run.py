@@ -16,8 +16,7 @@ def run(
     Prints READY on standard error when the source is open.
     """
     from monitor.config import configuration
-    from monitor.service import logs
-    from monitor.service.daemon import Daemon
+    from monitor.service import Daemon, logs
 
     settings = configuration.load(file)
     logs.begin(settings.log, settings.site_name)

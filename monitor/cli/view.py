@@ -16,8 +16,7 @@ from urllib.parse import quote
 import typer
 
 from monitor.cli.common import warn
-from monitor.core.errors import MissingInputError, WrongUsageError
-from monitor.core.parse import parse_address
+from monitor.core import MissingInputError, WrongUsageError, parse_address
 
 _LOOPBACK, _PORT = "127.0.0.1", 9090
 _SCREENS = ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET")

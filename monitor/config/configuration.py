@@ -16,25 +16,12 @@ from drivers.registry import UnknownSourceError, source_type
 from monitor.config.log_settings import LogSettings
 from monitor.config.matrix_files import read_matrices
 from monitor.config.state_settings import StateSettings
-from monitor.core.errors import BadConfigurationError, MissingInputError
-from monitor.core.parse import parse_address, settings_problems
-from monitor.core.results import Array
-from monitor.core.settings import Settings
-from monitor.damage.alarm import AlarmSettings
-from monitor.damage.updating import UpdatingSettings
-from monitor.diagnosis.settings import DiagnosisSettings
-from monitor.diagnosis.trigger import WatchSettings
-from monitor.identification.ssi import SsiSettings
-from monitor.identification.stabilization import SelectionSettings
-from monitor.identification.tracking import TrackSettings
-from monitor.identification.whittle import RefinementSettings
-from monitor.model.effects import FORMS, Effect, EffectError
-from monitor.model.model import Model
-from monitor.model.structures.tables import StructureTable
-from monitor.signals.sensor_health import HealthSettings
-from monitor.signals.temperature import TemperatureSettings
-from monitor.signals.window_quality import QualitySettings
-from monitor.signals.windows import common_step_s
+from monitor.core import Array, BadConfigurationError, MissingInputError, Settings, parse_address, settings_problems
+from monitor.damage import AlarmSettings, UpdatingSettings
+from monitor.diagnosis import DiagnosisSettings, WatchSettings
+from monitor.identification import RefinementSettings, SelectionSettings, SsiSettings, TrackSettings
+from monitor.model import FORMS, Effect, EffectError, Model, StructureTable
+from monitor.signals import HealthSettings, QualitySettings, TemperatureSettings, common_step_s
 
 Positive = Annotated[float, Field(gt=0)]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-from monitor.core.settings import Settings
+from monitor.core import Settings
 
 
 class LogSettings(Settings):

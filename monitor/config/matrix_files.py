@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.io import mmread
 
-from monitor.core.errors import BadConfigurationError, MissingInputError
+from monitor.core import BadConfigurationError, MissingInputError
 
 _KEYS = ("mass_matrix", "stiffness_matrix", "stiffness_derivatives")
 

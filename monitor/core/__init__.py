@@ -1,1 +1,5 @@
-"""Core."""
+"""The words that every room shares: results, errors, settings, files and a map over processes."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

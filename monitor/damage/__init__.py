@@ -1,1 +1,5 @@
-"""Damage."""
+"""Stiffness updated to the modes, compared with the healthy baseline, and the alarm."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

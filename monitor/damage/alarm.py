@@ -17,8 +17,7 @@ from functools import lru_cache
 import numpy as np
 from pydantic import Field
 
-from monitor.core.results import WHOLE, Alarm, AlarmCondition, DamageReading, Level
-from monitor.core.settings import Settings
+from monitor.core import WHOLE, Alarm, AlarmCondition, DamageReading, Level, Settings
 from monitor.damage import sequential_test
 from monitor.damage.sequential_test import History
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import qmc
 
-from monitor.core.results import Array
+from monitor.core import Array
 from monitor.damage.updating import Observation, UpdatingSettings, update
-from monitor.model.model import Model
+from monitor.model import Model
 
 _STARTS = 64
 _LARGEST_FACTOR = 4.0

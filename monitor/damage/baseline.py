@@ -11,20 +11,22 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import ConfigDict, Field, ValidationError
 
-from monitor.config.configuration import Configuration
-from monitor.core.errors import BadInputError, MissingInputError
-from monitor.core.files import write_atomically
-from monitor.core.parse import settings_problems
-from monitor.core.results import Array, ModalEstimate, Temperature
-from monitor.core.settings import Settings
+from monitor.config import Configuration
+from monitor.core import (
+    Array,
+    BadInputError,
+    MissingInputError,
+    ModalEstimate,
+    Settings,
+    Temperature,
+    settings_problems,
+    write_atomically,
+)
 from monitor.damage import temperature_compensation
 from monitor.damage.observations import mean_observation
 from monitor.damage.temperature_compensation import Dependence
 from monitor.damage.updating import Observation, Update, counterparts, observe, predict, update
-from monitor.model import prior_file
-from monitor.model.model import Model
-from monitor.model.prior import StructuralPrior
-from monitor.model.structures.tables import Matrix, Positive
+from monitor.model import Matrix, Model, Positive, StructuralPrior, prior_file
 
 FORMAT = 1
 Index = Annotated[int, Field(ge=0)]

@@ -6,11 +6,10 @@ from functools import lru_cache
 
 import numpy as np
 
-from monitor.core.results import Array, DamageReading, ModalEstimate, StiffnessEstimate, Temperature
+from monitor.core import Array, DamageReading, ModalEstimate, StiffnessEstimate, Temperature
 from monitor.damage.baseline import Baseline
 from monitor.damage.updating import UNSEEN, Observation, Update, UpdatingSettings, observe, update
-from monitor.model.model import Model
-from monitor.model.structures import ShearFrame
+from monitor.model import Model, ShearFrame
 
 _TOLERATED_MISFIT = 2.0
 """Twice the expectation: with six degrees of freedom, reached by chance in 6 % of windows."""

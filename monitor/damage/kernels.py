@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from monitor.core.compilation import compiled
-from monitor.core.results import Array
+from monitor.core import Array, compiled
 
 
 @compiled()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from monitor.core.results import Array, ModalEstimate
+from monitor.core import Array, ModalEstimate
 from monitor.damage.updating import Observation, UpdatingSettings, observe
 
 

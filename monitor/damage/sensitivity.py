@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from monitor.core.results import Array
-from monitor.model.model import Modes
+from monitor.core import Array
+from monitor.model import Modes
 
 
 def fox_kapoor(modes: Modes, d_k: Array, d_m: Array | None = None) -> tuple[Array, Array]:

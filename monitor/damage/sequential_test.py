@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from monitor.core.results import Array, DamageReading
+from monitor.core import Array, DamageReading
 
 STRETCHES = (1, 2, 4, 8)
 """Lengths that are averaged over, in windows."""

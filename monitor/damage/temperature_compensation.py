@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2, norm
 
-from monitor.core.results import Array, Temperature
-from monitor.signals.temperature import LAGS_S, TemperatureSettings
+from monitor.core import Array, Temperature
+from monitor.signals import LAGS_S, TemperatureSettings
 
 _LEAST_WINDOWS = 4
 """Windows without overlap that a dependence takes."""

@@ -17,10 +17,9 @@ from pydantic import Field
 from scipy.linalg import lapack
 from scipy.optimize import linear_sum_assignment
 
-from monitor.core.results import Array, ComplexArray, ModalEstimate
-from monitor.core.settings import Settings
+from monitor.core import Array, ComplexArray, ModalEstimate, Settings
 from monitor.damage.sensitivity import fox_kapoor
-from monitor.model.model import Model, Modes
+from monitor.model import Model, Modes
 
 UNSEEN = 0.7
 """A parameter, or a direction, is not identified when the data leave more than this share of its prior deviation."""

@@ -1,1 +1,5 @@
-"""Diagnosis."""
+"""Which effects explain a recording: stepwise selection, ambiguity, gain on held-out data, wording."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from monitor.core.results import Array
+from monitor.core import Array
 from monitor.diagnosis.score_test import change
 from monitor.diagnosis.simulation_refit import RefittedCandidate
-from monitor.inference.map_estimate import MapEstimate
-from monitor.inference.posterior import Posterior
+from monitor.inference import MapEstimate, Posterior
 
 _TIED = 1.0
 """Nats between two predictions that are one and the same."""

@@ -6,10 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from monitor.core.results import Array, ComplexArray
+from monitor.core import Array, ComplexArray
 from monitor.diagnosis.lack_of_fit import LackOfFit
-from monitor.inference.map_estimate import MapEstimate
-from monitor.inference.posterior import Posterior, with_coordinates
+from monitor.inference import MapEstimate, Posterior, with_coordinates
 
 _NEAR = 0.6, 1.6
 """Frequencies of the first mode's equation, over the first frequency."""

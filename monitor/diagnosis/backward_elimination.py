@@ -8,15 +8,11 @@ from functools import partial
 
 import numpy as np
 
-from monitor.core.parallel import parallel_map
-from monitor.core.results import Array
+from monitor.core import Array, parallel_map
 from monitor.diagnosis.score_test import Candidate, fit_best, score_candidate
 from monitor.diagnosis.simulation_refit import RefittedCandidate, fit_persistent_effects
-from monitor.inference.corrected_posterior import CorrectedPosterior
-from monitor.inference.linearization import linearize
-from monitor.inference.map_estimate import MapEstimate, maximize_posterior
-from monitor.inference.posterior import Posterior
-from monitor.model.effects import Effect
+from monitor.inference import CorrectedPosterior, MapEstimate, Posterior, linearize, maximize_posterior
+from monitor.model import Effect
 
 _MISSED = 3.0
 """Nats by which a fit may miss the best of its own form."""

@@ -13,21 +13,24 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri, stdtrit
 
-from monitor.config.configuration import Configuration
-from monitor.core.parallel import parallel_map
-from monitor.core.results import Array, ComplexArray
+from monitor.config import Configuration
+from monitor.core import Array, ComplexArray, parallel_map
 from monitor.diagnosis.stepwise_selection import Diagnosis
-from monitor.inference.excitation_fit import ExcitationStart, fit_excitation, nearest_classes
-from monitor.inference.ground_response import Drive
-from monitor.inference.linearization import linearize
-from monitor.inference.map_estimate import MapEstimate, maximize_posterior
-from monitor.inference.observed_spectra import ObservedSpectra, classify
-from monitor.inference.posterior import Posterior
-from monitor.inference.segments import Segments
-from monitor.model.effects import Context, Effect
-from monitor.model.model import Model
-from monitor.signals.resampling import Conditioner
-from monitor.signals.windows import common_step_s
+from monitor.inference import (
+    Drive,
+    ExcitationStart,
+    MapEstimate,
+    ObservedSpectra,
+    Posterior,
+    Segments,
+    classify,
+    fit_excitation,
+    linearize,
+    maximize_posterior,
+    nearest_classes,
+)
+from monitor.model import Context, Effect, Model
+from monitor.signals import Conditioner, common_step_s
 
 _MAX_BLOCKS = 20
 _BLOCK_SEGMENTS = 3.0

@@ -7,13 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from monitor.core.parallel import parallel_map
-from monitor.core.results import Array
+from monitor.core import Array, parallel_map
 from monitor.diagnosis.stepwise_selection import Diagnosis
-from monitor.inference.linearization import linearize
-from monitor.inference.map_estimate import MapEstimate, maximize_posterior
-from monitor.inference.posterior import Posterior
-from monitor.model.effects import Effect
+from monitor.inference import MapEstimate, Posterior, linearize, maximize_posterior
+from monitor.model import Effect
 
 _STIFFNESS_STD = 0.2
 

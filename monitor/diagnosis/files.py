@@ -10,15 +10,12 @@ import numpy as np
 import tomlkit
 from tomlkit.items import AoT
 
-from monitor.core.results import Array
+from monitor.core import Array
 from monitor.diagnosis.cross_validation import HeldOutGain
 from monitor.diagnosis.score_test import Candidate
 from monitor.diagnosis.stepwise_selection import Diagnosis
 from monitor.diagnosis.wording import contradicted, headline, in_words, separating_measurement
-from monitor.model.effects import FORMS, Effect
-from monitor.model.model import Model
-from monitor.model.prior import StructuralPrior
-from monitor.model.structures import MatrixStructure
+from monitor.model import FORMS, Effect, MatrixStructure, Model, StructuralPrior
 
 _MOST = 1e300
 """Stands for "not determined": JSON has no infinity."""

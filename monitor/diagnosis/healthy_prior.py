@@ -7,14 +7,12 @@ from dataclasses import replace
 import numpy as np
 from scipy.linalg import block_diag
 
-from monitor.core.results import Array
+from monitor.core import Array
 from monitor.diagnosis.lack_of_fit import estimate_model_discrepancy
 from monitor.diagnosis.settings import DiagnosisSettings
 from monitor.diagnosis.simulation_refit import fit_initial_model
-from monitor.inference.observed_spectra import ObservedSpectra
-from monitor.inference.posterior import Posterior
-from monitor.model.effects import Context
-from monitor.model.prior import StructuralPrior, correction_basis, inverse
+from monitor.inference import ObservedSpectra, Posterior
+from monitor.model import Context, StructuralPrior, correction_basis, inverse
 
 _FIXED = 1e-4
 _CORRECTION_STD = 0.1

@@ -7,15 +7,17 @@ from typing import get_args
 
 import numpy as np
 
-from monitor.core.results import Array
-from monitor.inference.excitation_fit import forces_from_quiet_segments
-from monitor.inference.ground_response import Between
-from monitor.inference.linearization import linearize
-from monitor.inference.map_estimate import MapEstimate, maximize_posterior
-from monitor.inference.observed_spectra import ObservedSpectra
-from monitor.inference.posterior import Posterior
-from monitor.model.effects import Condition, Context
-from monitor.model.prior import StructuralPrior
+from monitor.core import Array
+from monitor.inference import (
+    Between,
+    MapEstimate,
+    ObservedSpectra,
+    Posterior,
+    forces_from_quiet_segments,
+    linearize,
+    maximize_posterior,
+)
+from monitor.model import Condition, Context, StructuralPrior
 
 FAR = 40
 """Iterations of a fit on a longer way: a first one to driven motion, whose phases tell more, or to forces far from white."""

@@ -8,13 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from monitor.core.results import Array
+from monitor.core import Array
 from monitor.diagnosis.settings import DiagnosisSettings
-from monitor.inference.cross_spectra import Band
-from monitor.inference.force_levels import fit_levels, spectra_by_force
-from monitor.inference.map_estimate import MapEstimate
-from monitor.inference.posterior import Posterior
-from monitor.model.prior import ModelDiscrepancy
+from monitor.inference import Band, MapEstimate, Posterior, fit_levels, spectra_by_force
+from monitor.model import ModelDiscrepancy
 
 _BAND_HZ, _NARROW_HZ = 1.0, 0.25
 """Width of the bands in which misfits are looked for, and of those in which they are kept."""

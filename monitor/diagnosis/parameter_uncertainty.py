@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from monitor.core.results import Array
-from monitor.inference.map_estimate import MapEstimate
-from monitor.inference.posterior import Posterior
-from monitor.model.effects import Effect
-from monitor.model.effects.joint_flexibility import JointFlexibility
+from monitor.core import Array
+from monitor.inference import MapEstimate, Posterior
+from monitor.model import Effect, JointFlexibility
 
 _FORM = 2.0
 """What is not known of a story's stiffness, over the RMS of the relative correction that the drawing's form needs."""

@@ -9,14 +9,10 @@ from itertools import chain
 
 import numpy as np
 
-from monitor.core.parallel import parallel_map
-from monitor.core.results import Array
+from monitor.core import Array, parallel_map
 from monitor.diagnosis.initial_fit import COARSE, FAR, LONG, ROUGHLY
-from monitor.inference.forward_model import Prediction
-from monitor.inference.map_estimate import MapEstimate, maximize_posterior
-from monitor.inference.posterior import Posterior
-from monitor.model.effects import EFFECTS, Context, Effect, EffectError, locations
-from monitor.model.prior import inverse
+from monitor.inference import MapEstimate, Posterior, Prediction, maximize_posterior
+from monitor.model import EFFECTS, Context, Effect, EffectError, inverse, locations
 
 _QUICKLY, _BRIEFLY = 5, 6
 """Iterations of a rough fit without a measured ground, and of one beside a held structure."""

@@ -7,19 +7,15 @@ from functools import partial
 
 import numpy as np
 
-from monitor.core.parallel import parallel_map
+from monitor.core import parallel_map
 from monitor.diagnosis.ambiguity import tied_candidates
 from monitor.diagnosis.backward_elimination import joined
 from monitor.diagnosis.parameter_uncertainty import is_significant
 from monitor.diagnosis.score_test import Candidate, best_of_each, candidate_starts, fit_best, rank_by_score
 from monitor.diagnosis.settings import DiagnosisSettings
 from monitor.diagnosis.simulation_refit import RefittedCandidate, refit_by_simulation
-from monitor.inference.corrected_posterior import CorrectedPosterior
-from monitor.inference.higher_moments import MeasuredMoments, Moments, measure_moments
-from monitor.inference.map_estimate import MapEstimate
-from monitor.inference.posterior import Posterior
-from monitor.model.effects import Effect
-from monitor.model.effects.attached_oscillator import AttachedOscillator
+from monitor.inference import CorrectedPosterior, MapEstimate, MeasuredMoments, Moments, Posterior, measure_moments
+from monitor.model import AttachedOscillator, Effect
 
 _SMALL = 200.0
 """Promised gain, nats, of a small effect."""

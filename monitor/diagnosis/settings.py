@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from monitor.core.settings import Settings
+from monitor.core import Settings
 
 
 class DiagnosisSettings(Settings):

@@ -13,21 +13,27 @@ from typing import Any, Literal
 
 import numpy as np
 
-from monitor.core.parallel import parallel_map
-from monitor.core.results import Array, ComplexArray
+from monitor.core import Array, ComplexArray, parallel_map
 from monitor.diagnosis.initial_fit import fit_linearized
 from monitor.diagnosis.score_test import Candidate, score_candidate
-from monitor.inference.corrected_posterior import CorrectedPosterior, correct_posterior
-from monitor.inference.exact_simulation import draw_forces, linearization_error, simulate_exact, simulate_spectra
-from monitor.inference.higher_moments import Moments, normal_moments, simulate_moments
-from monitor.inference.linearization import linearize
-from monitor.inference.map_estimate import MapEstimate, maximize_posterior
-from monitor.inference.observed_spectra import ObservedSpectra
-from monitor.inference.posterior import Posterior, with_coordinates
-from monitor.model.effects import Context
-from monitor.model.effects.cubic_stiffness import CubicStiffness
-from monitor.model.integration import loaded
-from monitor.model.prior import StructuralPrior
+from monitor.inference import (
+    CorrectedPosterior,
+    MapEstimate,
+    Moments,
+    ObservedSpectra,
+    Posterior,
+    correct_posterior,
+    draw_forces,
+    linearization_error,
+    linearize,
+    maximize_posterior,
+    normal_moments,
+    simulate_exact,
+    simulate_moments,
+    simulate_spectra,
+    with_coordinates,
+)
+from monitor.model import Context, CubicStiffness, StructuralPrior, loaded
 
 Rounds = tuple[tuple[int, bool], ...]
 """Simulations in each round, and whether slopes are taken too."""

@@ -8,8 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from monitor.core.parallel import parallel_map
-from monitor.core.results import Array
+from monitor.core import Array, parallel_map
 from monitor.diagnosis.ambiguity import probabilities, same, tied_candidates
 from monitor.diagnosis.backbone import backbone, level_dependence, ratios
 from monitor.diagnosis.backward_elimination import joined, moved, only, revise_candidates, simulate_what_was_missed
@@ -33,13 +32,8 @@ from monitor.diagnosis.simulation_refit import (
     fit_persistent_effects,
     refine_fit,
 )
-from monitor.inference.corrected_posterior import CorrectedPosterior
-from monitor.inference.higher_moments import Moments
-from monitor.inference.map_estimate import MapEstimate, maximize_posterior
-from monitor.inference.observed_spectra import ObservedSpectra
-from monitor.inference.posterior import Posterior
-from monitor.model.effects import Context, Effect
-from monitor.model.prior import StructuralPrior
+from monitor.inference import CorrectedPosterior, MapEstimate, Moments, ObservedSpectra, Posterior, maximize_posterior
+from monitor.model import Context, Effect, StructuralPrior
 
 _LIKELY = 2
 """Candidates that are asked how a measured ground moved between its samples."""

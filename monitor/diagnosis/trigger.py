@@ -11,8 +11,7 @@ from dataclasses import dataclass, replace
 
 from pydantic import Field
 
-from monitor.core.results import Level, WindowResult
-from monitor.core.settings import Settings
+from monitor.core import Level, Settings, WindowResult
 
 
 class WatchSettings(Settings):

@@ -7,7 +7,7 @@ from math import floor, isfinite, log10
 from typing import Any
 
 from monitor.diagnosis.stepwise_selection import Diagnosis
-from monitor.model.prior import ModelDiscrepancy, StructuralPrior
+from monitor.model import ModelDiscrepancy, StructuralPrior
 
 Values = Mapping[str, Mapping[str, float]]
 """Parameter name -> ``value`` and ``std``, as in diagnosis.json."""

@@ -1,1 +1,5 @@
-"""Identification."""
+"""The modes of a window (stochastic subspace identification, refinement) and their identity over time."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -19,8 +19,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from monitor.core.compilation import compiled
-from monitor.core.results import Array, ComplexArray
+from monitor.core import Array, ComplexArray, compiled
 
 Indices = NDArray[np.intp]
 Poles = tuple[Indices, ComplexArray, ComplexArray, ComplexArray]

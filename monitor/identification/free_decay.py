@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from monitor.core.results import Array, ModalEstimate
+from monitor.core import Array, ModalEstimate
 
 _SETTLING_S = 0.3
 """The lowpass rings this long after the blow."""

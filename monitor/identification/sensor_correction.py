@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from monitor.core.results import Array, ComplexArray, ModalEstimate
-from monitor.model.effects import Condition, Context, Effect
+from monitor.core import Array, ComplexArray, ModalEstimate
+from monitor.model import Condition, Context, Effect
 
 
 def response(effects: Sequence[Effect], hz: float, context: Context) -> ComplexArray:

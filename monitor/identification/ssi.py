@@ -18,8 +18,7 @@ from pydantic import Field
 from scipy.linalg import eigh, lapack, svd
 from scipy.sparse.linalg import svds
 
-from monitor.core.results import Array, ComplexArray, LagSums
-from monitor.core.settings import Settings
+from monitor.core import Array, ComplexArray, LagSums, Settings
 
 Indices = NDArray[np.intp]
 _RANK_TOLERANCE = 1e-12

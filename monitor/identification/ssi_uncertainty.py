@@ -17,7 +17,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.lib.stride_tricks import as_strided
 
-from monitor.core.results import Array, ComplexArray, LagSums
+from monitor.core import Array, ComplexArray, LagSums
 from monitor.identification.ssi import Realisation, StateSpace
 
 

@@ -15,12 +15,11 @@ import numpy as np
 from pydantic import Field
 from scipy.optimize import linear_sum_assignment
 
-from monitor.core.results import Array, ComplexArray, ModalEstimate, Skipped, Window
-from monitor.core.settings import Settings
+from monitor.core import Array, ComplexArray, ModalEstimate, Settings, Skipped, Window
 from monitor.identification.ssi import PoleTable, Realisation, SsiSettings, realise, state_space
 from monitor.identification.ssi import poles as all_poles
 from monitor.identification.ssi_uncertainty import mode_deviations
-from monitor.model.model import Modes
+from monitor.model import Modes
 
 _BAND = 0.45
 """Share of the sampling rate up to which modes are looked for: a little beyond the lowpass's edge."""

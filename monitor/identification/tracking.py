@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy.optimize import linear_sum_assignment
 
-from monitor.core.results import Array, ComplexArray, ModalEstimate
-from monitor.core.settings import Settings
+from monitor.core import Array, ComplexArray, ModalEstimate, Settings
 
 _DAY_NS = 86_400_000_000_000
 _NOISE_RATE = 0.05  # share of a look in what is known of a track's noise: a memory of twenty

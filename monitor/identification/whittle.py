@@ -21,8 +21,7 @@ from dataclasses import replace
 import numpy as np
 from pydantic import Field
 
-from monitor.core.results import Array, ComplexArray, ModalEstimate, Window
-from monitor.core.settings import Settings
+from monitor.core import Array, ComplexArray, ModalEstimate, Settings, Window
 from monitor.identification.whittle_model import (
     Layout,
     Point,
@@ -36,7 +35,7 @@ from monitor.identification.whittle_model import (
     triangle,
     upper,
 )
-from monitor.signals.welch import overlap_correlation
+from monitor.signals import overlap_correlation
 
 _WEAK_STD = 3.0
 _HOPELESS = 20.0

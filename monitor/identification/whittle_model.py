@@ -14,8 +14,8 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from monitor.core.results import Array, ComplexArray, ModalEstimate
-from monitor.signals.welch import LEAKAGE_OFFSETS, leakage
+from monitor.core import Array, ComplexArray, ModalEstimate
+from monitor.signals import LEAKAGE_OFFSETS, leakage
 
 _FIRST_BIN = 4
 _LEAST_HALF_BINS = 8

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from monitor.core.results import Array, ComplexArray
+from monitor.core import Array, ComplexArray
 from monitor.inference.linearization import forced_drift
 from monitor.inference.observed_spectra import ObservedSpectra
 from monitor.inference.posterior import Posterior
 from monitor.inference.wishart import definite, grown_by
-from monitor.model.effects import EFFECTS, Effect
+from monitor.model import EFFECTS, Effect
 
 _SMOOTH = 0.006
 """Width over which the correction is smoothed, as a share of the frequency: about a half-power bandwidth."""

@@ -13,10 +13,9 @@ import numpy as np
 from scipy.linalg import eigh
 from scipy.optimize import brentq
 
-from monitor.core.compilation import compiled
-from monitor.core.results import Array, ComplexArray
-from monitor.model.effects import Condition, Context, Effect, System
-from monitor.signals.welch import LEAKAGE_OFFSETS, hann_amplitude, leakage
+from monitor.core import Array, ComplexArray, compiled
+from monitor.model import Condition, Context, Effect, System
+from monitor.signals import LEAKAGE_OFFSETS, hann_amplitude, leakage
 
 _TAPS = leakage()
 _LEAST_SHARE, _MOST = 1e-9, 0.999

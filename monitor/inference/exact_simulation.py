@@ -8,13 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 
-from monitor.core.results import Array, ComplexArray
+from monitor.core import Array, ComplexArray
 from monitor.inference.cross_spectra import channel_response, extended, ground_density
 from monitor.inference.linearization import linearize
 from monitor.inference.posterior import Posterior
-from monitor.model.effects import Context, Effect, LawKind
-from monitor.model.simulation import respond
-from monitor.signals.welch import taper
+from monitor.model import Context, Effect, LawKind, respond
+from monitor.signals import taper
 
 _STEPS_A_PERIOD = 14
 """Least samples of the simulation in a period of the band's last frequency."""

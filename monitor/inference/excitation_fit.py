@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from monitor.core.parallel import parallel_map
-from monitor.core.results import Array, ComplexArray
+from monitor.core import Array, ComplexArray, parallel_map
 from monitor.inference.corrected_posterior import relative_to
 from monitor.inference.exact_simulation import draw_forces, simulate_exact, simulate_spectra
 from monitor.inference.ground_response import Between
@@ -18,10 +17,7 @@ from monitor.inference.linearization import linearize
 from monitor.inference.observed_spectra import ObservedSpectra, classify
 from monitor.inference.posterior import Posterior, difference_operator
 from monitor.inference.wishart import grown_by
-from monitor.model.effects import Condition, Context, Effect
-from monitor.model.integration import loaded
-from monitor.model.model import Model
-from monitor.model.prior import StructuralPrior, prior_from_drawing
+from monitor.model import Condition, Context, Effect, Model, StructuralPrior, loaded, prior_from_drawing
 
 _FORCE_STD, _LEVEL_STD = 1.0, 5.0
 """Prior of the logarithms of the floors' forces about one level, of the classes' levels and of the noise."""

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from monitor.core.results import Array, ComplexArray
+from monitor.core import Array, ComplexArray
 from monitor.inference.posterior import Posterior
-from monitor.model.effects import Effect
+from monitor.model import Effect
 
 _NONE = -100.0
 """Logarithm of a force's or of noise's density that is none."""

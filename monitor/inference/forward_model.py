@@ -9,14 +9,12 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from monitor.core.results import Array, ComplexArray
+from monitor.core import Array, ComplexArray
 from monitor.inference import ground_response
 from monitor.inference.cross_spectra import Excitation, cross_spectra, extended, modally_damped
 from monitor.inference.observed_spectra import ObservedSpectra
 from monitor.inference.wishart import grown_by
-from monitor.model.effects import Condition, Context, Effect, System
-from monitor.model.model import Model
-from monitor.model.prior import ModelDiscrepancy, StructuralPrior
+from monitor.model import Condition, Context, Effect, Model, ModelDiscrepancy, StructuralPrior, System
 
 _LINE_BINS, _LINE_SHARE = 3.0, 0.01
 """How far either side of a known machine's line spectra are not compared: in bins, and of its frequency (motors slip)."""

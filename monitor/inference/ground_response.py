@@ -18,11 +18,10 @@ from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.linalg import eigh
 
-from monitor.core.compilation import compiled
-from monitor.core.results import Array, ComplexArray
+from monitor.core import Array, ComplexArray, compiled
 from monitor.inference.cross_spectra import Band, accelerance
-from monitor.model.effects import Condition, Context, Effect, System
-from monitor.signals.welch import SegmentDesign, taper
+from monitor.model import Condition, Context, Effect, System
+from monitor.signals import SegmentDesign, taper
 
 Between = Literal["smooth", "straight", "held"]
 """How the ground moves between its samples: as a sensor's filter leaves it, or as a simulation reads them."""
@@ -204,7 +203,7 @@ def exact_response(
     system : System
         Without what the nonlinear effects add.
     """
-    from monitor.model.integration import march  # compiled code takes a while to load
+    from monitor.model import march  # compiled code takes a while to load
 
     laws = [law for effect in effects for law in effect.laws(context.structure)]
     n, inertia = context.structure.n_dofs, system.mass.sum(axis=1)

@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import ifft, irfft, next_fast_len
 
-from monitor.core.results import Array, ComplexArray
+from monitor.core import Array, ComplexArray
 from monitor.inference.map_estimate import MapEstimate
 from monitor.inference.observed_spectra import relative_level
 from monitor.inference.posterior import Posterior
-from monitor.signals.welch import overlap_correlation, taper
+from monitor.signals import overlap_correlation, taper
 
 _ABOUT = 0.15
 """Half-width of a mode's band, over its frequency."""

@@ -8,13 +8,13 @@ from functools import partial
 import numpy as np
 from scipy.linalg import eigh
 
-from monitor.core.results import Array, ComplexArray
+from monitor.core import Array, ComplexArray
 from monitor.inference.cross_spectra import accelerance, extended, force_colour, force_root, seen, variances
 from monitor.inference.force_levels import ground_levels
 from monitor.inference.ground_response import motion_rms
 from monitor.inference.observed_spectra import ObservedSpectra, class_temperature
 from monitor.inference.posterior import Posterior
-from monitor.model.effects import Condition, Context, Effect, System
+from monitor.model import Condition, Context, Effect, System
 
 _PILE = 20
 """Samples that share the largest magnitude only where something clips them."""

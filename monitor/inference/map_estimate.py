@@ -7,10 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from monitor.core.results import Array
+from monitor.core import Array
 from monitor.inference.posterior import Posterior, with_coordinates
-from monitor.model.effects import Effect
-from monitor.model.prior import inverse
+from monitor.model import Effect, inverse
 
 _STANDING = 0.5
 """Longest step of standing effects' coordinates, in their units."""

@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from monitor.core.results import Array, ComplexArray
+from monitor.core import Array, ComplexArray
 from monitor.inference import ground_response
 from monitor.inference.cross_spectra import Band
 from monitor.inference.ground_response import Drive
 from monitor.inference.segments import Segments
-from monitor.signals.welch import overlap_correlation
+from monitor.signals import overlap_correlation
 
 _LEVEL_CLASSES = 5
 _MIN_SEGMENTS_A_CLASS = 12

@@ -19,13 +19,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from monitor.core.parallel import parallel_map
-from monitor.core.results import Array, ComplexArray
+from monitor.core import Array, ComplexArray, parallel_map
 from monitor.inference import ground_response
 from monitor.inference.forward_model import ForwardModel, Prediction, diagonal_of
 from monitor.inference.observed_spectra import ObservedSpectra
 from monitor.inference.wishart import log_det_and_trace, whiten
-from monitor.model.effects import Effect
+from monitor.model import Effect
 
 _FORCE_STD, _LEVEL_STD, _NOISE_STD = 1.0, 5.0, 3.0
 """Prior of the logarithm of the floors' forces about their mean, of the classes' levels, of the common noise."""

@@ -11,16 +11,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.base import ACCELERATION, GROUND, TEMPERATURE, SampleBlock
-from monitor.config.configuration import Configuration
-from monitor.core.errors import BadInputError
-from monitor.core.results import Array, ComplexArray
+from monitor.config import Configuration
+from monitor.core import Array, BadInputError, ComplexArray
 from monitor.inference import ground_response
 from monitor.inference.cross_spectra import Band
 from monitor.inference.ground_response import Drive
-from monitor.signals import alignment
-from monitor.signals.resampling import Conditioner, ConditionState
-from monitor.signals.welch import SegmentDesign, taper, transform
-from monitor.signals.windows import WindowGrid, common_step_s
+from monitor.signals import (
+    Conditioner,
+    ConditionState,
+    SegmentDesign,
+    WindowGrid,
+    alignment,
+    common_step_s,
+    taper,
+    transform,
+)
 
 Runs = Sequence[tuple[int, Array]]
 """UTC of the first sample in ns and samples of every stretch of ground motion without a gap, m/s^2."""

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from monitor.core.compilation import compiled
-from monitor.core.results import Array, ComplexArray
+from monitor.core import Array, ComplexArray, compiled
 
 
 @compiled(error_model="numpy")

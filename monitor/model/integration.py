@@ -11,8 +11,7 @@ from math import ceil, exp
 
 import numpy as np
 
-from monitor.core.compilation import compiled
-from monitor.core.results import Array, ComplexArray
+from monitor.core import Array, ComplexArray, compiled
 from monitor.model.effects import Law, LawKind, System
 
 STEP_HZ = 4096.0

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import lapack
 
-from monitor.core.results import Array
+from monitor.core import Array
 from monitor.model.effects import Effect
 from monitor.model.structures import Structure
 

@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 from scipy.optimize import brentq
 
-from monitor.core.results import Array
+from monitor.core import Array
 from monitor.model.effects import Condition, Context, System
 from monitor.model.model import Model
 

@@ -1,6 +1,5 @@
-"""Publishers: everything that shows or stores results.  Their failure never stops the monitor."""
+"""What is shown and written: result lines, the viewer, the reports."""
 
-import os
+import lazy_loader
 
-# The files have no index on purpose (`rerun_queue`), which Rerun would warn of; it reads this when it is first imported.
-os.environ.setdefault("RUST_LOG", "warn,re_log_encoding::rrd::file_sink=error")
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

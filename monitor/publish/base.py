@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from monitor.core.results import Gap, Samples, WindowResult
-from monitor.signals.sensor_health import Health
+from monitor.core import Gap, Samples, WindowResult
+from monitor.signals import Health
 
 
 class Publisher:

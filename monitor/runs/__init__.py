@@ -1,1 +1,5 @@
-"""Runs."""
+"""One job over recordings each: replay, calibrate, diagnose, import, simulate, archives."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -11,15 +11,11 @@ import numpy as np
 
 from drivers.base import SampleBlock
 from drivers.mcap_file import recording_info
-from monitor.config.configuration import Configuration
-from monitor.core.errors import BadInputError
-from monitor.core.files import sha256
-from monitor.core.results import WindowResult
-from monitor.damage.alternative_solutions import second_solutions
-from monitor.damage.baseline import Baseline, learn
-from monitor.damage.updating import Observation, Update
-from monitor.diagnosis.wording import contradicted
-from monitor.inference.segments import Segments, gather
+from monitor.config import Configuration
+from monitor.core import BadInputError, WindowResult, sha256
+from monitor.damage import Baseline, Observation, Update, learn, second_solutions
+from monitor.diagnosis import contradicted
+from monitor.inference import Segments, gather
 from monitor.pipeline import Pipeline
 from monitor.runs import diagnose
 from monitor.runs.recordings import OnProgress, OnWarning, Progress, blocks, names, pushed

@@ -6,10 +6,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 from monitor.config import configuration
-from monitor.core.errors import MissingInputError
-from monitor.core.files import demand_place
+from monitor.core import MissingInputError, demand_place
 from monitor.damage import baseline
-from monitor.publish.results.lines import replay_story
+from monitor.publish import replay_story
 from monitor.runs import calibrate, replay
 
 

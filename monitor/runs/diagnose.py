@@ -11,23 +11,37 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from drivers.base import SampleBlock
-from monitor.config.configuration import Configuration
-from monitor.core.errors import BadInputError
-from monitor.damage.baseline import Baseline
-from monitor.diagnosis import healthy_prior
-from monitor.diagnosis.cross_validation import HeldOutGain, Score, fitted_model, heldout_gain, require_gain, score
-from monitor.diagnosis.damage_index_effect import ddi_effect
-from monitor.diagnosis.files import content, model_to_plain
-from monitor.diagnosis.initial_fit import FAR
-from monitor.diagnosis.parameter_uncertainty import is_significant
-from monitor.diagnosis.score_test import parameter_cost
-from monitor.diagnosis.stepwise_selection import Diagnosis, diagnose
-from monitor.inference.map_estimate import maximize_posterior
-from monitor.inference.observed_spectra import classify
-from monitor.inference.segments import Segments, gather
-from monitor.model.effects import AmbientForces, Condition, Context, Effect, locations
-from monitor.model.model import Model
-from monitor.model.prior import StructuralPrior, prior_from_drawing
+from monitor.config import Configuration
+from monitor.core import BadInputError
+from monitor.damage import Baseline
+from monitor.diagnosis import (
+    FAR,
+    Diagnosis,
+    HeldOutGain,
+    Score,
+    content,
+    ddi_effect,
+    diagnose,
+    fitted_model,
+    healthy_prior,
+    heldout_gain,
+    is_significant,
+    model_to_plain,
+    parameter_cost,
+    require_gain,
+    score,
+)
+from monitor.inference import Segments, classify, gather, maximize_posterior
+from monitor.model import (
+    AmbientForces,
+    Condition,
+    Context,
+    Effect,
+    Model,
+    StructuralPrior,
+    locations,
+    prior_from_drawing,
+)
 from monitor.runs.recordings import OnProgress, OnWarning, Progress, blocks, names
 
 _TRIALS = np.errstate(over="ignore", invalid="ignore")

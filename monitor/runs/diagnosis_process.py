@@ -24,10 +24,9 @@ from threadpoolctl import threadpool_limits
 from drivers.base import ACCELERATION, SampleBlock
 from drivers.mcap_file import McapWriter
 from monitor.config import configuration
-from monitor.core.errors import UserError
-from monitor.core.files import demand_place, write_atomically
+from monitor.core import UserError, demand_place, write_atomically
 from monitor.damage import baseline
-from monitor.diagnosis.trigger import Request
+from monitor.diagnosis import Request
 from monitor.runs.recordings import OnWarning
 
 _log = logging.getLogger(__name__)

@@ -17,8 +17,7 @@ from drivers import frames
 from drivers.base import ACCELERATION, SampleBlock, SourceError
 from drivers.frames import Layout
 from drivers.socketcand_server import SocketcandServer, frame_text
-from monitor.core.errors import BadConfigurationError, BadInputError, MissingInputError
-from monitor.core.parse import parse_address, settings_problems
+from monitor.core import BadConfigurationError, BadInputError, MissingInputError, parse_address, settings_problems
 
 CAN_PIECE_S = 0.01
 """Frames leave in bursts of so many seconds, as a node's transmit queue lets them."""

@@ -10,11 +10,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from monitor.config.configuration import Configuration
-from monitor.core.errors import BadInputError, MissingInputError
-from monitor.core.files import sha256
-from monitor.diagnosis.files import effects_text, model_from_plain, structure_text
-from monitor.model.effects import FORMS, Effect, EffectError
+from monitor.config import Configuration
+from monitor.core import BadInputError, MissingInputError, sha256
+from monitor.diagnosis import effects_text, model_from_plain, structure_text
+from monitor.model import FORMS, Effect, EffectError
 
 LEDGER = "ledger.jsonl"
 

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from drivers.base import SampleBlock
-from monitor.config.configuration import Configuration
-from monitor.core.results import WindowResult
+from monitor.config import Configuration
+from monitor.core import WindowResult
 from monitor.diagnosis import trigger
 from monitor.runs.diagnosis_process import Diagnoser, Recent
 

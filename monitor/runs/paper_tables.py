@@ -8,17 +8,12 @@ from typing import Any, Literal
 
 import numpy as np
 
-from monitor.core.results import Array, ModalEstimate, Skipped, Window
-from monitor.damage.updating import Observation, Update, UpdatingSettings, observe, update
-from monitor.identification.free_decay import with_decay_deviations
-from monitor.identification.ssi import SsiSettings
-from monitor.identification.stabilization import SelectionSettings, identify
-from monitor.model.model import Model
-from monitor.model.simulation import respond_newmark
-from monitor.model.structures import ShearFrame
+from monitor.core import Array, ModalEstimate, Skipped, Window
+from monitor.damage import Observation, Update, UpdatingSettings, observe, update
+from monitor.identification import SelectionSettings, SsiSettings, identify, with_decay_deviations
+from monitor.model import Model, ShearFrame, respond_newmark
+from monitor.signals import Conditioner, WindowGrid
 from monitor.signals import windows as window
-from monitor.signals.resampling import Conditioner
-from monitor.signals.windows import WindowGrid
 
 MASSES_KG = np.array([0.3253, 0.3514, 0.3129])
 """Figure 2 is lost; recovered from Table 4's converged row (docs/theory.md)."""

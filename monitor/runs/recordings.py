@@ -8,8 +8,8 @@ from typing import Protocol
 
 from drivers.base import ACCELERATION, RecordingError, RecordingMissingError, SampleBlock
 from drivers.mcap_file import read_recordings
-from monitor.config.configuration import Configuration
-from monitor.core.errors import BadInputError, MissingInputError
+from monitor.config import Configuration
+from monitor.core import BadInputError, MissingInputError
 from monitor.pipeline import Pipeline, Result
 
 OnWarning = Callable[[str], None]

@@ -10,19 +10,15 @@ from typing import TYPE_CHECKING, Any
 
 from drivers.base import SampleBlock
 from drivers.mcap_file import McapWriter
-from monitor.config.configuration import Configuration
-from monitor.core.errors import MissingInputError
-from monitor.core.files import demand_place, write_atomically
-from monitor.core.results import WindowResult
-from monitor.damage.baseline import Baseline
-from monitor.publish.base import Publisher
-from monitor.publish.results.lines import LinesFile, to_json
-from monitor.publish.results.schema import LINE_SCHEMA
+from monitor.config import Configuration
+from monitor.core import MissingInputError, WindowResult, demand_place, write_atomically
+from monitor.damage import Baseline
+from monitor.publish import LINE_SCHEMA, LinesFile, Publisher, to_json
 from monitor.runs.recordings import OnProgress, OnWarning, Progress, blocks, duration_s, pushed
 from monitor.runs.session import Session, View, scene
 
 if TYPE_CHECKING:  # takes a second to load, and an archive's replays have no view
-    from monitor.publish.viewer.publisher import RerunPublisher
+    from monitor.publish import RerunPublisher
 
 __all__ = ["RESULT_FILES", "begun", "pass_through", "replay", "scene"]
 
@@ -87,7 +83,7 @@ def replay(
     MissingInputError, BadInputError
         Too short for one window, missing channels, unreadable files.
     """
-    from monitor.publish.viewer.publisher import RerunPublisher
+    from monitor.publish import RerunPublisher
 
     pieces = {} if speed is None else {"longest_s": 0.0}  # viewers want samples as they were taken
     source = begun(blocks(paths, config, on_warning, **pieces))  # bad input shows before any output is begun

@@ -11,20 +11,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from drivers.base import SampleBlock
-from monitor.config.configuration import Configuration
-from monitor.core.results import Gap, Samples, WindowResult
-from monitor.damage.alarm import AlarmState
-from monitor.damage.baseline import Baseline
+from monitor.config import Configuration
+from monitor.core import Gap, Samples, WindowResult
+from monitor.damage import AlarmState, Baseline
 from monitor.pipeline import Pipeline, PipelineState, Result
-from monitor.publish.base import Publisher
-from monitor.publish.results.lines import to_json, window_line
-from monitor.publish.results.summary import Episode, Quality, Summary
+from monitor.publish import Episode, Publisher, Quality, Summary, to_json, window_line
 from monitor.runs.online_diagnosis import FINDING_KEYS, Watcher, WatcherState
-from monitor.signals.sensor_health import Health
+from monitor.signals import Health
 
 if TYPE_CHECKING:  # Rerun takes a second to load, and not every session has a view
-    from monitor.publish.viewer.publisher import RerunPublisher
-    from monitor.publish.viewer.scene import Scene
+    from monitor.publish import RerunPublisher, Scene
 
 
 class View(Publisher):
@@ -205,7 +201,7 @@ class Session:
 
 def scene(config: Configuration, baseline: Baseline | None) -> Scene:
     """What the viewer needs to know of the site."""
-    from monitor.publish.viewer.scene import Scene
+    from monitor.publish import Scene
 
     heights = config.structure.story_heights_m
     n = max(len(config.structure.masses_kg), len(config.structure.stiffness_n_per_m))

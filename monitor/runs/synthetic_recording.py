@@ -15,12 +15,19 @@ import numpy as np
 
 from drivers.base import ACCELERATION, GROUND, TEMPERATURE, SampleBlock
 from drivers.mcap_file import McapWriter
-from monitor.config.configuration import Configuration
-from monitor.core.errors import BadConfigurationError, MissingInputError
-from monitor.core.results import Array
-from monitor.model.effects import Context, Effect, EffectError, StiffnessChange, parse_effect
-from monitor.model.model import Model
-from monitor.model.simulation import ExcitationKind, Motion, simulate
+from monitor.config import Configuration
+from monitor.core import Array, BadConfigurationError, MissingInputError
+from monitor.model import (
+    Context,
+    Effect,
+    EffectError,
+    ExcitationKind,
+    Model,
+    Motion,
+    StiffnessChange,
+    parse_effect,
+    simulate,
+)
 
 _TEMPERATURE_HZ = 1.0
 

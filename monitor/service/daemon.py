@@ -18,16 +18,11 @@ from typing import Any
 from drivers.base import RecordingError, RecordingMissingError, SampleBlock, Source, SourceContext
 from drivers.recorder import unfit
 from monitor.config import configuration
-from monitor.core.errors import BadConfigurationError, BadInputError, MissingInputError
-from monitor.core.results import Gap, WindowResult
+from monitor.core import BadConfigurationError, BadInputError, Gap, MissingInputError, WindowResult
 from monitor.damage import baseline
 from monitor.pipeline import Result
-from monitor.publish.base import Publisher
-from monitor.publish.results.lines import standing_line, to_json
-from monitor.publish.viewer.publisher import RerunPublisher
-from monitor.runs import ledger
-from monitor.runs.recordings import Progress, duration_s
-from monitor.runs.session import Session, View, scene
+from monitor.publish import Publisher, RerunPublisher, standing_line, to_json
+from monitor.runs import Progress, Session, View, duration_s, ledger, scene
 from monitor.service import restart, systemd
 from monitor.service.appended_lines import AppendedLines
 from monitor.service.daemon_health import Vitals, Way, plain
@@ -36,7 +31,7 @@ from monitor.service.outlets import Outlet, make_outlets
 from monitor.service.reload import reread
 from monitor.service.requests import apply
 from monitor.service.threads import Chores, Reader, Recording
-from monitor.signals.sensor_health import Health
+from monitor.signals import Health
 
 _log = logging.getLogger(__name__)
 

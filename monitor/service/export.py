@@ -9,8 +9,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
-from monitor.core.errors import BadInputError, MissingInputError, WrongUsageError
-from monitor.core.files import demand_place, finish, partial
+from monitor.core import BadInputError, MissingInputError, WrongUsageError, demand_place, finish, partial
 from monitor.service.history import TABLES
 
 _BATCH = 20_000

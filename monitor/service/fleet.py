@@ -17,10 +17,8 @@ from pydantic import Field, ValidationError
 
 from drivers.base import SourceError
 from drivers.zenoh_session import Key, SessionSettings, leave, open_session
-from monitor.config.configuration import read_toml
-from monitor.core.errors import BadConfigurationError, MissingInputError
-from monitor.core.parse import settings_problems
-from monitor.core.settings import Settings
+from monitor.config import read_toml
+from monitor.core import BadConfigurationError, MissingInputError, Settings, settings_problems
 
 _MOST_BYTES = 1 << 20
 """Of one monitor's answer."""

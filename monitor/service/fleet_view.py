@@ -9,8 +9,7 @@ from pathlib import Path
 import rerun as rr
 import rerun.blueprint as rrb
 
-from monitor.publish.viewer.queue import Output
-from monitor.publish.viewer.scene import utc
+from monitor.publish import Output, utc
 from monitor.service.fleet import SiteStatus
 
 _HEAD = ("site", "state", "largest loss", "first mode", "window until", "says")

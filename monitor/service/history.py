@@ -17,7 +17,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from monitor.config.state_settings import StateSettings
+from monitor.config import StateSettings
 
 _log = logging.getLogger(__name__)
 

@@ -9,7 +9,7 @@ import sys
 from datetime import UTC, datetime
 from typing import Literal
 
-from monitor.config.log_settings import LogSettings
+from monitor.config import LogSettings
 
 _PLAIN = re.compile(r"[^\s\"=\\\x00-\x1f\x7f-\x9f]+")
 _MOST_TEXT = 4000

@@ -6,9 +6,8 @@ import logging
 from collections.abc import Sequence
 from pathlib import Path
 
-from monitor.config import configuration
-from monitor.config.configuration import Configuration
-from monitor.core.errors import BadConfigurationError, UserError
+from monitor.config import Configuration, configuration
+from monitor.core import BadConfigurationError, UserError
 from monitor.runs import ledger
 from monitor.service.outlets import Outlet, change_outlets
 

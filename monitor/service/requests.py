@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import Field, model_validator
 
-from monitor.core.settings import Settings
+from monitor.core import Settings
 from monitor.damage import alarm
 
 MAX_REQUEST_BYTES = 4096

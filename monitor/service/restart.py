@@ -15,12 +15,10 @@ from typing import Any
 
 from drivers.base import ACCELERATION, SampleBlock
 from drivers.recorder import recorded
-from monitor.config.configuration import Configuration
-from monitor.core.errors import BadConfigurationError, BadInputError
-from monitor.core.files import sha256, write_atomically
-from monitor.damage.alarm import StoryState
-from monitor.runs import ledger
-from monitor.runs.session import Session, SessionState
+from monitor.config import Configuration
+from monitor.core import BadConfigurationError, BadInputError, sha256, write_atomically
+from monitor.damage import StoryState
+from monitor.runs import Session, SessionState, ledger
 from monitor.service import serialization
 from monitor.service.appended_lines import AppendedLines
 from monitor.service.threads import Recording

@@ -22,7 +22,7 @@ from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 import numpy as np
 
 from drivers.disk import sync_folder
-from monitor.core.files import finish, partial
+from monitor.core import finish, partial
 
 _log = logging.getLogger(__name__)
 

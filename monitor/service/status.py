@@ -10,7 +10,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from monitor.core.errors import MissingInputError
+from monitor.core import MissingInputError
 
 HEALTHY, ALARM, TROUBLE, DOWN = 0, 10, 11, 12
 """Exit codes: all well; an alarm stands; it runs, but something does not; it does not run, or stands still."""

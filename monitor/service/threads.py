@@ -14,7 +14,7 @@ from typing import Generic, TypeVar
 
 from drivers.base import EndOfStream, SampleBlock, Source, SourceError
 from drivers.recorder import Recorder, RecorderHealth, RecorderSettings
-from monitor.core.files import write_atomically
+from monitor.core import write_atomically
 
 _log = logging.getLogger(__name__)
 

@@ -1,1 +1,5 @@
-"""Signals."""
+"""Samples: alignment, resampling, windows, the health of the sensors and the temperature."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -8,8 +8,7 @@ from math import ceil
 import numpy as np
 
 from drivers.base import SampleBlock
-from monitor.core.errors import BadInputError
-from monitor.core.results import Array, Gap
+from monitor.core import Array, BadInputError, Gap
 
 _MAX_CLOCK_OFFSET_S = 1.0
 """Jump of the clock, from one block to the next in sequence, from which samples may have been lost."""

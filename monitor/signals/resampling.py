@@ -15,7 +15,7 @@ from math import floor
 
 import numpy as np
 
-from monitor.core.results import Array
+from monitor.core import Array
 
 _ORDER, _RIPPLE_DB = 8, 0.05
 _STOPBAND_DB = 90.0

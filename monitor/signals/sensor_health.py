@@ -18,8 +18,7 @@ from typing import Protocol
 import numpy as np
 from pydantic import Field
 
-from monitor.core.results import Array, Gap, Skipped
-from monitor.core.settings import Settings
+from monitor.core import Array, Gap, Settings, Skipped
 
 _MOST_SAMPLES = 1 << 18
 """A span is cut shorter than this whatever the rate: it is kept in memory until it ends."""

@@ -8,9 +8,7 @@ import numpy as np
 from pydantic import Field
 
 from drivers.base import SampleBlock
-from monitor.core.errors import BadInputError
-from monitor.core.results import Array, Temperature
-from monitor.core.settings import Settings
+from monitor.core import Array, BadInputError, Settings, Temperature
 
 LAGS_S = (0.0, *(float(round(120 * 2 ** (k / 2))) for k in range(13)))
 """Thermal lags that calibration tries: 0, then 2 min to 2 h in steps of a factor of the square root of two."""

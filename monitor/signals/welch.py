@@ -7,7 +7,7 @@ from functools import cache, lru_cache
 
 import numpy as np
 
-from monitor.core.results import Array, ComplexArray
+from monitor.core import Array, ComplexArray
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,8 +7,7 @@ from functools import lru_cache
 import numpy as np
 from pydantic import Field
 
-from monitor.core.results import Array, LagSums, Skipped
-from monitor.core.settings import Settings
+from monitor.core import Array, LagSums, Settings, Skipped
 
 
 class QualitySettings(Settings):

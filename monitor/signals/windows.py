@@ -14,7 +14,7 @@ from math import ceil, gcd
 
 import numpy as np
 
-from monitor.core.results import GAP, Array, ComplexArray, LagSums, Skipped, Window
+from monitor.core import GAP, Array, ComplexArray, LagSums, Skipped, Window
 from monitor.signals.welch import SegmentDesign, transform
 
 _BLOCK_S = 10.0

@@ -9,7 +9,7 @@ from typing import ClassVar, Literal, Self
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 
-from monitor.core.results import Array, ComplexArray
+from monitor.core import Array, ComplexArray
 from monitor.model.effects.base import Condition, Context, Effect
 from monitor.model.effects.parameter import Parameter
 from monitor.model.effects.sensor_gain import on_channel

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Protocol, Self
 
-from monitor.core.results import Array
+from monitor.core import Array
 
 
 class Structure(Protocol):

@@ -8,7 +8,7 @@ from typing import Self
 
 import numpy as np
 
-from monitor.core.results import Array
+from monitor.core import Array
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -7,8 +7,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from monitor.core.results import Array
-from monitor.core.settings import Settings
+from monitor.core import Array, Settings
 from monitor.model.structures.base import Structure
 from monitor.model.structures.matrices import MatrixStructure
 from monitor.model.structures.shear_frame import ShearFrame

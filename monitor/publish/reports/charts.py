@@ -8,7 +8,7 @@ from html import escape
 
 import numpy as np
 
-from monitor.core.results import Array
+from monitor.core import Array
 
 Range = tuple[float, float]
 

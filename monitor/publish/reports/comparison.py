@@ -7,14 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from monitor.core.parallel import parallel_map
-from monitor.core.results import Array, ComplexArray
-from monitor.diagnosis.lack_of_fit import residual_bands
-from monitor.diagnosis.stepwise_selection import Diagnosis
-from monitor.inference.map_estimate import maximize_posterior
-from monitor.inference.observed_spectra import class_temperature
-from monitor.inference.posterior import Posterior
-from monitor.inference.segments import Segments
+from monitor.core import Array, ComplexArray, parallel_map
+from monitor.diagnosis import Diagnosis, residual_bands
+from monitor.inference import Posterior, Segments, class_temperature, maximize_posterior
 
 _RATIO_HZ = 0.25
 _FREE, _FIXED = 0.1, 1e-6

@@ -9,13 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from monitor.core.files import write_atomically
-from monitor.core.results import Array
-from monitor.diagnosis.stepwise_selection import Diagnosis
-from monitor.diagnosis.wording import headline, in_words, interval, separating_measurement, unit
-from monitor.inference.segments import Segments
-from monitor.model.effects import FORMS
-from monitor.model.effects.ambient_forces import AmbientForces
+from monitor.core import Array, write_atomically
+from monitor.diagnosis import Diagnosis, headline, in_words, interval, separating_measurement, unit
+from monitor.inference import Segments
+from monitor.model import FORMS, AmbientForces
 from monitor.publish.reports import charts
 from monitor.publish.reports.charts import Axes, svg
 from monitor.publish.reports.comparison import Comparison, LevelDependence, compare, level_dependence

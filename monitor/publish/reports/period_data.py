@@ -15,8 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from monitor.core.errors import BadInputError, MissingInputError
-from monitor.core.results import WHOLE, Array, Level
+from monitor.core import WHOLE, Array, BadInputError, Level, MissingInputError
 
 MOST_BINS = 1000
 """A curve is drawn as its envelope's two sides: 2000 points."""

@@ -11,8 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from monitor.core.parse import utc_ns
-from monitor.core.results import WHOLE
+from monitor.core import WHOLE, utc_ns
 from monitor.publish.reports.period_data import Episode, utc
 
 _REQUEST = re.compile(r"(acknowledge|reset|shelve|unshelve) alarm of story (\d+): ?(.*)", re.DOTALL)

@@ -12,9 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from monitor.core.errors import BadInputError
-from monitor.core.files import write_atomically
-from monitor.core.results import WHOLE, Level, Skipped
+from monitor.core import WHOLE, BadInputError, Level, Skipped, write_atomically
 from monitor.publish.reports import period_notes as notes
 from monitor.publish.reports.page import document, table
 from monitor.publish.reports.period_data import Episode, Results, read_results, utc

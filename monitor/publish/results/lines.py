@@ -10,9 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from monitor.core.files import finish, partial
-from monitor.core.results import Alarm, Skipped, WindowResult
-from monitor.damage.alarm import AlarmState, hold
+from monitor.core import Alarm, Skipped, WindowResult, finish, partial
+from monitor.damage import AlarmState, hold
 
 
 def _rounded(values: Any) -> Any:

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from monitor.core.results import WHOLE, DamageReading, Gap, Level, WindowResult
-from monitor.signals.sensor_health import Health
+from monitor.core import WHOLE, DamageReading, Gap, Level, WindowResult
+from monitor.signals import Health
 
 
 @dataclass(slots=True)

@@ -10,10 +10,9 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from monitor.core.results import Array
-from monitor.diagnosis.stepwise_selection import Diagnosis
-from monitor.diagnosis.wording import headline, in_words
-from monitor.inference.segments import Segments
+from monitor.core import Array
+from monitor.diagnosis import Diagnosis, headline, in_words
+from monitor.inference import Segments
 from monitor.publish.reports.comparison import Comparison, compare
 from monitor.publish.viewer.layout import ALL_TIME
 from monitor.publish.viewer.queue import Output

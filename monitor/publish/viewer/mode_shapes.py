@@ -6,7 +6,7 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from monitor.core.results import Array, ModalEstimate
+from monitor.core import Array, ModalEstimate
 from monitor.publish.viewer.rows import Rows, Strips
 from monitor.publish.viewer.scene import GREY, SERIES, Scene
 

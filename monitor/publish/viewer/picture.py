@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
-from monitor.core.results import DamageReading, Gap, Level, ModalEstimate, Samples, StiffnessEstimate, WindowResult
+from monitor.core import DamageReading, Gap, Level, ModalEstimate, Samples, StiffnessEstimate, WindowResult
 from monitor.publish.viewer.layout import blueprint
 from monitor.publish.viewer.mode_shapes import Shapes, label
 from monitor.publish.viewer.rows import Rows, Strips, ui_radius
@@ -32,7 +32,7 @@ from monitor.publish.viewer.scene import (
 from monitor.publish.viewer.spectra import FILE_EVERY_S, LIVE_EVERY_S, Spectra
 from monitor.publish.viewer.thinning import Thinning
 from monitor.publish.viewer.trust import Clocks, Trust
-from monitor.signals.sensor_health import Health
+from monitor.signals import Health
 
 Item = Samples | WindowResult | Gap | Health | Clocks | dict[str, Any]
 """What can be drawn; a dict is a finding."""

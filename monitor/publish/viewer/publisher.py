@@ -11,12 +11,12 @@ from pathlib import Path
 from typing import Any
 
 from drivers.base import ClockHealth
-from monitor.core.results import Gap, Samples, WindowResult
+from monitor.core import Gap, Samples, WindowResult
 from monitor.publish.viewer.picture import Item, Picture
 from monitor.publish.viewer.queue import Output, Worker
 from monitor.publish.viewer.scene import FILE_BLOCK_S, LIVE_BLOCK_S, Scene
 from monitor.publish.viewer.trust import Clocks
-from monitor.signals.sensor_health import Health
+from monitor.signals import Health
 
 
 class RerunPublisher:

@@ -16,7 +16,7 @@ from typing import Generic, TypeVar
 import rerun as rr
 from rerun.chunk import RrdReader
 
-from monitor.core.files import finish, partial
+from monitor.core import finish, partial
 
 T = TypeVar("T")
 

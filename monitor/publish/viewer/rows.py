@@ -11,7 +11,7 @@ import numpy as np
 import pyarrow as pa
 import rerun as rr
 
-from monitor.core.results import Array
+from monitor.core import Array
 
 _Key = tuple[str, type[Any], tuple[str, ...]]
 

@@ -8,8 +8,8 @@ from datetime import UTC, datetime
 import numpy as np
 import rerun as rr
 
-from monitor.core.results import Array, Level, ModalEstimate, WindowResult
-from monitor.model.model import Model
+from monitor.core import Array, Level, ModalEstimate, WindowResult
+from monitor.model import Model
 
 Colour = tuple[int, int, int]
 

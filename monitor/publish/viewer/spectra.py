@@ -7,11 +7,11 @@ from collections import deque
 import numpy as np
 import rerun as rr
 
-from monitor.core.results import Array, Samples, WindowResult
-from monitor.model.model import Model
+from monitor.core import Array, Samples, WindowResult
+from monitor.model import Model
 from monitor.publish.viewer.rows import Rows, Strips, ui_radius
 from monitor.publish.viewer.scene import GREY, SERIES, STABILISATION, Scene
-from monitor.signals.welch import taper
+from monitor.signals import taper
 
 LIVE_EVERY_S, FILE_EVERY_S = 60.0, 200.0
 """They change slowly: half of what is averaged is new after 200 s."""

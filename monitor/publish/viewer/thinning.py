@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from monitor.core.results import Array, WindowResult
+from monitor.core import Array, WindowResult
 
 WHOLE_NS = 2 * 3600 * 10**9
 """Samples of the first two hours are kept as they are."""

@@ -10,7 +10,7 @@ import rerun as rr
 from drivers.base import ClockHealth
 from monitor.publish.viewer.rows import Rows
 from monitor.publish.viewer.scene import GREY, RED, SERIES, Scene, utc
-from monitor.signals.sensor_health import Health
+from monitor.signals import Health
 
 
 class Clocks(NamedTuple):

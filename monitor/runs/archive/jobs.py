@@ -14,14 +14,9 @@ from threadpoolctl import threadpool_limits
 from drivers.base import ACCELERATION, RecordingError
 from drivers.mcap_file import recording_info
 from monitor.config import configuration
-from monitor.core.errors import UserError
-from monitor.core.files import write_atomically
-from monitor.core.memory import keep_freed
-from monitor.core.results import WindowResult
-from monitor.damage.baseline import load
-from monitor.publish.base import Publisher
-from monitor.publish.results.arrow_table import SCHEMA, table
-from monitor.publish.results.lines import to_json
+from monitor.core import UserError, WindowResult, keep_freed, write_atomically
+from monitor.damage import load
+from monitor.publish import SCHEMA, Publisher, table, to_json
 from monitor.runs.archive.inventory import Survey
 from monitor.runs.recordings import blocks
 from monitor.runs.replay import begun, pass_through

@@ -22,9 +22,8 @@ import pyarrow.parquet as pq
 from dask.callbacks import Callback
 
 from monitor.config import configuration as config
-from monitor.core.errors import MissingInputError
-from monitor.core.files import spare_inputs, write_atomically
-from monitor.damage.baseline import load
+from monitor.core import MissingInputError, spare_inputs, write_atomically
+from monitor.damage import load
 from monitor.runs.archive.inventory import Run, Survey, fingerprint, identity, runs
 from monitor.runs.archive.jobs import DIAGNOSES, KEPT, RUNS, WINDOWS, Outcome, Task, diagnosed, replayed, survey
 

@@ -12,7 +12,7 @@ import numpy as np
 from drivers.base import ACCELERATION, GROUND, RecordingError, SampleBlock
 from drivers.mcap_file import McapWriter, RecordingInfo, recording_info
 from drivers.mcap_records import MAGIC
-from monitor.core.errors import BadInputError, MissingInputError
+from monitor.core import BadInputError, MissingInputError
 from monitor.runs.importers import can_log, csv_table, npz, xsens_dot
 from monitor.runs.importers.table import UNITS, Array, OnWarning, Table, Ticks, join, sample_numbers, unit_factor
 

@@ -11,7 +11,7 @@ from drivers.can_bus import CanSource
 from drivers.can_open import LOG_SUFFIXES, CanSettings
 from drivers.frames import FrameError
 from drivers.mcap_file import McapWriter, RecordingInfo, recording_info
-from monitor.core.errors import BadInputError, MissingInputError
+from monitor.core import BadInputError, MissingInputError
 from monitor.runs.importers.table import OnWarning
 
 _SILENT = ("frames", "samples", "foreign", "overruns")

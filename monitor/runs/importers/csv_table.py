@@ -11,8 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from monitor.core.errors import BadInputError
-from monitor.core.parse import utc_ns
+from monitor.core import BadInputError, utc_ns
 from monitor.runs.importers.table import Array, OnWarning, Table, Ticks, unit_factor
 
 _NUMBER = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?|[+-]?(nan|inf)", re.IGNORECASE)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from monitor.core.errors import BadInputError
+from monitor.core import BadInputError
 from monitor.runs.importers.table import Table
 
 _RATE = ("rate_hz", "fs", "sample_rate_hz")

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from monitor.core.errors import BadInputError
+from monitor.core import BadInputError
 
 Array = NDArray[np.float64]
 Ticks = NDArray[np.int64]

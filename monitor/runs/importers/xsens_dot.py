@@ -6,8 +6,7 @@ import re
 
 import numpy as np
 
-from monitor.core.errors import BadInputError
-from monitor.core.parse import utc_ns
+from monitor.core import BadInputError, utc_ns
 from monitor.runs.importers.csv_table import Cells
 from monitor.runs.importers.table import OnWarning, Table
 

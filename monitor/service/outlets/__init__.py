@@ -8,10 +8,8 @@ from typing import TYPE_CHECKING, Any, Protocol, cast
 
 from pydantic import BaseModel, ValidationError
 
-from monitor.config.configuration import Configuration
-from monitor.core.errors import BadConfigurationError
-from monitor.core.parse import settings_problems
-from monitor.core.results import Gap, WindowResult
+from monitor.config import Configuration
+from monitor.core import BadConfigurationError, Gap, WindowResult, settings_problems
 from monitor.service.outlets.inbox import Inbox
 from monitor.service.outlets.notify import Addresses, Notifier, NotifySettings, addresses
 

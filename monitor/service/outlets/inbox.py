@@ -14,9 +14,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from monitor.core.files import finish, partial
-from monitor.core.parse import settings_problems
-from monitor.core.results import Gap, WindowResult
+from monitor.core import Gap, WindowResult, finish, partial, settings_problems
 from monitor.service.requests import MAX_REQUEST_BYTES, Request
 
 _log = logging.getLogger(__name__)

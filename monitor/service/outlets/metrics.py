@@ -19,9 +19,7 @@ from prometheus_client.registry import Collector
 from pydantic import field_validator, model_validator
 
 from monitor import __version__
-from monitor.core.parse import parse_address
-from monitor.core.results import WHOLE, Gap, Level, WindowResult
-from monitor.core.settings import Settings
+from monitor.core import WHOLE, Gap, Level, Settings, WindowResult, parse_address
 from monitor.service.requests import Request
 
 _log = logging.getLogger(__name__)

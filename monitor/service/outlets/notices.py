@@ -12,8 +12,7 @@ from typing import Any
 
 from pydantic import Field
 
-from monitor.core.results import WHOLE, AlarmCondition, Level, WindowResult
-from monitor.core.settings import Settings
+from monitor.core import WHOLE, AlarmCondition, Level, Settings, WindowResult
 
 _MOST_TEXT = 1000
 

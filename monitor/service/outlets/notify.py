@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import Field
 
-from monitor.core.results import Gap, WindowResult
+from monitor.core import Gap, WindowResult
 from monitor.service.outlets import notices
 from monitor.service.outlets.notices import NoticeSettings
 from monitor.service.outlets.outbox import Message, Outbox

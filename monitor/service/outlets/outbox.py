@@ -10,8 +10,7 @@ from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
-from monitor.core.files import write_atomically
-from monitor.core.results import Level
+from monitor.core import Level, write_atomically
 from monitor.service.outlets.notices import Notice, Told
 
 _log = logging.getLogger(__name__)

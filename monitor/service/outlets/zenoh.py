@@ -21,9 +21,8 @@ from pydantic import Field, ValidationError
 from zenoh import ext
 
 from drivers.zenoh_session import Callbacks, Key, SessionSettings, leave, open_session
-from monitor.core.parse import settings_problems
-from monitor.core.results import Gap, WindowResult
-from monitor.publish.results.lines import alarm_line, to_json
+from monitor.core import Gap, WindowResult, settings_problems
+from monitor.publish import alarm_line, to_json
 from monitor.service.requests import MAX_REQUEST_BYTES, Request
 
 _log = logging.getLogger(__name__)

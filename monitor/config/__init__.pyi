@@ -1,0 +1,6 @@
+from . import configuration, security_check
+from .configuration import Configuration, read_toml
+from .log_settings import LogSettings
+from .state_settings import StateSettings
+
+__all__ = ["Configuration", "LogSettings", "StateSettings", "configuration", "read_toml", "security_check"]

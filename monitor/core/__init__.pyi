@@ -1,0 +1,72 @@
+from .compilation import compiled
+from .errors import (
+    BadConfigurationError,
+    BadInputError,
+    MissingInputError,
+    NoResourcesError,
+    UserError,
+    WrongUsageError,
+)
+from .files import demand_place, finish, partial, sha256, spare_inputs, write_atomically
+from .memory import keep_freed
+from .parallel import parallel_map
+from .parse import parse_address, settings_problems, utc_ns
+from .results import (
+    GAP,
+    WHOLE,
+    Alarm,
+    AlarmCondition,
+    Array,
+    ComplexArray,
+    DamageReading,
+    Gap,
+    LagSums,
+    Level,
+    ModalEstimate,
+    Samples,
+    Skipped,
+    StiffnessEstimate,
+    Temperature,
+    Window,
+    WindowResult,
+)
+from .settings import Settings
+
+__all__ = [
+    "GAP",
+    "WHOLE",
+    "Alarm",
+    "AlarmCondition",
+    "Array",
+    "BadConfigurationError",
+    "BadInputError",
+    "ComplexArray",
+    "DamageReading",
+    "Gap",
+    "LagSums",
+    "Level",
+    "MissingInputError",
+    "ModalEstimate",
+    "NoResourcesError",
+    "Samples",
+    "Settings",
+    "Skipped",
+    "StiffnessEstimate",
+    "Temperature",
+    "UserError",
+    "Window",
+    "WindowResult",
+    "WrongUsageError",
+    "compiled",
+    "demand_place",
+    "finish",
+    "keep_freed",
+    "parallel_map",
+    "parse_address",
+    "partial",
+    "settings_problems",
+    "sha256",
+    "spare_inputs",
+    "utc_ns",
+    "write_atomically",
+]

@@ -1,0 +1,44 @@
+from . import healthy_prior, trigger
+from .cross_validation import HeldOutGain, Score, fitted_model, heldout_gain, require_gain, score
+from .damage_index_effect import ddi_effect
+from .files import content, effects_text, model_from_plain, model_to_plain, structure_text
+from .initial_fit import FAR
+from .lack_of_fit import residual_bands
+from .parameter_uncertainty import is_significant
+from .score_test import parameter_cost
+from .settings import DiagnosisSettings
+from .stepwise_selection import Diagnosis, diagnose
+from .trigger import Request, WatchSettings
+from .wording import contradicted, headline, in_words, interval, separating_measurement, unit
+
+__all__ = [
+    "FAR",
+    "Diagnosis",
+    "DiagnosisSettings",
+    "HeldOutGain",
+    "Request",
+    "Score",
+    "WatchSettings",
+    "content",
+    "contradicted",
+    "ddi_effect",
+    "diagnose",
+    "effects_text",
+    "fitted_model",
+    "headline",
+    "healthy_prior",
+    "heldout_gain",
+    "in_words",
+    "interval",
+    "is_significant",
+    "model_from_plain",
+    "model_to_plain",
+    "parameter_cost",
+    "require_gain",
+    "residual_bands",
+    "score",
+    "separating_measurement",
+    "structure_text",
+    "trigger",
+    "unit",
+]

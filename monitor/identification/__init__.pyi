@@ -1,0 +1,20 @@
+from . import sensor_correction, stabilization, tracking
+from .free_decay import with_decay_deviations
+from .ssi import SsiSettings
+from .stabilization import SelectionSettings, expected_modes, identify
+from .tracking import TrackSettings
+from .whittle import RefinementSettings, refine
+
+__all__ = [
+    "RefinementSettings",
+    "SelectionSettings",
+    "SsiSettings",
+    "TrackSettings",
+    "expected_modes",
+    "identify",
+    "refine",
+    "sensor_correction",
+    "stabilization",
+    "tracking",
+    "with_decay_deviations",
+]

@@ -1,0 +1,47 @@
+from .corrected_posterior import CorrectedPosterior, correct_posterior
+from .cross_spectra import Band
+from .exact_simulation import draw_forces, linearization_error, simulate_exact, simulate_spectra
+from .excitation_fit import ExcitationStart, fit_excitation, forces_from_quiet_segments, nearest_classes
+from .force_levels import fit_levels, spectra_by_force
+from .forward_model import Prediction
+from .ground_response import Between, Drive
+from .higher_moments import MeasuredMoments, Moments, measure_moments, normal_moments, simulate_moments
+from .linearization import linearize
+from .map_estimate import MapEstimate, maximize_posterior
+from .observed_spectra import ObservedSpectra, class_temperature, classify
+from .posterior import Posterior, with_coordinates
+from .segments import Segments, gather
+
+__all__ = [
+    "Band",
+    "Between",
+    "CorrectedPosterior",
+    "Drive",
+    "ExcitationStart",
+    "MapEstimate",
+    "MeasuredMoments",
+    "Moments",
+    "ObservedSpectra",
+    "Posterior",
+    "Prediction",
+    "Segments",
+    "class_temperature",
+    "classify",
+    "correct_posterior",
+    "draw_forces",
+    "fit_excitation",
+    "fit_levels",
+    "forces_from_quiet_segments",
+    "gather",
+    "linearization_error",
+    "linearize",
+    "maximize_posterior",
+    "measure_moments",
+    "nearest_classes",
+    "normal_moments",
+    "simulate_exact",
+    "simulate_moments",
+    "simulate_spectra",
+    "spectra_by_force",
+    "with_coordinates",
+]

@@ -1,0 +1,62 @@
+from . import prior_file
+from .effects import (
+    EFFECTS,
+    FORMS,
+    AmbientForces,
+    Condition,
+    Context,
+    Effect,
+    EffectError,
+    LawKind,
+    StiffnessChange,
+    System,
+    locations,
+    parse_effect,
+)
+from .effects.attached_oscillator import AttachedOscillator
+from .effects.cubic_stiffness import CubicStiffness
+from .effects.joint_flexibility import JointFlexibility
+from .integration import loaded, march
+from .model import Model, Modes
+from .prior import ModelDiscrepancy, StructuralPrior, correction_basis, inverse, prior_from_drawing
+from .simulation import ExcitationKind, Motion, respond, respond_newmark, simulate
+from .structures import MatrixStructure, ShearFrame
+from .structures.tables import Matrix, Positive, StructureTable
+
+__all__ = [
+    "EFFECTS",
+    "FORMS",
+    "AmbientForces",
+    "AttachedOscillator",
+    "Condition",
+    "Context",
+    "CubicStiffness",
+    "Effect",
+    "EffectError",
+    "ExcitationKind",
+    "JointFlexibility",
+    "LawKind",
+    "Matrix",
+    "MatrixStructure",
+    "Model",
+    "ModelDiscrepancy",
+    "Modes",
+    "Motion",
+    "Positive",
+    "ShearFrame",
+    "StiffnessChange",
+    "StructuralPrior",
+    "StructureTable",
+    "System",
+    "correction_basis",
+    "inverse",
+    "loaded",
+    "locations",
+    "march",
+    "parse_effect",
+    "prior_file",
+    "prior_from_drawing",
+    "respond",
+    "respond_newmark",
+    "simulate",
+]

@@ -1,0 +1,35 @@
+from .base import Publisher
+from .reports.diagnosis_report import write_report
+from .reports.period_report import read_period, write_period
+from .results.arrow_table import SCHEMA, table
+from .results.lines import LinesFile, alarm_line, replay_story, standing_line, to_json, window_line
+from .results.schema import LINE_SCHEMA
+from .results.summary import Episode, Quality, Summary
+from .viewer.diagnosis_view import write_view
+from .viewer.publisher import RerunPublisher
+from .viewer.queue import Output
+from .viewer.scene import Scene, utc
+
+__all__ = [
+    "LINE_SCHEMA",
+    "SCHEMA",
+    "Episode",
+    "LinesFile",
+    "Output",
+    "Publisher",
+    "Quality",
+    "RerunPublisher",
+    "Scene",
+    "Summary",
+    "alarm_line",
+    "read_period",
+    "replay_story",
+    "standing_line",
+    "table",
+    "to_json",
+    "utc",
+    "window_line",
+    "write_period",
+    "write_report",
+    "write_view",
+]

@@ -1,0 +1,33 @@
+from . import alignment, sensor_health, temperature, window_quality, windows
+from .resampling import Conditioner, ConditionState
+from .sensor_health import Health, HealthSettings, HealthState
+from .temperature import LAGS_S, TemperatureSettings
+from .welch import LEAKAGE_OFFSETS, SegmentDesign, hann_amplitude, leakage, overlap_correlation, taper, transform
+from .window_quality import QualitySettings
+from .windows import WindowGrid, WindowState, common_step_s
+
+__all__ = [
+    "LAGS_S",
+    "LEAKAGE_OFFSETS",
+    "ConditionState",
+    "Conditioner",
+    "Health",
+    "HealthSettings",
+    "HealthState",
+    "QualitySettings",
+    "SegmentDesign",
+    "TemperatureSettings",
+    "WindowGrid",
+    "WindowState",
+    "alignment",
+    "common_step_s",
+    "hann_amplitude",
+    "leakage",
+    "overlap_correlation",
+    "sensor_health",
+    "taper",
+    "temperature",
+    "transform",
+    "window_quality",
+    "windows",
+]
