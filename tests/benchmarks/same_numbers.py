@@ -1,6 +1,6 @@
 """Compare what two checkouts compute from the shipped recordings.
 
-    python tests/benchmarks/same_numbers.py OTHER_CHECKOUT [--this CHECKOUT] [--std 1e-6] [--keep DIR]
+    python tests/benchmarks/same_numbers.py OTHER_CHECKOUT [--this CHECKOUT] [--std 1e-6] [--keep DIR] [--jobs 0,1,2]
 
 Each checkout replays, calibrates and diagnoses the recordings in `recordings/` and reproduces the paper's tables, with the
 interpreter that runs this script.  Then every number of every JSON file is compared.  Without ``--std`` files must be equal
@@ -45,13 +45,13 @@ JOBS: list[list[str]] = [
 ]  # fmt: skip
 
 
-def compute(checkout: Path, out: Path) -> None:
-    """Run every job in `checkout`, results in `out`; a job that was done before is not done again."""
+def compute(checkout: Path, out: Path, wanted: set[int]) -> None:
+    """Run the wanted jobs in `checkout`, results in `out`; a job that was done before is not done again."""
     out.mkdir(parents=True, exist_ok=True)
     environment = os.environ | {"PYTHONPATH": str(checkout)}
     for number, job in enumerate(JOBS):
         done = out / f"job-{number}.done"
-        if done.exists():
+        if done.exists() or number not in wanted:
             continue
         command = [sys.executable, "-m", "monitor", *(word.replace("OUT", str(out)) for word in job)]
         print(" ".join(["shm-monitor", *job]), f"({checkout})", flush=True)
@@ -118,20 +118,24 @@ def main() -> None:
     parser.add_argument(
         "--keep", type=Path, help="folder for the other checkout's results, used again if it holds them"
     )
+    parser.add_argument("--jobs", help="numbers of the jobs, all unless told; later jobs need the results of 0")
     words = parser.parse_args()
+    wanted = set(range(len(JOBS))) if words.jobs is None else {int(number) for number in words.jobs.split(",")}
     with tempfile.TemporaryDirectory() as folder:
         other = words.keep or Path(folder) / "other"
-        compute(words.other.resolve(), other.resolve())
+        compute(words.other.resolve(), other.resolve(), wanted)
         this = Path(folder) / "this"
-        compute(words.this.resolve(), this)
+        compute(words.this.resolve(), this, wanted)
         a, b = documents(other.resolve()), documents(this)
-        found = [f"{name}: only in one" for name in sorted(a.keys() ^ b.keys())]
+        found = [f"{name}: not in the other checkout's results" for name in sorted(b.keys() - a.keys())]
+        if words.jobs is None:
+            found += [f"{name}: not in this checkout's results" for name in sorted(a.keys() - b.keys())]
         for name in sorted(a.keys() & b.keys()):
             found += [f"{name}{line}" for line in differences(a[name], b[name], words.std)]
         for line in found[:100]:
             print(line)
-        total = sum(len(items) for items in a.values())
-        print(f"{len(a)} files, {total} lines compared, {len(found)} differences")
+        total = sum(len(items) for items in b.values())
+        print(f"{len(b)} files, {total} lines compared, {len(found)} differences")
     sys.exit(1 if found else 0)
 
 
