@@ -76,7 +76,7 @@ def documents(out: Path) -> dict[str, list[Any]]:
             found[name] = [json.loads(line) for line in content.splitlines()]
         else:
             found[name] = [
-                re.sub(r"\d+(\.\d+)? times (real|as fast)", "N times", line) for line in content.splitlines()
+                re.sub(r"\d+(\.\d+)? x real", "N x real", line) for line in content.splitlines()
             ]
     return found
 
