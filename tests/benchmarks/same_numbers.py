@@ -75,9 +75,7 @@ def documents(out: Path) -> dict[str, list[Any]]:
         elif path.suffix == ".jsonl":
             found[name] = [json.loads(line) for line in content.splitlines()]
         else:
-            found[name] = [
-                re.sub(r"\d+(\.\d+)? x real", "N x real", line) for line in content.splitlines()
-            ]
+            found[name] = [re.sub(r"\d+(\.\d+)? x real", "N x real", line) for line in content.splitlines()]
     return found
 
 
