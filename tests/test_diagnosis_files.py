@@ -254,12 +254,12 @@ def test_a_reference_survives_the_baseline_file(damped: Segments) -> None:
 
 
 def test_a_size_in_large_units_that_stands_is_not_said_to_be_certain(named: Diagnosis) -> None:
-    law, known = parse_effect("cubic_stiffness:story 2:k3_n_per_m3=8e7"), named.problem.reference
+    law, known = parse_effect("cubic_stiffness:story 2:k3_n_per_m3=8e7"), named.problem.prior
     standing = replace(
         known,
         model=replace(known.model, effects=(law,)),
         mean=np.append(known.mean, law.coordinates),
         precision=block_diag(known.precision, np.eye(1) / 3e6**2),
     )
-    (told,) = plain(replace(named, problem=replace(named.problem, reference=standing)))["standing"]
+    (told,) = plain(replace(named, problem=replace(named.problem, prior=standing)))["standing"]
     assert told["parameters"]["k3_n_per_m3"]["std"] == pytest.approx(np.hypot(3e6, 0.1 * 8e7), rel=1e-6)

@@ -103,7 +103,7 @@ def test_of_a_long_recording_the_strongest_minutes_are_used_and_the_response_to_
         problem, _ = fit_linearized(
             classify(segments), prior_from_drawing(settings().model(), np.full(6, 1e-3), 3), CONTEXT
         )
-        answers.append(problem.mean(problem.reference.mean, ()))
+        answers.append(problem.mean(problem.prior.mean, ()))
     np.testing.assert_allclose(answers[1], answers[0][same], atol=3e-3 * float(np.abs(answers[0]).max()))
 
 
@@ -138,12 +138,12 @@ def test_wind_beside_a_measured_ground_is_no_cause_and_hides_none(share: float) 
 def test_how_the_ground_moves_between_samples_is_asked_again_beside_a_cause() -> None:
     evidence = classify(recorded("added_mass:floor 3:mass_kg=0.06", seed=25, rate_hz=200.0))
     known, context = prior_from_drawing(settings().model(), np.full(6, 1e-3), 3), replace(CONTEXT, rate_hz=200.0)
-    drive = fit_linearized(evidence, known, context)[0].evidence.drive
+    drive = fit_linearized(evidence, known, context)[0].observed.drive
     assert drive is not None
     assert drive.between == "held", "another motion makes up for some of the mass"
     found = diagnose(evidence, known, context, DiagnosisSettings())
-    assert found.problem.evidence.drive is not None
-    assert found.problem.evidence.drive.between != "held"
+    assert found.problem.observed.drive is not None
+    assert found.problem.observed.drive.between != "held"
     assert [(c.effect.name, c.effect.location) for c in found.causes] == [("added_mass", "floor 3")]
     assert found.causes[0].effect.values()["mass_kg"] == pytest.approx(0.06, rel=0.02)
 
@@ -154,8 +154,8 @@ def test_how_the_ground_moves_between_slow_samples_is_found_and_no_cause_made_of
     known = prior_from_drawing(DRAWING.model(), DRAWING.prior_std(), 3)
     context = replace(CONTEXT, rate_hz=rate_hz)
     problem, null = fit_linearized(classify(segments), known, context)
-    assert problem.evidence.drive is not None
-    assert problem.evidence.drive.between == "straight"
+    assert problem.observed.drive is not None
+    assert problem.observed.drive.between == "straight"
     left = problem.predict(null.x, ()).left
     assert left is not None
     assert (np.abs(left) ** 2).sum() < 2e-3 * (np.abs(segments.values) ** 2).sum()
@@ -164,11 +164,11 @@ def test_how_the_ground_moves_between_slow_samples_is_found_and_no_cause_made_of
 def test_a_nonlinear_law_answers_as_the_simulation_does() -> None:
     law = parse_effect("cubic_stiffness:story 2:k3_n_per_m3=4e8")
     problem, x = _true_problem(recorded("cubic_stiffness:story 2:k3_n_per_m3=4e8", seed=16))
-    power = (np.abs(problem.evidence.segments.values) ** 2).sum()
+    power = (np.abs(problem.observed.segments.values) ** 2).sum()
     exact, linear = (problem.mean(np.concatenate([x, law.coordinates]), (law,), exact=exact) for exact in (True, False))
     assert exact is not None
     assert linear is not None
-    left, rough = ((np.abs(problem.evidence.segments.values - m) ** 2).sum() / power for m in (exact, linear))
+    left, rough = ((np.abs(problem.observed.segments.values - m) ** 2).sum() / power for m in (exact, linear))
     assert left < 0.02
     assert left < 0.2 * rough
 
@@ -180,8 +180,8 @@ def test_the_measured_frame_is_no_shear_frame_and_softens_with_the_level() -> No
     problem, null = fit_linearized(
         classify(segments), prior_from_drawing(config.model(), config.prior_std(), 3), context
     )
-    assert problem.evidence.drive is not None
-    assert problem.evidence.drive.between == "smooth"
+    assert problem.observed.drive is not None
+    assert problem.observed.drive.between == "smooth"
     joints = fit_best(problem, null, parse_effect("joint_flexibility:frame:girder_to_column_ratio=3"))
     assert joints.evidence > 100.0
     told = ratios(problem, joints.fit)
@@ -203,11 +203,11 @@ def test_the_response_explains_the_floors_and_a_wrong_frame_does_not() -> None:
 def test_a_ground_that_began_earlier_and_a_hole_in_both_change_nothing() -> None:
     """Each stretch without a hole is answered from its own beginning, at its own place in the ground's recording."""
     problem, x = _true_problem(recorded(seed=13, earlier_s=2.0, hole_s=70))
-    assert problem.evidence.drive is not None
-    assert np.unique(problem.evidence.drive.run).size == 2
+    assert problem.observed.drive is not None
+    assert np.unique(problem.observed.drive.run).size == 2
     mean = problem.mean(x, ())
     assert mean is not None
-    left = np.abs(problem.evidence.segments.values - mean) ** 2
+    left = np.abs(problem.observed.segments.values - mean) ** 2
     share = left.mean(axis=(1, 2)) / (np.abs(mean) ** 2).mean(axis=(1, 2))
     assert np.median(share) < 0.01
     assert share.max() < 0.3  # a stretch begins with motion that came before it

@@ -53,8 +53,8 @@ def test_a_ground_may_shake_more_in_one_class_than_in_another(shaken: tuple[Post
     there = replace(
         problem, conditions=tuple(replace(c, ground=g) for c, g in zip(problem.conditions, true, strict=True))
     )
-    seen = replace(problem.evidence, spectra=there.scatter(null.x, (GROUND,)))
-    found = ground_levels(replace(problem, evidence=seen), null.x, (GROUND,))
+    seen = replace(problem.observed, spectra=there.scatter(null.x, (GROUND,)))
+    found = ground_levels(replace(problem, observed=seen), null.x, (GROUND,))
     assert found / found[0] == pytest.approx(true / true[0], rel=1e-3)
     # On the mean over time the share is what it was.
     weight = seen.counts * np.exp(null.x[problem.n_nuisance - 1 - problem.n_classes : problem.n_nuisance - 1])
@@ -63,7 +63,7 @@ def test_a_ground_may_shake_more_in_one_class_than_in_another(shaken: tuple[Post
 
 def test_wind_that_moves_from_floor_to_floor_is_no_drift(shaken: tuple[Posterior, MapEstimate]) -> None:
     problem, null = shaken
-    e, p = problem.evidence, problem.reference.mean.size
+    e, p = problem.observed, problem.prior.mean.size
     late = e.t_s > np.median(e.t_s)
     values = e.segments.values.copy()
     rng = np.random.default_rng(3)
@@ -76,7 +76,7 @@ def test_wind_that_moves_from_floor_to_floor_is_no_drift(shaken: tuple[Posterior
             root = np.linalg.cholesky(spectra[k])
             white = rng.standard_normal((2, len(these), *root.shape[:2])) / np.sqrt(2.0)
             values[these] = np.einsum("fab,sfb->sfa", root, white[0] + 1j * white[1])
-    made = replace(problem, evidence=replace(e, segments=replace(e.segments, values=values)))
+    made = replace(problem, observed=replace(e, segments=replace(e.segments, values=values)))
     assert np.abs(drift_bands(made, null)).max() < 6.0
 
 
@@ -92,7 +92,7 @@ def test_a_line_is_found_between_its_bins() -> None:
 
 def test_what_stood_at_calibration_and_changed_is_told(shaken: tuple[Posterior, MapEstimate]) -> None:
     problem, null = shaken
-    joints, known = parse_effect("joint_flexibility:frame:girder_to_column_ratio=10"), problem.reference
+    joints, known = parse_effect("joint_flexibility:frame:girder_to_column_ratio=10"), problem.prior
     mean, n = np.append(known.mean, joints.coordinates), known.mean.size
     standing = replace(
         known,
@@ -100,7 +100,7 @@ def test_what_stood_at_calibration_and_changed_is_told(shaken: tuple[Posterior, 
         mean=mean,
         precision=block_diag(known.precision, np.eye(1) / 0.002**2),
     )
-    there = replace(problem, reference=standing)
+    there = replace(problem, prior=standing)
     for ratio, told in ((9.9, []), (6.0, ["joint flexibility of frame"])):
         x = np.concatenate([null.x[:n], [1.0 / ratio], null.x[n:]])
         assert [m.where for m in find_level_dependence(there, replace(null, x=x), DiagnosisSettings())] == told

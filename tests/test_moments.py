@@ -54,7 +54,7 @@ def recorded(
 
 def posed(segments: Segments) -> tuple[Posterior, MapEstimate, MeasuredMoments]:
     problem, null = fit_linearized(classify(segments), KNOWN, CONTEXT)
-    return problem, null, measure_moments(problem.evidence.segments.values, problem, null)
+    return problem, null, measure_moments(problem.observed.segments.values, problem, null)
 
 
 def test_a_normal_process_has_none() -> None:

@@ -91,7 +91,7 @@ def test_a_correction_follows_its_slopes_and_leaves_other_effects_alone(bent: tu
     x = null.x.copy()
     levels = slice(problem.n_nuisance - 1 - problem.n_classes, problem.n_nuisance - 1)
     x[levels] = x[levels][::-1]
-    assert made.part(problem.evidence, other_way).scatter(x, (law,))[::-1] == pytest.approx(1.1 * plain)
+    assert made.part(problem.observed, other_way).scatter(x, (law,))[::-1] == pytest.approx(1.1 * plain)
 
 
 def test_the_scale_of_masses_and_stiffness_that_nothing_shows_stays_unseen(bent: tuple[Posterior, MapEstimate]) -> None:
@@ -99,8 +99,8 @@ def test_the_scale_of_masses_and_stiffness_that_nothing_shows_stays_unseen(bent:
     law, rng = parse_effect(CUBIC.format(STRONG)), np.random.default_rng(0)
     plain = problem.scatter(null.x, (law,))
     made = correct_posterior(problem, null.x, (law,), 0.1 * plain, rng.uniform(0.1, 0.3) / STRONG * plain[None])
-    x, p = null.x.copy(), problem.reference.mean.size
-    k, m, *_ = problem.reference.sizes
+    x, p = null.x.copy(), problem.prior.mean.size
+    k, m, *_ = problem.prior.sizes
     x[: k + m] += 0.2
     x[p : p + 3] += 0.4  # of the forces' densities
     heavier = made.scatter(x, (parse_effect(CUBIC.format(STRONG * np.exp(0.2))),))
@@ -129,7 +129,7 @@ def test_simulation_mends_what_linearization_misses(bent: tuple[Posterior, MapEs
 def test_a_correction_grows_with_the_motion(bent: tuple[Posterior, MapEstimate]) -> None:
     """As a new simulation at another level says; a fit that takes it for constant is led away from the truth."""
     problem, null = bent
-    law, n = parse_effect(CUBIC.format(0.3 * STRONG)), problem.reference.mean.size
+    law, n = parse_effect(CUBIC.format(0.3 * STRONG)), problem.prior.mean.size
     x = np.append(null.x, law.coordinates)
     problem = replace(problem, conditions=linearize(problem, x, (law,)))
 

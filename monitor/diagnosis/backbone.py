@@ -39,10 +39,10 @@ def backbone(problem: Posterior, at: MapEstimate) -> Backbone | None:
     In each, ``y + 2 zeta w y' + w^2 y = -gamma g`` is solved by least squares in the frequency domain for the floors' motion
     relative to the ground in the first mode.
     """
-    e, mean = problem.evidence, problem.mean(at.x, at.effects)
+    e, mean = problem.observed, problem.mean(at.x, at.effects)
     if e.drive is None or mean is None:
         return None
-    effects = (*problem.reference.effects(at.x), *at.effects)
+    effects = (*problem.prior.effects(at.x), *at.effects)
     mass, shape = problem.system(at.x, effects).mass, problem.model(at.x, effects).modes().shapes[:, 0].real
     first = float(problem.model(at.x, effects).modes().frequencies_hz[0])
     sensors = problem.context.sensors
@@ -98,10 +98,10 @@ def level_dependence(found: Backbone | None) -> LackOfFit | None:
 
 def ratios(problem: Posterior, at: MapEstimate) -> LackOfFit | None:
     """Frequency ratios that the drawing does not have; None where the fitted model keeps them, or no ground was measured."""
-    if problem.evidence.drive is None or not at.effects:
+    if problem.observed.drive is None or not at.effects:
         return None
-    drawn = problem.reference.model.modes().frequencies_hz
-    found = problem.model(at.x, (*problem.reference.effects(at.x), *at.effects)).modes().frequencies_hz[: drawn.size]
+    drawn = problem.prior.model.modes().frequencies_hz
+    found = problem.model(at.x, (*problem.prior.effects(at.x), *at.effects)).modes().frequencies_hz[: drawn.size]
     had, has = drawn[1:] / drawn[0], found[1:] / found[0]
     apart = has / had - 1.0
     std = np.sqrt(np.maximum(_ratio_variance(problem, at, has), 1e-18)) / had
@@ -122,7 +122,7 @@ def _ratio_variance(problem: Posterior, at: MapEstimate, here: Array) -> Array:
     for i in range(at.x.size):
         moved, h = at.x.copy(), 1e-5 * max(1.0, abs(at.x[i]))
         moved[i] += h
-        effects = (*problem.reference.effects(moved), *with_coordinates(at.effects, moved[problem.n_nuisance :]))
+        effects = (*problem.prior.effects(moved), *with_coordinates(at.effects, moved[problem.n_nuisance :]))
         f = problem.model(moved, effects).modes().frequencies_hz[: here.size + 1]
         slopes[:, i] = (f[1:] / f[0] - here) / h
     return np.asarray(np.einsum("ij,jk,ik->i", slopes, at.covariance, slopes))

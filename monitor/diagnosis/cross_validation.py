@@ -162,7 +162,7 @@ def heldout_gain(segments: Segments, diagnosis: Diagnosis, config: Configuration
     folds = min(_FOLDS, n_blocks)
     if any(np.count_nonzero((block >= 0) & (block % folds == fold)) < 2 for fold in range(folds)):
         return HeldOutGain(heldout="none: the recording is too short to hold any of it out")
-    context, reference = diagnosis.problem.context, diagnosis.problem.reference
+    context, reference = diagnosis.problem.context, diagnosis.problem.prior
     nats, samples = np.zeros((2, n_blocks)), np.zeros(n_blocks)
     spectra = np.zeros((2, 2, *segments.values.shape[1:], segments.values.shape[2]), dtype=complex)
 
@@ -236,14 +236,14 @@ def _forms(
     """
     n_classes = evidence.counts.size
     problem = whole.problem.part(evidence, nearest_classes(whole.problem.n_classes, n_classes))
-    p, n = problem.reference.mean.size, whole.problem.n_nuisance
-    by_level = not (evidence.by_temperature or whole.problem.evidence.by_temperature)
-    shared = by_level and not any(e.nonlinear for e in problem.reference.model.effects)
+    p, n = problem.prior.mean.size, whole.problem.n_nuisance
+    by_level = not (evidence.by_temperature or whole.problem.observed.by_temperature)
+    shared = by_level and not any(e.nonlinear for e in problem.prior.model.effects)
 
     def fitted(x: Array, effects: tuple[Effect, ...]) -> tuple[Model, ExcitationStart]:
         x = np.concatenate([x[:p], ExcitationStart.at(whole.problem, x).of(n_classes).vector, x[n:]])
         here = problem
-        if evidence.drive is None and any(e.conditional for e in (*problem.reference.effects(x), *effects)):
+        if evidence.drive is None and any(e.conditional for e in (*problem.prior.effects(x), *effects)):
             here = replace(problem, conditions=linearize(replace(problem, offset=None), x, effects))
         at = maximize_posterior(here, x, effects, iterations=_DRIVEN if evidence.drive is not None else _PART)
         return fitted_model(here, at), ExcitationStart.at(here, at.x, here.beyond(at.x, at.effects) if shared else None)
@@ -253,13 +253,13 @@ def _forms(
 
 def _as_moved(drive: Drive | None, diagnosis: Diagnosis) -> Drive | None:
     """The ground as the diagnosis found it to move between its samples."""
-    whole = diagnosis.problem.evidence.drive
+    whole = diagnosis.problem.observed.drive
     return None if drive is None or whole is None else replace(drive, between=whole.between)
 
 
 def fitted_model(problem: Posterior, at: MapEstimate) -> Model:
     """The model at a fit, with the standing effects and those that were found."""
-    effects = (*problem.reference.effects(at.x), *at.effects)
+    effects = (*problem.prior.effects(at.x), *at.effects)
     model, damping = problem.model(at.x, effects), problem.system(at.x, effects).damping
     modes = model.modes()
     modal = np.einsum("ai,ab,bi->i", modes.shapes, damping, modes.shapes)

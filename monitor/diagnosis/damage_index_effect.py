@@ -32,10 +32,10 @@ def ddi_effect(diagnosis: Diagnosis) -> dict[str, Any]:
     # The offset is a cause's.
     forms = [(replace(problem, offset=None), diagnosis.null.x, ()), (problem, diagnosis.final.x, causes)]
     alone, *beside = parallel_map(lambda form: _fitted(*form), forms[: 2 if causes else 1])
-    known = np.exp(problem.reference.parts(problem.reference.mean)[0])
+    known = np.exp(problem.prior.parts(problem.prior.mean)[0])
 
     def index(at: MapEstimate) -> list[float]:
-        return [float(v) for v in 1.0 - np.exp(problem.reference.parts(at.x)[0]) / known]
+        return [float(v) for v in 1.0 - np.exp(problem.prior.parts(at.x)[0]) / known]
 
     return {"without": index(alone), "with": index(*(beside or [alone]))}
 
@@ -49,9 +49,9 @@ def _fitted(problem: Posterior, x: Array, effects: tuple[Effect, ...]) -> MapEst
 
 def _with_free_stiffness(problem: Posterior) -> Posterior:
     """The baseline holds its stiffnesses fixed; an index asks what they are now."""
-    k = problem.reference.sizes[0]
-    precision = problem.reference.precision.copy()
+    k = problem.prior.sizes[0]
+    precision = problem.prior.precision.copy()
     precision[:k], precision[:, :k] = 0.0, 0.0
     precision[:k, :k] = np.eye(k) / _STIFFNESS_STD**2
-    known = replace(problem.reference, precision=precision, model=problem.reference.model.as_built())
-    return replace(problem, reference=known)
+    known = replace(problem.prior, precision=precision, model=problem.prior.model.as_built())
+    return replace(problem, prior=known)

@@ -33,7 +33,7 @@ def content(
     ddi_effect : mapping
         See `monitor.diagnosis.damage_index_effect`.
     """
-    reference = diagnosis.problem.reference
+    reference = diagnosis.problem.prior
     causes = [_cause(c.effect, c.std, reference) for c in diagnosis.causes]
     alternatives = [_alternative(c, share) for c, share in diagnosis.alternatives]
     stated = {(e.name, e.location) for e in known}

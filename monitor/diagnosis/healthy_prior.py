@@ -64,7 +64,7 @@ def learn_prior(
     p, wrong, covariance = mean.size, estimate_model_discrepancy(problem, fitted, settings), fitted.covariance
     if wrong is not None:
         wider = replace(wider, error=wrong)
-        covariance = _covariance(replace(problem, reference=wider), fitted.x)
+        covariance = _covariance(replace(problem, prior=wider), fitted.x)
     precision = inverse(covariance[:p, :p])
     learnt = replace(wider, mean=fitted.x[:p], precision=0.5 * (precision + precision.T))
     learnt = learnt.with_looser_damping(np.full(d, _DAMPING_DRIFT)).with_looser_noise(np.full(c, _NOISE_DRIFT))
@@ -75,4 +75,4 @@ def learn_prior(
 def _covariance(problem: Posterior, x: Array) -> Array:
     """Of parameters that were fitted to more than the problem now trusts, shape (p, p)."""
     rows = problem.jacobian(x, (), problem.predict(x, ()))[0]
-    return inverse(rows.T @ rows + problem.prior(x, ())[1])
+    return inverse(rows.T @ rows + problem.normal_prior(x, ())[1])

@@ -61,7 +61,7 @@ def fit_linearized(
         return beside_wind(problem, null)
     x = np.concatenate([null.x[: plain.mean.size], reference.mean[plain.mean.size :], null.x[plain.mean.size :]])
     for _ in range(2):
-        problem = replace(problem, reference=reference)
+        problem = replace(problem, prior=reference)
         null = maximize_posterior(problem, x)
         x = null.x
         problem = replace(problem, conditions=linearize(problem, x, ()))
@@ -70,9 +70,9 @@ def fit_linearized(
 
 def beside_wind(problem: Posterior, at: MapEstimate) -> tuple[Posterior, MapEstimate]:
     """With the forces that the quiet tells, where the ground was measured."""
-    if problem.evidence.drive is None:
+    if problem.observed.drive is None:
         return problem, at
-    first, n = problem.reference.mean.size, problem.context.structure.n_dofs
+    first, n = problem.prior.mean.size, problem.context.structure.n_dofs
     x = forces_from_quiet_segments(problem, at.x, at.effects)
     problem = replace(problem, wind=x[first : first + n])
     return problem, maximize_posterior(problem, x, at.effects, iterations=FAR)
@@ -80,13 +80,13 @@ def beside_wind(problem: Posterior, at: MapEstimate) -> tuple[Posterior, MapEsti
 
 def _from_afar(problem: Posterior) -> MapEstimate:
     """The first fit to driven motion, whose phases lead back from nearby only: with heavy damping first, for wide peaks."""
-    known, x = problem.reference, _first_guess(problem)
+    known, x = problem.prior, _first_guess(problem)
     k, m, d, *_ = known.sizes
     modes = np.arange(k + m, k + m + d)
     mean, precision = known.mean.copy(), known.precision.copy()
     mean[modes] = np.log(_HEAVY)
     precision[modes, modes] += _HELD_DAMPING
-    wide = replace(problem, reference=replace(known, mean=mean, precision=precision))
+    wide = replace(problem, prior=replace(known, mean=mean, precision=precision))
     near = maximize_posterior(wide, np.concatenate([mean, x[mean.size :]]), iterations=LONG).x
     near[modes] = np.log(_LIGHTER)
     return maximize_posterior(problem, near, iterations=FAR)
@@ -94,13 +94,13 @@ def _from_afar(problem: Posterior) -> MapEstimate:
 
 def between_samples(problem: Posterior, at: MapEstimate) -> tuple[Posterior, MapEstimate]:
     """With the ground's motion between its samples that explains the floors best, where the ground was measured."""
-    drive = problem.evidence.drive
+    drive = problem.observed.drive
     if drive is None:
         return problem, at
     tried = [(problem, at)]
     for between in get_args(Between):
         if between != drive.between:
-            other = replace(problem, evidence=replace(problem.evidence, drive=replace(drive, between=between)))
+            other = replace(problem, observed=replace(problem.observed, drive=replace(drive, between=between)))
             tried.append((other, maximize_posterior(other, at.x, at.effects, iterations=ROUGHLY)))
     problem, best = max(tried, key=lambda pair: pair[1].log_posterior)
     return problem, at if best is at else maximize_posterior(problem, best.x, best.effects, iterations=FAR)
@@ -118,15 +118,15 @@ def exactly(problem: Posterior, at: MapEstimate) -> tuple[Posterior, MapEstimate
 
 def _first_guess(problem: Posterior) -> Array:
     """Nuisances as known before, forces and noise from the power of the spectra."""
-    e, n = problem.evidence, problem.context.structure.n_dofs
+    e, n = problem.observed, problem.context.structure.n_dofs
     c = len(problem.context.channels)
     power = np.einsum("kfaa->kfa", e.spectra[:, :, :c, :c]).real
     noise = np.log(max(0.3 * float(np.quantile(power.mean(axis=(0, 2)), 0.02)), 1e-300))
-    x = np.concatenate([problem.reference.mean, np.zeros(n), np.zeros(problem.n_classes), [noise - 10.0]])
+    x = np.concatenate([problem.prior.mean, np.zeros(n), np.zeros(problem.n_classes), [noise - 10.0]])
     predicted = np.einsum("kfaa->kfa", problem.scatter(x, ())[:, :, :c, :c]).real
     # Medians over frequency: peaks that do not lie where they should must not set the level.
     ratio = np.median(power / predicted, axis=(1, 2))
-    p = problem.reference.mean.size
+    p = problem.prior.mean.size
     x[p : p + n] = np.log(ratio.mean())
     x[p + n : p + n + problem.n_classes] = np.log(ratio / ratio.mean())
     x[-1] = noise

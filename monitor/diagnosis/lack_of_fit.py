@@ -39,7 +39,7 @@ def drift_bands(problem: Posterior, fitted: MapEstimate) -> Array:
     Each half is compared with the model's spectra of its own classes, each at its own level of every force, so that a change of
     level or weather is no drift, nor is wind that comes and goes floor by floor.
     """
-    e = problem.evidence
+    e = problem.observed
     mean = problem.mean(fitted.x, fitted.effects)
     x = e.segments.values if mean is None else e.segments.values - mean
     predicted = problem.scatter(fitted.x, fitted.effects)
@@ -56,7 +56,7 @@ def drift_bands(problem: Posterior, fitted: MapEstimate) -> Array:
                 data[k] = np.einsum("sfa,sfb->fab", own, own.conj()) / len(own)
                 noise = predicted[k] - signal[k]
                 model[k] = np.tensordot(fit_levels(parts[:, k], noise, data[k]), parts[:, k], axes=1) + noise
-        halved = replace(problem, evidence=replace(e, counts=counts))
+        halved = replace(problem, observed=replace(e, counts=counts))
         z.append(_banded(halved.whitened(model, model[None], data)[1], problem.n_classes, problem)[0])
     return np.asarray((z[0] - z[1]) / np.sqrt(2.0))
 
@@ -72,10 +72,10 @@ def residual_bands(problem: Posterior, fitted: MapEstimate) -> tuple[Array, Arra
 
 def _banded(residual: Array, n_classes: int, problem: Posterior) -> tuple[Array, Array]:
     """Whitened rows summed in bands."""
-    c = problem.evidence.spectra.shape[-1]
-    bins = problem.evidence.band.n_bins
+    c = problem.observed.spectra.shape[-1]
+    bins = problem.observed.band.n_bins
     rows = residual.reshape(n_classes, bins, c * c)
-    per = _per(problem.evidence.band)
+    per = _per(problem.observed.band)
     n = bins // per
     z = rows[:, : n * per].reshape(n_classes, n, per, c * c).sum(axis=(0, 2)) / np.sqrt(n_classes * per)
     matrix = np.zeros((n, c, c))
@@ -86,7 +86,7 @@ def _banded(residual: Array, n_classes: int, problem: Posterior) -> tuple[Array,
             at += 2
         matrix[:, i, i] = z[:, at]
         at += 1
-    return matrix, problem.evidence.band.hz[: n * per].reshape(n, per).mean(axis=1)
+    return matrix, problem.observed.band.hz[: n * per].reshape(n, per).mean(axis=1)
 
 
 def _per(band: Band) -> int:
@@ -112,15 +112,15 @@ def wrong_bins(problem: Posterior, fitted: MapEstimate, settings: DiagnosisSetti
     """Which frequencies lie in bands where the model is wrong, shape (n_bins,)."""
     z, drift, _ = _beyond_chance(problem, fitted)
     wrong = (np.maximum(np.abs(z), np.abs(drift)) > settings.misfit).any(axis=(1, 2))
-    bins = np.repeat(wrong, _per(problem.evidence.band))
-    return np.pad(bins, (0, problem.evidence.band.n_bins - bins.size))
+    bins = np.repeat(wrong, _per(problem.observed.band))
+    return np.pad(bins, (0, problem.observed.band.n_bins - bins.size))
 
 
 def wrong_nats(problem: Posterior, misfit: Sequence[LackOfFit]) -> float:
     """What misfits cost, nats: half the squares of small deviations; of large ones, as of power that is many times the model's,
     the likelihood counts the first power.
     """
-    many = np.sqrt(problem.evidence.pieces(_per(problem.evidence.band)))
+    many = np.sqrt(problem.observed.pieces(_per(problem.observed.band)))
     return float(sum(0.5 * m.size**2 / (1.0 + m.size / many) for m in misfit))
 
 
@@ -131,7 +131,7 @@ def estimate_model_discrepancy(
 
     None where it explains them, and where the ground was measured: there the model's own error is among what is fitted.
     """
-    e = problem.evidence
+    e = problem.observed
     if e.drive is not None:
         return None
     z, drifts, hz = _beyond_chance(problem, fitted)
@@ -166,7 +166,7 @@ def remainder(
     With the ground measured by their sizes, and all of it told by the final model's error: the one that the model without causes
     has learnt to expect hides most of what it gets wrong.
     """
-    if problem.evidence.drive is None:
+    if problem.observed.drive is None:
         return sum(m.size**2 for m in left_over) / max(sum(m.size**2 for m in misfit), 1.0)
     here, there = problem.predict(at.x, at.effects), problem.predict(null.x, null.effects)
     residual = problem.whitened(here.spectra, here.spectra[None][:0], there.data)[1]
@@ -178,7 +178,7 @@ def find_level_dependence(
     problem: Posterior, fitted: MapEstimate, settings: DiagnosisSettings
 ) -> tuple[LackOfFit, ...]:
     """Effects that stood at calibration and are of another size now, which a fit's nuisances take up without a word."""
-    known, out = problem.reference, []
+    known, out = problem.prior, []
     away = known.standing(np.abs(fitted.x[: known.mean.size] - known.mean))
     for effect, far, std in zip(known.effects(fitted.x), away, known.standing_std, strict=True):
         own = far / std

@@ -51,11 +51,11 @@ def form_variance(problem: Posterior, at: MapEstimate, effect: Effect) -> Array:
     """
     size = np.abs(effect.coordinates)
     if effect.name == "harmonic_excitation":
-        return np.array([_LINE * problem.evidence.band.bin_hz / effect.lines()[0].frequency_hz, 0.0])
+        return np.array([_LINE * problem.observed.band.bin_hz / effect.lines()[0].frequency_hz, 0.0])
     if effect.name in ("bilinear_stiffness", "stiffness_change") and effect.location.startswith("story"):
-        correction = problem.reference.parts(at.x)[4]
+        correction = problem.prior.parts(at.x)[4]
         rms = float(np.sqrt((correction**2).mean())) if correction.size else 0.0
-        beside = (*problem.reference.effects(at.x), *at.effects)
+        beside = (*problem.prior.effects(at.x), *at.effects)
         flexible = sum(1.0 / e.girder_to_column_ratio for e in beside if isinstance(e, JointFlexibility))
         girders = _GIRDERS * min(flexible, 1.0) if effect.name == "stiffness_change" else 0.0
         return np.asarray(np.hypot(effect.form_std, size * np.hypot(_FORM * rms, girders)))

@@ -63,7 +63,7 @@ def candidate_starts(problem: Posterior, null: MapEstimate, taken: Iterable[tupl
     skip, found = {*taken, *bent}, peaks(problem, null)
     out: list[Effect] = []
     for name, kind in EFFECTS.items():
-        if problem.evidence.drive is not None and (kind.family == "excitation" or name in _STATIONARY):
+        if problem.observed.drive is not None and (kind.family == "excitation" or name in _STATIONARY):
             continue  # the input is measured; another one would only excuse what the model's response lacks
         for place in (p for k in kind.places for p in locations(k, problem.context)):
             if (name, place) not in skip:
@@ -84,12 +84,12 @@ def _possible(effect: Effect, context: Context) -> bool:
 
 def peaks(problem: Posterior, null: MapEstimate, n: int = 3) -> Array:
     """Frequencies at which the measured power exceeds the model's the most, Hz; of lines, to a small part of a bin."""
-    c = problem.evidence.spectra.shape[-1]
-    shape = (problem.n_classes, problem.evidence.band.n_bins, c * c)
+    c = problem.observed.spectra.shape[-1]
+    shape = (problem.n_classes, problem.observed.band.n_bins, c * c)
     diagonal = np.cumsum([1, *(2 * np.arange(1, c) + 1)]) - 1
     over = null.residual.reshape(shape)[:, :, diagonal].sum(axis=(0, 2)).copy()
-    here, band = problem.predict(null.x, null.effects), problem.evidence.band
-    power = np.einsum("k,kfaa->f", problem.evidence.counts, here.data - here.spectra).real
+    here, band = problem.predict(null.x, null.effects), problem.observed.band
+    power = np.einsum("k,kfaa->f", problem.observed.counts, here.data - here.spectra).real
     found = []
     for _ in range(n):
         at = int(over.argmax())
@@ -127,13 +127,13 @@ def _promised(problem: Posterior, null: MapEstimate, candidates: list[Effect]) -
     compared with the residual.
     """
     here = problem.predict(null.x, null.effects)
-    mean, precision = problem.prior(null.x, null.effects)
+    mean, precision = problem.normal_prior(null.x, null.effects)
     tangent = null.jacobian
     normal = inverse(tangent.T @ tangent + precision)
     residual = np.concatenate([null.residual, null.mean_residual])
     # The nuisances' own slope is that of the posterior: what pulls them from what was known before speaks for an effect.
     own_slope = tangent.T @ residual - precision @ (null.x - mean)
-    tangent, driven = np.asfortranarray(tangent), problem.evidence.drive is not None
+    tangent, driven = np.asfortranarray(tangent), problem.observed.drive is not None
 
     def promised(effect: Effect) -> list[tuple[float, Effect]]:
         if effect.proportional and not driven:
@@ -165,13 +165,13 @@ def _slope(problem: Posterior, null: MapEstimate, here: Prediction, effect: Effe
 
 def _far_from_prior(problem: Posterior, null: MapEstimate) -> bool:
     """Whether a fit went far from what was known before, whose response is not told by phases."""
-    return problem.evidence.drive is None and null.log_prior < _DRAGGED
+    return problem.observed.drive is None and null.log_prior < _DRAGGED
 
 
 def _at_rest(problem: Posterior, null: MapEstimate, *more: Effect) -> tuple[Posterior, MapEstimate]:
     """The problem with its structure held where it was known to be, fitted; with further effects."""
-    known = problem.reference
-    held = replace(problem, reference=replace(known, precision=known.precision + np.diag(_HELD / known.units**2)))
+    known = problem.prior
+    held = replace(problem, prior=replace(known, precision=known.precision + np.diag(_HELD / known.units**2)))
     x = np.concatenate([known.mean, null.x[known.mean.size :]])
     return held, maximize_posterior(held, x, (*null.effects, *more), iterations=_BRIEFLY)
 
@@ -234,7 +234,7 @@ def fit_best(
 
     Where the fit runs away and ends below a `rough` one, it is made again from there.
     """
-    driven = problem.evidence.drive is not None
+    driven = problem.observed.drive is not None
     # Driven motion tells so much that a cause bends the other slopes at once.
     frozen = null.jacobian[:, : problem.n_nuisance] if quick and not driven else None
     few, many = (ROUGHLY, FAR) if driven else (_QUICKLY, LONG)
@@ -264,5 +264,5 @@ def score_candidate(problem: Posterior, null: MapEstimate, fitted: MapEstimate, 
 
 def parameter_cost(problem: Posterior, n_more: int) -> float:
     """Half the logarithm of the information for every parameter, nats."""
-    n = problem.evidence.counts.sum() * problem.evidence.band.n_bins * problem.evidence.weight
+    n = problem.observed.counts.sum() * problem.observed.band.n_bins * problem.observed.weight
     return 0.5 * n_more * float(np.log(n))

@@ -45,14 +45,14 @@ def run_selection_round(
         Nats that the score test must promise.
     """
     # What stood at calibration may have changed, but for laws, which are simulated one at a place.
-    standing = [e for e in problem.reference.effects(at.x) if e.nonlinear or not e.parameters]
+    standing = [e for e in problem.prior.effects(at.x) if e.nonlinear or not e.parameters]
     taken = [(e.name, e.location) for e in (*standing, *at.effects)]
     ranked = [
         item
         for item in best_of_each(rank_by_score(problem, at, candidate_starts(problem, at, taken)))
         if item[0] > worth
     ]
-    choose = _chosen if problem.evidence.drive is None else _driven
+    choose = _chosen if problem.observed.drive is None else _driven
     chosen, rough, bar = choose(problem, at, ranked, settings)
     ended = {c.key: c for c in rough}
 
@@ -67,7 +67,7 @@ def _is_one(problem: Posterior, candidate: Candidate) -> bool:
     """Whether a linear cause is what it says: of a size that is beyond doubt not that of none; and, if it swings by itself, does
     so within the band and is not damped at once, for a heavy thing that hardly moves stands for a damper.
     """
-    effect, hz = candidate.effect, problem.evidence.band.hz
+    effect, hz = candidate.effect, problem.observed.band.hz
     if isinstance(effect, AttachedOscillator) and not (
         hz[0] <= effect.frequency_hz <= hz[-1] and effect.damping_ratio < _SWINGS
     ):
@@ -127,14 +127,14 @@ def _polished(
 ) -> list[RefittedCandidate]:
     """Candidates as they compare once nonlinear laws near the top were simulated and the moments were heard."""
     # A response to a measured ground is that of the exact laws.
-    if not candidates or candidates[0].evidence < settings.margin or problem.evidence.drive is not None:
+    if not candidates or candidates[0].evidence < settings.margin or problem.observed.drive is not None:
         return [RefittedCandidate(c, problem, added) for c in candidates]
     best = candidates[0]
     reach = best.evidence - max(settings.rival, settings.linearization * best.gain)
     doubtful = [c for c in candidates if c.evidence > reach]
     if not any(c.effect.nonlinear for c in doubtful):
         return [RefittedCandidate(c, problem, added) for c in candidates]
-    measured = measure_moments(problem.evidence.segments.values, problem, at)
+    measured = measure_moments(problem.observed.segments.values, problem, at)
     bent = [c for c in doubtful if c.effect.nonlinear]
     simulated = {p.candidate.key: p for p in parallel_map(partial(refit_by_simulation, problem, at), bent)}
     first = max((simulated[c.key].candidate if c.key in simulated else c).evidence for c in candidates)

@@ -122,7 +122,7 @@ def fit_initial_model(
 def fit_persistent_effects(problem: Posterior, at: MapEstimate) -> tuple[Posterior, MapEstimate, Moments]:
     """Without the correction of any law but those that stand, refitted; as it is where none does or the ground was measured."""
     linear = replace(problem, offset=None)
-    if problem.evidence.drive is not None or not any(e.nonlinear for e in problem.reference.effects(at.x)):
+    if problem.observed.drive is not None or not any(e.nonlinear for e in problem.prior.effects(at.x)):
         return linear, at, normal_moments(problem)
     made = fit_by_simulation(linear, at)
     return made.problem, made.fit, made.moments
@@ -221,7 +221,7 @@ def _simulated(problem: Posterior, at: MapEstimate, seed: int) -> tuple[ComplexA
 def _sloped(problem: Posterior, at: MapEstimate, seed: int) -> ComplexArray:
     """Slopes of the offset by the laws' sizes, shape (p, classes, n_bins, c, c); none by a sensor's, which samples tell."""
     laws = [(i, e) for i, e in enumerate(e for e in at.effects for _ in e.parameters) if e.nonlinear]
-    out = np.zeros((len(laws), *problem.evidence.spectra.shape), dtype=complex)
+    out = np.zeros((len(laws), *problem.observed.spectra.shape), dtype=complex)
     acting = draw_forces(problem, at.x, at.effects, seed)
     here = linearization_error(problem, at.x, at.effects, acting, simulate_exact(problem, at.x, at.effects, acting))
     for slope, (i, effect) in zip(out, laws, strict=True):
@@ -243,7 +243,7 @@ def _slopes(problem: Posterior, at: MapEstimate) -> ComplexArray:
         (e.name, e.location) for e in at.effects if e.nonlinear
     ):
         return problem.slopes_by_size
-    return np.zeros((0, *problem.evidence.spectra.shape), dtype=complex)
+    return np.zeros((0, *problem.observed.spectra.shape), dtype=complex)
 
 
 def _spurious_information(problem: CorrectedPosterior, at: MapEstimate, slopes: ComplexArray) -> Array:

@@ -165,7 +165,7 @@ def _searched(stage: _Stage, settings: DiagnosisSettings) -> tuple[_Stage, list[
 
 def _due(stage: _Stage, settings: DiagnosisSettings) -> float:
     """Evidence that the next cause must have, nats."""
-    if stage.problem.evidence.drive is not None:  # most of what is wrong is in the response, which misfits do not count
+    if stage.problem.observed.drive is not None:  # most of what is wrong is in the response, which misfits do not count
         return stage.margin
     return max(
         stage.margin, settings.share * wrong_nats(stage.problem, find_lack_of_fit(stage.problem, stage.at, settings))
@@ -179,19 +179,19 @@ def _otherwise_between(
 
     Without the cause another motion may have made up for it, and with that one a cause of more parameters may look better.
     """
-    drive = stage.problem.evidence.drive
+    drive = stage.problem.observed.drive
     if drive is None or not tried or tried[0].candidate.evidence < worth:
         return None
     likely: list[tuple[float, ObservedSpectra]] = []
     for p in tried[:_LIKELY]:
         before = p.candidate.fit
         problem, at = between_samples(p.problem, before)
-        likely.append((p.candidate.evidence + at.log_posterior - before.log_posterior, problem.evidence))
+        likely.append((p.candidate.evidence + at.log_posterior - before.log_posterior, problem.observed))
     like = max(likely, key=lambda pair: pair[0])[1]
     assert like.drive is not None
     if like.drive.between == drive.between:
         return None
-    problem = replace(stage.problem, evidence=like)
+    problem = replace(stage.problem, observed=like)
     return problem, maximize_posterior(problem, stage.at.x, stage.at.effects, iterations=FAR)
 
 
@@ -199,7 +199,7 @@ def _with(stage: _Stage, best: RefittedCandidate, settings: DiagnosisSettings) -
     """The stage once a cause is accepted: everything fitted beside it, and what a further one must bring."""
     accepted = (*stage.accepted, best.candidate)
     problem, at = best.problem, best.candidate.fit
-    driven = problem.evidence.drive is not None
+    driven = problem.observed.drive is not None
     problem, at = between_samples(_extended(problem, at), at)
     # Damping is freer now, the motion is known, and how far up the forces reach.
     at = maximize_posterior(problem, at.x, at.effects)
@@ -238,7 +238,7 @@ def _finished(
     problem: Posterior, at: MapEstimate, accepted: tuple[Candidate, ...]
 ) -> tuple[Posterior, MapEstimate, tuple[Candidate, ...], Array]:
     """With laws simulated as finely as what is published asks for, and their sizes' doubt; shape (p,)."""
-    if not _has_nonlinear(at) or problem.evidence.drive is not None:
+    if not _has_nonlinear(at) or problem.observed.drive is not None:
         return problem, at, accepted, np.zeros(at.n_effect)
     near, at = refine_fit(problem, at)
     # What the law's better size leaves of another cause may be nothing.
@@ -270,7 +270,7 @@ def _sure_elsewhere(
     and laws that are none.
     """
     wrong = wrong_bins(problem, at, settings)
-    if not accepted or not wrong.any() or problem.evidence.drive is not None:
+    if not accepted or not wrong.any() or problem.observed.drive is not None:
         return problem, at, accepted, doubt
     elsewhere = replace(problem, left_out=wrong)
     whole = maximize_posterior(elsewhere, at.x, at.effects)
@@ -329,10 +329,10 @@ def _extended(problem: Posterior, at: MapEstimate) -> Posterior:
     moved: either their ratios stayed, or what dissipates did.
     """
     problem = moved(problem, at)
-    before = problem.model(at.x, (*problem.reference.effects(at.x), *at.effects[:-1])).modes().frequencies_hz
-    after = problem.model(at.x, (*problem.reference.effects(at.x), *at.effects)).modes().frequencies_hz
-    ratios = replace(problem, reference=problem.reference.with_looser_damping(np.log(after / before)))
-    known = problem.damped_as_built or isinstance(problem, CorrectedPosterior) or problem.evidence.drive is not None
+    before = problem.model(at.x, (*problem.prior.effects(at.x), *at.effects[:-1])).modes().frequencies_hz
+    after = problem.model(at.x, (*problem.prior.effects(at.x), *at.effects)).modes().frequencies_hz
+    ratios = replace(problem, prior=problem.prior.with_looser_damping(np.log(after / before)))
+    known = problem.damped_as_built or isinstance(problem, CorrectedPosterior) or problem.observed.drive is not None
     if known or np.abs(np.log(after / before)).max() < _MOVED:
         return ratios
     matrix = replace(ratios, damped_as_built=True)

@@ -217,7 +217,7 @@ def headline(diagnosis: Diagnosis, content: Mapping[str, Any]) -> str:
     content : mapping
         diagnosis.json.
     """
-    reference = diagnosis.problem.reference
+    reference = diagnosis.problem.prior
     told = [in_words(c["effect"], c["location"], c["parameters"], reference) for c in content["causes"]]
     match content["verdict"]:
         case "none":

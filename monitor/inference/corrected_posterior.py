@@ -96,7 +96,7 @@ class CorrectedPosterior(Posterior):
 
     def _scale(self, x: Array, laws: Sequence[Effect]) -> Array:
         """By what laws' coordinates must grow to stay as strong beside the masses and stiffnesses, shape (p,)."""
-        grown = np.exp(self.reference.parts(x)[1].mean() - self.ln_mass)
+        grown = np.exp(self.prior.parts(x)[1].mean() - self.ln_mass)
         return np.array([grown if p.weighty else 1.0 for e in laws for p in e.parameters])
 
     def slope(self, x: Array, i: int, effects: tuple[Effect, ...], spectra: ComplexArray) -> ComplexArray:
@@ -130,7 +130,7 @@ class CorrectedPosterior(Posterior):
     def spread(self, offsets: ComplexArray) -> ComplexArray:
         """Offsets smoothed as the correction is, shape (..., classes, n_bins, c, c)."""
         inverse = np.linalg.inv(self.base)
-        return _around(self.base, _smooth(_around(inverse, offsets), self.evidence.band.hz))
+        return _around(self.base, _smooth(_around(inverse, offsets), self.observed.band.hz))
 
 
 def _scaled(effect: Effect, growth: Array) -> Array:
@@ -177,7 +177,7 @@ def correct_posterior(
         By the coordinates of the nonlinear effects; none where they are not known.
     """
     plain = {f.name: getattr(problem, f.name) for f in fields(Posterior)}
-    linear, hz = problem.of_model_alone(), problem.evidence.band.hz
+    linear, hz = problem.of_model_alone(), problem.observed.band.hz
     acting = [e for e in effects if e.nonlinear]  # beside those that stand
     centre = np.concatenate([[], *[e.coordinates for e in acting]])
 
@@ -201,5 +201,5 @@ def correct_posterior(
         relative=np.array([here, *by_size]),
         by_motion=_smooth(_around(np.linalg.inv(base), known), hz),
         drift=forced_drift(linear, x, effects),
-        ln_mass=float(problem.reference.parts(x)[1].mean()),
+        ln_mass=float(problem.prior.parts(x)[1].mean()),
     )

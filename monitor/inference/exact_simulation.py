@@ -60,8 +60,8 @@ class SimulatedSpectra:
 
 def draw_forces(problem: Posterior, x: Array, effects: Sequence[Effect], seed: int) -> Forces:
     """Random forces of every segment's own level: one segment to swing in, then the segments one after the other."""
-    e, context = problem.evidence, problem.context_at(x)
-    effects = (*problem.reference.effects(x), *effects)
+    e, context = problem.observed, problem.context_at(x)
+    effects = (*problem.prior.effects(x), *effects)
     bent = _bent(effects)
     half = round(e.rate_hz / e.band.bin_hz / 2) if bent else _samples(problem)
     rate = 2.0 * half * e.band.bin_hz
@@ -90,7 +90,7 @@ def draw_forces(problem: Posterior, x: Array, effects: Sequence[Effect], seed: i
 
 def _samples(problem: Posterior) -> int:
     """In half a segment."""
-    band = problem.evidence.band
+    band = problem.observed.band
     return int(next_fast_len(int(np.ceil(_STEPS_A_PERIOD * band.hz[-1] / band.bin_hz / 2.0))))
 
 
@@ -101,7 +101,7 @@ def _bent(effects: Sequence[Effect]) -> list[Effect]:
 
 def simulate_exact(problem: Posterior, x: Array, effects: Sequence[Effect], acting: Forces) -> ComplexArray:
     """Transforms of the segments under the exact laws before the linear sensors, shape (n_segments, n_bins, c)."""
-    context, everything = problem.context_at(x), (*problem.reference.effects(x), *effects)
+    context, everything = problem.context_at(x), (*problem.prior.effects(x), *effects)
     model, finer = problem.model(x, everything), 1
     if any(law.kind == LawKind.FRICTION for effect in everything for law in effect.laws(model.structure)):
         finer = _STICKY  # where the sign of a velocity turns, forces change within a short time
@@ -111,12 +111,12 @@ def simulate_exact(problem: Posterior, x: Array, effects: Sequence[Effect], acti
         seen = seen + acting.noise
     for effect in _bent(everything):
         seen = _measured(effect, seen, problem, acting, context)
-    return _transformed(_spectrum(seen, problem), problem, range(problem.evidence.t_s.size))
+    return _transformed(_spectrum(seen, problem), problem, range(problem.observed.t_s.size))
 
 
 def _measured(effect: Effect, samples: Array, problem: Posterior, acting: Forces, context: Context) -> Array:
     """What a sensor's law makes of samples at the measured RMS, which beyond the band the model need not meet."""
-    e, part = problem.evidence, samples[::_SPARSE]
+    e, part = problem.observed, samples[::_SPARSE]
     wanted = np.sqrt(e.counts @ e.rms**2 / e.counts.sum())[: samples.shape[1]]
     louder = np.ones(samples.shape[1])
     for _ in range(_TURNS):
@@ -127,7 +127,7 @@ def _measured(effect: Effect, samples: Array, problem: Posterior, acting: Forces
 
 def class_means(problem: Posterior, x: Array, effects: Sequence[Effect], transforms: ComplexArray) -> ComplexArray:
     """Spectra of every class behind the linear sensors, shape (classes, n_bins, c, c), of `simulate_exact`'s transforms."""
-    e, everything = problem.evidence, (*problem.reference.effects(x), *effects)
+    e, everything = problem.observed, (*problem.prior.effects(x), *effects)
     straight = [effect for effect in everything if effect not in _bent(everything)]
     out = [_products(_through(transforms[m], straight, problem, k)) for k, m in enumerate(e.members)]
     return np.asarray(np.stack(out) * e.band.gain[:, None, None])
@@ -140,7 +140,7 @@ def linearization_error(
 
     A structure's law is made linear at the motion that the simulation's own spectra tell, as it is for the measured ones.
     """
-    if _bent((*problem.reference.effects(x), *effects)):
+    if _bent((*problem.prior.effects(x), *effects)):
         return _sensors_sides(problem, x, effects, acting, transforms).controlled
     _, simulated, expected = _compared(problem, x, effects, transforms)
     return np.asarray(simulated - expected)
@@ -154,7 +154,7 @@ def simulate_spectra(
     The linearized system under the same forces is the control: its simulated spectra less those expected, times the likeness
     of the two responses, are taken off (its chance is theirs as far as they are alike).  A sensor's law is always compared so.
     """
-    e, everything = problem.evidence, (*problem.reference.effects(x), *effects)
+    e, everything = problem.observed, (*problem.prior.effects(x), *effects)
     if _bent(everything):
         return _sensors_sides(problem, x, effects, acting, transforms)
     problem, simulated, expected = _compared(problem, x, effects, transforms)
@@ -174,13 +174,13 @@ def _sensors_sides(
     problem: Posterior, x: Array, effects: tuple[Effect, ...], acting: Forces, transforms: ComplexArray
 ) -> SimulatedSpectra:
     """As `simulate_spectra` where a sensor bends: less what the linear sensors say under the same forces and noise."""
-    gain, everything = problem.evidence.band.gain, (*problem.reference.effects(x), *effects)
+    gain, everything = problem.observed.band.gain, (*problem.prior.effects(x), *effects)
     problem, diagonal = problem.of_model_alone(), np.arange(len(problem.context.channels))
     out, sensors = class_means(problem, x, effects, transforms), _bent(everything)
     others = [effect for effect in everything if effect not in sensors]
     bent, straight = np.empty_like(transforms), np.empty_like(transforms)
     for k, y in enumerate(_linear(problem, x, everything, acting)):
-        members = problem.evidence.members[k]
+        members = problem.observed.members[k]
         out[k] -= _products(y) * gain[:, None, None]
         out[k][:, diagonal, diagonal] -= _added(sensors, problem, k) * gain[:, None]  # what clipping adds
         bent[members], straight[members] = _through(transforms[members], others, problem, k), y
@@ -191,9 +191,9 @@ def _compared(
     problem: Posterior, x: Array, effects: tuple[Effect, ...], transforms: ComplexArray
 ) -> tuple[Posterior, ComplexArray, ComplexArray]:
     """The problem linear at the simulation's motion, the exact spectra of every class and those that it expects."""
-    problem, everything = problem.of_model_alone(), (*problem.reference.effects(x), *effects)
+    problem, everything = problem.of_model_alone(), (*problem.prior.effects(x), *effects)
     simulated, diagonal = class_means(problem, x, effects, transforms), np.arange(len(problem.context.channels))
-    noise = _noise(problem, x, everything)[:, None, :] * problem.evidence.band.gain[:, None]
+    noise = _noise(problem, x, everything)[:, None, :] * problem.observed.band.gain[:, None]
     simulated[:, :, diagonal, diagonal] += noise
     problem = replace(problem, conditions=linearize(problem, x, effects, simulated))
     return problem, simulated, problem.scatter(x, effects)
@@ -212,7 +212,7 @@ def _linear(problem: Posterior, x: Array, effects: tuple[Effect, ...], acting: F
     sources = acting.floors if acting.ground is None else np.column_stack([acting.floors, acting.ground])
     driven, straight = _spectrum(sources, problem), np.sinc(hz / acting.rate_hz)[:, None] ** 2
     heard = 0.0 if acting.noise is None else _spectrum(acting.noise, problem)
-    for k, members in enumerate(problem.evidence.members):
+    for k, members in enumerate(problem.observed.members):
         system = extended(base, effects, context, problem.conditions[k])
         answer = channel_response(system, hz, context)[:, :, : driven.shape[1]]
         at_once = channel_response(system, np.array([_AT_ONCE * acting.rate_hz]), context)[0, :, : driven.shape[1]]
@@ -243,7 +243,7 @@ def _products(transforms: ComplexArray) -> ComplexArray:
 def _through(transforms: ComplexArray, effects: Sequence[Effect], problem: Posterior, k: int) -> ComplexArray:
     """Transforms after the effects' responses."""
     for effect in effects:
-        response = effect.response(problem.evidence.band.hz, problem.context, problem.conditions[k])
+        response = effect.response(problem.observed.band.hz, problem.context, problem.conditions[k])
         if response is not None:
             full = np.broadcast_to(response, (transforms.shape[1], *response.shape[1:]))
             transforms = np.einsum("fab,sfb->sfa", full, transforms)
@@ -252,14 +252,14 @@ def _through(transforms: ComplexArray, effects: Sequence[Effect], problem: Poste
 
 def _coarse(problem: Posterior) -> int:
     """Samples in half a segment of the series that holds the band alone."""
-    band = problem.evidence.band
+    band = problem.observed.band
     fast = next_fast_len(int(np.ceil(_BANDS * band.hz[-1] / band.bin_hz)), real=True)
-    return int(min(fast, round(problem.evidence.rate_hz / band.bin_hz / 2)))
+    return int(min(fast, round(problem.observed.rate_hz / band.bin_hz / 2)))
 
 
 def _kept(problem: Posterior) -> int:
     """Frequencies of a whole series that matter in the band."""
-    return (problem.evidence.t_s.size + 2) * _coarse(problem) // 2 + 1
+    return (problem.observed.t_s.size + 2) * _coarse(problem) // 2 + 1
 
 
 def _spectrum(samples: Array, problem: Posterior) -> ComplexArray:
@@ -270,8 +270,8 @@ def _spectrum(samples: Array, problem: Posterior) -> ComplexArray:
 
 def _transformed(spectrum: ComplexArray, problem: Posterior, wanted: Iterable[int]) -> ComplexArray:
     """Tapered transforms of the wanted segments in the band, shape (n_wanted, n_bins, c), of a series at a lower rate."""
-    band, half = problem.evidence.band, _coarse(problem)
-    samples = irfft(np.ascontiguousarray(spectrum.T), n=(problem.evidence.t_s.size + 2) * half)
+    band, half = problem.observed.band, _coarse(problem)
+    samples = irfft(np.ascontiguousarray(spectrum.T), n=(problem.observed.t_s.size + 2) * half)
     window = taper(2 * half) / np.sqrt(2.0 * half * band.bin_hz)
     parts = np.stack([samples[:, (i + 1) * half : (i + 3) * half] for i in wanted])  # half overlapped
     return np.asarray(rfft(window * parts)[:, :, band.first : band.first + band.n_bins].swapaxes(1, 2))

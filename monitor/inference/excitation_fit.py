@@ -53,7 +53,7 @@ class ExcitationStart:
     @classmethod
     def at(cls, problem: Posterior, x: Array, beyond: ComplexArray | None = None) -> Self:
         """That of a vector of nuisances."""
-        first, last = problem.reference.mean.size, problem.n_nuisance - 1
+        first, last = problem.prior.mean.size, problem.n_nuisance - 1
         forces, levels = np.split(x[first:last], [problem.context.structure.n_dofs])
         return cls(forces, levels, float(x[last]), beyond)
 
@@ -99,8 +99,8 @@ def fit_excitation(
     if near is None or not model.effects:
         x = _fit_levels(problem, x)
     for _ in range(2 if model.effects else 0):
-        excitation = x[problem.reference.mean.size :]
-        problem = replace(problem, conditions=linearize(problem, x, ()), reference=known)
+        excitation = x[problem.prior.mean.size :]
+        problem = replace(problem, conditions=linearize(problem, x, ()), prior=known)
         x = _fit_levels(problem, np.concatenate([known.mean, excitation]))
     if evidence.drive is None and any(e.nonlinear for e in model.effects):
         linear = problem.scatter(x, ())
@@ -120,43 +120,43 @@ def _beyond(problem: Posterior, x: Array, linear: ComplexArray) -> ComplexArray:
         acting = draw_forces(problem, x, (), seed)
         return simulate_spectra(problem, x, (), acting, simulate_exact(problem, x, (), acting)).controlled
 
-    return relative_to(linear, np.mean(parallel_map(added, range(_SIMULATIONS)), axis=0), problem.evidence.band.hz)
+    return relative_to(linear, np.mean(parallel_map(added, range(_SIMULATIONS)), axis=0), problem.observed.band.hz)
 
 
 def _as_moved(problem: Posterior, known: StructuralPrior) -> Posterior:
     """With the motion of a measured ground between its samples that leaves the least of the floors' unexplained."""
-    drive = problem.evidence.drive
+    drive = problem.observed.drive
     if drive is None:
         return problem
-    whole = replace(problem, reference=known)
+    whole = replace(problem, prior=known)
     x = np.concatenate([known.mean, np.zeros(whole.n_nuisance - known.mean.size)])
 
     def moved(between: Between) -> Posterior:
-        return replace(whole, evidence=replace(whole.evidence, drive=replace(drive, between=between)))
+        return replace(whole, observed=replace(whole.observed, drive=replace(drive, between=between)))
 
     def left(between: Between) -> float:
         mean = moved(between).mean(x, ())
         assert mean is not None
-        rest = whole.evidence.segments.values - mean
+        rest = whole.observed.segments.values - mean
         return float(np.log((np.abs(rest) ** 2).mean(axis=0)).sum())
 
-    return replace(problem, evidence=moved(min(get_args(Between), key=left)).evidence)
+    return replace(problem, observed=moved(min(get_args(Between), key=left)).observed)
 
 
 def _first_guess(problem: Posterior) -> Array:
     """Levels from the medians over frequency of the channels' power, noise from its least."""
-    e, c = problem.evidence, len(problem.context.channels)
+    e, c = problem.observed, len(problem.context.channels)
     power = np.einsum("kfaa->kfa", e.spectra[:, :, :c, :c]).real
     noise = np.log(max(0.3 * float(np.quantile(power.mean(axis=(0, 2)), 0.02)), 1e-300))
     levels = np.zeros(problem.context.structure.n_dofs + problem.n_classes)
-    x = np.concatenate([problem.reference.mean, levels, [noise - 10.0]])
+    x = np.concatenate([problem.prior.mean, levels, [noise - 10.0]])
     predicted = np.einsum("kfaa->kfa", problem.scatter(x, ())[:, :, :c, :c]).real
     level = np.log(np.median(power / predicted, axis=(1, 2)))
     x[-1] = noise
     if e.power is None:
         x[-problem.n_classes - 1 : -1] = level
     else:  # the level is the model's own error; what forces move beside the ground goes with it
-        p = problem.reference.mean.size
+        p = problem.prior.mean.size
         x[p:-1] = np.r_[np.full(problem.context.structure.n_dofs, level.mean()), np.zeros(problem.n_classes)]
         x[p : -problem.n_classes - 1] += np.log(_FORCED)
     return x
@@ -168,12 +168,12 @@ def _fit_driven(problem: Posterior, x: Array) -> Array:
 
     The forces stand for what the response lacks at its resonances, the error for what it lacks everywhere.
     """
-    p, k = problem.reference.mean.size, problem.n_classes
+    p, k = problem.prior.mean.size, problem.n_classes
     n = problem.context.structure.n_dofs
     moving = np.zeros((k + 3, x.size))
     moving[0, p : p + n] = 1.0
     moving[1:-1, p + n :] = np.eye(k + 1)
-    moving[-1, problem.reference.channel_noises] = 1.0
+    moving[-1, problem.prior.channel_noises] = 1.0
     data = problem.predict(x, ()).data  # levels move no mean
 
     def cost(by: Array) -> float:
@@ -188,7 +188,7 @@ def forces_from_quiet_segments(problem: Posterior, x: Array, effects: tuple[Effe
 
     Wind blows there too, while what the model's response lacks grows with the ground's motion.
     """
-    e, p, n = problem.evidence, problem.reference.mean.size, problem.context.structure.n_dofs
+    e, p, n = problem.observed, problem.prior.mean.size, problem.context.structure.n_dofs
     mean = problem.mean(x, effects)
     assert mean is not None
     assert e.power is not None
@@ -208,16 +208,16 @@ def _fit_levels(problem: Posterior, x: Array) -> Array:
     How strongly each floor is shaken belongs to the recording as its level does; were it held equal, a wrong structure that
     makes up for it would score best.
     """
-    return _by_scoring(problem, x) if problem.evidence.drive is None else _fit_driven(problem, x)
+    return _by_scoring(problem, x) if problem.observed.drive is None else _fit_driven(problem, x)
 
 
 def _by_scoring(problem: Posterior, x: Array, effects: tuple[Effect, ...] = (), iterations: int = 40) -> Array:
     """As `_fit_levels`, beside further effects, whose coordinates follow in `x`."""
-    p, n, k, damping = problem.reference.mean.size, problem.context.structure.n_dofs, problem.n_classes, 1e-3
+    p, n, k, damping = problem.prior.mean.size, problem.context.structure.n_dofs, problem.n_classes, 1e-3
     end = problem.n_nuisance
     first, data = x[p:end].copy(), problem.predict(x, effects).data  # levels move no mean
     precision = np.diag(np.r_[np.full(n, _FORCE_STD), np.full(k + 1, _LEVEL_STD)] ** -2.0)
-    if problem.evidence.drive is not None:  # no class's level is theirs
+    if problem.observed.drive is not None:  # no class's level is theirs
         precision[:n, :n] = difference_operator(n)
 
     def moved(by: Array) -> tuple[Array, ComplexArray, float]:

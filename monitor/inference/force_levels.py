@@ -26,7 +26,7 @@ def spectra_by_force(problem: Posterior, x: Array, effects: Sequence[Effect]) ->
 
     What none of them makes alone is shared by the forces.
     """
-    p, n = problem.reference.mean.size, problem.context.structure.n_dofs
+    p, n = problem.prior.mean.size, problem.context.structure.n_dofs
     still = _silent(problem, x)
     # What simulation adds, and what the model gets wrong from the start, is relative to all that acts together.
     linear = problem.of_model_alone()
@@ -46,7 +46,7 @@ def spectra_by_force(problem: Posterior, x: Array, effects: Sequence[Effect]) ->
 
 def ground_levels(problem: Posterior, x: Array, effects: Sequence[Effect]) -> Array:
     """How strongly an unmeasured ground shook in every class, over the forces, relative to the whole recording: (classes,)."""
-    e, linear = problem.evidence, replace(problem, offset=None)
+    e, linear = problem.observed, replace(problem, offset=None)
     *alone, ground = spectra_by_force(linear, x, effects)
     forces = np.sum(alone, axis=0)
     noise = linear.scatter(x, effects) - ground - forces

@@ -39,8 +39,8 @@ class Prediction:
 class ForwardModel:
     """From nuisances and effects to what the segments should be."""
 
-    evidence: ObservedSpectra
-    reference: StructuralPrior
+    observed: ObservedSpectra
+    prior: StructuralPrior
     context: Context
     conditions: tuple[Condition, ...]
     """One a class."""
@@ -56,29 +56,29 @@ class ForwardModel:
     @property
     def n_classes(self) -> int:
         """Classes of level and temperature."""
-        return int(self.evidence.counts.size)
+        return int(self.observed.counts.size)
 
     @property
     def n_nuisance(self) -> int:
         """Length of the vector before the extra effects' coordinates."""
-        return int(self.reference.mean.size) + self.context.structure.n_dofs + self.n_classes + 1
+        return int(self.prior.mean.size) + self.context.structure.n_dofs + self.n_classes + 1
 
     @property
     def error(self) -> ModelDiscrepancy | None:
         """What the model gets wrong from the start.  Beside a measured ground the spectra about the response have another one."""
-        return self.reference.error if self.evidence.drive is None else None
+        return self.prior.error if self.observed.drive is None else None
 
     def of_model_alone(self) -> Self:
         """The same without what simulation adds, and without what the model gets wrong from the start."""
-        return replace(self, offset=None, reference=replace(self.reference, error=None))
+        return replace(self, offset=None, prior=replace(self.prior, error=None))
 
     def widths(self) -> Array:
         """Bins in each (coarse) bin; none about known machines' lines, and fewer where the model is known to err."""
         if self.smoothing is not None:
             return np.asarray(1.0 / (self.smoothing**2).sum(axis=1))
-        band = self.evidence.band
+        band = self.observed.band
         out = np.ones(band.n_bins)
-        for line in self.reference.known_lines_hz:
+        for line in self.prior.known_lines_hz:
             out[np.abs(band.hz - line) <= max(_LINE_BINS * band.bin_hz, _LINE_SHARE * line)] = 0.0
         if self.left_out is not None:
             out[self.left_out] = 0.0
@@ -86,12 +86,12 @@ class ForwardModel:
         if error is not None:
             inside, at = error.at(band.hz)
             # An error that all segments and bins of a narrow band share does not average out.
-            out[inside] /= 1.0 + error.variance[at] * self.evidence.pieces(error.step_hz / band.bin_hz)
+            out[inside] /= 1.0 + error.variance[at] * self.observed.pieces(error.step_hz / band.bin_hz)
         return out
 
     def data(self) -> ComplexArray:
         """Measured cross-spectra, (classes, bins, c, c)."""
-        return self.smooth(self.evidence.spectra)
+        return self.smooth(self.observed.spectra)
 
     def smooth(self, spectra: ComplexArray) -> ComplexArray:
         """Average bins, the third axis from the end."""
@@ -104,18 +104,18 @@ class ForwardModel:
         spectra, mean = self.smooth(self.scatter(x, effects)), self.mean(x, effects)
         if mean is None:
             return Prediction(spectra, self.data())
-        left = self.evidence.segments.values - mean
-        return Prediction(spectra, self.smooth(ground_response.products(left, self.evidence.members)), left)
+        left = self.observed.segments.values - mean
+        return Prediction(spectra, self.smooth(ground_response.products(left, self.observed.members)), left)
 
     def mean(self, x: Array, effects: Sequence[Effect], *, exact: bool = True) -> ComplexArray | None:
         """The response of the segments to a measured ground, shape (n_segments, n_bins, c); None without one.
 
         That of the exact laws; or of the linearized ones, which is quicker and good enough for slopes.
         """
-        e = self.evidence
+        e = self.observed
         if e.drive is None:
             return None
-        effects = (*self.reference.effects(x), *effects)
+        effects = (*self.prior.effects(x), *effects)
         base, context = self.system(x, effects), self.context_at(x)
         bent = [effect for effect in effects if effect.nonlinear and effect.family == "structure"]
         if bent and exact:
@@ -137,7 +137,7 @@ class ForwardModel:
         """Predicted cross-spectra of the classes, shape (classes, n_bins, c, c)."""
         mean = self.mean(x, effects)
         scatter = self.scatter(x, effects)
-        return scatter if mean is None else scatter + ground_response.products(mean, self.evidence.members)
+        return scatter if mean is None else scatter + ground_response.products(mean, self.observed.members)
 
     def scatter(self, x: Array, effects: Sequence[Effect], *, classes: Sequence[int] | None = None) -> ComplexArray:
         """Predicted cross-spectra of the segments about their means, shape (classes, n_bins, c, c).
@@ -145,13 +145,13 @@ class ForwardModel:
         Where the ground was measured, a class's level is that of the model's own error alone, a share of the measured power
         that is independent between channels: wind does not follow the ground.
         """
-        effects = (*self.reference.effects(x), *effects)
+        effects = (*self.prior.effects(x), *effects)
         base, context = self.system(x, effects), self.context_at(x)
-        p = self.reference.mean.size
+        p = self.prior.mean.size
         n = context.structure.n_dofs
         forces, level, noise = self.forces(x), np.exp(x[p + n : p + n + self.n_classes]), self.noise(x)
         wanted = range(self.n_classes) if classes is None else classes
-        ground = self.evidence.power
+        ground = self.observed.power
         varied = ground is not None or any(e.conditional or e.lines() for e in effects)
         out = []
         shared: ComplexArray | None = None
@@ -163,7 +163,7 @@ class ForwardModel:
                     noise * (1.0 if varied else 0.0),
                     0.0 if ground is None else float(np.exp(x[self.n_nuisance - 1])),
                 )
-                shared = cross_spectra(system, effects, e, self.evidence.band, context, self.conditions[k])
+                shared = cross_spectra(system, effects, e, self.observed.band, context, self.conditions[k])
             if varied:
                 out.append(shared if ground is None else shared + level[k] * diagonal_of(ground))
             else:
@@ -176,7 +176,7 @@ class ForwardModel:
         error = self.error
         if error is None:
             return spectra
-        inside, at = error.at(self.evidence.band.hz)
+        inside, at = error.at(self.observed.band.hz)
         relative = np.zeros_like(spectra)
         relative[:, inside] = error.relative[at]
         return grown_by(spectra, relative)
@@ -186,7 +186,7 @@ class ForwardModel:
         extra = sum((e.noise_variance(self.context, self.conditions[0]) for e in effects), np.zeros(noise.size))
         extra = np.asarray(extra) / self.context.rate_hz
         diagonal = np.arange(noise.size)
-        gain = self.evidence.band.gain[:, None]
+        gain = self.observed.band.gain[:, None]
         out = unit.copy()
         out[:, diagonal, diagonal] -= extra * gain
         out *= level
@@ -195,25 +195,25 @@ class ForwardModel:
 
     def system(self, x: Array, effects: Sequence[Effect]) -> System:
         """The system at a vector of nuisances, before what effects add at a level."""
-        ratios, (mass, stiffness) = np.exp(self.reference.parts(x)[2]), self.model(x, effects).structural_matrices()
+        ratios, (mass, stiffness) = np.exp(self.prior.parts(x)[2]), self.model(x, effects).structural_matrices()
         if not self.damped_as_built:
             return modally_damped(mass, stiffness, ratios)
-        built = self.model(x, self.reference.effects(x)).structural_matrices()
+        built = self.model(x, self.prior.effects(x)).structural_matrices()
         return System(mass, modally_damped(*built, ratios).damping, stiffness)
 
     def context_at(self, x: Array) -> Context:
         """Where effects act, with the structure at a vector of nuisances: relative sizes refer to it."""
-        ln_k, ln_m, *_ = self.reference.parts(x)
-        structure = self.reference.model.structure.with_stiffness(np.exp(ln_k)).with_masses(np.exp(ln_m))
+        ln_k, ln_m, *_ = self.prior.parts(x)
+        structure = self.prior.model.structure.with_stiffness(np.exp(ln_k)).with_masses(np.exp(ln_m))
         return replace(self.context, structure=structure)
 
     def model(self, x: Array, effects: Sequence[Effect]) -> Model:
         """The model at a vector of nuisances; `effects` are all of its effects."""
-        _, ln_m, ln_damping, _, correction, _ = self.reference.parts(x)
-        base, structure = self.reference.model, self.context_at(x).structure
+        _, ln_m, ln_damping, _, correction, _ = self.prior.parts(x)
+        base, structure = self.prior.model, self.context_at(x).structure
         # The scale of all masses and stiffnesses cannot be seen; the correction shares it.
-        scale = np.exp((ln_m - self.reference.parts(self.reference.mean)[1]).mean())
-        change = scale * np.tensordot(correction, self.reference.basis, axes=1) if correction.size else None
+        scale = np.exp((ln_m - self.prior.parts(self.prior.mean)[1]).mean())
+        change = scale * np.tensordot(correction, self.prior.basis, axes=1) if correction.size else None
         if base.correction is not None:
             change = base.correction if change is None else base.correction + change
         return replace(
@@ -226,16 +226,16 @@ class ForwardModel:
         Beside a measured ground they are the same in all: wind does not follow the ground.  What is known of them there is told
         for the masses known before, and goes with all of them together.
         """
-        p, n = self.reference.mean.size, self.context.structure.n_dofs
+        p, n = self.prior.mean.size, self.context.structure.n_dofs
         force, level = np.exp(x[p : p + n]), np.exp(x[p + n : p + n + self.n_classes])
-        if self.evidence.power is None:
+        if self.observed.power is None:
             return np.asarray(level[:, None] * force)
-        heavier = (self.reference.parts(x)[1] - self.reference.parts(self.reference.mean)[1]).mean()
+        heavier = (self.prior.parts(x)[1] - self.prior.parts(self.prior.mean)[1]).mean()
         return np.tile(force * np.exp(2.0 * heavier), (self.n_classes, 1))
 
     def noise(self, x: Array) -> Array:
         """Noise density of every channel."""
-        return np.asarray(np.exp(x[self.n_nuisance - 1] + self.reference.parts(x)[3]))
+        return np.asarray(np.exp(x[self.n_nuisance - 1] + self.prior.parts(x)[3]))
 
 
 def diagonal_of(power: Array) -> Array:

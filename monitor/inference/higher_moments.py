@@ -83,7 +83,7 @@ def measure_moments(transforms: ComplexArray, problem: Posterior, at: MapEstimat
     split = _split(transforms, problem, at)
     skew, tails = _skewness(split.floors, problem), [_kurtosis(narrow, split.level) for narrow in split.modes]
     mean, std = (Moments(skew[i], np.array([t[i] for t in tails])) for i in (0, 1))
-    return MeasuredMoments(mean, std, _uneven(split, problem.evidence.band.hz))
+    return MeasuredMoments(mean, std, _uneven(split, problem.observed.band.hz))
 
 
 def simulate_moments(transforms: ComplexArray, problem: Posterior, at: MapEstimate) -> Moments:
@@ -108,9 +108,9 @@ class _Split:
 
 
 def _split(transforms: ComplexArray, problem: Posterior, at: MapEstimate) -> _Split:
-    context, hz = problem.context, problem.evidence.band.hz
+    context, hz = problem.context, problem.observed.band.hz
     floors = transforms[:, :, : len(context.channels)] @ np.linalg.pinv(context.sensors).T
-    model = problem.model(at.x, (*problem.reference.effects(at.x), *at.effects))
+    model = problem.model(at.x, (*problem.prior.effects(at.x), *at.effects))
     modes, n = model.modes(), context.structure.n_dofs
     pick = modes.shapes[:n, :n].T @ model.structural_matrices()[0][:n, :n]
     near = np.abs(hz - modes.frequencies_hz[:n, None]) < _ABOUT * modes.frequencies_hz[:n, None]
@@ -133,7 +133,7 @@ def _skewness(floors: ComplexArray, problem: Posterior) -> tuple[Array, Array]:
 
     Accelerations become drifts in the frequency domain; tapered segments keep the sign of the third moment.
     """
-    band = problem.evidence.band
+    band = problem.observed.band
     drift = floors @ problem.context.structure.drift_matrix().T / (-((2.0 * np.pi * band.hz) ** 2))[:, None]
     length = next_fast_len(4 * (band.first + band.n_bins), real=True)  # room for the third power
     full = np.zeros((drift.shape[0], drift.shape[2], length // 2 + 1), dtype=complex)

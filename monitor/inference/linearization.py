@@ -33,9 +33,9 @@ def linearize(
     A class's narrow modes swing more or less by chance than its forces' level says, and nonlinear laws follow the motion:
     the model's variance is corrected by what a Wiener filter sees of the motion in the spectra.
     """
-    e, context = problem.evidence, problem.context_at(x)
-    everything = (*problem.reference.effects(x), *effects)
-    base, damping = problem.system(x, everything), np.exp(problem.reference.parts(x)[2])
+    e, context = problem.observed, problem.context_at(x)
+    everything = (*problem.prior.effects(x), *effects)
+    base, damping = problem.system(x, everything), np.exp(problem.prior.parts(x)[2])
     n, forces = context.structure.n_dofs, problem.forces(x)
     drift = context.structure.drift_matrix()
     rows, order = np.vstack([drift, drift, np.eye(n)]), np.repeat([0, 1, 1], [len(drift), len(drift), n])
@@ -65,7 +65,7 @@ def linearize(
             driven = [motion_rms(drive, system, e.band, context, rows[order == o], o, 0.2 * lowest) for o in (0, 1)]
             variance = variance + np.concatenate(driven) ** 2
         rms = np.sqrt(variance)
-        warmer = partial(_excess_degc, e, k, problem.reference.reference_degc)
+        warmer = partial(_excess_degc, e, k, problem.prior.reference_degc)
         m = len(drift)
         piled, band_hz = e.piled >= _PILE, float(e.band.hz[-1])
         moved = rms[:m], rms[m : 2 * m], rms[2 * m :]
@@ -75,7 +75,7 @@ def linearize(
 
 def forced_drift(problem: Posterior, x: Array, effects: Sequence[Effect]) -> Array:
     """RMS drift that the linearized model has under forces of its level, shape (classes, n_stories), m; whatever their colour."""
-    everything = (*problem.reference.effects(x), *effects)
+    everything = (*problem.prior.effects(x), *effects)
     context, base = problem.context_at(x), problem.system(x, everything)
     n = context.structure.n_dofs
     states, drives = [], []
@@ -100,7 +100,7 @@ def _beyond(problem: Posterior, x: Array, effects: Sequence[Effect]) -> float:
     """See `Condition.beyond`; 1 without a shaken ground, whose motion would be taken for what forces cause."""
     if not any(effect.ground_share for effect in effects):
         return 1.0
-    e, context = problem.evidence, problem.context_at(x)
+    e, context = problem.observed, problem.context_at(x)
     system = extended(problem.system(x, effects), effects, context, problem.conditions[0])
     white = variances(system, e.counts @ problem.forces(x) / e.counts.sum(), effects, context, e.band.hz[-1])[2]
     noise = problem.noise(x) * (e.rate_hz - 2.0 * e.band.hz[-1])

@@ -84,7 +84,7 @@ def maximize_posterior(
                 rows = np.concatenate([frozen, rows], axis=1)
         else:  # so near the end slopes change no more
             residual = problem.whitened(here.spectra, here.spectra[None][:0], here.data)[1]
-        mean, precision = problem.prior(x, effects)
+        mean, precision = problem.normal_prior(x, effects)
         normal = rows.T @ rows + precision
         gradient = rows.T @ np.concatenate([residual, mean_residual]) - precision @ (x - mean)
         scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
@@ -98,7 +98,7 @@ def maximize_posterior(
             moved = np.concatenate([moved[: problem.n_nuisance], *[e.coordinates for e in there]])
             candidate = problem.predict(moved, there)
             new_ll = problem.log_likelihood(candidate.spectra, candidate.data)
-            m, q = problem.prior(moved, there)
+            m, q = problem.normal_prior(moved, there)
             new_lp = -0.5 * float((moved - m) @ q @ (moved - m))
             if new_ll + new_lp > ll + lp - 1e-9:
                 accepted = True
@@ -120,14 +120,12 @@ def maximize_posterior(
 def _limited(problem: Posterior, x: Array, step: Array, effects: Sequence[Effect]) -> Array:
     """A step bounded so that a bad start cannot run away."""
     bound = np.full(x.size, np.inf)
-    k, m, d, c, _ = problem.reference.sizes
-    p = problem.reference.mean.size
+    k, m, d, c, _ = problem.prior.sizes
+    p = problem.prior.mean.size
     bound[: k + m] = 0.1
     bound[k + m : k + m + d + c] = 1.0
     bound[k + m + d + c : p] = 0.1
-    bound[p - problem.reference.n_standing : p] = (
-        _STANDING * problem.reference.units[p - problem.reference.n_standing :]
-    )
+    bound[p - problem.prior.n_standing : p] = _STANDING * problem.prior.units[p - problem.prior.n_standing :]
     bound[p : problem.n_nuisance] = 2.0
     logarithms = [p.scale == "log" for e in effects for p in e.parameters]
     bound[problem.n_nuisance :] = np.where(logarithms, 0.5, np.inf)

@@ -56,7 +56,7 @@ class Posterior(ForwardModel):
 
     def part(self, evidence: ObservedSpectra, classes: NDArray[np.intp]) -> Self:
         """The same for other segments, whose classes are like those of these numbers here."""
-        return replace(self, evidence=evidence, conditions=tuple(self.conditions[k] for k in classes), bent=None)
+        return replace(self, observed=evidence, conditions=tuple(self.conditions[k] for k in classes), bent=None)
 
     def beyond(self, x: Array, effects: Sequence[Effect]) -> ComplexArray | None:
         """What simulation adds to the linearized spectra at a point, relative to them, shape (classes, n_bins, c, c).
@@ -65,13 +65,13 @@ class Posterior(ForwardModel):
         """
         return None
 
-    def prior(self, x: Array, effects: Sequence[Effect]) -> tuple[Array, Array]:
+    def normal_prior(self, x: Array, effects: Sequence[Effect]) -> tuple[Array, Array]:
         """Mean and precision of the nuisances, given the forces' mean level, and of the effects' coordinates."""
         middle = self.conditions[self.n_classes // 2]
         known = [e.known(self.context, middle) for e in effects]
         forces, force_precision = self._known_forces(x)
         precision = block_diag(
-            self.reference.precision,
+            self.prior.precision,
             force_precision,
             np.eye(self.n_classes) / _LEVEL_STD**2,
             np.eye(1) / _NOISE_STD**2,
@@ -79,7 +79,7 @@ class Posterior(ForwardModel):
         )
         mean = np.concatenate(
             [
-                self.reference.mean,
+                self.prior.mean,
                 forces,
                 np.zeros(self.n_classes),
                 [x[self.n_nuisance - 1]],
@@ -90,11 +90,11 @@ class Posterior(ForwardModel):
 
     def _known_forces(self, x: Array) -> tuple[Array, Array]:
         """Mean and precision of the logarithms of the floors' forces, shapes (n,) and (n, n)."""
-        p, n = self.reference.mean.size, self.context.structure.n_dofs
+        p, n = self.prior.mean.size, self.context.structure.n_dofs
         own = x[p : p + n]
         if self.wind is not None:
             return self.wind, np.eye(n) / _WIND_STD**2
-        return own if self.evidence.power is not None else np.full(n, own.mean()), difference_operator(n)
+        return own if self.observed.power is not None else np.full(n, own.mean()), difference_operator(n)
 
     def log_likelihood(
         self, spectra: ComplexArray, data: ComplexArray | None = None, *, levelled: bool = False
@@ -108,19 +108,19 @@ class Posterior(ForwardModel):
             c, widths = spectra.shape[-1], self.widths()
             level = (trace @ widths)[:, None] / (c * widths.sum())
             log_det, trace = log_det + c * np.log(level), trace / level
-        total = ((-log_det - trace) * self.widths()).sum(axis=1) @ self.evidence.counts * self.evidence.weight
+        total = ((-log_det - trace) * self.widths()).sum(axis=1) @ self.observed.counts * self.observed.weight
         return float(total) if np.isfinite(total) else -np.inf
 
     def score(self, x: Array, effects: tuple[Effect, ...]) -> tuple[float, float]:
         """Log likelihood and log prior at a point."""
         here = self.predict(x, effects)
         ll = self.log_likelihood(here.spectra, here.data)
-        mean, precision = self.prior(x, effects)
+        mean, precision = self.normal_prior(x, effects)
         return ll, -0.5 * float((x - mean) @ precision @ (x - mean))
 
     def slopes(self, x: Array, effects: tuple[Effect, ...], spectra: ComplexArray) -> ComplexArray:
         """Derivatives of the (smoothed) spectra, shape (p, classes, bins, c, c), by finite differences."""
-        p, n = self.reference.mean.size, self.context.structure.n_dofs
+        p, n = self.prior.mean.size, self.context.structure.n_dofs
         c = len(self.context.channels)
         diagonal = np.arange(c)
         noise = self.noise(x)
@@ -128,8 +128,8 @@ class Posterior(ForwardModel):
         noise_slope[diagonal, :, diagonal, diagonal] = noise[:, None]
         out = np.empty((x.size, *spectra.shape), dtype=complex)
         out[self.n_nuisance :] = self.effect_slopes(x, effects, spectra)
-        alone = self.evidence.power is None  # else the ground's noise moves the floors too
-        first_noise = sum(self.reference.sizes[:3])
+        alone = self.observed.power is None  # else the ground's noise moves the floors too
+        first_noise = sum(self.prior.sizes[:3])
         for i in range(self.n_nuisance):
             if alone and first_noise <= i < first_noise + c:
                 out[i] = noise_slope[i - first_noise]
@@ -140,10 +140,10 @@ class Posterior(ForwardModel):
             elif p + n <= i < p + n + self.n_classes:
                 k = i - p - n
                 out[i] = 0.0
-                if self.evidence.power is None:
+                if self.observed.power is None:
                     out[i, k] = out[p : p + n, k].sum(axis=0)  # all forces at once, but neither lines nor noise
                 else:
-                    out[i, k] = self.smooth(np.exp(x[i]) * diagonal_of(self.evidence.power))
+                    out[i, k] = self.smooth(np.exp(x[i]) * diagonal_of(self.observed.power))
             elif alone and i == self.n_nuisance - 1:
                 out[i] = noise_slope.sum(axis=0)
             else:
@@ -155,9 +155,9 @@ class Posterior(ForwardModel):
         for what standing effects do to every class in its own way."""
         if i in self._by_class:
             return self.slope_by_class(x, i, effects, spectra)
-        middle, first = self.n_classes // 2, self.reference.mean.size + self.context.structure.n_dofs
+        middle, first = self.n_classes // 2, self.prior.mean.size + self.context.structure.n_dofs
         scale = np.ones(self.n_classes)
-        if self.evidence.power is None:
+        if self.observed.power is None:
             scale = np.exp(x[first : first + self.n_classes] - x[first + middle])
         h, moved = self.nudged(x, i, effects)
         change = self.smooth(self.scatter(moved, effects, classes=[middle]))[0] - spectra[middle]
@@ -223,7 +223,7 @@ class Posterior(ForwardModel):
 
     def _linear_mean(self, x: Array, effects: tuple[Effect, ...], mean: ComplexArray) -> ComplexArray:
         """The linearized laws' response where the exact ones' is `mean`."""
-        if not any(e.nonlinear for e in (*self.reference.effects(x), *effects)):
+        if not any(e.nonlinear for e in (*self.prior.effects(x), *effects)):
             return mean
         linear = self.mean(x, effects, exact=False)
         assert linear is not None
@@ -232,21 +232,21 @@ class Posterior(ForwardModel):
     @property
     def _by_class(self) -> list[int]:
         """Coordinates of standing effects that depend on the condition, or do not follow the level."""
-        first = self.reference.mean.size - self.reference.n_standing
-        conditional = [e.conditional or bool(e.lines()) for e in self.reference.model.effects for _ in e.parameters]
+        first = self.prior.mean.size - self.prior.n_standing
+        conditional = [e.conditional or bool(e.lines()) for e in self.prior.model.effects for _ in e.parameters]
         return [first + j for j, by_class in enumerate(conditional) if by_class]
 
     @property
     def _moving(self) -> list[int]:
         """Nuisances that move the response: neither noise nor forces."""
-        k, m, d, noise, _ = self.reference.sizes
-        return [*range(k + m + d), *range(k + m + d + noise, self.reference.mean.size)]
+        k, m, d, noise, _ = self.prior.sizes
+        return [*range(k + m + d), *range(k + m + d + noise, self.prior.mean.size)]
 
     def mean_rows(self, here: Prediction, slopes: ComplexArray) -> tuple[Array, Array]:
         """As `whitened`, for the segments' means; no rows without a measured ground."""
         if here.left is None:
             return np.zeros((0, len(slopes))), np.zeros(0)
-        e = self.evidence
+        e = self.observed
         weight = e.weight * e.counts / [m.size for m in e.members]
         rows = ground_response.mean_rows(here.spectra, np.concatenate([slopes, here.left[None]]), e.members, weight)
         return rows[:, :-1], rows[:, -1]
@@ -259,7 +259,7 @@ class Posterior(ForwardModel):
         rows, residual = self.whitened(here.spectra, slopes, here.data)
         mean_slopes = np.zeros((len(slopes), 0, 0, 0), dtype=complex)
         if here.left is not None:
-            mean_slopes = self.mean_slopes(x, effects, self.evidence.segments.values - here.left, range(first, x.size))
+            mean_slopes = self.mean_slopes(x, effects, self.observed.segments.values - here.left, range(first, x.size))
         mean_rows, mean_residual = self.mean_rows(here, mean_slopes)
         return np.concatenate([rows, mean_rows]), residual, mean_residual
 
@@ -268,18 +268,20 @@ class Posterior(ForwardModel):
     ) -> tuple[Array, Array]:
         """Slopes and residual as real rows of unit information, shapes (rows, p) and (rows,)."""
         data = self.data() if data is None else data
-        root = np.sqrt(self.evidence.weight * self.evidence.counts[:, None] * self.widths())
+        root = np.sqrt(self.observed.weight * self.observed.counts[:, None] * self.widths())
         stacked = np.concatenate([slopes, (data - spectra)[None]])
         rows = whiten(spectra, stacked, root)
         return rows[:, :-1], rows[:, -1]
 
     def nudged(self, x: Array, i: int, effects: Sequence[Effect]) -> tuple[float, Array]:
         """Finite difference for coordinate i, and x moved by it."""
-        j, least = i - self.n_nuisance, [p.least for e in effects for p in e.parameters]
-        if j >= 0:
-            h = 1e-4 * max(abs(x[i]), least[j])
+        if i >= self.n_nuisance:
+            least = [p.least for e in effects for p in e.parameters]
+            h = 1e-4 * max(abs(x[i]), least[i - self.n_nuisance])
+        elif i < self.prior.mean.size:
+            h = _NUDGE * self.prior.units[i]
         else:
-            h = _NUDGE * (self.reference.units[i] if i < self.reference.mean.size else 1.0)
+            h = _NUDGE
         moved = x.copy()
         moved[i] += h
         return h, moved

@@ -193,9 +193,9 @@ def _nominal(config: Configuration) -> StructuralPrior:
 def _gains(wider: StructuralPrior, found: Diagnosis) -> bool:
     """Whether what a wider reference leaves to the data explains more than what it costs, beside what was found."""
     problem, at = found.problem, found.final
-    end = problem.reference.mean.size
+    end = problem.prior.mean.size
     x = np.concatenate([at.x[:end], wider.mean[end:], at.x[end:]])
-    there = maximize_posterior(replace(problem, reference=wider), x, at.effects, iterations=FAR)
+    there = maximize_posterior(replace(problem, prior=wider), x, at.effects, iterations=FAR)
     return (
         there.log_posterior - at.log_posterior - parameter_cost(problem, wider.mean.size - end) > found.settings.margin
     )

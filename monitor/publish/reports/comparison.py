@@ -84,7 +84,7 @@ class LevelDependence:
 
 def compare(diagnosis: Diagnosis, segments: Segments) -> Comparison:
     """The diagnosis's spectra and misfit; `segments` are what it judged."""
-    problem, e = diagnosis.problem, diagnosis.problem.evidence
+    problem, e = diagnosis.problem, diagnosis.problem.observed
     share = e.counts / e.counts.sum()
 
     def power(spectra: ComplexArray) -> Array:
@@ -133,13 +133,13 @@ def level_dependence(diagnosis: Diagnosis) -> LevelDependence | None:
         return None
     warm = [e for e in moving if e.name == "temperature_stiffness"]
     lags = [float(e.values()["lag_s"]) for e in warm]
-    degc = [class_temperature(problem.evidence, k, lags[0] if lags else 0.0) for k in range(problem.n_classes)]
+    degc = [class_temperature(problem.observed, k, lags[0] if lags else 0.0) for k in range(problem.n_classes)]
     by_temperature = bool(warm) and None not in degc
-    rms = np.sqrt((problem.evidence.rms**2).mean(axis=1))
+    rms = np.sqrt((problem.observed.rms**2).mean(axis=1))
     at = np.array(degc, dtype=float) if by_temperature else rms
     order = np.argsort(at)
     spectra = problem.spectra(final.x, final.effects)
-    f, f_std, d, d_std = _equivalents(problem, problem.evidence.spectra, diagnosis.null.x, order)
+    f, f_std, d, d_std = _equivalents(problem, problem.observed.spectra, diagnosis.null.x, order)
     model_f, _, model_d, _ = _equivalents(problem, spectra, diagnosis.null.x, order)
     axis = "temperature of the class, °C" if by_temperature else "vibration level of the class: RMS acceleration, m/s²"
     return LevelDependence(axis, at[order], f, f_std, d, d_std, model_f, model_d)
@@ -153,7 +153,7 @@ def _equivalents(problem: Posterior, spectra: ComplexArray, x: Array, classes: N
 
 def _equivalent(problem: Posterior, spectra: ComplexArray, x: Array, k: int) -> tuple[Array, Array, Array, Array]:
     """Frequencies, their standard deviations, damping ratios and theirs: the old model form fitted to class k's spectra."""
-    e, reference = problem.evidence, problem.reference
+    e, reference = problem.observed, problem.prior
     alone = replace(
         e,
         spectra=spectra[None],
@@ -167,8 +167,8 @@ def _equivalent(problem: Posterior, spectra: ComplexArray, x: Array, k: int) -> 
     std[:n_k], std[n_k + n_m : n_k + n_m + n_d + n_noise] = _FREE, 1.0
     one = replace(
         problem,
-        evidence=alone,
-        reference=replace(reference, mean=x[:p], precision=np.diag(std**-2.0)),
+        observed=alone,
+        prior=replace(reference, mean=x[:p], precision=np.diag(std**-2.0)),
         conditions=problem.conditions[k : k + 1],
         offset=None,
     )

@@ -214,7 +214,7 @@ def _ranking(diagnosis: Diagnosis, content: Content) -> str:
 
 def _parameters(diagnosis: Diagnosis, content: Content, hz: Array) -> str:
     """Causes with their numbers, alternatives, standing causes."""
-    reference = diagnosis.problem.reference
+    reference = diagnosis.problem.prior
     out = []
     lists = (("Causes", content["causes"]), ("Already so at calibration", content["standing"]))
     for title, causes in lists:
@@ -273,7 +273,7 @@ def _signs(causes: Sequence[Content]) -> str:
 
 def _data(diagnosis: Diagnosis, content: Content, segments: Segments, c: Comparison) -> str:
     """What was judged, and by what."""
-    e = diagnosis.problem.evidence
+    e = diagnosis.problem.observed
     rows = [
         ("length", f"{_minutes(segments)}; {segments.samples} sample instants"),
         ("channels", ", ".join(c.channels) + f"; source at {segments.rate_hz:g} Hz"),
@@ -283,7 +283,7 @@ def _data(diagnosis: Diagnosis, content: Content, segments: Segments, c: Compari
         ("ground motion", "measured, and used as input" if e.drive is not None else "not measured"),
         ("likelihood", "debiased Whittle likelihood of the classes' cross-spectra (complex Wishart), "
          f"tempered by {e.weight:.2f} for the correlation of neighbouring bins and segments"),
-        ("reference", "baseline" if diagnosis.problem.reference.basis.shape[0] else "structure file"),
+        ("reference", "baseline" if diagnosis.problem.prior.basis.shape[0] else "structure file"),
         ("held out", content["gain"]["heldout"]),
     ]  # fmt: skip
     return "<h2>The data judged</h2>" + table([], rows)
