@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 from drivers.base import ACCELERATION, SampleBlock
 from monitor.config import configuration
 from monitor.model.simulation import simulate
-from tests.frame_text import THREE_STORIES
+from tests.support.frame_text import THREE_STORIES
 
 FRAME = (
     THREE_STORIES

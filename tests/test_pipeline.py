@@ -24,8 +24,8 @@ from monitor.pipeline import Pipeline, Result
 from monitor.publish.results.lines import to_json, window_line
 from monitor.runs.synthetic_recording import blocks_of
 from tests.conftest import T0_NS, Cut
-from tests.test_structures import configured, learned, results_of
-from tests.test_updating import HEALTHY, two_directions
+from tests.damage.test_updating import HEALTHY, two_directions
+from tests.model.test_structures import configured, learned, results_of
 
 RATE = 128.0
 DURATION_S = 42.0

@@ -28,7 +28,7 @@ from monitor.signals.resampling import Conditioner
 from monitor.signals.windows import WindowGrid
 from tests.benchmarks.frames import baseline, configuration, write
 from tests.benchmarks.rounds import Cost, interleaved
-from tests.frame_text import THREE_STORIES
+from tests.support.frame_text import THREE_STORIES
 
 LIBRARY, READ, WINDOWED = "mcap library, float32 arrays", "read_recordings", "read, filtered, resampled, windowed"
 BARE_LIBRARY = "mcap library, nothing done"

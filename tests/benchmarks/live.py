@@ -22,7 +22,7 @@ import tomlkit
 ROOT = Path(__file__).resolve().parents[2]
 sys.path = [str(ROOT), *(p for p in sys.path if p != str(Path(__file__).parent))]
 
-from tests.live_rig import (  # noqa: E402
+from tests.support.live_rig import (  # noqa: E402
     Command,
     Site,
     blocks,

@@ -60,7 +60,7 @@ from monitor.service.outlets.inbox import Inbox
 from monitor.service.outlets.outbox import Outbox
 from monitor.service.requests import Request, apply
 from monitor.service.restart import Saved
-from tests.frame_text import THREE_STORIES
+from tests.support.frame_text import THREE_STORIES
 
 ROOT = Path(__file__).parents[2]
 T0_NS = 1_767_225_600_000_000_000

@@ -38,9 +38,9 @@ from monitor.runs.synthetic_recording import blocks_of
 from monitor.service import logs
 from monitor.service.daemon import Daemon
 from monitor.signals.sensor_health import Health
-from tests.frame_text import THREE_STORIES
-from tests.live_site import RATE, SIZE, given
 from tests.statistics.alarm_twin import HOP_S, TWIN, WINDOW, WINDOW_S
+from tests.support.frame_text import THREE_STORIES
+from tests.support.live_site import RATE, SIZE, given
 
 ROOT = Path(__file__).parents[2]
 T0_NS, DAY = 1_767_225_600_000_000_000, round(86_400 / HOP_S)
@@ -229,7 +229,7 @@ def raw(hours: float, folder: Path) -> None:
     arguments = [site, folder / "stream.npy", position, 0, 0]
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
     with (folder / "log").open("wb") as log:
-        command = [sys.executable, "-m", "tests.live_site", *map(str, arguments)]
+        command = [sys.executable, "-m", "tests.support.live_site", *map(str, arguments)]
         process = subprocess.Popen(command, stderr=log, cwd=ROOT, env=environment)
     times, mb = [], []
     while (seconds := given(position) * SIZE / RATE) < hours * 3600.0:

@@ -1,0 +1,862 @@
+"""The commands: exit codes, messages, and the files they leave.
+
+`site.cli` runs the installed script; `site.main` the same entry point in this process, where many cases are alike.
+"""
+
+from __future__ import annotations
+
+import inspect
+import json
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+from typing import get_type_hints
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, Writer
+from typer.models import ArgumentInfo, CommandInfo
+
+from drivers import codec
+from drivers.base import ACCELERATION, GROUND
+from drivers.mcap_file import McapWriter, read_recordings, recording_info, scan_messages
+from monitor.cli.app import app
+from monitor.config import configuration
+from monitor.model.model import Model
+from monitor.model.simulation import simulate
+from tests.conftest import T0_NS, Cli, Cut
+
+ROS2 = Path(__file__).parents[1] / "data" / "mcap-ros2"
+RATE = 200.0
+LINE_KEYS = {
+    "t_end_ns", "window_s", "frequencies_hz", "frequencies_std_hz", "damping_ratio", "damping_std", "mode_shapes",
+    "stiffness_n_per_m", "stiffness_std", "ddi", "ddi_std", "alarm", "skipped",
+}  # fmt: skip
+ESTIMATES = LINE_KEYS - {"t_end_ns", "window_s", "alarm", "skipped"}
+SUMMARY_KEYS = {"windows", "skipped", "alarms", "dropped_samples", "gaps", "realtime_factor"}
+EPISODE_KEYS = {"level", "story", "t_first_ns", "t_last_ns", "ddi", "ddi_std", "loss_n_per_m"}
+
+Done = subprocess.CompletedProcess[str]
+
+
+def strict(text: str) -> object:
+    def refuse(constant: str) -> None:
+        raise AssertionError(f"{constant} is no JSON")
+
+    return json.loads(text, parse_constant=refuse)
+
+
+def lines_of(out: Path) -> list[dict]:
+    return [strict(line) for line in (out / "results.jsonl").read_text().splitlines()]  # type: ignore[misc]
+
+
+def tree(folder: Path) -> dict[str, int]:
+    """Every file below a folder with when it was last written."""
+    return {str(p.relative_to(folder)): p.stat().st_mtime_ns for p in folder.rglob("*") if p.is_file()}
+
+
+def assert_ok(done: Done) -> None:
+    assert done.returncode == 0, done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def assert_refused(done: Done, codes: set[int], *words: str) -> None:
+    """One clear message, the right code, never a traceback."""
+    assert "Traceback" not in done.stderr, done.stderr[-2000:]
+    assert done.returncode in codes, (done.returncode, done.stderr)
+    if done.returncode == 2:
+        assert "Usage" in done.stderr
+    else:
+        assert [line[:7] for line in done.stderr.splitlines()].count("error: ") == 1, done.stderr
+        assert done.stderr.startswith("error: ") or done.stderr.startswith("warning: ")
+    told = " ".join(done.stderr.split())
+    assert all(word in told for word in words), (words, done.stderr)
+    assert done.stdout == ""
+
+
+class Site:
+    """A folder with good inputs, made once; commands run in it, and each test gets its own output folder."""
+
+    def __init__(self, folder: Path, cli: Cli, main: Cli, cut: Cut, frame_text: str) -> None:
+        self.folder, self.cli, self.main, self.cut = folder, cli, main, cut
+        self.quick = folder / "quick.toml"
+        self.quick.write_text(frame_text)
+        self.watch = folder / "watch.toml"
+        slow = frame_text.replace("window_s = 20.0", "window_s = 60.0").replace("block_rows = 10", "block_rows = 20")
+        self.watch.write_text(slow + "\n[alarm]\nalarm_loss = 0.08\nconfirm_s = 30\nclear_s = 30\n")
+        self.healthy = folder / "healthy.mcap"
+        self.done = self.simulate(self.healthy, "--duration", 240, "--seed", 1)
+        self.baseline = folder / "baseline.json"
+        self._values = np.zeros((0, 3))
+
+    def simulate(self, out: Path, *more: object) -> Done:
+        return self.main("simulate", "--structure", self.watch, "--out", out, "--rate", RATE, "--noise", 0.02, *more)
+
+    def values(self, seconds: float) -> np.ndarray:
+        """The healthy recording's first seconds."""
+        if not self._values.size:
+            self._values = np.concatenate([b.samples for b in read_recordings([self.healthy])])
+        return self._values[: round(seconds * RATE)].copy()
+
+    def write(self, name: str, values: np.ndarray, **changes: object) -> Path:
+        path = self.folder / name
+        with McapWriter(path) as writer:
+            for block in self.cut(values, RATE, [200], **changes):
+                writer.write(block)
+        return path
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory, cli: Cli, main: Cli, cut: Cut, frame_text: str) -> Site:
+    made = Site(tmp_path_factory.mktemp("cli"), cli, main, cut, frame_text)
+    assert_ok(made.done)
+    return made
+
+
+@pytest.fixture(scope="module")
+def calibrated(site: Site) -> Done:
+    return site.cli("calibrate", site.healthy, "--structure", site.watch, "--out", site.baseline)
+
+
+# --- replay and calibrate on good recordings ---
+
+
+@pytest.fixture(scope="module")
+def plain(site: Site) -> tuple[Done, Path]:
+    out = site.folder / "deep" / "plain"
+    recording = site.write("plain.mcap", site.values(42))
+    return site.cli("replay", recording, "--structure", site.quick, "--out", out), out
+
+
+def test_replay_writes_its_four_files_and_is_quiet_in_a_pipe(plain: tuple[Done, Path]) -> None:
+    done, out = plain
+    assert_ok(done)
+    assert done.stderr == ""
+    assert sorted(p.name for p in out.iterdir()) == ["live.rrd", "results.jsonl", "results.mcap", "summary.json"]
+    assert all(p.stat().st_size > 0 for p in out.iterdir())
+
+
+def test_lines_are_strict_json_with_every_key_of_the_contract(plain: tuple[Done, Path]) -> None:
+    lines = lines_of(plain[1])
+    assert [line["t_end_ns"] for line in lines] == [T0_NS + (20 + 5 * k) * 10**9 for k in range(5)]
+    for line in lines:
+        assert line.keys() >= LINE_KEYS
+        assert line["window_s"] == 20.0
+        assert line["skipped"] is None
+        assert np.shape(line["frequencies_hz"]) == np.shape(line["damping_std"]) == (3,)
+        assert np.shape(line["mode_shapes"]) == (3, 3, 2)
+        assert np.shape(line["ddi"]) == np.shape(line["ddi_std"]) == np.shape(line["stiffness_std"]) == (3,)
+        assert min(line["frequencies_std_hz"] + line["stiffness_std"] + line["ddi_std"]) > 0
+        assert line["alarm"].keys() >= {"level", "stories", "reason"}
+        assert line["alarm"]["level"] == "normal" and line["alarm"]["stories"] == []
+
+
+def test_the_summary_has_every_key_of_the_contract(plain: tuple[Done, Path]) -> None:
+    summary = strict((plain[1] / "summary.json").read_text())
+    assert isinstance(summary, dict) and summary.keys() >= SUMMARY_KEYS
+    counts = [summary[key] for key in ("windows", "skipped", "alarms", "dropped_samples", "gaps")]
+    assert counts == [5, 0, [], 0, 0]
+    assert summary["realtime_factor"] > 1
+
+
+def test_results_mcap_holds_the_same_lines(plain: tuple[Done, Path]) -> None:
+    messages = [(t, data.decode()) for topic, t, data in scan_messages(plain[1] / "results.mcap") if "result" in topic]
+    lines = (plain[1] / "results.jsonl").read_text().splitlines()
+    assert messages == [(strict(line)["t_end_ns"], line) for line in lines]  # type: ignore[index]
+
+
+def test_replay_again_into_the_same_folder_gives_the_same_lines(site: Site, plain: tuple[Done, Path]) -> None:
+    before = (plain[1] / "results.jsonl").read_bytes()
+    assert_ok(site.cli("replay", site.folder / "plain.mcap", "--structure", site.quick, "--out", plain[1]))
+    assert (plain[1] / "results.jsonl").read_bytes() == before
+
+
+def test_a_planted_loss_of_a_tenth_is_found_in_its_story_alone(site: Site, calibrated: Done) -> None:
+    assert_ok(calibrated)
+    assert calibrated.stderr == ""
+    before, after = site.folder / "before.mcap", site.folder / "after.mcap"
+    assert_ok(site.simulate(before, "--duration", 120, "--seed", 2, "--start", "2026-01-02T00:00:00"))
+    late = ("--duration", 150, "--seed", 3, "--start", "2026-01-02T00:02:00", "--damage", "story2=0.1")
+    assert_ok(site.simulate(after, *late))
+    out = site.folder / "planted"
+    arguments = ("--structure", site.watch, "--baseline", site.baseline, "--out", out)
+    done = site.cli("replay", after, before, *arguments)
+    assert_ok(done)
+    planted_ns = recording_info(after).t_start_ns
+    summary = strict((out / "summary.json").read_text())
+    assert isinstance(summary, dict)
+    (episode,) = summary["alarms"]
+    assert episode.keys() >= EPISODE_KEYS
+    assert (episode["level"], episode["story"], episode["t_last_ns"]) == ("alarm", 2, None)
+    assert planted_ns < episode["t_first_ns"] <= planted_ns + 65 * 10**9
+    assert episode["ddi"] == pytest.approx(0.10, abs=4 * episode["ddi_std"])
+    assert episode["loss_n_per_m"] == pytest.approx(151.5, rel=0.15)
+    lines = lines_of(out)
+    assert len(lines) == (270 - 60) // 5 + 1
+    for line in lines:
+        if line["t_end_ns"] <= planted_ns:
+            assert line["alarm"]["level"] == "normal"
+        assert line["alarm"]["stories"] in ([], [2])
+    assert lines[-1]["alarm"]["level"] == "alarm"
+    assert "story 2" in done.stdout
+
+
+def test_calibrating_twice_gives_the_same_baseline(site: Site, calibrated: Done, tmp_path: Path) -> None:
+    assert_ok(calibrated)
+    again = tmp_path / "again.json"
+    assert_ok(site.cli("calibrate", site.healthy, "--structure", site.watch, "--out", again))
+    assert again.read_bytes() == site.baseline.read_bytes()
+    strict(again.read_text())
+
+
+def test_samples_that_are_not_finite_are_told_and_their_windows_skipped(site: Site, tmp_path: Path) -> None:
+    values = site.values(80)
+    values[6000:6200, 1] = np.nan  # 30 to 31 s
+    values[6500, 0] = np.inf
+    done = site.cli("replay", site.write("nan.mcap", values), "--structure", site.quick, "--out", tmp_path)
+    assert_ok(done)
+    (warning,) = done.stderr.splitlines()
+    assert warning.startswith("warning: 201 samples")
+    lines = lines_of(tmp_path)
+    assert len(lines) == 13
+    for k, line in enumerate(lines):
+        assert line.keys() >= LINE_KEYS
+        touched = 5 * k + 20 > 30 and 5 * k < 32.505
+        assert (line["skipped"] is not None) == touched
+        if touched:
+            assert all(line[key] is None for key in ESTIMATES)
+            assert line["window_s"] < 20.0
+            assert line["alarm"]["level"] == "normal"
+    summary = strict((tmp_path / "summary.json").read_text())
+    assert isinstance(summary, dict)
+    assert (summary["windows"], summary["dropped_samples"], summary["gaps"]) == (13, 201, 2)
+    assert summary["skipped"] == sum(line["skipped"] is not None for line in lines)
+
+
+def test_results_are_written_even_when_no_window_completes(site: Site, tmp_path: Path) -> None:
+    values = site.values(60)
+    values[1000::2000] = np.nan  # a hole every 10 s
+    done = site.cli("replay", site.write("holes.mcap", values), "--structure", site.quick, "--out", tmp_path)
+    assert_ok(done)
+    lines = lines_of(tmp_path)
+    assert len(lines) == 9
+    assert all(line["skipped"] for line in lines)
+
+
+def test_a_truncated_recording_is_used_as_far_as_it_goes_with_a_warning(site: Site, tmp_path: Path) -> None:
+    cut = site.folder / "cut.mcap"
+    whole = site.healthy.read_bytes()
+    cut.write_bytes(whole[: len(whole) * 7 // 10])
+    done = site.cli("replay", cut, "--structure", site.watch, "--out", tmp_path)
+    assert_ok(done)
+    (warning,) = done.stderr.splitlines()
+    assert warning.startswith("warning: ") and "cut.mcap" in warning
+    assert 1 <= len(lines_of(tmp_path)) < 37
+
+
+def test_replay_at_a_multiple_of_real_time_takes_its_time(site: Site, plain: tuple[Done, Path], tmp_path: Path) -> None:
+    arguments = ("--structure", site.quick, "--out", tmp_path, "--speed", "40")
+    assert_ok(site.cli("replay", site.folder / "plain.mcap", *arguments))
+    summary = strict((tmp_path / "summary.json").read_text())
+    assert isinstance(summary, dict)
+    assert 10 < summary["realtime_factor"] <= 40.1
+    assert (tmp_path / "results.jsonl").read_bytes() == (plain[1] / "results.jsonl").read_bytes()
+
+
+# --- bad recordings ---
+
+
+def _mutilated(site: Site, how: Callable[[bytearray], bytes]) -> Path:
+    path = site.folder / "bad.mcap"
+    path.write_bytes(how(bytearray((site.folder / "plain.mcap").read_bytes())))
+    return path
+
+
+def _flip(data: bytearray) -> bytes:
+    data[len(data) // 2] ^= 4
+    return bytes(data)
+
+
+def _unknown_unit(site: Site) -> Path:
+    path = site.folder / "unit.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file, compression=CompressionType.ZSTD)
+        writer.start()
+        schema = writer.register_schema(codec.SCHEMA_NAME, "protobuf", codec.SCHEMA_BYTES)
+        channel = writer.register_channel(ACCELERATION, "protobuf", schema)
+        for block in site.cut(site.values(30), RATE, [200]):
+            data = codec.encode(block).replace(b"m/s^2", b"m/s^3")
+            writer.add_message(channel, block.t_ns, data, block.t_ns)
+        writer.finish()
+    return path
+
+
+def _text(site: Site) -> Path:
+    path = site.folder / "text.mcap"
+    path.write_text("time,a1,a2,a3\n0,0,0,0\n")
+    return path
+
+
+def _ground_only(site: Site) -> Path:
+    path = site.folder / "ground.mcap"
+    with McapWriter(path) as writer:
+        for block in site.cut(site.values(30)[:, :1], RATE, [200], channels=("ground",)):
+            writer.write(type(block)(GROUND, *(getattr(block, n) for n in block.__slots__[1:])))
+    return path
+
+
+BAD_RECORDINGS: dict[str, tuple[Callable[[Site], Path], tuple[str, ...]]] = {
+    "empty": (lambda s: _mutilated(s, lambda _: b""), ("bad.mcap", "empty")),
+    "cut before the first block": (lambda s: _mutilated(s, lambda d: bytes(d[:400])), ("bad.mcap",)),
+    "bit flipped": (lambda s: _mutilated(s, _flip), ("bad.mcap", "damaged at byte")),
+    "foreign, controlled": (lambda s: ROS2 / "controlled_data_0.mcap", ("controlled_data_0.mcap", "/acceleration")),
+    "foreign, uncontrolled": (lambda s: ROS2 / "uncontrolled_data_0.mcap", ("uncontrolled_data_0.mcap", "import")),
+    "text": (_text, ("text.mcap", "no MCAP file", "import")),
+    "unknown unit": (_unknown_unit, ("unit.mcap", "m/s^3", "m/s^2")),
+    "no acceleration": (_ground_only, ("ground.mcap", "/acceleration")),
+    "missing channel": (
+        lambda s: s.write("two.mcap", s.values(30)[:, :2], channels=("a1", "a2")),
+        ("two.mcap", "a3", "a1, a2"),
+    ),
+    "nothing finite": (lambda s: s.write("void.mcap", np.full((6000, 3), np.nan)), ("void.mcap", "finite")),
+    "one block": (lambda s: s.write("short.mcap", s.values(1)), ("short.mcap", "1.0 s", "20 s")),
+    "just too short": (lambda s: s.write("short.mcap", s.values(19.99)), ("short.mcap", "20 s", "window_s")),
+}
+
+
+@pytest.mark.parametrize("case", BAD_RECORDINGS)
+def test_bad_recordings_get_one_message_and_leave_nothing(
+    site: Site, plain: tuple[Done, Path], case: str, tmp_path: Path
+) -> None:
+    make, words = BAD_RECORDINGS[case]
+    done = site.cli("replay", make(site), "--structure", site.quick, "--out", tmp_path / "out")
+    assert_refused(done, {65}, *words)
+    assert tree(tmp_path) == {}
+
+
+@pytest.mark.parametrize("case", ["bit flipped", "missing channel", "one block", "nothing finite"])
+def test_calibrate_refuses_bad_recordings_too(site: Site, plain: tuple[Done, Path], case: str, tmp_path: Path) -> None:
+    make, words = BAD_RECORDINGS[case]
+    done = site.main("calibrate", make(site), "--structure", site.quick, "--out", tmp_path / "b.json")
+    assert_refused(done, {65}, *words)
+    assert tree(tmp_path) == {}
+
+
+def test_a_failed_replay_leaves_the_files_of_an_earlier_one(site: Site, tmp_path: Path) -> None:
+    good = site.write("good.mcap", site.values(25))
+    assert_ok(site.cli("replay", good, "--structure", site.quick, "--out", tmp_path))
+    before = tree(tmp_path)
+    short = site.write("tiny.mcap", site.values(3))
+    assert_refused(site.cli("replay", short, "--structure", site.quick, "--out", tmp_path), {65}, "3.0 s")
+    assert tree(tmp_path) == before
+
+
+def test_calibrate_on_noise_alone_says_which_recording_and_why(site: Site, tmp_path: Path) -> None:
+    noise = site.write("noise.mcap", np.random.default_rng(0).normal(size=(6000, 3)))
+    done = site.cli("calibrate", noise, "--structure", site.quick, "--out", tmp_path / "b.json")
+    assert_refused(done, {65}, "noise.mcap", "spectral flatness")
+    assert tree(tmp_path) == {}
+
+
+def test_a_gap_that_leaves_too_little_is_not_blamed_on_the_recordings_length(site: Site, tmp_path: Path) -> None:
+    """28 s recorded, but the last 14 s are not finite: "record longer" would be no help."""
+    values = site.values(28)
+    values[2800:] = np.nan
+    done = site.cli("replay", site.write("half.mcap", values), "--structure", site.quick, "--out", tmp_path / "o")
+    assert_refused(done, {65}, "half.mcap", "20 s")
+    assert "28.0 s of data" not in done.stderr
+
+
+# --- missing files, directories, places that cannot be written ---
+
+
+@pytest.mark.parametrize("what", ["recording", "structure", "baseline"])
+@pytest.mark.parametrize("kind", ["missing", "directory"])
+def test_missing_files_and_directories_are_66(site: Site, what: str, kind: str, tmp_path: Path) -> None:
+    bad = tmp_path / "nowhere.mcap" if kind == "missing" else site.folder
+    named = {"recording": site.healthy, "structure": site.quick, "baseline": None, what: bad}
+    arguments = [named["recording"], "--structure", named["structure"], "--out", tmp_path / "out"]
+    arguments += ["--baseline", named["baseline"]] if named["baseline"] else []
+    assert_refused(site.cli("replay", *arguments), {66}, str(bad))
+    assert tree(tmp_path) == {}
+
+
+def test_one_missing_recording_among_good_ones_is_66(site: Site, tmp_path: Path) -> None:
+    arguments = ("--structure", site.watch, "--out", tmp_path / "out")
+    assert_refused(site.cli("replay", site.healthy, tmp_path / "none.mcap", *arguments), {66}, "none.mcap")
+    assert tree(tmp_path) == {}
+
+
+@pytest.mark.parametrize("command", ["simulate", "calibrate"])
+def test_other_commands_with_a_missing_structure_are_66(site: Site, command: str, tmp_path: Path) -> None:
+    recording = [site.healthy] if command == "calibrate" else []
+    arguments = (*recording, "--structure", tmp_path / "none.toml", "--out", tmp_path / "o")
+    assert_refused(site.main(command, *arguments), {66}, "none.toml")
+    assert tree(tmp_path) == {}
+
+
+def test_an_output_folder_that_is_a_file_is_refused(site: Site, tmp_path: Path) -> None:
+    place = tmp_path / "out"
+    place.write_text("mine")
+    short = site.write("good.mcap", site.values(25))
+    for out in (place, place / "deeper"):
+        assert_refused(site.main("replay", short, "--structure", site.quick, "--out", out), {66}, str(out))
+    assert place.read_text() == "mine"
+    assert len(tree(tmp_path)) == 1
+
+
+@pytest.mark.parametrize("name", ["results.jsonl", "results.mcap", "live.rrd", "summary.json"])
+def test_a_result_whose_place_is_taken_by_a_folder_is_refused(site: Site, name: str, tmp_path: Path) -> None:
+    short = site.write("good.mcap", site.values(25))
+    (tmp_path / name).mkdir()
+    done = site.main("replay", short, "--structure", site.quick, "--out", tmp_path)
+    if name == "live.rrd" and done.returncode == 0:
+        assert "live.rrd" in done.stderr, "a view may fail, but not in silence"
+    else:
+        assert_refused(done, {66}, name)
+    assert not [p for p in tree(tmp_path) if p.endswith(".part")]
+
+
+@pytest.mark.parametrize("command", ["simulate", "calibrate"])
+@pytest.mark.parametrize("place", ["folder", "below a file"])
+def test_an_output_file_that_cannot_be_is_refused(site: Site, command: str, place: str, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("mine")
+    (tmp_path / "folder").mkdir()
+    out = tmp_path / "folder" if place == "folder" else tmp_path / "file" / "o"
+    if command == "simulate":
+        done = site.simulate(out, "--duration", 5)
+    else:
+        short = site.write("good.mcap", site.values(25))
+        done = site.main("calibrate", short, "--structure", site.quick, "--out", out)
+    assert_refused(done, {66}, str(out))
+    assert list(tree(tmp_path)) == ["file"]
+
+
+# --- bad configurations and baselines ---
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("[structure]", "[structure", ("not a TOML file", "line 2")),
+        ("0.3253", "-0.3253", ("structure.masses_kg.0",)),
+        ("hop_s", "hops", ("processing.hops",)),
+    ],
+)
+@pytest.mark.parametrize("command", ["check", "replay", "calibrate", "simulate"])
+def test_a_bad_structure_file_is_78_in_every_command(
+    site: Site, command: str, old: str, new: str, words: tuple[str, ...], tmp_path: Path
+) -> None:
+    bad = site.folder / "bad.toml"
+    bad.write_text(site.quick.read_text().replace(old, new, 1))
+    recording = [site.healthy] if command in ("replay", "calibrate") else []
+    arguments = [bad] if command == "check" else [*recording, "--structure", bad, "--out", tmp_path / "o"]
+    assert_refused(site.main(command, *arguments), {78}, "bad.toml", *words)
+    assert tree(tmp_path) == {}
+
+
+def test_check_lists_every_problem_at_once(site: Site) -> None:
+    bad = site.folder / "worse.toml"
+    text = site.quick.read_text().replace("0.3253", "-1").replace("hop_s = 5.0", "hop_s = -1\ncolour = 3")
+    bad.write_text(text + "\n[alarms]\n")
+    done = site.main("check", bad)
+    assert_refused(done, {78}, "masses_kg.0", "hop_s", "colour", "alarms")
+    assert done.stderr.count("worse.toml") == 4
+
+
+def test_check_of_a_good_file_tells_its_frequencies(site: Site) -> None:
+    done = site.cli("check", site.quick)
+    assert_ok(done)
+    assert "no problems" in done.stdout and "5.2, 16.3, 23 Hz" in done.stdout
+    assert done.stderr == ""
+
+
+@pytest.mark.parametrize(
+    ("story", "words"),
+    [
+        ("290945.11", ("cutoff_hz = 40",)),
+        ("29.094511", ("lags of 0.2 s", "rate_hz = 65, cutoff_hz = 26", "block_rows = 22")),
+    ],
+)
+def test_check_warns_of_modes_beyond_the_band(site: Site, story: str, words: tuple[str, ...]) -> None:
+    other = site.folder / "other.toml"
+    other.write_text(site.quick.read_text().replace("2909.4511", story))
+    done = site.main("check", other)
+    assert_ok(done)
+    assert done.stderr.startswith("warning: ") and all(w in done.stderr for w in words), done.stderr
+
+
+def _changed(site: Site, **changes: object) -> str:
+    return json.dumps({**json.loads(site.baseline.read_text()), **changes})
+
+
+BAD_BASELINES: dict[str, Callable[[Site], str]] = {
+    "empty": lambda s: "",
+    "cut": lambda s: s.baseline.read_text()[:500],
+    "a list": lambda s: "[]",
+    "null": lambda s: "null",
+    "another object": lambda s: '{"format": 1}',
+    "a later format": lambda s: _changed(s, format=99),
+    "words for numbers": lambda s: _changed(s, z=["a", "b"]),
+    "ragged": lambda s: _changed(s, z_covariance=[[1.0], [1.0, 2.0]]),
+    "one stiffness less": lambda s: _changed(s, stiffness_n_per_m=[1000.0, 1000.0]),
+    "a negative mass": lambda s: _changed(s, masses_kg=[-0.3, 0.3, 0.3]),
+    "not a number": lambda s: _changed(s, stiffness_n_per_m=[float("nan"), 1000.0, 1000.0]),
+    "a short misfit": lambda s: _changed(s, misfit=[0.0]),
+    "another covariance": lambda s: _changed(s, z_covariance=[[1.0]]),
+    "modes that the model has not": lambda s: _changed(s, model_mode=[0, 1, 7]),
+    "gauges that are no channel": lambda s: _changed(s, gauges=[0, 1, 7]),
+    "fractions for channels": lambda s: _changed(s, gauges=[0.5, 1, 2]),
+    "a key of nobody's": lambda s: _changed(s, colour="red"),
+}
+
+
+@pytest.mark.parametrize("case", BAD_BASELINES)
+def test_a_corrupted_baseline_is_65(site: Site, calibrated: Done, case: str, tmp_path: Path) -> None:
+    assert_ok(calibrated)
+    bad = site.folder / "bad.json"
+    bad.write_text(BAD_BASELINES[case](site))
+    arguments = ("--structure", site.watch, "--baseline", bad, "--out", tmp_path / "out")
+    assert_refused(site.main("replay", site.healthy, *arguments), {65}, "bad.json")
+    assert tree(tmp_path) == {}
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ('channel = "a3"', 'channel = "a4"'),
+        ('[[sensors]]\nchannel = "a3"\nfloor = 3\n', ""),
+        ('channel = "a1"\nfloor = 1', 'channel = "a1"\nfloor = 2'),
+        ("[alarm]", "[updating]\nuse_shapes = false\n[alarm]"),
+        ("[alarm]", '[updating]\neigenvalue = "linear"\n[alarm]'),
+    ],
+    ids=["another channel", "fewer sensors", "another floor", "without shapes", "linear eigenvalues"],
+)
+def test_a_baseline_of_another_structure_or_vector_is_65(
+    site: Site, calibrated: Done, old: str, new: str, tmp_path: Path
+) -> None:
+    """What the baseline's numbers mean must be what the structure file would measure."""
+    assert_ok(calibrated)
+    other = site.folder / "other.toml"
+    assert old in site.watch.read_text()
+    other.write_text(site.watch.read_text().replace(old, new))
+    arguments = ("--structure", other, "--baseline", site.baseline, "--out", tmp_path / "out")
+    assert_refused(site.main("replay", site.healthy, *arguments), {65}, "baseline.json")
+    assert tree(tmp_path) == {}
+
+
+# --- wrong usage ---
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["replay"],
+        ["replay", "healthy.mcap", "--structure", "quick.toml"],
+        ["replay", "--structure", "quick.toml", "--out", "o"],
+        ["replay", "healthy.mcap", "--structure", "quick.toml", "--out", "o", "--speed", "abc"],
+        ["replay", "healthy.mcap", "--structure", "quick.toml", "--out", "o", "--speed", "0"],
+        ["replay", "healthy.mcap", "--structure", "quick.toml", "--out", "o", "--speed=-1"],
+        ["replay", "healthy.mcap", "--structure", "quick.toml", "--out", "o", "--colour"],
+        ["calibrate", "healthy.mcap"],
+        ["check"],
+        ["simulate", "--out", "o.mcap"],
+        ["simulate", "--structure", "quick.toml", "--out", "o.mcap", "--seed", "-1"],
+        ["simulate", "--structure", "quick.toml", "--out", "o.mcap", "--duration", "long"],
+        ["simulate", "--structure", "quick.toml", "--out", "o.mcap", "--duration", "-5"],
+        ["simulate", "--structure", "quick.toml", "--out", "o.mcap", "--dbc", "frame.dbc"],
+        ["simulate", "--structure", "quick.toml", "--out", "o.mcap", "--speed", "1.0"],
+        ["fleet", "fleet.toml", "--count", "2"],
+        ["dance"],
+    ],
+    ids=" ".join,
+)
+def test_wrong_usage_is_2_and_does_nothing(site: Site, arguments: list[str]) -> None:
+    before = tree(site.folder)
+    assert_refused(site.main(*arguments, cwd=site.folder), {2})
+    assert tree(site.folder) == before
+
+
+def bare(command: Callable[..., None]) -> list[str]:
+    """The least that a command must be given; files that are not there."""
+    hints, words = get_type_hints(command, include_extras=True), []
+    for name, parameter in inspect.signature(command).parameters.items():
+        if parameter.default is parameter.empty:
+            words += ["1"] if isinstance(hints[name].__metadata__[0], ArgumentInfo) else [f"--{name}", "1"]
+    return words
+
+
+FLOATS = [
+    (command, "--" + name.replace("_", "-"))
+    for command in app.registered_commands
+    for name, hint in get_type_hints(command.callback).items()
+    if hint in (float, float | None)
+]
+
+
+@pytest.mark.parametrize(("command", "option"), FLOATS, ids=lambda item: item if isinstance(item, str) else "")
+def test_numbers_that_are_not_finite_or_absurd_are_wrong_usage(
+    main: Cli, tmp_path: Path, command: CommandInfo, option: str
+) -> None:
+    assert command.callback is not None
+    name = command.name or command.callback.__name__
+    for value in ("nan", "inf", "-inf", "1e300", "-1e300"):
+        done = main(name, *bare(command.callback), f"{option}={value}", cwd=tmp_path)
+        assert_refused(done, {2}, option)
+
+
+def test_every_command_with_such_numbers_is_among_them() -> None:
+    assert {option for _, option in FLOATS} == {
+        "--duration", "--noise", "--rate", "--level-spread", "--shelve", "--every", "--gap",
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("speed", ["nan", "inf", "1e300", "1e-300"])
+def test_no_speed_beyond_reach(main: Cli, tmp_path: Path, speed: str) -> None:
+    arguments = ("--structure", "s.toml", "--to", "zenoh:peer:tcp/127.0.0.1:1:a", "--speed", speed)
+    assert_refused(main("simulate", *arguments, cwd=tmp_path), {2}, "--speed")
+
+
+def test_a_path_that_the_machine_refuses_is_one_message(main: Cli, tmp_path: Path) -> None:
+    assert_refused(main("status", tmp_path / ("x" * 300)), {66}, "File name too long")
+
+
+def test_more_than_the_memory_holds_is_one_message(site: Site, tmp_path: Path) -> None:
+    arguments = ("--structure", site.quick, "--out", tmp_path / "s.mcap", "--duration", 1e8, "--rate", 1e6)
+    assert_refused(site.main("simulate", *arguments), {1}, "too little memory")
+    assert tree(tmp_path) == {}
+
+
+def test_the_installed_script_gives_the_same_codes(site: Site, calibrated: Done, tmp_path: Path) -> None:
+    """78, 65 for a baseline, and 2, told by the script itself."""
+    assert_ok(calibrated)
+    bad = site.folder / "bad.toml"
+    bad.write_text(site.quick.read_text().replace("0.3253", "-0.3253"))
+    assert_refused(site.cli("check", bad), {78}, "bad.toml", "masses_kg.0")
+    (site.folder / "bad.json").write_text("{")
+    arguments = ["replay", site.healthy, "--structure", site.watch, "--out", tmp_path / "o"]
+    assert_refused(site.cli(*arguments, "--baseline", site.folder / "bad.json"), {65}, "bad.json")
+    assert_refused(site.cli(*arguments, "--speed", "abc"), {2}, "abc")
+    assert tree(tmp_path) == {}
+
+
+def test_help_names_every_command_and_version_is_a_version(cli: Cli) -> None:
+    done = cli("--help")
+    assert_ok(done)
+    assert all(name in done.stdout for name in ("replay", "calibrate", "simulate", "import", "reproduce", "check"))
+    done = cli("--version")
+    assert_ok(done)
+    assert done.stdout.strip().replace(".", "").isdigit()
+
+
+def test_help_keeps_what_stands_in_square_brackets(main: Cli) -> None:
+    assert "[output] dir" in main("run", "--help").stdout
+    assert "NAME=FILE[:COLUMN]" in main("import", "--help").stdout
+
+
+def test_no_command_s_summary_is_cut_off(main: Cli) -> None:
+    listed = main("--help").stdout.partition("Commands:")[2]
+    assert "diagnose" in listed
+    assert "..." not in listed
+
+
+# --- simulate ---
+
+
+def short(site: Site, out: Path, *more: object) -> Done:
+    return site.main("simulate", "--structure", site.quick, "--out", out, "--duration", 3, "--rate", 128, *more)
+
+
+def samples(path: Path) -> np.ndarray:
+    return np.concatenate([b.samples for b in read_recordings([path], (ACCELERATION,))])
+
+
+def test_the_same_seed_gives_the_same_bytes_and_another_does_not(site: Site, tmp_path: Path) -> None:
+    paths = [tmp_path / name for name in ("a.mcap", "b.mcap", "c.mcap")]
+    for path, seed in zip(paths, (5, 5, 6), strict=True):
+        assert_ok(short(site, path, "--seed", seed))
+    a, b, c = (path.read_bytes() for path in paths)
+    assert a == b != c
+    assert sorted(tree(tmp_path)) == ["a.mcap", "b.mcap", "c.mcap"]
+
+
+def test_a_simulated_recording_says_what_it_holds(site: Site, tmp_path: Path) -> None:
+    start = "2026-05-06T07:08:09+02:00"
+    done = short(site, tmp_path / "s.mcap", "--start", start, "--excitation", "ground", "--seed", 2)
+    assert_ok(done)
+    info = recording_info(tmp_path / "s.mcap")
+    assert (info.sample_rate_hz, info.duration_s, info.n_samples) == (128.0, 3.0, 384)
+    assert info.channels == {ACCELERATION: ("a1", "a2", "a3"), GROUND: ("ground",)}
+    assert info.t_start_ns == 1_778_044_089 * 10**9  # 05:08:09 UTC
+    with (tmp_path / "s.mcap").open("rb") as file:
+        (metadata,) = make_reader(file).iter_metadata()
+    assert metadata.name == "simulated"
+    assert (metadata.metadata["seed"], metadata.metadata["excitation"]) == ("2", "ground")
+
+
+def test_a_start_between_two_seconds_is_kept(site: Site, tmp_path: Path) -> None:
+    assert_ok(short(site, tmp_path / "s.mcap", "--start", "2026-01-01T00:00:00.25"))
+    assert recording_info(tmp_path / "s.mcap").t_start_ns == T0_NS + 250_000_000
+
+
+def test_by_default_a_recording_lasts_1200_s_at_1024_hz(main: Cli) -> None:
+    told = " ".join(main("simulate", "--help").stdout.split())
+    assert "1200" in told and "1024" in told
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "effect"),
+    [
+        ("--damage", "story2=0.2", ("stiffness_change", "story 2", {"relative": -0.2})),
+        (
+            "--effect",
+            "joint_flexibility:frame:girder_to_column_ratio=10",
+            ("joint_flexibility", "frame", {"girder_to_column_ratio": 10.0}),
+        ),
+        ("--effect", "stiffness_change:frame:relative=0.1", ("stiffness_change", "frame", {"relative": 0.1})),
+    ],
+)
+def test_damage_and_effects_are_in_the_motion_and_in_the_metadata(
+    site: Site, option: str, value: str, effect: tuple[str, str, dict[str, float]], tmp_path: Path
+) -> None:
+    from monitor.model.effects import EFFECTS
+
+    path = tmp_path / "s.mcap"
+    assert_ok(short(site, path, option, value, "--seed", 4, "--noise", 0.1))
+    name, location, parameters = effect
+    structure = configuration.load(site.quick).model().structure
+    planted = Model(structure, (EFFECTS[name].create(location, parameters),))
+    motion = simulate(planted, duration_s=3.0, rate_hz=128.0, noise=0.1, seed=4)
+    np.testing.assert_array_equal(samples(path), motion.floors.astype(np.float32))
+    with path.open("rb") as file:
+        (metadata,) = make_reader(file).iter_metadata()
+    assert strict(metadata.metadata["effects"]) == [{"effect": name, "location": location, **parameters}]
+
+
+def test_damage_and_effects_add_up(site: Site, tmp_path: Path) -> None:
+    more = ("--damage", "story1=0.1", "--damage", "story3=0.3", "--effect", "stiffness_change:story 2:relative=0.5")
+    assert_ok(short(site, tmp_path / "s.mcap", *more, "--noise", 0))
+    structure = configuration.load(site.quick).model()
+    planted = structure.with_stiffness(structure.structure.stiffness_n_per_m * [0.9, 1.5, 0.7])
+    motion = simulate(planted, duration_s=3.0, rate_hz=128.0)
+    np.testing.assert_allclose(samples(tmp_path / "s.mcap"), motion.floors, atol=1e-4 * motion.floors.std())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--damage", "story4=0.1"], ("story 4",)),
+        (["--damage", "story1=1.0"], ("story1=1.0",)),
+        (["--damage", "story1=-0.1"], ("story1=-0.1",)),
+        (["--damage", "story1=nan"], ("story1=nan",)),
+        (["--damage", "roof=0.1"], ("roof=0.1", "storyN=LOSS")),
+        (["--effect", "magic:frame:strength=1"], ("magic", "joint_flexibility")),
+        (["--effect", "joint_flexibility:story 1:girder_to_column_ratio=1"], ("story 1",)),
+        (["--effect", "joint_flexibility:frame:girder_to_column_ratio=much"], ("girder_to_column_ratio=much",)),
+        (["--effect", "joint_flexibility:frame:girder_to_column_ratio=nan"], ("girder_to_column_ratio",)),
+        (["--effect", "joint_flexibility:frame"], ("girder_to_column_ratio",)),
+        (["--effect", "joint_flexibility"], ("joint_flexibility",)),
+        (["--effect", "stiffness_change:story 1:relative=-1"], ("relative",)),
+        (["--damage", "story1=0.6", "--damage", "story1=0.6"], ("story 1",)),
+        (["--excitation", "earthquake"], ("earthquake", "ambient")),
+        (["--duration", "nan"], ("duration",)),
+        (["--duration", "inf"], ("duration",)),
+        (["--rate", "nan"], ("rate",)),
+        (["--noise", "nan"], ("noise",)),
+        (["--level-spread", "nan"], ("level-spread",)),
+        (["--start", "yesterday"], ("yesterday",)),
+        (["--start", "1960-01-01T00:00:00"], ("1960",)),
+    ],
+    ids=lambda item: " ".join(item) if isinstance(item, list) else "",
+)
+def test_what_cannot_be_simulated_is_refused(
+    site: Site, arguments: list[str], words: tuple[str, ...], tmp_path: Path
+) -> None:
+    assert_refused(short(site, tmp_path / "s.mcap", *arguments), {2, 78}, *words)
+    assert tree(tmp_path) == {}
+
+
+def test_a_recording_without_a_single_sample_is_refused(site: Site, tmp_path: Path) -> None:
+    done = site.simulate(tmp_path / "s.mcap", "--duration", 0.01, "--rate", 1)
+    assert_refused(done, {2, 78}, "duration")
+    assert tree(tmp_path) == {}
+
+
+def test_a_partial_last_second_is_kept(site: Site, tmp_path: Path) -> None:
+    assert_ok(site.simulate(tmp_path / "s.mcap", "--duration", 2.5))
+    assert recording_info(tmp_path / "s.mcap").n_samples == round(2.5 * RATE)
+
+
+# --- outputs never take the place of inputs; what was not judged is not called healthy ---
+
+
+@pytest.mark.parametrize("victim", ["structure", "recording"])
+def test_an_output_in_the_place_of_an_input_is_refused_and_the_input_kept(
+    site: Site, victim: str, tmp_path: Path
+) -> None:
+    recording = site.write("kept.mcap", site.values(25))
+    structure = tmp_path / "kept.toml"
+    structure.write_text(site.quick.read_text())
+    target = {"structure": structure, "recording": recording}[victim]
+    before = target.read_bytes()
+    done = site.main("calibrate", recording, "--structure", structure, "--out", target)
+    assert done.returncode == 2
+    assert f"{target} is an input of this command" in done.stderr
+    assert target.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("command", "written"),
+    [
+        ("replay IN --structure IN --baseline IN --out DIR", "summary.json"),
+        ("calibrate IN --structure IN --out FILE", "b.json"),
+        ("simulate --structure IN --to zenoh:peer:tcp/127.0.0.1:1:a --dbc IN --out FILE", "r.mcap"),
+        ("import IN IN --dbc IN --out FILE", "r.mcap"),
+        ("diagnose IN --structure IN --baseline IN --out DIR", "diagnosis.json"),
+        ("accept IN --structure IN --baseline IN --out FILE", "s.toml"),
+        ("export IN --out FILE", "t.csv"),
+        ("reprocess IN --structure IN --baseline IN --out DIR", "surveys.json"),
+        ("fleet IN --out FILE", "v.rrd"),
+    ],
+)
+def test_no_command_writes_over_what_it_reads_however_it_is_spelled(
+    main: Cli, tmp_path: Path, command: str, written: str
+) -> None:
+    places = {"FILE": tmp_path / written, "DIR": tmp_path}
+    (tmp_path / "deep").mkdir()
+    (tmp_path / written).write_text("mine")
+    for victim in range(command.count("IN")):
+        inputs = [tmp_path / f"input{k}" for k in range(command.count("IN"))]
+        inputs[victim] = tmp_path / "deep" / ".." / written
+        names = iter(inputs)
+        done = main(*(next(names) if word == "IN" else places.get(word, word) for word in command.split()))
+        assert (done.returncode, done.stdout) == (2, ""), done.stderr
+        assert f"{tmp_path / written} is an input of this command" in done.stderr
+        assert (tmp_path / written).read_text() == "mine"
+        assert list(tree(tmp_path)) == [written]
+
+
+def test_a_replay_never_overwrites_its_own_baseline(site: Site, tmp_path: Path) -> None:
+    recording, baseline = site.write("r.mcap", site.values(25)), tmp_path / "summary.json"
+    assert_ok(site.main("calibrate", recording, "--structure", site.quick, "--out", baseline))
+    done = site.main("replay", recording, "--structure", site.quick, "--baseline", baseline, "--out", tmp_path)
+    assert done.returncode == 2
+    assert f"{baseline} is an input of this command" in done.stderr
+
+
+def test_a_replay_that_judged_nothing_says_so_and_why(site: Site, tmp_path: Path) -> None:
+    values = site.values(25)
+    values[:, 1] = 0.0
+    done = site.main("replay", site.write("dead.mcap", values), "--structure", site.quick, "--out", tmp_path / "o")
+    assert done.returncode == 0
+    assert "channel a2 does not move" in done.stdout
+    assert "no alarm" not in done.stdout
+    summary = json.loads((tmp_path / "o" / "summary.json").read_text())
+    assert summary["skip_reasons"] == {"channel a2 does not move": summary["windows"]}
+
+
+def test_masses_in_tonnes_are_told_as_such(site: Site, tmp_path: Path, frame_text: str) -> None:
+    path = tmp_path / "wrong.toml"
+    path.write_text(frame_text.replace("masses_kg = [0.3253, 0.3514, 0.3129]", "masses_kg = [3e-4, 3e-4, 3e-4]"))
+    assert_refused(site.main("check", path), {78}, "kg")

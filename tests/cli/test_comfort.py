@@ -1,0 +1,181 @@
+"""For people and for programs: one JSON object where asked, completion, progress on a terminal only, errors with the mend."""
+
+from __future__ import annotations
+
+import json
+import os
+import pty
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+import rerun as rr
+from typer.main import get_command
+
+from monitor.cli import view
+from monitor.cli.app import app
+from monitor.core.errors import WrongUsageError
+from monitor.core.results import GAP, Skipped
+from tests.conftest import Cli
+from tests.publish.test_viewer import listening as addresses
+
+MODULE = [sys.executable, "-m", "monitor"]
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory, frame_text: str) -> Path:
+    folder = tmp_path_factory.mktemp("comfort")
+    (folder / "s.toml").write_text(frame_text)
+    (folder / "d.csv").write_text("a1 [g];a2 [g]\n" + "0.1;0.2\n" * 300)
+    return folder
+
+
+def test_every_command_answers_with_one_json_object(site: Path, main: Cli) -> None:
+    def told(*arguments: object) -> dict:
+        done = main(*arguments, "--json", cwd=site)
+        assert done.returncode == 0, done.stderr
+        return json.loads(done.stdout, parse_constant=pytest.fail)
+
+    assert told("check", "s.toml")["channels"] == ["a1", "a2", "a3"]
+    simulate = ("simulate", "--structure", "s.toml", "--out", "r.mcap", "--duration", 45, "--rate", 200)
+    assert told(*simulate)["duration_s"] == 45.0
+    assert told("import", "d.csv", "--rate", 100, "--out", "d.mcap")["channels"] == {"/acceleration": ["a1", "a2"]}
+    healthy = told("calibrate", "r.mcap", "--structure", "s.toml", "--out", "b.json")
+    assert (healthy["windows"], len(healthy["stiffness_n_per_m"])) == (6, 3)
+    replayed = told("replay", "r.mcap", "--structure", "s.toml", "--baseline", "b.json", "--out", "out")
+    assert replayed == {**json.loads((site / "out/summary.json").read_text()), "out": "out"}
+    assert told("report", "out", "--out", "r.html")["windows"] == 6
+
+
+def test_every_command_that_answers_knows_json(main: Cli) -> None:
+    wordless = {"run", "emulate", "view", "demo", "evaluate"}  # evaluate prints JSON anyway
+    listed = set(get_command(app).commands)
+    assert {"replay", "calibrate"} <= listed
+    for command in listed - wordless:
+        assert "--json" in main(command, "--help").stdout, command
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_the_shell_completes_commands_and_options(shell: str) -> None:
+    variable = "_SHM_MONITOR_COMPLETE"
+    script = Path(sys.executable).with_name("shm-monitor")
+    source = subprocess.run(
+        [script], env={**os.environ, variable: f"source_{shell}"}, capture_output=True, text=True, check=False
+    )
+    assert variable in source.stdout
+    if shell == "bash":
+        words = {"COMP_WORDS": "shm-monitor repl", "COMP_CWORD": "1", variable: "complete_bash"}
+        done = subprocess.run([script], env={**os.environ, **words}, capture_output=True, text=True, check=False)
+        assert done.stdout.split() == ["replay"]
+
+
+def on_a_terminal(arguments: list[str], folder: Path) -> bytes:
+    """What a command writes to a terminal."""
+    ours, theirs = pty.openpty()
+    with subprocess.Popen(arguments, stdout=theirs, stderr=theirs, cwd=folder, env={**os.environ, "TERM": "xterm",
+                          "PYTHONPATH": str(Path(__file__).parents[2])}) as process:  # fmt: skip
+        os.close(theirs)
+        said = b""
+        while True:
+            try:
+                part = os.read(ours, 65536)
+            except OSError:  # the other end is closed
+                break
+            if not part:
+                break
+            said += part
+        process.wait(60)
+    os.close(ours)
+    return said
+
+
+def test_progress_is_for_terminals_only(site: Path, main: Cli) -> None:
+    long = ("simulate", "--structure", "s.toml", "--out", "long.mcap", "--duration", 130, "--rate", 200)
+    assert main(*long, cwd=site).returncode == 0
+    arguments = ["replay", "long.mcap", "--structure", "s.toml", "--out", "long"]
+    assert b"min of data" in on_a_terminal([*MODULE, *arguments], site)
+    quiet = main(*arguments, cwd=site)
+    assert (quiet.stderr, "\x1b" in quiet.stdout) == ("", False)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "mend"),
+    [
+        (["view", "nowhere"], 66, "replay --out DIR"),
+        (["view", "."], 66, "leaves one"),
+        (["view", "s.toml", "--web", "--port", "-1"], 2, "--port"),
+        (["view", "s.toml", "--port", "8000"], 2, "--web"),
+        (["replay", "nowhere.mcap", "--structure", "s.toml", "--out", "o"], 66, "nowhere.mcap"),
+        (["report", ".", "--out", "x.html"], 66, "replay --out"),
+    ],
+)
+def test_errors_name_the_mend(site: Path, main: Cli, arguments: list[str], code: int, mend: str) -> None:
+    done = main(*arguments, cwd=site)
+    assert (done.returncode, mend in done.stderr) == (code, True), done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_the_native_viewer_listens_on_loopback_and_on_a_port_of_its_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "live.rrd").touch()
+
+    def replace(_: str, arguments: list[str]) -> None:
+        raise SystemExit(arguments[1:])
+
+    monkeypatch.setenv("DISPLAY", ":99")
+    monkeypatch.setattr("os.execv", replace)
+    with pytest.raises(SystemExit) as ended:
+        view.view(str(tmp_path))
+    assert ended.value.code == [str(tmp_path / "live.rrd"), "--bind", "127.0.0.1", "--port", "auto"]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems have a screen")
+def test_without_a_screen_the_browser_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "live.rrd").touch()
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"):
+        monkeypatch.delenv(name, raising=False)
+    with pytest.raises(WrongUsageError, match=r"no screen here .*--web"):
+        view.view(str(tmp_path))
+
+
+def test_a_gap_is_told_with_what_helps() -> None:
+    """Every window that holds it is lost; a reason of another kind stays as it is."""
+    assert Skipped(GAP).mend == "gap in the data; a shorter [processing] window_s loses less to each"
+    assert Skipped("dead").mend == "dead"
+
+
+@pytest.mark.parametrize("ending", [signal.SIGTERM, signal.SIGINT])
+def test_the_viewers_server_ends_with_the_command_and_listens_on_loopback_only(tmp_path: Path, ending: int) -> None:
+    stream = rr.RecordingStream("nothing")
+    stream.save(tmp_path / "live.rrd")
+    stream.log("/x", rr.Scalars(1.0))
+    stream.flush()
+    stream.disconnect()
+    command = [*MODULE, "view", str(tmp_path), "--web", "--port", "0"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        found = re.match(
+            r"http://127\.0\.0\.1:(\d+)/\?url=rerun%2Bhttp%3A%2F%2F127\.0\.0\.1%3A(\d+)", process.stdout.readline()
+        )
+        assert found is not None
+        ports = [int(found[1]), int(found[2])]
+        wait_for(lambda: all(addresses(port) == {"0100007F"} for port in ports))
+        process.send_signal(ending)
+        try:
+            assert process.wait(20) == 0
+        finally:
+            process.kill()
+    wait_for(lambda: not any(addresses(port) for port in ports))
+
+
+def wait_for(what: Callable[[], bool]) -> None:
+    until = time.monotonic() + 60
+    while not what():
+        assert time.monotonic() < until
+        time.sleep(0.1)

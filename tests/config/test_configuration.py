@@ -1,0 +1,281 @@
+"""Structure and site files: every problem at once, with its place."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from monitor.config import configuration
+from monitor.config.configuration import Configuration
+from monitor.core.errors import BadConfigurationError, MissingInputError, UserError
+
+Load = Callable[[str], Configuration]
+
+
+@pytest.fixture
+def load(tmp_path: Path) -> Load:
+    def from_text(text: str) -> Configuration:
+        path = tmp_path / "frame.toml"
+        path.write_text(text, encoding="utf-8")
+        return configuration.load(path)
+
+    return from_text
+
+
+def problems(load: Load, text: str) -> list[str]:
+    with pytest.raises(BadConfigurationError) as caught:
+        load(text)
+    assert caught.value.exit_code == 78
+    lines = str(caught.value).splitlines()
+    assert all("frame.toml: " in line for line in lines), "every line names the file"
+    return [line.split("frame.toml: ", 1)[1] for line in lines]
+
+
+def assert_problem(load: Load, text: str, *words: str) -> None:
+    told = " ".join(problems(load, text))
+    assert all(word in told for word in words), told
+
+
+def test_a_good_file_gives_model_channels_and_sensors(load: Load, frame_text: str) -> None:
+    c = load(frame_text)
+    assert c.channels == ("a1", "a2", "a3")
+    np.testing.assert_array_equal(c.sensor_matrix(), np.eye(3))
+    np.testing.assert_allclose(c.model().modes().frequencies_hz, [5.2, 16.3, 23.0], rtol=1e-3)
+    np.testing.assert_allclose(c.prior_std(), [0.2, 0.2, 0.2, 0.05, 0.05, 0.05])
+    assert (c.processing.window_s, c.processing.hop_s, c.processing.rate_hz) == (20.0, 5.0, 100.0)
+
+
+def test_the_contracts_example_needs_nothing_else(load: Load) -> None:
+    c = load(
+        '[structure]\nkind = "shear_frame"\nmasses_kg = [1.0, 1]\nstiffness_n_per_m = [900.0, 800]\n'
+        '[[sensors]]\nchannel = "top"\nfloor = 1\n'
+    )
+    assert (c.processing.rate_hz, c.processing.cutoff_hz) == (100.0, 40.0)
+    assert (c.processing.window_s, c.processing.hop_s) == (400.0, 10.0)
+    assert c.structure.damping_ratio == 0.01
+    assert c.alarm.alarm_loss == 0.10
+
+
+def test_sensors_pick_their_floor(load: Load, frame_text: str) -> None:
+    c = load(frame_text.replace('channel = "a1"\nfloor = 1', 'channel = "a1"\nfloor = 3'))
+    np.testing.assert_array_equal(c.sensor_matrix()[0], [0.0, 0.0, 1.0])
+
+
+def test_every_problem_is_listed_at_once(load: Load, frame_text: str) -> None:
+    text = (
+        frame_text.replace("0.3253", "-0.3253")
+        .replace("1514.8507", '"soft"')
+        .replace("damping_ratio = 0.01", "damping_ratio = 1.5\ncolour = 7")
+        .replace("window_s = 20.0", "window_s = 0")
+        .replace("block_rows = 10", "block_rows = 1")
+    )
+    lines = problems(load, text + "\n[alarm]\nconfirm = 10\n")
+    places = (
+        "masses_kg.0",
+        "stiffness_n_per_m.1",
+        "damping_ratio",
+        "colour",
+        "window_s",
+        "block_rows",
+        "alarm.confirm",
+    )
+    for place in places:
+        assert sum(place in line for line in lines) == 1, (place, lines)
+    assert len(lines) == len(places)
+
+
+def test_problems_between_tables_are_listed_at_once_too(load: Load, frame_text: str) -> None:
+    text = frame_text.replace('channel = "a2"', 'channel = "a1"').replace("floor = 3", "floor = 4")
+    text = text.replace("hop_s = 5.0", "hop_s = 0.13").replace(
+        "block_rows = 10", 'block_rows = 10\nreference_channels = ["a9"]'
+    )
+    lines = problems(load, text + '\n[[effects]]\neffect = "magic"\nlocation = "frame"\n')
+    for words in (("'a1'", "twice"), ("floor 4 of 3",), ("'a9'",), ("magic",), ("window_s and hop_s",)):
+        assert sum(all(w in line for w in words) for line in lines) == 1, (words, lines)
+
+
+@pytest.mark.parametrize(
+    ("where", "place"),
+    [
+        ("[structure]", "structure.nonsense"),
+        ("[[sensors]]", "sensors.0.nonsense"),
+        ("[processing]", "processing.nonsense"),
+        ("[identification]", "identification.nonsense"),
+    ],
+)
+def test_unknown_keys_are_refused_with_their_place(load: Load, frame_text: str, where: str, place: str) -> None:
+    assert_problem(load, frame_text.replace(where, f"{where}\nnonsense = 1", 1), place)
+
+
+@pytest.mark.parametrize("table", ["quality", "selection", "updating", "alarm", "site", "output"])
+def test_unknown_keys_of_optional_tables_are_refused(load: Load, frame_text: str, table: str) -> None:
+    assert_problem(load, f"{frame_text}\n[{table}]\nnonsense = 1\n", f"{table}.nonsense")
+
+
+def test_unknown_tables_are_refused(load: Load, frame_text: str) -> None:
+    assert_problem(load, frame_text + "\n[alarms]\nconfirm_s = 3\n", "alarms")
+
+
+@pytest.mark.parametrize("table", ["structure", "sensors"])
+def test_a_missing_table_is_named(load: Load, frame_text: str, table: str) -> None:
+    renamed = frame_text.replace(f"[{table}]", "[site]")
+    renamed = renamed.replace("[[sensors]]", "[[effects]]") if table == "sensors" else renamed
+    assert_problem(load, renamed, table)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("0.3253", "0.0", ("masses_kg.0",)),
+        ("0.3253", "nan", ("masses_kg.0",)),
+        ("0.3253", "inf", ("masses_kg.0",)),
+        ("2909.4511", "-1.0", ("stiffness_n_per_m.0",)),
+        ("[0.3253, 0.3514, 0.3129]", "[]", ("masses_kg",)),
+        ("[0.3253, 0.3514, 0.3129]", "[0.3253, 0.3514]", ("3 values for 2 masses",)),
+        ("[0.093, 0.093, 0.1]", "[0.093, 0.093]", ("story_heights_m has 2 values for 3",)),
+        ("damping_ratio = 0.01", "damping_ratio = 0", ("damping_ratio",)),
+        ("damping_ratio = 0.01", "damping_ratio = 1", ("damping_ratio",)),
+        ('"shear_frame"', '"tower"', ("structure.kind", "shear_frame")),
+        ("floor = 1", "floor = 0", ("sensors.0.floor",)),
+        ("floor = 1", "floor = 1.5", ("sensors.0.floor",)),
+        ('channel = "a1"', 'channel = ""', ("sensors.0.channel",)),
+        ("hop_s = 5.0", "hop_s = 25.0", ("hop_s is longer than window_s",)),
+        ("hop_s = 5.0", "hop_s = -5.0", ("processing.hop_s",)),
+        ("hop_s = 5.0", "hop_s = 0.001", ("hop_s",)),
+        ("hop_s = 5.0", "hop_s = 5.0\ncutoff_hz = 50.0", ("cutoff_hz", "half of rate_hz")),
+        ("hop_s = 5.0", "hop_s = 5.0\nrate_hz = 0", ("processing.rate_hz",)),
+        ("hop_s = 5.0", "hop_s = 5.0\nrate_hz = inf", ("processing.rate_hz",)),
+        ("block_rows = 10", 'variant = "N4SID"', ("identification.variant",)),
+        ("block_rows = 10", "algorithm = 3", ("identification.algorithm",)),
+        ("block_rows = 10", "max_order = 2", ("identification.max_order",)),
+    ],
+)
+def test_values_out_of_range_are_named_with_their_place(
+    load: Load, frame_text: str, old: str, new: str, words: tuple[str, ...]
+) -> None:
+    assert old in frame_text
+    assert_problem(load, frame_text.replace(old, new, 1), *words)
+
+
+@pytest.mark.parametrize("text", ["kind =", "[structure", "= 3", "\x00", "kind = 1\nkind = 2"])
+def test_what_is_no_toml_is_named_with_its_line(load: Load, text: str) -> None:
+    (line,) = problems(load, f"\n[site]\n{text}\n")
+    assert "not a TOML file" in line and ("line 3" in line or "line 4" in line)
+
+
+def test_what_is_no_text_is_bad_configuration(tmp_path: Path) -> None:
+    path = tmp_path / "frame.toml"
+    path.write_bytes(b"\xff\xfe\x00[")
+    with pytest.raises(BadConfigurationError, match=r"frame\.toml: not UTF-8"):
+        configuration.load(path)
+
+
+def test_a_missing_file_or_a_directory_is_missing_input(tmp_path: Path) -> None:
+    for path in (tmp_path / "none.toml", tmp_path):
+        with pytest.raises(MissingInputError) as caught:
+            configuration.load(path)
+        assert caught.value.exit_code == 66
+        assert str(path) in str(caught.value)
+
+
+def test_ranges_become_the_prior_of_their_own_story_and_floor(load: Load, frame_text: str) -> None:
+    ranges = (
+        "masses_range_kg = [[0.30, 0.34], [0.35, 0.36], [0.3, 0.4]]\n"
+        "stiffness_range_n_per_m = [[2000.0, 4000.0], [1500, 1600], [1000, 3000]]\n"
+    )
+    c = load(frame_text.replace("damping_ratio", ranges + "damping_ratio"))
+    stiffness = [2000 / 4 / 2909.4511, 100 / 4 / 1514.8507, 2000 / 4 / 1897.6986]
+    masses = [0.04 / 4 / 0.3253, 0.01 / 4 / 0.3514, 0.1 / 4 / 0.3129]
+    np.testing.assert_allclose(c.prior_std(), [*stiffness, *masses])
+
+
+@pytest.mark.parametrize(
+    ("ranges", "words"),
+    [
+        ("masses_range_kg = [[0.3, 0.4]]", ("masses_range_kg has 1 values for 3",)),
+        ("masses_range_kg = [[0.3, 0.4], [0.3, 0.4], [0.3, 0.4, 0.5]]", ("masses_range_kg.2",)),
+        ("masses_range_kg = [[-0.3, 0.4], [0.3, 0.4], [0.3, 0.4]]", ("masses_range_kg.0",)),
+        ("masses_range_kg = [[0.4, 0.3], [0.3, 0.4], [0.3, 0.4]]", ("masses_range_kg",)),
+        ("masses_range_kg = [[0.3, 0.3], [0.3, 0.4], [0.3, 0.4]]", ("masses_range_kg",)),
+        ("stiffness_range_n_per_m = [[1000, 4000], [2000, 1000], [1, 2]]", ("stiffness_range_n_per_m",)),
+    ],
+)
+def test_ranges_that_cannot_be_are_refused(load: Load, frame_text: str, ranges: str, words: tuple[str, ...]) -> None:
+    assert_problem(load, frame_text.replace("damping_ratio", ranges + "\ndamping_ratio"), *words)
+
+
+def effects(name: str, location: str, parameters: str) -> str:
+    return f'\n[[effects]]\neffect = "{name}"\nlocation = "{location}"\nparameters = {{ {parameters} }}\n'
+
+
+@pytest.mark.parametrize(
+    ("stiffness", "words"),
+    [
+        ([3e-6, 2e-6, 2e-6], "below 0.2 Hz"),
+        ([3e12, 2e12, 2e12], "beyond cutoff_hz"),
+        ([3e200, 2e200, 2e200], "less than or equal"),
+    ],
+)
+def test_a_frame_in_other_units_is_told(load: Load, frame_text: str, stiffness: list[float], words: str) -> None:
+    assert_problem(load, re.sub(r"(stiffness_n_per_m = )\[.*?\]", rf"\g<1>{stiffness}", frame_text), words)
+
+
+def test_effects_extend_the_model(load: Load, frame_text: str) -> None:
+    bare = load(frame_text).model()
+    weak = load(frame_text + effects("stiffness_change", "story 2", "relative = -0.2")).model()
+    expected = bare.structure.stiffness_n_per_m * [1.0, 0.8, 1.0]
+    np.testing.assert_allclose(weak.stiffness_matrix(), bare.with_stiffness(expected).stiffness_matrix())
+    soft = load(frame_text + effects("joint_flexibility", "frame", "girder_to_column_ratio = 10")).model()
+    assert (soft.modes().frequencies_hz < bare.modes().frequencies_hz).all()
+    both = effects("stiffness_change", "story 2", "relative = -0.2")
+    both += effects("joint_flexibility", "frame", "girder_to_column_ratio = 10.0")
+    assert len(load(frame_text + both).model().effects) == 2
+
+
+@pytest.mark.parametrize(
+    ("name", "location", "parameters", "words"),
+    [
+        ("magic", "frame", "", ("unknown effect 'magic'", "joint_flexibility")),
+        ("stiffness_change", "story 4", "relative = -0.1", ("story 4", "3 stories")),
+        ("stiffness_change", "story 0", "relative = -0.1", ("story 0",)),
+        ("stiffness_change", "floor 1", "relative = -0.1", ("floor 1", "story N")),
+        ("stiffness_change", "story two", "relative = -0.1", ("story two",)),
+        ("stiffness_change", "frame 7", "relative = -0.1", ("frame 7",)),
+        ("stiffness_change", "story 1", "loss = 0.1", ("relative",)),
+        ("stiffness_change", "story 1", "relative = -0.1, more = 1", ("relative",)),
+        ("stiffness_change", "story 1", "", ("relative",)),
+        ("stiffness_change", "story 1", "relative = 'much'", ("effects.0.parameters.relative",)),
+        ("stiffness_change", "story 1", "relative = nan", ("relative",)),
+        ("stiffness_change", "story 1", "relative = -1.0", ("relative",)),
+        ("stiffness_change", "story 1", "relative = -1.5", ("relative",)),
+        ("joint_flexibility", "frame", "girder_to_column_ratio = -1.0", ("girder_to_column_ratio",)),
+        ("joint_flexibility", "frame", "girder_to_column_ratio = 0.0, more = 2", ("girder_to_column_ratio",)),
+    ],
+)
+def test_effects_that_cannot_be_are_refused(
+    load: Load, frame_text: str, name: str, location: str, parameters: str, words: tuple[str, ...]
+) -> None:
+    assert_problem(load, frame_text + effects(name, location, parameters), *words)
+
+
+def test_a_problem_that_holds_a_semicolon_stays_one_line(load: Load, frame_text: str) -> None:
+    """Messages are parted at semicolons, which the messages of effects have themselves."""
+    lines = problems(load, frame_text + effects("stiffness_change", "floor 1", "relative = -0.1"))
+    assert len(lines) == 1, lines
+
+
+def test_every_shipped_file_is_sound() -> None:
+    shipped = sorted((Path(__file__).parents[2] / "recordings").glob("*.toml"))
+    shipped = [path for path in shipped if path.name != "index.toml"]
+    assert len(shipped) >= 4
+    for path in shipped:
+        frequencies = configuration.load(path).model().modes().frequencies_hz
+        assert (frequencies > 0).all()
+
+
+def test_a_user_error_is_no_other_exception() -> None:
+    assert issubclass(BadConfigurationError, UserError) and not issubclass(BadConfigurationError, ValueError)

@@ -1,0 +1,125 @@
+"""What is seen again once more is known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from drivers.base import ACCELERATION
+from monitor.diagnosis.backward_elimination import joined, only, revise_candidates, simulate_what_was_missed
+from monitor.diagnosis.initial_fit import fit_linearized
+from monitor.diagnosis.parameter_uncertainty import deviations, form_variance, is_significant
+from monitor.diagnosis.score_test import fit_best
+from monitor.diagnosis.simulation_refit import RefittedCandidate
+from monitor.inference.higher_moments import normal_moments
+from monitor.inference.map_estimate import MapEstimate, maximize_posterior
+from monitor.inference.observed_spectra import classify
+from monitor.inference.posterior import Posterior
+from monitor.inference.segments import gather
+from monitor.model.effects import Context, parse_effect
+from monitor.model.model import Model
+from monitor.model.prior import prior_from_drawing
+from monitor.model.simulation import simulate
+from monitor.runs.synthetic_recording import blocks_of
+from tests.diagnosis.test_simulation_refit import CONFIG, RATE
+
+MASS, OFFSET = "added_mass:floor 2:mass_kg=0.04", "time_offset:channel a3:seconds=0.0006"
+
+
+def prepared(*effects: str) -> tuple[Posterior, MapEstimate]:
+    model = Model(CONFIG.model().structure, tuple(parse_effect(e) for e in effects))
+    context = Context(model.structure, CONFIG.channels, CONFIG.sensor_matrix(), RATE)
+    motion = simulate(model, duration_s=400.0, rate_hz=RATE, noise=0.05, seed=8, context=context)
+    blocks = blocks_of(ACCELERATION, motion.floors, CONFIG.channels, RATE, 10**18, 128)
+    return fit_linearized(
+        classify(gather(blocks, CONFIG)), prior_from_drawing(CONFIG.model(), np.full(6, 0.01), 3), context
+    )
+
+
+@pytest.fixture(scope="module")
+def loaded() -> tuple[Posterior, MapEstimate]:
+    return prepared(MASS, OFFSET)
+
+
+def test_a_candidate_gets_no_credit_for_what_the_model_without_it_could_have_done() -> None:
+    problem, null = prepared()
+    x = null.x.copy()
+    x[:3] += 0.05
+    stuck = maximize_posterior(problem, x, iterations=1)
+    tried = [
+        RefittedCandidate(
+            fit_best(problem, stuck, parse_effect("sensor_gain:channel a1:gain=1.001")),
+            problem,
+            normal_moments(problem),
+        )
+    ]
+    assert tried[0].candidate.gain > 100.0
+    better = simulate_what_was_missed(problem, stuck, tried)
+    assert better is not None
+    assert better[1].log_posterior == pytest.approx(null.log_posterior, abs=1.0)
+    again = [RefittedCandidate(fit_best(problem, null, tried[0].candidate.effect), problem, normal_moments(problem))]
+    assert simulate_what_was_missed(problem, null, again) is None
+
+
+def test_a_cause_that_was_only_a_guise_gives_way_once_the_others_are_known(
+    loaded: tuple[Posterior, MapEstimate],
+) -> None:
+    problem, null = loaded
+    guise = fit_best(problem, null, parse_effect("added_mass:floor 1:mass_kg=0.03"))
+    true = fit_best(problem, null, parse_effect("added_mass:floor 2:mass_kg=0.03"))
+    other = fit_best(problem, guise.fit, parse_effect(OFFSET))
+    _, at, accepted = revise_candidates(problem, other.fit, [guise, other], [(guise, true), (other,)], 7.0, 4.6)
+    assert [c.key for c in accepted] == [("added_mass", "floor 2"), ("time_offset", "channel a3")]
+    assert [(e.name, e.location) for e in at.effects] == [c.key for c in accepted]
+    np.testing.assert_array_equal(at.x[problem.n_nuisance :], joined(np.zeros(0), at.effects))
+    assert at.effects[0].values()["mass_kg"] == pytest.approx(0.04, rel=0.1)
+
+
+def test_a_cause_that_later_ones_made_superfluous_is_dropped(loaded: tuple[Posterior, MapEstimate]) -> None:
+    problem, null = loaded
+    spurious = fit_best(problem, null, parse_effect("story_damper:story 3:damping_n_s_per_m=0.01"))
+    mass = fit_best(problem, spurious.fit, parse_effect(MASS))
+    other = fit_best(problem, mass.fit, parse_effect(OFFSET))
+    _, at, accepted = revise_candidates(
+        problem, other.fit, [spurious, mass, other], [(spurious,), (mass,), (other,)], 7.0, 4.6
+    )
+    assert [c.key[0] for c in accepted] == [e.name for e in at.effects] == ["added_mass", "time_offset"]
+
+
+def test_what_has_no_sure_size_is_no_cause(loaded: tuple[Posterior, MapEstimate]) -> None:
+    problem, null = loaded
+    effects = (parse_effect(MASS), parse_effect("sensor_gain:channel a1:gain=1.0001"), parse_effect(OFFSET))
+    at = maximize_posterior(problem, null.x, effects)
+    own = deviations(problem, at, np.array([0.0, 0.1, 0.0]))
+    kept = [is_significant(e, std) for e, std in zip(at.effects, own, strict=True)]
+    assert kept == [True, False, True]
+    crack = maximize_posterior(
+        problem, null.x, (parse_effect("bilinear_stiffness:story 1:relative_drop=0.3"),), iterations=0
+    )
+    assert form_variance(problem, crack, crack.effects[0])[0] >= 0.015 * 0.3  # of its form, whatever the frame's
+    alone, doubt = only(problem, at, np.array([1.0, 2.0, 3.0]), kept)
+    assert [e.name for e in alone.effects] == ["added_mass", "time_offset"]
+    assert doubt.tolist() == [1.0, 3.0]
+    assert alone.log_posterior == pytest.approx(at.log_posterior, abs=5.0)
+
+
+def test_what_dissipates_may_stay_where_a_structure_changed(loaded: tuple[Posterior, MapEstimate]) -> None:
+    problem, null = loaded
+    change = parse_effect("joint_flexibility:frame:girder_to_column_ratio=3")
+    ratios, matrix = (replace(problem, damped_as_built=b).system(null.x, (change,)) for b in (False, True))
+    built = problem.system(null.x, ())
+    np.testing.assert_allclose(matrix.damping, built.damping, rtol=1e-12)
+    np.testing.assert_array_equal(matrix.stiffness, ratios.stiffness)
+    assert np.abs(ratios.damping - built.damping).max() > 0.05 * built.damping.max()
+
+
+def test_a_fit_that_runs_away_begins_again_from_the_rough_one() -> None:
+    problem, null = prepared("coloured_excitation:frame:corner_hz=4.2")
+    start = parse_effect("coloured_excitation:frame:corner_hz=3.0")
+    rough = fit_best(problem, null, parse_effect("coloured_excitation:frame:corner_hz=16"), quick=True)
+    alone = fit_best(problem, null, start)
+    found = fit_best(problem, null, start, rough=rough)
+    assert alone.evidence < 0.0
+    assert found.evidence >= rough.evidence > 1000.0

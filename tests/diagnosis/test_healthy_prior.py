@@ -1,0 +1,176 @@
+"""What stands from the start is no news later, whether or not calibration could name it for certain or at all."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+from scipy.linalg import solve_continuous_lyapunov
+
+from drivers.base import ACCELERATION
+from monitor.config.configuration import Configuration
+from monitor.diagnosis.cross_validation import HeldOutGain
+from monitor.diagnosis.files import content as content_of
+from monitor.diagnosis.stepwise_selection import Diagnosis, diagnose
+from monitor.inference.observed_spectra import classify
+from monitor.inference.segments import Segments, gather
+from monitor.model.effects import Context, Effect, parse_effect
+from monitor.model.model import Model
+from monitor.model.simulation import linear_system, simulate
+from monitor.publish.reports.diagnosis_report import page
+from monitor.runs.diagnose import learn
+from monitor.runs.synthetic_recording import blocks_of
+from tests.diagnosis.test_simulation_refit import CONFIG, RATE
+
+COLOUR = "coloured_excitation:frame:corner_hz=12"
+GAINS = ("sensor_gain:channel a1:gain=1.015", "sensor_gain:channel a2:gain=0.985")
+
+
+def forces(share: float, more: float) -> str:
+    """Falling ever faster, but for a hump at 8 Hz, and pushing floors together."""
+    rises = (f"rise_{i}={(0.3 if i == 10 else -0.3 - 0.3 * (i > 10)) + more}" for i in range(1, 16))
+    return f"ambient_forces:frame:common_share={share}," + ",".join(rises)
+
+
+FORCES, ANOTHER_DAY = forces(0.3, 0.0), forces(0.33, 0.06)
+CONTEXT = Context(CONFIG.model().structure, CONFIG.channels, CONFIG.sensor_matrix(), RATE)
+
+
+def recorded(seed: int, *effects: str, crosstalk: float = 0.0) -> Segments:
+    """Ten minutes; so much of the first channel's signal is in the last one's."""
+    present: tuple[Effect, ...] = tuple(map(parse_effect, effects))
+    motion = simulate(
+        Model(CONFIG.model().structure, present),
+        duration_s=600.0,
+        rate_hz=RATE,
+        noise=0.02,
+        level_spread=0.0,
+        seed=seed,
+        context=CONTEXT,
+    )
+    seen = motion.floors + crosstalk * motion.floors[:, :1] * [0.0, 0.0, 1.0]
+    return gather(blocks_of(ACCELERATION, seen, CONFIG.channels, RATE, 10**18, 128), CONFIG)
+
+
+@pytest.mark.parametrize("standing", [(COLOUR, *GAINS), (FORCES,)], ids=["colour and gains", "forces of every day"])
+def test_what_calibration_cannot_tell_apart_is_no_news_later(standing: tuple[str, ...]) -> None:
+    known = learn(recorded(1, *standing), CONFIG)
+    assert ("ambient_forces" in [e.name for e in known.model.effects]) == (standing == (FORCES,))
+    another_day = tuple(ANOTHER_DAY if e == FORCES else e for e in standing)
+    segments = recorded(2, *another_day)
+    clean = diagnose(classify(segments), known, CONTEXT, CONFIG.diagnosis)
+    assert clean.verdict == "none"
+    shown = page(clean, content_of(clean, HeldOutGain(), (), {"without": [], "with": []}), segments)
+    title = "forces on the floors at calibration"
+    assert (title in shown, "rise_1" in shown) == (standing == (FORCES,), False)
+    if title in shown:  # falling, not level
+        drawn = re.search(r'<polyline class="line after" points="([^"]*)"', shown[shown.index(title) :])
+        assert drawn is not None
+        heights = [float(point.partition(",")[2]) for point in drawn[1].split()]
+        assert heights[-1] > heights[0] + 50.0  # px, downwards
+    loss = diagnose(
+        classify(recorded(3, *standing, "stiffness_change:story 2:relative=-0.06")), known, CONTEXT, CONFIG.diagnosis
+    )
+    assert [(c.effect.name, c.effect.location) for c in loss.causes] == [("stiffness_change", "story 2")]
+    if standing == (FORCES,):  # which could take up another corner without a word
+        other = diagnose(
+            classify(recorded(4, FORCES, "coloured_excitation:frame:corner_hz=9")), known, CONTEXT, CONFIG.diagnosis
+        )
+        assert [c.effect.name for c in other.causes] == ["coloured_excitation"]
+
+
+def test_what_nothing_explains_at_calibration_is_no_news_later() -> None:
+    known = learn(recorded(1, crosstalk=0.3), CONFIG)
+    assert known.error is not None
+
+    def found(seed: int, *effects: str, crosstalk: float = 0.3) -> Diagnosis:
+        return diagnose(classify(recorded(seed, *effects, crosstalk=crosstalk)), known, CONTEXT, CONFIG.diagnosis)
+
+    clean = found(2)
+    assert clean.verdict == "none", [c.effect for c in clean.causes]
+    said = content_of(clean, HeldOutGain(), (), {"without": [], "with": []})
+    low, high = said["standing_misfit"]["bands_hz"][0]
+    assert f"{low:.1f}-{high:.1f}" in said["standing_misfit"]["says"] and "healthy" in said["says"]
+    loss = found(3, "stiffness_change:story 2:relative=-0.06")
+    assert [(c.effect.name, c.effect.location) for c in loss.causes] == [("stiffness_change", "story 2")]
+    size, std = loss.causes[0].effect.values()["relative"], loss.causes[0].std["relative"]
+    assert abs(size + 0.06) < 2.0 * std < 0.04
+    assert found(4, crosstalk=0.45).verdict == "unexplained"  # what has changed is news
+
+
+SITE = Configuration.model_validate(
+    {
+        "structure": {"kind": "shear_frame", "masses_kg": [9e4, 1e5], "stiffness_n_per_m": [1.6e8, 1.8e8]},
+        "sensors": [{"channel": "a1", "floor": 1}, {"channel": "a2", "floor": 2}],
+    }
+)
+BUILDING = Context(SITE.model().structure, SITE.channels, SITE.sensor_matrix(), 256.0)
+
+
+def measured(seed: int, *effects: str) -> Segments:
+    """Ten minutes of a building."""
+    present = tuple(map(parse_effect, effects))
+    motion = simulate(
+        Model(SITE.model().structure, present),
+        duration_s=600.0,
+        rate_hz=256.0,
+        noise=0.02,
+        level_spread=0.35,
+        seed=seed,
+        context=BUILDING,
+    )
+    return gather(blocks_of(ACCELERATION, motion.floors, SITE.channels, 256.0, 10**18, 1000), SITE)
+
+
+def drift_m() -> float:
+    """RMS of the upper story's drift under the simulator's forces of 1 N."""
+    system = linear_system(SITE.model())
+    b = np.vstack([np.zeros((2, 2)), np.linalg.inv(system.mass)])
+    covariance = solve_continuous_lyapunov(system.state_matrix(), -b @ b.T / 256.0)
+    return float(np.sqrt(np.array([1.0, -1.0]) @ covariance[:2, :2] @ [1.0, -1.0]))
+
+
+def test_softening_of_every_story_stands_whatever_its_unit() -> None:
+    """Coordinates of 1e20 are as good as of one, and classes of level tell softening from a loss."""
+    k3 = -0.03 * 1.7e8 / (3.0 * drift_m() ** 2)
+    assert abs(k3) > 1e20
+    softening = [f"cubic_stiffness:story {j}:k3_n_per_m3={k3:.6g}" for j in (1, 2)]
+    known = learn(measured(1, *softening), SITE)
+    found = known.effects(known.mean)
+    assert {(e.name, e.location) for e in found} == {("cubic_stiffness", f"story {j}") for j in (1, 2)}
+    for effect, std in zip(found, known.standing_std, strict=True):
+        assert std[0] < 0.4 * abs(k3)
+        assert abs(effect.coordinates[0] - k3) < 3.0 * std[0]
+    clean = diagnose(classify(measured(2, *softening)), known, BUILDING, SITE.diagnosis)
+    assert clean.verdict == "none", [c.effect for c in clean.causes]
+
+
+def test_a_machine_that_runs_otherwise_today_is_no_news() -> None:
+    machine = "harmonic_excitation:floor 2:frequency_hz=9.0,force_n=0.15"
+    known = learn(measured(1, machine), SITE)
+    assert [e.name for e in known.model.effects] == ["harmonic_excitation"] and len(known.known_lines_hz) == 1
+    today = "harmonic_excitation:floor 2:frequency_hz=9.035,force_n=0.22"
+    assert diagnose(classify(measured(2, today)), known, BUILDING, SITE.diagnosis).verdict == "none"
+    loss = diagnose(
+        classify(measured(3, today, "stiffness_change:story 1:relative=-0.08")), known, BUILDING, SITE.diagnosis
+    )
+    assert [(c.effect.name, c.effect.location) for c in loss.causes] == [("stiffness_change", "story 1")]
+
+
+def test_a_fault_beside_a_tie_is_named() -> None:
+    """Nothing tells a loss in the lowest story from a soft base; noise of a sensor is noise beside either."""
+    known = learn(measured(1), SITE)
+    hidden = ("stiffness_change:story 2:relative=-0.08", "sensor_noise:channel a1:rms_m_s2=3e-6")
+    found = diagnose(classify(measured(2, *hidden)), known, BUILDING, SITE.diagnosis)
+    assert found.verdict == "ambiguous"
+    assert [(c.effect.name, c.effect.location) for c in found.causes] == [("sensor_noise", "channel a1")]
+    rivals = {(c.effect.name, c.effect.location) for c, _ in found.alternatives}
+    assert rivals >= {("stiffness_change", "story 2"), ("base_flexibility", "base")}
+
+
+def test_noise_that_stands_may_follow_the_motion() -> None:
+    known = learn(measured(1, "sensor_noise:channel a1:rms_m_s2=3e-6"), SITE)
+    assert [(e.name, e.location) for e in known.model.effects] == [("sensor_noise", "channel a1")]
+    louder = measured(2, "sensor_noise:channel a1:rms_m_s2=3.6e-6")
+    assert diagnose(classify(louder), known, BUILDING, SITE.diagnosis).verdict == "none"

@@ -1,0 +1,430 @@
+"""CAN buses as sources: virtual ones, the socketcan code over a local socket, and whatever frames may bring."""
+
+import itertools
+import socket
+import struct
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import can
+import numpy as np
+import pytest
+from can.interfaces.socketcan import socketcan
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from pydantic import ValidationError
+
+from drivers import frames
+from drivers.base import EndOfStream, SampleBlock, SourceContext, SourceError
+from drivers.can_bus import CanSource
+from drivers.frames import FrameError
+from drivers.registry import source_type
+
+DEPLOY = Path(__file__).parents[2] / "deploy"
+CHANNELS = ("a1", "a2", "a3")
+T0 = 1_767_225_600.0
+RATE = 1024.0
+_names = itertools.count()
+
+
+def source(folder: Path = DEPLOY, channels: tuple[str, ...] = CHANNELS, **table: object) -> CanSource:
+    table = {
+        "interface": "virtual",
+        "channel": f"test{next(_names)}",
+        "dbc": "frame.dbc",
+        "sample_rate_hz": RATE,
+    } | table
+    return CanSource(CanSource.Settings.model_validate(table), SourceContext(channels, folder))
+
+
+def accel(sequence: np.ndarray, values: np.ndarray | None = None, t0: float = T0) -> list[can.Message]:
+    """Frames of the shipped layout."""
+    (layout,) = frames.load(DEPLOY / "frame.dbc", CHANNELS)
+    data, _ = layout.encode(row_values(sequence) if values is None else values, sequence % 65536)
+    return [
+        can.Message(timestamp=t0 + k / RATE, arbitration_id=256, is_extended_id=False, data=row.tobytes())
+        for k, row in zip(sequence.tolist(), data, strict=True)
+    ]
+
+
+def row_values(sequence: np.ndarray) -> np.ndarray:
+    """Samples that tell their number."""
+    return np.column_stack([sequence % 1000, sequence // 1000 % 1000, -(sequence % 777)]) * 0.001
+
+
+Feed = Callable[[list[can.Message]], None]
+
+
+class Feeder:
+    """A bus that gives what it is told to, and fails as it is told to."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.items: list[can.Message | Exception] = []
+        monkeypatch.setattr("drivers.can_bus.open_bus", lambda *_: self)
+
+    def recv(self, timeout: float) -> can.Message | None:
+        if not self.items:
+            time.sleep(min(timeout, 0.005))
+            return None
+        item = self.items.pop(0)
+        if isinstance(item, Exception):
+            raise item
+        return item
+
+    def shutdown(self) -> None:
+        pass
+
+
+@pytest.fixture
+def feeder(monkeypatch: pytest.MonkeyPatch) -> Feeder:
+    return Feeder(monkeypatch)
+
+
+def drain(reader: CanSource, feeder: Feeder | None = None, timeout_s: float = 0.3) -> list[SampleBlock]:
+    blocks = []
+    while (block := reader.read(timeout_s)) is not None or (feeder is not None and feeder.items):
+        if block is not None:
+            blocks.append(block)
+    return blocks
+
+
+def indices(blocks: list[SampleBlock]) -> list[int]:
+    return [k for block in blocks for k in range(block.sequence, block.sequence + block.n_samples)]
+
+
+def test_a_virtual_bus_gives_blocks_and_is_closed_twice() -> None:
+    reader = source()
+    with can.Bus(interface="virtual", channel=reader._settings.channel, preserve_timestamps=True) as sender:
+        reader.open()
+        assert reader.health().connected
+        for message in accel(np.arange(300)):
+            sender.send(message)
+        sender.send(can.Message(arbitration_id=0x700, is_extended_id=False))
+        blocks = drain(reader)
+    assert sorted({block.n_samples for block in blocks}) == [44, 128]
+    assert [(b.t_ns, b.sequence) for b in blocks] == [
+        (1_767_225_600_000_000_000 + k * 125_000_000, k * 128) for k in range(3)
+    ]
+    np.testing.assert_array_equal(np.concatenate([b.samples for b in blocks]), np.float32(row_values(np.arange(300))))
+    reader.close()
+    reader.close()
+    assert not reader.health().connected and reader.health().counts["samples"] == 300
+    with pytest.raises(SourceError, match="not open"):
+        reader.read(0.01)
+
+
+@settings(deadline=None, max_examples=5, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(seed=st.integers(0, 10**6), block=st.integers(1, 300))
+def test_one_frame_in_a_hundred_lost_repeated_or_swapped(
+    monkeypatch: pytest.MonkeyPatch, seed: int, block: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    sent = np.arange(65000, 70000)  # the counter wraps
+    messages = accel(sent)
+    stream, kept = [], set()
+    for k, message in zip(sent.tolist(), messages, strict=True):
+        fate = rng.random()
+        if fate < 0.01 and k > 65000:
+            continue
+        kept.add(k)
+        stream.append(message)
+        if fate < 0.02:
+            stream.append(message)
+        elif fate < 0.03 and len(stream) > 9:
+            stream.insert(-int(rng.integers(1, 8)), stream.pop())
+    first = int.from_bytes(stream[0].data[6:8], "little")
+    feeder = Feeder(monkeypatch)
+    feeder.items = list(stream)
+    reader = source(block_samples=block)
+    reader.open()
+    blocks = drain(reader, feeder)
+    found = indices(blocks)
+    expected = sorted(k for k in kept if k >= first)
+    assert found == expected[: len(found)] and len(found) >= len(expected) - 33
+    np.testing.assert_array_equal(np.concatenate([b.samples for b in blocks]), np.float32(row_values(np.array(found))))
+    for b in blocks:
+        assert b.t_ns == blocks[0].t_ns + round((b.sequence - blocks[0].sequence) / RATE * 1e9)
+
+
+def test_everything_else_is_counted(feeder: Feeder) -> None:
+    good = accel(np.arange(100))
+    feeder.items = [
+        *good[:50],
+        can.Message(arbitration_id=256, is_extended_id=True, data=bytes(8)),
+        can.Message(arbitration_id=3, is_extended_id=False, data=bytes(8)),
+        can.Message(arbitration_id=256, is_extended_id=False, data=bytes(7)),
+        can.Message(arbitration_id=256, is_extended_id=False, is_remote_frame=True, dlc=8),
+        can.Message(is_error_frame=True, arbitration_id=0x04, data=bytes([0, 1, 0, 0, 0, 0, 0, 0])),
+        can.Message(is_error_frame=True, arbitration_id=0x20, data=bytes(8)),
+        *good[50:],
+    ]
+    reader = source()
+    reader.open()
+    assert indices(drain(reader, feeder)) == list(range(100))
+    counts = reader.health().counts
+    assert [counts[name] for name in ("foreign", "undecodable", "error_frames", "overruns")] == [2, 2, 2, 1]
+
+
+@pytest.mark.parametrize(
+    ("trouble", "reason"),
+    [
+        (can.Message(is_error_frame=True, arbitration_id=0x40, data=bytes(8)), "bus off"),
+        (can.CanOperationError("Network is down"), "Network is down"),
+    ],
+)
+def test_a_lost_bus_is_reopened_and_leaves_a_gap_of_its_length(
+    feeder: Feeder, trouble: can.Message | Exception, reason: str
+) -> None:
+    reader = source()
+    reader.open()
+    feeder.items = [*accel(np.arange(8000)), trouble, *accel(np.arange(8000, 8100))]
+    before = []
+    with pytest.raises(SourceError, match=reason):
+        while True:
+            before.append(reader.read(0.2))
+    assert indices([b for b in before if b]) == list(range(8000))
+    assert not reader.health().connected and reason in reader.health().detail
+    away = 2 * 65536 + 500  # the counter wraps twice meanwhile
+    feeder.items = list(accel(np.arange(8000 + away, 10000 + away)))
+    reader.open()
+    after = drain(reader, feeder)
+    assert indices(after) == list(range(8001 + away, 10000 + away))
+    assert after[0].t_ns == round(T0) * 10**9 + round((8001 + away) / RATE * 1e9)
+    assert reader.health().counts["samples"] == 8000 + 1999
+
+
+@pytest.mark.parametrize("bad", [float("nan"), -1.0, 1e300, float("inf")])
+def test_bad_times_are_counted_and_the_counter_goes_on(feeder: Feeder, bad: float) -> None:
+    messages = accel(np.arange(5000))
+    for message in [*messages[:3], *messages[1000:1500]]:
+        message.timestamp = bad
+    feeder.items = list(messages)
+    reader = source()
+    reader.open()
+    blocks = drain(reader, feeder)
+    assert indices(blocks) == list(range(3, 5000))
+    counts = reader.health().counts
+    assert (counts["untimed"], counts["bad_times"], counts["steps"]) == (3, 503, 0)
+
+
+@settings(deadline=None, max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    st.lists(
+        st.builds(
+            can.Message,
+            timestamp=st.floats(),
+            arbitration_id=st.sampled_from([256, 257, 0x40, 4]),
+            is_extended_id=st.booleans(),
+            is_remote_frame=st.booleans(),
+            is_error_frame=st.booleans(),
+            data=st.binary(max_size=64),
+            is_fd=st.booleans(),
+        ),
+        max_size=60,
+    )
+)
+def test_no_frame_can_break_it(monkeypatch: pytest.MonkeyPatch, messages: list[can.Message]) -> None:
+    feeder = Feeder(monkeypatch)
+    feeder.items = list(messages)
+    reader = source(block_samples=8)
+    reader.open()
+    blocks = []
+    while feeder.items:
+        try:
+            blocks.append(reader.read(0.01))
+        except SourceError:
+            reader.open()
+    reader.health()
+    found = indices([b for b in blocks if b])
+    assert found == sorted(set(found))
+
+
+def test_a_flood_of_foreign_frames_keeps_memory_and_order(feeder: Feeder) -> None:
+    strange = [can.Message(arbitration_id=0x123, is_extended_id=False, data=bytes(8))] * 9
+    feeder.items = [m for good in accel(np.arange(2000)) for m in (good, *strange)]
+    reader = source()
+    reader.open()
+    assert indices(drain(reader, feeder)) == list(range(2000))
+    assert reader.health().counts["foreign"] == 18000
+    assert not reader._nodes[0].frames and len(reader._nodes[0]._held[0]) == 0
+
+
+def test_fd_frames_with_a_counter_of_frames(feeder: Feeder, tmp_path: Path) -> None:
+    parts = [
+        f' SG_ a{c}_{k} : {16 * (3 * k + c - 1)}|16@1- (0.001,0) [0|0] "m/s^2" X\n'
+        for k in range(10)
+        for c in (1, 2, 3)
+    ]
+    text = 'VERSION ""\nBU_: X\nBO_ 5 F: 64 X\n' + "".join(parts) + ' SG_ counter : 480|16@1+ (1,0) [0|0] "" X\n'
+    (tmp_path / "fd.dbc").write_text(text)
+    (layout,) = frames.load(tmp_path / "fd.dbc", CHANNELS)
+    for counted, step in ("frames", 1), ("samples", 10):
+        data, _ = layout.encode(row_values(np.arange(6000)), np.arange(600) * step % 65536)
+        messages = [
+            can.Message(
+                timestamp=T0 + (10 * k + 9) / RATE,
+                arbitration_id=5,
+                is_extended_id=False,
+                is_fd=True,
+                data=row.tobytes(),
+            )
+            for k, row in enumerate(data)
+        ]
+        del messages[100:103]
+        feeder.items = list(messages)
+        reader = source(tmp_path, dbc="fd.dbc", fd=True, counter_counts=counted)
+        reader.open()
+        blocks = drain(reader, feeder)
+        assert indices(blocks) == [*range(1000), *range(1030, 6000)]
+        assert blocks[0].t_ns == round(T0 * 1e9)
+        assert reader.health().counts["lost_samples"] == 30
+
+
+def nodes(folder: Path, shift: float, ppm: float = 0.0, offset: int = 0, seconds: float = 8.0) -> list[can.Message]:
+    """Two nodes; the second samples `shift` samples later, `ppm` faster, and counts from `offset`."""
+    (folder / "two.dbc").write_text(
+        'VERSION ""\nBU_: X\n'
+        + "".join(
+            f'BO_ {at} N{at}: 4 X\n SG_ a{at} : 0|16@1- (0.001,0) [0|0] "m/s^2" X\n SG_ counter : 16|16@1+ (1,0) [0|0] "" X\n\n'
+            for at in (1, 2)
+        )
+    )
+    rng, out = np.random.default_rng(0), []
+    for at in (1, 2):
+        k = np.arange(round(seconds * RATE))
+        t = T0 + (k + (at == 2) * shift) / RATE / (1 + (at == 2) * ppm * 1e-6) + rng.exponential(5e-5, len(k))
+        (layout,) = frames.load(folder / "two.dbc", (f"a{at}",))
+        data, _ = layout.encode(0.001 * (k % 1000)[:, None], (k + (at == 2) * offset) % 65536)
+        out += [
+            can.Message(timestamp=s, arbitration_id=at, is_extended_id=False, data=row.tobytes())
+            for s, row in zip(t.tolist(), data, strict=True)
+        ]
+    return sorted(out, key=lambda message: message.timestamp)
+
+
+def two(folder: Path, **table: object) -> CanSource:
+    return source(folder, ("a2", "a1"), dbc="two.dbc", **table)
+
+
+def test_nodes_that_sample_together_are_joined_by_their_counters(feeder: Feeder, tmp_path: Path) -> None:
+    feeder.items = list(nodes(tmp_path, 0.3))
+    reader = two(tmp_path)
+    reader.open()
+    blocks = drain(reader, feeder)
+    samples = np.concatenate([b.samples for b in blocks])
+    assert len(samples) > 8000 and blocks[0].channels == ("a2", "a1")
+    np.testing.assert_array_equal(samples[:, 0], samples[:, 1])
+    assert [c.node for c in reader.health().clocks] == ["N2", "N1"] and "N1 -0.3" in reader.health().detail
+
+
+@pytest.mark.parametrize(("shift", "ppm", "offset"), [(3.0, 0.0, 0), (0.0, 0.0, 500), (0.0, 300.0, 0)])
+def test_nodes_that_do_not_are_refused(feeder: Feeder, tmp_path: Path, shift: float, ppm: float, offset: int) -> None:
+    feeder.items = list(nodes(tmp_path, shift, ppm, offset))
+    reader = two(tmp_path)
+    reader.open()
+    with pytest.raises(SourceError, match="not synchronised"):
+        drain(reader, feeder)
+
+
+def test_or_shifted_by_whole_samples_if_asked(feeder: Feeder, tmp_path: Path) -> None:
+    feeder.items = list(nodes(tmp_path, 3.2, offset=500))
+    reader = two(tmp_path, realign=True)
+    reader.open()
+    samples = np.concatenate([b.samples for b in drain(reader, feeder)])
+    both = samples[np.isfinite(samples).all(axis=1)]
+    np.testing.assert_allclose((both[:, 0] - both[:, 1]) % 1.0, 0.997, atol=1e-4)  # a1 is taken three samples earlier
+    assert len(both) > 7000 and "-0.2" in reader.health().detail
+
+
+def test_a_drifting_node_that_is_realigned_leaves_holes(feeder: Feeder, tmp_path: Path) -> None:
+    feeder.items = list(nodes(tmp_path, 0.0, ppm=300.0, seconds=20.0))
+    reader = two(tmp_path, realign=True)
+    reader.open()
+    samples = np.concatenate([b.samples for b in drain(reader, feeder)])
+    assert reader.health().counts["realigned"] >= 3
+    apart = np.rint(1000 * (samples[:, 0] - samples[:, 1])) % 1000
+    edges = np.flatnonzero(np.diff(np.where(np.isnan(apart), -1, apart)) != 0)
+    assert np.isnan(samples[edges]).any(axis=1).sum() * 2 >= len(edges) > 0  # no change of shift without a hole
+
+
+def test_a_dead_node_is_missing_not_invented(feeder: Feeder, tmp_path: Path) -> None:
+    feeder.items = [m for m in nodes(tmp_path, 0.0) if m.arbitration_id == 2 or m.timestamp < T0 + 5]
+    reader = two(tmp_path)
+    reader.open()
+    samples = np.concatenate([b.samples for b in drain(reader, feeder)])
+    assert np.isnan(samples[:, 1]).any() and np.isfinite(samples[:, 0]).all()
+    assert reader.health().counts["unmatched"] == np.isnan(samples[:, 1]).sum()
+
+
+@pytest.fixture
+def wire(monkeypatch: pytest.MonkeyPatch) -> Iterator[socket.socket]:
+    """The other end of what python-can takes for a kernel CAN socket."""
+
+    class KernelSocket(socket.socket):
+        def setsockopt(self, level: int, *rest: object) -> None:
+            if level != socketcan.constants.SOL_CAN_RAW:
+                super().setsockopt(level, *rest)  # type: ignore[call-overload]
+
+    near, far = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
+    kernel = KernelSocket(socket.AF_UNIX, socket.SOCK_DGRAM, 0, near.detach())
+    monkeypatch.setattr(socketcan, "create_socket", lambda: kernel)
+    monkeypatch.setattr(socketcan, "bind_socket", lambda *_: None)
+    yield far
+    far.close()
+    kernel.close()
+
+
+def raw(frame_id: int, data: bytes) -> bytes:
+    return struct.pack("=IBB2x8s", frame_id, len(data), 0, data)
+
+
+def test_the_socketcan_path_with_error_frames_and_bus_off(
+    wire: socket.socket,
+) -> None:
+    reader = source(interface="socketcan", channel="can0")
+    reader.open()
+    for message in accel(np.arange(100)):
+        wire.send(raw(256, bytes(message.data)))
+    wire.send(raw(0x20000004, bytes([0, 1, 0, 0, 0, 0, 0, 0])))
+    wire.send(raw(0x123, bytes(8)))
+    now = time.time()
+    blocks = drain(reader)
+    assert indices(blocks) == list(range(100)) and abs(blocks[0].t_ns * 1e-9 - now) < 5.0
+    wire.send(raw(0x20000040, bytes(8)))
+    with pytest.raises(SourceError, match="bus off"):
+        drain(reader)
+    counts = reader.health().counts
+    assert [counts[name] for name in ("error_frames", "overruns", "bus_off", "foreign")] == [2, 1, 1, 1]
+    reader.close()
+
+
+def test_no_such_bus(tmp_path: Path) -> None:
+    for table in {"interface": "no_such"}, {"interface": "socketcand", "options": {"host": "127.0.0.1", "port": 9}}:
+        with pytest.raises(SourceError):
+            source(**table).open()
+    with pytest.raises(SourceError, match="needs options"):
+        source(interface="socketcand").open()
+
+
+def test_settings() -> None:
+    assert source_type("can") is CanSource
+    with pytest.raises(ValidationError):
+        source(sample_rate=5)
+    with pytest.raises(ValidationError):
+        source(sample_rate_hz=float("inf"))
+    with pytest.raises(FrameError, match="no signal 'b9'"):
+        source(channels=("b9",))
+
+
+def test_a_log_file_is_a_source(tmp_path: Path) -> None:
+    with can.Logger(tmp_path / "x.log") as log:
+        for message in accel(np.arange(500)):
+            log(message)
+    blocks = []
+    reader = source(tmp_path, interface="log", channel="x.log", dbc=str(DEPLOY / "frame.dbc"))
+    reader.open()
+    with pytest.raises(EndOfStream):
+        while True:
+            blocks.append(reader.read(0.1))
+    assert indices([b for b in blocks if b]) == list(range(500))

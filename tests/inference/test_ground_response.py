@@ -1,0 +1,236 @@
+"""A measured ground motion is the input: what the floors answer tells the model's errors, with the drawing alone before it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drivers.base import ACCELERATION, GROUND
+from drivers.mcap_file import read_recordings
+from monitor.config.configuration import Configuration, load
+from monitor.core.results import Array
+from monitor.diagnosis.backbone import backbone, level_dependence, ratios
+from monitor.diagnosis.cross_validation import score
+from monitor.diagnosis.initial_fit import fit_linearized
+from monitor.diagnosis.score_test import fit_best
+from monitor.diagnosis.settings import DiagnosisSettings
+from monitor.diagnosis.stepwise_selection import diagnose
+from monitor.inference.linearization import linearize
+from monitor.inference.observed_spectra import classify
+from monitor.inference.posterior import Posterior
+from monitor.inference.segments import Segments, gather
+from monitor.model.effects import Context, parse_effect
+from monitor.model.model import Model
+from monitor.model.prior import prior_from_drawing
+from monitor.model.simulation import level_wander, respond, simulate
+from monitor.runs.synthetic_recording import blocks_of
+
+RATE = 1000.0
+RECORDINGS = Path(__file__).parents[2] / "recordings"
+STRUCTURE = {"kind": "shear_frame", "masses_kg": [0.33, 0.35, 0.31], "stiffness_n_per_m": [2900.0, 1500.0, 1900.0]}
+T0_NS = 10**18
+
+
+def settings(**changes: object) -> Configuration:
+    sensors = [{"channel": f"a{i}", "floor": i} for i in (1, 2, 3)]
+    processing = {"rate_hz": 50.0, "cutoff_hz": 20.0, "window_s": 60.0, "hop_s": 5.0}
+    return Configuration.model_validate(
+        {"structure": {**STRUCTURE, **changes}, "sensors": sensors, "processing": processing}
+    )
+
+
+DRAWING = settings(masses_kg=[0.335, 0.345, 0.31], stiffness_n_per_m=[2800.0, 1550.0, 1950.0])
+CONTEXT = Context(DRAWING.model().structure, DRAWING.channels, DRAWING.sensor_matrix(), RATE)
+
+
+def recorded(
+    *effects: str, seed: int, earlier_s: float = 0.0, hole_s: int | None = None, rate_hz: float = RATE
+) -> Segments:
+    """A frame on a shaken ground; the ground's recording may begin earlier, and both may lack a second."""
+    model = Model(settings().model().structure, tuple(parse_effect(e) for e in effects))
+    motion = simulate(
+        model, duration_s=120.0, rate_hz=rate_hz, excitation="ground", noise=0.01, level_spread=0.5, seed=seed
+    )
+    assert motion.ground is not None
+    late, second = round(earlier_s * rate_hz), round(rate_hz)
+    streams = []
+    for topic, x, names, start in (
+        (GROUND, motion.ground[:, None], ("g",), 0),
+        (ACCELERATION, motion.floors, DRAWING.channels, late),
+    ):
+        blocks = list(blocks_of(topic, x, names, rate_hz, T0_NS, second))[start // second :]
+        streams += [b for i, b in enumerate(blocks) if hole_s is None or i != hole_s - start // second]
+    return gather(streams, DRAWING)
+
+
+@pytest.mark.parametrize(
+    ("effects", "name", "parameter"),
+    [
+        ((), None, None),
+        (("joint_flexibility:frame:girder_to_column_ratio=6",), "joint_flexibility", 6.0),
+    ],
+)
+def test_a_driven_frame_tells_its_cause(effects: tuple[str, ...], name: str | None, parameter: float | None) -> None:
+    segments = recorded(*effects, seed=11)
+    known = prior_from_drawing(DRAWING.model(), DRAWING.prior_std(), 3)
+    found = diagnose(classify(segments), known, CONTEXT, DiagnosisSettings())
+    assert [c.effect.name for c in found.causes] == ([] if name is None else [name])
+    assert not found.alternatives
+    if parameter is not None:
+        assert next(iter(found.causes[0].effect.values().values())) == pytest.approx(parameter, rel=0.05)
+
+
+def test_of_a_long_recording_the_strongest_minutes_are_used_and_the_response_to_what_came_before_stays(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    whole = recorded(seed=12, rate_hz=200.0)
+    monkeypatch.setattr("monitor.inference.segments._DRIVEN_SEGMENTS", 12)
+    monkeypatch.setattr("monitor.inference.segments._LEAD_S", 30.0)
+    part = recorded(seed=12, rate_hz=200.0)
+    assert whole.drive is not None and part.drive is not None
+    assert part.t_s.size == part.values.shape[0] == part.drive.first.size == 12 < whole.t_s.size
+    first = int(np.searchsorted(whole.t_s, part.t_s[0]))
+    same = slice(first, first + 12)
+    np.testing.assert_array_equal(part.values, whole.values[same])
+    power = (np.abs(whole.drive.ground(whole.band)) ** 2).sum(axis=1)
+    assert power[same].sum() == max(power[i : i + 12].sum() for i in range(power.size - 11))
+    assert sum(run.length for run in part.drive.runs) < 0.7 * sum(run.length for run in whole.drive.runs)
+    answers = []
+    for segments in (whole, part):
+        problem, _ = fit_linearized(
+            classify(segments), prior_from_drawing(settings().model(), np.full(6, 1e-3), 3), CONTEXT
+        )
+        answers.append(problem.mean(problem.prior.mean, ()))
+    np.testing.assert_allclose(answers[1], answers[0][same], atol=3e-3 * float(np.abs(answers[0]).max()))
+
+
+def windy(*effects: str, share: float, seed: int) -> Segments:
+    """A frame on a shaken ground in wind that makes a share of the motion's variance; every sensor has noise of its own."""
+    model = Model(settings().model().structure, tuple(parse_effect(e) for e in effects))
+    rng, n = np.random.default_rng(seed), round(120.0 * 200.0)
+    ground = level_wander(n, 200.0, 0.5, rng) * rng.standard_normal(n)
+    by_ground = respond(model, np.zeros((n, 3)), ground, 200.0)
+    by_wind = respond(model, level_wander(n, 200.0, 0.3, rng)[:, None] * rng.standard_normal((n, 3)), None, 200.0)
+    floors = by_ground + by_wind * np.sqrt(share / (1.0 - share) * by_ground.var() / by_wind.var())
+    floors += 0.02 * floors.std(axis=0) * rng.standard_normal(floors.shape)
+    ground = ground + 0.002 * ground.std() * rng.standard_normal(n)
+    streams = [(GROUND, ground[:, None], ("g",)), (ACCELERATION, floors, DRAWING.channels)]
+    return gather([b for t, x, names in streams for b in blocks_of(t, x, names, 200.0, T0_NS, 200)], DRAWING)
+
+
+@pytest.mark.parametrize("share", [0.003, 0.1])
+def test_wind_beside_a_measured_ground_is_no_cause_and_hides_none(share: float) -> None:
+    known, context = prior_from_drawing(settings().model(), np.full(6, 1e-3), 3), replace(CONTEXT, rate_hz=200.0)
+    clean = diagnose(classify(windy(share=share, seed=21)), known, context, DiagnosisSettings())
+    assert (clean.verdict, clean.causes) == ("none", ())
+    lost = windy("stiffness_change:story 2:relative=-0.05", share=share, seed=22)
+    found = diagnose(classify(lost), known, context, DiagnosisSettings())
+    assert found.verdict == "named"
+    (cause,) = found.causes
+    assert (cause.effect.name, cause.effect.location) == ("stiffness_change", "story 2")
+    assert cause.effect.values()["relative"] == pytest.approx(-0.05, abs=3.0 * cause.std["relative"])
+    assert cause.std["relative"] < 0.01
+
+
+def test_how_the_ground_moves_between_samples_is_asked_again_beside_a_cause() -> None:
+    evidence = classify(recorded("added_mass:floor 3:mass_kg=0.06", seed=25, rate_hz=200.0))
+    known, context = prior_from_drawing(settings().model(), np.full(6, 1e-3), 3), replace(CONTEXT, rate_hz=200.0)
+    drive = fit_linearized(evidence, known, context)[0].observed.drive
+    assert drive is not None
+    assert drive.between == "held", "another motion makes up for some of the mass"
+    found = diagnose(evidence, known, context, DiagnosisSettings())
+    assert found.problem.observed.drive is not None
+    assert found.problem.observed.drive.between != "held"
+    assert [(c.effect.name, c.effect.location) for c in found.causes] == [("added_mass", "floor 3")]
+    assert found.causes[0].effect.values()["mass_kg"] == pytest.approx(0.06, rel=0.02)
+
+
+@pytest.mark.parametrize("rate_hz", [100.0, 200.0, 512.0])
+def test_how_the_ground_moves_between_slow_samples_is_found_and_no_cause_made_of_it(rate_hz: float) -> None:
+    segments = recorded(seed=15, rate_hz=rate_hz)  # the simulation's ground runs straight
+    known = prior_from_drawing(DRAWING.model(), DRAWING.prior_std(), 3)
+    context = replace(CONTEXT, rate_hz=rate_hz)
+    problem, null = fit_linearized(classify(segments), known, context)
+    assert problem.observed.drive is not None
+    assert problem.observed.drive.between == "straight"
+    left = problem.predict(null.x, ()).left
+    assert left is not None
+    assert (np.abs(left) ** 2).sum() < 2e-3 * (np.abs(segments.values) ** 2).sum()
+
+
+def test_a_nonlinear_law_answers_as_the_simulation_does() -> None:
+    law = parse_effect("cubic_stiffness:story 2:k3_n_per_m3=4e8")
+    problem, x = _true_problem(recorded("cubic_stiffness:story 2:k3_n_per_m3=4e8", seed=16))
+    power = (np.abs(problem.observed.segments.values) ** 2).sum()
+    exact, linear = (problem.mean(np.concatenate([x, law.coordinates]), (law,), exact=exact) for exact in (True, False))
+    assert exact is not None
+    assert linear is not None
+    left, rough = ((np.abs(problem.observed.segments.values - m) ** 2).sum() / power for m in (exact, linear))
+    assert left < 0.02
+    assert left < 0.2 * rough
+
+
+def test_the_measured_frame_is_no_shear_frame_and_softens_with_the_level() -> None:
+    config = load(RECORDINGS / "mini-shake-table-flexible.toml")
+    segments = gather(read_recordings([RECORDINGS / "mini-shake-table-flexible.mcap"]), config)
+    context = Context(config.model().structure, config.channels, config.sensor_matrix(), segments.rate_hz)
+    problem, null = fit_linearized(
+        classify(segments), prior_from_drawing(config.model(), config.prior_std(), 3), context
+    )
+    assert problem.observed.drive is not None
+    assert problem.observed.drive.between == "smooth"
+    joints = fit_best(problem, null, parse_effect("joint_flexibility:frame:girder_to_column_ratio=3"))
+    assert joints.evidence > 100.0
+    told = ratios(problem, joints.fit)
+    assert told is not None
+    assert told.says.startswith("frequency ratios: f2/f1 3.0")
+    softer = level_dependence(backbone(problem, null))
+    assert softer is not None
+    assert "falls with the level, from 3.7" in softer.says
+
+
+def test_the_response_explains_the_floors_and_a_wrong_frame_does_not() -> None:
+    segments = recorded(seed=12)
+    true, off = (score(segments, c.model(), CONTEXT, c) for c in (settings(), DRAWING))
+    assert true.csd_error < 5e-3
+    assert true.csd_error < off.csd_error
+    assert true.log_score_per_sample > off.log_score_per_sample + 1.0
+
+
+def test_a_ground_that_began_earlier_and_a_hole_in_both_change_nothing() -> None:
+    """Each stretch without a hole is answered from its own beginning, at its own place in the ground's recording."""
+    problem, x = _true_problem(recorded(seed=13, earlier_s=2.0, hole_s=70))
+    assert problem.observed.drive is not None
+    assert np.unique(problem.observed.drive.run).size == 2
+    mean = problem.mean(x, ())
+    assert mean is not None
+    left = np.abs(problem.observed.segments.values - mean) ** 2
+    share = left.mean(axis=(1, 2)) / (np.abs(mean) ** 2).mean(axis=(1, 2))
+    assert np.median(share) < 0.01
+    assert share.max() < 0.3  # a stretch begins with motion that came before it
+
+
+def test_drifts_follow_the_measured_ground() -> None:
+    problem, x = _true_problem(recorded(seed=14))
+    motion = simulate(
+        settings().model(), duration_s=120.0, rate_hz=RATE, excitation="ground", noise=0.0, level_spread=0.5, seed=14
+    )
+    assert motion.ground is not None
+    floors = motion.floors - motion.ground[:, None]
+    spectrum = np.fft.rfft(floors, axis=0)
+    hz = np.fft.rfftfreq(len(floors), 1.0 / RATE)
+    spectrum[hz < 0.3] = 0.0
+    spectrum[1:] /= -((2.0 * np.pi * hz[1:]) ** 2)[:, None]
+    drift = np.fft.irfft(spectrum, n=len(floors), axis=0) @ CONTEXT.structure.drift_matrix().T
+    (condition,) = linearize(problem, x, ())
+    np.testing.assert_allclose(condition.drift_m, drift.std(axis=0), rtol=0.15)
+
+
+def _true_problem(segments: Segments) -> tuple[Posterior, Array]:
+    """The true structure's problem, fitted so closely to what is known that it stays true."""
+    known = prior_from_drawing(settings().model(), np.full(6, 1e-6), 3)
+    problem, null = fit_linearized(classify(segments), known, CONTEXT)
+    return problem, null.x

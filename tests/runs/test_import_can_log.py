@@ -1,0 +1,88 @@
+"""CAN logs become recordings through the code that reads buses."""
+
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import can
+import numpy as np
+import pytest
+
+from drivers import frames
+from drivers.mcap_file import read_recordings
+from monitor.core.errors import BadInputError, MissingInputError
+from monitor.runs.importers import import_files
+
+DBC = Path(__file__).parents[2] / "deploy" / "frame.dbc"
+T0 = 1_767_225_600
+
+
+def write(path: Path, skip: range = range(0)) -> np.ndarray:
+    """A log of 2000 samples, some lost and a foreign frame among them; returns the samples as numbered."""
+    (layout,) = frames.load(DBC, ("a1", "a2", "a3"))
+    raw = np.random.default_rng(3).integers(-30000, 30000, (2000, 3))
+    data, _ = layout.encode(raw * 0.001, np.arange(2000))
+    with can.Logger(path) as log:
+        for k in range(2000):
+            if k not in skip:
+                log(
+                    can.Message(
+                        timestamp=T0 + k / 1024, arbitration_id=256, is_extended_id=False, data=data[k].tobytes()
+                    )
+                )
+        log(can.Message(timestamp=T0 + 2, arbitration_id=9, is_extended_id=False, data=b"x"))
+    return np.float32(raw * 0.001)
+
+
+@pytest.mark.parametrize("suffix", [".blf", ".asc", ".log", ".trc"])
+def test_every_format_gives_the_same_samples_at_the_same_times(
+    tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log, out, warnings = tmp_path / f"x{suffix}", tmp_path / "o.mcap", []
+    samples = write(log, skip=range(500, 520))
+    info = import_files([log], out, dbc=DBC, rate_hz=1024.0, on_warning=warnings.append)
+    assert (info.n_samples, info.sample_rate_hz) == (1980, 1024.0)
+    assert abs(info.t_start_ns - T0 * 10**9) < 1_000_000  # .asc and .trc say milliseconds
+    for block in read_recordings([out]):
+        np.testing.assert_array_equal(block.samples, samples[block.sequence : block.sequence + block.n_samples])
+        assert block.t_ns == info.t_start_ns + round(block.sequence / 1024.0 * 1e9)
+    assert warnings == [f"{log}: 20 lost samples"]
+
+
+def test_the_command(tmp_path: Path, main: Callable[..., subprocess.CompletedProcess[str]]) -> None:
+    write(tmp_path / "x.blf")
+    done = main("import", tmp_path / "x.blf", "--dbc", DBC, "--rate", "1024", "--out", tmp_path / "o.mcap")
+    assert done.returncode == 0 and "1.95 s at 1024 Hz" in done.stdout and done.stderr == ""
+
+
+def test_what_is_missing_or_too_much_is_named(tmp_path: Path) -> None:
+    log = tmp_path / "x.log"
+    write(log)
+    for options, reason in (
+        ({"rate_hz": 1024.0}, "--dbc"),
+        ({"dbc": DBC}, "--rate"),
+        ({"dbc": DBC, "rate_hz": 1024.0, "ground": "x"}, "no --channel"),
+    ):
+        with pytest.raises(BadInputError, match=reason):
+            import_files([log], tmp_path / "o.mcap", **options)  # type: ignore[arg-type]
+    with pytest.raises(MissingInputError, match="does not exist"):
+        import_files([log], tmp_path / "o.mcap", dbc=tmp_path / "none.dbc", rate_hz=1024.0)
+    assert not list(tmp_path.glob("*.mcap*"))
+
+
+@pytest.mark.parametrize("content", [b"", b"garbage", b"\0\xff" * 500, b"(x) can0 100#00\n", b"LOGG" + bytes(200)])
+@pytest.mark.parametrize("suffix", [".blf", ".asc", ".log", ".trc"])
+def test_damaged_logs_are_one_message(tmp_path: Path, suffix: str, content: bytes) -> None:
+    (tmp_path / f"x{suffix}").write_bytes(content)
+    with pytest.raises(BadInputError, match=f"x{suffix}"):
+        import_files([tmp_path / f"x{suffix}"], tmp_path / "o.mcap", dbc=DBC, rate_hz=1024.0)
+    assert not list(tmp_path.glob("*.mcap*"))
+
+
+def test_a_log_cut_short_gives_what_it_holds(tmp_path: Path) -> None:
+    write(tmp_path / "x.log")
+    raw = (tmp_path / "x.log").read_bytes()
+    (tmp_path / "x.log").write_bytes(raw[: len(raw) // 2])
+    warnings: list[str] = []
+    info = import_files([tmp_path / "x.log"], tmp_path / "o.mcap", dbc=DBC, rate_hz=1024.0, on_warning=warnings.append)
+    assert 990 < info.n_samples < 1010

@@ -1,0 +1,58 @@
+"""Replay goldens: every shipped recording is what index.toml says, and gives what it says."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drivers.mcap_file import read_recordings, recording_info
+from monitor.config import configuration
+from monitor.core.files import sha256
+from monitor.core.results import WindowResult
+from monitor.damage import baseline
+from monitor.pipeline import Pipeline
+from monitor.runs import calibrate
+
+FOLDER = Path(__file__).parents[2] / "recordings"
+INDEX = tomllib.loads((FOLDER / "index.toml").read_text())
+RECORDINGS = {entry["file"]: entry for entry in INDEX["recording"]}
+REPLAYS = {entry["name"]: entry for entry in INDEX["replay"]}
+
+
+def test_the_index_lists_every_recording() -> None:
+    assert {p.name for p in FOLDER.glob("*.mcap")} == set(RECORDINGS)
+
+
+@pytest.mark.parametrize("name", RECORDINGS)
+def test_a_recording_is_what_the_index_says(name: str) -> None:
+    entry, info = RECORDINGS[name], recording_info(FOLDER / name)
+    assert sha256(FOLDER / name) == entry["sha256"]
+    assert info.sample_rate_hz == entry["rate_hz"]
+    assert list(info.channels["/acceleration"]) == entry["channels"]
+    assert info.n_samples == entry["samples"]
+
+
+@pytest.mark.parametrize("name", REPLAYS)
+def test_a_replay_gives_what_the_index_says(name: str) -> None:
+    entry = REPLAYS[name]
+    settings = configuration.load(FOLDER / entry["structure"])
+    healthy: baseline.Baseline | None = None
+    if entry.get("calibrate"):
+        healthy, _ = calibrate.calibrate([FOLDER / f for f in entry["calibrate"]], settings)
+    pipeline = Pipeline(settings, healthy)
+    results = [r for b in read_recordings([FOLDER / f for f in entry["files"]]) for r in pipeline.push(b)]
+    windows = [r for r in results if isinstance(r, WindowResult)]
+    assert len(windows) == entry["windows"]
+    assert [r.skipped for r in windows if r.skipped is not None] == []
+    for r in windows:  # three modes in every window, none of them spurious
+        assert r.modes is not None
+        np.testing.assert_allclose(r.modes.frequencies_hz, entry["frequencies_hz"], rtol=entry["frequency_rtol"])
+    last = windows[-1]
+    if healthy is not None:
+        assert last.damage is not None
+        np.testing.assert_allclose(last.damage.ddi, entry["ddi"], atol=entry["ddi_atol"])
+    assert last.alarm.level.value == entry["level"]
+    assert list(last.alarm.stories) == entry["stories"]

@@ -1,0 +1,341 @@
+"""People are told: what changed, once, in order, whatever fails on the way; and never an address in a log."""
+
+from __future__ import annotations
+
+import http.server
+import json
+import logging
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from monitor.core.results import Alarm, AlarmCondition, Level, Skipped, WindowResult
+from monitor.service.daemon_health import losses
+from monitor.service.outlets import notify
+from monitor.service.outlets.notices import Notice, NoticeSettings, Told, of_finding, of_health, of_window
+from monitor.service.outlets.notify import Addresses, Notifier, NotifySettings, addresses
+from monitor.service.outlets.outbox import Outbox
+from tests.support.zenoh_router import free_port
+
+SETTINGS = NoticeSettings()
+
+
+def window(t_s: float, skipped: str | None = None, shelved: tuple[int, ...] = (), **levels: Level) -> WindowResult:
+    """``s2=Level.WARNING``: what is announced of story 2."""
+    active = {int(name[1:]): level for name, level in levels.items()}
+    conditions = {j: AlarmCondition.UNACKNOWLEDGED for j in active} | dict.fromkeys(shelved, AlarmCondition.SHELVED)
+    level = max(active.values(), key=lambda x: x.rank, default=Level.NORMAL)
+    alarm = Alarm(level, tuple(active), "story 2 lost 5 %", active, conditions)
+    reason = None if skipped is None else Skipped(skipped)
+    return WindowResult(0, round(t_s * 1e9), 20.0, None, None, None, alarm, reason)
+
+
+def health(*, data: bool = True, recording: bool | None = True) -> dict[str, Any]:
+    recorder = None if recording is None else {"recording": recording, "detail": "" if recording else "disk full"}
+    source = {"connected": data, "error": "" if data else "bus off", "detail": ""}
+    return {"stream": {} if data else None, "source": source, "recorder": recorder}
+
+
+def titles(results: list[WindowResult], settings: NoticeSettings = SETTINGS, told: Told = Told()) -> list[str]:  # noqa: B008
+    said = []
+    for result in results:
+        told, notices = of_window(told, result, settings)
+        said += [notice.title for notice in notices]
+    return said
+
+
+def test_alarms_are_told_when_they_rise_and_when_they_are_over_and_never_twice() -> None:
+    rising = [window(0), window(10, s2=Level.ADVISORY), window(20, s2=Level.WARNING), window(30, s2=Level.WARNING)]
+    assert titles(rising) == ["advisory: story 2", "warning: story 2"]
+    sinking = [window(40, s2=Level.ADVISORY), window(50, s2=Level.WARNING), window(60), window(70)]
+    assert titles(rising + sinking) == ["advisory: story 2", "warning: story 2", "cleared: story 2"]
+    both = [window(0, s0=Level.ADVISORY, s1=Level.ALARM)]
+    assert titles(both) == ["advisory: the whole structure", "alarm: story 1"]
+
+
+def test_only_levels_that_are_asked_for() -> None:
+    course = [window(0, s1=Level.ADVISORY), window(10), window(20, s1=Level.ALARM), window(30)]
+    assert titles(course, NoticeSettings(level=Level.WARNING)) == ["alarm: story 1", "cleared: story 1"]
+
+
+def test_shelving_is_neither_news_nor_the_end() -> None:
+    course = [window(0, s2=Level.WARNING), window(10, shelved=(2,)), window(20, s2=Level.WARNING), window(30)]
+    assert titles(course) == ["warning: story 2", "cleared: story 2"]
+
+
+def test_skipped_windows_change_nothing_until_they_last() -> None:
+    course = [window(0, s2=Level.WARNING), *(window(t, skipped="gap in the data") for t in range(10, 3600, 10))]
+    assert titles(course) == ["warning: story 2"]
+    longer = [*course, window(3600, "gap in the data"), window(3610, "gap in the data"), window(3620, s2=Level.WARNING)]
+    assert titles(longer) == ["warning: story 2", "nothing can be said", "windows are judged again"]
+    assert titles(course, told=Told(judged_ns=-round(1e13))) == ["warning: story 2"]
+
+
+def test_source_and_recorder() -> None:
+    told, said = Told(), []
+    for line, silent_s in [
+        (health(), 0.0),
+        (health(data=False), 299.0),
+        (health(data=False), 300.0),
+        (health(data=False, recording=False), 310.0),
+        (health(data=False, recording=False), 320.0),
+        (health(), 0.0),
+        (health(recording=None), 0.0),
+    ]:
+        told, notices = of_health(told, line, silent_s, SETTINGS)
+        said += [(notice.title, notice.good) for notice in notices]
+    lost, back = ("source lost", False), ("source is back", True)
+    assert said == [lost, ("recorder stopped", False), back, ("recorder goes on", True)]
+
+
+def test_findings() -> None:
+    found = {"verdict": "named", "says": "story 2 lost 6 %"}
+    assert [n.text for n in of_finding(found, SETTINGS)] == ["story 2 lost 6 %"]
+    assert of_finding({"verdict": None, "says": ""}, SETTINGS) == []
+    assert of_finding(found, NoticeSettings(findings=False)) == []
+
+
+class Hook(http.server.ThreadingHTTPServer):
+    """Keeps what it is sent; answers with `status`."""
+
+    def __init__(self) -> None:
+        self.status = 200
+        self.got: list[dict[str, Any]] = []
+        self.tries = self.beats = 0
+        super().__init__(("127.0.0.1", 0), _Handler)
+        threading.Thread(target=self.serve_forever, args=(0.02,), daemon=True).start()
+
+    @property
+    def url(self) -> str:
+        return f"json://127.0.0.1:{self.server_port}/hush-hush"
+
+    @property
+    def titles(self) -> list[str]:
+        return [item["title"] for item in self.got]
+
+
+class _Handler(http.server.BaseHTTPRequestHandler):
+    server: Hook
+
+    def do_POST(self) -> None:
+        body = json.loads(self.rfile.read(int(self.headers["content-length"])))
+        self.server.tries += 1
+        if self.server.status == 200:
+            self.server.got.append(body)
+        self.send_response(self.server.status)
+        self.end_headers()
+
+    def do_GET(self) -> None:
+        self.server.beats += 1
+        self.send_response(self.server.status)
+        self.end_headers()
+
+    def log_message(self, format: str, *args: object) -> None: ...
+
+
+@pytest.fixture
+def hook() -> Iterator[Hook]:
+    server = Hook()
+    yield server
+    server.shutdown()
+    server.server_close()
+
+
+@pytest.fixture(autouse=True)
+def _quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(notify, "_RETRY_S", (0.05, 0.2))
+
+
+def until(is_so: Callable[[], object], what: str, timeout_s: float = 30.0) -> None:
+    deadline = time.monotonic() + timeout_s
+    while not is_so():
+        assert time.monotonic() < deadline, what
+        time.sleep(0.01)
+
+
+def notifier(place: Path, *urls: str, **settings: Any) -> Notifier:
+    place.parent.mkdir(exist_ok=True)
+    return Notifier("lab", NotifySettings(**settings), Addresses(urls), place)
+
+
+def test_messages_arrive_once_in_order_after_failures(tmp_path: Path, hook: Hook) -> None:
+    hook.status = 503
+    one = notifier(tmp_path / "outbox.jsonl", hook.url)
+    one.window(window(0, s2=Level.ADVISORY), "")
+    until(lambda: hook.tries >= 3, "tried again")
+    assert one.failed
+    one.window(window(10, s2=Level.WARNING), "")
+    one.window(window(20), "")
+    hook.status = 200
+    wanted = ["[lab] advisory: story 2", "[lab] warning: story 2", "[lab] cleared: story 2"]
+    until(lambda: len(hook.got) >= 3, "all have come")
+    one.close(5.0)
+    assert hook.titles == wanted
+    assert [item["type"] for item in hook.got] == ["warning", "warning", "success"]
+    assert one.failed is None
+
+
+def test_a_restart_neither_loses_nor_doubles(tmp_path: Path, hook: Hook) -> None:
+    place = tmp_path / "outbox.jsonl"
+    hook.status = 503
+    one = notifier(place, hook.url)
+    one.window(window(0, s2=Level.WARNING), "")
+    until(lambda: hook.tries, "tried")
+    one.close(5.0)
+    hook.status = 200
+    again = notifier(place, hook.url)
+    again.window(window(10, s2=Level.WARNING), "")  # stands as before: not told again
+    until(lambda: hook.got, "delivered")
+    again.close(5.0)
+    last = notifier(place, hook.url)
+    last.window(window(20), "")
+    until(lambda: len(hook.got) == 2, "its end")
+    last.close(5.0)
+    assert hook.titles == ["[lab] warning: story 2", "[lab] cleared: story 2"]
+
+
+def test_one_that_is_out_holds_up_no_other(tmp_path: Path, hook: Hook) -> None:
+    one = notifier(tmp_path / "outbox.jsonl", "json://127.0.0.1:9/away", hook.url)
+    for level in (Level.ADVISORY, Level.WARNING, Level.ALARM):
+        one.window(window(0, s2=level), "")
+    until(lambda: len(hook.got) == 3, "the other has all")
+    assert len(Outbox(tmp_path / "outbox.jsonl")) == 3
+    one.change(NotifySettings(), Addresses((hook.url,)))
+    until(lambda: one.failed is None, "forgotten")
+    one.window(window(10), "")
+    until(lambda: len(hook.got) == 4, "goes on")
+    one.close(5.0)
+    assert len(Outbox(tmp_path / "outbox.jsonl")) == 0
+
+
+def test_no_more_than_asked_for_in_an_hour(tmp_path: Path, hook: Hook) -> None:
+    one = notifier(tmp_path / "outbox.jsonl", hook.url, most_per_hour=2)
+    for t in range(5):
+        one.window(window(t, s2=Level.WARNING) if t % 2 == 0 else window(t), "")
+    until(lambda: len(hook.got) == 2, "two came")
+    one.close(5.0)
+    assert len(hook.got) == 2
+    assert len(Outbox(tmp_path / "outbox.jsonl")) == 3
+
+
+def test_mail(tmp_path: Path) -> None:
+    from aiosmtpd.controller import Controller
+
+    letters: list[Any] = []
+
+    class Box:
+        async def handle_DATA(self, server: Any, session: Any, envelope: Any) -> str:
+            letters.append(envelope)
+            return "250 OK"
+
+    port = free_port()
+    box = Controller(Box(), hostname="127.0.0.1", port=port)
+    box.start()
+    try:
+        one = notifier(tmp_path / "outbox.jsonl", f"mailto://127.0.0.1:{port}?from=shm@lab.test&to=ann@lab.test")
+        one.window(window(0, s2=Level.ALARM), "")
+        until(lambda: letters, "a letter")
+        one.close(5.0)
+    finally:
+        box.stop()
+    assert letters[0].rcpt_tos == ["ann@lab.test"]
+    assert b"alarm: story 2" in letters[0].content
+
+
+def test_the_heart_beats_while_windows_come_and_no_longer(tmp_path: Path, hook: Hook) -> None:
+    beat = Addresses((), f"http://127.0.0.1:{hook.server_port}/beat")
+    one = Notifier("lab", NotifySettings(heartbeat_s=0.05), beat, tmp_path / "outbox.jsonl")
+    one.health(health())
+    time.sleep(0.2)
+    assert hook.beats == 0
+    for count in range(1, 4):
+        one.window(window(10.0 * count), "")
+        until(lambda n=count: hook.beats >= n, "a beat")
+        time.sleep(0.1)
+    beats = hook.beats
+    for _ in range(5):
+        one.health(health(data=False))
+        time.sleep(0.05)
+    one.close(5.0)
+    assert hook.beats == beats
+
+
+def test_no_address_is_ever_written(
+    tmp_path: Path, hook: Hook, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    caplog.set_level(logging.DEBUG)
+    monkeypatch.setenv("HUSH", "hush-hush")
+    settings = NotifySettings(urls=("json://127.0.0.1:9/${HUSH}",), heartbeat_url="http://127.0.0.1:9/${HUSH}")
+    to = addresses(settings, tmp_path)
+    assert to.urls == ("json://127.0.0.1:9/hush-hush",)
+    hook.status = 500
+    one = Notifier("lab", settings, replace(to, urls=(*to.urls, hook.url)), tmp_path / "outbox.jsonl")
+    one.window(window(0, s2=Level.ALARM), "")
+    until(lambda: hook.tries, "tried")
+    until(lambda: one.failed, "failed")
+    one.close(5.0)
+    logging.getLogger("urllib3").setLevel(logging.NOTSET)
+    written = "".join(r.getMessage() for r in caplog.records if r.name.startswith(("monitor", "apprise")))
+    kept = (tmp_path / "outbox.jsonl").read_text()
+    assert "alarm: story 2" in written and "not heard" in written
+    for text in (written, kept, str(one.failed), repr(to), repr(one)):
+        assert "hush-hush" not in text and "127.0.0.1" not in text
+
+
+def test_addresses_from_file_and_environment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("NOWHERE", raising=False)
+    (tmp_path / "urls").write_text("# ours\n\njson://127.0.0.1:9/a\njson://127.0.0.1:9/a\n")
+    assert addresses(NotifySettings(url_file=Path("urls")), tmp_path).urls == ("json://127.0.0.1:9/a",)
+    (tmp_path / "urls").write_text("secret-nonsense\n")
+    bad = NotifySettings(
+        urls=("json://${NOWHERE}", "secret-too"), url_file=Path("urls"), heartbeat_url="file:///secret-three"
+    )
+    with pytest.raises(ValueError, match="NOWHERE") as caught:
+        addresses(bad, tmp_path)
+    says = str(caught.value)
+    assert "urls[0]" in says and "urls[1]" in says and "url_file line 1" in says and "heartbeat_url" in says
+    assert "secret" not in says
+    with pytest.raises(ValueError, match="none"):
+        addresses(NotifySettings(url_file=Path("none")), tmp_path)
+
+
+def test_the_outbox_is_bounded_and_survives_damage_and_a_full_disk(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    place = tmp_path / "outbox.jsonl"
+    box = Outbox(place, most=10)
+    for k in range(25):
+        box.add(Told(levels={k: Level.WARNING}), [Notice("alarm", False, f"{k}", "")], ["a", "b"])
+    assert len(box) == 10 and box.dropped == 15
+    notifier = Notifier("bench", NotifySettings(), Addresses(), place)
+    assert notifier.dropped == 0
+    notifier._outbox = box
+    assert losses([("Notifier", notifier)]) == {"Notifier": 15}
+    assert len([r for r in caplog.records if "given up" in r.getMessage()]) == 15
+    again = Outbox(place, most=10)
+    assert again.told.levels == {24: Level.WARNING}
+    first = again.first("a")
+    assert first is not None and first.notice.title == "15" and first.id == 16
+    again.delivered(first, "a")
+    assert len(again) == 10 and again.first("b") == replace(first, to=("b",))
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("monitor.service.outlets.outbox.write_atomically", full)
+        again.add(Told(), [Notice("alarm", True, "kept", "")], ["a"])
+        assert again.failed is not None and "space" in again.failed
+    again.add(Told(lost=True), [], ["a"])
+    assert again.failed is None and len(Outbox(place)) == 10
+    for damage in (b"", b"{", b'{"version": 9}\n', b"[]\n", b"\xff\xfe", np.random.default_rng(1).bytes(300)):
+        place.write_bytes(damage)
+        fresh = Outbox(place)
+        assert len(fresh) == 0 and fresh.told == Told()
+        assert fresh.failed and not place.exists()

@@ -1,0 +1,98 @@
+"""The pages draw in a real browser: no blank, no error on the console."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+from dataclasses import replace
+from importlib.util import module_from_spec, spec_from_file_location
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from monitor.core.results import Level
+from monitor.publish.reports.period_report import read_period, write_period
+from monitor.publish.viewer.publisher import RerunPublisher
+from tests.publish.test_period_report import json_lines, line_of
+from tests.publish.test_viewer import SCENE, window
+from tests.support.debian import demand
+
+ROOT = Path(__file__).parents[2]
+
+
+def shot(page: str, picture: Path, seconds: float = 1.0) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, str(ROOT / "docs/browser.py"), page, str(picture), str(seconds)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=240, check=False)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _chromium() -> None:
+    demand("chromium")
+
+
+def test_the_period_report_draws(tmp_path: Path) -> None:
+    json_lines(tmp_path / "results.jsonl", [line_of(k) for k in range(9_900, 10_150)])
+    (tmp_path / "summary.json").write_text(json.dumps({"alarms": []}))
+    write_period(tmp_path / "r.html", read_period(tmp_path, None, None))
+    done = shot(str(tmp_path / "r.html"), tmp_path / "r.png")
+    assert (done.returncode, done.stderr) == (0, "")
+    picture = np.asarray(Image.open(tmp_path / "r.png").convert("RGB")).astype(int)
+    assert picture.shape[0] > 1200, "the whole page, not its first screen"
+    red, _, blue = np.moveaxis(picture, 2, 0)
+    assert (blue - red > 60).sum() > 2000, "curves and their bands"
+    assert (red - blue > 30).sum() > 2000, "the alarm"
+    dark = (picture.max(axis=2) < 130).mean(axis=1)
+    bands = np.array_split(dark, picture.shape[0] // 200)
+    assert min(b.max() for b in bands) > 0.01, "no blank band"
+
+
+def test_an_error_of_a_page_is_told(tmp_path: Path) -> None:
+    page = tmp_path / "bad.html"
+    page.write_text("<!DOCTYPE html><title>x</title><p>x<script>nowhere.at.all()</script>")
+    done = shot(str(page), tmp_path / "x.png")
+    assert done.returncode == 1
+    assert "nowhere is not defined" in done.stderr
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1800)
+def test_the_viewer_draws_in_a_browser(tmp_path: Path) -> None:
+    """`view --web`: sound stories green, the lost one red, on the dark ground of the panel with the structure."""
+    spec = spec_from_file_location("browser", ROOT / "docs/browser.py")
+    assert spec is not None
+    assert spec.loader is not None
+    tool = module_from_spec(spec)
+    spec.loader.exec_module(tool)
+    publisher = RerunPublisher(SCENE, file=tmp_path / "live.rrd", serve=None, lossless=True)
+    for k in range(20):
+        result = window(k, Level.ALARM)
+        assert result.damage is not None
+        publisher.window(replace(result, damage=replace(result.damage, ddi=np.array([0.0, 0.15, 0.0]))))
+    publisher.close(60.0)
+    command = [sys.executable, "-m", "monitor", "view", str(tmp_path), "--web", "--port", "0"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=ROOT) as server:
+        try:
+            assert server.stdout is not None
+            address = server.stdout.readline().strip()
+            with tool.browser(1600, 1000) as page:
+                page.call("Page.navigate", url=f"{address}&renderer=webgl")
+                sound = lost = 0
+                for _ in range(60):  # software rendering on a busy machine takes minutes
+                    page.wait(10.0)
+                    (tmp_path / "web.png").write_bytes(page.picture())
+                    picture = np.asarray(Image.open(tmp_path / "web.png").convert("RGB")).astype(int)
+                    red, green, blue = np.moveaxis(picture[:450, :640], 2, 0)
+                    sound = int(((green - red > 60) & (green - blue > 40)).sum())
+                    lost = int(((red - green > 100) & (red - blue > 100)).sum())
+                    if min(sound, lost) > 500:
+                        break
+                own = [e for e in page.errors if "ERR_NAME_NOT_RESOLVED" not in e and "Failed to fetch" not in e]
+        finally:
+            server.send_signal(signal.SIGINT)
+            server.wait(20)
+    assert min(sound, lost) > 500, (sound, lost)
+    assert own == []

@@ -1,0 +1,165 @@
+"""What operators install: units that systemd accepts, a container file of known form, a site file that is sound."""
+
+from __future__ import annotations
+
+import configparser
+import os
+import re
+import shlex
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from monitor.config import configuration, security_check
+from tests.conftest import Cli
+from tests.support.debian import demand
+
+DEPLOY = Path(__file__).parents[2] / "deploy"
+UNITS = ("shm-monitor.service", "shm-monitor@.service")
+
+
+def unit(name: str) -> dict[str, str]:
+    parser = configparser.RawConfigParser(strict=False)
+    parser.optionxform = str  # type: ignore[assignment,method-assign]
+    parser.read(DEPLOY / name)
+    return {key: value for section in parser.sections() for key, value in parser.items(section)}
+
+
+@pytest.mark.parametrize("name", UNITS)
+def test_systemd_accepts_the_unit(name: str, tmp_path: Path) -> None:
+    demand("systemd")
+    text = (DEPLOY / name).read_text().replace("/opt/shm-monitor/bin/shm-monitor", "/bin/true")
+    (tmp_path / name).write_text(text)  # it wants programs to exist
+    done = subprocess.run(
+        ["systemd-analyze", "verify", str(tmp_path / name)], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0 and not done.stderr, done.stderr
+
+
+@pytest.mark.parametrize("name", UNITS)
+def test_the_unit_locks_the_service_in(name: str) -> None:
+    found = unit(name)
+    assert found["Type"] == "notify" and float(found["WatchdogSec"]) >= 30 and found["Restart"] == "always"
+    assert found["StartLimitIntervalSec"] == "0"  # never give up
+    assert found["ProtectSystem"] == "strict" and found["NoNewPrivileges"] == "true"
+    assert found["User"] != "root" and found["CapabilityBoundingSet"] == "" and found["MemoryMax"]
+    assert found["OOMPolicy"] == "continue"  # a diagnosis that takes too much is no end of the monitor
+    commands = [shlex.split(found[key])[1] for key in ("ExecStartPre", "ExecStart")]
+    assert commands == ["check", "run"]
+
+
+def test_the_two_units_differ_in_their_instances_only() -> None:
+    one, many = (unit(name) for name in UNITS)
+    differing = {key for key in one.keys() | many.keys() if one.get(key) != many.get(key)}
+    assert differing <= {
+        "Description",
+        "EnvironmentFile",
+        "ExecStartPre",
+        "ExecStart",
+        "StateDirectory",
+        "ReadWritePaths",
+    }
+
+
+def test_the_container_file_is_of_known_form() -> None:
+    """No engine here: each instruction is known, what it copies is there, it runs as nobody special."""
+    text = re.sub(r"\\\n", " ", (DEPLOY / "Containerfile").read_text())
+    rows = [row.split(None, 1) for row in text.splitlines() if row and not row.startswith("#")]
+    known = {
+        "FROM",
+        "WORKDIR",
+        "COPY",
+        "RUN",
+        "ENV",
+        "USER",
+        "VOLUME",
+        "STOPSIGNAL",
+        "HEALTHCHECK",
+        "ENTRYPOINT",
+        "CMD",
+    }
+    assert {name for name, _ in rows} <= known
+    for name, rest in rows:
+        if name == "COPY" and not rest.startswith("--from"):
+            assert all((DEPLOY.parent / source).exists() for source in rest.split()[:-1]), rest
+        if name == "RUN":
+            assert subprocess.run(["sh", "-n", "-c", rest], check=False).returncode == 0, rest
+    user = next(rest for name, rest in reversed(rows) if name == "USER")
+    assert int(user.partition(":")[0]) > 0
+    assert any(name == "RUN" and "--require-hashes" in rest for name, rest in rows)
+    health = next(rest for name, rest in rows if name == "HEALTHCHECK")
+    assert "shm-monitor status" in health
+
+
+def test_the_site_file_is_sound_and_opens_no_door(tmp_path: Path, main: Cli) -> None:
+    done = main("check", DEPLOY / "site.toml")
+    assert done.returncode == 0, done.stderr
+    assert not security_check.warnings(DEPLOY / "site.toml", configuration.load(DEPLOY / "site.toml"))
+    # Every table and setting that is only shown is sound too.
+    text = (DEPLOY / "site.toml").read_text()
+    shown = re.sub(r"^# (\w+ = |\[)", r"\1", text, flags=re.MULTILINE).replace('"baseline.json"', '"b.json"')
+    assert shown.count("\n#") < text.count("\n#")
+    (tmp_path / "site.toml").write_text(shown)
+    done = main("check", tmp_path / "site.toml")
+    problems = [row for row in done.stderr.splitlines() if "site.toml:" in row]
+    # Files and variables that only the site has are missing here, nothing else.
+    assert all(
+        re.search(r"b\.json|tls|No such file|environment has no|notify\.urls|url_file", row) for row in problems
+    ), problems
+
+
+def test_the_fleet_file_is_sound(tmp_path: Path, main: Cli) -> None:
+    done = main("check", DEPLOY / "fleet.toml")
+    assert done.returncode == 0 and "no problems; sites frame-1, frame-2" in done.stdout, done.stderr
+    (tmp_path / "fleet.toml").write_text((DEPLOY / "fleet.toml").read_text() + "colour = 1\n")
+    done = main("check", tmp_path / "fleet.toml")
+    assert done.returncode == 78 and "fleet.toml: fleet.colour" in done.stderr
+
+
+def test_a_user_without_a_home_may_run_what_root_installed() -> None:
+    """Where compiled code cannot be kept, it is compiled anew."""
+    environment = {**os.environ, "NUMBA_CACHE_LOCATOR_CLASSES": "IPythonCacheLocator"}  # none for files
+    script = (
+        "from monitor import prediction, stepping, wishart; print(stepping.phi(stepping._CUBIC, 2.0, 1e9, 3.0, 0.0))"
+    )
+    command = [sys.executable, "-c", script]
+    done = subprocess.run(
+        command, capture_output=True, text=True, env=environment, cwd=DEPLOY.parent, timeout=240, check=False
+    )
+    assert done.returncode == 0 and round(float(done.stdout), 9) == 54.0, done.stderr
+
+
+def test_the_wheel_holds_the_program_and_nothing_else(tmp_path: Path) -> None:
+    """Needs setuptools and wheel only, which the lock brings."""
+    source = tmp_path / "source"
+    source.mkdir()
+    root = DEPLOY.parent
+    for name in ("pyproject.toml", "README.md", "LICENSE"):
+        (source / name).write_bytes((root / name).read_bytes())
+    for folder in ("monitor", "drivers"):
+        for path in (root / folder).rglob("*.py"):
+            place = source / path.relative_to(root)
+            place.parent.mkdir(parents=True, exist_ok=True)
+            place.write_bytes(path.read_bytes())
+    command = [
+        sys.executable,
+        "-m",
+        "pip",
+        "wheel",
+        "-q",
+        "--no-deps",
+        "--no-build-isolation",
+        "-w",
+        str(tmp_path),
+        ".",
+    ]
+    done = subprocess.run(command, cwd=source, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    (wheel,) = tmp_path.glob("*.whl")
+    names = zipfile.ZipFile(wheel).namelist()
+    assert {n.split("/")[0].split("-")[0] for n in names} == {"monitor", "drivers", "shm_monitor"}
+    made = sum(1 for folder in ("monitor", "drivers") for _ in (source / folder).rglob("*.py"))
+    assert sum(n.endswith(".py") for n in names) == made

@@ -1,0 +1,193 @@
+"""Every command of the documentation is run, or where it is heavy or needs a device, read by the real command line.
+
+A ``sh`` block of a page runs in a folder of its own for that page, after the page's earlier blocks, with the repository's
+`recordings` and `deploy` in it.  A comment before a block changes that:
+
+``<!-- not run: WHY -->``      its commands are only parsed;
+``<!-- slow: WHY -->``         it, and what follows on its page, runs with ``-m slow`` only;
+``<!-- first: COMMANDS -->``   what a reader is taken to have already.
+
+``python`` blocks must compile, and ``toml`` blocks must be TOML; links must lead somewhere.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import runpy
+import shlex
+import shutil
+import subprocess
+import sys
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+import typer
+
+from monitor.cli.app import app
+
+ROOT = Path(__file__).parents[2]
+PAGES = sorted(
+    [*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md"), ROOT / "recordings/README.md"], key=lambda p: p.as_posix()
+)
+_BLOCK = re.compile(
+    r"(?:<!-- (?P<mark>not run|slow|first): (?P<why>[^\n]*?) -->\n)?^```(?P<kind>\w*)\n(?P<text>.*?)^```$",
+    re.DOTALL | re.MULTILINE,
+)
+_PROGRAM = re.compile(r"(?:^|[;&|(\s])(?:\.venv/bin/)?shm-monitor\s+(?P<rest>[^\n]*)")
+
+
+@dataclass(frozen=True)
+class Block:
+    kind: str
+    text: str
+    mark: str
+    why: str
+
+
+def blocks(page: Path) -> list[Block]:
+    found = _BLOCK.finditer(page.read_text(encoding="utf-8"))
+    return [Block(b["kind"], b["text"], b["mark"] or "", b["why"] or "") for b in found]
+
+
+def commands(text: str) -> list[list[str]]:
+    """Arguments of every call of our program in a script."""
+    joined = text.replace("\\\n", " ")
+    out = []
+    for match in _PROGRAM.finditer(joined):
+        words = shlex.split(match["rest"].strip("` "), comments=True)
+        stops = [i for i, w in enumerate(words) if w in ("&", "|", "||", "&&", ";", ">", "2>&1")]
+        out.append(words[: min(stops, default=len(words))])
+    return out
+
+
+def parse(arguments: list[str]) -> None:
+    """Read a command line as the program does, without running it."""
+    group = typer.main.get_command(app)
+    name, *rest = arguments
+    assert name in group.commands, f"no command {name!r}"  # type: ignore[attr-defined]
+    command = group.commands[name]  # type: ignore[attr-defined]
+    if "--help" not in rest:
+        command.make_context(name, rest)
+
+
+def programs(folder: Path) -> dict[str, str]:
+    """An environment in which the documentation's names of programs mean this source tree."""
+    places = folder / ".venv" / "bin"
+    places.mkdir(parents=True)
+    starts = f'#!/bin/sh\nexec "{sys.executable}" '
+    for name, call in (("shm-monitor", '-m monitor "$@"'), ("python", '"$@"')):
+        (places / name).write_text(starts + call + "\n")
+        (places / name).chmod(0o755)
+    path = f"{places}:{Path(sys.executable).parent}:{os.environ['PATH']}"
+    return {**os.environ, "PATH": path, "PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"}
+
+
+RUN = [p for p in PAGES if any(b.kind == "sh" and b.mark != "not run" for b in blocks(p))]
+SLOW = [p for p in RUN if any(b.mark == "slow" for b in blocks(p))]
+
+
+def run(page: Path, folder: Path, *, slow: bool) -> None:
+    for name in ("recordings", "docs", "tests"):
+        (folder / name).symlink_to(ROOT / name)
+    shutil.copytree(ROOT / "deploy", folder / "deploy")  # results go beside it
+    environment = programs(folder)
+    for block in blocks(page):
+        if block.mark == "slow" and not slow:
+            return
+        if block.kind != "sh" or block.mark == "not run":
+            continue
+        script = "\n".join(["set -euo pipefail", block.why if block.mark == "first" else "", block.text])
+        done = subprocess.run(
+            ["bash", "-c", script],
+            cwd=folder,
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=900,
+            check=False,
+        )
+        assert done.returncode == 0, f"{page.name}:\n{block.text}\n{done.stdout[-2000:]}\n{done.stderr[-3000:]}"
+        assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize("page", RUN, ids=lambda p: p.stem)
+def test_the_commands_of_a_page_run(page: Path, tmp_path: Path) -> None:
+    run(page, tmp_path, slow=False)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", SLOW, ids=lambda p: p.stem)
+def test_the_slow_commands_of_a_page_run(page: Path, tmp_path: Path) -> None:
+    run(page, tmp_path, slow=True)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: f"{p.parent.name}-{p.stem}")
+def test_the_command_line_knows_every_command(page: Path) -> None:
+    """In blocks that run or not, and in the running text."""
+    text = page.read_text(encoding="utf-8")
+    inline = [words for code in re.findall(r"`(shm-monitor [^`]+)`", text) for words in commands(code)]
+    for words in inline:
+        assert words[0] in typer.main.get_command(app).commands or words[0].startswith("-"), words  # type: ignore[attr-defined]
+    for block in blocks(page):
+        if block.kind in ("sh", "text", ""):
+            for words in commands(block.text):
+                parse(words)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: f"{p.parent.name}-{p.stem}")
+def test_code_compiles_and_links_lead_somewhere(page: Path) -> None:
+    for block in blocks(page):
+        if block.kind == "python":
+            compile(block.text, str(page), "exec")
+        if block.kind == "toml":
+            tomllib.loads(block.text)
+    text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+    for target in re.findall(r"\]\(([^)\s]+)\)", text):
+        if "://" not in target:
+            assert (page.parent / target.partition("#")[0]).exists(), target
+
+
+def test_a_wrong_option_would_be_seen() -> None:
+    for wrong in (["replay", "a.mcap", "--structur", "s.toml", "--out", "o"], ["replai"], ["report", "dir"]):
+        with pytest.raises(Exception, match=r"(?i)no such option|no command|missing"):
+            parse(wrong)
+
+
+def test_every_page_is_on_the_map() -> None:
+    index = (ROOT / "docs/index.md").read_text(encoding="utf-8")
+    for page in (ROOT / "docs").glob("*.md"):
+        assert page.name == "index.md" or f"({page.name})" in index, page.name
+
+
+def test_the_page_of_settings_is_that_of_the_classes() -> None:
+    made = runpy.run_path(str(ROOT / "docs/settings.py"))["page"]()
+    assert made == (ROOT / "docs/settings.md").read_text(encoding="utf-8"), "run docs/settings.py"
+    for key in (
+        "| `window_s` | `400` |",
+        "| `dbc` | - |",
+        "| `latching` | `false` |",
+        "| `max_payload_bytes` | `1048576` |",
+    ):
+        assert key in made
+
+
+def test_the_api_reference_is_made(tmp_path: Path) -> None:
+    """A page for every module, with its docstrings."""
+    pytest.importorskip("pdoc")
+    command = [sys.executable, str(ROOT / "docs/api.py"), str(tmp_path)]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(
+        command, capture_output=True, text=True, env=environment, cwd=tmp_path, timeout=240, check=False
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    for folder in ("monitor", "drivers"):
+        for module in (ROOT / folder).rglob("*.py"):
+            if module.stem in ("__init__", "__main__"):
+                continue
+            page = (tmp_path / module.relative_to(ROOT)).with_suffix(".html")
+            assert page.exists(), page
+    ssi = (tmp_path / "monitor" / "ssi.html").read_text(encoding="utf-8")
+    assert "Hankel" in ssi
