@@ -8,7 +8,7 @@ from .results.summary import Episode, Quality, Summary
 from .viewer.diagnosis_view import write_view
 from .viewer.publisher import RerunPublisher
 from .viewer.queue import Output
-from .viewer.scene import Scene, utc
+from .viewer.scene import Scene, make_scene, utc
 
 __all__ = [
     "LINE_SCHEMA",
@@ -22,6 +22,7 @@ __all__ = [
     "Scene",
     "Summary",
     "alarm_line",
+    "make_scene",
     "read_period",
     "replay_story",
     "standing_line",

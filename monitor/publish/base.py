@@ -1,4 +1,4 @@
-"""What takes results."""
+"""The base class of everything that takes a session's results: files, the viewer, the daemon and its outlets."""
 
 from __future__ import annotations
 
@@ -9,19 +9,43 @@ from monitor.signals import Health
 
 
 class Publisher:
-    """Takes results; what a kind of publisher has no use for passes by."""
+    """Take the results of a session, one kind of result in each method.
+
+    Every method ignores its result here: a subclass overrides the methods of the results that it publishes.  No method may
+    wait or raise because of a network, a disk or a viewer; such work belongs behind a bounded queue in a thread of its own.
+
+    Examples
+    --------
+    >>> from monitor.core import Gap
+    >>> class GapCounter(Publisher):
+    ...     gaps = 0
+    ...     def gap(self, gap):
+    ...         self.gaps += 1
+    >>> counter = GapCounter()
+    >>> counter.gap(Gap(t_ns=0, duration_s=2.0, reason="sequence jumped"))
+    >>> counter.gaps
+    1
+    """
 
     def samples(self, samples: Samples) -> None:
-        """Conditioned samples."""
+        """Take conditioned samples, values of shape (n_samples, c) in m/s^2."""
 
     def gap(self, gap: Gap) -> None:
-        """Samples are missing."""
+        """Take a gap in the data."""
 
     def window(self, result: WindowResult, line: str) -> None:
-        """Everything said about a window; `line` is its line of results.jsonl."""
+        """Take the result of a window.
+
+        Parameters
+        ----------
+        result : WindowResult
+            The estimates of the window, or why there are none.
+        line : str
+            The same result as its line of results.jsonl, without the newline.
+        """
 
     def health(self, health: Health) -> None:
-        """The sensors in a span."""
+        """Take the sensors' health in a span of data."""
 
     def finding(self, finding: dict[str, Any]) -> None:
-        """A diagnosis is there."""
+        """Take the finding of a diagnosis: the content of diagnosis.json with `id`, `t_ns`, `from_ns` and `reason`."""

@@ -6,14 +6,14 @@ from .calibrate import calibrate
 from .emulate import send_all
 from .importers import import_files
 from .recordings import Progress, duration_s
-from .session import Session, SessionState, View, scene
+from .session import Session, SessionState
+from .viewer import open_viewer
 
 __all__ = [
     "WINDOWS",
     "Progress",
     "Session",
     "SessionState",
-    "View",
     "calibrate",
     "demo",
     "diagnose",
@@ -21,10 +21,10 @@ __all__ = [
     "expand",
     "import_files",
     "ledger",
+    "open_viewer",
     "paper_tables",
     "replay",
     "reprocess",
-    "scene",
     "send_all",
     "synthetic_recording",
 ]

@@ -15,12 +15,13 @@ from monitor.core import MissingInputError, WindowResult, demand_place, write_at
 from monitor.damage import Baseline
 from monitor.publish import LINE_SCHEMA, LinesFile, Publisher, to_json
 from monitor.runs.recordings import OnProgress, OnWarning, Progress, blocks, duration_s, pushed
-from monitor.runs.session import Session, View, scene
+from monitor.runs.session import Session
+from monitor.runs.viewer import open_viewer
 
 if TYPE_CHECKING:  # takes a second to load, and an archive's replays have no view
     from monitor.publish import RerunPublisher
 
-__all__ = ["RESULT_FILES", "begun", "pass_through", "replay", "scene"]
+__all__ = ["RESULT_FILES", "begun", "pass_through", "replay"]
 
 RESULT_FILES = ("results.jsonl", "results.mcap", "live.rrd", "summary.json")
 """What `replay` leaves in its folder."""
@@ -83,13 +84,11 @@ def replay(
     MissingInputError, BadInputError
         Too short for one window, missing channels, unreadable files.
     """
-    from monitor.publish import RerunPublisher
-
     pieces = {} if speed is None else {"longest_s": 0.0}  # viewers want samples as they were taken
     source = begun(blocks(paths, config, on_warning, **pieces))  # bad input shows before any output is begun
     written = _Files(out)
-    view = RerunPublisher(scene(config, baseline), file=out / "live.rrd", serve=serve, lossless=True)
-    session = Session(config, baseline, (written, View(view)), files, out / "findings")
+    view = open_viewer(config, baseline, file=out / "live.rrd", serve=serve, lossless=True)
+    session = Session(config, baseline, (written, view), files, out / "findings")
     try:
         factor = pass_through(session, source, paths, speed=speed, on_progress=on_progress)
         content = session.content(factor)

@@ -6,48 +6,16 @@ import copy
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
+from typing import Any
 
 from drivers.base import SampleBlock
 from monitor.config import Configuration
-from monitor.core import Gap, Samples, WindowResult
+from monitor.core import Gap, Samples
 from monitor.damage import AlarmState, Baseline
 from monitor.pipeline import Pipeline, PipelineState, Result
 from monitor.publish import Episode, Publisher, Quality, Summary, to_json, window_line
 from monitor.runs.online_diagnosis import FINDING_KEYS, Watcher, WatcherState
 from monitor.signals import Health
-
-if TYPE_CHECKING:  # Rerun takes a second to load, and not every session has a view
-    from monitor.publish import RerunPublisher, Scene
-
-
-class View(Publisher):
-    """The Rerun view as a publisher."""
-
-    def __init__(self, view: RerunPublisher) -> None:
-        self.view = view
-
-    def samples(self, samples: Samples) -> None:
-        """Draw them."""
-        self.view.samples(samples)
-
-    def gap(self, gap: Gap) -> None:
-        """Mark it."""
-        self.view.gap(gap)
-
-    def window(self, result: WindowResult, line: str) -> None:
-        """Draw it."""
-        self.view.window(result)
-
-    def health(self, health: Health) -> None:
-        """Draw it."""
-        self.view.health(health)
-
-    def finding(self, finding: dict[str, Any]) -> None:
-        """Show what it says."""
-        self.view.finding(finding)
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,23 +165,3 @@ class Session:
             for publisher in self._publishers:
                 publisher.window(result, line)
             self.watcher.window(result)
-
-
-def scene(config: Configuration, baseline: Baseline | None) -> Scene:
-    """What the viewer needs to know of the site."""
-    from monitor.publish import Scene
-
-    heights = config.structure.story_heights_m
-    n = max(len(config.structure.masses_kg), len(config.structure.stiffness_n_per_m))
-    return Scene(
-        name=config.site.name or config.structure.name or "structure",
-        channels=config.channels,
-        sensor_floor=tuple(s.floor for s in config.sensors),
-        story_heights_m=np.ones(n) if heights is None else np.array(heights),
-        baseline_frequencies_hz=None if baseline is None else baseline.frequencies_hz,
-        has_baseline=baseline is not None,
-        alarm_loss=config.alarm.alarm_loss,
-        model=config.model() if baseline is None else baseline.model,
-        cutoff_hz=config.processing.cutoff_hz,
-        misfit_asks=config.watch.misfit,
-    )

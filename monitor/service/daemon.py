@@ -21,8 +21,8 @@ from monitor.config import configuration
 from monitor.core import BadConfigurationError, BadInputError, Gap, MissingInputError, WindowResult
 from monitor.damage import baseline
 from monitor.pipeline import Result
-from monitor.publish import Publisher, RerunPublisher, standing_line, to_json
-from monitor.runs import Progress, Session, View, duration_s, ledger, scene
+from monitor.publish import Publisher, standing_line, to_json
+from monitor.runs import Progress, Session, duration_s, ledger, open_viewer
 from monitor.service import restart, systemd
 from monitor.service.appended_lines import AppendedLines
 from monitor.service.daemon_health import Vitals, Way, plain
@@ -85,9 +85,9 @@ class Daemon(Publisher):
             restart.note_baseline(self.out, path, healthy_path)
         except OSError as error:
             raise MissingInputError(f"{self.out}: cannot be written: {error.strerror}") from error
-        view = partial(RerunPublisher, scene(settings, healthy), file=None, lossless=False)
-        self._view = view(serve=settings.output.address) if settings.output.address is not None else None
-        publishers = (self,) if self._view is None else (self, View(self._view))
+        serve = settings.output.address
+        self._view = None if serve is None else open_viewer(settings, healthy, file=None, serve=serve, lossless=False)
+        publishers = (self,) if self._view is None else (self, self._view)
         findings = self.out / "findings" / f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}"
         self._begin = partial(Session, settings, healthy, publishers, (path, healthy_path), findings)
         spans = settings.processing.hop_s, settings.health.span_s
@@ -165,7 +165,7 @@ class Daemon(Publisher):
         line = self._vitals.line(span, self.reader, self._recording.health(), self._ways())
         self._health_lines.write(json.dumps(line, allow_nan=False))
         for outlet in self._outlets:
-            outlet.health(line)
+            outlet.health_line(line)
 
     def finding(self, finding: dict[str, Any]) -> None:
         """Send it."""

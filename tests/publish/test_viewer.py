@@ -113,8 +113,8 @@ def test_a_file_holds_everything(tmp_path: Path) -> None:
     view.gap(Gap(T0 + 30 * 10**9, 2.0, "sequence jumped"))
     levels = [Level.NORMAL, Level.NORMAL, Level.ADVISORY, Level.ALARM, Level.ALARM, Level.NORMAL]
     for k, level in enumerate(levels):
-        view.window(window(k, level))
-    view.window(window(6, skipped="channel a3 was stuck"))
+        view.window(window(k, level), "")
+    view.window(window(6, skipped="channel a3 was stuck"), "")
     assert not file.exists(), "named before it is complete"
     view.close(60.0)
     assert (view.failed, view.dropped) == (None, 0)
@@ -164,7 +164,7 @@ def test_a_hung_viewer_costs_drops_not_time(tmp_path: Path, stuck: threading.Eve
     view = RerunPublisher(SCENE, file=tmp_path / "live.rrd", serve=None, lossless=False, queue_size=4)
     began = time.monotonic()
     for k in range(50):
-        view.window(window(k))
+        view.window(window(k), "")
     assert time.monotonic() - began < 1.0
     assert 45 <= view.dropped <= 46  # four wait, and one may be in hand
     began = time.monotonic()
@@ -181,7 +181,7 @@ def test_lossless_waits_for_a_slow_viewer(tmp_path: Path, monkeypatch: pytest.Mo
     monkeypatch.setattr(picture.Picture, "draw", lambda self, item: (time.sleep(0.01), seen.append(item.index)))
     view = RerunPublisher(SCENE, file=tmp_path / "live.rrd", serve=None, lossless=True, queue_size=2)
     for k in range(40):
-        view.window(window(k))
+        view.window(window(k), "")
     view.close(30.0)
     assert (seen, view.dropped, view.failed) == (list(range(40)), 0, None)
 
@@ -200,7 +200,7 @@ def test_a_failure_is_told_once_and_goes_no_further(
     with caplog.at_level(logging.ERROR):
         view = RerunPublisher(SCENE, file=file, serve=None, lossless=lossless, queue_size=2)
         for k in range(50):
-            view.window(window(k))
+            view.window(window(k), "")
         view.close(30.0)
     assert view.failed == "ValueError: no such colour"
     assert len(caplog.records) == 1
@@ -219,7 +219,7 @@ def test_a_wrong_shape_is_a_failure_not_a_warning(tmp_path: Path) -> None:
 def test_a_file_that_cannot_be_made(tmp_path: Path) -> None:
     view = RerunPublisher(SCENE, file=tmp_path / "nowhere" / "live.rrd", serve=None, lossless=True, queue_size=1)
     for k in range(5):
-        view.window(window(k))
+        view.window(window(k), "")
     view.close(30.0)
     assert view.failed is not None
     assert "No such file" in view.failed
@@ -237,7 +237,7 @@ def test_an_incomplete_file_never_takes_the_name(tmp_path: Path) -> None:
 
 def test_abort_leaves_nothing(tmp_path: Path) -> None:
     view = RerunPublisher(SCENE, file=tmp_path / "live.rrd", serve=None, lossless=True)
-    view.window(window(0))
+    view.window(window(0), "")
     view.abort()
     assert list(tmp_path.iterdir()) == []
 
@@ -261,7 +261,7 @@ def test_serves_over_ipv6_too() -> None:
     except OSError:
         pytest.skip("no IPv6 here")
     view = RerunPublisher(SCENE, file=None, serve=parse_address(f"[::1]:{port}"), lossless=False)
-    view.window(window(0))
+    view.window(window(0), "")
     until, reached = time.monotonic() + 20, False
     while not reached and time.monotonic() < until:
         with contextlib.suppress(OSError), socket.create_connection(("::1", port), timeout=1.0):
@@ -275,7 +275,7 @@ def test_serves_only_where_told_and_stops() -> None:
     with socket.create_server(("127.0.0.1", 0)) as probe:
         port = probe.getsockname()[1]
     view = RerunPublisher(SCENE, file=None, serve=("127.0.0.1", port), lossless=False)
-    view.window(window(0))
+    view.window(window(0), "")
     until = time.monotonic() + 20
     while not listening(port) and time.monotonic() < until:
         time.sleep(0.05)
@@ -315,7 +315,7 @@ def test_sensors_clocks_and_verdicts_are_shown(tmp_path: Path) -> None:
     view.clocks(T0 + 10**10, [ClockHealth("node 7", 0.002, 12.0, 1.0, 0)])
     view.finding({"t_ns": T0 + 10**10, "verdict": "ambiguous", "says": "story 1 or 2", "reason": "warning",
                   "separating_measurement": "push each"})  # fmt: skip
-    view.window(window(0))
+    view.window(window(0), "")
     view.close(60.0)
     assert view.failed is None
     found = read(file)
@@ -358,7 +358,7 @@ def test_spectra_are_drawn_with_the_models(tmp_path: Path) -> None:
     for k in range(60):
         view.samples(Samples(T0 + k * 10**9, 100.0, rng.normal(size=(100, 3))))
     for k in range(8):
-        view.window(replace(window(k), t_end_ns=T0 + (60 + 30 * k) * 10**9))
+        view.window(replace(window(k), t_end_ns=T0 + (60 + 30 * k) * 10**9), "")
     view.close(60.0)
     assert view.failed is None
     chunks = [c for c in RrdReader(file).stream() if c.entity_path in ("/spectra/measured", "/spectra/model")]
@@ -367,8 +367,8 @@ def test_spectra_are_drawn_with_the_models(tmp_path: Path) -> None:
 
 def test_before_a_diagnosis_the_view_says_that_there_was_none(tmp_path: Path) -> None:
     view = RerunPublisher(SCENE, file=tmp_path / "live.rrd", serve=None, lossless=True)
-    view.window(window(0))
-    view.window(window(1))
+    view.window(window(0), "")
+    view.window(window(1), "")
     view.close(60.0)
     verdicts = read(tmp_path / "live.rrd")["/verdict"]
     assert list(verdicts) == [window(0).t_end_ns], "nothing before the data begin"
@@ -378,7 +378,7 @@ def test_before_a_diagnosis_the_view_says_that_there_was_none(tmp_path: Path) ->
 def test_mode_shapes_move_on_a_timeline_of_their_own(tmp_path: Path) -> None:
     file = tmp_path / "live.rrd"
     view = RerunPublisher(SCENE, file=file, serve=None, lossless=True)
-    view.window(window(0))
+    view.window(window(0), "")
     view.close(60.0)
     moving = [
         c for c in RrdReader(file).stream() if c.timeline_names == ["phase"] and c.entity_path == "/frame/modes/floors"

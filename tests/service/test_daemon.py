@@ -11,7 +11,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -33,6 +33,7 @@ from monitor.service import appended_lines
 from monitor.service.appended_lines import AppendedLines
 from monitor.service.daemon import Daemon
 from monitor.service.daemon_health import losses, plain
+from monitor.service.outlets.base import Outlet
 from monitor.service.outlets.metrics import Metrics, MetricsSettings
 from monitor.service.requests import Request
 from monitor.service.status import look, tell
@@ -233,22 +234,10 @@ def test_a_stream_faster_than_the_monitor_waits_and_loses_nothing(site: Path, re
     blocks = cut(record, RATE, [16])
     source = Scripted(blocks)
 
-    class Slow:
-        failed: str | None = None
-        dropped = 0
-
+    class Slow(Outlet):
         def window(self, result: WindowResult, line: str) -> None:
             time.sleep(0.1)
             most[0] = max(most[0], len(daemon.reader.queue))
-
-        def gap(self, gap: Gap) -> None: ...
-
-        def health(self, health: Mapping[str, Any]) -> None: ...
-
-        def take_requests(self) -> list[Request]:
-            return []
-
-        def close(self, timeout_s: float) -> None: ...
 
     daemon = Daemon(site, source, [Slow()])
     daemon.reader = Reader(source, BlockQueue(most_blocks=10))
@@ -374,25 +363,19 @@ def test_another_baseline_is_noted_in_the_ledger(site: Path, record: np.ndarray,
 
 
 def test_what_operators_ask_for_is_done_and_noted(site: Path, record: np.ndarray, cut: Cut) -> None:
-    class Desk:
+    class Desk(Outlet):
         failed: str | None = "router gone"
-        dropped = 3
+        dropped: int = 3
         asked = 0
         gaps: list[Gap] = []  # noqa: RUF012
 
-        def window(self, result: WindowResult, line: str) -> None: ...
-
         def gap(self, gap: Gap) -> None:
             self.gaps.append(gap)
-
-        def health(self, health: Mapping[str, Any]) -> None: ...
 
         def take_requests(self) -> list[Request]:
             self.asked += 1
             wish = Request(action="shelve", story=2, who="Ada", note="works on floor 2", seconds=1e6)
             return [wish, wish.model_copy(update={"story": 9})] if self.asked == 3 else []
-
-        def close(self, timeout_s: float) -> None: ...
 
     blocks = cut(record, RATE)
     daemon = Daemon(site, Scripted(blocks[:20] + blocks[25:]), [Desk()])
@@ -410,7 +393,7 @@ def test_what_operators_ask_for_is_done_and_noted(site: Path, record: np.ndarray
     assert "; 3 lost on the way to Desk" in tell(look(site.parent / "out"))
     metrics = Metrics("bench", MetricsSettings(listen="127.0.0.1:0"))
     try:
-        metrics.health(last)
+        metrics.health_line(last)
         samples = [s for family in metrics.collect() for s in family.samples]
         assert [s.value for s in samples if s.name == "shm_output_lost_total" and s.labels == {"output": "Desk"}] == [3]
     finally:

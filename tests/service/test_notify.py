@@ -251,7 +251,7 @@ def test_mail(tmp_path: Path) -> None:
 def test_the_heart_beats_while_windows_come_and_no_longer(tmp_path: Path, hook: Hook) -> None:
     beat = Addresses((), f"http://127.0.0.1:{hook.server_port}/beat")
     one = Notifier("lab", NotifySettings(heartbeat_s=0.05), beat, tmp_path / "outbox.jsonl")
-    one.health(health())
+    one.health_line(health())
     time.sleep(0.2)
     assert hook.beats == 0
     for count in range(1, 4):
@@ -260,7 +260,7 @@ def test_the_heart_beats_while_windows_come_and_no_longer(tmp_path: Path, hook: 
         time.sleep(0.1)
     beats = hook.beats
     for _ in range(5):
-        one.health(health(data=False))
+        one.health_line(health(data=False))
         time.sleep(0.05)
     one.close(5.0)
     assert hook.beats == beats

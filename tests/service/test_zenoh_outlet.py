@@ -87,7 +87,7 @@ def test_results_as_in_the_file_and_alarms_when_they_change(out: ZenohOut, perso
     for result, line in windows:
         out.window(result, line)
     out.gap(Gap(T0_NS, 0.125, "128 samples missing"))
-    out.health({"connected": True, "counts": {"lost_samples": 128}})
+    out.health_line({"connected": True, "counts": {"lost_samples": 128}})
     until(lambda: len(seen) == 5 + 3 + 2, "everything")
     assert [text for key, text in seen if key == "results"] == [line for _, line in windows]
     alarms = [json.loads(text) for key, text in seen if key == "alarm"]
@@ -229,7 +229,7 @@ def test_a_frozen_subscriber_holds_nobody_up(endpoint: str, out: ZenohOut, perso
     os.kill(frozen.pid, signal.SIGSTOP)
     filler = "x" * 100_000
     for k in range(200):  # far more than sockets and queues between here and there hold
-        out.health({"k": k, "filler": filler})
+        out.health_line({"k": k, "filler": filler})
     last: Callable[[], Any] = lambda: seen and json.loads(seen[-1][1]).get("k") == 199  # noqa: E731
     until(last, "the last message passes the frozen subscriber by")
     assert out.failed is None

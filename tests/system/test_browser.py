@@ -71,7 +71,7 @@ def test_the_viewer_draws_in_a_browser(tmp_path: Path) -> None:
     for k in range(20):
         result = window(k, Level.ALARM)
         assert result.damage is not None
-        publisher.window(replace(result, damage=replace(result.damage, ddi=np.array([0.0, 0.15, 0.0]))))
+        publisher.window(replace(result, damage=replace(result.damage, ddi=np.array([0.0, 0.15, 0.0]))), "")
     publisher.close(60.0)
     command = [sys.executable, "-m", "monitor", "view", str(tmp_path), "--web", "--port", "0"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=ROOT) as server:

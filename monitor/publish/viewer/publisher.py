@@ -12,6 +12,7 @@ from typing import Any
 
 from drivers.base import ClockHealth
 from monitor.core import Gap, Samples, WindowResult
+from monitor.publish.base import Publisher
 from monitor.publish.viewer.picture import Item, Picture
 from monitor.publish.viewer.queue import Output, Worker
 from monitor.publish.viewer.scene import FILE_BLOCK_S, LIVE_BLOCK_S, Scene
@@ -19,7 +20,7 @@ from monitor.publish.viewer.trust import Clocks
 from monitor.signals import Health
 
 
-class RerunPublisher:
+class RerunPublisher(Publisher):
     """Publishes results to a file, to viewers that join, or both, and never holds up or fails its caller.
 
     Parameters
@@ -60,7 +61,7 @@ class RerunPublisher:
         """Publish conditioned samples, shape (n_samples, c), m/s^2, in blocks of any size."""
         self._worker.put(replace(samples, values=samples.values.copy()))  # the caller may reuse its buffer
 
-    def window(self, result: WindowResult) -> None:
+    def window(self, result: WindowResult, line: str) -> None:
         """Publish everything said about a window."""
         self._worker.put(result)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
@@ -9,7 +10,8 @@ import numpy as np
 import rerun as rr
 
 from monitor.core import Array, Level, ModalEstimate, WindowResult
-from monitor.model import Model
+from monitor.damage import Baseline
+from monitor.model import Model, StructureTable
 
 Colour = tuple[int, int, int]
 
@@ -49,13 +51,61 @@ class Scene:
     """Predicts spectra; none are without."""
     cutoff_hz: float = 40.0
     """Highest frequency that is looked at."""
-    misfit_asks: float = 5.0
+    misfit_threshold: float = 5.0
     """Goodness of fit at which a diagnosis is asked for."""
 
     @property
     def n_stories(self) -> int:
         """Stories, as many as the model has modes."""
         return len(self.story_heights_m)
+
+
+def make_scene(
+    name: str,
+    structure: StructureTable,
+    sensor_floor: Mapping[str, int],
+    model: Model,
+    baseline: Baseline | None,
+    *,
+    alarm_loss: float,
+    cutoff_hz: float,
+    misfit_threshold: float,
+) -> Scene:
+    """Describe a site to the viewer.
+
+    Parameters
+    ----------
+    name : str
+        Name of the site.
+    structure : StructureTable
+        Its story heights set the proportions of the drawing; all stories are equally high where it has none.
+    sensor_floor : Mapping
+        Floor of each channel by the channel's name, from 1 = top, in column order of the samples.
+    model : Model
+        Nominal model; the baseline's model replaces it.
+    baseline : Baseline, optional
+        The healthy reference.
+    alarm_loss : float
+        Relative stiffness loss that counts as an alarm.
+    cutoff_hz : float
+        Highest frequency of the analysis, Hz.
+    misfit_threshold : float
+        Goodness of fit of the updated stiffness from which a diagnosis is requested.
+    """
+    heights = structure.story_heights_m
+    n = max(len(structure.masses_kg), len(structure.stiffness_n_per_m))
+    return Scene(
+        name=name,
+        channels=tuple(sensor_floor),
+        sensor_floor=tuple(sensor_floor.values()),
+        story_heights_m=np.ones(n) if heights is None else np.array(heights),
+        baseline_frequencies_hz=None if baseline is None else baseline.frequencies_hz,
+        has_baseline=baseline is not None,
+        alarm_loss=alarm_loss,
+        model=model if baseline is None else baseline.model,
+        cutoff_hz=cutoff_hz,
+        misfit_threshold=misfit_threshold,
+    )
 
 
 def severity(loss: float | None, alarm_loss: float) -> Colour:

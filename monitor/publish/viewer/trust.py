@@ -45,7 +45,7 @@ class Trust:
         if not self._told:
             self._verdict("No diagnosis was asked for so far.")
         if value is not None:
-            lines = (("line", value), ("one", 1.0), ("asks", self._scene.misfit_asks))
+            lines = (("line", value), ("one", 1.0), ("asks", self._scene.misfit_threshold))
             for name, size in lines:
                 self._to.scalars(f"/trust/misfit/{name}", size)
 

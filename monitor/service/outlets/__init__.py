@@ -2,49 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, cast
+from typing import Any, Protocol, cast
 
 from pydantic import BaseModel, ValidationError
 
 from monitor.config import Configuration
-from monitor.core import BadConfigurationError, Gap, WindowResult, settings_problems
+from monitor.core import BadConfigurationError, settings_problems
+from monitor.service.outlets.base import Outlet as Outlet
 from monitor.service.outlets.inbox import Inbox
 from monitor.service.outlets.notify import Addresses, Notifier, NotifySettings, addresses
-
-if TYPE_CHECKING:
-    from monitor.service.requests import Request
-
-
-class Outlet(Protocol):
-    """Never waits, never raises; why nothing gets out is in `failed`, what was lost in `dropped`."""
-
-    @property
-    def failed(self) -> str | None:
-        """None while all is well."""
-
-    @property
-    def dropped(self) -> int:
-        """What found no room to wait, since the start."""
-
-    def window(self, result: WindowResult, line: str) -> None:
-        """A window's results, also as its line of results.jsonl."""
-
-    def gap(self, gap: Gap) -> None:
-        """Samples are missing."""
-
-    def health(self, health: Mapping[str, Any]) -> None:
-        """A line of health.jsonl."""
-
-    def finding(self, finding: Mapping[str, Any]) -> None:
-        """A diagnosis that was asked for is there."""
-
-    def take_requests(self) -> Sequence[Request]:
-        """What operators asked for since the last call; by now, that is applied."""
-
-    def close(self, timeout_s: float) -> None:
-        """Hand over what waits, no longer than that."""
 
 
 def make_outlets(path: Path, config: Configuration, *, dry: bool = False) -> tuple[Outlet, ...]:

@@ -8,13 +8,13 @@ import os
 import secrets
 import stat
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from pydantic import ValidationError
 
-from monitor.core import Gap, WindowResult, finish, partial, settings_problems
+from monitor.core import finish, partial, settings_problems
+from monitor.service.outlets.base import Outlet
 from monitor.service.requests import MAX_REQUEST_BYTES, Request
 
 _log = logging.getLogger(__name__)
@@ -22,15 +22,12 @@ _EVERY_S = 0.5
 _MOST = 64
 
 
-class Inbox:
-    """Reads the folder now and then (`monitor.service.outlets.Outlet`).
+class Inbox(Outlet):
+    """Read the operators' requests from a folder, twice a second at most.
 
     A file is removed only after what it asked for was applied: what a power cut interrupts is done again, and all requests say
     how things shall be, so twice is as once.  One that cannot be removed is applied once in a run.
     """
-
-    failed: str | None = None
-    dropped = 0  # what is too much for one look waits in the folder
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -60,18 +57,6 @@ class Inbox:
         self._stuck &= asked
         self._done = sorted(asked - self._stuck)[:_MOST]
         return [request for path in self._done if (request := _read(path)) is not None]
-
-    def window(self, result: WindowResult, line: str) -> None:
-        """Of no use here, as all of these."""
-
-    def gap(self, gap: Gap) -> None:
-        """Of no use here."""
-
-    def health(self, health: Mapping[str, Any]) -> None:
-        """Of no use here."""
-
-    def finding(self, finding: Mapping[str, Any]) -> None:
-        """Of no use here."""
 
     def close(self, timeout_s: float) -> None:
         """What was applied goes; what comes now is for the next run."""

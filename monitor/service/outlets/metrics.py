@@ -9,7 +9,7 @@ import logging
 import platform
 import re
 import threading
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, cast
 
@@ -20,7 +20,7 @@ from pydantic import field_validator, model_validator
 
 from monitor import __version__
 from monitor.core import WHOLE, Gap, Level, Settings, WindowResult, parse_address
-from monitor.service.requests import Request
+from monitor.service.outlets.base import Outlet
 
 _log = logging.getLogger(__name__)
 _MOST_LABELS = 256
@@ -68,8 +68,8 @@ class MetricsSettings(Settings):
         return parse_address(self.listen, any_port=True)
 
 
-class Metrics(Collector):
-    """Answers Prometheus (`monitor.service.outlets.Outlet`).
+class Metrics(Collector, Outlet):
+    """Answer Prometheus over HTTP with the latest results and counts.
 
     A port that is taken shows in `failed`, and is tried again with each line of health.
 
@@ -79,10 +79,9 @@ class Metrics(Collector):
         Where it listens.
     """
 
-    dropped = 0  # it keeps the latest alone, and nothing waits
+    failed: str | None = None
 
     def __init__(self, site: str, settings: MetricsSettings, folder: Path = Path()) -> None:
-        self.failed: str | None = None
         self.port: int | None = None
         self._site, self._settings, self._folder = site, settings, folder
         self._server: Any = None
@@ -111,11 +110,11 @@ class Metrics(Collector):
             self._gaps += 1
             self._lost_s += max(0.0, gap.duration_s)
 
-    def health(self, health: Mapping[str, Any]) -> None:
-        """Keep the latest; begin to listen."""
+    def health_line(self, line: Mapping[str, Any]) -> None:
+        """Keep the latest line, and begin to listen."""
         with self._lock:
-            self._health = health
-            if (stream := health["stream"]) is not None:
+            self._health = line
+            if (stream := line["stream"]) is not None:
                 self._samples += stream["samples"]
                 self._dropped += stream["overlaps"]
         if self._server is None:
@@ -125,10 +124,6 @@ class Metrics(Collector):
         """Count it."""
         with self._lock:
             self._findings += 1
-
-    def take_requests(self) -> Sequence[Request]:
-        """None come this way."""
-        return ()
 
     def close(self, timeout_s: float) -> None:
         """Listen no more."""

@@ -22,11 +22,11 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import Field
 
-from monitor.core import Gap, WindowResult
+from monitor.core import WindowResult
 from monitor.service.outlets import notices
+from monitor.service.outlets.base import Outlet
 from monitor.service.outlets.notices import NoticeSettings
 from monitor.service.outlets.outbox import Message, Outbox
-from monitor.service.requests import Request
 
 if TYPE_CHECKING:
     import apprise
@@ -119,8 +119,8 @@ class _Channel:
         return "" if self.service is None else str(self.service.service_name)
 
 
-class Notifier:
-    """Tells people what changes (`monitor.service.outlets.Outlet`).
+class Notifier(Outlet):
+    """Send people a message when an alarm, the sensors' health or a finding changes.
 
     Parameters
     ----------
@@ -169,23 +169,16 @@ class Notifier:
         self._windows += 1
         self._see(lambda outbox: self._note(outbox, *notices.of_window(outbox.told, result, self._settings)))
 
-    def gap(self, gap: Gap) -> None:
-        """Not told: gaps are counted."""
-
-    def health(self, health: Mapping[str, Any]) -> None:
+    def health_line(self, line: Mapping[str, Any]) -> None:
         """See whether source and recorder are at work."""
         now = self._clock()
-        self._data_s = self._data_s if health["stream"] is None else now
+        self._data_s = self._data_s if line["stream"] is None else now
         silent_s = now - self._data_s
-        self._see(lambda outbox: self._note(outbox, *notices.of_health(outbox.told, health, silent_s, self._settings)))
+        self._see(lambda outbox: self._note(outbox, *notices.of_health(outbox.told, line, silent_s, self._settings)))
 
     def finding(self, finding: Mapping[str, Any]) -> None:
         """Tell what a diagnosis found."""
         self._see(lambda outbox: self._note(outbox, outbox.told, notices.of_finding(finding, self._settings)))
-
-    def take_requests(self) -> Sequence[Request]:
-        """None come this way."""
-        return ()
 
     def change(self, settings: NotifySettings, to: Addresses) -> None:
         """Go on with other settings; what waits for an address that is gone is dropped."""

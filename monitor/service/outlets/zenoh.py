@@ -23,6 +23,7 @@ from zenoh import ext
 from drivers.zenoh_session import Callbacks, Key, SessionSettings, leave, open_session
 from monitor.core import Gap, WindowResult, settings_problems
 from monitor.publish import alarm_line, to_json
+from monitor.service.outlets.base import Outlet
 from monitor.service.requests import MAX_REQUEST_BYTES, Request
 
 _log = logging.getLogger(__name__)
@@ -40,7 +41,7 @@ class ZenohOutSettings(SessionSettings):
     """Requests of operators that may wait; more are refused."""
 
 
-class ZenohOut:
+class ZenohOut(Outlet):
     """Publishes what is said about each window, and collects requests; never holds up or fails its caller.
 
     Parameters
@@ -57,10 +58,11 @@ class ZenohOut:
     Trouble shows in `failed` while it lasts and is logged once; the network is tried again for ever.
     """
 
+    failed: str | None = None
+    dropped: int = 0
+
     def __init__(self, site: str, settings: ZenohOutSettings, folder: Path = Path(), *, queue_size: int = 256) -> None:
         self.prefix = key_prefix(site, settings)
-        self.dropped = 0
-        self.failed: str | None = None
         self._settings, self._folder = settings, folder
         self._waiting: deque[tuple[str, str]] = deque(maxlen=queue_size)
         self._requests: deque[Request] = deque()
@@ -83,9 +85,9 @@ class ZenohOut:
         """Publish that samples are missing."""
         self._put("gap", to_json({"t_ns": gap.t_ns, "duration_s": gap.duration_s, "reason": gap.reason}))
 
-    def health(self, health: Mapping[str, Any]) -> None:
+    def health_line(self, line: Mapping[str, Any]) -> None:
         """Publish a line of health.jsonl."""
-        self._put("health", to_json(dict(health)))
+        self._put("health", to_json(dict(line)))
 
     def finding(self, finding: Mapping[str, Any]) -> None:
         """Publish what a diagnosis found."""

@@ -1,0 +1,46 @@
+"""Open the Rerun viewer of a site, for a replay and for the daemon."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from monitor.config import Configuration
+from monitor.damage import Baseline
+
+if TYPE_CHECKING:  # Rerun takes a second to load, and not every session has a viewer
+    from monitor.publish import RerunPublisher
+
+
+def open_viewer(
+    config: Configuration,
+    baseline: Baseline | None,
+    *,
+    file: Path | None,
+    serve: tuple[str, int] | None,
+    lossless: bool,
+) -> RerunPublisher:
+    """Open a publisher that draws the results of a site with Rerun.
+
+    Parameters
+    ----------
+    config : Configuration
+        Settings of the site.
+    baseline : Baseline, optional
+        Its model and frequencies are the reference that the viewer shows; the structure file's model is without one.
+    file, serve, lossless
+        As of `monitor.publish.RerunPublisher`.
+    """
+    from monitor.publish import RerunPublisher, make_scene
+
+    scene = make_scene(
+        config.site.name or config.structure.name or "structure",
+        config.structure,
+        {sensor.channel: sensor.floor for sensor in config.sensors},
+        config.model(),
+        baseline,
+        alarm_loss=config.alarm.alarm_loss,
+        cutoff_hz=config.processing.cutoff_hz,
+        misfit_threshold=config.watch.misfit,
+    )
+    return RerunPublisher(scene, file=file, serve=serve, lossless=lossless)

@@ -1,0 +1,38 @@
+"""The base class of the publishers through which results leave the daemon's process."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from monitor.publish import Publisher
+
+if TYPE_CHECKING:
+    from monitor.service.requests import Request
+
+
+class Outlet(Publisher):
+    """Publish results to a network or to people, and collect the requests that operators make there.
+
+    No method waits or raises; `failed` says why nothing gets out, `dropped` counts what was lost.
+    """
+
+    @property
+    def failed(self) -> str | None:
+        """Why nothing gets out at present; None while everything does."""
+        return None
+
+    @property
+    def dropped(self) -> int:
+        """Number of messages lost since the start because too many waited."""
+        return 0
+
+    def health_line(self, line: Mapping[str, Any]) -> None:
+        """Take a line of health.jsonl: the sensors' health of a span, if one ended, and the daemon's own health."""
+
+    def take_requests(self) -> Sequence[Request]:
+        """Return the operators' requests since the last call; requests returned before count as applied."""
+        return ()
+
+    def close(self, timeout_s: float) -> None:
+        """Publish what still waits, for at most `timeout_s`."""
