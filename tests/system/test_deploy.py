@@ -123,7 +123,8 @@ def test_a_user_without_a_home_may_run_what_root_installed() -> None:
     """Where compiled code cannot be kept, it is compiled anew."""
     environment = {**os.environ, "NUMBA_CACHE_LOCATOR_CLASSES": "IPythonCacheLocator"}  # none for files
     script = (
-        "from monitor import prediction, stepping, wishart; print(stepping.phi(stepping._CUBIC, 2.0, 1e9, 3.0, 0.0))"
+        "from monitor.inference import cross_spectra, wishart; from monitor.model import LawKind; "
+        "from monitor.model.integration import phi; print(phi(int(LawKind.CUBIC), 2.0, 1e9, 3.0, 0.0))"
     )
     command = [sys.executable, "-c", script]
     done = subprocess.run(
