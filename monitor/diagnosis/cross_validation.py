@@ -1,9 +1,4 @@
-"""How well a model predicts a recording, and what its extension gains on data that it was not fitted to.
-
-A model's score is the tempered debiased Whittle log likelihood of the recording's segments.  Nothing of the structure is
-refitted: the white force on each floor, one level for each class of segments, and one noise level common to all channels,
-are.
-"""
+"""Measure what an extended model gains on data that it was not fitted to, by blocked cross-validation."""
 
 from __future__ import annotations
 
@@ -13,24 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri, stdtrit
 
-from monitor.config import Configuration
 from monitor.core import Array, ComplexArray, parallel_map
+from monitor.diagnosis.fold_refit import refit_forms
+from monitor.diagnosis.predictive_score import Score, csd_error, score
 from monitor.diagnosis.stepwise_selection import Diagnosis
-from monitor.inference import (
-    Drive,
-    ExcitationStart,
-    MapEstimate,
-    ObservedSpectra,
-    Posterior,
-    Segments,
-    classify,
-    fit_excitation,
-    linearize,
-    maximize_posterior,
-    nearest_classes,
-)
-from monitor.model import Context, Effect, Model
-from monitor.signals import Conditioner, common_step_s
+from monitor.inference import Segments, classify
 
 _MAX_BLOCKS = 20
 _BLOCK_SEGMENTS = 3.0
@@ -40,32 +22,6 @@ _ORDINAL = {2: "second", 4: "fourth"}
 _BOOTSTRAPS = 4000
 _SURE_NATS = 20.0
 """Held-out gain of a nonlinear law that chance does not make."""
-_PART, _DRIVEN = 12, 25
-"""Iterations of a fit to a part of a recording, and of driven motion, from the whole recording's."""
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class Score:
-    """How well one model predicts one recording."""
-
-    nats: Array
-    """Tempered log likelihood of every segment, shape (n_segments,)."""
-    samples: int
-    """Sample instants, at the rate of the processing."""
-    measured: ComplexArray
-    """Mean cross-spectra of the segments, shape (n_bins, c, c)."""
-    modelled: ComplexArray
-    """The model's."""
-
-    @property
-    def csd_error(self) -> float:
-        """Squared Frobenius norm of measured less modelled over that of the measured, each summed over the band."""
-        return _csd_error(self.measured, self.modelled)
-
-    @property
-    def log_score_per_sample(self) -> float:
-        """Nats per sample instant, all channels together."""
-        return float(self.nats.sum()) / self.samples
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,147 +29,163 @@ class HeldOutGain:
     """Scores of the old model form and of the extended one on data that neither was fitted to."""
 
     before: float = 0.0
-    """Nats per sample instant."""
+    """Score of the old form, nats per sample instant."""
     after: float = 0.0
+    """Score of the extended form, nats per sample instant."""
     ci95: tuple[float, float] = (0.0, 0.0)
-    """Of their difference, by block bootstrap."""
+    """95 % interval of their difference by block bootstrap, nats per sample instant."""
     nats: float = 0.0
     """Their difference, summed over all held-out data."""
     csd_error_before: float = 0.0
     csd_error_after: float = 0.0
     heldout: str = "none: nothing was added to the model"
-    """Which data judged."""
+    """Which data were held out."""
 
     @property
     def value(self) -> float:
-        """Nats per sample instant."""
+        """Gain of the extended form, nats per sample instant."""
         return self.after - self.before
 
 
-def score(
-    segments: Segments,
-    model: Model,
-    context: Context,
-    config: Configuration,
-    reference_degc: float | None = None,
-    held: NDArray[np.bool_] | None = None,
-    near: ExcitationStart | None = None,
-) -> Score:
-    """Score a model on a recording.
+@dataclass(frozen=True, eq=False, slots=True)
+class _Blocks:
+    """A recording's division into contiguous blocks."""
 
-    Band, segments, classes and samples depend on the recording and on ``[processing]`` alone, so that the scores of two
-    models may be subtracted.
+    of_segment: NDArray[np.intp]
+    """Block of every segment, -1 for one that straddles a border, shape (n_segments,)."""
+    n: int
+    length_s: float
+
+    @property
+    def folds(self) -> int:
+        """Number of fits by which every block is held out once."""
+        return min(_FOLDS, self.n)
+
+    def held(self, fold: int) -> NDArray[np.bool_]:
+        """Select the segments that a fold holds out, shape (n_segments,)."""
+        return np.asarray((self.of_segment >= 0) & (self.of_segment % self.folds == fold))
+
+    def others(self, held: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Select the segments that a fold is fitted to, shape (n_segments,)."""
+        return (self.of_segment >= 0) & ~held
+
+
+def heldout_gain(segments: Segments, diagnosis: Diagnosis) -> HeldOutGain:
+    """Measure the gain of a diagnosis's extended model over the old form on blocks that neither was fitted to.
+
+    The recording is cut into contiguous blocks.  Both forms are scored on every fourth of them, fitted to the others, four
+    times over (every second one where the recording is short).  A segment that straddles a border belongs to no block.
 
     Parameters
     ----------
-    held : ndarray of bool, shape (n_segments,), optional
-        The segments that count; levels and noise are those of the whole recording all the same.
-    near : ExcitationStart, optional
-        An excitation that is nearly this one: quicker.  The score is the same within far less than a nat, unless it brings
-        along what was simulated with more care than is taken here.
+    segments : Segments
+        The recording that was diagnosed.
+    diagnosis : Diagnosis
+        The diagnosis of the whole recording.
+
+    Returns
+    -------
+    HeldOutGain
+        With a text in place of numbers where nothing was added to the model, or the recording is too short.
+
+    References
+    ----------
+    D. Roberts et al., Cross-validation strategies for data with temporal, spatial, hierarchical, or phylogenetic structure,
+    Ecography 40 (2017) 913 (blocks in place of single samples).
     """
-    evidence = classify(segments)
-    held = np.ones(segments.t_s.size, dtype=bool) if held is None else held
-    problem, x = fit_excitation(evidence, model, replace(context, structure=model.structure), reference_degc, near)
-    predicted, mean = problem.scatter(x, ()), problem.mean(x, ())
-    left = segments.values if mean is None else segments.values - mean
-    seen = segments.values[held]
-    measured = np.einsum("ska,skb->kab", seen, seen.conj()) / len(seen)
-    share = np.array([np.count_nonzero(held[m]) for m in evidence.members]) / len(seen)
-    modelled = np.tensordot(share, predicted, axes=1)
-    if mean is not None:
-        modelled = modelled + np.einsum("ska,skb->kab", mean[held], mean[held].conj()) / len(seen)
-    nats = _segment_nats(left, evidence, predicted)[held]
-    return Score(nats, _sample_instants(segments, held, config), measured, modelled)
-
-
-def _csd_error(measured: ComplexArray, modelled: ComplexArray) -> float:
-    return float((np.abs(measured - modelled) ** 2).sum() / (np.abs(measured) ** 2).sum())
-
-
-def _sample_instants(segments: Segments, held: NDArray[np.bool_], config: Configuration) -> int:
-    """Sample instants, at the rate of the processing, that segments stand for: half of each, as they overlap by half."""
-    p = config.processing
-    rate_hz = Conditioner.design(segments.rate_hz, p.rate_hz, p.cutoff_hz, common_step_s(p.window_s, p.hop_s)).rate_hz
-    return round(0.5 * np.count_nonzero(held) * rate_hz / segments.band.bin_hz)
-
-
-def _segment_nats(x: ComplexArray, evidence: ObservedSpectra, predicted: ComplexArray) -> Array:
-    """Log likelihood of every segment under its class's spectra; their sum is that of the classes' means."""
-    out = np.empty(x.shape[0])
-    for spectra, members in zip(predicted, evidence.members, strict=True):
-        _, log_det = np.linalg.slogdet(spectra)
-        form = np.einsum("ska,kab,skb->s", x[members].conj(), np.linalg.inv(spectra), x[members]).real
-        out[members] = -evidence.weight * (log_det.sum() + form)
-    return out
-
-
-def heldout_gain(segments: Segments, diagnosis: Diagnosis, config: Configuration) -> HeldOutGain:
-    """Gain of a diagnosis's extended model over the old form, each judged on blocks that it was not fitted to.
-
-    The recording is cut into contiguous blocks; both forms are judged by `score` on every fourth of them, fitted to the
-    others, four times over (every second one where the recording is short).  A segment
-    that straddles a border belongs to none.
-    """
-    effects = diagnosis.final.effects
-    if not effects:
+    if not diagnosis.final.effects:
         return HeldOutGain()
-    block, n_blocks, block_s = _blocks(segments)
-    folds = min(_FOLDS, n_blocks)
-    if any(np.count_nonzero((block >= 0) & (block % folds == fold)) < 2 for fold in range(folds)):
+    blocks = _cut_blocks(segments)
+    parts = [blocks.held(fold) for fold in range(blocks.folds)]
+    if any(np.count_nonzero(held) < 2 for held in parts):
         return HeldOutGain(heldout="none: the recording is too short to hold any of it out")
-    context, reference = diagnosis.problem.context, diagnosis.problem.prior
-    nats, samples = np.zeros((2, n_blocks)), np.zeros(n_blocks)
+    folds = parallel_map(lambda held: _score_fold(segments, diagnosis, held, blocks.others(held)), parts)
+    nats, samples = np.zeros((2, blocks.n)), np.zeros(blocks.n)
     spectra = np.zeros((2, 2, *segments.values.shape[1:], segments.values.shape[2]), dtype=complex)
-
-    def scores(held: NDArray[np.bool_]) -> list[Score]:
-        """Of both forms, fitted to what is not held out."""
-        others = classify(segments.part((block >= 0) & ~held))
-        # Weighed as the whole recording, so that what was known before pulls these fits no more than the published one.
-        others = replace(
-            others,
-            counts=others.counts * segments.t_s.size / others.counts.sum(),
-            drive=_as_moved(others.drive, diagnosis),
-        )
-        return [
-            score(segments, form, context, config, reference.reference_degc, held, near)
-            for form, near in _forms(others, effects, diagnosis)
-        ]
-
-    parts = [(block >= 0) & (block % folds == fold) for fold in range(folds)]
-    for held, judged in zip(parts, parallel_map(scores, parts), strict=True):
-        for i, one in enumerate(judged):
-            nats[i] += np.bincount(block[held], one.nats, n_blocks)
+    for held, scores in zip(parts, folds, strict=True):
+        of_held = blocks.of_segment[held]
+        for i, one in enumerate(scores):
+            nats[i] += np.bincount(of_held, one.nats, blocks.n)
             spectra[i] += np.count_nonzero(held) * np.stack([one.measured, one.modelled])
-        samples += np.bincount(block[held], minlength=n_blocks) * (judged[0].samples / np.count_nonzero(held))
+        samples += np.bincount(of_held, minlength=blocks.n) * (scores[0].samples / np.count_nonzero(held))
+    return _summarized(nats, samples, spectra, blocks)
+
+
+def _score_fold(
+    segments: Segments, diagnosis: Diagnosis, held: NDArray[np.bool_], others: NDArray[np.bool_]
+) -> list[Score]:
+    """Score the old and the extended form on the held-out segments, both fitted to the others."""
+    part = classify(segments.part(others))
+    # Weighted as the whole recording, so that the prior pulls these fits no more than it pulls the published one.
+    part = replace(part, counts=part.counts * segments.t_s.size / part.counts.sum())
+    context, prior = diagnosis.problem.context, diagnosis.problem.prior
+    return [
+        score(segments, model, context, prior.reference_degc, held, excitation)
+        for model, excitation in refit_forms(part, diagnosis)
+    ]
+
+
+def _summarized(nats: Array, samples: Array, spectra: ComplexArray, blocks: _Blocks) -> HeldOutGain:
+    """Sum up the blocks' scores.
+
+    Parameters
+    ----------
+    nats : ndarray, shape (2, n_blocks)
+        Log likelihood of the old and of the extended form.
+    samples : ndarray, shape (n_blocks,)
+        Sample instants.
+    spectra : ndarray of complex, shape (2, 2, n_bins, c, c)
+        For the old and the extended form, measured and modelled cross-spectra.
+    """
     total = samples.sum()
-    drawn = np.random.default_rng(0).integers(0, n_blocks, (_BOOTSTRAPS, n_blocks))
-    gains = (nats[1] - nats[0])[drawn].sum(axis=1) / np.maximum(samples[drawn].sum(axis=1), 1.0)
-    value = (nats[1] - nats[0]).sum() / total
-    low, high = value + _widening(n_blocks) * (np.quantile(gains, [0.025, 0.975]) - value)
+    ci95 = _bootstrap_interval(nats[1] - nats[0], samples)
     return HeldOutGain(
         before=float(nats[0].sum() / total),
         after=float(nats[1].sum() / total),
-        ci95=(float(low), float(high)),
+        ci95=ci95,
         nats=float((nats[1] - nats[0]).sum()),
-        csd_error_before=_csd_error(*spectra[0]),
-        csd_error_after=_csd_error(*spectra[1]),
-        heldout=f"{n_blocks} contiguous blocks of {block_s:.0f} s, every {_ORDINAL[folds]} by a fit to the others",
+        csd_error_before=csd_error(*spectra[0]),
+        csd_error_after=csd_error(*spectra[1]),
+        heldout=f"{blocks.n} contiguous blocks of {blocks.length_s:.0f} s, every {_ORDINAL[blocks.folds]} by a fit to "
+        "the others",
     )
 
 
-def _widening(n_blocks: int) -> float:
-    """What a bootstrap of few blocks lacks: Student's t over the normal, and the root of n / (n - 1).
+def _bootstrap_interval(gains: Array, samples: Array) -> tuple[float, float]:
+    """Bootstrap the 95 % interval of the gain per sample instant, resampling whole blocks.
 
-    Of two blocks the interval is their range, which is no 95 % of anything.
+    Parameters
+    ----------
+    gains : ndarray, shape (n_blocks,)
+        Gain of every block, nats.
+    samples : ndarray, shape (n_blocks,)
+        Sample instants of every block.
+
+    References
+    ----------
+    B. Efron, R. Tibshirani, An Introduction to the Bootstrap (1993), chapter 13 (percentile interval).
+    """
+    n = gains.size
+    drawn = np.random.default_rng(0).integers(0, n, (_BOOTSTRAPS, n))
+    means = gains[drawn].sum(axis=1) / np.maximum(samples[drawn].sum(axis=1), 1.0)
+    value = gains.sum() / samples.sum()
+    low, high = value + _widening(n) * (np.quantile(means, [0.025, 0.975]) - value)
+    return float(low), float(high)
+
+
+def _widening(n_blocks: int) -> float:
+    """Compute the factor by which a bootstrap of few blocks is too narrow.
+
+    It is Student's t over the normal quantile, times the root of n / (n - 1).  Of two blocks the interval is their range,
+    which is no 95 % of anything, so it is not widened.
     """
     if n_blocks < _FOLDS:
         return 1.0
     return float(stdtrit(n_blocks - 1, 0.975) / ndtri(0.975) * np.sqrt(n_blocks / (n_blocks - 1)))
 
 
-def _blocks(segments: Segments) -> tuple[NDArray[np.intp], int, float]:
-    """Block of every segment (-1 for one that straddles a border), how many there are, and their length in s."""
+def _cut_blocks(segments: Segments) -> _Blocks:
+    """Divide a recording into contiguous blocks of equal length."""
     half = 0.5 / segments.band.bin_hz
     start, end = segments.t_s.min() - half, segments.t_s.max() + half
     n = int(min(_MAX_BLOCKS, (end - start) / (2.0 * half * _BLOCK_SEGMENTS)))
@@ -222,65 +194,25 @@ def _blocks(segments: Segments) -> tuple[NDArray[np.intp], int, float]:
     first, last = (
         np.floor((segments.t_s + d - start) / length + e).astype(int) for d, e in ((-half, 1e-9), (half, -1e-9))
     )
-    return np.where(first == last, first, -1), n, float(length)
-
-
-def _forms(
-    evidence: ObservedSpectra, effects: tuple[Effect, ...], whole: Diagnosis
-) -> list[tuple[Model, ExcitationStart]]:
-    """The old model form and the extended one, fitted, each with its excitation.
-
-    From the whole recording's fits, which lie near: a response's phases lead back from nearby only, and all else comes quicker.
-    What simulation adds to a linearized law is that of the whole recording, too: a matter of the law, not of what was measured.
-    It is simulated anew where both forms have laws, which must be judged alike, and where classes are not of level alone.
-    """
-    n_classes = evidence.counts.size
-    problem = whole.problem.part(evidence, nearest_classes(whole.problem.n_classes, n_classes))
-    p, n = problem.prior.mean.size, whole.problem.n_nuisance
-    by_level = not (evidence.by_temperature or whole.problem.observed.by_temperature)
-    shared = by_level and not any(e.nonlinear for e in problem.prior.model.effects)
-
-    def fitted(x: Array, effects: tuple[Effect, ...]) -> tuple[Model, ExcitationStart]:
-        x = np.concatenate([x[:p], ExcitationStart.at(whole.problem, x).of(n_classes).vector, x[n:]])
-        here = problem
-        if evidence.drive is None and any(e.conditional for e in (*problem.prior.effects(x), *effects)):
-            here = replace(problem, conditions=linearize(replace(problem, offset=None), x, effects))
-        at = maximize_posterior(here, x, effects, iterations=_DRIVEN if evidence.drive is not None else _PART)
-        return fitted_model(here, at), ExcitationStart.at(here, at.x, here.beyond(at.x, at.effects) if shared else None)
-
-    return [fitted(whole.null.x, whole.null.effects), fitted(whole.final.x, effects)]
-
-
-def _as_moved(drive: Drive | None, diagnosis: Diagnosis) -> Drive | None:
-    """The ground as the diagnosis found it to move between its samples."""
-    whole = diagnosis.problem.observed.drive
-    return None if drive is None or whole is None else replace(drive, between=whole.between)
-
-
-def fitted_model(problem: Posterior, at: MapEstimate) -> Model:
-    """The model at a fit, with the standing effects and those that were found."""
-    effects = (*problem.prior.effects(at.x), *at.effects)
-    model, damping = problem.model(at.x, effects), problem.system(at.x, effects).damping
-    modes = model.modes()
-    modal = np.einsum("ai,ab,bi->i", modes.shapes, damping, modes.shapes)
-    return replace(model, modal_damping=modal / (2.0 * np.sqrt(np.maximum(modes.eigenvalues, 1e-12))))
+    return _Blocks(np.where(first == last, first, -1), n, float(length))
 
 
 def require_gain(diagnosis: Diagnosis, gain: HeldOutGain) -> Diagnosis:
-    """A named cause stands only if it gains on held-out data beyond doubt; else nothing is named.
+    """Withdraw the causes of a diagnosis that does not gain significantly on held-out data.
 
-    A law that only loud blocks show gains in few of them, which a bootstrap of blocks cannot tell from none: there the sum
-    counts.  Of what is stated beside something unexplained, which blurs the interval too, the sum must not be a loss.
+    A law that only loud blocks show gains in few of them, which a bootstrap of blocks cannot tell from none.  For a nonlinear
+    law a large summed gain is therefore enough.  Where causes are stated beside something unexplained, which widens the
+    interval too, the summed gain must not be a loss.
     """
     loud = any(cause.effect.nonlinear for cause in diagnosis.causes) and gain.nats > _SURE_NATS
     match diagnosis.verdict:
         case "named":
-            stands = gain.ci95[0] > 0.0 or loud
+            confirmed = gain.ci95[0] > 0.0 or loud
         case "unexplained":
-            stands = not diagnosis.causes or gain.value >= 0.0
+            confirmed = not diagnosis.causes or gain.value >= 0.0
         case _:
             return diagnosis
-    if stands:
+    if confirmed:
         return diagnosis
     return replace(
         diagnosis,

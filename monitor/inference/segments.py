@@ -68,6 +68,8 @@ class Segments:
     band: Band
     rate_hz: float
     """Of the source's samples."""
+    resampled_hz: float
+    """Rate to which the samples were resampled before they were cut into segments."""
     samples: int
     """Sample instants after resampling that the segments cover, each counted once whatever the number of channels."""
 
@@ -144,6 +146,7 @@ def gather(blocks: Iterable[SampleBlock], config: Configuration) -> Segments:
         temperature=readings,
         band=band,
         rate_hz=conditioner.rate_in_hz,
+        resampled_hz=conditioner.rate_hz,
         samples=round(floors.seconds * conditioner.rate_hz),
     )
     return replace(segments.part(covered), drive=drive)

@@ -102,7 +102,7 @@ def find(
 def judged(segments: Segments, reference: StructuralPrior, config: Configuration) -> tuple[Diagnosis, HeldOutGain]:
     """The diagnosis as it stands before held-out data, and its gain there."""
     diagnosis = diagnose(classify(segments), reference, _context(segments, config), config.diagnosis)
-    gain = heldout_gain(segments, diagnosis, config)
+    gain = heldout_gain(segments, diagnosis)
     settled = require_gain(diagnosis, gain)
     return settled, gain if settled is diagnosis else HeldOutGain()
 
@@ -163,7 +163,7 @@ def evaluate(
     """
     segments = _read(paths, config, on_warning, on_progress)
     degc = config.structure.reference_temperature_degc
-    return score(segments, config.model(), _context(segments, config), config, degc)
+    return score(segments, config.model(), _context(segments, config), degc)
 
 
 def _read(paths: list[Path], config: Configuration, on_warning: OnWarning, on_progress: OnProgress) -> Segments:

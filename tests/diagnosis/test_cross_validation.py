@@ -9,9 +9,11 @@ import pytest
 
 from drivers.base import ACCELERATION
 from monitor.config.configuration import Configuration
-from monitor.diagnosis.cross_validation import HeldOutGain, fitted_model, heldout_gain, require_gain, score
+from monitor.diagnosis.cross_validation import HeldOutGain, heldout_gain, require_gain
+from monitor.diagnosis.fold_refit import fitted_model
 from monitor.diagnosis.initial_fit import fit_linearized
 from monitor.diagnosis.lack_of_fit import LackOfFit
+from monitor.diagnosis.predictive_score import score
 from monitor.diagnosis.settings import DiagnosisSettings
 from monitor.diagnosis.simulation_refit import refine_fit
 from monitor.diagnosis.stepwise_selection import Diagnosis
@@ -70,7 +72,7 @@ def clean() -> Segments:
 
 def test_the_truth_scores_above_a_drawing_that_is_off(clean: Segments) -> None:
     config, off = settings(), settings(stiffness_n_per_m=[2900.0, 1500.0, 2000.0])
-    true, wrong = (score(clean, c.model(), context_of(c), c) for c in (config, off))
+    true, wrong = (score(clean, c.model(), context_of(c)) for c in (config, off))
     assert true.log_score_per_sample > wrong.log_score_per_sample + 0.01
     assert true.csd_error < 0.5 * wrong.csd_error
     assert true.samples == wrong.samples == pytest.approx(39_000, abs=1000)
@@ -79,7 +81,7 @@ def test_the_truth_scores_above_a_drawing_that_is_off(clean: Segments) -> None:
 def test_a_score_does_not_depend_on_the_unit_of_force_or_mass(clean: Segments) -> None:
     """Twice the masses and stiffnesses move as the forces allow: only the level changes, and that is fitted."""
     twice = settings(masses_kg=[0.66, 0.70, 0.62], stiffness_n_per_m=[5800.0, 3000.0, 3800.0])
-    one, other = (score(clean, c.model(), context_of(c), c) for c in (settings(), twice))
+    one, other = (score(clean, c.model(), context_of(c)) for c in (settings(), twice))
     assert other.log_score_per_sample == pytest.approx(one.log_score_per_sample, abs=1e-5)
 
 
@@ -94,27 +96,23 @@ def test_a_measured_ground_is_the_input() -> None:
     ]
     segments = gather(blocks, config)
     assert segments.drive is not None
-    true = score(segments, config.model(), context_of(config), config)
+    true = score(segments, config.model(), context_of(config))
     heavier = settings(masses_kg=[0.36, 0.35, 0.31])
     assert true.csd_error < 0.2
-    assert (
-        score(segments, heavier.model(), context_of(heavier), heavier).log_score_per_sample < true.log_score_per_sample
-    )
+    assert score(segments, heavier.model(), context_of(heavier)).log_score_per_sample < true.log_score_per_sample
 
 
 def test_a_level_dependent_law_is_judged_at_the_level_that_the_model_shows(clean: Segments) -> None:
     config = settings()
     model = replace(config.model(), effects=(parse_effect("cubic_stiffness:story 2:k3_n_per_m3=1e9"),))
-    with_cubic = score(clean, model, context_of(config), config)
+    with_cubic = score(clean, model, context_of(config))
     assert np.isfinite(with_cubic.nats).all()
-    assert (
-        with_cubic.log_score_per_sample < score(clean, config.model(), context_of(config), config).log_score_per_sample
-    )
+    assert with_cubic.log_score_per_sample < score(clean, config.model(), context_of(config)).log_score_per_sample
 
 
 def test_a_true_cause_gains_on_data_that_it_was_not_fitted_to(damped: Segments) -> None:
     found = explained_by(parse_effect(DAMPER), damped)
-    gain = heldout_gain(damped, found, settings())
+    gain = heldout_gain(damped, found)
     assert 0.0 < gain.ci95[0] < gain.value < gain.ci95[1]
     assert gain.value == pytest.approx(gain.after - gain.before)
     assert "blocks" in gain.heldout
@@ -124,9 +122,9 @@ def test_a_true_cause_gains_on_data_that_it_was_not_fitted_to(damped: Segments) 
 def test_the_gain_is_what_the_fitted_models_score(damped: Segments) -> None:
     config = settings()
     found = explained_by(parse_effect(DAMPER), damped)
-    gain = heldout_gain(damped, found, config)
+    gain = heldout_gain(damped, found)
     before, after = (
-        score(damped, fitted_model(found.problem, at), context_of(config), config).log_score_per_sample
+        score(damped, fitted_model(found.problem, at), context_of(config)).log_score_per_sample
         for at in (found.null, found.final)
     )
     assert gain.before == pytest.approx(before, abs=0.02)
@@ -136,7 +134,7 @@ def test_the_gain_is_what_the_fitted_models_score(damped: Segments) -> None:
 
 def test_a_cause_that_is_not_there_gains_nothing_and_is_not_named(clean: Segments) -> None:
     found = explained_by(parse_effect("sensor_gain:channel a2:gain=1.02"), clean)
-    gain = heldout_gain(clean, found, settings())
+    gain = heldout_gain(clean, found)
     assert gain.ci95[0] <= 0.0
     settled = require_gain(found, gain)
     assert (settled.verdict, settled.causes, settled.final) == ("none", (), found.null)
@@ -148,7 +146,7 @@ def test_a_cause_that_is_not_there_gains_nothing_and_is_not_named(clean: Segment
 
 def test_too_short_a_recording_holds_nothing_out(clean: Segments) -> None:
     found = explained_by(parse_effect(DAMPER), clean)
-    gain = heldout_gain(clean.part(np.arange(clean.t_s.size) < 3), found, settings())
+    gain = heldout_gain(clean.part(np.arange(clean.t_s.size) < 3), found)
     assert (gain.value, gain.ci95) == (0.0, (0.0, 0.0))
     assert "too short" in gain.heldout
 
@@ -159,7 +157,7 @@ def test_a_law_that_bends_is_judged_at_the_motion_that_it_makes() -> None:
     segments = recorded((stiffening,), seed=43)
     found = explained_by(stiffening, segments)
     problem, final = refine_fit(found.problem, found.final)
-    gain = heldout_gain(segments, replace(found, problem=problem, final=final), settings())
+    gain = heldout_gain(segments, replace(found, problem=problem, final=final))
     assert gain.ci95[0] > 0.0
     assert gain.csd_error_after < 0.5 * gain.csd_error_before
 

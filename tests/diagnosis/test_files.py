@@ -12,11 +12,13 @@ from scipy.linalg import block_diag
 
 from monitor.config import configuration
 from monitor.core.errors import BadConfigurationError
-from monitor.diagnosis.cross_validation import HeldOutGain, fitted_model, score
+from monitor.diagnosis.cross_validation import HeldOutGain
 from monitor.diagnosis.files import content, effects_text, model_from_plain, model_to_plain, structure_text
+from monitor.diagnosis.fold_refit import fitted_model
 from monitor.diagnosis.healthy_prior import learn_prior
 from monitor.diagnosis.initial_fit import fit_linearized
 from monitor.diagnosis.lack_of_fit import LackOfFit
+from monitor.diagnosis.predictive_score import score
 from monitor.diagnosis.score_test import Candidate
 from monitor.diagnosis.settings import DiagnosisSettings
 from monitor.diagnosis.stepwise_selection import Cause, Diagnosis
@@ -195,8 +197,8 @@ def test_the_file_scores_what_the_fit_does(tmp_path: Path, named: Diagnosis, dam
     bare = TEXT[: TEXT.index("[[effects]]")]
     fitted = fitted_model(named.problem, named.final)
     from_file = loaded(tmp_path, structure_text(bare, fitted))
-    one = score(damped, fitted, context_of(site), site)
-    other = score(damped, from_file.model(), context_of(from_file), from_file)
+    one = score(damped, fitted, context_of(site))
+    other = score(damped, from_file.model(), context_of(from_file))
     assert other.log_score_per_sample == pytest.approx(one.log_score_per_sample, abs=1e-6)
     assert other.csd_error == pytest.approx(one.csd_error, abs=1e-6)
 

@@ -13,8 +13,8 @@ from drivers.mcap_file import read_recordings
 from monitor.config.configuration import Configuration, load
 from monitor.core.results import Array
 from monitor.diagnosis.backbone import backbone, level_dependence, ratios
-from monitor.diagnosis.cross_validation import score
 from monitor.diagnosis.initial_fit import fit_linearized
+from monitor.diagnosis.predictive_score import score
 from monitor.diagnosis.score_test import fit_best
 from monitor.diagnosis.settings import DiagnosisSettings
 from monitor.diagnosis.stepwise_selection import diagnose
@@ -194,7 +194,7 @@ def test_the_measured_frame_is_no_shear_frame_and_softens_with_the_level() -> No
 
 def test_the_response_explains_the_floors_and_a_wrong_frame_does_not() -> None:
     segments = recorded(seed=12)
-    true, off = (score(segments, c.model(), CONTEXT, c) for c in (settings(), DRAWING))
+    true, off = (score(segments, c.model(), CONTEXT) for c in (settings(), DRAWING))
     assert true.csd_error < 5e-3
     assert true.csd_error < off.csd_error
     assert true.log_score_per_sample > off.log_score_per_sample + 1.0

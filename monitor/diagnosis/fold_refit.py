@@ -1,0 +1,79 @@
+"""Refit the two model forms of a diagnosis to a part of the recording."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from monitor.core import Array
+from monitor.diagnosis.stepwise_selection import Diagnosis
+from monitor.inference import (
+    Drive,
+    ExcitationStart,
+    MapEstimate,
+    ObservedSpectra,
+    Posterior,
+    linearize,
+    maximize_posterior,
+    nearest_classes,
+)
+from monitor.model import Effect, Model
+
+_PART, _DRIVEN = 12, 25
+"""Iterations of a fit to a part of a recording, and of driven motion, from the whole recording's."""
+
+
+def refit_forms(part: ObservedSpectra, whole: Diagnosis) -> list[tuple[Model, ExcitationStart]]:
+    """Fit the old model form and the extended one to a part of a recording.
+
+    The fits start from those to the whole recording, which lie near: the phases of a response lead back from nearby only, and
+    everything else converges sooner.  What simulation adds to a linearized law is also that of the whole recording, since it
+    belongs to the law and not to the data.  It is simulated anew where both forms have nonlinear laws, which must be treated
+    alike, and where the classes are not classes of level alone.
+
+    Parameters
+    ----------
+    part : ObservedSpectra
+        Spectra of the part, weighted as the whole recording.
+    whole : Diagnosis
+        The diagnosis of the whole recording.
+
+    Returns
+    -------
+    list of (Model, ExcitationStart)
+        The old form, then the extended one, each with its fitted excitation.
+    """
+    part = replace(part, drive=_between_samples_as(whole, part.drive))
+    n_classes = part.counts.size
+    posterior = whole.problem.part(part, nearest_classes(whole.problem.n_classes, n_classes))
+    p, n = posterior.prior.mean.size, whole.problem.n_nuisance
+    by_level = not (part.by_temperature or whole.problem.observed.by_temperature)
+    shared = by_level and not any(e.nonlinear for e in posterior.prior.model.effects)
+
+    def fitted(x: Array, effects: tuple[Effect, ...]) -> tuple[Model, ExcitationStart]:
+        x = np.concatenate([x[:p], ExcitationStart.at(whole.problem, x).of(n_classes).vector, x[n:]])
+        own = posterior
+        if part.drive is None and any(e.conditional for e in (*posterior.prior.effects(x), *effects)):
+            own = replace(posterior, conditions=linearize(replace(posterior, offset=None), x, effects))
+        fit = maximize_posterior(own, x, effects, iterations=_DRIVEN if part.drive is not None else _PART)
+        return fitted_model(own, fit), ExcitationStart.at(
+            own, fit.x, own.beyond(fit.x, fit.effects) if shared else None
+        )
+
+    return [fitted(whole.null.x, whole.null.effects), fitted(whole.final.x, whole.final.effects)]
+
+
+def _between_samples_as(whole: Diagnosis, drive: Drive | None) -> Drive | None:
+    """Let the ground move between its samples as the diagnosis of the whole recording found."""
+    found = whole.problem.observed.drive
+    return None if drive is None or found is None else replace(drive, between=found.between)
+
+
+def fitted_model(posterior: Posterior, fit: MapEstimate) -> Model:
+    """Build the model at a fit: the persistent effects and those that were found, with the fit's modal damping."""
+    effects = (*posterior.prior.effects(fit.x), *fit.effects)
+    model, damping = posterior.model(fit.x, effects), posterior.system(fit.x, effects).damping
+    modes = model.modes()
+    modal = np.einsum("ai,ab,bi->i", modes.shapes, damping, modes.shapes)
+    return replace(model, modal_damping=modal / (2.0 * np.sqrt(np.maximum(modes.eigenvalues, 1e-12))))

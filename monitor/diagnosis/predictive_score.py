@@ -1,0 +1,135 @@
+"""Score a model by how well it predicts a recording.
+
+The score is the tempered debiased Whittle log likelihood of the recording's segments.  The structure and its effects stay as
+they are given.  Only the excitation is fitted: the white force on each floor, one level for each class of segments, and one
+noise level common to all channels.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from monitor.core import Array, ComplexArray
+from monitor.inference import ExcitationStart, ObservedSpectra, Segments, classify, fit_excitation
+from monitor.model import Context, Model
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Score:
+    """How well one model predicts one recording."""
+
+    nats: Array
+    """Tempered log likelihood of every segment, shape (n_segments,)."""
+    samples: int
+    """Sample instants, at the rate of the processing."""
+    measured: ComplexArray
+    """Mean cross-spectra of the segments, shape (n_bins, c, c)."""
+    modelled: ComplexArray
+    """The model's cross-spectra, averaged over the classes as the segments are, shape (n_bins, c, c)."""
+
+    @property
+    def csd_error(self) -> float:
+        """Relative squared error of the modelled cross-spectra, see `csd_error`."""
+        return csd_error(self.measured, self.modelled)
+
+    @property
+    def log_score_per_sample(self) -> float:
+        """Nats per sample instant, all channels together."""
+        return float(self.nats.sum()) / self.samples
+
+
+def score(
+    segments: Segments,
+    model: Model,
+    context: Context,
+    reference_degc: float | None = None,
+    held: NDArray[np.bool_] | None = None,
+    near: ExcitationStart | None = None,
+) -> Score:
+    """Score a model on a recording.
+
+    Band, segments, classes and samples depend on the recording and on ``[processing]`` alone, so that the scores of two
+    models may be subtracted.
+
+    Parameters
+    ----------
+    segments : Segments
+        The recording.
+    model : Model
+        Structure and effects, which stay as they are.
+    context : Context
+        Channels and the sensor matrix; the structure is taken from `model`.
+    reference_degc : float, optional
+        Temperature at which the model's stiffnesses hold.
+    held : ndarray of bool, shape (n_segments,), optional
+        The segments that count (default all).  Levels and noise are fitted to the whole recording all the same.
+    near : ExcitationStart, optional
+        An excitation close to the recording's, from which the fit starts.  The fit is quicker, and the score is the same
+        within far less than a nat, unless `near` holds what was simulated with more care than `score` takes.
+
+    Returns
+    -------
+    Score
+
+    References
+    ----------
+    A. Sykulski, S. Olhede, A. Guillaumin, J. Lilly, J. Early, The debiased Whittle likelihood, Biometrika 106 (2019) 251.
+    """
+    evidence = classify(segments)
+    held = np.ones(segments.t_s.size, dtype=bool) if held is None else held
+    posterior, x = fit_excitation(evidence, model, replace(context, structure=model.structure), reference_degc, near)
+    scatter, mean = posterior.scatter(x, ()), posterior.mean(x, ())
+    residual = segments.values if mean is None else segments.values - mean
+    counted = segments.values[held]
+    measured = np.einsum("ska,skb->kab", counted, counted.conj()) / len(counted)
+    share = np.array([np.count_nonzero(held[members]) for members in evidence.members]) / len(counted)
+    modelled = np.tensordot(share, scatter, axes=1)
+    if mean is not None:
+        modelled = modelled + np.einsum("ska,skb->kab", mean[held], mean[held].conj()) / len(counted)
+    nats = _segment_nats(residual, evidence, scatter)[held]
+    return Score(nats, _sample_instants(segments, held), measured, modelled)
+
+
+def csd_error(measured: ComplexArray, modelled: ComplexArray) -> float:
+    """Compute the squared Frobenius norm of measured less modelled cross-spectra over that of the measured ones.
+
+    Parameters
+    ----------
+    measured, modelled : ndarray of complex, shape (n_bins, c, c)
+        Both norms are summed over the bins.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> csd_error(np.full((4, 1, 1), 2.0 + 0j), np.full((4, 1, 1), 1.0 + 0j))
+    0.25
+    """
+    return float((np.abs(measured - modelled) ** 2).sum() / (np.abs(measured) ** 2).sum())
+
+
+def _sample_instants(segments: Segments, held: NDArray[np.bool_]) -> int:
+    """Count the sample instants, at the rate of the processing, that segments cover: half of each, as they overlap by half."""
+    return round(0.5 * np.count_nonzero(held) * segments.resampled_hz / segments.band.bin_hz)
+
+
+def _segment_nats(x: ComplexArray, evidence: ObservedSpectra, scatter: ComplexArray) -> Array:
+    """Compute the log likelihood of every segment under the spectra of its class, shape (n_segments,), nats.
+
+    The sum over the segments is the log likelihood of the classes' mean spectra.
+
+    Parameters
+    ----------
+    x : ndarray of complex, shape (n_segments, n_bins, c)
+        Transforms less their mean under the model.
+    scatter : ndarray of complex, shape (n_classes, n_bins, c, c)
+        The model's cross-spectra about that mean.
+    """
+    out = np.empty(x.shape[0])
+    for spectra, members in zip(scatter, evidence.members, strict=True):
+        _, log_det = np.linalg.slogdet(spectra)
+        form = np.einsum("ska,kab,skb->s", x[members].conj(), np.linalg.inv(spectra), x[members]).real
+        out[members] = -evidence.weight * (log_det.sum() + form)
+    return out
