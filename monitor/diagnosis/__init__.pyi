@@ -11,7 +11,7 @@ from .score_test import parameter_cost
 from .settings import DiagnosisSettings
 from .stepwise_selection import Diagnosis, diagnose
 from .trigger import Request, WatchSettings
-from .wording import contradicted, headline, in_words, interval, separating_measurement, unit
+from .wording import contradicted, headline, in_words, separating_measurement
 
 __all__ = [
     "FAR",
@@ -31,7 +31,6 @@ __all__ = [
     "healthy_prior",
     "heldout_gain",
     "in_words",
-    "interval",
     "is_significant",
     "model_from_plain",
     "model_to_plain",
@@ -42,5 +41,4 @@ __all__ = [
     "separating_measurement",
     "structure_text",
     "trigger",
-    "unit",
 ]

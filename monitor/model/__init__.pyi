@@ -7,11 +7,15 @@ from .effects import (
     Context,
     Effect,
     EffectError,
+    FittedSizes,
     LawKind,
+    ParameterEstimates,
     StiffnessChange,
     System,
+    interval,
     locations,
     parse_effect,
+    unit,
 )
 from .effects.attached_oscillator import AttachedOscillator
 from .effects.cubic_stiffness import CubicStiffness
@@ -34,6 +38,7 @@ __all__ = [
     "Effect",
     "EffectError",
     "ExcitationKind",
+    "FittedSizes",
     "JointFlexibility",
     "LawKind",
     "Matrix",
@@ -42,6 +47,7 @@ __all__ = [
     "ModelDiscrepancy",
     "Modes",
     "Motion",
+    "ParameterEstimates",
     "Positive",
     "ShearFrame",
     "StiffnessChange",
@@ -49,6 +55,7 @@ __all__ = [
     "StructureTable",
     "System",
     "correction_basis",
+    "interval",
     "inverse",
     "loaded",
     "locations",
@@ -59,4 +66,5 @@ __all__ = [
     "respond",
     "respond_newmark",
     "simulate",
+    "unit",
 ]

@@ -7,7 +7,7 @@ from math import inf
 from typing import ClassVar, Literal, Self
 
 from monitor.core.results import Array
-from monitor.model.effects import Condition, Context, Effect, Parameter
+from monitor.model.effects import Condition, Context, Effect, FittedSizes, Parameter
 from monitor.model.structures import Structure
 
 
@@ -20,6 +20,7 @@ class BraceStiffness(Effect):
     places: ClassVar[tuple[str, ...]] = ("story",)
     parameters: ClassVar[tuple[Parameter, ...]] = (Parameter("stiffness_n_per_m", 0.0, inf, absent=0.0),)
     signature: ClassVar[str] = "every mode that moves this story rises, at every level alike"
+    separating_measurement: ClassVar[str] = "look for a brace that the drawing does not show"
 
     stiffness_n_per_m: float
 
@@ -32,3 +33,8 @@ class BraceStiffness(Effect):
         """See `Effect.starts`."""
         story = int(location.partition(" ")[2]) - 1
         return (cls(location, 0.05 * float(context.structure.stiffness_n_per_m[story])),)
+
+    @classmethod
+    def sentence(cls, fitted: FittedSizes) -> str:
+        """See `Effect.sentence`."""
+        return f"a brace of {fitted.interval('stiffness_n_per_m')} stiffens {fitted.location}"

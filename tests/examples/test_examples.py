@@ -13,7 +13,9 @@ from drivers.base import SourceContext
 from monitor.config import configuration
 from monitor.config.configuration import Configuration, make_source
 from monitor.core.results import Alarm, Level, Skipped, WindowResult
-from monitor.model.effects import EFFECTS, Condition, Context, parse_effect
+from monitor.diagnosis import in_words, separating_measurement
+from monitor.model import prior_from_drawing
+from monitor.model.effects import EFFECTS, Condition, Context, FittedSizes, parse_effect
 from monitor.runs.session import Session
 from monitor.service.daemon import Daemon
 from tests.conftest import Cli
@@ -66,6 +68,22 @@ def test_the_effect_is_simulated_and_raises_every_frequency(
     assert BraceStiffness.starts("story 2", context, still)[0].stiffness_n_per_m == pytest.approx(0.05 * 1514.8507)
     with pytest.raises(ValueError, match="above 0"):
         parse_effect("brace_stiffness:story 2:stiffness_n_per_m=-1")
+
+
+def test_the_effect_brings_its_own_words(monkeypatch: pytest.MonkeyPatch, frame_text: str, tmp_path: Path) -> None:
+    monkeypatch.setitem(EFFECTS, "brace_stiffness", BraceStiffness)
+    (tmp_path / "s.toml").write_text(frame_text)
+    known = prior_from_drawing(configuration.load(tmp_path / "s.toml").model(), np.full(6, 0.1), 3)
+    sizes = {"stiffness_n_per_m": {"value": 300.0, "std": 5.0}}
+    told = in_words("brace_stiffness", "story 2", sizes, known)
+    assert told == "a brace of 300 ± 10 N/m stiffens story 2"
+    rivals = [
+        {"effect": "brace_stiffness", "location": "story 2"},
+        {"effect": "stiffness_change", "location": "story 2"},
+    ]
+    assert separating_measurement(rivals) == BraceStiffness.separating_measurement
+    plain = super(BraceStiffness, BraceStiffness).sentence(FittedSizes("story 2", sizes, known.model.structure, ""))
+    assert plain == "brace stiffness at story 2, stiffness 300 ± 10 N/m", "what an effect without words gets"
 
 
 def test_the_structure_is_a_cantilever(tmp_path: Path, main: Cli) -> None:

@@ -18,10 +18,10 @@ from monitor.diagnosis.files import content as content_of
 from monitor.diagnosis.initial_fit import fit_linearized
 from monitor.diagnosis.score_test import fit_best
 from monitor.diagnosis.stepwise_selection import Cause, Diagnosis, DiagnosisSettings, diagnose
-from monitor.diagnosis.wording import in_words, interval, separating_measurement
+from monitor.diagnosis.wording import in_words, separating_measurement
 from monitor.inference.observed_spectra import classify
 from monitor.inference.segments import Segments, gather
-from monitor.model.effects import EFFECTS, FORMS, Context, Effect, parse_effect
+from monitor.model.effects import EFFECTS, FORMS, Context, Effect, interval, parse_effect
 from monitor.model.prior import prior_from_drawing
 from monitor.model.simulation import simulate
 from monitor.publish.reports.charts import decades, ticks

@@ -12,6 +12,7 @@ import numpy as np
 from monitor.core import Array
 from monitor.model.effects.base import Condition, Context, Effect
 from monitor.model.effects.parameter import Parameter
+from monitor.model.effects.report_face import FittedSizes
 from monitor.model.structures import Structure
 
 _SIGNATURE = "frequencies fall in the pattern of one floor (of the frame: all alike, as a uniform loss of stiffness)"
@@ -26,6 +27,7 @@ class AddedMass(Effect):
     places: ClassVar[tuple[str, ...]] = ("floor", "frame")
     parameters: ClassVar[tuple[Parameter, ...]] = (Parameter("mass_kg", 0.0, inf, absent=0.0),)
     signature: ClassVar[str] = _SIGNATURE
+    separating_measurement: ClassVar[str] = "weigh what stands on the floors, or add a known mass and record again"
 
     mass_kg: float
 
@@ -49,6 +51,14 @@ class AddedMass(Effect):
         mass = float(context.structure.masses_kg[start.index])
         return tuple(cls(location, share * mass) for share in (0.003, 0.02, 0.1))
 
+    @classmethod
+    def sentence(cls, fitted: FittedSizes) -> str:
+        """See `Effect.sentence`."""
+        if fitted.location == "frame":
+            return AddedMassEverywhere.sentence(fitted)
+        share = fitted.share_of_floor_mass("mass_kg")
+        return f"{fitted.location} carries {fitted.interval('mass_kg')} more than {fitted.source}{share}"
+
 
 @dataclass(frozen=True)
 class AddedMassEverywhere(Effect):
@@ -65,3 +75,8 @@ class AddedMassEverywhere(Effect):
     def structural(self, mass: Array, stiffness: Array, structure: Structure) -> tuple[Array, Array]:
         """See `Effect.structural`."""
         return mass * (1.0 + self.relative), stiffness
+
+    @classmethod
+    def sentence(cls, fitted: FittedSizes) -> str:
+        """See `Effect.sentence`."""
+        return f"all floors are {fitted.percent('relative')} heavier than {fitted.source}"

@@ -11,6 +11,7 @@ from scipy.fft import irfft, next_fast_len, rfft
 from monitor.core import Array
 from monitor.model.effects.base import Condition, Context, Effect
 from monitor.model.effects.parameter import Parameter
+from monitor.model.effects.report_face import FittedSizes
 
 _KNOTS_HZ = 2.0 ** (0.5 * np.arange(-4, 12))
 """Half octaves, from 0.25 to 45 Hz."""
@@ -91,3 +92,10 @@ class AmbientForces(Effect):
         std = np.full(len(self.parameters), _STEEP)
         std[0] = _COMMON
         return np.zeros(std.size), std**-2.0
+
+    @classmethod
+    def sentence(cls, fitted: FittedSizes) -> str:
+        """See `Effect.sentence`."""
+        is_common = fitted.value("common_share") > 2.0 * fitted.std("common_share")
+        together = f", and {fitted.percent('common_share')} of it pushes all floors at once" if is_common else ""
+        return f"the excitation is not white, but of a smooth spectrum{together}"

@@ -11,6 +11,7 @@ import numpy as np
 from monitor.core import Array
 from monitor.model.effects.base import Condition, Context, Effect, System
 from monitor.model.effects.parameter import Parameter
+from monitor.model.effects.report_face import FittedSizes
 
 _DAMPING, _LN_DAMPING_STD = 0.03, 0.8
 
@@ -29,6 +30,9 @@ class AttachedOscillator(Effect):
     )
     signature: ClassVar[str] = (
         "one pole more, near a mode as two peaks in one place of the spectrum, with normal kurtosis"
+    )
+    separating_measurement: ClassVar[str] = (
+        "put an accelerometer on what hangs on the floor, or hold it and record again"
     )
 
     mass_kg: float
@@ -65,3 +69,10 @@ class AttachedOscillator(Effect):
         j = int(location.partition(" ")[2]) - 1
         mass = 0.03 * float(context.structure.masses_kg[j])
         return tuple(cls(location, mass, float(hz), 0.03) for hz in np.geomspace(6.0, 25.0, 16))
+
+    @classmethod
+    def sentence(cls, fitted: FittedSizes) -> str:
+        """See `Effect.sentence`."""
+        mass = f"{fitted.interval('mass_kg')}{fitted.share_of_floor_mass('mass_kg')}"
+        swings = f"swings by itself at {fitted.interval('frequency_hz')} with {fitted.percent('damping_ratio')} damping"
+        return f"something of {mass} on {fitted.location} {swings}"

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from monitor.core import Array, ComplexArray
 from monitor.model.effects.parameter import Parameter
+from monitor.model.effects.report_face import ReportFace
 from monitor.model.structures import Structure
 
 
@@ -152,7 +153,7 @@ class Law:
 
 
 @dataclass(frozen=True)
-class Effect(ABC):
+class Effect(ReportFace, ABC):
     """A term that the drawing leaves out.  Subclasses add one float field a parameter, in `parameters`' order."""
 
     name: ClassVar[str]
@@ -160,8 +161,6 @@ class Effect(ABC):
     places: ClassVar[tuple[str, ...]]
     """Kinds of place: ``story``, ``floor``, ``channel``, ``channels`` (a pair), ``base``, ``frame``."""
     parameters: ClassVar[tuple[Parameter, ...]]
-    signature: ClassVar[str]
-    """How it shows in the accelerations, in one sentence."""
     conditional: ClassVar[bool] = False
     """Whether its spectral face depends on the condition."""
     nonlinear: ClassVar[bool] = False

@@ -7,6 +7,7 @@ from typing import ClassVar, Literal, Self
 
 from monitor.model.effects.base import Condition, Context, Effect
 from monitor.model.effects.parameter import Parameter
+from monitor.model.effects.report_face import FittedSizes
 
 
 @dataclass(frozen=True)
@@ -18,6 +19,7 @@ class BaseExcitation(Effect):
     places: ClassVar[tuple[str, ...]] = ("base",)
     parameters: ClassVar[tuple[Parameter, ...]] = (Parameter("share", 0.0, 1.0, absent=0.0),)
     signature: ClassVar[str] = "one common input: coherent channels, each with the ground's own motion in it"
+    separating_measurement: ClassVar[str] = "put an accelerometer on the ground"
 
     conditional: ClassVar[bool] = True
     form_doubt: ClassVar[tuple[float, ...]] = (0.03,)  # how far up the ground's motion, or the forces', is white
@@ -34,3 +36,8 @@ class BaseExcitation(Effect):
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
         """See `Effect.starts`."""
         return (cls(location, 0.2),)
+
+    @classmethod
+    def sentence(cls, fitted: FittedSizes) -> str:
+        """See `Effect.sentence`."""
+        return f"the ground moves: it causes {fitted.percent('share')} of the acceleration's variance"

@@ -11,6 +11,7 @@ import numpy as np
 from monitor.core import Array
 from monitor.model.effects.base import Condition, Context, Effect, EffectError
 from monitor.model.effects.parameter import Parameter
+from monitor.model.effects.report_face import FittedSizes
 from monitor.model.structures import ShearFrame, Structure
 
 
@@ -26,6 +27,9 @@ class BaseFlexibility(Effect):
     places: ClassVar[tuple[str, ...]] = ("base",)
     parameters: ClassVar[tuple[Parameter, ...]] = (Parameter("stiffness_n_per_m", 0.0, inf, "inverse", inf),)
     signature: ClassVar[str] = "as a loss of stiffness in the lowest story, exactly"
+    separating_measurement: ClassVar[str] = (
+        "put an accelerometer on the ground or footing: a soft base lets the footing move"
+    )
 
     stiffness_n_per_m: float
 
@@ -46,3 +50,11 @@ class BaseFlexibility(Effect):
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
         """See `Effect.starts`."""
         return (cls(location, 20.0 * float(context.structure.stiffness_n_per_m[-1])),)
+
+    @classmethod
+    def sentence(cls, fitted: FittedSizes) -> str:
+        """See `Effect.sentence`."""
+        lowest = fitted.structure.stiffness_n_per_m[-1]
+        lost = 100.0 * lowest / (lowest + fitted.value("stiffness_n_per_m"))
+        spring = fitted.interval("stiffness_n_per_m")
+        return f"the base gives way like a spring of {spring}, which takes {lost:.1f} % from the lowest story"

@@ -8,6 +8,7 @@ from typing import ClassVar, Literal, Self
 from monitor.model.effects.base import Condition, Context, Effect, Law, LawKind, System
 from monitor.model.effects.gap_contact import mean_contact
 from monitor.model.effects.parameter import Parameter
+from monitor.model.effects.report_face import FittedSizes
 from monitor.model.structures import Structure
 
 
@@ -24,6 +25,9 @@ class BilinearStiffness(Effect):
     parameters: ClassVar[tuple[Parameter, ...]] = (Parameter("relative_drop", 0.0, 1.0, absent=0.0),)
     signature: ClassVar[str] = (
         "half the frequency drop of an open crack, the same at every level, with a skewed drift and second harmonics"
+    )
+    separating_measurement: ClassVar[str] = (
+        "push the story both ways with a known force: an open crack is softer one way"
     )
     nonlinear: ClassVar[bool] = True
     amplitude_powers: ClassVar[tuple[float, ...]] = (0.0,)
@@ -46,3 +50,9 @@ class BilinearStiffness(Effect):
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
         """See `Effect.starts`."""
         return (cls(location, 0.05),)
+
+    @classmethod
+    def sentence(cls, fitted: FittedSizes) -> str:
+        """See `Effect.sentence`."""
+        drop = fitted.percent("relative_drop")
+        return f"{fitted.location} is {drop} softer for positive drift than for negative"

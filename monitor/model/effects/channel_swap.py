@@ -10,6 +10,7 @@ import numpy as np
 from monitor.core import Array, ComplexArray
 from monitor.model.effects.base import Condition, Context, Effect, EffectError
 from monitor.model.effects.parameter import Parameter
+from monitor.model.effects.report_face import FittedSizes
 from monitor.model.structures import Structure
 
 
@@ -23,6 +24,7 @@ class ChannelSwap(Effect):
     places: ClassVar[tuple[str, ...]] = ("channels",)
     parameters: ClassVar[tuple[Parameter, ...]] = ()
     signature: ClassVar[str] = "two channels change places in all shapes, frequencies untouched"
+    separating_measurement: ClassVar[str] = "tap on one floor and see which channel answers first"
 
     def check(self, structure: Structure, channels: tuple[str, ...]) -> None:
         """See `Effect.check`."""
@@ -50,3 +52,8 @@ class ChannelSwap(Effect):
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
         """See `Effect.starts`."""
         return (cls(location),)
+
+    @classmethod
+    def sentence(cls, fitted: FittedSizes) -> str:
+        """See `Effect.sentence`."""
+        return f"channels {fitted.place_name.replace(',', ' and ')} are swapped"

@@ -7,6 +7,7 @@ from typing import ClassVar, Literal, Self
 
 from monitor.model.effects.base import Condition, Context, Effect
 from monitor.model.effects.parameter import Parameter
+from monitor.model.effects.report_face import FittedSizes
 
 
 @dataclass(frozen=True)
@@ -18,6 +19,9 @@ class ClockRate(Effect):
     places: ClassVar[tuple[str, ...]] = ("frame",)
     parameters: ClassVar[tuple[Parameter, ...]] = (Parameter("relative", -0.5, 1.0, absent=0.0),)
     signature: ClassVar[str] = "every frequency by the same factor, shapes and damping ratios untouched"
+    separating_measurement: ClassVar[str] = (
+        "compare the sampling clock with a second clock, or with a line of known frequency such as the mains"
+    )
 
     relative: float
 
@@ -30,3 +34,9 @@ class ClockRate(Effect):
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
         """See `Effect.starts`."""
         return tuple(cls(location, r) for r in (1e-3, 6e-3, -6e-3, 1.5e-2, -1.5e-2))
+
+    @classmethod
+    def sentence(cls, fitted: FittedSizes) -> str:
+        """See `Effect.sentence`."""
+        trend = "faster" if fitted.value("relative") > 0 else "slower"
+        return f"the sampling clock runs {fitted.percent('relative')} {trend} than its nominal rate"

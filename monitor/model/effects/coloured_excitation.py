@@ -11,6 +11,7 @@ import numpy as np
 from monitor.core import Array
 from monitor.model.effects.base import Condition, Context, Effect
 from monitor.model.effects.parameter import Parameter
+from monitor.model.effects.report_face import FittedSizes
 
 
 @dataclass(frozen=True)
@@ -26,6 +27,9 @@ class ColouredExcitation(Effect):
     places: ClassVar[tuple[str, ...]] = ("frame",)
     parameters: ClassVar[tuple[Parameter, ...]] = (Parameter("corner_hz", 0.0, inf, "inverse", inf),)
     signature: ClassVar[str] = "frequencies and shapes as they were, the whole spectrum tilted"
+    separating_measurement: ClassVar[str] = (
+        "record under another excitation, such as another wind or taps with a hammer"
+    )
 
     corner_hz: float
 
@@ -44,3 +48,8 @@ class ColouredExcitation(Effect):
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
         """See `Effect.starts`."""
         return tuple(cls(location, hz) for hz in (4.0, 8.0, 16.0))
+
+    @classmethod
+    def sentence(cls, fitted: FittedSizes) -> str:
+        """See `Effect.sentence`."""
+        return f"the excitation is not white: its power falls off above {fitted.interval('corner_hz')}"

@@ -10,6 +10,7 @@ import numpy as np
 
 from monitor.model.effects.base import Condition, Context, Effect, Law, LawKind, System
 from monitor.model.effects.parameter import Parameter
+from monitor.model.effects.report_face import FittedSizes
 from monitor.model.structures import Structure
 
 _STICK = 8.0
@@ -29,6 +30,9 @@ class CoulombFriction(Effect):
     places: ClassVar[tuple[str, ...]] = ("story",)
     parameters: ClassVar[tuple[Parameter, ...]] = (Parameter("friction_force_n", 0.0, inf, absent=0.0),)
     signature: ClassVar[str] = "damping falls with the level, frequencies hardly move"
+    separating_measurement: ClassVar[str] = (
+        "record at vibration levels a factor of three apart: friction loses weight as the level grows"
+    )
     conditional: ClassVar[bool] = True
     nonlinear: ClassVar[bool] = True
     amplitude_powers: ClassVar[tuple[float, ...]] = (-1.0,)
@@ -56,3 +60,8 @@ class CoulombFriction(Effect):
         """See `Effect.starts`."""
         j = int(location.partition(" ")[2]) - 1
         return (cls(location, 0.03 * float(context.structure.stiffness_n_per_m[j] * condition.drift_m[j])),)
+
+    @classmethod
+    def sentence(cls, fitted: FittedSizes) -> str:
+        """See `Effect.sentence`."""
+        return f"{fitted.location} rubs: dry friction of {fitted.interval('friction_force_n')}"

@@ -10,6 +10,7 @@ import numpy as np
 
 from monitor.model.effects.base import Condition, Context, Effect, Law, LawKind, System
 from monitor.model.effects.parameter import Parameter
+from monitor.model.effects.report_face import FittedSizes
 from monitor.model.structures import Structure
 
 _NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(40)
@@ -31,6 +32,9 @@ class CubicStiffness(Effect):
     places: ClassVar[tuple[str, ...]] = ("story",)
     parameters: ClassVar[tuple[Parameter, ...]] = (Parameter("k3_n_per_m3", -inf, inf, absent=0.0),)
     signature: ClassVar[str] = "frequencies rise (fall) with the level, damping does not, the drift is not skewed"
+    separating_measurement: ClassVar[str] = (
+        "record at a vibration level two or three times as high, with a displacement sensor across the story"
+    )
     conditional: ClassVar[bool] = True
     nonlinear: ClassVar[bool] = True
     amplitude_powers: ClassVar[tuple[float, ...]] = (2.0,)
@@ -63,3 +67,9 @@ class CubicStiffness(Effect):
         j = int(location.partition(" ")[2]) - 1
         k, s = float(context.structure.stiffness_n_per_m[j]), float(condition.drift_m[j])
         return tuple(cls(location, size * k / (3.0 * s**2)) for size in (0.03, 0.1, -0.03, -0.08))
+
+    @classmethod
+    def sentence(cls, fitted: FittedSizes) -> str:
+        """See `Effect.sentence`."""
+        trend = "softens" if fitted.value("k3_n_per_m3") < 0 else "hardens"
+        return f"{fitted.location} {trend} as its drift grows: cubic stiffness {fitted.interval('k3_n_per_m3')}"

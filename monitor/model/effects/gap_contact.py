@@ -8,6 +8,7 @@ from typing import ClassVar, Literal, Self
 
 from monitor.model.effects.base import Condition, Context, Effect, Law, LawKind, System
 from monitor.model.effects.parameter import Parameter
+from monitor.model.effects.report_face import FittedSizes
 from monitor.model.structures import Structure
 
 
@@ -27,6 +28,9 @@ class GapContact(Effect):
     )
     signature: ClassVar[str] = (
         "stiffer above a level only, the drift skewed, bursts of high frequency on two neighbours"
+    )
+    separating_measurement: ClassVar[str] = (
+        "read the story's drift with a displacement sensor: a stop lets one sign go less far than the other"
     )
     conditional: ClassVar[bool] = True
     nonlinear: ClassVar[bool] = True
@@ -59,6 +63,14 @@ class GapContact(Effect):
         j = int(location.partition(" ")[2]) - 1
         k, s = float(context.structure.stiffness_n_per_m[j]), float(condition.drift_m[j])
         return tuple(cls(location, gap * s, 0.5 * k) for gap in (1.2, 1.7, 2.2, -1.2, -1.7, -2.2))
+
+    @classmethod
+    def sentence(cls, fitted: FittedSizes) -> str:
+        """See `Effect.sentence`."""
+        sign = "positive" if fitted.value("gap_m") > 0 else "negative"
+        gap = fitted.magnitude("gap_m", 1e3, "mm")
+        worth = fitted.interval("contact_stiffness_n_per_m")
+        return f"{fitted.location} meets a stop after {gap} of {sign} drift, worth {worth}"
 
 
 def mean_contact(stiffness: float, contact: float, gap: float) -> float:

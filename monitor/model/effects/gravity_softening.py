@@ -11,6 +11,7 @@ import numpy as np
 from monitor.core import Array
 from monitor.model.effects.base import Condition, Context, Effect, EffectError
 from monitor.model.effects.parameter import Parameter
+from monitor.model.effects.report_face import FittedSizes
 from monitor.model.structures import Structure
 
 _GRAVITY_M_S2 = 9.80665
@@ -29,6 +30,9 @@ class GravitySoftening(Effect):
     parameters: ClassVar[tuple[Parameter, ...]] = (Parameter("factor", 0.0, inf, absent=0.0),)
     signature: ClassVar[str] = (
         "all frequencies lower, the first most, at every level: a fixed pattern of losses, growing downwards"
+    )
+    separating_measurement: ClassVar[str] = (
+        "work out the weight above every story over its height: theory fixes the size of this effect"
     )
 
     factor: float
@@ -49,3 +53,9 @@ class GravitySoftening(Effect):
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
         """See `Effect.starts`."""
         return (cls(location, 0.6),)
+
+    @classmethod
+    def sentence(cls, fitted: FittedSizes) -> str:
+        """See `Effect.sentence`."""
+        times = f"{fitted.interval('factor')} times weight over height"
+        return f"weight softens the stories by {times} (theory: 1.2, clamped columns)"

@@ -11,6 +11,7 @@ import numpy as np
 from monitor.core import Array
 from monitor.model.effects.base import Condition, Context, Effect, Line
 from monitor.model.effects.parameter import Parameter
+from monitor.model.effects.report_face import FittedSizes
 
 
 @dataclass(frozen=True)
@@ -29,6 +30,7 @@ class HarmonicExcitation(Effect):
     signature: ClassVar[str] = (
         "a line at one frequency on every channel, narrower than any mode, with a narrow-band kurtosis of 1.5"
     )
+    separating_measurement: ClassVar[str] = "switch off the machines nearby and record again"
 
     frequency_hz: float
     force_n: float
@@ -55,3 +57,9 @@ class HarmonicExcitation(Effect):
         """See `Effect.starts`."""
         grid = np.geomspace(6.0, 30.0, 8)
         return tuple(cls.at_frequency(location, float(hz), context, condition) for hz in grid)
+
+    @classmethod
+    def sentence(cls, fitted: FittedSizes) -> str:
+        """See `Effect.sentence`."""
+        line = f"{fitted.interval('frequency_hz')} with {fitted.interval('force_n')}"
+        return f"a machine drives {fitted.location} at {line}"

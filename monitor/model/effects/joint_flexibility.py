@@ -8,6 +8,7 @@ from typing import ClassVar, Literal, Self
 
 from monitor.model.effects.base import Condition, Context, Effect, EffectError
 from monitor.model.effects.parameter import Parameter
+from monitor.model.effects.report_face import FittedSizes
 from monitor.model.structures import ShearFrame, Structure
 
 
@@ -23,6 +24,7 @@ class JointFlexibility(Effect):
     places: ClassVar[tuple[str, ...]] = ("frame",)
     parameters: ClassVar[tuple[Parameter, ...]] = (Parameter("girder_to_column_ratio", 0.0, inf, "inverse", inf),)
     signature: ClassVar[str] = "frequency ratios above a uniform shear frame's, and shapes that no set of stories gives"
+    separating_measurement: ClassVar[str] = "measure the rotation of a joint with an inclinometer or a gyroscope"
 
     girder_to_column_ratio: float
     """(E I_g / L_g) / (E I_c / h), one girder and one column, E I_c / h the mean over stories."""
@@ -44,3 +46,9 @@ class JointFlexibility(Effect):
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
         """See `Effect.starts`."""
         return (cls(location, 50.0),)
+
+    @classmethod
+    def sentence(cls, fitted: FittedSizes) -> str:
+        """See `Effect.sentence`."""
+        ratio = fitted.interval("girder_to_column_ratio")
+        return f"the joints rotate: girders are {ratio} times as stiff as columns"

@@ -8,6 +8,7 @@ from typing import ClassVar, Literal, Self
 
 from monitor.model.effects.base import Condition, Context, Effect, Law, LawKind, System
 from monitor.model.effects.parameter import Parameter
+from monitor.model.effects.report_face import FittedSizes
 from monitor.model.structures import Structure
 
 
@@ -23,6 +24,9 @@ class QuadraticDamping(Effect):
     places: ClassVar[tuple[str, ...]] = ("floor",)
     parameters: ClassVar[tuple[Parameter, ...]] = (Parameter("coefficient_n_s2_per_m2", 0.0, inf, absent=0.0),)
     signature: ClassVar[str] = "damping rises with the level, frequencies stay"
+    separating_measurement: ClassVar[str] = (
+        "record at vibration levels a factor of three apart: drag gains weight as the level grows"
+    )
     conditional: ClassVar[bool] = True
     nonlinear: ClassVar[bool] = True
     amplitude_powers: ClassVar[tuple[float, ...]] = (1.0,)
@@ -47,3 +51,9 @@ class QuadraticDamping(Effect):
         stiffness = float(structure.stiffness_matrix()[j, j])
         own = 2.0 * structure.damping_ratio * sqrt(stiffness * float(structure.masses_kg[j]))
         return (cls(location, 0.5 * own / (sqrt(8.0 / pi) * float(condition.floor_velocity_m_s[j]))),)
+
+    @classmethod
+    def sentence(cls, fitted: FittedSizes) -> str:
+        """See `Effect.sentence`."""
+        drag = fitted.interval("coefficient_n_s2_per_m2")
+        return f"{fitted.location} feels a drag that grows as its velocity squared, {drag}"

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from monitor.core import Array, ComplexArray
 from monitor.model.effects.base import Condition, Context, Effect
 from monitor.model.effects.parameter import Parameter
+from monitor.model.effects.report_face import FittedSizes
 from monitor.model.effects.sensor_gain import on_channel
 
 _NEVER = 10.0
@@ -42,6 +43,7 @@ class SensorClipping(Effect):
     places: ClassVar[tuple[str, ...]] = ("channel",)
     parameters: ClassVar[tuple[Parameter, ...]] = (Parameter("limit_m_s2", 0.0, inf, "inverse", inf),)
     signature: ClassVar[str] = "one channel with flat tops, its kurtosis below 3"
+    separating_measurement: ClassVar[str] = "set the sensor to a wider range and record again"
     conditional: ClassVar[bool] = True
     nonlinear: ClassVar[bool] = True
 
@@ -90,6 +92,11 @@ class SensorClipping(Effect):
             return self.coordinates, np.zeros(1)
         peak = _of(condition.channel_peak_m_s2, j)
         return np.array([1.0 / peak]), np.array([(peak / _PILE_STD) ** 2])
+
+    @classmethod
+    def sentence(cls, fitted: FittedSizes) -> str:
+        """See `Effect.sentence`."""
+        return f"{fitted.location} is cut off at ± {fitted.interval('limit_m_s2')}"
 
 
 def _of(values: Array | NDArray[np.bool_], channel: int) -> float:

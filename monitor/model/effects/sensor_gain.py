@@ -11,6 +11,7 @@ import numpy as np
 from monitor.core import Array, ComplexArray
 from monitor.model.effects.base import Condition, Context, Effect
 from monitor.model.effects.parameter import Parameter
+from monitor.model.effects.report_face import FittedSizes
 
 
 @dataclass(frozen=True)
@@ -22,6 +23,9 @@ class SensorGain(Effect):
     places: ClassVar[tuple[str, ...]] = ("channel",)
     parameters: ClassVar[tuple[Parameter, ...]] = (Parameter("gain", 0.0, inf, "log", 1.0),)
     signature: ClassVar[str] = "one factor on one channel in all shapes, frequencies untouched"
+    separating_measurement: ClassVar[str] = (
+        "put two sensors side by side on one floor, or turn the sensor over and read twice gravity"
+    )
 
     gain: float
 
@@ -39,6 +43,12 @@ class SensorGain(Effect):
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
         """See `Effect.starts`."""
         return (cls(location, 1.02),)
+
+    @classmethod
+    def sentence(cls, fitted: FittedSizes) -> str:
+        """See `Effect.sentence`."""
+        trend = "too much" if fitted.value("gain") > 1 else "too little"
+        return f"{fitted.location} reads {fitted.percent('gain', above=1.0)} {trend}"
 
 
 def on_channel(factor: complex | ComplexArray, channel: int, context: Context) -> ComplexArray:

@@ -11,6 +11,7 @@ import numpy as np
 from monitor.core import Array
 from monitor.model.effects.base import Condition, Context, Effect
 from monitor.model.effects.parameter import Parameter
+from monitor.model.effects.report_face import FittedSizes
 
 
 @dataclass(frozen=True)
@@ -24,6 +25,7 @@ class SensorNoise(Effect):
     parameters: ClassVar[tuple[Parameter, ...]] = (Parameter("rms_m_s2", 0.0, inf, absent=0.0),)
     daily: ClassVar[tuple[float, ...]] = (0.2,)  # what is noise about a channel may follow its motion
     signature: ClassVar[str] = "a raised floor between the peaks of one channel, its coherence down"
+    separating_measurement: ClassVar[str] = "record the sensor on a block that stands still"
 
     rms_m_s2: float
     """At the source's rate."""
@@ -45,3 +47,8 @@ class SensorNoise(Effect):
         """See `Effect.starts`."""
         j = context.channels.index(location.partition(" ")[2])
         return (cls(location, 0.15 * float(condition.channel_m_s2[j])),)
+
+    @classmethod
+    def sentence(cls, fitted: FittedSizes) -> str:
+        """See `Effect.sentence`."""
+        return f"{fitted.location} has {fitted.interval('rms_m_s2')} RMS of noise beyond what all channels have"

@@ -10,6 +10,7 @@ import numpy as np
 from monitor.core import Array, ComplexArray
 from monitor.model.effects.base import Condition, Context, Effect
 from monitor.model.effects.parameter import Parameter
+from monitor.model.effects.report_face import FittedSizes
 from monitor.model.effects.sensor_gain import on_channel
 
 
@@ -23,6 +24,7 @@ class SensorPolarity(Effect):
     places: ClassVar[tuple[str, ...]] = ("channel",)
     parameters: ClassVar[tuple[Parameter, ...]] = ()
     signature: ClassVar[str] = "one channel upside down in all shapes, frequencies untouched"
+    separating_measurement: ClassVar[str] = "look at how the sensor is mounted, or tilt it and read gravity's sign"
 
     def response(self, hz: Array, context: Context, condition: Condition) -> ComplexArray | None:
         """See `Effect.response`."""
@@ -38,3 +40,8 @@ class SensorPolarity(Effect):
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
         """See `Effect.starts`."""
         return (cls(location),)
+
+    @classmethod
+    def sentence(cls, fitted: FittedSizes) -> str:
+        """See `Effect.sentence`."""
+        return f"{fitted.location} is upside down: its sign is reversed"

@@ -10,6 +10,7 @@ import numpy as np
 from monitor.core import Array
 from monitor.model.effects.base import Condition, Context, Effect
 from monitor.model.effects.parameter import Parameter
+from monitor.model.effects.report_face import FittedSizes
 from monitor.model.structures import Structure
 
 
@@ -42,3 +43,10 @@ class StiffnessChange(Effect):
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
         """See `Effect.starts`."""
         return tuple(cls(location, r) for r in (-0.003, -0.02, -0.08, 0.08, -0.14))
+
+    @classmethod
+    def sentence(cls, fitted: FittedSizes) -> str:
+        """See `Effect.sentence`."""
+        change = "softer" if fitted.value("relative") < 0 else "stiffer"
+        subject = "all stories are" if fitted.location == "frame" else f"{fitted.location} is"
+        return f"{subject} {fitted.percent('relative')} {change} than {fitted.source}"

@@ -8,6 +8,7 @@ from typing import ClassVar, Literal, Self
 
 from monitor.model.effects.base import Condition, Context, Effect, System
 from monitor.model.effects.parameter import Parameter
+from monitor.model.effects.report_face import FittedSizes
 
 
 @dataclass(frozen=True)
@@ -19,6 +20,9 @@ class StoryDamper(Effect):
     places: ClassVar[tuple[str, ...]] = ("story",)
     parameters: ClassVar[tuple[Parameter, ...]] = (Parameter("damping_n_s_per_m", 0.0, inf, absent=0.0),)
     signature: ClassVar[str] = "damping up in the modes that move this story, complex shapes, equal at every level"
+    separating_measurement: ClassVar[str] = (
+        "record at vibration levels a factor of three apart: a viscous damper acts alike at all of them"
+    )
 
     damping_n_s_per_m: float
 
@@ -30,3 +34,8 @@ class StoryDamper(Effect):
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
         """See `Effect.starts`."""
         return (cls(location, 0.1),)
+
+    @classmethod
+    def sentence(cls, fitted: FittedSizes) -> str:
+        """See `Effect.sentence`."""
+        return f"{fitted.location} has {fitted.interval('damping_n_s_per_m')} more damping than {fitted.source}"

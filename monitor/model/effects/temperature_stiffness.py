@@ -11,6 +11,7 @@ import numpy as np
 from monitor.core import Array
 from monitor.model.effects.base import Condition, Context, Effect, System
 from monitor.model.effects.parameter import Parameter
+from monitor.model.effects.report_face import FittedSizes
 
 
 @dataclass(frozen=True)
@@ -29,6 +30,9 @@ class TemperatureStiffness(Effect):
     )
     signature: ClassVar[str] = (
         "all frequencies by the same factor, shapes untouched, following the temperature, equal at every level"
+    )
+    separating_measurement: ClassVar[str] = (
+        "record the temperature along with the acceleration, through a warm and a cold spell"
     )
     conditional: ClassVar[bool] = True
 
@@ -55,3 +59,10 @@ class TemperatureStiffness(Effect):
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
         """See `Effect.starts`."""
         return cls(location, 1e-3, 0.0), cls(location, 1e-3, 600.0)
+
+    @classmethod
+    def sentence(cls, fitted: FittedSizes) -> str:
+        """See `Effect.sentence`."""
+        trend = "loses" if fitted.value("per_degc") < 0 else "gains"
+        late = f", {fitted.interval('lag_s')} late" if fitted.value("lag_s") > 0 else ""
+        return f"the frame {trend} {fitted.percent('per_degc')} of its stiffness per K of warming{late}"

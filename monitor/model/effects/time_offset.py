@@ -12,6 +12,7 @@ from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 from monitor.core import Array, ComplexArray
 from monitor.model.effects.base import Condition, Context, Effect
 from monitor.model.effects.parameter import Parameter
+from monitor.model.effects.report_face import FittedSizes
 from monitor.model.effects.sensor_gain import on_channel
 
 _PAD_N = 1024
@@ -27,6 +28,7 @@ class TimeOffset(Effect):
     places: ClassVar[tuple[str, ...]] = ("channel",)
     parameters: ClassVar[tuple[Parameter, ...]] = (Parameter("seconds", -1.0, 1.0, absent=0.0),)
     signature: ClassVar[str] = "the phase of one channel falls in proportion to the frequency"
+    separating_measurement: ClassVar[str] = "give all channels one pulse at once, or put two sensors side by side"
 
     seconds: float
 
@@ -49,3 +51,9 @@ class TimeOffset(Effect):
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
         """See `Effect.starts`."""
         return tuple(cls(location, s) for s in (0.5e-3, 1.5e-3, -1.5e-3, 3e-3, -3e-3, 4.5e-3, -4.5e-3))
+
+    @classmethod
+    def sentence(cls, fitted: FittedSizes) -> str:
+        """See `Effect.sentence`."""
+        trend = "late" if fitted.value("seconds") > 0 else "early"
+        return f"{fitted.location} comes {fitted.magnitude('seconds', 1e3, 'ms')} {trend}"

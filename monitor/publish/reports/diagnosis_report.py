@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from monitor.core import Array, write_atomically
-from monitor.diagnosis import Diagnosis, headline, in_words, interval, separating_measurement, unit
+from monitor.diagnosis import Diagnosis, headline, in_words, separating_measurement
 from monitor.inference import Segments
-from monitor.model import FORMS, AmbientForces
+from monitor.model import FORMS, AmbientForces, interval, unit
 from monitor.publish.reports import charts
 from monitor.publish.reports.charts import Axes, svg
 from monitor.publish.reports.comparison import Comparison, LevelDependence, compare, level_dependence
