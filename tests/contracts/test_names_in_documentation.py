@@ -21,7 +21,7 @@ _PATH = re.compile(r"(?<![\w./-])(?:monitor|drivers|tests|deploy)/[\w./<>-]*")
 _DOTTED = re.compile(r"(?<![\w./-])(?:monitor|drivers)\.[\w.]*\w")
 _IN_ROOM = re.compile(rf"(?<![\w./-])(?:{'|'.join([*ROOMS, 'pipeline'])})\.[a-z_A-Z][\w.]*\w")
 _CLASS = re.compile(r"`([A-Z][a-z]+[A-Za-z]*[a-z](?:\.[a-z_]+)?)(?:\([\w, ]*\))?`")
-_SUFFIXES = (".py", ".toml", ".json", ".md", ".html", ".mcap")
+_SUFFIXES = (".py", ".toml", ".json", ".md", ".html", ".mcap", ".rrd")
 
 
 def resolve(name: str) -> None:
