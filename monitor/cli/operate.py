@@ -131,12 +131,12 @@ def _over_zenoh(file: Path, settings: Configuration, request: str) -> str:
 
 def _by_file(out: Path, request: Request) -> tuple[bool, str]:
     """Whether it was applied yet, and that in words."""
+    from monitor.service import leave_request
     from monitor.service import status as reader
-    from monitor.service.outlets import inbox
 
     reader.demand_state(out)
     try:
-        place = inbox.ask(out / "state" / "requests", request)
+        place = leave_request(out / "state" / "requests", request)
     except OSError as error:
         raise MissingInputError(f"{out / 'state' / 'requests'}: cannot be written: {error.strerror}") from error
     deadline = time.monotonic() + _WAIT_S

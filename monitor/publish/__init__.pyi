@@ -8,7 +8,7 @@ from .results.summary import Episode, Quality, Summary
 from .viewer.diagnosis_view import write_view
 from .viewer.publisher import RerunPublisher
 from .viewer.queue import Output
-from .viewer.scene import Scene, make_scene, utc
+from .viewer.scene import make_scene, utc
 
 __all__ = [
     "LINE_SCHEMA",
@@ -19,7 +19,6 @@ __all__ = [
     "Publisher",
     "Quality",
     "RerunPublisher",
-    "Scene",
     "Summary",
     "alarm_line",
     "make_scene",

@@ -1,6 +1,7 @@
 from . import export, fleet, logs, outlets, status
 from .daemon import Daemon
 from .fleet_view import FleetView, text
+from .outlets.inbox import leave_request
 from .outlets.zenoh import ZenohOutSettings, ask, key_prefix
 from .requests import Request
 
@@ -13,6 +14,7 @@ __all__ = [
     "export",
     "fleet",
     "key_prefix",
+    "leave_request",
     "logs",
     "outlets",
     "status",

@@ -247,7 +247,7 @@ def test_what_diagnoses_were_begun_with_needs_a_restart(tmp_path: Path, frame_te
 
 def test_files_that_are_no_requests_are_removed_unread(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     folder, box = tmp_path / "requests", Inbox(tmp_path / "requests")
-    inbox.ask(folder, Request(action="reset", story=1, who="ann"))
+    inbox.leave_request(folder, Request(action="reset", story=1, who="ann"))
     secret = tmp_path / "secret"
     secret.write_text('{"action": "reset", "story": 1, "who": "mallory"}')
     (folder / "1.json").symlink_to(secret)
@@ -270,9 +270,9 @@ def test_a_request_that_cannot_be_removed_is_applied_once(
     box = Inbox(tmp_path / "requests")
     monkeypatch.setattr(inbox, "_EVERY_S", 0.0)
     monkeypatch.setattr(Path, "unlink", refused)
-    inbox.ask(tmp_path / "requests", Request(action="reset", story=1, who="ann"))
+    inbox.leave_request(tmp_path / "requests", Request(action="reset", story=1, who="ann"))
     assert [len(box.take_requests()) for _ in range(4)] == [1, 0, 0, 0]
-    inbox.ask(tmp_path / "requests", Request(action="reset", story=2, who="ann"))
+    inbox.leave_request(tmp_path / "requests", Request(action="reset", story=2, who="ann"))
     assert [[r.story for r in box.take_requests()] for _ in range(3)] == [[2], [], []]
     assert caplog.text.count("cannot be removed") == 2
 
@@ -284,7 +284,7 @@ def test_what_root_asks_belongs_to_the_daemon(tmp_path: Path) -> None:
     os.chown(state, 12345, 12346)
     before = os.umask(0o077)
     try:
-        place = inbox.ask(state / "requests", Request(action="reset", story=1, who="ann"))
+        place = inbox.leave_request(state / "requests", Request(action="reset", story=1, who="ann"))
     finally:
         os.umask(before)
     for path in (place.parent, place):

@@ -64,7 +64,7 @@ class Inbox(Outlet):
         self.take_requests()
 
 
-def ask(folder: Path, request: Request) -> Path:
+def leave_request(folder: Path, request: Request) -> Path:
     """Put a request into the folder; the file is gone when it was applied.
 
     Raises ``OSError`` if it cannot be written.

@@ -1,0 +1,111 @@
+"""Rooms use each other by their faces only: what a room's ``__init__.pyi`` exports, no more and no less."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import inspect
+from functools import cache
+from pathlib import Path
+from types import FunctionType
+
+import pytest
+
+PACKAGE = Path(__file__).parents[2] / "monitor"
+SOURCES = sorted([*PACKAGE.rglob("*.py"), *PACKAGE.rglob("*.pyi")])
+STUBS = {path.parent.name: path for path in sorted(PACKAGE.glob("*/__init__.pyi"))}
+WITHOUT_STUB = {"cli": {"main"}, "pipeline": None}
+"""What else may be imported from: the command line's entry, and the pipeline, which is one module and has no face."""
+
+Import = tuple[str, str]
+"""Module and name."""
+
+
+@cache
+def imports(path: Path) -> list[Import]:
+    """List the names of this package that a file imports, with relative modules written out."""
+    package = ("monitor", *path.relative_to(PACKAGE).parent.parts)
+    found: list[Import] = []
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found += [(alias.name, "") for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            above = ".".join(package[: len(package) + 1 - node.level]) if node.level else ""
+            module = ".".join(part for part in (above, node.module) if part)
+            found += [(module, alias.name) for alias in node.names]
+    return [(module, name) for module, name in found if module.partition(".")[0] == "monitor"]
+
+
+def room_of(path: Path) -> str:
+    return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+
+
+@cache
+def exported(room: str) -> list[str]:
+    """List a face's ``__all__`` as its stub spells it."""
+    for node in ast.parse(STUBS[room].read_text(encoding="utf-8")).body:
+        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "__all__":
+            names: list[str] = ast.literal_eval(node.value)
+            return names
+    raise AssertionError(f"{STUBS[room]} has no __all__")
+
+
+def from_elsewhere(path: Path) -> list[Import]:
+    """List a file's imports from other rooms."""
+    return [
+        (module, name)
+        for module, name in imports(path)
+        if module != "monitor" and module.split(".")[1] != room_of(path)
+    ]
+
+
+def beside_the_face(module: str, name: str) -> bool:
+    room = module.removeprefix("monitor.")
+    if room in STUBS:
+        return name not in exported(room)
+    names = WITHOUT_STUB.get(room, set())
+    return names is not None and name not in names
+
+
+def test_every_room_has_a_face() -> None:
+    rooms = {path.parent.name for path in PACKAGE.glob("*/__init__.py")}
+    assert rooms == set(STUBS) | {"cli"}
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda p: str(p.relative_to(PACKAGE)))
+def test_other_rooms_are_used_by_their_faces(path: Path) -> None:
+    assert not [f"{module}: {name}" for module, name in from_elsewhere(path) if beside_the_face(module, name)]
+    assert {name for module, name in imports(path) if module == "monitor"} <= {"__version__"}
+
+
+@pytest.mark.parametrize("room", STUBS)
+def test_a_face_is_what_its_stub_says(room: str) -> None:
+    names = exported(room)
+    module = importlib.import_module(f"monitor.{room}")
+    assert len(set(names)) == len(names)
+    assert sorted(name for _, name in imports(STUBS[room])) == sorted(names)
+    assert sorted(module.__all__) == sorted(names)
+    for source, name in imports(STUBS[room]):
+        assert source == f"monitor.{room}" or source.startswith(f"monitor.{room}."), f"{name} is another room's"
+        defined = importlib.import_module(f"{source}.{name}") if source == f"monitor.{room}" else None
+        found = getattr(module, name)
+        assert found is (defined or getattr(importlib.import_module(source), name))
+
+
+@pytest.mark.parametrize("room", STUBS)
+def test_functions_of_a_face_are_typed(room: str) -> None:
+    module = importlib.import_module(f"monitor.{room}")
+    for name in exported(room):
+        function = getattr(module, name)
+        if isinstance(function, FunctionType):
+            signature = inspect.signature(function)
+            kinds = [signature.return_annotation, *(p.annotation for p in signature.parameters.values())]
+            assert inspect.Signature.empty not in kinds, name
+
+
+def test_a_face_has_nothing_that_no_other_room_uses() -> None:
+    used = {found for path in SOURCES for found in from_elsewhere(path)}
+    idle = [
+        f"monitor.{room}: {name}" for room in STUBS for name in exported(room) if (f"monitor.{room}", name) not in used
+    ]
+    assert not idle
