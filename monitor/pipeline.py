@@ -22,7 +22,6 @@ from monitor.core import (
 )
 from monitor.damage import Baseline, alarm, damage_index
 from monitor.identification import expected_modes, identify, refine, sensor_correction, tracking
-from monitor.model import Context
 from monitor.signals import (
     Conditioner,
     ConditionState,
@@ -82,13 +81,15 @@ class Pipeline:
     def __init__(self, config: Configuration, baseline: Baseline | None = None) -> None:
         self.config = config
         self.baseline = baseline
-        self.reference = config.model() if baseline is None else baseline.model
+        nominal = config.instrumented()
+        instrumented = nominal if baseline is None else replace(nominal, model=baseline.model)
+        self.reference = instrumented.model
         self.reference_modes = self.reference.modes()
-        self.sensors = config.sensor_matrix()
-        self.acquisition = tuple(e for e in config.model().effects if e.family == "sensor")
-        self.context = Context(self.reference.structure, config.channels, self.sensors, config.processing.rate_hz)
+        self.sensors = instrumented.sensor_matrix
+        self.acquisition = tuple(e for e in nominal.model.effects if e.family == "sensor")
+        self.context = instrumented.context(config.processing.rate_hz)
         self.shown = sensor_correction.seen_by_sensors(self.acquisition, self.context)
-        self.prior_std = config.prior_std()[: self.reference.structure.n_stories]
+        self.prior_std = instrumented.stiffness_prior_std
         names = config.identification.reference_channels or config.channels
         self.past = tuple(config.channels.index(name) for name in names)
         alarms = alarm.start(self.reference.structure.n_stories, config.processing.window_s)

@@ -18,7 +18,7 @@ from monitor.config import configuration
 from monitor.config.configuration import Configuration
 from monitor.core.errors import BadInputError, UserError
 from monitor.core.results import Gap, ModalEstimate, Samples, WindowResult
-from monitor.damage.baseline import learn
+from monitor.damage import learn_baseline
 from monitor.model.simulation import simulate
 from monitor.pipeline import Pipeline, Result
 from monitor.publish.results.lines import to_json, window_line
@@ -343,5 +343,13 @@ def test_modes_that_the_model_cannot_show_give_no_baseline() -> None:
         order=4,
         poles=np.zeros((0, 4)),
     )
+    config = configured(table, (1, 2))
     with pytest.raises(BadInputError, match="cannot be updated"):
-        learn(configured(table, (1, 2)), [modes], np.ones(1), ())
+        learn_baseline(
+            config.instrumented(),
+            [modes],
+            np.ones(1),
+            (),
+            updating=config.updating,
+            temperature=config.temperature,
+        )

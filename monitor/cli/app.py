@@ -65,14 +65,14 @@ def replay(
     as_json: Json = False,
 ) -> None:
     """Run recordings through the monitor.  Writes results.jsonl, results.mcap, live.rrd and summary.json in DIR."""
-    from monitor.damage import load
+    from monitor.damage import load_baseline
     from monitor.publish import replay_story
     from monitor.runs import replay as run
 
     spare_inputs([out / name for name in run.RESULT_FILES], [*recordings, structure, baseline])
     pace, served = emulate.parse_speed(speed), address(serve)
     settings = configuration.load(structure)
-    healthy = None if baseline is None else load(baseline, settings)
+    healthy = None if baseline is None else load_baseline(baseline, settings.instrumented(), settings.updating)
     summary = run.replay(
         recordings,
         settings,
@@ -97,14 +97,14 @@ def calibrate(
     as_json: Json = False,
 ) -> None:
     """Learn the healthy baseline.  It holds the updated stiffness with covariance, modes, the misfit that remains."""
-    from monitor.damage import save
+    from monitor.damage import save_baseline
     from monitor.runs import calibrate as learn
 
     spare_inputs([out], [*recordings, structure])
     settings = configuration.load(structure)
     demand_place(out)
     baseline, fit = learn(recordings, settings, on_warning=warn, on_progress=progress("calibrate"))
-    save(baseline, out)
+    save_baseline(baseline, out)
     drawn = settings.model().modes().frequencies_hz
     lines = [f"{baseline.windows} windows; the updating {'converged' if fit.converged else 'did NOT converge'}"]
     for i, (f, std) in enumerate(zip(baseline.frequencies_hz, baseline.frequencies_std_hz, strict=True), start=1):

@@ -26,7 +26,7 @@ def diagnose(
 
     Writes diagnosis.json, report.html, diagnosis.rrd and the extended model in DIR.
     """
-    from monitor.damage import load
+    from monitor.damage import load_baseline
     from monitor.diagnosis import structure_text
     from monitor.runs import diagnose as discrepancy
 
@@ -34,7 +34,7 @@ def diagnose(
     content, report, updated, extended, view = (out / name for name in names)
     spare_inputs([content, report, updated, extended, view], [*recordings, structure, baseline])
     settings = configuration.load(structure)
-    healthy = None if baseline is None else load(baseline, settings)
+    healthy = None if baseline is None else load_baseline(baseline, settings.instrumented(), settings.updating)
     for path in (content, report, updated, extended, view):
         demand_place(path)
     found = discrepancy.find(recordings, settings, healthy, warn, progress("diagnose"))
@@ -86,14 +86,14 @@ def accept(
 
     With the baseline that the finding refers to, the causes alone are added: the baseline brings the healthy stiffness.
     """
-    from monitor.damage import load
+    from monitor.damage import load_baseline
     from monitor.runs import ledger
 
     spare_inputs([out, out.parent / ledger.LEDGER], [finding, structure, baseline])
     content = ledger.read_finding(finding)
     settings = configuration.load(structure)
     if baseline is not None:
-        load(baseline, settings)
+        load_baseline(baseline, settings.instrumented(), settings.updating)
     text = structure.read_text(encoding="utf-8")
     extended = ledger.extended_text(finding, content, text, settings, with_baseline=baseline is not None)
     demand_place(out)

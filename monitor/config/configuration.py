@@ -16,11 +16,11 @@ from drivers.registry import UnknownSourceError, source_type
 from monitor.config.log_settings import LogSettings
 from monitor.config.matrix_files import read_matrices
 from monitor.config.state_settings import StateSettings
-from monitor.core import Array, BadConfigurationError, MissingInputError, Settings, parse_address, settings_problems
+from monitor.core import BadConfigurationError, MissingInputError, Settings, parse_address, settings_problems
 from monitor.damage import AlarmSettings, UpdatingSettings
 from monitor.diagnosis import DiagnosisSettings, WatchSettings
 from monitor.identification import RefinementSettings, SelectionSettings, SsiSettings, TrackSettings
-from monitor.model import FORMS, Effect, EffectError, Model, StructureTable
+from monitor.model import FORMS, Effect, EffectError, InstrumentedModel, Model, StructureTable
 from monitor.signals import HealthSettings, QualitySettings, TemperatureSettings, common_step_s
 
 Positive = Annotated[float, Field(gt=0)]
@@ -193,16 +193,10 @@ class Configuration(Settings):
         effects = tuple(self._effect(t) for t in self.effects)
         return Model(table.structure(), effects, table.correction(), table.modal_damping())
 
-    def sensor_matrix(self) -> Array:
-        """Picks the sensors out of the floors, shape (c, n)."""
-        matrix = np.zeros((len(self.sensors), len(self.structure.masses_kg)))
-        for row, sensor in enumerate(self.sensors):
-            matrix[row, sensor.floor - 1] = 1.0
-        return matrix
-
-    def prior_std(self) -> Array:
-        """Relative standard deviations of stiffnesses, then masses, shape (p + n,)."""
-        return self.structure.prior_std()
+    def instrumented(self) -> InstrumentedModel:
+        """The nominal model with its sensors and the ranges of its parameters."""
+        floors = tuple(s.floor for s in self.sensors)
+        return InstrumentedModel(self.model(), self.channels, floors, self.structure.prior_std())
 
 
 def read_toml(path: Path) -> dict[str, Any]:

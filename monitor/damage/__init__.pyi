@@ -1,7 +1,8 @@
-from . import alarm, baseline, damage_index
+from . import alarm, damage_index
 from .alarm import AlarmSettings, AlarmState, StoryState, hold
 from .alternative_solutions import second_solutions
-from .baseline import Baseline, learn, load, save
+from .baseline import Baseline, learn_baseline
+from .baseline_file import load_baseline, save_baseline
 from .updating import Observation, Update, UpdatingSettings, observe, update
 
 __all__ = [
@@ -13,13 +14,12 @@ __all__ = [
     "Update",
     "UpdatingSettings",
     "alarm",
-    "baseline",
     "damage_index",
     "hold",
-    "learn",
-    "load",
+    "learn_baseline",
+    "load_baseline",
     "observe",
-    "save",
+    "save_baseline",
     "second_solutions",
     "update",
 ]

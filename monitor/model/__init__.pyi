@@ -20,6 +20,7 @@ from .effects import (
 from .effects.attached_oscillator import AttachedOscillator
 from .effects.cubic_stiffness import CubicStiffness
 from .effects.joint_flexibility import JointFlexibility
+from .instrumented import InstrumentedModel
 from .integration import loaded, march
 from .model import Model, Modes
 from .prior import ModelDiscrepancy, StructuralPrior, correction_basis, inverse, prior_from_drawing
@@ -39,6 +40,7 @@ __all__ = [
     "EffectError",
     "ExcitationKind",
     "FittedSizes",
+    "InstrumentedModel",
     "JointFlexibility",
     "LawKind",
     "Matrix",

@@ -13,7 +13,7 @@ from drivers.base import SampleBlock
 from drivers.mcap_file import recording_info
 from monitor.config import Configuration
 from monitor.core import BadInputError, WindowResult, sha256
-from monitor.damage import Baseline, Observation, Update, learn, second_solutions
+from monitor.damage import Baseline, Observation, Update, learn_baseline, second_solutions
 from monitor.diagnosis import contradicted
 from monitor.inference import Segments, gather
 from monitor.pipeline import Pipeline
@@ -68,7 +68,16 @@ def calibrate(
     assert progress.first is not None
     span_ns = (progress.first.t_ns, pipeline.state.align.t_next_ns())
     temperatures = [r.temperature for r in good if r.modes is not None]
-    baseline, fit = learn(config, windows, rms, recordings, span_ns, temperatures)
+    baseline, fit = learn_baseline(
+        config.instrumented(),
+        windows,
+        rms,
+        recordings,
+        span_ns,
+        temperatures,
+        updating=config.updating,
+        temperature=config.temperature,
+    )
     _tell_doubts(baseline, config, good[-1], on_warning)
     if segments is None:
         on_warning("too short for a diagnosis to learn from; 'diagnose' will not take this baseline")
@@ -130,7 +139,7 @@ def _tell_doubts(baseline: Baseline, config: Configuration, last: WindowResult, 
         return
     z = baseline.z - baseline.misfit
     target = Observation(z, np.eye(z.size), np.zeros((1, z.size)), baseline.model_mode, (), baseline.log)
-    for other in second_solutions(baseline.model, config.sensor_matrix(), target, config.updating):
+    for other in second_solutions(baseline.model, config.instrumented().sensor_matrix, target, config.updating):
         on_warning(
             f"the same frequencies also follow from stiffnesses {', '.join(f'{k:.1f}' for k in other)} N/m: frequencies "
             "alone cannot tell which is true; set use_shapes = true under [updating]"

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from monitor.config import configuration
 from monitor.core import MissingInputError, demand_place
-from monitor.damage import baseline
+from monitor.damage import save_baseline
 from monitor.publish import replay_story
 from monitor.runs import calibrate, replay
 
@@ -26,7 +26,7 @@ def run(recordings: Path, out: Path, *, say: Callable[[str], None], on_warning: 
     demand_place(out / "baseline.json")
     say("1. Calibrating on a healthy recording of a simulated three-story frame whose drawing is wrong on purpose ...")
     healthy, _ = calibrate.calibrate([recordings / "frame-healthy.mcap"], frame, on_warning=on_warning)
-    baseline.save(healthy, out / "baseline.json")
+    save_baseline(healthy, out / "baseline.json")
     say("2. Replaying 1000 s of it in which story 2 loses 12 % of its stiffness after 400 s ...")
     parts = [recordings / "frame-before.mcap", recordings / "frame-after.mcap"]
     files = (recordings / "frame.toml", out / "baseline.json")

@@ -182,11 +182,11 @@ def _read(paths: list[Path], config: Configuration, on_warning: OnWarning, on_pr
 
 
 def _context(segments: Segments, config: Configuration) -> Context:
-    return Context(config.model().structure, config.channels, config.sensor_matrix(), segments.rate_hz)
+    return config.instrumented().context(segments.rate_hz)
 
 
 def _nominal(config: Configuration) -> StructuralPrior:
-    known = prior_from_drawing(config.model(), config.prior_std(), len(config.channels))
+    known = prior_from_drawing(config.model(), config.instrumented().prior_std, len(config.channels))
     return replace(known, reference_degc=config.structure.reference_temperature_degc)
 
 

@@ -25,7 +25,7 @@ from drivers.base import ACCELERATION, SampleBlock
 from drivers.mcap_file import McapWriter
 from monitor.config import configuration
 from monitor.core import UserError, demand_place, write_atomically
-from monitor.damage import baseline
+from monitor.damage import load_baseline
 from monitor.diagnosis import Request
 from monitor.runs.recordings import OnWarning
 
@@ -234,7 +234,7 @@ def main(arguments: list[str]) -> int:
     try:
         # The recording is one of ours, whatever the site's own were.
         settings = configuration.load(structure).model_copy(update={"topics": {}})
-        known = baseline.load(healthy[0], settings) if healthy else None
+        known = load_baseline(healthy[0], settings.instrumented(), settings.updating) if healthy else None
         with threadpool_limits(limits=1):
             from monitor.runs import diagnose  # and its compiler: only where a diagnosis is made
 

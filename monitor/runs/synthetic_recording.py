@@ -18,7 +18,6 @@ from drivers.mcap_file import McapWriter
 from monitor.config import Configuration
 from monitor.core import Array, BadConfigurationError, MissingInputError
 from monitor.model import (
-    Context,
     Effect,
     EffectError,
     ExcitationKind,
@@ -142,7 +141,7 @@ def simulate_to(
             noise=noise,
             level_spread=level_spread,
             seed=seed,
-            context=Context(model.structure, config.channels, config.sensor_matrix(), rate_hz),
+            context=config.instrumented().context(rate_hz),
             excess_degc=None if weather is None else weather.degc(n_samples, rate_hz) - weather.reference_degc,
         )
     except ValueError as error:  # EffectError among them

@@ -19,7 +19,7 @@ from drivers.base import RecordingError, RecordingMissingError, SampleBlock, Sou
 from drivers.recorder import unfit
 from monitor.config import configuration
 from monitor.core import BadConfigurationError, BadInputError, Gap, MissingInputError, WindowResult
-from monitor.damage import baseline
+from monitor.damage import load_baseline
 from monitor.pipeline import Result
 from monitor.publish import Publisher, standing_line, to_json
 from monitor.runs import Progress, Session, duration_s, ledger, open_viewer
@@ -69,7 +69,9 @@ class Daemon(Publisher):
         if source is None and settings.source is None:
             raise BadConfigurationError(f"{path}: source: missing; name a kind, as in deploy/*.toml")
         healthy_path = None if settings.site.baseline is None else folder / settings.site.baseline
-        healthy = None if healthy_path is None else baseline.load(healthy_path, settings)
+        healthy = (
+            None if healthy_path is None else load_baseline(healthy_path, settings.instrumented(), settings.updating)
+        )
         self.out = folder / settings.output.dir
         self._vitals, self._progress = Vitals(self.out), Progress(lambda _: None)
         self._begun_s = self._health_s = self._summary_s = self._sync_s = time.monotonic()

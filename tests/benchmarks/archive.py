@@ -109,9 +109,9 @@ def command(*arguments: object) -> Run:
 
 def _kinds(folder: Path, config: Configuration) -> dict[str, tuple[object, ...]]:
     """Options of a replay with all that it can do, and of one without what costs the most."""
-    from monitor.damage.baseline import save
+    from monitor.damage import save_baseline
 
-    save(baseline(config), folder / "baseline.json")
+    save_baseline(baseline(config), folder / "baseline.json")
     (folder / "frame.toml").write_text(THREE_STORIES)
     (folder / "plain.toml").write_text(THREE_STORIES + PLAIN)
     return {

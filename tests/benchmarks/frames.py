@@ -12,7 +12,7 @@ from drivers.base import ACCELERATION, SampleBlock
 from drivers.mcap_file import McapWriter
 from monitor.config.configuration import Configuration
 from monitor.core.results import Array, WindowResult
-from monitor.damage.baseline import Baseline, learn
+from monitor.damage import Baseline, learn_baseline
 from monitor.model.simulation import simulate
 from monitor.pipeline import Pipeline
 from monitor.runs.synthetic_recording import blocks_of
@@ -57,7 +57,9 @@ def baseline(config: Configuration) -> Baseline:
     motion = floors(config, config.processing.window_s + 800.0, 100.0, 1)
     results = [r for b in blocks_of(ACCELERATION, motion, config.channels, 100.0, T0_NS, 1000) for r in learner.push(b)]
     modes = [r.modes for r in results if isinstance(r, WindowResult) and r.modes]
-    return learn(config, modes, np.ones(1), ())[0]
+    return learn_baseline(
+        config.instrumented(), modes, np.ones(1), (), updating=config.updating, temperature=config.temperature
+    )[0]
 
 
 class Hops:

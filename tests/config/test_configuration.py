@@ -43,9 +43,9 @@ def assert_problem(load: Load, text: str, *words: str) -> None:
 def test_a_good_file_gives_model_channels_and_sensors(load: Load, frame_text: str) -> None:
     c = load(frame_text)
     assert c.channels == ("a1", "a2", "a3")
-    np.testing.assert_array_equal(c.sensor_matrix(), np.eye(3))
+    np.testing.assert_array_equal(c.instrumented().sensor_matrix, np.eye(3))
     np.testing.assert_allclose(c.model().modes().frequencies_hz, [5.2, 16.3, 23.0], rtol=1e-3)
-    np.testing.assert_allclose(c.prior_std(), [0.2, 0.2, 0.2, 0.05, 0.05, 0.05])
+    np.testing.assert_allclose(c.instrumented().prior_std, [0.2, 0.2, 0.2, 0.05, 0.05, 0.05])
     assert (c.processing.window_s, c.processing.hop_s, c.processing.rate_hz) == (20.0, 5.0, 100.0)
 
 
@@ -62,7 +62,7 @@ def test_the_contracts_example_needs_nothing_else(load: Load) -> None:
 
 def test_sensors_pick_their_floor(load: Load, frame_text: str) -> None:
     c = load(frame_text.replace('channel = "a1"\nfloor = 1', 'channel = "a1"\nfloor = 3'))
-    np.testing.assert_array_equal(c.sensor_matrix()[0], [0.0, 0.0, 1.0])
+    np.testing.assert_array_equal(c.instrumented().sensor_matrix[0], [0.0, 0.0, 1.0])
 
 
 def test_every_problem_is_listed_at_once(load: Load, frame_text: str) -> None:
@@ -190,7 +190,7 @@ def test_ranges_become_the_prior_of_their_own_story_and_floor(load: Load, frame_
     c = load(frame_text.replace("damping_ratio", ranges + "damping_ratio"))
     stiffness = [2000 / 4 / 2909.4511, 100 / 4 / 1514.8507, 2000 / 4 / 1897.6986]
     masses = [0.04 / 4 / 0.3253, 0.01 / 4 / 0.3514, 0.1 / 4 / 0.3129]
-    np.testing.assert_allclose(c.prior_std(), [*stiffness, *masses])
+    np.testing.assert_allclose(c.instrumented().prior_std, [*stiffness, *masses])
 
 
 @pytest.mark.parametrize(

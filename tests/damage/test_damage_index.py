@@ -11,7 +11,7 @@ import pytest
 from monitor.config.configuration import Configuration
 from monitor.core.errors import BadInputError
 from monitor.core.results import ModalEstimate, WindowResult
-from monitor.damage import baseline, damage_index
+from monitor.damage import Baseline, damage_index, learn_baseline, load_baseline, save_baseline
 from monitor.damage.damage_index import sequential_reading
 from monitor.model.effects import parse_effect
 from monitor.model.model import Model
@@ -70,7 +70,14 @@ def test_wrong_masses_and_flexible_joints_bias_a_5_percent_loss_by_less_than_hal
     signs: tuple[int, int, int], story: int
 ) -> None:
     config = drawing(signs)
-    healthy, _ = baseline.learn(config, [exact_modes(truth((0, 0, 0)))], np.ones(1), ())
+    healthy, _ = learn_baseline(
+        config.instrumented(),
+        [exact_modes(truth((0, 0, 0)))],
+        np.ones(1),
+        (),
+        updating=config.updating,
+        temperature=config.temperature,
+    )
     loss = tuple(0.05 if j + 1 == story else 0.0 for j in range(3))
     _, reading = damage_index.step(exact_modes(truth(loss)), healthy.model, healthy, np.eye(3), config.updating)
     assert np.abs(reading.ddi - loss).max() < 0.005
@@ -82,7 +89,14 @@ def test_beside_joints_that_the_model_knows_a_loss_is_that_of_the_columns(story:
     plain = drawing((0, 0, 0)).model_dump(mode="json", exclude_unset=True)
     joints = {"effect": JOINTS[0].name, "location": JOINTS[0].location, "parameters": JOINTS[0].values()}
     config = Configuration.model_validate({**plain, "effects": [joints]})
-    healthy, _ = baseline.learn(config, [exact_modes(truth((0, 0, 0)))], np.ones(1), ())
+    healthy, _ = learn_baseline(
+        config.instrumented(),
+        [exact_modes(truth((0, 0, 0)))],
+        np.ones(1),
+        (),
+        updating=config.updating,
+        temperature=config.temperature,
+    )
     lost = parse_effect(f"stiffness_change:story {story}:relative=-0.15")
     now = exact_modes(Model(truth((0, 0, 0)).structure, (*JOINTS, lost)))
     _, reading = damage_index.step(now, healthy.model, healthy, np.eye(3), config.updating)
@@ -91,7 +105,14 @@ def test_beside_joints_that_the_model_knows_a_loss_is_that_of_the_columns(story:
 
 def test_an_unchanged_structure_reads_zero_however_wrong_the_drawing() -> None:
     config = drawing((1, -1, 1))
-    healthy, _ = baseline.learn(config, [exact_modes(truth((0, 0, 0)))], np.ones(1), ())
+    healthy, _ = learn_baseline(
+        config.instrumented(),
+        [exact_modes(truth((0, 0, 0)))],
+        np.ones(1),
+        (),
+        updating=config.updating,
+        temperature=config.temperature,
+    )
     assert np.abs(healthy.misfit).max() > 0.005  # the drawing is wrong indeed, and stays so
     _, reading = damage_index.step(exact_modes(truth((0, 0, 0))), healthy.model, healthy, np.eye(3), config.updating)
     assert np.abs(reading.ddi).max() < 1e-6
@@ -103,7 +124,7 @@ def test_the_papers_sequential_reading_is_the_ratio_of_stories_in_a_shear_frame(
     np.testing.assert_allclose(reading, losses, atol=1e-12)
 
 
-def windows_of(model: Model, config: Configuration, healthy: baseline.Baseline | None, seed: int) -> list[WindowResult]:
+def windows_of(model: Model, config: Configuration, healthy: Baseline | None, seed: int) -> list[WindowResult]:
     floors = simulate(model, duration_s=500.0, rate_hz=200.0, noise=0.1, seed=seed).floors
     pipeline = Pipeline(config, healthy)
     results = [
@@ -116,8 +137,13 @@ def test_from_samples_a_5_percent_loss_is_found_at_the_right_story() -> None:
     """Wrong masses, flexible joints, 10 % noise: the mean over windows lies within half a point, in one story."""
     config = drawing((1, -1, 1), window_s=200.0, hop_s=50.0)
     calm = windows_of(truth((0, 0, 0)), config, None, seed=1)
-    healthy, _ = baseline.learn(
-        config, [r.modes for r in calm if r.modes is not None], np.array([r.rms_m_s2 for r in calm]), ()
+    healthy, _ = learn_baseline(
+        config.instrumented(),
+        [r.modes for r in calm if r.modes is not None],
+        np.array([r.rms_m_s2 for r in calm]),
+        (),
+        updating=config.updating,
+        temperature=config.temperature,
     )
     for story in (1, 2, 3):
         loss = tuple(0.05 if j + 1 == story else 0.0 for j in range(3))
@@ -164,30 +190,51 @@ def test_from_samples_a_5_percent_loss_is_found_at_the_right_story() -> None:
 )
 def test_a_baseline_with_one_wrong_key_is_refused_by_name(tmp_path, key: str, value: object) -> None:
     config, place = drawing((1, 1, -1)), tmp_path / "b.json"
-    healthy, _ = baseline.learn(config, [exact_modes(truth((0, 0, 0)))], np.ones(1), ({"file": "x"},))
-    baseline.save(healthy, place)
+    healthy, _ = learn_baseline(
+        config.instrumented(),
+        [exact_modes(truth((0, 0, 0)))],
+        np.ones(1),
+        ({"file": "x"},),
+        updating=config.updating,
+        temperature=config.temperature,
+    )
+    save_baseline(healthy, place)
     content = json.loads(place.read_text())
     place.write_text(json.dumps(content | {key: value}))
     with pytest.raises(BadInputError, match=rf"^{re.escape(str(place))}: .*({key}|modes are)"):
-        baseline.load(place, config)
+        load_baseline(place, config.instrumented(), config.updating)
 
 
 def test_a_baseline_without_one_of_its_keys_is_refused_by_name(tmp_path) -> None:
     config, place = drawing((1, 1, -1)), tmp_path / "b.json"
-    healthy, _ = baseline.learn(config, [exact_modes(truth((0, 0, 0)))], np.ones(1), ())
-    baseline.save(healthy, place)
+    healthy, _ = learn_baseline(
+        config.instrumented(),
+        [exact_modes(truth((0, 0, 0)))],
+        np.ones(1),
+        (),
+        updating=config.updating,
+        temperature=config.temperature,
+    )
+    save_baseline(healthy, place)
     content = json.loads(place.read_text())
     for key in content.keys() - {"temperature", "stiffness_correction_n_per_m", "reference"}:
         place.write_text(json.dumps({name: value for name, value in content.items() if name != key}))
         with pytest.raises(BadInputError, match=key):
-            baseline.load(place, config)
+            load_baseline(place, config.instrumented(), config.updating)
 
 
 def test_a_baseline_survives_its_file(tmp_path) -> None:
     config = drawing((1, 1, -1))
-    healthy, _ = baseline.learn(config, [exact_modes(truth((0, 0, 0)))], np.ones(1), ({"file": "x"},))
-    baseline.save(healthy, tmp_path / "b.json")
-    again = baseline.load(tmp_path / "b.json", config)
+    healthy, _ = learn_baseline(
+        config.instrumented(),
+        [exact_modes(truth((0, 0, 0)))],
+        np.ones(1),
+        ({"file": "x"},),
+        updating=config.updating,
+        temperature=config.temperature,
+    )
+    save_baseline(healthy, tmp_path / "b.json")
+    again = load_baseline(tmp_path / "b.json", config.instrumented(), config.updating)
     modes = exact_modes(truth((0.0, 0.05, 0.0)))
     first, second = (damage_index.step(modes, b.model, b, np.eye(3), config.updating)[1] for b in (healthy, again))
     np.testing.assert_array_equal(first.ddi, second.ddi)

@@ -16,7 +16,7 @@ from monitor.config import configuration
 from monitor.config.configuration import Configuration
 from monitor.core.errors import BadInputError
 from monitor.core.results import Temperature, WindowResult
-from monitor.damage import baseline, temperature_compensation
+from monitor.damage import Baseline, load_baseline, save_baseline, temperature_compensation
 from monitor.damage.temperature_compensation import Change, Dependence
 from monitor.model.model import Model
 from monitor.model.simulation import simulate
@@ -283,15 +283,15 @@ def slow_site(tmp_path_factory: pytest.TempPathFactory, frame_text: str) -> Conf
 
 
 @pytest.fixture(scope="module")
-def healthy(slow_site: Configuration, tmp_path_factory: pytest.TempPathFactory) -> baseline.Baseline:
+def healthy(slow_site: Configuration, tmp_path_factory: pytest.TempPathFactory) -> Baseline:
     """Learned from a recording with a ramp of 10 K, through its file."""
     folder = tmp_path_factory.mktemp("healthy")
     learned, _ = calibrate([record(folder / "ramp.mcap", slow_site, np.linspace(10, 20, 3000), 1, 0.0)], slow_site)
-    baseline.save(learned, folder / "b.json")
-    return baseline.load(folder / "b.json", slow_site)
+    save_baseline(learned, folder / "b.json")
+    return load_baseline(folder / "b.json", slow_site.instrumented(), slow_site.updating)
 
 
-def test_calibrate_learns_the_dependence_from_a_recording(healthy: baseline.Baseline) -> None:
+def test_calibrate_learns_the_dependence_from_a_recording(healthy: Baseline) -> None:
     law = healthy.temperature
     assert law is not None
     assert healthy.reference_temperature_degc == pytest.approx(14.8, abs=0.2)
@@ -302,7 +302,7 @@ def test_calibrate_learns_the_dependence_from_a_recording(healthy: baseline.Base
 
 @pytest.mark.parametrize("loss", [0.0, 0.05])
 def test_replay_takes_the_weather_out_and_leaves_the_damage(
-    slow_site: Configuration, healthy: baseline.Baseline, tmp_path: Path, loss: float
+    slow_site: Configuration, healthy: Baseline, tmp_path: Path, loss: float
 ) -> None:
     day = record(tmp_path / "cold.mcap", slow_site, np.full(1000, 10.5), 2, loss)
     summary = replay([day], slow_site, healthy, tmp_path / "out")
@@ -316,7 +316,7 @@ def test_replay_takes_the_weather_out_and_leaves_the_damage(
 
 
 def test_without_the_channel_nothing_is_taken_out_and_the_doubt_is_stated(
-    slow_site: Configuration, healthy: baseline.Baseline, tmp_path: Path
+    slow_site: Configuration, healthy: Baseline, tmp_path: Path
 ) -> None:
     day = record(tmp_path / "cold.mcap", slow_site, np.full(600, 10.5), 2, 0.0, channel=False)
     summary = replay([day], slow_site, healthy, tmp_path / "out")

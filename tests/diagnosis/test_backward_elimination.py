@@ -30,7 +30,7 @@ MASS, OFFSET = "added_mass:floor 2:mass_kg=0.04", "time_offset:channel a3:second
 
 def prepared(*effects: str) -> tuple[Posterior, MapEstimate]:
     model = Model(CONFIG.model().structure, tuple(parse_effect(e) for e in effects))
-    context = Context(model.structure, CONFIG.channels, CONFIG.sensor_matrix(), RATE)
+    context = Context(model.structure, CONFIG.channels, CONFIG.instrumented().sensor_matrix, RATE)
     motion = simulate(model, duration_s=400.0, rate_hz=RATE, noise=0.05, seed=8, context=context)
     blocks = blocks_of(ACCELERATION, motion.floors, CONFIG.channels, RATE, 10**18, 128)
     return fit_linearized(

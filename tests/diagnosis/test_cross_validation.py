@@ -40,7 +40,7 @@ def settings(**changes: object) -> Configuration:
 def recorded(effects: tuple[Effect, ...], seed: int, duration_s: float = 400.0, **more: object) -> Segments:
     config = settings()
     model = Model(config.model().structure, effects)
-    context = Context(model.structure, config.channels, config.sensor_matrix(), RATE)
+    context = Context(model.structure, config.channels, config.instrumented().sensor_matrix, RATE)
     motion = simulate(
         model, duration_s=duration_s, rate_hz=RATE, noise=0.05, level_spread=0.35, seed=seed, context=context, **more
     )
@@ -48,13 +48,13 @@ def recorded(effects: tuple[Effect, ...], seed: int, duration_s: float = 400.0, 
 
 
 def context_of(config: Configuration) -> Context:
-    return Context(config.model().structure, config.channels, config.sensor_matrix(), RATE)
+    return config.instrumented().context(RATE)
 
 
 def explained_by(effect: Effect, segments: Segments) -> Diagnosis:
     """What an engine that believes in `effect` would say."""
     config = settings()
-    reference = prior_from_drawing(config.model(), config.prior_std(), 3)
+    reference = prior_from_drawing(config.model(), config.instrumented().prior_std, 3)
     problem, null = fit_linearized(classify(segments), reference, context_of(config))
     final = maximize_posterior(problem, null.x, (effect,))
     return Diagnosis("named", (), (), (), (), (), problem, null, final, DiagnosisSettings())

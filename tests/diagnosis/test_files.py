@@ -67,7 +67,7 @@ def damped() -> Segments:
 def named(damped: Segments) -> Diagnosis:
     site = settings()
     problem, null = fit_linearized(
-        classify(damped), prior_from_drawing(site.model(), site.prior_std(), 3), context_of(site)
+        classify(damped), prior_from_drawing(site.model(), site.instrumented().prior_std, 3), context_of(site)
     )
     final = maximize_posterior(problem, null.x, (parse_effect(DAMPER),))
     cause = Cause(final.effects[0], {"damping_n_s_per_m": 0.1})
@@ -229,7 +229,7 @@ def test_diagnosis_settings_are_checked_with_the_rest(tmp_path: Path) -> None:
 def test_a_reference_survives_the_baseline_file(damped: Segments) -> None:
     site = settings()
     model = Model(site.model().structure, (parse_effect(DAMPER),))
-    known = prior_from_drawing(model, site.prior_std(), 3)
+    known = prior_from_drawing(model, site.instrumented().prior_std, 3)
     learnt, _ = learn_prior(classify(damped), known, context_of(site), site.diagnosis)
     again = from_plain(json.loads(json.dumps(to_plain(learnt), allow_nan=False)), site.model(), site.channels)
     assert again is not None and again.error is None

@@ -15,7 +15,7 @@ from monitor.diagnosis.files import content as content_of
 from monitor.diagnosis.stepwise_selection import Diagnosis, diagnose
 from monitor.inference.observed_spectra import classify
 from monitor.inference.segments import Segments, gather
-from monitor.model.effects import Context, Effect, parse_effect
+from monitor.model.effects import Effect, parse_effect
 from monitor.model.model import Model
 from monitor.model.simulation import linear_system, simulate
 from monitor.publish.reports.diagnosis_report import page
@@ -34,7 +34,7 @@ def forces(share: float, more: float) -> str:
 
 
 FORCES, ANOTHER_DAY = forces(0.3, 0.0), forces(0.33, 0.06)
-CONTEXT = Context(CONFIG.model().structure, CONFIG.channels, CONFIG.sensor_matrix(), RATE)
+CONTEXT = CONFIG.instrumented().context(RATE)
 
 
 def recorded(seed: int, *effects: str, crosstalk: float = 0.0) -> Segments:
@@ -105,7 +105,7 @@ SITE = Configuration.model_validate(
         "sensors": [{"channel": "a1", "floor": 1}, {"channel": "a2", "floor": 2}],
     }
 )
-BUILDING = Context(SITE.model().structure, SITE.channels, SITE.sensor_matrix(), 256.0)
+BUILDING = SITE.instrumented().context(256.0)
 
 
 def measured(seed: int, *effects: str) -> Segments:

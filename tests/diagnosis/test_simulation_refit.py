@@ -18,7 +18,7 @@ from monitor.inference.map_estimate import MapEstimate, maximize_posterior
 from monitor.inference.observed_spectra import classify
 from monitor.inference.posterior import Posterior
 from monitor.inference.segments import gather
-from monitor.model.effects import Context, Effect, parse_effect
+from monitor.model.effects import Effect, parse_effect
 from monitor.model.model import Model
 from monitor.model.prior import prior_from_drawing
 from monitor.model.simulation import simulate
@@ -36,7 +36,7 @@ CONFIG = Configuration.model_validate(
 def posed(effect: Effect, seed: int = 5) -> tuple[Posterior, MapEstimate]:
     """A recording with the effect, and the model without it fitted."""
     model = Model(CONFIG.model().structure, (effect,))
-    context = Context(CONFIG.model().structure, CONFIG.channels, CONFIG.sensor_matrix(), RATE)
+    context = CONFIG.instrumented().context(RATE)
     motion = simulate(model, duration_s=400.0, rate_hz=RATE, noise=0.05, level_spread=0.35, seed=seed, context=context)
     blocks = blocks_of(ACCELERATION, motion.floors, CONFIG.channels, RATE, 10**18, 128)
     known = prior_from_drawing(CONFIG.model(), np.full(6, 0.002), 3)

@@ -52,7 +52,7 @@ from drivers.socketcand_server import frame_text
 from drivers.zenoh_bus import ZenohSettings, ZenohSource
 from monitor.config import configuration
 from monitor.core.errors import BadInputError, UserError
-from monitor.damage import alarm, baseline
+from monitor.damage import alarm, load_baseline, save_baseline
 from monitor.runs import importers, ledger
 from monitor.runs.session import Session
 from monitor.service import serialization
@@ -483,7 +483,7 @@ def _checkpoint_seeds() -> list[bytes]:
 def _baseline(data: bytes) -> None:
     path = _file("baseline.json", data)
     with contextlib.suppress(UserError):
-        baseline.load(path, _settings())
+        load_baseline(path, _settings().instrumented(), _settings().updating)
 
 
 @functools.cache
@@ -498,7 +498,7 @@ def _baseline_seeds() -> list[bytes]:
     with McapWriter(recording) as writer:
         for one in blocks_of(ACCELERATION, floors, CHANNELS, 100.0, T0_NS, 1000):
             writer.write(one)
-    baseline.save(calibrate([recording], settings)[0], scratch() / "learned.json")
+    save_baseline(calibrate([recording], settings)[0], scratch() / "learned.json")
     return [(scratch() / "learned.json").read_bytes()]
 
 

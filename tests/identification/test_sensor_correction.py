@@ -7,7 +7,7 @@ import pytest
 
 from monitor.config.configuration import load as load_config
 from monitor.core.results import ModalEstimate, WindowResult
-from monitor.damage.baseline import load, save
+from monitor.damage import load_baseline, save_baseline
 from monitor.identification.sensor_correction import correct_modes, seen_by_sensors
 from monitor.model.effects import Context, parse_effect
 from monitor.model.structures import ShearFrame
@@ -85,11 +85,11 @@ def test_an_accepted_sensor_fault_no_longer_moves_the_index(fault: str, tmp_path
     common |= {"t0_ns": T0_NS, "temperature": None}
     simulate_to(healthy, config, duration_s=600.0, effects=[], seed=1, **common)
     simulate_to(faulty, config, duration_s=250.0, effects=[fault], seed=2, **common)
-    save(calibrate([healthy], config)[0], tmp_path / "b.json")
+    save_baseline(calibrate([healthy], config)[0], tmp_path / "b.json")
 
     def index(path: Path) -> list[WindowResult]:
         settings = load_config(path)
-        pipeline = Pipeline(settings, load(tmp_path / "b.json", settings))
+        pipeline = Pipeline(settings, load_baseline(tmp_path / "b.json", settings.instrumented(), settings.updating))
         found = (r for block in blocks([faulty], settings, print) for r in pipeline.push(block))
         return [r for r in found if isinstance(r, WindowResult)]
 

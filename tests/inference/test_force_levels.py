@@ -20,7 +20,7 @@ from monitor.inference.map_estimate import MapEstimate
 from monitor.inference.observed_spectra import ObservedSpectra, classify
 from monitor.inference.posterior import Posterior
 from monitor.inference.segments import gather
-from monitor.model.effects import Context, parse_effect
+from monitor.model.effects import parse_effect
 from monitor.model.model import Model
 from monitor.model.prior import prior_from_drawing
 from monitor.model.simulation import simulate
@@ -120,7 +120,7 @@ def test_where_a_law_bends_no_other_is_tried(shaken: tuple[Posterior, MapEstimat
 def test_noise_that_follows_each_channels_motion_is_no_cause() -> None:
     """Healthy and later forces differ by floor, so that noise of five percent of each channel does too."""
     config = CONFIG
-    context = Context(config.model().structure, config.channels, config.sensor_matrix(), RATE)
+    context = config.instrumented().context(RATE)
 
     def evidence(factor: Array, seed: int) -> ObservedSpectra:
         model = Model(config.model().structure)

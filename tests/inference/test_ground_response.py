@@ -22,7 +22,7 @@ from monitor.inference.linearization import linearize
 from monitor.inference.observed_spectra import classify
 from monitor.inference.posterior import Posterior
 from monitor.inference.segments import Segments, gather
-from monitor.model.effects import Context, parse_effect
+from monitor.model.effects import parse_effect
 from monitor.model.model import Model
 from monitor.model.prior import prior_from_drawing
 from monitor.model.simulation import level_wander, respond, simulate
@@ -43,7 +43,7 @@ def settings(**changes: object) -> Configuration:
 
 
 DRAWING = settings(masses_kg=[0.335, 0.345, 0.31], stiffness_n_per_m=[2800.0, 1550.0, 1950.0])
-CONTEXT = Context(DRAWING.model().structure, DRAWING.channels, DRAWING.sensor_matrix(), RATE)
+CONTEXT = DRAWING.instrumented().context(RATE)
 
 
 def recorded(
@@ -75,7 +75,7 @@ def recorded(
 )
 def test_a_driven_frame_tells_its_cause(effects: tuple[str, ...], name: str | None, parameter: float | None) -> None:
     segments = recorded(*effects, seed=11)
-    known = prior_from_drawing(DRAWING.model(), DRAWING.prior_std(), 3)
+    known = prior_from_drawing(DRAWING.model(), DRAWING.instrumented().prior_std, 3)
     found = diagnose(classify(segments), known, CONTEXT, DiagnosisSettings())
     assert [c.effect.name for c in found.causes] == ([] if name is None else [name])
     assert not found.alternatives
@@ -151,7 +151,7 @@ def test_how_the_ground_moves_between_samples_is_asked_again_beside_a_cause() ->
 @pytest.mark.parametrize("rate_hz", [100.0, 200.0, 512.0])
 def test_how_the_ground_moves_between_slow_samples_is_found_and_no_cause_made_of_it(rate_hz: float) -> None:
     segments = recorded(seed=15, rate_hz=rate_hz)  # the simulation's ground runs straight
-    known = prior_from_drawing(DRAWING.model(), DRAWING.prior_std(), 3)
+    known = prior_from_drawing(DRAWING.model(), DRAWING.instrumented().prior_std, 3)
     context = replace(CONTEXT, rate_hz=rate_hz)
     problem, null = fit_linearized(classify(segments), known, context)
     assert problem.observed.drive is not None
@@ -176,9 +176,9 @@ def test_a_nonlinear_law_answers_as_the_simulation_does() -> None:
 def test_the_measured_frame_is_no_shear_frame_and_softens_with_the_level() -> None:
     config = load(RECORDINGS / "mini-shake-table-flexible.toml")
     segments = gather(read_recordings([RECORDINGS / "mini-shake-table-flexible.mcap"]), config)
-    context = Context(config.model().structure, config.channels, config.sensor_matrix(), segments.rate_hz)
+    context = config.instrumented().context(segments.rate_hz)
     problem, null = fit_linearized(
-        classify(segments), prior_from_drawing(config.model(), config.prior_std(), 3), context
+        classify(segments), prior_from_drawing(config.model(), config.instrumented().prior_std, 3), context
     )
     assert problem.observed.drive is not None
     assert problem.observed.drive.between == "smooth"

@@ -19,7 +19,7 @@ from monitor.inference.map_estimate import MapEstimate
 from monitor.inference.observed_spectra import classify
 from monitor.inference.posterior import Posterior
 from monitor.inference.segments import Segments, gather
-from monitor.model.effects import Context, parse_effect
+from monitor.model.effects import parse_effect
 from monitor.model.effects.gap_contact import GapContact
 from monitor.model.model import Model
 from monitor.model.prior import prior_from_drawing
@@ -27,7 +27,7 @@ from monitor.model.simulation import simulate
 from monitor.runs.synthetic_recording import blocks_of
 from tests.diagnosis.test_simulation_refit import CONFIG, RATE
 
-CONTEXT = Context(CONFIG.model().structure, CONFIG.channels, CONFIG.sensor_matrix(), RATE)
+CONTEXT = CONFIG.instrumented().context(RATE)
 KNOWN = prior_from_drawing(CONFIG.model(), np.full(6, 0.002), 3)
 
 

@@ -13,7 +13,7 @@ from monitor.config import configuration
 from monitor.config.configuration import Configuration
 from monitor.core.errors import BadConfigurationError, MissingInputError
 from monitor.core.results import WindowResult
-from monitor.damage import baseline
+from monitor.damage import Baseline, learn_baseline, load_baseline, save_baseline
 from monitor.model.effects import parse_effect
 from monitor.model.model import Model
 from monitor.model.simulation import simulate
@@ -48,17 +48,24 @@ def toml(table: dict, folder: Path, floors: tuple[int, ...] = (1, 2, 3), more: s
     return path
 
 
-def results_of(model: Model, settings: Configuration, healthy: baseline.Baseline | None, seed: int, duration_s: float):
+def results_of(model: Model, settings: Configuration, healthy: Baseline | None, seed: int, duration_s: float):
     floors = simulate(model, duration_s=duration_s, rate_hz=128.0, noise=0.05, seed=seed).floors
     pipeline = Pipeline(settings, healthy)
-    values = floors @ settings.sensor_matrix().T
+    values = floors @ settings.instrumented().sensor_matrix.T
     blocks = blocks_of("/acceleration", values, settings.channels, 128.0, 0, 1280)
     return [r for b in blocks for r in pipeline.push(b) if isinstance(r, WindowResult)]
 
 
-def learned(settings: Configuration, truth: Model, seed: int, duration_s: float) -> baseline.Baseline:
+def learned(settings: Configuration, truth: Model, seed: int, duration_s: float) -> Baseline:
     windows = [r for r in results_of(truth, settings, None, seed, duration_s) if r.skipped is None]
-    return baseline.learn(settings, [r.modes for r in windows], np.array([r.rms_m_s2 for r in windows]), ())[0]
+    return learn_baseline(
+        settings.instrumented(),
+        [r.modes for r in windows],
+        np.array([r.rms_m_s2 for r in windows]),
+        (),
+        updating=settings.updating,
+        temperature=settings.temperature,
+    )[0]
 
 
 def test_a_frame_given_by_its_matrices_gives_the_frame_s_results(main, frame_text: str, tmp_path: Path) -> None:
@@ -126,8 +133,8 @@ def test_a_baseline_of_matrices_survives_its_file(tmp_path: Path) -> None:
     table = matrices_table(stiffness_derivatives=slopes.tolist(), stiffness_n_per_m=[2909.4511, 1514.8507])
     settings = configured(table, (1, 2, 3), processing={"window_s": 50.0, "hop_s": 50.0})
     healthy = learned(settings, settings.model(), seed=5, duration_s=101.0)
-    baseline.save(healthy, tmp_path / "b.json")
-    again = baseline.load(tmp_path / "b.json", settings)
+    save_baseline(healthy, tmp_path / "b.json")
+    again = load_baseline(tmp_path / "b.json", settings.instrumented(), settings.updating)
     np.testing.assert_array_equal(again.model.stiffness_matrix(), healthy.model.stiffness_matrix())
     np.testing.assert_array_equal(again.model.mass_matrix(), healthy.model.mass_matrix())
 
@@ -181,7 +188,7 @@ def test_ranges_are_priors_of_stiffnesses_then_masses() -> None:
         stiffness_n_per_m=[2000.0],
         stiffness_range_n_per_m=[[1800.0, 2200.0]],
     )
-    np.testing.assert_allclose(configured(table, (1,)).prior_std(), [0.05, 0.05, 0.05, 0.05])
+    np.testing.assert_allclose(configured(table, (1,)).instrumented().prior_std, [0.05, 0.05, 0.05, 0.05])
 
 
 def test_a_story_that_the_sensors_do_not_see_is_named_and_its_index_claims_nothing() -> None:

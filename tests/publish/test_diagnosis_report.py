@@ -40,7 +40,7 @@ CONFIG = Configuration.model_validate(
         "sensors": [{"channel": name, "floor": i} for i, name in enumerate(("a1", "a2 <b>&", "a3"), 1)],
     }
 )
-REFERENCE = prior_from_drawing(CONFIG.model(), 0.01 * CONFIG.prior_std(), 3)
+REFERENCE = prior_from_drawing(CONFIG.model(), 0.01 * CONFIG.instrumented().prior_std, 3)
 """Known so well that its stiffnesses cannot take up a cause."""
 GAIN = HeldOutGain(
     1.0,
@@ -67,7 +67,7 @@ class Case:
 def recorded(*effects: Effect, rate_hz: float = 200.0) -> tuple[Segments, Context]:
     model = replace(CONFIG.model(), effects=effects)
     motion = simulate(model, duration_s=400.0, rate_hz=rate_hz, noise=0.05, level_spread=0.35, seed=5)
-    context = Context(model.structure, CONFIG.channels, CONFIG.sensor_matrix(), rate_hz)
+    context = Context(model.structure, CONFIG.channels, CONFIG.instrumented().sensor_matrix, rate_hz)
     samples = motion.floors
     segments = gather(blocks_of(ACCELERATION, samples, CONFIG.channels, rate_hz, 10**18, 1000), CONFIG)
     return segments, context

@@ -18,8 +18,8 @@ from PIL import Image, ImageDraw, ImageFont
 
 from drivers.base import ACCELERATION
 from monitor.core.results import Array, Level, WindowResult
+from monitor.damage import Baseline, learn_baseline
 from monitor.damage.alarm import AlarmSettings
-from monitor.damage.baseline import Baseline, learn
 from monitor.model.simulation import simulate
 from monitor.pipeline import Pipeline
 from monitor.runs.synthetic_recording import blocks_of
@@ -141,7 +141,14 @@ def raw_readings(
 def raw_baseline(seconds: float, seed: int) -> Baseline:
     """Learned from a simulated record of the intact frame."""
     calm = raw_readings([(seconds, {})], seed, None, hop_s=WINDOW_S / 2.0)
-    healthy, _ = learn(configuration(HOP_S), [r.modes for r in calm if r.modes is not None], np.ones(1), ())
+    healthy, _ = learn_baseline(
+        configuration(HOP_S).instrumented(),
+        [r.modes for r in calm if r.modes is not None],
+        np.ones(1),
+        (),
+        updating=configuration(HOP_S).updating,
+        temperature=configuration(HOP_S).temperature,
+    )
     return healthy
 
 

@@ -21,8 +21,7 @@ from threadpoolctl import threadpool_limits
 from drivers.base import ACCELERATION
 from monitor.config.configuration import Configuration
 from monitor.core.results import ModalEstimate, StiffnessEstimate, WindowResult
-from monitor.damage import damage_index
-from monitor.damage.baseline import Baseline, learn
+from monitor.damage import Baseline, damage_index, learn_baseline
 from monitor.identification.whittle import RefinementSettings
 from monitor.model.simulation import simulate
 from monitor.pipeline import Pipeline
@@ -137,7 +136,14 @@ def calibrated(number: int, spread: float, seed: int) -> Baseline:
     """A baseline from a record of its own."""
     config = configuration(10.0)
     (calm,) = windows(BASELINE_S, [seed, number, 0], spread, [Pipeline(config)])
-    return learn(config, [r.modes for r in calm if r.modes is not None], np.ones(1), ())[0]
+    return learn_baseline(
+        config.instrumented(),
+        [r.modes for r in calm if r.modes is not None],
+        np.ones(1),
+        (),
+        updating=config.updating,
+        temperature=config.temperature,
+    )[0]
 
 
 def one_baseline(task: tuple[int, int, float, int]) -> tuple[list[WindowResult], list[WindowResult]]:

@@ -85,7 +85,7 @@ def trial(rng: np.random.Generator) -> tuple[bool, str]:
     config = Configuration.model_validate(tomllib.loads(text))
     model, up = config.model(), int(np.ceil(LEAST_HZ / rate_hz))
     effect = drawn_effect(model, first_hz, floors, rng)
-    context = Context(model.structure, config.channels, config.sensor_matrix(), rate_hz * up)
+    context = Context(model.structure, config.channels, config.instrumented().sensor_matrix, rate_hz * up)
 
     def record(effects: tuple[str, ...]) -> np.ndarray:
         affected = Model(model.structure, tuple(parse_effect(e) for e in effects))

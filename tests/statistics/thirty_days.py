@@ -20,8 +20,7 @@ from threadpoolctl import threadpool_limits
 
 from drivers.base import ACCELERATION, TEMPERATURE, SampleBlock
 from monitor.core.results import WHOLE, DamageReading, Temperature, WindowResult
-from monitor.damage import alarm, damage_index
-from monitor.damage.baseline import Baseline, learn
+from monitor.damage import Baseline, alarm, damage_index, learn_baseline
 from monitor.model.simulation import simulate
 from monitor.pipeline import Pipeline
 from monitor.runs.synthetic_recording import blocks_of
@@ -81,7 +80,16 @@ def raw(hours: range, seed: int, loss: np.ndarray = NO_LOSS) -> list[WindowResul
 def calibrated(windows: list[WindowResult], channel: bool) -> Baseline:
     span_ns = (windows[0].t_end_ns - WINDOW_S * 10**9, windows[-1].t_end_ns)
     felt = [r.temperature for r in windows] if channel else []
-    return learn(CONFIG, [r.modes for r in windows if r.modes], np.ones(1), (), span_ns, felt)[0]
+    return learn_baseline(
+        CONFIG.instrumented(),
+        [r.modes for r in windows if r.modes],
+        np.ones(1),
+        (),
+        span_ns,
+        felt,
+        updating=CONFIG.updating,
+        temperature=CONFIG.temperature,
+    )[0]
 
 
 @dataclass(frozen=True)
@@ -116,7 +124,7 @@ def watch(readings: list[tuple[int, DamageReading]]) -> Watch:
 
 
 def readings(windows: list[WindowResult], baseline: Baseline) -> list[tuple[int, DamageReading]]:
-    sensors = CONFIG.sensor_matrix()
+    sensors = CONFIG.instrumented().sensor_matrix
     return [
         (r.t_end_ns, damage_index.step(r.modes, baseline.model, baseline, sensors, CONFIG.updating, r.temperature)[1])
         for r in windows

@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 from drivers.base import ACCELERATION
 from monitor.config.configuration import Configuration
 from monitor.core.results import WindowResult
-from monitor.damage.baseline import learn
+from monitor.damage import learn_baseline
 from monitor.model.effects import EFFECTS
 from monitor.model.model import Model
 from monitor.model.simulation import simulate
@@ -42,7 +42,14 @@ def one_baseline(number: int, n_windows: int) -> list[tuple[int, np.ndarray, np.
     truth = Model(drawn.model().structure.with_masses(masses), (joints,))
     overlapping = Configuration.model_validate({**drawn.model_dump(exclude_none=True), "processing": {"hop_s": 10.0}})
     calm = _windows(truth, BASELINE_S, int(rng.integers(2**31)), Pipeline(overlapping))
-    baseline = learn(overlapping, [r.modes for r in calm if r.modes is not None], np.ones(1), ())[0]
+    baseline = learn_baseline(
+        overlapping.instrumented(),
+        [r.modes for r in calm if r.modes is not None],
+        np.ones(1),
+        (),
+        updating=overlapping.updating,
+        temperature=overlapping.temperature,
+    )[0]
     out = []
     for story in range(4):
         stiffness = truth.structure.stiffness_n_per_m.copy()

@@ -28,7 +28,7 @@ from drivers.base import ACCELERATION, EndOfStream, SampleBlock, SourceHealth
 from drivers.mcap_file import McapWriter
 from monitor.config import configuration
 from monitor.core.results import Gap, Skipped, WindowResult
-from monitor.damage import alarm, baseline
+from monitor.damage import alarm, load_baseline, save_baseline
 from monitor.model.simulation import simulate
 from monitor.pipeline import Pipeline, Result
 from monitor.runs import session as outputs
@@ -91,7 +91,7 @@ def make_site(folder: Path, keep_gb: float) -> tuple[Path, list[SampleBlock]]:
     with McapWriter(folder / "healthy.mcap") as writer:
         for block in healthy:
             writer.write(block)
-    baseline.save(calibrate([folder / "healthy.mcap"], settings)[0], folder / "baseline.json")
+    save_baseline(calibrate([folder / "healthy.mcap"], settings)[0], folder / "baseline.json")
     return site, healthy
 
 
@@ -195,7 +195,13 @@ def twin(days: int, folder: Path, seed: int = 20261121) -> None:
         def health(self, health: Health) -> None:
             seen.append(health)
 
-    session = Session(settings, baseline.load(folder / "baseline.json", settings), (Kept(),), None, folder)
+    session = Session(
+        settings,
+        load_baseline(folder / "baseline.json", settings.instrumented(), settings.updating),
+        (Kept(),),
+        None,
+        folder,
+    )
     for block in healthy:
         session.push(block)
     like = next(r for r in seen if isinstance(r, WindowResult) and r.damage is not None)

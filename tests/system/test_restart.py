@@ -27,7 +27,7 @@ from drivers.mcap_file import McapWriter, read_recordings
 from drivers.recorder import recorded
 from monitor.config import configuration
 from monitor.core.results import Level
-from monitor.damage import baseline
+from monitor.damage import load_baseline
 from monitor.damage.alarm import AlarmState, StoryState, acknowledge
 from monitor.model.simulation import simulate
 from monitor.runs.session import Session
@@ -206,7 +206,13 @@ def check(site: Path, main: Cli, toll: Toll) -> None:
 def check_state(site: Path) -> None:
     """What the last checkpoint holds is bit for bit what all recordings up to it give."""
     settings = configuration.load(site)
-    session = Session(settings, baseline.load(site.parent / "baseline.json", settings), (), None, site.parent)
+    session = Session(
+        settings,
+        load_baseline(site.parent / "baseline.json", settings.instrumented(), settings.updating),
+        (),
+        None,
+        site.parent,
+    )
     file = (site.parent / "out" / "state" / "checkpoint").read_bytes()
     saved = serialization.from_bytes(file, json.loads(file.partition(b"\n")[0])["key"], Saved)
     with threadpool_limits(limits=1):

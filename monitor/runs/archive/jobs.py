@@ -15,7 +15,7 @@ from drivers.base import ACCELERATION, RecordingError
 from drivers.mcap_file import recording_info
 from monitor.config import configuration
 from monitor.core import UserError, WindowResult, keep_freed, write_atomically
-from monitor.damage import load
+from monitor.damage import load_baseline
 from monitor.publish import SCHEMA, Publisher, table, to_json
 from monitor.runs.archive.inventory import Survey
 from monitor.runs.recordings import blocks
@@ -113,7 +113,9 @@ def replayed(task: Task) -> Outcome:
 
 def _replay(task: Task, warnings: list[str]) -> None:
     settings = configuration.load(task.structure)
-    healthy = None if task.baseline is None else load(task.baseline, settings)
+    healthy = (
+        None if task.baseline is None else load_baseline(task.baseline, settings.instrumented(), settings.updating)
+    )
     paths, folder = list(task.paths), task.out / RUNS / task.name
     source = begun(blocks(paths, settings, warnings.append))
     folder.mkdir(parents=True, exist_ok=True)
@@ -138,7 +140,9 @@ def diagnosed(task: Task) -> Outcome:
     outcome = Outcome(task.name, task.paths)
     try:
         settings = configuration.load(task.structure)
-        healthy = None if task.baseline is None else load(task.baseline, settings)
+        healthy = (
+            None if task.baseline is None else load_baseline(task.baseline, settings.instrumented(), settings.updating)
+        )
         with threadpool_limits(limits=1):
             found = diagnose.find(list(task.paths), settings, healthy, outcome.warnings.append)
         final = task.out / DIAGNOSES / f"{task.name}.json"

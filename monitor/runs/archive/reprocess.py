@@ -23,7 +23,7 @@ from dask.callbacks import Callback
 
 from monitor.config import configuration as config
 from monitor.core import MissingInputError, spare_inputs, write_atomically
-from monitor.damage import load
+from monitor.damage import load_baseline
 from monitor.runs.archive.inventory import Run, Survey, fingerprint, identity, runs
 from monitor.runs.archive.jobs import DIAGNOSES, KEPT, RUNS, WINDOWS, Outcome, Task, diagnosed, replayed, survey
 
@@ -69,7 +69,7 @@ def reprocess(
     spare_inputs([out / _SURVEYS], [*recordings, structure, baseline])
     settings = config.load(structure)
     if baseline is not None:
-        load(baseline, settings)
+        load_baseline(baseline, settings.instrumented(), settings.updating)
     configuration = _configuration(settings, baseline)
     try:
         for folder in (WINDOWS, RUNS, DIAGNOSES):

@@ -1,0 +1,210 @@
+"""The baseline as a JSON file."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import ConfigDict, Field, ValidationError
+
+from monitor.core import BadInputError, MissingInputError, Settings, settings_problems, write_atomically
+from monitor.damage import temperature_compensation
+from monitor.damage.baseline import Baseline
+from monitor.damage.updating import UpdatingSettings
+from monitor.model import InstrumentedModel, Matrix, Positive, prior_file
+
+FORMAT = 1
+"""Counts changes of the file's meaning; files of another number are refused."""
+Index = Annotated[int, Field(ge=0)]
+Vector = tuple[float, ...]
+
+
+class _Strict(Settings):
+    """Part of the file: JSON's own types, nothing converted."""
+
+    model_config = ConfigDict(strict=True)
+
+
+class _Temperature(_Strict):
+    """`Dependence`."""
+
+    per_degc: Vector
+    covariance: Matrix
+    lag_s: float
+    reference_degc: float
+    range_degc: tuple[float, float]
+    extrapolation: float
+
+
+class _Effect(_Strict):
+    """One of `_Reference`."""
+
+    effect: str
+    location: str
+    parameters: dict[str, float]
+
+
+class _StandingError(_Strict):
+    """`reference.StandingError`."""
+
+    hz: Vector
+    real: tuple[Matrix, ...]
+    imaginary: tuple[Matrix, ...]
+    variance: Vector
+
+
+class _Reference(_Strict):
+    """`StructuralPrior`, as `reference_file` writes it."""
+
+    effects: tuple[_Effect, ...]
+    correction: Vector
+    mean: Vector
+    precision: Matrix
+    basis: tuple[Matrix, ...]
+    reference_degc: float | None
+    error: _StandingError | None = None
+
+
+class _Content(_Strict):
+    """The file: `Baseline` with its model taken apart."""
+
+    format: int
+    stiffness_n_per_m: tuple[Positive, ...]
+    masses_kg: tuple[Positive, ...]
+    covariance: Matrix
+    z: Vector
+    z_covariance: Matrix
+    misfit: Vector
+    frequencies_hz: Vector
+    frequencies_std_hz: Vector
+    damping_ratio: Vector
+    model_mode: tuple[Index, ...]
+    gauges: tuple[Index, ...]
+    log: bool
+    channels: tuple[str, ...]
+    floors: tuple[int, ...]
+    windows: int
+    level_range_m_s2: tuple[float, float]
+    reference_temperature_degc: float | None
+    recordings: tuple[dict[str, str], ...]
+    span_ns: tuple[int, int]
+    temperature: _Temperature | None = None
+    stiffness_correction_n_per_m: Matrix | None = None
+    reference: _Reference | None = None
+
+
+def _plain(value: Any) -> Any:
+    return value.tolist() if isinstance(value, np.ndarray) else value
+
+
+def save_baseline(baseline: Baseline, path: Path) -> None:
+    """Write the baseline as JSON, atomically."""
+    structure = baseline.model.structure
+    own = {
+        "format": FORMAT,
+        "stiffness_n_per_m": structure.stiffness_n_per_m.tolist(),
+        "masses_kg": structure.masses_kg.tolist(),
+        "temperature": temperature_compensation.to_plain(baseline.temperature),
+        "stiffness_correction_n_per_m": _plain(baseline.model.correction),
+        "reference": prior_file.to_plain(baseline.reference),
+    }
+    content = {name: own[name] if name in own else _plain(getattr(baseline, name)) for name in _Content.model_fields}
+    write_atomically(path, json.dumps(content, indent=1, allow_nan=False) + "\n")
+
+
+def load_baseline(path: Path, instrumented: InstrumentedModel, updating: UpdatingSettings) -> Baseline:
+    """Read a baseline and check that it belongs to this structure.
+
+    Raises
+    ------
+    MissingInputError, BadInputError
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except UnicodeDecodeError as error:
+        raise BadInputError(f"{path}: not a baseline file (no UTF-8 text); make one with 'calibrate'") from error
+    except OSError as error:
+        raise MissingInputError(f"{path}: {error.strerror}") from error
+    try:
+        if (written := json.loads(text)["format"]) != FORMAT:
+            raise BadInputError(f"{path}: baseline format {written!r}, expected {FORMAT}; calibrate anew")
+        content = _Content.model_validate_json(text)
+        loaded = _built(content, instrumented)
+    except ValidationError as error:
+        raise BadInputError(
+            f"{path}: not a baseline file ({settings_problems(error)[0]}); make one with 'calibrate'"
+        ) from error
+    except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
+        raise BadInputError(f"{path}: not a baseline file ({error!r}); make one with 'calibrate'") from error
+    problem = _mismatch(loaded, instrumented, updating)
+    if problem is not None:
+        raise BadInputError(f"{path}: {problem}; calibrate with this structure file")
+    return loaded
+
+
+def _built(c: _Content, instrumented: InstrumentedModel) -> Baseline:
+    """The baseline of a file's content.
+
+    Raises
+    ------
+    ValueError, KeyError, TypeError
+        If its parts do not fit each other or the structure.
+    """
+    model = instrumented.model
+    size = model.structure.n_dofs
+    # As the calibration knew it: what a diagnosis wrote into the file since then stands in `misfit` already.
+    known = c.stiffness_correction_n_per_m
+    model = replace(model, correction=None if known is None else np.array(known).reshape(size, size))
+    temperature = None if c.temperature is None else c.temperature.model_dump()
+    reference = None if c.reference is None else c.reference.model_dump()
+    return Baseline(
+        model=model.with_stiffness(np.array(c.stiffness_n_per_m)).with_masses(np.array(c.masses_kg)),
+        covariance=np.array(c.covariance),
+        z=np.array(c.z),
+        z_covariance=np.array(c.z_covariance),
+        misfit=np.array(c.misfit),
+        model_mode=c.model_mode,
+        gauges=c.gauges,
+        log=c.log,
+        frequencies_hz=np.array(c.frequencies_hz),
+        frequencies_std_hz=np.array(c.frequencies_std_hz),
+        damping_ratio=np.array(c.damping_ratio),
+        channels=c.channels,
+        floors=c.floors,
+        windows=c.windows,
+        level_range_m_s2=c.level_range_m_s2,
+        reference_temperature_degc=c.reference_temperature_degc,
+        temperature=temperature_compensation.from_plain(temperature, len(c.stiffness_n_per_m)),
+        recordings=c.recordings,
+        span_ns=c.span_ns,
+        reference=prior_file.from_plain(reference, model, instrumented.channels),
+    )
+
+
+def _mismatch(b: Baseline, instrumented: InstrumentedModel, updating: UpdatingSettings) -> str | None:
+    """Why a baseline does not belong to a structure file, or None."""
+    drawn, structure = instrumented.model.structure, b.model.structure
+    n, p, m, c = drawn.n_dofs, drawn.n_stories, len(b.model_mode), len(b.channels)
+    if structure.masses_kg.shape != (n,) or structure.stiffness_n_per_m.shape != (p,):
+        return f"the baseline has {structure.stiffness_n_per_m.size} stories, the structure file {p}"
+    if (b.channels, b.floors) != (instrumented.channels, instrumented.floors):
+        return f"the baseline's channels are {', '.join(map(str, b.channels))} on floors {b.floors}, not the structure file's"
+    if b.log != (updating.eigenvalue == "log") or bool(b.gauges) != updating.use_shapes:
+        return "the baseline was learned with another [updating] eigenvalue or use_shapes"
+    n_data = m + len(b.gauges) * (c - 1)
+    shapes = {"covariance": (p + n, p + n), "z": (n_data,), "z_covariance": (n_data, n_data), "misfit": (n_data,)}
+    shapes |= {name: (m,) for name in ("frequencies_hz", "frequencies_std_hz", "damping_ratio")}
+    for name, shape in shapes.items():
+        if getattr(b, name).shape != shape:
+            return f"the baseline's {name} is damaged"
+    if (
+        any(i >= n for i in b.model_mode)
+        or len(set(b.model_mode)) != m
+        or any(g >= c for g in b.gauges)
+        or len(b.gauges) not in (0, m)
+    ):
+        return "the baseline's modes are damaged"
+    return None

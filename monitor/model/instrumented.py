@@ -1,0 +1,53 @@
+"""A model with its sensors: what an estimator must know of a site beside the recorded data."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from monitor.core import Array
+from monitor.model.effects import Context
+from monitor.model.model import Model
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class InstrumentedModel:
+    """A model, the sensors on its floors, and how far its parameters may be from the truth.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from monitor.model import InstrumentedModel, Model, ShearFrame
+    >>> frame = Model(ShearFrame(np.ones(3), np.full(3, 1000.0), 0.01))
+    >>> site = InstrumentedModel(frame, channels=("roof", "first"), floors=(1, 3), prior_std=np.full(6, 0.1))
+    >>> site.sensor_matrix
+    array([[1., 0., 0.],
+           [0., 0., 1.]])
+    >>> site.context(rate_hz=200.0).channels
+    ('roof', 'first')
+    """
+
+    model: Model
+    channels: tuple[str, ...]
+    """Names of the accelerometers, c of them."""
+    floors: tuple[int, ...]
+    """Floor (degree of freedom, counted from 1) of each channel."""
+    prior_std: Array
+    """Relative standard deviations of the stiffnesses, then of the masses, shape (p + n,)."""
+
+    @property
+    def sensor_matrix(self) -> Array:
+        """Matrix that picks the channels out of the floors' motion, shape (c, n)."""
+        matrix = np.zeros((len(self.floors), self.model.structure.n_dofs))
+        matrix[np.arange(len(self.floors)), np.array(self.floors, dtype=int) - 1] = 1.0
+        return matrix
+
+    @property
+    def stiffness_prior_std(self) -> Array:
+        """Relative standard deviations of the stiffnesses alone, shape (p,)."""
+        return self.prior_std[: self.model.structure.n_stories]
+
+    def context(self, rate_hz: float) -> Context:
+        """Make the context in which effects act, for samples at `rate_hz` (Hz)."""
+        return Context(self.model.structure, self.channels, self.sensor_matrix, rate_hz)
