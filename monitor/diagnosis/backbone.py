@@ -122,7 +122,7 @@ def _ratio_variance(problem: Posterior, at: MapEstimate, here: Array) -> Array:
     for i in range(at.x.size):
         moved, h = at.x.copy(), 1e-5 * max(1.0, abs(at.x[i]))
         moved[i] += h
-        effects = (*problem.prior.effects(moved), *with_coordinates(at.effects, moved[problem.n_nuisance :]))
+        effects = (*problem.prior.effects(moved), *with_coordinates(at.effects, moved[problem.layout.effects]))
         f = problem.model(moved, effects).modes().frequencies_hz[: here.size + 1]
         slopes[:, i] = (f[1:] / f[0] - here) / h
     return np.asarray(np.einsum("ij,jk,ik->i", slopes, at.covariance, slopes))

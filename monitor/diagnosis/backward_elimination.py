@@ -67,9 +67,9 @@ def revise_candidates(
     for cause, tried in zip(accepted, rounds, strict=False):
         if len(at.effects) == 1 or (cause is accepted[-1] and len(at.effects) == len(kept) and not replaced):
             break  # nothing came after it
-        n, i = problem.n_nuisance, kept.index(cause)
+        nuisances, i = problem.layout.nuisances, kept.index(cause)
         rest = (*at.effects[:i], *at.effects[i + 1 :])
-        without = maximize_posterior(problem, joined(at.x[:n], rest), rest)
+        without = maximize_posterior(problem, joined(at.x[nuisances], rest), rest)
         worth = score_candidate(problem, without, at, len(cause.effect.parameters)).evidence
         taken = {cause.key, *(c.key for c in later), *((e.name, e.location) for e in rest)}
         # What simulation added to a law is its own: none takes its place, and it none's.
@@ -80,7 +80,7 @@ def revise_candidates(
         best = max(judged, key=lambda c: c.evidence, default=None)
         if best is not None and best.evidence > bar:
             effects = (*best.fit.effects[:i], best.effect, *best.fit.effects[i:-1])
-            at = maximize_posterior(problem, joined(best.fit.x[:n], effects), effects)
+            at = maximize_posterior(problem, joined(best.fit.x[nuisances], effects), effects)
             kept[i], replaced = best, True
         elif worth > margin:
             continue
@@ -100,7 +100,7 @@ def only(problem: Posterior, at: MapEstimate, doubt: Array, kept: Sequence[bool]
     """The fit, and the doubt of its sizes, with some of its effects alone."""
     effects = tuple(e for e, stays in zip(at.effects, kept, strict=True) if stays)
     sizes = np.array([stays for e, stays in zip(at.effects, kept, strict=True) for _ in e.parameters])
-    return maximize_posterior(problem, joined(at.x[: problem.n_nuisance], effects), effects), doubt[sizes]
+    return maximize_posterior(problem, joined(at.x[problem.layout.nuisances], effects), effects), doubt[sizes]
 
 
 def joined(nuisances: Array, effects: Sequence[Effect]) -> Array:

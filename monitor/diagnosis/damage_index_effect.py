@@ -32,10 +32,10 @@ def ddi_effect(diagnosis: Diagnosis) -> dict[str, Any]:
     # The offset is a cause's.
     forms = [(replace(problem, offset=None), diagnosis.null.x, ()), (problem, diagnosis.final.x, causes)]
     alone, *beside = parallel_map(lambda form: _fitted(*form), forms[: 2 if causes else 1])
-    known = np.exp(problem.prior.parts(problem.prior.mean)[0])
+    known = np.exp(problem.prior.mean[problem.layout.stiffness])
 
     def index(at: MapEstimate) -> list[float]:
-        return [float(v) for v in 1.0 - np.exp(problem.prior.parts(at.x)[0]) / known]
+        return [float(v) for v in 1.0 - np.exp(at.x[problem.layout.stiffness]) / known]
 
     return {"without": index(alone), "with": index(*(beside or [alone]))}
 
@@ -49,9 +49,8 @@ def _fitted(problem: Posterior, x: Array, effects: tuple[Effect, ...]) -> MapEst
 
 def _with_free_stiffness(problem: Posterior) -> Posterior:
     """The baseline holds its stiffnesses fixed; an index asks what they are now."""
-    k = problem.prior.sizes[0]
-    precision = problem.prior.precision.copy()
-    precision[:k], precision[:, :k] = 0.0, 0.0
-    precision[:k, :k] = np.eye(k) / _STIFFNESS_STD**2
+    stiffness, precision = problem.layout.stiffness, problem.prior.precision.copy()
+    precision[stiffness], precision[:, stiffness] = 0.0, 0.0
+    np.fill_diagonal(precision[stiffness, stiffness], 1.0 / _STIFFNESS_STD**2)
     known = replace(problem.prior, precision=precision, model=problem.prior.model.as_built())
     return replace(problem, prior=known)

@@ -15,6 +15,7 @@ from monitor.diagnosis.cross_validation import HeldOutGain
 from monitor.diagnosis.score_test import Candidate
 from monitor.diagnosis.stepwise_selection import Diagnosis
 from monitor.diagnosis.wording import contradicted, headline, in_words, separating_measurement
+from monitor.inference import ParameterLayout
 from monitor.model import FORMS, Effect, MatrixStructure, Model, StructuralPrior
 
 _MOST = 1e300
@@ -76,7 +77,7 @@ def _standing(reference: StructuralPrior) -> list[dict[str, Any]]:
     # In units of their own: a law's size in N/m^3 is known to so few parts in 1e24 that it would pass for nothing.
     unit = np.maximum(np.diag(reference.precision), 1e-300) ** -0.5
     variance = unit**2 * np.diag(np.linalg.pinv(reference.precision * np.outer(unit, unit), hermitian=True))
-    first, out = reference.mean.size - reference.n_standing, []
+    first, out = ParameterLayout.of(reference).persistent.start, []
     for effect in reference.effects(reference.mean):
         n = len(effect.parameters)
         sizes = _sizes(effect, np.hypot(np.sqrt(np.maximum(variance[first : first + n], 0.0)), effect.form_std))

@@ -47,12 +47,12 @@ def refit_forms(part: ObservedSpectra, whole: Diagnosis) -> list[tuple[Model, Ex
     part = replace(part, drive=_between_samples_as(whole, part.drive))
     n_classes = part.counts.size
     posterior = whole.problem.part(part, nearest_classes(whole.problem.n_classes, n_classes))
-    p, n = posterior.prior.mean.size, whole.problem.n_nuisance
+    layout = whole.problem.layout
     by_level = not (part.by_temperature or whole.problem.observed.by_temperature)
     shared = by_level and not any(e.nonlinear for e in posterior.prior.model.effects)
 
     def fitted(x: Array, effects: tuple[Effect, ...]) -> tuple[Model, ExcitationStart]:
-        x = np.concatenate([x[:p], ExcitationStart.at(whole.problem, x).of(n_classes).vector, x[n:]])
+        x = np.concatenate([x[layout.structure], ExcitationStart.at(whole.problem, x).of(n_classes).vector, x[layout.effects]])
         own = posterior
         if part.drive is None and any(e.conditional for e in (*posterior.prior.effects(x), *effects)):
             own = replace(posterior, conditions=linearize(replace(posterior, offset=None), x, effects))

@@ -11,7 +11,7 @@ from monitor.core import Array
 from monitor.diagnosis.lack_of_fit import estimate_model_discrepancy
 from monitor.diagnosis.settings import DiagnosisSettings
 from monitor.diagnosis.simulation_refit import fit_initial_model
-from monitor.inference import ObservedSpectra, Posterior
+from monitor.inference import ObservedSpectra, ParameterLayout, Posterior
 from monitor.model import Context, StructuralPrior, correction_basis, inverse
 
 _FIXED = 1e-4
@@ -39,37 +39,39 @@ def learn_prior(
         The correction, relative to the modes' stiffness.
     """
     _, form, _ = fit_initial_model(evidence, known, context)
-    k, m, d, c, _ = known.sizes
-    x = form.x[: known.mean.size]
-    model = known.model.with_stiffness(np.exp(x[:k])).with_masses(np.exp(x[k : k + m]))
+    layout = ParameterLayout.of(known)
+    x = form.x[layout.structure]
+    model = known.model.with_stiffness(np.exp(x[layout.stiffness])).with_masses(np.exp(x[layout.masses]))
     n_modes = int(np.count_nonzero(model.modes().frequencies_hz < evidence.band.hz[-1]))
     basis = correction_basis(model, n_modes)
     standing = known.effects(x)
     effects = np.concatenate([[], *[e.coordinates for e in standing]])
-    sizes = slice(known.mean.size - effects.size, known.mean.size)
+    sizes, noise = layout.persistent, layout.channel_noise
     # The correction could take the place of these, and their sizes drift far beside it.
     like = [e.family == "structure" and not e.conditional for e in standing for _ in e.parameters]
     held = np.where(like, 1.0 / np.diag(form.covariance)[sizes], 0.0)
-    mean = np.concatenate([x[: k + m + d + c], np.zeros(basis.shape[0]), effects])
+    mean = np.concatenate([x[: layout.correction.start], np.zeros(basis.shape[0]), effects])
+    k, m, d, c, _ = known.sizes
+    masses, damped_and_noisy = known.precision[layout.masses, layout.masses], slice(layout.damping.start, noise.stop)
     prior = block_diag(
         np.eye(k) / _FIXED**2,
-        known.precision[k : k + m, k : k + m]
-        + 1.0 / (m * _FIXED) ** 2,  # their common scale cannot be seen: fixed for now
-        known.precision[k + m : k + m + d + c, k + m : k + m + d + c],
+        masses + 1.0 / (m * _FIXED) ** 2,  # their common scale cannot be seen: fixed for now
+        known.precision[damped_and_noisy, damped_and_noisy],
         np.eye(basis.shape[0]) / _CORRECTION_STD**2,
         known.precision[sizes, sizes] + np.diag(held),
     )
     wider = replace(known, mean=mean, precision=prior, basis=basis)
     problem, fitted, _ = fit_initial_model(evidence, wider, context)
-    p, wrong, covariance = mean.size, estimate_model_discrepancy(problem, fitted, settings), fitted.covariance
+    wrong, covariance = estimate_model_discrepancy(problem, fitted, settings), fitted.covariance
     if wrong is not None:
         wider = replace(wider, error=wrong)
         covariance = _covariance(replace(problem, prior=wider), fitted.x)
-    precision = inverse(covariance[:p, :p])
-    learnt = replace(wider, mean=fitted.x[:p], precision=0.5 * (precision + precision.T))
+    structure = problem.layout.structure
+    precision = inverse(covariance[structure, structure])
+    learnt = replace(wider, mean=fitted.x[structure], precision=0.5 * (precision + precision.T))
     learnt = learnt.with_looser_damping(np.full(d, _DAMPING_DRIFT)).with_looser_noise(np.full(c, _NOISE_DRIFT))
-    learnt = learnt.with_unseen_scale(float(np.sqrt(np.linalg.inv(known.precision[k : k + m, k : k + m]).sum()) / m))
-    return learnt, learnt.parts(learnt.mean)[4]
+    learnt = learnt.with_unseen_scale(float(np.sqrt(np.linalg.inv(masses).sum()) / m))
+    return learnt, learnt.mean[ParameterLayout.of(learnt).correction]
 
 
 def _covariance(problem: Posterior, x: Array) -> Array:

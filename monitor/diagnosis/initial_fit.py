@@ -12,6 +12,7 @@ from monitor.inference import (
     Between,
     MapEstimate,
     ObservedSpectra,
+    ParameterLayout,
     Posterior,
     forces_from_quiet_segments,
     linearize,
@@ -47,19 +48,21 @@ def fit_linearized(
     unknown = Condition(
         np.ones(context.structure.n_stories), np.ones(context.structure.n_stories), np.ones(n), np.ones(c)
     )
+    linear = slice(0, ParameterLayout.of(reference).persistent.start)
     plain = replace(
         reference,
         model=replace(reference.model, effects=()),
-        mean=reference.mean[: reference.mean.size - reference.n_standing],
+        mean=reference.mean[linear],
+        precision=reference.precision[linear, linear],
     )
-    plain = replace(plain, precision=reference.precision[: plain.mean.size, : plain.mean.size])
     problem = Posterior(evidence, plain, context, (unknown,) * evidence.counts.size)
     null = maximize_posterior(problem, _first_guess(problem)) if evidence.drive is None else _from_afar(problem)
     problem, null = between_samples(problem, null)
     problem = replace(problem, conditions=linearize(problem, null.x, ()))
     if not reference.n_standing:
         return beside_wind(problem, null)
-    x = np.concatenate([null.x[: plain.mean.size], reference.mean[plain.mean.size :], null.x[plain.mean.size :]])
+    structure = np.concatenate([null.x[linear], reference.mean[linear.stop :]])
+    x = problem.layout.with_structure(null.x, structure)
     for _ in range(2):
         problem = replace(problem, prior=reference)
         null = maximize_posterior(problem, x)
@@ -72,22 +75,20 @@ def beside_wind(problem: Posterior, at: MapEstimate) -> tuple[Posterior, MapEsti
     """With the forces that the quiet tells, where the ground was measured."""
     if problem.observed.drive is None:
         return problem, at
-    first, n = problem.prior.mean.size, problem.context.structure.n_dofs
     x = forces_from_quiet_segments(problem, at.x, at.effects)
-    problem = replace(problem, wind=x[first : first + n])
+    problem = replace(problem, wind=x[problem.layout.forces])
     return problem, maximize_posterior(problem, x, at.effects, iterations=FAR)
 
 
 def _from_afar(problem: Posterior) -> MapEstimate:
     """The first fit to driven motion, whose phases lead back from nearby only: with heavy damping first, for wide peaks."""
     known, x = problem.prior, _first_guess(problem)
-    k, m, d, *_ = known.sizes
-    modes = np.arange(k + m, k + m + d)
-    mean, precision = known.mean.copy(), known.precision.copy()
-    mean[modes] = np.log(_HEAVY)
-    precision[modes, modes] += _HELD_DAMPING
+    modes = problem.layout.damping
+    mean, held = known.mean.copy(), np.zeros(known.mean.size)
+    mean[modes], held[modes] = np.log(_HEAVY), _HELD_DAMPING
+    precision = known.precision + np.diag(held)
     wide = replace(problem, prior=replace(known, mean=mean, precision=precision))
-    near = maximize_posterior(wide, np.concatenate([mean, x[mean.size :]]), iterations=LONG).x
+    near = maximize_posterior(wide, problem.layout.with_structure(x, mean), iterations=LONG).x
     near[modes] = np.log(_LIGHTER)
     return maximize_posterior(problem, near, iterations=FAR)
 
@@ -118,19 +119,19 @@ def exactly(problem: Posterior, at: MapEstimate) -> tuple[Posterior, MapEstimate
 
 def _first_guess(problem: Posterior) -> Array:
     """Nuisances as known before, forces and noise from the power of the spectra."""
-    e, n = problem.observed, problem.context.structure.n_dofs
-    c = len(problem.context.channels)
+    e, c = problem.observed, len(problem.context.channels)
     power = np.einsum("kfaa->kfa", e.spectra[:, :, :c, :c]).real
     noise = np.log(max(0.3 * float(np.quantile(power.mean(axis=(0, 2)), 0.02)), 1e-300))
-    x = np.concatenate([problem.prior.mean, np.zeros(n), np.zeros(problem.n_classes), [noise - 10.0]])
+    layout = problem.layout
+    x = np.zeros(layout.n_nuisance)
+    x[layout.structure], x[layout.noise] = problem.prior.mean, noise - 10.0
     predicted = np.einsum("kfaa->kfa", problem.scatter(x, ())[:, :, :c, :c]).real
     # Medians over frequency: peaks that do not lie where they should must not set the level.
     ratio = np.median(power / predicted, axis=(1, 2))
-    p = problem.prior.mean.size
-    x[p : p + n] = np.log(ratio.mean())
-    x[p + n : p + n + problem.n_classes] = np.log(ratio / ratio.mean())
-    x[-1] = noise
+    x[layout.forces] = np.log(ratio.mean())
+    x[layout.levels] = np.log(ratio / ratio.mean())
+    x[layout.noise] = noise
     if e.power is not None:
-        x[p : p + n] += np.log(_FORCED)
-        x[p + n : p + n + problem.n_classes] = np.log(power / e.power).mean(axis=(1, 2)) + 2.0 * np.log(_MODEL_ERROR)
+        x[layout.forces] += np.log(_FORCED)
+        x[layout.levels] = np.log(power / e.power).mean(axis=(1, 2)) + 2.0 * np.log(_MODEL_ERROR)
     return x

@@ -179,7 +179,7 @@ def find_level_dependence(
 ) -> tuple[LackOfFit, ...]:
     """Effects that stood at calibration and are of another size now, which a fit's nuisances take up without a word."""
     known, out = problem.prior, []
-    away = known.standing(np.abs(fitted.x[: known.mean.size] - known.mean))
+    away = known.standing(np.abs(fitted.x[problem.layout.structure] - known.mean))
     for effect, far, std in zip(known.effects(fitted.x), away, known.standing_std, strict=True):
         own = far / std
         if own.max(initial=0.0) > settings.misfit:

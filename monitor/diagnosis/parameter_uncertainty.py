@@ -22,7 +22,7 @@ _SURE = 2.0
 def deviations(problem: Posterior, at: MapEstimate, doubt: Array) -> list[Array]:
     """Standard deviations of every effect's coordinates, shape (p,) each; `doubt` are those by simulation, of all of them."""
     first, out = 0, []
-    own = np.sqrt(np.maximum(np.diag(at.covariance)[problem.n_nuisance :], 0.0))
+    own = np.sqrt(np.maximum(np.diag(at.covariance)[problem.layout.effects], 0.0))
     for effect in at.effects:
         these = slice(first, first + len(effect.parameters))
         out.append(np.hypot(own[these], np.hypot(doubt[these], form_variance(problem, at, effect))))
@@ -53,7 +53,7 @@ def form_variance(problem: Posterior, at: MapEstimate, effect: Effect) -> Array:
     if effect.name == "harmonic_excitation":
         return np.array([_LINE * problem.observed.band.bin_hz / effect.lines()[0].frequency_hz, 0.0])
     if effect.name in ("bilinear_stiffness", "stiffness_change") and effect.location.startswith("story"):
-        correction = problem.prior.parts(at.x)[4]
+        correction = at.x[problem.layout.correction]
         rms = float(np.sqrt((correction**2).mean())) if correction.size else 0.0
         beside = (*problem.prior.effects(at.x), *at.effects)
         flexible = sum(1.0 / e.girder_to_column_ratio for e in beside if isinstance(e, JointFlexibility))

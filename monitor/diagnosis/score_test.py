@@ -172,7 +172,7 @@ def _at_rest(problem: Posterior, null: MapEstimate, *more: Effect) -> tuple[Post
     """The problem with its structure held where it was known to be, fitted; with further effects."""
     known = problem.prior
     held = replace(problem, prior=replace(known, precision=known.precision + np.diag(_HELD / known.units**2)))
-    x = np.concatenate([known.mean, null.x[known.mean.size :]])
+    x = problem.layout.with_structure(null.x, known.mean)
     return held, maximize_posterior(held, x, (*null.effects, *more), iterations=_BRIEFLY)
 
 
@@ -236,7 +236,7 @@ def fit_best(
     """
     driven = problem.observed.drive is not None
     # Driven motion tells so much that a cause bends the other slopes at once.
-    frozen = null.jacobian[:, : problem.n_nuisance] if quick and not driven else None
+    frozen = null.jacobian[:, problem.layout.nuisances] if quick and not driven else None
     few, many = (ROUGHLY, FAR) if driven else (_QUICKLY, LONG)
     fitted = partial(
         maximize_posterior, problem, iterations=few if quick else many, tolerance=COARSE if driven else _FINE

@@ -72,7 +72,7 @@ def _is_one(problem: Posterior, candidate: Candidate) -> bool:
         hz[0] <= effect.frequency_hz <= hz[-1] and effect.damping_ratio < _SWINGS
     ):
         return False
-    own = np.sqrt(np.maximum(np.diag(candidate.fit.covariance)[problem.n_nuisance :], 0.0))
+    own = np.sqrt(np.maximum(np.diag(candidate.fit.covariance)[problem.layout.effects], 0.0))
     return effect.nonlinear or is_significant(effect, own[own.size - len(effect.parameters) :])
 
 

@@ -136,8 +136,8 @@ def fit_by_simulation(problem: Posterior, at: MapEstimate, care: Care = "fine") 
 def _weaker(problem: Posterior, at: MapEstimate) -> MapEstimate:
     """Where a fit begins with weaker laws."""
     x = at.x.copy()
-    x[problem.n_nuisance :][[e.nonlinear for e in at.effects for _ in e.parameters]] *= _WEAKER
-    return replace(at, x=x, effects=with_coordinates(at.effects, x[problem.n_nuisance :]))
+    x[problem.layout.effects][[e.nonlinear for e in at.effects for _ in e.parameters]] *= _WEAKER
+    return replace(at, x=x, effects=with_coordinates(at.effects, x[problem.layout.effects]))
 
 
 def _sensors_alone(at: MapEstimate) -> bool:
@@ -176,7 +176,7 @@ def _iterate_simulation(problem: Posterior, at: MapEstimate, rounds: Rounds) -> 
         at = maximize_posterior(near, at.x, at.effects, iterations=8)
     lost, doubt = _chance(near, at, offsets, free)
     if doubt.size:
-        more = np.diag(_spread(near, at) - at.covariance)[near.n_nuisance :]
+        more = np.diag(_spread(near, at) - at.covariance)[near.layout.effects]
         doubt = np.sqrt(doubt**2 + np.maximum(more, 0.0))
     return SimulatedFit(replace(near, lost=lost, doubt=doubt), at, added, count)
 
@@ -200,11 +200,11 @@ def refine_fit(problem: Posterior, at: MapEstimate) -> tuple[CorrectedPosterior,
     if _largest(_spurious_share(near, start)) > _MUCH:
         rounds = ((max(count, _SLOPED - near.simulations), True),)
     last = _iterate_simulation(near, start, rounds)
-    sizes = last.fit.x[problem.n_nuisance :]
+    sizes = last.fit.x[problem.layout.effects]
     bent = np.array([e.nonlinear for e in at.effects for _ in e.parameters])
     if (last.problem.doubt > _VAGUE * np.abs(sizes))[bent].any():
         last = _iterate_simulation(last.problem, last.fit, ((_MOST, False),))
-    moved = np.abs(last.fit.x - start.x)[problem.n_nuisance :]
+    moved = np.abs(last.fit.x - start.x)[problem.layout.effects]
     if last.fit.log_posterior + last.problem.lost < start.log_posterior + near.lost:
         return replace(near, doubt=np.hypot(last.problem.doubt, moved)), start
     return replace(last.problem, doubt=np.hypot(last.problem.doubt, _UNSETTLED * moved)), last.fit
@@ -228,9 +228,10 @@ def _sloped(problem: Posterior, at: MapEstimate, seed: int) -> ComplexArray:
         if effect.family == "sensor":
             continue
         x = at.x.copy()
-        step = _STEP * abs(x[problem.n_nuisance + i])
-        x[problem.n_nuisance + i] += step
-        effects = with_coordinates(at.effects, x[problem.n_nuisance :])
+        sizes = x[problem.layout.effects]
+        step = _STEP * abs(sizes[i])
+        sizes[i] += step
+        effects = with_coordinates(at.effects, sizes)
         slope[:] = (
             linearization_error(problem, x, effects, acting, simulate_exact(problem, x, effects, acting)) - here
         ) / step
@@ -263,7 +264,7 @@ def _spurious_share(problem: Posterior, at: MapEstimate) -> Array:
     whole = np.zeros_like(at.covariance)
     if isinstance(problem, CorrectedPosterior) and problem.feigned.any():
         sizes = [e.nonlinear for e in at.effects for _ in e.parameters]
-        bent = problem.n_nuisance + np.flatnonzero(sizes)
+        bent = problem.layout.n_nuisance + np.flatnonzero(sizes)
         whole[np.ix_(bent, bent)] = problem.feigned
     return np.asarray(at.covariance @ whole)
 
@@ -291,7 +292,7 @@ def _chance(
     A nonlinear response is not normal, so a recording's spectra scatter more than the likelihood knows: as the spectra of
     simulations without a control variate do.  A single one tells nothing.
     """
-    n, k = problem.n_nuisance, len(offsets)
+    own_sizes, k = problem.layout.effects, len(offsets)
     if k < 2:
         return 0.0, np.zeros(0)
     here = problem.predict(at.x, at.effects)
@@ -299,9 +300,9 @@ def _chance(
     steps, lost = [], 0.0
     for made in (offsets, free):
         apart, _ = problem.whitened(here.spectra, problem.spread(made - made.mean(axis=0)), here.data)
-        steps.append((at.covariance @ (rows.T @ apart))[n:])
+        steps.append((at.covariance @ (rows.T @ apart))[own_sizes])
         if made is offsets:
             lost = 0.5 * float((apart**2).sum()) / (k * (k - 1))
     own, whole = (s.var(axis=1, ddof=1) for s in steps)
-    expected = np.diag(at.covariance @ (rows.T @ rows) @ at.covariance)[n:]
+    expected = np.diag(at.covariance @ (rows.T @ rows) @ at.covariance)[own_sizes]
     return lost, np.sqrt(own / k + np.maximum(whole - expected, 0.0))

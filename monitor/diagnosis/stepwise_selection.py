@@ -279,7 +279,7 @@ def _sure_elsewhere(
         if i >= len(accepted):
             return True
         others = (*at.effects[:i], *at.effects[i + 1 :])
-        without = maximize_posterior(elsewhere, joined(whole.x[: problem.n_nuisance], others), others)
+        without = maximize_posterior(elsewhere, joined(whole.x[problem.layout.nuisances], others), others)
         gain = whole.log_posterior - without.log_posterior
         return gain - parameter_cost(elsewhere, len(at.effects[i].parameters)) > settings.margin
 

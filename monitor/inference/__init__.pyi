@@ -9,6 +9,7 @@ from .higher_moments import MeasuredMoments, Moments, measure_moments, normal_mo
 from .linearization import linearize
 from .map_estimate import MapEstimate, maximize_posterior
 from .observed_spectra import ObservedSpectra, class_temperature, classify
+from .parameter_layout import ParameterLayout
 from .posterior import Posterior, with_coordinates
 from .segments import Segments, gather
 
@@ -22,6 +23,7 @@ __all__ = [
     "MeasuredMoments",
     "Moments",
     "ObservedSpectra",
+    "ParameterLayout",
     "Posterior",
     "Prediction",
     "Segments",

@@ -1,4 +1,4 @@
-"""A problem whose linearized laws are corrected by what simulation of the exact ones adds, at the simulated sizes and near."""
+"""A posterior whose linearized laws are corrected by what simulation of the exact ones adds, at the simulated sizes and near."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _STEP = 0.01
 
 @dataclass(frozen=True, eq=False, slots=True)
 class CorrectedPosterior(Posterior):
-    """A problem with the linear terms of the correction by the laws' sizes; `offset` is its value at their centre."""
+    """A posterior with the linear terms of the correction by the laws' sizes; `offset` is its value at their centre."""
 
     laws: tuple[tuple[str, str], ...] = ()
     """Names and places of the effects that were simulated, besides those that stand."""
@@ -96,7 +96,7 @@ class CorrectedPosterior(Posterior):
 
     def _scale(self, x: Array, laws: Sequence[Effect]) -> Array:
         """By what laws' coordinates must grow to stay as strong beside the masses and stiffnesses, shape (p,)."""
-        grown = np.exp(self.prior.parts(x)[1].mean() - self.ln_mass)
+        grown = np.exp(x[self.layout.masses].mean() - self.ln_mass)
         return np.array([grown if p.weighty else 1.0 for e in laws for p in e.parameters])
 
     def slope(self, x: Array, i: int, effects: tuple[Effect, ...], spectra: ComplexArray) -> ComplexArray:
@@ -166,9 +166,9 @@ def relative_to(spectra: ComplexArray, offset: ComplexArray, hz: Array) -> Compl
 
 
 def correct_posterior(
-    problem: Posterior, x: Array, effects: tuple[Effect, ...], offset: ComplexArray, slopes: ComplexArray
+    posterior: Posterior, x: Array, effects: tuple[Effect, ...], offset: ComplexArray, slopes: ComplexArray
 ) -> CorrectedPosterior:
-    """The problem with a correction that was simulated at given parameters, smoothed relative to the spectra.
+    """The posterior with a correction that was simulated at given parameters, smoothed relative to the spectra.
 
     Parameters
     ----------
@@ -176,8 +176,8 @@ def correct_posterior(
     slopes : ndarray, shape (p, classes, n_bins, c, c) or (0, ...)
         By the coordinates of the nonlinear effects; none where they are not known.
     """
-    plain = {f.name: getattr(problem, f.name) for f in fields(Posterior)}
-    linear, hz = problem.of_model_alone(), problem.observed.band.hz
+    plain = {f.name: getattr(posterior, f.name) for f in fields(Posterior)}
+    linear, hz = posterior.of_model_alone(), posterior.observed.band.hz
     acting = [e for e in effects if e.nonlinear]  # beside those that stand
     centre = np.concatenate([[], *[e.coordinates for e in acting]])
 
@@ -201,5 +201,5 @@ def correct_posterior(
         relative=np.array([here, *by_size]),
         by_motion=_smooth(_around(np.linalg.inv(base), known), hz),
         drift=forced_drift(linear, x, effects),
-        ln_mass=float(problem.prior.parts(x)[1].mean()),
+        ln_mass=float(x[posterior.layout.masses].mean()),
     )

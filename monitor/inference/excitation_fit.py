@@ -15,6 +15,7 @@ from monitor.inference.exact_simulation import draw_forces, simulate_exact, simu
 from monitor.inference.ground_response import Between
 from monitor.inference.linearization import linearize
 from monitor.inference.observed_spectra import ObservedSpectra, classify
+from monitor.inference.parameter_layout import ParameterLayout
 from monitor.inference.posterior import Posterior, difference_operator
 from monitor.inference.wishart import grown_by
 from monitor.model import Condition, Context, Effect, Model, StructuralPrior, loaded, prior_from_drawing
@@ -51,11 +52,10 @@ class ExcitationStart:
     """What exact laws add to the linearized spectra, relative to them, shape (classes, n_bins, c, c); None if not known."""
 
     @classmethod
-    def at(cls, problem: Posterior, x: Array, beyond: ComplexArray | None = None) -> Self:
+    def at(cls, posterior: Posterior, x: Array, beyond: ComplexArray | None = None) -> Self:
         """That of a vector of nuisances."""
-        first, last = problem.prior.mean.size, problem.n_nuisance - 1
-        forces, levels = np.split(x[first:last], [problem.context.structure.n_dofs])
-        return cls(forces, levels, float(x[last]), beyond)
+        layout = posterior.layout
+        return cls(x[layout.forces], x[layout.levels], float(x[layout.noise]), beyond)
 
     def of(self, n_classes: int) -> ExcitationStart:
         """For as many classes of rising level."""
@@ -80,7 +80,7 @@ def fit_excitation(
     reference_degc: float | None,
     near: ExcitationStart | None = None,
 ) -> tuple[Posterior, Array]:
-    """The model's problem with levels and noise fitted, from nearby where that is known; everything else as it is stated.
+    """The model's posterior with levels and noise fitted, from nearby where that is known; everything else as it is stated.
 
     Laws that depend on the level are made linear at the motion that the model itself shows, hence the repetition; what that
     leaves out is simulated.
@@ -88,48 +88,49 @@ def fit_excitation(
     n, c = context.structure.n_dofs, len(context.channels)
     stories = context.structure.n_stories
     known = replace(prior_from_drawing(model, np.ones(stories + n), c), reference_degc=reference_degc)
-    first = known.mean.size - known.n_standing
-    plain = replace(known, model=replace(model, effects=()), mean=known.mean[:first])
+    without_effects = slice(0, ParameterLayout.of(known).persistent.start)
+    plain = replace(known, model=replace(model, effects=()), mean=known.mean[without_effects])
     unknown = Condition(np.ones(stories), np.ones(stories), np.ones(n), np.ones(c))
-    problem = Posterior(evidence, plain, context, (unknown,) * evidence.counts.size)
-    problem = _as_moved(problem, known)
+    posterior = Posterior(evidence, plain, context, (unknown,) * evidence.counts.size)
+    posterior = _as_moved(posterior, known)
     # With the ground measured one level is fitted for all forces, which therefore begin alike.
-    near = None if near is None or evidence.drive is not None else near.of(problem.n_classes)
-    x = _first_guess(problem) if near is None else np.concatenate([plain.mean, near.vector])
+    near = None if near is None or evidence.drive is not None else near.of(posterior.n_classes)
+    x = _first_guess(posterior) if near is None else np.concatenate([plain.mean, near.vector])
     if near is None or not model.effects:
-        x = _fit_levels(problem, x)
+        x = _fit_levels(posterior, x)
     for _ in range(2 if model.effects else 0):
-        excitation = x[problem.prior.mean.size :]
-        problem = replace(problem, conditions=linearize(problem, x, ()), prior=known)
-        x = _fit_levels(problem, np.concatenate([known.mean, excitation]))
+        at_prior = posterior.layout.with_structure(x, known.mean)
+        posterior = replace(posterior, conditions=linearize(posterior, x, ()), prior=known)
+        x = _fit_levels(posterior, at_prior)
     if evidence.drive is None and any(e.nonlinear for e in model.effects):
-        linear = problem.scatter(x, ())
-        beyond = _beyond(problem, x, linear) if near is None or near.beyond is None else near.beyond
-        exactly = replace(problem, offset=grown_by(linear, beyond) - linear)
+        linear = posterior.scatter(x, ())
+        beyond = _beyond(posterior, x, linear) if near is None or near.beyond is None else near.beyond
+        exactly = replace(posterior, offset=grown_by(linear, beyond) - linear)
         if np.isfinite(exactly.score(x, ())[0]):  # a law far too strong moves too differently to be corrected
-            problem, x = exactly, _fit_levels(exactly, x)
-    return problem, x
+            posterior, x = exactly, _fit_levels(exactly, x)
+    return posterior, x
 
 
-def _beyond(problem: Posterior, x: Array, linear: ComplexArray) -> ComplexArray:
+def _beyond(posterior: Posterior, x: Array, linear: ComplexArray) -> ComplexArray:
     """What the exact laws add to the linearized spectra, relative to them, by simulation."""
 
     loaded()
 
     def added(seed: int) -> ComplexArray:
-        acting = draw_forces(problem, x, (), seed)
-        return simulate_spectra(problem, x, (), acting, simulate_exact(problem, x, (), acting)).controlled
+        acting = draw_forces(posterior, x, (), seed)
+        return simulate_spectra(posterior, x, (), acting, simulate_exact(posterior, x, (), acting)).controlled
 
-    return relative_to(linear, np.mean(parallel_map(added, range(_SIMULATIONS)), axis=0), problem.observed.band.hz)
+    return relative_to(linear, np.mean(parallel_map(added, range(_SIMULATIONS)), axis=0), posterior.observed.band.hz)
 
 
-def _as_moved(problem: Posterior, known: StructuralPrior) -> Posterior:
+def _as_moved(posterior: Posterior, known: StructuralPrior) -> Posterior:
     """With the motion of a measured ground between its samples that leaves the least of the floors' unexplained."""
-    drive = problem.observed.drive
+    drive = posterior.observed.drive
     if drive is None:
-        return problem
-    whole = replace(problem, prior=known)
-    x = np.concatenate([known.mean, np.zeros(whole.n_nuisance - known.mean.size)])
+        return posterior
+    whole = replace(posterior, prior=known)
+    x = np.zeros(whole.layout.n_nuisance)
+    x[whole.layout.structure] = known.mean
 
     def moved(between: Between) -> Posterior:
         return replace(whole, observed=replace(whole.observed, drive=replace(drive, between=between)))
@@ -140,90 +141,90 @@ def _as_moved(problem: Posterior, known: StructuralPrior) -> Posterior:
         rest = whole.observed.segments.values - mean
         return float(np.log((np.abs(rest) ** 2).mean(axis=0)).sum())
 
-    return replace(problem, observed=moved(min(get_args(Between), key=left)).observed)
+    return replace(posterior, observed=moved(min(get_args(Between), key=left)).observed)
 
 
-def _first_guess(problem: Posterior) -> Array:
+def _first_guess(posterior: Posterior) -> Array:
     """Levels from the medians over frequency of the channels' power, noise from its least."""
-    e, c = problem.observed, len(problem.context.channels)
+    e, c = posterior.observed, len(posterior.context.channels)
     power = np.einsum("kfaa->kfa", e.spectra[:, :, :c, :c]).real
     noise = np.log(max(0.3 * float(np.quantile(power.mean(axis=(0, 2)), 0.02)), 1e-300))
-    levels = np.zeros(problem.context.structure.n_dofs + problem.n_classes)
-    x = np.concatenate([problem.prior.mean, levels, [noise - 10.0]])
-    predicted = np.einsum("kfaa->kfa", problem.scatter(x, ())[:, :, :c, :c]).real
+    layout = posterior.layout
+    x = np.zeros(layout.n_nuisance)
+    x[layout.structure], x[layout.noise] = posterior.prior.mean, noise - 10.0
+    predicted = np.einsum("kfaa->kfa", posterior.scatter(x, ())[:, :, :c, :c]).real
     level = np.log(np.median(power / predicted, axis=(1, 2)))
-    x[-1] = noise
+    x[layout.noise] = noise
     if e.power is None:
-        x[-problem.n_classes - 1 : -1] = level
+        x[layout.levels] = level
     else:  # the level is the model's own error; what forces move beside the ground goes with it
-        p = problem.prior.mean.size
-        x[p:-1] = np.r_[np.full(problem.context.structure.n_dofs, level.mean()), np.zeros(problem.n_classes)]
-        x[p : -problem.n_classes - 1] += np.log(_FORCED)
+        x[layout.forces] = level.mean() + np.log(_FORCED)
     return x
 
 
-def _fit_driven(problem: Posterior, x: Array) -> Array:
+def _fit_driven(posterior: Posterior, x: Array) -> Array:
     """Most probable level of the forces, of the model's own error in every class, noise of the ground and of the channels,
     the rest of `x` kept.
 
     The forces stand for what the response lacks at its resonances, the error for what it lacks everywhere.
     """
-    p, k = problem.prior.mean.size, problem.n_classes
-    n = problem.context.structure.n_dofs
+    layout, k = posterior.layout, posterior.n_classes
     moving = np.zeros((k + 3, x.size))
-    moving[0, p : p + n] = 1.0
-    moving[1:-1, p + n :] = np.eye(k + 1)
-    moving[-1, problem.prior.channel_noises] = 1.0
-    data = problem.predict(x, ()).data  # levels move no mean
+    moving[0, layout.forces] = 1.0
+    moving[1:-2, layout.levels] = np.eye(k)
+    moving[-2, layout.noise] = 1.0
+    moving[-1, layout.channel_noise] = 1.0
+    data = posterior.predict(x, ()).data  # levels move no mean
 
     def cost(by: Array) -> float:
-        value = -problem.log_likelihood(problem.scatter(x + by @ moving, ()), data)
+        value = -posterior.log_likelihood(posterior.scatter(x + by @ moving, ()), data)
         return min(value + 0.5 * float(by @ by) / _LEVEL_STD**2, _WORST)
 
     return np.asarray(x + minimize(cost, np.zeros(k + 3), method="Powell", options={"xtol": 1e-3}).x @ moving)
 
 
-def forces_from_quiet_segments(problem: Posterior, x: Array, effects: tuple[Effect, ...]) -> Array:
+def forces_from_quiet_segments(posterior: Posterior, x: Array, effects: tuple[Effect, ...]) -> Array:
     """The vector with the forces beside a measured ground that its quietest segments tell, the rest of `x` kept.
 
     Wind blows there too, while what the model's response lacks grows with the ground's motion.
     """
-    e, p, n = problem.observed, problem.prior.mean.size, problem.context.structure.n_dofs
-    mean = problem.mean(x, effects)
+    e, forces, levels = posterior.observed, posterior.layout.forces, posterior.layout.levels
+    mean = posterior.mean(x, effects)
     assert mean is not None
     assert e.power is not None
     moved = (np.abs(mean) ** 2 / e.power).mean(axis=(1, 2))
     quiet = classify(replace(e.segments, drive=e.drive).part(moved <= np.quantile(moved, _QUIET)))
-    like = nearest_classes(problem.n_classes, quiet.counts.size)
-    there, last = problem.part(quiet, like), x[p + n + problem.n_classes :]
-    known = np.concatenate([x[: p + n], x[p + n : p + n + problem.n_classes][like], last])
+    like = nearest_classes(posterior.n_classes, quiet.counts.size)
+    there = posterior.part(quiet, like)
+    known = np.concatenate([x[: levels.start], x[levels][like], x[levels.stop :]])
     out = x.copy()
-    out[p : p + n] = _by_scoring(there, known, effects)[p : p + n]
+    out[forces] = _by_scoring(there, known, effects)[forces]
     return out
 
 
-def _fit_levels(problem: Posterior, x: Array) -> Array:
+def _fit_levels(posterior: Posterior, x: Array) -> Array:
     """Most probable forces, levels of the classes and noise, the rest of `x` kept: Fisher scoring, Levenberg-Marquardt steps.
 
     How strongly each floor is shaken belongs to the recording as its level does; were it held equal, a wrong structure that
     makes up for it would score best.
     """
-    return _by_scoring(problem, x) if problem.observed.drive is None else _fit_driven(problem, x)
+    return _by_scoring(posterior, x) if posterior.observed.drive is None else _fit_driven(posterior, x)
 
 
-def _by_scoring(problem: Posterior, x: Array, effects: tuple[Effect, ...] = (), iterations: int = 40) -> Array:
+def _by_scoring(posterior: Posterior, x: Array, effects: tuple[Effect, ...] = (), iterations: int = 40) -> Array:
     """As `_fit_levels`, beside further effects, whose coordinates follow in `x`."""
-    p, n, k, damping = problem.prior.mean.size, problem.context.structure.n_dofs, problem.n_classes, 1e-3
-    end = problem.n_nuisance
-    first, data = x[p:end].copy(), problem.predict(x, effects).data  # levels move no mean
+    n, k, damping = posterior.context.structure.n_dofs, posterior.n_classes, 1e-3
+    free = posterior.layout.excitation
+    first, data = x[free].copy(), posterior.predict(x, effects).data  # levels move no mean
     precision = np.diag(np.r_[np.full(n, _FORCE_STD), np.full(k + 1, _LEVEL_STD)] ** -2.0)
-    if problem.observed.drive is not None:  # no class's level is theirs
+    if posterior.observed.drive is not None:  # no class's level is theirs
         precision[:n, :n] = difference_operator(n)
 
     def moved(by: Array) -> tuple[Array, ComplexArray, float]:
-        at = np.r_[x[:p], x[p:end] + by, x[end:]]
-        spectra, far = problem.scatter(at, effects), at[p:end] - first
-        return at, spectra, problem.log_likelihood(spectra, data) - 0.5 * float(far @ precision @ far)
+        at = x.copy()
+        at[free] += by
+        spectra, far = posterior.scatter(at, effects), at[free] - first
+        return at, spectra, posterior.log_likelihood(spectra, data) - 0.5 * float(far @ precision @ far)
 
     x, spectra, value = moved(np.zeros(first.size))
     slopes, gained = np.zeros((first.size, *spectra.shape), dtype=complex), np.inf
@@ -233,9 +234,9 @@ def _by_scoring(problem: Posterior, x: Array, effects: tuple[Effect, ...] = (), 
                 slopes[i] = (moved(_NUDGE * np.eye(first.size)[i])[1] - spectra) / _NUDGE
             every = (moved(_NUDGE * np.r_[np.zeros(n), np.ones(k), 0.0])[1] - spectra) / _NUDGE
             slopes[n + np.arange(k), np.arange(k)] = every  # a class's level moves its spectra alone
-        rows, residual = problem.whitened(spectra, slopes, data)
+        rows, residual = posterior.whitened(spectra, slopes, data)
         normal = rows.T @ rows + precision
-        gradient = rows.T @ residual - precision @ (x[p:end] - first)
+        gradient = rows.T @ residual - precision @ (x[free] - first)
         for _ in range(8):
             step = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), gradient)
             there, its_spectra, its_value = moved(np.clip(step, -2.0, 2.0))

@@ -21,37 +21,37 @@ _LEAST = 0.1
 """What one step leaves of a level."""
 
 
-def spectra_by_force(problem: Posterior, x: Array, effects: Sequence[Effect]) -> ComplexArray:
+def spectra_by_force(posterior: Posterior, x: Array, effects: Sequence[Effect]) -> ComplexArray:
     """Each force's part of the spectra without noise and, last, an unmeasured ground's, shape (n + 1, classes, n_bins, c, c).
 
     What none of them makes alone is shared by the forces.
     """
-    p, n = problem.prior.mean.size, problem.context.structure.n_dofs
-    still = _silent(problem, x)
+    layout, n = posterior.layout, posterior.context.structure.n_dofs
+    still = _silent(posterior, x)
     # What simulation adds, and what the model gets wrong from the start, is relative to all that acts together.
-    linear = problem.of_model_alone()
-    calm = replace(linear, conditions=tuple(replace(c, ground=0.0) for c in problem.conditions))
-    whole, ground = problem.scatter(still, effects), linear.scatter(still, effects) - calm.scatter(still, effects)
+    linear = posterior.of_model_alone()
+    calm = replace(linear, conditions=tuple(replace(c, ground=0.0) for c in posterior.conditions))
+    whole, ground = posterior.scatter(still, effects), linear.scatter(still, effects) - calm.scatter(still, effects)
     none = still.copy()
-    none[p : p + n] = _NONE
+    none[layout.forces] = _NONE
     alone, unforced = [], calm.scatter(none, effects)
     for j in range(n):
         one = none.copy()
-        one[p + j] = still[p + j]
+        one[layout.forces][j] = still[layout.forces][j]
         alone.append(calm.scatter(one, effects) - unforced)
     parts = np.stack([*alone, ground])
     parts[:n] += (whole - parts.sum(axis=0)) / n
     return parts
 
 
-def ground_levels(problem: Posterior, x: Array, effects: Sequence[Effect]) -> Array:
+def ground_levels(posterior: Posterior, x: Array, effects: Sequence[Effect]) -> Array:
     """How strongly an unmeasured ground shook in every class, over the forces, relative to the whole recording: (classes,)."""
-    e, linear = problem.observed, replace(problem, offset=None)
+    e, linear = posterior.observed, replace(posterior, offset=None)
     *alone, ground = spectra_by_force(linear, x, effects)
     forces = np.sum(alone, axis=0)
     noise = linear.scatter(x, effects) - ground - forces
     own = np.array([fit_levels(np.stack(c[:2]), *c[2:]) for c in zip(forces, ground, noise, e.spectra, strict=True)])
-    relative = np.array([c.ground for c in problem.conditions]) * own[:, 1] / own[:, 0]
+    relative = np.array([c.ground for c in posterior.conditions]) * own[:, 1] / own[:, 0]
     strength = e.counts * own[:, 0] * np.einsum("kfaa->k", forces).real
     return np.asarray(relative * strength.sum() / (relative @ strength))
 
@@ -69,8 +69,8 @@ def fit_levels(parts: ComplexArray, noise: ComplexArray, data: ComplexArray) -> 
     return level
 
 
-def _silent(problem: Posterior, x: Array) -> Array:
+def _silent(posterior: Posterior, x: Array) -> Array:
     """The nuisances without noise."""
     still = x.copy()
-    still[problem.n_nuisance - 1] = _NONE
+    still[posterior.layout.noise] = _NONE
     return still

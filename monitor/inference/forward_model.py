@@ -13,6 +13,7 @@ from monitor.core import Array, ComplexArray
 from monitor.inference import ground_response
 from monitor.inference.cross_spectra import Excitation, cross_spectra, extended, modally_damped
 from monitor.inference.observed_spectra import ObservedSpectra
+from monitor.inference.parameter_layout import ParameterLayout
 from monitor.inference.wishart import grown_by
 from monitor.model import Condition, Context, Effect, Model, ModelDiscrepancy, StructuralPrior, System
 
@@ -59,9 +60,9 @@ class ForwardModel:
         return int(self.observed.counts.size)
 
     @property
-    def n_nuisance(self) -> int:
-        """Length of the vector before the extra effects' coordinates."""
-        return int(self.prior.mean.size) + self.context.structure.n_dofs + self.n_classes + 1
+    def layout(self) -> ParameterLayout:
+        """Where each group of parameters lies in `x`."""
+        return ParameterLayout.of(self.prior, self.n_classes)
 
     @property
     def error(self) -> ModelDiscrepancy | None:
@@ -147,9 +148,8 @@ class ForwardModel:
         """
         effects = (*self.prior.effects(x), *effects)
         base, context = self.system(x, effects), self.context_at(x)
-        p = self.prior.mean.size
-        n = context.structure.n_dofs
-        forces, level, noise = self.forces(x), np.exp(x[p + n : p + n + self.n_classes]), self.noise(x)
+        layout = self.layout
+        forces, level, noise = self.forces(x), np.exp(x[layout.levels]), self.noise(x)
         wanted = range(self.n_classes) if classes is None else classes
         ground = self.observed.power
         varied = ground is not None or any(e.conditional or e.lines() for e in effects)
@@ -159,9 +159,9 @@ class ForwardModel:
             if varied or shared is None:
                 system = extended(base, effects, context, self.conditions[k])
                 e = Excitation(
-                    forces[k] if varied else np.exp(x[p : p + n]),
+                    forces[k] if varied else np.exp(x[layout.forces]),
                     noise * (1.0 if varied else 0.0),
-                    0.0 if ground is None else float(np.exp(x[self.n_nuisance - 1])),
+                    0.0 if ground is None else float(np.exp(x[layout.noise])),
                 )
                 shared = cross_spectra(system, effects, e, self.observed.band, context, self.conditions[k])
             if varied:
@@ -195,7 +195,7 @@ class ForwardModel:
 
     def system(self, x: Array, effects: Sequence[Effect]) -> System:
         """The system at a vector of nuisances, before what effects add at a level."""
-        ratios, (mass, stiffness) = np.exp(self.prior.parts(x)[2]), self.model(x, effects).structural_matrices()
+        ratios, (mass, stiffness) = np.exp(x[self.layout.damping]), self.model(x, effects).structural_matrices()
         if not self.damped_as_built:
             return modally_damped(mass, stiffness, ratios)
         built = self.model(x, self.prior.effects(x)).structural_matrices()
@@ -203,21 +203,25 @@ class ForwardModel:
 
     def context_at(self, x: Array) -> Context:
         """Where effects act, with the structure at a vector of nuisances: relative sizes refer to it."""
-        ln_k, ln_m, *_ = self.prior.parts(x)
-        structure = self.prior.model.structure.with_stiffness(np.exp(ln_k)).with_masses(np.exp(ln_m))
+        layout, drawn = self.layout, self.prior.model.structure
+        structure = drawn.with_stiffness(np.exp(x[layout.stiffness])).with_masses(np.exp(x[layout.masses]))
         return replace(self.context, structure=structure)
 
     def model(self, x: Array, effects: Sequence[Effect]) -> Model:
         """The model at a vector of nuisances; `effects` are all of its effects."""
-        _, ln_m, ln_damping, _, correction, _ = self.prior.parts(x)
-        base, structure = self.prior.model, self.context_at(x).structure
+        layout, base, structure = self.layout, self.prior.model, self.context_at(x).structure
+        correction = x[layout.correction]
         # The scale of all masses and stiffnesses cannot be seen; the correction shares it.
-        scale = np.exp((ln_m - self.prior.parts(self.prior.mean)[1]).mean())
+        scale = np.exp((x[layout.masses] - self.prior.mean[layout.masses]).mean())
         change = scale * np.tensordot(correction, self.prior.basis, axes=1) if correction.size else None
         if base.correction is not None:
             change = base.correction if change is None else base.correction + change
         return replace(
-            base, structure=structure, effects=tuple(effects), correction=change, modal_damping=np.exp(ln_damping)
+            base,
+            structure=structure,
+            effects=tuple(effects),
+            correction=change,
+            modal_damping=np.exp(x[layout.damping]),
         )
 
     def forces(self, x: Array) -> Array:
@@ -226,16 +230,17 @@ class ForwardModel:
         Beside a measured ground they are the same in all: wind does not follow the ground.  What is known of them there is told
         for the masses known before, and goes with all of them together.
         """
-        p, n = self.prior.mean.size, self.context.structure.n_dofs
-        force, level = np.exp(x[p : p + n]), np.exp(x[p + n : p + n + self.n_classes])
+        layout = self.layout
+        force, level = np.exp(x[layout.forces]), np.exp(x[layout.levels])
         if self.observed.power is None:
             return np.asarray(level[:, None] * force)
-        heavier = (self.prior.parts(x)[1] - self.prior.parts(self.prior.mean)[1]).mean()
+        heavier = (x[layout.masses] - self.prior.mean[layout.masses]).mean()
         return np.tile(force * np.exp(2.0 * heavier), (self.n_classes, 1))
 
     def noise(self, x: Array) -> Array:
         """Noise density of every channel."""
-        return np.asarray(np.exp(x[self.n_nuisance - 1] + self.prior.parts(x)[3]))
+        layout = self.layout
+        return np.asarray(np.exp(x[layout.noise] + x[layout.channel_noise]))
 
 
 def diagonal_of(power: Array) -> Array:

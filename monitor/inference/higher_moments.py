@@ -52,9 +52,9 @@ class Moments:
         return Moments(2.0 * about.skewness - self.skewness, self.kurtosis)
 
 
-def normal_moments(problem: Posterior) -> Moments:
+def normal_moments(posterior: Posterior) -> Moments:
     """Those of a normal process."""
-    structure = problem.context.structure
+    structure = posterior.context.structure
     return Moments(np.zeros(structure.n_stories), np.zeros(structure.n_dofs))
 
 
@@ -78,19 +78,19 @@ class MeasuredMoments:
         return float(-0.5 * (skew.sum() + tails))
 
 
-def measure_moments(transforms: ComplexArray, problem: Posterior, at: MapEstimate) -> MeasuredMoments:
+def measure_moments(transforms: ComplexArray, posterior: Posterior, at: MapEstimate) -> MeasuredMoments:
     """Moments of a recording's segments, shape (n_segments, n_bins, c); the modes are those of a fit."""
-    split = _split(transforms, problem, at)
-    skew, tails = _skewness(split.floors, problem), [_kurtosis(narrow, split.level) for narrow in split.modes]
+    split = _split(transforms, posterior, at)
+    skew, tails = _skewness(split.floors, posterior), [_kurtosis(narrow, split.level) for narrow in split.modes]
     mean, std = (Moments(skew[i], np.array([t[i] for t in tails])) for i in (0, 1))
-    return MeasuredMoments(mean, std, _uneven(split, problem.observed.band.hz))
+    return MeasuredMoments(mean, std, _uneven(split, posterior.observed.band.hz))
 
 
-def simulate_moments(transforms: ComplexArray, problem: Posterior, at: MapEstimate) -> Moments:
+def simulate_moments(transforms: ComplexArray, posterior: Posterior, at: MapEstimate) -> Moments:
     """As `measure_moments`, without their chance."""
-    split = _split(transforms, problem, at)
+    split = _split(transforms, posterior, at)
     tails = np.array([_kurtosis(narrow, split.level)[0] for narrow in split.modes])
-    return Moments(_skewness(split.floors, problem)[0], tails)
+    return Moments(_skewness(split.floors, posterior)[0], tails)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -107,10 +107,10 @@ class _Split:
     """Bins that are about none."""
 
 
-def _split(transforms: ComplexArray, problem: Posterior, at: MapEstimate) -> _Split:
-    context, hz = problem.context, problem.observed.band.hz
+def _split(transforms: ComplexArray, posterior: Posterior, at: MapEstimate) -> _Split:
+    context, hz = posterior.context, posterior.observed.band.hz
     floors = transforms[:, :, : len(context.channels)] @ np.linalg.pinv(context.sensors).T
-    model = problem.model(at.x, (*problem.prior.effects(at.x), *at.effects))
+    model = posterior.model(at.x, (*posterior.prior.effects(at.x), *at.effects))
     modes, n = model.modes(), context.structure.n_dofs
     pick = modes.shapes[:n, :n].T @ model.structural_matrices()[0][:n, :n]
     near = np.abs(hz - modes.frequencies_hz[:n, None]) < _ABOUT * modes.frequencies_hz[:n, None]
@@ -128,13 +128,13 @@ def _uneven(split: _Split, hz: Array) -> float:
     return max(0.0, float(np.dot(found, weight)) / max(sum(weight), 1.0))
 
 
-def _skewness(floors: ComplexArray, problem: Posterior) -> tuple[Array, Array]:
+def _skewness(floors: ComplexArray, posterior: Posterior) -> tuple[Array, Array]:
     """Mean over segments, and its standard deviation.
 
     Accelerations become drifts in the frequency domain; tapered segments keep the sign of the third moment.
     """
-    band = problem.observed.band
-    drift = floors @ problem.context.structure.drift_matrix().T / (-((2.0 * np.pi * band.hz) ** 2))[:, None]
+    band = posterior.observed.band
+    drift = floors @ posterior.context.structure.drift_matrix().T / (-((2.0 * np.pi * band.hz) ** 2))[:, None]
     length = next_fast_len(4 * (band.first + band.n_bins), real=True)  # room for the third power
     full = np.zeros((drift.shape[0], drift.shape[2], length // 2 + 1), dtype=complex)
     full[:, :, band.first : band.first + band.n_bins] = drift.swapaxes(1, 2)

@@ -25,7 +25,7 @@ _SLOW, _LEAST_MOTION = 0.4, 0.3
 
 
 def linearize(
-    problem: Posterior, x: Array, effects: tuple[Effect, ...], spectra: ComplexArray | None = None
+    posterior: Posterior, x: Array, effects: tuple[Effect, ...], spectra: ComplexArray | None = None
 ) -> tuple[Condition, ...]:
     """RMS motion of every class, as its spectra (by default the measured ones) tell it under the fitted model, and its
     temperature.
@@ -33,18 +33,20 @@ def linearize(
     A class's narrow modes swing more or less by chance than its forces' level says, and nonlinear laws follow the motion:
     the model's variance is corrected by what a Wiener filter sees of the motion in the spectra.
     """
-    e, context = problem.observed, problem.context_at(x)
-    everything = (*problem.prior.effects(x), *effects)
-    base, damping = problem.system(x, everything), np.exp(problem.prior.parts(x)[2])
-    n, forces = context.structure.n_dofs, problem.forces(x)
+    e, context = posterior.observed, posterior.context_at(x)
+    everything = (*posterior.prior.effects(x), *effects)
+    base, damping = posterior.system(x, everything), np.exp(x[posterior.layout.damping])
+    n, forces = context.structure.n_dofs, posterior.forces(x)
     drift = context.structure.drift_matrix()
     rows, order = np.vstack([drift, drift, np.eye(n)]), np.repeat([0, 1, 1], [len(drift), len(drift), n])
-    excess = None if e.drive is not None else (e.spectra if spectra is None else spectra) - problem.scatter(x, effects)
-    beyond, out = _beyond(problem, x, everything), []
+    excess = (
+        None if e.drive is not None else (e.spectra if spectra is None else spectra) - posterior.scatter(x, effects)
+    )
+    beyond, out = _beyond(posterior, x, everything), []
     shaken = e.drive is None and any(effect.ground_share for effect in everything)
-    ground = ground_levels(problem, x, effects) if shaken else np.ones(problem.n_classes)
-    for k in range(problem.n_classes):
-        system = extended(base, everything, context, problem.conditions[k])
+    ground = ground_levels(posterior, x, effects) if shaken else np.ones(posterior.n_classes)
+    for k in range(posterior.n_classes):
+        system = extended(base, everything, context, posterior.conditions[k])
         lowest = np.sqrt(max(eigh(base.stiffness, base.mass, eigvals_only=True).min(), 1e-6)) / (2.0 * np.pi)
         step = min(0.25 * e.band.bin_hz, 0.25 * damping.min() * lowest)
         step = max(step, e.band.hz[-1] / _MOST_BINS)  # a damping that the fit lets go to nothing
@@ -52,8 +54,8 @@ def linearize(
         motion, _ = _moved(system, everything, hz, forces[k], rows, order, context)
         variance = 2.0 * step * (np.abs(motion) ** 2).sum(axis=(0, 2))
         if excess is not None:
-            motion, seen_there = _moved(system, everything, e.band.hz, forces[k], rows, order, context, problem, k)
-            channels = seen_there @ seen_there.conj().swapaxes(-1, -2) + np.diag(problem.noise(x))
+            motion, seen_there = _moved(system, everything, e.band.hz, forces[k], rows, order, context, posterior, k)
+            channels = seen_there @ seen_there.conj().swapaxes(-1, -2) + np.diag(posterior.noise(x))
             wiener = np.linalg.solve(channels, seen_there @ motion.conj().swapaxes(-1, -2)).conj().swapaxes(-1, -2)
             # What is slower than the structure is the noise of sensors that are integrated twice.
             heard = (e.band.hz > _SLOW * lowest)[:, None, None] / e.band.gain[:, None, None] * excess[k]
@@ -65,7 +67,7 @@ def linearize(
             driven = [motion_rms(drive, system, e.band, context, rows[order == o], o, 0.2 * lowest) for o in (0, 1)]
             variance = variance + np.concatenate(driven) ** 2
         rms = np.sqrt(variance)
-        warmer = partial(_excess_degc, e, k, problem.prior.reference_degc)
+        warmer = partial(_excess_degc, e, k, posterior.prior.reference_degc)
         m = len(drift)
         piled, band_hz = e.piled >= _PILE, float(e.band.hz[-1])
         moved = rms[:m], rms[m : 2 * m], rms[2 * m :]
@@ -73,13 +75,13 @@ def linearize(
     return tuple(out)
 
 
-def forced_drift(problem: Posterior, x: Array, effects: Sequence[Effect]) -> Array:
+def forced_drift(posterior: Posterior, x: Array, effects: Sequence[Effect]) -> Array:
     """RMS drift that the linearized model has under forces of its level, shape (classes, n_stories), m; whatever their colour."""
-    everything = (*problem.prior.effects(x), *effects)
-    context, base = problem.context_at(x), problem.system(x, everything)
+    everything = (*posterior.prior.effects(x), *effects)
+    context, base = posterior.context_at(x), posterior.system(x, everything)
     n = context.structure.n_dofs
     states, drives = [], []
-    for condition, force in zip(problem.conditions, problem.forces(x), strict=True):
+    for condition, force in zip(posterior.conditions, posterior.forces(x), strict=True):
         system = extended(base, everything, context, condition)
         size = system.mass.shape[0]
         inverse = np.linalg.inv(system.mass)
@@ -96,20 +98,20 @@ def forced_drift(problem: Posterior, x: Array, effects: Sequence[Effect]) -> Arr
     return np.asarray(np.sqrt(0.5 * np.einsum("kra,kab,krb->kr", rows, inner, rows.conj()).real))
 
 
-def _beyond(problem: Posterior, x: Array, effects: Sequence[Effect]) -> float:
+def _beyond(posterior: Posterior, x: Array, effects: Sequence[Effect]) -> float:
     """See `Condition.beyond`; 1 without a shaken ground, whose motion would be taken for what forces cause."""
     if not any(effect.ground_share for effect in effects):
         return 1.0
-    e, context = problem.observed, problem.context_at(x)
-    system = extended(problem.system(x, effects), effects, context, problem.conditions[0])
-    white = variances(system, e.counts @ problem.forces(x) / e.counts.sum(), effects, context, e.band.hz[-1])[2]
-    noise = problem.noise(x) * (e.rate_hz - 2.0 * e.band.hz[-1])
+    e, context = posterior.observed, posterior.context_at(x)
+    system = extended(posterior.system(x, effects), effects, context, posterior.conditions[0])
+    white = variances(system, e.counts @ posterior.forces(x) / e.counts.sum(), effects, context, e.band.hz[-1])[2]
+    noise = posterior.noise(x) * (e.rate_hz - 2.0 * e.band.hz[-1])
     return float((np.maximum(e.segments.above.mean(axis=0) - noise, 0.0) / white).mean())
 
 
 def _moved(
     system: System, effects: Sequence[Effect], hz: Array, force: Array, rows: Array, order: Array, context: Context,
-    problem: Posterior | None = None, k: int = 0,
+    posterior: Posterior | None = None, k: int = 0,
 ) -> tuple[ComplexArray, ComplexArray]:  # fmt: skip
     """Roots of the density of displacements (order 0) and velocities (1) in given rows, and of the channels.
 
@@ -124,10 +126,10 @@ def _moved(
     root = np.sqrt(force_colour(effects, hz))[:, None, None] * force_root(force, effects)
     floors = accelerance(system.mass, system.damping, system.stiffness, w, right)[:, :n, :n] @ root
     motion = (rows @ floors) * w[:, None, None] ** (order - 2.0)[:, None] * (-1j) ** (2 - order)[:, None]
-    if problem is None:
+    if posterior is None:
         return motion, motion
     clock = float(np.prod([effect.clock_factor for effect in effects]))
-    return motion, seen(system, effects, hz, clock, context, problem.conditions[k])[:, :, :n] @ root
+    return motion, seen(system, effects, hz, clock, context, posterior.conditions[k])[:, :, :n] @ root
 
 
 def _excess_degc(evidence: ObservedSpectra, k: int, reference_degc: float | None, lag_s: float) -> float:

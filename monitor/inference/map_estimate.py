@@ -51,7 +51,7 @@ class MapEstimate:
 
 
 def maximize_posterior(
-    problem: Posterior,
+    posterior: Posterior,
     x: Array,
     effects: tuple[Effect, ...] = (),
     *,
@@ -70,21 +70,22 @@ def maximize_posterior(
     frozen : ndarray, optional
         Whitened slopes of the nuisances, shape (rows, n_nuisance), taken as they are: quicker, for a ranking.
     """
-    x = np.concatenate([x[: problem.n_nuisance], *[e.coordinates for e in effects]])
-    here = problem.predict(x, effects)
-    ll, lp = problem.log_likelihood(here.spectra, here.data), problem.score(x, effects)[1]
+    layout = posterior.layout
+    x = np.concatenate([x[layout.nuisances], *[e.coordinates for e in effects]])
+    here = posterior.predict(x, effects)
+    ll, lp = posterior.log_likelihood(here.spectra, here.data), posterior.score(x, effects)[1]
     damping, converged, gain = 1e-3, False, np.inf
     rows, residual, mean_residual, normal = np.zeros((0, x.size)), np.zeros(0), np.zeros(0), np.eye(x.size)
     for _ in range(iterations if np.isfinite(ll) else 0):  # a law that runs away at its start leads nowhere
         if gain > _NEAR or here.left is not None:
-            rows, residual, mean_residual = problem.jacobian(
-                x, effects, here, first=0 if frozen is None else problem.n_nuisance
+            rows, residual, mean_residual = posterior.jacobian(
+                x, effects, here, first=0 if frozen is None else layout.n_nuisance
             )
             if frozen is not None:
                 rows = np.concatenate([frozen, rows], axis=1)
         else:  # so near the end slopes change no more
-            residual = problem.whitened(here.spectra, here.spectra[None][:0], here.data)[1]
-        mean, precision = problem.normal_prior(x, effects)
+            residual = posterior.whitened(here.spectra, here.spectra[None][:0], here.data)[1]
+        mean, precision = posterior.normal_prior(x, effects)
         normal = rows.T @ rows + precision
         gradient = rows.T @ np.concatenate([residual, mean_residual]) - precision @ (x - mean)
         scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
@@ -93,12 +94,12 @@ def maximize_posterior(
             step = scale * np.linalg.solve(
                 normal * scale[:, None] * scale + (damping + 1e-12) * np.eye(x.size), scale * gradient
             )
-            moved = _limited(problem, x, step, effects)
-            there = with_coordinates(effects, moved[problem.n_nuisance :])
-            moved = np.concatenate([moved[: problem.n_nuisance], *[e.coordinates for e in there]])
-            candidate = problem.predict(moved, there)
-            new_ll = problem.log_likelihood(candidate.spectra, candidate.data)
-            m, q = problem.normal_prior(moved, there)
+            moved = _limited(posterior, x, step, effects)
+            there = with_coordinates(effects, moved[layout.effects])
+            moved = np.concatenate([moved[layout.nuisances], *[e.coordinates for e in there]])
+            candidate = posterior.predict(moved, there)
+            new_ll = posterior.log_likelihood(candidate.spectra, candidate.data)
+            m, q = posterior.normal_prior(moved, there)
             new_lp = -0.5 * float((moved - m) @ q @ (moved - m))
             if new_ll + new_lp > ll + lp - 1e-9:
                 accepted = True
@@ -117,16 +118,13 @@ def maximize_posterior(
     return MapEstimate(x, effects, ll, lp, covariance, converged, rows, residual, mean_residual)
 
 
-def _limited(problem: Posterior, x: Array, step: Array, effects: Sequence[Effect]) -> Array:
+def _limited(posterior: Posterior, x: Array, step: Array, effects: Sequence[Effect]) -> Array:
     """A step bounded so that a bad start cannot run away."""
-    bound = np.full(x.size, np.inf)
-    k, m, d, c, _ = problem.prior.sizes
-    p = problem.prior.mean.size
-    bound[: k + m] = 0.1
-    bound[k + m : k + m + d + c] = 1.0
-    bound[k + m + d + c : p] = 0.1
-    bound[p - problem.prior.n_standing : p] = _STANDING * problem.prior.units[p - problem.prior.n_standing :]
-    bound[p : problem.n_nuisance] = 2.0
+    bound, layout = np.full(x.size, np.inf), posterior.layout
+    bound[layout.stiffness] = bound[layout.masses] = bound[layout.correction] = 0.1
+    bound[layout.damping] = bound[layout.channel_noise] = 1.0
+    bound[layout.persistent] = _STANDING * posterior.prior.units[layout.persistent]
+    bound[layout.excitation] = 2.0
     logarithms = [p.scale == "log" for e in effects for p in e.parameters]
-    bound[problem.n_nuisance :] = np.where(logarithms, 0.5, np.inf)
+    bound[layout.effects] = np.where(logarithms, 0.5, np.inf)
     return np.asarray(x + np.clip(step, -bound, bound))

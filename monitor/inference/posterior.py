@@ -82,7 +82,7 @@ class Posterior(ForwardModel):
                 self.prior.mean,
                 forces,
                 np.zeros(self.n_classes),
-                [x[self.n_nuisance - 1]],
+                [x[self.layout.noise]],
                 *[m for m, _ in known],
             ]
         )
@@ -90,8 +90,8 @@ class Posterior(ForwardModel):
 
     def _known_forces(self, x: Array) -> tuple[Array, Array]:
         """Mean and precision of the logarithms of the floors' forces, shapes (n,) and (n, n)."""
-        p, n = self.prior.mean.size, self.context.structure.n_dofs
-        own = x[p : p + n]
+        own = x[self.layout.forces]
+        n = own.size
         if self.wind is not None:
             return self.wind, np.eye(n) / _WIND_STD**2
         return own if self.observed.power is not None else np.full(n, own.mean()), difference_operator(n)
@@ -120,31 +120,29 @@ class Posterior(ForwardModel):
 
     def slopes(self, x: Array, effects: tuple[Effect, ...], spectra: ComplexArray) -> ComplexArray:
         """Derivatives of the (smoothed) spectra, shape (p, classes, bins, c, c), by finite differences."""
-        p, n = self.prior.mean.size, self.context.structure.n_dofs
-        c = len(self.context.channels)
+        layout, c = self.layout, len(self.context.channels)
         diagonal = np.arange(c)
         noise = self.noise(x)
         noise_slope = np.zeros((c, *spectra.shape[1:]), dtype=complex)
         noise_slope[diagonal, :, diagonal, diagonal] = noise[:, None]
         out = np.empty((x.size, *spectra.shape), dtype=complex)
-        out[self.n_nuisance :] = self.effect_slopes(x, effects, spectra)
+        out[layout.effects] = self.effect_slopes(x, effects, spectra)
         alone = self.observed.power is None  # else the ground's noise moves the floors too
-        first_noise = sum(self.prior.sizes[:3])
-        for i in range(self.n_nuisance):
-            if alone and first_noise <= i < first_noise + c:
-                out[i] = noise_slope[i - first_noise]
-            elif not alone and self.wind is None and p <= i < p + n:
+        for i in range(layout.n_nuisance):
+            if alone and layout.channel_noise.start <= i < layout.channel_noise.stop:
+                out[i] = noise_slope[i - layout.channel_noise.start]
+            elif not alone and self.wind is None and layout.forces.start <= i < layout.forces.stop:
                 # Forces beside a measured ground stay as small as they are until its quiet has told them: they would excuse
                 # a wrong response at its peaks.
                 out[i] = 0.0
-            elif p + n <= i < p + n + self.n_classes:
-                k = i - p - n
+            elif layout.levels.start <= i < layout.levels.stop:
+                k = i - layout.levels.start
                 out[i] = 0.0
                 if self.observed.power is None:
-                    out[i, k] = out[p : p + n, k].sum(axis=0)  # all forces at once, but neither lines nor noise
+                    out[i, k] = out[layout.forces, k].sum(axis=0)  # all forces at once, but neither lines nor noise
                 else:
                     out[i, k] = self.smooth(np.exp(x[i]) * diagonal_of(self.observed.power))
-            elif alone and i == self.n_nuisance - 1:
+            elif alone and i == layout.noise:
                 out[i] = noise_slope.sum(axis=0)
             else:
                 out[i] = self.slope(x, i, effects, spectra)
@@ -155,10 +153,10 @@ class Posterior(ForwardModel):
         for what standing effects do to every class in its own way."""
         if i in self._by_class:
             return self.slope_by_class(x, i, effects, spectra)
-        middle, first = self.n_classes // 2, self.prior.mean.size + self.context.structure.n_dofs
-        scale = np.ones(self.n_classes)
+        middle, scale = self.n_classes // 2, np.ones(self.n_classes)
         if self.observed.power is None:
-            scale = np.exp(x[first : first + self.n_classes] - x[first + middle])
+            levels = x[self.layout.levels]
+            scale = np.exp(levels - levels[middle])
         h, moved = self.nudged(x, i, effects)
         change = self.smooth(self.scatter(moved, effects, classes=[middle]))[0] - spectra[middle]
         return np.asarray(change / h * scale[:, None, None, None])
@@ -170,12 +168,11 @@ class Posterior(ForwardModel):
 
     def effect_slopes(self, x: Array, effects: tuple[Effect, ...], spectra: ComplexArray) -> ComplexArray:
         """As `slopes`, by the extra effects' coordinates alone."""
-        out = np.empty((x.size - self.n_nuisance, *spectra.shape), dtype=complex)
+        n = self.layout.n_nuisance
+        out = np.empty((x.size - n, *spectra.shape), dtype=complex)
         for j in range(len(out)):
-            h, moved = self.nudged(x, self.n_nuisance + j, effects)
-            out[j] = (
-                self.smooth(self.scatter(moved, with_coordinates(effects, moved[self.n_nuisance :]))) - spectra
-            ) / h
+            h, moved = self.nudged(x, n + j, effects)
+            out[j] = (self.smooth(self.scatter(moved, with_coordinates(effects, moved[n:]))) - spectra) / h
         return out
 
     def mean_slopes(
@@ -191,8 +188,8 @@ class Posterior(ForwardModel):
         out = []
         for i in wanted:
             h, moved = self.nudged(x, i, effects)
-            if i >= self.n_nuisance:
-                there = self.mean(moved, with_coordinates(effects, moved[self.n_nuisance :]))
+            if i > self.layout.noise:
+                there = self.mean(moved, with_coordinates(effects, moved[self.layout.effects]))
                 assert there is not None
                 out.append((there - mean) / h)
             elif i in self._moving:
@@ -217,7 +214,7 @@ class Posterior(ForwardModel):
             h, moved = self.nudged(x, i, effects)
             return np.asarray((bent(moved) - here) / h)
 
-        slopes = np.zeros((self.n_nuisance, *here.shape), dtype=complex)
+        slopes = np.zeros((self.layout.n_nuisance, *here.shape), dtype=complex)
         slopes[self._moving] = parallel_map(added, self._moving)
         return replace(self, bent=ExactSlopes(_laws(effects), slopes))
 
@@ -232,15 +229,15 @@ class Posterior(ForwardModel):
     @property
     def _by_class(self) -> list[int]:
         """Coordinates of standing effects that depend on the condition, or do not follow the level."""
-        first = self.prior.mean.size - self.prior.n_standing
+        first = self.layout.persistent.start
         conditional = [e.conditional or bool(e.lines()) for e in self.prior.model.effects for _ in e.parameters]
         return [first + j for j, by_class in enumerate(conditional) if by_class]
 
     @property
     def _moving(self) -> list[int]:
         """Nuisances that move the response: neither noise nor forces."""
-        k, m, d, noise, _ = self.prior.sizes
-        return [*range(k + m + d), *range(k + m + d + noise, self.prior.mean.size)]
+        noise = self.layout.channel_noise
+        return [*range(noise.start), *range(noise.stop, self.layout.structure.stop)]
 
     def mean_rows(self, here: Prediction, slopes: ComplexArray) -> tuple[Array, Array]:
         """As `whitened`, for the segments' means; no rows without a measured ground."""
@@ -275,10 +272,11 @@ class Posterior(ForwardModel):
 
     def nudged(self, x: Array, i: int, effects: Sequence[Effect]) -> tuple[float, Array]:
         """Finite difference for coordinate i, and x moved by it."""
-        if i >= self.n_nuisance:
+        layout = self.layout
+        if i >= layout.n_nuisance:
             least = [p.least for e in effects for p in e.parameters]
-            h = 1e-4 * max(abs(x[i]), least[i - self.n_nuisance])
-        elif i < self.prior.mean.size:
+            h = 1e-4 * max(abs(x[i]), least[i - layout.n_nuisance])
+        elif i < layout.structure.stop:
             h = _NUDGE * self.prior.units[i]
         else:
             h = _NUDGE

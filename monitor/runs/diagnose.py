@@ -193,11 +193,12 @@ def _nominal(config: Configuration) -> StructuralPrior:
 def _gains(wider: StructuralPrior, found: Diagnosis) -> bool:
     """Whether what a wider reference leaves to the data explains more than what it costs, beside what was found."""
     problem, at = found.problem, found.final
-    end = problem.prior.mean.size
-    x = np.concatenate([at.x[:end], wider.mean[end:], at.x[end:]])
+    structure = problem.layout.structure
+    x = problem.layout.with_structure(at.x, np.concatenate([at.x[structure], wider.mean[structure.stop :]]))
     there = maximize_posterior(replace(problem, prior=wider), x, at.effects, iterations=FAR)
     return (
-        there.log_posterior - at.log_posterior - parameter_cost(problem, wider.mean.size - end) > found.settings.margin
+        there.log_posterior - at.log_posterior - parameter_cost(problem, wider.mean.size - structure.stop)
+        > found.settings.margin
     )
 
 

@@ -73,7 +73,7 @@ def test_a_cause_that_was_only_a_guise_gives_way_once_the_others_are_known(
     _, at, accepted = revise_candidates(problem, other.fit, [guise, other], [(guise, true), (other,)], 7.0, 4.6)
     assert [c.key for c in accepted] == [("added_mass", "floor 2"), ("time_offset", "channel a3")]
     assert [(e.name, e.location) for e in at.effects] == [c.key for c in accepted]
-    np.testing.assert_array_equal(at.x[problem.n_nuisance :], joined(np.zeros(0), at.effects))
+    np.testing.assert_array_equal(at.x[problem.layout.effects], joined(np.zeros(0), at.effects))
     assert at.effects[0].values()["mass_kg"] == pytest.approx(0.04, rel=0.1)
 
 

@@ -89,7 +89,7 @@ def test_a_correction_follows_its_slopes_and_leaves_other_effects_alone(bent: tu
     assert made.scatter(null.x, ()) == pytest.approx(problem.scatter(null.x, ()))
     other_way = np.arange(problem.n_classes)[::-1]
     x = null.x.copy()
-    levels = slice(problem.n_nuisance - 1 - problem.n_classes, problem.n_nuisance - 1)
+    levels = problem.layout.levels
     x[levels] = x[levels][::-1]
     assert made.part(problem.observed, other_way).scatter(x, (law,))[::-1] == pytest.approx(1.1 * plain)
 
@@ -99,10 +99,10 @@ def test_the_scale_of_masses_and_stiffness_that_nothing_shows_stays_unseen(bent:
     law, rng = parse_effect(CUBIC.format(STRONG)), np.random.default_rng(0)
     plain = problem.scatter(null.x, (law,))
     made = correct_posterior(problem, null.x, (law,), 0.1 * plain, rng.uniform(0.1, 0.3) / STRONG * plain[None])
-    x, p = null.x.copy(), problem.prior.mean.size
-    k, m, *_ = problem.prior.sizes
-    x[: k + m] += 0.2
-    x[p : p + 3] += 0.4  # of the forces' densities
+    x, layout = null.x.copy(), problem.layout
+    x[layout.stiffness] += 0.2
+    x[layout.masses] += 0.2
+    x[layout.forces] += 0.4  # of the forces' densities
     heavier = made.scatter(x, (parse_effect(CUBIC.format(STRONG * np.exp(0.2))),))
     assert heavier == pytest.approx(made.scatter(null.x, (law,)), rel=1e-3)
     assert whitened_rms(problem, null, made.scatter(x, (law,)) - heavier) > 0.01
@@ -120,7 +120,7 @@ def test_simulation_mends_what_linearization_misses(bent: tuple[Posterior, MapEs
     problem, null = bent
     at = maximize_posterior(problem, null.x, (parse_effect(CUBIC.format(0.3 * STRONG)),))
     made, best = refine_fit(problem, at)
-    n = problem.n_nuisance
+    n = problem.layout.n_nuisance
     std = float(np.hypot(np.sqrt(best.covariance[n, n]), made.doubt[0]))
     assert abs(best.x[n] - STRONG) < 3.0 * std
     assert std < 0.15 * STRONG
@@ -129,7 +129,7 @@ def test_simulation_mends_what_linearization_misses(bent: tuple[Posterior, MapEs
 def test_a_correction_grows_with_the_motion(bent: tuple[Posterior, MapEstimate]) -> None:
     """As a new simulation at another level says; a fit that takes it for constant is led away from the truth."""
     problem, null = bent
-    law, n = parse_effect(CUBIC.format(0.3 * STRONG)), problem.prior.mean.size
+    law, levels = parse_effect(CUBIC.format(0.3 * STRONG)), problem.layout.levels
     x = np.append(null.x, law.coordinates)
     problem = replace(problem, conditions=linearize(problem, x, (law,)))
 
@@ -142,7 +142,7 @@ def test_a_correction_grows_with_the_motion(bent: tuple[Posterior, MapEstimate])
     slope = (simulated(x, law.at(1.1 * law.coordinates)) - here) / (0.1 * law.coordinates[0])
     made = correct_posterior(problem, x, (law,), here, slope[None])
     louder = x.copy()
-    louder[n + 3 + problem.n_classes - 1] += 0.1
+    louder[levels][-1] += 0.1
     plain, at = problem.scatter(louder, (law,)), replace(null, x=x, effects=(law,))
     anew = correct_posterior(problem, louder, (law,), simulated(louder), np.zeros((0, *here.shape))).scatter(
         louder, (law,)

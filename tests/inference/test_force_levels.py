@@ -57,19 +57,19 @@ def test_a_ground_may_shake_more_in_one_class_than_in_another(shaken: tuple[Post
     found = ground_levels(replace(problem, observed=seen), null.x, (GROUND,))
     assert found / found[0] == pytest.approx(true / true[0], rel=1e-3)
     # On the mean over time the share is what it was.
-    weight = seen.counts * np.exp(null.x[problem.n_nuisance - 1 - problem.n_classes : problem.n_nuisance - 1])
+    weight = seen.counts * np.exp(null.x[problem.layout.levels])
     assert found @ weight / weight.sum() == pytest.approx(1.0, rel=0.05)
 
 
 def test_wind_that_moves_from_floor_to_floor_is_no_drift(shaken: tuple[Posterior, MapEstimate]) -> None:
     problem, null = shaken
-    e, p = problem.observed, problem.prior.mean.size
+    e = problem.observed
     late = e.t_s > np.median(e.t_s)
     values = e.segments.values.copy()
     rng = np.random.default_rng(3)
     for half, factors in ((late, [0.6, 1.0, 1.5]), (~late, [1.5, 1.0, 0.6])):
         x = null.x.copy()
-        x[p : p + 3] += 2.0 * np.log(factors)
+        x[problem.layout.forces] += 2.0 * np.log(factors)
         spectra = problem.scatter(x, ())
         for k, members in enumerate(e.members):
             these = members[half[members]]
@@ -93,7 +93,7 @@ def test_a_line_is_found_between_its_bins() -> None:
 def test_what_stood_at_calibration_and_changed_is_told(shaken: tuple[Posterior, MapEstimate]) -> None:
     problem, null = shaken
     joints, known = parse_effect("joint_flexibility:frame:girder_to_column_ratio=10"), problem.prior
-    mean, n = np.append(known.mean, joints.coordinates), known.mean.size
+    mean = np.append(known.mean, joints.coordinates)
     standing = replace(
         known,
         model=replace(known.model, effects=(joints,)),
@@ -102,7 +102,7 @@ def test_what_stood_at_calibration_and_changed_is_told(shaken: tuple[Posterior, 
     )
     there = replace(problem, prior=standing)
     for ratio, told in ((9.9, []), (6.0, ["joint flexibility of frame"])):
-        x = np.concatenate([null.x[:n], [1.0 / ratio], null.x[n:]])
+        x = problem.layout.with_structure(null.x, np.append(null.x[problem.layout.structure], 1.0 / ratio))
         assert [m.where for m in find_level_dependence(there, replace(null, x=x), DiagnosisSettings())] == told
 
 

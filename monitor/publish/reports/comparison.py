@@ -161,27 +161,26 @@ def _equivalent(problem: Posterior, spectra: ComplexArray, x: Array, k: int) -> 
         rms=e.rms[k : k + 1],
         members=e.members[k : k + 1],
     )
-    p, n = reference.mean.size, problem.context.structure.n_dofs
-    n_k, n_m, n_d, n_noise, _ = reference.sizes
-    std = np.full(p, _FIXED)
-    std[:n_k], std[n_k + n_m : n_k + n_m + n_d + n_noise] = _FREE, 1.0
+    layout = problem.layout
+    std = np.full(reference.mean.size, _FIXED)
+    std[layout.stiffness] = _FREE
+    std[layout.damping] = std[layout.channel_noise] = 1.0
     one = replace(
         problem,
         observed=alone,
-        prior=replace(reference, mean=x[:p], precision=np.diag(std**-2.0)),
+        prior=replace(reference, mean=x[layout.structure], precision=np.diag(std**-2.0)),
         conditions=problem.conditions[k : k + 1],
         offset=None,
     )
-    force, noise = x[p : p + n] + x[p + n + k], x[p + n + problem.n_classes]
-    fitted = maximize_posterior(one, np.concatenate([x[:p], force, [0.0, noise]]))
+    force = x[layout.forces] + x[layout.levels][k]
+    fitted = maximize_posterior(one, np.concatenate([x[layout.structure], force, [0.0, x[layout.noise]]]))
 
     def frequencies(x: Array) -> Array:
         return one.model(x, reference.effects(x)).modes().frequencies_hz
 
     f = frequencies(fitted.x)
-    steps = 1e-5 * np.eye(fitted.x.size)[:n_k]
+    steps = 1e-5 * np.eye(fitted.x.size)[layout.stiffness]
     slopes = np.array([(frequencies(fitted.x + h) - f) / 1e-5 for h in steps])
-    f_std = np.sqrt(np.einsum("in,ij,jn->n", slopes, fitted.covariance[:n_k, :n_k], slopes))
-    damped = slice(n_k + n_m, n_k + n_m + n_d)
-    d = np.exp(fitted.x[damped])
-    return f, f_std, d, d * np.sqrt(np.diag(fitted.covariance)[damped])
+    f_std = np.sqrt(np.einsum("in,ij,jn->n", slopes, fitted.covariance[layout.stiffness, layout.stiffness], slopes))
+    d = np.exp(fitted.x[layout.damping])
+    return f, f_std, d, d * np.sqrt(np.diag(fitted.covariance)[layout.damping])
