@@ -52,7 +52,9 @@ def refit_forms(part: ObservedSpectra, whole: Diagnosis) -> list[tuple[Model, Ex
     shared = by_level and not any(e.nonlinear for e in posterior.prior.model.effects)
 
     def fitted(x: Array, effects: tuple[Effect, ...]) -> tuple[Model, ExcitationStart]:
-        x = np.concatenate([x[layout.structure], ExcitationStart.at(whole.problem, x).of(n_classes).vector, x[layout.effects]])
+        x = np.concatenate(
+            [x[layout.structure], ExcitationStart.at(whole.problem, x).of(n_classes).vector, x[layout.effects]]
+        )
         own = posterior
         if part.drive is None and any(e.conditional for e in (*posterior.prior.effects(x), *effects)):
             own = replace(posterior, conditions=linearize(replace(posterior, offset=None), x, effects))
