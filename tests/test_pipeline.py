@@ -22,7 +22,7 @@ from monitor.damage import learn_baseline
 from monitor.model.simulation import simulate
 from monitor.pipeline import Pipeline, Result
 from monitor.publish.results.lines import to_json, window_line
-from monitor.runs.synthetic_recording import blocks_of
+from monitor.runs.synthetic_recording import cut_into_blocks
 from tests.conftest import T0_NS, Cut
 from tests.damage.test_updating import HEALTHY, two_directions
 from tests.model.test_structures import configured, learned, results_of
@@ -80,7 +80,7 @@ def test_five_stories_at_the_working_rate_are_identified() -> None:
     site = Configuration.model_validate(tables)
     motion = simulate(site.model(), duration_s=240.0, rate_hz=100.0, noise=0.01, seed=0).floors
     pipeline = Pipeline(site)
-    blocks = blocks_of(ACCELERATION, motion, site.channels, 100.0, 10**18, 1000)
+    blocks = cut_into_blocks(ACCELERATION, motion, site.channels, 100.0, 10**18, 1000)
     windows = [r for b in blocks for r in pipeline.push(b) if isinstance(r, WindowResult)]
     assert len(windows) == 5
     for window in windows:

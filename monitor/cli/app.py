@@ -66,7 +66,7 @@ def replay(
 ) -> None:
     """Run recordings through the monitor.  Writes results.jsonl, results.mcap, live.rrd and summary.json in DIR."""
     from monitor.damage import load_baseline
-    from monitor.publish import replay_story
+    from monitor.publish import replay_text
     from monitor.runs import replay as run
 
     spare_inputs([out / name for name in run.RESULT_FILES], [*recordings, structure, baseline])
@@ -84,7 +84,7 @@ def replay(
         on_warning=warn,
         on_progress=progress("replay"),
     )
-    story = replay_story(summary, has_baseline=healthy is not None)
+    story = replay_text(summary, has_baseline=healthy is not None)
     text = f"{story}\nresults in {out}; look at them with: shm-monitor view {out}"
     say(text, {**summary, "out": str(out)}, as_json)
 
@@ -173,7 +173,7 @@ def simulate(
     spare_inputs([] if out is None else [out], [structure, dbc])
     t0_ns = time_ns("--start", start) or 0
     with emulate.recording_for(out, to, dbc, speed) as file:
-        synthetic_recording.simulate_to(
+        synthetic_recording.write_simulated_recording(
             file,
             configuration.load(structure),
             duration_s=duration,
@@ -280,7 +280,7 @@ def reproduce(
     if json_file is not None:
         demand_place(json_file)
     content = paper.reproduce(seeds, on_progress=progress("reproduce"))
-    print(paper.report(content))
+    print(paper.tables_text(content))
     if json_file is not None:
         write_atomically(json_file, json.dumps(content, indent=1, allow_nan=False) + "\n")
 

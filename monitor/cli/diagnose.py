@@ -95,10 +95,10 @@ def accept(
     if baseline is not None:
         load_baseline(baseline, settings.instrumented(), settings.updating)
     text = structure.read_text(encoding="utf-8")
-    extended = ledger.extended_text(finding, content, text, settings, with_baseline=baseline is not None)
+    extended = ledger.extended_structure_text(finding, content, text, settings, with_baseline=baseline is not None)
     demand_place(out)
     write_atomically(out, extended)
     files = {"finding": finding, "structure": structure, "baseline": baseline, "out": out}
-    kept = ledger.record(out, content, files, by)
+    kept = ledger.append_entry(out, content, files, by)
     text = f"{content['says']}\nextended model in {out}; noted in {kept}"
     say(text, {"accepted": content["says"], "structure": str(out), "ledger": str(kept)}, as_json)

@@ -42,11 +42,11 @@ def reprocess(
 
     Recordings of one folder that follow one another are one replay, with the results that 'replay' gives for them.
     """
-    from monitor.runs import WINDOWS, expand
+    from monitor.runs import WINDOWS, expand_patterns
     from monitor.runs import reprocess as run
 
     outcomes = run(
-        expand(recordings),
+        expand_patterns(recordings),
         structure,
         baseline,
         out,

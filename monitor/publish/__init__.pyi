@@ -1,8 +1,8 @@
 from .base import Publisher
 from .reports.diagnosis_report import write_report
 from .reports.period_report import read_period, write_period
-from .results.arrow_table import SCHEMA, table
-from .results.lines import LinesFile, alarm_line, replay_story, standing_line, to_json, window_line
+from .results.arrow_table import WINDOWS_SCHEMA, windows_table
+from .results.lines import LinesFile, alarm_line, current_alarm_line, replay_text, to_json, window_line
 from .results.schema import LINE_SCHEMA
 from .results.summary import Episode, Quality, Summary
 from .viewer.diagnosis_view import write_view
@@ -12,7 +12,7 @@ from .viewer.scene import make_scene, utc
 
 __all__ = [
     "LINE_SCHEMA",
-    "SCHEMA",
+    "WINDOWS_SCHEMA",
     "Episode",
     "LinesFile",
     "Output",
@@ -21,14 +21,14 @@ __all__ = [
     "RerunPublisher",
     "Summary",
     "alarm_line",
+    "current_alarm_line",
     "make_scene",
     "read_period",
-    "replay_story",
-    "standing_line",
-    "table",
+    "replay_text",
     "to_json",
     "utc",
     "window_line",
+    "windows_table",
     "write_period",
     "write_report",
     "write_view",

@@ -1,5 +1,5 @@
 from . import demo, diagnose, ledger, paper_tables, replay, synthetic_recording
-from .archive.inventory import expand
+from .archive.inventory import expand_patterns
 from .archive.jobs import WINDOWS
 from .archive.reprocess import reprocess
 from .calibrate import calibrate
@@ -18,7 +18,7 @@ __all__ = [
     "demo",
     "diagnose",
     "duration_s",
-    "expand",
+    "expand_patterns",
     "import_files",
     "ledger",
     "open_viewer",

@@ -18,13 +18,13 @@ from monitor.diagnosis import contradicted
 from monitor.inference import Segments, gather
 from monitor.pipeline import Pipeline
 from monitor.runs import diagnose
-from monitor.runs.recordings import OnProgress, OnWarning, Progress, blocks, names, pushed
+from monitor.runs.recordings import OnProgress, OnWarning, Progress, file_names, push_block, read_blocks
 
-_COMMON = 0.9
+_COMMON_MODE_SHARE = 0.9
 """A mode belongs to the baseline when this share of the windows shows it."""
-_LONGEST_S = 40_000.0
+_MAX_LEARNED_S = 40_000.0
 """Of healthy data that a diagnosis learns from: 4000 segments of 20 s."""
-_SURELY_SHORT_BYTES = 40_000_000
+_SHORT_RECORDINGS_BYTES = 40_000_000
 _HOUR_NS = 3_600_000_000_000
 
 
@@ -47,18 +47,18 @@ def calibrate(
 
     def passing() -> Iterator[SampleBlock]:
         """The blocks, once the pipeline has seen them."""
-        for block in blocks(paths, config, on_warning):
-            progress.saw(block)
-            for result in pushed(pipeline, block, paths):
+        for block in read_blocks(paths, config, on_warning):
+            progress.add(block)
+            for result in push_block(pipeline, block, paths):
                 if isinstance(result, WindowResult):
                     good.extend([result] if result.skipped is None else [])
                     reasons.extend([result.skipped.mend] if result.skipped is not None else [])
             yield block
 
-    segments = _segments(passing(), config, _share(paths, config))
-    progress.demand(pipeline, len(good) + len(reasons), paths)
+    segments = _gather_hourly(passing(), config, _learned_share(paths, config))
+    progress.require_window(pipeline, len(good) + len(reasons), paths)
     if not good:
-        raise BadInputError(f"{names(paths)}: no window could be identified, the last because: {reasons[-1]}")
+        raise BadInputError(f"{file_names(paths)}: no window could be identified, the last because: {reasons[-1]}")
     if reasons:
         on_warning(f"{len(reasons)} of {len(good) + len(reasons)} windows were left out, the last: {reasons[-1]}")
     good = _with_common_modes(good)
@@ -78,7 +78,7 @@ def calibrate(
         updating=config.updating,
         temperature=config.temperature,
     )
-    _tell_doubts(baseline, config, good[-1], on_warning)
+    _warn_of_ambiguities(baseline, config, good[-1], on_warning)
     if segments is None:
         on_warning("too short for a diagnosis to learn from; 'diagnose' will not take this baseline")
         return baseline, fit
@@ -88,15 +88,15 @@ def calibrate(
     return replace(baseline, reference=reference), fit
 
 
-def _share(paths: list[Path], config: Configuration) -> float:
+def _learned_share(paths: list[Path], config: Configuration) -> float:
     """Which share of every hour a diagnosis learns from, so that memory stays bounded."""
-    if sum(p.stat().st_size for p in paths) < _SURELY_SHORT_BYTES:
+    if sum(p.stat().st_size for p in paths) < _SHORT_RECORDINGS_BYTES:
         return 1.0
     seconds = sum(recording_info(p, topic_map=config.topics or None).duration_s for p in paths)
-    return min(1.0, _LONGEST_S / seconds)
+    return min(1.0, _MAX_LEARNED_S / seconds)
 
 
-def _segments(blocks: Iterator[SampleBlock], config: Configuration, share: float) -> Segments | None:
+def _gather_hourly(blocks: Iterator[SampleBlock], config: Configuration, share: float) -> Segments | None:
     """Segments of the beginning of every hour; all blocks are taken, whatever is kept.  None if there are too few."""
     refused: list[BadInputError] = []
 
@@ -122,12 +122,12 @@ def _segments(blocks: Iterator[SampleBlock], config: Configuration, share: float
 def _with_common_modes(windows: list[WindowResult]) -> list[WindowResult]:
     """The windows with those modes alone that nearly all of them show, without the few that do not."""
     seen = Counter(int(k) for w in windows if w.modes is not None for k in w.modes.model_mode)
-    common = frozenset(k for k, count in seen.items() if count >= _COMMON * len(windows))
+    common = frozenset(k for k, count in seen.items() if count >= _COMMON_MODE_SHARE * len(windows))
     kept = [replace(w, modes=w.modes.only(common)) for w in windows if w.modes is not None]
     return [w for w in kept if w.modes is not None and w.modes.model_mode.size == len(common)]
 
 
-def _tell_doubts(baseline: Baseline, config: Configuration, last: WindowResult, on_warning: OnWarning) -> None:
+def _warn_of_ambiguities(baseline: Baseline, config: Configuration, last: WindowResult, on_warning: OnWarning) -> None:
     """What these sensors and modes cannot tell, said before anybody relies on it."""
     unidentified = last.damage.unidentified if last.damage is not None else ()
     if unidentified:

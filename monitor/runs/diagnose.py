@@ -42,7 +42,7 @@ from monitor.model import (
     locations,
     prior_from_drawing,
 )
-from monitor.runs.recordings import OnProgress, OnWarning, Progress, blocks, names
+from monitor.runs.recordings import OnProgress, OnWarning, Progress, file_names, read_blocks
 
 _TRIALS = np.errstate(over="ignore", invalid="ignore")
 """A fit's trial step that overflows has no likelihood, and is refused for that."""
@@ -170,15 +170,15 @@ def _read(paths: list[Path], config: Configuration, on_warning: OnWarning, on_pr
     progress = Progress(on_progress)
 
     def passing() -> Iterator[SampleBlock]:
-        for block in blocks(paths, config, on_warning):
-            progress.saw(block)
+        for block in read_blocks(paths, config, on_warning):
+            progress.add(block)
             yield block
 
     try:
         return gather(passing(), config)
     except BadInputError as error:
         told = str(error)
-        raise BadInputError(told if str(paths[0]) in told else f"{names(paths)}: {told}") from error
+        raise BadInputError(told if str(paths[0]) in told else f"{file_names(paths)}: {told}") from error
 
 
 def _context(segments: Segments, config: Configuration) -> Context:

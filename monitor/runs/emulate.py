@@ -19,11 +19,11 @@ from drivers.frames import Layout
 from drivers.socketcand_server import SocketcandServer, frame_text
 from monitor.core import BadConfigurationError, BadInputError, MissingInputError, parse_address, settings_problems
 
-CAN_PIECE_S = 0.01
+CAN_BURST_S = 0.01
 """Frames leave in bursts of so many seconds, as a node's transmit queue lets them."""
 BLOCK_SAMPLES = 128
 """Of a block over Zenoh."""
-FORMS = "can:socketcand-server:HOST:PORT, can:INTERFACE:CHANNEL or zenoh:MODE:ENDPOINT:KEY"
+DESTINATIONS = "can:socketcand-server:HOST:PORT, can:INTERFACE:CHANNEL or zenoh:MODE:ENDPOINT:KEY"
 
 
 class Sink(Protocol):
@@ -36,7 +36,7 @@ class Sink(Protocol):
         """Finish what is on its way and leave."""
 
 
-def emulate(blocks: Iterable[SampleBlock], sink: Sink, *, speed: float | None = 1.0) -> int:
+def send_when_due(blocks: Iterable[SampleBlock], sink: Sink, *, speed: float | None = 1.0) -> int:
     """Send blocks when they are due; None: at once.  Returns the number of samples sent of `/acceleration`."""
     begun, first_ns, count = time.monotonic(), None, 0
     for block in blocks:
@@ -50,7 +50,7 @@ def emulate(blocks: Iterable[SampleBlock], sink: Sink, *, speed: float | None = 
     return count
 
 
-def pieces(blocks: Iterable[SampleBlock], n_samples: int) -> Iterator[SampleBlock]:
+def cut_blocks(blocks: Iterable[SampleBlock], n_samples: int) -> Iterator[SampleBlock]:
     """Blocks cut at multiples of `n_samples` in sequence."""
     for block in blocks:
         start = 0
@@ -124,7 +124,7 @@ class CanSink:
         self._transmit(layout, times, data)
 
 
-def _over_tcp(server: SocketcandServer) -> Transmit:
+def _transmit_over_tcp(server: SocketcandServer) -> Transmit:
     def transmit(layout: Layout, times: list[float], data: NDArray[np.uint8]) -> None:
         server.send(
             b"".join(
@@ -136,7 +136,7 @@ def _over_tcp(server: SocketcandServer) -> Transmit:
     return transmit
 
 
-def _over_bus(bus: can.BusABC) -> Transmit:
+def _transmit_over_bus(bus: can.BusABC) -> Transmit:
     def transmit(layout: Layout, times: list[float], data: NDArray[np.uint8]) -> None:
         for t_s, row in zip(times, data, strict=True):
             message = can.Message(
@@ -162,9 +162,27 @@ def open_sink(
     wait_s: float = 60.0,
     say: Callable[[str], None] = lambda _: None,
 ) -> tuple[Sink, float]:
-    """The destination that `to` names (see `FORMS`), and the length of what it likes at a time: s of data or, from 1 up, samples.
+    """Open the destination that `to` names, one of `DESTINATIONS`.
 
-    A server waits `wait_s` for its first client.
+    Parameters
+    ----------
+    to : str
+        Destination.
+    channels : tuple of str
+        Names of the channels to send.
+    dbc : Path, optional
+        Layout of the frames; CAN needs one.
+    wait_s : float
+        Seconds that a socketcand server waits for its first client.
+    say : callable
+        Shows a message to the user.
+
+    Returns
+    -------
+    Sink
+        The open destination.
+    float
+        Length of the blocks that the destination takes: s of data below 1, samples from 1 on.
 
     Raises
     ------
@@ -177,10 +195,10 @@ def open_sink(
     if kind == "zenoh":
         if dbc is not None:
             raise BadConfigurationError(f"--to {to!r}: --dbc is for CAN")
-        return _zenoh(to, rest), BLOCK_SAMPLES
+        return _open_zenoh(to, rest), BLOCK_SAMPLES
     interface, _, channel = rest.partition(":")
     if kind != "can" or not interface or not channel:
-        raise BadConfigurationError(f"--to {to!r}: expected {FORMS}")
+        raise BadConfigurationError(f"--to {to!r}: expected {DESTINATIONS}")
     if dbc is None:
         raise BadConfigurationError(f"--to {to!r}: CAN needs --dbc FILE.dbc")
     try:
@@ -192,11 +210,11 @@ def open_sink(
             bus = can.Bus(interface=interface, channel=channel, fd=any(layout.n_bytes > 8 for layout in layouts))
         except (can.CanError, OSError, ValueError, TypeError, ImportError) as error:
             raise MissingInputError(f"--to {to!r}: {error}") from error
-        return CanSink(layouts, _over_bus(bus), bus.shutdown), CAN_PIECE_S
+        return CanSink(layouts, _transmit_over_bus(bus), bus.shutdown), CAN_BURST_S
     try:
         host, port = parse_address(channel, any_port=True)
     except ValueError:
-        raise BadConfigurationError(f"--to {to!r}: expected {FORMS}") from None
+        raise BadConfigurationError(f"--to {to!r}: expected {DESTINATIONS}") from None
     try:
         server = SocketcandServer(host, port)
     except OSError as error:
@@ -205,16 +223,16 @@ def open_sink(
     if not server.wait_for_client(wait_s):
         server.close()
         raise MissingInputError(f"--to {to!r}: no client came within {wait_s:g} s")
-    return CanSink(layouts, _over_tcp(server), server.close), CAN_PIECE_S
+    return CanSink(layouts, _transmit_over_tcp(server), server.close), CAN_BURST_S
 
 
-def _zenoh(to: str, rest: str) -> Sink:
+def _open_zenoh(to: str, rest: str) -> Sink:
     from drivers.zenoh_bus import PublisherSettings, ZenohPublisher
 
     mode, _, place = rest.partition(":")
     endpoint, _, key = place.rpartition(":")
     if not endpoint or not key:
-        raise BadConfigurationError(f"--to {to!r}: expected {FORMS}")
+        raise BadConfigurationError(f"--to {to!r}: expected {DESTINATIONS}")
     where = {"listen" if mode == "router" else "connect": [endpoint]}
     try:
         return ZenohPublisher(PublisherSettings.model_validate({"mode": mode, "key": key, **where}))
@@ -247,7 +265,7 @@ def send_all(
     sink, length = open_sink(to, head[-1].channels, dbc=dbc, say=say)
     try:
         n = round(length) if length >= 1 else max(1, round(length * head[-1].sample_rate_hz))
-        count = emulate(pieces(_chain(head, stream), n), sink, speed=speed)
+        count = send_when_due(cut_blocks(_chain(head, stream), n), sink, speed=speed)
     finally:
         sink.close()
     say(f"{count} samples sent")

@@ -40,7 +40,7 @@ def read_finding(path: Path) -> dict[str, Any]:
     return dict(finding)
 
 
-def extended_text(
+def extended_structure_text(
     path: Path, finding: Mapping[str, Any], structure: str, config: Configuration, *, with_baseline: bool
 ) -> str:
     """The structure file with the finding's causes.
@@ -61,7 +61,7 @@ def extended_text(
     if with_baseline and not finding.get("since_calibration"):
         raise BadInputError(f"{path}: this finding refers to the structure file; accept it without --baseline")
     try:
-        causes = tuple(_effect(c, config) for c in finding["causes"])
+        causes = tuple(_effect_of_cause(c, config) for c in finding["causes"])
         if with_baseline:
             return effects_text(structure, (*config.model().effects, *causes))
         model = model_from_plain(finding["model"], config.model())
@@ -72,7 +72,7 @@ def extended_text(
         raise BadInputError(f"{path}: not a finding of this structure ({error})") from error
 
 
-def _effect(cause: Mapping[str, Any], config: Configuration) -> Effect:
+def _effect_of_cause(cause: Mapping[str, Any], config: Configuration) -> Effect:
     if cause["effect"] not in FORMS:
         raise EffectError(f"unknown effect {cause['effect']!r}")
     values = {name: float(p["value"]) for name, p in cause["parameters"].items()}
@@ -81,7 +81,7 @@ def _effect(cause: Mapping[str, Any], config: Configuration) -> Effect:
     return effect
 
 
-def record(out: Path, finding: Mapping[str, Any], files: Mapping[str, Path | None], who: str | None) -> Path:
+def append_entry(out: Path, finding: Mapping[str, Any], files: Mapping[str, Path | None], who: str | None) -> Path:
     """Append one line to the ledger beside `out` and return the ledger's place.
 
     Parameters

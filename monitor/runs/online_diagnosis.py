@@ -1,97 +1,172 @@
-"""Diagnoses that results ask for: which data they are given, and what they found."""
+"""Diagnoses that the results of a running session ask for: when one is due, and which data it is given."""
 
 from __future__ import annotations
 
 import json
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from math import ceil
 from pathlib import Path
 from typing import Any
 
-from drivers.base import SampleBlock
+from drivers.base import ACCELERATION, SampleBlock
 from monitor.config import Configuration
 from monitor.core import WindowResult
 from monitor.diagnosis import trigger
-from monitor.runs.diagnosis_process import Diagnoser, Recent
+from monitor.runs.diagnosis_process import DiagnosisQueue
 
-_MOST_FINDINGS = 1000
+_MAX_FINDINGS = 1000
+"""Findings kept in memory for the summary; the oldest goes first.  Every finding also has a file of its own."""
+_MAX_BLOCKS = 200_000
+"""Blocks kept at most, whatever their length, so that memory stays bounded with blocks of single samples."""
+_MARGIN_S = 30.0
+"""Seconds of data kept beyond the longest span of a diagnosis: a request comes with the block that completes its window, and that
+block may be a long one."""
 FINDING_KEYS = ("id", "t_ns", "from_ns", "reason", "verdict", "says", "causes")
-"""What a summary keeps of a finding."""
+"""Keys of a finding that summary.json repeats."""
+
+
+class RecentBlocks:
+    """Keep the latest blocks of samples as they came, for a diagnosis.
+
+    Parameters
+    ----------
+    longest_s : float
+        Length of acceleration data that a diagnosis may ask for, s.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> recent = RecentBlocks(longest_s=60.0)
+    >>> recent.push(SampleBlock(ACCELERATION, 0, 0, 10.0, ("a1",), "m/s^2", np.zeros((20, 1), np.float32)))
+    >>> [block.n_samples for block in recent.between(500_000_000, 1_500_000_000)]
+    [10]
+    """
+
+    def __init__(self, longest_s: float) -> None:
+        self._longest_s = longest_s
+        self._seconds = 0.0
+        self._blocks: deque[SampleBlock] = deque()
+
+    def push(self, block: SampleBlock) -> None:
+        """Keep a block, and forget the blocks that are too old.
+
+        The age of a block is the length of the data since, because clocks may stand still or be set back.
+        """
+        self._blocks.append(block)
+        self._seconds += _length_s(block)
+        longest_s = self._longest_s + _MARGIN_S
+        while self._seconds - _length_s(self._blocks[0]) > longest_s or len(self._blocks) > _MAX_BLOCKS:
+            self._seconds -= _length_s(self._blocks.popleft())
+
+    def between(self, from_ns: int, to_ns: int) -> list[SampleBlock]:
+        """Return the samples taken within a span of UTC, however the blocks were cut."""
+        return [b for block in self._blocks if (b := _cut_to_span(block, from_ns, to_ns)).n_samples]
+
+
+def _cut_to_span(block: SampleBlock, from_ns: int, to_ns: int) -> SampleBlock:
+    """Cut a block to its samples within a span of UTC."""
+    first, end = (
+        min(max(ceil(round((t - block.t_ns) * 1e-9 * block.sample_rate_hz, 6)), 0), block.n_samples)
+        for t in (from_ns, to_ns)
+    )
+    if end - first == block.n_samples:
+        return block
+    t_ns = block.t_ns + round(first / block.sample_rate_hz * 1e9)
+    return replace(block, t_ns=t_ns, sequence=block.sequence + first, samples=block.samples[first:end])
+
+
+def _length_s(block: SampleBlock) -> float:
+    """Return the length of a block in s; blocks of other topics run beside the acceleration and count nothing."""
+    return block.n_samples / block.sample_rate_hz if block.topic == ACCELERATION else 0.0
 
 
 @dataclass(frozen=True, slots=True)
-class WatcherState:
-    """Diagnoses: which episode is watched, what is known, and what is still to be made."""
+class OnlineDiagnosisState:
+    """The diagnoses of a session for a checkpoint: the episode, the findings, and the requests without a finding."""
 
     episode: trigger.WatchState
     t_ns: int
+    """End of the latest window, UTC."""
     found: tuple[str, ...]
     """Findings, each as JSON."""
     pending: tuple[trigger.Request, ...]
+    """Requests that have no finding yet."""
     asked: int
+    """Number of requests so far."""
 
 
-class Watcher:
-    """Asks for a diagnosis where the results call for one."""
+class OnlineDiagnosis:
+    """Request a diagnosis where the results of a session call for one, and collect the findings.
+
+    Parameters
+    ----------
+    config : Configuration
+        Settings of the site; `[watch]` says when a diagnosis is due.
+    files : (Path, Path or None), optional
+        Structure or site file, and baseline, that a diagnosis reads; no diagnosis is made without.
+    folder : Path
+        Folder of the findings.
+    """
 
     def __init__(self, config: Configuration, files: tuple[Path, Path | None] | None, folder: Path) -> None:
         self.settings, self._window_s = config.watch, config.processing.window_s
         self.longest_s = max(self.settings.longest_s, 2.0 * self._window_s)
-        """Length of data that a diagnosis may be given."""
-        self._recent = Recent(self.longest_s)
-        self._state, self._t_ns = trigger.WatchState(), 0
-        self.found: deque[dict[str, Any]] = deque(maxlen=_MOST_FINDINGS)
+        """Length of data that a diagnosis may be given, s."""
+        self._recent = RecentBlocks(self.longest_s)
+        self._episode, self._t_ns = trigger.WatchState(), 0
+        self.findings: deque[dict[str, Any]] = deque(maxlen=_MAX_FINDINGS)
         """The latest findings."""
-        self._diagnoser = Diagnoser(*files, folder, self.settings.time_limit_s) if files is not None else None
+        self._queue = DiagnosisQueue(*files, folder, self.settings.time_limit_s) if files is not None else None
 
     @property
-    def state(self) -> WatcherState:
-        """What to restore; blocks are to be remembered again besides."""
-        found = tuple(json.dumps({key: f[key] for key in FINDING_KEYS}) for f in self.found)
-        pending, asked = ((), 0) if self._diagnoser is None else (self._diagnoser.pending, self._diagnoser.asked)
-        return WatcherState(self._state, self._t_ns, found, pending, asked)
+    def state(self) -> OnlineDiagnosisState:
+        """State for a checkpoint; the recent blocks are not part of it and must be kept again after `restore`."""
+        findings = tuple(json.dumps({key: f[key] for key in FINDING_KEYS}) for f in self.findings)
+        pending, submitted = ((), 0) if self._queue is None else (self._queue.pending, self._queue.submitted)
+        return OnlineDiagnosisState(self._episode, self._t_ns, findings, pending, submitted)
 
-    def restore(self, state: WatcherState) -> None:
-        """Go on from there; what was being diagnosed is asked for anew, of the blocks remembered."""
-        self._state, self._t_ns = state.episode, state.t_ns
-        self.found.extend(json.loads(text) for text in state.found)
-        if self._diagnoser is not None:
-            self._diagnoser.asked = state.asked - len(state.pending)
+    def restore(self, state: OnlineDiagnosisState) -> None:
+        """Go on from a checkpoint; pending requests are submitted anew with the blocks kept before this call."""
+        self._episode, self._t_ns = state.episode, state.t_ns
+        self.findings.extend(json.loads(text) for text in state.found)
+        if self._queue is not None:
+            self._queue.submitted = state.asked - len(state.pending)
             for request in state.pending:
-                self._ask(request)
+                self._submit(request)
 
-    def remember(self, block: SampleBlock) -> None:
-        """Keep a block for a diagnosis."""
+    def keep_block(self, block: SampleBlock) -> None:
+        """Keep a block for a later diagnosis."""
         self._recent.push(block)
 
-    def saw(self, block: SampleBlock) -> list[dict[str, Any]]:
-        """Keep a block for a diagnosis; findings that became ready."""
-        if self._diagnoser is None:
+    def push(self, block: SampleBlock) -> list[dict[str, Any]]:
+        """Keep a block for a later diagnosis, and return the findings that became ready."""
+        if self._queue is None:
             return []
-        self.remember(block)
-        found = self._diagnoser.poll()
-        self.found += found
-        return found
+        self.keep_block(block)
+        findings = self._queue.poll()
+        self.findings += findings
+        return findings
 
     def window(self, result: WindowResult) -> None:
-        """Follow the results."""
+        """Follow the result of a window, and submit a diagnosis if one is due."""
         self._t_ns = result.t_end_ns
-        self._state, request = trigger.step(self._state, result, self.settings, self._window_s)
-        self._ask(request)
+        self._episode, request = trigger.step(self._episode, result, self.settings, self._window_s)
+        self._submit(request)
 
     def finish(self, stop: Callable[[], bool] = lambda: False) -> list[dict[str, Any]]:
-        """Wait for the last findings, unless `stop` says otherwise."""
-        self._ask(trigger.finish(self._state, self._t_ns, self.settings, self._window_s))
-        found = [] if self._diagnoser is None else self._diagnoser.wait(stop)
-        self.found += found
-        return found
+        """Wait for the last findings, unless `stop` returns True, and return them."""
+        self._submit(trigger.finish(self._episode, self._t_ns, self.settings, self._window_s))
+        findings = [] if self._queue is None else self._queue.wait(stop)
+        self.findings += findings
+        return findings
 
     def close(self, timeout_s: float = 5.0) -> None:
-        """End what still runs; waits no longer than `timeout_s`."""
-        if self._diagnoser is not None:
-            self._diagnoser.close(timeout_s)
+        """End the diagnosis that still runs; wait no longer than `timeout_s`."""
+        if self._queue is not None:
+            self._queue.close(timeout_s)
 
-    def _ask(self, request: trigger.Request | None) -> None:
-        if request is not None and self._diagnoser is not None:
-            self._diagnoser.ask(request, self._recent.between(request.from_ns, request.to_ns))
+    def _submit(self, request: trigger.Request | None) -> None:
+        if request is not None and self._queue is not None:
+            self._queue.submit(request, self._recent.between(request.from_ns, request.to_ns))

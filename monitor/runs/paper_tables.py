@@ -17,7 +17,7 @@ from monitor.signals import windows as window
 
 MASSES_KG = np.array([0.3253, 0.3514, 0.3129])
 """Figure 2 is lost; recovered from Table 4's converged row (docs/theory.md)."""
-INITIAL = np.array([2251.8509, 2251.8509, 1811.292])
+INITIAL_STIFFNESS = np.array([2251.8509, 2251.8509, 1811.292])
 """Table 4, initial value: 2 * 12 E I / h^3 of the drawing."""
 MEASURED_HZ = np.array([5.2, 16.3, 23.0])
 """Table 2, experimental results."""
@@ -63,18 +63,18 @@ PAPER: dict[str, dict[str, Any]] = {
 }
 
 _BY_FREQUENCIES = UpdatingSettings(penalty="weighted", use_shapes=False, eigenvalue="linear")
-_BY_SHAPES_TOO = UpdatingSettings(penalty="weighted")
+_BY_FREQUENCIES_AND_SHAPES = UpdatingSettings(penalty="weighted")
 
 
-def frame(stiffness: Array) -> Model:
+def paper_frame(stiffness: Array) -> Model:
     """The paper's frame with 1 % Rayleigh damping."""
     return Model(ShearFrame(MASSES_KG, stiffness, 0.01))
 
 
-def convergence() -> Array:
+def updating_history() -> Array:
     """Stiffness after 0, 1, 2 ... steps of eq. 27 from the drawing to the measured frequencies, shape (n, 3)."""
     target = _frequencies_only(MEASURED_HZ)
-    return update(frame(INITIAL), np.eye(3), target, _BY_FREQUENCIES).history
+    return update(paper_frame(INITIAL_STIFFNESS), np.eye(3), target, _BY_FREQUENCIES).history
 
 
 def _frequencies_only(frequencies_hz: Array) -> Observation:
@@ -83,7 +83,7 @@ def _frequencies_only(frequencies_hz: Array) -> Observation:
     return Observation(lam, np.diag(lam**-2.0), np.zeros((1, lam.size)), tuple(range(lam.size)), (), log=False)
 
 
-def forces(excitation: Excitation, rng: np.random.Generator) -> Array:
+def paper_forces(excitation: Excitation, rng: np.random.Generator) -> Array:
     """The paper's forces: an impact on node 2, or white noise of unit standard deviation on every node."""
     n = round(_DURATION_S[excitation] / _DT[excitation])
     if excitation == "ambient":
@@ -93,7 +93,7 @@ def forces(excitation: Excitation, rng: np.random.Generator) -> Array:
     return blow
 
 
-def identified(
+def identify_noisy(
     clean: Array, excitation: Excitation, noise: float, rng: np.random.Generator, like: Model
 ) -> ModalEstimate | Skipped:
     """Add noise before the filter, filter, resample to 100 Hz, and identify (algorithm 2, CVA).
@@ -116,49 +116,49 @@ def identified(
     return replace(modes, frequencies_hz=np.tan(np.pi * modes.frequencies_hz * dt) / (np.pi * dt))
 
 
-def index_by_frequencies(frequencies_hz: Array, healthy: Model) -> Array:
+def ddi_by_frequencies(frequencies_hz: Array, healthy: Model) -> Array:
     """DDI against the adjusted model as the paper does it, shape (3,); NaN where the updating does not converge."""
-    return _index(update(healthy, np.eye(3), _frequencies_only(frequencies_hz), _BY_FREQUENCIES), healthy)
+    return _ddi(update(healthy, np.eye(3), _frequencies_only(frequencies_hz), _BY_FREQUENCIES), healthy)
 
 
-def index_by_shapes_too(modes: ModalEstimate, healthy: Model) -> Array:
+def ddi_by_frequencies_and_shapes(modes: ModalEstimate, healthy: Model) -> Array:
     """DDI from frequencies and shapes."""
-    target = observe(modes, _BY_SHAPES_TOO)
+    target = observe(modes, _BY_FREQUENCIES_AND_SHAPES)
     # Noise-free data leave nothing to weigh by: a floor far below any noise keeps the weights finite.
     target = replace(target, weight=np.diag(1.0 / (1.0 / np.diag(target.weight) + 1e-12)))
-    return _index(update(healthy, np.eye(3), target, _BY_SHAPES_TOO), healthy)
+    return _ddi(update(healthy, np.eye(3), target, _BY_FREQUENCIES_AND_SHAPES), healthy)
 
 
-def _index(fit: Update, healthy: Model) -> Array:
+def _ddi(fit: Update, healthy: Model) -> Array:
     if not fit.converged:
         return np.full(3, np.nan)
     return np.asarray(1.0 - fit.parameters / healthy.structure.stiffness_n_per_m)
 
 
-def simulated_tests(seeds: int, on_progress: Callable[[float], None] = lambda _: None) -> list[dict[str, Any]]:
+def run_simulated_tests(seeds: int, on_progress: Callable[[float], None] = lambda _: None) -> list[dict[str, Any]]:
     """The twelve tests of Tables 6 and 7 and Figures 9 and 10, each over `seeds` draws of force and noise."""
-    healthy = frame(convergence()[-1])
+    healthy = paper_frame(updating_history()[-1])
     tests: list[dict[str, Any]] = []
     for case, loss in CASES.items():
-        damaged = frame(healthy.structure.stiffness_n_per_m * (1.0 - loss))
+        damaged = paper_frame(healthy.structure.stiffness_n_per_m * (1.0 - loss))
         for excitation in ("free", "ambient"):
             results: dict[float, list[tuple[Array, Array, Array]]] = {noise: [] for noise in NOISES}
             failed = dict.fromkeys(NOISES, 0)
             for seed in range(seeds):
                 rng = np.random.default_rng([seed, len(tests)])
-                clean = respond_newmark(damaged, forces(excitation, rng), 1.0 / _DT[excitation])
+                clean = respond_newmark(damaged, paper_forces(excitation, rng), 1.0 / _DT[excitation])
                 for noise in NOISES:
-                    modes = identified(clean, excitation, noise, rng, healthy)
+                    modes = identify_noisy(clean, excitation, noise, rng, healthy)
                     if isinstance(modes, Skipped):
                         failed[noise] += 1
                         continue
-                    alone = index_by_frequencies(modes.frequencies_hz, healthy)
-                    results[noise].append((modes.frequencies_hz, alone, index_by_shapes_too(modes, healthy)))
+                    alone = ddi_by_frequencies(modes.frequencies_hz, healthy)
+                    results[noise].append((modes.frequencies_hz, alone, ddi_by_frequencies_and_shapes(modes, healthy)))
                 on_progress(60.0 * len(tests))
             for noise in NOISES:
                 printed = PAPER["table_6" if case == "case_1" else "table_7"][excitation][NOISES.index(noise)]
                 test = _summarize(case, excitation, noise, loss, results[noise], failed[noise])
-                paper = index_by_frequencies(np.array(printed), healthy)
+                paper = ddi_by_frequencies(np.array(printed), healthy)
                 tests.append(test | {"paper_largest_error": float(np.abs(paper - loss).max())})
     return tests
 
@@ -191,13 +191,13 @@ def _summarize(
 
 def reproduce(seeds: int, on_progress: Callable[[float], None] = lambda _: None) -> dict[str, Any]:
     """Everything as plain numbers (`reproduce --json`; docs/figures.md)."""
-    steps = convergence()
+    steps = updating_history()
 
     def after(n: int) -> Array:
         return np.asarray(steps[min(n, len(steps) - 1)])
 
-    healthy = frame(steps[-1])
-    tests = simulated_tests(seeds, on_progress)
+    healthy = paper_frame(steps[-1])
+    tests = run_simulated_tests(seeds, on_progress)
 
     def table(case: str) -> dict[str, Any]:
         return {
@@ -211,12 +211,15 @@ def reproduce(seeds: int, on_progress: Callable[[float], None] = lambda _: None)
         }
 
     return {
-        "table_2": {"theory": frame(INITIAL).modes().frequencies_hz.tolist(), "measured": MEASURED_HZ.tolist()},
+        "table_2": {
+            "theory": paper_frame(INITIAL_STIFFNESS).modes().frequencies_hz.tolist(),
+            "measured": MEASURED_HZ.tolist(),
+        },
         # Table 3 counts the drawing as iteration 0, Table 4 as iteration 1.
-        "table_3": {str(n): frame(after(n)).modes().frequencies_hz.tolist() for n in (2, 4, 6, 12, 20, 100)},
+        "table_3": {str(n): paper_frame(after(n)).modes().frequencies_hz.tolist() for n in (2, 4, 6, 12, 20, 100)},
         "table_4": {str(n): after(n - 1).tolist() for n in (1, 2, 3, 4, 5, 6, 7, 8, 12, 20, 100)},
         "table_5": {"adjusted": healthy.modes().frequencies_hz.tolist()}
-        | {case: frame(steps[-1] * (1.0 - loss)).modes().frequencies_hz.tolist() for case, loss in CASES.items()},
+        | {case: paper_frame(steps[-1] * (1.0 - loss)).modes().frequencies_hz.tolist() for case, loss in CASES.items()},
         "table_6": table("case_1"),
         "table_7": table("case_2"),
         "ddi": tests,
@@ -226,7 +229,7 @@ def reproduce(seeds: int, on_progress: Callable[[float], None] = lambda _: None)
     }
 
 
-def report(content: dict[str, Any]) -> str:
+def tables_text(content: dict[str, Any]) -> str:
     """The tables in words, ours beside the paper's."""
     lines = ["Table 2, Hz            ours                          paper"]
     for name in ("theory", "measured"):

@@ -1,4 +1,4 @@
-"""Recordings as the commands read them: blocks in time order, and what is said when there is too little of them."""
+"""Recordings as the commands read them: blocks in time order, progress, and errors that name the recordings."""
 
 from __future__ import annotations
 
@@ -13,21 +13,24 @@ from monitor.core import BadInputError, MissingInputError
 from monitor.pipeline import Pipeline, Result
 
 OnWarning = Callable[[str], None]
+"""Shows a warning to the user."""
 OnProgress = Callable[[float], None]
+"""Takes the length of the data read so far, s."""
+
+_BLOCK_S = 30.0
+"""Greatest length of a joined block, s: about what one chunk of our own recordings holds at 1024 Hz.  Longer blocks save no
+more calls."""
 
 
-_MERGED_S = 30.0
-"""About what a chunk of a recording of our own holds at 1024 Hz; no fewer calls come of more."""
-
-
-def blocks(
-    paths: list[Path], config: Configuration, on_warning: OnWarning, longest_s: float = _MERGED_S
+def read_blocks(
+    paths: list[Path], config: Configuration, on_warning: OnWarning, longest_s: float = _BLOCK_S
 ) -> Iterator[SampleBlock]:
-    """All samples of the recordings in time order, small blocks joined to blocks of at most `longest_s`.
+    """Read all samples of the recordings in time order, small blocks joined to blocks of at most `longest_s` seconds.
 
     Raises
     ------
     MissingInputError, BadInputError
+        If a recording is missing or unusable.
     """
     try:
         yield from read_recordings(paths, topic_map=config.topics or None, on_warning=on_warning, longest_s=longest_s)
@@ -38,55 +41,83 @@ def blocks(
 
 
 def duration_s(first: SampleBlock | None, last: SampleBlock | None) -> float:
-    """From the first block's start to the last one's end."""
+    """Return the seconds from the first block's start to the last block's end; 0 without blocks.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> first = SampleBlock(ACCELERATION, 0, 0, 10.0, ("a1",), "m/s^2", np.zeros((20, 1), np.float32))
+    >>> duration_s(first, first)
+    2.0
+    """
     if first is None or last is None:
         return 0.0
     return (last.t_ns - first.t_ns) * 1e-9 + last.n_samples / last.sample_rate_hz
 
 
 class Progress:
-    """Follows the data's time, to say when there was too little of it."""
+    """Follow the time of the data, and refuse recordings that are too short for one window.
+
+    Parameters
+    ----------
+    on_progress : callable
+        Called with the length of the acceleration data so far, s, after each block.
+    """
 
     def __init__(self, on_progress: OnProgress) -> None:
         self.first: SampleBlock | None = None
+        """First block of acceleration."""
         self.last: SampleBlock | None = None
-        self._tell = on_progress
+        """Latest block of acceleration."""
+        self._on_progress = on_progress
 
-    def saw(self, block: SampleBlock) -> None:
-        """Follow a block."""
+    def add(self, block: SampleBlock) -> None:
+        """Count a block."""
         if block.topic == ACCELERATION:
             self.first = self.first or block
             self.last = block
-            self._tell(duration_s(self.first, block))
+            self._on_progress(duration_s(self.first, block))
 
-    def demand(self, pipeline: Pipeline, windows: int, paths: list[Path]) -> None:
-        """Raise BadInputError if not even one window came about."""
+    def require_window(self, pipeline: Pipeline, windows: int, paths: list[Path]) -> None:
+        """Refuse recordings that did not fill one window.
+
+        Raises
+        ------
+        BadInputError
+            If `windows` is 0; the message says how much usable data there is.
+        """
         if windows:
             return
         state, window_s = pipeline.state.align, pipeline.config.processing.window_s
         usable = state.n_run / state.rate_hz
         lost = f" ({state.dropped} samples were repeated, late or not finite)" if state.dropped else ""
         raise BadInputError(
-            f"{names(paths)}: {usable:.1f} s of usable data without a gap{lost}, but one window takes {window_s:g} s; "
+            f"{file_names(paths)}: {usable:.1f} s of usable data without a gap{lost}, but one window takes {window_s:g} s; "
             "record longer or set a shorter window_s under [processing]"
         )
 
 
-def names(paths: list[Path]) -> str:
-    """The recordings, for a message."""
+def file_names(paths: list[Path]) -> str:
+    """Join the recordings' names for a message."""
     return ", ".join(map(str, paths))
 
 
-class Taker(Protocol):
-    """A pipeline, or what stands before one."""
+class BlockConsumer(Protocol):
+    """A pipeline, or a session around one."""
 
     def push(self, block: SampleBlock) -> list[Result]:
-        """Take a block in."""
+        """Take a block, and return its results."""
 
 
-def pushed(taker: Taker, block: SampleBlock, paths: list[Path]) -> list[Result]:
-    """The results; what is refused is said of the recordings."""
+def push_block(consumer: BlockConsumer, block: SampleBlock, paths: list[Path]) -> list[Result]:
+    """Push a block of the recordings `paths`, and return its results.
+
+    Raises
+    ------
+    BadInputError
+        If the block is refused; the message names the recordings.
+    """
     try:
-        return taker.push(block)
+        return consumer.push(block)
     except BadInputError as error:
-        raise BadInputError(f"{names(paths)}: {error}") from error
+        raise BadInputError(f"{file_names(paths)}: {error}") from error

@@ -14,20 +14,20 @@ from monitor.config import Configuration
 from monitor.core import MissingInputError, WindowResult, demand_place, write_atomically
 from monitor.damage import Baseline
 from monitor.publish import LINE_SCHEMA, LinesFile, Publisher, to_json
-from monitor.runs.recordings import OnProgress, OnWarning, Progress, blocks, duration_s, pushed
+from monitor.runs.recordings import OnProgress, OnWarning, Progress, duration_s, push_block, read_blocks
 from monitor.runs.session import Session
 from monitor.runs.viewer import open_viewer
 
 if TYPE_CHECKING:  # takes a second to load, and an archive's replays have no view
     from monitor.publish import RerunPublisher
 
-__all__ = ["RESULT_FILES", "begun", "pass_through", "replay"]
+__all__ = ["RESULT_FILES", "pass_through", "replay", "with_first_block_read"]
 
 RESULT_FILES = ("results.jsonl", "results.mcap", "live.rrd", "summary.json")
 """What `replay` leaves in its folder."""
 
 
-class _Files(Publisher):
+class _ResultFiles(Publisher):
     """The files of a replay; each takes its final name when it is whole, and none before the last window."""
 
     def __init__(self, out: Path) -> None:
@@ -85,26 +85,28 @@ def replay(
         Too short for one window, missing channels, unreadable files.
     """
     pieces = {} if speed is None else {"longest_s": 0.0}  # viewers want samples as they were taken
-    source = begun(blocks(paths, config, on_warning, **pieces))  # bad input shows before any output is begun
-    written = _Files(out)
+    source = with_first_block_read(
+        read_blocks(paths, config, on_warning, **pieces)
+    )  # bad input shows before any output is begun
+    written = _ResultFiles(out)
     view = open_viewer(config, baseline, file=out / "live.rrd", serve=serve, lossless=True)
     session = Session(config, baseline, (written, view), files, out / "findings")
     try:
         factor = pass_through(session, source, paths, speed=speed, on_progress=on_progress)
         content = session.content(factor)
-        written.close(content, session.watcher.found)
+        written.close(content, session.online_diagnosis.findings)
         view.close(timeout_s=120.0)
     except BaseException:
         written.abandon()
         view.abort()
         raise
     finally:
-        session.watcher.close()
-    _tell_losses(session, view, out, on_warning)
+        session.online_diagnosis.close()
+    _warn_of_losses(session, view, out, on_warning)
     return content
 
 
-def begun(source: Iterator[SampleBlock]) -> Iterator[SampleBlock]:
+def with_first_block_read(source: Iterator[SampleBlock]) -> Iterator[SampleBlock]:
     """The same blocks, the first of them read already."""
     return chain([first] if (first := next(source, None)) is not None else [], source)
 
@@ -126,19 +128,19 @@ def pass_through(
     """
     progress, started = Progress(on_progress), time.monotonic()
     for block in source:
-        progress.saw(block)
+        progress.add(block)
         if speed is not None:
-            _wait(started, duration_s(progress.first, block) / speed)
-        pushed(session, block, paths)
-    progress.demand(session.pipeline, session.windows, paths)
+            _sleep_until_due(started, duration_s(progress.first, block) / speed)
+        push_block(session, block, paths)
+    progress.require_window(session.pipeline, session.windows, paths)
     factor = duration_s(progress.first, progress.last) / max(time.monotonic() - started, 1e-9)
     session.finish()
     return factor
 
 
-def _tell_losses(session: Session, view: RerunPublisher, out: Path, on_warning: OnWarning) -> None:
+def _warn_of_losses(session: Session, view: RerunPublisher, out: Path, on_warning: OnWarning) -> None:
     """What went wrong on the way without ending the replay."""
-    for finding in session.watcher.found:
+    for finding in session.online_diagnosis.findings:
         if "error" in finding:
             on_warning(f"finding {finding['id']} ({finding['reason']}) came to nothing: {finding['error']}")
     if view.failed is not None:
@@ -147,5 +149,5 @@ def _tell_losses(session: Session, view: RerunPublisher, out: Path, on_warning: 
         on_warning(f"{session.dropped} samples were repeated, late or not finite and were dropped")
 
 
-def _wait(started: float, due_s: float) -> None:
+def _sleep_until_due(started: float, due_s: float) -> None:
     time.sleep(max(0.0, started + due_s - time.monotonic()))

@@ -1,4 +1,7 @@
-"""From a block to whoever takes its results: what replay and daemon share, so that live is replay, bit for bit."""
+"""One session: the pipeline, its summary, the diagnoses that its results ask for, and the publishers of its results.
+
+A replay and the daemon run the same session, so that the daemon's results are those of a replay, bit for bit.
+"""
 
 from __future__ import annotations
 
@@ -14,31 +17,35 @@ from monitor.core import Gap, Samples
 from monitor.damage import AlarmState, Baseline
 from monitor.pipeline import Pipeline, PipelineState, Result
 from monitor.publish import Episode, Publisher, Quality, Summary, to_json, window_line
-from monitor.runs.online_diagnosis import FINDING_KEYS, Watcher, WatcherState
+from monitor.runs.online_diagnosis import FINDING_KEYS, OnlineDiagnosis, OnlineDiagnosisState
 from monitor.signals import Health
 
 
 @dataclass(frozen=True, slots=True)
 class SessionState:
-    """All that a session knows; what is given is never changed any more."""
+    """All that a session knows, for a checkpoint; no part of it changes any more."""
 
     pipeline: PipelineState
     summary: Summary
     quality: Quality
-    watcher: WatcherState
+    watcher: OnlineDiagnosisState
 
 
 class Session:
-    """The pipeline, and everything that its results go to.
+    """Push blocks of samples through the pipeline, and hand the results to publishers.
 
     Parameters
     ----------
+    config : Configuration
+        Settings of the site.
+    baseline : Baseline, optional
+        The healthy reference; no alarm is raised without one.
     publishers : sequence of Publisher
-        In the order in which they are told.
+        Publishers, in the order in which they take each result.
     files : (Path, Path or None), optional
-        Structure or site file, and baseline, for the diagnoses that alarms ask for; none are made without.
+        Structure or site file, and baseline, for the diagnoses that alarms ask for; no diagnosis is made without.
     findings : Path
-        Folder of these.
+        Folder of the findings of these diagnoses.
     """
 
     def __init__(
@@ -51,90 +58,92 @@ class Session:
     ) -> None:
         self.config = config
         self.pipeline = Pipeline(config, baseline)
-        self.watcher = Watcher(config, files, findings)
+        self.online_diagnosis = OnlineDiagnosis(config, files, findings)
         self._publishers = publishers
         self._summary, self._quality = Summary(), Quality()
         self._model_hz = config.model().modes().frequencies_hz.tolist()
 
     @property
     def windows(self) -> int:
-        """Windows so far."""
+        """Number of windows so far."""
         return self._summary.windows
 
     @property
     def dropped(self) -> int:
-        """Samples repeated, late or not finite."""
+        """Number of samples dropped because they were repeated, late or not finite."""
         return self.pipeline.state.align.dropped
 
     @property
     def now_ns(self) -> int:
-        """UTC of the data: just past the latest sample."""
+        """Time of the data, just past the latest sample, UTC in ns."""
         return self.pipeline.state.align.t_next_ns()
 
     @property
     def episodes(self) -> Sequence[Episode]:
-        """Alarms so far, in the order in which they began."""
+        """Alarm episodes so far, in the order in which they began."""
         return self._summary.alarms
 
     @property
     def state(self) -> SessionState:
-        """What to restore to go on from here."""
+        """State for a checkpoint."""
         summary, quality = copy.deepcopy((self._summary, self._quality))
-        return SessionState(self.pipeline.state, summary, quality, self.watcher.state)
+        return SessionState(self.pipeline.state, summary, quality, self.online_diagnosis.state)
 
     def restore(self, state: SessionState) -> None:
-        """Go on from there."""
+        """Go on from a checkpoint."""
         self.pipeline.state = state.pipeline
         self._summary, self._quality = copy.deepcopy((state.summary, state.quality))
-        self.watcher.restore(state.watcher)
+        self.online_diagnosis.restore(state.watcher)
 
     def push(self, block: SampleBlock, accepted: Callable[[list[Result]], None] = lambda _: None) -> list[Result]:
-        """Take a block in and publish what it brings about.
+        """Take a block of samples, and publish the results that it brings.
 
         Parameters
         ----------
+        block : SampleBlock
+            Samples of any length.
         accepted : callable
-            Told the results before anybody else is.
+            Called with the results before any publisher takes them.
 
         Raises
         ------
         BadInputError
-            The pipeline refuses it; it is then as if it had never come.
+            If the pipeline refuses the block; the session is then as if the block had never come.
         """
         results = self.pipeline.push(block)
         accepted(results)
-        self._tell(self.watcher.saw(block))
+        self._publish_findings(self.online_diagnosis.push(block))
         for result in results:
             self._publish(result)
         return results
 
     def finish(self, stop: Callable[[], bool] = lambda: False) -> None:
-        """Wait for the last findings, unless `stop` says otherwise, and publish them."""
-        self._tell(self.watcher.finish(stop))
+        """Wait for the last findings, unless `stop` returns True, and publish them."""
+        self._publish_findings(self.online_diagnosis.finish(stop))
 
     def alter_alarm(self, change: Callable[[AlarmState], AlarmState]) -> None:
-        """Apply an operator's wish (`monitor.damage.damage_index.alarm`: acknowledge, shelve, reset)."""
+        """Apply an operator's request to the alarm (`monitor.damage.alarm`: acknowledge, shelve, reset)."""
         state = self.pipeline.state
         self.pipeline.state = replace(state, alarm=change(state.alarm))
 
     def reconfigure(self, config: Configuration) -> None:
         """Go on with other thresholds; nothing else of the configuration may differ (`monitor.service.reload`)."""
         self.config = self.pipeline.config = config
-        self.watcher.settings = config.watch
+        self.online_diagnosis.settings = config.watch
 
     def content(self, realtime_factor: float) -> dict[str, Any]:
-        """summary.json: the run so far with its findings, and beside every alarm what a diagnosis of its time said."""
+        """Return the content of summary.json: the run so far, its alarms with their verdicts, and its findings.
+
+        Parameters
+        ----------
+        realtime_factor : float
+            Length of the data over the time that its evaluation took.
+        """
         self._summary.dropped_samples = self.dropped
+        findings = self.online_diagnosis.findings
         summary = self._summary.content(realtime_factor, self._model_hz)
-        findings = self.watcher.found
         for alarm in summary["alarms"]:
-            told = (
-                f["says"]
-                for f in findings
-                if alarm["t_first_ns"] <= f["t_ns"]
-                and (alarm["t_last_ns"] is None or f["from_ns"] <= alarm["t_last_ns"])
-            )
-            alarm["verdict"] = next(told, None) or None
+            alarm["verdict"] = _verdict(alarm, findings)
         return {
             **summary,
             "findings": [{key: f[key] for key in FINDING_KEYS} for f in findings],
@@ -142,7 +151,7 @@ class Session:
             "thresholds": self.config.alarm.model_dump(include={"significance", "min_loss", "alarm_loss"}),
         }
 
-    def _tell(self, findings: Iterable[dict[str, Any]]) -> None:
+    def _publish_findings(self, findings: Iterable[dict[str, Any]]) -> None:
         for finding in findings:
             for publisher in self._publishers:
                 publisher.finding(finding)
@@ -164,4 +173,13 @@ class Session:
             line = to_json(window_line(result))
             for publisher in self._publishers:
                 publisher.window(result, line)
-            self.watcher.window(result)
+            self.online_diagnosis.window(result)
+
+
+def _verdict(alarm: dict[str, Any], findings: Iterable[dict[str, Any]]) -> str | None:
+    """Return the sentence of the first diagnosis whose data overlap the alarm's episode; None without one."""
+    for f in findings:
+        ended_before = alarm["t_last_ns"] is not None and f["from_ns"] > alarm["t_last_ns"]
+        if alarm["t_first_ns"] <= f["t_ns"] and not ended_before:
+            return f["says"] or None
+    return None

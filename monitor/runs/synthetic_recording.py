@@ -32,7 +32,7 @@ _TEMPERATURE_HZ = 1.0
 
 
 @dataclass(frozen=True, slots=True)
-class Weather:
+class TemperatureCycle:
     """A temperature that goes up and down: mean - swing / 2 cos(2 pi t / period_s)."""
 
     mean_degc: float
@@ -43,7 +43,7 @@ class Weather:
     """At which the stiffness is the structure file's."""
 
     @classmethod
-    def parse(cls, text: str | None, duration_s: float) -> Weather:
+    def parse(cls, text: str | None, duration_s: float) -> TemperatureCycle:
         """``MEAN[,SWING[,PERIOD[,REFERENCE]]]``; by default 10 K about 20 degC in one period, the mean as reference.
 
         Raises
@@ -67,7 +67,7 @@ class Weather:
         return np.asarray(self.mean_degc - 0.5 * self.swing_k * np.cos(turn * np.arange(n)))
 
 
-def blocks_of(
+def cut_into_blocks(
     topic: str,
     values: Array,
     channels: tuple[str, ...],
@@ -97,7 +97,7 @@ def parse_damage(text: str) -> Effect:
     return StiffnessChange.create(f"story {match[1]}", {"relative": -loss})
 
 
-def simulate_to(
+def write_simulated_recording(
     out: Path,
     config: Configuration,
     *,
@@ -126,13 +126,13 @@ def simulate_to(
     try:
         model = config.model()
         planted = [*map(parse_damage, damage), *map(parse_effect, effects)]
-        truth = _standing(replace(model, effects=(*model.effects, *planted)), config.channels)
+        truth = _require_stable(replace(model, effects=(*model.effects, *planted)), config.channels)
         n_samples = round(duration_s * rate_hz) if isfinite(duration_s) else 0
         if n_samples <= 0:
             raise ValueError(f"--duration {duration_s:g}: not even one sample at {rate_hz:g} Hz")
         weather = None
         if temperature is not None or any(e.name == "temperature_stiffness" for e in truth.effects):
-            weather = Weather.parse(temperature, duration_s)
+            weather = TemperatureCycle.parse(temperature, duration_s)
         motion = simulate(
             truth,
             duration_s=duration_s,
@@ -156,10 +156,10 @@ def simulate_to(
     }
     if weather is not None:
         metadata["reference_degc"] = repr(weather.reference_degc)
-    _write(out, _blocks(motion, config.channels, weather, t0_ns), {"simulated": metadata})
+    _write_blocks(out, _sample_blocks(motion, config.channels, weather, t0_ns), {"simulated": metadata})
 
 
-def _standing(truth: Model, channels: tuple[str, ...]) -> Model:
+def _require_stable(truth: Model, channels: tuple[str, ...]) -> Model:
     """The model, once its effects have their places and it bears its own weight.
 
     Raises
@@ -175,20 +175,22 @@ def _standing(truth: Model, channels: tuple[str, ...]) -> Model:
     return truth
 
 
-def _blocks(motion: Motion, channels: tuple[str, ...], weather: Weather | None, t0_ns: int) -> Iterator[SampleBlock]:
+def _sample_blocks(
+    motion: Motion, channels: tuple[str, ...], weather: TemperatureCycle | None, t0_ns: int
+) -> Iterator[SampleBlock]:
     """All streams in blocks of one second, in time order."""
     rate_hz, n_samples = motion.rate_hz, len(motion.floors)
     block_n = max(1, round(rate_hz))
-    streams = [blocks_of(ACCELERATION, motion.floors, channels, rate_hz, t0_ns, block_n)]
+    streams = [cut_into_blocks(ACCELERATION, motion.floors, channels, rate_hz, t0_ns, block_n)]
     if motion.ground is not None:
-        streams.append(blocks_of(GROUND, motion.ground[:, None], ("ground",), rate_hz, t0_ns, block_n))
+        streams.append(cut_into_blocks(GROUND, motion.ground[:, None], ("ground",), rate_hz, t0_ns, block_n))
     if weather is not None:
         degc = weather.degc(int((n_samples - 1) / rate_hz * _TEMPERATURE_HZ) + 1, _TEMPERATURE_HZ)
-        streams.append(blocks_of(TEMPERATURE, degc[:, None], ("air",), _TEMPERATURE_HZ, t0_ns, 1, unit="degC"))
+        streams.append(cut_into_blocks(TEMPERATURE, degc[:, None], ("air",), _TEMPERATURE_HZ, t0_ns, 1, unit="degC"))
     return heapq.merge(*streams, key=lambda block: block.t_ns)
 
 
-def _write(out: Path, blocks: Iterator[SampleBlock], metadata: dict[str, dict[str, str]]) -> None:
+def _write_blocks(out: Path, blocks: Iterator[SampleBlock], metadata: dict[str, dict[str, str]]) -> None:
     try:
         with McapWriter(out, metadata) as writer:
             for block in blocks:

@@ -21,7 +21,7 @@ from monitor.config import configuration
 from monitor.core import BadConfigurationError, BadInputError, Gap, MissingInputError, WindowResult
 from monitor.damage import load_baseline
 from monitor.pipeline import Result
-from monitor.publish import Publisher, standing_line, to_json
+from monitor.publish import Publisher, current_alarm_line, to_json
 from monitor.runs import Progress, Session, duration_s, ledger, open_viewer
 from monitor.service import restart, systemd
 from monitor.service.appended_lines import AppendedLines
@@ -218,7 +218,7 @@ class Daemon(Publisher):
         except BadInputError as error:
             self._vitals.refuse(str(error))
             return
-        self._progress.saw(block)
+        self._progress.add(block)
         if self.session.windows > before:
             self._vitals.published(arrived_s)
         self._keeper.took(self.session, block)
@@ -237,7 +237,7 @@ class Daemon(Publisher):
             try:
                 self.session.alter_alarm(partial(apply, request=request, t_ns=self.session.now_ns))
                 says = f"{request.action} alarm of story {request.story}: {request.note}"
-                ledger.record(self.out / "results.jsonl", {"says": says, "causes": []}, {}, request.who)
+                ledger.append_entry(self.out / "results.jsonl", {"says": says, "causes": []}, {}, request.who)
                 self._history.request(self.session.now_ns, request.model_dump())
                 self._keeper.save_now(self.session)
             except (ValueError, MissingInputError) as error:
@@ -269,7 +269,7 @@ class Daemon(Publisher):
         content = self.session.content(seconds / max(self._summary_s - self._begun_s, 1e-9))
         v = self._vitals
         content |= {"refused_blocks": v.refused, "unprocessed_blocks": v.unprocessed, "latency_ms": v.latency()}
-        content["alarm"] = standing_line(self.session.pipeline.state.alarm)
+        content["alarm"] = current_alarm_line(self.session.pipeline.state.alarm)
         self._chores.write(self.out / "summary.json", to_json(plain(content)) + "\n")
 
     def _ways(self) -> list[tuple[str, Way]]:
@@ -282,7 +282,7 @@ class Daemon(Publisher):
         self._end_s = min(self._end_s, time.monotonic() + _END_S)
         self.reader.stop(0.1)  # it has ended, but for an error
         self._recording.close(self._share_s())
-        self.session.watcher.close(self._share_s())
+        self.session.online_diagnosis.close(self._share_s())
         self.health(None)
         self._write_summary()
         self._history.close(self._share_s())

@@ -28,7 +28,9 @@ def reread(path: Path, running: Configuration, outlets: Sequence[Outlet], out: P
         new = changed(path, running)
         if new != running:
             change_outlets(path, new, outlets)
-            ledger.record(out / "results.jsonl", {"says": "settings read again", "causes": []}, {"site": path}, None)
+            ledger.append_entry(
+                out / "results.jsonl", {"says": "settings read again", "causes": []}, {"site": path}, None
+            )
     except UserError as error:
         _log.error("not reloaded, all goes on as before: %s", error)
         return running

@@ -134,7 +134,7 @@ class Checkpointer:
                 return session.now_ns
             except Exception:  # noqa: BLE001 - whatever is wrong with the state of yesterday, today must be monitored
                 _log.exception("%s: not resumed from; monitoring begins anew", self._place)
-                session.watcher.close()
+                session.online_diagnosis.close()
                 session = begin()
                 self.written.clear()
             finally:
@@ -191,10 +191,10 @@ class Checkpointer:
     def _catch_up(self, session: Session, saved: Saved) -> None:
         """Take in what was recorded since the checkpoint; what came shortly before it may be asked for by a diagnosis."""
         folder, restored = self._out / "recordings", False
-        from_ns = max(0, saved.stamp_ns - round(session.watcher.longest_s * 1e9))
+        from_ns = max(0, saved.stamp_ns - round(session.online_diagnosis.longest_s * 1e9))
         for stamp_ns, block in recorded(folder, from_ns) if self._config.recorder.enabled else ():
             if stamp_ns <= saved.stamp_ns:
-                session.watcher.remember(block)
+                session.online_diagnosis.keep_block(block)
                 continue
             if not restored:
                 session.restore(saved.session)
@@ -248,5 +248,5 @@ def note_baseline(out: Path, site: Path, healthy: Path | None) -> None:
         return
     if before is not None:
         finding = {"says": "monitoring goes on from another baseline", "causes": []}
-        ledger.record(out / "results.jsonl", finding, {"site": site, "baseline": healthy}, None)
+        ledger.append_entry(out / "results.jsonl", finding, {"site": site, "baseline": healthy}, None)
     write_atomically(place, json.dumps(now) + "\n")

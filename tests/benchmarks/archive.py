@@ -21,7 +21,7 @@ from drivers.base import ACCELERATION
 from drivers.mcap_file import read_recordings
 from monitor.config.configuration import Configuration
 from monitor.runs.archive.jobs import WINDOWS
-from monitor.runs.recordings import blocks
+from monitor.runs.recordings import read_blocks
 from monitor.signals import alignment
 from monitor.signals import windows as window
 from monitor.signals.resampling import Conditioner
@@ -49,7 +49,7 @@ def windowed(path: Path, config: Configuration) -> int:
     p, n_lags = config.processing, 2 * config.identification.block_rows
     state, count = alignment.start(), 0
     conditioner = memory = grid = held = None
-    for block in blocks([path], config, lambda _: None):
+    for block in read_blocks([path], config, lambda _: None):
         if block.topic != ACCELERATION:
             continue
         state, pieces = alignment.step(state, block, config.channels)

@@ -15,7 +15,7 @@ from monitor.core.results import Array, WindowResult
 from monitor.damage import Baseline, learn_baseline
 from monitor.model.simulation import simulate
 from monitor.pipeline import Pipeline
-from monitor.runs.synthetic_recording import blocks_of
+from monitor.runs.synthetic_recording import cut_into_blocks
 
 T0_NS = 1_767_225_600_000_000_000
 PAPER = ([0.3253, 0.3514, 0.3129], [2909.4511, 1514.8507, 1897.6986])
@@ -45,7 +45,7 @@ def write(path: Path, config: Configuration, hours: float, rate_hz: float = 1024
     with McapWriter(path) as writer:
         while left_s > 0:
             motion = floors(config, min(3600.0, left_s), rate_hz, seed)
-            for block in blocks_of(ACCELERATION, motion, config.channels, rate_hz, T0_NS, block_n, first):
+            for block in cut_into_blocks(ACCELERATION, motion, config.channels, rate_hz, T0_NS, block_n, first):
                 writer.write(block)
             first, left_s, seed = first + len(motion), left_s - 3600.0, seed + 1
     return path
@@ -55,7 +55,9 @@ def baseline(config: Configuration) -> Baseline:
     """Learned from 20 minutes."""
     learner = Pipeline(config)
     motion = floors(config, config.processing.window_s + 800.0, 100.0, 1)
-    results = [r for b in blocks_of(ACCELERATION, motion, config.channels, 100.0, T0_NS, 1000) for r in learner.push(b)]
+    results = [
+        r for b in cut_into_blocks(ACCELERATION, motion, config.channels, 100.0, T0_NS, 1000) for r in learner.push(b)
+    ]
     modes = [r.modes for r in results if isinstance(r, WindowResult) and r.modes]
     return learn_baseline(
         config.instrumented(), modes, np.ones(1), (), updating=config.updating, temperature=config.temperature

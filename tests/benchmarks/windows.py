@@ -19,7 +19,7 @@ from monitor.core.results import Array, ModalEstimate, Window, WindowResult
 from monitor.identification.eigen import upper_poles
 from monitor.identification.stabilization import identify
 from monitor.pipeline import Pipeline
-from monitor.runs.synthetic_recording import blocks_of
+from monitor.runs.synthetic_recording import cut_into_blocks
 from monitor.signals import windows
 from monitor.signals.kernels import lag_products
 from tests.benchmarks.frames import T0_NS, Hops, baseline, configuration, floors
@@ -160,7 +160,7 @@ def accuracy(count: int) -> dict[str, Array]:
 def _identified(config: Configuration, x: Array) -> Array:
     """Frequencies of the one window of `x`, as the pipeline finds them."""
     line = Pipeline(config)
-    results = [r for b in blocks_of(ACCELERATION, x, config.channels, 100.0, T0_NS, 1000) for r in line.push(b)]
+    results = [r for b in cut_into_blocks(ACCELERATION, x, config.channels, 100.0, T0_NS, 1000) for r in line.push(b)]
     (modes,) = [r.modes for r in results if isinstance(r, WindowResult)]
     assert modes is not None
     return modes.frequencies_hz

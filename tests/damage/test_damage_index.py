@@ -18,7 +18,7 @@ from monitor.model.model import Model
 from monitor.model.simulation import simulate
 from monitor.model.structures import ShearFrame
 from monitor.pipeline import Pipeline
-from monitor.runs.synthetic_recording import blocks_of
+from monitor.runs.synthetic_recording import cut_into_blocks
 
 MASSES = np.array([0.3253, 0.3514, 0.3129])
 STIFFNESS = np.array([2909.4511, 1514.8507, 1897.6986])
@@ -128,7 +128,7 @@ def windows_of(model: Model, config: Configuration, healthy: Baseline | None, se
     floors = simulate(model, duration_s=500.0, rate_hz=200.0, noise=0.1, seed=seed).floors
     pipeline = Pipeline(config, healthy)
     results = [
-        r for b in blocks_of("/acceleration", floors, ("a1", "a2", "a3"), 200.0, 0, 997) for r in pipeline.push(b)
+        r for b in cut_into_blocks("/acceleration", floors, ("a1", "a2", "a3"), 200.0, 0, 997) for r in pipeline.push(b)
     ]
     return [r for r in results if isinstance(r, WindowResult)]
 

@@ -24,7 +24,7 @@ from monitor.pipeline import Pipeline
 from monitor.publish.results.lines import to_json, window_line
 from monitor.runs.calibrate import calibrate
 from monitor.runs.replay import replay
-from monitor.runs.synthetic_recording import blocks_of
+from monitor.runs.synthetic_recording import cut_into_blocks
 from monitor.signals import temperature
 from monitor.signals.temperature import LAGS_S, TemperatureSettings, TemperatureState
 from tests.conftest import CHANNELS, T0_NS, Cut
@@ -261,7 +261,7 @@ def record(path: Path, site: Configuration, degc: np.ndarray, seed: int, loss: f
             ratio = 1.0 + PER_DEGC * (degc[begin : begin + step_s].mean() - 15.0)
             healthy = model.structure.stiffness_n_per_m * ratio * (1.0 - loss * np.array([0.0, 1.0, 0.0]))
             floors = _piece(model.with_stiffness(healthy), step_s, rate_hz, 1000 * seed + k)
-            parts = list(blocks_of(ACCELERATION, floors, CHANNELS, rate_hz, t0 * 10**9, 1280, first=128 * begin))
+            parts = list(cut_into_blocks(ACCELERATION, floors, CHANNELS, rate_hz, t0 * 10**9, 1280, first=128 * begin))
             if channel:
                 parts += felt_blocks(degc[begin : begin + step_s : 2], 0.5, 25, (t0 + begin) * 10**9)
             for block in sorted(parts, key=lambda b: b.t_ns):

@@ -22,7 +22,7 @@ from monitor.model.effects import Context, parse_effect
 from monitor.model.model import Model
 from monitor.model.prior import prior_from_drawing
 from monitor.model.simulation import simulate
-from monitor.runs.synthetic_recording import blocks_of
+from monitor.runs.synthetic_recording import cut_into_blocks
 from tests.diagnosis.test_simulation_refit import CONFIG, RATE
 
 MASS, OFFSET = "added_mass:floor 2:mass_kg=0.04", "time_offset:channel a3:seconds=0.0006"
@@ -32,7 +32,7 @@ def prepared(*effects: str) -> tuple[Posterior, MapEstimate]:
     model = Model(CONFIG.model().structure, tuple(parse_effect(e) for e in effects))
     context = Context(model.structure, CONFIG.channels, CONFIG.instrumented().sensor_matrix, RATE)
     motion = simulate(model, duration_s=400.0, rate_hz=RATE, noise=0.05, seed=8, context=context)
-    blocks = blocks_of(ACCELERATION, motion.floors, CONFIG.channels, RATE, 10**18, 128)
+    blocks = cut_into_blocks(ACCELERATION, motion.floors, CONFIG.channels, RATE, 10**18, 128)
     return fit_linearized(
         classify(gather(blocks, CONFIG)), prior_from_drawing(CONFIG.model(), np.full(6, 0.01), 3), context
     )

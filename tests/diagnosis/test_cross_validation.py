@@ -25,7 +25,7 @@ from monitor.model.model import Model
 from monitor.model.prior import prior_from_drawing
 from monitor.model.simulation import simulate
 from monitor.runs.diagnose import judged
-from monitor.runs.synthetic_recording import blocks_of
+from monitor.runs.synthetic_recording import cut_into_blocks
 
 RATE = 100.0
 TRUTH = {"kind": "shear_frame", "masses_kg": [0.33, 0.35, 0.31], "stiffness_n_per_m": [2900.0, 1500.0, 1900.0]}
@@ -44,7 +44,7 @@ def recorded(effects: tuple[Effect, ...], seed: int, duration_s: float = 400.0, 
     motion = simulate(
         model, duration_s=duration_s, rate_hz=RATE, noise=0.05, level_spread=0.35, seed=seed, context=context, **more
     )
-    return gather(blocks_of(ACCELERATION, motion.floors, config.channels, RATE, 10**18, 100), config)
+    return gather(cut_into_blocks(ACCELERATION, motion.floors, config.channels, RATE, 10**18, 100), config)
 
 
 def context_of(config: Configuration) -> Context:
@@ -91,8 +91,8 @@ def test_a_measured_ground_is_the_input() -> None:
     motion = simulate(config.model(), duration_s=200.0, rate_hz=RATE, excitation="ground", noise=0.02, seed=5)
     assert motion.ground is not None
     blocks = [
-        *blocks_of("/acceleration/ground", motion.ground[:, None], ("g",), RATE, 10**18, 100),
-        *blocks_of(ACCELERATION, motion.floors, config.channels, RATE, 10**18, 100),
+        *cut_into_blocks("/acceleration/ground", motion.ground[:, None], ("g",), RATE, 10**18, 100),
+        *cut_into_blocks(ACCELERATION, motion.floors, config.channels, RATE, 10**18, 100),
     ]
     segments = gather(blocks, config)
     assert segments.drive is not None
@@ -176,7 +176,7 @@ def test_what_a_swinging_gain_leaves_over_is_not_made_up_by_tones_and_oscillator
         context=context,
     )
     swing = 1.0 + 0.3 * np.sin(2.0 * np.pi * np.arange(len(motion.floors))[:, None] / RATE / 240.0) * [0.0, 0.0, 1.0]
-    seen = blocks_of(ACCELERATION, motion.floors * swing, config.channels, RATE, 10**18, 100)
+    seen = cut_into_blocks(ACCELERATION, motion.floors * swing, config.channels, RATE, 10**18, 100)
     known = prior_from_drawing(config.model(), np.full(6, 0.002), 3)
     found, _ = judged(gather(seen, config), known, config)
     assert found.verdict == "unexplained"

@@ -20,7 +20,7 @@ from monitor.model.model import Model
 from monitor.model.simulation import linear_system, simulate
 from monitor.publish.reports.diagnosis_report import page
 from monitor.runs.diagnose import learn
-from monitor.runs.synthetic_recording import blocks_of
+from monitor.runs.synthetic_recording import cut_into_blocks
 from tests.diagnosis.test_simulation_refit import CONFIG, RATE
 
 COLOUR = "coloured_excitation:frame:corner_hz=12"
@@ -50,7 +50,7 @@ def recorded(seed: int, *effects: str, crosstalk: float = 0.0) -> Segments:
         context=CONTEXT,
     )
     seen = motion.floors + crosstalk * motion.floors[:, :1] * [0.0, 0.0, 1.0]
-    return gather(blocks_of(ACCELERATION, seen, CONFIG.channels, RATE, 10**18, 128), CONFIG)
+    return gather(cut_into_blocks(ACCELERATION, seen, CONFIG.channels, RATE, 10**18, 128), CONFIG)
 
 
 @pytest.mark.parametrize("standing", [(COLOUR, *GAINS), (FORCES,)], ids=["colour and gains", "forces of every day"])
@@ -120,7 +120,7 @@ def measured(seed: int, *effects: str) -> Segments:
         seed=seed,
         context=BUILDING,
     )
-    return gather(blocks_of(ACCELERATION, motion.floors, SITE.channels, 256.0, 10**18, 1000), SITE)
+    return gather(cut_into_blocks(ACCELERATION, motion.floors, SITE.channels, 256.0, 10**18, 1000), SITE)
 
 
 def drift_m() -> float:

@@ -14,14 +14,14 @@ from monitor.inference.segments import gather
 from monitor.model.effects import ChannelSwap, SensorGain
 from monitor.model.prior import prior_from_drawing
 from monitor.model.simulation import simulate
-from monitor.runs.synthetic_recording import blocks_of
+from monitor.runs.synthetic_recording import cut_into_blocks
 from tests.diagnosis.test_simulation_refit import CONFIG, RATE
 
 
 def test_a_swap_is_ranked_first_though_the_plain_model_was_dragged_far_to_excuse_it() -> None:
     context = CONFIG.instrumented().context(RATE)
     motion = simulate(CONFIG.model(), duration_s=400.0, rate_hz=RATE, noise=0.05, seed=8, context=context)
-    blocks = blocks_of(ACCELERATION, motion.floors[:, [0, 2, 1]], CONFIG.channels, RATE, 10**18, 128)
+    blocks = cut_into_blocks(ACCELERATION, motion.floors[:, [0, 2, 1]], CONFIG.channels, RATE, 10**18, 128)
     known = prior_from_drawing(CONFIG.model(), np.full(6, 0.002), 3)
     problem, null = fit_linearized(classify(gather(blocks, CONFIG)), known, context)
     assert null.log_prior < -20.0
@@ -36,7 +36,7 @@ def test_the_score_test_promises_what_a_gain_brings_where_noise_is_little(channe
     """A hundred times less noise than motion: what 2 % makes of the spectra is no straight line."""
     context = CONFIG.instrumented().context(RATE)
     motion = simulate(CONFIG.model(), duration_s=400.0, rate_hz=RATE, noise=0.01, seed=9, context=context)
-    blocks = blocks_of(
+    blocks = cut_into_blocks(
         ACCELERATION, motion.floors * np.where(np.arange(3) == channel, 0.98, 1.0), CONFIG.channels, RATE, 10**18, 128
     )
     problem, null = fit_linearized(

@@ -22,7 +22,7 @@ from monitor.model.effects import Effect, parse_effect
 from monitor.model.model import Model
 from monitor.model.prior import prior_from_drawing
 from monitor.model.simulation import simulate
-from monitor.runs.synthetic_recording import blocks_of
+from monitor.runs.synthetic_recording import cut_into_blocks
 
 RATE = 128.0
 FRAME = {"kind": "shear_frame", "masses_kg": [0.33, 0.35, 0.31], "stiffness_n_per_m": [2900.0, 1500.0, 1900.0]}
@@ -38,7 +38,7 @@ def posed(effect: Effect, seed: int = 5) -> tuple[Posterior, MapEstimate]:
     model = Model(CONFIG.model().structure, (effect,))
     context = CONFIG.instrumented().context(RATE)
     motion = simulate(model, duration_s=400.0, rate_hz=RATE, noise=0.05, level_spread=0.35, seed=seed, context=context)
-    blocks = blocks_of(ACCELERATION, motion.floors, CONFIG.channels, RATE, 10**18, 128)
+    blocks = cut_into_blocks(ACCELERATION, motion.floors, CONFIG.channels, RATE, 10**18, 128)
     known = prior_from_drawing(CONFIG.model(), np.full(6, 0.002), 3)
     return fit_linearized(classify(gather(blocks, CONFIG)), known, context)
 

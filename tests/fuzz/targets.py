@@ -490,13 +490,13 @@ def _baseline(data: bytes) -> None:
 def _baseline_seeds() -> list[bytes]:
     from monitor.model.simulation import simulate
     from monitor.runs.calibrate import calibrate
-    from monitor.runs.synthetic_recording import blocks_of
+    from monitor.runs.synthetic_recording import cut_into_blocks
 
     settings = _settings()
     floors = simulate(settings.model(), duration_s=60.0, rate_hz=100.0, noise=0.03, seed=1).floors
     recording = scratch() / "healthy.mcap"
     with McapWriter(recording) as writer:
-        for one in blocks_of(ACCELERATION, floors, CHANNELS, 100.0, T0_NS, 1000):
+        for one in cut_into_blocks(ACCELERATION, floors, CHANNELS, 100.0, T0_NS, 1000):
             writer.write(one)
     save_baseline(calibrate([recording], settings)[0], scratch() / "learned.json")
     return [(scratch() / "learned.json").read_bytes()]
@@ -507,7 +507,7 @@ def _finding(data: bytes) -> None:
     with contextlib.suppress(UserError):
         finding, settings = ledger.read_finding(path), _settings()
         for with_baseline in (False, True):
-            ledger.extended_text(path, finding, STRUCTURE, settings, with_baseline=with_baseline)
+            ledger.extended_structure_text(path, finding, STRUCTURE, settings, with_baseline=with_baseline)
 
 
 def _finding_seeds() -> list[bytes]:

@@ -13,8 +13,8 @@ from monitor.model.effects import Context, parse_effect
 from monitor.model.structures import ShearFrame
 from monitor.pipeline import Pipeline
 from monitor.runs.calibrate import calibrate
-from monitor.runs.recordings import blocks
-from monitor.runs.synthetic_recording import simulate_to
+from monitor.runs.recordings import read_blocks
+from monitor.runs.synthetic_recording import write_simulated_recording
 from tests.conftest import T0_NS
 
 CONTEXT = Context(ShearFrame(np.ones(3), 1000.0 * np.ones(3), 0.01), ("a1", "a2", "a3"), np.eye(3), 100.0)
@@ -83,14 +83,14 @@ def test_an_accepted_sensor_fault_no_longer_moves_the_index(fault: str, tmp_path
     healthy, faulty = tmp_path / "healthy.mcap", tmp_path / "faulty.mcap"
     common = {"excitation": "ambient", "noise": 0.05, "damage": [], "rate_hz": 200.0, "level_spread": 0.0}
     common |= {"t0_ns": T0_NS, "temperature": None}
-    simulate_to(healthy, config, duration_s=600.0, effects=[], seed=1, **common)
-    simulate_to(faulty, config, duration_s=250.0, effects=[fault], seed=2, **common)
+    write_simulated_recording(healthy, config, duration_s=600.0, effects=[], seed=1, **common)
+    write_simulated_recording(faulty, config, duration_s=250.0, effects=[fault], seed=2, **common)
     save_baseline(calibrate([healthy], config)[0], tmp_path / "b.json")
 
     def index(path: Path) -> list[WindowResult]:
         settings = load_config(path)
         pipeline = Pipeline(settings, load_baseline(tmp_path / "b.json", settings.instrumented(), settings.updating))
-        found = (r for block in blocks([faulty], settings, print) for r in pipeline.push(block))
+        found = (r for block in read_blocks([faulty], settings, print) for r in pipeline.push(block))
         return [r for r in found if isinstance(r, WindowResult)]
 
     for result in index(extended):

@@ -26,7 +26,7 @@ from monitor.model.effects import parse_effect
 from monitor.model.model import Model
 from monitor.model.prior import prior_from_drawing
 from monitor.model.simulation import level_wander, respond, simulate
-from monitor.runs.synthetic_recording import blocks_of
+from monitor.runs.synthetic_recording import cut_into_blocks
 
 RATE = 1000.0
 RECORDINGS = Path(__file__).parents[2] / "recordings"
@@ -61,7 +61,7 @@ def recorded(
         (GROUND, motion.ground[:, None], ("g",), 0),
         (ACCELERATION, motion.floors, DRAWING.channels, late),
     ):
-        blocks = list(blocks_of(topic, x, names, rate_hz, T0_NS, second))[start // second :]
+        blocks = list(cut_into_blocks(topic, x, names, rate_hz, T0_NS, second))[start // second :]
         streams += [b for i, b in enumerate(blocks) if hole_s is None or i != hole_s - start // second]
     return gather(streams, DRAWING)
 
@@ -118,7 +118,7 @@ def windy(*effects: str, share: float, seed: int) -> Segments:
     floors += 0.02 * floors.std(axis=0) * rng.standard_normal(floors.shape)
     ground = ground + 0.002 * ground.std() * rng.standard_normal(n)
     streams = [(GROUND, ground[:, None], ("g",)), (ACCELERATION, floors, DRAWING.channels)]
-    return gather([b for t, x, names in streams for b in blocks_of(t, x, names, 200.0, T0_NS, 200)], DRAWING)
+    return gather([b for t, x, names in streams for b in cut_into_blocks(t, x, names, 200.0, T0_NS, 200)], DRAWING)
 
 
 @pytest.mark.parametrize("share", [0.003, 0.1])

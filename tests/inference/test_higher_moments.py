@@ -24,7 +24,7 @@ from monitor.model.effects.gap_contact import GapContact
 from monitor.model.model import Model
 from monitor.model.prior import prior_from_drawing
 from monitor.model.simulation import simulate
-from monitor.runs.synthetic_recording import blocks_of
+from monitor.runs.synthetic_recording import cut_into_blocks
 from tests.diagnosis.test_simulation_refit import CONFIG, RATE
 
 CONTEXT = CONFIG.instrumented().context(RATE)
@@ -49,7 +49,7 @@ def recorded(
         floors = floors * np.interp(np.arange(len(floors)), np.linspace(0, len(floors), gusts.size), gusts)[:, None]
     first_hz = CONFIG.model().modes().frequencies_hz[0]
     floors = floors + tone * np.sin(2.0 * np.pi * first_hz * np.arange(len(floors)) / RATE)[:, None]
-    return gather(blocks_of(ACCELERATION, floors, CONFIG.channels, RATE, 10**18, 128), CONFIG)
+    return gather(cut_into_blocks(ACCELERATION, floors, CONFIG.channels, RATE, 10**18, 128), CONFIG)
 
 
 def posed(segments: Segments) -> tuple[Posterior, MapEstimate, MeasuredMoments]:

@@ -19,7 +19,7 @@ from monitor.model.model import Model
 from monitor.model.simulation import simulate
 from monitor.model.structures import ShearFrame
 from monitor.pipeline import Pipeline
-from monitor.runs.synthetic_recording import blocks_of
+from monitor.runs.synthetic_recording import cut_into_blocks
 
 SHEAR = ShearFrame(np.array([0.3253, 0.3514, 0.3129]), np.array([2909.4511, 1514.8507, 1897.6986]), 0.01)
 
@@ -52,7 +52,7 @@ def results_of(model: Model, settings: Configuration, healthy: Baseline | None, 
     floors = simulate(model, duration_s=duration_s, rate_hz=128.0, noise=0.05, seed=seed).floors
     pipeline = Pipeline(settings, healthy)
     values = floors @ settings.instrumented().sensor_matrix.T
-    blocks = blocks_of("/acceleration", values, settings.channels, 128.0, 0, 1280)
+    blocks = cut_into_blocks("/acceleration", values, settings.channels, 128.0, 0, 1280)
     return [r for b in blocks for r in pipeline.push(b) if isinstance(r, WindowResult)]
 
 

@@ -28,7 +28,7 @@ from monitor.publish.reports.charts import decades, ticks
 from monitor.publish.reports.comparison import compare, level_dependence
 from monitor.publish.reports.diagnosis_report import write_report
 from monitor.publish.viewer.diagnosis_view import write_view
-from monitor.runs.synthetic_recording import blocks_of
+from monitor.runs.synthetic_recording import cut_into_blocks
 
 CONFIG = Configuration.model_validate(
     {
@@ -69,7 +69,7 @@ def recorded(*effects: Effect, rate_hz: float = 200.0) -> tuple[Segments, Contex
     motion = simulate(model, duration_s=400.0, rate_hz=rate_hz, noise=0.05, level_spread=0.35, seed=5)
     context = Context(model.structure, CONFIG.channels, CONFIG.instrumented().sensor_matrix, rate_hz)
     samples = motion.floors
-    segments = gather(blocks_of(ACCELERATION, samples, CONFIG.channels, rate_hz, 10**18, 1000), CONFIG)
+    segments = gather(cut_into_blocks(ACCELERATION, samples, CONFIG.channels, rate_hz, 10**18, 1000), CONFIG)
     return segments, context
 
 

@@ -36,9 +36,9 @@ from monitor.publish.viewer import picture
 from monitor.publish.viewer import scene as rerun_scene
 from monitor.publish.viewer.publisher import RerunPublisher
 from monitor.publish.viewer.queue import Output
-from monitor.publish.viewer.scene import Scene, severity
-from monitor.publish.viewer.spectra import predicted
-from monitor.publish.viewer.thinning import TIER, WHOLE_NS, Thinning
+from monitor.publish.viewer.scene import Scene, loss_colour
+from monitor.publish.viewer.spectra import predict_power
+from monitor.publish.viewer.thinning import FULL_RATE_NS, FULL_RATE_WINDOWS, Thinning
 from monitor.signals.sensor_health import ChannelHealth, Health
 
 T0 = 1_772_359_200_000_000_000
@@ -100,7 +100,7 @@ def read(file: Path) -> dict[str, dict[int, object]]:
 def stuck(monkeypatch: pytest.MonkeyPatch) -> Iterator[threading.Event]:
     """A viewer that hangs until the event is set."""
     release = threading.Event()
-    monkeypatch.setattr(picture.Picture, "draw", lambda self, item: release.wait(30))
+    monkeypatch.setattr(picture.ResultDrawing, "draw", lambda self, item: release.wait(30))
     yield release
     release.set()
 
@@ -178,7 +178,7 @@ def test_a_hung_viewer_costs_drops_not_time(tmp_path: Path, stuck: threading.Eve
 
 def test_lossless_waits_for_a_slow_viewer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     seen: list[int] = []
-    monkeypatch.setattr(picture.Picture, "draw", lambda self, item: (time.sleep(0.01), seen.append(item.index)))
+    monkeypatch.setattr(picture.ResultDrawing, "draw", lambda self, item: (time.sleep(0.01), seen.append(item.index)))
     view = RerunPublisher(SCENE, file=tmp_path / "live.rrd", serve=None, lossless=True, queue_size=2)
     for k in range(40):
         view.window(window(k), "")
@@ -196,7 +196,7 @@ def test_a_failure_is_told_once_and_goes_no_further(
     def broken(self: object, item: object) -> None:
         raise ValueError("no such colour")
 
-    monkeypatch.setattr(picture.Picture, "draw", broken)
+    monkeypatch.setattr(picture.ResultDrawing, "draw", broken)
     with caplog.at_level(logging.ERROR):
         view = RerunPublisher(SCENE, file=file, serve=None, lossless=lossless, queue_size=2)
         for k in range(50):
@@ -295,10 +295,10 @@ def test_a_taken_port_is_a_failure() -> None:
 
 
 def test_colours_of_a_story() -> None:
-    assert severity(0.0, 0.1) == severity(-0.2, 0.1) == rerun_scene.GREEN
-    assert severity(0.05, 0.1) == rerun_scene.AMBER
-    assert severity(0.1, 0.1) == severity(0.5, 0.1) == rerun_scene.RED
-    assert severity(None, 0.1) == rerun_scene.GREY
+    assert loss_colour(0.0, 0.1) == loss_colour(-0.2, 0.1) == rerun_scene.GREEN
+    assert loss_colour(0.05, 0.1) == rerun_scene.AMBER
+    assert loss_colour(0.1, 0.1) == loss_colour(0.5, 0.1) == rerun_scene.RED
+    assert loss_colour(None, 0.1) == rerun_scene.GREY
 
 
 # --- can I trust it, what does it do now ---
@@ -336,11 +336,11 @@ def test_the_models_spectrum_lies_on_a_simulated_one(tmp_path: Path) -> None:
     hz, power = welch(motion.floors, 100.0, nperseg=2000, axis=0)
     band = (hz > 2) & (hz < 30)
     quiet = replace(window(0), modes=None, stiffness=None)
-    model = predicted(scene, quiet, hz[band])
+    model = predict_power(scene, quiet, hz[band])
     ratio = np.log(power[band] / model)
     assert np.std(ratio.mean(axis=0)) < 0.1
     assert np.std(ratio) < 0.4
-    softer = predicted(
+    softer = predict_power(
         scene,
         replace(
             quiet, stiffness=replace(window(0).stiffness, stiffness_n_per_m=FRAME.structure.stiffness_n_per_m * 0.81)
@@ -393,13 +393,13 @@ def test_mode_shapes_move_on_a_timeline_of_their_own(tmp_path: Path) -> None:
 def test_a_long_history_grows_slowly_and_keeps_what_matters() -> None:
     thin = Thinning()
     kept = [k for k in range(100_000) if thin.window(window(k, Level.ALARM if k == 77_777 else Level.NORMAL))]
-    assert kept[:TIER] == list(range(TIER))
+    assert kept[:FULL_RATE_WINDOWS] == list(range(FULL_RATE_WINDOWS))
     assert {77_777, 77_778} <= set(kept)
-    assert len(kept) < 8 * TIER
+    assert len(kept) < 8 * FULL_RATE_WINDOWS
     values = np.random.default_rng(1).normal(size=(1000, 2))
     t_ns = T0 + np.arange(1000) * 10**7
     assert thin.samples(t_ns, values)[1] is values
-    times, few = thin.samples(t_ns + WHOLE_NS, values)
+    times, few = thin.samples(t_ns + FULL_RATE_NS, values)
     assert few.shape == (4, 2)
     assert np.all(np.diff(times) > 0)
     np.testing.assert_array_equal([few.min(axis=0), few.max(axis=0)], [values.min(axis=0), values.max(axis=0)])

@@ -13,7 +13,8 @@ from drivers.base import SampleBlock
 from monitor.core.results import Alarm, Level, Skipped, StiffnessEstimate, WindowResult
 from monitor.diagnosis import trigger
 from monitor.diagnosis.trigger import Request, WatchSettings, WatchState
-from monitor.runs.diagnosis_process import Diagnoser, Recent
+from monitor.runs.diagnosis_process import DiagnosisQueue
+from monitor.runs.online_diagnosis import RecentBlocks
 from tests.conftest import T0_NS, Cut
 
 WINDOW_S = 100.0
@@ -83,7 +84,7 @@ def test_watching_may_be_switched_off() -> None:
 
 
 def test_recent_blocks_are_bounded_and_cut_by_time(cut: Cut) -> None:
-    recent = Recent(longest_s=30.0)
+    recent = RecentBlocks(longest_s=30.0)
     for block in cut(np.zeros((10_000, 3)), 100.0, [100]):
         recent.push(block)
     kept = recent.between(0, T0_NS + 1000 * S)
@@ -96,7 +97,7 @@ def test_what_is_kept_does_not_depend_on_how_samples_were_cut(cut: Cut) -> None:
     span = T0_NS + 83 * S + 5_000_000, T0_NS + 91 * S + 50_000_000
     kept = []
     for size in (1, 7, 100, 1000):
-        recent = Recent(longest_s=30.0)
+        recent = RecentBlocks(longest_s=30.0)
         for block in cut(values, 100.0, [size]):
             recent.push(block)
         blocks = recent.between(*span)
@@ -114,9 +115,9 @@ def structure(tmp_path: Path, frame_text: str) -> Path:
 
 def found(structure: Path, blocks: list[SampleBlock], time_limit_s: float = 60.0) -> dict:
     folder = structure.parent / "findings"
-    diagnoser = Diagnoser(structure, None, folder, time_limit_s)
+    diagnoser = DiagnosisQueue(structure, None, folder, time_limit_s)
     try:
-        diagnoser.ask(Request(1, 2, "why"), blocks)
+        diagnoser.submit(Request(1, 2, "why"), blocks)
         (finding,) = diagnoser.wait()
     finally:
         diagnoser.close()
@@ -140,5 +141,5 @@ def test_findings_of_an_earlier_run_are_removed(structure: Path) -> None:
     folder = structure.parent / "findings"
     folder.mkdir()
     (folder / "001.json").write_text("{}")
-    Diagnoser(structure, None, folder, 1.0).close()
+    DiagnosisQueue(structure, None, folder, 1.0).close()
     assert not list(folder.iterdir())

@@ -61,7 +61,7 @@ def joined(blocks: list[SampleBlock]) -> np.ndarray:
 
 def can_sink(server: SocketcandServer) -> emulate.CanSink:
     layouts = frames.load(DEPLOY / "frame.dbc", CHANNELS)
-    return emulate.CanSink(layouts, emulate._over_tcp(server), server.close)
+    return emulate.CanSink(layouts, emulate._transmit_over_tcp(server), server.close)
 
 
 def test_samples_times_and_numbers_arrive_as_they_were(server: SocketcandServer, cut: Cut) -> None:
@@ -78,7 +78,7 @@ def test_samples_times_and_numbers_arrive_as_they_were(server: SocketcandServer,
     for thread in threads:
         thread.start()
     sink = can_sink(server)
-    assert emulate.emulate(emulate.pieces(blocks, 10), sink, speed=None) == 70000
+    assert emulate.send_when_due(emulate.cut_blocks(blocks, 10), sink, speed=None) == 70000
     sink.close()
     for thread in threads:
         thread.join(30)
@@ -144,7 +144,7 @@ def test_nonsense_on_the_wire_is_survived(server: SocketcandServer) -> None:
 
 def test_pieces_end_where_frames_do(cut: Cut) -> None:
     blocks = cut(np.arange(90.0).reshape(30, 3), 100.0, (7, 11), first=3)
-    parts = list(emulate.pieces(blocks, 5))
+    parts = list(emulate.cut_blocks(blocks, 5))
     np.testing.assert_array_equal(joined(parts), joined(blocks))
     assert all(part.sequence // 5 == (part.sequence + part.n_samples - 1) // 5 for part in parts)
     assert all(part.t_ns == blocks[0].t_ns + (part.sequence - 3) * 10_000_000 for part in parts)
@@ -155,7 +155,7 @@ def test_values_beyond_the_dbc_are_counted_and_other_topics_left_out(cut: Cut) -
     sink = emulate.CanSink(
         frames.load(DEPLOY / "frame.dbc", CHANNELS), lambda _l, _t, data: sent.append(data), lambda: None
     )
-    emulate.emulate(
+    emulate.send_when_due(
         [
             *cut(np.array([[40.0, 0.0, -50.0], [1.0, 1.0, 1.0]]), 1024.0),
             SampleBlock(TEMPERATURE, 0, 0, 1.0, ("air",), "degC", np.ones((1, 1), np.float32)),
@@ -198,7 +198,7 @@ def test_the_pace_is_the_data_s(cut: Cut, monkeypatch: pytest.MonkeyPatch) -> No
 
     monkeypatch.setattr("time.monotonic", lambda: now[0])
     monkeypatch.setattr("time.sleep", lambda s: now.__setitem__(0, now[0] + s))
-    emulate.emulate(cut(np.zeros((1000, 3)), 100.0, (100,)), Clock(), speed=4.0)
+    emulate.send_when_due(cut(np.zeros((1000, 3)), 100.0, (100,)), Clock(), speed=4.0)
     np.testing.assert_allclose(sent, 100.0 + 0.25 * np.arange(1, 11))
 
 

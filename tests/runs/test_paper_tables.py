@@ -56,7 +56,7 @@ def test_shapes_bring_every_index_within_a_point(content: dict) -> None:
 
 
 def test_the_report_shows_ours_beside_the_papers(content: dict) -> None:
-    text = paper_tables.report(content)
+    text = paper_tables.tables_text(content)
     for number in range(2, 8):
         assert f"Table {number}" in text
     assert "misprint" in text

@@ -21,7 +21,7 @@ import pyarrow.parquet as pq
 from drivers.mcap_file import McapWriter
 from monitor.config import configuration
 from monitor.model.simulation import simulate
-from monitor.runs.archive.inventory import Survey, expand, runs
+from monitor.runs.archive.inventory import Survey, expand_patterns, group_into_runs
 from monitor.runs.archive.reprocess import reprocess
 from tests.conftest import T0_NS, Cli, Cut
 
@@ -34,7 +34,7 @@ def survey(name: str, start_s: float, end_s: float, folder: str = "a", rate_hz: 
 
 
 def grouped(*surveys: Survey, gap_s: float = 20.0) -> set[tuple[str, ...]]:
-    return {tuple(p.name for p in run.paths) for run in runs(surveys, gap_s)}
+    return {tuple(p.name for p in run.paths) for run in group_into_runs(surveys, gap_s)}
 
 
 def test_recordings_that_follow_one_another_are_one_replay() -> None:
@@ -55,7 +55,7 @@ def test_patterns_and_names(tmp_path: Path) -> None:
     for name in ("b/2.mcap", "b/1.mcap", "c.txt"):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).touch()
-    names = expand([str(tmp_path / "**/*.mcap"), str(tmp_path / "b/1.mcap"), "absent.mcap"])
+    names = expand_patterns([str(tmp_path / "**/*.mcap"), str(tmp_path / "b/1.mcap"), "absent.mcap"])
     assert [p.name for p in names] == ["1.mcap", "2.mcap", "absent.mcap"]
 
 
@@ -157,7 +157,7 @@ def test_an_interrupted_run_leaves_nothing_in_the_dataset(
     monkeypatch.setattr(jobs, "pass_through", fails)
     (tmp_path / "windows").mkdir()
     task = jobs.Task("name", "b", (archive / "b/whole.mcap",), archive / "frame.toml", None, tmp_path)
-    assert jobs.replayed(task).error == "results: No space left on device"
+    assert jobs.replay_run(task).error == "results: No space left on device"
     assert not list(tmp_path.rglob("*.parquet")) and not list(tmp_path.rglob("*.part"))
 
 
@@ -221,13 +221,13 @@ def test_a_cluster_gives_the_same(archive: Path, done: Path, scheduler: str, tmp
 def test_memory_holds_a_few_windows_only(archive: Path, done: Path, tmp_path: Path) -> None:
     """Long runs are written in row groups."""
     from monitor.runs.archive import jobs
-    from monitor.runs.archive.jobs import Windows
+    from monitor.runs.archive.jobs import WindowsFile
 
-    rows = Windows(tmp_path / "x.part", tmp_path / "x.parquet", "s", {})
+    rows = WindowsFile(tmp_path / "x.part", tmp_path / "x.parquet", "s", {})
     row = lines(ds.dataset(done / "windows").head(1).to_pylist())[0]
-    for _ in range(jobs._ROWS + 1):
+    for _ in range(jobs._ROW_GROUP + 1):
         rows.window(None, json.dumps(row))  # type: ignore[arg-type]
     assert len(rows._lines) == 1
     rows.close()
     assert pq.ParquetFile(tmp_path / "x.parquet").metadata.num_row_groups == 2
-    assert np.array_equal(pq.read_table(tmp_path / "x.parquet")["window"], [row["window"]] * (jobs._ROWS + 1))
+    assert np.array_equal(pq.read_table(tmp_path / "x.parquet")["window"], [row["window"]] * (jobs._ROW_GROUP + 1))

@@ -22,7 +22,7 @@ from monitor.damage import Baseline, learn_baseline
 from monitor.damage.alarm import AlarmSettings
 from monitor.model.simulation import simulate
 from monitor.pipeline import Pipeline
-from monitor.runs.synthetic_recording import blocks_of
+from monitor.runs.synthetic_recording import cut_into_blocks
 from tests.statistics.alarm_twin import HOP_S, MONTH, TWIN, WINDOW_S, Twin, episodes, evidence
 from tests.statistics.estimates import STIFFNESS, configuration
 
@@ -134,7 +134,7 @@ def raw_readings(
         )
         floors.append(motion.floors)
     pipeline = Pipeline(config, healthy)
-    blocks = blocks_of(ACCELERATION, np.concatenate(floors), config.channels, 1000.0, 0, 10_000)
+    blocks = cut_into_blocks(ACCELERATION, np.concatenate(floors), config.channels, 1000.0, 0, 10_000)
     return [r for block in blocks for r in pipeline.push(block) if isinstance(r, WindowResult)]
 
 

@@ -26,7 +26,7 @@ from monitor.identification.whittle import RefinementSettings
 from monitor.model.simulation import simulate
 from monitor.pipeline import Pipeline
 from monitor.runs.paper_tables import MASSES_KG
-from monitor.runs.synthetic_recording import blocks_of
+from monitor.runs.synthetic_recording import cut_into_blocks
 
 STIFFNESS = np.array([2909.4511, 1514.8507, 1897.6986])
 BASELINE_S, WINDOW_S = 1200.0, 400.0
@@ -128,7 +128,7 @@ def windows(duration_s: float, seed: list[int], spread: float, pipelines: list[P
         level_spread=spread,
         seed=int(np.random.SeedSequence(seed).generate_state(1)[0]),
     )
-    blocks = list(blocks_of(ACCELERATION, motion.floors, config.channels, 1000.0, 0, 10_000))
+    blocks = list(cut_into_blocks(ACCELERATION, motion.floors, config.channels, 1000.0, 0, 10_000))
     return [[r for b in blocks for r in p.push(b) if isinstance(r, WindowResult)] for p in pipelines]
 
 

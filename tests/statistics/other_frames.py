@@ -23,7 +23,7 @@ from monitor.config.configuration import Configuration
 from monitor.model.effects import Context, parse_effect
 from monitor.model.model import Model
 from monitor.model.simulation import respond_exactly, simulate
-from monitor.runs.synthetic_recording import blocks_of
+from monitor.runs.synthetic_recording import cut_into_blocks
 from tests.hidden import engine
 
 LEAST_HZ = 1000.0
@@ -96,7 +96,7 @@ def trial(rng: np.random.Generator) -> tuple[bool, str]:
         return np.asarray(resample_poly(motion.floors, 1, up, window=("kaiser", 8.0)))
 
     def blocks(samples: np.ndarray) -> list[SampleBlock]:
-        return list(blocks_of(ACCELERATION, samples, config.channels, rate_hz, 0, 1024))
+        return list(cut_into_blocks(ACCELERATION, samples, config.channels, rate_hz, 0, 1024))
 
     seen = drawing(stiffness * rng.uniform(0.9, 1.1, n), masses * rng.uniform(0.95, 1.05, n), floors)
     baseline = engine.calibrate(seen, blocks(record(())))

@@ -23,7 +23,7 @@ from monitor.core.results import WHOLE, DamageReading, Temperature, WindowResult
 from monitor.damage import Baseline, alarm, damage_index, learn_baseline
 from monitor.model.simulation import simulate
 from monitor.pipeline import Pipeline
-from monitor.runs.synthetic_recording import blocks_of
+from monitor.runs.synthetic_recording import cut_into_blocks
 from monitor.signals import temperature
 from tests.statistics.estimates import STIFFNESS, configuration
 
@@ -72,7 +72,7 @@ def raw(hours: range, seed: int, loss: np.ndarray = NO_LOSS) -> list[WindowResul
         )
         floors = motion.floors[round(BURN_IN_S * RATE_HZ) :]
         first = round(hour * HOUR_S * RATE_HZ)
-        for block in blocks_of(ACCELERATION, floors, CONFIG.channels, RATE_HZ, 0, 10_000, first=first):
+        for block in cut_into_blocks(ACCELERATION, floors, CONFIG.channels, RATE_HZ, 0, 10_000, first=first):
             results += [r for r in pipeline.push(block) if isinstance(r, WindowResult) and r.modes is not None]
     return results
 

@@ -21,7 +21,7 @@ from monitor.model.effects import EFFECTS
 from monitor.model.model import Model
 from monitor.model.simulation import simulate
 from monitor.pipeline import Pipeline
-from monitor.runs.synthetic_recording import blocks_of
+from monitor.runs.synthetic_recording import cut_into_blocks
 from tests.statistics.estimates import BASELINE_S, WINDOW_S, configuration
 
 LOSS = 0.05
@@ -29,7 +29,7 @@ LOSS = 0.05
 
 def _windows(truth: Model, duration_s: float, seed: int, pipeline: Pipeline) -> list[WindowResult]:
     motion = simulate(truth, duration_s=duration_s, rate_hz=1000.0, noise=0.1, seed=seed)
-    blocks = blocks_of(ACCELERATION, motion.floors, pipeline.config.channels, 1000.0, 0, 10_000)
+    blocks = cut_into_blocks(ACCELERATION, motion.floors, pipeline.config.channels, 1000.0, 0, 10_000)
     return [r for b in blocks for r in pipeline.push(b) if isinstance(r, WindowResult)]
 
 

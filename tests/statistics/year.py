@@ -34,7 +34,7 @@ from monitor.pipeline import Pipeline, Result
 from monitor.runs import session as outputs
 from monitor.runs.calibrate import calibrate
 from monitor.runs.session import Session
-from monitor.runs.synthetic_recording import blocks_of
+from monitor.runs.synthetic_recording import cut_into_blocks
 from monitor.service import logs
 from monitor.service.daemon import Daemon
 from monitor.signals.sensor_health import Health
@@ -87,7 +87,7 @@ def make_site(folder: Path, keep_gb: float) -> tuple[Path, list[SampleBlock]]:
     site.write_text(SITE.format(keep_gb=keep_gb))
     settings = configuration.load(site)
     floors = simulate(settings.model(), duration_s=1200.0, rate_hz=RATE, noise=0.1, seed=1).floors
-    healthy = list(blocks_of(ACCELERATION, floors, settings.channels, RATE, T0_NS, 1024))
+    healthy = list(cut_into_blocks(ACCELERATION, floors, settings.channels, RATE, T0_NS, 1024))
     with McapWriter(folder / "healthy.mcap") as writer:
         for block in healthy:
             writer.write(block)

@@ -21,7 +21,7 @@ from drivers.base import ACCELERATION, SampleBlock
 from drivers.mcap_file import McapWriter, read_recordings
 from monitor.config import configuration
 from monitor.model.simulation import simulate
-from monitor.runs.synthetic_recording import blocks_of, parse_damage
+from monitor.runs.synthetic_recording import cut_into_blocks, parse_damage
 from tests.support.zenoh_router import Router, free_port
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -191,7 +191,7 @@ def blocks(seconds: float, seed: int, *damage: str) -> list[SampleBlock]:
     model = replace(model, effects=(*model.effects, *map(parse_damage, damage)))
     floors = simulate(model, duration_s=seconds, rate_hz=RATE_HZ, noise=0.03, seed=seed).floors
     floors *= _RMS / np.sqrt(np.mean(floors**2))
-    return list(blocks_of(ACCELERATION, floors, settings.channels, RATE_HZ, T0_NS, 1024))
+    return list(cut_into_blocks(ACCELERATION, floors, settings.channels, RATE_HZ, T0_NS, 1024))
 
 
 def quantised(stream: list[SampleBlock]) -> list[SampleBlock]:

@@ -25,7 +25,7 @@ from drivers.zenoh_session import SessionSettings, leave, open_session
 from monitor.config import configuration
 from monitor.core.results import WindowResult
 from monitor.publish.base import Publisher
-from monitor.runs.emulate import CanSink, pieces
+from monitor.runs.emulate import CanSink, cut_blocks
 from monitor.runs.session import Session
 from tests.support.live_rig import (
     DEPLOY,
@@ -69,7 +69,7 @@ def lines_of(site: Site, stream: Sequence[SampleBlock]) -> list[dict[str, Any]]:
 @pytest.fixture(scope="module")
 def stream() -> list[SampleBlock]:
     """A minute, as CAN can carry it, in the blocks of a node."""
-    return list(pieces(quantised(blocks(60.0, 5)), 128))
+    return list(cut_blocks(quantised(blocks(60.0, 5)), 128))
 
 
 @contextmanager
@@ -265,7 +265,7 @@ def test_zenoh_blocks_lost_repeated_swapped_among_hostile_payloads(
 
 def test_a_router_and_a_publisher_that_die(zenoh_site: tuple[Site, Router]) -> None:
     site, router = zenoh_site
-    stream = list(pieces(blocks(90.0, 6), 128))
+    stream = list(cut_blocks(blocks(90.0, 6), 128))
     with daemon_at(site) as daemon:
         with node_of(site) as publisher:
             for block in stream[:160]:

@@ -422,7 +422,7 @@ def test_a_diagnosis_that_hangs_or_is_killed_is_a_finding_and_ends_with_the_daem
 
     monkeypatch.setattr("monitor.runs.diagnosis_process.subprocess.Popen", Bad)
     daemon = Daemon(site, Scripted(cut(record, RATE)))
-    daemon.session.watcher._ask(Request(T0_NS, T0_NS + S, "by hand"))
+    daemon.session.online_diagnosis._submit(Request(T0_NS, T0_NS + S, "by hand"))
     daemon.run()
     (finding,) = summary(site.parent / "out")["findings"]
     assert finding["verdict"] is None
@@ -431,7 +431,7 @@ def test_a_diagnosis_that_hangs_or_is_killed_is_a_finding_and_ends_with_the_daem
     monkeypatch.setattr("monitor.runs.diagnosis_process.subprocess.Popen", Bad)
     daemon = Daemon(site, Endless(cut(record, RATE), 9))
     daemon.reader.source.daemon = daemon  # type: ignore[attr-defined]
-    daemon.session.watcher._ask(Request(T0_NS, T0_NS + S, "by hand"))
+    daemon.session.online_diagnosis._submit(Request(T0_NS, T0_NS + S, "by hand"))
     daemon.run()
     assert started and all(process.poll() is not None for process in started)
 

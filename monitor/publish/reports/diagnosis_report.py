@@ -22,9 +22,9 @@ __all__ = ["headline", "in_words", "page", "separating_measurement", "write_repo
 
 Content = Mapping[str, Any]
 
-_DRAWN = "rise_"
+_CURVE_PARAMETERS = "rise_"
 """Parameters that a curve shows: those of the spectrum of `AmbientForces`."""
-_SHOWN = 12
+_MAX_SHOWN = 12
 """Rows of the misfit's table, bars of a ranking."""
 
 
@@ -49,7 +49,7 @@ def page(diagnosis: Diagnosis, content: Content, segments: Segments) -> str:
         _head(told, content, compared, segments),
         _spectra(compared),
         _misfit(compared, diagnosis),
-        "" if by_level is None else _levels(by_level),
+        "" if by_level is None else _modes_by_class(by_level),
         _ranking(diagnosis, content),
         _parameters(diagnosis, content, compared.hz),
         _data(diagnosis, content, segments, compared),
@@ -97,7 +97,7 @@ def _spectra(c: Comparison) -> str:
         out.append(f'<span class="key" style="color: var(--{kind})">━ {words}</span> &#160; ')
     out.append("</p>")
     for i, name in enumerate(c.channels):
-        drawing = _channel(c, i, name)
+        drawing = _channel_chart(c, i, name)
         out.append(f"<figure>{drawing}</figure>")
     out.append(
         "<p class='muted'>Ratio 1: the simulation is right; the grey strip is what chance allows. Shaded orange: "
@@ -109,7 +109,7 @@ def _spectra(c: Comparison) -> str:
     return "".join(out)
 
 
-def _channel(c: Comparison, i: int, name: str) -> str:
+def _channel_chart(c: Comparison, i: int, name: str) -> str:
     x = (float(c.hz[0]), float(c.hz[-1]))
     power = np.concatenate([c.measured[i], c.before[i], c.after[i]])
     upper = Axes(x, (float(power.min()) / 1.3, float(power.max()) * 1.6), (62, 22, 1010, 190), log_y=True)
@@ -154,15 +154,15 @@ def _misfit(c: Comparison, diagnosis: Diagnosis) -> str:
     )
     for when, _, found in stages:
         if found:
-            worst = [(m.where.removeprefix("f = "), f"{m.size:.1f}", m.says) for m in found[:_SHOWN]]
-            more = f"<p class='muted'>and {len(found) - _SHOWN} more</p>" if len(found) > _SHOWN else ""
+            worst = [(m.where.removeprefix("f = "), f"{m.size:.1f}", m.says) for m in found[:_MAX_SHOWN]]
+            more = f"<p class='muted'>and {len(found) - _MAX_SHOWN} more</p>" if len(found) > _MAX_SHOWN else ""
             out.append(table([f"Misfit {when}", "#std. dev.", "what it says"], worst) + more)
         else:
             out.append(f"<p>No misfit {when if c.extended else 'beyond chance'}.</p>")
     return "".join(out)
 
 
-def _levels(by: LevelDependence) -> str:
+def _modes_by_class(by: LevelDependence) -> str:
     """Frequency and damping of every mode by class."""
     n = by.frequency_hz.shape[1]
     margin = 0.08 * float(np.ptp(by.at) or 1.0)
@@ -192,7 +192,7 @@ def _ranking(diagnosis: Diagnosis, content: Content) -> str:
     rivals = {c.key for c, _ in diagnosis.alternatives}
     out = ["<h2>Which causes were tried</h2>"]
     for i, candidates in enumerate(diagnosis.rounds):
-        shown = [c for c in candidates if np.isfinite(c.evidence)][:_SHOWN]
+        shown = [c for c in candidates if np.isfinite(c.evidence)][:_MAX_SHOWN]
         if not shown:
             continue
         if i:
@@ -221,17 +221,19 @@ def _parameters(diagnosis: Diagnosis, content: Content, hz: Array) -> str:
         rows: list[Sequence[str]] = []
         for c in causes:
             first = in_words(c["effect"], c["location"], c["parameters"], reference)
-            shown = {k: v for k, v in c["parameters"].items() if not k.startswith(_DRAWN)}
+            shown = {k: v for k, v in c["parameters"].items() if not k.startswith(_CURVE_PARAMETERS)}
             for name, entry in shown.items() or [("", {})]:
                 value = interval(entry, 1.0, unit(name)) if name else ""
                 rows.append((c["effect"], c["location"], name, value, first))
                 first = ""
         if rows:
             out.append(f"<h2>{title}</h2>" + table(["effect", "place", "parameter", "value", "in words"], rows))
-            out.append(_signs(causes))
+            out.append(_signatures(causes))
     if content["standing_misfit"] is not None:
         out.append(f"<p>Already so at calibration: {content['standing_misfit']['says']}.</p>")
-    out += [_colour(effect, hz) for effect in reference.effects(reference.mean) if isinstance(effect, AmbientForces)]
+    out += [
+        _force_spectrum(effect, hz) for effect in reference.effects(reference.mean) if isinstance(effect, AmbientForces)
+    ]
     if content["alternatives"]:
         rivals = [
             (a["effect"], a["location"], f"{100 * a['probability']:.0f} %",
@@ -239,7 +241,7 @@ def _parameters(diagnosis: Diagnosis, content: Content, hz: Array) -> str:
             for a in content["alternatives"]
         ]  # fmt: skip
         out.append("<h2>Alternatives</h2>" + table(["effect", "place", "#probability", "in words"], rivals))
-        out.append(_signs(content["alternatives"]))
+        out.append(_signatures(content["alternatives"]))
     index = content.get("ddi_effect", {})
     if index.get("with"):
         pairs = enumerate(zip(index["without"], index["with"], strict=True), 1)
@@ -249,7 +251,7 @@ def _parameters(diagnosis: Diagnosis, content: Content, hz: Array) -> str:
     return "".join(out)
 
 
-def _colour(forces: AmbientForces, hz: Array) -> str:
+def _force_spectrum(forces: AmbientForces, hz: Array) -> str:
     """The spectrum of the forces of every day."""
     density = np.asarray(forces.colour(hz))
     axes = Axes(
@@ -264,7 +266,7 @@ def _colour(forces: AmbientForces, hz: Array) -> str:
     )
 
 
-def _signs(causes: Sequence[Content]) -> str:
+def _signatures(causes: Sequence[Content]) -> str:
     """How each kind of cause shows in the accelerations."""
     kinds = dict.fromkeys(c["effect"] for c in causes)
     says = (f"How {name} shows: {escape(FORMS[name].signature)}." for name in kinds)

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from monitor.core import WHOLE, Array, BadInputError, Level, MissingInputError
 
-MOST_BINS = 1000
+MAX_BINS = 1000
 """A curve is drawn as its envelope's two sides: 2000 points."""
-_MOST_MODES = 8
+_MAX_MODES = 8
 _SAME_MODE = 0.1
 """Frequencies nearer than this (relative) are one mode where tracking has not said so yet."""
 _HEAD, _TAIL_BYTES = 50, 1 << 17
@@ -102,7 +102,7 @@ class Episode:
 
 
 @dataclass(slots=True)
-class Results:
+class PeriodResults:
     """results.jsonl over a period."""
 
     grid: Grid
@@ -193,11 +193,11 @@ class Results:
     def common_modes(self) -> list[Curve]:
         """The modes that show most often, by frequency."""
         common = [c for c in self.modes if c.values >= 0.02 * sum(self.judged)]
-        often = sorted(common, key=lambda c: -c.values)[:_MOST_MODES]
+        often = sorted(common, key=lambda c: -c.values)[:_MAX_MODES]
         return sorted(often, key=lambda c: c.latest)
 
 
-def read_results(folder: Path, from_ns: int | None, to_ns: int | None) -> Results:
+def read_results(folder: Path, from_ns: int | None, to_ns: int | None) -> PeriodResults:
     """results.jsonl of a folder; windows belong to the period in which they end.
 
     Raises
@@ -214,10 +214,10 @@ def read_results(folder: Path, from_ns: int | None, to_ns: int | None) -> Result
         start = begun_ns if from_ns is None else from_ns
         stop = last_ns if to_ns is None else to_ns
         length_s = (stop - start) * 1e-9
-        grid = Grid(start, max(stop, start + 1), int(np.clip(length_s / hop_s, 1, MOST_BINS)))
-        results = Results(grid, hop_s, begun_ns, judged=[0] * grid.n, refused=[0] * grid.n)
+        grid = Grid(start, max(stop, start + 1), int(np.clip(length_s / hop_s, 1, MAX_BINS)))
+        results = PeriodResults(grid, hop_s, begun_ns, judged=[0] * grid.n, refused=[0] * grid.n)
         with path.open("rb") as file:
-            for raw in _between(file, start, stop):
+            for raw in _lines_between(file, start, stop):
                 try:
                     results.add(json.loads(raw))
                 except (ValueError, KeyError, TypeError, IndexError):
@@ -232,7 +232,7 @@ def read_results(folder: Path, from_ns: int | None, to_ns: int | None) -> Result
     return results
 
 
-def _between(lines: Iterator[bytes], start: int, stop: int) -> Iterator[bytes]:
+def _lines_between(lines: Iterator[bytes], start: int, stop: int) -> Iterator[bytes]:
     for raw in lines:
         found = _T_END.search(raw)
         if found is not None and start < int(found[1]) <= stop and raw.endswith(b"\n"):

@@ -60,7 +60,7 @@ class Decision:
 
 
 @dataclass(slots=True)
-class _Sum:
+class _ChannelTotals:
     power: float = 0.0
     peak: float = 0.0
     spikes: int = 0
@@ -69,17 +69,17 @@ class _Sum:
     floors: list[float] = field(default_factory=list)
 
 
-class Health:
+class HealthFile:
     """health.jsonl, the file set aside included, over a period."""
 
     def __init__(self, folder: Path, from_ns: int, to_ns: int) -> None:
-        self._sums: dict[str, _Sum] = {}
+        self._sums: dict[str, _ChannelTotals] = {}
         self._clocks: dict[str, tuple[float, float]] = {}
         self._seconds = self._lost_s = 0.0
         self._gaps = self._overlaps = 0
         self._ends: list[int] = []
         self._times: list[tuple[int, int]] = []
-        for line in (line for name in ("health.jsonl.1", "health.jsonl") for line in _lines(folder / name)):
+        for line in (line for name in ("health.jsonl.1", "health.jsonl") for line in _read_json_objects(folder / name)):
             if line.get("t_ns") is None:
                 continue
             self._times.append((line["wall_ns"], line["t_ns"]))
@@ -95,7 +95,7 @@ class Health:
         self._gaps += stream["gaps"]
         self._overlaps += stream["overlaps"]
         for c in line["channels"]:
-            total = self._sums.setdefault(c["channel"], _Sum())
+            total = self._sums.setdefault(c["channel"], _ChannelTotals())
             total.power += (c["rms_m_s2"] or 0.0) ** 2 * seconds
             total.peak = max(total.peak, c["peak_m_s2"] or 0.0)
             total.spikes += c["spikes"]
@@ -135,7 +135,7 @@ class Health:
         return near[1] if abs(near[0] - wall_ns) < 60e9 else wall_ns
 
 
-def summary_of(folder: Path) -> dict[str, Any]:
+def read_summary(folder: Path) -> dict[str, Any]:
     """summary.json; empty where there is none that can be read."""
     try:
         content = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
@@ -144,7 +144,7 @@ def summary_of(folder: Path) -> dict[str, Any]:
     return content if isinstance(content, dict) else {}
 
 
-def quality_of(summary: dict[str, Any]) -> Quality | None:
+def summary_quality(summary: dict[str, Any]) -> Quality | None:
     """A replay's quality, which is that of the whole run."""
     table = summary.get("quality")
     if not table:
@@ -157,16 +157,16 @@ def quality_of(summary: dict[str, Any]) -> Quality | None:
     return Quality(says, table["availability"], table["gaps"], table["lost_s"], table["overlaps"], channels)
 
 
-def findings_of(folder: Path, from_ns: int, to_ns: int) -> list[dict[str, Any]]:
+def read_findings(folder: Path, from_ns: int, to_ns: int) -> list[dict[str, Any]]:
     """Diagnoses of the period's data, in their order."""
-    found = [f for path in (folder / "findings").rglob("*.json") for f in _lines(path, whole=True)]
+    found = [f for path in (folder / "findings").rglob("*.json") for f in _read_json_objects(path, whole=True)]
     return sorted((f for f in found if from_ns < f.get("t_ns", 0) <= to_ns), key=lambda f: int(f["t_ns"]))
 
 
-def decisions_of(folder: Path, health: Health) -> list[Decision]:
+def read_decisions(folder: Path, health: HealthFile) -> list[Decision]:
     """The ledger in the folder."""
     out = []
-    for line in _lines(folder / "ledger.jsonl"):
+    for line in _read_json_objects(folder / "ledger.jsonl"):
         t_ns = health.data_ns(utc_ns(line["when"]))
         asked = _REQUEST.fullmatch(line["what"])
         action, story = (asked[1], int(asked[2])) if asked else ("", -1)
@@ -174,7 +174,7 @@ def decisions_of(folder: Path, health: Health) -> list[Decision]:
     return out
 
 
-def verdict(episode: Episode, findings: list[dict[str, Any]]) -> str | None:
+def overlapping_verdict(episode: Episode, findings: list[dict[str, Any]]) -> str | None:
     """What a diagnosis of an alarm's time said."""
     overlapping = (
         f["says"]
@@ -186,7 +186,7 @@ def verdict(episode: Episode, findings: list[dict[str, Any]]) -> str | None:
     return next(overlapping, None)
 
 
-def answers(episode: Episode, decisions: list[Decision], following_ns: float) -> list[Decision]:
+def requests_for(episode: Episode, decisions: list[Decision], following_ns: float) -> list[Decision]:
     """What operators asked of an alarm's story from its beginning to the story's next alarm."""
     return [d for d in decisions if d.story == episode.story and episode.t_first_ns <= d.t_ns < following_ns]
 
@@ -196,7 +196,7 @@ def story_name(story: int) -> str:
     return "every story" if story == WHOLE else f"story {story}"
 
 
-def _lines(path: Path, *, whole: bool = False) -> Iterator[dict[str, Any]]:
+def _read_json_objects(path: Path, *, whole: bool = False) -> Iterator[dict[str, Any]]:
     """The JSON objects of a file; what cannot be read is left out."""
     try:
         text = path.read_text(encoding="utf-8", errors="replace")

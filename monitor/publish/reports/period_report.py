@@ -15,11 +15,11 @@ import numpy as np
 from monitor.core import WHOLE, BadInputError, Level, Skipped, write_atomically
 from monitor.publish.reports import period_notes as notes
 from monitor.publish.reports.page import document, table
-from monitor.publish.reports.period_data import Episode, Results, read_results, utc
+from monitor.publish.reports.period_data import Episode, PeriodResults, read_results, utc
 from monitor.publish.reports.period_notes import Decision, Quality, story_name
-from monitor.publish.reports.time_charts import HEIGHT, TimeAxes, draw, figure, panel, time_axes
+from monitor.publish.reports.time_charts import HEIGHT, TimeAxes, draw_envelope, figure, panel, time_axes
 
-_SHOWN = 200
+_MAX_ROWS = 200
 """Rows of a table."""
 _UNKNOWN = "–"
 
@@ -29,7 +29,7 @@ class Period:
     """All that the page tells."""
 
     name: str
-    results: Results
+    results: PeriodResults
     quality: Quality | None
     episodes: list[Episode]
     findings: list[dict[str, Any]]
@@ -48,23 +48,23 @@ def read_period(folder: Path, from_ns: int | None, to_ns: int | None) -> Period:
     """
     results = read_results(folder, from_ns, to_ns)
     start, stop = results.grid.from_ns, results.grid.to_ns
-    with _as_written(folder / "health.jsonl"):
-        health = notes.Health(folder, start, stop)
-    with _as_written(folder / "summary.json"):
-        summary = notes.summary_of(folder)
-        quality = health.quality() or notes.quality_of(summary)
-        episodes = results.episodes + _missed(results.episodes, summary, start, stop)
+    with _blame_file(folder / "health.jsonl"):
+        health = notes.HealthFile(folder, start, stop)
+    with _blame_file(folder / "summary.json"):
+        summary = notes.read_summary(folder)
+        quality = health.quality() or notes.summary_quality(summary)
+        episodes = results.episodes + _hidden_episodes(results.episodes, summary, start, stop)
         thresholds = {str(name): float(value) for name, value in summary.get("thresholds", {}).items()}
-    with _as_written(folder / "ledger.jsonl"):
-        decisions = [d for d in notes.decisions_of(folder, health) if start < d.t_ns <= stop]
-    with _as_written(folder / "findings"):
-        findings = notes.findings_of(folder, start, stop)
+    with _blame_file(folder / "ledger.jsonl"):
+        decisions = [d for d in notes.read_decisions(folder, health) if start < d.t_ns <= stop]
+    with _blame_file(folder / "findings"):
+        findings = notes.read_findings(folder, start, stop)
     episodes.sort(key=lambda e: e.t_first_ns)
     return Period(folder.resolve().name, results, quality, episodes, findings, decisions, thresholds)
 
 
 @contextmanager
-def _as_written(path: Path) -> Iterator[None]:
+def _blame_file(path: Path) -> Iterator[None]:
     """What a file of the run holds, or whose it is not, said of the file."""
     try:
         yield
@@ -72,7 +72,7 @@ def _as_written(path: Path) -> Iterator[None]:
         raise BadInputError(f"{path}: not as the monitor writes it ({error!r}); move it away and ask again") from error
 
 
-def _missed(known: Sequence[Episode], summary: Mapping[str, Any], start: int, stop: int) -> list[Episode]:
+def _hidden_episodes(known: Sequence[Episode], summary: Mapping[str, Any], start: int, stop: int) -> list[Episode]:
     """Alarms that a higher one of another story hid in the lines; the summary has them."""
     out = []
     for a in summary.get("alarms", ()):
@@ -158,7 +158,7 @@ def _damage(period: Period) -> str:
         marks += [axes.line(np.array(axes.x), np.full(2, y), kind) for y, kind in lines]
         seen = "; the modes say next to nothing of it" if j in r.unidentified else ""
         title = f"story {j}: stiffness lost, %{seen}"
-        out.append(figure(title, HEIGHT, axes.frame(title), *marks, *draw(axes, e, 100.0)))
+        out.append(figure(title, HEIGHT, axes.frame(title), *marks, *draw_envelope(axes, e, 100.0)))
     return "".join(out) + f"<p class='muted'>{_thresholds(period.thresholds)}</p>"
 
 
@@ -183,19 +183,19 @@ def _alarms(period: Period) -> str:
     if not period.episodes:
         return "<h2>Alarms</h2><p>None.</p>"
     rows = []
-    for i, e in enumerate(period.episodes[:_SHOWN]):
+    for i, e in enumerate(period.episodes[:_MAX_ROWS]):
         later = (n.t_first_ns for n in period.episodes[i + 1 :] if n.story == e.story)
-        asked = notes.answers(e, period.decisions, next(later, float("inf")))
+        asked = notes.requests_for(e, period.decisions, next(later, float("inf")))
         done = "; ".join(f"{d.action} by {d.who}, {utc(d.t_ns)}" for d in asked) or "nobody yet"
         ended = "lasts" if e.t_last_ns is None else utc(e.t_last_ns)
-        said = notes.verdict(e, period.findings) or "not diagnosed"
+        said = notes.overlapping_verdict(e, period.findings) or "not diagnosed"
         rows.append((e.level, story_name(e.story), utc(e.t_first_ns), ended, _percent(e.ddi, e.ddi_std), said, done))
     head = ["level", "where", "@from, UTC", "@to, UTC", "#stiffness lost", "diagnosis", "acknowledged"]
-    return "<h2>Alarms</h2>" + table(head, rows) + _more(len(period.episodes))
+    return "<h2>Alarms</h2>" + table(head, rows) + _rest_count(len(period.episodes))
 
 
-def _more(count: int) -> str:
-    return f"<p>{count - _SHOWN} more are not shown.</p>" if count > _SHOWN else ""
+def _rest_count(count: int) -> str:
+    return f"<p>{count - _MAX_ROWS} more are not shown.</p>" if count > _MAX_ROWS else ""
 
 
 def _modes(period: Period) -> str:
@@ -212,11 +212,11 @@ def _modes(period: Period) -> str:
 def _trust(period: Period) -> str:
     """Availability, goodness of fit, sensors, clocks."""
     r, q = period.results, period.quality
-    rows = [(Skipped(reason).mend, str(n)) for reason, n in r.skipped.most_common(_SHOWN)]
+    rows = [(Skipped(reason).mend, str(n)) for reason, n in r.skipped.most_common(_MAX_ROWS)]
     missing = r.due - r.windows
     rows += [("no data, or the monitor did not run", str(missing))] if missing > 0 else []
     rows += [("a line of results.jsonl that cannot be read", str(r.damaged))] if r.damaged else []
-    out = ["<h2>Can it be trusted</h2>", _strip(period)]
+    out = ["<h2>Can it be trusted</h2>", _coverage_strip(period)]
     out.append(table(["windows that say nothing, and why", "#windows"], rows) if rows else "")
     title = "goodness of fit: squared misfit over its expectation (1: stiffness explains the change)"
     out.append(panel(period.results.grid, r.misfit, title))
@@ -243,7 +243,7 @@ def _known(value: float | None) -> str:
     return _UNKNOWN if value is None else f"{value:.4g}"
 
 
-def _strip(period: Period) -> str:
+def _coverage_strip(period: Period) -> str:
     """Where windows were judged, where nothing could be said, and where there is nothing."""
     r = period.results
     axes = time_axes(period.results.grid, 0.0, 1.0, 26.0)
@@ -267,11 +267,11 @@ def _findings(period: Period) -> str:
         rows = [
             (str(f.get("id", "")), utc(f["t_ns"]), f.get("reason") or "", f.get("verdict") or "failed",
              f.get("says") or f.get("error") or "")
-            for f in period.findings[:_SHOWN]
+            for f in period.findings[:_MAX_ROWS]
         ]  # fmt: skip
         out.append("<h2>Findings</h2>" + table(["no.", "@data until, UTC", "asked because", "verdict", "says"], rows))
-        out.append(_more(len(period.findings)))
+        out.append(_rest_count(len(period.findings)))
     if period.decisions:
-        lines = [(utc(d.t_ns), d.who, d.what) for d in period.decisions[:_SHOWN]]
-        out.append("<h2>Ledger</h2>" + table(["@when, UTC", "who", "what"], lines) + _more(len(period.decisions)))
+        lines = [(utc(d.t_ns), d.who, d.what) for d in period.decisions[:_MAX_ROWS]]
+        out.append("<h2>Ledger</h2>" + table(["@when, UTC", "who", "what"], lines) + _rest_count(len(period.decisions)))
     return "".join(out)

@@ -42,7 +42,7 @@ def figure(label: str, height: float, *marks: str) -> str:
     return f"<figure>{svg(_WIDTH, height + 42.0, label, *marks)}</figure>"
 
 
-def draw(axes: Axes, e: Envelope, scale: float = 1.0) -> list[str]:
+def draw_envelope(axes: Axes, e: Envelope, scale: float = 1.0) -> list[str]:
     """An envelope: its mean as a line in its band, a lone bin as a point; broken where nothing was seen."""
     marks = []
     for piece in e.pieces():
@@ -62,4 +62,4 @@ def panel(grid: Grid, curve: Curve | None, title: str) -> str:
         return ""
     e = curve.envelope()
     axes = time_axes(grid, float(e.low.min()), float(e.high.max()))
-    return figure(title, HEIGHT, axes.frame(title), *draw(axes, e))
+    return figure(title, HEIGHT, axes.frame(title), *draw_envelope(axes, e))

@@ -10,7 +10,7 @@ import pyarrow as pa
 _MANY = pa.list_(pa.float64())
 _NUMBERS = pa.list_(pa.int64())
 
-SCHEMA = pa.schema(
+WINDOWS_SCHEMA = pa.schema(
     [
         ("stream", pa.string()),
         ("window", pa.int64()),
@@ -44,10 +44,10 @@ SCHEMA = pa.schema(
 """The keys of a line of results.jsonl, `alarm` spread over three columns, besides the stream's name and the time as a time."""
 
 
-def table(lines: Iterable[Mapping[str, Any]], stream: str) -> pa.Table:
+def windows_table(lines: Iterable[Mapping[str, Any]], stream: str) -> pa.Table:
     """Lines of results.jsonl, parsed, as rows."""
     rows = []
     for line in lines:
         alarm = {f"alarm_{key}": value for key, value in line["alarm"].items()}
         rows.append({**line, **alarm, "stream": stream, "t_end": line["t_end_ns"]})
-    return pa.Table.from_pylist(rows, schema=SCHEMA)
+    return pa.Table.from_pylist(rows, schema=WINDOWS_SCHEMA)

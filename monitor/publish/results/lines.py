@@ -16,12 +16,12 @@ from monitor.damage import AlarmState, hold
 
 def _rounded(values: Any) -> Any:
     """Plain numbers with nine significant digits: more than the data hold, and lines stay short."""
-    return _each(np.asarray(values, dtype=float).tolist())
+    return _round_nested(np.asarray(values, dtype=float).tolist())
 
 
-def _each(value: Any) -> Any:
+def _round_nested(value: Any) -> Any:
     if isinstance(value, list):
-        return [_each(v) for v in value]
+        return [_round_nested(v) for v in value]
     return float(f"{value:.9g}") if math.isfinite(value) else None
 
 
@@ -75,7 +75,7 @@ def alarm_line(alarm: Alarm) -> dict[str, Any]:
     }
 
 
-def standing_line(state: AlarmState) -> dict[str, Any]:
+def current_alarm_line(state: AlarmState) -> dict[str, Any]:
     """What stands now, operators' wishes since the latest window included."""
     _, standing = hold(state, 0)
     return {key: value for key, value in alarm_line(standing).items() if key != "reason"}
@@ -110,7 +110,7 @@ class LinesFile:
         partial(self._path).unlink(missing_ok=True)
 
 
-def replay_story(summary: dict[str, Any], *, has_baseline: bool) -> str:
+def replay_text(summary: dict[str, Any], *, has_baseline: bool) -> str:
     """A replay in words."""
     pace = f"{summary['realtime_factor']:.0f} x real time" + (", diagnosis apart" if summary["alarms"] else "")
     text = [f"{summary['windows']} windows, {summary['skipped']} skipped, {pace}"]
@@ -128,7 +128,7 @@ def replay_story(summary: dict[str, Any], *, has_baseline: bool) -> str:
             )
     for a in summary["alarms"]:
         text.append(
-            f"{a['level']}: {_place(a['story'])} lost {100 * a['ddi']:.2f} ± {200 * a['ddi_std']:.2f} % "
+            f"{a['level']}: {_story_name(a['story'])} lost {100 * a['ddi']:.2f} ± {200 * a['ddi_std']:.2f} % "
             f"(latest window; {a['loss_n_per_m']:.4g} N/m)"
         )
     for reason, count in summary["skip_reasons"].items():
@@ -140,5 +140,5 @@ def replay_story(summary: dict[str, Any], *, has_baseline: bool) -> str:
     return "\n".join(text)
 
 
-def _place(story: int | None) -> str:
+def _story_name(story: int | None) -> str:
     return "every story" if story is None else f"story {story}"

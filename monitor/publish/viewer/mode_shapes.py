@@ -14,7 +14,7 @@ Colours = NDArray[np.uint8]
 """Shape (.., 3)."""
 
 _FRAMES = 24
-_SIZE = 0.2
+_DEFLECTION = 0.2
 
 
 def label(rows: Rows, path: str, places: list[tuple[float, float, float]], labels: list[str], colours: Colours) -> None:
@@ -22,7 +22,7 @@ def label(rows: Rows, path: str, places: list[tuple[float, float, float]], label
     rows.add(path, rr.Points3D, positions=places, labels=labels, colors=colours, radii=[0.0001], show_labels=[True])
 
 
-class Shapes:
+class ModeShapes:
     """Draws on one recording; lives in the worker's thread."""
 
     def __init__(self, scene: Scene, stream: rr.RecordingStream, to: Rows, heights: Array) -> None:
@@ -59,7 +59,7 @@ class Shapes:
         strips, floors, z = Strips(), [], self._z
         for shape, k in zip(modes.shapes, modes.model_mode.tolist(), strict=True):
             largest = max(float(np.abs(shape.real).max()), 1e-12)
-            deflection = np.append(np.real(shape[self._order] * turn), 0.0) * (_SIZE / largest)
+            deflection = np.append(np.real(shape[self._order] * turn), 0.0) * (_DEFLECTION / largest)
             x = self._x(k)
             floors.append(np.column_stack([x + deflection, np.zeros_like(z), z]))
             strips += [np.array([(x, 0, 0), (x, 0, 1)]), floors[-1]]

@@ -10,35 +10,35 @@ import rerun as rr
 
 from monitor.core import DamageReading, Gap, Level, ModalEstimate, Samples, StiffnessEstimate, WindowResult
 from monitor.publish.viewer.layout import blueprint
-from monitor.publish.viewer.mode_shapes import Shapes, label
+from monitor.publish.viewer.mode_shapes import ModeShapes, label
 from monitor.publish.viewer.rows import Rows, Strips, ui_radius
 from monitor.publish.viewer.scene import (
     COLUMNS,
     GREEN,
     GREY,
-    HOLE,
     LEVELS,
     LIVE_BLOCK_S,
+    NO_VALUE,
     RED,
     SERIES,
     STABILISATION,
     Scene,
+    loss_colour,
+    mode_rows,
     plus_minus,
-    rows,
-    severity,
-    status,
+    status_markdown,
     utc,
 )
-from monitor.publish.viewer.spectra import FILE_EVERY_S, LIVE_EVERY_S, Spectra
+from monitor.publish.viewer.spectra import FILE_EVERY_S, LIVE_EVERY_S, SpectraDrawing
 from monitor.publish.viewer.thinning import Thinning
-from monitor.publish.viewer.trust import Clocks, Trust
+from monitor.publish.viewer.trust import Clocks, TrustDrawing
 from monitor.signals import Health
 
 Item = Samples | WindowResult | Gap | Health | Clocks | dict[str, Any]
 """What can be drawn; a dict is a finding."""
 
 
-class Picture:
+class ResultDrawing:
     """Draws on one recording; lives in the worker's thread."""
 
     def __init__(self, scene: Scene, stream: rr.RecordingStream, block_s: float, *, thin: bool = False) -> None:
@@ -49,11 +49,14 @@ class Picture:
         self._skipped: str | None = None
         self._extent = (1.0, 1.0)
         every_s = LIVE_EVERY_S if block_s <= LIVE_BLOCK_S else FILE_EVERY_S
-        self._spectra, self._trust = Spectra(scene, stream, self._rows, every_s), Trust(scene, stream, self._rows)
+        self._spectra, self._trust = (
+            SpectraDrawing(scene, stream, self._rows, every_s),
+            TrustDrawing(scene, stream, self._rows),
+        )
         heights = np.asarray(scene.story_heights_m, dtype=float)
         self._z = np.append(np.cumsum(heights[::-1])[::-1], 0.0) / heights.sum()
         """Shape (n + 1,): height of floor 1 (top) .. n and of the ground, the whole frame 1 high."""
-        self._shapes = Shapes(scene, stream, self._rows, self._z)
+        self._shapes = ModeShapes(scene, stream, self._rows, self._z)
         stories = list(pairwise(self._z.tolist()))
         self._columns = Strips(np.array([(x, y, foot), (x, y, top)]) for top, foot in stories for x, y in COLUMNS)
         self._thin = Thinning() if thin else None
@@ -167,13 +170,13 @@ class Picture:
         if self._thin is not None and not self._thin.window(result):
             return
         self._at(result.t_end_ns)
-        self._rows.text("/status", status(self._scene, result))
+        self._rows.text("/status", status_markdown(self._scene, result))
         self._alarm(result)
         reason = result.skipped.reason if result.skipped else None
         if reason != self._skipped:
             self._event(f"no result: {reason}" if reason else "results again", rr.TextLogLevel.INFO)
             self._skipped = reason
-        modes = {row[0]: row for row in rows(result.modes)} if result.modes else {}
+        modes = {row[0]: row for row in mode_rows(result.modes)} if result.modes else {}
         for k in range(self._scene.n_stories):
             _, f, fs, d, ds = modes.get(k, (k, *[None] * 4))
             self._bounded(f"/modes/frequency/{k + 1}", f, fs)
@@ -211,7 +214,7 @@ class Picture:
     def _bounded(self, path: str, value: float | None, std: float | None, scale: float = 1.0) -> None:
         """One value with its two standard deviations either side, or a hole."""
         if value is None or std is None:
-            self._rows.scalars(path, *HOLE)
+            self._rows.scalars(path, *NO_VALUE)
         else:
             self._rows.scalars(path, scale * value, scale * (value - 2 * std), scale * (value + 2 * std))
 
@@ -234,7 +237,7 @@ class Picture:
         for j, (ddi, std) in enumerate(readings):
             self._bounded(f"/ddi/story_{j + 1}", ddi, std, 100.0)
             top, foot = self._z[j], self._z[j + 1]
-            colours.append(severity(ddi, loss_at))
+            colours.append(loss_colour(ddi, loss_at))
             places.append((-0.45, 0.0, (top + foot) / 2))
             known = "unknown" if ddi is None or std is None else plus_minus(ddi, std, 100) + " %"
             labels.append(f"story {j + 1}: {known}")

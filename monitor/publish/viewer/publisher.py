@@ -13,7 +13,7 @@ from typing import Any
 from drivers.base import ClockHealth
 from monitor.core import Gap, Samples, WindowResult
 from monitor.publish.base import Publisher
-from monitor.publish.viewer.picture import Item, Picture
+from monitor.publish.viewer.picture import Item, ResultDrawing
 from monitor.publish.viewer.queue import Output, Worker
 from monitor.publish.viewer.scene import FILE_BLOCK_S, LIVE_BLOCK_S, Scene
 from monitor.publish.viewer.trust import Clocks
@@ -95,7 +95,7 @@ class RerunPublisher(Publisher):
         output = Output(self._scene.name, self._file, self._serve)
         try:
             block_s = LIVE_BLOCK_S if self._serve else FILE_BLOCK_S
-            picture = Picture(self._scene, output.stream, block_s, thin=self._file is not None)
+            picture = ResultDrawing(self._scene, output.stream, block_s, thin=self._file is not None)
             picture.begin()
             while (item := take()) is not None:
                 picture.draw(item)

@@ -50,7 +50,7 @@ class Output:
         self._file = file
         sinks: list[rr.FileSink | rr.GrpcServerSink] = []
         if serve is not None:
-            _demand_free(*serve)
+            _require_free_port(*serve)
             host = f"[{serve[0]}]" if ":" in serve[0] else serve[0]
             sinks.append(rr.GrpcServerSink(bind_ip=host, port=serve[1], server_memory_limit=memory))
         if file is not None:
@@ -87,7 +87,7 @@ class Output:
             partial(self._file).unlink(missing_ok=True)
 
 
-def _demand_free(address: str, port: int) -> None:
+def _require_free_port(address: str, port: int) -> None:
     """Raise OSError if nobody can listen there: Rerun itself only prints that and goes on deaf."""
     with socket.socket(socket.AF_INET6 if ":" in address else socket.AF_INET) as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)

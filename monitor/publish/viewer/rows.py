@@ -59,7 +59,9 @@ class Rows:
             columns = [
                 column
                 for name, instances in zip(names, zip(*rows, strict=True), strict=True)
-                for column in kind.columns(**{name: _joined(instances)}).partition([len(each) for each in instances])
+                for column in kind.columns(**{name: _concatenate(instances)}).partition(
+                    [len(each) for each in instances]
+                )
             ]
             self._stream.send_columns(path, [self._index(self._times[key])], columns)
         self._times.clear()
@@ -85,7 +87,7 @@ def _strip_type(dimensions: int) -> pa.DataType:
     )
 
 
-def _joined(instances: Sequence[Any]) -> Any:
+def _concatenate(instances: Sequence[Any]) -> Any:
     """The instances of all rows one after another."""
     if isinstance(instances[0], Strips):
         strips = [np.asarray(strip, dtype=np.float32) for row in instances for strip in row]

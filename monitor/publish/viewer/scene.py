@@ -108,7 +108,7 @@ def make_scene(
     )
 
 
-def severity(loss: float | None, alarm_loss: float) -> Colour:
+def loss_colour(loss: float | None, alarm_loss: float) -> Colour:
     """Colour of a story: green, amber at half of `alarm_loss`, red from there on; grey when unknown."""
     if loss is None:
         return GREY
@@ -128,7 +128,7 @@ def plus_minus(value: float, std: float, scale: float = 1.0, digits: int = 1) ->
     return f"{value * scale:.{digits}f} ± {2 * std * scale:.{digits}f}"
 
 
-def status(scene: Scene, result: WindowResult) -> str:
+def status_markdown(scene: Scene, result: WindowResult) -> str:
     """The state after a window in words, Markdown; intervals are two standard deviations."""
     end = datetime.fromtimestamp(result.t_end_ns * 1e-9, UTC)
     alarm, modes, damage = result.alarm, result.modes, result.damage
@@ -144,7 +144,7 @@ def status(scene: Scene, result: WindowResult) -> str:
         lines += [f"| {j} | {plus_minus(d, s, 100)} |" for j, (d, s) in enumerate(pairs, 1)] + [""]
     if modes is not None:
         lines += ["| mode | frequency, Hz (± 2σ) | baseline, Hz | damping, % (± 2σ) |", "|---|---|---|---|"]
-        for k, f, fs, d, ds in rows(modes):
+        for k, f, fs, d, ds in mode_rows(modes):
             base = scene.baseline_frequencies_hz
             was = f"{base[k]:.3f}" if base is not None and k < len(base) else "-"
             lines.append(f"| {k + 1} | {plus_minus(f, fs, digits=3)} | {was} | {plus_minus(d, ds, 100, 2)} |")
@@ -152,12 +152,12 @@ def status(scene: Scene, result: WindowResult) -> str:
     return "\n".join(lines)
 
 
-def rows(modes: ModalEstimate) -> list[tuple[int, float, float, float, float]]:
+def mode_rows(modes: ModalEstimate) -> list[tuple[int, float, float, float, float]]:
     """For each mode: number of the model's mode, frequency and its std (Hz), damping ratio and its std."""
     columns = (modes.frequencies_hz, modes.frequencies_std_hz, modes.damping_ratio, modes.damping_std)
     table = np.column_stack(columns).tolist()
     return [(int(k), f, fs, d, ds) for k, (f, fs, d, ds) in zip(modes.model_mode, table, strict=True)]
 
 
-HOLE = (np.nan,) * 3
+NO_VALUE = (np.nan,) * 3
 """No value: breaks a line and its bounds, where no row would be bridged, and a Clear or an empty row drags the axis to 0."""

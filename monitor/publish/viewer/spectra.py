@@ -22,7 +22,7 @@ _MOST_CHANNELS = 6
 MODEL = (235, 235, 235)
 
 
-def predicted(scene: Scene, result: WindowResult, hz: Array) -> Array:
+def predict_power(scene: Scene, result: WindowResult, hz: Array) -> Array:
     """Power of the channels under equal white forces on all floors, shape (n_hz, c), up to their level.
 
     Modes superposed: the model at the window's stiffnesses, with the window's damping where it was measured.
@@ -39,7 +39,7 @@ def predicted(scene: Scene, result: WindowResult, hz: Array) -> Array:
     return np.asarray((np.abs(np.einsum("cm,fm,nm->fcn", seen, modal, modes.shapes)) ** 2).sum(axis=2))
 
 
-class Spectra:
+class SpectraDrawing:
     """Draws both, one channel over the other, every so many seconds of data."""
 
     def __init__(self, scene: Scene, stream: rr.RecordingStream, to: Rows, every_s: float) -> None:
@@ -67,7 +67,7 @@ class Spectra:
         if len(values) < _SEGMENT_S * rate:
             return
         self._drawn_ns = result.t_end_ns
-        hz, power = _power(values[:, :_MOST_CHANNELS], rate)
+        hz, power = _welch_power(values[:, :_MOST_CHANNELS], rate)
         band = (hz > 0.01 * self._scene.cutoff_hz) & (hz <= self._scene.cutoff_hz)
         hz, power = hz[band], power[band]
         lanes = power.shape[1]
@@ -75,13 +75,17 @@ class Spectra:
         scale = (width / self._scene.cutoff_hz, -height / lanes, 1.0)
         colours = [SERIES[c % len(SERIES)] for c in range(lanes)]
         top = np.log10(power.max(axis=0) * 3.0)
-        lines = Strips(_lane(hz, p, t, lanes - 1 - c) for c, (p, t) in enumerate(zip(power.T, top, strict=True)))
+        lines = Strips(
+            _scale_to_lane(hz, p, t, lanes - 1 - c) for c, (p, t) in enumerate(zip(power.T, top, strict=True))
+        )
         self._to.add("/spectra", rr.Transform3D, scale=[scale])
         self._to.add("/spectra/measured", rr.LineStrips2D, strips=lines, colors=colours, radii=ui_radius(0.7))
         if self._scene.model is not None:
-            model = predicted(self._scene, result, hz)[:, :lanes]
+            model = predict_power(self._scene, result, hz)[:, :lanes]
             model *= power.sum() / model.sum()
-            lines = Strips(_lane(hz, p, t, lanes - 1 - c) for c, (p, t) in enumerate(zip(model.T, top, strict=True)))
+            lines = Strips(
+                _scale_to_lane(hz, p, t, lanes - 1 - c) for c, (p, t) in enumerate(zip(model.T, top, strict=True))
+            )
             self._to.add("/spectra/model", rr.LineStrips2D, strips=lines, colors=[MODEL], radii=ui_radius(0.4))
         if not self._axes:
             self._axes = True
@@ -100,7 +104,7 @@ class Spectra:
         self._stream.log("/spectra/ticks", marks, static=True)
 
 
-def _power(values: Array, rate_hz: float) -> tuple[Array, Array]:
+def _welch_power(values: Array, rate_hz: float) -> tuple[Array, Array]:
     """Frequencies and mean periodograms, shape (n_hz, c), of half-overlapping tapered segments, up to a factor."""
     n = round(_SEGMENT_S * rate_hz)
     # Single precision is enough for a picture.
@@ -111,7 +115,7 @@ def _power(values: Array, rate_hz: float) -> tuple[Array, Array]:
     )
 
 
-def _lane(hz: Array, power: Array, top: float, lane: int) -> Array:
+def _scale_to_lane(hz: Array, power: Array, top: float, lane: int) -> Array:
     """Logarithm of a channel's power in a lane 1 high, `_DECADES` below `top` at its foot."""
     level = (np.log10(np.maximum(power, 1e-300)) - top) / _DECADES + 1.0
     return np.column_stack([hz, lane + np.clip(level, 0.0, 1.0)])

@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 
 from monitor.core import Array, WindowResult
 
-WHOLE_NS = 2 * 3600 * 10**9
+FULL_RATE_NS = 2 * 3600 * 10**9
 """Samples of the first two hours are kept as they are."""
-TIER = 2000
+FULL_RATE_WINDOWS = 2000
 """So many windows are kept before every second, every fourth ... is."""
 _ENVELOPE = 500
 """Samples of which the least and the greatest are kept afterwards."""
@@ -31,7 +31,7 @@ class Thinning:
     def window(self, result: WindowResult) -> bool:
         """Whether a window is kept."""
         state = (result.alarm.level, result.alarm.stories, result.skipped is None)
-        stride = 1 << (self._kept // TIER)
+        stride = 1 << (self._kept // FULL_RATE_WINDOWS)
         keep = self._seen % stride == 0 or state != self._state
         self._seen, self._state = self._seen + 1, state
         self._kept += keep
@@ -46,7 +46,7 @@ class Thinning:
     def samples(self, t_ns: NDArray[np.int64], values: Array) -> tuple[NDArray[np.int64], Array]:
         """Times, shape (n,), and samples, shape (n, c): as they are, or the least and greatest of each stretch in turn."""
         self._first_ns = int(t_ns[0]) if self._first_ns is None else self._first_ns
-        if t_ns[0] - self._first_ns < WHOLE_NS:
+        if t_ns[0] - self._first_ns < FULL_RATE_NS:
             return t_ns, values
         starts = np.arange(0, len(values), _ENVELOPE)
         low = np.minimum.reduceat(values, starts, axis=0)

@@ -20,7 +20,7 @@ class Clocks(NamedTuple):
     clocks: Sequence[ClockHealth]
 
 
-class Trust:
+class TrustDrawing:
     """Draws on one recording; lives in the worker's thread."""
 
     def __init__(self, scene: Scene, stream: rr.RecordingStream, to: Rows) -> None:

@@ -42,7 +42,7 @@ class Run:
         """Name of its results; another configuration, recording or version of the program gives another."""
         begun = datetime.fromtimestamp(self.t_start_ns // 1_000_000_000, UTC).strftime("%Y%m%dT%H%M%S")
         label = "".join(c if c.isalnum() or c in "-_." else "-" for c in Path(self.stream).name)
-        return f"{label}-{begun}-{fingerprint(configuration, *map(identity, self.paths))}"
+        return f"{label}-{begun}-{fingerprint(configuration, *map(file_version, self.paths))}"
 
 
 def fingerprint(*parts: str) -> str:
@@ -50,13 +50,13 @@ def fingerprint(*parts: str) -> str:
     return hashlib.sha256(json.dumps([__version__, *parts]).encode()).hexdigest()[:16]
 
 
-def identity(path: Path) -> str:
+def file_version(path: Path) -> str:
     """A file as it is now: place, size and time of its last change."""
     status = path.stat()
     return f"{path} {status.st_size} {status.st_mtime_ns}"
 
 
-def runs(surveys: Iterable[Survey], longest_gap_s: float) -> list[Run]:
+def group_into_runs(surveys: Iterable[Survey], longest_gap_s: float) -> list[Run]:
     """Recordings that follow one another, one run each; the longest first.
 
     A recording goes on with another's run if it lies in the same folder, has the same channels and rate, and begins no more than
@@ -65,7 +65,7 @@ def runs(surveys: Iterable[Survey], longest_gap_s: float) -> list[Run]:
     open_runs: list[list[Survey]] = []
     done: list[Run] = []
     for survey in sorted(surveys):
-        fitting = [r for r in open_runs if _goes_on(r[-1], survey, longest_gap_s)]
+        fitting = [r for r in open_runs if _continues(r[-1], survey, longest_gap_s)]
         if fitting:
             max(fitting, key=lambda r: r[-1].t_end_ns).append(survey)
         else:
@@ -76,12 +76,12 @@ def runs(surveys: Iterable[Survey], longest_gap_s: float) -> list[Run]:
     return sorted(done, key=lambda run: run.t_start_ns - run.t_end_ns)
 
 
-def _goes_on(before: Survey, after: Survey, longest_gap_s: float) -> bool:
+def _continues(before: Survey, after: Survey, longest_gap_s: float) -> bool:
     same = (before.folder, before.channels, before.rate_hz) == (after.folder, after.channels, after.rate_hz)
     return same and -_OVERLAP_NS < after.t_start_ns - before.t_end_ns <= longest_gap_s * 1e9
 
 
-def expand(patterns: Sequence[str]) -> list[Path]:
+def expand_patterns(patterns: Sequence[str]) -> list[Path]:
     """The files that patterns (``*``, ``?``, ``**``) or plain names stand for, each once, absolute; names of none stay."""
     import glob
 

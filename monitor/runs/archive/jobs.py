@@ -16,17 +16,17 @@ from drivers.mcap_file import recording_info
 from monitor.config import configuration
 from monitor.core import UserError, WindowResult, keep_freed, write_atomically
 from monitor.damage import load_baseline
-from monitor.publish import SCHEMA, Publisher, table, to_json
+from monitor.publish import WINDOWS_SCHEMA, Publisher, to_json, windows_table
 from monitor.runs.archive.inventory import Survey
-from monitor.runs.recordings import blocks
-from monitor.runs.replay import begun, pass_through
+from monitor.runs.recordings import read_blocks
+from monitor.runs.replay import pass_through, with_first_block_read
 from monitor.runs.session import Session
 
 WINDOWS, RUNS, DIAGNOSES = "windows", "runs", "diagnoses"
 """Folders in the output: the Parquet dataset; of each run its summary and findings; of each recording its diagnosis."""
-KEPT = b"shm-monitor"
+METADATA_KEY = b"shm-monitor"
 """Key of a Parquet file's metadata under which its run stands."""
-_ROWS = 2048
+_ROW_GROUP = 2048
 """Windows held before they are written, a row group."""
 
 
@@ -54,19 +54,19 @@ class Outcome:
     warnings: list[str] = field(default_factory=list)
 
 
-class Windows(Publisher):
+class WindowsFile(Publisher):
     """The windows of a run as one file of the dataset, row group by row group."""
 
     def __init__(self, scratch: Path, final: Path, stream: str, kept: dict[str, Any]) -> None:
         self._scratch, self._final, self._stream = scratch, final, stream
-        schema = SCHEMA.with_metadata({KEPT: json.dumps(kept).encode()})
+        schema = WINDOWS_SCHEMA.with_metadata({METADATA_KEY: json.dumps(kept).encode()})
         self._file = pq.ParquetWriter(scratch, schema, compression="zstd")
         self._lines: list[dict[str, Any]] = []
 
     def window(self, result: WindowResult, line: str) -> None:
         """Keep its line."""
         self._lines.append(json.loads(line))
-        if len(self._lines) >= _ROWS:
+        if len(self._lines) >= _ROW_GROUP:
             self._flush()
 
     def close(self) -> None:
@@ -82,11 +82,13 @@ class Windows(Publisher):
 
     def _flush(self) -> None:
         if self._lines:
-            self._file.write_table(table(self._lines, self._stream).replace_schema_metadata(self._file.schema.metadata))
+            self._file.write_table(
+                windows_table(self._lines, self._stream).replace_schema_metadata(self._file.schema.metadata)
+            )
             self._lines = []
 
 
-def survey(item: tuple[Path, dict[str, str]]) -> Survey | str:
+def survey_recording(item: tuple[Path, dict[str, str]]) -> Survey | str:
     """What a recording (with a map of its ROS 2 topics) holds, or what is wrong with it."""
     path, topics = item
     try:
@@ -97,7 +99,7 @@ def survey(item: tuple[Path, dict[str, str]]) -> Survey | str:
     return Survey(str(path.parent), info.channels[ACCELERATION], info.sample_rate_hz, info.t_start_ns, end_ns, path)
 
 
-def replayed(task: Task) -> Outcome:
+def replay_run(task: Task) -> Outcome:
     """One run through the pipeline."""
     outcome = Outcome(task.name, task.paths)
     keep_freed()
@@ -117,10 +119,10 @@ def _replay(task: Task, warnings: list[str]) -> None:
         None if task.baseline is None else load_baseline(task.baseline, settings.instrumented(), settings.updating)
     )
     paths, folder = list(task.paths), task.out / RUNS / task.name
-    source = begun(blocks(paths, settings, warnings.append))
+    source = with_first_block_read(read_blocks(paths, settings, warnings.append))
     folder.mkdir(parents=True, exist_ok=True)
     kept = {"recordings": list(map(str, paths)), "stream": task.stream}
-    rows = Windows(folder / "windows.part", task.out / WINDOWS / f"{task.name}.parquet", task.stream, kept)
+    rows = WindowsFile(folder / "windows.part", task.out / WINDOWS / f"{task.name}.parquet", task.stream, kept)
     session = Session(settings, healthy, (rows,), (task.structure, task.baseline), folder / "findings")
     try:
         factor = pass_through(session, source, paths)
@@ -130,10 +132,10 @@ def _replay(task: Task, warnings: list[str]) -> None:
         rows.abandon()
         raise
     finally:
-        session.watcher.close()
+        session.online_diagnosis.close()
 
 
-def diagnosed(task: Task) -> Outcome:
+def diagnose_recording(task: Task) -> Outcome:
     """One recording's diagnosis."""
     from monitor.runs import diagnose
 

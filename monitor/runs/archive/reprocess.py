@@ -24,8 +24,18 @@ from dask.callbacks import Callback
 from monitor.config import configuration as config
 from monitor.core import MissingInputError, spare_inputs, write_atomically
 from monitor.damage import load_baseline
-from monitor.runs.archive.inventory import Run, Survey, fingerprint, identity, runs
-from monitor.runs.archive.jobs import DIAGNOSES, KEPT, RUNS, WINDOWS, Outcome, Task, diagnosed, replayed, survey
+from monitor.runs.archive.inventory import Run, Survey, file_version, fingerprint, group_into_runs
+from monitor.runs.archive.jobs import (
+    DIAGNOSES,
+    METADATA_KEY,
+    RUNS,
+    WINDOWS,
+    Outcome,
+    Task,
+    diagnose_recording,
+    replay_run,
+    survey_recording,
+)
 
 Job = TypeVar("Job")
 Done = TypeVar("Done")
@@ -70,24 +80,28 @@ def reprocess(
     settings = config.load(structure)
     if baseline is not None:
         load_baseline(baseline, settings.instrumented(), settings.updating)
-    configuration = _configuration(settings, baseline)
+    configuration = _configuration_fingerprint(settings, baseline)
     try:
         for folder in (WINDOWS, RUNS, DIAGNOSES):
             (out / folder).mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise MissingInputError(f"{out}: cannot be written: {error.strerror}") from error
 
-    with _crew(scheduler, workers, on_done) as work:
-        surveys, failed = _surveyed(recordings, settings.topics, out, work)
+    with _open_workers(scheduler, workers, on_done) as work:
+        surveys, failed = _survey_recordings(recordings, settings.topics, out, work)
         gap_s = settings.processing.window_s if longest_gap_s is None else longest_gap_s
-        wanted = runs(surveys, gap_s)
+        wanted = group_into_runs(surveys, gap_s)
         tasks = [_task(run.name(configuration), run.stream, run.paths, structure, baseline, out) for run in wanted]
-        outcomes = _made(replayed, tasks, [out / WINDOWS / f"{task.name}.parquet" for task in tasks], work)
+        outcomes = _compute_missing(replay_run, tasks, [out / WINDOWS / f"{task.name}.parquet" for task in tasks], work)
         if diagnose:
             single = [Run(s.folder, (s.path,), s.t_start_ns, s.t_end_ns) for s in surveys]
             tasks = [_task(one.name(configuration), one.stream, one.paths, structure, baseline, out) for one in single]
-            outcomes += _made(diagnosed, tasks, [out / DIAGNOSES / f"{task.name}.json" for task in tasks], work)
-        _forget(out, {run.name(configuration): run for run in wanted}, failed=[o.name for o in outcomes if o.error])
+            outcomes += _compute_missing(
+                diagnose_recording, tasks, [out / DIAGNOSES / f"{task.name}.json" for task in tasks], work
+            )
+        _remove_superseded(
+            out, {run.name(configuration): run for run in wanted}, failed=[o.name for o in outcomes if o.error]
+        )
     return failed + outcomes
 
 
@@ -95,7 +109,7 @@ def _task(name: str, stream: str, paths: tuple[Path, ...], structure: Path, base
     return Task(name, stream, paths, structure.resolve(), baseline and baseline.resolve(), out.resolve())
 
 
-def _made(
+def _compute_missing(
     function: Callable[[Task], Outcome],
     tasks: Sequence[Task],
     results: Sequence[Path],
@@ -106,14 +120,14 @@ def _made(
     return there + work(function, [t for t, r in zip(tasks, results, strict=True) if not r.exists()])
 
 
-def _configuration(settings: config.Configuration, baseline: Path | None) -> str:
+def _configuration_fingerprint(settings: config.Configuration, baseline: Path | None) -> str:
     """Everything besides the recordings that results depend on."""
     told = settings.model_dump_json(exclude={"output", "source"})
     return fingerprint(told, "" if baseline is None else baseline.read_text(encoding="utf-8"))
 
 
 @contextmanager
-def _crew(scheduler: str | None, workers: int | None, on_done: Callable[[int, int], None]) -> Iterator[Work]:
+def _open_workers(scheduler: str | None, workers: int | None, on_done: Callable[[int, int], None]) -> Iterator[Work]:
     """Whoever does the work: this process where one is enough, several of this machine, or a cluster."""
     count = workers or os.cpu_count() or 1
     if scheduler is not None:
@@ -145,7 +159,7 @@ def _crew(scheduler: str | None, workers: int | None, on_done: Callable[[int, in
         yield here
 
 
-def _surveyed(
+def _survey_recordings(
     recordings: Sequence[Path], topics: dict[str, str], out: Path, work: Work
 ) -> tuple[list[Survey], list[Outcome]]:
     """What each recording holds, read once and kept in ``surveys.json``."""
@@ -157,15 +171,15 @@ def _surveyed(
     surveys, failed, new = [], [], []
     for path in recordings:
         try:
-            known = kept.get(key := identity(path))
+            known = kept.get(key := file_version(path))
         except OSError as error:
             failed.append(Outcome(str(path), (path,), f"{path}: cannot be opened: {error.strerror}"))
             continue
         if known is None:
             new.append((key, path))
         else:
-            surveys.append(_survey_of(known))
-    looked_at = work(survey, [(path, topics) for _, path in new])
+            surveys.append(_survey_from_json(known))
+    looked_at = work(survey_recording, [(path, topics) for _, path in new])
     for (key, path), found in zip(new, looked_at, strict=True):
         if isinstance(found, str):
             failed.append(Outcome(str(path), (path,), found))
@@ -176,16 +190,16 @@ def _surveyed(
     return surveys, failed
 
 
-def _survey_of(kept: dict[str, Any]) -> Survey:
+def _survey_from_json(kept: dict[str, Any]) -> Survey:
     return Survey(**{**kept, "channels": tuple(kept["channels"]), "path": Path(kept["path"])})
 
 
-def _forget(out: Path, now: dict[str, Run], failed: list[str]) -> None:
+def _remove_superseded(out: Path, now: dict[str, Run], failed: list[str]) -> None:
     """Remove files of the dataset whose recordings stand in another by now: no window is in it twice."""
     covered = {str(path) for name, run in now.items() if name not in failed for path in run.paths}
     for file in (out / WINDOWS).glob("*.parquet"):
         if file.stem not in now:
             metadata = pq.read_schema(file).metadata or {}
-            if covered & set(json.loads(metadata.get(KEPT, b"{}")).get("recordings", ())):
+            if covered & set(json.loads(metadata.get(METADATA_KEY, b"{}")).get("recordings", ())):
                 file.unlink()
                 shutil.rmtree(out / RUNS / file.stem, ignore_errors=True)

@@ -14,7 +14,7 @@ from drivers.mcap_file import McapWriter, RecordingInfo, recording_info
 from drivers.mcap_records import MAGIC
 from monitor.core import BadInputError, MissingInputError
 from monitor.runs.importers import can_log, csv_table, npz, xsens_dot
-from monitor.runs.importers.table import UNITS, Array, OnWarning, Table, Ticks, join, sample_numbers, unit_factor
+from monitor.runs.importers.table import UNITS, Array, OnWarning, Table, Ticks, join_tables, sample_numbers, unit_factor
 
 __all__ = ["import_files"]
 _MAX_UNZIPPED = 1 << 31
@@ -70,10 +70,10 @@ def import_files(
             raise MissingInputError(f"{out}: cannot be written: {error.strerror or error}") from error
     if dbc is not None:
         raise BadInputError(f"{dbc}: --dbc is for CAN logs; {files[0]} is none by its name")
-    tables, clock = join([_load(path, on_warning) for path in files], on_warning)
-    chosen, base = _choose(tables, channels, ground)
+    tables, clock = join_tables([_load_table(path, on_warning) for path in files], on_warning)
+    chosen, base = _choose_columns(tables, channels, ground)
     rate, numbers = _timing(tables, clock, rate_hz, on_warning)
-    start_ns = _start(tables, on_warning) if start_ns is None else start_ns
+    start_ns = _start_ns(tables, on_warning) if start_ns is None else start_ns
     # One must fit 64-bit nanoseconds; a damaged counter does not.
     if not 1e-3 <= rate <= 1e7 or start_ns + numbers[-1] * 1e9 / rate > 4e18:
         raise BadInputError(f"{files[0]}: {rate} Hz and {numbers[-1]} samples in all are absurd")
@@ -93,7 +93,7 @@ def import_files(
         raise BadInputError(str(error)) from error
 
 
-def _load(path: Path, on_warning: OnWarning) -> Table:
+def _load_table(path: Path, on_warning: OnWarning) -> Table:
     try:
         if not path.is_file():
             raise MissingInputError(f"{path}: {'is no file' if path.exists() else 'does not exist'}")
@@ -105,22 +105,22 @@ def _load(path: Path, on_warning: OnWarning) -> Table:
     if raw.startswith(MAGIC):
         raise BadInputError(f"{path}: is an MCAP recording already; use it as it is")
     if raw.startswith(b"PK\x03\x04"):
-        members = _members(path, raw)
+        members = _zip_members(path, raw)
         if all(name.endswith(".npy") for name in members):
-            return _checked(npz.to_table(path, raw))
+            return _require_samples(npz.to_table(path, raw))
         raw = _unzip(path, raw, members)
-    cells = csv_table.cut(path, csv_table.decode_text(path, raw), on_warning)
+    cells = csv_table.cut_into_cells(path, csv_table.decode_text(path, raw), on_warning)
     dialect = xsens_dot if xsens_dot.is_xsens(cells) else csv_table
-    return _checked(dialect.to_table(cells, on_warning))
+    return _require_samples(dialect.to_table(cells, on_warning))
 
 
-def _checked(table: Table) -> Table:
+def _require_samples(table: Table) -> Table:
     if len(table.values) < 2:
         raise BadInputError(f"{table.path}: {len(table.values)} samples are too few")
     return table
 
 
-def _members(path: Path, raw: bytes) -> list[str]:
+def _zip_members(path: Path, raw: bytes) -> list[str]:
     try:
         with zipfile.ZipFile(io.BytesIO(raw)) as archive:
             return [name for name in archive.namelist() if not name.endswith("/")]
@@ -145,13 +145,13 @@ def _unzip(path: Path, raw: bytes, members: list[str]) -> bytes:
 _Column = tuple[Table, str]
 
 
-def _choose(
+def _choose_columns(
     tables: list[Table], channels: dict[str, str] | None, ground: str | None
 ) -> tuple[dict[str, _Column], _Column | None]:
     """Channel name -> its column, and the column of the base motion."""
-    base = _find(tables, ground) if ground else None
+    base = _find_column(tables, ground) if ground else None
     if channels:
-        return {name: _find(tables, reference) for name, reference in channels.items()}, base
+        return {name: _find_column(tables, reference) for name, reference in channels.items()}, base
     rest = [(table, column) for table in tables for column in table.default if (table, column) != base]
     if base is not None and len(tables) > 1:
         rest = [pair for pair in rest if pair[0] is not base[0]]
@@ -165,7 +165,7 @@ def _choose(
     return dict(zip(names, rest, strict=True)), base
 
 
-def _find(tables: list[Table], reference: str) -> _Column:
+def _find_column(tables: list[Table], reference: str) -> _Column:
     exact = [(table, None) for table in tables if reference in table.names]
     parts = [
         (table, reference[len(name) + 1 :])
@@ -218,7 +218,7 @@ def _timing(
     return stated or rate, numbers
 
 
-def _start(tables: list[Table], on_warning: OnWarning) -> int:
+def _start_ns(tables: list[Table], on_warning: OnWarning) -> int:
     """UTC of the first sample as the files tell it, nanoseconds since 1970."""
     known = [table.start_ns for table in tables if table.start_ns is not None and table.start_ns >= 0]
     if not known:

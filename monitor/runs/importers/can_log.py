@@ -14,7 +14,7 @@ from drivers.mcap_file import McapWriter, RecordingInfo, recording_info
 from monitor.core import BadInputError, MissingInputError
 from monitor.runs.importers.table import OnWarning
 
-_SILENT = ("frames", "samples", "foreign", "overruns")
+_UNREPORTED_COUNTS = ("frames", "samples", "foreign", "overruns")
 """Counts that are no trouble, or told by others."""
 
 
@@ -81,7 +81,7 @@ def import_log(path: Path, out: Path, *, dbc: Path, rate_hz: float | None, on_wa
         raise BadInputError(f"{path}: {error}") from error
     health = source.health()
     for name, count in health.counts.items():
-        if count and name not in _SILENT:
+        if count and name not in _UNREPORTED_COUNTS:
             on_warning(f"{path}: {count} {name.replace('_', ' ')}")
     if health.detail:
         on_warning(f"{path}: {health.detail}")

@@ -76,7 +76,7 @@ def decode_text(path: Path, raw: bytes) -> str:
     return raw.decode("latin-1")
 
 
-def cut(path: Path, text: str, on_warning: OnWarning) -> Cells:
+def cut_into_cells(path: Path, text: str, on_warning: OnWarning) -> Cells:
     """Find delimiter, header and data rows.
 
     Raises
@@ -134,11 +134,11 @@ def to_table(cells: Cells, on_warning: OnWarning) -> Table:
     clock = next(iter(dated or [at for at in range(width) if _TIME.fullmatch(names[at])]), None)
     time_ns = start_ns = None
     if clock in dated and clock is not None:
-        time_ns = _dates(cells, clock)
+        time_ns = _date_column(cells, clock)
         start_ns = int(time_ns[0])
-        _warn_swapped(cells.path, start_ns, on_warning)
+        _warn_of_swapped_date(cells.path, start_ns, on_warning)
     elif clock is not None:
-        time_ns = _ticks(cells, clock, names[clock], units[clock])
+        time_ns = _tick_column(cells, clock, names[clock], units[clock])
         if time_ns[0] > 10**18:  # seconds since 1970, after 2001
             start_ns = int(time_ns[0])
     kept = [at for at in range(width) if at != clock and not _COUNTER.fullmatch(names[at])]
@@ -177,7 +177,7 @@ def _is_data(row: list[str]) -> bool:
     return numbers > 0 and others == 0
 
 
-def _ticks(cells: Cells, column: int, name: str, unit: str) -> Ticks:
+def _tick_column(cells: Cells, column: int, name: str, unit: str) -> Ticks:
     suffix = name.rpartition("_")[2]
     if name.casefold() == "sampletimefine":
         tick = 1000
@@ -193,20 +193,21 @@ def _ticks(cells: Cells, column: int, name: str, unit: str) -> Ticks:
     return ticks
 
 
-def _dates(cells: Cells, column: int) -> Ticks:
+def _date_column(cells: Cells, column: int) -> Ticks:
     texts = [row[column] for row in cells.rows]
     # One form for the whole file: month and day must not change places within it.
     for form in _DATE_FORMATS:
-        times = [_moment(text, form) for text in texts[:1]]
-        if times[0] is not None and None not in (times := [_moment(text, form) for text in texts]):
+        times = [_parse_date(text, form) for text in texts[:1]]
+        if times[0] is not None and None not in (times := [_parse_date(text, form) for text in texts]):
             return np.array(times, dtype=np.int64)
     bad = next(
-        (at for at, text in enumerate(texts) if not any(_moment(text, form) is not None for form in _DATE_FORMATS)), 0
+        (at for at, text in enumerate(texts) if not any(_parse_date(text, form) is not None for form in _DATE_FORMATS)),
+        0,
     )
     raise BadInputError(f"{cells.path}: line {cells.first_line + bad}: {texts[bad][:40]!r} is no date")
 
 
-def _moment(text: str, form: str) -> int | None:
+def _parse_date(text: str, form: str) -> int | None:
     """Nanoseconds since 1970 of a date in one of the forms, UTC unless told; None if it is none."""
     try:
         if form != "ISO":
@@ -218,7 +219,7 @@ def _moment(text: str, form: str) -> int | None:
         return None
 
 
-def _warn_swapped(path: Path, start_ns: int, on_warning: OnWarning) -> None:
+def _warn_of_swapped_date(path: Path, start_ns: int, on_warning: OnWarning) -> None:
     day = datetime.fromtimestamp(start_ns / 1e9, UTC).date()
     named = re.search(r"(\d{4})-(\d{2})-(\d{2})", path.name)
     if (

@@ -94,7 +94,7 @@ def sample_numbers(path: Path, time_ns: Ticks) -> tuple[float, Ticks]:
     return (nominal if nominal and abs(rate / nominal - 1) < 1e-4 else round(rate, 6)), numbers
 
 
-def join(tables: list[Table], on_warning: OnWarning) -> tuple[list[Table], Ticks | None]:
+def join_tables(tables: list[Table], on_warning: OnWarning) -> tuple[list[Table], Ticks | None]:
     """The tables cut to the samples that they share, and their common clock (ns; None without one).
 
     With clocks, only samples whose times agree in all files within half a step are kept; without, the files
@@ -112,7 +112,7 @@ def join(tables: list[Table], on_warning: OnWarning) -> tuple[list[Table], Ticks
     if not clocks:
         if shortest != max(len(table.values) for table in tables):
             on_warning(f"files of different lengths without a clock: taken as begun together, cut to {shortest}")
-        return [_rows(table, np.arange(shortest)) for table in tables], None
+        return [_select_rows(table, np.arange(shortest)) for table in tables], None
     if len(clocks) != len(tables):
         without = ", ".join(str(table.path) for table in tables if table.time_ns is None)
         raise BadInputError(f"{without}: no time column, but other files have one; give all or none")
@@ -143,10 +143,10 @@ def join(tables: list[Table], on_warning: OnWarning) -> tuple[list[Table], Ticks
         )
     if keep.sum() < max(len(clock) for clock in clocks):
         on_warning(f"{keep.sum()} samples are common to all files; the others are left out")
-    return [_rows(table, near[keep]) for table, near in zip(tables, partners, strict=True)], base[keep]
+    return [_select_rows(table, near[keep]) for table, near in zip(tables, partners, strict=True)], base[keep]
 
 
-def _rows(table: Table, rows: NDArray[np.int64]) -> Table:
+def _select_rows(table: Table, rows: NDArray[np.int64]) -> Table:
     start = table.start_ns
     if start is not None and table.time_ns is not None and len(rows):
         start += int(table.time_ns[rows[0]] - table.time_ns[0])
