@@ -39,7 +39,7 @@ svg .known { fill: var(--muted); opacity: .13; }
 
 @dataclass(frozen=True, slots=True)
 class Axes:
-    """Data to places in a chart's box, and the box's frame and ticks."""
+    """Map data to places in the box of a chart, and draw the frame, the ticks and the marks."""
 
     x: Range
     y: Range
@@ -48,12 +48,12 @@ class Axes:
     log_y: bool = False
 
     def px(self, x: Array | float) -> Array:
-        """Horizontal places, px."""
+        """Return horizontal places in px, of the shape of `x`."""
         left, _, width, _ = self.box
         return np.asarray(left + (np.asarray(x, dtype=float) - self.x[0]) / (self.x[1] - self.x[0]) * width)
 
     def py(self, y: Array | float) -> Array:
-        """Vertical places, px; outside the range at its edge."""
+        """Return vertical places in px, of the shape of `y`; values outside the range lie at its edge."""
         _, top, _, height = self.box
         y, (low, high) = np.asarray(y, dtype=float), self.y
         if self.log_y:
@@ -61,7 +61,7 @@ class Axes:
         return np.asarray(top + (1.0 - np.clip((y - low) / (high - low), 0.0, 1.0)) * height)
 
     def frame(self, title: str, x_title: str = "", *, numbers: bool = True) -> str:
-        """Frame, grid, ticks and titles."""
+        """Draw the frame, the grid, the ticks and the titles."""
         left, top, width, height = self.box
         out = []
         for value, label in self.x_ticks():
@@ -80,21 +80,21 @@ class Axes:
         return "".join(out)
 
     def x_ticks(self) -> list[tuple[float, str]]:
-        """Places and labels along x."""
+        """Return the values and the labels of the ticks along x."""
         return [(float(value), f"{value:.6g}") for value in ticks(self.x)]
 
     def band(self, x: Array, low: Array, high: Array, kind: str) -> str:
-        """The area between two lines."""
+        """Draw the area between two lines; `x`, `low`, `high` of shape (n,)."""
         sides = (*zip(self.px(x), self.py(high), strict=True), *zip(self.px(x)[::-1], self.py(low)[::-1], strict=True))
         return f'<polygon class="{kind}" points="{" ".join(f"{a:.1f},{b:.1f}" for a, b in sides)}"/>'
 
     def line(self, x: Array, y: Array, kind: str) -> str:
-        """A polyline."""
+        """Draw a polyline; `x`, `y` of shape (n,)."""
         points = " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(self.px(x), self.py(y), strict=True))
         return f'<polyline class="line {kind}" points="{points}"/>'
 
     def dots(self, x: Array, y: Array, half: Array) -> str:
-        """Points with their intervals of `half` either side."""
+        """Draw points with intervals of `half` on either side; all of shape (n,)."""
         out = []
         for a, b, h in zip(self.px(x), y, half, strict=True):
             low, at, high = self.py(b - h), self.py(b), self.py(b + h)
@@ -103,26 +103,53 @@ class Axes:
         return "".join(out)
 
     def shade(self, x: Range, kind: str, y: Range | None = None) -> str:
-        """A rectangle over a range of x, full height unless `y` is given."""
+        """Draw a rectangle over a range of x, of full height unless `y` is given."""
         a, b = self.px(x[0]), self.px(x[1])
         high, low = self.py((y or self.y)[1]), self.py((y or self.y)[0])
         return f'<rect class="{kind}" x="{a:.1f}" y="{high:.1f}" width="{b - a:.1f}" height="{low - high:.1f}"/>'
 
 
 def svg(width: float, height: float, label: str, *marks: str) -> str:
-    """The drawing, `label` being what it shows in words."""
+    """Put marks into an SVG element.
+
+    Parameters
+    ----------
+    width, height : float
+        Size of the drawing, px.
+    label : str
+        What the drawing shows, in words, for readers who do not see it.
+    *marks : str
+        SVG elements.
+
+    Examples
+    --------
+    >>> svg(20, 10, "a < b", '<path d="M0 0h5"/>')
+    '<svg viewBox="0 0 20 10" role="img" aria-label="a &lt; b"><path d="M0 0h5"/></svg>'
+    """
     label = escape(label)
     return f'<svg viewBox="0 0 {width:g} {height:g}" role="img" aria-label="{label}">{"".join(marks)}</svg>'
 
 
 def text(x: float, y: float, words: str, anchor: str = "start", kind: str = "") -> str:
-    """Words at a place."""
+    """Write words at a place of the drawing, px.
+
+    Examples
+    --------
+    >>> text(3, 4, "mode 1")
+    '<text x="3.0" y="4.0" text-anchor="start">mode 1</text>'
+    """
     kind = f' class="{kind}"' if kind else ""
     return f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}"{kind}>{escape(words)}</text>'
 
 
 def ticks(span: Range, n: int = 8) -> Array:
-    """About `n` round numbers within a range."""
+    """Return about `n` round numbers within a range, shape (k,).
+
+    Examples
+    --------
+    >>> ticks((0.0, 1.0), 4).tolist()
+    [0.0, 0.5, 1.0]
+    """
     raw = (span[1] - span[0]) / n
     power = 10.0 ** np.floor(np.log10(raw))
     step = power * min((m for m in (1.0, 2.0, 5.0, 10.0) if m * power >= raw * 0.999), default=10.0)
@@ -131,7 +158,7 @@ def ticks(span: Range, n: int = 8) -> Array:
 
 
 def decades(span: Range) -> Array:
-    """Powers of ten within a range; more of each where there are few."""
+    """Return powers of ten within a range, shape (k,), and multiples of them where the range has few powers."""
     low, high = np.log10(span[0]), np.log10(span[1])
     powers = np.arange(np.floor(low), np.ceil(high) + 1)
     wide = max(1, round((high - low) / 5))
@@ -141,7 +168,7 @@ def decades(span: Range) -> Array:
 
 
 def bars(names: Sequence[str], values: Sequence[float], kinds: Sequence[str], label: str) -> str:
-    """Horizontal bars with their names and values; values of less than ten are short bars."""
+    """Draw horizontal bars with their names and values; the axis reaches to ten at least."""
     width, row, left, right = 1080.0, 20.0, 260.0, 70.0
     low, high = min(0.0, *values), max(10.0, *values)
     axes = Axes((low, high), (0.0, 1.0), (left, 0.0, width - left - right, row * len(names)))
@@ -158,7 +185,7 @@ def bars(names: Sequence[str], values: Sequence[float], kinds: Sequence[str], la
 
 
 def heat(values: Array, x: Range, rows: Sequence[str], limit: float, title: str, label: str) -> str:
-    """A map of signed values, shape (rows, columns), blue below zero and red above, full colour from +-`limit`."""
+    """Draw a map of signed values, shape (rows, columns): blue below zero, red above, full colour from +-`limit` on."""
     width, row, left, top = 530.0, 16.0, 150.0, 20.0
     height = row * len(rows)
     axes = Axes(x, (0.0, 1.0), (left, top, width - left - 8, height))

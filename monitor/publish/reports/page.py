@@ -1,4 +1,4 @@
-"""What the reports share: one self-contained page, its look, its tables."""
+"""The self-contained HTML page that all reports share: its style sheet and its tables."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ td.t { white-space: nowrap; }
 
 
 def document(title: str, parts: Sequence[str]) -> str:
-    """A page by itself, well-formed XML as well."""
+    """Write an HTML page without external files; the page is well-formed XML as well."""
     viewport = '<meta name="viewport" content="width=device-width"/>'
     style = f"<style>{STYLE}{charts.STYLE}</style>"
     head = f'<head><meta charset="utf-8"/>{viewport}<title>{escape(title)}</title>{style}</head>'
@@ -45,7 +45,21 @@ def document(title: str, parts: Sequence[str]) -> str:
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A table; a heading that begins with # stands over numbers, one with @ over times, which stay on their line."""
+    """Write a table.
+
+    Parameters
+    ----------
+    head : sequence of str
+        Headings; none without a header row.  A heading that begins with ``#`` stands over numbers, which are aligned right; one
+        that begins with ``@`` stands over times, which do not wrap.
+    rows : sequence of sequence of str
+        Cells of each row.
+
+    Examples
+    --------
+    >>> table(["mode", "#Hz"], [["1", "5.2"]])
+    '<table><thead><tr><th>mode</th><th class="n">Hz</th></tr></thead><tr><td>1</td><td class="n">5.2</td></tr></table>'
+    """
     numeric = [{"#": ' class="n"', "@": ' class="t"'}.get(h[:1], "") for h in head] or [""] * max(map(len, rows))
     top = "".join(f"<th{n}>{escape(h.lstrip('#@'))}</th>" for h, n in zip(head, numeric, strict=False))
     body = "".join(

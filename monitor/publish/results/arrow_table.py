@@ -1,4 +1,4 @@
-"""Windows as columns: results.jsonl as an Arrow table, for Parquet files and whatever reads them."""
+"""Lines of results.jsonl as an Arrow table, for Parquet files."""
 
 from __future__ import annotations
 
@@ -45,7 +45,20 @@ WINDOWS_SCHEMA = pa.schema(
 
 
 def windows_table(lines: Iterable[Mapping[str, Any]], stream: str) -> pa.Table:
-    """Lines of results.jsonl, parsed, as rows."""
+    """Convert lines of results.jsonl to rows of an Arrow table.
+
+    Parameters
+    ----------
+    lines : iterable of mapping
+        Parsed lines.
+    stream : str
+        Name of the stream, the same in every row.
+
+    Returns
+    -------
+    pyarrow.Table
+        Columns as in `WINDOWS_SCHEMA`.
+    """
     rows = []
     for line in lines:
         alarm = {f"alarm_{key}": value for key, value in line["alarm"].items()}

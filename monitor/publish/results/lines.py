@@ -1,4 +1,4 @@
-"""Results as JSON: one line a window, and the summary of a run (README.md: results.jsonl, summary.json)."""
+"""The results of a window as its line of results.jsonl, an alarm as JSON, and the summary of a replay in words."""
 
 from __future__ import annotations
 
@@ -15,18 +15,38 @@ from monitor.damage import AlarmState, hold
 
 
 def _rounded(values: Any) -> Any:
-    """Plain numbers with nine significant digits: more than the data hold, and lines stay short."""
+    """Round numbers, of any shape, to nine significant digits: more than the data hold, and the lines stay short."""
     return _round_nested(np.asarray(values, dtype=float).tolist())
 
 
 def _round_nested(value: Any) -> Any:
+    """Round the numbers of nested lists; a number that is not finite becomes None."""
     if isinstance(value, list):
         return [_round_nested(v) for v in value]
     return float(f"{value:.9g}") if math.isfinite(value) else None
 
 
 def window_line(result: WindowResult) -> dict[str, Any]:
-    """The line of a window, strict JSON; null where nothing was estimated."""
+    """Collect the values of a window's line of results.jsonl.
+
+    Parameters
+    ----------
+    result : WindowResult
+        The estimates of the window, or why there are none.
+
+    Returns
+    -------
+    dict
+        Keys and units as in docs/results.md; None where nothing was estimated.
+
+    Examples
+    --------
+    >>> from monitor.core import Alarm, Level
+    >>> alarm = Alarm(Level.NORMAL, (), "no baseline")
+    >>> line = window_line(WindowResult(0, 400_000_000_000, 400.0, None, None, None, alarm, Skipped("too few poles")))
+    >>> line["t_end_ns"], line["alarm"]["level"], line["skipped"], line["ddi"]
+    (400000000000, 'normal', 'too few poles', None)
+    """
     modes, stiffness, damage = result.modes, result.stiffness, result.damage
     shapes = None
     if modes is not None:
@@ -65,7 +85,7 @@ def window_line(result: WindowResult) -> dict[str, Any]:
 
 
 def alarm_line(alarm: Alarm) -> dict[str, Any]:
-    """An alarm as JSON; story ``0`` is the structure as a whole."""
+    """Collect the values of an alarm for JSON; story ``0`` is the structure as a whole."""
     return {
         "level": alarm.level.value,
         "stories": list(alarm.stories),
@@ -76,18 +96,29 @@ def alarm_line(alarm: Alarm) -> dict[str, Any]:
 
 
 def current_alarm_line(state: AlarmState) -> dict[str, Any]:
-    """What stands now, operators' wishes since the latest window included."""
-    _, standing = hold(state, 0)
-    return {key: value for key, value in alarm_line(standing).items() if key != "reason"}
+    """Collect the values of the present alarm, operators' requests since the latest window included."""
+    _, present = hold(state, 0)
+    return {key: value for key, value in alarm_line(present).items() if key != "reason"}
 
 
 def to_json(value: dict[str, Any]) -> str:
-    """Strict JSON on one line."""
+    """Write values as strict JSON on one line.
+
+    Raises
+    ------
+    ValueError
+        If a number is not finite.
+
+    Examples
+    --------
+    >>> to_json({"ddi": [0.12, None], "window": 3})
+    '{"ddi": [0.12, null], "window": 3}'
+    """
     return json.dumps(value, allow_nan=False, separators=(", ", ": "))
 
 
 class LinesFile:
-    """results.jsonl, under its final name only when closed."""
+    """Write results.jsonl; the file takes its final name only when it is closed."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -98,20 +129,20 @@ class LinesFile:
         self._file.write(line + "\n")
 
     def close(self) -> None:
-        """Flush to the disk and take the final name."""
+        """Flush the file to the disk and give it its final name."""
         self._file.flush()
         os.fsync(self._file.fileno())
         self._file.close()
         finish(self._path)
 
     def abandon(self) -> None:
-        """Leave nothing behind."""
+        """Close the unfinished file and remove it."""
         self._file.close()
         partial(self._path).unlink(missing_ok=True)
 
 
 def replay_text(summary: dict[str, Any], *, has_baseline: bool) -> str:
-    """A replay in words."""
+    """Describe a replay in words, from the content of its summary.json."""
     pace = f"{summary['realtime_factor']:.0f} x real time" + (", diagnosis apart" if summary["alarms"] else "")
     text = [f"{summary['windows']} windows, {summary['skipped']} skipped, {pace}"]
     if summary["frequencies_hz"] is not None:

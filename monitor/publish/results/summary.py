@@ -1,4 +1,4 @@
-"""What a run amounted to: counts, and every alarm episode at its highest level."""
+"""The summary of a run: its counts, its alarm episodes at their highest level, and the quality of its data."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from monitor.signals import Health
 
 @dataclass(slots=True)
 class Episode:
-    """One story's alarm from its first to its last window."""
+    """The alarm of one story from its first to its last window."""
 
     level: str
     story: int | None
@@ -22,14 +22,24 @@ class Episode:
     t_last_ns: int | None
     """None while it lasts."""
     ddi: float
-    """At the highest level, the latest reading that shows the loss."""
+    """Damage index (relative stiffness loss): the latest significant one at the highest level."""
     ddi_std: float
     loss_n_per_m: float
+    """Stiffness lost, N/m."""
 
 
 @dataclass(slots=True)
 class Summary:
-    """Counts of a run; `content` is summary.json."""
+    """Count windows, gaps and alarm episodes of a run; `content` is the core of summary.json.
+
+    Examples
+    --------
+    >>> summary = Summary()
+    >>> summary.gap(Gap(t_ns=0, duration_s=2.0, reason="sequence jumped"))
+    >>> content = summary.content(realtime_factor=1234.56, model_frequencies_hz=[5.2])
+    >>> content["gaps"], content["windows"], content["realtime_factor"]
+    (1, 0, 1234.6)
+    """
 
     windows: int = 0
     skipped: int = 0
@@ -39,10 +49,11 @@ class Summary:
     """How many windows were skipped for each reason."""
     alarms: list[Episode] = field(default_factory=list)
     frequencies_hz: list[float] | None = None
+    """Mean natural frequencies, Hz; mode 0 = lowest."""
     temperature_range_degc: tuple[float, float] | None = None
-    """Least and highest mean over a window."""
+    """Lowest and highest mean temperature of a window, degC."""
     n_frequencies: int = 0
-    """Windows that `frequencies_hz` is the mean of."""
+    """Number of windows in the mean `frequencies_hz`."""
     _open: dict[int, Episode] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -53,7 +64,7 @@ class Summary:
         self.gaps += 1
 
     def window(self, result: WindowResult) -> None:
-        """Count a window and follow the alarm episodes."""
+        """Count a window, and begin, raise and end the alarm episodes."""
         self.windows += 1
         if result.temperature is not None:
             degc = float(result.temperature.lagged_degc[0])
@@ -61,7 +72,7 @@ class Summary:
             self.temperature_range_degc = min(low, degc), max(high, degc)
         if result.skipped is not None:
             self.skipped += 1
-            reason = re.sub(r" \(.*", "", result.skipped.reason)  # figures in brackets would make each one its own
+            reason = re.sub(r" \(.*", "", result.skipped.reason)  # numbers in brackets differ between windows
             self.skip_reasons[reason] = self.skip_reasons.get(reason, 0) + 1
             return
         if result.modes is not None:
@@ -83,6 +94,7 @@ class Summary:
                 episode.ddi, episode.ddi_std, episode.loss_n_per_m = reading
 
     def _average(self, frequencies: list[float]) -> None:
+        """Update the running mean of the natural frequencies; another number of modes begins it anew."""
         self.n_frequencies += 1
         if self.frequencies_hz is None or len(self.frequencies_hz) != len(frequencies):
             self.frequencies_hz, self.n_frequencies = frequencies, 1
@@ -91,7 +103,15 @@ class Summary:
         self.frequencies_hz = [a + share * (b - a) for a, b in zip(self.frequencies_hz, frequencies, strict=True)]
 
     def content(self, realtime_factor: float, model_frequencies_hz: list[float]) -> dict[str, Any]:
-        """summary.json."""
+        """Return the counts for summary.json.
+
+        Parameters
+        ----------
+        realtime_factor : float
+            Length of the data over the time that its evaluation took.
+        model_frequencies_hz : list of float
+            Natural frequencies of the structure file's model, Hz.
+        """
         misfit = None
         if self.frequencies_hz is not None:
             misfit = [f / g - 1.0 for f, g in zip(self.frequencies_hz, model_frequencies_hz, strict=False)]
@@ -111,14 +131,17 @@ class Summary:
 
 
 def _reading(damage: DamageReading, story: int) -> tuple[float, float, float]:
-    """DDI, its standard deviation and the loss in N/m of a story; for the whole structure, of the story that lost least."""
+    """Return a story's damage index, its standard deviation and the stiffness lost in N/m.
+
+    For the whole structure (`WHOLE`) these are the values of the story that lost least.
+    """
     j = int(damage.ddi.argmin()) if story == WHOLE else story - 1
     return float(damage.ddi[j]), float(damage.ddi_std[j]), float(damage.loss_n_per_m[j])
 
 
 @dataclass(slots=True)
 class Quality:
-    """All spans of a run in one table."""
+    """Add up the sensors' health over all spans of a run."""
 
     samples: int = 0
     gaps: int = 0
@@ -128,7 +151,7 @@ class Quality:
     channels: dict[str, dict[str, float]] = field(default_factory=dict)
 
     def add(self, health: Health) -> None:
-        """Take a span in."""
+        """Add the health of a span."""
         self.samples += health.samples
         self.gaps += health.gaps
         self.overlaps += health.overlaps
@@ -143,7 +166,7 @@ class Quality:
             total["clipped"] += c.clipped * health.samples
 
     def content(self) -> dict[str, Any]:
-        """Table for summary.json."""
+        """Return the table `quality` of summary.json."""
         channels = {
             name: {
                 "rms_m_s2": float(np.sqrt(c["power"] / self.seconds)),

@@ -1,4 +1,4 @@
-"""What every foreign format becomes before it is a recording: columns on one clock."""
+"""The common form of all imported files: columns of readings on one clock."""
 
 from __future__ import annotations
 
@@ -68,17 +68,42 @@ class Table:
 
 
 def unit_factor(unit: str) -> float | None:
-    """What turns `unit` into m/s^2; None if it is no unit of acceleration."""
+    """Return the factor from `unit` to m/s^2; None if it is no unit of acceleration.
+
+    Examples
+    --------
+    >>> unit_factor("mg"), unit_factor("V")
+    (0.00980665, None)
+    """
     return UNITS.get(unit.strip().casefold().replace(" ", "").replace("**", "^"))
 
 
 def sample_numbers(path: Path, time_ns: Ticks) -> tuple[float, Ticks]:
-    """Rate in Hz and the number of every sample (shape (n,), lost samples leave a jump) from a clock.
+    """Estimate the sample rate of a clock, and number its samples.
+
+    Parameters
+    ----------
+    path : Path
+        File of the clock, for messages.
+    time_ns : array, shape (n,)
+        Time of every sample, ns.
+
+    Returns
+    -------
+    float
+        Sample rate, Hz.
+    array, shape (n,)
+        Number of every sample from 0; lost samples leave a jump.
 
     Raises
     ------
     BadInputError
-        If the clock is no regular one: a sample in a thousand is off by 20 % of a step.
+        If the clock is irregular: one sample in a thousand is off by more than 20 % of a step.
+
+    Examples
+    --------
+    >>> sample_numbers(Path("a.csv"), np.array([0, 10_000_000, 30_000_000, 40_000_000]))
+    (100.0, array([0, 1, 3, 4]))
     """
     steps = np.diff(time_ns)
     step = float(np.median(steps)) if steps.size else 0.0
