@@ -1,4 +1,4 @@
-"""Foreign data to recordings: CSV of any dialect, Xsens DOT, zipped CSV, NPZ, CAN logs."""
+"""Import foreign data as recordings: CSV of any dialect, Xsens DOT, zipped CSV, NPZ, CAN logs."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from monitor.runs.importers.table import UNITS, Array, OnWarning, Table, Ticks, 
 
 __all__ = ["import_files"]
 _MAX_UNZIPPED = 1 << 31
+"""Bytes of an unzipped table at most (2 GiB), so that a small archive cannot fill the memory."""
 
 
 def import_files(
@@ -32,7 +33,7 @@ def import_files(
     dbc: Path | None = None,
     on_warning: OnWarning = lambda _: None,
 ) -> RecordingInfo:
-    """Write the readings of `files` as one recording and say what it holds.
+    """Write the readings of `files` as one recording, and return what the recording holds.
 
     Parameters
     ----------
@@ -56,41 +57,53 @@ def import_files(
         If the data cannot be used.
     MissingInputError
         If a file cannot be read, or `out` not written.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     table = Path(folder, "a.csv")
+    ...     _ = table.write_text("t,a1 [g]\\n0.00,0.1\\n0.01,0.2\\n0.02,0.1\\n")
+    ...     info = import_files([table], Path(folder, "a.mcap"), start_ns=0)
+    >>> info.sample_rate_hz, info.channels["/acceleration"]
+    (100.0, ('a1',))
     """
     if rate_hz is not None and not (np.isfinite(rate_hz) and rate_hz > 0):
         raise BadInputError(f"--rate {rate_hz}: must be a positive number of Hz")
     if unit_factor(unit) is None:
         raise BadInputError(f"--unit {unit!r}: known for acceleration: {', '.join(UNITS)}")
-    if any(map(can_log.is_log, files)):
-        can_log.check_options(files, dbc, channels, ground, start_ns)
-        assert dbc is not None
-        try:
-            return can_log.import_log(files[0], out, dbc=dbc, rate_hz=rate_hz, on_warning=on_warning)
-        except OSError as error:
-            raise MissingInputError(f"{out}: cannot be written: {error.strerror or error}") from error
-    if dbc is not None:
-        raise BadInputError(f"{dbc}: --dbc is for CAN logs; {files[0]} is none by its name")
-    tables, clock = join_tables([_load_table(path, on_warning) for path in files], on_warning)
-    chosen, base = _choose_columns(tables, channels, ground)
-    rate, numbers = _timing(tables, clock, rate_hz, on_warning)
-    start_ns = _start_ns(tables, on_warning) if start_ns is None else start_ns
-    # One must fit 64-bit nanoseconds; a damaged counter does not.
-    if not 1e-3 <= rate <= 1e7 or start_ns + numbers[-1] * 1e9 / rate > 4e18:
-        raise BadInputError(f"{files[0]}: {rate} Hz and {numbers[-1]} samples in all are absurd")
-    samples = np.column_stack([table.acceleration(column, unit) for table, column in chosen.values()])
-    motion = None if base is None else base[0].acceleration(base[1], unit)[:, None]
-    if not np.isfinite(samples).all():
-        on_warning(f"{np.count_nonzero(~np.isfinite(samples))} samples are missing or no finite numbers")
-    gaps, lost = np.count_nonzero(np.diff(numbers) > 1), int(numbers[-1]) + 1 - len(numbers)
-    if gaps:
-        on_warning(f"{gaps} {'gap' if gaps == 1 else 'gaps'} between samples: {lost / rate:.6g} s are missing")
     try:
+        if any(map(can_log.is_log, files)):
+            can_log.check_options(files, dbc, channels, ground, start_ns)
+            assert dbc is not None
+            return can_log.import_log(files[0], out, dbc=dbc, rate_hz=rate_hz, on_warning=on_warning)
+        if dbc is not None:
+            raise BadInputError(f"{dbc}: --dbc is for CAN logs; {files[0]} is none by its name")
+        tables, clock = join_tables([_load_table(path, on_warning) for path in files], on_warning)
+        chosen, base = _choose_columns(tables, channels, ground)
+        rate, numbers = _timing(tables, clock, rate_hz, on_warning)
+        start_ns = _start_ns(tables, on_warning) if start_ns is None else start_ns
+        # The last time must fit 64-bit nanoseconds; with a damaged counter it does not.
+        if not 1e-3 <= rate <= 1e7 or start_ns + numbers[-1] * 1e9 / rate > 4e18:
+            raise BadInputError(f"{files[0]}: {rate} Hz and {numbers[-1]} samples in all are absurd")
+        samples = np.column_stack([table.acceleration(column, unit) for table, column in chosen.values()])
+        motion = None if base is None else base[0].acceleration(base[1], unit)[:, None]
+        _warn_of_missing(samples, numbers, rate, on_warning)
         _write(out, tuple(chosen), samples, motion, rate, numbers, start_ns)
         return recording_info(out)
     except OSError as error:
         raise MissingInputError(f"{out}: cannot be written: {error.strerror or error}") from error
     except RecordingError as error:
         raise BadInputError(str(error)) from error
+
+
+def _warn_of_missing(samples: Array, numbers: Ticks, rate_hz: float, on_warning: OnWarning) -> None:
+    """Warn of samples that are not finite, shape (n, c), and of jumps in the samples' numbers, shape (n,)."""
+    if not np.isfinite(samples).all():
+        on_warning(f"{np.count_nonzero(~np.isfinite(samples))} samples are missing or no finite numbers")
+    gaps, lost = np.count_nonzero(np.diff(numbers) > 1), int(numbers[-1]) + 1 - len(numbers)
+    if gaps:
+        on_warning(f"{gaps} {'gap' if gaps == 1 else 'gaps'} between samples: {lost / rate_hz:.6g} s are missing")
 
 
 def _load_table(path: Path, on_warning: OnWarning) -> Table:
@@ -148,7 +161,7 @@ _Column = tuple[Table, str]
 def _choose_columns(
     tables: list[Table], channels: dict[str, str] | None, ground: str | None
 ) -> tuple[dict[str, _Column], _Column | None]:
-    """Channel name -> its column, and the column of the base motion."""
+    """Choose the column of each channel, by the channel's name, and the column of the base motion."""
     base = _find_column(tables, ground) if ground else None
     if channels:
         return {name: _find_column(tables, reference) for name, reference in channels.items()}, base
@@ -194,7 +207,7 @@ def _find_column(tables: list[Table], reference: str) -> _Column:
 def _timing(
     tables: list[Table], clock: Ticks | None, rate_hz: float | None, on_warning: OnWarning
 ) -> tuple[float, Ticks]:
-    """Rate and the number of every sample, (n,)."""
+    """Return the sample rate in Hz and the number of every sample, shape (n,)."""
     count = len(tables[0].values)
     stated = rate_hz or next((table.rate_hz for table in tables if table.rate_hz), None)
     if clock is None:
@@ -219,7 +232,7 @@ def _timing(
 
 
 def _start_ns(tables: list[Table], on_warning: OnWarning) -> int:
-    """UTC of the first sample as the files tell it, nanoseconds since 1970."""
+    """Return the time of the first sample as the files state it, UTC in ns since 1970; 0 where no file does."""
     known = [table.start_ns for table in tables if table.start_ns is not None and table.start_ns >= 0]
     if not known:
         on_warning("no file tells when it was recorded; the recording begins in 1970 (see --start)")
@@ -235,7 +248,7 @@ def _write(
     numbers: Ticks,
     start_ns: int,
 ) -> None:
-    """Blocks of a second; a lost sample ends a block."""
+    """Write the samples, shape (n, c), in blocks of at most one second; a lost sample ends a block."""
     limit = max(1, round(rate))
     breaks = np.flatnonzero(np.diff(numbers) != 1) + 1
     with McapWriter(out) as writer:
