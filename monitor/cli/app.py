@@ -98,12 +98,12 @@ def calibrate(
 ) -> None:
     """Learn the healthy baseline.  It holds the updated stiffness with covariance, modes, the misfit that remains."""
     from monitor.damage import save_baseline
-    from monitor.runs import calibrate as learn
+    from monitor.runs import calibrate as run
 
     spare_inputs([out], [*recordings, structure])
     settings = configuration.load(structure)
     demand_place(out)
-    baseline, fit = learn(recordings, settings, on_warning=warn, on_progress=progress("calibrate"))
+    baseline, fit = run.calibrate(recordings, settings, on_warning=warn, on_progress=progress("calibrate"))
     save_baseline(baseline, out)
     drawn = settings.model().modes().frequencies_hz
     lines = [f"{baseline.windows} windows; the updating {'converged' if fit.converged else 'did NOT converge'}"]

@@ -1,8 +1,7 @@
-from . import demo, diagnose, ledger, paper_tables, replay, synthetic_recording
+from . import calibrate, demo, diagnose, ledger, paper_tables, replay, synthetic_recording
 from .archive.inventory import expand_patterns
 from .archive.jobs import WINDOWS
 from .archive.reprocess import reprocess
-from .calibrate import calibrate
 from .emulate import send_all
 from .importers import import_files
 from .recordings import Progress, duration_s

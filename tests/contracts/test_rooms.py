@@ -109,3 +109,16 @@ def test_a_face_has_nothing_that_no_other_room_uses() -> None:
         f"monitor.{room}: {name}" for room in STUBS for name in exported(room) if (f"monitor.{room}", name) not in used
     ]
     assert not idle
+
+
+@pytest.mark.parametrize("room", STUBS)
+def test_no_name_of_a_face_is_a_submodule_too(room: str) -> None:
+    """Such a name would be the module or the object, whichever was imported last."""
+    modules = {path.stem for path in STUBS[room].parent.iterdir() if path.suffix == ".py" or path.is_dir()}
+    names = {
+        alias.name
+        for node in ast.parse(STUBS[room].read_text(encoding="utf-8")).body
+        if isinstance(node, ast.ImportFrom) and node.module
+        for alias in node.names
+    }
+    assert not names & modules
