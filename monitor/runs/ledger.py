@@ -1,4 +1,4 @@
-"""Accepting a finding: a person's decision, written down."""
+"""The ledger of decisions: accept a finding, extend the structure file, and note who did it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ LEDGER = "ledger.jsonl"
 
 
 def read_finding(path: Path) -> dict[str, Any]:
-    """A finding that may be accepted: diagnosis.json, or one of a replay's findings.
+    """Read a finding that may be accepted: diagnosis.json, or one of a replay's findings.
 
     Raises
     ------
@@ -43,7 +43,7 @@ def read_finding(path: Path) -> dict[str, Any]:
 def extended_structure_text(
     path: Path, finding: Mapping[str, Any], structure: str, config: Configuration, *, with_baseline: bool
 ) -> str:
-    """The structure file with the finding's causes.
+    """Write the structure file with the finding's causes.
 
     With a baseline, which brings the healthy stiffness and masses, the causes alone are added; without, the model that was
     fitted beside them is written too.
@@ -82,12 +82,12 @@ def _effect_of_cause(cause: Mapping[str, Any], config: Configuration) -> Effect:
 
 
 def append_entry(out: Path, finding: Mapping[str, Any], files: Mapping[str, Path | None], who: str | None) -> Path:
-    """Append one line to the ledger beside `out` and return the ledger's place.
+    """Append one line to the ledger beside `out`, and return the ledger's path.
 
     Parameters
     ----------
     files : mapping
-        What took part, by role; each is named with its checksum.
+        Files of the decision by role; the line names each with its checksum.
 
     Raises
     ------

@@ -1,6 +1,6 @@
-"""What the monitor says, as a Rerun recording: a file to keep, a server that viewers join, or both.
+"""The publisher of results as a Rerun recording: a file, a server that viewers join, or both.
 
-The only clock is the data's: everything stands on the timeline ``time``, in UTC.
+The only clock is the data's: all results lie on the timeline ``time``, in UTC.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from monitor.signals import Health
 
 
 class RerunPublisher(Publisher):
-    """Publishes results to a file, to viewers that join, or both, and never holds up or fails its caller.
+    """Publish results to a file, to viewers that join, or both; no method waits for a viewer or raises.
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ class RerunPublisher(Publisher):
 
     @property
     def failed(self) -> str | None:
-        """Why nothing is published any more."""
+        """Why nothing is published any more; None while all is well."""
         return self._worker.failed
 
     def samples(self, samples: Samples) -> None:
@@ -62,7 +62,7 @@ class RerunPublisher(Publisher):
         self._worker.put(replace(samples, values=samples.values.copy()))  # the caller may reuse its buffer
 
     def window(self, result: WindowResult, line: str) -> None:
-        """Publish everything said about a window."""
+        """Publish the result of a window."""
         self._worker.put(result)
 
     def gap(self, gap: Gap) -> None:
@@ -70,19 +70,19 @@ class RerunPublisher(Publisher):
         self._worker.put(gap)
 
     def health(self, health: Health) -> None:
-        """Publish what the sensors are like."""
+        """Publish the sensors' health in a span."""
         self._worker.put(health)
 
     def clocks(self, t_ns: int, clocks: Sequence[ClockHealth]) -> None:
-        """Publish what the sensor nodes' clocks are like."""
+        """Publish the state of the sensor nodes' clocks at a time."""
         self._worker.put(Clocks(t_ns, tuple(clocks)))
 
     def finding(self, finding: dict[str, Any]) -> None:
-        """Publish what a diagnosis said."""
+        """Publish the finding of a diagnosis."""
         self._worker.put(finding)
 
     def close(self, timeout_s: float = 10.0) -> None:
-        """Publish what waits and finish the file; gives up after `timeout_s`."""
+        """Publish the results that wait, and finish the file; give up after `timeout_s`."""
         self._timeout_s = timeout_s
         self._worker.close(timeout_s)
 
@@ -91,7 +91,7 @@ class RerunPublisher(Publisher):
         self._worker.close(timeout_s, cancel=True)
 
     def _run(self, take: Callable[[], Item | None]) -> None:
-        """Work of the thread: open, draw until the queue is closed, finish."""
+        """Do the work of the thread: open, draw until the queue is closed, finish."""
         output = Output(self._scene.name, self._file, self._serve)
         try:
             block_s = LIVE_BLOCK_S if self._serve else FILE_BLOCK_S

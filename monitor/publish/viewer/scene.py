@@ -1,4 +1,4 @@
-"""What stands in the viewer: the site, the status text, colours.  Pure functions."""
+"""The site as the viewer shows it, the status text, and colours; pure functions."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ STABILISATION = (100.0, 55.0)
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Scene:
-    """What the viewer needs to know of the site."""
+    """Describe a site to the viewer."""
 
     name: str
     channels: tuple[str, ...]
@@ -48,15 +48,15 @@ class Scene:
     alarm_loss: float
     """Relative stiffness loss that counts as an alarm."""
     model: Model | None = None
-    """Predicts spectra; none are without."""
+    """Model that predicts spectra; no spectra are predicted without one."""
     cutoff_hz: float = 40.0
-    """Highest frequency that is looked at."""
+    """Highest frequency of the analysis, Hz."""
     misfit_threshold: float = 5.0
-    """Goodness of fit at which a diagnosis is asked for."""
+    """Goodness of fit from which a diagnosis is requested."""
 
     @property
     def n_stories(self) -> int:
-        """Stories, as many as the model has modes."""
+        """Number of stories, which is also the number of the model's modes."""
         return len(self.story_heights_m)
 
 
@@ -109,7 +109,7 @@ def make_scene(
 
 
 def loss_colour(loss: float | None, alarm_loss: float) -> Colour:
-    """Colour of a story: green, amber at half of `alarm_loss`, red from there on; grey when unknown."""
+    """Choose the colour of a story: green, amber at half of `alarm_loss`, red from there on; grey when unknown."""
     if loss is None:
         return GREY
     x = min(max(2.0 * loss / alarm_loss, 0.0), 2.0)
@@ -119,17 +119,17 @@ def loss_colour(loss: float | None, alarm_loss: float) -> Colour:
 
 
 def utc(t_ns: int) -> np.datetime64:
-    """UTC nanoseconds as NumPy's time."""
+    """Convert UTC nanoseconds to NumPy's time."""
     return np.datetime64(t_ns, "ns")
 
 
 def plus_minus(value: float, std: float, scale: float = 1.0, digits: int = 1) -> str:
-    """A value with two standard deviations."""
+    """Write a value with two standard deviations."""
     return f"{value * scale:.{digits}f} ± {2 * std * scale:.{digits}f}"
 
 
 def status_markdown(scene: Scene, result: WindowResult) -> str:
-    """The state after a window in words, Markdown; intervals are two standard deviations."""
+    """Describe the state after a window in Markdown; intervals are two standard deviations."""
     end = datetime.fromtimestamp(result.t_end_ns * 1e-9, UTC)
     alarm, modes, damage = result.alarm, result.modes, result.damage
     judged = result.skipped is None or alarm.level is not Level.NORMAL
@@ -153,7 +153,7 @@ def status_markdown(scene: Scene, result: WindowResult) -> str:
 
 
 def mode_rows(modes: ModalEstimate) -> list[tuple[int, float, float, float, float]]:
-    """For each mode: number of the model's mode, frequency and its std (Hz), damping ratio and its std."""
+    """List for each mode the number of the model's mode, the frequency and its std (Hz), the damping ratio and its std."""
     columns = (modes.frequencies_hz, modes.frequencies_std_hz, modes.damping_ratio, modes.damping_std)
     table = np.column_stack(columns).tolist()
     return [(int(k), f, fs, d, ds) for k, (f, fs, d, ds) in zip(modes.model_mode, table, strict=True)]

@@ -1,4 +1,4 @@
-"""Long histories stay light: after a while only envelopes of samples and every so manyth window are kept."""
+"""Thin out long histories: after a while a file keeps envelopes of the samples and every n-th window only."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from monitor.core import Array, WindowResult
 FULL_RATE_NS = 2 * 3600 * 10**9
 """Samples of the first two hours are kept as they are."""
 FULL_RATE_WINDOWS = 2000
-"""So many windows are kept before every second, every fourth ... is."""
+"""Windows kept in full, and after each further multiple of it every second, every fourth ... window."""
 _ENVELOPE = 500
-"""Samples of which the least and the greatest are kept afterwards."""
+"""Number of samples in a bin of which the lowest and the highest are kept afterwards."""
 _GROWTH, _LONGEST = 480, 10
 """Windows by which the stretches that are sent at once grow by their first length, and to how many times that."""
 
@@ -29,7 +29,7 @@ class Thinning:
         self._state: object = None
 
     def window(self, result: WindowResult) -> bool:
-        """Whether a window is kept."""
+        """Decide whether a window is kept."""
         state = (result.alarm.level, result.alarm.stories, result.skipped is None)
         stride = 1 << (self._kept // FULL_RATE_WINDOWS)
         keep = self._seen % stride == 0 or state != self._state
@@ -44,7 +44,7 @@ class Thinning:
         return min(max(1, self._seen // _GROWTH), _LONGEST)
 
     def samples(self, t_ns: NDArray[np.int64], values: Array) -> tuple[NDArray[np.int64], Array]:
-        """Times, shape (n,), and samples, shape (n, c): as they are, or the least and greatest of each stretch in turn."""
+        """Return times, shape (n,), and samples, shape (n, c), as they are, or the lowest and the highest sample of each bin."""
         self._first_ns = int(t_ns[0]) if self._first_ns is None else self._first_ns
         if t_ns[0] - self._first_ns < FULL_RATE_NS:
             return t_ns, values

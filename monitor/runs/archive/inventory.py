@@ -1,4 +1,4 @@
-"""What a pile of recordings is: which follow one another and make one replay, and under what name its results go."""
+"""The recordings of an archive: which follow one another and make one replay, and the name of its results."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _OVERLAP_NS = 1_000_000_000
 
 @dataclass(frozen=True, slots=True, order=True)
 class Survey:
-    """What is known of one recording before it is replayed."""
+    """Channels, rate and span of one recording, as read before its replay."""
 
     folder: str
     channels: tuple[str, ...]
@@ -29,7 +29,7 @@ class Survey:
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """Recordings that are one replay."""
+    """Recordings that make one replay."""
 
     stream: str
     """The folder that holds them."""
@@ -39,25 +39,31 @@ class Run:
     t_end_ns: int
 
     def name(self, configuration: str) -> str:
-        """Name of its results; another configuration, recording or version of the program gives another."""
+        """Name the results; another configuration, recording or version of the program gives another name."""
         begun = datetime.fromtimestamp(self.t_start_ns // 1_000_000_000, UTC).strftime("%Y%m%dT%H%M%S")
         label = "".join(c if c.isalnum() or c in "-_." else "-" for c in Path(self.stream).name)
         return f"{label}-{begun}-{fingerprint(configuration, *map(file_version, self.paths))}"
 
 
 def fingerprint(*parts: str) -> str:
-    """Sixteen hexadecimal digits that change with any of the parts."""
+    """Compute sixteen hexadecimal digits that change with any of the parts.
+
+    Examples
+    --------
+    >>> len(fingerprint("a", "b")), fingerprint("a", "b") == fingerprint("ab")
+    (16, False)
+    """
     return hashlib.sha256(json.dumps([__version__, *parts]).encode()).hexdigest()[:16]
 
 
 def file_version(path: Path) -> str:
-    """A file as it is now: place, size and time of its last change."""
+    """Identify the present version of a file by its path, its size and the time of its last change."""
     status = path.stat()
     return f"{path} {status.st_size} {status.st_mtime_ns}"
 
 
 def group_into_runs(surveys: Iterable[Survey], longest_gap_s: float) -> list[Run]:
-    """Recordings that follow one another, one run each; the longest first.
+    """Group recordings that follow one another into runs, the longest run first.
 
     A recording goes on with another's run if it lies in the same folder, has the same channels and rate, and begins no more than
     `longest_gap_s` after that one's end and not before it.
@@ -82,7 +88,7 @@ def _continues(before: Survey, after: Survey, longest_gap_s: float) -> bool:
 
 
 def expand_patterns(patterns: Sequence[str]) -> list[Path]:
-    """The files that patterns (``*``, ``?``, ``**``) or plain names stand for, each once, absolute; names of none stay."""
+    """List the files that patterns (``*``, ``?``, ``**``) or names stand for, each once, absolute; names of no file stay."""
     import glob
 
     found = [name for pattern in patterns for name in (sorted(glob.glob(pattern, recursive=True)) or [pattern])]
