@@ -36,7 +36,6 @@ from monitor.signals import (
 )
 from monitor.signals import windows as window
 
-_MOST_DECIMATION = 1000
 _SET_BACK_S = 0.25
 """A clock that was set back by at least this takes the windows' times along."""
 
@@ -81,6 +80,7 @@ class Pipeline:
     def __init__(self, config: Configuration, baseline: Baseline | None = None) -> None:
         self.config = config
         self.baseline = baseline
+        self.front_end = config.front_end()
         nominal = config.instrumented()
         instrumented = nominal if baseline is None else replace(nominal, model=baseline.model)
         self.reference = instrumented.model
@@ -118,7 +118,7 @@ class Pipeline:
             self._feel(block)
         if block.topic != ACCELERATION:
             return []
-        align_state, pieces = alignment.step(self.state.align, block, self.config.channels)
+        align_state, pieces = self.front_end.align(self.state.align, block)
         self.state = replace(self.state, align=align_state)
         results: list[Result] = []
         for piece in pieces:
@@ -145,25 +145,14 @@ class Pipeline:
 
     def _begin(self, piece: alignment.Piece, previous: Run | None) -> Run:
         """A new run of samples: filters start at rest, windows stay on the stream's grid."""
-        p, n_channels = self.config.processing, len(self.config.channels)
-        if piece.rate_hz > _MOST_DECIMATION * p.rate_hz:
-            raise BadInputError(
-                f"the source's {piece.rate_hz:g} Hz are more than {_MOST_DECIMATION} times rate_hz = {p.rate_hz:g}"
-            )
-        step_s, n_lags = window.common_step_s(p.window_s, p.hop_s), 2 * self.config.identification.block_rows
-        n_step = floor(step_s * min(piece.rate_hz, p.rate_hz) + 1e-9)
-        if n_step < n_lags:
-            raise BadInputError(
-                f"the source's {piece.rate_hz:g} Hz give {n_step} samples in the common step "
-                f"of window_s and hop_s; {n_lags} (2 block_rows) are the least: set a longer hop_s"
-            )
-        conditioner = Conditioner.design(piece.rate_hz, p.rate_hz, p.cutoff_hz, step_s)
+        n_channels = len(self.front_end.channels)
+        self.front_end.check_rate(piece.rate_hz)
+        conditioner = self.front_end.conditioner(piece.rate_hz)
         rate_hz = conditioner.rate_hz
         if previous is not None and rate_hz == previous.grid.rate_hz:
             grid = previous.grid
         else:
-            segment_s = self.config.refinement.segment_s if self.config.refinement.enabled else 0.0
-            grid = WindowGrid.design(rate_hz, p.window_s, p.hop_s, n_lags, segment_s, conditioner.cutoff_hz)
+            grid = self.front_end.grid(conditioner, with_segments=self.config.refinement.enabled)
         t0_ns, index, last = piece.t_ns, 0, None
         if previous is not None:
             t0_ns, last = previous.t0_ns, _at_rate(previous.window, rate_hz / previous.grid.rate_hz)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 from pydantic import Field, ValidationError, field_validator, model_validator
@@ -21,9 +21,7 @@ from monitor.damage import AlarmSettings, UpdatingSettings
 from monitor.diagnosis import DiagnosisSettings, WatchSettings
 from monitor.identification import RefinementSettings, SelectionSettings, SsiSettings, TrackSettings
 from monitor.model import FORMS, Effect, EffectError, InstrumentedModel, Model, StructureTable
-from monitor.signals import HealthSettings, QualitySettings, TemperatureSettings, common_step_s
-
-Positive = Annotated[float, Field(gt=0)]
+from monitor.signals import FrontEnd, HealthSettings, ProcessingSettings, QualitySettings, TemperatureSettings
 
 
 class SensorTable(Settings):
@@ -43,27 +41,6 @@ class EffectTable(Settings):
     location: str
     """``story 2``, ``floor 1``, ``channel a2``, ``base`` or ``frame``."""
     parameters: dict[str, float] = Field(default_factory=dict)
-
-
-class ProcessingSettings(Settings):
-    """``[processing]``: from the source's samples to windows."""
-
-    rate_hz: Positive = 100.0
-    """After resampling; slower sources keep their own rate."""
-    cutoff_hz: Positive = 40.0
-    """Of the lowpass; modes beyond it are not looked for."""
-    window_s: Positive = 400.0
-    """Length of the data that one result rests on."""
-    hop_s: Positive = 10.0
-    """From one window to the next."""
-
-    @model_validator(mode="after")
-    def _consistent(self) -> ProcessingSettings:
-        if self.hop_s > self.window_s:
-            raise ValueError("hop_s is longer than window_s")
-        if self.cutoff_hz >= 0.5 * self.rate_hz:
-            raise ValueError("cutoff_hz must lie below half of rate_hz")
-        return self
 
 
 class SiteSettings(Settings):
@@ -143,8 +120,7 @@ class Configuration(Settings):
                 self._effect(table)
             except EffectError as error:
                 problems.append(f"effects: {error}")
-        p, lags = self.processing, 2 * self.identification.block_rows
-        step_s = common_step_s(p.window_s, p.hop_s)
+        p, lags, step_s = self.processing, self.front_end().n_lags, self.front_end().step_s
         if step_s * p.rate_hz < lags:
             problems.append(
                 f"processing: window_s and hop_s have a common step of {step_s:g} s, "
@@ -192,6 +168,12 @@ class Configuration(Settings):
         table = self.structure
         effects = tuple(self._effect(t) for t in self.effects)
         return Model(table.structure(), effects, table.correction(), table.modal_damping())
+
+    def front_end(self) -> FrontEnd:
+        """The way from the source's samples to windows and segments."""
+        return FrontEnd(
+            self.channels, self.processing, self.refinement.segment_s, n_lags=2 * self.identification.block_rows
+        )
 
     def instrumented(self) -> InstrumentedModel:
         """The nominal model with its sensors and the ranges of its parameters."""

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.base import ACCELERATION, GROUND, TEMPERATURE, SampleBlock
-from monitor.config import Configuration
 from monitor.core import Array, BadInputError, ComplexArray
 from monitor.inference import ground_response
 from monitor.inference.cross_spectra import Band
@@ -19,10 +18,9 @@ from monitor.inference.ground_response import Drive
 from monitor.signals import (
     Conditioner,
     ConditionState,
+    FrontEnd,
     SegmentDesign,
-    WindowGrid,
     alignment,
-    common_step_s,
     taper,
     transform,
 )
@@ -87,7 +85,7 @@ class Segments:
         )
 
 
-def gather(blocks: Iterable[SampleBlock], config: Configuration) -> Segments:
+def gather(blocks: Iterable[SampleBlock], front_end: FrontEnd) -> Segments:
     """Condition a recording as the pipeline does and cut it into segments.
 
     Where the ground was measured, those of the three minutes in which it moved most, with its motion from a minute before.
@@ -99,8 +97,8 @@ def gather(blocks: Iterable[SampleBlock], config: Configuration) -> Segments:
     """
     blocks = iter(blocks)
     head = list(islice(blocks, _HEAD))
-    segment_s = _DRIVEN_SEGMENT_S if any(b.topic == GROUND for b in head) else config.refinement.segment_s
-    floors, ground = _Stream(config, config.channels, segment_s), _Stream(config, None, segment_s)
+    segment_s = _DRIVEN_SEGMENT_S if any(b.topic == GROUND for b in head) else front_end.segment_s
+    floors, ground = (_Stream(front_end, segment_s, is_ground=is_ground) for is_ground in (False, True))
     temperature: list[tuple[int, float]] = []
     for block in chain(head, blocks):
         if block.topic == ACCELERATION:
@@ -180,8 +178,8 @@ def _strongest(
 class _Stream:
     """One topic on its way from blocks to segments."""
 
-    def __init__(self, config: Configuration, channels: tuple[str, ...] | None, segment_s: float) -> None:
-        self._config, self._channels, self._segment_s = config, channels, segment_s
+    def __init__(self, front_end: FrontEnd, segment_s: float, *, is_ground: bool) -> None:
+        self._front_end, self._segment_s, self._is_ground = front_end, segment_s, is_ground
         self._align = alignment.start()
         self._rest: Array | None = None
         self._state: ConditionState
@@ -193,23 +191,23 @@ class _Stream:
         """Transform, RMS and tapered variance of the source samples by the time of their first sample, UTC ns."""
         self.t0_ns = 0
         self.seconds = 0.0
-        self.peak = np.zeros(len(channels or ("ground",)))
+        self.peak = np.zeros(1 if is_ground else len(front_end.channels))
         self.piled = np.zeros(self.peak.size, dtype=np.int64)
         self.runs: list[tuple[int, list[Array]]] = []
         """Conditioned samples without a gap, each with the time of its first one, UTC ns; of the ground only."""
-        self._keep = channels is None
         self._raw: list[Array] = []
         """Source samples of the segment to come."""
 
     def push(self, block: SampleBlock) -> None:
         """Add a block's samples."""
-        self._channels = self._channels or block.channels[:1]
-        self._align, pieces = alignment.step(self._align, block, self._channels)
+        if self._is_ground and not self.runs:
+            self._front_end = replace(self._front_end, channels=block.channels[:1])
+        self._align, pieces = self._front_end.align(self._align, block)
         for piece in pieces:
             if self._rest is None or piece.gap is not None:
                 self._begin(piece)
             self._state, values = self.conditioner.step_block(self._state, piece.values)
-            if self._keep:
+            if self._is_ground:
                 self.runs[-1][1].append(values)
             self.seconds += values.shape[0] / self.conditioner.rate_hz
             self._heap(np.abs(piece.values))
@@ -226,28 +224,24 @@ class _Stream:
         self.piled += (magnitude >= self.peak * (1.0 - _SAME)).sum(axis=0)
 
     def _begin(self, piece: alignment.Piece) -> None:
-        p = self._config.processing
-        self.conditioner = Conditioner.design(piece.rate_hz, p.rate_hz, p.cutoff_hz, common_step_s(p.window_s, p.hop_s))
-        self._state = self.conditioner.start(len(self._channels or ()))
-        self._rest = np.zeros((0, len(self._channels or ())))
+        self.conditioner = self._front_end.conditioner(piece.rate_hz)
+        self._state = self.conditioner.start(self.peak.size)
+        self._rest = np.zeros((0, self.peak.size))
         if self.design is None:
             self.design = self._designed()
             self.t0_ns = piece.t_ns
         self._run_ns, self._done, self._raw = piece.t_ns, 0, []
-        if self._keep:
+        if self._is_ground:
             self.runs.append((piece.t_ns, []))
 
     def _designed(self) -> SegmentDesign:
         """Segments on the pipeline's grid; those of driven motion are shorter than its blocks."""
-        p, conditioner = self._config.processing, self.conditioner
-        if self._segment_s < self._config.refinement.segment_s:
+        conditioner = self.conditioner
+        if self._segment_s < self._front_end.segment_s:
             n = 2 * round(0.5 * self._segment_s * conditioner.rate_hz)
             kept = round(conditioner.cutoff_hz * n / conditioner.rate_hz) + 1
             return SegmentDesign(conditioner.rate_hz, n, min(n // 2 + 1, kept))
-        lags = 2 * self._config.identification.block_rows
-        return WindowGrid.design(
-            conditioner.rate_hz, p.window_s, p.hop_s, lags, self._segment_s, conditioner.cutoff_hz
-        ).segments
+        return self._front_end.grid(conditioner).segments
 
     def _cut(self, values: Array) -> None:
         assert self._rest is not None

@@ -112,7 +112,7 @@ def _gather_hourly(blocks: Iterator[SampleBlock], config: Configuration, share: 
             raise
 
     try:
-        return gather(kept(), config)
+        return gather(kept(), config.front_end())
     except BadInputError:
         if refused:
             raise

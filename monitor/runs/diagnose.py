@@ -175,7 +175,7 @@ def _read(paths: list[Path], config: Configuration, on_warning: OnWarning, on_pr
             yield block
 
     try:
-        return gather(passing(), config)
+        return gather(passing(), config.front_end())
     except BadInputError as error:
         told = str(error)
         raise BadInputError(told if str(paths[0]) in told else f"{file_names(paths)}: {told}") from error

@@ -1,26 +1,29 @@
 from . import alignment, sensor_health, temperature, window_quality, windows
+from .front_end import FrontEnd
 from .resampling import Conditioner, ConditionState
 from .sensor_health import Health, HealthSettings, HealthState
+from .settings import ProcessingSettings
 from .temperature import LAGS_S, TemperatureSettings
 from .welch import LEAKAGE_OFFSETS, SegmentDesign, hann_amplitude, leakage, overlap_correlation, taper, transform
 from .window_quality import QualitySettings
-from .windows import WindowGrid, WindowState, common_step_s
+from .windows import WindowGrid, WindowState
 
 __all__ = [
     "LAGS_S",
     "LEAKAGE_OFFSETS",
     "ConditionState",
     "Conditioner",
+    "FrontEnd",
     "Health",
     "HealthSettings",
     "HealthState",
+    "ProcessingSettings",
     "QualitySettings",
     "SegmentDesign",
     "TemperatureSettings",
     "WindowGrid",
     "WindowState",
     "alignment",
-    "common_step_s",
     "hann_amplitude",
     "leakage",
     "overlap_correlation",

@@ -34,7 +34,7 @@ def prepared(*effects: str) -> tuple[Posterior, MapEstimate]:
     motion = simulate(model, duration_s=400.0, rate_hz=RATE, noise=0.05, seed=8, context=context)
     blocks = cut_into_blocks(ACCELERATION, motion.floors, CONFIG.channels, RATE, 10**18, 128)
     return fit_linearized(
-        classify(gather(blocks, CONFIG)), prior_from_drawing(CONFIG.model(), np.full(6, 0.01), 3), context
+        classify(gather(blocks, CONFIG.front_end())), prior_from_drawing(CONFIG.model(), np.full(6, 0.01), 3), context
     )
 
 

@@ -44,7 +44,7 @@ def recorded(effects: tuple[Effect, ...], seed: int, duration_s: float = 400.0, 
     motion = simulate(
         model, duration_s=duration_s, rate_hz=RATE, noise=0.05, level_spread=0.35, seed=seed, context=context, **more
     )
-    return gather(cut_into_blocks(ACCELERATION, motion.floors, config.channels, RATE, 10**18, 100), config)
+    return gather(cut_into_blocks(ACCELERATION, motion.floors, config.channels, RATE, 10**18, 100), config.front_end())
 
 
 def context_of(config: Configuration) -> Context:
@@ -94,7 +94,7 @@ def test_a_measured_ground_is_the_input() -> None:
         *cut_into_blocks("/acceleration/ground", motion.ground[:, None], ("g",), RATE, 10**18, 100),
         *cut_into_blocks(ACCELERATION, motion.floors, config.channels, RATE, 10**18, 100),
     ]
-    segments = gather(blocks, config)
+    segments = gather(blocks, config.front_end())
     assert segments.drive is not None
     true = score(segments, config.model(), context_of(config))
     heavier = settings(masses_kg=[0.36, 0.35, 0.31])
@@ -178,7 +178,7 @@ def test_what_a_swinging_gain_leaves_over_is_not_made_up_by_tones_and_oscillator
     swing = 1.0 + 0.3 * np.sin(2.0 * np.pi * np.arange(len(motion.floors))[:, None] / RATE / 240.0) * [0.0, 0.0, 1.0]
     seen = cut_into_blocks(ACCELERATION, motion.floors * swing, config.channels, RATE, 10**18, 100)
     known = prior_from_drawing(config.model(), np.full(6, 0.002), 3)
-    found, _ = judged(gather(seen, config), known, config)
+    found, _ = judged(gather(seen, config.front_end()), known, config)
     assert found.verdict == "unexplained"
     accepted = {round_[0].effect.name for round_ in found.rounds if round_}
     assert accepted & {"harmonic_excitation", "attached_oscillator"}  # the search comes upon them

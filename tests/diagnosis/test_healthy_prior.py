@@ -50,7 +50,7 @@ def recorded(seed: int, *effects: str, crosstalk: float = 0.0) -> Segments:
         context=CONTEXT,
     )
     seen = motion.floors + crosstalk * motion.floors[:, :1] * [0.0, 0.0, 1.0]
-    return gather(cut_into_blocks(ACCELERATION, seen, CONFIG.channels, RATE, 10**18, 128), CONFIG)
+    return gather(cut_into_blocks(ACCELERATION, seen, CONFIG.channels, RATE, 10**18, 128), CONFIG.front_end())
 
 
 @pytest.mark.parametrize("standing", [(COLOUR, *GAINS), (FORCES,)], ids=["colour and gains", "forces of every day"])
@@ -120,7 +120,7 @@ def measured(seed: int, *effects: str) -> Segments:
         seed=seed,
         context=BUILDING,
     )
-    return gather(cut_into_blocks(ACCELERATION, motion.floors, SITE.channels, 256.0, 10**18, 1000), SITE)
+    return gather(cut_into_blocks(ACCELERATION, motion.floors, SITE.channels, 256.0, 10**18, 1000), SITE.front_end())
 
 
 def drift_m() -> float:

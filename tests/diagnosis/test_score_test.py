@@ -23,7 +23,7 @@ def test_a_swap_is_ranked_first_though_the_plain_model_was_dragged_far_to_excuse
     motion = simulate(CONFIG.model(), duration_s=400.0, rate_hz=RATE, noise=0.05, seed=8, context=context)
     blocks = cut_into_blocks(ACCELERATION, motion.floors[:, [0, 2, 1]], CONFIG.channels, RATE, 10**18, 128)
     known = prior_from_drawing(CONFIG.model(), np.full(6, 0.002), 3)
-    problem, null = fit_linearized(classify(gather(blocks, CONFIG)), known, context)
+    problem, null = fit_linearized(classify(gather(blocks, CONFIG.front_end())), known, context)
     assert null.log_prior < -20.0
     (gain, first), (second, _) = best_of_each(rank_by_score(problem, null, candidate_starts(problem, null)))[:2]
     assert isinstance(first, ChannelSwap)
@@ -40,7 +40,7 @@ def test_the_score_test_promises_what_a_gain_brings_where_noise_is_little(channe
         ACCELERATION, motion.floors * np.where(np.arange(3) == channel, 0.98, 1.0), CONFIG.channels, RATE, 10**18, 128
     )
     problem, null = fit_linearized(
-        classify(gather(blocks, CONFIG)), prior_from_drawing(CONFIG.model(), np.full(6, 0.01), 3), context
+        classify(gather(blocks, CONFIG.front_end())), prior_from_drawing(CONFIG.model(), np.full(6, 0.01), 3), context
     )
     ranked = best_of_each(rank_by_score(problem, null, candidate_starts(problem, null)))
     (promise, effect), *_ = [

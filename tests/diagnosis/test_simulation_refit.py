@@ -40,7 +40,7 @@ def posed(effect: Effect, seed: int = 5) -> tuple[Posterior, MapEstimate]:
     motion = simulate(model, duration_s=400.0, rate_hz=RATE, noise=0.05, level_spread=0.35, seed=seed, context=context)
     blocks = cut_into_blocks(ACCELERATION, motion.floors, CONFIG.channels, RATE, 10**18, 128)
     known = prior_from_drawing(CONFIG.model(), np.full(6, 0.002), 3)
-    return fit_linearized(classify(gather(blocks, CONFIG)), known, context)
+    return fit_linearized(classify(gather(blocks, CONFIG.front_end())), known, context)
 
 
 @pytest.fixture(scope="module")

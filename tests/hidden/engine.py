@@ -28,12 +28,12 @@ class Baseline:
 def calibrate(drawing: str, blocks: Iterable[SampleBlock]) -> Baseline:
     """Learn the healthy structure."""
     config = Configuration.model_validate(tomllib.loads(drawing))
-    return Baseline(config, diagnose.learn(gather(blocks, config), config))
+    return Baseline(config, diagnose.learn(gather(blocks, config.front_end()), config))
 
 
 def answer(baseline: Baseline, blocks: Iterable[SampleBlock]) -> dict[str, Any]:
     """What `diagnosis.json` says."""
-    segments = gather(blocks, baseline.config)
+    segments = gather(blocks, baseline.config.front_end())
     d, gain = diagnose.judged(segments, baseline.reference, baseline.config)
     return {
         "verdict": d.verdict,

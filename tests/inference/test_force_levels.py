@@ -127,7 +127,9 @@ def test_noise_that_follows_each_channels_motion_is_no_cause() -> None:
         floors = simulate(model, duration_s=400.0, rate_hz=RATE, noise=0.0, seed=seed, context=context).floors
         noise = 0.05 * floors.std(axis=0) * factor
         floors = floors + noise * np.random.default_rng([seed, 9]).standard_normal(floors.shape)
-        return classify(gather(cut_into_blocks(ACCELERATION, floors, config.channels, RATE, 10**18, 128), config))
+        return classify(
+            gather(cut_into_blocks(ACCELERATION, floors, config.channels, RATE, 10**18, 128), config.front_end())
+        )
 
     healthy = evidence(np.ones(3), 1)
     known, _ = learn_prior(healthy, prior_from_drawing(config.model(), np.full(6, 0.002), 3), context, config.diagnosis)

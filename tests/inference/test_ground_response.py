@@ -63,7 +63,7 @@ def recorded(
     ):
         blocks = list(cut_into_blocks(topic, x, names, rate_hz, T0_NS, second))[start // second :]
         streams += [b for i, b in enumerate(blocks) if hole_s is None or i != hole_s - start // second]
-    return gather(streams, DRAWING)
+    return gather(streams, DRAWING.front_end())
 
 
 @pytest.mark.parametrize(
@@ -118,7 +118,9 @@ def windy(*effects: str, share: float, seed: int) -> Segments:
     floors += 0.02 * floors.std(axis=0) * rng.standard_normal(floors.shape)
     ground = ground + 0.002 * ground.std() * rng.standard_normal(n)
     streams = [(GROUND, ground[:, None], ("g",)), (ACCELERATION, floors, DRAWING.channels)]
-    return gather([b for t, x, names in streams for b in cut_into_blocks(t, x, names, 200.0, T0_NS, 200)], DRAWING)
+    return gather(
+        [b for t, x, names in streams for b in cut_into_blocks(t, x, names, 200.0, T0_NS, 200)], DRAWING.front_end()
+    )
 
 
 @pytest.mark.parametrize("share", [0.003, 0.1])
@@ -175,7 +177,7 @@ def test_a_nonlinear_law_answers_as_the_simulation_does() -> None:
 
 def test_the_measured_frame_is_no_shear_frame_and_softens_with_the_level() -> None:
     config = load(RECORDINGS / "mini-shake-table-flexible.toml")
-    segments = gather(read_recordings([RECORDINGS / "mini-shake-table-flexible.mcap"]), config)
+    segments = gather(read_recordings([RECORDINGS / "mini-shake-table-flexible.mcap"]), config.front_end())
     context = config.instrumented().context(segments.rate_hz)
     problem, null = fit_linearized(
         classify(segments), prior_from_drawing(config.model(), config.instrumented().prior_std, 3), context

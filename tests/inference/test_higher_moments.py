@@ -49,7 +49,7 @@ def recorded(
         floors = floors * np.interp(np.arange(len(floors)), np.linspace(0, len(floors), gusts.size), gusts)[:, None]
     first_hz = CONFIG.model().modes().frequencies_hz[0]
     floors = floors + tone * np.sin(2.0 * np.pi * first_hz * np.arange(len(floors)) / RATE)[:, None]
-    return gather(cut_into_blocks(ACCELERATION, floors, CONFIG.channels, RATE, 10**18, 128), CONFIG)
+    return gather(cut_into_blocks(ACCELERATION, floors, CONFIG.channels, RATE, 10**18, 128), CONFIG.front_end())
 
 
 def posed(segments: Segments) -> tuple[Posterior, MapEstimate, MeasuredMoments]:

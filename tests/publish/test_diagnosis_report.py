@@ -69,7 +69,9 @@ def recorded(*effects: Effect, rate_hz: float = 200.0) -> tuple[Segments, Contex
     motion = simulate(model, duration_s=400.0, rate_hz=rate_hz, noise=0.05, level_spread=0.35, seed=5)
     context = Context(model.structure, CONFIG.channels, CONFIG.instrumented().sensor_matrix, rate_hz)
     samples = motion.floors
-    segments = gather(cut_into_blocks(ACCELERATION, samples, CONFIG.channels, rate_hz, 10**18, 1000), CONFIG)
+    segments = gather(
+        cut_into_blocks(ACCELERATION, samples, CONFIG.channels, rate_hz, 10**18, 1000), CONFIG.front_end()
+    )
     return segments, context
 
 
