@@ -9,16 +9,20 @@ import numpy as np
 
 from monitor.core import Array
 from monitor.inference import (
+    FORCED,
     Between,
+    DrivenPosterior,
     MapEstimate,
     ObservedSpectra,
     ParameterLayout,
     Posterior,
     forces_from_quiet_segments,
+    guess_levels,
     linearize,
+    make_posterior,
     maximize_posterior,
 )
-from monitor.model import Condition, Context, StructuralPrior
+from monitor.model import Context, StructuralPrior
 
 FAR = 40
 """Iterations of a fit on a longer way: a first one to driven motion, whose phases tell more, or to forces far from white."""
@@ -30,8 +34,8 @@ ROUGHLY, LONG = 4, 15
 """Iterations by which ways of the ground between its samples, and kinds of causes, are compared; of a fit to the end."""
 COARSE = 0.3
 """Nats that the last step of a fit to driven motion may promise, which tells causes apart by hundreds."""
-_FORCED, _MODEL_ERROR = 1e-3, 0.5
-"""With the ground measured: power that forces cause, and error of the model, as shares of what is seen, at the start."""
+_MODEL_ERROR = 0.5
+"""With the ground measured: error of the model as a share of the measured amplitude, at the start."""
 
 
 def fit_linearized(
@@ -42,12 +46,8 @@ def fit_linearized(
     Nonlinear laws are made linear at the motion of the fitted model, so the fit is made twice where standing effects
     need it.
     """
-    n, c = context.structure.n_dofs, len(context.channels)
     if evidence.drive is not None:
         reference = reference.with_any_noise()
-    unknown = Condition(
-        np.ones(context.structure.n_stories), np.ones(context.structure.n_stories), np.ones(n), np.ones(c)
-    )
     linear = slice(0, ParameterLayout.of(reference).persistent.start)
     plain = replace(
         reference,
@@ -55,7 +55,7 @@ def fit_linearized(
         mean=reference.mean[linear],
         precision=reference.precision[linear, linear],
     )
-    problem = Posterior(evidence, plain, context, (unknown,) * evidence.counts.size)
+    problem = make_posterior(evidence, plain, context)
     null = maximize_posterior(problem, _first_guess(problem)) if evidence.drive is None else _from_afar(problem)
     problem, null = between_samples(problem, null)
     problem = replace(problem, conditions=linearize(problem, null.x, ()))
@@ -73,7 +73,7 @@ def fit_linearized(
 
 def beside_wind(problem: Posterior, at: MapEstimate) -> tuple[Posterior, MapEstimate]:
     """With the forces that the quiet tells, where the ground was measured."""
-    if problem.observed.drive is None:
+    if not isinstance(problem, DrivenPosterior):
         return problem, at
     x = forces_from_quiet_segments(problem, at.x, at.effects)
     problem = replace(problem, wind=x[problem.layout.forces])
@@ -95,13 +95,12 @@ def _from_afar(problem: Posterior) -> MapEstimate:
 
 def between_samples(problem: Posterior, at: MapEstimate) -> tuple[Posterior, MapEstimate]:
     """With the ground's motion between its samples that explains the floors best, where the ground was measured."""
-    drive = problem.observed.drive
-    if drive is None:
+    if not isinstance(problem, DrivenPosterior):
         return problem, at
     tried = [(problem, at)]
     for between in get_args(Between):
-        if between != drive.between:
-            other = replace(problem, observed=replace(problem.observed, drive=replace(drive, between=between)))
+        if between != problem.drive.between:
+            other = problem.between_samples(between)
             tried.append((other, maximize_posterior(other, at.x, at.effects, iterations=ROUGHLY)))
     problem, best = max(tried, key=lambda pair: pair[1].log_posterior)
     return problem, at if best is at else maximize_posterior(problem, best.x, best.effects, iterations=FAR)
@@ -118,20 +117,12 @@ def exactly(problem: Posterior, at: MapEstimate) -> tuple[Posterior, MapEstimate
 
 
 def _first_guess(problem: Posterior) -> Array:
-    """Nuisances as known before, forces and noise from the power of the spectra."""
-    e, c = problem.observed, len(problem.context.channels)
-    power = np.einsum("kfaa->kfa", e.spectra[:, :, :c, :c]).real
-    noise = np.log(max(0.3 * float(np.quantile(power.mean(axis=(0, 2)), 0.02)), 1e-300))
+    """Guess forces and levels; beside a measured ground small forces, and the model's own error as a share of the power."""
+    x, ratio = guess_levels(problem)
     layout = problem.layout
-    x = np.zeros(layout.n_nuisance)
-    x[layout.structure], x[layout.noise] = problem.prior.mean, noise - 10.0
-    predicted = np.einsum("kfaa->kfa", problem.scatter(x, ())[:, :, :c, :c]).real
-    # Medians over frequency: peaks that do not lie where they should must not set the level.
-    ratio = np.median(power / predicted, axis=(1, 2))
-    x[layout.forces] = np.log(ratio.mean())
-    x[layout.levels] = np.log(ratio / ratio.mean())
-    x[layout.noise] = noise
-    if e.power is not None:
-        x[layout.forces] += np.log(_FORCED)
-        x[layout.levels] = np.log(power / e.power).mean(axis=(1, 2)) + 2.0 * np.log(_MODEL_ERROR)
+    x[layout.forces], x[layout.levels] = np.log(ratio.mean()), np.log(ratio / ratio.mean())
+    if isinstance(problem, DrivenPosterior):
+        power = np.einsum("kfaa->kfa", problem.observed.spectra).real
+        x[layout.forces] += np.log(FORCED)
+        x[layout.levels] = np.log(power / problem.power).mean(axis=(1, 2)) + 2.0 * np.log(_MODEL_ERROR)
     return x

@@ -1,5 +1,6 @@
 from .corrected_posterior import CorrectedPosterior, correct_posterior
 from .cross_spectra import Band
+from .driven_posterior import DrivenPosterior
 from .exact_simulation import draw_forces, linearization_error, simulate_exact, simulate_spectra
 from .excitation_fit import ExcitationStart, fit_excitation, forces_from_quiet_segments, nearest_classes
 from .force_levels import fit_levels, spectra_by_force
@@ -12,12 +13,15 @@ from .observed_spectra import ObservedSpectra, class_temperature, classify
 from .parameter_layout import ParameterLayout
 from .posterior import Posterior, with_coordinates
 from .segments import Segments, gather
+from .starting_point import FORCED, guess_levels, make_posterior
 
 __all__ = [
+    "FORCED",
     "Band",
     "Between",
     "CorrectedPosterior",
     "Drive",
+    "DrivenPosterior",
     "ExcitationStart",
     "MapEstimate",
     "MeasuredMoments",
@@ -35,8 +39,10 @@ __all__ = [
     "fit_levels",
     "forces_from_quiet_segments",
     "gather",
+    "guess_levels",
     "linearization_error",
     "linearize",
+    "make_posterior",
     "maximize_posterior",
     "measure_moments",
     "nearest_classes",

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monitor.core import Array, ComplexArray
+from monitor.inference.ambient_posterior import AmbientPosterior
 from monitor.inference.linearization import forced_drift
 from monitor.inference.observed_spectra import ObservedSpectra
 from monitor.inference.posterior import Posterior
@@ -26,7 +27,7 @@ _STEP = 0.01
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class CorrectedPosterior(Posterior):
+class CorrectedPosterior(AmbientPosterior):
     """A posterior with the linear terms of the correction by the laws' sizes; `offset` is its value at their centre."""
 
     laws: tuple[tuple[str, str], ...] = ()

@@ -10,15 +10,18 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from monitor.core import Array, ComplexArray, parallel_map
+from monitor.inference.ambient_posterior import AmbientPosterior
 from monitor.inference.corrected_posterior import relative_to
+from monitor.inference.driven_posterior import DrivenPosterior
 from monitor.inference.exact_simulation import draw_forces, simulate_exact, simulate_spectra
 from monitor.inference.ground_response import Between
 from monitor.inference.linearization import linearize
 from monitor.inference.observed_spectra import ObservedSpectra, classify
 from monitor.inference.parameter_layout import ParameterLayout
 from monitor.inference.posterior import Posterior, difference_operator
+from monitor.inference.starting_point import FORCED, guess_levels, make_posterior
 from monitor.inference.wishart import grown_by
-from monitor.model import Condition, Context, Effect, Model, StructuralPrior, loaded, prior_from_drawing
+from monitor.model import Context, Effect, Model, StructuralPrior, loaded, prior_from_drawing
 
 _FORCE_STD, _LEVEL_STD = 1.0, 5.0
 """Prior of the logarithms of the floors' forces about one level, of the classes' levels and of the noise."""
@@ -34,8 +37,6 @@ _WORST = 1e30
 """Stands for no likelihood at all."""
 _QUIET = 1.0 / 3.0
 """Share of driven segments that tell the forces."""
-_FORCED = 1e-3
-"""With the ground measured: power that forces cause, as a share of what is seen, where the model is all wrong."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -90,11 +91,11 @@ def fit_excitation(
     known = replace(prior_from_drawing(model, np.ones(stories + n), c), reference_degc=reference_degc)
     without_effects = slice(0, ParameterLayout.of(known).persistent.start)
     plain = replace(known, model=replace(model, effects=()), mean=known.mean[without_effects])
-    unknown = Condition(np.ones(stories), np.ones(stories), np.ones(n), np.ones(c))
-    posterior = Posterior(evidence, plain, context, (unknown,) * evidence.counts.size)
-    posterior = _as_moved(posterior, known)
-    # With the ground measured one level is fitted for all forces, which therefore begin alike.
-    near = None if near is None or evidence.drive is not None else near.of(posterior.n_classes)
+    posterior = make_posterior(evidence, plain, context)
+    if isinstance(posterior, DrivenPosterior):
+        # One level is fitted for all forces, which therefore begin alike.
+        posterior, near = _best_between_samples(posterior, known), None
+    near = None if near is None else near.of(posterior.n_classes)
     x = _first_guess(posterior) if near is None else np.concatenate([plain.mean, near.vector])
     if near is None or not model.effects:
         x = _fit_levels(posterior, x)
@@ -102,7 +103,7 @@ def fit_excitation(
         at_prior = posterior.layout.with_structure(x, known.mean)
         posterior = replace(posterior, conditions=linearize(posterior, x, ()), prior=known)
         x = _fit_levels(posterior, at_prior)
-    if evidence.drive is None and any(e.nonlinear for e in model.effects):
+    if isinstance(posterior, AmbientPosterior) and any(e.nonlinear for e in model.effects):
         linear = posterior.scatter(x, ())
         beyond = _beyond(posterior, x, linear) if near is None or near.beyond is None else near.beyond
         exactly = replace(posterior, offset=grown_by(linear, beyond) - linear)
@@ -123,46 +124,30 @@ def _beyond(posterior: Posterior, x: Array, linear: ComplexArray) -> ComplexArra
     return relative_to(linear, np.mean(parallel_map(added, range(_SIMULATIONS)), axis=0), posterior.observed.band.hz)
 
 
-def _as_moved(posterior: Posterior, known: StructuralPrior) -> Posterior:
-    """With the motion of a measured ground between its samples that leaves the least of the floors' unexplained."""
-    drive = posterior.observed.drive
-    if drive is None:
-        return posterior
+def _best_between_samples(posterior: DrivenPosterior, known: StructuralPrior) -> DrivenPosterior:
+    """Let the ground move between its samples so that least of the floors' motion is left unexplained."""
     whole = replace(posterior, prior=known)
     x = np.zeros(whole.layout.n_nuisance)
     x[whole.layout.structure] = known.mean
 
-    def moved(between: Between) -> Posterior:
-        return replace(whole, observed=replace(whole.observed, drive=replace(drive, between=between)))
-
     def left(between: Between) -> float:
-        mean = moved(between).mean(x, ())
-        assert mean is not None
-        rest = whole.observed.segments.values - mean
+        rest = whole.observed.segments.values - whole.between_samples(between).mean(x, ())
         return float(np.log((np.abs(rest) ** 2).mean(axis=0)).sum())
 
-    return replace(posterior, observed=moved(min(get_args(Between), key=left)).observed)
+    return posterior.between_samples(min(get_args(Between), key=left))
 
 
 def _first_guess(posterior: Posterior) -> Array:
-    """Levels from the medians over frequency of the channels' power, noise from its least."""
-    e, c = posterior.observed, len(posterior.context.channels)
-    power = np.einsum("kfaa->kfa", e.spectra[:, :, :c, :c]).real
-    noise = np.log(max(0.3 * float(np.quantile(power.mean(axis=(0, 2)), 0.02)), 1e-300))
-    layout = posterior.layout
-    x = np.zeros(layout.n_nuisance)
-    x[layout.structure], x[layout.noise] = posterior.prior.mean, noise - 10.0
-    predicted = np.einsum("kfaa->kfa", posterior.scatter(x, ())[:, :, :c, :c]).real
-    level = np.log(np.median(power / predicted, axis=(1, 2)))
-    x[layout.noise] = noise
-    if e.power is None:
-        x[layout.levels] = level
-    else:  # the level is the model's own error; what forces move beside the ground goes with it
-        x[layout.forces] = level.mean() + np.log(_FORCED)
+    """Guess the levels of the forces; beside a measured ground the level of all forces, the error being all of the power."""
+    x, ratio = guess_levels(posterior)
+    if isinstance(posterior, DrivenPosterior):
+        x[posterior.layout.forces] = np.log(ratio).mean() + np.log(FORCED)
+    else:
+        x[posterior.layout.levels] = np.log(ratio)
     return x
 
 
-def _fit_driven(posterior: Posterior, x: Array) -> Array:
+def _fit_driven(posterior: DrivenPosterior, x: Array) -> Array:
     """Most probable level of the forces, of the model's own error in every class, noise of the ground and of the channels,
     the rest of `x` kept.
 
@@ -183,17 +168,14 @@ def _fit_driven(posterior: Posterior, x: Array) -> Array:
     return np.asarray(x + minimize(cost, np.zeros(k + 3), method="Powell", options={"xtol": 1e-3}).x @ moving)
 
 
-def forces_from_quiet_segments(posterior: Posterior, x: Array, effects: tuple[Effect, ...]) -> Array:
+def forces_from_quiet_segments(posterior: DrivenPosterior, x: Array, effects: tuple[Effect, ...]) -> Array:
     """The vector with the forces beside a measured ground that its quietest segments tell, the rest of `x` kept.
 
     Wind blows there too, while what the model's response lacks grows with the ground's motion.
     """
     e, forces, levels = posterior.observed, posterior.layout.forces, posterior.layout.levels
-    mean = posterior.mean(x, effects)
-    assert mean is not None
-    assert e.power is not None
-    moved = (np.abs(mean) ** 2 / e.power).mean(axis=(1, 2))
-    quiet = classify(replace(e.segments, drive=e.drive).part(moved <= np.quantile(moved, _QUIET)))
+    moved = (np.abs(posterior.mean(x, effects)) ** 2 / posterior.power).mean(axis=(1, 2))
+    quiet = classify(replace(e.segments, drive=posterior.drive).part(moved <= np.quantile(moved, _QUIET)))
     like = nearest_classes(posterior.n_classes, quiet.counts.size)
     there = posterior.part(quiet, like)
     known = np.concatenate([x[: levels.start], x[levels][like], x[levels.stop :]])
@@ -208,7 +190,7 @@ def _fit_levels(posterior: Posterior, x: Array) -> Array:
     How strongly each floor is shaken belongs to the recording as its level does; were it held equal, a wrong structure that
     makes up for it would score best.
     """
-    return _by_scoring(posterior, x) if posterior.observed.drive is None else _fit_driven(posterior, x)
+    return _fit_driven(posterior, x) if isinstance(posterior, DrivenPosterior) else _by_scoring(posterior, x)
 
 
 def _by_scoring(posterior: Posterior, x: Array, effects: tuple[Effect, ...] = (), iterations: int = 40) -> Array:
@@ -217,7 +199,7 @@ def _by_scoring(posterior: Posterior, x: Array, effects: tuple[Effect, ...] = ()
     free = posterior.layout.excitation
     first, data = x[free].copy(), posterior.predict(x, effects).data  # levels move no mean
     precision = np.diag(np.r_[np.full(n, _FORCE_STD), np.full(k + 1, _LEVEL_STD)] ** -2.0)
-    if posterior.observed.drive is not None:  # no class's level is theirs
+    if isinstance(posterior, DrivenPosterior):  # no class's level is theirs
         precision[:n, :n] = difference_operator(n)
 
     def moved(by: Array) -> tuple[Array, ComplexArray, float]:

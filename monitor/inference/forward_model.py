@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Self
@@ -10,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monitor.core import Array, ComplexArray
-from monitor.inference import ground_response
-from monitor.inference.cross_spectra import Excitation, cross_spectra, extended, modally_damped
+from monitor.inference.cross_spectra import modally_damped
 from monitor.inference.observed_spectra import ObservedSpectra
 from monitor.inference.parameter_layout import ParameterLayout
 from monitor.inference.wishart import grown_by
@@ -37,8 +37,12 @@ class Prediction:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class ForwardModel:
-    """From nuisances and effects to what the segments should be."""
+class ForwardModel(ABC):
+    """Predict the spectra of a recording's segments from parameters and effects.
+
+    What excites the structure is left to the two kinds of posterior: forces only (`AmbientPosterior`), or a measured ground
+    motion beside them (`DrivenPosterior`).
+    """
 
     observed: ObservedSpectra
     prior: StructuralPrior
@@ -66,8 +70,8 @@ class ForwardModel:
 
     @property
     def error(self) -> ModelDiscrepancy | None:
-        """What the model gets wrong from the start.  Beside a measured ground the spectra about the response have another one."""
-        return self.prior.error if self.observed.drive is None else None
+        """What the model of the healthy structure gets wrong; None where nothing is known of it."""
+        return self.prior.error
 
     def of_model_alone(self) -> Self:
         """The same without what simulation adds, and without what the model gets wrong from the start."""
@@ -101,75 +105,56 @@ class ForwardModel:
         return np.asarray(np.moveaxis(np.tensordot(self.smoothing, spectra, axes=(1, -3)), 0, -3))
 
     def predict(self, x: Array, effects: Sequence[Effect]) -> Prediction:
-        """The segments' (smoothed) spectra about their means."""
-        spectra, mean = self.smooth(self.scatter(x, effects)), self.mean(x, effects)
-        if mean is None:
-            return Prediction(spectra, self.data())
-        left = self.observed.segments.values - mean
-        return Prediction(spectra, self.smooth(ground_response.products(left, self.observed.members)), left)
+        """Predict the (smoothed) spectra of the segments about their means."""
+        return Prediction(self.smooth(self.scatter(x, effects)), self.data())
 
     def mean(self, x: Array, effects: Sequence[Effect], *, exact: bool = True) -> ComplexArray | None:
-        """The response of the segments to a measured ground, shape (n_segments, n_bins, c); None without one.
+        """Predict the segments' means, the response to a measured ground, shape (n_segments, n_bins, c); None without one.
 
-        That of the exact laws; or of the linearized ones, which is quicker and good enough for slopes.
+        Parameters
+        ----------
+        exact : bool
+            Whether nonlinear laws are stepped in time, or replaced by their linearization, which is quicker.
         """
-        e = self.observed
-        if e.drive is None:
-            return None
-        effects = (*self.prior.effects(x), *effects)
-        base, context = self.system(x, effects), self.context_at(x)
-        bent = [effect for effect in effects if effect.nonlinear and effect.family == "structure"]
-        if bent and exact:
-            system = extended(base, [f for f in effects if f not in bent], context, self.conditions[0])
-            return ground_response.exact_response(e.drive, system, effects, e.band, context, self.conditions[0])
-        out = np.zeros_like(e.segments.values)
-        if not any(effect.conditional for effect in effects):
-            system = extended(base, effects, context, self.conditions[0])
-            out[:] = ground_response.response(e.drive, system, effects, e.band, context, self.conditions[0])
-        else:
-            for members, condition in zip(e.members, self.conditions, strict=True):
-                system = extended(base, effects, context, condition)
-                out[members] = ground_response.response(
-                    e.drive.part(members), system, effects, e.band, context, condition
-                )
-        return out
+        return None
 
     def spectra(self, x: Array, effects: Sequence[Effect]) -> ComplexArray:
-        """Predicted cross-spectra of the classes, shape (classes, n_bins, c, c)."""
-        mean = self.mean(x, effects)
-        scatter = self.scatter(x, effects)
-        return scatter if mean is None else scatter + ground_response.products(mean, self.observed.members)
+        """Predict the cross-spectra of the classes, shape (classes, n_bins, c, c), (m/s^2)^2/Hz."""
+        return self.scatter(x, effects)
 
     def scatter(self, x: Array, effects: Sequence[Effect], *, classes: Sequence[int] | None = None) -> ComplexArray:
-        """Predicted cross-spectra of the segments about their means, shape (classes, n_bins, c, c).
+        """Predict the cross-spectra of the segments about their means.
 
-        Where the ground was measured, a class's level is that of the model's own error alone, a share of the measured power
-        that is independent between channels: wind does not follow the ground.
+        Parameters
+        ----------
+        classes : sequence of int, optional
+            The classes that are wanted; all of them by default.
+
+        Returns
+        -------
+        ndarray, shape (classes, n_bins, c, c), (m/s^2)^2/Hz
         """
-        effects = (*self.prior.effects(x), *effects)
-        base, context = self.system(x, effects), self.context_at(x)
-        layout = self.layout
-        forces, level, noise = self.forces(x), np.exp(x[layout.levels]), self.noise(x)
         wanted = range(self.n_classes) if classes is None else classes
-        ground = self.observed.power
-        varied = ground is not None or any(e.conditional or e.lines() for e in effects)
-        out = []
-        shared: ComplexArray | None = None
-        for k in wanted:
-            if varied or shared is None:
-                system = extended(base, effects, context, self.conditions[k])
-                e = Excitation(
-                    forces[k] if varied else np.exp(x[layout.forces]),
-                    noise * (1.0 if varied else 0.0),
-                    0.0 if ground is None else float(np.exp(x[layout.noise])),
-                )
-                shared = cross_spectra(system, effects, e, self.observed.band, context, self.conditions[k])
-            if varied:
-                out.append(shared if ground is None else shared + level[k] * diagonal_of(ground))
-            else:
-                out.append(self._scaled(shared, level[k], noise, effects))
-        stacked = np.stack(out)
-        return self._as_healthy(stacked if self.offset is None else stacked + self.offset[list(wanted)])
+        spectra = self.linear_spectra(x, (*self.prior.effects(x), *effects), wanted)
+        return self._as_healthy(spectra if self.offset is None else spectra + self.offset[list(wanted)])
+
+    @abstractmethod
+    def linear_spectra(self, x: Array, effects: Sequence[Effect], classes: Sequence[int]) -> ComplexArray:
+        """Predict the linearized laws' spectra of the wanted classes, shape (n_wanted, n_bins, c, c), (m/s^2)^2/Hz.
+
+        Parameters
+        ----------
+        effects : sequence of Effect
+            All effects of the model.
+        """
+
+    @abstractmethod
+    def forces(self, x: Array) -> Array:
+        """Return the density of the forces on the floors in every class, shape (classes, n), N^2/Hz."""
+
+    @abstractmethod
+    def relative_levels(self, x: Array) -> Array:
+        """Return what a slope of the middle class is multiplied by to be that of every class, shape (classes,)."""
 
     def _as_healthy(self, spectra: ComplexArray) -> ComplexArray:
         """With what the model gets wrong from the start."""
@@ -180,18 +165,6 @@ class ForwardModel:
         relative = np.zeros_like(spectra)
         relative[:, inside] = error.relative[at]
         return grown_by(spectra, relative)
-
-    def _scaled(self, unit: ComplexArray, level: float, noise: Array, effects: Sequence[Effect]) -> ComplexArray:
-        """Another class's spectra where only the level differs: everything but the noise scales."""
-        extra = sum((e.noise_variance(self.context, self.conditions[0]) for e in effects), np.zeros(noise.size))
-        extra = np.asarray(extra) / self.context.rate_hz
-        diagonal = np.arange(noise.size)
-        gain = self.observed.band.gain[:, None]
-        out = unit.copy()
-        out[:, diagonal, diagonal] -= extra * gain
-        out *= level
-        out[:, diagonal, diagonal] += (noise + extra) * gain
-        return out
 
     def system(self, x: Array, effects: Sequence[Effect]) -> System:
         """The system at a vector of nuisances, before what effects add at a level."""
@@ -224,25 +197,7 @@ class ForwardModel:
             modal_damping=np.exp(x[layout.damping]),
         )
 
-    def forces(self, x: Array) -> Array:
-        """Density of the forces on the floors in every class, shape (classes, n), N^2/Hz.
-
-        Beside a measured ground they are the same in all: wind does not follow the ground.  What is known of them there is told
-        for the masses known before, and goes with all of them together.
-        """
-        layout = self.layout
-        force, level = np.exp(x[layout.forces]), np.exp(x[layout.levels])
-        if self.observed.power is None:
-            return np.asarray(level[:, None] * force)
-        heavier = (x[layout.masses] - self.prior.mean[layout.masses]).mean()
-        return np.tile(force * np.exp(2.0 * heavier), (self.n_classes, 1))
-
     def noise(self, x: Array) -> Array:
         """Noise density of every channel."""
         layout = self.layout
         return np.asarray(np.exp(x[layout.noise] + x[layout.channel_noise]))
-
-
-def diagonal_of(power: Array) -> Array:
-    """Diagonal matrices, shape (n_bins, c, c)."""
-    return power[:, :, None] * np.eye(power.shape[1])

@@ -10,6 +10,7 @@ from scipy.linalg import eigh
 
 from monitor.core import Array, ComplexArray
 from monitor.inference.cross_spectra import accelerance, extended, force_colour, force_root, seen, variances
+from monitor.inference.driven_posterior import DrivenPosterior
 from monitor.inference.force_levels import ground_levels
 from monitor.inference.ground_response import motion_rms
 from monitor.inference.observed_spectra import ObservedSpectra, class_temperature
@@ -39,11 +40,9 @@ def linearize(
     n, forces = context.structure.n_dofs, posterior.forces(x)
     drift = context.structure.drift_matrix()
     rows, order = np.vstack([drift, drift, np.eye(n)]), np.repeat([0, 1, 1], [len(drift), len(drift), n])
-    excess = (
-        None if e.drive is not None else (e.spectra if spectra is None else spectra) - posterior.scatter(x, effects)
-    )
+    excess = (e.spectra if spectra is None else spectra) - posterior.scatter(x, effects)
     beyond, out = _beyond(posterior, x, everything), []
-    shaken = e.drive is None and any(effect.ground_share for effect in everything)
+    shaken = not isinstance(posterior, DrivenPosterior) and any(effect.ground_share for effect in everything)
     ground = ground_levels(posterior, x, effects) if shaken else np.ones(posterior.n_classes)
     for k in range(posterior.n_classes):
         system = extended(base, everything, context, posterior.conditions[k])
@@ -53,7 +52,11 @@ def linearize(
         hz = np.arange(max(0.2 * lowest, step), e.band.hz[-1] * 1.2, step)
         motion, _ = _moved(system, everything, hz, forces[k], rows, order, context)
         variance = 2.0 * step * (np.abs(motion) ** 2).sum(axis=(0, 2))
-        if excess is not None:
+        if isinstance(posterior, DrivenPosterior):
+            drive = posterior.drive.part(e.members[k])
+            driven = [motion_rms(drive, system, e.band, context, rows[order == o], o, 0.2 * lowest) for o in (0, 1)]
+            variance = variance + np.concatenate(driven) ** 2
+        else:
             motion, seen_there = _moved(system, everything, e.band.hz, forces[k], rows, order, context, posterior, k)
             channels = seen_there @ seen_there.conj().swapaxes(-1, -2) + np.diag(posterior.noise(x))
             wiener = np.linalg.solve(channels, seen_there @ motion.conj().swapaxes(-1, -2)).conj().swapaxes(-1, -2)
@@ -61,11 +64,6 @@ def linearize(
             heard = (e.band.hz > _SLOW * lowest)[:, None, None] / e.band.gain[:, None, None] * excess[k]
             more = np.einsum("fra,fab,frb->r", wiener, heard, wiener.conj()).real
             variance = np.maximum(variance + 2.0 * e.band.bin_hz * more, _LEAST_MOTION * variance)
-        else:
-            assert e.drive is not None
-            drive = e.drive.part(e.members[k])
-            driven = [motion_rms(drive, system, e.band, context, rows[order == o], o, 0.2 * lowest) for o in (0, 1)]
-            variance = variance + np.concatenate(driven) ** 2
         rms = np.sqrt(variance)
         warmer = partial(_excess_degc, e, k, posterior.prior.reference_degc)
         m = len(drift)

@@ -11,7 +11,8 @@ P. Whittle, Arkiv foer Matematik 2 (1953) 423-434; A. M. Sykulski et al., The de
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from abc import abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -19,44 +20,25 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from monitor.core import Array, ComplexArray, parallel_map
-from monitor.inference import ground_response
-from monitor.inference.forward_model import ForwardModel, Prediction, diagonal_of
+from monitor.core import Array, ComplexArray
+from monitor.inference.forward_model import ForwardModel, Prediction
 from monitor.inference.observed_spectra import ObservedSpectra
 from monitor.inference.wishart import log_det_and_trace, whiten
 from monitor.model import Effect
 
 _FORCE_STD, _LEVEL_STD, _NOISE_STD = 1.0, 5.0, 3.0
 """Prior of the logarithm of the floors' forces about their mean, of the classes' levels, of the common noise."""
-_WIND_STD = 0.15
-"""The same of forces that a measured ground's quiet tells, about what they are all the time."""
 _NUDGE = 1e-5
 """Finite difference of a nuisance, most of which are logarithms."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class ExactSlopes:
-    """What exact laws add, near one fit, to the slopes of their linearized response."""
-
-    laws: frozenset[tuple[str, str]]
-    """Names and places of the effects."""
-    slopes: ComplexArray
-    """By the nuisances, shape (n_nuisance, n_segments, n_bins, c)."""
-
-
-@dataclass(frozen=True, eq=False, slots=True)
 class Posterior(ForwardModel):
-    """Evidence, what is known before it, and where effects act: how likely parameters are."""
-
-    bent: ExactSlopes | None = None
-    """What laws add to the linearized slopes of a response to a measured ground; None where those serve."""
-
-    wind: Array | None = None
-    """Logarithms of the forces beside a measured ground that its quiet tells, shape (n,); None while they are not known."""
+    """Score parameters: the likelihood of a recording's observed spectra, and what is known of the parameters before it."""
 
     def part(self, evidence: ObservedSpectra, classes: NDArray[np.intp]) -> Self:
         """The same for other segments, whose classes are like those of these numbers here."""
-        return replace(self, observed=evidence, conditions=tuple(self.conditions[k] for k in classes), bent=None)
+        return replace(self, observed=evidence, conditions=tuple(self.conditions[k] for k in classes))
 
     def beyond(self, x: Array, effects: Sequence[Effect]) -> ComplexArray | None:
         """What simulation adds to the linearized spectra at a point, relative to them, shape (classes, n_bins, c, c).
@@ -69,7 +51,7 @@ class Posterior(ForwardModel):
         """Mean and precision of the nuisances, given the forces' mean level, and of the effects' coordinates."""
         middle = self.conditions[self.n_classes // 2]
         known = [e.known(self.context, middle) for e in effects]
-        forces, force_precision = self._known_forces(x)
+        forces, force_precision = self.force_prior(x)
         precision = block_diag(
             self.prior.precision,
             force_precision,
@@ -88,13 +70,13 @@ class Posterior(ForwardModel):
         )
         return mean, precision
 
-    def _known_forces(self, x: Array) -> tuple[Array, Array]:
-        """Mean and precision of the logarithms of the floors' forces, shapes (n,) and (n, n)."""
-        own = x[self.layout.forces]
-        n = own.size
-        if self.wind is not None:
-            return self.wind, np.eye(n) / _WIND_STD**2
-        return own if self.observed.power is not None else np.full(n, own.mean()), difference_operator(n)
+    @abstractmethod
+    def force_prior(self, x: Array) -> tuple[Array, Array]:
+        """Return mean and precision of the logarithms of the floors' forces, shapes (n,) and (n, n)."""
+
+    def with_exact_slopes(self, x: Array, effects: tuple[Effect, ...]) -> Self:
+        """Return the posterior with slopes of the exact laws near a fit; itself where no ground was measured."""
+        return self
 
     def log_likelihood(
         self, spectra: ComplexArray, data: ComplexArray | None = None, *, levelled: bool = False
@@ -118,45 +100,22 @@ class Posterior(ForwardModel):
         mean, precision = self.normal_prior(x, effects)
         return ll, -0.5 * float((x - mean) @ precision @ (x - mean))
 
+    @abstractmethod
     def slopes(self, x: Array, effects: tuple[Effect, ...], spectra: ComplexArray) -> ComplexArray:
-        """Derivatives of the (smoothed) spectra, shape (p, classes, bins, c, c), by finite differences."""
-        layout, c = self.layout, len(self.context.channels)
-        diagonal = np.arange(c)
-        noise = self.noise(x)
-        noise_slope = np.zeros((c, *spectra.shape[1:]), dtype=complex)
-        noise_slope[diagonal, :, diagonal, diagonal] = noise[:, None]
-        out = np.empty((x.size, *spectra.shape), dtype=complex)
-        out[layout.effects] = self.effect_slopes(x, effects, spectra)
-        alone = self.observed.power is None  # else the ground's noise moves the floors too
-        for i in range(layout.n_nuisance):
-            if alone and layout.channel_noise.start <= i < layout.channel_noise.stop:
-                out[i] = noise_slope[i - layout.channel_noise.start]
-            elif not alone and self.wind is None and layout.forces.start <= i < layout.forces.stop:
-                # Forces beside a measured ground stay as small as they are until its quiet has told them: they would excuse
-                # a wrong response at its peaks.
-                out[i] = 0.0
-            elif layout.levels.start <= i < layout.levels.stop:
-                k = i - layout.levels.start
-                out[i] = 0.0
-                if self.observed.power is None:
-                    out[i, k] = out[layout.forces, k].sum(axis=0)  # all forces at once, but neither lines nor noise
-                else:
-                    out[i, k] = self.smooth(np.exp(x[i]) * diagonal_of(self.observed.power))
-            elif alone and i == layout.noise:
-                out[i] = noise_slope.sum(axis=0)
-            else:
-                out[i] = self.slope(x, i, effects, spectra)
-        return out
+        """Differentiate the (smoothed) spectra by all parameters, shape (p, classes, bins, c, c).
+
+        Parameters
+        ----------
+        spectra : ndarray, shape (classes, bins, c, c)
+            The prediction at `x`.
+        """
 
     def slope(self, x: Array, i: int, effects: tuple[Effect, ...], spectra: ComplexArray) -> ComplexArray:
         """As `slopes`, by nuisance i alone: taken at the middle class and scaled by level, as it only weighs the residual, but
         for what standing effects do to every class in its own way."""
         if i in self._by_class:
             return self.slope_by_class(x, i, effects, spectra)
-        middle, scale = self.n_classes // 2, np.ones(self.n_classes)
-        if self.observed.power is None:
-            levels = x[self.layout.levels]
-            scale = np.exp(levels - levels[middle])
+        middle, scale = self.n_classes // 2, self.relative_levels(x)
         h, moved = self.nudged(x, i, effects)
         change = self.smooth(self.scatter(moved, effects, classes=[middle]))[0] - spectra[middle]
         return np.asarray(change / h * scale[:, None, None, None])
@@ -175,57 +134,6 @@ class Posterior(ForwardModel):
             out[j] = (self.smooth(self.scatter(moved, with_coordinates(effects, moved[n:]))) - spectra) / h
         return out
 
-    def mean_slopes(
-        self, x: Array, effects: tuple[Effect, ...], mean: ComplexArray, wanted: Iterable[int]
-    ) -> ComplexArray:
-        """Derivatives of the segments' means by the wanted coordinates, shape (n_wanted, n_segments, n_bins, c).
-
-        The exact laws' by their own sizes; by the nuisances the linearized ones', which are quicker, with what is known of the
-        difference.  `mean` is the response at `x`.
-        """
-        linear = self._linear_mean(x, effects, mean)
-        own = self.bent if self.bent is not None and self.bent.laws == _laws(effects) else None
-        out = []
-        for i in wanted:
-            h, moved = self.nudged(x, i, effects)
-            if i > self.layout.noise:
-                there = self.mean(moved, with_coordinates(effects, moved[self.layout.effects]))
-                assert there is not None
-                out.append((there - mean) / h)
-            elif i in self._moving:
-                there = self.mean(moved, effects, exact=False)
-                assert there is not None
-                out.append((there - linear) / h + (0.0 if own is None else own.slopes[i]))
-            else:
-                out.append(np.zeros_like(mean))
-        return np.array(out, dtype=complex).reshape(-1, *mean.shape)
-
-    def with_exact_slopes(self, x: Array, effects: tuple[Effect, ...]) -> Self:
-        """The same with the slopes of a response to a measured ground, near a fit, as the exact laws have them."""
-
-        def bent(x: Array) -> ComplexArray:
-            mean = self.mean(x, effects)
-            assert mean is not None
-            return np.asarray(mean - self._linear_mean(x, effects, mean))
-
-        here = bent(x)
-
-        def added(i: int) -> ComplexArray:
-            h, moved = self.nudged(x, i, effects)
-            return np.asarray((bent(moved) - here) / h)
-
-        slopes = np.zeros((self.layout.n_nuisance, *here.shape), dtype=complex)
-        slopes[self._moving] = parallel_map(added, self._moving)
-        return replace(self, bent=ExactSlopes(_laws(effects), slopes))
-
-    def _linear_mean(self, x: Array, effects: tuple[Effect, ...], mean: ComplexArray) -> ComplexArray:
-        """The linearized laws' response where the exact ones' is `mean`."""
-        if not any(e.nonlinear for e in (*self.prior.effects(x), *effects)):
-            return mean
-        linear = self.mean(x, effects, exact=False)
-        assert linear is not None
-        return linear
-
     @property
     def _by_class(self) -> list[int]:
         """Coordinates of standing effects that depend on the condition, or do not follow the level."""
@@ -233,20 +141,9 @@ class Posterior(ForwardModel):
         conditional = [e.conditional or bool(e.lines()) for e in self.prior.model.effects for _ in e.parameters]
         return [first + j for j, by_class in enumerate(conditional) if by_class]
 
-    @property
-    def _moving(self) -> list[int]:
-        """Nuisances that move the response: neither noise nor forces."""
-        noise = self.layout.channel_noise
-        return [*range(noise.start), *range(noise.stop, self.layout.structure.stop)]
-
     def mean_rows(self, here: Prediction, slopes: ComplexArray) -> tuple[Array, Array]:
-        """As `whitened`, for the segments' means; no rows without a measured ground."""
-        if here.left is None:
-            return np.zeros((0, len(slopes))), np.zeros(0)
-        e = self.observed
-        weight = e.weight * e.counts / [m.size for m in e.members]
-        rows = ground_response.mean_rows(here.spectra, np.concatenate([slopes, here.left[None]]), e.members, weight)
-        return rows[:, :-1], rows[:, -1]
+        """Whiten changes of the segments' means as `whitened` does those of the spectra; no rows without a measured ground."""
+        return np.zeros((0, len(slopes))), np.zeros(0)
 
     def jacobian(
         self, x: Array, effects: tuple[Effect, ...], here: Prediction, first: int = 0
@@ -254,11 +151,7 @@ class Posterior(ForwardModel):
         """Whitened slopes by the coordinates from `first` on, and the residuals of the spectra's and of the means' rows."""
         slopes = (self.effect_slopes if first else self.slopes)(x, effects, here.spectra)
         rows, residual = self.whitened(here.spectra, slopes, here.data)
-        mean_slopes = np.zeros((len(slopes), 0, 0, 0), dtype=complex)
-        if here.left is not None:
-            mean_slopes = self.mean_slopes(x, effects, self.observed.segments.values - here.left, range(first, x.size))
-        mean_rows, mean_residual = self.mean_rows(here, mean_slopes)
-        return np.concatenate([rows, mean_rows]), residual, mean_residual
+        return np.ascontiguousarray(rows), residual, np.zeros(0)
 
     def whitened(
         self, spectra: ComplexArray, slopes: ComplexArray, data: ComplexArray | None = None
@@ -283,10 +176,6 @@ class Posterior(ForwardModel):
         moved = x.copy()
         moved[i] += h
         return h, moved
-
-
-def _laws(effects: Sequence[Effect]) -> frozenset[tuple[str, str]]:
-    return frozenset((e.name, e.location) for e in effects if e.nonlinear)
 
 
 def difference_operator(n: int) -> Array:

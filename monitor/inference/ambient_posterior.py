@@ -1,0 +1,75 @@
+"""The posterior of a recording of which only the output was measured: forces on the floors are unknown in every class."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from monitor.core import Array, ComplexArray
+from monitor.inference.cross_spectra import Excitation, cross_spectra, extended
+from monitor.inference.posterior import Posterior, difference_operator
+from monitor.model import Effect
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class AmbientPosterior(Posterior):
+    """Score parameters by output alone.  A class's level multiplies the forces on all floors."""
+
+    def linear_spectra(self, x: Array, effects: Sequence[Effect], classes: Sequence[int]) -> ComplexArray:
+        """See `ForwardModel.linear_spectra`.  Where no effect depends on the class, one class is scaled to the others."""
+        base, context, layout = self.system(x, effects), self.context_at(x), self.layout
+        noise, band = self.noise(x), self.observed.band
+
+        def spectra(k: int, force: Array, noise: Array) -> ComplexArray:
+            system = extended(base, effects, context, self.conditions[k])
+            return cross_spectra(system, effects, Excitation(force, noise), band, context, self.conditions[k])
+
+        if any(e.conditional or e.lines() for e in effects):
+            forces = self.forces(x)
+            return np.stack([spectra(k, forces[k], noise) for k in classes])
+        unit, level = spectra(classes[0], np.exp(x[layout.forces]), np.zeros(noise.size)), np.exp(x[layout.levels])
+        return np.stack([self._scaled(unit, level[k], noise, effects) for k in classes])
+
+    def _scaled(self, unit: ComplexArray, level: float, noise: Array, effects: Sequence[Effect]) -> ComplexArray:
+        """Another class's spectra where only the level differs: everything but the noise scales."""
+        extra = sum((e.noise_variance(self.context, self.conditions[0]) for e in effects), np.zeros(noise.size))
+        extra = np.asarray(extra) / self.context.rate_hz
+        diagonal = np.arange(noise.size)
+        gain = self.observed.band.gain[:, None]
+        out = unit.copy()
+        out[:, diagonal, diagonal] -= extra * gain
+        out *= level
+        out[:, diagonal, diagonal] += (noise + extra) * gain
+        return out
+
+    def forces(self, x: Array) -> Array:
+        """See `ForwardModel.forces`."""
+        layout = self.layout
+        return np.asarray(np.exp(x[layout.levels])[:, None] * np.exp(x[layout.forces]))
+
+    def relative_levels(self, x: Array) -> Array:
+        """See `ForwardModel.relative_levels`."""
+        levels = x[self.layout.levels]
+        return np.asarray(np.exp(levels - levels[self.n_classes // 2]))
+
+    def force_prior(self, x: Array) -> tuple[Array, Array]:
+        """See `Posterior.force_prior`.  Floors are excited about as strongly as their mean."""
+        own = x[self.layout.forces]
+        return np.full(own.size, own.mean()), difference_operator(own.size)
+
+    def slopes(self, x: Array, effects: tuple[Effect, ...], spectra: ComplexArray) -> ComplexArray:
+        """See `Posterior.slopes`."""
+        layout, noise = self.layout, self.noise(x)
+        diagonal = np.arange(noise.size)
+        out = np.zeros((x.size, *spectra.shape), dtype=complex)
+        out[layout.effects] = self.effect_slopes(x, effects, spectra)
+        by_noise = out[layout.channel_noise]
+        by_noise[diagonal, :, :, diagonal, diagonal] = noise[:, None, None]
+        out[layout.noise] = by_noise.sum(axis=0)
+        for i in (*range(layout.channel_noise.start), *range(layout.channel_noise.stop, layout.levels.start)):
+            out[i] = self.slope(x, i, effects, spectra)
+        for k, by_level in enumerate(out[layout.levels]):
+            by_level[k] = out[layout.forces, k].sum(axis=0)  # all forces at once, but neither lines nor noise
+        return out

@@ -1,0 +1,237 @@
+"""The posterior of a recording of which the ground's motion was measured too: input and output are known.
+
+The segments' means are the response to the ground.  What they scatter about it is left to forces on the floors, to noise and to
+the model's own error.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from monitor.core import Array, ComplexArray, parallel_map
+from monitor.inference import ground_response
+from monitor.inference.cross_spectra import Excitation, cross_spectra, extended
+from monitor.inference.forward_model import Prediction
+from monitor.inference.ground_response import Between, Drive
+from monitor.inference.observed_spectra import ObservedSpectra
+from monitor.inference.posterior import Posterior, difference_operator, with_coordinates
+from monitor.model import Effect, ModelDiscrepancy
+
+_WIND_STD = 0.15
+"""Prior standard deviation of the logarithm of a floor's force that the recording's quiet segments tell."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class ExactSlopes:
+    """What exact laws add, near one fit, to the slopes of their linearized response."""
+
+    laws: frozenset[tuple[str, str]]
+    """Names and places of the effects."""
+    slopes: ComplexArray
+    """By the nuisances, shape (n_nuisance, n_segments, n_bins, c)."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class DrivenPosterior(Posterior):
+    """Score parameters by output and measured ground motion.
+
+    A class's level is that of the model's own error, a share of the measured power that is independent between channels.  The
+    forces on the floors are the same in all classes: wind does not follow the ground.
+    """
+
+    exact_slopes: ExactSlopes | None = None
+    """What laws add to the linearized slopes of the response; None where those serve."""
+    wind: Array | None = None
+    """Logarithms of the forces that the recording's quiet segments tell, shape (n,); None while they are not known."""
+
+    @property
+    def drive(self) -> Drive:
+        """The measured ground motion."""
+        assert self.observed.drive is not None
+        return self.observed.drive
+
+    @property
+    def power(self) -> Array:
+        """The channels' power of which the model's own error is a share, shape (n_bins, c), (m/s^2)^2/Hz."""
+        assert self.observed.power is not None
+        return self.observed.power
+
+    @property
+    def error(self) -> ModelDiscrepancy | None:
+        """None: the levels of the classes are the model's own error about the response."""
+        return None
+
+    def part(self, observed: ObservedSpectra, classes: NDArray[np.intp]) -> Self:
+        """See `Posterior.part`."""
+        return replace(Posterior.part(self, observed, classes), exact_slopes=None)
+
+    def between_samples(self, between: Between) -> Self:
+        """Return the posterior where the ground moves otherwise between its samples."""
+        return replace(self, observed=replace(self.observed, drive=replace(self.drive, between=between)))
+
+    def predict(self, x: Array, effects: Sequence[Effect]) -> Prediction:
+        """See `ForwardModel.predict`."""
+        spectra, mean = self.smooth(self.scatter(x, effects)), self.mean(x, effects)
+        left = self.observed.segments.values - mean
+        return Prediction(spectra, self.smooth(ground_response.products(left, self.observed.members)), left)
+
+    def spectra(self, x: Array, effects: Sequence[Effect]) -> ComplexArray:
+        """See `ForwardModel.spectra`."""
+        mean = self.mean(x, effects)
+        return np.asarray(self.scatter(x, effects) + ground_response.products(mean, self.observed.members))
+
+    def mean(self, x: Array, effects: Sequence[Effect], *, exact: bool = True) -> ComplexArray:
+        """See `ForwardModel.mean`."""
+        drive, band = self.drive, self.observed.band
+        effects = (*self.prior.effects(x), *effects)
+        base, context = self.system(x, effects), self.context_at(x)
+        laws = [effect for effect in effects if effect.nonlinear and effect.family == "structure"]
+        if laws and exact:
+            system = extended(base, [f for f in effects if f not in laws], context, self.conditions[0])
+            return ground_response.exact_response(drive, system, effects, band, context, self.conditions[0])
+        out = np.zeros_like(self.observed.segments.values)
+        if not any(effect.conditional for effect in effects):
+            system = extended(base, effects, context, self.conditions[0])
+            out[:] = ground_response.response(drive, system, effects, band, context, self.conditions[0])
+            return out
+        for members, condition in zip(self.observed.members, self.conditions, strict=True):
+            system = extended(base, effects, context, condition)
+            out[members] = ground_response.response(drive.part(members), system, effects, band, context, condition)
+        return out
+
+    def linear_spectra(self, x: Array, effects: Sequence[Effect], classes: Sequence[int]) -> ComplexArray:
+        """See `ForwardModel.linear_spectra`.  The common noise is the ground's too, and moves the floors."""
+        base, context, layout = self.system(x, effects), self.context_at(x), self.layout
+        forces, level, noise = self.forces(x), np.exp(x[layout.levels]), self.noise(x)
+        out = []
+        for k in classes:
+            system = extended(base, effects, context, self.conditions[k])
+            excitation = Excitation(forces[k], noise, float(np.exp(x[layout.noise])))
+            about = cross_spectra(system, effects, excitation, self.observed.band, context, self.conditions[k])
+            out.append(about + level[k] * _diagonal(self.power))
+        return np.stack(out)
+
+    def forces(self, x: Array) -> Array:
+        """See `ForwardModel.forces`.
+
+        The densities of `x` hold for the masses known before.  All masses and forces grow together, since no output shows the
+        common scale of masses and stiffnesses.
+        """
+        layout = self.layout
+        heavier = (x[layout.masses] - self.prior.mean[layout.masses]).mean()
+        return np.tile(np.exp(x[layout.forces]) * np.exp(2.0 * heavier), (self.n_classes, 1))
+
+    def relative_levels(self, x: Array) -> Array:
+        """See `ForwardModel.relative_levels`: forces are the same in all classes."""
+        return np.ones(self.n_classes)
+
+    def force_prior(self, x: Array) -> tuple[Array, Array]:
+        """See `Posterior.force_prior`."""
+        own = x[self.layout.forces]
+        if self.wind is not None:
+            return self.wind, np.eye(own.size) / _WIND_STD**2
+        return own, difference_operator(own.size)
+
+    def slopes(self, x: Array, effects: tuple[Effect, ...], spectra: ComplexArray) -> ComplexArray:
+        """See `Posterior.slopes`."""
+        layout = self.layout
+        out = np.zeros((x.size, *spectra.shape), dtype=complex)
+        out[layout.effects] = self.effect_slopes(x, effects, spectra)
+        # Forces stay as small as they are until quiet segments have told them: they would excuse a wrong response at its peaks.
+        free = layout.structure if self.wind is None else slice(layout.forces.stop)
+        for i in (*range(free.stop), layout.noise):
+            out[i] = self.slope(x, i, effects, spectra)
+        for k, by_level in enumerate(out[layout.levels]):
+            by_level[k] = self.smooth(np.exp(x[layout.levels][k]) * _diagonal(self.power))
+        return out
+
+    def mean_slopes(
+        self, x: Array, effects: tuple[Effect, ...], mean: ComplexArray, wanted: Iterable[int]
+    ) -> ComplexArray:
+        """Differentiate the segments' means by the wanted coordinates, shape (n_wanted, n_segments, n_bins, c).
+
+        The slopes by an effect's own sizes are those of the exact laws.  The slopes by nuisances are those of the linearized
+        laws, which are quicker, with what is known of the difference.
+
+        Parameters
+        ----------
+        mean : ndarray, shape (n_segments, n_bins, c)
+            The response at `x`.
+        """
+        linear = self._linear_mean(x, effects, mean)
+        exact = (
+            self.exact_slopes if self.exact_slopes is not None and self.exact_slopes.laws == _laws(effects) else None
+        )
+        out = []
+        for i in wanted:
+            h, moved = self.nudged(x, i, effects)
+            if i > self.layout.noise:
+                changed = self.mean(moved, with_coordinates(effects, moved[self.layout.effects]))
+                out.append((changed - mean) / h)
+            elif i in self._moving:
+                changed = self.mean(moved, effects, exact=False)
+                out.append((changed - linear) / h + (0.0 if exact is None else exact.slopes[i]))
+            else:
+                out.append(np.zeros_like(mean))
+        return np.array(out, dtype=complex).reshape(-1, *mean.shape)
+
+    def with_exact_slopes(self, x: Array, effects: tuple[Effect, ...]) -> Self:
+        """See `Posterior.with_exact_slopes`."""
+
+        def added(x: Array) -> ComplexArray:
+            mean = self.mean(x, effects)
+            return np.asarray(mean - self._linear_mean(x, effects, mean))
+
+        at_fit = added(x)
+
+        def slope(i: int) -> ComplexArray:
+            h, moved = self.nudged(x, i, effects)
+            return np.asarray((added(moved) - at_fit) / h)
+
+        slopes = np.zeros((self.layout.n_nuisance, *at_fit.shape), dtype=complex)
+        slopes[self._moving] = parallel_map(slope, self._moving)
+        return replace(self, exact_slopes=ExactSlopes(_laws(effects), slopes))
+
+    def _linear_mean(self, x: Array, effects: tuple[Effect, ...], mean: ComplexArray) -> ComplexArray:
+        """Return the linearized laws' response where the exact ones' is `mean`."""
+        if not any(e.nonlinear for e in (*self.prior.effects(x), *effects)):
+            return mean
+        return self.mean(x, effects, exact=False)
+
+    @property
+    def _moving(self) -> list[int]:
+        """Nuisances that move the response: neither noise nor forces."""
+        noise = self.layout.channel_noise
+        return [*range(noise.start), *range(noise.stop, self.layout.structure.stop)]
+
+    def mean_rows(self, here: Prediction, slopes: ComplexArray) -> tuple[Array, Array]:
+        """See `Posterior.mean_rows`."""
+        assert here.left is not None
+        e = self.observed
+        weight = e.weight * e.counts / [m.size for m in e.members]
+        rows = ground_response.mean_rows(here.spectra, np.concatenate([slopes, here.left[None]]), e.members, weight)
+        return rows[:, :-1], rows[:, -1]
+
+    def jacobian(
+        self, x: Array, effects: tuple[Effect, ...], here: Prediction, first: int = 0
+    ) -> tuple[Array, Array, Array]:
+        """See `Posterior.jacobian`."""
+        assert here.left is not None
+        rows, residual, _ = Posterior.jacobian(self, x, effects, here, first)
+        mean_slopes = self.mean_slopes(x, effects, self.observed.segments.values - here.left, range(first, x.size))
+        mean_rows, mean_residual = self.mean_rows(here, mean_slopes)
+        return np.concatenate([rows, mean_rows]), residual, mean_residual
+
+
+def _laws(effects: Sequence[Effect]) -> frozenset[tuple[str, str]]:
+    return frozenset((e.name, e.location) for e in effects if e.nonlinear)
+
+
+def _diagonal(power: Array) -> Array:
+    """Put the channels' power on diagonals, shape (n_bins, c, c)."""
+    return power[:, :, None] * np.eye(power.shape[1])

@@ -1,0 +1,54 @@
+"""Start a fit: make the posterior of a recording, and guess its excitation from the measured power."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from monitor.core import Array
+from monitor.inference.ambient_posterior import AmbientPosterior
+from monitor.inference.driven_posterior import DrivenPosterior
+from monitor.inference.observed_spectra import ObservedSpectra
+from monitor.inference.posterior import Posterior
+from monitor.model import Condition, Context, StructuralPrior
+
+FORCED = 1e-3
+"""Share of the power beside a measured ground that forces cause, at the start."""
+_QUIETEST, _NOISE_SHARE = 0.02, 0.3
+"""Quantile of the power over frequency in which noise shows, and the share of the power that is noise there."""
+_LITTLE_NOISE = 10.0
+"""How far below that, as a logarithm, the noise lies while the forces' level is found."""
+
+
+def make_posterior(observed: ObservedSpectra, prior: StructuralPrior, context: Context) -> Posterior:
+    """Make the posterior of a recording: driven where the ground was measured, else ambient.
+
+    The motion of the classes is not known yet.  Until `linearize` has estimated it, all of it is one (m, m/s, m/s^2), which
+    serves as long as no effect depends on it.
+    """
+    n, c, stories = context.structure.n_dofs, len(context.channels), context.structure.n_stories
+    unknown = Condition(np.ones(stories), np.ones(stories), np.ones(n), np.ones(c))
+    kind = AmbientPosterior if observed.drive is None else DrivenPosterior
+    return kind(observed, prior, context, (unknown,) * observed.counts.size)
+
+
+def guess_levels(posterior: Posterior) -> tuple[Array, Array]:
+    """Guess the noise from the least power, and the level of every class from the medians of the power over frequency.
+
+    Medians are robust to peaks that do not lie where the model has them.
+
+    Returns
+    -------
+    x : ndarray, shape (n_nuisance,)
+        The prior's mean with the noise; forces and levels are zero.
+    ratio : ndarray, shape (classes,)
+        Measured over predicted power at `x` with next to no noise.
+    """
+    layout, c = posterior.layout, len(posterior.context.channels)
+    power = np.einsum("kfaa->kfa", posterior.observed.spectra[:, :, :c, :c]).real
+    quiet = float(np.quantile(power.mean(axis=(0, 2)), _QUIETEST))
+    noise = np.log(max(_NOISE_SHARE * quiet, 1e-300))
+    x = np.zeros(layout.n_nuisance)
+    x[layout.structure], x[layout.noise] = posterior.prior.mean, noise - _LITTLE_NOISE
+    predicted = np.einsum("kfaa->kfa", posterior.scatter(x, ())[:, :, :c, :c]).real
+    x[layout.noise] = noise
+    return x, np.asarray(np.median(power / predicted, axis=(1, 2)))
