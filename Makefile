@@ -3,13 +3,22 @@ PYTHON ?= python3
 BIN := .venv/bin
 STAMP := .venv/.installed
 
-.PHONY: demo test test-slow lint format lock benchmark docs clean
+# What `make test` leaves to `make test-all`; each test that is not slow is in one of the two.
+HEAVY := (engine or system or docs) and not representative
+
+.PHONY: demo test test-all test-heavy test-slow lint format lock benchmark docs clean
 
 demo: $(STAMP)
 	$(BIN)/shm-monitor demo
 
 test: $(STAMP) lint
-	$(BIN)/python -m pytest -m "not slow"
+	$(BIN)/python -m pytest -n auto --dist loadscope -m "not slow and not ($(HEAVY))"
+
+# All that is not slow: `make test`, then what it leaves out.
+test-all: test test-heavy
+
+test-heavy: $(STAMP) test
+	$(BIN)/python -m pytest -m "not slow and $(HEAVY)"
 
 test-slow: $(STAMP)
 	$(BIN)/python -m pytest -m slow --timeout 7200 -s

@@ -166,12 +166,14 @@ def test_results_mcap_holds_the_same_lines(plain: tuple[Done, Path]) -> None:
     assert messages == [(strict(line)["t_end_ns"], line) for line in lines]  # type: ignore[index]
 
 
+@pytest.mark.system
 def test_replay_again_into_the_same_folder_gives_the_same_lines(site: Site, plain: tuple[Done, Path]) -> None:
     before = (plain[1] / "results.jsonl").read_bytes()
     assert_ok(site.cli("replay", site.folder / "plain.mcap", "--structure", site.quick, "--out", plain[1]))
     assert (plain[1] / "results.jsonl").read_bytes() == before
 
 
+@pytest.mark.system
 def test_a_planted_loss_of_a_tenth_is_found_in_its_story_alone(site: Site, calibrated: Done) -> None:
     assert_ok(calibrated)
     assert calibrated.stderr == ""
@@ -202,6 +204,7 @@ def test_a_planted_loss_of_a_tenth_is_found_in_its_story_alone(site: Site, calib
     assert "story 2" in done.stdout
 
 
+@pytest.mark.system
 def test_calibrating_twice_gives_the_same_baseline(site: Site, calibrated: Done, tmp_path: Path) -> None:
     assert_ok(calibrated)
     again = tmp_path / "again.json"
@@ -210,6 +213,7 @@ def test_calibrating_twice_gives_the_same_baseline(site: Site, calibrated: Done,
     strict(again.read_text())
 
 
+@pytest.mark.system
 def test_samples_that_are_not_finite_are_told_and_their_windows_skipped(site: Site, tmp_path: Path) -> None:
     values = site.values(80)
     values[6000:6200, 1] = np.nan  # 30 to 31 s
@@ -234,6 +238,7 @@ def test_samples_that_are_not_finite_are_told_and_their_windows_skipped(site: Si
     assert summary["skipped"] == sum(line["skipped"] is not None for line in lines)
 
 
+@pytest.mark.system
 def test_results_are_written_even_when_no_window_completes(site: Site, tmp_path: Path) -> None:
     values = site.values(60)
     values[1000::2000] = np.nan  # a hole every 10 s
@@ -244,6 +249,7 @@ def test_results_are_written_even_when_no_window_completes(site: Site, tmp_path:
     assert all(line["skipped"] for line in lines)
 
 
+@pytest.mark.system
 def test_a_truncated_recording_is_used_as_far_as_it_goes_with_a_warning(site: Site, tmp_path: Path) -> None:
     cut = site.folder / "cut.mcap"
     whole = site.healthy.read_bytes()
@@ -255,6 +261,7 @@ def test_a_truncated_recording_is_used_as_far_as_it_goes_with_a_warning(site: Si
     assert 1 <= len(lines_of(tmp_path)) < 37
 
 
+@pytest.mark.system
 def test_replay_at_a_multiple_of_real_time_takes_its_time(site: Site, plain: tuple[Done, Path], tmp_path: Path) -> None:
     arguments = ("--structure", site.quick, "--out", tmp_path, "--speed", "40")
     assert_ok(site.cli("replay", site.folder / "plain.mcap", *arguments))
@@ -325,6 +332,7 @@ BAD_RECORDINGS: dict[str, tuple[Callable[[Site], Path], tuple[str, ...]]] = {
 }
 
 
+@pytest.mark.system
 @pytest.mark.parametrize("case", BAD_RECORDINGS)
 def test_bad_recordings_get_one_message_and_leave_nothing(
     site: Site, plain: tuple[Done, Path], case: str, tmp_path: Path
@@ -343,6 +351,7 @@ def test_calibrate_refuses_bad_recordings_too(site: Site, plain: tuple[Done, Pat
     assert tree(tmp_path) == {}
 
 
+@pytest.mark.system
 def test_a_failed_replay_leaves_the_files_of_an_earlier_one(site: Site, tmp_path: Path) -> None:
     good = site.write("good.mcap", site.values(25))
     assert_ok(site.cli("replay", good, "--structure", site.quick, "--out", tmp_path))
@@ -352,6 +361,7 @@ def test_a_failed_replay_leaves_the_files_of_an_earlier_one(site: Site, tmp_path
     assert tree(tmp_path) == before
 
 
+@pytest.mark.system
 def test_calibrate_on_noise_alone_says_which_recording_and_why(site: Site, tmp_path: Path) -> None:
     noise = site.write("noise.mcap", np.random.default_rng(0).normal(size=(6000, 3)))
     done = site.cli("calibrate", noise, "--structure", site.quick, "--out", tmp_path / "b.json")
@@ -359,6 +369,7 @@ def test_calibrate_on_noise_alone_says_which_recording_and_why(site: Site, tmp_p
     assert tree(tmp_path) == {}
 
 
+@pytest.mark.system
 def test_a_gap_that_leaves_too_little_is_not_blamed_on_the_recordings_length(site: Site, tmp_path: Path) -> None:
     """28 s recorded, but the last 14 s are not finite: "record longer" would be no help."""
     values = site.values(28)
@@ -628,6 +639,7 @@ def test_more_than_the_memory_holds_is_one_message(site: Site, tmp_path: Path) -
     assert tree(tmp_path) == {}
 
 
+@pytest.mark.system
 def test_the_installed_script_gives_the_same_codes(site: Site, calibrated: Done, tmp_path: Path) -> None:
     """78, 65 for a baseline, and 2, told by the script itself."""
     assert_ok(calibrated)

@@ -14,6 +14,8 @@ from tests.cli.test_app import assert_ok, assert_refused, strict
 from tests.conftest import Cli
 from tests.diagnosis.test_files import KEYS
 
+pytestmark = pytest.mark.engine
+
 Done = subprocess.CompletedProcess[str]
 FILES = {"diagnosis.json", "report.html", "structure.updated.toml", "structure.extended.toml", "diagnosis.rrd"}
 
@@ -48,6 +50,7 @@ def site(tmp_path_factory: pytest.TempPathFactory, main: Cli, frame_text: str) -
     return Site(tmp_path_factory.mktemp("diagnose"), main, frame_text)
 
 
+@pytest.mark.representative
 def test_a_wrong_gain_is_named_and_five_files_are_left(site: Site) -> None:
     assert_ok(site.done)
     assert {p.name for p in site.out.iterdir()} == FILES

@@ -291,6 +291,7 @@ def healthy(slow_site: Configuration, tmp_path_factory: pytest.TempPathFactory) 
     return load_baseline(folder / "b.json", slow_site.instrumented(), slow_site.updating)
 
 
+@pytest.mark.engine
 def test_calibrate_learns_the_dependence_from_a_recording(healthy: Baseline) -> None:
     law = healthy.temperature
     assert law is not None

@@ -25,6 +25,8 @@ from monitor.model.simulation import simulate
 from monitor.runs.synthetic_recording import cut_into_blocks
 from tests.diagnosis.test_simulation_refit import CONFIG, RATE
 
+pytestmark = pytest.mark.engine
+
 MASS, OFFSET = "added_mass:floor 2:mass_kg=0.04", "time_offset:channel a3:seconds=0.0006"
 
 

@@ -27,6 +27,8 @@ from monitor.model.simulation import simulate
 from monitor.runs.diagnose import judged
 from monitor.runs.synthetic_recording import cut_into_blocks
 
+pytestmark = pytest.mark.engine
+
 RATE = 100.0
 TRUTH = {"kind": "shear_frame", "masses_kg": [0.33, 0.35, 0.31], "stiffness_n_per_m": [2900.0, 1500.0, 1900.0]}
 DAMPER = "story_damper:story 1:damping_n_s_per_m=1.5"

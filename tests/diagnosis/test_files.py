@@ -31,6 +31,8 @@ from monitor.model.prior import ModelDiscrepancy, prior_from_drawing
 from monitor.model.prior_file import from_plain, to_plain
 from tests.diagnosis.test_cross_validation import DAMPER, context_of, recorded, settings
 
+pytestmark = pytest.mark.engine
+
 KEYS = {"verdict", "cause", "causes", "alternatives", "separating_measurement", "misfit", "gain", "standing", "tried"}
 TEXT = """# The drawing.
 [structure]

@@ -23,6 +23,8 @@ from monitor.runs.diagnose import learn
 from monitor.runs.synthetic_recording import cut_into_blocks
 from tests.diagnosis.test_simulation_refit import CONFIG, RATE
 
+pytestmark = pytest.mark.engine
+
 COLOUR = "coloured_excitation:frame:corner_hz=12"
 GAINS = ("sensor_gain:channel a1:gain=1.015", "sensor_gain:channel a2:gain=0.985")
 

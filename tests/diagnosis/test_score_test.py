@@ -17,6 +17,8 @@ from monitor.model.simulation import simulate
 from monitor.runs.synthetic_recording import cut_into_blocks
 from tests.diagnosis.test_simulation_refit import CONFIG, RATE
 
+pytestmark = pytest.mark.engine
+
 
 def test_a_swap_is_ranked_first_though_the_plain_model_was_dragged_far_to_excuse_it() -> None:
     context = CONFIG.instrumented().context(RATE)

@@ -24,6 +24,8 @@ from monitor.model.prior import prior_from_drawing
 from monitor.model.simulation import simulate
 from monitor.runs.synthetic_recording import cut_into_blocks
 
+pytestmark = pytest.mark.engine
+
 RATE = 128.0
 FRAME = {"kind": "shear_frame", "masses_kg": [0.33, 0.35, 0.31], "stiffness_n_per_m": [2900.0, 1500.0, 1900.0]}
 CUBIC = "cubic_stiffness:story 2:k3_n_per_m3={:g}"

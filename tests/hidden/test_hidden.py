@@ -26,6 +26,7 @@ def told(results: list[dict[str, Any]]) -> str:
     return "\n" + "\n".join(tables.line(r) for r in results)
 
 
+@pytest.mark.engine
 @pytest.mark.timeout(1200)
 def test_what_is_hidden_is_found() -> None:
     results = [trial.run(SEED + i, name) for i, name in enumerate(SAMPLE)]

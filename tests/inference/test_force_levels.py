@@ -28,6 +28,8 @@ from monitor.runs.synthetic_recording import cut_into_blocks
 from monitor.signals.welch import hann_amplitude
 from tests.diagnosis.test_simulation_refit import CONFIG, RATE, posed
 
+pytestmark = pytest.mark.engine
+
 GROUND = parse_effect("base_excitation:base:share=0.4")
 
 

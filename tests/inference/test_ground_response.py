@@ -28,6 +28,8 @@ from monitor.model.prior import prior_from_drawing
 from monitor.model.simulation import level_wander, respond, simulate
 from monitor.runs.synthetic_recording import cut_into_blocks
 
+pytestmark = pytest.mark.engine
+
 RATE = 1000.0
 RECORDINGS = Path(__file__).parents[2] / "recordings"
 STRUCTURE = {"kind": "shear_frame", "masses_kg": [0.33, 0.35, 0.31], "stiffness_n_per_m": [2900.0, 1500.0, 1900.0]}

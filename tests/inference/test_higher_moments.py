@@ -27,6 +27,8 @@ from monitor.model.simulation import simulate
 from monitor.runs.synthetic_recording import cut_into_blocks
 from tests.diagnosis.test_simulation_refit import CONFIG, RATE
 
+pytestmark = pytest.mark.engine
+
 CONTEXT = CONFIG.instrumented().context(RATE)
 KNOWN = prior_from_drawing(CONFIG.model(), np.full(6, 0.002), 3)
 

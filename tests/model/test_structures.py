@@ -68,6 +68,7 @@ def learned(settings: Configuration, truth: Model, seed: int, duration_s: float)
     )[0]
 
 
+@pytest.mark.engine
 def test_a_frame_given_by_its_matrices_gives_the_frame_s_results(main, frame_text: str, tmp_path: Path) -> None:
     more = "[processing]\nwindow_s = 20.0\nhop_s = 5.0\n[identification]\nblock_rows = 10\n"
     (tmp_path / "frame.toml").write_text(frame_text)

@@ -30,6 +30,8 @@ from monitor.publish.reports.diagnosis_report import write_report
 from monitor.publish.viewer.diagnosis_view import write_view
 from monitor.runs.synthetic_recording import cut_into_blocks
 
+pytestmark = pytest.mark.engine
+
 CONFIG = Configuration.model_validate(
     {
         "structure": {

@@ -25,6 +25,8 @@ from monitor.runs.archive.inventory import Survey, expand_patterns, group_into_r
 from monitor.runs.archive.reprocess import reprocess
 from tests.conftest import T0_NS, Cli, Cut
 
+pytestmark = pytest.mark.system
+
 RATE = 128.0
 S = 1_000_000_000
 

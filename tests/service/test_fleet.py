@@ -23,6 +23,8 @@ from tests.conftest import T0_NS, Cli, Cut
 from tests.support.live_rig import DEPLOY, Command, until
 from tests.support.zenoh_router import Router, free_port
 
+pytestmark = pytest.mark.system
+
 NOW_NS = 1_800_000_000_000_000_000
 HEALTH = {"wall_ns": NOW_NS - 10**9, "source": {"connected": True}, "failed": {}}
 RESULT = {"t_end_ns": 7, "ddi": [0.01, 0.2], "ddi_std": [0.01, 0.02], "frequencies_hz": [5.2, 16.0], "skipped": None}
@@ -189,6 +191,7 @@ def overlooked(tmp_path: Path, count: int, frame_text: str, cut: Cut, main: Cli)
         router.kill()
 
 
+@pytest.mark.representative
 def test_two_daemons_and_one_that_is_missing(tmp_path: Path, frame_text: str, cut: Cut, main: Cli) -> None:
     overlooked(tmp_path, 2, frame_text, cut, main)
 

@@ -21,6 +21,8 @@ from tests.publish.test_period_report import json_lines, line_of
 from tests.publish.test_viewer import SCENE, window
 from tests.support.debian import demand
 
+pytestmark = pytest.mark.system
+
 ROOT = Path(__file__).parents[2]
 
 

@@ -14,6 +14,8 @@ from monitor.runs import demo
 from tests.conftest import Cli
 from tests.support.debian import demand
 
+pytestmark = pytest.mark.system
+
 ROOT = Path(__file__).parents[2]
 
 

@@ -17,6 +17,8 @@ from monitor.config import configuration, security_check
 from tests.conftest import Cli
 from tests.support.debian import demand
 
+pytestmark = pytest.mark.system
+
 DEPLOY = Path(__file__).parents[2] / "deploy"
 UNITS = ("shm-monitor.service", "shm-monitor@.service")
 

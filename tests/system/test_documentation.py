@@ -113,7 +113,12 @@ def run(page: Path, folder: Path, *, slow: bool) -> None:
         assert "Traceback" not in done.stderr
 
 
-@pytest.mark.parametrize("page", RUN, ids=lambda p: p.stem)
+@pytest.mark.docs
+@pytest.mark.parametrize(
+    "page",
+    [pytest.param(p, marks=pytest.mark.representative if p.stem == "state" else ()) for p in RUN],
+    ids=[p.stem for p in RUN],
+)
 def test_the_commands_of_a_page_run(page: Path, tmp_path: Path) -> None:
     run(page, tmp_path, slow=False)
 

@@ -15,6 +15,8 @@ from drivers.mcap_file import read_recordings
 from monitor.publish.results.schema import LINE_SCHEMA
 from tests.conftest import Cli
 
+pytestmark = pytest.mark.system
+
 pandas = pytest.importorskip("pandas")
 polars = pytest.importorskip("polars")
 ProtobufDecoders = pytest.importorskip("mcap_protobuf.decoder").DecoderFactory

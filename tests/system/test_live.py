@@ -8,6 +8,8 @@ import pytest
 
 from tests.benchmarks.live import measure, wrong
 
+pytestmark = pytest.mark.system
+
 
 @pytest.mark.parametrize("kind", ["can", "zenoh"])
 def test_live_is_replay_of_the_source_and_of_what_was_recorded(kind: str, tmp_path: Path) -> None:

@@ -43,6 +43,8 @@ from tests.support.live_rig import (
 )  # fmt: skip
 from tests.support.zenoh_router import Router
 
+pytestmark = pytest.mark.system
+
 WINDOW_S, HOP_S = 20.0, 5.0
 PROCESSING = {"window_s": WINDOW_S, "hop_s": HOP_S}
 QUICK = {"watch": {"diagnose": False}, "recorder": {"flush_s": 1.0}}

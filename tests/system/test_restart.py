@@ -39,6 +39,8 @@ from monitor.service.threads import Recording
 from tests.conftest import T0_NS, Cli, Cut
 from tests.support.live_site import RATE, SIZE, forked, given
 
+pytestmark = pytest.mark.system
+
 SITE = """
 [site]
 name = "bench"

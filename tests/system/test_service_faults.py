@@ -41,6 +41,8 @@ from tests.service.test_daemon import SITE, Scripted, own, summary
 from tests.support.live_site import RATE
 from tests.support.zenoh_router import free_port
 
+pytestmark = pytest.mark.system
+
 ROOT = Path(__file__).parents[2]
 S = 10**9
 

@@ -24,6 +24,8 @@ from monitor.service.outlets.zenoh import ZenohOut, ZenohOutSettings
 from tests.drivers.test_zenoh_bus import CHANNELS, block, take, until
 from tests.support.zenoh_router import Router, free_port
 
+pytestmark = pytest.mark.system
+
 SITE = "shm/lab-frame"
 DEPLOY = Path(__file__).parents[2] / "deploy"
 Authority = tuple[ec.EllipticCurvePrivateKey, x509.Certificate]
