@@ -25,7 +25,7 @@ def ddi_effect(diagnosis: Diagnosis) -> dict[str, Any]:
     dict
         ``without`` and ``with`` the causes: lists of shape (n_stories,), 0.2 = 20 % lost; empty where nothing was added.
     """
-    causes = tuple(e for e in diagnosis.final.effects if e.name != "stiffness_change")
+    causes = tuple(e for e in diagnosis.final.effects if not e.is_stiffness_loss)
     if not diagnosis.final.effects:
         return {"without": [], "with": []}
     problem = _with_free_stiffness(diagnosis.problem)

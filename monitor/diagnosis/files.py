@@ -173,7 +173,7 @@ def structure_text(text: str, model: Model, reference_degc: float | None = None)
         table["modal_damping_ratio"] = _plain(model.modal_damping)
     if model.correction is not None and model.correction.any():
         table["stiffness_correction_n_per_m"] = _plain(model.correction)
-    if reference_degc is not None and any(e.name == "temperature_stiffness" for e in model.effects):
+    if reference_degc is not None and any(e.temperature_lag_s is not None for e in model.effects):
         table["reference_temperature_degc"] = float(f"{reference_degc:.6g}")
     return effects_text(tomlkit.dumps(document), model.effects)
 

@@ -18,8 +18,6 @@ _QUICKLY, _BRIEFLY = 5, 6
 """Iterations of a rough fit without a measured ground, and of one beside a held structure."""
 _FINE = 0.02
 """Nats that the last step of a fit may promise where the ground was not measured."""
-_STATIONARY = ("sensor_clipping",)
-"""Effects whose linearization takes samples for normal, which an earthquake's are not."""
 _DRAGGED = -20.0
 """Log prior below which the model without the effect was dragged far from what was known, where a fit starts better."""
 _MORE = 3.0
@@ -63,7 +61,7 @@ def candidate_starts(problem: Posterior, null: MapEstimate, taken: Iterable[tupl
     skip, found = {*taken, *bent}, peaks(problem, null)
     out: list[Effect] = []
     for name, kind in EFFECTS.items():
-        if problem.observed.drive is not None and (kind.family == "excitation" or name in _STATIONARY):
+        if problem.observed.drive is not None and (kind.family == "excitation" or kind.stationary_only):
             continue  # the input is measured; another one would only excuse what the model's response lacks
         for place in (p for k in kind.places for p in locations(k, problem.context)):
             if (name, place) not in skip:

@@ -15,7 +15,7 @@ from monitor.diagnosis.score_test import Candidate, best_of_each, candidate_star
 from monitor.diagnosis.settings import DiagnosisSettings
 from monitor.diagnosis.simulation_refit import RefittedCandidate, refit_by_simulation
 from monitor.inference import CorrectedPosterior, MapEstimate, MeasuredMoments, Moments, Posterior, measure_moments
-from monitor.model import AttachedOscillator, Effect
+from monitor.model import Effect
 
 _SMALL = 200.0
 """Promised gain, nats, of a small effect."""
@@ -26,8 +26,6 @@ _UNSURE = 0.1
 """Share of a gain by which a rough simulation may misjudge it."""
 _EVEN = 1.0
 """Nats of a simulation's chance from which rivals are simulated once more."""
-_SWINGS = 0.5
-"""Damping ratio below which something swings by itself."""
 
 
 def run_selection_round(
@@ -67,10 +65,8 @@ def _is_one(problem: Posterior, candidate: Candidate) -> bool:
     """Whether a linear cause is what it says: of a size that is beyond doubt not that of none; and, if it swings by itself, does
     so within the band and is not damped at once, for a heavy thing that hardly moves stands for a damper.
     """
-    effect, hz = candidate.effect, problem.observed.band.hz
-    if isinstance(effect, AttachedOscillator) and not (
-        hz[0] <= effect.frequency_hz <= hz[-1] and effect.damping_ratio < _SWINGS
-    ):
+    effect = candidate.effect
+    if not effect.is_plausible(problem.observed.band.hz):
         return False
     own = np.sqrt(np.maximum(np.diag(candidate.fit.covariance)[problem.layout.effects], 0.0))
     return effect.nonlinear or is_significant(effect, own[own.size - len(effect.parameters) :])

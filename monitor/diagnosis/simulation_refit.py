@@ -33,7 +33,7 @@ from monitor.inference import (
     simulate_spectra,
     with_coordinates,
 )
-from monitor.model import Context, CubicStiffness, StructuralPrior, loaded
+from monitor.model import Context, StructuralPrior, loaded
 
 Rounds = tuple[tuple[int, bool], ...]
 """Simulations in each round, and whether slopes are taken too."""
@@ -94,7 +94,7 @@ def refit_by_simulation(
 ) -> RefittedCandidate:
     """Refit a candidate with nonlinear laws, its linearization corrected by simulation at the fitted size."""
     made = fit_by_simulation(problem, candidate.fit, care)
-    softening = any(isinstance(e, CubicStiffness) and e.k3_n_per_m3 < 0.0 for e in candidate.fit.effects)
+    softening = any(e.is_softening for e in candidate.fit.effects)
     if softening and care == "rough" and np.abs(made.problem.relative[0]).max() > _WILD:
         other = fit_by_simulation(problem, _weaker(problem, candidate.fit), care)
         made = max(made, other, key=lambda m: m.fit.log_posterior)

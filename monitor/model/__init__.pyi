@@ -1,25 +1,23 @@
 from . import prior_file
 from .effects import (
+    CALIBRATION_EFFECTS,
     EFFECTS,
     FORMS,
-    AmbientForces,
     Condition,
     Context,
     Effect,
     EffectError,
+    FittedModel,
     FittedSizes,
     LawKind,
     ParameterEstimates,
-    StiffnessChange,
     System,
     interval,
     locations,
     parse_effect,
+    story_damage,
     unit,
 )
-from .effects.attached_oscillator import AttachedOscillator
-from .effects.cubic_stiffness import CubicStiffness
-from .effects.joint_flexibility import JointFlexibility
 from .instrumented import InstrumentedModel
 from .integration import loaded, march
 from .model import Model, Modes
@@ -29,19 +27,17 @@ from .structures import MatrixStructure, ShearFrame
 from .structures.tables import Matrix, Positive, StructureTable
 
 __all__ = [
+    "CALIBRATION_EFFECTS",
     "EFFECTS",
     "FORMS",
-    "AmbientForces",
-    "AttachedOscillator",
     "Condition",
     "Context",
-    "CubicStiffness",
     "Effect",
     "EffectError",
     "ExcitationKind",
+    "FittedModel",
     "FittedSizes",
     "InstrumentedModel",
-    "JointFlexibility",
     "LawKind",
     "Matrix",
     "MatrixStructure",
@@ -52,7 +48,6 @@ __all__ = [
     "ParameterEstimates",
     "Positive",
     "ShearFrame",
-    "StiffnessChange",
     "StructuralPrior",
     "StructureTable",
     "System",
@@ -68,5 +63,6 @@ __all__ = [
     "respond",
     "respond_newmark",
     "simulate",
+    "story_damage",
     "unit",
 ]

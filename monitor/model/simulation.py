@@ -217,7 +217,8 @@ def _hidden_ground(
     if share <= 0.0:
         return None
     if share >= 1.0:
-        raise ValueError(f"base_excitation: shares add up to {share:g}, not below 1")
+        names = ", ".join(dict.fromkeys(e.name for e in model.effects if e.ground_share))
+        raise ValueError(f"{names}: shares add up to {share:g}, not below 1")
     ground = np.asarray(level * rng.standard_normal(level.size))
     shaken = respond_exactly(model, _with_inertia(model, np.zeros_like(forces), ground), rate_hz) + ground[:, None]
     by_ground = ((shaken @ context.sensors.T) ** 2).mean(axis=0)

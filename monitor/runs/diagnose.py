@@ -33,7 +33,7 @@ from monitor.diagnosis import (
 )
 from monitor.inference import Segments, classify, gather, maximize_posterior
 from monitor.model import (
-    AmbientForces,
+    CALIBRATION_EFFECTS,
     Condition,
     Context,
     Effect,
@@ -116,9 +116,10 @@ def learn(segments: Segments, config: Configuration) -> StructuralPrior:
     found = diagnose(evidence, known, context, config.diagnosis)
     most = config.diagnosis.max_causes
     if found.verdict == "unexplained" or len(found.causes) >= most:  # there may be more
-        ambient = _with_standing(known, (AmbientForces("frame"),), context, found.problem.conditions[0])
-        stated = any(isinstance(e, AmbientForces) for e in known.model.effects)
-        shaped = evidence.drive is None and not stated and _gains(ambient, found)
+        condition = found.problem.conditions[0]
+        site = _site_effects(known, context, condition)
+        ambient = _with_standing(known, site, context, condition)
+        shaped = evidence.drive is None and bool(site) and _gains(ambient, found)
         if shaped or len(found.rounds) >= most:  # else the search had ended by itself, and would again
             known = ambient if shaped else known
             more = config.diagnosis.model_copy(update={"max_causes": max(most, _STANDING)})
@@ -137,6 +138,18 @@ def learn(segments: Segments, config: Configuration) -> StructuralPrior:
         if kept == causes:
             return learnt.with_daily_standing().with_known_lines()
         causes = kept  # beside the rest, the others are nothing
+
+
+def _site_effects(known: StructuralPrior, context: Context, condition: Condition) -> tuple[Effect, ...]:
+    """Return the effects that calibration alone looks for and the structure file does not state, at their first sizes."""
+    stated = {effect.name for effect in known.model.effects}
+    return tuple(
+        kind.starts(place, context, condition)[0]
+        for name, kind in CALIBRATION_EFFECTS.items()
+        if name not in stated
+        for kind_of_place in kind.places
+        for place in locations(kind_of_place, context)
+    )
 
 
 def _alike(causes: tuple[Effect, ...], context: Context) -> tuple[Effect, ...]:

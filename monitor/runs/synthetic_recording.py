@@ -23,9 +23,9 @@ from monitor.model import (
     ExcitationKind,
     Model,
     Motion,
-    StiffnessChange,
     parse_effect,
     simulate,
+    story_damage,
 )
 
 _TEMPERATURE_HZ = 1.0
@@ -94,7 +94,7 @@ def parse_damage(text: str) -> Effect:
         loss = np.nan
     if match is None or not 0.0 <= loss < 1.0:
         raise EffectError(f"--damage {text!r}: expected storyN=LOSS with 0 <= LOSS < 1, as story1=0.2")
-    return StiffnessChange.create(f"story {match[1]}", {"relative": -loss})
+    return story_damage(int(match[1]), loss)
 
 
 def write_simulated_recording(
@@ -131,7 +131,7 @@ def write_simulated_recording(
         if n_samples <= 0:
             raise ValueError(f"--duration {duration_s:g}: not even one sample at {rate_hz:g} Hz")
         weather = None
-        if temperature is not None or any(e.name == "temperature_stiffness" for e in truth.effects):
+        if temperature is not None or any(e.temperature_lag_s is not None for e in truth.effects):
             weather = TemperatureCycle.parse(temperature, duration_s)
         motion = simulate(
             truth,

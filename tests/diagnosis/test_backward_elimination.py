@@ -10,7 +10,7 @@ import pytest
 from drivers.base import ACCELERATION
 from monitor.diagnosis.backward_elimination import joined, only, revise_candidates, simulate_what_was_missed
 from monitor.diagnosis.initial_fit import fit_linearized
-from monitor.diagnosis.parameter_uncertainty import deviations, form_variance, is_significant
+from monitor.diagnosis.parameter_uncertainty import deviations, is_significant, summarize_fit
 from monitor.diagnosis.score_test import fit_best
 from monitor.diagnosis.simulation_refit import RefittedCandidate
 from monitor.inference.higher_moments import normal_moments
@@ -100,7 +100,9 @@ def test_what_has_no_sure_size_is_no_cause(loaded: tuple[Posterior, MapEstimate]
     crack = maximize_posterior(
         problem, null.x, (parse_effect("bilinear_stiffness:story 1:relative_drop=0.3"),), iterations=0
     )
-    assert form_variance(problem, crack, crack.effects[0])[0] >= 0.015 * 0.3  # of its form, whatever the frame's
+    assert (
+        crack.effects[0].form_std_in(summarize_fit(problem, crack))[0] >= 0.015 * 0.3
+    )  # of its form, whatever the frame's
     alone, doubt = only(problem, at, np.array([1.0, 2.0, 3.0]), kept)
     assert [e.name for e in alone.effects] == ["added_mass", "time_offset"]
     assert doubt.tolist() == [1.0, 3.0]

@@ -8,7 +8,18 @@ from collections.abc import Mapping
 from monitor.model.effects.added_mass import AddedMass
 from monitor.model.effects.ambient_forces import AmbientForces
 from monitor.model.effects.attached_oscillator import AttachedOscillator
-from monitor.model.effects.base import Condition, Context, Effect, EffectError, Law, LawKind, Line, System, locations
+from monitor.model.effects.base import (
+    Condition,
+    Context,
+    Effect,
+    EffectError,
+    FittedModel,
+    Law,
+    LawKind,
+    Line,
+    System,
+    locations,
+)
 from monitor.model.effects.base_excitation import BaseExcitation
 from monitor.model.effects.base_flexibility import BaseFlexibility
 from monitor.model.effects.bilinear_stiffness import BilinearStiffness
@@ -62,30 +73,51 @@ EFFECTS: dict[str, type[Effect]] = {
     )
 }
 """The catalogue: what a diagnosis looks for."""
-FORMS: Mapping[str, type[Effect]] = ChainMap(EFFECTS, {AmbientForces.name: AmbientForces})
-"""What a file may state: the catalogue, with whatever is added to it, and what calibration alone learns."""
+CALIBRATION_EFFECTS: dict[str, type[Effect]] = {AmbientForces.name: AmbientForces}
+"""Properties of a site, which calibration alone looks for."""
+FORMS: Mapping[str, type[Effect]] = ChainMap(EFFECTS, CALIBRATION_EFFECTS)
+"""What a file may state: the catalogue, with whatever is added to it, and what calibration alone looks for."""
 
 __all__ = [
+    "CALIBRATION_EFFECTS",
     "EFFECTS",
     "FORMS",
-    "AmbientForces",
     "Condition",
     "Context",
     "Effect",
     "EffectError",
+    "FittedModel",
     "FittedSizes",
     "Law",
     "LawKind",
     "Line",
     "Parameter",
     "ParameterEstimates",
-    "StiffnessChange",
     "System",
     "interval",
     "locations",
     "parse_effect",
+    "story_damage",
     "unit",
 ]
+
+
+def story_damage(story: int, loss: float) -> Effect:
+    """Return the effect that takes a share of a story's stiffness away.
+
+    Parameters
+    ----------
+    story : int
+        From 1, as in a location.
+    loss : float
+        Share of the story's stiffness, 0.2 = 20 % lost.
+
+    Raises
+    ------
+    EffectError
+        If there can be no such story or no such loss.
+    """
+    return StiffnessChange.create(f"story {story}", {"relative": -loss})
 
 
 def parse_effect(text: str) -> Effect:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import ClassVar, Literal, Self
 
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
@@ -36,11 +36,14 @@ class AmbientForces(Effect):
     places: ClassVar[tuple[str, ...]] = ("frame",)
     parameters: ClassVar[tuple[Parameter, ...]] = (
         Parameter("common_share", 0.0, 0.99, closed=True, least=1.0),
-        *(Parameter(f"rise_{i}", -50.0, 50.0, least=1.0) for i in range(1, _KNOTS_HZ.size)),
+        *(Parameter(f"rise_{i}", -50.0, 50.0, least=1.0, drawn=True) for i in range(1, _KNOTS_HZ.size)),
     )
     daily: ClassVar[tuple[float, ...]] = (0.05,) + (0.1,) * (_KNOTS_HZ.size - 1)
     signature: ClassVar[str] = (
         "frequencies and shapes as they were; a smooth spectrum, and floors that are pushed together"
+    )
+    colour_title: ClassVar[str] = (
+        f"forces on the floors at calibration: power density, 1 at {_ANCHOR_HZ:g} Hz; white ones would be level"
     )
 
     common_share: float = 0.0
@@ -92,6 +95,11 @@ class AmbientForces(Effect):
         std = np.full(len(self.parameters), _STEEP)
         std[0] = _COMMON
         return np.zeros(std.size), std**-2.0
+
+    @classmethod
+    def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
+        """See `Effect.starts`: white and independent forces, from which the fit goes anywhere."""
+        return (cls(location),)
 
     @classmethod
     def sentence(cls, fitted: FittedSizes) -> str:

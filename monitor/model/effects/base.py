@@ -22,6 +22,10 @@ from monitor.model.effects.parameter import Parameter
 from monitor.model.effects.report_face import ReportFace
 from monitor.model.structures import Structure
 
+_STORY_STD = 2.0
+"""Relative standard deviation of a story's stiffness, over the RMS of the relative corrections that the drawing's form needs:
+what a frame that is no shear frame blurs."""
+
 
 class EffectError(ValueError):
     """Name, place or parameters of an effect are wrong; the message says which and what is allowed."""
@@ -67,6 +71,22 @@ class Condition:
     """Where that begins."""
     ground: float = 1.0
     """How strongly an unmeasured ground shook, over the forces, relative to the whole recording."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class FittedModel:
+    """A fitted model, as far as it says how well the form of a law lets an effect's size be known."""
+
+    structure: Structure
+    """The structure at the fit, without effects."""
+    condition: Condition
+    """The level class in the middle of the recording's."""
+    effects: tuple[Effect, ...]
+    """All effects of the model, persistent ones first."""
+    correction_rms: float
+    """RMS of the relative stiffness corrections, which the structure's form does not explain; 0 where there are none."""
+    bin_hz: float
+    """Spacing of the spectra's bins."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -175,6 +195,12 @@ class Effect(ReportFace, ABC):
     """Of a story's nonlinear law: at a drift a times as large it acts as with parameters a^power times as large."""
     daily: ClassVar[tuple[float, ...]] = ()
     """By how much each coordinate may be another on another day where it stands, in its units, as a standard deviation."""
+    stationary_only: ClassVar[bool] = False
+    """Whether its linearization needs a stationary, normal motion, which an earthquake's is not."""
+    is_stiffness_loss: ClassVar[bool] = False
+    """Whether it is what the damage index measures, a change of stories' stiffness, and not a cause beside the index."""
+    colour_title: ClassVar[str] = ""
+    """Title of the curve of `colour` that a report draws in place of the parameters that are `drawn`; empty for no curve."""
     form_doubt: ClassVar[tuple[float, ...]] = ()
     """Relative standard deviation of each parameter that the law's form leaves open, whatever the data; none without."""
 
@@ -226,6 +252,38 @@ class Effect(ReportFace, ABC):
     def form_std(self) -> Array:
         """Standard deviation of the coordinates by `form_doubt`, shape (p,)."""
         return np.asarray(np.abs(self.coordinates) * np.array(self.form_doubt or (0.0,) * len(self.parameters)))
+
+    def form_std_in(self, fitted: FittedModel) -> Array:
+        """Return the standard deviation of the coordinates that the model's form leaves open in a fit, shape (p,).
+
+        The coordinates are those of estimation, in the parameters' units. By default `form_std`, whatever the fit.
+        """
+        return self.form_std
+
+    def is_plausible(self, band_hz: Array) -> bool:
+        """Whether a fit of this size means this effect, and not another one that it imitates.
+
+        Parameters
+        ----------
+        band_hz : ndarray, shape (n_bins,)
+            Frequencies that were compared, ascending, Hz.
+        """
+        return True
+
+    @property
+    def is_softening(self) -> bool:
+        """Whether its law weakens with the amplitude, so that a fit to its linearization may lie far from the law itself."""
+        return False
+
+    @property
+    def temperature_lag_s(self) -> float | None:
+        """Lag behind the temperature that the effect follows, s; None where it follows no temperature."""
+        return None
+
+    @property
+    def column_to_girder(self) -> float:
+        """Stiffness of a column over that of a girder, which the effect adds to the joints' flexibility; 0 without."""
+        return 0.0
 
     def at(self, coordinates: Array) -> Self:
         """The same effect elsewhere in its parameters' space, kept within their bounds."""
@@ -344,6 +402,23 @@ class Effect(ReportFace, ABC):
     def at_frequency(cls, location: str, hz: float, context: Context, condition: Condition) -> Effect | None:
         """A small size of the effect at a frequency where the spectra show too much power; None where it has none."""
         return None
+
+
+def blurred_by_form(effect: Effect, fitted: FittedModel, girders: float = 0.0) -> Array:
+    """Return the standard deviation of a size relative to a story's stiffness, of which the frame's form blurs the latter.
+
+    Parameters
+    ----------
+    girders : float
+        Relative standard deviation because girders may have changed with the columns.
+
+    Returns
+    -------
+    ndarray, shape (p,)
+        In the coordinates' units.
+    """
+    size = np.abs(effect.coordinates)
+    return np.asarray(np.hypot(effect.form_std, size * np.hypot(_STORY_STD * fitted.correction_rms, girders)))
 
 
 def _kind(location: str) -> str:

@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar, Literal, Self
 
-from monitor.model.effects.base import Condition, Context, Effect, Law, LawKind, System
+from monitor.core import Array
+from monitor.model.effects.base import Condition, Context, Effect, FittedModel, Law, LawKind, System, blurred_by_form
 from monitor.model.effects.gap_contact import mean_contact
 from monitor.model.effects.parameter import Parameter
 from monitor.model.effects.report_face import FittedSizes
@@ -45,6 +46,10 @@ class BilinearStiffness(Effect):
         """See `Effect.laws`."""
         drop = self.relative_drop * float(structure.stiffness_n_per_m[self.index])
         return (Law(LawKind.CONTACT, self.direction(structure), (0.0, -drop)),)
+
+    def form_std_in(self, fitted: FittedModel) -> Array:
+        """See `Effect.form_std_in`: the drop is relative to a story's stiffness, which the frame's form blurs."""
+        return blurred_by_form(self, fitted)
 
     @classmethod
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:

@@ -8,7 +8,8 @@ from typing import ClassVar, Literal, Self
 
 import numpy as np
 
-from monitor.model.effects.base import Condition, Context, Effect, Law, LawKind, System
+from monitor.core import Array
+from monitor.model.effects.base import Condition, Context, Effect, FittedModel, Law, LawKind, System
 from monitor.model.effects.parameter import Parameter
 from monitor.model.effects.report_face import FittedSizes
 from monitor.model.structures import Structure
@@ -54,6 +55,23 @@ class CubicStiffness(Effect):
     def laws(self, structure: Structure) -> tuple[Law, ...]:
         """See `Effect.laws`."""
         return (Law(LawKind.CUBIC, self.direction(structure), (self.k3_n_per_m3, self._faded_m(structure))),)
+
+    @property
+    def is_softening(self) -> bool:
+        """See `Effect.is_softening`."""
+        return self.k3_n_per_m3 < 0.0
+
+    def form_std_in(self, fitted: FittedModel) -> Array:
+        """See `Effect.form_std_in`.
+
+        How softening goes on beyond the third order is not known: with a fifth order like that of tanh, a size would differ
+        by twice the relative softening.
+        """
+        if not self.is_softening:
+            return self.form_std
+        size = np.abs(self.coordinates)
+        drift, stiffness = fitted.condition.drift_m[self.index], fitted.structure.stiffness_n_per_m[self.index]
+        return np.asarray(np.hypot(self.form_std, size * 3.0 * size * drift**2 / stiffness))
 
     def _faded_m(self, structure: Structure) -> float:
         """Drift at which the cubic's force has faded to half."""

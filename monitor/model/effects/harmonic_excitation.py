@@ -9,9 +9,13 @@ from typing import ClassVar, Literal, Self
 import numpy as np
 
 from monitor.core import Array
-from monitor.model.effects.base import Condition, Context, Effect, Line
+from monitor.model.effects.base import Condition, Context, Effect, FittedModel, Line
 from monitor.model.effects.parameter import Parameter
 from monitor.model.effects.report_face import FittedSizes
+
+_FREQUENCY_STD_BINS = 0.02
+"""Standard deviation of a line's frequency by the taper's leakage, from which the line is read, in bins.  The bins about a
+strong line are otherwise another model's."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +49,10 @@ class HarmonicExcitation(Effect):
         driven = forces.copy()
         driven[:, self.index] += self.force_n * np.sin(2.0 * pi * self.frequency_hz / rate_hz * np.arange(len(forces)))
         return driven
+
+    def form_std_in(self, fitted: FittedModel) -> Array:
+        """See `Effect.form_std_in`."""
+        return np.array([_FREQUENCY_STD_BINS * fitted.bin_hz / self.frequency_hz, 0.0])
 
     @classmethod
     def at_frequency(cls, location: str, hz: float, context: Context, condition: Condition) -> Self:

@@ -36,11 +36,15 @@ class JointFlexibility(Effect):
                 f"{self.name}: needs a shear frame, a structure given by matrices has its girders in them"
             )
 
+    @property
+    def column_to_girder(self) -> float:
+        """See `Effect.column_to_girder`."""
+        return 0.0 if self.girder_to_column_ratio == inf else 1.0 / self.girder_to_column_ratio
+
     def altered(self, structure: Structure) -> Structure:
         """See `Effect.altered`; beside joints that were known, they are by so much more flexible."""
         assert isinstance(structure, ShearFrame), "refused by `check`"
-        more = 0.0 if self.girder_to_column_ratio == inf else 1.0 / self.girder_to_column_ratio
-        return replace(structure, column_to_girder=structure.column_to_girder + more)
+        return replace(structure, column_to_girder=structure.column_to_girder + self.column_to_girder)
 
     @classmethod
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:

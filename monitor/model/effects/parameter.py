@@ -27,6 +27,9 @@ class Parameter:
     least: float = 1e-9
     """Coordinate below which finite differences no longer shrink with it."""
 
+    drawn: bool = False
+    """Whether a report shows it by a curve (`Effect.colour_title`) instead of a row of its table."""
+
     @property
     def weighty(self) -> bool:
         """Whether it scales with the structure's masses and stiffnesses, whose scale no motion shows: forces, not lengths."""

@@ -46,6 +46,7 @@ class SensorClipping(Effect):
     separating_measurement: ClassVar[str] = "set the sensor to a wider range and record again"
     conditional: ClassVar[bool] = True
     nonlinear: ClassVar[bool] = True
+    stationary_only: ClassVar[bool] = True
 
     limit_m_s2: float
 

@@ -8,10 +8,14 @@ from typing import ClassVar, Literal, Self
 import numpy as np
 
 from monitor.core import Array
-from monitor.model.effects.base import Condition, Context, Effect
+from monitor.model.effects.base import Condition, Context, Effect, FittedModel, blurred_by_form
 from monitor.model.effects.parameter import Parameter
 from monitor.model.effects.report_face import FittedSizes
 from monitor.model.structures import Structure
+
+_GIRDERS_STD = 0.25
+"""Relative standard deviation of a story's change beside flexible joints, times the joints' column-to-girder ratio: half of
+what it matters whether girders changed with the columns, in frames like the paper's."""
 
 
 @dataclass(frozen=True)
@@ -26,6 +30,8 @@ class StiffnessChange(Effect):
         "frequencies and shapes move in the pattern of one story (of the frame: all frequencies alike), at every level"
     )
 
+    is_stiffness_loss: ClassVar[bool] = True
+
     relative: float
     """-0.2 = 20 % lost."""
 
@@ -38,6 +44,13 @@ class StiffnessChange(Effect):
     def structural(self, mass: Array, stiffness: Array, structure: Structure) -> tuple[Array, Array]:
         """See `Effect.structural`."""
         return mass, stiffness * (1.0 + self.relative) if self.location == "frame" else stiffness
+
+    def form_std_in(self, fitted: FittedModel) -> Array:
+        """See `Effect.form_std_in`: a story's stiffness is blurred by the frame's form and by girders that may have changed."""
+        if self.location == "frame":
+            return self.form_std
+        flexible = sum(effect.column_to_girder for effect in fitted.effects)
+        return blurred_by_form(self, fitted, _GIRDERS_STD * min(flexible, 1.0))
 
     @classmethod
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:

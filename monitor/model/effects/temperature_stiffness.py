@@ -41,6 +41,11 @@ class TemperatureStiffness(Effect):
     lag_s: float
     """The first temperature is taken to have lasted."""
 
+    @property
+    def temperature_lag_s(self) -> float | None:
+        """See `Effect.temperature_lag_s`."""
+        return self.lag_s
+
     def extend(self, system: System, context: Context, condition: Condition) -> System:
         """See `Effect.extend`."""
         n = context.structure.n_stories

@@ -131,10 +131,9 @@ def level_dependence(diagnosis: Diagnosis) -> LevelDependence | None:
     moving = [e for e in final.effects if e.conditional and e.family == "structure"]
     if not moving or problem.n_classes < 2:
         return None
-    warm = [e for e in moving if e.name == "temperature_stiffness"]
-    lags = [float(e.values()["lag_s"]) for e in warm]
+    lags = [e.temperature_lag_s for e in moving if e.temperature_lag_s is not None]
     degc = [class_temperature(problem.observed, k, lags[0] if lags else 0.0) for k in range(problem.n_classes)]
-    by_temperature = bool(warm) and None not in degc
+    by_temperature = bool(lags) and None not in degc
     rms = np.sqrt((problem.observed.rms**2).mean(axis=1))
     at = np.array(degc, dtype=float) if by_temperature else rms
     order = np.argsort(at)

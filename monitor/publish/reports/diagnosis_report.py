@@ -12,7 +12,7 @@ import numpy as np
 from monitor.core import Array, write_atomically
 from monitor.diagnosis import Diagnosis, headline, in_words, separating_measurement
 from monitor.inference import Segments
-from monitor.model import FORMS, AmbientForces, interval, unit
+from monitor.model import FORMS, Effect, interval, unit
 from monitor.publish.reports import charts
 from monitor.publish.reports.charts import Axes, svg
 from monitor.publish.reports.comparison import Comparison, LevelDependence, compare, level_dependence
@@ -22,8 +22,6 @@ __all__ = ["headline", "in_words", "page", "separating_measurement", "write_repo
 
 Content = Mapping[str, Any]
 
-_CURVE_PARAMETERS = "rise_"
-"""Parameters that a curve shows: those of the spectrum of `AmbientForces`."""
 _MAX_SHOWN = 12
 """Rows of the misfit's table, bars of a ranking."""
 
@@ -221,7 +219,8 @@ def _parameters(diagnosis: Diagnosis, content: Content, hz: Array) -> str:
         rows: list[Sequence[str]] = []
         for c in causes:
             first = in_words(c["effect"], c["location"], c["parameters"], reference)
-            shown = {k: v for k, v in c["parameters"].items() if not k.startswith(_CURVE_PARAMETERS)}
+            drawn = {p.name for p in FORMS[c["effect"]].parameters if p.drawn}
+            shown = {name: entry for name, entry in c["parameters"].items() if name not in drawn}
             for name, entry in shown.items() or [("", {})]:
                 value = interval(entry, 1.0, unit(name)) if name else ""
                 rows.append((c["effect"], c["location"], name, value, first))
@@ -231,9 +230,7 @@ def _parameters(diagnosis: Diagnosis, content: Content, hz: Array) -> str:
             out.append(_signatures(causes))
     if content["standing_misfit"] is not None:
         out.append(f"<p>Already so at calibration: {content['standing_misfit']['says']}.</p>")
-    out += [
-        _force_spectrum(effect, hz) for effect in reference.effects(reference.mean) if isinstance(effect, AmbientForces)
-    ]
+    out += [_force_spectrum(effect, hz) for effect in reference.effects(reference.mean) if effect.colour_title]
     if content["alternatives"]:
         rivals = [
             (a["effect"], a["location"], f"{100 * a['probability']:.0f} %",
@@ -251,16 +248,16 @@ def _parameters(diagnosis: Diagnosis, content: Content, hz: Array) -> str:
     return "".join(out)
 
 
-def _force_spectrum(forces: AmbientForces, hz: Array) -> str:
-    """The spectrum of the forces of every day."""
-    density = np.asarray(forces.colour(hz))
+def _force_spectrum(effect: Effect, hz: Array) -> str:
+    """Draw the spectrum of an effect's forces, power density over frequency."""
+    density = np.asarray(effect.colour(hz))
     axes = Axes(
         (float(hz[0]), float(hz[-1])),
         (float(density.min()) / 1.3, float(density.max()) * 1.3),
         (62, 22, 1010, 120),
         True,
     )
-    title = "forces on the floors at calibration: power density, 1 at 8 Hz; white ones would be level"
+    title = effect.colour_title
     return (
         f"<figure>{svg(1080, 176, title, axes.frame(title, 'frequency, Hz'), axes.line(hz, density, 'after'))}</figure>"
     )

@@ -1,0 +1,50 @@
+"""One effect is one file: outside of `monitor/model/effects` no module names a concrete effect."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import pytest
+
+from monitor.model.effects import FORMS
+from tests.contracts.effect_cases import CASES, parse
+
+PACKAGE = Path(__file__).parents[2] / "monitor"
+EFFECTS_DIRECTORY = PACKAGE / "model" / "effects"
+CLASSES = {kind.__name__ for kind in FORMS.values()} | {type(parse(text)[0]).__name__ for text in CASES}
+MODULES = [path for path in sorted(PACKAGE.rglob("*.py*")) if path.suffix in (".py", ".pyi")]
+OUTSIDE = [path for path in MODULES if EFFECTS_DIRECTORY not in path.parents]
+
+
+def named_effects(source: str) -> list[str]:
+    """List the concrete effects that a module's code names, by class or by the name in files; comments and texts may."""
+    found = []
+    for node in ast.walk(ast.parse(source)):
+        words = {
+            ast.Name: lambda n: [n.id],
+            ast.Attribute: lambda n: [n.attr],
+            ast.alias: lambda n: [n.name.rpartition(".")[2]],
+            ast.ImportFrom: lambda n: [(n.module or "").rpartition(".")[2]],
+            ast.Constant: lambda n: [n.value] if isinstance(n.value, str) else [],
+        }.get(type(node), lambda n: [])(node)
+        found += [f"line {getattr(node, 'lineno', '?')}: {word}" for word in words if word in CLASSES | set(FORMS)]
+    return found
+
+
+def test_the_search_finds_what_it_looks_for() -> None:
+    kind = next(iter(FORMS.values()))
+    for source in (
+        f"from monitor.model.effects import {kind.__name__}",
+        f"from monitor.model.effects.{kind.name} import anything",
+        f"found = isinstance(effect, effects.{kind.__name__})",
+        f"found = effect.name == {kind.name!r}",
+        f"match name:\n    case {kind.name!r}:\n        found = True",
+    ):
+        assert named_effects(source), source
+    assert not named_effects(f'"""Look for {kind.name}."""')
+
+
+@pytest.mark.parametrize("path", OUTSIDE, ids=lambda path: str(path.relative_to(PACKAGE)))
+def test_no_module_outside_names_an_effect(path: Path) -> None:
+    assert named_effects(path.read_text(encoding="utf-8")) == []
