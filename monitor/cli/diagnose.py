@@ -9,7 +9,6 @@ from typing import Annotated
 import typer
 
 from monitor.cli.common import Json, Recordings, Structure, progress, say, warn
-from monitor.config import configuration
 from monitor.core import demand_place, spare_inputs, write_atomically
 
 Healthy = Annotated[Path | None, typer.Option(metavar="B.json", help="Healthy baseline by 'calibrate'.")]
@@ -26,6 +25,7 @@ def diagnose(
 
     Writes diagnosis.json, report.html, diagnosis.rrd and the extended model in DIR.
     """
+    from monitor.config import configuration
     from monitor.damage import load_baseline
     from monitor.diagnosis import structure_text
     from monitor.runs import diagnose as discrepancy
@@ -63,6 +63,7 @@ def evaluate(recordings: Recordings, structure: Structure) -> None:
     log_score_per_sample: nats per sample instant, all channels together, in the band from 5 to 90 % of cutoff_hz, by the
     debiased Whittle likelihood.  csd_error: squared error of the mean cross-spectra over their own square.
     """
+    from monitor.config import configuration
     from monitor.runs import diagnose as discrepancy
 
     score = discrepancy.evaluate(recordings, configuration.load(structure), warn, progress("evaluate"))
@@ -86,6 +87,7 @@ def accept(
 
     With the baseline that the finding refers to, the causes alone are added: the baseline brings the healthy stiffness.
     """
+    from monitor.config import configuration
     from monitor.damage import load_baseline
     from monitor.runs import ledger
 

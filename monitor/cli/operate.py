@@ -7,13 +7,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from pydantic import ValidationError
 
 from monitor.cli.common import Json, say, time_ns, warn
-from monitor.config import Configuration, configuration
-from monitor.core import BadConfigurationError, MissingInputError, WrongUsageError, settings_problems, spare_inputs
+from monitor.core import BadConfigurationError, MissingInputError, WrongUsageError, spare_inputs
 
 if TYPE_CHECKING:
+    from monitor.config import Configuration
     from monitor.service import Request
 
 _WAIT_S = 5.0
@@ -53,6 +52,10 @@ def ack(
 
     Goes over Zenoh where [output.zenoh] is, else through the daemon's folder, to which the asker needs write access.
     """
+    from pydantic import ValidationError
+
+    from monitor.config import configuration
+    from monitor.core import settings_problems
     from monitor.service import Request
 
     settings = configuration.load(file)
@@ -97,6 +100,8 @@ def export(
 
 def _folder(place: Path) -> Path:
     """The daemon's output folder."""
+    from monitor.config import configuration
+
     return place if place.is_dir() else place.resolve().parent / configuration.load(place).output.dir
 
 
@@ -108,7 +113,10 @@ def _over_zenoh(file: Path, settings: Configuration, request: str) -> str:
     WrongUsageError
         It was refused.
     """
+    from pydantic import ValidationError
+
     from drivers.base import SourceError
+    from monitor.core import settings_problems
     from monitor.service import ZenohOutSettings, ask, key_prefix
 
     try:

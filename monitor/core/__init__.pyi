@@ -1,3 +1,4 @@
+from .blas import single_blas_thread
 from .compilation import compiled
 from .errors import (
     BadConfigurationError,
@@ -10,7 +11,7 @@ from .errors import (
 from .files import demand_place, finish, partial, sha256, spare_inputs, write_atomically
 from .memory import keep_freed
 from .parallel import parallel_map
-from .parse import parse_address, settings_problems, utc_ns
+from .parse import parse_address, utc_ns
 from .results import (
     GAP,
     WHOLE,
@@ -30,7 +31,7 @@ from .results import (
     Window,
     WindowResult,
 )
-from .settings import Settings
+from .settings import Settings, settings_problems
 
 __all__ = [
     "GAP",
@@ -66,6 +67,7 @@ __all__ = [
     "partial",
     "settings_problems",
     "sha256",
+    "single_blas_thread",
     "spare_inputs",
     "utc_ns",
     "write_atomically",

@@ -1,10 +1,8 @@
-"""What people write: HOST:PORT, times, and what is wrong with their settings."""
+"""What people write: HOST:PORT and times."""
 
 from __future__ import annotations
 
 from datetime import UTC, datetime, timedelta
-
-from pydantic import ValidationError
 
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
@@ -39,18 +37,3 @@ def utc_ns(text: str) -> int:
     if not -(1 << 63) <= t_ns < 1 << 63:
         raise ValueError(f"{text!r} lies beyond the years 1678 to 2261")
     return t_ns
-
-
-def settings_problems(error: ValidationError, *place: str) -> list[str]:
-    """One line a problem, with where it lies below `place`; without the values, which may be secret."""
-    lines = []
-    for problem in error.errors():
-        loc = (*place, *problem["loc"])
-        if problem["type"].startswith("union_tag"):
-            loc = (*loc, "kind")
-        elif loc[:1] == ("structure",):  # pydantic also names the table that its `kind` chose
-            loc = (*loc[:1], *loc[2:])
-        where = ".".join(map(str, loc))
-        message = problem["msg"].removeprefix("Value error, ")
-        lines += [f"{where}: {part}" if where else part for part in message.split("\n")]
-    return lines

@@ -8,7 +8,8 @@ import pytest
 from pydantic import ValidationError
 
 from monitor.config.configuration import OutputSettings
-from monitor.core.parse import parse_address, settings_problems, utc_ns
+from monitor.core.parse import parse_address, utc_ns
+from monitor.core.settings import settings_problems
 from monitor.service.outlets.metrics import MetricsSettings
 from monitor.service.requests import Request
 from tests.conftest import T0_NS, Cli

@@ -1,0 +1,95 @@
+"""The commands that follow recordings through the pipeline: replay, calibrate."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from monitor.cli.common import Json, Recordings, Structure, address, progress, say, warn
+from monitor.cli.emulate import parse_speed
+from monitor.core import demand_place, spare_inputs
+
+
+def replay(
+    recordings: Recordings,
+    structure: Structure,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the results.")],
+    baseline: Annotated[Path | None, typer.Option(metavar="B.json", help="Healthy baseline by 'calibrate'.")] = None,
+    speed: Annotated[str, typer.Option(help="'max', or times real time.")] = "max",
+    serve: Annotated[
+        str | None, typer.Option(metavar="HOST:PORT", help="Rerun viewers may join here, as 127.0.0.1:9876.")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Run recordings through the monitor.  Writes results.jsonl, results.mcap, live.rrd and summary.json in DIR."""
+    from monitor.config import configuration
+    from monitor.damage import load_baseline
+    from monitor.publish import replay_text
+    from monitor.runs import replay as run
+
+    spare_inputs([out / name for name in run.RESULT_FILES], [*recordings, structure, baseline])
+    pace, served = parse_speed(speed), address(serve)
+    settings = configuration.load(structure)
+    healthy = None if baseline is None else load_baseline(baseline, settings.instrumented(), settings.updating)
+    summary = run.replay(
+        recordings,
+        settings,
+        healthy,
+        out,
+        speed=pace,
+        serve=served,
+        files=(structure, baseline),
+        on_warning=warn,
+        on_progress=progress("replay"),
+    )
+    story = replay_text(summary, has_baseline=healthy is not None)
+    text = f"{story}\nresults in {out}; look at them with: shm-monitor view {out}"
+    say(text, {**summary, "out": str(out)}, as_json)
+
+
+def calibrate(
+    recordings: Recordings,
+    structure: Structure,
+    out: Annotated[Path, typer.Option(metavar="B.json", help="Baseline file to write.")],
+    as_json: Json = False,
+) -> None:
+    """Learn the healthy baseline.  It holds the updated stiffness with covariance, modes, the misfit that remains."""
+    from monitor.config import configuration
+    from monitor.damage import save_baseline
+    from monitor.runs import calibrate as run
+
+    spare_inputs([out], [*recordings, structure])
+    settings = configuration.load(structure)
+    demand_place(out)
+    baseline, fit = run.calibrate(recordings, settings, on_warning=warn, on_progress=progress("calibrate"))
+    save_baseline(baseline, out)
+    drawn = settings.model().modes().frequencies_hz
+    lines = [f"{baseline.windows} windows; the updating {'converged' if fit.converged else 'did NOT converge'}"]
+    for i, (f, std) in enumerate(zip(baseline.frequencies_hz, baseline.frequencies_std_hz, strict=True), start=1):
+        lines.append(f"mode {i}: {f:.4f} ± {2 * std:.4f} Hz; structure file {drawn[baseline.model_mode[i - 1]]:.4f} Hz")
+    for j, k in enumerate(baseline.model.structure.stiffness_n_per_m, start=1):
+        lines.append(f"story {j}: {k:.1f} N/m; structure file {settings.structure.stiffness_n_per_m[j - 1]:.1f} N/m")
+    if (law := baseline.temperature) is not None:
+        slopes = ", ".join(f"{1e3 * a:+.2f}" for a in law.per_degc)
+        lines.append(
+            f"stiffness follows the temperature by {slopes} per mille a kelvin, lag {law.lag_s:.0f} s; "
+            f"seen from {law.range_degc[0]:.1f} to {law.range_degc[1]:.1f} degC"
+        )
+    elif baseline.reference_temperature_degc is not None:
+        lines.append(
+            "no dependence on the temperature learned: too narrow a range, too short a record, or nothing showed"
+        )
+    lines.append(f"baseline in {out}")
+    content = {
+        "baseline": str(out),
+        "windows": baseline.windows,
+        "converged": bool(fit.converged),
+        "frequencies_hz": baseline.frequencies_hz.tolist(),
+        "frequencies_std_hz": baseline.frequencies_std_hz.tolist(),
+        "stiffness_n_per_m": baseline.model.structure.stiffness_n_per_m.tolist(),
+        "structure_file_frequencies_hz": drawn.tolist(),
+        "structure_file_stiffness_n_per_m": list(settings.structure.stiffness_n_per_m),
+    }
+    say("\n".join(lines), content, as_json)

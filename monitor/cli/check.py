@@ -1,0 +1,47 @@
+"""The command `check`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from monitor.cli.common import Json, say, warn
+
+
+def check(
+    file: Annotated[Path, typer.Argument(metavar="FILE.toml", help="Structure file, site file or fleet file.")],
+    as_json: Json = False,
+) -> None:
+    """List every problem of a file at once.  A structure file, a site file or a fleet file."""
+    from monitor.config import configuration, security_check
+
+    if "fleet" in configuration.read_toml(file):
+        from monitor.service import fleet
+
+        sites = fleet.load(file).sites
+        say(
+            f"{file}: no problems; sites {', '.join(sites) or 'none named'}",
+            {"file": str(file), "sites": sites},
+            as_json,
+        )
+        return
+    from monitor.identification import stabilization
+    from monitor.service import outlets
+
+    settings = configuration.load(file)
+    outlets.make_outlets(file, settings, dry=True)
+    for open_door in security_check.warnings(file, settings):
+        warn(open_door)
+    modes, p = settings.model().modes(), settings.processing
+    frequencies = modes.frequencies_hz
+    head = f"{file}: no problems; {len(settings.structure.masses_kg)} stories, channels {', '.join(settings.channels)}"
+    text = f"{head}\nnatural frequencies: {', '.join(f'{f:.4g}' for f in frequencies)} Hz"
+    content = {"file": str(file), "channels": list(settings.channels), "frequencies_hz": frequencies.tolist()}
+    say(text, content, as_json)
+    beyond = [f"{f:.4g}" for f in frequencies if f > p.cutoff_hz]
+    if beyond:
+        warn(f"modes at {', '.join(beyond)} Hz lie beyond cutoff_hz = {p.cutoff_hz:g}")
+    if lags := stabilization.advice(modes, p.rate_hz, p.cutoff_hz, settings.identification, settings.selection):
+        warn(lags)

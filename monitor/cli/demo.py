@@ -1,0 +1,39 @@
+"""The commands that show what the monitor can do: reproduce, demo."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from monitor.cli.common import progress, warn
+from monitor.core import demand_place, write_atomically
+
+
+def reproduce(
+    json_file: Annotated[Path | None, typer.Option("--json", metavar="F", help="Also write the figures here.")] = None,
+    seeds: Annotated[int, typer.Option(min=1, help="Simulated tests of each kind.")] = 100,
+) -> None:
+    """The paper's Tables 2-7 and DDI figures beside ours."""
+    from monitor.runs import paper_tables as paper
+
+    if json_file is not None:
+        demand_place(json_file)
+    content = paper.reproduce(seeds, on_progress=progress("reproduce"))
+    print(paper.tables_text(content))
+    if json_file is not None:
+        write_atomically(json_file, json.dumps(content, indent=1, allow_nan=False) + "\n")
+
+
+def demo(
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the results.")] = Path("out/demo"),
+    recordings: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the shipped recordings.")] = Path(
+        "recordings"
+    ),
+) -> None:
+    """Calibrate, watch damage appear, replay a measured frame.  All from the shipped recordings."""
+    from monitor.runs import demo as tour
+
+    tour.run(recordings, out, say=print, on_warning=warn)

@@ -1,0 +1,112 @@
+"""The commands that make recordings: simulate, import."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from monitor.cli.common import Json, Structure, say, time_ns, warn
+from monitor.cli.emulate import Dbc, OptionalTo, Speed, recording_for
+from monitor.core import spare_inputs
+
+
+def simulate(
+    structure: Structure,
+    out: Annotated[Path | None, typer.Option(metavar="REC.mcap", help="Recording to write; or give --to.")] = None,
+    duration: Annotated[float, typer.Option(min=0.01, max=1e8, help="Length in s.")] = 1200.0,
+    excitation: Annotated[str, typer.Option(help="ambient, impulse or ground.")] = "ambient",
+    noise: Annotated[
+        float, typer.Option(min=0.0, max=1e3, help="Sensor noise, fraction of the mean RMS acceleration.")
+    ] = 0.05,
+    damage: Annotated[list[str], typer.Option(metavar="storyN=LOSS", help="Relative stiffness loss.")] = [],  # noqa: B006
+    effect: Annotated[list[str], typer.Option(metavar="NAME:LOCATION:PARAM=VALUE,...", help="Hidden effect.")] = [],  # noqa: B006
+    rate: Annotated[float, typer.Option(min=1.0, max=1e6, help="Sample rate in Hz.")] = 1024.0,
+    level_spread: Annotated[
+        float, typer.Option(min=0.0, max=10.0, help="Relative spread of the excitation's level.")
+    ] = 0.0,
+    temperature: Annotated[
+        str | None,
+        typer.Option(
+            metavar="MEAN[,SWING[,PERIOD_S[,REFERENCE]]]",
+            help="Also record /temperature, in degC: a cosine, SWING from lowest to highest. With temperature_stiffness "
+            "20,10,DURATION by default; REFERENCE, by default MEAN, is where the stiffness is the structure file's.",
+        ),
+    ] = None,
+    start: Annotated[str, typer.Option(help="UTC of the first sample, ISO 8601.")] = "2026-01-01T00:00:00",
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the random numbers.")] = 0,
+    to: OptionalTo = None,
+    dbc: Dbc = None,
+    speed: Speed = None,
+    as_json: Json = False,
+) -> None:
+    """Write a recording with known truth, or send it.  With --to it is sent as sensor nodes would."""
+    from monitor.config import configuration
+    from monitor.runs import synthetic_recording
+
+    if out is None and to is None:
+        raise typer.BadParameter("name a recording to write (--out), a destination (--to), or both")
+    spare_inputs([] if out is None else [out], [structure, dbc])
+    t0_ns = time_ns("--start", start) or 0
+    with recording_for(out, to, dbc, speed) as file:
+        synthetic_recording.write_simulated_recording(
+            file,
+            configuration.load(structure),
+            duration_s=duration,
+            excitation=excitation,
+            noise=noise,
+            damage=damage,
+            effects=effect,
+            rate_hz=rate,
+            level_spread=level_spread,
+            t0_ns=t0_ns,
+            seed=seed,
+            temperature=temperature,
+        )
+    if out is not None:
+        say(f"{duration:g} s in {out}", {"recording": str(out), "duration_s": duration, "seed": seed}, as_json)
+
+
+def import_(
+    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="CSV, NPZ, CAN log; several: one a level.")],
+    out: Annotated[Path, typer.Option(metavar="REC.mcap", help="Recording to write.")],
+    rate: Annotated[
+        float | None, typer.Option(min=0.001, max=1e7, help="Sample rate in Hz, where the file has no time.")
+    ] = None,
+    unit: Annotated[str, typer.Option(help="Unit of the samples: m/s^2, g, mg or gal.")] = "m/s^2",
+    channel: Annotated[
+        list[str], typer.Option(metavar="NAME=FILE[:COLUMN]", help="A channel; of one file, NAME=COLUMN.")
+    ] = [],  # noqa: B006
+    ground: Annotated[str | None, typer.Option(metavar="FILE[:COLUMN]", help="Measured base motion.")] = None,
+    start: Annotated[str | None, typer.Option(help="UTC of the first sample, ISO 8601.")] = None,
+    dbc: Annotated[Path | None, typer.Option(metavar="FILE.dbc", help="What the frames of a CAN log mean.")] = None,
+    as_json: Json = False,
+) -> None:
+    """Foreign data to our recording format."""
+    from monitor.runs import import_files
+
+    spare_inputs([out], [*files, dbc])
+    channels = {}
+    for item in channel:
+        name, separator, place = item.partition("=")
+        if not separator or not name or not place:
+            raise typer.BadParameter(f"--channel: {item!r} is not NAME=FILE[:COLUMN]")
+        if name in channels:
+            raise typer.BadParameter(f"--channel: {name!r} stands twice")
+        channels[name] = place
+    info = import_files(
+        files,
+        out,
+        rate_hz=rate,
+        unit=unit,
+        channels=channels or None,
+        ground=ground,
+        start_ns=time_ns("--start", start),
+        dbc=dbc,
+        on_warning=warn,
+    )
+    names = "; ".join(f"{topic}: {', '.join(c)}" for topic, c in info.channels.items())
+    text = f"{info.duration_s:.2f} s at {info.sample_rate_hz:g} Hz in {out}: {names}"
+    content = {"duration_s": info.duration_s, "sample_rate_hz": info.sample_rate_hz, "channels": dict(info.channels)}
+    say(text, {"recording": str(out), **content}, as_json)
