@@ -13,13 +13,12 @@ from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
-from pydantic import BaseModel, ConfigDict, Field
-
 from drivers import codec
 from drivers.base import ACCELERATION, GROUND, TEMPERATURE, RecordingError, SampleBlock
 from drivers.disk import sync_folder
 from drivers.mcap_file import scan_messages
 from drivers.mcap_writer import McapWriter
+from drivers.recorder_settings import RecorderSettings
 
 _log = logging.getLogger(__name__)
 
@@ -33,24 +32,6 @@ _EARLY = 0.8
 """Of `flush_s`, when a flush begins: a slow disk must have it by then."""
 _LEAST_FLUSH_S = 1.0
 _MAX_INT = 1 << 62
-
-
-class RecorderSettings(BaseModel):
-    """``[recorder]`` of the site file."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-    enabled: bool = True
-    file_mb: float = Field(default=64.0, gt=0)
-    """A new file is begun when one has this size, in MiB."""
-    file_s: float = Field(default=3600.0, gt=0)
-    """... or this length of data."""
-    keep_gb: float = Field(default=20.0, gt=0)
-    """Most disk space for recordings, in GiB; then the oldest go."""
-    min_free_gb: float = Field(default=0.2, ge=0)
-    """Recording pauses while the disk has less free space, in GiB; nothing is removed for it."""
-    flush_s: float = Field(default=10.0, gt=0)
-    """Data that a power cut may cost."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import Field, ValidationError, field_validator, model_validator
 
 from drivers.base import Source, SourceContext, SourceError
-from drivers.recorder import RecorderSettings
+from drivers.recorder_settings import RecorderSettings
 from drivers.registry import UnknownSourceError, source_type
 from monitor.config.log_settings import LogSettings
 from monitor.config.matrix_files import read_matrices

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.io import mmread
 
 from monitor.core import BadConfigurationError, MissingInputError
 
@@ -47,6 +46,8 @@ def _read(path: Path, key: str) -> Any:
         if path.suffix == ".json":
             return json.loads(path.read_text(encoding="utf-8"))[key]
         if path.suffix == ".mtx":
+            from scipy.io import mmread  # loads sparse matrices, which nobody else wants
+
             matrix = mmread(path)
             return (matrix if isinstance(matrix, np.ndarray) else matrix.toarray()).tolist()
     except OSError as error:

@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 from scipy.linalg import lapack
-from scipy.optimize import linear_sum_assignment
 
 from monitor.core import Array, ComplexArray, ModalEstimate, Settings
 from monitor.damage.sensitivity import fox_kapoor
@@ -166,6 +165,8 @@ def counterparts(modes: Modes, sensors: Array, observation: Observation) -> tupl
     by_rank, seen = _ranked(observation, len(sensors))
     if not observation.gauges:
         return tuple(by_rank.tolist())
+    from scipy.optimize import linear_sum_assignment  # takes a third of a second to load
+
     shapes = sensors @ modes.shapes
     power = (shapes**2).sum(axis=0)
     power = np.maximum(power, 1e-6 * power.max())  # what no sensor sees is like nothing

@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 from scipy.linalg import eigh, lapack, svd
-from scipy.sparse.linalg import svds
 
 from monitor.core import Array, ComplexArray, LagSums, Settings
 
@@ -196,6 +195,8 @@ def _leading(matrix: Array, count: int) -> tuple[Array, Array]:
             return np.sqrt(squares[: -count - 1 : -1]), np.concatenate([turned[:1], others])
         _, values, right_t = svd(matrix)
         return values, right_t[:count].T
+    from scipy.sparse.linalg import svds  # takes a quarter of a second to load
+
     _, values, right_t = svds(matrix, count, v0=np.ones(min(matrix.shape)))  # a given start: the same bits every time
     return values[::-1], right_t[::-1].T
 

@@ -13,7 +13,6 @@ from math import ceil, log
 
 import numpy as np
 from pydantic import Field
-from scipy.optimize import linear_sum_assignment
 
 from monitor.core import Array, ComplexArray, ModalEstimate, Settings, Skipped, Window
 from monitor.identification.ssi import PoleTable, Realisation, SsiSettings, realise, state_space
@@ -163,6 +162,8 @@ def _match(
 
     roomy = sum(order >= 2 * in_band for order in poles.orders)
     enough = max(1.0, select.min_stable_share * min(len(poles.orders) - 1, max(roomy, len(poles.orders) // 3)))
+    from scipy.optimize import linear_sum_assignment  # takes a third of a second to load
+
     rows = np.flatnonzero(stable)
     group = np.full(stable.size, -1)
     group[rows] = grouped(

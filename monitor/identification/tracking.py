@@ -11,7 +11,6 @@ from math import log, sqrt
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
-from scipy.optimize import linear_sum_assignment
 
 from monitor.core import Array, ComplexArray, ModalEstimate, Settings
 
@@ -228,6 +227,8 @@ def _assign(tracks: Sequence[Track], fresh: Sequence[Track], settings: TrackSett
     """Pairs of the largest likelihood in all; a shape just like enough weighs as much as a frequency at the gate."""
     if not tracks or not fresh:
         return []
+    from scipy.optimize import linear_sum_assignment  # takes a third of a second to load
+
     difference = np.array([o.ln_f for o in fresh]) - np.array([[t.ln_f] for t in tracks])
     noise = np.array([[t.noise] for t in tracks]) * np.array([o.variance for o in fresh])
     variance = np.array([[t.variance_at(fresh[0].last_ns, settings)] for t in tracks]) + noise

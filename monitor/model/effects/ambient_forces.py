@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import ClassVar, Literal, Self
 
 import numpy as np
-from scipy.fft import irfft, next_fast_len, rfft
 
 from monitor.core import Array
 from monitor.model.effects.base import Condition, Context, Effect
@@ -78,6 +77,8 @@ class AmbientForces(Effect):
 
     def drive(self, forces: Array, rate_hz: float) -> Array:
         """See `Effect.drive`; the symmetric root of the correlation mixes the floors."""
+        from scipy.fft import irfft, next_fast_len, rfft  # takes a third of a second to load
+
         count, n = forces.shape
         size = forces.std(axis=0)
         own = np.sqrt(1.0 - self.common_share)

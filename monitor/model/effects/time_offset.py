@@ -7,7 +7,6 @@ from math import ceil, pi
 from typing import ClassVar, Literal, Self
 
 import numpy as np
-from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 
 from monitor.core import Array, ComplexArray
 from monitor.model.effects.base import Condition, Context, Effect
@@ -40,6 +39,8 @@ class TimeOffset(Effect):
         """See `Effect.measure`."""
         if self.seconds == 0.0:
             return samples
+        from scipy.fft import irfft, next_fast_len, rfft, rfftfreq  # takes a third of a second to load
+
         j, n = self.channel_indices(context)[0], len(samples)
         padded = next_fast_len(n + ceil(self.seconds * rate_hz) + _PAD_N, real=True)
         delay = np.exp(-2j * pi * rfftfreq(padded, 1.0 / rate_hz) * self.seconds)
