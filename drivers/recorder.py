@@ -18,7 +18,7 @@ from drivers.base import ACCELERATION, GROUND, TEMPERATURE, RecordingError, Samp
 from drivers.disk import sync_folder
 from drivers.mcap_file import scan_messages
 from drivers.mcap_writer import McapWriter
-from drivers.recorder_settings import RecorderSettings
+from drivers.recorder_settings import RecorderSettings as RecorderSettings
 
 _log = logging.getLogger(__name__)
 
