@@ -28,7 +28,7 @@ def diagnose(
     from monitor.config import configuration
     from monitor.damage import load_baseline
     from monitor.diagnosis import structure_text
-    from monitor.runs import diagnose as discrepancy
+    from monitor.runs import diagnose as job
 
     names = ("diagnosis.json", "report.html", "structure.updated.toml", "structure.extended.toml", "diagnosis.rrd")
     content, report, updated, extended, view = (out / name for name in names)
@@ -37,7 +37,7 @@ def diagnose(
     healthy = None if baseline is None else load_baseline(baseline, settings.instrumented(), settings.updating)
     for path in (content, report, updated, extended, view):
         demand_place(path)
-    found = discrepancy.find(recordings, settings, healthy, warn, progress("diagnose"))
+    found = job.diagnose(recordings, settings, healthy, warn, progress("diagnose"))
     text = structure.read_text(encoding="utf-8")
     write_atomically(content, json.dumps(found.content, indent=1, allow_nan=False) + "\n")
     write_atomically(updated, structure_text(text, found.updated, found.reference_degc))
@@ -64,9 +64,9 @@ def evaluate(recordings: Recordings, structure: Structure) -> None:
     debiased Whittle likelihood.  csd_error: squared error of the mean cross-spectra over their own square.
     """
     from monitor.config import configuration
-    from monitor.runs import diagnose as discrepancy
+    from monitor.runs import diagnose as job
 
-    score = discrepancy.evaluate(recordings, configuration.load(structure), warn, progress("evaluate"))
+    score = job.evaluate(recordings, configuration.load(structure), warn, progress("evaluate"))
     plain = {
         "log_score_per_sample": score.log_score_per_sample,
         "csd_error": score.csd_error,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from monitor.core import Array
-from monitor.diagnosis.score_test import change
+from monitor.diagnosis.score_test import whitened_change
 from monitor.diagnosis.simulation_refit import RefittedCandidate
 from monitor.inference import MapEstimate, Posterior
 
@@ -13,15 +13,15 @@ _TIED = 1.0
 """Nats between two predictions that are one and the same."""
 
 
-def tied_candidates(tried: list[RefittedCandidate], rival: float) -> list[RefittedCandidate]:
+def tied_candidates(candidates: list[RefittedCandidate], rival: float) -> list[RefittedCandidate]:
     """Those against which the log odds of the best are below `rival` nats, best first."""
-    tried = sorted(tried, key=lambda p: -p.candidate.evidence)
-    return [p for p, odds in zip(tried, _log_odds(tried), strict=True) if odds > -rival]
+    candidates = sorted(candidates, key=lambda p: -p.candidate.log_evidence)
+    return [p for p, odds in zip(candidates, _log_odds(candidates), strict=True) if odds > -rival]
 
 
-def probabilities(close: list[RefittedCandidate]) -> Array:
+def probabilities(tied: list[RefittedCandidate]) -> Array:
     """Of candidates against each other, the first being the best, shape (n,)."""
-    odds = np.exp(_log_odds(close))
+    odds = np.exp(_log_odds(tied))
     return np.asarray(odds / odds.sum())
 
 
@@ -30,12 +30,12 @@ def _log_odds(ordered: list[RefittedCandidate]) -> Array:
     (D. MacKay, Neural Computation 4 (1992) 720).
     """
     best = ordered[0]
-    apart = np.array([p.candidate.evidence - best.candidate.evidence for p in ordered])
-    chance = np.array([np.hypot(p.chance, best.chance) for p in ordered])
+    apart = np.array([p.candidate.log_evidence - best.candidate.log_evidence for p in ordered])
+    chance = np.array([np.hypot(p.log_evidence_std, best.log_evidence_std) for p in ordered])
     return np.asarray(apart / np.sqrt(1.0 + np.pi / 8.0 * chance**2))
 
 
-def same(problem: Posterior, one: MapEstimate, other: MapEstimate) -> bool:
+def predict_the_same(posterior: Posterior, one: MapEstimate, other: MapEstimate) -> bool:
     """Whether two fits predict spectra that these data cannot tell apart, whatever else is added."""
-    apart = change(problem, problem.predict(one.x, one.effects), problem.predict(other.x, other.effects))
+    apart = whitened_change(posterior, posterior.predict(one.x, one.effects), posterior.predict(other.x, other.effects))
     return bool(0.5 * float(apart @ apart) < _TIED)

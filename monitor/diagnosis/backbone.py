@@ -33,19 +33,19 @@ class Backbone:
     """The same of the model's response, shape (n,)."""
 
 
-def backbone(problem: Posterior, at: MapEstimate) -> Backbone | None:
+def backbone(posterior: Posterior, fit: MapEstimate) -> Backbone | None:
     """Frequency of the first mode in every segment; None where too few show it, or no ground was measured.
 
     In each, ``y + 2 zeta w y' + w^2 y = -gamma g`` is solved by least squares in the frequency domain for the floors' motion
     relative to the ground in the first mode.
     """
-    e, mean = problem.observed, problem.mean(at.x, at.effects)
+    e, mean = posterior.observed, posterior.mean(fit.x, fit.effects)
     if e.drive is None or mean is None:
         return None
-    effects = (*problem.prior.effects(at.x), *at.effects)
-    mass, shape = problem.system(at.x, effects).mass, problem.model(at.x, effects).modes().shapes[:, 0].real
-    first = float(problem.model(at.x, effects).modes().frequencies_hz[0])
-    sensors = problem.context.sensors
+    effects = (*posterior.prior.effects(fit.x), *fit.effects)
+    mass, shape = posterior.system(fit.x, effects).mass, posterior.model(fit.x, effects).modes().shapes[:, 0].real
+    first = float(posterior.model(fit.x, effects).modes().frequencies_hz[0])
+    sensors = posterior.context.sensors
     # Channels to the first mode's coordinate, which is the top floor's motion in it.
     to_mode = np.linalg.pinv(sensors).T @ mass @ shape * shape[0]
     near = (e.band.hz > _NEAR[0] * first) & (e.band.hz < _NEAR[1] * first)
@@ -53,8 +53,8 @@ def backbone(problem: Posterior, at: MapEstimate) -> Backbone | None:
     steady = to_mode @ sensors.sum(axis=1)
     rows = []
     for measured, predicted, g in zip(e.segments.values[:, near], mean[:, near], ground, strict=True):
-        hz, amplitude, left = _solved(measured @ to_mode - steady * g, g, w)
-        model_hz, _, model_left = _solved(predicted @ to_mode - steady * g, g, w)
+        hz, amplitude, left = _fit_oscillator(measured @ to_mode - steady * g, g, w)
+        model_hz, _, model_left = _fit_oscillator(predicted @ to_mode - steady * g, g, w)
         if max(left, model_left) < _CLEAR:
             rows.append((amplitude * np.sqrt(2.0 * e.band.bin_hz), hz, model_hz))
     if len(rows) < _FEWEST:
@@ -63,7 +63,7 @@ def backbone(problem: Posterior, at: MapEstimate) -> Backbone | None:
     return Backbone(*columns)
 
 
-def _solved(y: ComplexArray, ground: ComplexArray, w: Array) -> tuple[float, float, float]:
+def _fit_oscillator(y: ComplexArray, ground: ComplexArray, w: Array) -> tuple[float, float, float]:
     """Frequency, root of the summed power of the displacement, and the share of power left over."""
     a = np.column_stack([y / -(w**2), y / (1j * w), ground])
     split, target = np.concatenate([a.real, a.imag]), -np.concatenate([y.real, y.imag])
@@ -74,7 +74,7 @@ def _solved(y: ComplexArray, ground: ComplexArray, w: Array) -> tuple[float, flo
     return omega / (2.0 * np.pi), size, left
 
 
-def level_dependence(found: Backbone | None) -> LackOfFit | None:
+def find_level_dependence(found: Backbone | None) -> LackOfFit | None:
     """How the first mode follows the level; None where it does no more than the model's."""
     if found is None:
         return None
@@ -96,15 +96,15 @@ def level_dependence(found: Backbone | None) -> LackOfFit | None:
     return LackOfFit(f"f = {min(found.hz):.1f}-{max(found.hz):.1f} Hz, first mode", abs(change) / std, says)
 
 
-def ratios(problem: Posterior, at: MapEstimate) -> LackOfFit | None:
+def find_ratio_change(posterior: Posterior, fit: MapEstimate) -> LackOfFit | None:
     """Frequency ratios that the drawing does not have; None where the fitted model keeps them, or no ground was measured."""
-    if problem.observed.drive is None or not at.effects:
+    if posterior.observed.drive is None or not fit.effects:
         return None
-    drawn = problem.prior.model.modes().frequencies_hz
-    found = problem.model(at.x, (*problem.prior.effects(at.x), *at.effects)).modes().frequencies_hz[: drawn.size]
+    drawn = posterior.prior.model.modes().frequencies_hz
+    found = posterior.model(fit.x, (*posterior.prior.effects(fit.x), *fit.effects)).modes().frequencies_hz[: drawn.size]
     had, has = drawn[1:] / drawn[0], found[1:] / found[0]
     apart = has / had - 1.0
-    std = np.sqrt(np.maximum(_ratio_variance(problem, at, has), 1e-18)) / had
+    std = np.sqrt(np.maximum(_ratio_variance(posterior, fit, has), 1e-18)) / had
     if np.max(np.abs(apart) / std) < _CERTAIN or np.abs(apart).max() < 5.0 * _TELLING:
         return None
     told = [" and ".join(f"f{i}/f1 {r:.2f}" for i, r in enumerate(x, start=2)) for x in (has, had)]
@@ -116,13 +116,13 @@ def ratios(problem: Posterior, at: MapEstimate) -> LackOfFit | None:
     )
 
 
-def _ratio_variance(problem: Posterior, at: MapEstimate, here: Array) -> Array:
+def _ratio_variance(posterior: Posterior, fit: MapEstimate, here: Array) -> Array:
     """Variance of the frequency ratios, by their slopes."""
-    slopes = np.zeros((here.size, at.x.size))
-    for i in range(at.x.size):
-        moved, h = at.x.copy(), 1e-5 * max(1.0, abs(at.x[i]))
+    slopes = np.zeros((here.size, fit.x.size))
+    for i in range(fit.x.size):
+        moved, h = fit.x.copy(), 1e-5 * max(1.0, abs(fit.x[i]))
         moved[i] += h
-        effects = (*problem.prior.effects(moved), *with_coordinates(at.effects, moved[problem.layout.effects]))
-        f = problem.model(moved, effects).modes().frequencies_hz[: here.size + 1]
+        effects = (*posterior.prior.effects(moved), *with_coordinates(fit.effects, moved[posterior.layout.effects]))
+        f = posterior.model(moved, effects).modes().frequencies_hz[: here.size + 1]
         slopes[:, i] = (f[1:] / f[0] - here) / h
-    return np.asarray(np.einsum("ij,jk,ik->i", slopes, at.covariance, slopes))
+    return np.asarray(np.einsum("ij,jk,ik->i", slopes, fit.covariance, slopes))

@@ -93,7 +93,7 @@ def heldout_gain(segments: Segments, diagnosis: Diagnosis) -> HeldOutGain:
     D. Roberts et al., Cross-validation strategies for data with temporal, spatial, hierarchical, or phylogenetic structure,
     Ecography 40 (2017) 913 (blocks in place of single samples).
     """
-    if not diagnosis.final.effects:
+    if not diagnosis.final_fit.effects:
         return HeldOutGain()
     blocks = _cut_blocks(segments)
     parts = [blocks.held(fold) for fold in range(blocks.folds)]
@@ -118,7 +118,7 @@ def _score_fold(
     part = classify(segments.part(others))
     # Weighted as the whole recording, so that the prior pulls these fits no more than it pulls the published one.
     part = replace(part, counts=part.counts * segments.t_s.size / part.counts.sum())
-    context, prior = diagnosis.problem.context, diagnosis.problem.prior
+    context, prior = diagnosis.posterior.context, diagnosis.posterior.prior
     return [
         score(segments, model, context, prior.reference_degc, held, excitation)
         for model, excitation in refit_forms(part, diagnosis)
@@ -219,5 +219,5 @@ def require_gain(diagnosis: Diagnosis, gain: HeldOutGain) -> Diagnosis:
         verdict="unexplained" if diagnosis.misfit else "none",
         causes=(),
         left_over=diagnosis.misfit,
-        final=diagnosis.null,
+        final_fit=diagnosis.null_fit,
     )

@@ -25,32 +25,32 @@ def ddi_effect(diagnosis: Diagnosis) -> dict[str, Any]:
     dict
         ``without`` and ``with`` the causes: lists of shape (n_stories,), 0.2 = 20 % lost; empty where nothing was added.
     """
-    causes = tuple(e for e in diagnosis.final.effects if not e.is_stiffness_loss)
-    if not diagnosis.final.effects:
+    causes = tuple(e for e in diagnosis.final_fit.effects if not e.is_stiffness_loss)
+    if not diagnosis.final_fit.effects:
         return {"without": [], "with": []}
-    problem = _with_free_stiffness(diagnosis.problem)
+    posterior = _with_free_stiffness(diagnosis.posterior)
     # The offset is a cause's.
-    forms = [(replace(problem, offset=None), diagnosis.null.x, ()), (problem, diagnosis.final.x, causes)]
+    forms = [(replace(posterior, offset=None), diagnosis.null_fit.x, ()), (posterior, diagnosis.final_fit.x, causes)]
     alone, *beside = parallel_map(lambda form: _fitted(*form), forms[: 2 if causes else 1])
-    known = np.exp(problem.prior.mean[problem.layout.stiffness])
+    known = np.exp(posterior.prior.mean[posterior.layout.stiffness])
 
-    def index(at: MapEstimate) -> list[float]:
-        return [float(v) for v in 1.0 - np.exp(at.x[problem.layout.stiffness]) / known]
+    def index(fit: MapEstimate) -> list[float]:
+        return [float(v) for v in 1.0 - np.exp(fit.x[posterior.layout.stiffness]) / known]
 
     return {"without": index(alone), "with": index(*(beside or [alone]))}
 
 
-def _fitted(problem: Posterior, x: Array, effects: tuple[Effect, ...]) -> MapEstimate:
+def _fitted(posterior: Posterior, x: Array, effects: tuple[Effect, ...]) -> MapEstimate:
     """The fit, laws that depend on the level being linear at the motion that it shows."""
-    at = maximize_posterior(problem, x, effects)
-    problem = replace(problem, conditions=linearize(problem, at.x, at.effects))
-    return maximize_posterior(problem, at.x, at.effects)
+    fit = maximize_posterior(posterior, x, effects)
+    posterior = replace(posterior, conditions=linearize(posterior, fit.x, fit.effects))
+    return maximize_posterior(posterior, fit.x, fit.effects)
 
 
-def _with_free_stiffness(problem: Posterior) -> Posterior:
+def _with_free_stiffness(posterior: Posterior) -> Posterior:
     """The baseline holds its stiffnesses fixed; an index asks what they are now."""
-    stiffness, precision = problem.layout.stiffness, problem.prior.precision.copy()
+    stiffness, precision = posterior.layout.stiffness, posterior.prior.precision.copy()
     precision[stiffness], precision[:, stiffness] = 0.0, 0.0
     np.fill_diagonal(precision[stiffness, stiffness], 1.0 / _STIFFNESS_STD**2)
-    known = replace(problem.prior, precision=precision, model=problem.prior.model.as_built())
-    return replace(problem, prior=known)
+    known = replace(posterior.prior, precision=precision, model=posterior.prior.model.as_built())
+    return replace(posterior, prior=known)

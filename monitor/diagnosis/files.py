@@ -34,8 +34,8 @@ def content(
     ddi_effect : mapping
         See `monitor.diagnosis.damage_index_effect`.
     """
-    reference = diagnosis.problem.prior
-    causes = [_cause(c.effect, c.std, reference) for c in diagnosis.causes]
+    prior = diagnosis.posterior.prior
+    causes = [_cause(c.effect, c.std, prior) for c in diagnosis.causes]
     alternatives = [_alternative(c, share) for c, share in diagnosis.alternatives]
     stated = {(e.name, e.location) for e in known}
     out: dict[str, Any] = {
@@ -46,11 +46,11 @@ def content(
         "separating_measurement": separating_measurement(alternatives),
         "misfit": [{"where": m.where, "size": _finite(m.size), "says": m.says} for m in diagnosis.misfit],
         "gain": _gain(gain),
-        "standing": [c for c in _standing(reference) if (c["effect"], c["location"]) not in stated],
-        "standing_misfit": _standing_misfit(reference),
+        "standing": [c for c in _standing(prior) if (c["effect"], c["location"]) not in stated],
+        "standing_misfit": _standing_misfit(prior),
         "tried": [
-            {"effect": c.effect.name, "location": c.effect.location, "log_evidence_over_none": _finite(c.evidence)}
-            for c in diagnosis.tried
+            {"effect": c.effect.name, "location": c.effect.location, "log_evidence_over_none": _finite(c.log_evidence)}
+            for c in diagnosis.candidates
         ],
         "left_over": [{"where": m.where, "size": _finite(m.size), "says": m.says} for m in diagnosis.left_over],
         "ddi_effect": dict(ddi_effect),
@@ -58,9 +58,9 @@ def content(
     return {**out, "says": headline(diagnosis, out)}
 
 
-def _cause(effect: Effect, std: Mapping[str, float], reference: StructuralPrior) -> dict[str, Any]:
+def _cause(effect: Effect, std: Mapping[str, float], prior: StructuralPrior) -> dict[str, Any]:
     sizes = {name: {"value": _finite(v), "std": _finite(std[name])} for name, v in effect.values().items()}
-    says = in_words(effect.name, effect.location, sizes, reference)
+    says = in_words(effect.name, effect.location, sizes, prior)
     return {"effect": effect.name, "location": effect.location, "parameters": sizes, "says": says}
 
 
@@ -72,23 +72,23 @@ def _alternative(candidate: Candidate, probability: float) -> dict[str, Any]:
     return {"effect": effect.name, "location": effect.location, "probability": probability, "parameters": sizes}
 
 
-def _standing(reference: StructuralPrior) -> list[dict[str, Any]]:
+def _standing(prior: StructuralPrior) -> list[dict[str, Any]]:
     """The causes that calibration found, with what the healthy data say of their sizes."""
     # In units of their own: a law's size in N/m^3 is known to so few parts in 1e24 that it would pass for nothing.
-    unit = np.maximum(np.diag(reference.precision), 1e-300) ** -0.5
-    variance = unit**2 * np.diag(np.linalg.pinv(reference.precision * np.outer(unit, unit), hermitian=True))
-    first, out = ParameterLayout.of(reference).persistent.start, []
-    for effect in reference.effects(reference.mean):
+    unit = np.maximum(np.diag(prior.precision), 1e-300) ** -0.5
+    variance = unit**2 * np.diag(np.linalg.pinv(prior.precision * np.outer(unit, unit), hermitian=True))
+    first, out = ParameterLayout.of(prior).persistent.start, []
+    for effect in prior.effects(prior.mean):
         n = len(effect.parameters)
         sizes = _sizes(effect, np.hypot(np.sqrt(np.maximum(variance[first : first + n], 0.0)), effect.form_std))
-        out.append(_cause(effect, {name: size["std"] for name, size in sizes.items()}, reference))
+        out.append(_cause(effect, {name: size["std"] for name, size in sizes.items()}, prior))
         first += n
     return out
 
 
-def _standing_misfit(reference: StructuralPrior) -> dict[str, Any] | None:
+def _standing_misfit(prior: StructuralPrior) -> dict[str, Any] | None:
     """What calibration left unexplained."""
-    error = reference.error
+    error = prior.error
     return None if error is None else {"bands_hz": error.doubtful_hz(), "says": contradicted(error)}
 
 

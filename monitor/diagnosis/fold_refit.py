@@ -46,14 +46,14 @@ def refit_forms(part: ObservedSpectra, whole: Diagnosis) -> list[tuple[Model, Ex
     """
     part = replace(part, drive=_between_samples_as(whole, part.drive))
     n_classes = part.counts.size
-    posterior = whole.problem.part(part, nearest_classes(whole.problem.n_classes, n_classes))
-    layout = whole.problem.layout
-    by_level = not (part.by_temperature or whole.problem.observed.by_temperature)
+    posterior = whole.posterior.part(part, nearest_classes(whole.posterior.n_classes, n_classes))
+    layout = whole.posterior.layout
+    by_level = not (part.by_temperature or whole.posterior.observed.by_temperature)
     shared = by_level and not any(e.nonlinear for e in posterior.prior.model.effects)
 
     def fitted(x: Array, effects: tuple[Effect, ...]) -> tuple[Model, ExcitationStart]:
         x = np.concatenate(
-            [x[layout.structure], ExcitationStart.at(whole.problem, x).of(n_classes).vector, x[layout.effects]]
+            [x[layout.structure], ExcitationStart.at(whole.posterior, x).of(n_classes).vector, x[layout.effects]]
         )
         own = posterior
         if part.drive is None and any(e.conditional for e in (*posterior.prior.effects(x), *effects)):
@@ -63,12 +63,12 @@ def refit_forms(part: ObservedSpectra, whole: Diagnosis) -> list[tuple[Model, Ex
             own, fit.x, own.beyond(fit.x, fit.effects) if shared else None
         )
 
-    return [fitted(whole.null.x, whole.null.effects), fitted(whole.final.x, whole.final.effects)]
+    return [fitted(whole.null_fit.x, whole.null_fit.effects), fitted(whole.final_fit.x, whole.final_fit.effects)]
 
 
 def _between_samples_as(whole: Diagnosis, drive: Drive | None) -> Drive | None:
     """Let the ground move between its samples as the diagnosis of the whole recording found."""
-    found = whole.problem.observed.drive
+    found = whole.posterior.observed.drive
     return None if drive is None or found is None else replace(drive, between=found.between)
 
 

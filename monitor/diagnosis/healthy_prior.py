@@ -23,7 +23,7 @@ _NOISE_DRIFT = 0.2
 
 
 def learn_prior(
-    evidence: ObservedSpectra, known: StructuralPrior, context: Context, settings: DiagnosisSettings
+    observed: ObservedSpectra, known: StructuralPrior, context: Context, settings: DiagnosisSettings
 ) -> tuple[StructuralPrior, Array]:
     """The reference that healthy evidence makes of what was known before.
 
@@ -38,11 +38,11 @@ def learn_prior(
     ndarray, shape (e,)
         The correction, relative to the modes' stiffness.
     """
-    _, form, _ = fit_initial_model(evidence, known, context)
+    _, form, _ = fit_initial_model(observed, known, context)
     layout = ParameterLayout.of(known)
     x = form.x[layout.structure]
     model = known.model.with_stiffness(np.exp(x[layout.stiffness])).with_masses(np.exp(x[layout.masses]))
-    n_modes = int(np.count_nonzero(model.modes().frequencies_hz < evidence.band.hz[-1]))
+    n_modes = int(np.count_nonzero(model.modes().frequencies_hz < observed.band.hz[-1]))
     basis = correction_basis(model, n_modes)
     standing = known.effects(x)
     effects = np.concatenate([[], *[e.coordinates for e in standing]])
@@ -61,12 +61,12 @@ def learn_prior(
         known.precision[sizes, sizes] + np.diag(held),
     )
     wider = replace(known, mean=mean, precision=prior, basis=basis)
-    problem, fitted, _ = fit_initial_model(evidence, wider, context)
-    wrong, covariance = estimate_model_discrepancy(problem, fitted, settings), fitted.covariance
+    posterior, fitted, _ = fit_initial_model(observed, wider, context)
+    wrong, covariance = estimate_model_discrepancy(posterior, fitted, settings), fitted.covariance
     if wrong is not None:
         wider = replace(wider, error=wrong)
-        covariance = _covariance(replace(problem, prior=wider), fitted.x)
-    structure = problem.layout.structure
+        covariance = _covariance(replace(posterior, prior=wider), fitted.x)
+    structure = posterior.layout.structure
     precision = inverse(covariance[structure, structure])
     learnt = replace(wider, mean=fitted.x[structure], precision=0.5 * (precision + precision.T))
     learnt = learnt.with_looser_damping(np.full(d, _DAMPING_DRIFT)).with_looser_noise(np.full(c, _NOISE_DRIFT))
@@ -74,7 +74,7 @@ def learn_prior(
     return learnt, learnt.mean[ParameterLayout.of(learnt).correction]
 
 
-def _covariance(problem: Posterior, x: Array) -> Array:
+def _covariance(posterior: Posterior, x: Array) -> Array:
     """Of parameters that were fitted to more than the problem now trusts, shape (p, p)."""
-    rows = problem.jacobian(x, (), problem.predict(x, ()))[0]
-    return inverse(rows.T @ rows + problem.normal_prior(x, ())[1])
+    rows = posterior.jacobian(x, (), posterior.predict(x, ()))[0]
+    return inverse(rows.T @ rows + posterior.normal_prior(x, ())[1])

@@ -39,90 +39,94 @@ _MODEL_ERROR = 0.5
 
 
 def fit_linearized(
-    evidence: ObservedSpectra, reference: StructuralPrior, context: Context
+    observed: ObservedSpectra, prior: StructuralPrior, context: Context
 ) -> tuple[Posterior, MapEstimate]:
     """The problem without extra effects, fitted, with the motion of every class known.
 
     Nonlinear laws are made linear at the motion of the fitted model, so the fit is made twice where standing effects
     need it.
     """
-    if evidence.drive is not None:
-        reference = reference.with_any_noise()
-    linear = slice(0, ParameterLayout.of(reference).persistent.start)
+    if observed.drive is not None:
+        prior = prior.with_any_noise()
+    linear = slice(0, ParameterLayout.of(prior).persistent.start)
     plain = replace(
-        reference,
-        model=replace(reference.model, effects=()),
-        mean=reference.mean[linear],
-        precision=reference.precision[linear, linear],
+        prior,
+        model=replace(prior.model, effects=()),
+        mean=prior.mean[linear],
+        precision=prior.precision[linear, linear],
     )
-    problem = make_posterior(evidence, plain, context)
-    null = maximize_posterior(problem, _first_guess(problem)) if evidence.drive is None else _from_afar(problem)
-    problem, null = between_samples(problem, null)
-    problem = replace(problem, conditions=linearize(problem, null.x, ()))
-    if not reference.n_standing:
-        return beside_wind(problem, null)
-    structure = np.concatenate([null.x[linear], reference.mean[linear.stop :]])
-    x = problem.layout.with_structure(null.x, structure)
+    posterior = make_posterior(observed, plain, context)
+    null_fit = (
+        maximize_posterior(posterior, _first_guess(posterior))
+        if observed.drive is None
+        else _fit_from_heavy_damping(posterior)
+    )
+    posterior, null_fit = fit_ground_interpolation(posterior, null_fit)
+    posterior = replace(posterior, conditions=linearize(posterior, null_fit.x, ()))
+    if not prior.n_standing:
+        return fit_ambient_forces(posterior, null_fit)
+    structure = np.concatenate([null_fit.x[linear], prior.mean[linear.stop :]])
+    x = posterior.layout.with_structure(null_fit.x, structure)
     for _ in range(2):
-        problem = replace(problem, prior=reference)
-        null = maximize_posterior(problem, x)
-        x = null.x
-        problem = replace(problem, conditions=linearize(problem, x, ()))
-    return beside_wind(problem, null)
+        posterior = replace(posterior, prior=prior)
+        null_fit = maximize_posterior(posterior, x)
+        x = null_fit.x
+        posterior = replace(posterior, conditions=linearize(posterior, x, ()))
+    return fit_ambient_forces(posterior, null_fit)
 
 
-def beside_wind(problem: Posterior, at: MapEstimate) -> tuple[Posterior, MapEstimate]:
+def fit_ambient_forces(posterior: Posterior, fit: MapEstimate) -> tuple[Posterior, MapEstimate]:
     """With the forces that the quiet tells, where the ground was measured."""
-    if not isinstance(problem, DrivenPosterior):
-        return problem, at
-    x = forces_from_quiet_segments(problem, at.x, at.effects)
-    problem = replace(problem, wind=x[problem.layout.forces])
-    return problem, maximize_posterior(problem, x, at.effects, iterations=FAR)
+    if not isinstance(posterior, DrivenPosterior):
+        return posterior, fit
+    x = forces_from_quiet_segments(posterior, fit.x, fit.effects)
+    posterior = replace(posterior, wind=x[posterior.layout.forces])
+    return posterior, maximize_posterior(posterior, x, fit.effects, iterations=FAR)
 
 
-def _from_afar(problem: Posterior) -> MapEstimate:
+def _fit_from_heavy_damping(posterior: Posterior) -> MapEstimate:
     """The first fit to driven motion, whose phases lead back from nearby only: with heavy damping first, for wide peaks."""
-    known, x = problem.prior, _first_guess(problem)
-    modes = problem.layout.damping
+    known, x = posterior.prior, _first_guess(posterior)
+    modes = posterior.layout.damping
     mean, held = known.mean.copy(), np.zeros(known.mean.size)
     mean[modes], held[modes] = np.log(_HEAVY), _HELD_DAMPING
     precision = known.precision + np.diag(held)
-    wide = replace(problem, prior=replace(known, mean=mean, precision=precision))
-    near = maximize_posterior(wide, problem.layout.with_structure(x, mean), iterations=LONG).x
+    wide = replace(posterior, prior=replace(known, mean=mean, precision=precision))
+    near = maximize_posterior(wide, posterior.layout.with_structure(x, mean), iterations=LONG).x
     near[modes] = np.log(_LIGHTER)
-    return maximize_posterior(problem, near, iterations=FAR)
+    return maximize_posterior(posterior, near, iterations=FAR)
 
 
-def between_samples(problem: Posterior, at: MapEstimate) -> tuple[Posterior, MapEstimate]:
+def fit_ground_interpolation(posterior: Posterior, fit: MapEstimate) -> tuple[Posterior, MapEstimate]:
     """With the ground's motion between its samples that explains the floors best, where the ground was measured."""
-    if not isinstance(problem, DrivenPosterior):
-        return problem, at
-    tried = [(problem, at)]
+    if not isinstance(posterior, DrivenPosterior):
+        return posterior, fit
+    candidates = [(posterior, fit)]
     for between in get_args(Between):
-        if between != problem.drive.between:
-            other = problem.between_samples(between)
-            tried.append((other, maximize_posterior(other, at.x, at.effects, iterations=ROUGHLY)))
-    problem, best = max(tried, key=lambda pair: pair[1].log_posterior)
-    return problem, at if best is at else maximize_posterior(problem, best.x, best.effects, iterations=FAR)
+        if between != posterior.drive.between:
+            other = posterior.between_samples(between)
+            candidates.append((other, maximize_posterior(other, fit.x, fit.effects, iterations=ROUGHLY)))
+    posterior, best = max(candidates, key=lambda pair: pair[1].log_posterior)
+    return posterior, fit if best is fit else maximize_posterior(posterior, best.x, best.effects, iterations=FAR)
 
 
-def exactly(problem: Posterior, at: MapEstimate) -> tuple[Posterior, MapEstimate]:
+def fit_exact_slopes(posterior: Posterior, fit: MapEstimate) -> tuple[Posterior, MapEstimate]:
     """With the exact laws' slopes at the best fit to a measured ground's response; linearized ones lead near it only."""
     for _ in range(_TURNS):
-        problem, before = problem.with_exact_slopes(at.x, at.effects), at
-        at = maximize_posterior(problem, at.x, at.effects, iterations=FAR)
-        if at.log_posterior < before.log_posterior + COARSE:
+        posterior, before = posterior.with_exact_slopes(fit.x, fit.effects), fit
+        fit = maximize_posterior(posterior, fit.x, fit.effects, iterations=FAR)
+        if fit.log_posterior < before.log_posterior + COARSE:
             break
-    return problem, at
+    return posterior, fit
 
 
-def _first_guess(problem: Posterior) -> Array:
+def _first_guess(posterior: Posterior) -> Array:
     """Guess forces and levels; beside a measured ground small forces, and the model's own error as a share of the power."""
-    x, ratio = guess_levels(problem)
-    layout = problem.layout
+    x, ratio = guess_levels(posterior)
+    layout = posterior.layout
     x[layout.forces], x[layout.levels] = np.log(ratio.mean()), np.log(ratio / ratio.mean())
-    if isinstance(problem, DrivenPosterior):
-        power = np.einsum("kfaa->kfa", problem.observed.spectra).real
+    if isinstance(posterior, DrivenPosterior):
+        power = np.einsum("kfaa->kfa", posterior.observed.spectra).real
         x[layout.forces] += np.log(FORCED)
-        x[layout.levels] = np.log(power / problem.power).mean(axis=(1, 2)) + 2.0 * np.log(_MODEL_ERROR)
+        x[layout.levels] = np.log(power / posterior.power).mean(axis=(1, 2)) + 2.0 * np.log(_MODEL_ERROR)
     return x

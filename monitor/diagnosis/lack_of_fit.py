@@ -33,22 +33,22 @@ class LackOfFit:
     says: str
 
 
-def drift_bands(problem: Posterior, fitted: MapEstimate) -> Array:
+def drift_bands(posterior: Posterior, fitted: MapEstimate) -> Array:
     """What the later half of a recording shows more than the earlier one, as `residual_bands`.
 
     Each half is compared with the model's spectra of its own classes, each at its own level of every force, so that a change of
     level or weather is no drift, nor is wind that comes and goes floor by floor.
     """
-    e = problem.observed
-    mean = problem.mean(fitted.x, fitted.effects)
+    e = posterior.observed
+    mean = posterior.mean(fitted.x, fitted.effects)
     x = e.segments.values if mean is None else e.segments.values - mean
-    predicted = problem.scatter(fitted.x, fitted.effects)
-    parts = spectra_by_force(problem, fitted.x, fitted.effects)
+    predicted = posterior.scatter(fitted.x, fitted.effects)
+    parts = spectra_by_force(posterior, fitted.x, fitted.effects)
     signal = parts.sum(axis=0)
     late = e.t_s > np.median(e.t_s)
     z = []
     for half in (late, ~late):
-        model, data, counts = predicted.copy(), predicted.copy(), np.zeros(problem.n_classes)
+        model, data, counts = predicted.copy(), predicted.copy(), np.zeros(posterior.n_classes)
         for k, members in enumerate(e.members):
             own = x[members[half[members]]]
             counts[k] = len(own)
@@ -56,26 +56,26 @@ def drift_bands(problem: Posterior, fitted: MapEstimate) -> Array:
                 data[k] = np.einsum("sfa,sfb->fab", own, own.conj()) / len(own)
                 noise = predicted[k] - signal[k]
                 model[k] = np.tensordot(fit_levels(parts[:, k], noise, data[k]), parts[:, k], axes=1) + noise
-        halved = replace(problem, observed=replace(e, counts=counts))
-        z.append(_banded(halved.whitened(model, model[None], data)[1], problem.n_classes, problem)[0])
+        halved = replace(posterior, observed=replace(e, counts=counts))
+        z.append(_sum_in_bands(halved.whitened(model, model[None], data)[1], posterior.n_classes, posterior)[0])
     return np.asarray((z[0] - z[1]) / np.sqrt(2.0))
 
 
-def residual_bands(problem: Posterior, fitted: MapEstimate) -> tuple[Array, Array]:
+def residual_bands(posterior: Posterior, fitted: MapEstimate) -> tuple[Array, Array]:
     """Misfit in bands as standard deviations, shape (bands, c, c), and the bands' middles in Hz.
 
     The diagonal is too much (positive) or too little power in the whitened channels, below it the real and above it the
     imaginary part of their coherence.
     """
-    return _banded(fitted.residual, problem.n_classes, problem)
+    return _sum_in_bands(fitted.residual, posterior.n_classes, posterior)
 
 
-def _banded(residual: Array, n_classes: int, problem: Posterior) -> tuple[Array, Array]:
+def _sum_in_bands(residual: Array, n_classes: int, posterior: Posterior) -> tuple[Array, Array]:
     """Whitened rows summed in bands."""
-    c = problem.observed.spectra.shape[-1]
-    bins = problem.observed.band.n_bins
+    c = posterior.observed.spectra.shape[-1]
+    bins = posterior.observed.band.n_bins
     rows = residual.reshape(n_classes, bins, c * c)
-    per = _per(problem.observed.band)
+    per = _bins_per_band(posterior.observed.band)
     n = bins // per
     z = rows[:, : n * per].reshape(n_classes, n, per, c * c).sum(axis=(0, 2)) / np.sqrt(n_classes * per)
     matrix = np.zeros((n, c, c))
@@ -86,63 +86,63 @@ def _banded(residual: Array, n_classes: int, problem: Posterior) -> tuple[Array,
             at += 2
         matrix[:, i, i] = z[:, at]
         at += 1
-    return matrix, problem.observed.band.hz[: n * per].reshape(n, per).mean(axis=1)
+    return matrix, posterior.observed.band.hz[: n * per].reshape(n, per).mean(axis=1)
 
 
-def _per(band: Band) -> int:
+def _bins_per_band(band: Band) -> int:
     """Bins that are summed up in a band."""
     return max(1, round(_BAND_HZ / band.bin_hz))
 
 
-def _beyond_chance(problem: Posterior, fitted: MapEstimate) -> tuple[Array, Array, Array]:
+def _deviations(posterior: Posterior, fitted: MapEstimate) -> tuple[Array, Array, Array]:
     """As `residual_bands`, over the chance in what is compared (a simulation has as much in it as the recording), `drift_bands`,
     and the bands' middles."""
-    z, hz = residual_bands(problem, fitted)
-    return z if problem.offset is None else z / np.sqrt(2.0), drift_bands(problem, fitted), hz
+    z, hz = residual_bands(posterior, fitted)
+    return z if posterior.offset is None else z / np.sqrt(2.0), drift_bands(posterior, fitted), hz
 
 
-def find_lack_of_fit(problem: Posterior, fitted: MapEstimate, settings: DiagnosisSettings) -> tuple[LackOfFit, ...]:
+def find_lack_of_fit(posterior: Posterior, fitted: MapEstimate, settings: DiagnosisSettings) -> tuple[LackOfFit, ...]:
     """Bands in which the model is wrong, worst first."""
-    z, drift, hz = _beyond_chance(problem, fitted)
-    late = _listed(drift, hz, problem, settings, ", more so late in the recording than early")
-    return tuple(sorted(_listed(z, hz, problem, settings, "") + late, key=lambda m: -m.size))
+    z, drift, hz = _deviations(posterior, fitted)
+    late = _list_deviations(drift, hz, posterior, settings, ", more so late in the recording than early")
+    return tuple(sorted(_list_deviations(z, hz, posterior, settings, "") + late, key=lambda m: -m.size))
 
 
-def wrong_bins(problem: Posterior, fitted: MapEstimate, settings: DiagnosisSettings) -> NDArray[np.bool_]:
+def wrong_bins(posterior: Posterior, fitted: MapEstimate, settings: DiagnosisSettings) -> NDArray[np.bool_]:
     """Which frequencies lie in bands where the model is wrong, shape (n_bins,)."""
-    z, drift, _ = _beyond_chance(problem, fitted)
+    z, drift, _ = _deviations(posterior, fitted)
     wrong = (np.maximum(np.abs(z), np.abs(drift)) > settings.misfit).any(axis=(1, 2))
-    bins = np.repeat(wrong, _per(problem.observed.band))
-    return np.pad(bins, (0, problem.observed.band.n_bins - bins.size))
+    bins = np.repeat(wrong, _bins_per_band(posterior.observed.band))
+    return np.pad(bins, (0, posterior.observed.band.n_bins - bins.size))
 
 
-def wrong_nats(problem: Posterior, misfit: Sequence[LackOfFit]) -> float:
+def lack_of_fit_cost(posterior: Posterior, misfit: Sequence[LackOfFit]) -> float:
     """What misfits cost, nats: half the squares of small deviations; of large ones, as of power that is many times the model's,
     the likelihood counts the first power.
     """
-    many = np.sqrt(problem.observed.pieces(_per(problem.observed.band)))
+    many = np.sqrt(posterior.observed.pieces(_bins_per_band(posterior.observed.band)))
     return float(sum(0.5 * m.size**2 / (1.0 + m.size / many) for m in misfit))
 
 
 def estimate_model_discrepancy(
-    problem: Posterior, fitted: MapEstimate, settings: DiagnosisSettings
+    posterior: Posterior, fitted: MapEstimate, settings: DiagnosisSettings
 ) -> ModelDiscrepancy | None:
     """What healthy data show that the model, with all that is known to be wrong with it, does not explain.
 
     None where it explains them, and where the ground was measured: there the model's own error is among what is fitted.
     """
-    e = problem.observed
+    e = posterior.observed
     if e.drive is not None:
         return None
-    z, drifts, hz = _beyond_chance(problem, fitted)
+    z, drifts, hz = _deviations(posterior, fitted)
     late = np.abs(drifts).max(axis=(1, 2), initial=0.0)
     size = np.maximum(np.abs(z).max(axis=(1, 2), initial=0.0), late)
     if size.max(initial=0.0) <= settings.misfit:
         return None
-    per, bins = _per(e.band), max(1, round(_NARROW_HZ / e.band.bin_hz))
+    per, bins = _bins_per_band(e.band), max(1, round(_NARROW_HZ / e.band.bin_hz))
     n = hz.size * per // bins
-    inverse = np.linalg.inv(np.linalg.cholesky(problem.scatter(fitted.x, fitted.effects)))
-    seen = np.tensordot(e.counts / e.counts.sum(), inverse @ problem.data() @ inverse.conj().swapaxes(-1, -2), axes=1)
+    inverse = np.linalg.inv(np.linalg.cholesky(posterior.scatter(fitted.x, fitted.effects)))
+    seen = np.tensordot(e.counts / e.counts.sum(), inverse @ posterior.data() @ inverse.conj().swapaxes(-1, -2), axes=1)
     mean = seen[: n * bins].reshape(n, bins, *seen.shape[1:]).mean(axis=1)
     band = np.arange(n) * bins // per
     doubtful = size[band] > _DOUBTFUL * settings.misfit
@@ -158,28 +158,32 @@ def estimate_model_discrepancy(
     )
 
 
-def remainder(
-    problem: Posterior, at: MapEstimate, null: MapEstimate, misfit: Sequence[LackOfFit], left_over: Sequence[LackOfFit]
+def unexplained_share(
+    posterior: Posterior,
+    at: MapEstimate,
+    null_fit: MapEstimate,
+    misfit: Sequence[LackOfFit],
+    left_over: Sequence[LackOfFit],
 ) -> float:
     """What is left over, as a share of what the model without causes got wrong, by squared deviations.
 
     With the ground measured by their sizes, and all of it told by the final model's error: the one that the model without causes
     has learnt to expect hides most of what it gets wrong.
     """
-    if problem.observed.drive is None:
+    if posterior.observed.drive is None:
         return sum(m.size**2 for m in left_over) / max(sum(m.size**2 for m in misfit), 1.0)
-    here, there = problem.predict(at.x, at.effects), problem.predict(null.x, null.effects)
-    residual = problem.whitened(here.spectra, here.spectra[None][:0], there.data)[1]
-    wrong = float(np.abs(_banded(residual, problem.n_classes, problem)[0]).sum())
+    here, there = posterior.predict(at.x, at.effects), posterior.predict(null_fit.x, null_fit.effects)
+    residual = posterior.whitened(here.spectra, here.spectra[None][:0], there.data)[1]
+    wrong = float(np.abs(_sum_in_bands(residual, posterior.n_classes, posterior)[0]).sum())
     return sum(m.size for m in left_over) / max(wrong, 1.0)
 
 
-def find_level_dependence(
-    problem: Posterior, fitted: MapEstimate, settings: DiagnosisSettings
+def find_changed_effects(
+    posterior: Posterior, fitted: MapEstimate, settings: DiagnosisSettings
 ) -> tuple[LackOfFit, ...]:
     """Effects that stood at calibration and are of another size now, which a fit's nuisances take up without a word."""
-    known, out = problem.prior, []
-    away = known.standing(np.abs(fitted.x[problem.layout.structure] - known.mean))
+    known, out = posterior.prior, []
+    away = known.standing(np.abs(fitted.x[posterior.layout.structure] - known.mean))
     for effect, far, std in zip(known.effects(fitted.x), away, known.standing_std, strict=True):
         own = far / std
         if own.max(initial=0.0) > settings.misfit:
@@ -189,8 +193,10 @@ def find_level_dependence(
     return tuple(out)
 
 
-def _listed(z: Array, hz: Array, problem: Posterior, settings: DiagnosisSettings, when: str) -> tuple[LackOfFit, ...]:
-    names = [*problem.context.channels, "ground"]
+def _list_deviations(
+    z: Array, hz: Array, posterior: Posterior, settings: DiagnosisSettings, when: str
+) -> tuple[LackOfFit, ...]:
+    names = [*posterior.context.channels, "ground"]
     out = []
     for band, i, j in np.argwhere(np.abs(z) > settings.misfit):
         size = float(z[band, i, j])

@@ -12,13 +12,13 @@ _SURE = 2.0
 """Standard deviations from nothing that a size must have to be one."""
 
 
-def deviations(problem: Posterior, at: MapEstimate, doubt: Array) -> list[Array]:
+def coordinate_std(posterior: Posterior, fit: MapEstimate, simulation_std: Array) -> list[Array]:
     """Standard deviations of every effect's coordinates, shape (p,) each; `doubt` are those by simulation, of all of them."""
-    first, out, fitted = 0, [], summarize_fit(problem, at)
-    own = np.sqrt(np.maximum(np.diag(at.covariance)[problem.layout.effects], 0.0))
-    for effect in at.effects:
+    first, out, fitted = 0, [], summarize_fit(posterior, fit)
+    own = np.sqrt(np.maximum(np.diag(fit.covariance)[posterior.layout.effects], 0.0))
+    for effect in fit.effects:
         these = slice(first, first + len(effect.parameters))
-        out.append(np.hypot(own[these], np.hypot(doubt[these], effect.form_std_in(fitted))))
+        out.append(np.hypot(own[these], np.hypot(simulation_std[these], effect.form_std_in(fitted))))
         first = these.stop
     return out
 
@@ -33,13 +33,13 @@ def is_significant(effect: Effect, deviation: Array) -> bool:
     return all(away)
 
 
-def summarize_fit(problem: Posterior, at: MapEstimate) -> FittedModel:
+def summarize_fit(posterior: Posterior, fit: MapEstimate) -> FittedModel:
     """Sum up a fit as far as effects ask for it to say what their laws' form leaves open."""
-    correction = at.x[problem.layout.correction]
+    correction = fit.x[posterior.layout.correction]
     return FittedModel(
-        structure=problem.context_at(at.x).structure,
-        condition=problem.conditions[problem.n_classes // 2],
-        effects=(*problem.prior.effects(at.x), *at.effects),
+        structure=posterior.context_at(fit.x).structure,
+        condition=posterior.conditions[posterior.n_classes // 2],
+        effects=(*posterior.prior.effects(fit.x), *fit.effects),
         correction_rms=float(np.sqrt((correction**2).mean())) if correction.size else 0.0,
-        bin_hz=problem.observed.band.bin_hz,
+        bin_hz=posterior.observed.band.bin_hz,
     )

@@ -78,18 +78,18 @@ def score(
     ----------
     A. Sykulski, S. Olhede, A. Guillaumin, J. Lilly, J. Early, The debiased Whittle likelihood, Biometrika 106 (2019) 251.
     """
-    evidence = classify(segments)
+    observed = classify(segments)
     held = np.ones(segments.t_s.size, dtype=bool) if held is None else held
-    posterior, x = fit_excitation(evidence, model, replace(context, structure=model.structure), reference_degc, near)
+    posterior, x = fit_excitation(observed, model, replace(context, structure=model.structure), reference_degc, near)
     scatter, mean = posterior.scatter(x, ()), posterior.mean(x, ())
     residual = segments.values if mean is None else segments.values - mean
     counted = segments.values[held]
     measured = np.einsum("ska,skb->kab", counted, counted.conj()) / len(counted)
-    share = np.array([np.count_nonzero(held[members]) for members in evidence.members]) / len(counted)
+    share = np.array([np.count_nonzero(held[members]) for members in observed.members]) / len(counted)
     modelled = np.tensordot(share, scatter, axes=1)
     if mean is not None:
         modelled = modelled + np.einsum("ska,skb->kab", mean[held], mean[held].conj()) / len(counted)
-    nats = _segment_nats(residual, evidence, scatter)[held]
+    nats = _segment_nats(residual, observed, scatter)[held]
     return Score(nats, _sample_instants(segments, held), measured, modelled)
 
 
@@ -115,7 +115,7 @@ def _sample_instants(segments: Segments, held: NDArray[np.bool_]) -> int:
     return round(0.5 * np.count_nonzero(held) * segments.resampled_hz / segments.band.bin_hz)
 
 
-def _segment_nats(x: ComplexArray, evidence: ObservedSpectra, scatter: ComplexArray) -> Array:
+def _segment_nats(x: ComplexArray, observed: ObservedSpectra, scatter: ComplexArray) -> Array:
     """Compute the log likelihood of every segment under the spectra of its class, shape (n_segments,), nats.
 
     The sum over the segments is the log likelihood of the classes' mean spectra.
@@ -128,8 +128,8 @@ def _segment_nats(x: ComplexArray, evidence: ObservedSpectra, scatter: ComplexAr
         The model's cross-spectra about that mean.
     """
     out = np.empty(x.shape[0])
-    for spectra, members in zip(scatter, evidence.members, strict=True):
+    for spectra, members in zip(scatter, observed.members, strict=True):
         _, log_det = np.linalg.slogdet(spectra)
         form = np.einsum("ska,kab,skb->s", x[members].conj(), np.linalg.inv(spectra), x[members]).real
-        out[members] = -evidence.weight * (log_det.sum() + form)
+        out[members] = -observed.weight * (log_det.sum() + form)
     return out

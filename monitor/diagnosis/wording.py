@@ -60,7 +60,7 @@ def headline(diagnosis: Diagnosis, content: Mapping[str, Any]) -> str:
     content : mapping
         diagnosis.json.
     """
-    reference = diagnosis.problem.prior
+    reference = diagnosis.posterior.prior
     told = [in_words(c["effect"], c["location"], c["parameters"], reference) for c in content["causes"]]
     match content["verdict"]:
         case "none":

@@ -82,7 +82,7 @@ def calibrate(
     if segments is None:
         on_warning("too short for a diagnosis to learn from; 'diagnose' will not take this baseline")
         return baseline, fit
-    reference = diagnose.learn(segments, config)
+    reference = diagnose.learn_healthy_prior(segments, config)
     if reference.error is not None:
         on_warning(contradicted(reference.error))
     return replace(baseline, reference=reference), fit

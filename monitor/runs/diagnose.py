@@ -21,7 +21,6 @@ from monitor.diagnosis import (
     Score,
     content,
     ddi_effect,
-    diagnose,
     fitted_model,
     healthy_prior,
     heldout_gain,
@@ -31,6 +30,7 @@ from monitor.diagnosis import (
     require_gain,
     score,
 )
+from monitor.diagnosis import diagnose as diagnose_spectra
 from monitor.inference import Segments, classify, gather, maximize_posterior
 from monitor.model import (
     CALIBRATION_EFFECTS,
@@ -69,7 +69,7 @@ class Finding:
 
 
 @_TRIALS
-def find(
+def diagnose(
     paths: list[Path],
     config: Configuration,
     baseline: Baseline | None,
@@ -87,10 +87,10 @@ def find(
         raise BadInputError(
             "the baseline holds nothing for a diagnosis to start from; calibrate anew, on 70 s or more without a gap"
         )
-    reference = _nominal(config) if baseline is None or baseline.reference is None else baseline.reference
-    settled, gain = judged(segments, reference, config)
-    updated, extended = (fitted_model(settled.problem, at) for at in (settled.null, settled.final))
-    degc = reference.reference_degc
+    prior = _drawing_prior(config) if baseline is None or baseline.reference is None else baseline.reference
+    settled, gain = diagnose_segments(segments, prior, config)
+    updated, extended = (fitted_model(settled.posterior, fit) for fit in (settled.null_fit, settled.final_fit))
+    degc = prior.reference_degc
     if degc is None and segments.temperature.size:
         degc = float(segments.temperature[:, 1].mean())
     plain = content(settled, gain, config.model().effects, ddi_effect(settled))
@@ -99,37 +99,39 @@ def find(
 
 
 @_TRIALS
-def judged(segments: Segments, reference: StructuralPrior, config: Configuration) -> tuple[Diagnosis, HeldOutGain]:
+def diagnose_segments(
+    segments: Segments, prior: StructuralPrior, config: Configuration
+) -> tuple[Diagnosis, HeldOutGain]:
     """The diagnosis as it stands before held-out data, and its gain there."""
-    diagnosis = diagnose(classify(segments), reference, _context(segments, config), config.diagnosis)
-    gain = heldout_gain(segments, diagnosis)
-    settled = require_gain(diagnosis, gain)
-    return settled, gain if settled is diagnosis else HeldOutGain()
+    found = diagnose_spectra(classify(segments), prior, _context(segments, config), config.diagnosis)
+    gain = heldout_gain(segments, found)
+    settled = require_gain(found, gain)
+    return settled, gain if settled is found else HeldOutGain()
 
 
 @_TRIALS
-def learn(segments: Segments, config: Configuration) -> StructuralPrior:
+def learn_healthy_prior(segments: Segments, config: Configuration) -> StructuralPrior:
     """What healthy data say of the structure: the reference of later diagnoses, with what is wrong from the start."""
-    evidence, context, known = classify(segments), _context(segments, config), _nominal(config)
+    observed, context, known = classify(segments), _context(segments, config), _drawing_prior(config)
     if segments.temperature.size:
         known = replace(known, reference_degc=float(segments.temperature[:, 1].mean()))
-    found = diagnose(evidence, known, context, config.diagnosis)
+    found = diagnose_spectra(observed, known, context, config.diagnosis)
     most = config.diagnosis.max_causes
     if found.verdict == "unexplained" or len(found.causes) >= most:  # there may be more
-        condition = found.problem.conditions[0]
+        condition = found.posterior.conditions[0]
         site = _site_effects(known, context, condition)
-        ambient = _with_standing(known, site, context, condition)
-        shaped = evidence.drive is None and bool(site) and _gains(ambient, found)
+        ambient = _with_persistent_effects(known, site, context, condition)
+        shaped = observed.drive is None and bool(site) and _gains_more_than_cost(ambient, found)
         if shaped or len(found.rounds) >= most:  # else the search had ended by itself, and would again
             known = ambient if shaped else known
             more = config.diagnosis.model_copy(update={"max_causes": max(most, _STANDING)})
-            found = diagnose(evidence, known, context, more)
+            found = diagnose_spectra(observed, known, context, more)
     # Whatever the verdict: what describes the healthy data is no news later, and of what no data tell apart either does.
-    causes, condition = found.final.effects, found.problem.conditions[0]
+    causes, condition = found.final_fit.effects, found.posterior.conditions[0]
     while True:
-        alike = _alike(causes, context)
-        wider = _with_standing(known, (*causes, *alike), context, condition, n_guessed=len(alike))
-        learnt = healthy_prior.learn_prior(evidence, wider, context, config.diagnosis)[0]
+        alike = _same_laws_elsewhere(causes, context)
+        wider = _with_persistent_effects(known, (*causes, *alike), context, condition, n_guessed=len(alike))
+        learnt = healthy_prior.learn_prior(observed, wider, context, config.diagnosis)[0]
         stays = [
             is_significant(e, std) for e, std in zip(learnt.effects(learnt.mean), learnt.standing_std, strict=True)
         ]
@@ -152,7 +154,7 @@ def _site_effects(known: StructuralPrior, context: Context, condition: Condition
     )
 
 
-def _alike(causes: tuple[Effect, ...], context: Context) -> tuple[Effect, ...]:
+def _same_laws_elsewhere(causes: tuple[Effect, ...], context: Context) -> tuple[Effect, ...]:
     """Laws like those that were found, in proportion to the stiffness of every story where none was: what bends one story bends
     the others, though healthy data do not show it."""
     stiffness, out = context.structure.stiffness_n_per_m, {(e.name, e.location): e for e in causes}
@@ -198,24 +200,24 @@ def _context(segments: Segments, config: Configuration) -> Context:
     return config.instrumented().context(segments.rate_hz)
 
 
-def _nominal(config: Configuration) -> StructuralPrior:
+def _drawing_prior(config: Configuration) -> StructuralPrior:
     known = prior_from_drawing(config.model(), config.instrumented().prior_std, len(config.channels))
     return replace(known, reference_degc=config.structure.reference_temperature_degc)
 
 
-def _gains(wider: StructuralPrior, found: Diagnosis) -> bool:
+def _gains_more_than_cost(wider: StructuralPrior, found: Diagnosis) -> bool:
     """Whether what a wider reference leaves to the data explains more than what it costs, beside what was found."""
-    problem, at = found.problem, found.final
-    structure = problem.layout.structure
-    x = problem.layout.with_structure(at.x, np.concatenate([at.x[structure], wider.mean[structure.stop :]]))
-    there = maximize_posterior(replace(problem, prior=wider), x, at.effects, iterations=FAR)
+    posterior, fit = found.posterior, found.final_fit
+    structure = posterior.layout.structure
+    x = posterior.layout.with_structure(fit.x, np.concatenate([fit.x[structure], wider.mean[structure.stop :]]))
+    there = maximize_posterior(replace(posterior, prior=wider), x, fit.effects, iterations=FAR)
     return (
-        there.log_posterior - at.log_posterior - parameter_cost(problem, wider.mean.size - structure.stop)
+        there.log_posterior - fit.log_posterior - parameter_cost(posterior, wider.mean.size - structure.stop)
         > found.settings.margin
     )
 
 
-def _with_standing(
+def _with_persistent_effects(
     known: StructuralPrior, effects: tuple[Effect, ...], context: Context, condition: Condition, *, n_guessed: int = 0
 ) -> StructuralPrior:
     """The reference with effects whose sizes healthy data are yet to tell; those of the last may be nothing or twice as large."""

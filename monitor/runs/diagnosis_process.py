@@ -214,7 +214,7 @@ def main(arguments: list[str]) -> int:
         with threadpool_limits(limits=1):
             from monitor.runs import diagnose  # loads the compiler: only where a diagnosis runs
 
-            found = diagnose.find([recording], settings, known, warn)
+            found = diagnose.diagnose([recording], settings, known, warn)
     except UserError as error:
         print(error, file=sys.stderr)
         return error.exit_code

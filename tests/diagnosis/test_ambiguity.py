@@ -20,7 +20,10 @@ def judged(evidence: float, chance: float = 0.0) -> RefittedCandidate:
     fit = MapEstimate(none, (), 0.0, 0.0, np.zeros((0, 0)), True, np.zeros((0, 0)), none, none)
     effect = StiffnessChange("story 1", -0.02) if chance == 0.0 else BilinearStiffness("story 1", 0.04)
     return RefittedCandidate(
-        Candidate(effect, fit, evidence, evidence), Posterior.__new__(Posterior), Moments(none, none), chance=chance
+        Candidate(effect, fit, evidence, evidence),
+        Posterior.__new__(Posterior),
+        Moments(none, none),
+        log_evidence_std=chance,
     )
 
 

@@ -8,10 +8,15 @@ import numpy as np
 import pytest
 
 from drivers.base import ACCELERATION
-from monitor.diagnosis.backward_elimination import joined, only, revise_candidates, simulate_what_was_missed
+from monitor.diagnosis.backward_elimination import (
+    eliminate_backward,
+    find_better_null_fit,
+    fit_subset,
+    join_coordinates,
+)
 from monitor.diagnosis.initial_fit import fit_linearized
-from monitor.diagnosis.parameter_uncertainty import deviations, is_significant, summarize_fit
-from monitor.diagnosis.score_test import fit_best
+from monitor.diagnosis.parameter_uncertainty import coordinate_std, is_significant, summarize_fit
+from monitor.diagnosis.score_test import fit_candidate
 from monitor.diagnosis.simulation_refit import RefittedCandidate
 from monitor.inference.higher_moments import normal_moments
 from monitor.inference.map_estimate import MapEstimate, maximize_posterior
@@ -52,39 +57,41 @@ def test_a_candidate_gets_no_credit_for_what_the_model_without_it_could_have_don
     stuck = maximize_posterior(problem, x, iterations=1)
     tried = [
         RefittedCandidate(
-            fit_best(problem, stuck, parse_effect("sensor_gain:channel a1:gain=1.001")),
+            fit_candidate(problem, stuck, parse_effect("sensor_gain:channel a1:gain=1.001")),
             problem,
             normal_moments(problem),
         )
     ]
-    assert tried[0].candidate.gain > 100.0
-    better = simulate_what_was_missed(problem, stuck, tried)
+    assert tried[0].candidate.delta_log_posterior > 100.0
+    better = find_better_null_fit(problem, stuck, tried)
     assert better is not None
     assert better[1].log_posterior == pytest.approx(null.log_posterior, abs=1.0)
-    again = [RefittedCandidate(fit_best(problem, null, tried[0].candidate.effect), problem, normal_moments(problem))]
-    assert simulate_what_was_missed(problem, null, again) is None
+    again = [
+        RefittedCandidate(fit_candidate(problem, null, tried[0].candidate.effect), problem, normal_moments(problem))
+    ]
+    assert find_better_null_fit(problem, null, again) is None
 
 
 def test_a_cause_that_was_only_a_guise_gives_way_once_the_others_are_known(
     loaded: tuple[Posterior, MapEstimate],
 ) -> None:
     problem, null = loaded
-    guise = fit_best(problem, null, parse_effect("added_mass:floor 1:mass_kg=0.03"))
-    true = fit_best(problem, null, parse_effect("added_mass:floor 2:mass_kg=0.03"))
-    other = fit_best(problem, guise.fit, parse_effect(OFFSET))
-    _, at, accepted = revise_candidates(problem, other.fit, [guise, other], [(guise, true), (other,)], 7.0, 4.6)
+    guise = fit_candidate(problem, null, parse_effect("added_mass:floor 1:mass_kg=0.03"))
+    true = fit_candidate(problem, null, parse_effect("added_mass:floor 2:mass_kg=0.03"))
+    other = fit_candidate(problem, guise.fit, parse_effect(OFFSET))
+    _, at, accepted = eliminate_backward(problem, other.fit, [guise, other], [(guise, true), (other,)], 7.0, 4.6)
     assert [c.key for c in accepted] == [("added_mass", "floor 2"), ("time_offset", "channel a3")]
     assert [(e.name, e.location) for e in at.effects] == [c.key for c in accepted]
-    np.testing.assert_array_equal(at.x[problem.layout.effects], joined(np.zeros(0), at.effects))
+    np.testing.assert_array_equal(at.x[problem.layout.effects], join_coordinates(np.zeros(0), at.effects))
     assert at.effects[0].values()["mass_kg"] == pytest.approx(0.04, rel=0.1)
 
 
 def test_a_cause_that_later_ones_made_superfluous_is_dropped(loaded: tuple[Posterior, MapEstimate]) -> None:
     problem, null = loaded
-    spurious = fit_best(problem, null, parse_effect("story_damper:story 3:damping_n_s_per_m=0.01"))
-    mass = fit_best(problem, spurious.fit, parse_effect(MASS))
-    other = fit_best(problem, mass.fit, parse_effect(OFFSET))
-    _, at, accepted = revise_candidates(
+    spurious = fit_candidate(problem, null, parse_effect("story_damper:story 3:damping_n_s_per_m=0.01"))
+    mass = fit_candidate(problem, spurious.fit, parse_effect(MASS))
+    other = fit_candidate(problem, mass.fit, parse_effect(OFFSET))
+    _, at, accepted = eliminate_backward(
         problem, other.fit, [spurious, mass, other], [(spurious,), (mass,), (other,)], 7.0, 4.6
     )
     assert [c.key[0] for c in accepted] == [e.name for e in at.effects] == ["added_mass", "time_offset"]
@@ -94,7 +101,7 @@ def test_what_has_no_sure_size_is_no_cause(loaded: tuple[Posterior, MapEstimate]
     problem, null = loaded
     effects = (parse_effect(MASS), parse_effect("sensor_gain:channel a1:gain=1.0001"), parse_effect(OFFSET))
     at = maximize_posterior(problem, null.x, effects)
-    own = deviations(problem, at, np.array([0.0, 0.1, 0.0]))
+    own = coordinate_std(problem, at, np.array([0.0, 0.1, 0.0]))
     kept = [is_significant(e, std) for e, std in zip(at.effects, own, strict=True)]
     assert kept == [True, False, True]
     crack = maximize_posterior(
@@ -103,9 +110,9 @@ def test_what_has_no_sure_size_is_no_cause(loaded: tuple[Posterior, MapEstimate]
     assert (
         crack.effects[0].form_std_in(summarize_fit(problem, crack))[0] >= 0.015 * 0.3
     )  # of its form, whatever the frame's
-    alone, doubt = only(problem, at, np.array([1.0, 2.0, 3.0]), kept)
+    alone, simulation_std = fit_subset(problem, at, np.array([1.0, 2.0, 3.0]), kept)
     assert [e.name for e in alone.effects] == ["added_mass", "time_offset"]
-    assert doubt.tolist() == [1.0, 3.0]
+    assert simulation_std.tolist() == [1.0, 3.0]
     assert alone.log_posterior == pytest.approx(at.log_posterior, abs=5.0)
 
 
@@ -122,8 +129,8 @@ def test_what_dissipates_may_stay_where_a_structure_changed(loaded: tuple[Poster
 def test_a_fit_that_runs_away_begins_again_from_the_rough_one() -> None:
     problem, null = prepared("coloured_excitation:frame:corner_hz=4.2")
     start = parse_effect("coloured_excitation:frame:corner_hz=3.0")
-    rough = fit_best(problem, null, parse_effect("coloured_excitation:frame:corner_hz=16"), quick=True)
-    alone = fit_best(problem, null, start)
-    found = fit_best(problem, null, start, rough=rough)
-    assert alone.evidence < 0.0
-    assert found.evidence >= rough.evidence > 1000.0
+    rough = fit_candidate(problem, null, parse_effect("coloured_excitation:frame:corner_hz=16"), quick=True)
+    alone = fit_candidate(problem, null, start)
+    found = fit_candidate(problem, null, start, rough=rough)
+    assert alone.log_evidence < 0.0
+    assert found.log_evidence >= rough.log_evidence > 1000.0

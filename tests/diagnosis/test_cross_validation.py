@@ -24,7 +24,7 @@ from monitor.model.effects import Context, Effect, parse_effect
 from monitor.model.model import Model
 from monitor.model.prior import prior_from_drawing
 from monitor.model.simulation import simulate
-from monitor.runs.diagnose import judged
+from monitor.runs.diagnose import diagnose_segments
 from monitor.runs.synthetic_recording import cut_into_blocks
 
 pytestmark = pytest.mark.engine
@@ -126,8 +126,8 @@ def test_the_gain_is_what_the_fitted_models_score(damped: Segments) -> None:
     found = explained_by(parse_effect(DAMPER), damped)
     gain = heldout_gain(damped, found)
     before, after = (
-        score(damped, fitted_model(found.problem, at), context_of(config)).log_score_per_sample
-        for at in (found.null, found.final)
+        score(damped, fitted_model(found.posterior, at), context_of(config)).log_score_per_sample
+        for at in (found.null_fit, found.final_fit)
     )
     assert gain.before == pytest.approx(before, abs=0.02)
     assert gain.after == pytest.approx(after, abs=0.02)
@@ -139,7 +139,7 @@ def test_a_cause_that_is_not_there_gains_nothing_and_is_not_named(clean: Segment
     gain = heldout_gain(clean, found)
     assert gain.ci95[0] <= 0.0
     settled = require_gain(found, gain)
-    assert (settled.verdict, settled.causes, settled.final) == ("none", (), found.null)
+    assert (settled.verdict, settled.causes, settled.final_fit) == ("none", (), found.null_fit)
     beside = replace(found, verdict="unexplained", misfit=(LackOfFit("f = 1 Hz", 9.0, "more"),))
     loss, nothing_held_out = replace(gain, before=1.0, after=0.9999), HeldOutGain()
     assert require_gain(beside, loss).causes == ()
@@ -158,8 +158,8 @@ def test_a_law_that_bends_is_judged_at_the_motion_that_it_makes() -> None:
     stiffening = parse_effect("cubic_stiffness:story 2:k3_n_per_m3=1e8")
     segments = recorded((stiffening,), seed=43)
     found = explained_by(stiffening, segments)
-    problem, final = refine_fit(found.problem, found.final)
-    gain = heldout_gain(segments, replace(found, problem=problem, final=final))
+    posterior, final_fit = refine_fit(found.posterior, found.final_fit)
+    gain = heldout_gain(segments, replace(found, posterior=posterior, final_fit=final_fit))
     assert gain.ci95[0] > 0.0
     assert gain.csd_error_after < 0.5 * gain.csd_error_before
 
@@ -180,7 +180,7 @@ def test_what_a_swinging_gain_leaves_over_is_not_made_up_by_tones_and_oscillator
     swing = 1.0 + 0.3 * np.sin(2.0 * np.pi * np.arange(len(motion.floors))[:, None] / RATE / 240.0) * [0.0, 0.0, 1.0]
     seen = cut_into_blocks(ACCELERATION, motion.floors * swing, config.channels, RATE, 10**18, 100)
     known = prior_from_drawing(config.model(), np.full(6, 0.002), 3)
-    found, _ = judged(gather(seen, config.front_end()), known, config)
+    found, _ = diagnose_segments(gather(seen, config.front_end()), known, config)
     assert found.verdict == "unexplained"
     accepted = {round_[0].effect.name for round_ in found.rounds if round_}
     assert accepted & {"harmonic_excitation", "attached_oscillator"}  # the search comes upon them

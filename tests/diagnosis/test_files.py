@@ -95,7 +95,7 @@ def test_a_named_cause_has_its_size_and_every_key_is_there(named: Diagnosis) -> 
 
 
 def test_nothing_found_is_null_empty_and_zero(named: Diagnosis) -> None:
-    out = plain(replace(named, verdict="none", causes=(), misfit=(), tried=(), final=named.null))
+    out = plain(replace(named, verdict="none", causes=(), misfit=(), candidates=(), final_fit=named.null_fit))
     assert out["cause"] is None
     assert all(out[key] == [] for key in ("causes", "alternatives", "misfit", "standing", "tried"))
     assert out["gain"]["log_score_per_sample"] == {"before": 0.0, "after": 0.0, "gain": 0.0, "ci95": [0.0, 0.0]}
@@ -103,7 +103,8 @@ def test_nothing_found_is_null_empty_and_zero(named: Diagnosis) -> None:
 
 def test_rivals_are_listed_with_what_would_tell_them_apart(named: Diagnosis) -> None:
     rivals = tuple(
-        (Candidate(parse_effect(f"sensor_gain:channel {c}:gain=1.1"), named.final, 9.0, 9.0), 0.5) for c in ("a1", "a2")
+        (Candidate(parse_effect(f"sensor_gain:channel {c}:gain=1.1"), named.final_fit, 9.0, 9.0), 0.5)
+        for c in ("a1", "a2")
     )
     out = plain(replace(named, verdict="ambiguous", causes=(), alternatives=rivals))
     assert out["cause"] is None
@@ -197,7 +198,7 @@ def test_matrices_are_written_out_where_the_input_names_files(tmp_path: Path) ->
 def test_the_file_scores_what_the_fit_does(tmp_path: Path, named: Diagnosis, damped: Segments) -> None:
     site = settings()
     bare = TEXT[: TEXT.index("[[effects]]")]
-    fitted = fitted_model(named.problem, named.final)
+    fitted = fitted_model(named.posterior, named.final_fit)
     from_file = loaded(tmp_path, structure_text(bare, fitted))
     one = score(damped, fitted, context_of(site))
     other = score(damped, from_file.model(), context_of(from_file))
@@ -258,12 +259,12 @@ def test_a_reference_survives_the_baseline_file(damped: Segments) -> None:
 
 
 def test_a_size_in_large_units_that_stands_is_not_said_to_be_certain(named: Diagnosis) -> None:
-    law, known = parse_effect("cubic_stiffness:story 2:k3_n_per_m3=8e7"), named.problem.prior
+    law, known = parse_effect("cubic_stiffness:story 2:k3_n_per_m3=8e7"), named.posterior.prior
     standing = replace(
         known,
         model=replace(known.model, effects=(law,)),
         mean=np.append(known.mean, law.coordinates),
         precision=block_diag(known.precision, np.eye(1) / 3e6**2),
     )
-    (told,) = plain(replace(named, problem=replace(named.problem, prior=standing)))["standing"]
+    (told,) = plain(replace(named, posterior=replace(named.posterior, prior=standing)))["standing"]
     assert told["parameters"]["k3_n_per_m3"]["std"] == pytest.approx(np.hypot(3e6, 0.1 * 8e7), rel=1e-6)

@@ -19,7 +19,7 @@ from monitor.model.effects import Effect, parse_effect
 from monitor.model.model import Model
 from monitor.model.simulation import linear_system, simulate
 from monitor.publish.reports.diagnosis_report import page
-from monitor.runs.diagnose import learn
+from monitor.runs.diagnose import learn_healthy_prior
 from monitor.runs.synthetic_recording import cut_into_blocks
 from tests.diagnosis.test_simulation_refit import CONFIG, RATE
 
@@ -57,7 +57,7 @@ def recorded(seed: int, *effects: str, crosstalk: float = 0.0) -> Segments:
 
 @pytest.mark.parametrize("standing", [(COLOUR, *GAINS), (FORCES,)], ids=["colour and gains", "forces of every day"])
 def test_what_calibration_cannot_tell_apart_is_no_news_later(standing: tuple[str, ...]) -> None:
-    known = learn(recorded(1, *standing), CONFIG)
+    known = learn_healthy_prior(recorded(1, *standing), CONFIG)
     assert ("ambient_forces" in [e.name for e in known.model.effects]) == (standing == (FORCES,))
     another_day = tuple(ANOTHER_DAY if e == FORCES else e for e in standing)
     segments = recorded(2, *another_day)
@@ -83,7 +83,7 @@ def test_what_calibration_cannot_tell_apart_is_no_news_later(standing: tuple[str
 
 
 def test_what_nothing_explains_at_calibration_is_no_news_later() -> None:
-    known = learn(recorded(1, crosstalk=0.3), CONFIG)
+    known = learn_healthy_prior(recorded(1, crosstalk=0.3), CONFIG)
     assert known.error is not None
 
     def found(seed: int, *effects: str, crosstalk: float = 0.3) -> Diagnosis:
@@ -138,7 +138,7 @@ def test_softening_of_every_story_stands_whatever_its_unit() -> None:
     k3 = -0.03 * 1.7e8 / (3.0 * drift_m() ** 2)
     assert abs(k3) > 1e20
     softening = [f"cubic_stiffness:story {j}:k3_n_per_m3={k3:.6g}" for j in (1, 2)]
-    known = learn(measured(1, *softening), SITE)
+    known = learn_healthy_prior(measured(1, *softening), SITE)
     found = known.effects(known.mean)
     assert {(e.name, e.location) for e in found} == {("cubic_stiffness", f"story {j}") for j in (1, 2)}
     for effect, std in zip(found, known.standing_std, strict=True):
@@ -150,7 +150,7 @@ def test_softening_of_every_story_stands_whatever_its_unit() -> None:
 
 def test_a_machine_that_runs_otherwise_today_is_no_news() -> None:
     machine = "harmonic_excitation:floor 2:frequency_hz=9.0,force_n=0.15"
-    known = learn(measured(1, machine), SITE)
+    known = learn_healthy_prior(measured(1, machine), SITE)
     assert [e.name for e in known.model.effects] == ["harmonic_excitation"] and len(known.known_lines_hz) == 1
     today = "harmonic_excitation:floor 2:frequency_hz=9.035,force_n=0.22"
     assert diagnose(classify(measured(2, today)), known, BUILDING, SITE.diagnosis).verdict == "none"
@@ -162,7 +162,7 @@ def test_a_machine_that_runs_otherwise_today_is_no_news() -> None:
 
 def test_a_fault_beside_a_tie_is_named() -> None:
     """Nothing tells a loss in the lowest story from a soft base; noise of a sensor is noise beside either."""
-    known = learn(measured(1), SITE)
+    known = learn_healthy_prior(measured(1), SITE)
     hidden = ("stiffness_change:story 2:relative=-0.08", "sensor_noise:channel a1:rms_m_s2=3e-6")
     found = diagnose(classify(measured(2, *hidden)), known, BUILDING, SITE.diagnosis)
     assert found.verdict == "ambiguous"
@@ -172,7 +172,7 @@ def test_a_fault_beside_a_tie_is_named() -> None:
 
 
 def test_noise_that_stands_may_follow_the_motion() -> None:
-    known = learn(measured(1, "sensor_noise:channel a1:rms_m_s2=3e-6"), SITE)
+    known = learn_healthy_prior(measured(1, "sensor_noise:channel a1:rms_m_s2=3e-6"), SITE)
     assert [(e.name, e.location) for e in known.model.effects] == [("sensor_noise", "channel a1")]
     louder = measured(2, "sensor_noise:channel a1:rms_m_s2=3.6e-6")
     assert diagnose(classify(louder), known, BUILDING, SITE.diagnosis).verdict == "none"

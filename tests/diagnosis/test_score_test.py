@@ -7,7 +7,7 @@ import pytest
 
 from drivers.base import ACCELERATION
 from monitor.diagnosis.initial_fit import fit_linearized
-from monitor.diagnosis.score_test import best_of_each, candidate_starts, fit_best, rank_by_score
+from monitor.diagnosis.score_test import best_of_each, candidate_starts, fit_candidate, rank_by_score
 from monitor.inference.cross_spectra import accelerance
 from monitor.inference.observed_spectra import classify
 from monitor.inference.segments import gather
@@ -50,9 +50,9 @@ def test_the_score_test_promises_what_a_gain_brings_where_noise_is_little(channe
         for item in ranked
         if item[1].location == f"channel {CONFIG.channels[channel]}" and isinstance(item[1], SensorGain)
     ]
-    found = fit_best(problem, null, effect)
+    found = fit_candidate(problem, null, effect)
     assert found.effect.values()["gain"] == pytest.approx(0.98, abs=0.002)
-    assert 0.5 * found.gain < promise < 2.0 * found.gain
+    assert 0.5 * found.delta_log_posterior < promise < 2.0 * found.delta_log_posterior
 
 
 def test_an_attached_mass_that_a_fit_lets_go_to_nothing_changes_no_response() -> None:

@@ -28,13 +28,13 @@ class Baseline:
 def calibrate(drawing: str, blocks: Iterable[SampleBlock]) -> Baseline:
     """Learn the healthy structure."""
     config = Configuration.model_validate(tomllib.loads(drawing))
-    return Baseline(config, diagnose.learn(gather(blocks, config.front_end()), config))
+    return Baseline(config, diagnose.learn_healthy_prior(gather(blocks, config.front_end()), config))
 
 
 def answer(baseline: Baseline, blocks: Iterable[SampleBlock]) -> dict[str, Any]:
     """What `diagnosis.json` says."""
     segments = gather(blocks, baseline.config.front_end())
-    d, gain = diagnose.judged(segments, baseline.reference, baseline.config)
+    d, gain = diagnose.diagnose_segments(segments, baseline.reference, baseline.config)
     return {
         "verdict": d.verdict,
         "causes": _causes(d),

@@ -11,8 +11,8 @@ from scipy.linalg import block_diag
 from drivers.base import ACCELERATION
 from monitor.core.results import Array
 from monitor.diagnosis.healthy_prior import learn_prior
-from monitor.diagnosis.lack_of_fit import drift_bands, find_level_dependence
-from monitor.diagnosis.score_test import _off_the_bin, candidate_starts
+from monitor.diagnosis.lack_of_fit import drift_bands, find_changed_effects
+from monitor.diagnosis.score_test import _line_offset, candidate_starts
 from monitor.diagnosis.settings import DiagnosisSettings
 from monitor.diagnosis.stepwise_selection import diagnose
 from monitor.inference.force_levels import fit_levels, ground_levels, spectra_by_force
@@ -87,9 +87,9 @@ def test_a_line_is_found_between_its_bins() -> None:
     for at in (10.0, 10.24, 9.76, 10.49):
         power = np.asarray(hann_amplitude(bins - at)) ** 2
         k = int(power.argmax())
-        assert k + _off_the_bin(power, k) == pytest.approx(at, abs=1e-6)
-    assert _off_the_bin(-np.ones(5), 2) == 0.0
-    assert _off_the_bin(np.array([1.0, 0.5]), 0) == 0.0
+        assert k + _line_offset(power, k) == pytest.approx(at, abs=1e-6)
+    assert _line_offset(-np.ones(5), 2) == 0.0
+    assert _line_offset(np.array([1.0, 0.5]), 0) == 0.0
 
 
 def test_what_stood_at_calibration_and_changed_is_told(shaken: tuple[Posterior, MapEstimate]) -> None:
@@ -105,7 +105,7 @@ def test_what_stood_at_calibration_and_changed_is_told(shaken: tuple[Posterior, 
     there = replace(problem, prior=standing)
     for ratio, told in ((9.9, []), (6.0, ["joint flexibility of frame"])):
         x = problem.layout.with_structure(null.x, np.append(null.x[problem.layout.structure], 1.0 / ratio))
-        assert [m.where for m in find_level_dependence(there, replace(null, x=x), DiagnosisSettings())] == told
+        assert [m.where for m in find_changed_effects(there, replace(null, x=x), DiagnosisSettings())] == told
 
 
 def test_where_a_law_bends_no_other_is_tried(shaken: tuple[Posterior, MapEstimate]) -> None:

@@ -12,10 +12,10 @@ from drivers.base import ACCELERATION, GROUND
 from drivers.mcap_file import read_recordings
 from monitor.config.configuration import Configuration, load
 from monitor.core.results import Array
-from monitor.diagnosis.backbone import backbone, level_dependence, ratios
+from monitor.diagnosis.backbone import backbone, find_level_dependence, find_ratio_change
 from monitor.diagnosis.initial_fit import fit_linearized
 from monitor.diagnosis.predictive_score import score
-from monitor.diagnosis.score_test import fit_best
+from monitor.diagnosis.score_test import fit_candidate
 from monitor.diagnosis.settings import DiagnosisSettings
 from monitor.diagnosis.stepwise_selection import diagnose
 from monitor.inference.linearization import linearize
@@ -146,8 +146,8 @@ def test_how_the_ground_moves_between_samples_is_asked_again_beside_a_cause() ->
     assert drive is not None
     assert drive.between == "held", "another motion makes up for some of the mass"
     found = diagnose(evidence, known, context, DiagnosisSettings())
-    assert found.problem.observed.drive is not None
-    assert found.problem.observed.drive.between != "held"
+    assert found.posterior.observed.drive is not None
+    assert found.posterior.observed.drive.between != "held"
     assert [(c.effect.name, c.effect.location) for c in found.causes] == [("added_mass", "floor 3")]
     assert found.causes[0].effect.values()["mass_kg"] == pytest.approx(0.06, rel=0.02)
 
@@ -186,12 +186,12 @@ def test_the_measured_frame_is_no_shear_frame_and_softens_with_the_level() -> No
     )
     assert problem.observed.drive is not None
     assert problem.observed.drive.between == "smooth"
-    joints = fit_best(problem, null, parse_effect("joint_flexibility:frame:girder_to_column_ratio=3"))
-    assert joints.evidence > 100.0
-    told = ratios(problem, joints.fit)
+    joints = fit_candidate(problem, null, parse_effect("joint_flexibility:frame:girder_to_column_ratio=3"))
+    assert joints.log_evidence > 100.0
+    told = find_ratio_change(problem, joints.fit)
     assert told is not None
     assert told.says.startswith("frequency ratios: f2/f1 3.0")
-    softer = level_dependence(backbone(problem, null))
+    softer = find_level_dependence(backbone(problem, null))
     assert softer is not None
     assert "falls with the level, from 3.7" in softer.says
 

@@ -11,7 +11,7 @@ from drivers.base import ACCELERATION
 from monitor.core.results import Array
 from monitor.diagnosis.initial_fit import fit_linearized
 from monitor.diagnosis.score_test import Candidate
-from monitor.diagnosis.selection_round import _turned
+from monitor.diagnosis.selection_round import _choose_orientation
 from monitor.diagnosis.simulation_refit import RefittedCandidate
 from monitor.diagnosis.stepwise_selection import diagnose
 from monitor.inference.higher_moments import MeasuredMoments, Moments, measure_moments, normal_moments
@@ -116,10 +116,10 @@ def test_a_law_that_is_turned_round_lends_its_new_skewness_to_what_follows() -> 
     before, made = Moments(np.zeros(3), np.zeros(3)), Moments(np.array([0.3, 0.0, 0.0]), np.array([0.1, 0.0, 0.0]))
     std = Moments(np.full(3, 0.05), np.full(3, 0.05))
     polished = RefittedCandidate(Candidate(stop, fitted, 50.0, 50.0), Posterior.__new__(Posterior), made)
-    as_it_is, _ = _turned(polished, before, MeasuredMoments(made, std, 0.0))
+    as_it_is, _ = _choose_orientation(polished, before, MeasuredMoments(made, std, 0.0))
     assert as_it_is is polished
     measured = MeasuredMoments(made.mirrored(before), std, 0.0)
-    turned, likelihood = _turned(polished, before, measured)
+    turned, likelihood = _choose_orientation(polished, before, measured)
     assert turned.candidate.effect == mirror == turned.candidate.fit.effects[0]
     assert turned.moments.skewness == pytest.approx([-0.3, 0.0, 0.0])
     assert likelihood == pytest.approx(measured.log_likelihood(made, 1.0) + 0.5 * (0.6 / 0.05) ** 2)

@@ -16,7 +16,7 @@ from monitor.config.configuration import Configuration
 from monitor.diagnosis.cross_validation import HeldOutGain
 from monitor.diagnosis.files import content as content_of
 from monitor.diagnosis.initial_fit import fit_linearized
-from monitor.diagnosis.score_test import fit_best
+from monitor.diagnosis.score_test import fit_candidate
 from monitor.diagnosis.stepwise_selection import Cause, Diagnosis, DiagnosisSettings, diagnose
 from monitor.diagnosis.wording import in_words, separating_measurement
 from monitor.inference.observed_spectra import classify
@@ -62,7 +62,7 @@ class Case:
 
     @property
     def content(self):
-        gain = GAIN if self.diagnosis.final.effects else HeldOutGain()
+        gain = GAIN if self.diagnosis.final_fit.effects else HeldOutGain()
         return content_of(self.diagnosis, gain, (), {"without": [], "with": []})
 
 
@@ -80,8 +80,8 @@ def recorded(*effects: Effect, rate_hz: float = 200.0) -> tuple[Segments, Contex
 def searched(truth: tuple[str, ...], tried: tuple[str, ...], verdict: str, *, causes: int = 0) -> Case:
     """A diagnosis whose candidates are given, so that the search's choice is not what is tested here."""
     segments, context = recorded(*(parse_effect(t) for t in truth))
-    problem, null = fit_linearized(classify(segments), REFERENCE, context)
-    candidates = tuple(fit_best(problem, null, parse_effect(t)) for t in tried)
+    posterior, null = fit_linearized(classify(segments), REFERENCE, context)
+    candidates = tuple(fit_candidate(posterior, null, parse_effect(t)) for t in tried)
     blank = diagnose(classify(segments), REFERENCE, context, DiagnosisSettings(worth=1e9))
     best = candidates[0]
     std = dict.fromkeys(best.effect.values(), 0.001)
@@ -93,9 +93,9 @@ def searched(truth: tuple[str, ...], tried: tuple[str, ...], verdict: str, *, ca
             causes=(Cause(best.effect, std),) * causes,
             alternatives=tuple((c, 1.0 / len(candidates)) for c in candidates) if ambiguous else (),
             left_over=blank.misfit if verdict == "unexplained" else (),
-            tried=candidates,
-            final=best.fit if causes or ambiguous else blank.null,
-            problem=problem,
+            candidates=candidates,
+            final_fit=best.fit if causes or ambiguous else blank.null_fit,
+            posterior=posterior,
             rounds=(candidates,),
         ),
         segments,
@@ -146,7 +146,7 @@ def test_the_page_of_each_verdict_is_whole(cases: dict[str, Case], tmp_path: Pat
         told = [*case.content["causes"], *case.content["alternatives"]]
         assert all(EFFECTS[c["effect"]].signature in text for c in told) and (" shows: " in text) == bool(told)
         lines = root.findall(".//polyline")
-        assert len(lines) == 3 * (5 if case.diagnosis.final.effects else 3)
+        assert len(lines) == 3 * (5 if case.diagnosis.final_fit.effects else 3)
         for line in lines:
             y = [float(p.split(",")[1]) for p in line.get("points").split()]
             assert len(y) > 20 and np.isfinite(y).all() and np.ptp(y) > 0.0
@@ -178,9 +178,9 @@ def test_level_dependence_is_shown_for_a_cause_that_has_one_and_follows_it() -> 
     case = searched((), ("cubic_stiffness:story 2:k3_n_per_m3=1e6",), "named", causes=1)
     assert level_dependence(case.diagnosis) is not None
     hard = parse_effect("cubic_stiffness:story 2:k3_n_per_m3=2e6")
-    fit = replace(case.diagnosis.final, effects=(hard,))
+    fit = replace(case.diagnosis.final_fit, effects=(hard,))
     fit = replace(fit, x=np.append(fit.x[:-1], hard.coordinates))
-    by = level_dependence(replace(case.diagnosis, final=fit))
+    by = level_dependence(replace(case.diagnosis, final_fit=fit))
     assert by is not None
     assert (np.diff(by.at) > 0).all() and (np.diff(by.model_frequency_hz, axis=0).max(axis=1) > 0).all()
     assert (np.ptp(by.frequency_hz, axis=0) < 5.0 * by.frequency_std.max(axis=0)).all()

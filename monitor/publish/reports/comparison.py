@@ -84,15 +84,15 @@ class LevelDependence:
 
 def compare(diagnosis: Diagnosis, segments: Segments) -> Comparison:
     """The diagnosis's spectra and misfit; `segments` are what it judged."""
-    problem, e = diagnosis.problem, diagnosis.problem.observed
+    problem, e = diagnosis.posterior, diagnosis.posterior.observed
     share = e.counts / e.counts.sum()
 
     def power(spectra: ComplexArray) -> Array:
         return np.asarray(2.0 * np.einsum("k,kfaa->af", share, spectra).real)
 
     measured = power(e.spectra)
-    before = power(replace(problem, offset=None).spectra(diagnosis.null.x, diagnosis.null.effects))
-    after = power(problem.spectra(diagnosis.final.x, diagnosis.final.effects))
+    before = power(replace(problem, offset=None).spectra(diagnosis.null_fit.x, diagnosis.null_fit.effects))
+    after = power(problem.spectra(diagnosis.final_fit.x, diagnosis.final_fit.effects))
     per = max(1, round(_RATIO_HZ / e.band.bin_hz))
     n = e.band.n_bins // per * per
 
@@ -101,7 +101,7 @@ def compare(diagnosis: Diagnosis, segments: Segments) -> Comparison:
 
     level = np.einsum("sfa,af->s", np.abs(segments.values) ** 2, 1.0 / measured[: segments.values.shape[2]])
     alike = level.sum() ** 2 / (level @ level)  # segments of one level that would scatter as these do
-    z_before, band_hz = residual_bands(problem, diagnosis.null)
+    z_before, band_hz = residual_bands(problem, diagnosis.null_fit)
     chance = 1.0 if problem.offset is None else np.sqrt(0.5)  # a simulation has as much chance in it as the recording
     return Comparison(
         channels=problem.context.channels,
@@ -115,10 +115,10 @@ def compare(diagnosis: Diagnosis, segments: Segments) -> Comparison:
         chance=float(2.0 / np.sqrt(alike * per * e.weight) / chance),
         band_hz=band_hz,
         z_before=chance * z_before,
-        z_after=chance * residual_bands(problem, diagnosis.final)[0],
+        z_after=chance * residual_bands(problem, diagnosis.final_fit)[0],
         limit=diagnosis.settings.misfit,
         doubtful_hz=[] if problem.error is None else problem.error.doubtful_hz(),
-        extended=bool(diagnosis.final.effects),
+        extended=bool(diagnosis.final_fit.effects),
     )
 
 
@@ -127,7 +127,7 @@ def level_dependence(diagnosis: Diagnosis) -> LevelDependence | None:
 
     Every class is fitted alone, its stiffness and damping free; so are the spectra that the model predicts for it.
     """
-    problem, final = diagnosis.problem, diagnosis.final
+    problem, final = diagnosis.posterior, diagnosis.final_fit
     moving = [e for e in final.effects if e.conditional and e.family == "structure"]
     if not moving or problem.n_classes < 2:
         return None
@@ -138,8 +138,8 @@ def level_dependence(diagnosis: Diagnosis) -> LevelDependence | None:
     at = np.array(degc, dtype=float) if by_temperature else rms
     order = np.argsort(at)
     spectra = problem.spectra(final.x, final.effects)
-    f, f_std, d, d_std = _equivalents(problem, problem.observed.spectra, diagnosis.null.x, order)
-    model_f, _, model_d, _ = _equivalents(problem, spectra, diagnosis.null.x, order)
+    f, f_std, d, d_std = _equivalents(problem, problem.observed.spectra, diagnosis.null_fit.x, order)
+    model_f, _, model_d, _ = _equivalents(problem, spectra, diagnosis.null_fit.x, order)
     axis = "temperature of the class, °C" if by_temperature else "vibration level of the class: RMS acceleration, m/s²"
     return LevelDependence(axis, at[order], f, f_std, d, d_std, model_f, model_d)
 

@@ -190,7 +190,7 @@ def _ranking(diagnosis: Diagnosis, content: Content) -> str:
     rivals = {c.key for c, _ in diagnosis.alternatives}
     out = ["<h2>Which causes were tried</h2>"]
     for i, candidates in enumerate(diagnosis.rounds):
-        shown = [c for c in candidates if np.isfinite(c.evidence)][:_MAX_SHOWN]
+        shown = [c for c in candidates if np.isfinite(c.log_evidence)][:_MAX_SHOWN]
         if not shown:
             continue
         if i:
@@ -201,7 +201,7 @@ def _ranking(diagnosis: Diagnosis, content: Content) -> str:
         kinds = ["accepted" if c.key == winner else "rival" if last and c.key in rivals else "" for c in shown]
         names = [f"{c.effect.name}, {c.effect.location}" for c in shown]
         out.append(
-            f"<figure>{charts.bars(names, [c.evidence for c in shown], kinds, 'Evidence of each cause')}</figure>"
+            f"<figure>{charts.bars(names, [c.log_evidence for c in shown], kinds, 'Evidence of each cause')}</figure>"
         )
     out.append(
         "<p class='muted'>Log evidence over the model without the cause, nats: 5 is odds of 150 to 1. "
@@ -212,7 +212,7 @@ def _ranking(diagnosis: Diagnosis, content: Content) -> str:
 
 def _parameters(diagnosis: Diagnosis, content: Content, hz: Array) -> str:
     """Causes with their numbers, alternatives, standing causes."""
-    reference = diagnosis.problem.prior
+    reference = diagnosis.posterior.prior
     out = []
     lists = (("Causes", content["causes"]), ("Already so at calibration", content["standing"]))
     for title, causes in lists:
@@ -272,7 +272,7 @@ def _signatures(causes: Sequence[Content]) -> str:
 
 def _data(diagnosis: Diagnosis, content: Content, segments: Segments, c: Comparison) -> str:
     """What was judged, and by what."""
-    e = diagnosis.problem.observed
+    e = diagnosis.posterior.observed
     rows = [
         ("length", f"{_minutes(segments)}; {segments.samples} sample instants"),
         ("channels", ", ".join(c.channels) + f"; source at {segments.rate_hz:g} Hz"),
@@ -282,7 +282,7 @@ def _data(diagnosis: Diagnosis, content: Content, segments: Segments, c: Compari
         ("ground motion", "measured, and used as input" if e.drive is not None else "not measured"),
         ("likelihood", "debiased Whittle likelihood of the classes' cross-spectra (complex Wishart), "
          f"tempered by {e.weight:.2f} for the correlation of neighbouring bins and segments"),
-        ("reference", "baseline" if diagnosis.problem.prior.basis.shape[0] else "structure file"),
+        ("reference", "baseline" if diagnosis.posterior.prior.basis.shape[0] else "structure file"),
         ("held out", content["gain"]["heldout"]),
     ]  # fmt: skip
     return "<h2>The data judged</h2>" + table([], rows)

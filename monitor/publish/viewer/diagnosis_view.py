@@ -86,7 +86,7 @@ def _status(diagnosis: Diagnosis, content: Mapping[str, Any], segments: Segments
         low, high = gain["ci95"]
         lines += [f"Gain on held-out data: {gain['gain']:+.4f} ({low:+.4f} to {high:+.4f}) nats a sample.", ""]
     for c in content["standing"]:
-        words = in_words(c["effect"], c["location"], c["parameters"], diagnosis.problem.prior)
+        words = in_words(c["effect"], c["location"], c["parameters"], diagnosis.posterior.prior)
         lines += [f"Already so at calibration: {words}.", ""]
     if content["standing_misfit"] is not None:
         lines += [f"Already so at calibration: {content['standing_misfit']['says']}.", ""]

@@ -146,7 +146,7 @@ def diagnose_recording(task: Task) -> Outcome:
             None if task.baseline is None else load_baseline(task.baseline, settings.instrumented(), settings.updating)
         )
         with threadpool_limits(limits=1):
-            found = diagnose.find(list(task.paths), settings, healthy, outcome.warnings.append)
+            found = diagnose.diagnose(list(task.paths), settings, healthy, outcome.warnings.append)
         final = task.out / DIAGNOSES / f"{task.name}.json"
         write_atomically(final, json.dumps(found.content, indent=1, allow_nan=False) + "\n")
     except UserError as error:
