@@ -7,9 +7,9 @@ import numpy as np
 from monitor.diagnosis.ambiguity import probabilities, tied_candidates
 from monitor.diagnosis.score_test import Candidate
 from monitor.diagnosis.simulation_refit import RefittedCandidate
+from monitor.inference.ambient_posterior import AmbientPosterior
 from monitor.inference.higher_moments import Moments
 from monitor.inference.map_estimate import MapEstimate
-from monitor.inference.posterior import Posterior
 from monitor.model.effects import BilinearStiffness, StiffnessChange
 
 RIVAL = 4.6
@@ -21,7 +21,7 @@ def judged(evidence: float, chance: float = 0.0) -> RefittedCandidate:
     effect = StiffnessChange("story 1", -0.02) if chance == 0.0 else BilinearStiffness("story 1", 0.04)
     return RefittedCandidate(
         Candidate(effect, fit, evidence, evidence),
-        Posterior.__new__(Posterior),
+        AmbientPosterior.__new__(AmbientPosterior),
         Moments(none, none),
         log_evidence_std=chance,
     )
