@@ -301,6 +301,7 @@ def test_calibrate_learns_the_dependence_from_a_recording(healthy: Baseline) -> 
     assert (std < 0.25 * PER_DEGC).all()
 
 
+@pytest.mark.engine
 @pytest.mark.parametrize("loss", [0.0, 0.05])
 def test_replay_takes_the_weather_out_and_leaves_the_damage(
     slow_site: Configuration, healthy: Baseline, tmp_path: Path, loss: float
@@ -316,6 +317,7 @@ def test_replay_takes_the_weather_out_and_leaves_the_damage(
     assert summary["temperature_range_degc"] == pytest.approx([10.5, 10.5])
 
 
+@pytest.mark.engine
 def test_without_the_channel_nothing_is_taken_out_and_the_doubt_is_stated(
     slow_site: Configuration, healthy: Baseline, tmp_path: Path
 ) -> None:
