@@ -2,6 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 STAMP := .venv/.installed
+WARM := .venv/.compiled
 
 # What `make test` leaves to `make test-all`; each test that is not slow is in one of the two.
 HEAVY := (engine or system or docs) and not representative
@@ -11,13 +12,13 @@ HEAVY := (engine or system or docs) and not representative
 demo: $(STAMP)
 	$(BIN)/shm-monitor demo
 
-test: $(STAMP) lint
+test: $(WARM) lint
 	$(BIN)/python -m pytest -n auto --dist loadscope -m "not slow and not ($(HEAVY))"
 
 # All that is not slow: `make test`, then what it leaves out.
 test-all: test test-heavy
 
-test-heavy: $(STAMP) test
+test-heavy: $(WARM) test
 	$(BIN)/python -m pytest -m "not slow and $(HEAVY)"
 
 test-slow: $(STAMP)
@@ -44,6 +45,13 @@ docs: $(STAMP)
 lock: $(STAMP)
 	$(BIN)/pip install uv
 	$(BIN)/uv pip compile --quiet --upgrade --generate-hashes --no-annotate --no-header --python-version 3.11 requirements.in -o requirements.txt
+
+# Compiled functions are kept on the disk: made once, here, and not by several tests at the same time.
+$(WARM): $(STAMP) $(shell grep -rl "^@compiled" monitor)
+	$(BIN)/shm-monitor replay recordings/mini-shake-table-flexible.mcap \
+		--structure recordings/mini-shake-table-flexible.toml --out out/warm/replay >/dev/null
+	$(BIN)/shm-monitor diagnose recordings/frame-before.mcap --structure recordings/frame.toml --out out/warm/diagnosis >/dev/null
+	touch $(WARM)
 
 $(STAMP): requirements.txt pyproject.toml
 	@echo "Installing into .venv (1.7 GB; a minute or more, silently) ..."

@@ -31,6 +31,7 @@ from monitor.core.results import Gap, Skipped, WindowResult
 from monitor.damage import alarm, load_baseline, save_baseline
 from monitor.model.simulation import simulate
 from monitor.pipeline import Pipeline, Result
+from monitor.publish import Publisher
 from monitor.runs import session as outputs
 from monitor.runs.calibrate import calibrate
 from monitor.runs.session import Session
@@ -188,7 +189,7 @@ def twin(days: int, folder: Path, seed: int = 20261121) -> None:
     settings = configuration.load(site)
     seen: list[Any] = []
 
-    class Kept(outputs.Publisher):
+    class Kept(Publisher):
         def window(self, result: WindowResult, line: str) -> None:
             seen.append(result)
 

@@ -194,5 +194,5 @@ def test_the_api_reference_is_made(tmp_path: Path) -> None:
                 continue
             page = (tmp_path / module.relative_to(ROOT)).with_suffix(".html")
             assert page.exists(), page
-    ssi = (tmp_path / "monitor" / "ssi.html").read_text(encoding="utf-8")
+    ssi = (tmp_path / "monitor" / "identification" / "ssi.html").read_text(encoding="utf-8")
     assert "Hankel" in ssi
