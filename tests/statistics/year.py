@@ -32,7 +32,6 @@ from monitor.damage import alarm, load_baseline, save_baseline
 from monitor.model.simulation import simulate
 from monitor.pipeline import Pipeline, Result
 from monitor.publish import Publisher
-from monitor.runs import session as outputs
 from monitor.runs.calibrate import calibrate
 from monitor.runs.session import Session
 from monitor.runs.synthetic_recording import cut_into_blocks
