@@ -32,6 +32,7 @@ from monitor.damage import alarm, load_baseline, save_baseline
 from monitor.model.simulation import simulate
 from monitor.pipeline import Pipeline, Result
 from monitor.publish import Publisher
+from monitor.runs import session as session_module
 from monitor.runs.calibrate import calibrate
 from monitor.runs.session import Session
 from monitor.runs.synthetic_recording import cut_into_blocks
@@ -208,7 +209,7 @@ def twin(days: int, folder: Path, seed: int = 20261121) -> None:
     TwinPipeline.like = like
     TwinPipeline.health = next(r for r in seen if isinstance(r, Health))
     TwinPipeline.readings = TWIN.readings(days * DAY, BASELINE_S, np.random.default_rng(seed))
-    outputs.Pipeline = TwinPipeline  # type: ignore[misc]
+    session_module.Pipeline = TwinPipeline  # type: ignore[misc]
     logs.begin(settings.log, settings.site_name)
     source, begun = Hops(days * DAY), time.monotonic()
     daemon = Daemon(site, source)
