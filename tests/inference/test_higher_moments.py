@@ -14,6 +14,7 @@ from monitor.diagnosis.score_test import Candidate
 from monitor.diagnosis.selection_round import _choose_orientation
 from monitor.diagnosis.simulation_refit import RefittedCandidate
 from monitor.diagnosis.stepwise_selection import diagnose
+from monitor.inference.ambient_posterior import AmbientPosterior
 from monitor.inference.higher_moments import MeasuredMoments, Moments, measure_moments, normal_moments
 from monitor.inference.map_estimate import MapEstimate
 from monitor.inference.observed_spectra import classify
@@ -115,7 +116,7 @@ def test_a_law_that_is_turned_round_lends_its_new_skewness_to_what_follows() -> 
     fitted = MapEstimate(x, (stop,), 0.0, 0.0, np.zeros((2, 2)), True, np.zeros((0, 2)), none_at_all, none_at_all)
     before, made = Moments(np.zeros(3), np.zeros(3)), Moments(np.array([0.3, 0.0, 0.0]), np.array([0.1, 0.0, 0.0]))
     std = Moments(np.full(3, 0.05), np.full(3, 0.05))
-    polished = RefittedCandidate(Candidate(stop, fitted, 50.0, 50.0), Posterior.__new__(Posterior), made)
+    polished = RefittedCandidate(Candidate(stop, fitted, 50.0, 50.0), AmbientPosterior.__new__(AmbientPosterior), made)
     as_it_is, _ = _choose_orientation(polished, before, MeasuredMoments(made, std, 0.0))
     assert as_it_is is polished
     measured = MeasuredMoments(made.mirrored(before), std, 0.0)
