@@ -179,6 +179,7 @@ def test_the_page_of_settings_is_that_of_the_classes() -> None:
         assert key in made
 
 
+@pytest.mark.docs
 def test_the_api_reference_is_made(tmp_path: Path) -> None:
     """A page for every module, with its docstrings."""
     pytest.importorskip("pdoc")
