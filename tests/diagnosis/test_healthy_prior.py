@@ -83,7 +83,7 @@ def test_what_calibration_cannot_tell_apart_is_no_news_later(standing: tuple[str
         assert [c.effect.name for c in other.causes] == ["coloured_excitation"]
 
 
-# A recording that no effect explains is searched to the end, four times below: 430 s on two quiet cores, before the new rooms too.
+# A recording that no effect explains is searched to the end, four times below: 430 s on two quiet cores.
 UNEXPLAINED_S = 1200
 
 
