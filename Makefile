@@ -20,7 +20,7 @@ test-all: test test-heavy
 
 # Diagnoses side by side; then whole commands, daemons and browsers one by one, for they watch clocks and ports.
 test-heavy: $(WARM) test
-	$(BIN)/python -m pytest -n auto --dist loadgroup -m "not slow and engine and not representative"
+	$(BIN)/python -m pytest -n auto --dist loadscope -m "not slow and engine and not representative"
 	$(BIN)/python -m pytest -m "not slow and not engine and $(HEAVY)"
 
 test-slow: $(STAMP)

@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2, norm
+from scipy.special import chdtri, ndtr  # scipy.stats takes a second to load
 
 from monitor.core import Array, Temperature
 from monitor.signals import LAGS_S, TemperatureSettings
@@ -141,7 +141,7 @@ def learn(changes: list[Change], span_s: float, settings: TemperatureSettings) -
     pull = _pull(lagged[:, best])
     covariance = max(1.0, misfit[best] / freedom) * _shared(known, pull)
     slope, (precision, seen) = pull @ x, _inverse(covariance)
-    if slope @ precision @ slope < chi2.isf(2.0 * norm.sf(settings.significance), seen):
+    if slope @ precision @ slope < chdtri(seen, 2.0 * ndtr(-settings.significance)):
         return None
     slope, covariance = _drawn_together(slope, covariance, settings.unevenness)
     degc = lagged[:, best]

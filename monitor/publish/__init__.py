@@ -4,7 +4,7 @@ import os
 
 import lazy_loader
 
-# The viewer's files have no index on purpose (`publish.viewer.queue`).  Rerun warns of a file without an index unless this
+# The viewer's files have no index on purpose (`publish.viewer.output`).  Rerun warns of a file without an index unless this
 # variable says otherwise when Rerun is first imported.
 os.environ.setdefault("RUST_LOG", "warn,re_log_encoding::rrd::file_sink=error")
 

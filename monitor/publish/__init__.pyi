@@ -6,8 +6,8 @@ from .results.lines import LinesFile, alarm_line, current_alarm_line, replay_tex
 from .results.schema import LINE_SCHEMA
 from .results.summary import Episode, Quality, Summary
 from .viewer.diagnosis_view import write_view
+from .viewer.output import Output
 from .viewer.publisher import RerunPublisher
-from .viewer.queue import Output
 from .viewer.scene import make_scene, utc
 
 __all__ = [

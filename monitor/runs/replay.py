@@ -6,20 +6,17 @@ import time
 from collections.abc import Iterable, Iterator
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from drivers.base import SampleBlock
 from drivers.mcap_file import McapWriter
 from monitor.config import Configuration
 from monitor.core import MissingInputError, WindowResult, demand_place, write_atomically
 from monitor.damage import Baseline
-from monitor.publish import LINE_SCHEMA, LinesFile, Publisher, to_json
+from monitor.publish import LINE_SCHEMA, LinesFile, Publisher, RerunPublisher, to_json
 from monitor.runs.recordings import OnProgress, OnWarning, Progress, duration_s, push_block, read_blocks
 from monitor.runs.session import Session
 from monitor.runs.viewer import open_viewer
-
-if TYPE_CHECKING:  # takes a second to load, and an archive's replays have no view
-    from monitor.publish import RerunPublisher
 
 __all__ = ["RESULT_FILES", "pass_through", "replay", "with_first_block_read"]
 

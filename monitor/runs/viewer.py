@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from monitor.config import Configuration
 from monitor.damage import Baseline
-
-if TYPE_CHECKING:  # Rerun takes a second to load, and not every session has a viewer
-    from monitor.publish import RerunPublisher
+from monitor.publish import RerunPublisher, make_scene
 
 
 def open_viewer(
@@ -31,8 +28,6 @@ def open_viewer(
     file, serve, lossless
         As of `monitor.publish.RerunPublisher`.
     """
-    from monitor.publish import RerunPublisher, make_scene
-
     scene = make_scene(
         config.site.name or config.structure.name or "structure",
         config.structure,

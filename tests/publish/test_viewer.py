@@ -34,8 +34,8 @@ from monitor.model.simulation import simulate
 from monitor.model.structures import ShearFrame
 from monitor.publish.viewer import picture
 from monitor.publish.viewer import scene as rerun_scene
+from monitor.publish.viewer.output import Output
 from monitor.publish.viewer.publisher import RerunPublisher
-from monitor.publish.viewer.queue import Output
 from monitor.publish.viewer.scene import Scene, loss_colour
 from monitor.publish.viewer.spectra import predict_power
 from monitor.publish.viewer.thinning import FULL_RATE_NS, FULL_RATE_WINDOWS, Thinning

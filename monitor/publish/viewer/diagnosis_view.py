@@ -15,7 +15,7 @@ from monitor.diagnosis import Diagnosis, headline, in_words
 from monitor.inference import Segments
 from monitor.publish.reports.comparison import Comparison, compare
 from monitor.publish.viewer.layout import ALL_TIME
-from monitor.publish.viewer.queue import Output
+from monitor.publish.viewer.output import Output
 from monitor.publish.viewer.scene import GREY, Colour
 
 _TIMELINE = "frequency_mHz"

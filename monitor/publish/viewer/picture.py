@@ -13,15 +13,16 @@ from monitor.publish.viewer.layout import blueprint
 from monitor.publish.viewer.mode_shapes import ModeShapes, label
 from monitor.publish.viewer.rows import Rows, Strips, ui_radius
 from monitor.publish.viewer.scene import (
+    AMBER,
     COLUMNS,
     GREEN,
     GREY,
-    LEVELS,
     LIVE_BLOCK_S,
     NO_VALUE,
     RED,
     SERIES,
     STABILISATION,
+    Clocks,
     Scene,
     loss_colour,
     mode_rows,
@@ -31,8 +32,15 @@ from monitor.publish.viewer.scene import (
 )
 from monitor.publish.viewer.spectra import FILE_EVERY_S, LIVE_EVERY_S, SpectraDrawing
 from monitor.publish.viewer.thinning import Thinning
-from monitor.publish.viewer.trust import Clocks, TrustDrawing
+from monitor.publish.viewer.trust import TrustDrawing
 from monitor.signals import Health
+
+_LEVELS = {
+    Level.NORMAL: (rr.TextLogLevel.INFO, GREEN),
+    Level.ADVISORY: (rr.TextLogLevel.INFO, (220, 215, 100)),
+    Level.WARNING: (rr.TextLogLevel.WARN, AMBER),
+    Level.ALARM: (rr.TextLogLevel.CRITICAL, RED),
+}
 
 Item = Samples | WindowResult | Gap | Health | Clocks | dict[str, Any]
 """What can be drawn; a dict is a finding."""
@@ -74,8 +82,8 @@ class ResultDrawing:
                 self._style(f"/modes/{entity}/{i + 1}", [f"mode {i + 1}"] * 3, i)
         threshold = rr.SeriesLines(names=["alarm"], colors=[RED], widths=[1.0])
         self._stream.log("/ddi/alarm_loss", threshold, static=True)
-        words = [level.value for level in LEVELS]
-        states = rr.StateConfiguration(values=words, labels=words, colors=[colour for _, colour in LEVELS.values()])
+        words = [level.value for level in _LEVELS]
+        states = rr.StateConfiguration(values=words, labels=words, colors=[colour for _, colour in _LEVELS.values()])
         self._stream.log("/alarm_level", states, static=True)
         centres = [(0.3, 0.3, z) for z in self._z]
         half = [(0.33, 0.33, 0.012)] * self._scene.n_stories + [(0.45, 0.45, 0.008)]
@@ -204,7 +212,7 @@ class ResultDrawing:
         if alarm.level is self._level:
             return
         if self._level is not None or alarm.level is not Level.NORMAL:
-            level, colour = LEVELS[alarm.level]
+            level, colour = _LEVELS[alarm.level]
             where = f" (story {', '.join(map(str, alarm.stories))})" if alarm.stories else ""
             text = f"{alarm.level.value}{where}: {alarm.reason}"
             self._stream.log("/alarms", rr.TextLog(text, level=level, color=colour))

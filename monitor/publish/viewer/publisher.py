@@ -8,16 +8,17 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from drivers.base import ClockHealth
 from monitor.core import Gap, Samples, WindowResult
 from monitor.publish.base import Publisher
-from monitor.publish.viewer.picture import Item, ResultDrawing
-from monitor.publish.viewer.queue import Output, Worker
-from monitor.publish.viewer.scene import FILE_BLOCK_S, LIVE_BLOCK_S, Scene
-from monitor.publish.viewer.trust import Clocks
+from monitor.publish.viewer.queue import Worker
+from monitor.publish.viewer.scene import FILE_BLOCK_S, LIVE_BLOCK_S, Clocks, Scene
 from monitor.signals import Health
+
+if TYPE_CHECKING:
+    from monitor.publish.viewer.picture import Item
 
 
 class RerunPublisher(Publisher):
@@ -92,6 +93,10 @@ class RerunPublisher(Publisher):
 
     def _run(self, take: Callable[[], Item | None]) -> None:
         """Do the work of the thread: open, draw until the queue is closed, finish."""
+        # Rerun takes a second to load: it loads here, while the monitor computes its first window.
+        from monitor.publish.viewer.output import Output
+        from monitor.publish.viewer.picture import ResultDrawing
+
         output = Output(self._scene.name, self._file, self._serve)
         try:
             block_s = LIVE_BLOCK_S if self._serve else FILE_BLOCK_S

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from typing import NamedTuple
 
 import numpy as np
-import rerun as rr
 
+from drivers.base import ClockHealth
 from monitor.core import Array, Level, ModalEstimate, WindowResult
 from monitor.damage import Baseline
 from monitor.model import Model, StructureTable
@@ -17,12 +18,6 @@ Colour = tuple[int, int, int]
 
 GREEN, AMBER, RED, GREY = (80, 190, 110), (240, 180, 50), (230, 70, 60), (130, 130, 130)
 SERIES: tuple[Colour, ...] = ((90, 170, 250), (250, 170, 70), (190, 130, 240), (90, 210, 190), (240, 120, 160))
-LEVELS = {
-    Level.NORMAL: (rr.TextLogLevel.INFO, GREEN),
-    Level.ADVISORY: (rr.TextLogLevel.INFO, (220, 215, 100)),
-    Level.WARNING: (rr.TextLogLevel.WARN, AMBER),
-    Level.ALARM: (rr.TextLogLevel.CRITICAL, RED),
-}
 LIVE_BLOCK_S, FILE_BLOCK_S = 1.0, 60.0
 """Samples are sent in blocks of at least this length, results so many at a time: few for viewers that watch, many for a small
 file that is written fast."""
@@ -58,6 +53,13 @@ class Scene:
     def n_stories(self) -> int:
         """Number of stories, which is also the number of the model's modes."""
         return len(self.story_heights_m)
+
+
+class Clocks(NamedTuple):
+    """The sensor nodes' clocks at a time."""
+
+    t_ns: int
+    clocks: Sequence[ClockHealth]
 
 
 def make_scene(

@@ -2,22 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import rerun as rr
 
-from drivers.base import ClockHealth
 from monitor.publish.viewer.rows import Rows
-from monitor.publish.viewer.scene import GREY, RED, SERIES, Scene, utc
+from monitor.publish.viewer.scene import GREY, RED, SERIES, Clocks, Scene, utc
 from monitor.signals import Health
-
-
-class Clocks(NamedTuple):
-    """The sensor nodes' clocks at a time."""
-
-    t_ns: int
-    clocks: Sequence[ClockHealth]
 
 
 class TrustDrawing:

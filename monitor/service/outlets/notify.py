@@ -13,7 +13,6 @@ import os
 import re
 import threading
 import time
-import urllib.request
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -269,6 +268,8 @@ class Notifier(Outlet):
             return False
 
     def _beat(self) -> None:
+        import urllib.request  # only a heartbeat needs it, and it loads TLS
+
         url, now = self._to.heartbeat_url, self._clock()
         if url is None or self._windows == self._beaten or now - self._beat_s < self._settings.heartbeat_s:
             return

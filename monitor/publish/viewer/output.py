@@ -1,0 +1,87 @@
+"""The Rerun recording that the viewer's results go to: a file, a server that viewers join, or both."""
+
+from __future__ import annotations
+
+import re
+import socket
+import warnings
+from pathlib import Path
+
+import rerun as rr
+from rerun.chunk import RrdReader
+
+from monitor.core import finish, partial
+
+
+class Output:
+    """A Rerun recording that goes to a file, to viewers that join, or both.
+
+    Parameters
+    ----------
+    name : str
+        Application and recording id, so that the same data give the same recording.
+    file : Path, optional
+        Takes this name only once complete.
+    serve : (str, int), optional
+        Address and port to listen on; viewers join at ``rerun+http://ADDRESS:PORT/proxy``.
+    memory : str
+        What the server keeps for viewers that join late; the oldest goes first.
+
+    Raises
+    ------
+    OSError, RuntimeError
+        The file cannot be made or the port is taken.
+    """
+
+    def __init__(self, name: str, file: Path | None, serve: tuple[str, int] | None, memory: str = "64MB") -> None:
+        rr.set_strict_mode(True)  # else a wrong call is only warned about
+        entry = re.sub(r"[^0-9A-Za-z_ -]+", "-", name)  # what Rerun takes as a name without a warning
+        self.stream = rr.RecordingStream(entry, recording_id=entry, send_properties=False)
+        self._file = file
+        sinks: list[rr.FileSink | rr.GrpcServerSink] = []
+        if serve is not None:
+            _require_free_port(*serve)
+            host = f"[{serve[0]}]" if ":" in serve[0] else serve[0]
+            sinks.append(rr.GrpcServerSink(bind_ip=host, port=serve[1], server_memory_limit=memory))
+        if file is not None:
+            # An index would be kept in memory until the end, an entry for all that is sent by itself.
+            sinks.append(rr.FileSink(partial(file), write_footer=False))
+        self.stream.set_sinks(*sinks)
+        self.stream.set_log_time_enabled(False)  # time is the data's
+
+    def close(self, timeout_s: float) -> None:
+        """Write all that is left, see that the file is whole, and give it its name.
+
+        Raises
+        ------
+        OSError, RuntimeError
+            Something did not arrive, as on a full disk; no file is left.
+        """
+        try:
+            self.stream.flush(timeout_sec=timeout_s)
+            self.stream.disconnect()
+            if self._file is not None:
+                # Where writing failed, flush has raised; this raises at half a message, and warns that there is no index.
+                with warnings.catch_warnings(action="ignore"):
+                    found = RrdReader(partial(self._file)).recordings()
+                if not found:
+                    raise OSError(f"{self._file}: nothing arrived")
+                finish(self._file)
+        finally:
+            self.abandon()
+
+    def abandon(self) -> None:
+        """Let go of the sinks and leave no unfinished file behind."""
+        self.stream.disconnect()
+        if self._file is not None:
+            partial(self._file).unlink(missing_ok=True)
+
+
+def _require_free_port(address: str, port: int) -> None:
+    """Raise OSError if nobody can listen there: Rerun itself only prints that and goes on deaf."""
+    with socket.socket(socket.AF_INET6 if ":" in address else socket.AF_INET) as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((address, port))
+        except OSError as error:
+            raise OSError(f"cannot serve viewers on {address}:{port}: {error.strerror or error}") from error

@@ -1,0 +1,48 @@
+"""What a command loads before it answers: the libraries that take long are loaded by the commands that need them."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+_ASK = """
+import sys
+sys.argv[0] = "shm-monitor"
+{do}
+print("loaded:", *(name for name in {names!r} if name in sys.modules))
+"""
+_RUN = "from monitor.cli import main\ntry:\n    main()\nexcept SystemExit as end:\n    assert not end.code, end.code"
+_SLOW = (
+    "scipy.stats",
+    "scipy.signal",
+    "scipy.optimize",
+    "numba",
+    "pyarrow",
+    "pandas",
+    "rerun",
+    "matplotlib",
+    "apprise",
+)
+"""Each takes a tenth of a second to more than a second to load."""
+
+
+def loaded(do: str, names: tuple[str, ...], *arguments: str) -> list[str]:
+    """Return the modules of `names` that a new process has loaded after it did so."""
+    code = _ASK.format(do=do, names=names)
+    run = subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True, check=True)
+    return run.stdout.splitlines()[-1].split()[1:]
+
+
+@pytest.mark.parametrize("argument", ["--version", "--help"])
+def test_what_needs_no_computation_loads_no_library_for_it(argument: str) -> None:
+    assert loaded(_RUN, ("numpy", "scipy", "pydantic", *_SLOW), argument) == []
+
+
+def test_check_loads_only_what_reads_a_file_and_computes_modes() -> None:
+    assert loaded(_RUN, ("urllib.request", *_SLOW), "check", "recordings/frame.toml") == []
+
+
+def test_a_replay_asks_for_its_viewer_without_waiting_for_rerun() -> None:
+    assert loaded("from monitor.runs import replay, viewer", _SLOW) == []
