@@ -16,6 +16,7 @@ from math import floor
 import numpy as np
 
 from monitor.core import Array
+from monitor.signals.chebyshev import chebyshev_lowpass
 
 _ORDER, _RIPPLE_DB = 8, 0.05
 _STOPBAND_DB = 90.0
@@ -46,15 +47,13 @@ class Conditioner:
         A cutoff beyond 0.8 of the Nyquist frequency of the slower rate is lowered to it.  Rates are matched by a
         ratio of integers, exact to 1e-6.
         """
-        from scipy.signal import cheby1  # takes most of a second to load
-
         out_hz = rate_hz
         if rate_in_hz < rate_hz:
             out_hz = rate_in_hz if step_s is None else floor(rate_in_hz * step_s + 1e-9) / step_s
         cutoff_hz = min(cutoff_hz, 0.4 * out_hz)
-        sos = cheby1(_ORDER, _RIPPLE_DB, cutoff_hz, fs=rate_in_hz, output="sos")
+        sos = chebyshev_lowpass(_ORDER, _RIPPLE_DB, cutoff_hz, rate_in_hz)
         step = 1 / Fraction(out_hz / rate_in_hz).limit_denominator(_MAX_PHASES)
-        return cls(rate_in_hz, out_hz, cutoff_hz, np.asarray(sos), step, _interpolator(step, cutoff_hz / rate_in_hz))
+        return cls(rate_in_hz, out_hz, cutoff_hz, sos, step, _interpolator(step, cutoff_hz / rate_in_hz))
 
     def start(self, n_channels: int) -> ConditionState:
         """State at rest, before the first sample."""

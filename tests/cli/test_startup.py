@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -46,3 +47,20 @@ def test_check_loads_only_what_reads_a_file_and_computes_modes() -> None:
 
 def test_a_replay_asks_for_its_viewer_without_waiting_for_rerun() -> None:
     assert loaded("from monitor.runs import replay, viewer", _SLOW) == []
+
+
+_FIRST_WINDOW = (
+    """
+from monitor.publish import LinesFile
+def write(self, line):
+    raise SystemExit
+LinesFile.write = write
+"""
+    + _RUN
+)
+
+
+def test_the_first_window_of_a_replay_waits_for_no_library_that_it_does_not_need(tmp_path: Path) -> None:
+    recording = "recordings/mini-shake-table-flexible"
+    arguments = ("replay", f"{recording}.mcap", "--structure", f"{recording}.toml", "--out", str(tmp_path))
+    assert loaded(_FIRST_WINDOW, _SLOW, *arguments) == ["scipy.optimize", "numba"]

@@ -45,7 +45,7 @@ class RerunPublisher(Publisher):
         self, scene: Scene, *, file: Path | None, serve: tuple[str, int] | None, lossless: bool, queue_size: int = 256
     ) -> None:
         self._scene, self._file, self._serve = scene, file, serve
-        self._timeout_s = 10.0
+        self._timeout_s, self._queue_size = 10.0, queue_size
         self._worker: Worker[Item] = Worker("rerun", self._run, queue_size, lossless)
 
     @property
@@ -93,7 +93,11 @@ class RerunPublisher(Publisher):
 
     def _run(self, take: Callable[[], Item | None]) -> None:
         """Do the work of the thread: open, draw until the queue is closed, finish."""
-        # Rerun takes a second to load: it loads here, while the monitor computes its first window.
+        held: list[Item] = []
+        if self._serve is None:  # no viewer can join: Rerun, which takes a second to load, waits for something to draw
+            held = self._until_first_result(take)
+            if self._worker.cancelled:
+                return
         from monitor.publish.viewer.output import Output
         from monitor.publish.viewer.picture import ResultDrawing
 
@@ -102,6 +106,8 @@ class RerunPublisher(Publisher):
             block_s = LIVE_BLOCK_S if self._serve else FILE_BLOCK_S
             picture = ResultDrawing(self._scene, output.stream, block_s, thin=self._file is not None)
             picture.begin()
+            for early in held:
+                picture.draw(early)
             while (item := take()) is not None:
                 picture.draw(item)
             picture.finish()
@@ -109,3 +115,12 @@ class RerunPublisher(Publisher):
                 output.close(self._timeout_s)
         finally:
             output.abandon()
+
+    def _until_first_result(self, take: Callable[[], Item | None]) -> list[Item]:
+        """Hold the samples before the first result, no more than the queue's size."""
+        held: list[Item] = []
+        while len(held) < self._queue_size and (item := take()) is not None:
+            held.append(item)
+            if not isinstance(item, Samples | Health):
+                break
+        return held
