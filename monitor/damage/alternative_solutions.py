@@ -9,13 +9,14 @@ from monitor.core import Array
 from monitor.damage.updating import Observation, UpdatingSettings, update
 from monitor.model import Model
 
-_STARTS = 64
-_LARGEST_FACTOR = 4.0
-"""Starts lie between a quarter and four times the model's stiffness."""
-_SAME = 1e-3
-"""Solutions closer than this, relative, are one."""
-_EXACT = 1e-6
-"""Largest relative misfit of an exact solution."""
+_N_STARTS = 64
+"""Starting points of the search for other solutions. [count; cost]"""
+_LARGEST_START_FACTOR = 4.0
+"""Starting points lie between the model's stiffness divided and multiplied by this factor. [ratio; judgement]"""
+_SAME_SOLUTION = 1e-3
+"""Largest relative distance at which two solutions count as one. [ratio; judgement]"""
+_EXACT_RESIDUAL = 1e-6
+"""Largest relative residual of a solution that counts as exact. [ratio; judgement]"""
 
 
 def second_solutions(model: Model, sensors: Array, observation: Observation, settings: UpdatingSettings) -> Array:
@@ -41,11 +42,11 @@ def second_solutions(model: Model, sensors: Array, observation: Observation, set
     plain = settings.model_copy(update={"penalty": "least_squares"})
     scale = np.ones(observation.z.size) if observation.log else np.abs(observation.z)
     found = [here]
-    for point in qmc.Halton(here.size, scramble=False).random(_STARTS + 1)[1:]:
-        start = here * _LARGEST_FACTOR ** (2.0 * point - 1.0)
+    for point in qmc.Halton(here.size, scramble=False).random(_N_STARTS + 1)[1:]:
+        start = here * _LARGEST_START_FACTOR ** (2.0 * point - 1.0)
         fit = update(model.with_stiffness(start), sensors, observation, plain)
-        new = all(np.abs(fit.parameters / other - 1.0).max() > _SAME for other in found)
-        if fit.converged and new and np.abs(fit.residual / scale).max() < _EXACT:
+        new = all(np.abs(fit.parameters / other - 1.0).max() > _SAME_SOLUTION for other in found)
+        if fit.converged and new and np.abs(fit.residual / scale).max() < _EXACT_RESIDUAL:
             found.append(fit.parameters)
     others = np.array(found[1:]).reshape(-1, here.size)
     return np.asarray(others[np.abs(np.log(others / here)).max(axis=1).argsort()])

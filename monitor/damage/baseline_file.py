@@ -17,7 +17,7 @@ from monitor.damage.updating import UpdatingSettings
 from monitor.model import InstrumentedModel, Matrix, Positive, prior_file
 
 FORMAT = 1
-"""Counts changes of the file's meaning; files of another number are refused."""
+"""Counts changes of the file's meaning; files of another number are refused. [1; definition]"""
 Index = Annotated[int, Field(ge=0)]
 Vector = tuple[float, ...]
 

@@ -12,7 +12,8 @@ from monitor.damage.updating import UNSEEN, Observation, Update, UpdatingSetting
 from monitor.model import Model, ShearFrame
 
 _TOLERATED_MISFIT = 2.0
-"""Twice the expectation: with six degrees of freedom, reached by chance in 6 % of windows."""
+"""Goodness of fit up to which the damage index is taken as it is: twice its expectation. [ratio; chi-square with six
+degrees of freedom: exceeded by chance in 6 % of windows]"""
 
 
 def step(

@@ -21,15 +21,21 @@ from numpy.typing import NDArray
 from monitor.core import Array, DamageReading
 
 STRETCHES = (1, 2, 4, 8)
-"""Lengths that are averaged over, in windows."""
+"""Lengths over which windows are averaged. [windows; judgement: powers of two]"""
 _STD_MEMORY_S = 8 * 3600.0
-"""Standard deviations are smoothed over this: each is estimated from some forty segments, too few for tails of 6 sigma."""
-_LUCK = 1.2
-"""A window's own standard deviation scatters by 10 to 15 %: it counts only beyond this many times the smoothed one."""
-_CREDIT = 1.0
-"""A uniform change is the rarer explanation: a story's loss against it needs this much less evidence."""
-_AGREEMENT = 4.0
-_SIGNIFICANT = 3.0
+"""Time over which standard deviations are smoothed. One window's standard deviation rests on some forty segments, too
+few for tails of six standard deviations. [s; judgement]"""
+_STD_EXCESS = 1.2
+"""A window's own standard deviation counts only beyond this many times the smoothed one. [ratio; simulation: a window's
+standard deviation scatters by 10 to 15 %]"""
+_LOCAL_LOSS_CREDIT = 1.0
+"""A loss in one story needs this much less evidence than a uniform change, which is the rarer explanation. [standard
+deviations; judgement]"""
+_MAX_DISAGREEMENT = 4.0
+"""Largest distance of a window from the mean of its stretch at which the windows agree. [standard deviations; not
+recorded]"""
+_SIGNIFICANT_STDS = 3.0
+"""Size from which a change counts as significant. [standard deviations; convention: three sigma]"""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -91,7 +97,9 @@ def look(history: History, reading: DamageReading, t_ns: int, model_form: float)
     scale = np.sqrt(variances / own.diagonal())
     covariance = own * scale[:, :, None] * scale[:, None, :] + reading.common_covariance
     z, std = statistic(means, covariance, model_form)
-    agrees = np.abs(ddi[0] - means) <= _AGREEMENT * np.sqrt(variance[0] * (1.0 - 2.0 / counts[:, None]) + variances)
+    agrees = np.abs(ddi[0] - means) <= _MAX_DISAGREEMENT * np.sqrt(
+        variance[0] * (1.0 - 2.0 / counts[:, None]) + variances
+    )
     agrees[0] = True
     longest = len(STRETCHES) - 1 - agrees[::-1].argmax(axis=0), np.arange(z.shape[1])
     return history, SequentialStatistic(np.where(agrees, z, -np.inf).max(axis=0), means[longest], std[longest])
@@ -115,7 +123,7 @@ def _remembered(history: History, ddi: Array, variance: Array, t_ns: int) -> His
         history.window_ns,
         np.append(history.t_ns[keep], t_ns),
         np.concatenate([history.ddi[keep], ddi[None]]),
-        np.concatenate([history.variance[keep], np.maximum(variance / _LUCK**2, np.exp(ln_variance))[None]]),
+        np.concatenate([history.variance[keep], np.maximum(variance / _STD_EXCESS**2, np.exp(ln_variance))[None]]),
         ln_variance,
         memory_s,
     )
@@ -148,7 +156,7 @@ def statistic(means: Array, covariance: Array, model_form: float) -> tuple[Array
     """
     from monitor.damage.kernels import evidence_of_loss  # compiled code takes a while to load
 
-    return evidence_of_loss(means, covariance, model_form, _SIGNIFICANT, _CREDIT)
+    return evidence_of_loss(means, covariance, model_form, _SIGNIFICANT_STDS, _LOCAL_LOSS_CREDIT)
 
 
 def shared_change(loss: Array, std: Array) -> float:
@@ -156,13 +164,13 @@ def shared_change(loss: Array, std: Array) -> float:
 
     Weather, added mass, a slow clock and a loss in every story alike look the same in accelerations.
     """
-    alike = np.abs(np.sign(loss).sum()) == loss.size and (np.abs(loss) > _SIGNIFICANT * std).all()
+    alike = np.abs(np.sign(loss).sum()) == loss.size and (np.abs(loss) > _SIGNIFICANT_STDS * std).all()
     return float(loss[np.abs(loss).argmin()]) if alike and loss.size else 0.0
 
 
 def shared_by_others(loss: Array, std: Array) -> Array:
     """What all stories but one share, for each that one, shape (n,)."""
     n = loss.size
-    if np.count_nonzero(np.abs(loss) > _SIGNIFICANT * std) < n - 1:
+    if np.count_nonzero(np.abs(loss) > _SIGNIFICANT_STDS * std) < n - 1:
         return np.zeros(n)
     return np.array([shared_change(np.delete(loss, j), np.delete(std, j)) for j in range(n)])

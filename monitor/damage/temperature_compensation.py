@@ -15,10 +15,11 @@ from scipy.special import chdtri, ndtr  # scipy.stats takes a second to load
 from monitor.core import Array, Temperature
 from monitor.signals import LAGS_S, TemperatureSettings
 
-_LEAST_WINDOWS = 4
-"""Windows without overlap that a dependence takes."""
-_LAG_EVIDENCE = 4.0
-"""Gain in squared distance, in variances, from which a lag is preferred to none."""
+_MIN_INDEPENDENT_WINDOWS = 4
+"""Fewest windows without overlap from which a temperature dependence is learned. [windows; judgement]"""
+_MIN_LAG_GAIN = 4.0
+"""Gain in squared distance from which a thermal lag is preferred to none. [variances; convention: two standard
+deviations squared]"""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -120,7 +121,7 @@ def learn(changes: list[Change], span_s: float, settings: TemperatureSettings) -
     """
     known = [c for c in changes if c.temperature is not None]
     lagged = np.array([c.temperature.lagged_degc for c in known if c.temperature is not None])
-    if len(known) < max(_LEAST_WINDOWS, 0.9 * len(changes)) or np.ptp(lagged[:, 0]) < settings.min_range_k:
+    if len(known) < max(_MIN_INDEPENDENT_WINDOWS, 0.9 * len(changes)) or np.ptp(lagged[:, 0]) < settings.min_range_k:
         return None
     own = np.mean([c.deviations.T @ c.deviations for c in known], axis=0)
 
@@ -129,14 +130,14 @@ def learn(changes: list[Change], span_s: float, settings: TemperatureSettings) -
         return float(np.trace(_shared(known, pull)) / (pull @ pull * np.trace(own)))
 
     of_mean, of_slope = overlap(np.ones(len(known))), overlap(_pull(lagged[:, 0]))
-    if len(known) < _LEAST_WINDOWS * of_mean:
+    if len(known) < _MIN_INDEPENDENT_WINDOWS * of_mean:
         return None
     weight, seen = _inverse(own)
     freedom = seen * (len(known) - of_mean - of_slope)
     x = np.array([c.relative for c in known])
     misfit = np.array([_misfit(x, lagged[:, i], weight) for i, lag_s in enumerate(LAGS_S) if lag_s <= span_s / 4.0])
     best = int(misfit.argmin())
-    if misfit[0] - misfit[best] < _LAG_EVIDENCE * of_slope * max(1.0, misfit[best] / freedom):
+    if misfit[0] - misfit[best] < _MIN_LAG_GAIN * of_slope * max(1.0, misfit[best] / freedom):
         best = 0
     pull = _pull(lagged[:, best])
     covariance = max(1.0, misfit[best] / freedom) * _shared(known, pull)

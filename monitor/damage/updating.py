@@ -21,16 +21,20 @@ from monitor.damage.sensitivity import fox_kapoor
 from monitor.model import Model, Modes
 
 UNSEEN = 0.7
-"""A parameter, or a direction, is not identified when the data leave more than this share of its prior deviation."""
-_LOWEST = 1e-9
-"""Eigenvalues are kept above this share of the highest: a step may leave a structure that would not stand."""
-_STILL = 1e-6
-"""A channel at which a shape has less than this share of its largest component cannot be its gauge."""
-_LEAST_PIVOT = 1e-9
-"""Of normal equations with a diagonal of one: below, they are as good as singular."""
-_LOYALTY = 0.5
-"""Modes are taken in another order than that of their frequencies when each is more alike so by more than this on average;
-a mode that was matched at all (`poles.SelectionSettings.min_model_mac`) so never leaves a model that has them in order."""
+"""A parameter, or a direction, is not identified when the data leave more than this share of its prior standard
+deviation. [ratio; judgement: half of the prior variance is left at 0.7]"""
+_MIN_EIGENVALUE_RATIO = 1e-9
+"""Eigenvalues are kept above this share of the highest: a step may lead to a structure that would not stand. [ratio;
+rounding]"""
+_MIN_SHAPE_RATIO = 1e-6
+"""A channel at which a shape has less than this share of its largest component cannot normalize the shape. [ratio;
+rounding]"""
+_MIN_PIVOT = 1e-9
+"""Smallest pivot of the normal equations, scaled to a diagonal of one, that is not taken for zero. [1; rounding]"""
+_MIN_REORDERING_MAC = 0.5
+"""Modes are matched in another order than that of their frequencies when the mean of the modal assurance criterion
+rises by more than this. A mode that was matched at all (`SelectionSettings.min_model_mac`) so never leaves a model whose modes
+are in order. [1; judgement]"""
 
 Penalty = Literal["least_squares", "weighted", "step", "initial", "minimum_norm"]
 
@@ -171,7 +175,7 @@ def counterparts(modes: Modes, sensors: Array, observation: Observation) -> tupl
     power = (shapes**2).sum(axis=0)
     power = np.maximum(power, 1e-6 * power.max())  # what no sensor sees is like nothing
     likeness = (seen @ shapes) ** 2 / power
-    likeness[np.arange(by_rank.size), by_rank] += _LOYALTY
+    likeness[np.arange(by_rank.size), by_rank] += _MIN_REORDERING_MAC
     return tuple(linear_sum_assignment(likeness, maximize=True)[1].tolist())
 
 
@@ -230,13 +234,13 @@ def _recognized(found: tuple[Modes, Array, Array], sensors: Array, observation: 
 def _predicted(found: tuple[Modes, Array, Array], sensors: Array, observation: Observation) -> tuple[Array, Array]:
     modes, d_lambda, d_shapes = found
     used = list(observation.model_mode)
-    lam = np.maximum(modes.eigenvalues, _LOWEST * modes.eigenvalues[-1])[used]
+    lam = np.maximum(modes.eigenvalues, _MIN_EIGENVALUE_RATIO * modes.eigenvalues[-1])[used]
     z = [np.log(lam) if observation.log else lam]
     rows = [d_lambda[used] / lam[:, None] if observation.log else d_lambda[used]]
     if observation.gauges:
         shapes, d_at_sensors = (sensors @ modes.shapes[:, used]).T, sensors @ d_shapes[used]
         told, at_gauge = _told(shapes, observation.gauges)
-        if (np.abs(at_gauge) <= _STILL * np.abs(shapes).max(axis=1)).any():
+        if (np.abs(at_gauge) <= _MIN_SHAPE_RATIO * np.abs(shapes).max(axis=1)).any():
             raise np.linalg.LinAlgError("a mode does not move at its gauge")
         ratio = shapes / at_gauge[:, None]
         d_ratio = (d_at_sensors - ratio[:, :, None] * d_at_sensors[~told][:, None]) / at_gauge[:, None, None]
@@ -399,7 +403,7 @@ def _solve_scaled(normal: Array, right: Array) -> Array:
     scale = 1.0 / np.sqrt(normal.diagonal())
     scaled, wanted = normal * scale[:, None] * scale, scale[:, None] * right
     factor, solution, failed = lapack.dposv(scaled, wanted)
-    if failed or factor.diagonal().min() ** 2 < _LEAST_PIVOT:
+    if failed or factor.diagonal().min() ** 2 < _MIN_PIVOT:
         solution = np.linalg.lstsq(scaled, wanted, rcond=1e-13)[0]
     return np.asarray(scale[:, None] * solution)
 

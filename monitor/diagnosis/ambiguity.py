@@ -9,8 +9,8 @@ from monitor.diagnosis.score_test import whitened_change
 from monitor.diagnosis.simulation_refit import RefittedCandidate
 from monitor.inference import MapEstimate, Posterior
 
-_TIED = 1.0
-"""Nats between two predictions that are one and the same."""
+_SAME_PREDICTION_NATS = 1.0
+"""Difference of two predictions that count as the same. [nats; convention: a likelihood ratio of e]"""
 
 
 def tied_candidates(candidates: list[RefittedCandidate], rival: float) -> list[RefittedCandidate]:
@@ -38,4 +38,4 @@ def _log_odds(ordered: list[RefittedCandidate]) -> Array:
 def predict_the_same(posterior: Posterior, one: MapEstimate, other: MapEstimate) -> bool:
     """Whether two fits predict spectra that these data cannot tell apart, whatever else is added."""
     apart = whitened_change(posterior, posterior.predict(one.x, one.effects), posterior.predict(other.x, other.effects))
-    return bool(0.5 * float(apart @ apart) < _TIED)
+    return bool(0.5 * float(apart @ apart) < _SAME_PREDICTION_NATS)

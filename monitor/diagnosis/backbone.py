@@ -10,15 +10,20 @@ from monitor.core import Array, ComplexArray
 from monitor.diagnosis.lack_of_fit import LackOfFit
 from monitor.inference import MapEstimate, Posterior, with_coordinates
 
-_NEAR = 0.6, 1.6
-"""Frequencies of the first mode's equation, over the first frequency."""
-_CLEAR = 0.1
-"""Share of a segment's power near the mode that its equation may leave."""
-_FEWEST = 6
-_MEDIAN = 1.4826 * 1.2533
-"""Standard deviation of a normal sample's median times the root of its size, over the median deviation."""
-_TELLING, _CERTAIN = 0.004, 6.0
-"""Relative change of a frequency or of a ratio that is worth a word, and standard deviations that it must have."""
+_FIRST_MODE_BAND = 0.6, 1.6
+"""Band in which the first mode's equation of motion is fitted, over the first frequency. [ratio; judgement]"""
+_MAX_LEFT_POWER = 0.1
+"""Largest share of a segment's power near the mode that its equation of motion may leave unexplained. [ratio;
+judgement]"""
+_MIN_SEGMENTS = 6
+"""Fewest segments from which a dependence on amplitude is stated. [segments; judgement]"""
+_MEDIAN_STD_FACTOR = 1.4826 * 1.2533
+"""Standard deviation of a normal sample's median times the root of the sample's size, over the median absolute
+deviation. [1; definition: normal distribution]"""
+_MIN_RELATIVE_CHANGE = 0.004
+"""Smallest relative change of a frequency or damping ratio that is reported. [ratio; judgement]"""
+_MIN_CHANGE_STDS = 6.0
+"""Smallest such change in standard deviations. [standard deviations; judgement]"""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -48,16 +53,16 @@ def backbone(posterior: Posterior, fit: MapEstimate) -> Backbone | None:
     sensors = posterior.context.sensors
     # Channels to the first mode's coordinate, which is the top floor's motion in it.
     to_mode = np.linalg.pinv(sensors).T @ mass @ shape * shape[0]
-    near = (e.band.hz > _NEAR[0] * first) & (e.band.hz < _NEAR[1] * first)
+    near = (e.band.hz > _FIRST_MODE_BAND[0] * first) & (e.band.hz < _FIRST_MODE_BAND[1] * first)
     ground, w = e.drive.ground(e.band)[:, near], 2.0 * np.pi * e.band.hz[near]
     steady = to_mode @ sensors.sum(axis=1)
     rows = []
     for measured, predicted, g in zip(e.segments.values[:, near], mean[:, near], ground, strict=True):
         hz, amplitude, left = _fit_oscillator(measured @ to_mode - steady * g, g, w)
         model_hz, _, model_left = _fit_oscillator(predicted @ to_mode - steady * g, g, w)
-        if max(left, model_left) < _CLEAR:
+        if max(left, model_left) < _MAX_LEFT_POWER:
             rows.append((amplitude * np.sqrt(2.0 * e.band.bin_hz), hz, model_hz))
-    if len(rows) < _FEWEST:
+    if len(rows) < _MIN_SEGMENTS:
         return None
     columns = np.array(sorted(rows)).T
     return Backbone(*columns)
@@ -83,9 +88,11 @@ def find_level_dependence(found: Backbone | None) -> LackOfFit | None:
     apart = found.hz - found.model_hz
     change = float(np.median(apart[high]) - np.median(apart[low]))
     # Medians and their scatter: a segment in which a strong motion begins or ends tells its frequency badly.
-    std = float(np.hypot(*[_MEDIAN * np.median(np.abs(x - np.median(x))) for x in (apart[low], apart[high])]))
+    std = float(
+        np.hypot(*[_MEDIAN_STD_FACTOR * np.median(np.abs(x - np.median(x))) for x in (apart[low], apart[high])])
+    )
     std = std / np.sqrt(third) + 1e-9
-    if abs(change) < _TELLING * found.hz.mean() or abs(change) < _CERTAIN * std:
+    if abs(change) < _MIN_RELATIVE_CHANGE * found.hz.mean() or abs(change) < _MIN_CHANGE_STDS * std:
         return None
     ends = [[float(np.median(x[s])) for x in (found.amplitude_m, found.hz, found.model_hz)] for s in (low, high)]
     (a, f, m), (b, g, n) = ends
@@ -105,7 +112,7 @@ def find_ratio_change(posterior: Posterior, fit: MapEstimate) -> LackOfFit | Non
     had, has = drawn[1:] / drawn[0], found[1:] / found[0]
     apart = has / had - 1.0
     std = np.sqrt(np.maximum(_ratio_variance(posterior, fit, has), 1e-18)) / had
-    if np.max(np.abs(apart) / std) < _CERTAIN or np.abs(apart).max() < 5.0 * _TELLING:
+    if np.max(np.abs(apart) / std) < _MIN_CHANGE_STDS or np.abs(apart).max() < 5.0 * _MIN_RELATIVE_CHANGE:
         return None
     told = [" and ".join(f"f{i}/f1 {r:.2f}" for i, r in enumerate(x, start=2)) for x in (has, had)]
     where = f"f = {found[0]:.1f}-{found[-1]:.1f} Hz, all modes"

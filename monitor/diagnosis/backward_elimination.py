@@ -14,10 +14,10 @@ from monitor.diagnosis.simulation_refit import RefittedCandidate, fit_persistent
 from monitor.inference import CorrectedPosterior, MapEstimate, Posterior, linearize, maximize_posterior
 from monitor.model import Effect
 
-_MISSED = 3.0
-"""Nats by which a fit may miss the best of its own form."""
-_RIVALS = 3
-"""Causes of the same round that are tried again in place of one."""
+_LOCAL_OPTIMUM_NATS = 3.0
+"""Shortfall against the best fit of the same form from which a fit is repeated from another start. [nats; judgement]"""
+_N_ALTERNATIVES = 3
+"""Causes of the same round that are tried in place of one. [count; cost]"""
 
 
 def find_better_null_fit(
@@ -29,7 +29,7 @@ def find_better_null_fit(
     """
     begun = [(p.candidate.fit.x[: fit.x.size], p.candidate.fit.effects[:-1]) for p in candidates]
     likely = [sum(posterior.score(*start)) for start in begun]
-    if not begun or not max(likely) > fit.log_posterior + _MISSED:
+    if not begun or not max(likely) > fit.log_posterior + _LOCAL_OPTIMUM_NATS:
         return None
     found = maximize_posterior(posterior, *begun[int(np.argmax(likely))])
     posterior = update_linearization(posterior, found)
@@ -77,7 +77,7 @@ def eliminate_backward(
         rivals = [c.effect for c in linear if c.key not in excluded]
         min_log_evidence = max(min_gain + lead, margin)
         judged = parallel_map(
-            partial(fit_candidate, posterior, without, min_log_evidence=min_log_evidence), rivals[:_RIVALS]
+            partial(fit_candidate, posterior, without, min_log_evidence=min_log_evidence), rivals[:_N_ALTERNATIVES]
         )
         best = max(judged, key=lambda c: c.log_evidence, default=None)
         if best is not None and best.log_evidence > min_log_evidence:

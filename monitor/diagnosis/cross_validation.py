@@ -14,14 +14,18 @@ from monitor.diagnosis.predictive_score import Score, csd_error, score
 from monitor.diagnosis.stepwise_selection import Diagnosis
 from monitor.inference import Segments, classify
 
-_MAX_BLOCKS = 20
+_MAX_HELD_OUT_BLOCKS = 20
+"""Most blocks into which a recording is divided. [count; cost]"""
 _BLOCK_SEGMENTS = 3.0
-"""Least length of a held-out block, as lengths of a segment: long enough that levels of excitation differ between blocks."""
-_FOLDS = 4
+"""Least length of a held-out block, in lengths of a segment: long enough that the level of excitation differs between
+blocks. [segments; judgement]"""
+_N_FOLDS = 4
+"""Parts of a recording, each held out once. [count; cost]"""
 _ORDINAL = {2: "second", 4: "fourth"}
-_BOOTSTRAPS = 4000
-_SURE_NATS = 20.0
-"""Held-out gain of a nonlinear law that chance does not make."""
+_N_BOOTSTRAPS = 4000
+"""Resamples of the blocks from which the interval of the gain is taken. [count; cost]"""
+_LARGE_GAIN_NATS = 20.0
+"""Held-out gain of a nonlinear law that chance does not give. [nats; judgement: a likelihood ratio of 5e8]"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +63,7 @@ class _Blocks:
     @property
     def folds(self) -> int:
         """Number of fits by which every block is held out once."""
-        return min(_FOLDS, self.n)
+        return min(_N_FOLDS, self.n)
 
     def held(self, fold: int) -> NDArray[np.bool_]:
         """Select the segments that a fold holds out, shape (n_segments,)."""
@@ -166,7 +170,7 @@ def _bootstrap_interval(gains: Array, samples: Array) -> tuple[float, float]:
     B. Efron, R. Tibshirani, An Introduction to the Bootstrap (1993), chapter 13 (percentile interval).
     """
     n = gains.size
-    drawn = np.random.default_rng(0).integers(0, n, (_BOOTSTRAPS, n))
+    drawn = np.random.default_rng(0).integers(0, n, (_N_BOOTSTRAPS, n))
     means = gains[drawn].sum(axis=1) / np.maximum(samples[drawn].sum(axis=1), 1.0)
     value = gains.sum() / samples.sum()
     low, high = value + _widening(n) * (np.quantile(means, [0.025, 0.975]) - value)
@@ -179,7 +183,7 @@ def _widening(n_blocks: int) -> float:
     It is Student's t over the normal quantile, times the root of n / (n - 1).  Of two blocks the interval is their range,
     which is no 95 % of anything, so it is not widened.
     """
-    if n_blocks < _FOLDS:
+    if n_blocks < _N_FOLDS:
         return 1.0
     return float(stdtrit(n_blocks - 1, 0.975) / ndtri(0.975) * np.sqrt(n_blocks / (n_blocks - 1)))
 
@@ -188,8 +192,8 @@ def _cut_blocks(segments: Segments) -> _Blocks:
     """Divide a recording into contiguous blocks of equal length."""
     half = 0.5 / segments.band.bin_hz
     start, end = segments.t_s.min() - half, segments.t_s.max() + half
-    n = int(min(_MAX_BLOCKS, (end - start) / (2.0 * half * _BLOCK_SEGMENTS)))
-    n = _FOLDS * (n // _FOLDS) or 2
+    n = int(min(_MAX_HELD_OUT_BLOCKS, (end - start) / (2.0 * half * _BLOCK_SEGMENTS)))
+    n = _N_FOLDS * (n // _N_FOLDS) or 2
     length = (end - start) / n
     first, last = (
         np.floor((segments.t_s + d - start) / length + e).astype(int) for d, e in ((-half, 1e-9), (half, -1e-9))
@@ -204,7 +208,7 @@ def require_gain(diagnosis: Diagnosis, gain: HeldOutGain) -> Diagnosis:
     law a large summed gain is therefore enough.  Where causes are stated beside something unexplained, which widens the
     interval too, the summed gain must not be a loss.
     """
-    loud = any(cause.effect.nonlinear for cause in diagnosis.causes) and gain.nats > _SURE_NATS
+    loud = any(cause.effect.nonlinear for cause in diagnosis.causes) and gain.nats > _LARGE_GAIN_NATS
     match diagnosis.verdict:
         case "named":
             confirmed = gain.ci95[0] > 0.0 or loud

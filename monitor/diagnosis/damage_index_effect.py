@@ -13,6 +13,8 @@ from monitor.inference import MapEstimate, Posterior, linearize, maximize_poster
 from monitor.model import Effect
 
 _STIFFNESS_STD = 0.2
+"""Prior relative standard deviation of a story's stiffness in the comparison of damage indices. [ratio; not
+recorded]"""
 
 
 def ddi_effect(diagnosis: Diagnosis) -> dict[str, Any]:

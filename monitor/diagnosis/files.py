@@ -18,8 +18,8 @@ from monitor.diagnosis.wording import contradicted, headline, in_words, separati
 from monitor.inference import ParameterLayout
 from monitor.model import FORMS, Effect, MatrixStructure, Model, StructuralPrior
 
-_MOST = 1e300
-"""Stands for "not determined": JSON has no infinity."""
+_NOT_DETERMINED = 1e300
+"""Written in place of a standard deviation that is not determined. [1; definition: JSON has no infinity]"""
 
 
 def content(
@@ -103,7 +103,7 @@ def _sizes(effect: Effect, deviation: Array) -> dict[str, dict[str, float]]:
 
 
 def _finite(value: float) -> float:
-    return float(np.clip(np.nan_to_num(value, nan=_MOST), -_MOST, _MOST))
+    return float(np.clip(np.nan_to_num(value, nan=_NOT_DETERMINED), -_NOT_DETERMINED, _NOT_DETERMINED))
 
 
 def _gain(gain: HeldOutGain) -> dict[str, Any]:

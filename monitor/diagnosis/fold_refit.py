@@ -20,8 +20,10 @@ from monitor.inference import (
 )
 from monitor.model import Effect, Model
 
-_PART, _DRIVEN = 12, 25
-"""Iterations of a fit to a part of a recording, and of driven motion, from the whole recording's."""
+_MAX_STEPS_AMBIENT = 12
+"""Most iterations of a fit to a part of a recording that begins at the fit to the whole. [iterations; cost]"""
+_MAX_STEPS_DRIVEN = 25
+"""The same where the ground motion is measured. [iterations; cost]"""
 
 
 def refit_forms(part: ObservedSpectra, whole: Diagnosis) -> list[tuple[Model, ExcitationStart]]:
@@ -58,7 +60,9 @@ def refit_forms(part: ObservedSpectra, whole: Diagnosis) -> list[tuple[Model, Ex
         own = posterior
         if part.drive is None and any(e.conditional for e in (*posterior.prior.effects(x), *effects)):
             own = replace(posterior, conditions=linearize(replace(posterior, offset=None), x, effects))
-        fit = maximize_posterior(own, x, effects, iterations=_DRIVEN if part.drive is not None else _PART)
+        fit = maximize_posterior(
+            own, x, effects, iterations=_MAX_STEPS_DRIVEN if part.drive is not None else _MAX_STEPS_AMBIENT
+        )
         return fitted_model(own, fit), ExcitationStart.at(
             own, fit.x, own.beyond(fit.x, fit.effects) if shared else None
         )

@@ -14,12 +14,15 @@ from monitor.diagnosis.simulation_refit import fit_initial_model
 from monitor.inference import ObservedSpectra, ParameterLayout, Posterior
 from monitor.model import Context, StructuralPrior, correction_basis, inverse
 
-_FIXED = 1e-4
+_FIXED_STD = 1e-4
+"""Standard deviation of what is held at its value. [1; rounding]"""
 _CORRECTION_STD = 0.1
+"""Prior standard deviation of the correction of the stiffness matrix that no effect explains. [1; not recorded]"""
 _DAMPING_DRIFT = 0.05
-"""Relative change of a mode's damping that needs no cause."""
+"""Relative change of a mode's damping from calibration that needs no cause. [ratio; judgement]"""
 _NOISE_DRIFT = 0.2
-"""The same of a channel's noise density over the others': what is noise about a channel may follow its motion."""
+"""Relative change of a channel's noise density over the others' that needs no cause: a channel's noise may follow its
+motion. [ratio; judgement]"""
 
 
 def learn_prior(
@@ -54,8 +57,8 @@ def learn_prior(
     k, m, d, c, _ = known.sizes
     masses, damped_and_noisy = known.precision[layout.masses, layout.masses], slice(layout.damping.start, noise.stop)
     prior = block_diag(
-        np.eye(k) / _FIXED**2,
-        masses + 1.0 / (m * _FIXED) ** 2,  # their common scale cannot be seen: fixed for now
+        np.eye(k) / _FIXED_STD**2,
+        masses + 1.0 / (m * _FIXED_STD) ** 2,  # their common scale cannot be seen: fixed for now
         known.precision[damped_and_noisy, damped_and_noisy],
         np.eye(basis.shape[0]) / _CORRECTION_STD**2,
         known.precision[sizes, sizes] + np.diag(held),

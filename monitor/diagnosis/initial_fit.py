@@ -25,17 +25,25 @@ from monitor.inference import (
 from monitor.model import Context, StructuralPrior
 
 FAR = 40
-"""Iterations of a fit on a longer way: a first one to driven motion, whose phases tell more, or to forces far from white."""
-_HEAVY, _LIGHTER, _HELD_DAMPING = 0.05, 0.015, 1e4
-"""Damping ratios at which that fit begins and goes on, and the precision that holds the former."""
-_TURNS = 4
-"""Times at most that the exact laws' slopes are taken anew."""
-ROUGHLY, LONG = 4, 15
-"""Iterations by which ways of the ground between its samples, and kinds of causes, are compared; of a fit to the end."""
+"""Most iterations of a fit that begins far from its end: a first fit to driven motion, or to forces whose spectrum is
+far from flat. [iterations; cost]"""
+_FIRST_DAMPING = 0.05
+"""Damping ratio at which the first fit to driven motion begins. [1; judgement]"""
+_SECOND_DAMPING = 0.015
+"""Damping ratio at which that fit goes on. [1; judgement]"""
+_HELD_DAMPING_PRECISION = 1e4
+"""Precision that holds the first damping ratio. [1; rounding]"""
+_MAX_SLOPE_UPDATES = 4
+"""Most times that the slopes of the exact laws are computed again. [count; cost]"""
+ROUGHLY = 4
+"""Iterations by which kinds of causes, and the ground's motion between its samples, are compared. [iterations; cost]"""
+LONG = 15
+"""Most iterations of a fit that is followed to its end. [iterations; cost]"""
 COARSE = 0.3
-"""Nats that the last step of a fit to driven motion may promise, which tells causes apart by hundreds."""
-_MODEL_ERROR = 0.5
-"""With the ground measured: error of the model as a share of the measured amplitude, at the start."""
+"""Expected gain of the next step at which a fit to driven motion ends. [nats; judgement: driven motion separates causes
+by hundreds of nats]"""
+_INITIAL_MODEL_ERROR = 0.5
+"""Error of the model as a share of the amplitude at the start of a fit to driven motion. [ratio; judgement]"""
 
 
 def fit_linearized(
@@ -89,11 +97,11 @@ def _fit_from_heavy_damping(posterior: Posterior) -> MapEstimate:
     known, x = posterior.prior, _first_guess(posterior)
     modes = posterior.layout.damping
     mean, held = known.mean.copy(), np.zeros(known.mean.size)
-    mean[modes], held[modes] = np.log(_HEAVY), _HELD_DAMPING
+    mean[modes], held[modes] = np.log(_FIRST_DAMPING), _HELD_DAMPING_PRECISION
     precision = known.precision + np.diag(held)
     wide = replace(posterior, prior=replace(known, mean=mean, precision=precision))
     near = maximize_posterior(wide, posterior.layout.with_structure(x, mean), iterations=LONG).x
-    near[modes] = np.log(_LIGHTER)
+    near[modes] = np.log(_SECOND_DAMPING)
     return maximize_posterior(posterior, near, iterations=FAR)
 
 
@@ -112,7 +120,7 @@ def fit_ground_interpolation(posterior: Posterior, fit: MapEstimate) -> tuple[Po
 
 def fit_exact_slopes(posterior: Posterior, fit: MapEstimate) -> tuple[Posterior, MapEstimate]:
     """With the exact laws' slopes at the best fit to a measured ground's response; linearized ones lead near it only."""
-    for _ in range(_TURNS):
+    for _ in range(_MAX_SLOPE_UPDATES):
         posterior, before = posterior.with_exact_slopes(fit.x, fit.effects), fit
         fit = maximize_posterior(posterior, fit.x, fit.effects, iterations=FAR)
         if fit.log_posterior < before.log_posterior + COARSE:
@@ -128,5 +136,5 @@ def _first_guess(posterior: Posterior) -> Array:
     if isinstance(posterior, DrivenPosterior):
         power = np.einsum("kfaa->kfa", posterior.observed.spectra).real
         x[layout.forces] += np.log(FORCED)
-        x[layout.levels] = np.log(power / posterior.power).mean(axis=(1, 2)) + 2.0 * np.log(_MODEL_ERROR)
+        x[layout.levels] = np.log(power / posterior.power).mean(axis=(1, 2)) + 2.0 * np.log(_INITIAL_MODEL_ERROR)
     return x

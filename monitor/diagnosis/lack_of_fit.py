@@ -13,14 +13,18 @@ from monitor.diagnosis.settings import DiagnosisSettings
 from monitor.inference import Band, MapEstimate, Posterior, fit_levels, spectra_by_force
 from monitor.model import ModelDiscrepancy
 
-_BAND_HZ, _NARROW_HZ = 1.0, 0.25
-"""Width of the bands in which misfits are looked for, and of those in which they are kept."""
-_DAILY = 0.1
-"""Share of what the model gets wrong from the start that may be otherwise on another day."""
-_FARTHEST = 3.0
-"""Ratio of what is seen to what the model says beyond which this is no correction of the model: it is not trusted there."""
-_DOUBTFUL = 0.5
-"""Where the model fails in some band: from which share of the deviations that make a misfit on others are doubtful as well."""
+_TEST_BAND_HZ = 1.0
+"""Width of the frequency bands in which lack of fit is tested. [Hz; judgement]"""
+_CORRECTION_BAND_HZ = 0.25
+"""Width of the bands in which the model's error is kept. [Hz; judgement]"""
+_DAILY_SHARE = 0.1
+"""Share of the model's initial error that may differ from day to day. [ratio; judgement]"""
+_MAX_CORRECTION = 3.0
+"""Ratio of the observed to the predicted spectrum beyond which the model is not corrected but not trusted. [ratio;
+judgement]"""
+_LENIENT_SHARE = 0.5
+"""Where one band shows lack of fit: share of the threshold from which other bands count as doubtful too. [ratio;
+judgement]"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +95,7 @@ def _sum_in_bands(residual: Array, n_classes: int, posterior: Posterior) -> tupl
 
 def _bins_per_band(band: Band) -> int:
     """Bins that are summed up in a band."""
-    return max(1, round(_BAND_HZ / band.bin_hz))
+    return max(1, round(_TEST_BAND_HZ / band.bin_hz))
 
 
 def _deviations(posterior: Posterior, fitted: MapEstimate) -> tuple[Array, Array, Array]:
@@ -139,18 +143,18 @@ def estimate_model_discrepancy(
     size = np.maximum(np.abs(z).max(axis=(1, 2), initial=0.0), late)
     if size.max(initial=0.0) <= settings.misfit:
         return None
-    per, bins = _bins_per_band(e.band), max(1, round(_NARROW_HZ / e.band.bin_hz))
+    per, bins = _bins_per_band(e.band), max(1, round(_CORRECTION_BAND_HZ / e.band.bin_hz))
     n = hz.size * per // bins
     inverse = np.linalg.inv(np.linalg.cholesky(posterior.scatter(fitted.x, fitted.effects)))
     seen = np.tensordot(e.counts / e.counts.sum(), inverse @ posterior.data() @ inverse.conj().swapaxes(-1, -2), axes=1)
     mean = seen[: n * bins].reshape(n, bins, *seen.shape[1:]).mean(axis=1)
     band = np.arange(n) * bins // per
-    doubtful = size[band] > _DOUBTFUL * settings.misfit
+    doubtful = size[band] > _LENIENT_SHARE * settings.misfit
     drift = np.where(late > settings.misfit, late, 0.0)[band] ** 2
     ratios, vectors = np.linalg.eigh(mean)
-    bounded = np.clip(ratios, 1.0 / _FARTHEST, _FARTHEST)
+    bounded = np.clip(ratios, 1.0 / _MAX_CORRECTION, _MAX_CORRECTION)
     relative = (vectors * (bounded - 1.0)[:, None, :]) @ vectors.conj().swapaxes(-1, -2)
-    unsure = (_DAILY * np.abs(bounded - 1.0) + np.abs(ratios - bounded)).max(axis=1)
+    unsure = (_DAILY_SHARE * np.abs(bounded - 1.0) + np.abs(ratios - bounded)).max(axis=1)
     return ModelDiscrepancy(
         hz=e.band.hz[: n * bins].reshape(n, bins).mean(axis=1),
         relative=relative * doubtful[:, None, None],

@@ -8,8 +8,9 @@ from monitor.core import Array
 from monitor.inference import MapEstimate, Posterior
 from monitor.model import Effect, FittedModel
 
-_SURE = 2.0
-"""Standard deviations from nothing that a size must have to be one."""
+_SIGNIFICANT_SIZE_STDS = 2.0
+"""Smallest distance from zero at which an effect's size counts as determined. [standard deviations; convention: two
+sigma]"""
 
 
 def coordinate_std(posterior: Posterior, fit: MapEstimate, simulation_std: Array) -> list[Array]:
@@ -26,7 +27,7 @@ def coordinate_std(posterior: Posterior, fit: MapEstimate, simulation_std: Array
 def is_significant(effect: Effect, deviation: Array) -> bool:
     """Whether a size is beyond doubt not that of no effect; what has no size always is."""
     away = [
-        abs(x - (p.coordinate(p.absent) if np.isfinite(p.absent) else 0.0)) >= _SURE * std
+        abs(x - (p.coordinate(p.absent) if np.isfinite(p.absent) else 0.0)) >= _SIGNIFICANT_SIZE_STDS * std
         for p, x, std in zip(effect.parameters, effect.coordinates, deviation, strict=True)
         if p.absent is not None
     ]

@@ -14,20 +14,25 @@ from monitor.diagnosis.initial_fit import COARSE, FAR, LONG, ROUGHLY
 from monitor.inference import MapEstimate, Posterior, Prediction, maximize_posterior
 from monitor.model import EFFECTS, Context, Effect, EffectError, inverse, locations
 
-_QUICKLY, _BRIEFLY = 5, 6
-"""Iterations of a rough fit without a measured ground, and of one beside a held structure."""
-_FINE = 0.02
-"""Nats that the last step of a fit may promise where the ground was not measured."""
-_DRAGGED = -20.0
-"""Log prior below which the model without the effect was dragged far from what was known, where a fit starts better."""
-_MORE = 3.0
-"""Nats that a rough fit may leave in any case."""
-_HELD = 1e8
-"""Precision that holds the structure while an effect's size is found."""
-_SLIGHT = 0.01
-"""Share of an effect's first size at which its slope is taken."""
-_MIN_STEP, _MAX_STEP = 0.05, 20.0
-"""How far from its start size an effect is first tried, as factors."""
+_MAX_STEPS_ROUGH = 5
+"""Most iterations of a rough fit without a measured ground. [iterations; cost]"""
+_MAX_STEPS_HELD = 6
+"""Most iterations of a rough fit beside a structure that is held. [iterations; cost]"""
+_AMBIENT_TOLERANCE_NATS = 0.02
+"""Expected gain of the next step at which a fit ends where the ground was not measured. [nats; judgement]"""
+_MIN_LOG_PRIOR = -20.0
+"""Log prior below which the model without the effect lies so far from its prior that a fit starts better from the
+prior. [nats; judgement]"""
+_ROUGH_FIT_NATS = 3.0
+"""Gain that a rough fit may miss. [nats; judgement]"""
+_HELD_STRUCTURE_PRECISION = 1e8
+"""Precision that holds the structure while an effect's size is found. [1; rounding]"""
+_RELATIVE_DIFFERENCE = 0.01
+"""Share of an effect's first size over which its slope is taken. [ratio; judgement]"""
+_MIN_START_FACTOR = 0.05
+"""Smallest factor on an effect's start size at which it is first tried. [ratio; judgement]"""
+_MAX_START_FACTOR = 20.0
+"""Largest such factor. [ratio; judgement]"""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -48,7 +53,7 @@ class Candidate:
 
     def may_reach(self, min_log_evidence: float) -> bool:
         """Whether a better fit may have the evidence `bar`: one found half of the whole gain, or all but a little."""
-        return self.log_evidence + max(self.delta_log_posterior, _MORE) > min_log_evidence
+        return self.log_evidence + max(self.delta_log_posterior, _ROUGH_FIT_NATS) > min_log_evidence
 
 
 def candidate_starts(
@@ -162,30 +167,33 @@ def _expected_gains(
 def _whitened_slope(posterior: Posterior, null_fit: MapEstimate, here: Prediction, effect: Effect) -> Array:
     """Whitened change by an effect, in proportion to what next to nothing of it makes: where noise is little, even a small
     effect's change is far from a straight line."""
-    slight = _scale_size(effect, _SLIGHT ** (1.0 / effect.order))
+    slight = _scale_size(effect, _RELATIVE_DIFFERENCE ** (1.0 / effect.order))
     assert slight is not None, "nearer to nothing than one that is possible"
     return np.asarray(
-        whitened_change(posterior, here, posterior.predict(null_fit.x, (*null_fit.effects, slight))) / _SLIGHT
+        whitened_change(posterior, here, posterior.predict(null_fit.x, (*null_fit.effects, slight)))
+        / _RELATIVE_DIFFERENCE
     )
 
 
 def _far_from_prior(posterior: Posterior, null_fit: MapEstimate) -> bool:
     """Whether a fit went far from what was known before, whose response is not told by phases."""
-    return posterior.observed.drive is None and null_fit.log_prior < _DRAGGED
+    return posterior.observed.drive is None and null_fit.log_prior < _MIN_LOG_PRIOR
 
 
 def _fit_at_prior(posterior: Posterior, null_fit: MapEstimate, *more: Effect) -> tuple[Posterior, MapEstimate]:
     """The problem with its structure held where it was known to be, fitted; with further effects."""
     known = posterior.prior
-    held = replace(posterior, prior=replace(known, precision=known.precision + np.diag(_HELD / known.units**2)))
+    held = replace(
+        posterior, prior=replace(known, precision=known.precision + np.diag(_HELD_STRUCTURE_PRECISION / known.units**2))
+    )
     x = posterior.layout.with_structure(null_fit.x, known.mean)
-    return held, maximize_posterior(held, x, (*null_fit.effects, *more), iterations=_BRIEFLY)
+    return held, maximize_posterior(held, x, (*null_fit.effects, *more), iterations=_MAX_STEPS_HELD)
 
 
 def _gain_from_prior(posterior: Posterior, null_fit: MapEstimate, effect: Effect) -> tuple[float, Effect]:
     """What an effect gains, fitted with the structure where it was known to be and then beside it; and the effect."""
     near = _fit_at_prior(posterior, null_fit, effect)[1]
-    near = maximize_posterior(posterior, near.x, near.effects, iterations=_BRIEFLY)
+    near = maximize_posterior(posterior, near.x, near.effects, iterations=_MAX_STEPS_HELD)
     return near.log_posterior - null_fit.log_posterior, near.effects[-1]
 
 
@@ -200,7 +208,7 @@ def whitened_change(posterior: Posterior, here: Prediction, there: Prediction) -
 
 def _scale_amplitude(effect: Effect, amount: float) -> Effect | None:
     """The effect with its amplitude times `amount`, as far as one goes, or None where that is not possible physically."""
-    size = float(np.clip(abs(amount) ** (1.0 / effect.order), _MIN_STEP, _MAX_STEP))
+    size = float(np.clip(abs(amount) ** (1.0 / effect.order), _MIN_START_FACTOR, _MAX_START_FACTOR))
     return _scale_size(effect, float(np.copysign(size, amount)))
 
 
@@ -243,9 +251,12 @@ def fit_candidate(
     driven = posterior.observed.drive is not None
     # Driven motion tells so much that a cause bends the other slopes at once.
     frozen = null_fit.jacobian[:, posterior.layout.nuisances] if quick and not driven else None
-    few, many = (ROUGHLY, FAR) if driven else (_QUICKLY, LONG)
+    few, many = (ROUGHLY, FAR) if driven else (_MAX_STEPS_ROUGH, LONG)
     fitted = partial(
-        maximize_posterior, posterior, iterations=few if quick else many, tolerance=COARSE if driven else _FINE
+        maximize_posterior,
+        posterior,
+        iterations=few if quick else many,
+        tolerance=COARSE if driven else _AMBIENT_TOLERANCE_NATS,
     )
     found = score_candidate(posterior, null_fit, fitted(null_fit.x, (*null_fit.effects, effect), frozen=frozen))
     if not quick and _far_from_prior(posterior, null_fit):

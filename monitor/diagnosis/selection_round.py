@@ -17,15 +17,20 @@ from monitor.diagnosis.simulation_refit import RefittedCandidate, refit_by_simul
 from monitor.inference import CorrectedPosterior, MapEstimate, MeasuredMoments, Moments, Posterior, measure_moments
 from monitor.model import Effect
 
-_SMALL = 200.0
-"""Promised gain, nats, of a small effect."""
-_KINDS, _EVERYWHERE, _DRIVEN, _PROMISING = 7, 2, 2, 12
-"""Where the ground is measured: kinds of causes that are fitted roughly, those of them at every place, and to the end; and how
-many that promise most are fitted roughly, of whatever kind."""
-_UNSURE = 0.1
-"""Share of a gain by which a rough simulation may misjudge it."""
-_EVEN = 1.0
-"""Nats of a simulation's chance from which rivals are simulated once more."""
+_SMALL_EFFECT_NATS = 200.0
+"""Predicted gain up to which an effect counts as small. [nats; judgement]"""
+_N_KINDS = 7
+"""With a measured ground: kinds of effects that are fitted roughly. [count; cost]"""
+_N_KINDS_EVERYWHERE = 2
+"""With a measured ground: those of these kinds that are fitted at every place. [count; cost]"""
+_N_FULL_FITS = 2
+"""With a measured ground: effects that are fitted to the end. [count; cost]"""
+_N_BEST_SCORES = 12
+"""With a measured ground: effects of the best scores that are fitted roughly, of any kind. [count; cost]"""
+_ROUGH_GAIN_ERROR = 0.1
+"""Relative error of a gain from a rough simulation. [ratio; judgement]"""
+_SIMULATION_NATS = 1.0
+"""Random error of simulated gains from which competing effects are simulated again. [nats; judgement]"""
 
 
 def run_selection_round(
@@ -82,7 +87,7 @@ def _shortlist_ambient(
     min_log_evidence = max(rough[0].log_evidence - settings.rival, settings.margin) if rough else 0.0
     near = [c for c in rough if c.may_reach(min_log_evidence)]
     # Of a small effect, rivals gain nearly as much, and none may be passed over.
-    small = len(ranked) > 0 and ranked[0][0] < _SMALL
+    small = len(ranked) > 0 and ranked[0][0] < _SMALL_EFFECT_NATS
     chosen = {c.key: c.effect for c in (near if small else near[: settings.tried])}
     # A rough fit may fail from far away, so the score test's own favourites are fitted too.
     return {(e.name, e.location): e for _, e in ranked[: settings.favourites]} | chosen, rough, min_log_evidence
@@ -108,14 +113,14 @@ def _shortlist_driven(
     A response tells kinds apart by so much that few need a closer look, but its score test promises too much to most.
     """
     kinds = list(dict.fromkeys(effect.name for _, effect in ranked))
-    first = {name: next(e for _, e in ranked if e.name == name) for name in kinds[:_KINDS]}
+    first = {name: next(e for _, e in ranked if e.name == name) for name in kinds[:_N_KINDS]}
     near = [
         e
         for i, (_, e) in enumerate(ranked)
-        if i < _PROMISING or e.name in kinds[:_EVERYWHERE] or e is first.get(e.name)
+        if i < _N_BEST_SCORES or e.name in kinds[:_N_KINDS_EVERYWHERE] or e is first.get(e.name)
     ]
     rough = _fit_roughly(posterior, fit, near)
-    chosen = {c.key: c.effect for c in rough[:_DRIVEN]}
+    chosen = {c.key: c.effect for c in rough[:_N_FULL_FITS]}
     same = [e for _, e in ranked if rough and e.name == rough[0].effect.name]
     return {(e.name, e.location): e for e in same} | chosen, rough, -np.inf
 
@@ -139,13 +144,14 @@ def _simulate_contenders(
     near = [
         p
         for p in simulated.values()
-        if p.candidate.log_evidence > first - _UNSURE * max(p.candidate.delta_log_posterior, _SMALL)
+        if p.candidate.log_evidence
+        > first - _ROUGH_GAIN_ERROR * max(p.candidate.delta_log_posterior, _SMALL_EFFECT_NATS)
     ]
     finer = parallel_map(lambda p: refit_by_simulation(p.posterior, fit, p.candidate, "fine"), near)
     simulated |= {p.candidate.key: p for p in finer}
     made = _compare_moments(posterior, candidates, simulated, added, measured)
     tied = tied_candidates(made, settings.rival)
-    noisy = [p.candidate.key for p in tied if p.log_evidence_std > _EVEN and len(tied) > 1]
+    noisy = [p.candidate.key for p in tied if p.log_evidence_std > _SIMULATION_NATS and len(tied) > 1]
     if not noisy:
         return made
     finest = parallel_map(

@@ -37,29 +37,44 @@ from monitor.model import Context, StructuralPrior, loaded
 
 Rounds = tuple[tuple[int, bool], ...]
 """Simulations in each round, and whether slopes are taken too."""
-_LEAST, _MOST, _LOSS = 3, 10, 100.0
-"""Simulations for what is published: one for so many nats that the chance of a single one takes away."""
+_MIN_SIMULATIONS = 3
+"""Fewest simulations of a published result. [count; cost]"""
+_MAX_SIMULATIONS = 10
+"""Most simulations of a published result. [count; cost]"""
+_NATS_A_SIMULATION = 100.0
+"""One more simulation for every so many nats of gain that the randomness of a single one costs. [nats; judgement]"""
 Effort = Literal["rough", "fine", "finest"]
 """For a rival; for the best; and where the simulations' chance makes a tie."""
-_ROUNDS: dict[Effort, Rounds] = {"rough": ((1, True),), "fine": ((2, True),), "finest": ((_MOST, False),)}
+_ROUNDS: dict[Effort, Rounds] = {"rough": ((1, True),), "fine": ((2, True),), "finest": ((_MAX_SIMULATIONS, False),)}
 """Without slopes from the start, a law that is far from its linearization is fitted away."""
-_SENSORS: dict[Effort, Rounds] = {"rough": ((1, False),), "fine": ((_LEAST, False),), "finest": ((_MOST, False),)}
+_SENSORS: dict[Effort, Rounds] = {
+    "rough": ((1, False),),
+    "fine": ((_MIN_SIMULATIONS, False),),
+    "finest": ((_MAX_SIMULATIONS, False),),
+}
 """Slopes by sensors' sizes are told by samples: there is nothing to simulate twice."""
-_VAGUE = 0.15
-"""Share of a law's size that may be in doubt by chance; else the most are made, as what is rare shows in few of them."""
-_STEP = 0.1
-"""Relative change of a size by which slopes are taken."""
-_WILD, _WEAKER = 10.0, 0.7
-"""Largest correction of softening, over the linearized spectra, that leads the right way for sure; share of its size to begin
-at else."""
-_UNSETTLED = 0.5
-"""Share of the last move that is a standard deviation."""
-_STANDING = 2
-"""Times that laws which stand are simulated before anything else is looked for."""
-_OTHER = 1000
-"""First seed of the simulations that slopes come from: chance that they shared with the offset would pull the fit."""
-_FEIGNED, _MUCH, _SLOPED = 0.5, 0.25, 5
-"""Largest share of the information that slopes are taken to feign; share from which so many simulations at least make them."""
+_UNCERTAIN_SIZE = 0.15
+"""Relative uncertainty of a law's size by the simulations' randomness from which the most simulations are made: rare
+events show in few of them. [ratio; judgement]"""
+_SIZE_DIFFERENCE = 0.1
+"""Relative change of a size over which slopes are taken. [ratio; judgement]"""
+_MAX_SOFTENING_CORRECTION = 10.0
+"""Largest correction of a softening law, over the linearized spectra, that points the right way for certain. [ratio;
+not recorded]"""
+_REDUCED_START = 0.7
+"""Share of the size to begin at beyond that. [ratio; not recorded]"""
+_MOVE_STD = 0.5
+"""Standard deviation of a fit that still moves, as a share of its last move. [ratio; not recorded]"""
+_N_REFITS = 2
+"""Times that accepted laws are simulated before the search goes on. [count; cost]"""
+_FIRST_SLOPE_SEED = 1000
+"""First seed of the simulations for slopes: randomness shared with the offset would bias the fit. [seed; definition]"""
+_MAX_NOISE_INFORMATION = 0.5
+"""Largest share of the information that the randomness of slopes may imitate. [ratio; judgement]"""
+_HIGH_NOISE_INFORMATION = 0.25
+"""Share from which `_N_SLOPE_SIMULATIONS` are made at least. [ratio; judgement]"""
+_N_SLOPE_SIMULATIONS = 5
+"""Simulations of a slope that random errors affect. [count; cost]"""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -95,7 +110,7 @@ def refit_by_simulation(
     """Refit a candidate with nonlinear laws, its linearization corrected by simulation at the fitted size."""
     made = fit_by_simulation(posterior, candidate.fit, effort)
     softening = any(e.is_softening for e in candidate.fit.effects)
-    if softening and effort == "rough" and np.abs(made.posterior.relative[0]).max() > _WILD:
+    if softening and effort == "rough" and np.abs(made.posterior.relative[0]).max() > _MAX_SOFTENING_CORRECTION:
         other = fit_by_simulation(posterior, _weaken_laws(posterior, candidate.fit), effort)
         made = max(made, other, key=lambda m: m.fit.log_posterior)
     lost, variance_ratio = made.posterior.lost, 1.0 + 1.0 / made.simulations
@@ -118,7 +133,7 @@ def fit_initial_model(
     """As `fit_linearized`, with what simulation adds to the laws that stand, and what they add to the moments."""
     posterior, null_fit = fit_linearized(observed, prior, context)
     simulated = (posterior, null_fit, normal_moments(posterior))
-    for _ in range(_STANDING):
+    for _ in range(_N_REFITS):
         simulated = fit_persistent_effects(*simulated[:2])
     # Near the strongest motion that a law allows, forces fitted to its linear form make it run away: then that form stays.
     return max(simulated, (posterior, null_fit, normal_moments(posterior)), key=lambda made: made[1].log_posterior)
@@ -141,7 +156,7 @@ def fit_by_simulation(posterior: Posterior, fit: MapEstimate, effort: Effort = "
 def _weaken_laws(posterior: Posterior, fit: MapEstimate) -> MapEstimate:
     """Where a fit begins with weaker laws."""
     x = fit.x.copy()
-    x[posterior.layout.effects][[e.nonlinear for e in fit.effects for _ in e.parameters]] *= _WEAKER
+    x[posterior.layout.effects][[e.nonlinear for e in fit.effects for _ in e.parameters]] *= _REDUCED_START
     return replace(fit, x=x, effects=with_coordinates(fit.effects, x[posterior.layout.effects]))
 
 
@@ -165,7 +180,7 @@ def _iterate_simulation(posterior: Posterior, fit: MapEstimate, rounds: Rounds) 
         linear = replace(linear, conditions=linearize(linear, fit.x, fit.effects))
         kept = known if known > 1 else 0  # a single one was taken on the way
         pieces: list[partial[Any]] = [
-            partial(_simulate_slopes, linear, fit, _OTHER + kept + i) for i in range(count * sloped)
+            partial(_simulate_slopes, linear, fit, _FIRST_SLOPE_SEED + kept + i) for i in range(count * sloped)
         ]
         pieces += [partial(_simulate_offset, linear, fit, i) for i in range(count)]
         done = parallel_map(lambda piece: piece(), pieces)
@@ -202,19 +217,19 @@ def refine_fit(posterior: Posterior, fit: MapEstimate) -> tuple[CorrectedPosteri
         near, start = made.posterior, made.fit
     if _sensors_alone(fit):
         return near, start
-    count = int(np.clip(np.ceil(2.0 * near.lost / _LOSS), _LEAST, _MOST))
-    rounds: Rounds = ((count, False),) if count == _LEAST else ((count // 2, True), (count, False))
-    if _largest_share(_spurious_share(near, start)) > _MUCH:
-        rounds = ((max(count, _SLOPED - near.simulations), True),)
+    count = int(np.clip(np.ceil(2.0 * near.lost / _NATS_A_SIMULATION), _MIN_SIMULATIONS, _MAX_SIMULATIONS))
+    rounds: Rounds = ((count, False),) if count == _MIN_SIMULATIONS else ((count // 2, True), (count, False))
+    if _largest_share(_spurious_share(near, start)) > _HIGH_NOISE_INFORMATION:
+        rounds = ((max(count, _N_SLOPE_SIMULATIONS - near.simulations), True),)
     last = _iterate_simulation(near, start, rounds)
     sizes = last.fit.x[posterior.layout.effects]
     nonlinear = np.array([e.nonlinear for e in fit.effects for _ in e.parameters])
-    if (last.posterior.doubt > _VAGUE * np.abs(sizes))[nonlinear].any():
-        last = _iterate_simulation(last.posterior, last.fit, ((_MOST, False),))
+    if (last.posterior.doubt > _UNCERTAIN_SIZE * np.abs(sizes))[nonlinear].any():
+        last = _iterate_simulation(last.posterior, last.fit, ((_MAX_SIMULATIONS, False),))
     moved = np.abs(last.fit.x - start.x)[posterior.layout.effects]
     if last.fit.log_posterior + last.posterior.lost < start.log_posterior + near.lost:
         return replace(near, doubt=np.hypot(last.posterior.doubt, moved)), start
-    return replace(last.posterior, doubt=np.hypot(last.posterior.doubt, _UNSETTLED * moved)), last.fit
+    return replace(last.posterior, doubt=np.hypot(last.posterior.doubt, _MOVE_STD * moved)), last.fit
 
 
 def _simulate_offset(posterior: Posterior, fit: MapEstimate, seed: int) -> tuple[ComplexArray, ComplexArray, Moments]:
@@ -240,7 +255,7 @@ def _simulate_slopes(posterior: Posterior, fit: MapEstimate, seed: int) -> Compl
             continue
         x = fit.x.copy()
         sizes = x[posterior.layout.effects]
-        step = _STEP * abs(sizes[i])
+        step = _SIZE_DIFFERENCE * abs(sizes[i])
         sizes[i] += step
         effects = with_coordinates(fit.effects, sizes)
         slope[:] = (
@@ -291,7 +306,7 @@ def _widen_covariance(posterior: Posterior, fit: MapEstimate) -> Array:
     Such a fit takes its information J'J for larger than it is, and its covariance for smaller.
     """
     part = _spurious_share(posterior, fit)
-    wider = np.linalg.inv(np.eye(len(part)) - part * min(1.0, _FEIGNED / max(_largest_share(part), 1e-9)))
+    wider = np.linalg.inv(np.eye(len(part)) - part * min(1.0, _MAX_NOISE_INFORMATION / max(_largest_share(part), 1e-9)))
     return np.asarray(wider @ fit.covariance @ wider.T)
 
 

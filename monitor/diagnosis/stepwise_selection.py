@@ -41,12 +41,13 @@ from monitor.diagnosis.simulation_refit import (
 from monitor.inference import CorrectedPosterior, MapEstimate, Moments, ObservedSpectra, Posterior, maximize_posterior
 from monitor.model import Context, Effect, StructuralPrior
 
-_LIKELY = 2
-"""Candidates that are asked how a measured ground moved between its samples."""
-_MOVED = 0.05
-"""Relative change of a frequency from which it matters what of the damping stayed."""
-_SURE = 3.0
-"""Standard deviations of a simulation's chance that a further cause must beat."""
+_N_GROUND_TESTS = 2
+"""Candidates beside which the ground's motion between its samples is tested again. [count; cost]"""
+_FREQUENCY_SHIFT = 0.05
+"""Relative change of a frequency from which the form of the damping matters. [ratio; judgement]"""
+_SIMULATION_STDS = 3.0
+"""Random error of the simulations that the gain of a further cause must exceed. [standard deviations; convention: three
+sigma]"""
 Verdict = Literal["none", "named", "ambiguous", "unexplained"]
 
 
@@ -202,7 +203,7 @@ def _refit_ground_interpolation(
     if drive is None or not candidates or candidates[0].candidate.log_evidence < min_gain:
         return None
     likely: list[tuple[float, ObservedSpectra]] = []
-    for p in candidates[:_LIKELY]:
+    for p in candidates[:_N_GROUND_TESTS]:
         before = p.candidate.fit
         posterior, fit = fit_ground_interpolation(p.posterior, before)
         likely.append((p.candidate.log_evidence + fit.log_posterior - before.log_posterior, posterior.observed))
@@ -233,7 +234,7 @@ def _accept(stage: _SearchState, best: RefittedCandidate, settings: DiagnosisSet
         margin = max(
             margin,
             settings.aftermath * best.candidate.delta_log_posterior,
-            settings.margin + _SURE * best.log_evidence_std,
+            settings.margin + _SIMULATION_STDS * best.log_evidence_std,
         )
     return _SearchState(posterior, fit, stage.null_fit, accepted, added, margin)
 
@@ -366,7 +367,7 @@ def _extend_posterior(posterior: Posterior, fit: MapEstimate) -> Posterior:
     known = (
         posterior.damped_as_built or isinstance(posterior, CorrectedPosterior) or posterior.observed.drive is not None
     )
-    if known or np.abs(np.log(after / before)).max() < _MOVED:
+    if known or np.abs(np.log(after / before)).max() < _FREQUENCY_SHIFT:
         return ratios
     matrix = replace(ratios, damped_as_built=True)
     return max(ratios, matrix, key=lambda form: maximize_posterior(form, fit.x, fit.effects).log_posterior)

@@ -26,15 +26,19 @@ Poles = tuple[Indices, ComplexArray, ComplexArray, ComplexArray]
 Region = tuple[float, float, float, float]
 """Bounds of a pole's logarithm: its least and largest magnitude, and of its damping ratio."""
 EVERYWHERE: Region = (0.0, np.inf, -np.inf, np.inf)
+"""A region that holds every eigenvalue. [1; definition]"""
 
 _EPS = 2.0**-52
-_TINY = 1e-290
-"""Instead of a pivot that vanishes."""
-_NEAR = 1e-5
-"""Distance of two values, over the largest, within which their vectors mix."""
-_MOST_SWEEPS = 60
-_LEAST_GROWTH = 1e10
-"""Of a solution with a pole as shift over the right side: the vector's residual is its inverse, times the order."""
+"""Distance of 1 to the next number. [1; definition: double precision]"""
+_PIVOT_IN_PLACE_OF_0 = 1e-290
+"""Taken in place of a pivot that vanishes. [1; definition: near the least double]"""
+_CLUSTER_DISTANCE = 1e-5
+"""Distance of two eigenvalues, over the largest, within which their vectors mix. [ratio; rounding]"""
+_MAX_SWEEPS = 60
+"""Most iterations for one eigenvalue. [iterations; cost]"""
+_MIN_GROWTH = 1e10
+"""Least growth of a solution by inverse iteration; the residual of the vector is its inverse times the order. [ratio;
+rounding]"""
 
 
 def upper_poles(a: Array, c: Array, orders: Sequence[int], region: Region = EVERYWHERE) -> Poles:
@@ -187,7 +191,7 @@ def _eigenvalues(hessenberg: Array) -> ComplexArray:
             root = np.sqrt(complex(half * half + product))
             values[begin], values[end] = h[end, end] + half + root, h[end, end] + half - root
             end, sweeps = end - 2, 0
-        elif sweeps == _MOST_SWEEPS:
+        elif sweeps == _MAX_SWEEPS:
             values[:] = np.nan
             return values
         else:
@@ -279,7 +283,7 @@ def _vector(h: Array, pole: complex, u: ComplexArray, x: ComplexArray) -> bool:
             total -= u[i, j] * x[j]
         x[i] *= total
         growth = max(growth, abs(x[i].real) + abs(x[i].imag))
-    return growth * norm >= _LEAST_GROWTH
+    return growth * norm >= _MIN_GROWTH
 
 
 @compiled(error_model="numpy")
@@ -304,15 +308,15 @@ def tridiagonal_vectors(diagonal: Array, beside: Array, values: Array) -> Array:
     values : ndarray, shape (m,)
         In order.
     """
-    n, near = diagonal.size, _NEAR * np.abs(values).max()
+    n, near = diagonal.size, _CLUSTER_DISTANCE * np.abs(values).max()
     out, down, up = np.empty((values.size, n)), np.empty(n), np.empty(n)
     for k in range(values.size):
         down[0], up[n - 1] = diagonal[0] - values[k], diagonal[n - 1] - values[k]
         for i in range(1, n):
-            down[i - 1] = down[i - 1] or _TINY
+            down[i - 1] = down[i - 1] or _PIVOT_IN_PLACE_OF_0
             down[i] = diagonal[i] - values[k] - beside[i - 1] ** 2 / down[i - 1]
         for i in range(n - 2, -1, -1):
-            up[i + 1] = up[i + 1] or _TINY
+            up[i + 1] = up[i + 1] or _PIVOT_IN_PLACE_OF_0
             up[i] = diagonal[i] - values[k] - beside[i] ** 2 / up[i + 1]
         joint, least = 0, np.inf
         for i in range(n):

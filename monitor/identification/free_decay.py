@@ -13,7 +13,7 @@ import numpy as np
 from monitor.core import Array, ModalEstimate
 
 _SETTLING_S = 0.3
-"""The lowpass rings this long after the blow."""
+"""Time after a blow during which the lowpass still rings. [s; impulse response of the lowpass]"""
 
 
 def with_decay_deviations(modes: ModalEstimate, values: Array, rate_hz: float) -> ModalEstimate:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from monitor.core import Array, ComplexArray, compiled
 
 IMPOSSIBLE = 1e3
-"""Cost of what must not be."""
+"""Cost of a match that is not allowed. [1; definition: above any cost that occurs]"""
 
 
 @compiled()

@@ -21,15 +21,20 @@ from monitor.core import Array, ComplexArray, LagSums, Settings
 
 Indices = NDArray[np.intp]
 _RANK_TOLERANCE = 1e-12
+"""Singular values below this share of the largest are zero. [ratio; rounding]"""
 _SINGULAR_TOLERANCE = 1e-9
-_SQUARED_TOLERANCE, _APART = 1e-4, 1e-12
-"""Least square of a singular value, and distance of two, over the largest, to be found as eigenvalues."""
-_FILL = 0.03
-"""Power of the noise beyond the lowpass that weights are formed with, over that of the channel."""
-_MANY = 10
-"""Channels up to which `auto` is CVA: with more, and as many modes, its orders are biased, and its weights cost their cube."""
-_LARGE = 500
-"""Rows from which only the wanted singular triplets are computed."""
+"""Smallest ratio of the eigenvalues of a weight that can be inverted. [ratio; rounding]"""
+_SQUARED_TOLERANCE = 1e-4
+"""Smallest squared singular value, over the largest, that is found as an eigenvalue. [ratio; rounding]"""
+_MIN_SQUARED_DISTANCE = 1e-12
+"""Smallest distance of two such squares, over the largest. [ratio; rounding]"""
+_OUT_OF_BAND_NOISE = 0.03
+"""Power of the noise that weights are formed with beyond the lowpass, over the channel's power. [ratio; judgement]"""
+_MAX_CVA_CHANNELS = 10
+"""Most channels for which `auto` is CVA; the cost of its weights grows with their cube. [channels; simulation: with
+more channels the orders of CVA are biased]"""
+_MIN_SPARSE_ROWS = 500
+"""Rows from which only the wanted singular triplets are computed. [rows; cost]"""
 
 
 class SsiSettings(Settings):
@@ -52,7 +57,7 @@ class SsiSettings(Settings):
         """The variant for so many channels."""
         if self.variant != "auto":
             return self.variant
-        return "CVA" if n_channels <= _MANY else "COV"
+        return "CVA" if n_channels <= _MAX_CVA_CHANNELS else "COV"
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -182,12 +187,16 @@ def _upper(n: int) -> Array:
 
 def _leading(matrix: Array, count: int) -> tuple[Array, Array]:
     """At least the `count` largest singular values, falling, and as many right vectors, as columns."""
-    if min(matrix.shape) < _LARGE:
+    if min(matrix.shape) < _MIN_SPARSE_ROWS:
         # Where squares lose no more than a few digits, the symmetric problem takes less than half the time.
         reflected, diagonal, beside, scales, _ = lapack.dsytrd(matrix.T @ matrix, lower=1)
         squares, failed = lapack.dsterf(diagonal, beside)
         apart = np.diff(squares[-count - 1 :]).min()
-        if not failed and squares[-count] > _SQUARED_TOLERANCE * squares[-1] and apart > _APART * squares[-1]:
+        if (
+            not failed
+            and squares[-count] > _SQUARED_TOLERANCE * squares[-1]
+            and apart > _MIN_SQUARED_DISTANCE * squares[-1]
+        ):
             from monitor.identification.eigen import tridiagonal_vectors  # compiled code takes a while to load
 
             turned = tridiagonal_vectors(diagonal, beside, squares[: -count - 1 : -1]).T
@@ -270,10 +279,10 @@ def _weight(gram: Array, n_channels: int, cutoff: float) -> Array:
 
 @lru_cache(maxsize=8)
 def _beyond(i: int, cutoff: float) -> Array:
-    """Covariances at i moments of white noise beyond the cutoff, of power `_FILL`, shape (i, i)."""
+    """Covariances at i moments of white noise beyond the cutoff, of power `_OUT_OF_BAND_NOISE`, shape (i, i)."""
     lag = np.abs(np.arange(i)[:, None] - np.arange(i))
     within = 2.0 * cutoff * np.sinc(2.0 * cutoff * lag)
-    return np.asarray(_FILL * ((lag == 0) - within) / (1.0 - 2.0 * cutoff))
+    return np.asarray(_OUT_OF_BAND_NOISE * ((lag == 0) - within) / (1.0 - 2.0 * cutoff))
 
 
 def _inverse_root(matrix: Array) -> Array:

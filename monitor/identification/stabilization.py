@@ -21,14 +21,17 @@ from monitor.identification.ssi_uncertainty import mode_deviations
 from monitor.model import Modes
 
 _BAND = 0.45
-"""Share of the sampling rate up to which modes are looked for: a little beyond the lowpass's edge."""
+"""Share of the sampling rate up to which modes are looked for. [ratio; the lowpass: 0.4 of the rate, and a little
+more]"""
 _ORDERS_PER_MODE = 6
-"""Least largest order for each mode looked for: a mode needs two, and must be stable in half of the orders that have room."""
+"""Least largest order for each mode looked for. [count; a mode needs two, and must be stable in half of the orders that
+have room]"""
 _RATE_STEPS = 0.7
-"""Advised rate, in steps of 5 Hz, for each Hz of the highest mode looked for: the cutoff, 0.4 of the rate, is 1.4 times it."""
+"""Advised rate, in steps of 5 Hz, for each Hz of the highest mode looked for. [1; the lowpass: a cutoff of 1.4 times
+the highest mode is 0.4 of the rate]"""
 _SPLIT = 4.0
-"""Standard deviation of a frequency, over what ambient vibration allows, from which the order is taken to split the mode:
-simulated white and coloured forces give 1 to 3.5, earthquakes on measured frames 3 to 43."""
+"""Standard deviation of a frequency, over what ambient vibration allows, from which the order is taken to split the
+mode. [ratio; simulation: white and coloured forces give 1 to 3.5; measured frames: earthquakes give 3 to 43]"""
 
 
 class SelectionSettings(Settings):

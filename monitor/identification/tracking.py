@@ -15,9 +15,13 @@ from pydantic import Field
 from monitor.core import Array, ComplexArray, ModalEstimate, Settings
 
 _DAY_NS = 86_400_000_000_000
-_NOISE_RATE = 0.05  # share of a look in what is known of a track's noise: a memory of twenty
-_ROUNDING = 1e-9  # of sums of shares of looks
-_LEAST_STD = 1e-5  # relative; nobody measures a frequency better
+"""One day. [ns; definition]"""
+_NOISE_RATE = 0.05
+"""Weight of one new window in the estimate of a track's scatter: a memory of twenty windows. [ratio; judgement]"""
+_ROUNDING = 1e-9
+"""Tolerance on the sum of shares that count as windows. [1; rounding]"""
+_MIN_FREQUENCY_STD = 1e-5
+"""Smallest relative standard deviation of a frequency: nobody measures one better. [ratio; judgement]"""
 
 
 class TrackSettings(Settings):
@@ -200,7 +204,7 @@ def _fresh(seen: Observed, t_ns: int, settings: TrackSettings) -> dict[int, Trac
     shapes = seen.shapes / np.linalg.norm(seen.shapes, axis=1)[:, None]
     fresh = {}
     for j in usable:
-        variance = max(float(std[j] / f[j]), _LEAST_STD) ** 2
+        variance = max(float(std[j] / f[j]), _MIN_FREQUENCY_STD) ** 2
         fresh[j] = Track(-1, t_ns, t_ns, log(f[j]), variance, 1.0, shapes[j], 1.0, 0.0)
     return fresh
 

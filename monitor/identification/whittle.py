@@ -38,10 +38,12 @@ from monitor.identification.whittle_model import (
 from monitor.signals import overlap_correlation
 
 _WEAK_STD = 3.0
-_HOPELESS = 20.0
-"""Power of the data over the model's from which no fit is tried; near a start that leads anywhere it is between 1 and 2."""
-_MOST_ENTRIES = 4_000_000
-"""Of the spectrum's slopes: some twenty channels with eight modes."""
+"""Prior standard deviation of a parameter that the data hardly determine. [1; not recorded]"""
+_MAX_START_RATIO = 20.0
+"""Power of the data over the model's from which no fit is tried. [ratio; simulation: between 1 and 2 where a start
+leads anywhere]"""
+_MAX_ENTRIES = 4_000_000
+"""Largest size of the spectrum's slopes. [count; cost: some twenty channels with eight modes]"""
 
 
 class RefinementSettings(Settings):
@@ -72,7 +74,7 @@ def refine(window: Window, modes: ModalEstimate, settings: RefinementSettings) -
     if not settings.enabled or len(window.segments) < settings.min_segments:
         return modes
     layout = layout_of(modes, settings.half_band, len(window.segments[0]), window.segment_bin_hz)
-    if layout.columns.size * layout.counts.size > _MOST_ENTRIES:
+    if layout.columns.size * layout.counts.size > _MAX_ENTRIES:
         return modes
     data = cross_spectra(layout, window.segments)
     n_segments, n_modal = len(data), layout.n_modal
@@ -82,7 +84,7 @@ def refine(window: Window, modes: ModalEstimate, settings: RefinementSettings) -
             model = predict(layout, point)
             inverse = inverses(model.value)
             level = _levels(layout, inverse, data)
-            if level.mean() > _HOPELESS:  # responses that are none of these modes: the scoring would run away
+            if level.mean() > _MAX_START_RATIO:  # responses that are none of these modes: the scoring would run away
                 return modes
             level /= level.mean()
             curve, information = _curve(layout, inverse, model)

@@ -18,9 +18,11 @@ from monitor.core import Array, ComplexArray, ModalEstimate
 from monitor.signals import LEAKAGE_OFFSETS, leakage
 
 _FIRST_BIN = 4
-_LEAST_HALF_BINS = 8
-_POOL = 0.3
-"""Width of a pool over its distance from the nearest mode."""
+"""Lowest bin that is fitted. [bins; not recorded]"""
+_MIN_HALF_BINS = 8
+"""Least half-width of a mode's band. [bins; not recorded]"""
+_POOL_WIDTH = 0.3
+"""Width of a group of bins that are averaged, over its distance from the nearest mode. [ratio; judgement]"""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -90,10 +92,10 @@ def layout_of(modes: ModalEstimate, half_band: float, n_bins: int, bin_hz: float
     """
     number = np.arange(n_bins)
     centre = np.round(modes.frequencies_hz / bin_hz)
-    half = np.maximum(_LEAST_HALF_BINS, np.round(half_band * 2.0 * modes.damping_ratio * centre))
+    half = np.maximum(_MIN_HALF_BINS, np.round(half_band * 2.0 * modes.damping_ratio * centre))
     distance = np.abs(number[:, None] - centre)
     bins = np.flatnonzero((distance <= half).any(axis=1) & (number >= _FIRST_BIN))
-    widest = np.maximum(1, (_POOL * distance.min(axis=1)[bins]).astype(int))
+    widest = np.maximum(1, (_POOL_WIDTH * distance.min(axis=1)[bins]).astype(int))
     first: list[int] = []
     for band in np.split(np.arange(bins.size), np.flatnonzero(np.diff(bins) > 1) + 1):
         begin, end = int(band[0]), int(band[-1]) + 1

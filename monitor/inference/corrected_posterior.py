@@ -17,13 +17,13 @@ from monitor.inference.posterior import Posterior
 from monitor.inference.wishart import definite, grown_by
 from monitor.model import EFFECTS, Effect
 
-_SMOOTH = 0.006
-"""Width over which the correction is smoothed, as a share of the frequency: about a half-power bandwidth."""
-_DEEPEST = -0.85
-"""Share of a predicted spectrum that the correction may take away."""
+_SMOOTHING_WIDTH = 0.006
+"""Width over which the correction is smoothed, over the frequency. [ratio; a half-power bandwidth]"""
+_MIN_CORRECTION = -0.85
+"""Largest share of a predicted spectrum that the correction may take away, as a negative number. [ratio; judgement]"""
 
-_STEP = 0.01
-"""Relative change of a size by which slopes are taken."""
+_CORRECTION_DIFFERENCE = 0.01
+"""Relative change of a size over which slopes are taken. [ratio; judgement]"""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -146,17 +146,17 @@ def _around(root: NDArray[Any], inner: NDArray[Any]) -> ComplexArray:
 
 
 def _smooth(relative: ComplexArray, hz: Array) -> ComplexArray:
-    near = np.exp(-0.5 * ((hz[:, None] - hz) / np.maximum(_SMOOTH * hz[:, None], 1e-9)) ** 2)
+    near = np.exp(-0.5 * ((hz[:, None] - hz) / np.maximum(_SMOOTHING_WIDTH * hz[:, None], 1e-9)) ** 2)
     near /= near.sum(axis=1, keepdims=True)
     return np.asarray(np.moveaxis(np.tensordot(near, relative, axes=(1, -3)), 0, -3))
 
 
 def _bounded(relative: ComplexArray) -> ComplexArray:
     """Corrections that leave some of every spectrum."""
-    deep = ~definite(relative - _DEEPEST * np.eye(relative.shape[-1])) & np.isfinite(relative).all(axis=(-2, -1))
+    deep = ~definite(relative - _MIN_CORRECTION * np.eye(relative.shape[-1])) & np.isfinite(relative).all(axis=(-2, -1))
     values, vectors = np.linalg.eigh(relative[deep])
     out = relative.copy()
-    out[deep] = (vectors * np.maximum(values, _DEEPEST)[:, None, :]) @ vectors.conj().swapaxes(-1, -2)
+    out[deep] = (vectors * np.maximum(values, _MIN_CORRECTION)[:, None, :]) @ vectors.conj().swapaxes(-1, -2)
     return out
 
 
@@ -192,7 +192,7 @@ def correct_posterior(
     known = np.zeros((centre.size, *offset.shape), dtype=complex)
     known[: len(slopes)] = slopes
     by_size = []
-    for i, step in enumerate(np.diag(_STEP * np.abs(centre))):
+    for i, step in enumerate(np.diag(_CORRECTION_DIFFERENCE * np.abs(centre))):
         by_size.append((relative_at(centre + step, offset + known[i] * step[i])[1] - here) / step[i])
     return CorrectedPosterior(
         **plain | {"offset": offset},

@@ -18,12 +18,16 @@ from monitor.model import Condition, Context, Effect, System
 from monitor.signals import LEAKAGE_OFFSETS, hann_amplitude, leakage
 
 _TAPS = leakage()
-_LEAST_SHARE, _MOST = 1e-9, 0.999
-"""Of the variance that comes from the ground: less is none, more is this."""
-_BLOCK = 64
-"""Frequencies whose systems are solved together."""
-_LOWEST_HZ, _LOG_STEPS = 0.05, 4000
-"""Where the ground's variance is summed up from, and in how many steps."""
+_MIN_GROUND_SHARE = 1e-9
+"""Share of the variance from the ground below which it is zero. [ratio; rounding]"""
+_MAX_GROUND_SHARE = 0.999
+"""Largest share of the variance from the ground. [ratio; rounding]"""
+_FREQUENCY_BLOCK = 64
+"""Frequencies whose systems are solved together. [count; cost]"""
+_LOWEST_HZ = 0.05
+"""Frequency from which the ground's variance is integrated. [Hz; judgement]"""
+_LOG_STEPS = 4000
+"""Steps of that integral. [count; cost]"""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -160,8 +164,8 @@ def ground_density(
     """White ground acceleration that causes `share` of the channels' variance, mean over channels, beside the forces."""
     by_force, by_ground, above = variances(system, force, effects, context, condition.band_hz)
     by_force = by_force + (condition.beyond - 1.0) * above
-    share = min(share, _MOST)
-    if share < _LEAST_SHARE:
+    share = min(share, _MAX_GROUND_SHARE)
+    if share < _MIN_GROUND_SHARE:
         return 0.0
 
     def excess(ln_density: float) -> float:
@@ -195,10 +199,10 @@ def accelerance(mass: Array, damping: Array, stiffness: Array, omega: Array, rig
     size, columns = right.shape
     out = np.empty((omega.size, size, columns), dtype=np.complex128)
     # A block of frequencies at a time, each step of the elimination for all of them: the machine works on several at once.
-    re, im = np.empty((2, size, size + columns, _BLOCK))
-    by_re, by_im = np.empty((2, _BLOCK))
-    for first in range(0, omega.size, _BLOCK):
-        w = omega[first : first + _BLOCK]
+    re, im = np.empty((2, size, size + columns, _FREQUENCY_BLOCK))
+    by_re, by_im = np.empty((2, _FREQUENCY_BLOCK))
+    for first in range(0, omega.size, _FREQUENCY_BLOCK):
+        w = omega[first : first + _FREQUENCY_BLOCK]
         m = w.size
         for i in range(size):
             for j in range(size):

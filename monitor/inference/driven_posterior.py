@@ -23,7 +23,8 @@ from monitor.inference.posterior import Posterior, difference_operator, with_coo
 from monitor.model import Effect, ModelDiscrepancy
 
 _WIND_STD = 0.15
-"""Prior standard deviation of the logarithm of a floor's force that the recording's quiet segments tell."""
+"""Prior standard deviation of the logarithm of a floor's force that the recording's quiet segments tell. [1;
+judgement]"""
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -16,17 +16,19 @@ from monitor.model import Context, Effect, LawKind, respond
 from monitor.signals import taper
 
 _STEPS_A_PERIOD = 14
-"""Least samples of the simulation in a period of the band's last frequency."""
-_BANDS = 1.3
-"""Highest frequency kept of the simulations, over the band's last."""
-_STICKY = 3
-"""Steps a sample where a law is friction."""
-_AT_ONCE = 1e3
-"""Frequency, in samples a second, at which nothing but inertia answers."""
-_SPARSE, _TURNS = 16, 12
-"""Samples of which one is taken to find a level, and iterations."""
-_NEAR_BINS = 2
-"""Bins to either side over which the likeness of the two responses is measured."""
+"""Least samples of the simulation in a period of the band's last frequency. [count; accuracy of the integration]"""
+_KEPT_BAND = 1.3
+"""Highest frequency kept of the simulations, over the band's last. [ratio; judgement]"""
+_FRICTION_STEPS = 3
+"""Steps a sample where a law is friction. [count; accuracy of the integration]"""
+_INERTIA_FREQUENCY = 1e3
+"""Frequency at which only inertia responds. [1/sample; definition: far above the band]"""
+_LEVEL_STRIDE = 16
+"""Every so many samples are used to find a level. [samples; cost]"""
+_LEVEL_STEPS = 12
+"""Iterations to find a level. [iterations; cost]"""
+_COHERENCE_BINS = 2
+"""Bins on either side over which the coherence of the two responses is measured. [bins; judgement]"""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -104,7 +106,7 @@ def simulate_exact(posterior: Posterior, x: Array, effects: Sequence[Effect], ac
     context, everything = posterior.context_at(x), (*posterior.prior.effects(x), *effects)
     model, finer = posterior.model(x, everything), 1
     if any(law.kind == LawKind.FRICTION for effect in everything for law in effect.laws(model.structure)):
-        finer = _STICKY  # where the sign of a velocity turns, forces change within a short time
+        finer = _FRICTION_STEPS  # where the sign of a velocity turns, forces change within a short time
     moved = respond(model, acting.floors, acting.ground, acting.rate_hz, step_hz=finer * acting.rate_hz)
     seen = moved @ context.sensors.T
     if acting.noise is not None:
@@ -116,10 +118,10 @@ def simulate_exact(posterior: Posterior, x: Array, effects: Sequence[Effect], ac
 
 def _measured(effect: Effect, samples: Array, posterior: Posterior, acting: Forces, context: Context) -> Array:
     """What a sensor's law makes of samples at the measured RMS, which beyond the band the model need not meet."""
-    e, part = posterior.observed, samples[::_SPARSE]
+    e, part = posterior.observed, samples[::_LEVEL_STRIDE]
     wanted = np.sqrt(e.counts @ e.rms**2 / e.counts.sum())[: samples.shape[1]]
     louder = np.ones(samples.shape[1])
-    for _ in range(_TURNS):
+    for _ in range(_LEVEL_STEPS):
         heard = effect.measure(part * louder, acting.rate_hz, context, acting.rng)
         louder *= wanted / heard.std(axis=0)
     return np.asarray(effect.measure(samples * louder, acting.rate_hz, context, acting.rng) / louder)
@@ -215,7 +217,9 @@ def _linear(posterior: Posterior, x: Array, effects: tuple[Effect, ...], acting:
     for k, members in enumerate(posterior.observed.members):
         system = extended(base, effects, context, posterior.conditions[k])
         answer = channel_response(system, hz, context)[:, :, : driven.shape[1]]
-        at_once = channel_response(system, np.array([_AT_ONCE * acting.rate_hz]), context)[0, :, : driven.shape[1]]
+        at_once = channel_response(system, np.array([_INERTIA_FREQUENCY * acting.rate_hz]), context)[
+            0, :, : driven.shape[1]
+        ]
         # Forces run straight between samples.  What that adds far above the band, where floors answer at once, is folded into it.
         folded = (driven * (1.0 - straight)) @ at_once.T
         y = _transformed(np.einsum("fcj,fj->fc", answer, driven * straight) + folded + heard, posterior, members)
@@ -233,7 +237,7 @@ def _added(effects: Sequence[Effect], posterior: Posterior, k: int) -> Array:
 
 def _likeness(cross: ComplexArray, own: ComplexArray) -> Array:
     """Squared regression of one response on another near every bin, shape (n_bins,)."""
-    ones = np.ones(2 * _NEAR_BINS + 1)
+    ones = np.ones(2 * _COHERENCE_BINS + 1)
     part, whole = (np.convolve((np.abs(a) ** 2).sum(axis=(1, 2)), ones, "same") for a in (cross, own))
     return np.asarray(part / whole)
 
@@ -255,7 +259,7 @@ def _through(transforms: ComplexArray, effects: Sequence[Effect], posterior: Pos
 def _coarse(posterior: Posterior) -> int:
     """Samples in half a segment of the series that holds the band alone."""
     band = posterior.observed.band
-    fast = next_fast_len(int(np.ceil(_BANDS * band.hz[-1] / band.bin_hz)), real=True)
+    fast = next_fast_len(int(np.ceil(_KEPT_BAND * band.hz[-1] / band.bin_hz)), real=True)
     return int(min(fast, round(posterior.observed.rate_hz / band.bin_hz / 2)))
 
 

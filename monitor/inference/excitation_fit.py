@@ -18,25 +18,21 @@ from monitor.inference.ground_response import Between
 from monitor.inference.linearization import linearize
 from monitor.inference.observed_spectra import ObservedSpectra, classify
 from monitor.inference.parameter_layout import ParameterLayout
-from monitor.inference.posterior import Posterior, difference_operator
+from monitor.inference.posterior import FORCE_STD, LEVEL_STD, NUDGE, Posterior, difference_operator
 from monitor.inference.starting_point import FORCED, guess_levels, make_posterior
 from monitor.inference.wishart import grown_by
 from monitor.model import Context, Effect, Model, StructuralPrior, loaded, prior_from_drawing
 
-_FORCE_STD, _LEVEL_STD = 1.0, 5.0
-"""Prior of the logarithms of the floors' forces about one level, of the classes' levels and of the noise."""
-_LEAST_GAIN = 0.01
-"""Nats of the last step."""
-_NEAR = 10.0
-"""Nats of a step after which the slopes change no more."""
-_NUDGE = 1e-5
-"""Finite difference of those logarithms."""
-_SIMULATIONS = 4
-"""Of laws that are not linear: of rare events a single one tells little."""
-_WORST = 1e30
-"""Stands for no likelihood at all."""
-_QUIET = 1.0 / 3.0
-"""Share of driven segments that tell the forces."""
+_MIN_GAIN_NATS = 0.01
+"""Expected gain of the next step at which the fit ends. [nats; judgement]"""
+_FIXED_SLOPES_NATS = 10.0
+"""Gain of a step below which the slopes are not computed again. [nats; judgement]"""
+_N_FIT_SIMULATIONS = 4
+"""Simulations of nonlinear laws: a single one tells little of rare events. [count; cost]"""
+_NO_LIKELIHOOD = 1e30
+"""Stands for a likelihood of zero. [nats; definition]"""
+_QUIET_SHARE = 1.0 / 3.0
+"""Share of the driven segments, the quietest, that tell the forces. [ratio; judgement]"""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -121,7 +117,9 @@ def _beyond(posterior: Posterior, x: Array, linear: ComplexArray) -> ComplexArra
         acting = draw_forces(posterior, x, (), seed)
         return simulate_spectra(posterior, x, (), acting, simulate_exact(posterior, x, (), acting)).controlled
 
-    return relative_to(linear, np.mean(parallel_map(added, range(_SIMULATIONS)), axis=0), posterior.observed.band.hz)
+    return relative_to(
+        linear, np.mean(parallel_map(added, range(_N_FIT_SIMULATIONS)), axis=0), posterior.observed.band.hz
+    )
 
 
 def _best_between_samples(posterior: DrivenPosterior, known: StructuralPrior) -> DrivenPosterior:
@@ -163,7 +161,7 @@ def _fit_driven(posterior: DrivenPosterior, x: Array) -> Array:
 
     def cost(by: Array) -> float:
         value = -posterior.log_likelihood(posterior.scatter(x + by @ moving, ()), data)
-        return min(value + 0.5 * float(by @ by) / _LEVEL_STD**2, _WORST)
+        return min(value + 0.5 * float(by @ by) / LEVEL_STD**2, _NO_LIKELIHOOD)
 
     return np.asarray(x + minimize(cost, np.zeros(k + 3), method="Powell", options={"xtol": 1e-3}).x @ moving)
 
@@ -175,7 +173,7 @@ def forces_from_quiet_segments(posterior: DrivenPosterior, x: Array, effects: tu
     """
     e, forces, levels = posterior.observed, posterior.layout.forces, posterior.layout.levels
     moved = (np.abs(posterior.mean(x, effects)) ** 2 / posterior.power).mean(axis=(1, 2))
-    quiet = classify(replace(e.segments, drive=posterior.drive).part(moved <= np.quantile(moved, _QUIET)))
+    quiet = classify(replace(e.segments, drive=posterior.drive).part(moved <= np.quantile(moved, _QUIET_SHARE)))
     like = nearest_classes(posterior.n_classes, quiet.counts.size)
     there = posterior.part(quiet, like)
     known = np.concatenate([x[: levels.start], x[levels][like], x[levels.stop :]])
@@ -198,7 +196,7 @@ def _by_scoring(posterior: Posterior, x: Array, effects: tuple[Effect, ...] = ()
     n, k, damping = posterior.context.structure.n_dofs, posterior.n_classes, 1e-3
     free = posterior.layout.excitation
     first, data = x[free].copy(), posterior.predict(x, effects).data  # levels move no mean
-    precision = np.diag(np.r_[np.full(n, _FORCE_STD), np.full(k + 1, _LEVEL_STD)] ** -2.0)
+    precision = np.diag(np.r_[np.full(n, FORCE_STD), np.full(k + 1, LEVEL_STD)] ** -2.0)
     if isinstance(posterior, DrivenPosterior):  # no class's level is theirs
         precision[:n, :n] = difference_operator(n)
 
@@ -211,10 +209,10 @@ def _by_scoring(posterior: Posterior, x: Array, effects: tuple[Effect, ...] = ()
     x, spectra, value = moved(np.zeros(first.size))
     slopes, gained = np.zeros((first.size, *spectra.shape), dtype=complex), np.inf
     for _ in range(iterations):
-        if gained > _NEAR:
+        if gained > _FIXED_SLOPES_NATS:
             for i in (*range(n), first.size - 1):
-                slopes[i] = (moved(_NUDGE * np.eye(first.size)[i])[1] - spectra) / _NUDGE
-            every = (moved(_NUDGE * np.r_[np.zeros(n), np.ones(k), 0.0])[1] - spectra) / _NUDGE
+                slopes[i] = (moved(NUDGE * np.eye(first.size)[i])[1] - spectra) / NUDGE
+            every = (moved(NUDGE * np.r_[np.zeros(n), np.ones(k), 0.0])[1] - spectra) / NUDGE
             slopes[n + np.arange(k), np.arange(k)] = every  # a class's level moves its spectra alone
         rows, residual = posterior.whitened(spectra, slopes, data)
         normal = rows.T @ rows + precision
@@ -229,6 +227,6 @@ def _by_scoring(posterior: Posterior, x: Array, effects: tuple[Effect, ...] = ()
             break
         gained = its_value - value
         x, spectra, value, damping = there, its_spectra, its_value, 0.1 * damping
-        if gained < _LEAST_GAIN:
+        if gained < _MIN_GAIN_NATS:
             break
     return x

@@ -11,14 +11,14 @@ from monitor.core import Array, ComplexArray
 from monitor.inference.posterior import Posterior
 from monitor.model import Effect
 
-_NONE = -100.0
-"""Logarithm of a force's or of noise's density that is none."""
-_APART = 1e-6
-"""How different what forces make must be for each to have a level of its own."""
-_STEPS = 4
-"""Of Fisher scoring to the levels; from nearby it converges in two."""
-_LEAST = 0.1
-"""What one step leaves of a level."""
+_LOG_NOTHING = -100.0
+"""Logarithm of the density of a force or of noise that is absent. [1; definition]"""
+_MIN_SPECTRAL_DIFFERENCE = 1e-6
+"""How different the spectra that forces cause must be for each force to have a level of its own. [ratio; rounding]"""
+_SCORING_STEPS = 4
+"""Steps of Fisher scoring to the levels. [iterations; converges in two from nearby]"""
+_MIN_LEVEL_FACTOR = 0.1
+"""Least share of a level that one step leaves. [ratio; judgement]"""
 
 
 def spectra_by_force(posterior: Posterior, x: Array, effects: Sequence[Effect]) -> ComplexArray:
@@ -33,7 +33,7 @@ def spectra_by_force(posterior: Posterior, x: Array, effects: Sequence[Effect]) 
     calm = replace(linear, conditions=tuple(replace(c, ground=0.0) for c in posterior.conditions))
     whole, ground = posterior.scatter(still, effects), linear.scatter(still, effects) - calm.scatter(still, effects)
     none = still.copy()
-    none[layout.forces] = _NONE
+    none[layout.forces] = _LOG_NOTHING
     alone, unforced = [], calm.scatter(none, effects)
     for j in range(n):
         one = none.copy()
@@ -59,18 +59,18 @@ def ground_levels(posterior: Posterior, x: Array, effects: Sequence[Effect]) -> 
 def fit_levels(parts: ComplexArray, noise: ComplexArray, data: ComplexArray) -> Array:
     """Factors on the parts, each of shape (n_bins, c, c), that explain the data best beside the noise, shape (n_parts,)."""
     level = np.ones(len(parts))
-    for _ in range(_STEPS):
+    for _ in range(_SCORING_STEPS):
         model = np.tensordot(level, parts, axes=1) + noise
         inverse = np.linalg.inv(model)
         slopes = inverse @ parts
         rise = np.einsum("jfab,fba->j", slopes @ inverse, data - model).real
-        step = np.linalg.lstsq(np.einsum("ifab,jfba->ij", slopes, slopes).real, rise, rcond=_APART)[0]
-        level = np.maximum(level + step, _LEAST * level)
+        step = np.linalg.lstsq(np.einsum("ifab,jfba->ij", slopes, slopes).real, rise, rcond=_MIN_SPECTRAL_DIFFERENCE)[0]
+        level = np.maximum(level + step, _MIN_LEVEL_FACTOR * level)
     return level
 
 
 def _silent(posterior: Posterior, x: Array) -> Array:
     """The nuisances without noise."""
     still = x.copy()
-    still[posterior.layout.noise] = _NONE
+    still[posterior.layout.noise] = _LOG_NOTHING
     return still

@@ -17,8 +17,10 @@ from monitor.inference.parameter_layout import ParameterLayout
 from monitor.inference.wishart import grown_by
 from monitor.model import Condition, Context, Effect, Model, ModelDiscrepancy, StructuralPrior, System
 
-_LINE_BINS, _LINE_SHARE = 3.0, 0.01
-"""How far either side of a known machine's line spectra are not compared: in bins, and of its frequency (motors slip)."""
+_LINE_BINS = 3.0
+"""Half-width of the band around a known machine's line that is not compared. [bins; the taper's main lobe]"""
+_LINE_SHARE = 0.01
+"""The same as a share of the line's frequency. [ratio; judgement: motors slip]"""
 
 
 @dataclass(frozen=True, eq=False, slots=True)

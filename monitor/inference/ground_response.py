@@ -27,23 +27,28 @@ Between = Literal["smooth", "straight", "held"]
 """How the ground moves between its samples: as a sensor's filter leaves it, or as a simulation reads them."""
 
 _IMAGES = (0, -1, 1)
+"""Images of the spectrum that sampling folds into the band. [count; definition]"""
 _PAD_S = 40.0
-"""Zeros after a run, in which its last motion dies out before it wraps."""
-_ALIGNED = 0.02
-"""Samples by which the ground's instants may differ from the floors'."""
-_FINER, _LEAST_STEP_HZ = 4, 1000.0
-"""Steps of nonlinear laws: samples of the ground to one of the recording, and their least rate."""
-_SLOWEST = 0.2 / (2.0 * np.pi)
-"""Motion slower than this share of the first frequency is the sensors' tilt; in Hz over rad/s."""
-_STEEP = 12
-"""Order of the highpass that takes it away."""
-_LEFT = 0.05
-"""Least gain of the anti-alias filter that is undone."""
-_LEAST = 6
-"""Segments that a run must cover."""
+"""Zeros after a run, in which its last motion dies out before it wraps around. [s; judgement]"""
+_MAX_MISALIGNMENT = 0.02
+"""Largest difference of the instants of the ground and of the floors. [samples; judgement]"""
+_GROUND_OVERSAMPLING = 4
+"""Samples of the ground for one of the recording, as steps of nonlinear laws. [ratio; accuracy of the integration]"""
+_MIN_STEP_HZ = 1000.0
+"""Least rate of these steps. [Hz; accuracy of the integration]"""
+_TILT_FREQUENCY = 0.2 / (2.0 * np.pi)
+"""Motion slower than this times the first circular frequency is tilt of the sensors. [Hz s/rad; judgement: a fifth of
+the first frequency]"""
+_HIGHPASS_ORDER = 12
+"""Order of the highpass that removes tilt. [1; judgement]"""
+_MIN_FILTER_GAIN = 0.05
+"""Least gain of the anti-alias filter that is compensated. [ratio; judgement]"""
+_MIN_RUN_SEGMENTS = 6
+"""Fewest segments that a run without gaps must cover. [segments; judgement]"""
 _SMOOTH_HZ = 12.0
+"""Width over which the error of the response is smoothed. [Hz; not recorded]"""
 _MEAN_ROWS = 2.0
-"""Information of a complex normal's mean, over that of its squared modulus."""
+"""Information of the mean, over that of the squared modulus. [ratio; definition: complex normal distribution]"""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -131,13 +136,13 @@ def locate(
     for s, t_ns in enumerate(segments_t_ns):
         for i, (begin, samples) in enumerate(runs):
             at = (t_ns - begin) * 1e-9 * design.rate_hz
-            if abs(at - round(at)) < _ALIGNED and 0 <= round(at) <= samples.size - design.n:
+            if abs(at - round(at)) < _MAX_MISALIGNMENT and 0 <= round(at) <= samples.size - design.n:
                 which.append(i)
                 first.append(round(at))
                 break
         else:
             covered[s] = False
-    if len(which) < max(_LEAST, 0.5 * covered.size):
+    if len(which) < max(_MIN_RUN_SEGMENTS, 0.5 * covered.size):
         return None
     made = []
     for _, samples in runs:
@@ -207,20 +212,23 @@ def exact_response(
 
     laws = [law for effect in effects for law in effect.laws(context.structure)]
     n, inertia = context.structure.n_dofs, system.mass.sum(axis=1)
-    lowest = _SLOWEST * float(np.sqrt(eigh(system.stiffness, system.mass, eigvals_only=True).min()))
+    lowest = _TILT_FREQUENCY * float(np.sqrt(eigh(system.stiffness, system.mass, eigvals_only=True).min()))
     clock = float(np.prod([e.clock_factor for e in effects]))
     out = np.empty((drive.run.size, band.n_bins, len(context.channels)), dtype=complex)
     for i, run in enumerate(drive.runs):
         hz = np.asarray(np.arange(run.n // 2 + 1) * (drive.design.rate_hz / run.n), dtype=np.float64)
-        finer = drive.design.rate_hz * _FINER
+        finer = drive.design.rate_hz * _GROUND_OVERSAMPLING
         # The laws see the ground before the filter, as far as it leaves any of it.
-        kept = np.abs(run.passed) > _LEFT
+        kept = np.abs(run.passed) > _MIN_FILTER_GAIN
         moved = next(drive.images(hz))[1] * run.spectrum * np.where(kept, 1.0 / np.where(kept, run.passed, 1.0), 0.0)
         # Steps run straight between samples, which is a lowpass; slow tilt is no motion.
-        shape = 1.0 / np.sinc(hz / finer) ** 2 / (1.0 + (lowest / np.maximum(hz, 1e-9)) ** _STEEP)
-        ground = irfft(shape * moved, n=run.n * _FINER)[: run.length * _FINER] * _FINER
-        floors = march(system, n, laws, -ground[:, None] * inertia, finer * clock, None, _LEAST_STEP_HZ)
-        floors = np.pad(floors[::_FINER], ((0, run.n - run.length), (0, 0)))
+        shape = 1.0 / np.sinc(hz / finer) ** 2 / (1.0 + (lowest / np.maximum(hz, 1e-9)) ** _HIGHPASS_ORDER)
+        ground = (
+            irfft(shape * moved, n=run.n * _GROUND_OVERSAMPLING)[: run.length * _GROUND_OVERSAMPLING]
+            * _GROUND_OVERSAMPLING
+        )
+        floors = march(system, n, laws, -ground[:, None] * inertia, finer * clock, None, _MIN_STEP_HZ)
+        floors = np.pad(floors[::_GROUND_OVERSAMPLING], ((0, run.n - run.length), (0, 0)))
         absolute = np.asarray((rfft(floors, axis=0) + moved[:, None]) * run.passed[:, None]) @ context.sensors.T
         samples = irfft(_seen(np.asarray(absolute, dtype=complex), effects, hz * clock, context, condition).T, n=run.n)
         members = np.flatnonzero(drive.run == i)

@@ -19,14 +19,15 @@ from monitor.inference.observed_spectra import relative_level
 from monitor.inference.posterior import Posterior
 from monitor.signals import overlap_correlation, taper
 
-_ABOUT = 0.15
-"""Half-width of a mode's band, over its frequency."""
-_UNEVEN = 0.03
-"""Least standard deviation of the kurtosis that uneven forces give all modes."""
-_WIDE = 0.1
-"""Least width of a band between modes, over its frequency."""
-_FREEDOM = 10.0
-"""Of Student's distribution for the kurtosis: blows and tones in a mode's band, which no law here makes, speak for none."""
+_MODE_BAND = 0.15
+"""Half-width of a mode's band, over its frequency. [ratio; judgement]"""
+_MIN_KURTOSIS_STD = 0.03
+"""Least standard deviation of the kurtosis that forces of changing level give all modes. [1; judgement]"""
+_MIN_BAND_WIDTH = 0.1
+"""Least width of a band between modes, over its frequency. [ratio; judgement]"""
+_STUDENT_FREEDOM = 10.0
+"""Of Student's distribution for the kurtosis. [degrees of freedom; judgement: blows and tones, which no law here makes,
+must not decide]"""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -72,9 +73,9 @@ class MeasuredMoments:
         away = self.mean - expected
         skew = (away.skewness / self.std.skewness) ** 2 / spread + np.log(spread)
         known = self.std.kurtosis < np.inf
-        variance = np.diag(spread * self.std.kurtosis[known] ** 2) + np.hypot(_UNEVEN, self.uneven) ** 2
+        variance = np.diag(spread * self.std.kurtosis[known] ** 2) + np.hypot(_MIN_KURTOSIS_STD, self.uneven) ** 2
         square = away.kurtosis[known] @ np.linalg.solve(variance, away.kurtosis[known])
-        tails = (_FREEDOM + known.sum()) * np.log1p(square / _FREEDOM) + np.linalg.slogdet(variance)[1]
+        tails = (_STUDENT_FREEDOM + known.sum()) * np.log1p(square / _STUDENT_FREEDOM) + np.linalg.slogdet(variance)[1]
         return float(-0.5 * (skew.sum() + tails))
 
 
@@ -113,7 +114,7 @@ def _split(transforms: ComplexArray, posterior: Posterior, at: MapEstimate) -> _
     model = posterior.model(at.x, (*posterior.prior.effects(at.x), *at.effects))
     modes, n = model.modes(), context.structure.n_dofs
     pick = modes.shapes[:n, :n].T @ model.structural_matrices()[0][:n, :n]
-    near = np.abs(hz - modes.frequencies_hz[:n, None]) < _ABOUT * modes.frequencies_hz[:n, None]
+    near = np.abs(hz - modes.frequencies_hz[:n, None]) < _MODE_BAND * modes.frequencies_hz[:n, None]
     narrow = tuple(floors[:, about] @ own for about, own in zip(near, pick, strict=True))
     return _Split(floors, relative_level(transforms), narrow, np.flatnonzero(~near.any(axis=0)))
 
@@ -122,7 +123,7 @@ def _uneven(split: _Split, hz: Array) -> float:
     """Excess kurtosis of floors between the modes, of all that there is room for; 0 where there is none."""
     found, weight, free = [0.0], [0.0], split.between
     for run in np.split(free, np.flatnonzero(np.diff(free) > 1) + 1):
-        if run.size and hz[run[-1]] - hz[run[0]] > _WIDE * hz[run[0]]:
+        if run.size and hz[run[-1]] - hz[run[0]] > _MIN_BAND_WIDTH * hz[run[0]]:
             found += [_kurtosis(floor[:, run], split.level)[0] for floor in np.moveaxis(split.floors, 2, 0)]
             weight += [float(run.size)] * split.floors.shape[2]
     return max(0.0, float(np.dot(found, weight)) / max(sum(weight), 1.0))

@@ -17,12 +17,14 @@ from monitor.inference.observed_spectra import ObservedSpectra, class_temperatur
 from monitor.inference.posterior import Posterior
 from monitor.model import Condition, Context, Effect, System
 
-_PILE = 20
-"""Samples that share the largest magnitude only where something clips them."""
-_MOST_BINS = 1 << 16
-"""Frequencies at which the model's motion is summed."""
-_SLOW, _LEAST_MOTION = 0.4, 0.3
-"""Share of the lowest frequency below which motion is not heard; least share of the model's variance that is left."""
+_MIN_PILE = 20
+"""Samples at the largest magnitude that show a clipped signal. [samples; judgement]"""
+_MAX_BINS = 1 << 16
+"""Most frequencies at which the model's motion is summed. [count; cost]"""
+_SLOW_SHARE = 0.4
+"""Share of the lowest frequency below which motion is not recorded. [ratio; judgement]"""
+_MIN_MOTION = 0.3
+"""Least share of the model's variance that remains above it. [ratio; judgement]"""
 
 
 def linearize(
@@ -48,7 +50,7 @@ def linearize(
         system = extended(base, everything, context, posterior.conditions[k])
         lowest = np.sqrt(max(eigh(base.stiffness, base.mass, eigvals_only=True).min(), 1e-6)) / (2.0 * np.pi)
         step = min(0.25 * e.band.bin_hz, 0.25 * damping.min() * lowest)
-        step = max(step, e.band.hz[-1] / _MOST_BINS)  # a damping that the fit lets go to nothing
+        step = max(step, e.band.hz[-1] / _MAX_BINS)  # a damping that the fit lets go to nothing
         hz = np.arange(max(0.2 * lowest, step), e.band.hz[-1] * 1.2, step)
         motion, _ = _moved(system, everything, hz, forces[k], rows, order, context)
         variance = 2.0 * step * (np.abs(motion) ** 2).sum(axis=(0, 2))
@@ -61,13 +63,13 @@ def linearize(
             channels = seen_there @ seen_there.conj().swapaxes(-1, -2) + np.diag(posterior.noise(x))
             wiener = np.linalg.solve(channels, seen_there @ motion.conj().swapaxes(-1, -2)).conj().swapaxes(-1, -2)
             # What is slower than the structure is the noise of sensors that are integrated twice.
-            heard = (e.band.hz > _SLOW * lowest)[:, None, None] / e.band.gain[:, None, None] * excess[k]
+            heard = (e.band.hz > _SLOW_SHARE * lowest)[:, None, None] / e.band.gain[:, None, None] * excess[k]
             more = np.einsum("fra,fab,frb->r", wiener, heard, wiener.conj()).real
-            variance = np.maximum(variance + 2.0 * e.band.bin_hz * more, _LEAST_MOTION * variance)
+            variance = np.maximum(variance + 2.0 * e.band.bin_hz * more, _MIN_MOTION * variance)
         rms = np.sqrt(variance)
         warmer = partial(_excess_degc, e, k, posterior.prior.reference_degc)
         m = len(drift)
-        piled, band_hz = e.piled >= _PILE, float(e.band.hz[-1])
+        piled, band_hz = e.piled >= _MIN_PILE, float(e.band.hz[-1])
         moved = rms[:m], rms[m : 2 * m], rms[2 * m :]
         out.append(Condition(*moved, e.rms[k], warmer, e.peak, piled, beyond, band_hz, float(ground[k])))
     return tuple(out)

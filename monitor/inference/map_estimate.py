@@ -11,10 +11,10 @@ from monitor.core import Array
 from monitor.inference.posterior import Posterior, with_coordinates
 from monitor.model import Effect, inverse
 
-_STANDING = 0.5
-"""Longest step of standing effects' coordinates, in their units."""
-_NEAR = 1.0
-"""Nats gained by a step after which the slopes are taken as they are."""
+_MAX_EFFECT_STEP = 0.5
+"""Longest step of the parameters of effects that are part of the model already. [effect's own unit; judgement]"""
+_FIXED_SLOPES_GAIN = 1.0
+"""Gain of a step below which the slopes are not computed again. [nats; judgement]"""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -77,7 +77,7 @@ def maximize_posterior(
     damping, converged, gain = 1e-3, False, np.inf
     rows, residual, mean_residual, normal = np.zeros((0, x.size)), np.zeros(0), np.zeros(0), np.eye(x.size)
     for _ in range(iterations if np.isfinite(ll) else 0):  # a law that runs away at its start leads nowhere
-        if gain > _NEAR or here.left is not None:
+        if gain > _FIXED_SLOPES_GAIN or here.left is not None:
             rows, residual, mean_residual = posterior.jacobian(
                 x, effects, here, first=0 if frozen is None else layout.n_nuisance
             )
@@ -123,7 +123,7 @@ def _limited(posterior: Posterior, x: Array, step: Array, effects: Sequence[Effe
     bound, layout = np.full(x.size, np.inf), posterior.layout
     bound[layout.stiffness] = bound[layout.masses] = bound[layout.correction] = 0.1
     bound[layout.damping] = bound[layout.channel_noise] = 1.0
-    bound[layout.persistent] = _STANDING * posterior.prior.units[layout.persistent]
+    bound[layout.persistent] = _MAX_EFFECT_STEP * posterior.prior.units[layout.persistent]
     bound[layout.excitation] = 2.0
     logarithms = [p.scale == "log" for e in effects for p in e.parameters]
     bound[layout.effects] = np.where(logarithms, 0.5, np.inf)

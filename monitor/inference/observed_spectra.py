@@ -15,11 +15,15 @@ from monitor.inference.segments import Segments
 from monitor.signals import overlap_correlation
 
 _LEVEL_CLASSES = 5
+"""Most classes of vibration level. [count; judgement]"""
 _MIN_SEGMENTS_A_CLASS = 12
+"""Fewest segments of a class. [segments; judgement]"""
 _TEMPERATURE_CLASSES = 4
+"""Most classes of temperature. [count; judgement]"""
 _MIN_RANGE_DEGC = 2.0
-_WITHIN = 21
-"""Times at which a segment's temperature is read."""
+"""Range of temperature from which there are such classes. [K; judgement]"""
+_READINGS_A_SEGMENT = 21
+"""Times at which a segment's temperature is read. [count; cost]"""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -64,7 +68,7 @@ class ObservedSpectra:
 
 
 _BIN_CORRELATION = (2.0 / 3.0) ** 2, (1.0 / 6.0) ** 2
-"""Squared correlations of the Hann taper's neighbouring bins, one and two apart."""
+"""Squared correlations of neighbouring bins, one and two apart. [1; definition: Hann taper]"""
 
 
 def _information_weight() -> float:
@@ -145,7 +149,7 @@ def _temperature_at(readings: Array, t_s: Array, length_s: float, lag_s: float =
             behind = lag_s * (value[i] - value[i - 1]) / (t[i] - t[i - 1])
             lagged[i] = value[i] - behind + keep * (lagged[i - 1] - value[i - 1] + behind)
         value = lagged
-    within = t_s[:, None] + length_s * np.linspace(-0.5, 0.5, _WITHIN)
+    within = t_s[:, None] + length_s * np.linspace(-0.5, 0.5, _READINGS_A_SEGMENT)
     return np.asarray(np.interp(within, t, value).mean(axis=1))
 
 

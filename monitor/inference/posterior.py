@@ -26,10 +26,15 @@ from monitor.inference.observed_spectra import ObservedSpectra
 from monitor.inference.wishart import log_det_and_trace, whiten
 from monitor.model import Effect
 
-_FORCE_STD, _LEVEL_STD, _NOISE_STD = 1.0, 5.0, 3.0
-"""Prior of the logarithm of the floors' forces about their mean, of the classes' levels, of the common noise."""
-_NUDGE = 1e-5
-"""Finite difference of a nuisance, most of which are logarithms."""
+FORCE_STD = 1.0
+"""Prior standard deviation of the logarithm of a floor's force about the floors' mean. [1; judgement: a factor of e]"""
+LEVEL_STD = 5.0
+"""Prior standard deviation of the logarithm of a class's level of excitation. [1; judgement: a factor of 150]"""
+_NOISE_STD = 3.0
+"""Prior standard deviation of the logarithm of the noise density that the channels share. [1; judgement: a factor
+of 20]"""
+NUDGE = 1e-5
+"""Finite difference of a nuisance parameter, most of which are logarithms. [1; rounding]"""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -55,7 +60,7 @@ class Posterior(ForwardModel):
         precision = block_diag(
             self.prior.precision,
             force_precision,
-            np.eye(self.n_classes) / _LEVEL_STD**2,
+            np.eye(self.n_classes) / LEVEL_STD**2,
             np.eye(1) / _NOISE_STD**2,
             *[np.diag(precision) for _, precision in known],
         )
@@ -170,9 +175,9 @@ class Posterior(ForwardModel):
             least = [p.least for e in effects for p in e.parameters]
             h = 1e-4 * max(abs(x[i]), least[i - layout.n_nuisance])
         elif i < layout.structure.stop:
-            h = _NUDGE * self.prior.units[i]
+            h = NUDGE * self.prior.units[i]
         else:
-            h = _NUDGE
+            h = NUDGE
         moved = x.copy()
         moved[i] += h
         return h, moved
@@ -181,7 +186,7 @@ class Posterior(ForwardModel):
 def difference_operator(n: int) -> Array:
     """Precision of the logarithms of forces on n floors that are about as strong, at a level that is hardly known."""
     one = np.full((n, n), 1.0 / n)
-    return np.asarray((np.eye(n) - one) / _FORCE_STD**2 + one / _LEVEL_STD**2)
+    return np.asarray((np.eye(n) - one) / FORCE_STD**2 + one / LEVEL_STD**2)
 
 
 def with_coordinates(effects: Sequence[Effect], coordinates: Array) -> tuple[Effect, ...]:

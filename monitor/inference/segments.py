@@ -28,19 +28,21 @@ from monitor.signals import (
 Runs = Sequence[tuple[int, Array]]
 """UTC of the first sample in ns and samples of every stretch of ground motion without a gap, m/s^2."""
 Located = tuple[Drive, NDArray[np.bool_]]
-_LOW = 0.05
-_HIGH = 0.9
-"""Band as shares of the cutoff."""
+_BAND_START = 0.05
+"""Lowest frequency of the band, over the cutoff. [ratio; judgement]"""
+_BAND_END = 0.9
+"""Highest frequency of the band, over the cutoff. [ratio; ripple of the lowpass]"""
 _DRIVEN_SEGMENT_S = 5.0
-"""Segments of a recording whose ground is measured: a response needs no resolution, and short ones follow its level."""
+"""Length of a segment where the ground is measured. [s; judgement: a measured input needs no resolution, and short
+segments follow its level]"""
 _DRIVEN_SEGMENTS = 72
-"""Most segments of such a recording, three minutes: a known input tells so much that more would only take time."""
+"""Most segments of such a recording: a known input tells so much that more would only take time. [segments; cost]"""
 _LEAD_S = 60.0
-"""Ground motion that is kept before them, whose response they still hold."""
-_HEAD = 64
-"""Blocks among which a measured ground shows."""
-_SAME = 1e-6
-"""Relative difference of magnitudes that rounding explains."""
+"""Ground motion that is kept before them, whose response they still hold. [s; judgement]"""
+_GROUND_TEST_BLOCKS = 64
+"""Blocks among which a measured ground is looked for. [count; cost]"""
+_CLIPPED_TOLERANCE = 1e-6
+"""Relative difference of magnitudes that rounding explains. [ratio; rounding]"""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -96,7 +98,7 @@ def gather(blocks: Iterable[SampleBlock], front_end: FrontEnd) -> Segments:
         If there are fewer than six segments: 70 s of usable data, 18 s where the ground was measured.
     """
     blocks = iter(blocks)
-    head = list(islice(blocks, _HEAD))
+    head = list(islice(blocks, _GROUND_TEST_BLOCKS))
     segment_s = _DRIVEN_SEGMENT_S if any(b.topic == GROUND for b in head) else front_end.segment_s
     floors, ground = (_Stream(front_end, segment_s, is_ground=is_ground) for is_ground in (False, True))
     temperature: list[tuple[int, float]] = []
@@ -114,7 +116,7 @@ def gather(blocks: Iterable[SampleBlock], front_end: FrontEnd) -> Segments:
         )
     assert floors.design is not None
     design, conditioner = floors.design, floors.conditioner
-    first, last = (round(x * conditioner.cutoff_hz / design.step_hz) for x in (_LOW, _HIGH))
+    first, last = (round(x * conditioner.cutoff_hz / design.step_hz) for x in (_BAND_START, _BAND_END))
     first = max(first, 4)
     t0 = floors.t0_ns
     gain = _filter_gain(conditioner, last + 1, design.step_hz)
@@ -219,9 +221,9 @@ class _Stream:
         if not magnitude.size:
             return
         top = magnitude.max(axis=0)
-        self.piled[top > self.peak * (1.0 + _SAME)] = 0
+        self.piled[top > self.peak * (1.0 + _CLIPPED_TOLERANCE)] = 0
         self.peak = np.maximum(self.peak, top)
-        self.piled += (magnitude >= self.peak * (1.0 - _SAME)).sum(axis=0)
+        self.piled += (magnitude >= self.peak * (1.0 - _CLIPPED_TOLERANCE)).sum(axis=0)
 
     def _begin(self, piece: alignment.Piece) -> None:
         self.conditioner = self._front_end.conditioner(piece.rate_hz)

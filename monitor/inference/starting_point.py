@@ -12,11 +12,13 @@ from monitor.inference.posterior import Posterior
 from monitor.model import Condition, Context, StructuralPrior
 
 FORCED = 1e-3
-"""Share of the power beside a measured ground that forces cause, at the start."""
-_QUIETEST, _NOISE_SHARE = 0.02, 0.3
-"""Quantile of the power over frequency in which noise shows, and the share of the power that is noise there."""
+"""Share of the power beside a measured ground that forces cause, at the start. [ratio; judgement]"""
+_QUIETEST_QUANTILE = 0.02
+"""Quantile of the power over frequency in which noise shows. [ratio; judgement]"""
+_NOISE_SHARE = 0.3
+"""Share of the power in this quantile that is noise. [ratio; judgement]"""
 _LITTLE_NOISE = 10.0
-"""How far below that, as a logarithm, the noise lies while the forces' level is found."""
+"""How far below that, as a logarithm, the noise lies while the forces' level is found. [1; judgement]"""
 
 
 def make_posterior(observed: ObservedSpectra, prior: StructuralPrior, context: Context) -> Posterior:
@@ -45,7 +47,7 @@ def guess_levels(posterior: Posterior) -> tuple[Array, Array]:
     """
     layout, c = posterior.layout, len(posterior.context.channels)
     power = np.einsum("kfaa->kfa", posterior.observed.spectra[:, :, :c, :c]).real
-    quiet = float(np.quantile(power.mean(axis=(0, 2)), _QUIETEST))
+    quiet = float(np.quantile(power.mean(axis=(0, 2)), _QUIETEST_QUANTILE))
     noise = np.log(max(_NOISE_SHARE * quiet, 1e-300))
     x = np.zeros(layout.n_nuisance)
     x[layout.structure], x[layout.noise] = posterior.prior.mean, noise - _LITTLE_NOISE

@@ -15,10 +15,11 @@ from monitor.core import Array, ComplexArray, compiled
 from monitor.model.effects import Law, LawKind, System
 
 STEP_HZ = 4096.0
-"""Least rate of steps."""
+"""Least rate of steps. [Hz; accuracy of the integration]"""
 
 _CUBIC, _CONTACT, _FRICTION = int(LawKind.CUBIC), int(LawKind.CONTACT), int(LawKind.FRICTION)
-_WARMTH = -1
+_TEMPERATURE_LAW = -1
+"""Kind of law of a story whose stiffness follows the temperature. [index; definition]"""
 
 
 @compiled(error_model="numpy")
@@ -76,7 +77,7 @@ def march(
     parameters = np.array([law.parameters for law in laws], dtype=np.float64).reshape(-1, 2)
     if factor is not None:
         acting, heard = np.vstack([acting, np.eye(n)]), np.vstack([acting, system.stiffness[:n, :n]])
-        kinds, parameters = kinds + n * [_WARMTH], np.vstack([parameters, np.zeros((n, 2))])
+        kinds, parameters = kinds + n * [_TEMPERATURE_LAW], np.vstack([parameters, np.zeros((n, 2))])
     given = np.linalg.inv(system.mass)[:n]
     moved = _march(
         decay,
@@ -176,4 +177,4 @@ def _march(
 
 @compiled(error_model="numpy")
 def _force(kind: int, parameters: Array, warm: float, d: float, v: float) -> float:
-    return warm * d if kind == _WARMTH else phi(kind, parameters[0], parameters[1], d, v)
+    return warm * d if kind == _TEMPERATURE_LAW else phi(kind, parameters[0], parameters[1], d, v)

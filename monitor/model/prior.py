@@ -13,10 +13,10 @@ from monitor.core import Array, ComplexArray
 from monitor.model.effects import Effect
 from monitor.model.model import Model
 
-_STATED = 1e-6
-"""Relative standard deviation of what the structure file states of effects."""
-_ANY_NOISE = 3.0
-"""Standard deviation of the logarithm of a noise density that is not known."""
+_STATED_STD = 1e-6
+"""Relative standard deviation of what the structure file states of effects. [ratio; rounding]"""
+_UNKNOWN_NOISE_STD = 3.0
+"""Standard deviation of the logarithm of a noise density that is not known. [1; judgement: a factor of 20]"""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -152,7 +152,7 @@ class StructuralPrior:
 
     def with_any_noise(self) -> StructuralPrior:
         """Where the channels, all alike, may be more or less noisy than the sensor of the ground."""
-        return self._wider(self.channel_noises, _ANY_NOISE)
+        return self._wider(self.channel_noises, _UNKNOWN_NOISE_STD)
 
     def _wider(self, these: slice, std: float) -> StructuralPrior:
         """Where coordinates may all together be larger or smaller by so much more."""
@@ -211,7 +211,7 @@ def prior_from_drawing(
 
 def as_stated(effects: Sequence[Effect]) -> Array:
     """Precision of coordinates that are taken as stated."""
-    return np.concatenate([[], *[(_STATED * e.units) ** -2.0 for e in effects]])
+    return np.concatenate([[], *[(_STATED_STD * e.units) ** -2.0 for e in effects]])
 
 
 def inverse(normal: Array) -> Array:

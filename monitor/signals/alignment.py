@@ -11,16 +11,20 @@ from drivers.base import SampleBlock
 from monitor.core import Array, BadInputError, Gap
 
 _MAX_CLOCK_OFFSET_S = 1.0
-"""Jump of the clock, from one block to the next in sequence, from which samples may have been lost."""
+"""Jump of the clock, from one block to the next in sequence, from which samples may have been lost. [s; judgement]"""
 _MAX_DRIFT = 1e-3
-"""No clock is further off than this: a stream that is has another rate than it says."""
+"""Largest drift of a clock: a stream that is further off has another rate than it says. [ratio; crystal oscillators are
+ten times better]"""
 _RELABEL_NS = 250_000_000
-"""Times of samples follow the clock in steps of at least this; less is jitter."""
+"""Smallest step by which the times of samples follow the clock; less is jitter. [ns; judgement]"""
 _PATIENCE_S = 60.0
-"""Length of late data after which the clock was set back rather than blocks delayed."""
-_MOST_CHANNELS = 1024
-_MOST_RATE_HZ = 1e6
+"""Length of late data after which the clock was set back rather than blocks delayed. [s; judgement]"""
+_MAX_CHANNELS = 1024
+"""Most channels of a block. [channels; cost]"""
+_MAX_RATE_HZ = 1e6
+"""Highest rate of a block. [Hz; cost]"""
 _MAX_INT = 1 << 62
+"""Largest time and count that are accepted. [1; definition: half of the largest 64-bit integer]"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,10 +77,10 @@ def select(block: SampleBlock, channels: tuple[str, ...]) -> Array:
     BadInputError
         If a channel is missing, the unit is not m/s^2, or a number is absurd.
     """
-    if len(block.channels) > _MOST_CHANNELS:
-        raise BadInputError(f"{block.topic}: {len(block.channels)} channels, {_MOST_CHANNELS} are the most")
-    if block.sample_rate_hz > _MOST_RATE_HZ:
-        raise BadInputError(f"{block.topic}: a rate of {block.sample_rate_hz:g} Hz, {_MOST_RATE_HZ:g} Hz is the most")
+    if len(block.channels) > _MAX_CHANNELS:
+        raise BadInputError(f"{block.topic}: {len(block.channels)} channels, {_MAX_CHANNELS} are the most")
+    if block.sample_rate_hz > _MAX_RATE_HZ:
+        raise BadInputError(f"{block.topic}: a rate of {block.sample_rate_hz:g} Hz, {_MAX_RATE_HZ:g} Hz is the most")
     if not (0 <= block.t_ns < _MAX_INT and block.sequence < _MAX_INT):
         raise BadInputError(f"{block.topic}: time {block.t_ns} ns or sequence {block.sequence} is absurd")
     missing = [name for name in channels if name not in block.channels]

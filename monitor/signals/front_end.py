@@ -12,8 +12,9 @@ from monitor.signals.resampling import Conditioner
 from monitor.signals.settings import ProcessingSettings
 from monitor.signals.windows import WindowGrid, common_step_s
 
-_MOST_DECIMATION = 1000
-"""Largest ratio of the source's rate to `rate_hz` that is accepted; a larger one is taken for a wrong rate in the data."""
+_MAX_DECIMATION = 1000
+"""Largest ratio of the source's rate to `rate_hz` that is accepted; a larger one is taken for a wrong rate in the data.
+[ratio; judgement]"""
 
 
 @dataclass(frozen=True)
@@ -53,9 +54,9 @@ class FrontEnd:
             If the common step of window and hop holds fewer samples than `n_lags`, or the rate is far above `rate_hz`.
         """
         rate_hz = self.processing.rate_hz
-        if rate_in_hz > _MOST_DECIMATION * rate_hz:
+        if rate_in_hz > _MAX_DECIMATION * rate_hz:
             raise BadInputError(
-                f"the source's {rate_in_hz:g} Hz are more than {_MOST_DECIMATION} times rate_hz = {rate_hz:g}"
+                f"the source's {rate_in_hz:g} Hz are more than {_MAX_DECIMATION} times rate_hz = {rate_hz:g}"
             )
         n_step = floor(self.step_s * min(rate_in_hz, rate_hz) + 1e-9)
         if n_step < self.n_lags:

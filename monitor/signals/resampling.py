@@ -18,9 +18,14 @@ import numpy as np
 from monitor.core import Array
 from monitor.signals.chebyshev import chebyshev_lowpass
 
-_ORDER, _RIPPLE_DB = 8, 0.05
+_LOWPASS_ORDER = 8
+"""Order of the Chebyshev lowpass. [1; paper, section 4]"""
+_RIPPLE_DB = 0.05
+"""Ripple of the lowpass in its passband. [dB; the usual decimation design]"""
 _STOPBAND_DB = 90.0
+"""Attenuation of the interpolator in its stopband. [dB; judgement]"""
 _MAX_PHASES = 4096
+"""Most phases of the interpolator. [count; exact to 1e-6 in the ratio of rates]"""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -51,7 +56,7 @@ class Conditioner:
         if rate_in_hz < rate_hz:
             out_hz = rate_in_hz if step_s is None else floor(rate_in_hz * step_s + 1e-9) / step_s
         cutoff_hz = min(cutoff_hz, 0.4 * out_hz)
-        sos = chebyshev_lowpass(_ORDER, _RIPPLE_DB, cutoff_hz, rate_in_hz)
+        sos = chebyshev_lowpass(_LOWPASS_ORDER, _RIPPLE_DB, cutoff_hz, rate_in_hz)
         step = 1 / Fraction(out_hz / rate_in_hz).limit_denominator(_MAX_PHASES)
         return cls(rate_in_hz, out_hz, cutoff_hz, sos, step, _interpolator(step, cutoff_hz / rate_in_hz))
 

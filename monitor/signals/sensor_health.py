@@ -20,13 +20,19 @@ from pydantic import Field
 
 from monitor.core import Array, Gap, Settings, Skipped
 
-_MOST_SAMPLES = 1 << 18
-"""A span is cut shorter than this whatever the rate: it is kept in memory until it ends."""
-_SPIKE = 12.0
-_PILED, _PILED_RATIO = 8, 4
+_MAX_SPAN_SAMPLES = 1 << 18
+"""A span is cut shorter than this whatever the rate: it is kept in memory until it ends. [samples; cost]"""
+_SPIKE_RMS = 12.0
+"""Size of a sample from which it is a spike. [RMS values; judgement]"""
+_MIN_PILED_SAMPLES = 8
+"""Samples at the largest magnitude that show a clipped channel. [samples; judgement]"""
+_PILED_RATIO = 4
+"""Samples at the largest magnitude over those just below it, from which the channel is clipped. [ratio; judgement]"""
 _FFT_N = 2048
-_TENTH = -np.log(0.9)
-"""The lower tenth of a periodogram's bins over their mean, for white noise (exponential distribution)."""
+"""Length of the periodograms from which noise is read. [samples; judgement]"""
+_LOWER_TENTH = -np.log(0.9)
+"""The lower tenth of a periodogram's bins over their mean, for white noise. [1; definition: exponential
+distribution]"""
 
 
 class HealthSettings(Settings):
@@ -130,7 +136,7 @@ def step(
     """
     found: list[Health] = []
     rate, t_ns, values = piece.rate_hz, piece.t_ns, piece.values
-    size = max(2, min(round(settings.span_s * rate), _MOST_SAMPLES))
+    size = max(2, min(round(settings.span_s * rate), _MAX_SPAN_SAMPLES))
 
     def close() -> None:
         nonlocal state
@@ -199,7 +205,7 @@ def _examined(x: Array, rate_hz: float, channels: tuple[str, ...]) -> tuple[Chan
     """Each of the rows of `x`, shape (c, n)."""
     from monitor.signals.kernels import described  # compiled code takes a while to load
 
-    about, (mean, rms, peak, spikes, moves, clipped) = described(x, _SPIKE, _PILED, _PILED_RATIO)
+    about, (mean, rms, peak, spikes, moves, clipped) = described(x, _SPIKE_RMS, _MIN_PILED_SAMPLES, _PILED_RATIO)
     n = x.shape[1]
     told = mean, rms, peak, spikes.astype(int), 1.0 - moves / max(n - 1, 1), clipped / n, _noise_floor(about, rate_hz)
     return tuple(ChannelHealth(*one) for one in zip(channels, *(values.tolist() for values in told), strict=True))
@@ -212,7 +218,7 @@ def _noise_floor(x: Array, rate_hz: float) -> Array:
     spectrum = np.fft.rfft(x[:, start : start + n] * _taper(n), axis=1)
     power, tenth = spectrum.real**2 + spectrum.imag**2, spectrum.shape[1] // 10
     power.partition(tenth, axis=1)
-    return np.asarray(np.sqrt(power[:, tenth] * (2.0 / (rate_hz * _TENTH))))
+    return np.asarray(np.sqrt(power[:, tenth] * (2.0 / (rate_hz * _LOWER_TENTH))))
 
 
 @lru_cache(maxsize=8)

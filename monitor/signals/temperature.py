@@ -14,12 +14,15 @@ LAGS_S = (0.0, *(float(round(120 * 2 ** (k / 2))) for k in range(13)))
 """Thermal lags that calibration tries: 0, then 2 min to 2 h in steps of a factor of the square root of two."""
 
 _SPACING_NS = 1_000_000_000
-"""Of faster channels one sample a second is kept."""
-_MOST_SAMPLES = 100_000
+"""Of channels that are faster, one sample in this time is kept. [ns; cost]"""
+_MAX_READINGS = 100_000
+"""Most readings that are kept. [samples; cost]"""
 _PLAUSIBLE_DEGC = (-100.0, 200.0)
-"""What a broken sensor says (-127, say) is no temperature."""
+"""Range outside which a reading is no temperature. [degC; judgement: a broken sensor says -127, say]"""
 _CLOCK_JUMP_NS = 86_400_000_000_000
+"""Step back of the clock from which earlier readings are dropped. [ns; judgement: a day]"""
 _S_PER_NS = 1e-9
+"""Seconds of a nanosecond. [s/ns; definition]"""
 
 
 class TemperatureSettings(Settings):
@@ -89,7 +92,7 @@ def push(state: TemperatureState, block: SampleBlock, oldest_ns: int = 0) -> Tem
         rows.append(y)
     if not times:
         return state
-    first = max(int(np.searchsorted(state.t_ns, oldest_ns)), state.t_ns.size + len(times) - _MOST_SAMPLES, 0)
+    first = max(int(np.searchsorted(state.t_ns, oldest_ns)), state.t_ns.size + len(times) - _MAX_READINGS, 0)
     return TemperatureState(
         np.concatenate([state.t_ns[first:], np.array(times, np.int64)]),
         np.concatenate([state.lagged_degc[first:], np.array(rows)]),

@@ -17,7 +17,8 @@ import numpy as np
 from monitor.core import GAP, Array, ComplexArray, LagSums, Skipped, Window
 from monitor.signals.welch import SegmentDesign, transform
 
-_BLOCK_S = 10.0
+_CORRELATION_BLOCK_S = 10.0
+"""Length of the blocks from which the scatter of the correlations is estimated. [s; judgement]"""
 
 
 def common_step_s(window_s: float, hop_s: float) -> float:
@@ -68,7 +69,7 @@ class WindowGrid:
 @lru_cache(maxsize=16)
 def _block_n(window_n: int, hop_n: int, n_lags: int, rate_hz: float) -> int:
     step = gcd(window_n, hop_n)
-    least = max(1, ceil(step / (_BLOCK_S * rate_hz)))
+    least = max(1, ceil(step / (_CORRELATION_BLOCK_S * rate_hz)))
     parts = (q for q in range(least, step // n_lags + 1) if step % q == 0)
     return step // next(parts, 1)
 

@@ -20,9 +20,11 @@ from monitor.core.parallel import parallel_map
 
 CORES = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1
 ENDLESS = """
-import os, sys, time
+import os, signal, sys, time
 from pathlib import Path
 from monitor.core import parallel_map
+
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs ignore it
 
 def work(i):
     (Path(sys.argv[1]) / str(os.getpid())).touch()

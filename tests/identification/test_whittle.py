@@ -78,7 +78,7 @@ def test_a_pool_of_the_model_is_the_mean_of_its_bins(
     item, modes = one
     pooled = layout_of(modes, 12.0, len(item.segments[0]), item.segment_bin_hz)
     point = whittle._start(pooled, modes, cross_spectra(pooled, item.segments).mean(axis=0))
-    monkeypatch.setattr(whittle_model, "_POOL", 0.0)
+    monkeypatch.setattr(whittle_model, "_POOL_WIDTH", 0.0)
     single = layout_of(modes, 12.0, len(item.segments[0]), item.segment_bin_hz)
     assert (single.sizes == 1).all()
     assert single.sizes.sum() == pooled.sizes.sum() > 3 * pooled.sizes.size

@@ -93,7 +93,7 @@ def evidence(ddi: Array, variance: Array, common: Array, floor: float) -> Array:
         share = 1.0 / (memory + 1)
         rest, _ = lfilter([share], [1.0, share - 1.0], log[memory + 1 :], axis=0, zi=(1.0 - share) * smooth[-1:])
         smooth = np.vstack([smooth, rest])
-    variance = np.maximum(variance / sequential_test._LUCK**2, np.exp(smooth))
+    variance = np.maximum(variance / sequential_test._STD_EXCESS**2, np.exp(smooth))
     best = np.full((n_hops, n), -np.inf)
     for stretch in sequential_test.STRETCHES:
         sums, spreads, counts = np.zeros_like(ddi), np.zeros_like(ddi), np.zeros((n_hops, 1))
@@ -107,7 +107,7 @@ def evidence(ddi: Array, variance: Array, common: Array, floor: float) -> Array:
             continue
         covariance = (spread[at] + common)[:, :, None] * np.eye(n)
         z, _ = sequential_test.statistic(mean[at], covariance, AlarmSettings().model_form)
-        limit = sequential_test._AGREEMENT * np.sqrt(variance[at] * (1.0 - 2.0 / counts[at]) + spread[at])
+        limit = sequential_test._MAX_DISAGREEMENT * np.sqrt(variance[at] * (1.0 - 2.0 / counts[at]) + spread[at])
         agrees = (np.abs(ddi[at] - mean[at]) <= limit) | (stretch == 1)
         best[at] = np.maximum(best[at], np.where(agrees, z, -np.inf))
     return best

@@ -13,11 +13,14 @@ from monitor.model.effects.parameter import Parameter
 from monitor.model.effects.report_face import FittedSizes
 
 _KNOTS_HZ = 2.0 ** (0.5 * np.arange(-4, 12))
-"""Half octaves, from 0.25 to 45 Hz."""
+"""Frequencies between which the spectrum is interpolated: half octaves from 0.25 to 45 Hz. [Hz; judgement]"""
 _ANCHOR_HZ = 8.0
-"""Where the level of the forces is that of white ones."""
-_STEEP, _COMMON = 0.7, 0.3
-"""What is known before: a slope of 6 dB an octave or less, and a common share that is not most of it."""
+"""Frequency at which the forces have the level of white ones. [Hz; judgement]"""
+_SLOPE_STD = 0.7
+"""Prior standard deviation of the spectrum's slope. [1; judgement: 6 dB an octave or less]"""
+_COMMON_SHARE_STD = 0.3
+"""Prior standard deviation of the share of the forces that floors have in common. [ratio; judgement: not most of the
+force]"""
 
 
 @dataclass(frozen=True)
@@ -93,8 +96,8 @@ class AmbientForces(Effect):
 
     def known(self, context: Context, condition: Condition) -> tuple[Array, Array]:
         """See `Effect.known`."""
-        std = np.full(len(self.parameters), _STEEP)
-        std[0] = _COMMON
+        std = np.full(len(self.parameters), _SLOPE_STD)
+        std[0] = _COMMON_SHARE_STD
         return np.zeros(std.size), std**-2.0
 
     @classmethod

@@ -13,12 +13,13 @@ from monitor.model.effects.base import Condition, Context, Effect, System
 from monitor.model.effects.parameter import Parameter
 from monitor.model.effects.report_face import FittedSizes
 
-_DAMPING = 0.03
-"""Damping ratio that is expected of what swings on a floor: a few percent."""
+_OSCILLATOR_DAMPING = 0.03
+"""Damping ratio that is expected of what swings on a floor. [1; judgement: a few percent]"""
 _LN_DAMPING_STD = 0.8
-"""Standard deviation of the logarithm of that ratio: a factor of about two either way."""
-_MOST_DAMPING = 0.5
-"""Damping ratio from which a mass no longer swings by itself: a heavy one that hardly moves imitates a damper."""
+"""Standard deviation of the logarithm of that ratio. [1; judgement: a factor of two]"""
+_MAX_OSCILLATOR_DAMPING = 0.5
+"""Damping ratio from which a mass no longer swings by itself: a heavy one that hardly moves imitates a damper. [1;
+judgement]"""
 
 
 @dataclass(frozen=True)
@@ -65,12 +66,12 @@ class AttachedOscillator(Effect):
     def known(self, context: Context, condition: Condition) -> tuple[Array, Array]:
         """See `Effect.known`: a few percent of damping, give or take a factor of two."""
         mean = self.coordinates
-        mean[2] = np.log(_DAMPING)
+        mean[2] = np.log(_OSCILLATOR_DAMPING)
         return mean, np.array([0.0, 0.0, _LN_DAMPING_STD**-2])
 
     def is_plausible(self, band_hz: Array) -> bool:
         """See `Effect.is_plausible`: it swings within the band, and is not damped at once."""
-        return bool(band_hz[0] <= self.frequency_hz <= band_hz[-1] and self.damping_ratio < _MOST_DAMPING)
+        return bool(band_hz[0] <= self.frequency_hz <= band_hz[-1] and self.damping_ratio < _MAX_OSCILLATOR_DAMPING)
 
     @classmethod
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:

@@ -23,8 +23,8 @@ from monitor.model.effects.report_face import ReportFace
 from monitor.model.structures import Structure
 
 _STORY_STD = 2.0
-"""Relative standard deviation of a story's stiffness, over the RMS of the relative corrections that the drawing's form needs:
-what a frame that is no shear frame blurs."""
+"""Relative standard deviation of a story's stiffness, over the RMS of the relative corrections that the drawing's form
+needs: what a frame that is no shear frame blurs. [ratio; judgement]"""
 
 
 class EffectError(ValueError):

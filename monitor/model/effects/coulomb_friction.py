@@ -13,7 +13,9 @@ from monitor.model.effects.parameter import Parameter
 from monitor.model.effects.report_face import FittedSizes
 from monitor.model.structures import Structure
 
-_STICK = 8.0
+_STICK_FACTOR = 8.0
+"""Velocity that the friction force gives the story's impedance, over the velocity below which friction is smoothed.
+[ratio; not recorded]"""
 
 
 @dataclass(frozen=True)
@@ -52,7 +54,7 @@ class CoulombFriction(Effect):
         direction = self.direction(structure)
         mass = 1.0 / float(direction @ np.linalg.solve(structure.mass_matrix(), direction))
         impedance = sqrt(float(structure.stiffness_n_per_m[self.index]) * mass)
-        creep = self.friction_force_n / (_STICK * impedance)
+        creep = self.friction_force_n / (_STICK_FACTOR * impedance)
         return (Law(LawKind.FRICTION, direction, (self.friction_force_n, creep)),)
 
     @classmethod

@@ -15,6 +15,7 @@ from monitor.model.effects.report_face import FittedSizes
 from monitor.model.structures import Structure
 
 _GRAVITY_M_S2 = 9.80665
+"""Acceleration of gravity. [m/s^2; definition: standard gravity]"""
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,8 @@ from monitor.model.effects.parameter import Parameter
 from monitor.model.effects.report_face import FittedSizes
 
 _FREQUENCY_STD_BINS = 0.02
-"""Standard deviation of a line's frequency by the taper's leakage, from which the line is read, in bins.  The bins about a
-strong line are otherwise another model's."""
+"""Standard deviation of a line's frequency as read from the taper's leakage. Another model describes the bins about a
+strong line otherwise. [bins; judgement]"""
 
 
 @dataclass(frozen=True)

@@ -16,16 +16,17 @@ from monitor.model.effects.parameter import Parameter
 from monitor.model.effects.report_face import FittedSizes
 from monitor.model.effects.sensor_gain import on_channel
 
-_NEVER = 10.0
-"""Limit over RMS that is never met."""
-_ALWAYS = 0.05
-"""Least limit over RMS: all that is left of the signal is its sign."""
+_NO_CLIPPING = 10.0
+"""Limit over RMS that is never reached. [ratio; definition: beyond ten standard deviations]"""
+_ONLY_SIGN_LEFT = 0.05
+"""Least limit over RMS: all that is left of the signal is its sign. [ratio; judgement]"""
 
 
 _PILE_STD = 1e-4
-"""Relative standard deviation of the limit where samples pile up at it."""
-_UNCLIPPED = 4.5
-"""RMS values that a signal exceeds somewhere in a recording if nothing stops it."""
+"""Relative standard deviation of the limit where samples pile up at it. [ratio; resolution of the samples]"""
+_PEAK_FACTOR = 4.5
+"""RMS values that a signal exceeds somewhere in a recording if nothing stops it. [ratio; normal distribution: the peak
+of some 100 000 samples]"""
 
 
 @dataclass(frozen=True)
@@ -82,7 +83,7 @@ class SensorClipping(Effect):
         rms, peak = float(condition.channel_m_s2[j]), _of(condition.channel_peak_m_s2, j)
         if _of(condition.channel_piled, j):
             return (cls(location, peak),)
-        if peak > _UNCLIPPED * rms:
+        if peak > _PEAK_FACTOR * rms:
             return (cls(location, 2.0 * rms),) if peak == inf else ()
         return (cls(location, 0.8 * peak), cls(location, 0.999 * peak))
 
@@ -108,13 +109,13 @@ def _of(values: Array | NDArray[np.bool_], channel: int) -> float:
 @lru_cache(maxsize=256)  # every spectrum asks anew
 def _before_clipping(ratio: float) -> float:
     """A limit over the unclipped signal's RMS, from the limit over the clipped one's."""
-    if ratio >= _NEVER:
-        return _NEVER
+    if ratio >= _NO_CLIPPING:
+        return _NO_CLIPPING
     low, high = 0.0, ratio  # a / sqrt(power) falls with a to 1, where all samples are clipped
     for _ in range(50):
         a = 0.5 * (low + high)
         low, high = (a, high) if a < ratio * sqrt(clipped_power(a)) else (low, a)
-    return max(high, _ALWAYS)
+    return max(high, _ONLY_SIGN_LEFT)
 
 
 def clipped_power(a: float) -> float:

@@ -14,8 +14,8 @@ from monitor.model.effects.report_face import FittedSizes
 from monitor.model.structures import Structure
 
 _GIRDERS_STD = 0.25
-"""Relative standard deviation of a story's change beside flexible joints, times the joints' column-to-girder ratio: half of
-what it matters whether girders changed with the columns, in frames like the paper's."""
+"""Relative standard deviation of a story's change beside flexible joints, times the joints' column-to-girder ratio.
+[ratio; half of what it matters in frames like the paper's whether girders changed with the columns]"""
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from monitor.model.effects.report_face import FittedSizes
 from monitor.model.effects.sensor_gain import on_channel
 
 _PAD_N = 1024
-"""Samples of silence, in which what is delayed beyond the end dies away instead of coming round to the start."""
+"""Zeros in which what is delayed beyond the end dies away instead of coming round to the start. [samples; judgement]"""
 
 
 @dataclass(frozen=True)

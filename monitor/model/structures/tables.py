@@ -17,6 +17,7 @@ Positive = Annotated[float, Field(gt=0, le=1e30)]
 Range = tuple[Positive, Positive]
 Matrix = tuple[tuple[float, ...], ...]
 _SYMMETRY_TOLERANCE = 1e-6
+"""Largest asymmetry of a matrix that counts as symmetric. [ratio; rounding]"""
 
 
 class _Drawing(Settings):
