@@ -10,6 +10,7 @@ from .errors import (
 )
 from .files import demand_place, finish, partial, sha256, spare_inputs, write_atomically
 from .memory import keep_freed
+from .optimization import levenberg_marquardt
 from .parallel import parallel_map
 from .parse import parse_address, utc_ns
 from .results import (
@@ -62,6 +63,7 @@ __all__ = [
     "demand_place",
     "finish",
     "keep_freed",
+    "levenberg_marquardt",
     "parallel_map",
     "parse_address",
     "partial",

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from monitor.core import Array, ComplexArray, parallel_map
+from monitor.core import Array, ComplexArray, levenberg_marquardt, parallel_map
 from monitor.inference.ambient_posterior import AmbientPosterior
 from monitor.inference.corrected_posterior import relative_to
 from monitor.inference.driven_posterior import DrivenPosterior
@@ -18,7 +18,14 @@ from monitor.inference.ground_response import Between
 from monitor.inference.linearization import linearize
 from monitor.inference.observed_spectra import ObservedSpectra, classify
 from monitor.inference.parameter_layout import ParameterLayout
-from monitor.inference.posterior import FORCE_STD, LEVEL_STD, NUDGE, Posterior, difference_operator
+from monitor.inference.posterior import (
+    FORCE_STD,
+    LEVEL_STD,
+    MAX_EXCITATION_STEP,
+    NUDGE,
+    Posterior,
+    difference_operator,
+)
 from monitor.inference.starting_point import FORCED, guess_levels, make_posterior
 from monitor.inference.wishart import grown_by
 from monitor.model import Context, Effect, Model, StructuralPrior, loaded, prior_from_drawing
@@ -193,40 +200,95 @@ def _fit_levels(posterior: Posterior, x: Array) -> Array:
 
 def _by_scoring(posterior: Posterior, x: Array, effects: tuple[Effect, ...] = (), iterations: int = 40) -> Array:
     """As `_fit_levels`, beside further effects, whose coordinates follow in `x`."""
-    n, k, damping = posterior.context.structure.n_dofs, posterior.n_classes, 1e-3
-    free = posterior.layout.excitation
-    first, data = x[free].copy(), posterior.predict(x, effects).data  # levels move no mean
-    precision = np.diag(np.r_[np.full(n, FORCE_STD), np.full(k + 1, LEVEL_STD)] ** -2.0)
-    if isinstance(posterior, DrivenPosterior):  # no class's level is theirs
-        precision[:n, :n] = difference_operator(n)
+    fit = _ExcitationFit.at(posterior, x, effects)
+    return levenberg_marquardt(
+        fit.evaluate(x),
+        fit.linearize,
+        lambda at, step: fit.evaluate(
+            fit.with_excitation(at.x[fit.free] + np.clip(step, -MAX_EXCITATION_STEP, MAX_EXCITATION_STEP))
+        ),
+        iterations=iterations,
+        tolerance=_MIN_GAIN_NATS,
+        fixed_slopes_gain=_FIXED_SLOPES_NATS,
+    ).point.x
 
-    def moved(by: Array) -> tuple[Array, ComplexArray, float]:
-        at = x.copy()
-        at[free] += by
-        spectra, far = posterior.scatter(at, effects), at[free] - first
-        return at, spectra, posterior.log_likelihood(spectra, data) - 0.5 * float(far @ precision @ far)
 
-    x, spectra, value = moved(np.zeros(first.size))
-    slopes, gained = np.zeros((first.size, *spectra.shape), dtype=complex), np.inf
-    for _ in range(iterations):
-        if gained > _FIXED_SLOPES_NATS:
-            for i in (*range(n), first.size - 1):
-                slopes[i] = (moved(NUDGE * np.eye(first.size)[i])[1] - spectra) / NUDGE
-            every = (moved(NUDGE * np.r_[np.zeros(n), np.ones(k), 0.0])[1] - spectra) / NUDGE
-            slopes[n + np.arange(k), np.arange(k)] = every  # a class's level moves its spectra alone
-        rows, residual = posterior.whitened(spectra, slopes, data)
-        normal = rows.T @ rows + precision
-        gradient = rows.T @ residual - precision @ (x[free] - first)
-        for _ in range(8):
-            step = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), gradient)
-            there, its_spectra, its_value = moved(np.clip(step, -2.0, 2.0))
-            if its_value >= value:
-                break
-            damping = max(10.0 * damping, 1e-2)
-        else:
-            break
-        gained = its_value - value
-        x, spectra, value, damping = there, its_spectra, its_value, 0.1 * damping
-        if gained < _MIN_GAIN_NATS:
-            break
-    return x
+@dataclass(frozen=True, eq=False, slots=True)
+class _Point:
+    """The log posterior of an excitation."""
+
+    x: Array
+    spectra: ComplexArray
+    value: float
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Slopes:
+    """The log posterior near an excitation to second order."""
+
+    spectra: ComplexArray
+    """Slopes of the spectra by forces, levels and noise, shape (n + classes + 1, classes, n_bins, c, c)."""
+    normal: Array
+    gradient: Array
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _ExcitationFit:
+    """The log posterior of the excitation alone, all else kept."""
+
+    posterior: Posterior
+    x: Array
+    """The parameters that are kept, and the excitation about which the prior lies."""
+    effects: tuple[Effect, ...]
+    data: ComplexArray
+    """Measured spectra about the predicted mean, which no level moves."""
+    precision: Array
+    """Of the excitation's prior, shape (n + classes + 1, n + classes + 1)."""
+
+    @classmethod
+    def at(cls, posterior: Posterior, x: Array, effects: tuple[Effect, ...]) -> Self:
+        """Start at `x`."""
+        n, k = posterior.context.structure.n_dofs, posterior.n_classes
+        precision = np.diag(np.r_[np.full(n, FORCE_STD), np.full(k + 1, LEVEL_STD)] ** -2.0)
+        if isinstance(posterior, DrivenPosterior):  # no class's level is theirs
+            precision[:n, :n] = difference_operator(n)
+        return cls(posterior, x.copy(), effects, posterior.predict(x, effects).data, precision)
+
+    @property
+    def free(self) -> slice:
+        """Where forces, levels and noise stand in `x`."""
+        return self.posterior.layout.excitation
+
+    def with_excitation(self, excitation: Array) -> Array:
+        """Return the parameters with another excitation."""
+        out = self.x.copy()
+        out[self.free] = excitation
+        return out
+
+    def evaluate(self, x: Array) -> _Point:
+        """Evaluate the log posterior, nats."""
+        spectra, far = self.posterior.scatter(x, self.effects), x[self.free] - self.x[self.free]
+        value = self.posterior.log_likelihood(spectra, self.data) - 0.5 * float(far @ self.precision @ far)
+        return _Point(x, spectra, value)
+
+    def linearize(self, at: _Point, last: _Slopes | None) -> _Slopes:
+        """Linearize the spectra, by the slopes of `last` where there are any."""
+        slopes = self._slopes(at) if last is None else last.spectra
+        rows, residual = self.posterior.whitened(at.spectra, slopes, self.data)
+        gradient = rows.T @ residual - self.precision @ (at.x - self.x)[self.free]
+        return _Slopes(slopes, rows.T @ rows + self.precision, gradient)
+
+    def _slopes(self, at: _Point) -> ComplexArray:
+        """Differentiate the spectra by forces, levels and noise."""
+        n, k = self.posterior.context.structure.n_dofs, self.posterior.n_classes
+        out = np.zeros((n + k + 1, *at.spectra.shape), dtype=complex)
+
+        def slope(direction: Array) -> ComplexArray:
+            moved = self.with_excitation(at.x[self.free] + NUDGE * direction)
+            return np.asarray((self.posterior.scatter(moved, self.effects) - at.spectra) / NUDGE)
+
+        for i in (*range(n), n + k):
+            out[i] = slope(np.eye(n + k + 1)[i])
+        # A class's level moves its spectra alone, so that one difference serves all classes.
+        out[n + np.arange(k), np.arange(k)] = slope(np.r_[np.zeros(n), np.ones(k), 0.0])
+        return out

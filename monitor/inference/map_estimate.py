@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from monitor.core import Array
-from monitor.inference.posterior import Posterior, with_coordinates
+from monitor.core import Array, levenberg_marquardt
+from monitor.inference.forward_model import Prediction
+from monitor.inference.posterior import MAX_EXCITATION_STEP, Posterior, with_coordinates
 from monitor.model import Effect, inverse
 
 _MAX_EFFECT_STEP = 0.5
@@ -70,52 +71,92 @@ def maximize_posterior(
     frozen : ndarray, optional
         Whitened slopes of the nuisances, shape (rows, n_nuisance), taken as they are: quicker, for a ranking.
     """
-    layout = posterior.layout
-    x = np.concatenate([x[layout.nuisances], *[e.coordinates for e in effects]])
-    here = posterior.predict(x, effects)
-    ll, lp = posterior.log_likelihood(here.spectra, here.data), posterior.score(x, effects)[1]
-    damping, converged, gain = 1e-3, False, np.inf
-    rows, residual, mean_residual, normal = np.zeros((0, x.size)), np.zeros(0), np.zeros(0), np.eye(x.size)
-    for _ in range(iterations if np.isfinite(ll) else 0):  # a law that runs away at its start leads nowhere
-        if gain > _FIXED_SLOPES_GAIN or here.left is not None:
-            rows, residual, mean_residual = posterior.jacobian(
-                x, effects, here, first=0 if frozen is None else layout.n_nuisance
-            )
-            if frozen is not None:
-                rows = np.concatenate([frozen, rows], axis=1)
-        else:  # so near the end slopes change no more
-            residual = posterior.whitened(here.spectra, here.spectra[None][:0], here.data)[1]
-        mean, precision = posterior.normal_prior(x, effects)
-        normal = rows.T @ rows + precision
-        gradient = rows.T @ np.concatenate([residual, mean_residual]) - precision @ (x - mean)
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
-        accepted = False
-        for _ in range(6):
-            step = scale * np.linalg.solve(
-                normal * scale[:, None] * scale + (damping + 1e-12) * np.eye(x.size), scale * gradient
-            )
-            moved = _limited(posterior, x, step, effects)
-            there = with_coordinates(effects, moved[layout.effects])
-            moved = np.concatenate([moved[layout.nuisances], *[e.coordinates for e in there]])
-            candidate = posterior.predict(moved, there)
-            new_ll = posterior.log_likelihood(candidate.spectra, candidate.data)
-            m, q = posterior.normal_prior(moved, there)
-            new_lp = -0.5 * float((moved - m) @ q @ (moved - m))
-            if new_ll + new_lp > ll + lp - 1e-9:
-                accepted = True
-                break
-            damping = max(10.0 * damping, 1e-2)
-        if not accepted:
-            converged = float(gradient @ step) < 10.0 * tolerance
-            break
-        gain = new_ll + new_lp - ll - lp
-        x, effects, here, ll, lp = moved, there, candidate, new_ll, new_lp
-        damping *= 0.1
-        if gain < tolerance:
-            converged = True
-            break
-    covariance = inverse(normal)
-    return MapEstimate(x, effects, ll, lp, covariance, converged, rows, residual, mean_residual)
+    start = _evaluate(posterior, x, effects)
+
+    def move(at: _Point, step: Array) -> _Point:
+        moved = _limited(posterior, at.x, step, at.effects)
+        return _evaluate(posterior, moved, with_coordinates(at.effects, moved[posterior.layout.effects]))
+
+    search = levenberg_marquardt(
+        start,
+        lambda at, last: _linearize(posterior, at, last, frozen),
+        move,
+        iterations=iterations,
+        tolerance=tolerance,
+        fixed_slopes_gain=_FIXED_SLOPES_GAIN,
+    )
+    found = search.point
+    slopes = search.linearization or _no_slopes(start.x.size)
+    return MapEstimate(
+        found.x,
+        found.effects,
+        found.log_likelihood,
+        found.log_prior,
+        inverse(slopes.normal),
+        search.converged,
+        slopes.rows,
+        slopes.residual,
+        slopes.mean_residual,
+    )
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Point:
+    """The posterior at one point."""
+
+    x: Array
+    effects: tuple[Effect, ...]
+    prediction: Prediction
+    log_likelihood: float
+    log_prior: float
+
+    @property
+    def value(self) -> float:
+        """Log posterior up to a constant, nats."""
+        return self.log_likelihood + self.log_prior
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Slopes:
+    """The log posterior near a point to second order, by Fisher information."""
+
+    rows: Array
+    """As `MapEstimate.jacobian`."""
+    residual: Array
+    mean_residual: Array
+    normal: Array
+    """Fisher information and the prior's precision, shape (p, p)."""
+    gradient: Array
+    """Of the log posterior, shape (p,)."""
+
+
+def _no_slopes(n: int) -> _Slopes:
+    """Stand for the slopes at a point from which no step was taken."""
+    return _Slopes(np.zeros((0, n)), np.zeros(0), np.zeros(0), np.eye(n), np.zeros(n))
+
+
+def _evaluate(posterior: Posterior, x: Array, effects: tuple[Effect, ...]) -> _Point:
+    """Evaluate the log posterior at the nuisances of `x` and the effects' own coordinates."""
+    x = np.concatenate([x[posterior.layout.nuisances], *[e.coordinates for e in effects]])
+    prediction = posterior.predict(x, effects)
+    mean, precision = posterior.normal_prior(x, effects)
+    log_prior = -0.5 * float((x - mean) @ precision @ (x - mean))
+    return _Point(x, effects, prediction, posterior.log_likelihood(prediction.spectra, prediction.data), log_prior)
+
+
+def _linearize(posterior: Posterior, at: _Point, last: _Slopes | None, frozen: Array | None) -> _Slopes:
+    """Linearize the prediction at a point; beside no measured ground the slopes of `last` serve again."""
+    here = at.prediction
+    if last is None or here.left is not None:
+        first = 0 if frozen is None else posterior.layout.n_nuisance
+        rows, residual, mean_residual = posterior.jacobian(at.x, at.effects, here, first=first)
+        rows = rows if frozen is None else np.concatenate([frozen, rows], axis=1)
+    else:
+        rows, mean_residual = last.rows, last.mean_residual
+        residual = posterior.whitened(here.spectra, here.spectra[None][:0], here.data)[1]
+    mean, precision = posterior.normal_prior(at.x, at.effects)
+    gradient = rows.T @ np.concatenate([residual, mean_residual]) - precision @ (at.x - mean)
+    return _Slopes(rows, residual, mean_residual, rows.T @ rows + precision, gradient)
 
 
 def _limited(posterior: Posterior, x: Array, step: Array, effects: Sequence[Effect]) -> Array:
@@ -124,7 +165,7 @@ def _limited(posterior: Posterior, x: Array, step: Array, effects: Sequence[Effe
     bound[layout.stiffness] = bound[layout.masses] = bound[layout.correction] = 0.1
     bound[layout.damping] = bound[layout.channel_noise] = 1.0
     bound[layout.persistent] = _MAX_EFFECT_STEP * posterior.prior.units[layout.persistent]
-    bound[layout.excitation] = 2.0
+    bound[layout.excitation] = MAX_EXCITATION_STEP
     logarithms = [p.scale == "log" for e in effects for p in e.parameters]
     bound[layout.effects] = np.where(logarithms, 0.5, np.inf)
     return np.asarray(x + np.clip(step, -bound, bound))

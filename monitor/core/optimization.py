@@ -1,0 +1,122 @@
+"""Maximize a log posterior near a point: Fisher scoring with Levenberg-Marquardt steps."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Generic, Protocol, TypeVar
+
+import numpy as np
+
+from monitor.core.results import Array
+
+_FIRST_DAMPING = 1e-3
+"""Damping of the first step, as a share of the normal matrix's diagonal. [ratio; Marquardt 1963 begins at 0.01]"""
+_LEAST_RAISED_DAMPING = 1e-2
+"""Least damping after a refused step. [ratio; judgement]"""
+_DAMPING_FACTOR = 10.0
+"""Factor by which damping rises after a refused step and falls after an accepted one. [ratio; Marquardt 1963]"""
+_MAX_REFUSED = 6
+"""Steps refused in a row after which the search ends. [count; damping has grown a millionfold]"""
+_ROUNDING_NATS = 1e-9
+"""Loss that counts as rounding. [nats; rounding]"""
+_STALLED_FACTOR = 10.0
+"""A search that no step improves has converged if the last step promised less than so many tolerances. [ratio; judgement]"""
+
+
+class Point(Protocol):
+    """A point that the search has evaluated."""
+
+    @property
+    def value(self) -> float:
+        """The objective, nats."""
+
+
+class Linearization(Protocol):
+    """The objective near a point, to second order."""
+
+    @property
+    def normal(self) -> Array:
+        """Negative of the expected second derivatives, shape (p, p), positive definite."""
+
+    @property
+    def gradient(self) -> Array:
+        """First derivatives, shape (p,)."""
+
+
+P = TypeVar("P", bound=Point)
+L = TypeVar("L", bound=Linearization)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Maximum(Generic[P, L]):
+    """Where a search ended."""
+
+    point: P
+    linearization: L | None
+    """The one from which the last step was taken; None if there was no step to take."""
+    converged: bool
+
+
+def levenberg_marquardt(
+    start: P,
+    linearize: Callable[[P, L | None], L],
+    move: Callable[[P, Array], P],
+    *,
+    iterations: int,
+    tolerance: float,
+    fixed_slopes_gain: float,
+) -> Maximum[P, L]:
+    """Maximize an objective by Levenberg-Marquardt steps.
+
+    Parameters
+    ----------
+    start : Point
+        The search does not begin where the objective is not finite.
+    linearize : callable
+        Linearizes the objective at a point.  The second argument is the linearization before, whose slopes may serve once
+        more, or None.
+    move : callable
+        Evaluates the point that lies a step, shape (p,), away from another; it may shorten the step.
+    iterations : int
+        Most steps.
+    tolerance : float
+        Gain of a step at which the search has converged, nats.
+    fixed_slopes_gain : float
+        Gain of a step up to which slopes may serve once more, nats.
+
+    References
+    ----------
+    D. W. Marquardt, J. SIAM 11 (1963) 431-441.
+
+    Examples
+    --------
+    >>> from collections import namedtuple
+    >>> Parabola, Slopes = namedtuple("Parabola", "x value"), namedtuple("Slopes", "normal gradient")
+    >>> at = lambda x: Parabola(x, -0.5 * float((x - 3.0) ** 2))
+    >>> found = levenberg_marquardt(
+    ...     at(0.0), lambda p, last: Slopes(np.eye(1), np.array([3.0 - p.x])), lambda p, step: at(p.x + step[0]),
+    ...     iterations=20, tolerance=1e-6, fixed_slopes_gain=0.0)
+    >>> found.converged, round(found.point.x, 3)
+    (True, 3.0)
+    """
+    point, damping, gain = start, _FIRST_DAMPING, np.inf
+    linearization: L | None = None
+    for _ in range(iterations if np.isfinite(start.value) else 0):
+        linearization = linearize(point, None if gain > fixed_slopes_gain else linearization)
+        normal, gradient = linearization.normal, linearization.gradient
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
+        scaled, identity = normal * scale[:, None] * scale, np.eye(scale.size)
+        for _ in range(_MAX_REFUSED):
+            step = scale * np.linalg.solve(scaled + (damping + 1e-12) * identity, scale * gradient)
+            moved = move(point, step)
+            if moved.value > point.value - _ROUNDING_NATS:
+                break
+            damping = max(_DAMPING_FACTOR * damping, _LEAST_RAISED_DAMPING)
+        else:
+            return Maximum(point, linearization, float(gradient @ step) < _STALLED_FACTOR * tolerance)
+        gain, point = moved.value - point.value, moved
+        damping /= _DAMPING_FACTOR
+        if gain < tolerance:
+            return Maximum(point, linearization, True)
+    return Maximum(point, linearization, False)
