@@ -61,7 +61,7 @@ class HeldOutGain:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Blocks:
-    """A recording's division into contiguous blocks."""
+    """Division of a recording into contiguous blocks."""
 
     of_segment: NDArray[np.intp]
     """Block of every segment, -1 for one that straddles a border, shape (n_segments,)."""

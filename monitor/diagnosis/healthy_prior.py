@@ -54,11 +54,11 @@ def learn_prior(
     model = known.model.with_stiffness(np.exp(x[layout.stiffness])).with_masses(np.exp(x[layout.masses]))
     n_modes = int(np.count_nonzero(model.modes().frequencies_hz < observed.band.hz[-1]))
     basis = correction_basis(model, n_modes)
-    standing = known.effects(x)
-    effects = np.concatenate([[], *[e.coordinates for e in standing]])
+    persistent = known.effects(x)
+    effects = np.concatenate([[], *[e.coordinates for e in persistent]])
     sizes, noise = layout.persistent, layout.channel_noise
     # The correction could replace these effects, and their sizes would then drift far.
-    structural = [e.family == "structure" and not e.conditional for e in standing for _ in e.parameters]
+    structural = [e.family == "structure" and not e.conditional for e in persistent for _ in e.parameters]
     held = np.where(structural, 1.0 / np.diag(first_fit.covariance)[sizes], 0.0)
     mean = np.concatenate([x[: layout.correction.start], np.zeros(basis.shape[0]), effects])
     k, m, d, c, _ = known.sizes

@@ -184,7 +184,7 @@ def _expected_gains(
             out = [(whole, effect)]
             if not effect.proportional:
                 return out
-            # Phases of a driven response turn far between two fits: whole changes rank better there (docs/measured-frames.md).
+            # Phases of a driven response differ much between two fits, so whole changes rank better (docs/measured-frames.md).
             v = whitened_change(posterior, prediction, moved)
         along = tangent.T @ v
         information, score = (

@@ -50,8 +50,8 @@ def run_selection_round(
         Gain that the score test must predict, nats.
     """
     # A persistent effect may have changed, so it is tried again; a nonlinear one is not, as one law a place is simulated.
-    standing = [e for e in posterior.prior.effects(fit.x) if e.nonlinear or not e.parameters]
-    excluded = [(e.name, e.location) for e in (*standing, *fit.effects)]
+    persistent = [e for e in posterior.prior.effects(fit.x) if e.nonlinear or not e.parameters]
+    excluded = [(e.name, e.location) for e in (*persistent, *fit.effects)]
     ranked = [
         item
         for item in best_of_each(rank_by_score(posterior, fit, candidate_starts(posterior, fit, excluded)))

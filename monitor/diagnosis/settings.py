@@ -13,7 +13,7 @@ class DiagnosisSettings(Settings):
     margin: float = Field(default=7.0, gt=0)
     """Evidence above the model without the cause, nats, over all candidates (calibrated on clean records)."""
     rival: float = Field(default=4.6, gt=0)
-    """A rival less than this many nats behind cannot be told from the winner (odds of 100 to 1)."""
+    """Log odds below which a rival cannot be distinguished from the best candidate, nats (odds of 100 to 1)."""
     worth: float = Field(default=2.0, ge=0)
     """Gain that the score test must promise for a candidate to be fitted, nats."""
     ranked: int = Field(default=20, ge=1)

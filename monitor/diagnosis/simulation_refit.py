@@ -238,7 +238,7 @@ def refine_fit(posterior: Posterior, fit: MapEstimate) -> tuple[CorrectedPosteri
     """
     if (
         isinstance(posterior, CorrectedPosterior) and posterior.doubt.size == fit.n_effect
-    ):  # simulated finely with all that is there
+    ):  # simulated finely already, with all its effects
         near, start = posterior, fit
     else:
         simulated_fit = fit_by_simulation(posterior, fit)

@@ -121,8 +121,8 @@ def diagnose(
     -------
     Diagnosis
     """
-    posterior, null_fit, standing = fit_initial_model(observed, prior, context)
-    stage = _SearchState(posterior, null_fit, null_fit, (), standing, settings.margin)
+    posterior, null_fit, moments = fit_initial_model(observed, prior, context)
+    stage = _SearchState(posterior, null_fit, null_fit, (), moments, settings.margin)
     rounds: list[tuple[Candidate, ...]] = []
     alternatives: tuple[tuple[Candidate, float], ...] = ()
     while len(stage.accepted) < settings.max_causes:
