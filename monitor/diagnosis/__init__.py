@@ -1,4 +1,4 @@
-"""Which effects explain a recording: stepwise selection, ambiguity, gain on held-out data, wording."""
+"""Diagnosis of a recording: stepwise selection of effects, ambiguity between them, gain on held-out data, wording."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""Candidates that data cannot tell apart, though one of them fits best."""
+"""Ambiguity of a diagnosis: candidates that the data cannot tell apart, though one of them fits best."""
 
 from __future__ import annotations
 
@@ -14,28 +14,45 @@ _SAME_PREDICTION_NATS = 1.0
 
 
 def tied_candidates(candidates: list[RefittedCandidate], rival: float) -> list[RefittedCandidate]:
-    """Those against which the log odds of the best are below `rival` nats, best first."""
+    """Select the candidates whose log odds against the best one exceed ``-rival``, best first.
+
+    Parameters
+    ----------
+    candidates : list of RefittedCandidate
+        In any order.
+    rival : float
+        Log odds from which the best candidate is distinguished from another one, nats.
+    """
     candidates = sorted(candidates, key=lambda p: -p.candidate.log_evidence)
     return [p for p, odds in zip(candidates, _log_odds(candidates), strict=True) if odds > -rival]
 
 
 def probabilities(tied: list[RefittedCandidate]) -> Array:
-    """Of candidates against each other, the first being the best, shape (n,)."""
+    """Compute the probability of each tied candidate, shape (n,).
+
+    Parameters
+    ----------
+    tied : list of RefittedCandidate
+        The only possible causes, the best one first.
+    """
     odds = np.exp(_log_odds(tied))
     return np.asarray(odds / odds.sum())
 
 
 def _log_odds(ordered: list[RefittedCandidate]) -> Array:
-    """Of candidates against the first, the best, shape (n,): the more chance there is in the evidence, the nearer to even
-    (D. MacKay, Neural Computation 4 (1992) 720).
+    """Compute the log odds of candidates against the first one, which is the best, shape (n,), nats.
+
+    Random error of the evidence moderates the odds towards even (D. MacKay, Neural Computation 4 (1992) 720).
     """
     best = ordered[0]
-    apart = np.array([p.candidate.log_evidence - best.candidate.log_evidence for p in ordered])
-    chance = np.array([np.hypot(p.log_evidence_std, best.log_evidence_std) for p in ordered])
-    return np.asarray(apart / np.sqrt(1.0 + np.pi / 8.0 * chance**2))
+    difference = np.array([p.candidate.log_evidence - best.candidate.log_evidence for p in ordered])
+    std = np.array([np.hypot(p.log_evidence_std, best.log_evidence_std) for p in ordered])
+    return np.asarray(difference / np.sqrt(1.0 + np.pi / 8.0 * std**2))
 
 
 def predict_the_same(posterior: Posterior, one: MapEstimate, other: MapEstimate) -> bool:
-    """Whether two fits predict spectra that these data cannot tell apart, whatever else is added."""
-    apart = whitened_change(posterior, posterior.predict(one.x, one.effects), posterior.predict(other.x, other.effects))
-    return bool(0.5 * float(apart @ apart) < _SAME_PREDICTION_NATS)
+    """Decide if the data cannot tell the spectra that two fits predict apart, so that no further effect can either."""
+    change = whitened_change(
+        posterior, posterior.predict(one.x, one.effects), posterior.predict(other.x, other.effects)
+    )
+    return bool(0.5 * float(change @ change) < _SAME_PREDICTION_NATS)

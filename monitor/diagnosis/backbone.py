@@ -1,4 +1,4 @@
-"""What a measured ground tells of a frame in plain terms: its modes' ratios, and how its first mode follows the level."""
+"""Plain findings from a response to measured ground motion: frequency ratios, and the first mode's dependence on amplitude."""
 
 from __future__ import annotations
 
@@ -28,21 +28,26 @@ _MIN_CHANGE_STDS = 6.0
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Backbone:
-    """The first frequency of every segment that shows it clearly, by the level of its motion."""
+    """Backbone curve: the first frequency of every segment that shows it clearly, by the amplitude of the motion."""
 
     amplitude_m: Array
     """Peak displacement of the top floor in the first mode relative to the ground, sqrt(2) x RMS, shape (n,), ascending."""
     hz: Array
-    """Measured, shape (n,)."""
+    """First frequency of the measured motion, shape (n,), Hz."""
     model_hz: Array
-    """The same of the model's response, shape (n,)."""
+    """First frequency of the model's response, shape (n,), Hz."""
 
 
 def backbone(posterior: Posterior, fit: MapEstimate) -> Backbone | None:
-    """Frequency of the first mode in every segment; None where too few show it, or no ground was measured.
+    """Estimate the first mode's frequency in every segment.
 
-    In each, ``y + 2 zeta w y' + w^2 y = -gamma g`` is solved by least squares in the frequency domain for the floors' motion
-    relative to the ground in the first mode.
+    In each segment ``y'' + 2 zeta w y' + w^2 y = -gamma g`` is solved by least squares in the frequency domain.  Here y is the
+    floors' motion relative to the ground in the first mode, and g is the ground acceleration.
+
+    Returns
+    -------
+    Backbone or None
+        None where too few segments show the mode, or where no ground motion was measured.
     """
     e, mean = posterior.observed, posterior.mean(fit.x, fit.effects)
     if e.drive is None or mean is None:
@@ -51,16 +56,16 @@ def backbone(posterior: Posterior, fit: MapEstimate) -> Backbone | None:
     mass, shape = posterior.system(fit.x, effects).mass, posterior.model(fit.x, effects).modes().shapes[:, 0].real
     first = float(posterior.model(fit.x, effects).modes().frequencies_hz[0])
     sensors = posterior.context.sensors
-    # Channels to the first mode's coordinate, which is the top floor's motion in it.
+    # Maps the channels to the first mode's coordinate, which is the top floor's motion in that mode.
     to_mode = np.linalg.pinv(sensors).T @ mass @ shape * shape[0]
-    near = (e.band.hz > _FIRST_MODE_BAND[0] * first) & (e.band.hz < _FIRST_MODE_BAND[1] * first)
-    ground, w = e.drive.ground(e.band)[:, near], 2.0 * np.pi * e.band.hz[near]
-    steady = to_mode @ sensors.sum(axis=1)
+    in_band = (e.band.hz > _FIRST_MODE_BAND[0] * first) & (e.band.hz < _FIRST_MODE_BAND[1] * first)
+    ground, w = e.drive.ground(e.band)[:, in_band], 2.0 * np.pi * e.band.hz[in_band]
+    rigid = to_mode @ sensors.sum(axis=1)
     rows = []
-    for measured, predicted, g in zip(e.segments.values[:, near], mean[:, near], ground, strict=True):
-        hz, amplitude, left = _fit_oscillator(measured @ to_mode - steady * g, g, w)
-        model_hz, _, model_left = _fit_oscillator(predicted @ to_mode - steady * g, g, w)
-        if max(left, model_left) < _MAX_LEFT_POWER:
+    for measured, predicted, g in zip(e.segments.values[:, in_band], mean[:, in_band], ground, strict=True):
+        hz, amplitude, unexplained = _fit_oscillator(measured @ to_mode - rigid * g, g, w)
+        model_hz, _, model_unexplained = _fit_oscillator(predicted @ to_mode - rigid * g, g, w)
+        if max(unexplained, model_unexplained) < _MAX_LEFT_POWER:
             rows.append((amplitude * np.sqrt(2.0 * e.band.bin_hz), hz, model_hz))
     if len(rows) < _MIN_SEGMENTS:
         return None
@@ -69,67 +74,99 @@ def backbone(posterior: Posterior, fit: MapEstimate) -> Backbone | None:
 
 
 def _fit_oscillator(y: ComplexArray, ground: ComplexArray, w: Array) -> tuple[float, float, float]:
-    """Frequency, root of the summed power of the displacement, and the share of power left over."""
+    """Fit an oscillator's equation of motion to a mode's acceleration.
+
+    Parameters
+    ----------
+    y : ndarray of complex, shape (n_bins,)
+        Acceleration relative to the ground.
+    ground : ndarray of complex, shape (n_bins,)
+        Acceleration of the ground.
+    w : ndarray, shape (n_bins,)
+        Circular frequency, rad/s.
+
+    Returns
+    -------
+    tuple of float
+        Frequency in Hz, root of the summed power of the displacement, and share of the power that the fit leaves unexplained.
+    """
     a = np.column_stack([y / -(w**2), y / (1j * w), ground])
-    split, target = np.concatenate([a.real, a.imag]), -np.concatenate([y.real, y.imag])
-    x, *_ = np.linalg.lstsq(split, target, rcond=None)
+    parts, target = np.concatenate([a.real, a.imag]), -np.concatenate([y.real, y.imag])
+    x, *_ = np.linalg.lstsq(parts, target, rcond=None)
     omega = float(np.sqrt(max(x[0], 0.0)))
-    left = float(((split @ x - target) ** 2).sum() / (target**2).sum())
+    unexplained = float(((parts @ x - target) ** 2).sum() / (target**2).sum())
     size = float(np.sqrt(2.0 * (np.abs(y / w**2) ** 2).sum()))
-    return omega / (2.0 * np.pi), size, left
+    return omega / (2.0 * np.pi), size, unexplained
 
 
 def find_level_dependence(found: Backbone | None) -> LackOfFit | None:
-    """How the first mode follows the level; None where it does no more than the model's."""
+    """Test if the first frequency depends on the amplitude more than the model's does; return None where it does not.
+
+    The medians of the third of the segments with the smallest amplitudes and of the third with the largest are compared.
+    """
     if found is None:
         return None
     third = max(2, found.hz.size // 3)
     low, high = slice(0, third), slice(-third, None)
-    apart = found.hz - found.model_hz
-    change = float(np.median(apart[high]) - np.median(apart[low]))
-    # Medians and their scatter: a segment in which a strong motion begins or ends tells its frequency badly.
+    difference = found.hz - found.model_hz
+    change = float(np.median(difference[high]) - np.median(difference[low]))
+    # Medians and their scatter, since the frequency is uncertain in a segment in which a strong motion begins or ends.
     std = float(
-        np.hypot(*[_MEDIAN_STD_FACTOR * np.median(np.abs(x - np.median(x))) for x in (apart[low], apart[high])])
+        np.hypot(
+            *[_MEDIAN_STD_FACTOR * np.median(np.abs(x - np.median(x))) for x in (difference[low], difference[high])]
+        )
     )
     std = std / np.sqrt(third) + 1e-9
     if abs(change) < _MIN_RELATIVE_CHANGE * found.hz.mean() or abs(change) < _MIN_CHANGE_STDS * std:
         return None
     ends = [[float(np.median(x[s])) for x in (found.amplitude_m, found.hz, found.model_hz)] for s in (low, high)]
     (a, f, m), (b, g, n) = ends
-    says = (
+    text = (
         f"the first mode {'falls' if g < f else 'rises'} with the level, from {f:.2f} Hz at {1e3 * a:.2g} mm of the top "
         f"floor to {g:.2f} Hz at {1e3 * b:.2g} mm; in the model from {m:.2f} to {n:.2f} Hz"
     )
-    return LackOfFit(f"f = {min(found.hz):.1f}-{max(found.hz):.1f} Hz, first mode", abs(change) / std, says)
+    return LackOfFit(f"f = {min(found.hz):.1f}-{max(found.hz):.1f} Hz, first mode", abs(change) / std, text)
 
 
 def find_ratio_change(posterior: Posterior, fit: MapEstimate) -> LackOfFit | None:
-    """Frequency ratios that the drawing does not have; None where the fitted model keeps them, or no ground was measured."""
+    """Test if the frequency ratios differ from those of the drawing.
+
+    Returns
+    -------
+    LackOfFit or None
+        None where the fitted model keeps the ratios, has no extra effects, or no ground motion was measured.
+    """
     if posterior.observed.drive is None or not fit.effects:
         return None
     drawn = posterior.prior.model.modes().frequencies_hz
     found = posterior.model(fit.x, (*posterior.prior.effects(fit.x), *fit.effects)).modes().frequencies_hz[: drawn.size]
-    had, has = drawn[1:] / drawn[0], found[1:] / found[0]
-    apart = has / had - 1.0
-    std = np.sqrt(np.maximum(_ratio_variance(posterior, fit, has), 1e-18)) / had
-    if np.max(np.abs(apart) / std) < _MIN_CHANGE_STDS or np.abs(apart).max() < 5.0 * _MIN_RELATIVE_CHANGE:
+    drawn_ratios, ratios = drawn[1:] / drawn[0], found[1:] / found[0]
+    change = ratios / drawn_ratios - 1.0
+    std = np.sqrt(np.maximum(_ratio_variance(posterior, fit, ratios), 1e-18)) / drawn_ratios
+    if np.max(np.abs(change) / std) < _MIN_CHANGE_STDS or np.abs(change).max() < 5.0 * _MIN_RELATIVE_CHANGE:
         return None
-    told = [" and ".join(f"f{i}/f1 {r:.2f}" for i, r in enumerate(x, start=2)) for x in (has, had)]
+    texts = [" and ".join(f"f{i}/f1 {r:.2f}" for i, r in enumerate(x, start=2)) for x in (ratios, drawn_ratios)]
     where = f"f = {found[0]:.1f}-{found[-1]:.1f} Hz, all modes"
     return LackOfFit(
         where,
-        float(np.max(np.abs(apart) / std)),
-        f"frequency ratios: {told[0]} explain the response, the drawing has {told[1]}",
+        float(np.max(np.abs(change) / std)),
+        f"frequency ratios: {texts[0]} explain the response, the drawing has {texts[1]}",
     )
 
 
-def _ratio_variance(posterior: Posterior, fit: MapEstimate, here: Array) -> Array:
-    """Variance of the frequency ratios, by their slopes."""
-    slopes = np.zeros((here.size, fit.x.size))
+def _ratio_variance(posterior: Posterior, fit: MapEstimate, ratios: Array) -> Array:
+    """Compute the variance of the frequency ratios from their slopes by the fitted parameters, shape (n_ratios,).
+
+    Parameters
+    ----------
+    ratios : ndarray, shape (n_ratios,)
+        Frequencies of the fitted model from the second mode on, over the first.
+    """
+    slopes = np.zeros((ratios.size, fit.x.size))
     for i in range(fit.x.size):
         moved, h = fit.x.copy(), 1e-5 * max(1.0, abs(fit.x[i]))
         moved[i] += h
         effects = (*posterior.prior.effects(moved), *with_coordinates(fit.effects, moved[posterior.layout.effects]))
-        f = posterior.model(moved, effects).modes().frequencies_hz[: here.size + 1]
-        slopes[:, i] = (f[1:] / f[0] - here) / h
+        f = posterior.model(moved, effects).modes().frequencies_hz[: ratios.size + 1]
+        slopes[:, i] = (f[1:] / f[0] - ratios) / h
     return np.asarray(np.einsum("ij,jk,ik->i", slopes, fit.covariance, slopes))

@@ -1,4 +1,4 @@
-"""What is seen again once more is known: the model without a cause, and causes beside later ones."""
+"""Backward elimination: accepted causes are tested again once later ones are known, as is the model without any cause."""
 
 from __future__ import annotations
 
@@ -23,21 +23,36 @@ _N_ALTERNATIVES = 3
 def find_better_null_fit(
     posterior: Posterior, fit: MapEstimate, candidates: Sequence[RefittedCandidate]
 ) -> tuple[Posterior, MapEstimate] | None:
-    """A better fit of the same form than `at`, where a candidate's fit came upon one; None where none did.
+    """Find a better fit without the candidates' causes, starting from where the candidates' fits ended.
 
-    Else the candidate would get the credit for it.
+    Without this refit the candidate would get credit for the improvement.
+
+    Parameters
+    ----------
+    fit : MapEstimate
+        The present fit without a further cause.
+    candidates : sequence of RefittedCandidate
+        Fits with one further cause each.
+
+    Returns
+    -------
+    tuple of Posterior and MapEstimate, or None
+        None where no start is better than `fit`.
     """
-    begun = [(p.candidate.fit.x[: fit.x.size], p.candidate.fit.effects[:-1]) for p in candidates]
-    likely = [sum(posterior.score(*start)) for start in begun]
-    if not begun or not max(likely) > fit.log_posterior + _LOCAL_OPTIMUM_NATS:
+    starts = [(p.candidate.fit.x[: fit.x.size], p.candidate.fit.effects[:-1]) for p in candidates]
+    log_posteriors = [sum(posterior.score(*start)) for start in starts]
+    if not starts or not max(log_posteriors) > fit.log_posterior + _LOCAL_OPTIMUM_NATS:
         return None
-    found = maximize_posterior(posterior, *begun[int(np.argmax(likely))])
+    found = maximize_posterior(posterior, *starts[int(np.argmax(log_posteriors))])
     posterior = update_linearization(posterior, found)
     return posterior, maximize_posterior(posterior, found.x, found.effects)
 
 
 def update_linearization(posterior: Posterior, fit: MapEstimate) -> Posterior:
-    """The problem with its classes' motion as the fitted model has it; a correction stays at the motion that was simulated."""
+    """Linearize nonlinear laws at the motion of the fitted model.
+
+    A posterior that simulation corrected is returned unchanged, since the correction holds at the simulated motion.
+    """
     if isinstance(posterior, CorrectedPosterior):
         return posterior
     return replace(posterior, conditions=linearize(posterior, fit.x, fit.effects))
@@ -51,35 +66,46 @@ def eliminate_backward(
     margin: float,
     lead: float,
 ) -> tuple[Posterior, MapEstimate, tuple[Candidate, ...]]:
-    """The causes once the later ones are known: without what they made superfluous, and rivals where these are better now.
+    """Remove the causes that later ones made superfluous, and replace a cause where a rival fits better now.
 
     Parameters
     ----------
-    at : MapEstimate
-        With the accepted causes, and after them the most probable alternative where there is one.
-    rounds
-        Of every cause, the candidates among which it was accepted; then that of the alternatives.
-    margin, lead : float
-        Evidence that a cause needs, and what a rival must have more than the cause whose place it takes, nats.
+    fit : MapEstimate
+        Fit with the accepted causes, followed by the most probable alternative where the answer is ambiguous.
+    accepted : sequence of Candidate
+        Accepted causes in the order of their acceptance.
+    rounds : sequence of sequences of Candidate
+        For every cause the candidates among which it was accepted, then the candidates of the alternatives.
+    margin : float
+        Log evidence that a cause needs, nats.
+    lead : float
+        Log evidence that a rival must have beyond that of the cause which it replaces, nats.
+
+    Returns
+    -------
+    posterior : Posterior
+    fit : MapEstimate
+    kept : tuple of Candidate
+        The causes that remain.
     """
     later = rounds[len(accepted)] if len(fit.effects) > len(accepted) else ()
     kept, replaced = list(accepted), False
     for cause, candidates in zip(accepted, rounds, strict=False):
         if len(fit.effects) == 1 or (cause is accepted[-1] and len(fit.effects) == len(kept) and not replaced):
-            break  # nothing came after it
+            break  # no later cause is in the model
         nuisances, i = posterior.layout.nuisances, kept.index(cause)
         rest = (*fit.effects[:i], *fit.effects[i + 1 :])
         without = maximize_posterior(posterior, join_coordinates(fit.x[nuisances], rest), rest)
         min_gain = score_candidate(posterior, without, fit, len(cause.effect.parameters)).log_evidence
         excluded = {cause.key, *(c.key for c in later), *((e.name, e.location) for e in rest)}
-        # What simulation added to a law is its own: none takes its place, and it none's.
+        # A simulated correction holds for one law only, so a nonlinear cause neither replaces another nor is replaced.
         linear = [] if cause.effect.nonlinear else [c for c in candidates if not c.effect.nonlinear]
         rivals = [c.effect for c in linear if c.key not in excluded]
         min_log_evidence = max(min_gain + lead, margin)
-        judged = parallel_map(
+        fitted = parallel_map(
             partial(fit_candidate, posterior, without, min_log_evidence=min_log_evidence), rivals[:_N_ALTERNATIVES]
         )
-        best = max(judged, key=lambda c: c.log_evidence, default=None)
+        best = max(fitted, key=lambda c: c.log_evidence, default=None)
         if best is not None and best.log_evidence > min_log_evidence:
             effects = (*best.fit.effects[:i], best.effect, *best.fit.effects[i:-1])
             fit = maximize_posterior(posterior, join_coordinates(best.fit.x[nuisances], effects), effects)
@@ -91,17 +117,31 @@ def eliminate_backward(
             del kept[i]
         posterior = update_linearization(posterior, fit)
         if isinstance(posterior, CorrectedPosterior):
-            posterior = replace(posterior, doubt=np.zeros(0))  # which was that of other causes
+            posterior = replace(posterior, doubt=np.zeros(0))  # it held for the former causes
         fit = maximize_posterior(posterior, fit.x, fit.effects)
     if not any(e.nonlinear for e in fit.effects) and any(c.effect.nonlinear for c in accepted):
-        posterior, fit, _ = fit_persistent_effects(posterior, fit)  # its law is gone
+        posterior, fit, _ = fit_persistent_effects(posterior, fit)  # the simulated law was removed
     return posterior, fit, tuple(kept)
 
 
 def fit_subset(
     posterior: Posterior, fit: MapEstimate, simulation_std: Array, kept: Sequence[bool]
 ) -> tuple[MapEstimate, Array]:
-    """The fit, and the doubt of its sizes, with some of its effects alone."""
+    """Refit with some of the effects only.
+
+    Parameters
+    ----------
+    simulation_std : ndarray, shape (n_coordinates,)
+        Standard deviation of the effects' coordinates by the simulations' random error.
+    kept : sequence of bool
+        Says for every effect if it stays.
+
+    Returns
+    -------
+    fit : MapEstimate
+    simulation_std : ndarray
+        The same standard deviations, of the remaining effects.
+    """
     effects = tuple(e for e, stays in zip(fit.effects, kept, strict=True) if stays)
     sizes = np.array([stays for e, stays in zip(fit.effects, kept, strict=True) for _ in e.parameters])
     return maximize_posterior(
@@ -110,5 +150,5 @@ def fit_subset(
 
 
 def join_coordinates(nuisances: Array, effects: Sequence[Effect]) -> Array:
-    """The vector of a fit that begins with these effects."""
+    """Join nuisances and the effects' coordinates to the parameter vector of a fit, shape (p,)."""
     return np.concatenate([nuisances, *[e.coordinates for e in effects]])

@@ -1,4 +1,4 @@
-"""Measure what an extended model gains on data that it was not fitted to, by blocked cross-validation."""
+"""Gain of an extended model on data that it was not fitted to, by blocked cross-validation."""
 
 from __future__ import annotations
 
@@ -30,7 +30,13 @@ _LARGE_GAIN_NATS = 20.0
 
 @dataclass(frozen=True, slots=True)
 class HeldOutGain:
-    """Scores of the old model form and of the extended one on data that neither was fitted to."""
+    """Scores of the old model form and of the extended one on data that neither was fitted to.
+
+    Examples
+    --------
+    >>> round(HeldOutGain(before=-1.50, after=-1.25).value, 3)
+    0.25
+    """
 
     before: float = 0.0
     """Score of the old form, nats per sample instant."""
@@ -41,7 +47,9 @@ class HeldOutGain:
     nats: float = 0.0
     """Their difference, summed over all held-out data."""
     csd_error_before: float = 0.0
+    """Relative squared error of the old form's cross-spectra, see `csd_error`."""
     csd_error_after: float = 0.0
+    """Relative squared error of the extended form's cross-spectra."""
     heldout: str = "none: nothing was added to the model"
     """Which data were held out."""
 
@@ -53,12 +61,13 @@ class HeldOutGain:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Blocks:
-    """A recording's division into contiguous blocks."""
+    """Division of a recording into contiguous blocks."""
 
     of_segment: NDArray[np.intp]
     """Block of every segment, -1 for one that straddles a border, shape (n_segments,)."""
     n: int
     length_s: float
+    """Length of a block, s."""
 
     @property
     def folds(self) -> int:
@@ -108,11 +117,11 @@ def heldout_gain(segments: Segments, diagnosis: Diagnosis) -> HeldOutGain:
     spectra = np.zeros((2, 2, *segments.values.shape[1:], segments.values.shape[2]), dtype=complex)
     for held, scores in zip(parts, folds, strict=True):
         of_held = blocks.of_segment[held]
-        for i, one in enumerate(scores):
-            nats[i] += np.bincount(of_held, one.nats, blocks.n)
-            spectra[i] += np.count_nonzero(held) * np.stack([one.measured, one.modelled])
+        for i, form_score in enumerate(scores):
+            nats[i] += np.bincount(of_held, form_score.nats, blocks.n)
+            spectra[i] += np.count_nonzero(held) * np.stack([form_score.measured, form_score.modelled])
         samples += np.bincount(of_held, minlength=blocks.n) * (scores[0].samples / np.count_nonzero(held))
-    return _summarized(nats, samples, spectra, blocks)
+    return _summarize_scores(nats, samples, spectra, blocks)
 
 
 def _score_fold(
@@ -120,7 +129,7 @@ def _score_fold(
 ) -> list[Score]:
     """Score the old and the extended form on the held-out segments, both fitted to the others."""
     part = classify(segments.part(others))
-    # Weighted as the whole recording, so that the prior pulls these fits no more than it pulls the published one.
+    # Weighted as the whole recording, so that the prior affects these fits no more than the published one.
     part = replace(part, counts=part.counts * segments.t_s.size / part.counts.sum())
     context, prior = diagnosis.posterior.context, diagnosis.posterior.prior
     return [
@@ -129,7 +138,7 @@ def _score_fold(
     ]
 
 
-def _summarized(nats: Array, samples: Array, spectra: ComplexArray, blocks: _Blocks) -> HeldOutGain:
+def _summarize_scores(nats: Array, samples: Array, spectra: ComplexArray, blocks: _Blocks) -> HeldOutGain:
     """Sum up the blocks' scores.
 
     Parameters
@@ -173,15 +182,15 @@ def _bootstrap_interval(gains: Array, samples: Array) -> tuple[float, float]:
     drawn = np.random.default_rng(0).integers(0, n, (_N_BOOTSTRAPS, n))
     means = gains[drawn].sum(axis=1) / np.maximum(samples[drawn].sum(axis=1), 1.0)
     value = gains.sum() / samples.sum()
-    low, high = value + _widening(n) * (np.quantile(means, [0.025, 0.975]) - value)
+    low, high = value + _bootstrap_widening(n) * (np.quantile(means, [0.025, 0.975]) - value)
     return float(low), float(high)
 
 
-def _widening(n_blocks: int) -> float:
-    """Compute the factor by which a bootstrap of few blocks is too narrow.
+def _bootstrap_widening(n_blocks: int) -> float:
+    """Compute the factor by which a bootstrap interval from few blocks must be widened.
 
-    It is Student's t over the normal quantile, times the root of n / (n - 1).  Of two blocks the interval is their range,
-    which is no 95 % of anything, so it is not widened.
+    The factor is Student's t over the normal quantile, times the root of n / (n - 1).  The interval from two blocks is their
+    range, which is no 95 % interval, so it is not widened.
     """
     if n_blocks < _N_FOLDS:
         return 1.0
@@ -208,10 +217,10 @@ def require_gain(diagnosis: Diagnosis, gain: HeldOutGain) -> Diagnosis:
     law a large summed gain is therefore enough.  Where causes are stated beside something unexplained, which widens the
     interval too, the summed gain must not be a loss.
     """
-    loud = any(cause.effect.nonlinear for cause in diagnosis.causes) and gain.nats > _LARGE_GAIN_NATS
+    confirmed_by_sum = any(cause.effect.nonlinear for cause in diagnosis.causes) and gain.nats > _LARGE_GAIN_NATS
     match diagnosis.verdict:
         case "named":
-            confirmed = gain.ci95[0] > 0.0 or loud
+            confirmed = gain.ci95[0] > 0.0 or confirmed_by_sum
         case "unexplained":
             confirmed = not diagnosis.causes or gain.value >= 0.0
         case _:

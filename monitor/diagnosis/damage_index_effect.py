@@ -1,4 +1,4 @@
-"""What an extended model does to the damage index: how much of an apparent loss the causes that were found account for."""
+"""Effect of an extended model on the damage index: the part of an apparent loss that the causes account for."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ recorded]"""
 
 
 def ddi_effect(diagnosis: Diagnosis) -> dict[str, Any]:
-    """Damage index of every story, first by refitting stiffness alone, then beside the causes that were found.
+    """Compute every story's damage index with stiffness refitted alone, and with stiffness refitted beside the causes.
 
-    Changes of stiffness are no cause here: they are what the index is to show.
+    Changes of stiffness do not count as causes here, since the index is to show them.
 
     Returns
     -------
@@ -31,26 +31,26 @@ def ddi_effect(diagnosis: Diagnosis) -> dict[str, Any]:
     if not diagnosis.final_fit.effects:
         return {"without": [], "with": []}
     posterior = _with_free_stiffness(diagnosis.posterior)
-    # The offset is a cause's.
+    # The simulated offset belongs to a cause, so the fit without causes has none.
     forms = [(replace(posterior, offset=None), diagnosis.null_fit.x, ()), (posterior, diagnosis.final_fit.x, causes)]
-    alone, *beside = parallel_map(lambda form: _fitted(*form), forms[: 2 if causes else 1])
+    without, *with_causes = parallel_map(lambda form: _refit(*form), forms[: 2 if causes else 1])
     known = np.exp(posterior.prior.mean[posterior.layout.stiffness])
 
     def index(fit: MapEstimate) -> list[float]:
         return [float(v) for v in 1.0 - np.exp(fit.x[posterior.layout.stiffness]) / known]
 
-    return {"without": index(alone), "with": index(*(beside or [alone]))}
+    return {"without": index(without), "with": index(*(with_causes or [without]))}
 
 
-def _fitted(posterior: Posterior, x: Array, effects: tuple[Effect, ...]) -> MapEstimate:
-    """The fit, laws that depend on the level being linear at the motion that it shows."""
+def _refit(posterior: Posterior, x: Array, effects: tuple[Effect, ...]) -> MapEstimate:
+    """Refit at the fitted motion: laws that depend on the vibration level are linearized at the motion of a first fit."""
     fit = maximize_posterior(posterior, x, effects)
     posterior = replace(posterior, conditions=linearize(posterior, fit.x, fit.effects))
     return maximize_posterior(posterior, fit.x, fit.effects)
 
 
 def _with_free_stiffness(posterior: Posterior) -> Posterior:
-    """The baseline holds its stiffnesses fixed; an index asks what they are now."""
+    """Free the stiffnesses, which the baseline's prior holds fixed."""
     stiffness, precision = posterior.layout.stiffness, posterior.prior.precision.copy()
     precision[stiffness], precision[:, stiffness] = 0.0, 0.0
     np.fill_diagonal(precision[stiffness, stiffness], 1.0 / _STIFFNESS_STD**2)

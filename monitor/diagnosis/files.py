@@ -1,4 +1,4 @@
-"""What a diagnosis leaves behind: diagnosis.json, and the structure file with what was learned (docs/diagnosis.md)."""
+"""Files of a diagnosis: diagnosis.json, and the structure file with the fitted model (docs/diagnosis.md)."""
 
 from __future__ import annotations
 
@@ -25,12 +25,16 @@ _NOT_DETERMINED = 1e300
 def content(
     diagnosis: Diagnosis, gain: HeldOutGain, known: Iterable[Effect], ddi_effect: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """The content of diagnosis.json.
+    """Collect the content of diagnosis.json.
 
     Parameters
     ----------
+    diagnosis : Diagnosis
+        The diagnosis of the recording.
+    gain : HeldOutGain
+        Its gain on held-out data.
     known : iterable of Effect
-        What the structure file itself states: no finding of the calibration.
+        Effects that the structure file itself states, which are no finding of the calibration.
     ddi_effect : mapping
         See `monitor.diagnosis.damage_index_effect`.
     """
@@ -59,22 +63,24 @@ def content(
 
 
 def _cause(effect: Effect, std: Mapping[str, float], prior: StructuralPrior) -> dict[str, Any]:
+    """Describe a cause with its parameters, their standard deviations and a sentence."""
     sizes = {name: {"value": _finite(v), "std": _finite(std[name])} for name, v in effect.values().items()}
     says = in_words(effect.name, effect.location, sizes, prior)
     return {"effect": effect.name, "location": effect.location, "parameters": sizes, "says": says}
 
 
 def _alternative(candidate: Candidate, probability: float) -> dict[str, Any]:
+    """Describe a rival cause with its probability and its parameters."""
     effect = candidate.effect
     n = len(effect.parameters)
-    last = np.diag(candidate.fit.covariance)[candidate.fit.x.size - n :]
-    sizes = _sizes(effect, np.sqrt(np.maximum(last, 0.0)))
+    variance = np.diag(candidate.fit.covariance)[candidate.fit.x.size - n :]
+    sizes = _sizes(effect, np.sqrt(np.maximum(variance, 0.0)))
     return {"effect": effect.name, "location": effect.location, "probability": probability, "parameters": sizes}
 
 
 def _standing(prior: StructuralPrior) -> list[dict[str, Any]]:
-    """The causes that calibration found, with what the healthy data say of their sizes."""
-    # In units of their own: a law's size in N/m^3 is known to so few parts in 1e24 that it would pass for nothing.
+    """Describe the effects that calibration found, with the standard deviations of their parameters from the healthy data."""
+    # Scaled by their own units: the precision of a law's size in N/m^3 is of the order of 1e-24, which would pass for zero.
     unit = np.maximum(np.diag(prior.precision), 1e-300) ** -0.5
     variance = unit**2 * np.diag(np.linalg.pinv(prior.precision * np.outer(unit, unit), hermitian=True))
     first, out = ParameterLayout.of(prior).persistent.start, []
@@ -87,13 +93,13 @@ def _standing(prior: StructuralPrior) -> list[dict[str, Any]]:
 
 
 def _standing_misfit(prior: StructuralPrior) -> dict[str, Any] | None:
-    """What calibration left unexplained."""
+    """Describe the lack of fit that calibration left unexplained; return None where there is none."""
     error = prior.error
     return None if error is None else {"bands_hz": error.doubtful_hz(), "says": contradicted(error)}
 
 
 def _sizes(effect: Effect, deviation: Array) -> dict[str, dict[str, float]]:
-    """Parameters with standard deviations from those of their coordinates."""
+    """Convert standard deviations of an effect's coordinates, shape (p,), to values and standard deviations of its parameters."""
     out = {}
     for p, d in zip(effect.parameters, deviation.tolist(), strict=True):
         value = float(getattr(effect, p.name))
@@ -103,17 +109,25 @@ def _sizes(effect: Effect, deviation: Array) -> dict[str, dict[str, float]]:
 
 
 def _finite(value: float) -> float:
+    """Clip a number to the finite range of JSON; a NaN becomes the largest number."""
     return float(np.clip(np.nan_to_num(value, nan=_NOT_DETERMINED), -_NOT_DETERMINED, _NOT_DETERMINED))
 
 
 def _gain(gain: HeldOutGain) -> dict[str, Any]:
+    """Describe the gain on held-out data."""
     score = {"before": gain.before, "after": gain.after, "gain": gain.value, "ci95": list(gain.ci95)}
     error = {"before": gain.csd_error_before, "after": gain.csd_error_after}
     return {"log_score_per_sample": score, "csd_error": error, "heldout": gain.heldout}
 
 
 def model_to_plain(model: Model, reference_degc: float | None) -> dict[str, Any]:
-    """A fitted model."""
+    """Convert a fitted model to plain lists and numbers for JSON.
+
+    Parameters
+    ----------
+    reference_degc : float or None
+        Temperature at which the model's stiffnesses hold, degC.
+    """
     return {
         "stiffness_n_per_m": _plain(model.structure.stiffness_n_per_m),
         "masses_kg": _plain(model.structure.masses_kg),
@@ -125,7 +139,14 @@ def model_to_plain(model: Model, reference_degc: float | None) -> dict[str, Any]
 
 
 def model_from_plain(content: Mapping[str, Any], drawn: Model) -> Model:
-    """The fitted model, on the structure file's.
+    """Build the fitted model from the content that `model_to_plain` returned.
+
+    Parameters
+    ----------
+    content : mapping
+        Plain lists and numbers.
+    drawn : Model
+        Model of the structure file, on which the fitted one is built.
 
     Raises
     ------
@@ -149,21 +170,23 @@ def model_from_plain(content: Mapping[str, Any], drawn: Model) -> Model:
 
 
 def structure_text(text: str, model: Model, reference_degc: float | None = None) -> str:
-    """A structure file with another model in it: every other table, and every comment, stay as they are.
+    """Write a fitted model into the text of a structure file; all other tables and all comments stay as they are.
 
     Parameters
     ----------
     text : str
         The structure file.
+    model : Model
+        The fitted model.
     reference_degc : float, optional
-        Temperature at which the model's stiffnesses hold; written where an effect depends on it.
+        Temperature at which the model's stiffnesses hold, degC; written where an effect depends on it.
     """
     document = tomlkit.parse(text)
     table: Any = document["structure"]
     structure = model.structure
     table["stiffness_n_per_m"] = _plain(structure.stiffness_n_per_m)
     if isinstance(structure, MatrixStructure):
-        # Not by the names of files: they would be looked for beside the new file.
+        # As numbers, not as names of files, which would be looked for beside the new file.
         table["mass_matrix"] = _plain(structure.mass_matrix())
         table["stiffness_matrix"] = _plain(structure.stiffness_matrix())
         table["stiffness_derivatives"] = _plain(structure.stiffness_derivatives())
@@ -179,9 +202,17 @@ def structure_text(text: str, model: Model, reference_degc: float | None = None)
 
 
 def effects_text(text: str, effects: Iterable[Effect]) -> str:
-    """A structure file with these effects: parameters set where the file states the effect, the others added.
+    """Write effects into the text of a structure file.
 
-    Of two effects of a kind at one place, which add up, each has an entry of its own.
+    Parameters are set where the file states the effect already; other effects are added.  Two effects of a kind at one place add
+    up, so each has an entry of its own.
+
+    Examples
+    --------
+    >>> from monitor.model import FORMS
+    >>> change = FORMS["stiffness_change"].create("story 1", {"relative": -0.1})
+    >>> print(effects_text("", [change]).splitlines()[-1])
+    parameters = {relative = -0.1}
     """
     document = tomlkit.parse(text)
     listed: Any = document.get("effects")
@@ -190,21 +221,21 @@ def effects_text(text: str, effects: Iterable[Effect]) -> str:
         listed = tomlkit.aot()
     stated = list(listed)
     for effect in effects:
-        like = [i for i, t in enumerate(stated) if (t["effect"], t["location"]) == (effect.name, effect.location)]
-        if like:
-            found = stated.pop(like[0])
+        matches = [i for i, t in enumerate(stated) if (t["effect"], t["location"]) == (effect.name, effect.location)]
+        if matches:
+            entry = stated.pop(matches[0])
         else:
-            found = tomlkit.table()
-            found["effect"], found["location"] = effect.name, effect.location
-            listed.append(found)
+            entry = tomlkit.table()
+            entry["effect"], entry["location"] = effect.name, effect.location
+            listed.append(entry)
         parameters = tomlkit.inline_table()
         parameters.update({name: float(f"{value:.10g}") for name, value in effect.values().items()})
-        found["parameters"] = parameters
+        entry["parameters"] = parameters
     if listed and "effects" not in document:
         document["effects"] = listed
     return tomlkit.dumps(document)
 
 
 def _plain(values: Array) -> Any:
-    """Numbers with ten significant digits, nested as the array is."""
+    """Round an array to ten significant digits, as lists nested like the array."""
     return [_plain(v) for v in values] if values.ndim else float(f"{float(values):.10g}")

@@ -1,4 +1,4 @@
-"""Refit the two model forms of a diagnosis to a part of the recording."""
+"""Refit of the two model forms of a diagnosis to a part of the recording."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ _MAX_STEPS_DRIVEN = 25
 def refit_forms(part: ObservedSpectra, whole: Diagnosis) -> list[tuple[Model, ExcitationStart]]:
     """Fit the old model form and the extended one to a part of a recording.
 
-    The fits start from those to the whole recording, which lie near: the phases of a response lead back from nearby only, and
-    everything else converges sooner.  What simulation adds to a linearized law is also that of the whole recording, since it
-    belongs to the law and not to the data.  It is simulated anew where both forms have nonlinear laws, which must be treated
-    alike, and where the classes are not classes of level alone.
+    The fits start from those to the whole recording, which are close: from far away the phases of a response do not lead to the
+    optimum, and all else converges sooner.  The correction that simulation adds to a linearized law is also that of the whole
+    recording, since it belongs to the law and not to the data.  The correction is simulated anew where both forms have nonlinear
+    laws, which must be treated alike, and where the classes differ in more than the vibration level.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ def refit_forms(part: ObservedSpectra, whole: Diagnosis) -> list[tuple[Model, Ex
     list of (Model, ExcitationStart)
         The old form, then the extended one, each with its fitted excitation.
     """
-    part = replace(part, drive=_between_samples_as(whole, part.drive))
+    part = replace(part, drive=_with_ground_interpolation(whole, part.drive))
     n_classes = part.counts.size
     posterior = whole.posterior.part(part, nearest_classes(whole.posterior.n_classes, n_classes))
     layout = whole.posterior.layout
@@ -70,14 +70,14 @@ def refit_forms(part: ObservedSpectra, whole: Diagnosis) -> list[tuple[Model, Ex
     return [fitted(whole.null_fit.x, whole.null_fit.effects), fitted(whole.final_fit.x, whole.final_fit.effects)]
 
 
-def _between_samples_as(whole: Diagnosis, drive: Drive | None) -> Drive | None:
-    """Let the ground move between its samples as the diagnosis of the whole recording found."""
+def _with_ground_interpolation(whole: Diagnosis, drive: Drive | None) -> Drive | None:
+    """Set the interpolation of the ground motion between its samples to that of the diagnosis of the whole recording."""
     found = whole.posterior.observed.drive
     return None if drive is None or found is None else replace(drive, between=found.between)
 
 
 def fitted_model(posterior: Posterior, fit: MapEstimate) -> Model:
-    """Build the model at a fit: the persistent effects and those that were found, with the fit's modal damping."""
+    """Build the model at a fit, with persistent and extra effects and with the modal damping ratios of the fit."""
     effects = (*posterior.prior.effects(fit.x), *fit.effects)
     model, damping = posterior.model(fit.x, effects), posterior.system(fit.x, effects).damping
     modes = model.modes()

@@ -1,4 +1,4 @@
-"""What calibration learns of the healthy structure for later diagnoses: its model, and what that model misses from the start."""
+"""Healthy prior: the model that calibration fits for later diagnoses, and the initial lack of fit of that model."""
 
 from __future__ import annotations
 
@@ -28,46 +28,53 @@ motion. [ratio; judgement]"""
 def learn_prior(
     observed: ObservedSpectra, known: StructuralPrior, context: Context, settings: DiagnosisSettings
 ) -> tuple[StructuralPrior, Array]:
-    """The reference that healthy evidence makes of what was known before.
+    """Learn the prior of later diagnoses from healthy data and from the prior of the structure file.
 
-    First the model form alone is fitted.  Then its stiffnesses stay, standing effects of the structure stay as well as they are
-    known, and a symmetric correction within the modes in the band, with the masses' ratios, takes up what it misses.  So every
-    direction that is left free is one that data fix, and the posterior is close to normal.  What even so contradicts the model
-    in some bands is kept, and they count less from then on.
+    First the model form alone is fitted.  Then the stiffnesses are held, and persistent effects of the structure are held as well
+    as they are known.  A symmetric correction of the stiffness matrix within the modes in the band takes up the remaining lack of
+    fit, together with the mass ratios.  So the data determine every free direction, and the posterior is close to normal.  Bands
+    that contradict the model even so are kept, and count less from then on.
+
+    Parameters
+    ----------
+    observed : ObservedSpectra
+        Spectra of the healthy recording.
+    known : StructuralPrior
+        Prior from the structure file.
 
     Returns
     -------
-    StructuralPrior
-    ndarray, shape (e,)
+    prior : StructuralPrior
+    correction : ndarray, shape (e,)
         The correction, relative to the modes' stiffness.
     """
-    _, form, _ = fit_initial_model(observed, known, context)
+    _, first_fit, _ = fit_initial_model(observed, known, context)
     layout = ParameterLayout.of(known)
-    x = form.x[layout.structure]
+    x = first_fit.x[layout.structure]
     model = known.model.with_stiffness(np.exp(x[layout.stiffness])).with_masses(np.exp(x[layout.masses]))
     n_modes = int(np.count_nonzero(model.modes().frequencies_hz < observed.band.hz[-1]))
     basis = correction_basis(model, n_modes)
-    standing = known.effects(x)
-    effects = np.concatenate([[], *[e.coordinates for e in standing]])
+    persistent = known.effects(x)
+    effects = np.concatenate([[], *[e.coordinates for e in persistent]])
     sizes, noise = layout.persistent, layout.channel_noise
-    # The correction could take the place of these, and their sizes drift far beside it.
-    like = [e.family == "structure" and not e.conditional for e in standing for _ in e.parameters]
-    held = np.where(like, 1.0 / np.diag(form.covariance)[sizes], 0.0)
+    # The correction could replace these effects, and their sizes would then drift far.
+    structural = [e.family == "structure" and not e.conditional for e in persistent for _ in e.parameters]
+    held = np.where(structural, 1.0 / np.diag(first_fit.covariance)[sizes], 0.0)
     mean = np.concatenate([x[: layout.correction.start], np.zeros(basis.shape[0]), effects])
     k, m, d, c, _ = known.sizes
     masses, damped_and_noisy = known.precision[layout.masses, layout.masses], slice(layout.damping.start, noise.stop)
     prior = block_diag(
         np.eye(k) / _FIXED_STD**2,
-        masses + 1.0 / (m * _FIXED_STD) ** 2,  # their common scale cannot be seen: fixed for now
+        masses + 1.0 / (m * _FIXED_STD) ** 2,  # the data do not show their common scale: fixed for now
         known.precision[damped_and_noisy, damped_and_noisy],
         np.eye(basis.shape[0]) / _CORRECTION_STD**2,
         known.precision[sizes, sizes] + np.diag(held),
     )
     wider = replace(known, mean=mean, precision=prior, basis=basis)
     posterior, fitted, _ = fit_initial_model(observed, wider, context)
-    wrong, covariance = estimate_model_discrepancy(posterior, fitted, settings), fitted.covariance
-    if wrong is not None:
-        wider = replace(wider, error=wrong)
+    discrepancy, covariance = estimate_model_discrepancy(posterior, fitted, settings), fitted.covariance
+    if discrepancy is not None:
+        wider = replace(wider, error=discrepancy)
         covariance = _covariance(replace(posterior, prior=wider), fitted.x)
     structure = posterior.layout.structure
     precision = inverse(covariance[structure, structure])
@@ -78,6 +85,6 @@ def learn_prior(
 
 
 def _covariance(posterior: Posterior, x: Array) -> Array:
-    """Of parameters that were fitted to more than the problem now trusts, shape (p, p)."""
+    """Compute the covariance of parameters whose posterior has changed since their fit, shape (p, p)."""
     rows = posterior.jacobian(x, (), posterior.predict(x, ()))[0]
     return inverse(rows.T @ rows + posterior.normal_prior(x, ())[1])

@@ -1,4 +1,4 @@
-"""A recording's problem before any cause is looked for, and what a measured ground asks of its fits."""
+"""First fit of a recording before any cause is searched, and the further steps that measured ground motion requires."""
 
 from __future__ import annotations
 
@@ -49,10 +49,23 @@ _INITIAL_MODEL_ERROR = 0.5
 def fit_linearized(
     observed: ObservedSpectra, prior: StructuralPrior, context: Context
 ) -> tuple[Posterior, MapEstimate]:
-    """The problem without extra effects, fitted, with the motion of every class known.
+    """Fit the model without extra effects, with nonlinear laws linearized at the fitted motion.
 
-    Nonlinear laws are made linear at the motion of the fitted model, so the fit is made twice where standing effects
-    need it.
+    The fit is made twice where persistent effects are in the model, since their linearization needs the motion of the fitted
+    model.
+
+    Parameters
+    ----------
+    observed : ObservedSpectra
+        Spectra of the recording.
+    prior : StructuralPrior
+        Prior of the structure, persistent effects included.
+
+    Returns
+    -------
+    posterior : Posterior
+        With the motion of every class.
+    fit : MapEstimate
     """
     if observed.drive is not None:
         prior = prior.with_any_noise()
@@ -84,7 +97,7 @@ def fit_linearized(
 
 
 def fit_ambient_forces(posterior: Posterior, fit: MapEstimate) -> tuple[Posterior, MapEstimate]:
-    """With the forces that the quiet tells, where the ground was measured."""
+    """Fit the ambient forces from the quiet segments and refit all else; unchanged without measured ground motion."""
     if not isinstance(posterior, DrivenPosterior):
         return posterior, fit
     x = forces_from_quiet_segments(posterior, fit.x, fit.effects)
@@ -93,20 +106,26 @@ def fit_ambient_forces(posterior: Posterior, fit: MapEstimate) -> tuple[Posterio
 
 
 def _fit_from_heavy_damping(posterior: Posterior) -> MapEstimate:
-    """The first fit to driven motion, whose phases lead back from nearby only: with heavy damping first, for wide peaks."""
+    """Fit driven motion for the first time, beginning with heavy damping.
+
+    The phases of a driven response lead to the optimum only from nearby; heavy damping widens the peaks.
+    """
     known, x = posterior.prior, _first_guess(posterior)
     modes = posterior.layout.damping
-    mean, held = known.mean.copy(), np.zeros(known.mean.size)
-    mean[modes], held[modes] = np.log(_FIRST_DAMPING), _HELD_DAMPING_PRECISION
-    precision = known.precision + np.diag(held)
-    wide = replace(posterior, prior=replace(known, mean=mean, precision=precision))
-    near = maximize_posterior(wide, posterior.layout.with_structure(x, mean), iterations=LONG).x
-    near[modes] = np.log(_SECOND_DAMPING)
-    return maximize_posterior(posterior, near, iterations=FAR)
+    mean, added_precision = known.mean.copy(), np.zeros(known.mean.size)
+    mean[modes], added_precision[modes] = np.log(_FIRST_DAMPING), _HELD_DAMPING_PRECISION
+    precision = known.precision + np.diag(added_precision)
+    heavily_damped = replace(posterior, prior=replace(known, mean=mean, precision=precision))
+    x_start = maximize_posterior(heavily_damped, posterior.layout.with_structure(x, mean), iterations=LONG).x
+    x_start[modes] = np.log(_SECOND_DAMPING)
+    return maximize_posterior(posterior, x_start, iterations=FAR)
 
 
 def fit_ground_interpolation(posterior: Posterior, fit: MapEstimate) -> tuple[Posterior, MapEstimate]:
-    """With the ground's motion between its samples that explains the floors best, where the ground was measured."""
+    """Choose the interpolation of the ground motion between its samples that explains the floors best, and refit with it.
+
+    Without measured ground motion posterior and fit are returned unchanged.
+    """
     if not isinstance(posterior, DrivenPosterior):
         return posterior, fit
     candidates = [(posterior, fit)]
@@ -119,7 +138,10 @@ def fit_ground_interpolation(posterior: Posterior, fit: MapEstimate) -> tuple[Po
 
 
 def fit_exact_slopes(posterior: Posterior, fit: MapEstimate) -> tuple[Posterior, MapEstimate]:
-    """With the exact laws' slopes at the best fit to a measured ground's response; linearized ones lead near it only."""
+    """Refit a response to measured ground motion with the slopes of the exact laws.
+
+    Slopes of the linearized laws lead close to the best fit only.  The slopes are computed again until the gain ends.
+    """
     for _ in range(_MAX_SLOPE_UPDATES):
         posterior, before = posterior.with_exact_slopes(fit.x, fit.effects), fit
         fit = maximize_posterior(posterior, fit.x, fit.effects, iterations=FAR)
@@ -129,7 +151,10 @@ def fit_exact_slopes(posterior: Posterior, fit: MapEstimate) -> tuple[Posterior,
 
 
 def _first_guess(posterior: Posterior) -> Array:
-    """Guess forces and levels; beside a measured ground small forces, and the model's own error as a share of the power."""
+    """Guess the forces and the levels of the classes as the start of a fit, shape (p,).
+
+    With measured ground motion the forces are small, and the levels are those of the model's error as a share of the power.
+    """
     x, ratio = guess_levels(posterior)
     layout = posterior.layout
     x[layout.forces], x[layout.levels] = np.log(ratio.mean()), np.log(ratio / ratio.mean())

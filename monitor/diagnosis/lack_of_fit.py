@@ -1,4 +1,4 @@
-"""Where a recording and a fitted model differ, in bands, over the whole recording and between its halves."""
+"""Lack of fit of a model in frequency bands, over the whole recording and between its halves."""
 
 from __future__ import annotations
 
@@ -29,19 +29,26 @@ judgement]"""
 
 @dataclass(frozen=True, slots=True)
 class LackOfFit:
-    """Where measured and modelled spectra differ."""
+    """Difference between measured and modelled spectra at one place."""
 
     where: str
+    """Band and channels in words, or the effect that changed."""
     size: float
     """Standard deviations."""
     says: str
+    """Description in words."""
 
 
 def drift_bands(posterior: Posterior, fitted: MapEstimate) -> Array:
-    """What the later half of a recording shows more than the earlier one, as `residual_bands`.
+    """Compute how much more misfit the later half of a recording shows than the earlier half.
 
-    Each half is compared with the model's spectra of its own classes, each at its own level of every force, so that a change of
-    level or weather is no drift, nor is wind that comes and goes floor by floor.
+    Each half is compared with the model's spectra of its own classes, and every force has its own level in each half.  So a
+    change of level or of the weather is no drift, nor is wind that comes and goes floor by floor.
+
+    Returns
+    -------
+    ndarray, shape (n_bands, c, c)
+        Standard deviations, arranged as by `residual_bands`.
     """
     e = posterior.observed
     mean = posterior.mean(fitted.x, fitted.effects)
@@ -54,10 +61,10 @@ def drift_bands(posterior: Posterior, fitted: MapEstimate) -> Array:
     for half in (late, ~late):
         model, data, counts = predicted.copy(), predicted.copy(), np.zeros(posterior.n_classes)
         for k, members in enumerate(e.members):
-            own = x[members[half[members]]]
-            counts[k] = len(own)
-            if len(own):
-                data[k] = np.einsum("sfa,sfb->fab", own, own.conj()) / len(own)
+            own_segments = x[members[half[members]]]
+            counts[k] = len(own_segments)
+            if len(own_segments):
+                data[k] = np.einsum("sfa,sfb->fab", own_segments, own_segments.conj()) / len(own_segments)
                 noise = predicted[k] - signal[k]
                 model[k] = np.tensordot(fit_levels(parts[:, k], noise, data[k]), parts[:, k], axes=1) + noise
         halved = replace(posterior, observed=replace(e, counts=counts))
@@ -66,16 +73,27 @@ def drift_bands(posterior: Posterior, fitted: MapEstimate) -> Array:
 
 
 def residual_bands(posterior: Posterior, fitted: MapEstimate) -> tuple[Array, Array]:
-    """Misfit in bands as standard deviations, shape (bands, c, c), and the bands' middles in Hz.
+    """Compute the misfit in bands.
 
-    The diagonal is too much (positive) or too little power in the whitened channels, below it the real and above it the
-    imaginary part of their coherence.
+    Returns
+    -------
+    z : ndarray, shape (n_bands, c, c)
+        Standard deviations.  The diagonal is too much (positive) or too little power in the whitened channels; below the diagonal
+        is the real and above it the imaginary part of their coherence.
+    hz : ndarray, shape (n_bands,)
+        Middles of the bands, Hz.
     """
     return _sum_in_bands(fitted.residual, posterior.n_classes, posterior)
 
 
 def _sum_in_bands(residual: Array, n_classes: int, posterior: Posterior) -> tuple[Array, Array]:
-    """Whitened rows summed in bands."""
+    """Sum whitened rows in bands; arguments and results as of `residual_bands`.
+
+    Parameters
+    ----------
+    residual : ndarray, shape (n_classes * n_bins * c * c,)
+        Whitened residual of the spectra.
+    """
     c = posterior.observed.spectra.shape[-1]
     bins = posterior.observed.band.n_bins
     rows = residual.reshape(n_classes, bins, c * c)
@@ -83,37 +101,39 @@ def _sum_in_bands(residual: Array, n_classes: int, posterior: Posterior) -> tupl
     n = bins // per
     z = rows[:, : n * per].reshape(n_classes, n, per, c * c).sum(axis=(0, 2)) / np.sqrt(n_classes * per)
     matrix = np.zeros((n, c, c))
-    at = 0
+    row = 0
     for i in range(c):
         for j in range(i):
-            matrix[:, i, j], matrix[:, j, i] = z[:, at], z[:, at + 1]
-            at += 2
-        matrix[:, i, i] = z[:, at]
-        at += 1
+            matrix[:, i, j], matrix[:, j, i] = z[:, row], z[:, row + 1]
+            row += 2
+        matrix[:, i, i] = z[:, row]
+        row += 1
     return matrix, posterior.observed.band.hz[: n * per].reshape(n, per).mean(axis=1)
 
 
 def _bins_per_band(band: Band) -> int:
-    """Bins that are summed up in a band."""
+    """Compute the number of bins that are summed in a band."""
     return max(1, round(_TEST_BAND_HZ / band.bin_hz))
 
 
 def _deviations(posterior: Posterior, fitted: MapEstimate) -> tuple[Array, Array, Array]:
-    """As `residual_bands`, over the chance in what is compared (a simulation has as much in it as the recording), `drift_bands`,
-    and the bands' middles."""
+    """Compute `residual_bands` in units of the random error of the comparison, `drift_bands`, and the bands' middles.
+
+    A simulation has as much random error as the recording.
+    """
     z, hz = residual_bands(posterior, fitted)
     return z if posterior.offset is None else z / np.sqrt(2.0), drift_bands(posterior, fitted), hz
 
 
 def find_lack_of_fit(posterior: Posterior, fitted: MapEstimate, settings: DiagnosisSettings) -> tuple[LackOfFit, ...]:
-    """Bands in which the model is wrong, worst first."""
+    """List the bands in which the model is wrong, worst first."""
     z, drift, hz = _deviations(posterior, fitted)
     late = _list_deviations(drift, hz, posterior, settings, ", more so late in the recording than early")
     return tuple(sorted(_list_deviations(z, hz, posterior, settings, "") + late, key=lambda m: -m.size))
 
 
 def wrong_bins(posterior: Posterior, fitted: MapEstimate, settings: DiagnosisSettings) -> NDArray[np.bool_]:
-    """Which frequencies lie in bands where the model is wrong, shape (n_bins,)."""
+    """Select the frequency bins that lie in bands where the model is wrong, shape (n_bins,)."""
     z, drift, _ = _deviations(posterior, fitted)
     wrong = (np.maximum(np.abs(z), np.abs(drift)) > settings.misfit).any(axis=(1, 2))
     bins = np.repeat(wrong, _bins_per_band(posterior.observed.band))
@@ -121,8 +141,10 @@ def wrong_bins(posterior: Posterior, fitted: MapEstimate, settings: DiagnosisSet
 
 
 def lack_of_fit_cost(posterior: Posterior, misfit: Sequence[LackOfFit]) -> float:
-    """What misfits cost, nats: half the squares of small deviations; of large ones, as of power that is many times the model's,
-    the likelihood counts the first power.
+    """Compute what the lack of fit costs in log likelihood, nats.
+
+    The cost of a small deviation is half its square.  Of a large one, as of power that is many times the model's, the likelihood
+    counts the first power only.
     """
     many = np.sqrt(posterior.observed.pieces(_bins_per_band(posterior.observed.band)))
     return float(sum(0.5 * m.size**2 / (1.0 + m.size / many) for m in misfit))
@@ -131,9 +153,12 @@ def lack_of_fit_cost(posterior: Posterior, misfit: Sequence[LackOfFit]) -> float
 def estimate_model_discrepancy(
     posterior: Posterior, fitted: MapEstimate, settings: DiagnosisSettings
 ) -> ModelDiscrepancy | None:
-    """What healthy data show that the model, with all that is known to be wrong with it, does not explain.
+    """Estimate the lack of fit to healthy data that remains when all known effects are in the model.
 
-    None where it explains them, and where the ground was measured: there the model's own error is among what is fitted.
+    Returns
+    -------
+    ModelDiscrepancy or None
+        None where the model explains the data, and where ground motion was measured: there the model's error is fitted anyway.
     """
     e = posterior.observed
     if e.drive is not None:
@@ -146,19 +171,21 @@ def estimate_model_discrepancy(
     per, bins = _bins_per_band(e.band), max(1, round(_CORRECTION_BAND_HZ / e.band.bin_hz))
     n = hz.size * per // bins
     inverse = np.linalg.inv(np.linalg.cholesky(posterior.scatter(fitted.x, fitted.effects)))
-    seen = np.tensordot(e.counts / e.counts.sum(), inverse @ posterior.data() @ inverse.conj().swapaxes(-1, -2), axes=1)
-    mean = seen[: n * bins].reshape(n, bins, *seen.shape[1:]).mean(axis=1)
+    whitened = np.tensordot(
+        e.counts / e.counts.sum(), inverse @ posterior.data() @ inverse.conj().swapaxes(-1, -2), axes=1
+    )
+    mean = whitened[: n * bins].reshape(n, bins, *whitened.shape[1:]).mean(axis=1)
     band = np.arange(n) * bins // per
     doubtful = size[band] > _LENIENT_SHARE * settings.misfit
     drift = np.where(late > settings.misfit, late, 0.0)[band] ** 2
     ratios, vectors = np.linalg.eigh(mean)
     bounded = np.clip(ratios, 1.0 / _MAX_CORRECTION, _MAX_CORRECTION)
     relative = (vectors * (bounded - 1.0)[:, None, :]) @ vectors.conj().swapaxes(-1, -2)
-    unsure = (_DAILY_SHARE * np.abs(bounded - 1.0) + np.abs(ratios - bounded)).max(axis=1)
+    uncertainty = (_DAILY_SHARE * np.abs(bounded - 1.0) + np.abs(ratios - bounded)).max(axis=1)
     return ModelDiscrepancy(
         hz=e.band.hz[: n * bins].reshape(n, bins).mean(axis=1),
         relative=relative * doubtful[:, None, None],
-        variance=((1.0 + drift) / e.pieces(bins) + unsure**2) * doubtful,
+        variance=((1.0 + drift) / e.pieces(bins) + uncertainty**2) * doubtful,
     )
 
 
@@ -169,15 +196,24 @@ def unexplained_share(
     misfit: Sequence[LackOfFit],
     left_over: Sequence[LackOfFit],
 ) -> float:
-    """What is left over, as a share of what the model without causes got wrong, by squared deviations.
+    """Compute the share of the lack of fit of the model without causes that remains with the causes.
 
-    With the ground measured by their sizes, and all of it told by the final model's error: the one that the model without causes
-    has learnt to expect hides most of what it gets wrong.
+    Without measured ground motion the squared deviations are compared.  With it the deviations themselves are compared, all in
+    units of the final model's error: the error that the model without causes was fitted with hides most of its lack of fit.
+
+    Parameters
+    ----------
+    at : MapEstimate
+        Fit with the causes.
+    null_fit : MapEstimate
+        Fit without causes.
+    misfit, left_over : sequence of LackOfFit
+        Lack of fit without and with the causes.
     """
     if posterior.observed.drive is None:
         return sum(m.size**2 for m in left_over) / max(sum(m.size**2 for m in misfit), 1.0)
-    here, there = posterior.predict(at.x, at.effects), posterior.predict(null_fit.x, null_fit.effects)
-    residual = posterior.whitened(here.spectra, here.spectra[None][:0], there.data)[1]
+    prediction, null_prediction = posterior.predict(at.x, at.effects), posterior.predict(null_fit.x, null_fit.effects)
+    residual = posterior.whitened(prediction.spectra, prediction.spectra[None][:0], null_prediction.data)[1]
     wrong = float(np.abs(_sum_in_bands(residual, posterior.n_classes, posterior)[0]).sum())
     return sum(m.size for m in left_over) / max(wrong, 1.0)
 
@@ -185,21 +221,27 @@ def unexplained_share(
 def find_changed_effects(
     posterior: Posterior, fitted: MapEstimate, settings: DiagnosisSettings
 ) -> tuple[LackOfFit, ...]:
-    """Effects that stood at calibration and are of another size now, which a fit's nuisances take up without a word."""
+    """List the persistent effects whose size differs from calibration.
+
+    A fit's nuisances include these sizes, so such a change would leave no lack of fit.
+    """
     known, out = posterior.prior, []
-    away = known.standing(np.abs(fitted.x[posterior.layout.structure] - known.mean))
-    for effect, far, std in zip(known.effects(fitted.x), away, known.standing_std, strict=True):
-        own = far / std
-        if own.max(initial=0.0) > settings.misfit:
+    change = known.standing(np.abs(fitted.x[posterior.layout.structure] - known.mean))
+    for effect, far, std in zip(known.effects(fitted.x), change, known.standing_std, strict=True):
+        deviations = far / std
+        if deviations.max(initial=0.0) > settings.misfit:
             now = ", ".join(f"{name} {value:.4g}" for name, value in effect.values().items())
             where = f"{effect.name.replace('_', ' ')} of {effect.location}"
-            out.append(LackOfFit(where, float(own.max()), f"what stood at calibration is of another size now: {now}"))
+            out.append(
+                LackOfFit(where, float(deviations.max()), f"what stood at calibration is of another size now: {now}")
+            )
     return tuple(out)
 
 
 def _list_deviations(
     z: Array, hz: Array, posterior: Posterior, settings: DiagnosisSettings, when: str
 ) -> tuple[LackOfFit, ...]:
+    """Describe every entry of `z`, shape (n_bands, c, c), that exceeds the threshold; `when` ends each description."""
     names = [*posterior.context.channels, "ground"]
     out = []
     for band, i, j in np.argwhere(np.abs(z) > settings.misfit):

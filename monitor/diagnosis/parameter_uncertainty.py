@@ -1,4 +1,4 @@
-"""How well causes' sizes are known: by the fit, by simulations' chance, and by what the model's form leaves open."""
+"""Standard deviations of the causes' sizes: by the fit, by the simulations' random error, and by the form of the model."""
 
 from __future__ import annotations
 
@@ -14,28 +14,48 @@ sigma]"""
 
 
 def coordinate_std(posterior: Posterior, fit: MapEstimate, simulation_std: Array) -> list[Array]:
-    """Standard deviations of every effect's coordinates, shape (p,) each; `doubt` are those by simulation, of all of them."""
+    """Compute the standard deviations of every effect's coordinates.
+
+    Parameters
+    ----------
+    posterior : Posterior
+    fit : MapEstimate
+    simulation_std : ndarray, shape (n_coordinates,)
+        Standard deviations of all effects' coordinates by the simulations' random error.
+
+    Returns
+    -------
+    list of ndarray, shape (p,) each
+        One array for each effect of the fit.
+    """
     first, out, fitted = 0, [], summarize_fit(posterior, fit)
-    own = np.sqrt(np.maximum(np.diag(fit.covariance)[posterior.layout.effects], 0.0))
+    fit_std = np.sqrt(np.maximum(np.diag(fit.covariance)[posterior.layout.effects], 0.0))
     for effect in fit.effects:
         these = slice(first, first + len(effect.parameters))
-        out.append(np.hypot(own[these], np.hypot(simulation_std[these], effect.form_std_in(fitted))))
+        out.append(np.hypot(fit_std[these], np.hypot(simulation_std[these], effect.form_std_in(fitted))))
         first = these.stop
     return out
 
 
 def is_significant(effect: Effect, deviation: Array) -> bool:
-    """Whether a size is beyond doubt not that of no effect; what has no size always is."""
-    away = [
+    """Decide if an effect's size differs significantly from that of no effect; an effect without a size always does.
+
+    Parameters
+    ----------
+    effect : Effect
+    deviation : ndarray, shape (p,)
+        Standard deviations of the effect's coordinates.
+    """
+    significant = [
         abs(x - (p.coordinate(p.absent) if np.isfinite(p.absent) else 0.0)) >= _SIGNIFICANT_SIZE_STDS * std
         for p, x, std in zip(effect.parameters, effect.coordinates, deviation, strict=True)
         if p.absent is not None
     ]
-    return all(away)
+    return all(significant)
 
 
 def summarize_fit(posterior: Posterior, fit: MapEstimate) -> FittedModel:
-    """Sum up a fit as far as effects ask for it to say what their laws' form leaves open."""
+    """Summarize a fit for the effects, which state from it the uncertainty that their laws' form leaves."""
     correction = fit.x[posterior.layout.correction]
     return FittedModel(
         structure=posterior.context_at(fit.x).structure,

@@ -1,4 +1,4 @@
-"""Score a model by how well it predicts a recording.
+"""Score of a model by how well it predicts a recording.
 
 The score is the tempered debiased Whittle log likelihood of the recording's segments.  The structure and its effects stay as
 they are given.  Only the excitation is fitted: the white force on each floor, one level for each class of segments, and one
@@ -19,12 +19,12 @@ from monitor.model import Context, Model
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Score:
-    """How well one model predicts one recording."""
+    """Score of one model on one recording."""
 
     nats: Array
     """Tempered log likelihood of every segment, shape (n_segments,)."""
     samples: int
-    """Sample instants, at the rate of the processing."""
+    """Number of sample instants, at the rate of the processing."""
     measured: ComplexArray
     """Mean cross-spectra of the segments, shape (n_bins, c, c)."""
     modelled: ComplexArray
@@ -37,7 +37,7 @@ class Score:
 
     @property
     def log_score_per_sample(self) -> float:
-        """Nats per sample instant, all channels together."""
+        """Log score in nats per sample instant, all channels together."""
         return float(self.nats.sum()) / self.samples
 
 
@@ -63,7 +63,7 @@ def score(
     context : Context
         Channels and the sensor matrix; the structure is taken from `model`.
     reference_degc : float, optional
-        Temperature at which the model's stiffnesses hold.
+        Temperature at which the model's stiffnesses hold, degC.
     held : ndarray of bool, shape (n_segments,), optional
         The segments that count (default all).  Levels and noise are fitted to the whole recording all the same.
     near : ExcitationStart, optional

@@ -1,4 +1,4 @@
-"""Which effect explains what the model leaves over: a score test ranks every candidate, a fit judges the best of them."""
+"""Score test for effects: it ranks every candidate by the lack of fit that it may explain; a fit judges the best of them."""
 
 from __future__ import annotations
 
@@ -37,31 +37,43 @@ _MAX_START_FACTOR = 20.0
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Candidate:
-    """One effect at one place, fitted."""
+    """Effect at one place, fitted."""
 
     effect: Effect
     fit: MapEstimate
     delta_log_posterior: float
-    """Log posterior above the model without it, nats."""
+    """Log posterior above that of the model without the effect, nats."""
     log_evidence: float
-    """The gain less half the logarithm of the information for every parameter."""
+    """Gain `delta_log_posterior` less half the logarithm of the information for every parameter, nats."""
 
     @property
     def key(self) -> tuple[str, str]:
-        """Name and place."""
+        """Name and place of the effect."""
         return self.effect.name, self.effect.location
 
     def may_reach(self, min_log_evidence: float) -> bool:
-        """Whether a better fit may have the evidence `bar`: one found half of the whole gain, or all but a little."""
+        """Decide if a better fit may reach an evidence.
+
+        A rough fit is assumed to find half of the whole gain, or all but `_ROUGH_FIT_NATS`.
+        """
         return self.log_evidence + max(self.delta_log_posterior, _ROUGH_FIT_NATS) > min_log_evidence
 
 
 def candidate_starts(
     posterior: Posterior, null_fit: MapEstimate, excluded: Iterable[tuple[str, str]] = ()
 ) -> list[Effect]:
-    """A small size of every effect at every place, and of every shape that must be tried.
+    """List the starts of the search: every effect at every place with a small size, and every shape that must be tried.
 
-    Where a law bends already, no other is tried: it would only mend what is not known of the first one's form.
+    Where a nonlinear law is in the model already, no other is tried at its place: it would only compensate for the unknown form
+    of the first one.
+
+    Parameters
+    ----------
+    posterior : Posterior
+    null_fit : MapEstimate
+        Fit without a further effect.
+    excluded : iterable of (str, str)
+        Names and places of effects that are not tried.
     """
     typical = posterior.conditions[posterior.n_classes // 2]
     nonlinear = {
@@ -71,7 +83,7 @@ def candidate_starts(
     out: list[Effect] = []
     for name, kind in EFFECTS.items():
         if posterior.observed.drive is not None and (kind.family == "excitation" or kind.stationary_only):
-            continue  # the input is measured; another one would only excuse what the model's response lacks
+            continue  # the input is measured; another one would only compensate for errors of the model's response
         for place in (p for k in kind.places for p in locations(k, posterior.context)):
             if (name, place) not in skip:
                 out.extend(kind.starts(place, posterior.context, typical))
@@ -81,7 +93,7 @@ def candidate_starts(
 
 
 def _is_applicable(effect: Effect, context: Context) -> bool:
-    """Whether the structure is one that the effect can act on."""
+    """Decide if an effect can act on the structure."""
     try:
         effect.check(context.structure, context.channels)
     except EffectError:
@@ -90,98 +102,121 @@ def _is_applicable(effect: Effect, context: Context) -> bool:
 
 
 def find_excess_peaks(posterior: Posterior, null_fit: MapEstimate, n: int = 3) -> Array:
-    """Frequencies at which the measured power exceeds the model's the most, Hz; of lines, to a small part of a bin."""
+    """Find the frequencies at which the measured power exceeds the model's most, shape (n,), Hz.
+
+    The frequency of a spectral line is interpolated to a small part of a bin.
+    """
     c = posterior.observed.spectra.shape[-1]
     shape = (posterior.n_classes, posterior.observed.band.n_bins, c * c)
     diagonal = np.cumsum([1, *(2 * np.arange(1, c) + 1)]) - 1
-    over = null_fit.residual.reshape(shape)[:, :, diagonal].sum(axis=(0, 2)).copy()
-    here, band = posterior.predict(null_fit.x, null_fit.effects), posterior.observed.band
-    power = np.einsum("k,kfaa->f", posterior.observed.counts, here.data - here.spectra).real
+    excess = null_fit.residual.reshape(shape)[:, :, diagonal].sum(axis=(0, 2)).copy()
+    prediction, band = posterior.predict(null_fit.x, null_fit.effects), posterior.observed.band
+    power = np.einsum("k,kfaa->f", posterior.observed.counts, prediction.data - prediction.spectra).real
     found = []
     for _ in range(n):
-        i = int(over.argmax())
+        i = int(excess.argmax())
         found.append(band.hz[i] + band.bin_hz * _line_offset(power, i))
-        over[max(0, i - 4) : i + 5] = -np.inf
+        excess[max(0, i - 4) : i + 5] = -np.inf
     return np.array(found)
 
 
 def _line_offset(power: Array, i: int) -> float:
-    """Where a line lies about the bin that it is strongest in, in bins, by its share in the next one (Hann's taper)."""
-    beside = power[max(0, i - 1) : i + 2 : 2]
-    if power[i] <= 0.0 or beside.size < 2:
+    """Interpolate the frequency of a spectral line from its power in two neighbouring bins.
+
+    Parameters
+    ----------
+    power : ndarray, shape (n_bins,)
+        Power of segments with Hann's taper.
+    i : int
+        Bin in which the line is strongest.
+
+    Returns
+    -------
+    float
+        Distance of the line from bin i, bins.
+    """
+    neighbours = power[max(0, i - 1) : i + 2 : 2]
+    if power[i] <= 0.0 or neighbours.size < 2:
         return 0.0
-    ratio = np.sqrt(np.clip(beside.max() / power[i], 0.25, 1.0))
-    return float((2.0 * ratio - 1.0) / (ratio + 1.0) * (1 if beside[1] > beside[0] else -1))
+    ratio = np.sqrt(np.clip(neighbours.max() / power[i], 0.25, 1.0))
+    return float((2.0 * ratio - 1.0) / (ratio + 1.0) * (1 if neighbours[1] > neighbours[0] else -1))
 
 
 def rank_by_score(posterior: Posterior, null_fit: MapEstimate, candidates: list[Effect]) -> list[tuple[float, Effect]]:
-    """Gain that the score test promises for every start, best first; each effect moved to the size that it suggests.
+    """Rank the starts by the gain that the score test predicts, nats, best first, each moved to the predicted size.
 
-    A fit that went far to explain what it cannot hides what would explain it; so effects are tried beside what was known, too.
+    A fit that went far from its prior to explain what it cannot explain hides the effect that would.  So effects are tried
+    beside the prior's structure too.
     """
-    promised = _expected_gains(posterior, null_fit, candidates)
+    gains = _expected_gains(posterior, null_fit, candidates)
     if _far_from_prior(posterior, null_fit):
         held, rest = _fit_at_prior(posterior, null_fit)
         lost = null_fit.log_posterior - rest.log_posterior
-        promised += [(gain - lost, effect) for gain, effect in _expected_gains(held, rest, candidates)]
-        shaped = [e for e in candidates if e.parameters and not e.proportional]  # whose size no score test tells
-        promised += parallel_map(partial(_gain_from_prior, posterior, null_fit), shaped)
-    return sorted(promised, key=lambda item: -item[0])
+        gains += [(gain - lost, effect) for gain, effect in _expected_gains(held, rest, candidates)]
+        shaped = [e for e in candidates if e.parameters and not e.proportional]  # no score test gives their size
+        gains += parallel_map(partial(_gain_from_prior, posterior, null_fit), shaped)
+    return sorted(gains, key=lambda item: -item[0])
 
 
 def _expected_gains(
     posterior: Posterior, null_fit: MapEstimate, candidates: list[Effect]
 ) -> list[tuple[float, Effect]]:
-    """As `rank_by_score`, about one fit: the change of the spectra that a small effect makes, less what the nuisances explain, is
-    compared with the residual.
+    """Predict the gain of every start about one fit, nats.
+
+    The change of the spectra by a small effect, less the part that the nuisances explain, is compared with the residual.
     """
-    here = posterior.predict(null_fit.x, null_fit.effects)
+    prediction = posterior.predict(null_fit.x, null_fit.effects)
     mean, precision = posterior.normal_prior(null_fit.x, null_fit.effects)
     tangent = null_fit.jacobian
     normal = inverse(tangent.T @ tangent + precision)
     residual = np.concatenate([null_fit.residual, null_fit.mean_residual])
-    # The nuisances' own slope is that of the posterior: what pulls them from what was known before speaks for an effect.
-    own_slope = tangent.T @ residual - precision @ (null_fit.x - mean)
+    # The nuisances' slope is that of the posterior, since a pull away from their prior is evidence of an effect.
+    nuisance_slope = tangent.T @ residual - precision @ (null_fit.x - mean)
     tangent, driven = np.asfortranarray(tangent), posterior.observed.drive is not None
 
-    def promised(effect: Effect) -> list[tuple[float, Effect]]:
+    def predict_gain(effect: Effect) -> list[tuple[float, Effect]]:
         if effect.proportional and not driven:
-            out, v = [], _whitened_slope(posterior, null_fit, here, effect)
+            out, v = [], _whitened_slope(posterior, null_fit, prediction, effect)
         else:
             moved = posterior.predict(null_fit.x, (*null_fit.effects, effect))
-            # What it gains as it stands, once the levels have followed: for starts that happen to lie near the truth.
+            # Gain at the start size with refitted levels, for starts that happen to lie near the truth.
             whole = posterior.log_likelihood(moved.spectra, moved.data, levelled=True) - null_fit.log_likelihood
             out = [(whole, effect)]
             if not effect.proportional:
                 return out
-            # Phases of a driven response turn far between two fits: whole changes rank better there (docs/measured-frames.md).
-            v = whitened_change(posterior, here, moved)
+            # Phases of a driven response differ much between two fits, so whole changes rank better (docs/measured-frames.md).
+            v = whitened_change(posterior, prediction, moved)
         along = tangent.T @ v
-        information, score = float(v @ v - along @ normal @ along), float(v @ residual - along @ normal @ own_slope)
-        grown = None if information < 1e-9 else _scale_amplitude(effect, score / information)
-        return out if grown is None else [*out, (0.5 * score**2 / information, grown)]
+        information, score = (
+            float(v @ v - along @ normal @ along),
+            float(v @ residual - along @ normal @ nuisance_slope),
+        )
+        scaled = None if information < 1e-9 else _scale_amplitude(effect, score / information)
+        return out if scaled is None else [*out, (0.5 * score**2 / information, scaled)]
 
-    return list(chain.from_iterable(parallel_map(promised, candidates)))
+    return list(chain.from_iterable(parallel_map(predict_gain, candidates)))
 
 
-def _whitened_slope(posterior: Posterior, null_fit: MapEstimate, here: Prediction, effect: Effect) -> Array:
-    """Whitened change by an effect, in proportion to what next to nothing of it makes: where noise is little, even a small
-    effect's change is far from a straight line."""
+def _whitened_slope(posterior: Posterior, null_fit: MapEstimate, prediction: Prediction, effect: Effect) -> Array:
+    """Compute the whitened change of the spectra by a small size of an effect, over that size as a share of the start size.
+
+    Where noise is low, even a small effect's change is far from linear.
+    """
     slight = _scale_size(effect, _RELATIVE_DIFFERENCE ** (1.0 / effect.order))
     assert slight is not None, "nearer to nothing than one that is possible"
     return np.asarray(
-        whitened_change(posterior, here, posterior.predict(null_fit.x, (*null_fit.effects, slight)))
+        whitened_change(posterior, prediction, posterior.predict(null_fit.x, (*null_fit.effects, slight)))
         / _RELATIVE_DIFFERENCE
     )
 
 
 def _far_from_prior(posterior: Posterior, null_fit: MapEstimate) -> bool:
-    """Whether a fit went far from what was known before, whose response is not told by phases."""
+    """Decide if a fit without measured ground motion went far from its prior."""
     return posterior.observed.drive is None and null_fit.log_prior < _MIN_LOG_PRIOR
 
 
 def _fit_at_prior(posterior: Posterior, null_fit: MapEstimate, *more: Effect) -> tuple[Posterior, MapEstimate]:
-    """The problem with its structure held where it was known to be, fitted; with further effects."""
+    """Fit with the structure held at its prior mean, with further effects if given; return the held posterior and the fit."""
     known = posterior.prior
     held = replace(
         posterior, prior=replace(known, precision=known.precision + np.diag(_HELD_STRUCTURE_PRECISION / known.units**2))
@@ -191,29 +226,38 @@ def _fit_at_prior(posterior: Posterior, null_fit: MapEstimate, *more: Effect) ->
 
 
 def _gain_from_prior(posterior: Posterior, null_fit: MapEstimate, effect: Effect) -> tuple[float, Effect]:
-    """What an effect gains, fitted with the structure where it was known to be and then beside it; and the effect."""
+    """Fit an effect with the structure held at its prior mean, then with the structure free; return gain in nats and effect."""
     near = _fit_at_prior(posterior, null_fit, effect)[1]
     near = maximize_posterior(posterior, near.x, near.effects, iterations=_MAX_STEPS_HELD)
     return near.log_posterior - null_fit.log_posterior, near.effects[-1]
 
 
-def whitened_change(posterior: Posterior, here: Prediction, there: Prediction) -> Array:
-    """Whitened change from one prediction to another."""
-    change, _ = posterior.whitened(here.spectra, (there.spectra - here.spectra)[None], here.data)
-    if here.left is None or there.left is None:
+def whitened_change(posterior: Posterior, reference: Prediction, changed: Prediction) -> Array:
+    """Compute the whitened change from one prediction to another, shape (rows,).
+
+    Parameters
+    ----------
+    posterior : Posterior
+    reference : Prediction
+        Its spectra whiten the change.
+    changed : Prediction
+        The other prediction.
+    """
+    change, _ = posterior.whitened(reference.spectra, (changed.spectra - reference.spectra)[None], reference.data)
+    if reference.left is None or changed.left is None:
         return change[:, 0]
-    mean, _ = posterior.mean_rows(here, (here.left - there.left)[None])
+    mean, _ = posterior.mean_rows(reference, (reference.left - changed.left)[None])
     return np.concatenate([change, mean])[:, 0]
 
 
 def _scale_amplitude(effect: Effect, amount: float) -> Effect | None:
-    """The effect with its amplitude times `amount`, as far as one goes, or None where that is not possible physically."""
+    """Scale an effect's amplitude by `amount`, limited to the range of start factors; return None where its bounds forbid it."""
     size = float(np.clip(abs(amount) ** (1.0 / effect.order), _MIN_START_FACTOR, _MAX_START_FACTOR))
     return _scale_size(effect, float(np.copysign(size, amount)))
 
 
 def _scale_size(effect: Effect, factor: float) -> Effect | None:
-    """The effect with its size times `factor`, or None where its bounds do not let it."""
+    """Scale an effect's size by `factor`; return None where its bounds forbid it."""
     x = effect.coordinates
     for i, p in enumerate(effect.parameters):
         if p.absent is not None:
@@ -225,12 +269,12 @@ def _scale_size(effect: Effect, factor: float) -> Effect | None:
 
 
 def best_of_each(ranked: list[tuple[float, Effect]]) -> list[tuple[float, Effect]]:
-    """The best start of every effect and place."""
-    seen: set[tuple[str, str]] = set()
+    """Keep the best start of every effect and place."""
+    keys: set[tuple[str, str]] = set()
     out = []
     for gain, effect in ranked:
-        if (effect.name, effect.location) not in seen:
-            seen.add((effect.name, effect.location))
+        if (effect.name, effect.location) not in keys:
+            keys.add((effect.name, effect.location))
             out.append((gain, effect))
     return out
 
@@ -244,12 +288,26 @@ def fit_candidate(
     min_log_evidence: float = -np.inf,
     rough: Candidate | None = None,
 ) -> Candidate:
-    """Fit an effect beside the nuisances; with less care, once it is seen that it does not reach the evidence `bar`.
+    """Fit an effect together with the nuisances.
 
-    Where the fit runs away and ends below a `rough` one, it is made again from there.
+    Where the fit diverges and ends below a rough one, it is repeated from the rough one.
+
+    Parameters
+    ----------
+    posterior : Posterior
+    null_fit : MapEstimate
+        Fit without the effect.
+    effect : Effect
+        The effect at its start size.
+    quick : bool
+        Fit roughly, for a ranking.
+    min_log_evidence : float
+        Evidence below which a candidate does not matter, so that its fit is not repeated from the prior, nats.
+    rough : Candidate, optional
+        A rough fit of the same effect.
     """
     driven = posterior.observed.drive is not None
-    # Driven motion tells so much that a cause bends the other slopes at once.
+    # Driven motion is so informative that a cause changes the other slopes at once.
     frozen = null_fit.jacobian[:, posterior.layout.nuisances] if quick and not driven else None
     few, many = (ROUGHLY, FAR) if driven else (_MAX_STEPS_ROUGH, LONG)
     fitted = partial(
@@ -261,24 +319,24 @@ def fit_candidate(
     found = score_candidate(posterior, null_fit, fitted(null_fit.x, (*null_fit.effects, effect), frozen=frozen))
     if not quick and _far_from_prior(posterior, null_fit):
         near = _fit_at_prior(posterior, null_fit, effect)[1]
-        likely = (
+        promising = (
             found.may_reach(min_log_evidence) or sum(posterior.score(near.x, near.effects)) > found.fit.log_posterior
         )
-        if likely or not effect.proportional:
+        if promising or not effect.proportional:
             other = score_candidate(
                 posterior, null_fit, maximize_posterior(posterior, near.x, near.effects, iterations=LONG)
             )
             found = max(found, other, key=lambda c: c.log_evidence)
     if rough is not None and found.log_evidence < rough.log_evidence:
-        again = score_candidate(posterior, null_fit, fitted(rough.fit.x, rough.fit.effects))
-        found = max(found, again, key=lambda c: c.log_evidence)
+        repeated = score_candidate(posterior, null_fit, fitted(rough.fit.x, rough.fit.effects))
+        found = max(found, repeated, key=lambda c: c.log_evidence)
     return found
 
 
 def score_candidate(
     posterior: Posterior, null_fit: MapEstimate, fitted: MapEstimate, n_more: int | None = None
 ) -> Candidate:
-    """What a fit gains by its last effect, or by `n_more` parameters."""
+    """Compute the gain of a fit by its last effect, or by `n_more` parameters, as a candidate."""
     effect = fitted.effects[-1]
     n_more = len(effect.parameters) if n_more is None else n_more
     gain = fitted.log_posterior - null_fit.log_posterior
@@ -286,6 +344,6 @@ def score_candidate(
 
 
 def parameter_cost(posterior: Posterior, n_more: int) -> float:
-    """Half the logarithm of the information for every parameter, nats."""
+    """Compute half the logarithm of the information for each of `n_more` parameters, summed, nats."""
     n = posterior.observed.counts.sum() * posterior.observed.band.n_bins * posterior.observed.weight
     return 0.5 * n_more * float(np.log(n))

@@ -1,4 +1,4 @@
-"""One round of a search: what may explain what is left is ranked, fitted, simulated where its law bends, and compared."""
+"""One round of stepwise selection: candidates are ranked, fitted, simulated where their laws are nonlinear, and compared."""
 
 from __future__ import annotations
 
@@ -36,20 +36,22 @@ _SIMULATION_NATS = 1.0
 def run_selection_round(
     posterior: Posterior, fit: MapEstimate, added: Moments, settings: DiagnosisSettings, min_gain: float
 ) -> list[RefittedCandidate]:
-    """The best candidates beside what was accepted, by evidence, of those that promise a gain of `worth`.
+    """Find the best further causes, by evidence, among the candidates with a predicted gain above `min_gain`.
 
     Parameters
     ----------
-    at : MapEstimate
+    posterior : Posterior
+    fit : MapEstimate
         With the causes that were accepted.
     added : Moments
-        What these add to the moments of a normal process.
-    worth : float
-        Nats that the score test must promise.
+        What the accepted causes add to the moments of a normal process.
+    settings : DiagnosisSettings
+    min_gain : float
+        Gain that the score test must predict, nats.
     """
-    # What stood at calibration may have changed, but for laws, which are simulated one at a place.
-    standing = [e for e in posterior.prior.effects(fit.x) if e.nonlinear or not e.parameters]
-    excluded = [(e.name, e.location) for e in (*standing, *fit.effects)]
+    # A persistent effect may have changed, so it is tried again; a nonlinear one is not, as one law a place is simulated.
+    persistent = [e for e in posterior.prior.effects(fit.x) if e.nonlinear or not e.parameters]
+    excluded = [(e.name, e.location) for e in (*persistent, *fit.effects)]
     ranked = [
         item
         for item in best_of_each(rank_by_score(posterior, fit, candidate_starts(posterior, fit, excluded)))
@@ -57,50 +59,65 @@ def run_selection_round(
     ]
     choose = _shortlist_ambient if posterior.observed.drive is None else _shortlist_driven
     chosen, rough, min_log_evidence = choose(posterior, fit, ranked, settings)
-    ended = {c.key: c for c in rough}
+    rough_by_key = {c.key: c for c in rough}
 
-    def judged(key: tuple[str, str]) -> Candidate:
-        return fit_candidate(posterior, fit, chosen[key], min_log_evidence=min_log_evidence, rough=ended.get(key))
+    def fit_chosen(key: tuple[str, str]) -> Candidate:
+        return fit_candidate(
+            posterior, fit, chosen[key], min_log_evidence=min_log_evidence, rough=rough_by_key.get(key)
+        )
 
-    fitted = sorted(filter(partial(_is_one, posterior), parallel_map(judged, chosen)), key=lambda c: -c.log_evidence)
+    fitted = sorted(
+        filter(partial(_is_valid_cause, posterior), parallel_map(fit_chosen, chosen)), key=lambda c: -c.log_evidence
+    )
     return sorted(
         _simulate_contenders(posterior, fit, fitted, added, settings), key=lambda p: -p.candidate.log_evidence
     )
 
 
-def _is_one(posterior: Posterior, candidate: Candidate) -> bool:
-    """Whether a linear cause is what it says: of a size that is beyond doubt not that of none; and, if it swings by itself, does
-    so within the band and is not damped at once, for a heavy thing that hardly moves stands for a damper.
+def _is_valid_cause(posterior: Posterior, candidate: Candidate) -> bool:
+    """Decide if a linear cause is valid: its size is significant and plausible.
+
+    An oscillator must move within the band and must not be damped at once, since a heavy mass that hardly moves acts as a damper.
     """
     effect = candidate.effect
     if not effect.is_plausible(posterior.observed.band.hz):
         return False
-    own = np.sqrt(np.maximum(np.diag(candidate.fit.covariance)[posterior.layout.effects], 0.0))
-    return effect.nonlinear or is_significant(effect, own[own.size - len(effect.parameters) :])
+    std = np.sqrt(np.maximum(np.diag(candidate.fit.covariance)[posterior.layout.effects], 0.0))
+    return effect.nonlinear or is_significant(effect, std[std.size - len(effect.parameters) :])
 
 
 def _shortlist_ambient(
     posterior: Posterior, fit: MapEstimate, ranked: list[tuple[float, Effect]], settings: DiagnosisSettings
 ) -> tuple[dict[tuple[str, str], Effect], list[Candidate], float]:
-    """Effects worth a fit to the end, by name and place; the rough fits; the evidence below which a cause does not matter."""
+    """Choose the effects that are fitted fully.
+
+    Returns
+    -------
+    chosen : dict
+        Effects by name and place.
+    rough : list of Candidate
+        The rough fits.
+    min_log_evidence : float
+        Evidence below which a cause does not matter, nats.
+    """
     rough = _fit_roughly(posterior, fit, [e for _, e in ranked[: settings.ranked]])
     min_log_evidence = max(rough[0].log_evidence - settings.rival, settings.margin) if rough else 0.0
     near = [c for c in rough if c.may_reach(min_log_evidence)]
-    # Of a small effect, rivals gain nearly as much, and none may be passed over.
+    # The rivals of a small effect gain nearly as much, so all of them are fitted.
     small = len(ranked) > 0 and ranked[0][0] < _SMALL_EFFECT_NATS
     chosen = {c.key: c.effect for c in (near if small else near[: settings.tried])}
-    # A rough fit may fail from far away, so the score test's own favourites are fitted too.
+    # A rough fit may fail from far away, so the best candidates of the score test are fitted too.
     return {(e.name, e.location): e for _, e in ranked[: settings.favourites]} | chosen, rough, min_log_evidence
 
 
 def _fit_roughly(posterior: Posterior, fit: MapEstimate, effects: list[Effect]) -> list[Candidate]:
-    """Effects fitted roughly, best first."""
+    """Fit effects roughly, best first."""
 
     def rough(effect: Effect) -> Candidate:
         found = fit_candidate(posterior, fit, effect, quick=True)
         return replace(
             found, fit=replace(found.fit, jacobian=np.zeros((0, found.fit.x.size)))
-        )  # a megabyte that nobody asks for
+        )  # saves a megabyte that is not used
 
     return sorted(parallel_map(rough, effects), key=lambda c: -c.log_evidence)
 
@@ -108,9 +125,9 @@ def _fit_roughly(posterior: Posterior, fit: MapEstimate, effects: list[Effect]) 
 def _shortlist_driven(
     posterior: Posterior, fit: MapEstimate, ranked: list[tuple[float, Effect]], _: DiagnosisSettings
 ) -> tuple[dict[tuple[str, str], Effect], list[Candidate], float]:
-    """As `_shortlist_ambient` where the ground is measured: the best few of all kinds, and the best one's kind at every place.
+    """Choose as `_shortlist_ambient` where the ground is measured: the best few of all kinds, and the best kind at every place.
 
-    A response tells kinds apart by so much that few need a closer look, but its score test promises too much to most.
+    A response separates kinds so clearly that few need a closer look, but its score test predicts too much gain for most.
     """
     kinds = list(dict.fromkeys(effect.name for _, effect in ranked))
     first = {name: next(e for _, e in ranked if e.name == name) for name in kinds[:_N_KINDS]}
@@ -128,8 +145,8 @@ def _shortlist_driven(
 def _simulate_contenders(
     posterior: Posterior, fit: MapEstimate, candidates: list[Candidate], added: Moments, settings: DiagnosisSettings
 ) -> list[RefittedCandidate]:
-    """Candidates as they compare once nonlinear laws near the top were simulated and the moments were heard."""
-    # A response to a measured ground is that of the exact laws.
+    """Simulate the nonlinear laws among the best candidates, and compare all candidates with the measured moments."""
+    # A response to measured ground motion is computed with the exact laws.
     if not candidates or candidates[0].log_evidence < settings.margin or posterior.observed.drive is not None:
         return [RefittedCandidate(c, posterior, added) for c in candidates]
     best = candidates[0]
@@ -149,11 +166,11 @@ def _simulate_contenders(
     ]
     finer = parallel_map(lambda p: refit_by_simulation(p.posterior, fit, p.candidate, "fine"), near)
     simulated |= {p.candidate.key: p for p in finer}
-    made = _compare_moments(posterior, candidates, simulated, added, measured)
-    tied = tied_candidates(made, settings.rival)
+    compared = _compare_moments(posterior, candidates, simulated, added, measured)
+    tied = tied_candidates(compared, settings.rival)
     noisy = [p.candidate.key for p in tied if p.log_evidence_std > _SIMULATION_NATS and len(tied) > 1]
     if not noisy:
-        return made
+        return compared
     finest = parallel_map(
         lambda key: refit_by_simulation(simulated[key].posterior, fit, simulated[key].candidate, "finest"), noisy
     )
@@ -167,32 +184,44 @@ def _compare_moments(
     before: Moments,
     measured: MeasuredMoments,
 ) -> list[RefittedCandidate]:
-    """Candidates, simulated or not, with what the measured moments say of them against the one whose spectra fit best; `before`
-    are the moments that the causes accepted before add."""
-    polished = [simulated.get(c.key, RefittedCandidate(c, posterior, before)) for c in candidates]
-    turned = [_choose_orientation(p, before, measured) for p in polished]
-    first = max(turned, key=lambda pair: pair[0].candidate.log_evidence)[1]
-    return [_add_evidence(p, likelihood - first) for p, likelihood in turned]
+    """Add to every candidate's evidence the likelihood of the measured moments, relative to that of the best fit to the spectra.
+
+    Parameters
+    ----------
+    before : Moments
+        What the causes accepted before add to the moments of a normal process.
+    """
+    refitted = [simulated.get(c.key, RefittedCandidate(c, posterior, before)) for c in candidates]
+    oriented = [_choose_orientation(p, before, measured) for p in refitted]
+    first = max(oriented, key=lambda pair: pair[0].candidate.log_evidence)[1]
+    return [_add_evidence(p, likelihood - first) for p, likelihood in oriented]
 
 
 def _choose_orientation(
-    made: RefittedCandidate, before: Moments, measured: MeasuredMoments
+    refitted: RefittedCandidate, before: Moments, measured: MeasuredMoments
 ) -> tuple[RefittedCandidate, float]:
-    """A candidate, turned round where the measured moments ask for that, and their log likelihood."""
-    as_it_is, mirror = measured.log_likelihood(made.moments, made.variance_ratio), made.candidate.effect.mirrored()
+    """Choose the orientation of a candidate's law that fits the measured moments best; return candidate and log likelihood."""
+    unchanged, mirror = (
+        measured.log_likelihood(refitted.moments, refitted.variance_ratio),
+        refitted.candidate.effect.mirrored(),
+    )
     if mirror is None:
-        return made, as_it_is
-    other = made.moments.mirrored(before)
-    turned = measured.log_likelihood(other, made.variance_ratio)
-    if turned <= as_it_is:
-        return made, as_it_is
-    old = made.candidate.fit
+        return refitted, unchanged
+    mirrored_moments = refitted.moments.mirrored(before)
+    mirrored_likelihood = measured.log_likelihood(mirrored_moments, refitted.variance_ratio)
+    if mirrored_likelihood <= unchanged:
+        return refitted, unchanged
+    old = refitted.candidate.fit
     x = join_coordinates(old.x[: -len(mirror.parameters)], (mirror,))
-    candidate = replace(made.candidate, effect=mirror, fit=replace(old, effects=(*old.effects[:-1], mirror), x=x))
-    posterior = made.posterior.mirrored(mirror) if isinstance(made.posterior, CorrectedPosterior) else made.posterior
-    return replace(made, candidate=candidate, posterior=posterior, moments=other), turned
+    candidate = replace(refitted.candidate, effect=mirror, fit=replace(old, effects=(*old.effects[:-1], mirror), x=x))
+    posterior = (
+        refitted.posterior.mirrored(mirror)
+        if isinstance(refitted.posterior, CorrectedPosterior)
+        else refitted.posterior
+    )
+    return replace(refitted, candidate=candidate, posterior=posterior, moments=mirrored_moments), mirrored_likelihood
 
 
-def _add_evidence(made: RefittedCandidate, nats: float) -> RefittedCandidate:
-    """A candidate with so much more evidence."""
-    return replace(made, candidate=replace(made.candidate, log_evidence=made.candidate.log_evidence + nats))
+def _add_evidence(refitted: RefittedCandidate, nats: float) -> RefittedCandidate:
+    """Add `nats` to a candidate's evidence."""
+    return replace(refitted, candidate=replace(refitted.candidate, log_evidence=refitted.candidate.log_evidence + nats))

@@ -1,4 +1,4 @@
-"""When the discrepancy engine names a cause."""
+"""Settings of the diagnosis: the thresholds from which a cause is named."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ class DiagnosisSettings(Settings):
     margin: float = Field(default=7.0, gt=0)
     """Evidence above the model without the cause, nats, over all candidates (calibrated on clean records)."""
     rival: float = Field(default=4.6, gt=0)
-    """A rival less than this many nats behind cannot be told from the winner (odds of 100 to 1)."""
+    """Log odds below which a rival cannot be distinguished from the best candidate, nats (odds of 100 to 1)."""
     worth: float = Field(default=2.0, ge=0)
     """Gain that the score test must promise for a candidate to be fitted, nats."""
     ranked: int = Field(default=20, ge=1)
-    """How many of those are fitted roughly."""
+    """Number of these candidates that are fitted roughly."""
     tried: int = Field(default=6, ge=1)
-    """How many of those are fitted to the end."""
+    """Number of these that are fitted fully."""
     favourites: int = Field(default=3, ge=0)
-    """How many of the score test's best are fitted to the end in any case."""
+    """Number of the best candidates by the score test that are fitted fully in any case."""
     max_causes: int = Field(default=3, ge=1)
-    """How many may act together."""
+    """Largest number of causes that may act together."""
     linearization: float = Field(default=0.05, ge=0, lt=1)
-    """Share of the gain by which a linearized law may misjudge itself: rivals within it are simulated."""
+    """Relative error that the gain of a linearized law may have: rivals within it are simulated."""
     aftermath: float = Field(default=0.005, ge=0, lt=1)
-    """Share of a nonlinear cause's gain that its simulation may still miss: less than that is no further cause."""
+    """Share of a nonlinear cause's gain that its simulation may still miss: a smaller gain is no evidence of a further cause."""
     share: float = Field(default=0.05, ge=0, lt=1)
-    """Share of the misfit, in nats, that a cause must explain where no ground was measured: less may be made up by the rest."""
+    """Share of the misfit, in nats, that a cause must explain where no ground was measured: other parameters may imitate less."""
     remainder: float = Field(default=0.03, ge=0, lt=1)
     """Share of the squared misfit that a nonlinear cause may leave."""
     misfit: float = Field(default=6.0, gt=0)
-    """Standard deviations from which what is left over in a band is a misfit."""
+    """Standard deviations from which the remaining difference in a band is a misfit."""

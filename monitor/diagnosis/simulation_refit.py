@@ -1,8 +1,9 @@
-"""What statistical linearization leaves out, measured by simulating the exact law.
+"""Refit with the error of statistical linearization, measured by simulating the exact law.
 
-The same forces drive the exact law and the linearized systems of every class; the difference of their averaged spectra
-is little disturbed by chance and is added to the prediction, with its slopes by the law's sizes, so that the fit that
-follows is as good as the exact law's.  What chance is left shows in the spread between simulations, and goes into the doubt.
+The same forces drive the exact law and the linearized systems of every class, so the difference of their averaged spectra has
+little random error.  The difference is added to the prediction, with its slopes by the law's sizes, so that the following fit
+is as good as one with the exact law.  The spread between simulations shows the remaining random error, which is added to the
+standard deviations of the sizes.
 """
 
 from __future__ import annotations
@@ -44,15 +45,15 @@ _MAX_SIMULATIONS = 10
 _NATS_A_SIMULATION = 100.0
 """One more simulation for every so many nats of gain that the randomness of a single one costs. [nats; judgement]"""
 Effort = Literal["rough", "fine", "finest"]
-"""For a rival; for the best; and where the simulations' chance makes a tie."""
+"""Effort of the simulation: for a rival, for the best candidate, and where the simulations' random error makes a tie."""
 _ROUNDS: dict[Effort, Rounds] = {"rough": ((1, True),), "fine": ((2, True),), "finest": ((_MAX_SIMULATIONS, False),)}
-"""Without slopes from the start, a law that is far from its linearization is fitted away."""
+"""Rounds for each effort.  Without slopes from the start, a law that is far from its linearization is fitted away."""
 _SENSORS: dict[Effort, Rounds] = {
     "rough": ((1, False),),
     "fine": ((_MIN_SIMULATIONS, False),),
     "finest": ((_MAX_SIMULATIONS, False),),
 }
-"""Slopes by sensors' sizes are told by samples: there is nothing to simulate twice."""
+"""The same for sensors' laws.  Samples give the slopes by sensors' sizes, so no slope is simulated."""
 _UNCERTAIN_SIZE = 0.15
 """Relative uncertainty of a law's size by the simulations' randomness from which the most simulations are made: rare
 events show in few of them. [ratio; judgement]"""
@@ -79,143 +80,170 @@ _N_SLOPE_SIMULATIONS = 5
 
 @dataclass(frozen=True, eq=False, slots=True)
 class RefittedCandidate:
-    """A candidate whose law was simulated."""
+    """Candidate refitted with its law simulated."""
 
     candidate: Candidate
     posterior: Posterior
-    """With the correction of the linearized law."""
+    """Posterior with the correction of the linearized law."""
     moments: Moments
-    """What all laws add to those of a normal process, in simulation."""
+    """Moments that all laws add to those of a normal process, by simulation."""
     variance_ratio: float = 1.0
-    """How many times the chance of a recording's moments that of their difference has."""
+    """Variance of the difference between measured and simulated moments, over that of the measured ones."""
     log_evidence_std: float = 0.0
-    """Standard deviation of the evidence by the simulations' chance, nats."""
+    """Standard deviation of the evidence by the simulations' random error, nats."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class SimulatedFit:
-    """A fit whose laws were simulated where it lies."""
+    """Fit whose nonlinear laws were simulated at the fitted parameters."""
 
     posterior: CorrectedPosterior
     fit: MapEstimate
     moments: Moments
-    """What the laws add to those of a normal process."""
+    """Moments that the laws add to those of a normal process."""
     simulations: int
-    """How many the moments are the mean of."""
+    """Number of simulations in the mean of the moments."""
 
 
 def refit_by_simulation(
     posterior: Posterior, null_fit: MapEstimate, candidate: Candidate, effort: Effort = "rough"
 ) -> RefittedCandidate:
-    """Refit a candidate with nonlinear laws, its linearization corrected by simulation at the fitted size."""
-    made = fit_by_simulation(posterior, candidate.fit, effort)
+    """Refit a candidate with nonlinear laws, its linearization corrected by simulation at the fitted size.
+
+    Parameters
+    ----------
+    posterior : Posterior
+    null_fit : MapEstimate
+        Fit without the candidate.
+    candidate : Candidate
+    effort : {"rough", "fine", "finest"}
+        Number of simulations, see `_ROUNDS`.
+    """
+    simulated_fit = fit_by_simulation(posterior, candidate.fit, effort)
     softening = any(e.is_softening for e in candidate.fit.effects)
-    if softening and effort == "rough" and np.abs(made.posterior.relative[0]).max() > _MAX_SOFTENING_CORRECTION:
-        other = fit_by_simulation(posterior, _weaken_laws(posterior, candidate.fit), effort)
-        made = max(made, other, key=lambda m: m.fit.log_posterior)
-    lost, variance_ratio = made.posterior.lost, 1.0 + 1.0 / made.simulations
-    better = score_candidate(made.posterior, null_fit, made.fit)
+    if (
+        softening
+        and effort == "rough"
+        and np.abs(simulated_fit.posterior.relative[0]).max() > _MAX_SOFTENING_CORRECTION
+    ):
+        weaker = fit_by_simulation(posterior, _weaken_laws(posterior, candidate.fit), effort)
+        simulated_fit = max(simulated_fit, weaker, key=lambda m: m.fit.log_posterior)
+    lost, variance_ratio = simulated_fit.posterior.lost, 1.0 + 1.0 / simulated_fit.simulations
+    better = score_candidate(simulated_fit.posterior, null_fit, simulated_fit.fit)
     simulated = isinstance(posterior, CorrectedPosterior) and candidate.key in posterior.laws
     if (
         not simulated
         and better.delta_log_posterior < candidate.delta_log_posterior <= better.delta_log_posterior + lost
-    ):  # the simulations' chance decides nothing
-        return RefittedCandidate(candidate, posterior, made.moments, variance_ratio)
+    ):  # the difference is within the simulations' random error
+        return RefittedCandidate(candidate, posterior, simulated_fit.moments, variance_ratio)
     better = replace(
         better, delta_log_posterior=better.delta_log_posterior + lost, log_evidence=better.log_evidence + lost
     )
-    return RefittedCandidate(better, made.posterior, made.moments, variance_ratio, float(np.sqrt(2.0 * lost)))
+    return RefittedCandidate(
+        better, simulated_fit.posterior, simulated_fit.moments, variance_ratio, float(np.sqrt(2.0 * lost))
+    )
 
 
 def fit_initial_model(
     observed: ObservedSpectra, prior: StructuralPrior, context: Context
 ) -> tuple[Posterior, MapEstimate, Moments]:
-    """As `fit_linearized`, with what simulation adds to the laws that stand, and what they add to the moments."""
+    """Fit the model without a new cause as `fit_linearized` does, with persistent nonlinear laws corrected by simulation.
+
+    Returns
+    -------
+    posterior : Posterior
+    fit : MapEstimate
+    moments : Moments
+        Moments that the persistent laws add to those of a normal process.
+    """
     posterior, null_fit = fit_linearized(observed, prior, context)
     simulated = (posterior, null_fit, normal_moments(posterior))
     for _ in range(_N_REFITS):
         simulated = fit_persistent_effects(*simulated[:2])
-    # Near the strongest motion that a law allows, forces fitted to its linear form make it run away: then that form stays.
-    return max(simulated, (posterior, null_fit, normal_moments(posterior)), key=lambda made: made[1].log_posterior)
+    # Near the strongest motion that a law allows, forces fitted to its linear form make the exact law diverge.  Then the
+    # linear form is kept.
+    return max(
+        simulated, (posterior, null_fit, normal_moments(posterior)), key=lambda candidate: candidate[1].log_posterior
+    )
 
 
 def fit_persistent_effects(posterior: Posterior, fit: MapEstimate) -> tuple[Posterior, MapEstimate, Moments]:
-    """Without the correction of any law but those that stand, refitted; as it is where none does or the ground was measured."""
+    """Refit with the correction of the persistent laws only; without such laws or with measured ground motion, do not refit."""
     linear = replace(posterior, offset=None)
     if posterior.observed.drive is not None or not any(e.nonlinear for e in posterior.prior.effects(fit.x)):
         return linear, fit, normal_moments(posterior)
-    made = fit_by_simulation(linear, fit)
-    return made.posterior, made.fit, made.moments
+    simulated_fit = fit_by_simulation(linear, fit)
+    return simulated_fit.posterior, simulated_fit.fit, simulated_fit.moments
 
 
 def fit_by_simulation(posterior: Posterior, fit: MapEstimate, effort: Effort = "fine") -> SimulatedFit:
     """Refit with all nonlinear laws simulated."""
-    return _iterate_simulation(posterior, fit, (_SENSORS if _sensors_alone(fit) else _ROUNDS)[effort])
+    return _iterate_simulation(posterior, fit, (_SENSORS if _only_sensors_nonlinear(fit) else _ROUNDS)[effort])
 
 
 def _weaken_laws(posterior: Posterior, fit: MapEstimate) -> MapEstimate:
-    """Where a fit begins with weaker laws."""
+    """Reduce the sizes of the nonlinear laws as the start of another fit."""
     x = fit.x.copy()
     x[posterior.layout.effects][[e.nonlinear for e in fit.effects for _ in e.parameters]] *= _REDUCED_START
     return replace(fit, x=x, effects=with_coordinates(fit.effects, x[posterior.layout.effects]))
 
 
-def _sensors_alone(fit: MapEstimate) -> bool:
-    """Whether no law but sensors' is nonlinear."""
+def _only_sensors_nonlinear(fit: MapEstimate) -> bool:
+    """Decide if no law but sensors' is nonlinear."""
     return all(e.family == "sensor" for e in fit.effects if e.nonlinear)
 
 
 def _iterate_simulation(posterior: Posterior, fit: MapEstimate, rounds: Rounds) -> SimulatedFit:
-    """Refit with all nonlinear laws simulated, a round for every number of simulations.
+    """Refit with all nonlinear laws simulated, in one round for each entry of `rounds`.
 
-    Slopes of the offset by the sizes matter since a linearized law may be far more or far less sensitive to its size than the
-    exact one; a round without them keeps those that the problem has.
+    The slopes of the offset by the sizes matter, since a linearized law may be far more or far less sensitive to its size than
+    the exact law.  A round without slopes keeps those of the posterior.
     """
     loaded()
-    slopes, feigned, known = _stored_slopes(posterior, fit), np.zeros((0, 0)), 0
+    slopes, spurious, known = _stored_slopes(posterior, fit), np.zeros((0, 0)), 0
     if len(slopes) and isinstance(posterior, CorrectedPosterior):
-        feigned, known = posterior.feigned, posterior.simulations
+        spurious, known = posterior.feigned, posterior.simulations
     linear = replace(posterior, offset=None)
     for count, sloped in rounds:
         linear = replace(linear, conditions=linearize(linear, fit.x, fit.effects))
-        kept = known if known > 1 else 0  # a single one was taken on the way
-        pieces: list[partial[Any]] = [
+        kept = known if known > 1 else 0  # a single one was made on the way to the present fit
+        tasks: list[partial[Any]] = [
             partial(_simulate_slopes, linear, fit, _FIRST_SLOPE_SEED + kept + i) for i in range(count * sloped)
         ]
-        pieces += [partial(_simulate_offset, linear, fit, i) for i in range(count)]
-        done = parallel_map(lambda piece: piece(), pieces)
-        made = done[-count:]
-        offsets, free = np.array([m[0] for m in made]), np.array([m[1] for m in made])
-        added = sum((m[2] for m in made), normal_moments(linear)) / count
+        tasks += [partial(_simulate_offset, linear, fit, i) for i in range(count)]
+        results = parallel_map(lambda task: task(), tasks)
+        offset_results = results[-count:]
+        offsets, free = np.array([m[0] for m in offset_results]), np.array([m[1] for m in offset_results])
+        added = sum((m[2] for m in offset_results), normal_moments(linear)) / count
         if sloped:
-            new = np.array(done[:count])
+            new = np.array(results[:count])
             known = kept + count
             slopes = new.mean(axis=0) if not kept else (kept * slopes + new.sum(axis=0)) / known
         near = correct_posterior(linear, fit.x, fit.effects, offsets.mean(axis=0), slopes)
         if sloped:
-            feigned = _spurious_information(near, fit, new) * count / known
-        near = replace(near, feigned=feigned, simulations=known)
+            spurious = _spurious_information(near, fit, new) * count / known
+        near = replace(near, feigned=spurious, simulations=known)
         fit = maximize_posterior(near, fit.x, fit.effects, iterations=8)
     lost, simulation_std = _simulation_scatter(near, fit, offsets, free)
     if simulation_std.size:
-        more = np.diag(_widen_covariance(near, fit) - fit.covariance)[near.layout.effects]
-        simulation_std = np.sqrt(simulation_std**2 + np.maximum(more, 0.0))
+        added_variance = np.diag(_widen_covariance(near, fit) - fit.covariance)[near.layout.effects]
+        simulation_std = np.sqrt(simulation_std**2 + np.maximum(added_variance, 0.0))
     return SimulatedFit(replace(near, lost=lost, doubt=simulation_std), fit, added, count)
 
 
 def refine_fit(posterior: Posterior, fit: MapEstimate) -> tuple[CorrectedPosterior, MapEstimate]:
-    """As `fit_by_simulation`, for what is published: the more chance the simulations have, the more of them.
+    """Refit as `fit_by_simulation` for a published result, with more simulations where their random error is large.
 
-    What the sizes still move in it is a doubt, and where the fit gets worse, the one that it began with stands.
+    The last move of the sizes adds to their standard deviation.  Where the fit gets worse, the first fit is kept.
     """
     if (
         isinstance(posterior, CorrectedPosterior) and posterior.doubt.size == fit.n_effect
-    ):  # simulated finely with all that is there
+    ):  # simulated finely already, with all its effects
         near, start = posterior, fit
     else:
-        made = fit_by_simulation(posterior, fit)
-        near, start = made.posterior, made.fit
-    if _sensors_alone(fit):
+        simulated_fit = fit_by_simulation(posterior, fit)
+        near, start = simulated_fit.posterior, simulated_fit.fit
+    if _only_sensors_nonlinear(fit):
         return near, start
     count = int(np.clip(np.ceil(2.0 * near.lost / _NATS_A_SIMULATION), _MIN_SIMULATIONS, _MAX_SIMULATIONS))
     rounds: Rounds = ((count, False),) if count == _MIN_SIMULATIONS else ((count // 2, True), (count, False))
@@ -233,21 +261,32 @@ def refine_fit(posterior: Posterior, fit: MapEstimate) -> tuple[CorrectedPosteri
 
 
 def _simulate_offset(posterior: Posterior, fit: MapEstimate, seed: int) -> tuple[ComplexArray, ComplexArray, Moments]:
-    """Offset, the same without a control variate, and what the laws add to the moments."""
+    """Simulate the offset of the spectra from the linearized ones.
+
+    Returns
+    -------
+    controlled, free : ndarray of complex, shape (n_classes, n_bins, c, c)
+        The offset with the linearized system as control variate, and without it.
+    moments : Moments
+        Moments that the laws add to those of a normal process.
+    """
     acting = draw_forces(posterior, fit.x, fit.effects, seed)
-    made = simulate_spectra(
+    simulated = simulate_spectra(
         posterior, fit.x, fit.effects, acting, simulate_exact(posterior, fit.x, fit.effects, acting)
     )
-    added = simulate_moments(made.bent, posterior, fit) - simulate_moments(made.straight, posterior, fit)
-    return made.controlled, made.free, added
+    added = simulate_moments(simulated.bent, posterior, fit) - simulate_moments(simulated.straight, posterior, fit)
+    return simulated.controlled, simulated.free, added
 
 
 def _simulate_slopes(posterior: Posterior, fit: MapEstimate, seed: int) -> ComplexArray:
-    """Slopes of the offset by the laws' sizes, shape (p, classes, n_bins, c, c); none by a sensor's, which samples tell."""
+    """Simulate the slopes of the offset by the laws' sizes, shape (p, n_classes, n_bins, c, c).
+
+    Slopes by a sensor's sizes are zero here, since the samples give them.
+    """
     laws = [(i, e) for i, e in enumerate(e for e in fit.effects for _ in e.parameters) if e.nonlinear]
     out = np.zeros((len(laws), *posterior.observed.spectra.shape), dtype=complex)
     acting = draw_forces(posterior, fit.x, fit.effects, seed)
-    here = linearization_error(
+    offset = linearization_error(
         posterior, fit.x, fit.effects, acting, simulate_exact(posterior, fit.x, fit.effects, acting)
     )
     for slope, (i, effect) in zip(out, laws, strict=True):
@@ -259,13 +298,13 @@ def _simulate_slopes(posterior: Posterior, fit: MapEstimate, seed: int) -> Compl
         sizes[i] += step
         effects = with_coordinates(fit.effects, sizes)
         slope[:] = (
-            linearization_error(posterior, x, effects, acting, simulate_exact(posterior, x, effects, acting)) - here
+            linearization_error(posterior, x, effects, acting, simulate_exact(posterior, x, effects, acting)) - offset
         ) / step
     return out
 
 
 def _stored_slopes(posterior: Posterior, fit: MapEstimate) -> ComplexArray:
-    """Those that a problem has for the laws of a fit; none otherwise."""
+    """Return the slopes that the posterior has for the laws of a fit; none for other laws."""
     if isinstance(posterior, CorrectedPosterior) and posterior.laws == tuple(
         (e.name, e.location) for e in fit.effects if e.nonlinear
     ):
@@ -274,19 +313,25 @@ def _stored_slopes(posterior: Posterior, fit: MapEstimate) -> ComplexArray:
 
 
 def _spurious_information(posterior: CorrectedPosterior, fit: MapEstimate, slopes: ComplexArray) -> Array:
-    """Information that chance in the mean of simulated slopes, shape (k, p, classes, n_bins, c, c), feigns: shape (p, p)."""
+    """Compute the spurious information on the sizes by random error in the mean of simulated slopes, shape (p, p).
+
+    Parameters
+    ----------
+    slopes : ndarray of complex, shape (k, p, n_classes, n_bins, c, c)
+        Slopes by each of k simulations.
+    """
     k, p = slopes.shape[:2]
     if k < 2:
         return np.zeros((p, p))
-    here = posterior.predict(fit.x, fit.effects)
-    apart = posterior.spread(slopes - slopes.mean(axis=0))
-    rows, _ = posterior.whitened(here.spectra, apart.reshape(k * p, *apart.shape[2:]), here.data)
+    prediction = posterior.predict(fit.x, fit.effects)
+    deviations = posterior.spread(slopes - slopes.mean(axis=0))
+    rows, _ = posterior.whitened(prediction.spectra, deviations.reshape(k * p, *deviations.shape[2:]), prediction.data)
     rows = rows.reshape(-1, k, p)
     return np.asarray(np.einsum("rka,rkb->ab", rows, rows) / (k * (k - 1)))
 
 
 def _spurious_share(posterior: Posterior, fit: MapEstimate) -> Array:
-    """Covariance times feigned information, shape (n, n)."""
+    """Compute the covariance times the spurious information, shape (n, n)."""
     whole = np.zeros_like(fit.covariance)
     if isinstance(posterior, CorrectedPosterior) and posterior.feigned.any():
         sizes = [e.nonlinear for e in fit.effects for _ in e.parameters]
@@ -296,14 +341,20 @@ def _spurious_share(posterior: Posterior, fit: MapEstimate) -> Array:
 
 
 def _largest_share(part: Array) -> float:
-    """Largest share of the information on any size that is feigned, of `_spurious_share`."""
+    """Compute the largest share of the information on any size that is spurious.
+
+    Parameters
+    ----------
+    part : ndarray, shape (n, n)
+        See `_spurious_share`.
+    """
     return float(np.abs(np.linalg.eigvals(part)).max())
 
 
 def _widen_covariance(posterior: Posterior, fit: MapEstimate) -> Array:
-    """Covariance of estimates whose slopes have chance in them, shape (n, n).
+    """Widen the covariance of estimates whose slopes have random error, shape (n, n).
 
-    Such a fit takes its information J'J for larger than it is, and its covariance for smaller.
+    Such a fit overestimates its information J'J and underestimates its covariance.
     """
     part = _spurious_share(posterior, fit)
     wider = np.linalg.inv(np.eye(len(part)) - part * min(1.0, _MAX_NOISE_INFORMATION / max(_largest_share(part), 1e-9)))
@@ -313,22 +364,36 @@ def _widen_covariance(posterior: Posterior, fit: MapEstimate) -> Array:
 def _simulation_scatter(
     posterior: CorrectedPosterior, fit: MapEstimate, offsets: ComplexArray, free: ComplexArray
 ) -> tuple[float, Array]:
-    """What the simulations' chance costs in log likelihood, and what it adds to the sizes' standard deviation.
+    """Estimate the effect of the simulations' random error on the log likelihood and on the sizes.
 
-    A nonlinear response is not normal, so a recording's spectra scatter more than the likelihood knows: as the spectra of
-    simulations without a control variate do.  A single one tells nothing.
+    A nonlinear response is not normal, so a recording's spectra scatter more than the likelihood assumes.  The spectra of
+    simulations without a control variate show this scatter.  A single simulation shows nothing.
+
+    Parameters
+    ----------
+    offsets, free : ndarray of complex, shape (k, n_classes, n_bins, c, c)
+        Offsets of k simulations with and without a control variate.
+
+    Returns
+    -------
+    lost : float
+        Log likelihood lost by the random error of the mean offset, nats.
+    simulation_std : ndarray, shape (p,)
+        Standard deviation that this error adds to the sizes.
     """
     own_sizes, k = posterior.layout.effects, len(offsets)
     if k < 2:
         return 0.0, np.zeros(0)
-    here = posterior.predict(fit.x, fit.effects)
+    prediction = posterior.predict(fit.x, fit.effects)
     rows = fit.jacobian[: fit.residual.size]
     steps, lost = [], 0.0
-    for made in (offsets, free):
-        apart, _ = posterior.whitened(here.spectra, posterior.spread(made - made.mean(axis=0)), here.data)
-        steps.append((fit.covariance @ (rows.T @ apart))[own_sizes])
-        if made is offsets:
-            lost = 0.5 * float((apart**2).sum()) / (k * (k - 1))
+    for spectra in (offsets, free):
+        deviations, _ = posterior.whitened(
+            prediction.spectra, posterior.spread(spectra - spectra.mean(axis=0)), prediction.data
+        )
+        steps.append((fit.covariance @ (rows.T @ deviations))[own_sizes])
+        if spectra is offsets:
+            lost = 0.5 * float((deviations**2).sum()) / (k * (k - 1))
     own, whole = (s.var(axis=1, ddof=1) for s in steps)
     expected = np.diag(fit.covariance @ (rows.T @ rows) @ fit.covariance)[own_sizes]
     return lost, np.sqrt(own / k + np.maximum(whole - expected, 0.0))

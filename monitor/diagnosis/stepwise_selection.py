@@ -1,4 +1,4 @@
-"""What a simulation gets wrong: the causes that measured data name, or why they name none."""
+"""Stepwise selection of causes: the causes that measured data name for the errors of a simulation, or why they name none."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ Verdict = Literal["none", "named", "ambiguous", "unexplained"]
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Cause:
-    """An effect with what is known of its size."""
+    """Effect with the standard deviations of its parameters."""
 
     effect: Effect
     std: dict[str, float]
@@ -62,30 +62,32 @@ class Cause:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Diagnosis:
-    """The answer, and everything that it was judged by."""
+    """Result of a diagnosis, with everything that it was judged by."""
 
     verdict: Verdict
     causes: tuple[Cause, ...]
     alternatives: tuple[tuple[Candidate, float], ...]
     """Candidates that cannot be told apart, with their probabilities."""
     misfit: tuple[LackOfFit, ...]
-    """What the model without causes got wrong."""
+    """Lack of fit of the model without causes."""
     left_over: tuple[LackOfFit, ...]
-    """What is still wrong with them."""
+    """Lack of fit that remains with the causes."""
     candidates: tuple[Candidate, ...]
+    """Candidates of the first round."""
     posterior: Posterior
     null_fit: MapEstimate
     """The old model form, refitted."""
     final_fit: MapEstimate
-    """With the causes (the most probable alternative where the answer is ambiguous)."""
+    """Fit with the causes (with the most probable alternative where the answer is ambiguous)."""
     settings: DiagnosisSettings
-    """By which it was judged."""
+    """Settings of the diagnosis."""
     rounds: tuple[tuple[Candidate, ...], ...] = field(default=())
+    """Candidates of every round of the search."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _SearchState:
-    """How far the search has come."""
+    """State of the search between two rounds."""
 
     posterior: Posterior
     fit: MapEstimate
@@ -93,20 +95,34 @@ class _SearchState:
     """The model form without causes, fitted."""
     accepted: tuple[Candidate, ...]
     moments: Moments
-    """What the accepted laws add to those of a normal process."""
+    """Moments that the accepted laws add to those of a normal process."""
     margin: float
-    """Evidence from which a further cause is one, nats."""
+    """Log evidence that a further cause needs, nats."""
 
 
 def diagnose(
     observed: ObservedSpectra, prior: StructuralPrior, context: Context, settings: DiagnosisSettings
 ) -> Diagnosis:
-    """Search the catalogue for what explains a recording.
+    """Search the catalogue of effects for the causes that explain a recording.
 
-    After a cause is accepted the search is repeated on the extended model, until nothing is left that it explains.
+    After a cause is accepted the search is repeated on the extended model, until no effect explains more.
+
+    Parameters
+    ----------
+    observed : ObservedSpectra
+        Spectra of the recording.
+    prior : StructuralPrior
+        The structure, from its file or its baseline.
+    context : Context
+        Channels, sensors and structure.
+    settings : DiagnosisSettings
+
+    Returns
+    -------
+    Diagnosis
     """
-    posterior, null_fit, standing = fit_initial_model(observed, prior, context)
-    stage = _SearchState(posterior, null_fit, null_fit, (), standing, settings.margin)
+    posterior, null_fit, moments = fit_initial_model(observed, prior, context)
+    stage = _SearchState(posterior, null_fit, null_fit, (), moments, settings.margin)
     rounds: list[tuple[Candidate, ...]] = []
     alternatives: tuple[tuple[Candidate, float], ...] = ()
     while len(stage.accepted) < settings.max_causes:
@@ -118,7 +134,7 @@ def diagnose(
         if len(tied) > 1:
             tied = _look_ahead(tied, settings)
         beside = _accept_beside_tie(stage, tied[0], settings) if len(tied) > 1 else None
-        if beside is not None:  # the tie comes up again, last
+        if beside is not None:  # the tie comes up again in the last round
             stage, candidates = beside
             rounds[-1] = tuple(p.candidate for p in candidates)
             continue
@@ -140,14 +156,14 @@ def diagnose(
             posterior, fit, accepted, simulation_std, settings
         )
         left_over = (*find_changed_effects(posterior, fit, settings), *find_lack_of_fit(posterior, fit, settings))
-    # A response shows more than bands do: what the modes' ratios and their dependence on the level say.
-    plain = (find_ratio_change(posterior, fit), find_level_dependence(backbone(posterior, stage.null_fit)))
+    # A response shows more than the misfit in bands: the frequency ratios and their dependence on the level.
+    findings = (find_ratio_change(posterior, fit), find_level_dependence(backbone(posterior, stage.null_fit)))
     still = find_level_dependence(backbone(posterior, fit))
     return Diagnosis(
         verdict=verdict,
         causes=_causes(posterior, fit, accepted, simulation_std),
         alternatives=alternatives,
-        misfit=(*[m for m in plain if m is not None], *misfit),
+        misfit=(*[m for m in findings if m is not None], *misfit),
         left_over=left_over if still is None else (*left_over, still),
         candidates=rounds[0] if rounds else (),
         posterior=posterior,
@@ -161,8 +177,17 @@ def diagnose(
 def _search_once(
     stage: _SearchState, settings: DiagnosisSettings
 ) -> tuple[_SearchState, list[RefittedCandidate], float]:
-    """The stage, fitted anew where the search came upon a better fit without any cause; what may come next, best first; and
-    the evidence that it must have."""
+    """Run one round of the search, and once more where it came upon a better fit without a further cause.
+
+    Returns
+    -------
+    stage : _SearchState
+        Refitted where a better fit was found.
+    candidates : list of RefittedCandidate
+        Further causes, best first.
+    threshold : float
+        Log evidence that the next cause needs, nats.
+    """
     threshold = _acceptance_threshold(stage, settings)
     min_gain = settings.worth * threshold / settings.margin
     candidates = run_selection_round(stage.posterior, stage.fit, stage.moments, settings, min_gain)
@@ -181,10 +206,10 @@ def _search_once(
 
 
 def _acceptance_threshold(stage: _SearchState, settings: DiagnosisSettings) -> float:
-    """Evidence that the next cause must have, nats."""
+    """Compute the log evidence that the next cause needs, nats."""
     if (
         stage.posterior.observed.drive is not None
-    ):  # most of what is wrong is in the response, which misfits do not count
+    ):  # most of the lack of fit is in the response, which the misfit in bands does not count
         return stage.margin
     return max(
         stage.margin,
@@ -195,41 +220,42 @@ def _acceptance_threshold(stage: _SearchState, settings: DiagnosisSettings) -> f
 def _refit_ground_interpolation(
     stage: _SearchState, candidates: list[RefittedCandidate], min_gain: float
 ) -> tuple[Posterior, MapEstimate] | None:
-    """The fit with the ground's motion between its samples that the best candidates ask for; None where that is no other one.
+    """Refit with the interpolation of the ground motion that the best candidates prefer; return None where it is the present one.
 
-    Without the cause another motion may have made up for it, and with that one a cause of more parameters may look better.
+    Without the cause another interpolation may have compensated for the cause, and with that interpolation a cause with more
+    parameters may look better.
     """
     drive = stage.posterior.observed.drive
     if drive is None or not candidates or candidates[0].candidate.log_evidence < min_gain:
         return None
-    likely: list[tuple[float, ObservedSpectra]] = []
+    scored: list[tuple[float, ObservedSpectra]] = []
     for p in candidates[:_N_GROUND_TESTS]:
         before = p.candidate.fit
         posterior, fit = fit_ground_interpolation(p.posterior, before)
-        likely.append((p.candidate.log_evidence + fit.log_posterior - before.log_posterior, posterior.observed))
-    like = max(likely, key=lambda pair: pair[0])[1]
-    assert like.drive is not None
-    if like.drive.between == drive.between:
+        scored.append((p.candidate.log_evidence + fit.log_posterior - before.log_posterior, posterior.observed))
+    best = max(scored, key=lambda pair: pair[0])[1]
+    assert best.drive is not None
+    if best.drive.between == drive.between:
         return None
-    posterior = replace(stage.posterior, observed=like)
+    posterior = replace(stage.posterior, observed=best)
     return posterior, maximize_posterior(posterior, stage.fit.x, stage.fit.effects, iterations=FAR)
 
 
 def _accept(stage: _SearchState, best: RefittedCandidate, settings: DiagnosisSettings) -> _SearchState:
-    """The stage once a cause is accepted: everything fitted beside it, and what a further one must bring."""
+    """Accept a cause: refit all parameters beside it, and update the evidence that a further cause needs."""
     accepted = (*stage.accepted, best.candidate)
     posterior, fit = best.posterior, best.candidate.fit
     driven = posterior.observed.drive is not None
     posterior, fit = fit_ground_interpolation(_extend_posterior(posterior, fit), fit)
-    # Damping is freer now, the motion is known, and how far up the forces reach.
+    # The damping has a looser prior now, and the motion and the frequency range of the forces are known.
     fit = maximize_posterior(posterior, fit.x, fit.effects)
     if driven and _has_nonlinear(fit):
         posterior, fit = fit_exact_slopes(posterior, fit)
     posterior, fit = fit_ambient_forces(posterior, fit)
     added, margin = best.moments, stage.margin
-    if len(accepted) > 1 and _has_nonlinear(fit) and not driven:  # corrected without the newest cause
-        made = fit_by_simulation(posterior, fit)
-        posterior, fit, added = made.posterior, made.fit, made.moments
+    if len(accepted) > 1 and _has_nonlinear(fit) and not driven:  # the present correction lacks the newest cause
+        simulated_fit = fit_by_simulation(posterior, fit)
+        posterior, fit, added = simulated_fit.posterior, simulated_fit.fit, simulated_fit.moments
     if best.candidate.effect.nonlinear:
         margin = max(
             margin,
@@ -242,13 +268,25 @@ def _accept(stage: _SearchState, best: RefittedCandidate, settings: DiagnosisSet
 def _accept_beside_tie(
     stage: _SearchState, tied: RefittedCandidate, settings: DiagnosisSettings
 ) -> tuple[_SearchState, list[RefittedCandidate]] | None:
-    """The stage with what is there whichever of some rivals is the cause, the best one being `tied`, and the candidates among
-    which it was found; None where there is nothing, or nothing that is told apart.
+    """Search, while rivals are tied, for a cause that is there whichever rival is the true cause.
+
+    Parameters
+    ----------
+    stage : _SearchState
+        State before any of the rivals.
+    tied : RefittedCandidate
+        The best of the rivals.
+
+    Returns
+    -------
+    tuple of _SearchState and list of RefittedCandidate, or None
+        The state with the further cause, and the candidates among which it was found.  None where there is no such cause, or
+        where it is itself tied.
     """
     if len(stage.accepted) + 2 > settings.max_causes:
         return None
-    there = _accept(stage, tied, settings)
-    _, candidates, threshold = _search_once(there, settings)
+    extended = _accept(stage, tied, settings)
+    _, candidates, threshold = _search_once(extended, settings)
     if (
         not candidates
         or candidates[0].candidate.log_evidence < threshold
@@ -256,20 +294,29 @@ def _accept_beside_tie(
     ):
         return None
     found = candidates[0].candidate.effect
-    if found.nonlinear:  # which is to be simulated with all else that is there
+    if found.nonlinear:  # it must be simulated together with the tied cause
         return None
-    alone = fit_candidate(stage.posterior, stage.fit, found)
-    return _accept(stage, RefittedCandidate(alone, stage.posterior, stage.moments), settings), candidates
+    further_cause = fit_candidate(stage.posterior, stage.fit, found)
+    return _accept(stage, RefittedCandidate(further_cause, stage.posterior, stage.moments), settings), candidates
 
 
 def _refine(
     posterior: Posterior, fit: MapEstimate, accepted: tuple[Candidate, ...]
 ) -> tuple[Posterior, MapEstimate, tuple[Candidate, ...], Array]:
-    """With laws simulated as finely as what is published asks for, and their sizes' doubt; shape (p,)."""
+    """Refit with laws simulated as finely as a published result needs, without causes that are no longer significant.
+
+    Returns
+    -------
+    posterior : Posterior
+    fit : MapEstimate
+    accepted : tuple of Candidate
+    simulation_std : ndarray, shape (p,)
+        Standard deviations of the sizes by the simulations' random error.
+    """
     if not _has_nonlinear(fit) or posterior.observed.drive is not None:
         return posterior, fit, accepted, np.zeros(fit.n_effect)
     near, fit = refine_fit(posterior, fit)
-    # What the law's better size leaves of another cause may be nothing.
+    # With a better size of the law another cause may be no longer significant.
     kept = [is_significant(e, std) for e, std in zip(fit.effects, coordinate_std(near, fit, near.doubt), strict=True)]
     if not any(kept):
         return near, fit, accepted, near.doubt
@@ -279,7 +326,7 @@ def _refine(
 def _keep_effects(
     posterior: Posterior, fit: MapEstimate, accepted: tuple[Candidate, ...], simulation_std: Array, kept: Sequence[bool]
 ) -> tuple[Posterior, MapEstimate, tuple[Candidate, ...], Array]:
-    """With some of the effects alone."""
+    """Refit with the selected effects only; return as `_refine`."""
     if all(kept):
         return posterior, fit, accepted, simulation_std
     nonlinear = _has_nonlinear(fit)
@@ -298,8 +345,9 @@ def _keep_confirmed_elsewhere(
     simulation_std: Array,
     settings: DiagnosisSettings,
 ) -> tuple[Posterior, MapEstimate, tuple[Candidate, ...], Array]:
-    """Beside something unexplained with those causes alone that other bands show too: in its own it makes up tones, oscillators
-    and laws that are none.
+    """Keep only the causes that bands without lack of fit confirm too; return as `_refine`.
+
+    In bands with unexplained lack of fit a search finds tones, oscillators and laws that do not exist.
     """
     wrong = wrong_bins(posterior, fit, settings)
     if not accepted or not wrong.any() or posterior.observed.drive is not None:
@@ -307,7 +355,7 @@ def _keep_confirmed_elsewhere(
     elsewhere = replace(posterior, left_out=wrong)
     whole = maximize_posterior(elsewhere, fit.x, fit.effects)
 
-    def shown(i: int) -> bool:
+    def is_confirmed(i: int) -> bool:
         if i >= len(accepted):
             return True
         others = (*fit.effects[:i], *fit.effects[i + 1 :])
@@ -315,7 +363,7 @@ def _keep_confirmed_elsewhere(
         gain = whole.log_posterior - without.log_posterior
         return gain - parameter_cost(elsewhere, len(fit.effects[i].parameters)) > settings.margin
 
-    return _keep_effects(posterior, fit, accepted, simulation_std, parallel_map(shown, range(len(fit.effects))))
+    return _keep_effects(posterior, fit, accepted, simulation_std, parallel_map(is_confirmed, range(len(fit.effects))))
 
 
 def _verdict(
@@ -325,7 +373,8 @@ def _verdict(
     ambiguous: bool,
     settings: DiagnosisSettings,
 ) -> Verdict:
-    # The exact form of a nonlinear law far from rest is not known; what little that leaves is no cause of its own.
+    # The exact form of a nonlinear law far from rest is not known; the small misfit that this leaves is no cause of its own.
+    """Choose the verdict from the share of lack of fit that is left over, the accepted causes and their ambiguity."""
     nonlinear = any(c.effect.nonlinear for c in accepted)
     if left_over and not (nonlinear and share < settings.remainder):
         return "unexplained"
@@ -335,30 +384,31 @@ def _verdict(
 
 
 def _look_ahead(tied: list[RefittedCandidate], settings: DiagnosisSettings) -> list[RefittedCandidate]:
-    """Rivals of which each leaves something unexplained, judged with the best second cause beside each."""
+    """Rank tied candidates with the best second cause beside each, where each leaves lack of fit; return those still tied."""
     if not find_lack_of_fit(tied[0].posterior, tied[0].candidate.fit, settings):
         return tied
-    total = []
+    evidence = []
     for p in tied[: settings.tried]:
         second = run_selection_round(
             _extend_posterior(p.posterior, p.candidate.fit), p.candidate.fit, p.moments, settings, settings.worth
         )
-        more = second[0].candidate.log_evidence if second else 0.0
-        total.append(p.candidate.log_evidence + (more if more > settings.margin else 0.0))
-    best = int(np.argmax(total))
-    near = [
+        second_gain = second[0].candidate.log_evidence if second else 0.0
+        evidence.append(p.candidate.log_evidence + (second_gain if second_gain > settings.margin else 0.0))
+    best = int(np.argmax(evidence))
+    still_tied = [
         p
-        for p, t in zip(tied, total, strict=False)
-        if t > total[best] - settings.rival or predict_the_same(p.posterior, p.candidate.fit, tied[best].candidate.fit)
+        for p, t in zip(tied, evidence, strict=False)
+        if t > evidence[best] - settings.rival
+        or predict_the_same(p.posterior, p.candidate.fit, tied[best].candidate.fit)
     ]
-    return sorted(near, key=lambda p: p is not tied[best])
+    return sorted(still_tied, key=lambda p: p is not tied[best])
 
 
 def _extend_posterior(posterior: Posterior, fit: MapEstimate) -> Posterior:
-    """The problem once its last cause is accepted.
+    """Update the posterior once its last cause is accepted.
 
-    The motion follows the new model, and damping, which is known for the healthy modes, is known less well of modes that have
-    moved: either their ratios stayed, or what dissipates did.
+    The motion follows the new model.  Damping is known for the healthy modes, and less well for modes that have moved: either the
+    modes kept their damping ratios, or the structure kept its damping matrix.
     """
     posterior = update_linearization(posterior, fit)
     before = posterior.model(fit.x, (*posterior.prior.effects(fit.x), *fit.effects[:-1])).modes().frequencies_hz
@@ -374,13 +424,14 @@ def _extend_posterior(posterior: Posterior, fit: MapEstimate) -> Posterior:
 
 
 def _has_nonlinear(fit: MapEstimate) -> bool:
+    """Decide if a fit has a nonlinear effect."""
     return any(e.nonlinear for e in fit.effects)
 
 
 def _causes(
     posterior: Posterior, fitted: MapEstimate, accepted: Sequence[Candidate], simulation_std: Array
 ) -> tuple[Cause, ...]:
-    """The accepted effects with the standard deviations of their parameters."""
+    """List the accepted effects with the standard deviations of their parameters."""
     out = []
     for effect, deviation, _ in zip(
         fitted.effects, coordinate_std(posterior, fitted, simulation_std), accepted, strict=False

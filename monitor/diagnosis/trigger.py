@@ -1,8 +1,8 @@
-"""When the online results ask for a diagnosis: pure, in data time.
+"""Trigger of a diagnosis by the online results: pure functions in data time.
 
-An alarm says that stiffness was lost; it takes a diagnosis to say whether something else explains the data as well.  A
-diagnosis is asked for once an episode, when a window's length of data has come since the episode began: what made the alarm
-rise still holds data from before.
+An alarm says that stiffness was lost; only a diagnosis can say if something else explains the data as well.  A diagnosis is
+requested once an episode, when a window's length of data has come since the episode began, because the window that raised
+the alarm still holds data from before.
 """
 
 from __future__ import annotations
@@ -22,29 +22,31 @@ class WatchSettings(Settings):
     misfit: float = Field(default=5.0, gt=1)
     """Goodness of fit of the change (1 when stiffness explains it) from which stiffness explains too little."""
     longest_s: float = Field(default=1200.0, gt=0)
-    """Most of the latest data that one diagnosis is given."""
+    """Longest span of the latest data that one diagnosis uses."""
     time_limit_s: float = Field(default=300.0, gt=0)
     """A diagnosis that takes longer than this is given up."""
 
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """A diagnosis that is asked for."""
+    """Request for a diagnosis of a span of data."""
 
     from_ns: int
     """UTC of the first sample to be judged."""
     to_ns: int
+    """UTC of the end of the span."""
     reason: str
 
 
 @dataclass(frozen=True, slots=True)
 class WatchState:
-    """Where the episode stands."""
+    """State of the trigger: the present episode, and whether a diagnosis of it was requested."""
 
     begun_ns: int | None = None
     """End of the episode's first window; None between episodes."""
     reason: str = ""
     asked: bool = False
+    """Whether the diagnosis of this episode was requested."""
     misfit_since_ns: int | None = None
     """End of the first window of the unbroken run of those that stiffness does not explain."""
 
@@ -52,7 +54,18 @@ class WatchState:
 def step(
     state: WatchState, result: WindowResult, settings: WatchSettings, window_s: float
 ) -> tuple[WatchState, Request | None]:
-    """Follow a window; a request when an episode has brought enough data, or ends before."""
+    """Advance the state by one window; return a request when an episode has brought enough data, or ends before.
+
+    Parameters
+    ----------
+    state : WatchState
+        State before the window.
+    result : WindowResult
+        Result of the window.
+    settings : WatchSettings
+    window_s : float
+        Length of a window, s.
+    """
     if result.skipped is not None:
         return state, None
     t_ns, window_ns = result.t_end_ns, round(window_s * 1e9)
@@ -75,7 +88,15 @@ def step(
 
 
 def finish(state: WatchState, t_ns: int, settings: WatchSettings, window_s: float) -> Request | None:
-    """The request that is due when the episode or the data end here, if there is one."""
+    """Return the request that is due when the episode or the data end at `t_ns`; None where none is due.
+
+    Examples
+    --------
+    >>> state = WatchState(begun_ns=400_000_000_000, reason="alarm: story 1")
+    >>> request = finish(state, t_ns=900_000_000_000, settings=WatchSettings(), window_s=400.0)
+    >>> request.from_ns, request.reason
+    (400000000000, 'alarm: story 1')
+    """
     if not settings.diagnose or state.begun_ns is None or state.asked:
         return None
     longest_ns, least_ns = (round(s * 1e9) for s in (max(settings.longest_s, window_s), window_s))

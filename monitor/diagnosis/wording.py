@@ -1,4 +1,4 @@
-"""A diagnosis in words: each cause with its size and interval, the verdict, and what would separate rival causes."""
+"""Wording of a diagnosis: each cause with its size and interval, the verdict, and what would separate rival causes."""
 
 from __future__ import annotations
 
@@ -29,53 +29,60 @@ def in_words(effect_name: str, location: str, parameters: ParameterEstimates, re
 
 
 def separating_measurement(alternatives: Sequence[Mapping[str, Any]]) -> str | None:
-    """Say what to measure so as to separate rival causes; None where there are fewer than two of them.
+    """State the measurement that would separate rival causes; return None where there are fewer than two of them.
 
     Parameters
     ----------
     alternatives : sequence of mappings
         With ``effect`` and ``location``, as in diagnosis.json.
+
+    Examples
+    --------
+    >>> separating_measurement([{"effect": "added_mass", "location": f"floor {i}"} for i in (1, 2)])
+    'a longer recording, or one more sensor between floor 1 and floor 2'
     """
     if len(alternatives) < 2:
         return None
     effects = list(dict.fromkeys(a["effect"] for a in alternatives))
     if len(effects) == 1:
         return "a longer recording, or one more sensor between " + " and ".join(a["location"] for a in alternatives)
-    # All rivals but one need a measurement of their own; an effect whose measurement is the dearest states none.
+    # All rivals but one need a measurement of their own; the effect with the most costly measurement states none.
     measurements = dict.fromkeys(FORMS[name].separating_measurement for name in effects)
     return "; ".join(filter(None, measurements)) or "a longer recording"
 
 
 def contradicted(error: ModelDiscrepancy) -> str:
-    """What calibration left unexplained, without a full stop."""
+    """State in words, without a full stop, the bands in which the healthy data contradicted the model at calibration."""
     where = ", ".join(f"{low:.1f}-{high:.1f}" for low, high in error.doubtful_hz())
     return f"at {where} Hz no known effect explains the healthy data either, so what is seen there counts less"
 
 
 def headline(diagnosis: Diagnosis, content: Mapping[str, Any]) -> str:
-    """The verdict in one plain sentence.
+    """State the verdict in one plain sentence.
 
     Parameters
     ----------
+    diagnosis : Diagnosis
+        Its prior is the structure that "more" and "less" refer to.
     content : mapping
         diagnosis.json.
     """
     reference = diagnosis.posterior.prior
-    told = [in_words(c["effect"], c["location"], c["parameters"], reference) for c in content["causes"]]
+    causes = [in_words(c["effect"], c["location"], c["parameters"], reference) for c in content["causes"]]
     match content["verdict"]:
         case "none":
             if content["standing_misfit"] is not None:
                 return "Nothing new: these data differ from the simulation no more than the healthy ones."
             return "Nothing wrong: the simulation explains these data."
         case "named":
-            return _sentence("; and ".join(told))
+            return _sentence("; and ".join(causes))
         case "ambiguous":
             rivals = "; or ".join(
                 f"{in_words(a['effect'], a['location'], a['parameters'], reference)} ({100 * a['probability']:.0f} %)"
                 for a in content["alternatives"]
             )
-            certain = "; and ".join(told)
-            return _sentence((f"{certain}; besides, " if told else "") + f"these data cannot tell which: {rivals}")
+            certain = "; and ".join(causes)
+            return _sentence((f"{certain}; besides, " if causes else "") + f"these data cannot tell which: {rivals}")
     worst = ""
     if diagnosis.left_over:
         where = diagnosis.left_over[0].where
@@ -84,9 +91,10 @@ def headline(diagnosis: Diagnosis, content: Mapping[str, Any]) -> str:
             if where.startswith("f = ")
             else f" with what stood at calibration, {where},"
         )
-    known = f" Besides, {'; and '.join(told)}." if told else ""
-    return f"Something is wrong{worst} that no known effect explains.{known}"
+    stated = f" Besides, {'; and '.join(causes)}." if causes else ""
+    return f"Something is wrong{worst} that no known effect explains.{stated}"
 
 
 def _sentence(text: str) -> str:
+    """Capitalize a text and add a full stop."""
     return text[0].upper() + text[1:] + "."

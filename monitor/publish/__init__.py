@@ -1,4 +1,4 @@
-"""What is shown and written: result lines, the viewer, the reports."""
+"""Output for people and other programs: result lines, the viewer, the reports."""
 
 import os
 

@@ -1,4 +1,4 @@
-"""The base class of everything that takes a session's results: files, the viewer, the daemon and its outlets."""
+"""Base class of the receivers of a session's results: files, the viewer, the daemon and its outlets."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from monitor.signals import Health
 
 
 class Publisher:
-    """Take the results of a session, one kind of result in each method.
+    """Receiver of the results of a session, with one method for each kind of result.
 
     Every method ignores its result here: a subclass overrides the methods of the results that it publishes.  No method may
     wait or raise because of a network, a disk or a viewer; such work belongs behind a bounded queue in a thread of its own.

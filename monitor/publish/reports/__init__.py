@@ -1,1 +1,1 @@
-"""Reports."""
+"""HTML reports of a diagnosis and of a period."""

@@ -39,7 +39,7 @@ svg .known { fill: var(--muted); opacity: .13; }
 
 @dataclass(frozen=True, slots=True)
 class Axes:
-    """Map data to places in the box of a chart, and draw the frame, the ticks and the marks."""
+    """Axes of a chart, which map data to places in its box and draw the frame, the ticks and the marks."""
 
     x: Range
     y: Range
@@ -65,14 +65,14 @@ class Axes:
         left, top, width, height = self.box
         out = []
         for value, label in self.x_ticks():
-            at = float(self.px(value))
-            out.append(f'<path class="grid" d="M{at:.1f} {top:g}v{height:g}"/>')
+            place = float(self.px(value))
+            out.append(f'<path class="grid" d="M{place:.1f} {top:g}v{height:g}"/>')
             if numbers:
-                out.append(text(at, top + height + 14, label, "middle"))
+                out.append(text(place, top + height + 14, label, "middle"))
         for value in (decades(self.y) if self.log_y else ticks(self.y, 4)) if height > 40.0 else ():
-            at = float(self.py(value))
-            out.append(f'<path class="grid" d="M{left:g} {at:.1f}h{width:g}"/>')
-            out.append(text(left - 6, at + 4, f"{value:.6g}", "end"))
+            place = float(self.py(value))
+            out.append(f'<path class="grid" d="M{left:g} {place:.1f}h{width:g}"/>')
+            out.append(text(left - 6, place + 4, f"{value:.6g}", "end"))
         out.append(f'<rect class="frame" x="{left:g}" y="{top:g}" width="{width:g}" height="{height:g}"/>')
         out.append(text(left, top - 6, title, "start", "name"))
         if x_title:
@@ -84,7 +84,7 @@ class Axes:
         return [(float(value), f"{value:.6g}") for value in ticks(self.x)]
 
     def band(self, x: Array, low: Array, high: Array, kind: str) -> str:
-        """Draw the area between two lines; `x`, `low`, `high` of shape (n,)."""
+        """Draw the area between two lines; `x`, `low`, `high` of shape (n,), in the units of the axes."""
         sides = (*zip(self.px(x), self.py(high), strict=True), *zip(self.px(x)[::-1], self.py(low)[::-1], strict=True))
         return f'<polygon class="{kind}" points="{" ".join(f"{a:.1f},{b:.1f}" for a, b in sides)}"/>'
 
@@ -97,9 +97,9 @@ class Axes:
         """Draw points with intervals of `half` on either side; all of shape (n,)."""
         out = []
         for a, b, h in zip(self.px(x), y, half, strict=True):
-            low, at, high = self.py(b - h), self.py(b), self.py(b + h)
+            low, middle, high = self.py(b - h), self.py(b), self.py(b + h)
             out.append(f'<path class="line measured" d="M{a:.1f} {low:.1f}V{high:.1f}"/>')
-            out.append(f'<circle class="dot" cx="{a:.1f}" cy="{at:.1f}" r="3"/>')
+            out.append(f'<circle class="dot" cx="{a:.1f}" cy="{middle:.1f}" r="3"/>')
         return "".join(out)
 
     def shade(self, x: Range, kind: str, y: Range | None = None) -> str:

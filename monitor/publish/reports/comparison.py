@@ -1,4 +1,4 @@
-"""Measured against modelled, as the report and the viewer show it: spectra, where they differ, what depends on the level."""
+"""Comparison of measured and modelled spectra for the report and the viewer, and of the modes at different vibration levels."""
 
 from __future__ import annotations
 
@@ -12,49 +12,55 @@ from monitor.diagnosis import Diagnosis, residual_bands
 from monitor.inference import Posterior, Segments, class_temperature, maximize_posterior
 
 _RATIO_HZ = 0.25
+"""Width of the bands over which ratios are averaged, Hz."""
 _FREE, _FIXED = 0.1, 1e-6
-"""Standard deviations of what a class alone may move."""
+"""Prior standard deviations of free stiffnesses and of fixed parameters, where one class is fitted alone."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Comparison:
-    """Power spectra of all channels, the measured ground's last where there is one, and the misfit in bands."""
+    """Power spectra of all channels before and after the causes, and the misfit in bands.
+
+    The measured ground is the last channel where there is one.
+    """
 
     channels: tuple[str, ...]
     hz: Array
-    """Shape (n_bins,)."""
+    """Shape (n_bins,), Hz."""
     measured: Array
     """Shape (c, n_bins), one-sided, (m/s^2)^2/Hz, mean over the segments."""
     before: Array
-    """The old model form, refitted."""
+    """Power spectra of the old model form, refitted; shape (c, n_bins), (m/s^2)^2/Hz."""
     after: Array
-    """With the causes."""
+    """Power spectra of the model with the causes; shape (c, n_bins), (m/s^2)^2/Hz."""
     ratio_hz: Array
-    """Middles of the bands over which ratios are averaged, shape (b,)."""
+    """Middles of the bands over which ratios are averaged, shape (b,), Hz."""
     ratio_before: Array
-    """Measured over modelled, shape (c, b)."""
+    """Measured over modelled power, shape (c, b)."""
     ratio_after: Array
+    """The same with the causes."""
     chance: float
-    """Two relative standard deviations that chance gives a ratio."""
+    """Two relative standard deviations of a ratio by random error."""
     band_hz: Array
-    """Middles of the misfit's bands, shape (n_bands,)."""
+    """Middles of the misfit's bands, shape (n_bands,), Hz."""
     z_before: Array
     """Standard deviations, shape (n_bands, c, c), see `residual_bands`."""
     z_after: Array
+    """The same with the causes."""
     limit: float
     """Standard deviations from which a band counts as misfit."""
     doubtful_hz: list[list[float]]
-    """Where the model contradicted healthy data, so that what is seen counts less."""
+    """Bands in which the model contradicted the healthy data, so that their misfit counts less; lower and upper ends, Hz."""
     extended: bool
     """Whether there is a cause, so that before and after differ."""
 
     @property
     def width_hz(self) -> float:
-        """Of the misfit's bands."""
+        """Width of the misfit's bands, Hz."""
         return float(np.diff(self.band_hz).mean()) if self.band_hz.size > 1 else float(np.ptp(self.hz))
 
     def rows(self) -> list[tuple[str, int, int]]:
-        """Name and place of every entry of the misfit matrices that is shown, channel by channel."""
+        """List name and place of every entry of the misfit matrices that is shown, channel by channel."""
         out = []
         for i, name in enumerate(self.channels):
             out.append((f"{name} power", i, i))
@@ -66,24 +72,35 @@ class Comparison:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class LevelDependence:
-    """Modes by class of vibration level or temperature: measured one class at a time, and as the causes predict."""
+    """Modes by class of vibration level or temperature: fitted to one class at a time, and as the causes predict."""
 
     axis: str
-    """What the classes differ in."""
+    """Quantity in which the classes differ, with its unit."""
     at: Array
-    """Shape (k,)."""
+    """Value of this quantity for each class, ascending, shape (k,)."""
     frequency_hz: Array
-    """Shape (k, n)."""
+    """Measured frequencies, shape (k, n), Hz."""
     frequency_std: Array
+    """Their standard deviations, shape (k, n), Hz."""
     damping: Array
-    """Shape (k, n)."""
+    """Measured damping ratios, shape (k, n)."""
     damping_std: Array
+    """Their standard deviations, shape (k, n)."""
     model_frequency_hz: Array
+    """Frequencies that the model with the causes predicts, shape (k, n), Hz."""
     model_damping: Array
+    """Damping ratios that the model with the causes predicts, shape (k, n)."""
 
 
 def compare(diagnosis: Diagnosis, segments: Segments) -> Comparison:
-    """The diagnosis's spectra and misfit; `segments` are what it judged."""
+    """Compare the spectra of a diagnosis before and after its causes with the measured ones.
+
+    Parameters
+    ----------
+    diagnosis : Diagnosis
+    segments : Segments
+        The segments that were diagnosed.
+    """
     problem, e = diagnosis.posterior, diagnosis.posterior.observed
     share = e.counts / e.counts.sum()
 
@@ -100,9 +117,11 @@ def compare(diagnosis: Diagnosis, segments: Segments) -> Comparison:
         return np.asarray(values[..., :n].reshape(*values.shape[:-1], -1, per).mean(axis=-1))
 
     level = np.einsum("sfa,af->s", np.abs(segments.values) ** 2, 1.0 / measured[: segments.values.shape[2]])
-    alike = level.sum() ** 2 / (level @ level)  # segments of one level that would scatter as these do
+    equal_level_segments = level.sum() ** 2 / (level @ level)  # number of segments of equal level with the same scatter
     z_before, band_hz = residual_bands(problem, diagnosis.null_fit)
-    chance = 1.0 if problem.offset is None else np.sqrt(0.5)  # a simulation has as much chance in it as the recording
+    random_error = (
+        1.0 if problem.offset is None else np.sqrt(0.5)
+    )  # a simulation has as much random error as the recording
     return Comparison(
         channels=problem.context.channels,
         hz=e.band.hz,
@@ -112,10 +131,10 @@ def compare(diagnosis: Diagnosis, segments: Segments) -> Comparison:
         ratio_hz=averaged(e.band.hz),
         ratio_before=averaged(measured / before),
         ratio_after=averaged(measured / after),
-        chance=float(2.0 / np.sqrt(alike * per * e.weight) / chance),
+        chance=float(2.0 / np.sqrt(equal_level_segments * per * e.weight) / random_error),
         band_hz=band_hz,
-        z_before=chance * z_before,
-        z_after=chance * residual_bands(problem, diagnosis.final_fit)[0],
+        z_before=random_error * z_before,
+        z_after=random_error * residual_bands(problem, diagnosis.final_fit)[0],
         limit=diagnosis.settings.misfit,
         doubtful_hz=[] if problem.error is None else problem.error.doubtful_hz(),
         extended=bool(diagnosis.final_fit.effects),
@@ -123,9 +142,15 @@ def compare(diagnosis: Diagnosis, segments: Segments) -> Comparison:
 
 
 def level_dependence(diagnosis: Diagnosis) -> LevelDependence | None:
-    """How the modes move with the level (the temperature); None where no cause of the structure makes them.
+    """Compute how the modes move with the vibration level or the temperature.
 
-    Every class is fitted alone, its stiffness and damping free; so are the spectra that the model predicts for it.
+    Every class is fitted alone, with free stiffness and damping.  The spectra that the model predicts for the class are fitted
+    in the same way.
+
+    Returns
+    -------
+    LevelDependence or None
+        None where no cause of the structure makes the modes move, or where there is one class only.
     """
     problem, final = diagnosis.posterior, diagnosis.final_fit
     moving = [e for e in final.effects if e.conditional and e.family == "structure"]
@@ -138,22 +163,35 @@ def level_dependence(diagnosis: Diagnosis) -> LevelDependence | None:
     at = np.array(degc, dtype=float) if by_temperature else rms
     order = np.argsort(at)
     spectra = problem.spectra(final.x, final.effects)
-    f, f_std, d, d_std = _equivalents(problem, problem.observed.spectra, diagnosis.null_fit.x, order)
-    model_f, _, model_d, _ = _equivalents(problem, spectra, diagnosis.null_fit.x, order)
+    f, f_std, d, d_std = _fit_classes(problem, problem.observed.spectra, diagnosis.null_fit.x, order)
+    model_f, _, model_d, _ = _fit_classes(problem, spectra, diagnosis.null_fit.x, order)
     axis = "temperature of the class, °C" if by_temperature else "vibration level of the class: RMS acceleration, m/s²"
     return LevelDependence(axis, at[order], f, f_std, d, d_std, model_f, model_d)
 
 
-def _equivalents(problem: Posterior, spectra: ComplexArray, x: Array, classes: NDArray[np.intp]) -> list[Array]:
-    """As `_equivalent`, of several classes: shape (classes, n) each."""
-    fitted = parallel_map(lambda k: _equivalent(problem, spectra[k], x, k), classes)
+def _fit_classes(problem: Posterior, spectra: ComplexArray, x: Array, classes: NDArray[np.intp]) -> list[Array]:
+    """Fit the old model form to several classes; results as of `_fit_class`, shape (n_classes, n) each."""
+    fitted = parallel_map(lambda k: _fit_class(problem, spectra[k], x, k), classes)
     return [np.array(column) for column in zip(*fitted, strict=True)]
 
 
-def _equivalent(problem: Posterior, spectra: ComplexArray, x: Array, k: int) -> tuple[Array, Array, Array, Array]:
-    """Frequencies, their standard deviations, damping ratios and theirs: the old model form fitted to class k's spectra."""
+def _fit_class(problem: Posterior, spectra: ComplexArray, x: Array, k: int) -> tuple[Array, Array, Array, Array]:
+    """Fit the old model form to the spectra of class k.
+
+    Parameters
+    ----------
+    spectra : ndarray of complex, shape (n_bins, c, c)
+        Cross-spectra of the class.
+    x : ndarray, shape (p,)
+        Parameters at which the fit starts.
+
+    Returns
+    -------
+    tuple of ndarray, shape (n,) each
+        Frequencies and their standard deviations in Hz, damping ratios and their standard deviations.
+    """
     e, reference = problem.observed, problem.prior
-    alone = replace(
+    single_class = replace(
         e,
         spectra=spectra[None],
         counts=e.counts[k : k + 1],
@@ -166,7 +204,7 @@ def _equivalent(problem: Posterior, spectra: ComplexArray, x: Array, k: int) -> 
     std[layout.damping] = std[layout.channel_noise] = 1.0
     one = replace(
         problem,
-        observed=alone,
+        observed=single_class,
         prior=replace(reference, mean=x[layout.structure], precision=np.diag(std**-2.0)),
         conditions=problem.conditions[k : k + 1],
         offset=None,

@@ -1,4 +1,4 @@
-"""The diagnosis as one HTML page: the verdict first, then the evidence for it.  Needs no network and prints."""
+"""Report of a diagnosis as one HTML page that needs no network and can be printed: first the verdict, then the evidence."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ __all__ = ["headline", "in_words", "page", "separating_measurement", "write_repo
 Content = Mapping[str, Any]
 
 _MAX_SHOWN = 12
-"""Rows of the misfit's table, bars of a ranking."""
+"""Largest number of rows of the misfit's table, and of bars of a ranking."""
 
 
 def write_report(path: Path, diagnosis: Diagnosis, content: Content, segments: Segments) -> None:
@@ -31,20 +31,23 @@ def write_report(path: Path, diagnosis: Diagnosis, content: Content, segments: S
 
     Parameters
     ----------
+    path : Path
+        File of the page.
+    diagnosis : Diagnosis
     content : mapping
         diagnosis.json.
     segments : Segments
-        What was judged.
+        The segments that were diagnosed.
     """
     write_atomically(path, page(diagnosis, content, segments))
 
 
 def page(diagnosis: Diagnosis, content: Content, segments: Segments) -> str:
-    """The page, which is well-formed XML as well."""
+    """Write the page, which is well-formed XML as well; parameters as of `write_report`."""
     compared, by_level = compare(diagnosis, segments), level_dependence(diagnosis)
-    told = headline(diagnosis, content)
+    verdict_text = headline(diagnosis, content)
     parts = [
-        _head(told, content, compared, segments),
+        _head(verdict_text, content, compared, segments),
         _spectra(compared),
         _misfit(compared, diagnosis),
         "" if by_level is None else _modes_by_class(by_level),
@@ -52,14 +55,14 @@ def page(diagnosis: Diagnosis, content: Content, segments: Segments) -> str:
         _parameters(diagnosis, content, compared.hz),
         _data(diagnosis, content, segments, compared),
     ]
-    return document(f"Diagnosis: {told}", parts)
+    return document(f"Diagnosis: {verdict_text}", parts)
 
 
-def _head(told: str, content: Content, compared: Comparison, segments: Segments) -> str:
-    """Verdict, what to do, key figures, how to read."""
+def _head(verdict_text: str, content: Content, compared: Comparison, segments: Segments) -> str:
+    """Write the verdict, the separating measurement, the key figures and how to read the page."""
     verdict = content["verdict"]
-    badge = {"none": told.partition(":")[0].lower(), "named": "cause named"}.get(verdict, verdict)
-    out = [f'<span class="verdict {verdict}">{badge}</span><h1>{escape(told)}</h1>']
+    badge = {"none": verdict_text.partition(":")[0].lower(), "named": "cause named"}.get(verdict, verdict)
+    out = [f'<span class="verdict {verdict}">{badge}</span><h1>{escape(verdict_text)}</h1>']
     if content["separating_measurement"]:
         out.append(f"<p><b>To tell them apart:</b> {escape(content['separating_measurement'])}.</p>")
     gain, error = content["gain"]["log_score_per_sample"], content["gain"]["csd_error"]
@@ -88,7 +91,7 @@ def _head(told: str, content: Content, compared: Comparison, segments: Segments)
 
 
 def _spectra(c: Comparison) -> str:
-    """Measured and modelled spectra of every channel, and their ratio."""
+    """Draw the measured and the modelled spectrum of every channel, and their ratio."""
     out = ["<h2>Measured against simulated</h2><p>"]
     keys = [("ink", "measured"), ("before", "simulated, before"), ("after", "simulated, after")]
     for kind, words in keys if c.extended else [keys[0], ("before", "simulated")]:
@@ -108,18 +111,19 @@ def _spectra(c: Comparison) -> str:
 
 
 def _channel_chart(c: Comparison, i: int, name: str) -> str:
+    """Draw the spectra of channel i and their ratio, with the bands of misfit shaded."""
     x = (float(c.hz[0]), float(c.hz[-1]))
     power = np.concatenate([c.measured[i], c.before[i], c.after[i]])
     upper = Axes(x, (float(power.min()) / 1.3, float(power.max()) * 1.6), (62, 22, 1010, 190), log_y=True)
-    furthest = float(np.abs(np.log(np.maximum(np.stack([c.ratio_before[i], c.ratio_after[i]]), 1e-3))).max())
-    reach = float(np.clip(np.exp(1.1 * furthest), 1.5, 20.0))
-    lower = Axes(x, (1.0 / reach, reach), (62, 244, 1010, 100), log_y=True)
+    largest_log_ratio = float(np.abs(np.log(np.maximum(np.stack([c.ratio_before[i], c.ratio_after[i]]), 1e-3))).max())
+    limit = float(np.clip(np.exp(1.1 * largest_log_ratio), 1.5, 20.0))
+    lower = Axes(x, (1.0 / limit, limit), (62, 244, 1010, 100), log_y=True)
     marks = [axes.shade((low, high), "known") for low, high in c.doubtful_hz for axes in (upper, lower)]
     n = 2 if c.extended else 1
     for z, kind in ((c.z_before, "off"), (c.z_after, "still"))[:n]:
         wrong = (np.abs(z) > c.limit)[:, i, :].any(axis=1) | (np.abs(z) > c.limit)[:, :, i].any(axis=1)
-        for at in c.band_hz[wrong]:
-            span = (max(float(at) - c.width_hz / 2, x[0]), min(float(at) + c.width_hz / 2, x[1]))
+        for middle in c.band_hz[wrong]:
+            span = (max(float(middle) - c.width_hz / 2, x[0]), min(float(middle) + c.width_hz / 2, x[1]))
             marks += [upper.shade(span, kind), lower.shade(span, kind)]
     marks.append(lower.shade(x, "chance", (1.0 / (1.0 + c.chance), 1.0 + c.chance)))
     title = f"{name}: power spectral density, (m/s²)²/Hz"
@@ -132,9 +136,9 @@ def _channel_chart(c: Comparison, i: int, name: str) -> str:
 
 
 def _misfit(c: Comparison, diagnosis: Diagnosis) -> str:
-    """Heat maps before and after, and the worst places in words."""
+    """Draw heat maps of the misfit before and after, and tabulate the largest misfits in words."""
     rows = c.rows()
-    if len(rows) > 36:  # many channels: the worst rows tell the story
+    if len(rows) > 36:  # many channels: show only the rows with the largest misfit
         size = [np.abs(c.z_before[:, i, j]).max() + np.abs(c.z_after[:, i, j]).max() for _, i, j in rows]
         rows = [rows[k] for k in sorted(np.argsort(size)[-36:])]
     x = (float(c.band_hz[0]) - c.width_hz / 2, float(c.band_hz[-1]) + c.width_hz / 2)
@@ -150,25 +154,25 @@ def _misfit(c: Comparison, diagnosis: Diagnosis) -> str:
         f"chance up to {c.limit:g}. Power is counted given the channels above; the other rows compare how two channels "
         "move together.</p>"
     )
-    for when, _, found in stages:
-        if found:
-            worst = [(m.where.removeprefix("f = "), f"{m.size:.1f}", m.says) for m in found[:_MAX_SHOWN]]
-            more = f"<p class='muted'>and {len(found) - _MAX_SHOWN} more</p>" if len(found) > _MAX_SHOWN else ""
+    for when, _, listed in stages:
+        if listed:
+            worst = [(m.where.removeprefix("f = "), f"{m.size:.1f}", m.says) for m in listed[:_MAX_SHOWN]]
+            more = f"<p class='muted'>and {len(listed) - _MAX_SHOWN} more</p>" if len(listed) > _MAX_SHOWN else ""
             out.append(table([f"Misfit {when}", "#std. dev.", "what it says"], worst) + more)
         else:
             out.append(f"<p>No misfit {when if c.extended else 'beyond chance'}.</p>")
     return "".join(out)
 
 
-def _modes_by_class(by: LevelDependence) -> str:
-    """Frequency and damping of every mode by class."""
-    n = by.frequency_hz.shape[1]
-    margin = 0.08 * float(np.ptp(by.at) or 1.0)
-    x = (float(by.at[0]) - margin, float(by.at[-1]) + margin)
+def _modes_by_class(dependence: LevelDependence) -> str:
+    """Draw frequency and damping of every mode by class."""
+    n = dependence.frequency_hz.shape[1]
+    margin = 0.08 * float(np.ptp(dependence.at) or 1.0)
+    x = (float(dependence.at[0]) - margin, float(dependence.at[-1]) + margin)
     out = []
     series = (
-        ("frequency, Hz", by.frequency_hz, by.frequency_std, by.model_frequency_hz),
-        ("damping, %", 100 * by.damping, 100 * by.damping_std, 100 * by.model_damping),
+        ("frequency, Hz", dependence.frequency_hz, dependence.frequency_std, dependence.model_frequency_hz),
+        ("damping, %", 100 * dependence.damping, 100 * dependence.damping_std, 100 * dependence.model_damping),
     )
     for mode in range(n):
         marks = []
@@ -177,15 +181,15 @@ def _modes_by_class(by: LevelDependence) -> str:
             low, high = min((y - half).min(), curve.min()), max((y + half).max(), curve.max())
             pad = 0.1 * (high - low) + 1e-9
             axes = Axes(x, (float(low - pad), float(high + pad)), (62 + 540 * column, 22, 460, 120))
-            marks += [axes.frame(f"mode {mode + 1}: {name}", by.axis if mode == n - 1 else "")]
-            marks += [axes.line(by.at, curve, "after"), axes.dots(by.at, y, half)]
+            marks += [axes.frame(f"mode {mode + 1}: {name}", dependence.axis if mode == n - 1 else "")]
+            marks += [axes.line(dependence.at, curve, "after"), axes.dots(dependence.at, y, half)]
         out.append(f"<figure>{svg(1080, 176, f'Mode {mode + 1} by class', *marks)}</figure>")
     note = "Points: each class fitted alone, with 95 % intervals. Line: what the model with its causes predicts."
     return f"<h2>How the modes move</h2>{''.join(out)}<p class='muted'>{note}</p>"
 
 
 def _ranking(diagnosis: Diagnosis, content: Content) -> str:
-    """Bars of log evidence, one chart a round of the search."""
+    """Draw bars of log evidence, one chart for each round of the search."""
     accepted = [(c["effect"], c["location"]) for c in content["causes"]]
     rivals = {c.key for c, _ in diagnosis.alternatives}
     out = ["<h2>Which causes were tried</h2>"]
@@ -211,7 +215,7 @@ def _ranking(diagnosis: Diagnosis, content: Content) -> str:
 
 
 def _parameters(diagnosis: Diagnosis, content: Content, hz: Array) -> str:
-    """Causes with their numbers, alternatives, standing causes."""
+    """Tabulate the causes with their parameters, the alternatives and the causes found at calibration."""
     reference = diagnosis.posterior.prior
     out = []
     lists = (("Causes", content["causes"]), ("Already so at calibration", content["standing"]))
@@ -249,7 +253,7 @@ def _parameters(diagnosis: Diagnosis, content: Content, hz: Array) -> str:
 
 
 def _force_spectrum(effect: Effect, hz: Array) -> str:
-    """Draw the spectrum of an effect's forces, power density over frequency."""
+    """Draw the power spectral density of an effect's forces; `hz` of shape (n_hz,)."""
     density = np.asarray(effect.colour(hz))
     axes = Axes(
         (float(hz[0]), float(hz[-1])),
@@ -264,14 +268,14 @@ def _force_spectrum(effect: Effect, hz: Array) -> str:
 
 
 def _signatures(causes: Sequence[Content]) -> str:
-    """How each kind of cause shows in the accelerations."""
+    """Describe how each kind of cause shows in the accelerations."""
     kinds = dict.fromkeys(c["effect"] for c in causes)
     says = (f"How {name} shows: {escape(FORMS[name].signature)}." for name in kinds)
     return f"<p class='muted'>{'<br/>'.join(says)}</p>"
 
 
 def _data(diagnosis: Diagnosis, content: Content, segments: Segments, c: Comparison) -> str:
-    """What was judged, and by what."""
+    """Tabulate the data and the method of the diagnosis."""
     e = diagnosis.posterior.observed
     rows = [
         ("length", f"{_minutes(segments)}; {segments.samples} sample instants"),
@@ -289,6 +293,6 @@ def _data(diagnosis: Diagnosis, content: Content, segments: Segments, c: Compari
 
 
 def _minutes(segments: Segments) -> str:
-    """Length of the data, from the segments' middles."""
+    """Write the length of the data in minutes, from the segments' middles."""
     seconds = float(np.ptp(segments.t_s)) + 1.0 / segments.band.bin_hz
     return f"{seconds / 60.0:.1f} min"

@@ -1,4 +1,4 @@
-"""The self-contained HTML page that all reports share: its style sheet and its tables."""
+"""Self-contained HTML page that all reports share: its style sheet and its tables."""
 
 from __future__ import annotations
 
@@ -37,7 +37,15 @@ td.t { white-space: nowrap; }
 
 
 def document(title: str, parts: Sequence[str]) -> str:
-    """Write an HTML page without external files; the page is well-formed XML as well."""
+    """Write an HTML page without external files; the page is well-formed XML as well.
+
+    Parameters
+    ----------
+    title : str
+        Title of the page, not escaped.
+    parts : sequence of str
+        HTML of the body.
+    """
     viewport = '<meta name="viewport" content="width=device-width"/>'
     style = f"<style>{STYLE}{charts.STYLE}</style>"
     head = f'<head><meta charset="utf-8"/>{viewport}<title>{escape(title)}</title>{style}</head>'

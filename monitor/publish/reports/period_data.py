@@ -1,4 +1,4 @@
-"""What a run's results say of a period, in memory that does not grow with it: curves keep a mean and an envelope a bin."""
+"""Results of a run over a period, in bounded memory: curves keep a mean and an envelope for each bin of time."""
 
 from __future__ import annotations
 
@@ -18,48 +18,52 @@ from numpy.typing import NDArray
 from monitor.core import WHOLE, Array, BadInputError, Level, MissingInputError
 
 MAX_BINS = 1000
-"""A curve is drawn as its envelope's two sides: 2000 points."""
+"""Largest number of bins of a curve, which is drawn as the two sides of its envelope: 2000 points."""
 _MAX_MODES = 8
+"""Largest number of modes that are drawn."""
 _SAME_MODE = 0.1
-"""Frequencies nearer than this (relative) are one mode where tracking has not said so yet."""
+"""Relative difference of two frequencies below which they are one mode, where tracking has not identified the mode yet."""
 _HEAD, _TAIL_BYTES = 50, 1 << 17
+"""Number of lines at the beginning and of bytes at the end of the file from which its extent is read."""
 _T_END = re.compile(rb'"t_end_ns": (\d+)')
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Envelope:
-    """A quantity over a period, n of its bins having values."""
+    """Envelope of a quantity over a period, in the n bins that have values."""
 
     t_ns: Array
-    """Shape (n,): middles of the bins, UTC."""
+    """Middles of the bins, shape (n,), UTC in ns."""
     index: NDArray[np.intp]
-    """Shape (n,): numbers of the bins."""
+    """Numbers of the bins, shape (n,)."""
     low: Array
-    """Shape (n,): least value less its half-interval."""
+    """Least value less its half-interval, shape (n,)."""
     mean: Array
+    """Mean value, shape (n,)."""
     high: Array
+    """Greatest value plus its half-interval, shape (n,)."""
 
     def pieces(self) -> list[slice]:
-        """Runs without more than one empty bin in between."""
+        """Cut the bins into runs without more than one empty bin in between."""
         cuts = [0, *(np.flatnonzero(np.diff(self.index) > 2) + 1).tolist(), self.index.size]
         return [slice(a, b) for a, b in pairwise(cuts) if b > a]
 
 
 @dataclass(slots=True)
 class Grid:
-    """Bins of equal length over ``(from_ns, to_ns]``."""
+    """Grid of `n` equal bins over ``(from_ns, to_ns]``."""
 
     from_ns: int
     to_ns: int
     n: int
 
     def at(self, t_ns: int) -> int:
-        """The bin of a time; beyond the period the nearest."""
+        """Find the bin of a time; the nearest bin where the time is outside the period."""
         return min(max((t_ns - self.from_ns - 1) * self.n // (self.to_ns - self.from_ns), 0), self.n - 1)
 
 
 class Curve:
-    """Collects an `Envelope`."""
+    """Collector of the values of an `Envelope`."""
 
     def __init__(self, grid: Grid) -> None:
         self._grid = grid
@@ -69,7 +73,7 @@ class Curve:
         self.latest = 0.0
 
     def add(self, at: int, value: float, half: float = 0.0) -> None:
-        """A value with its half-interval, in bin `at`."""
+        """Add a value with its half-interval to bin `at`."""
         self._low[at] = min(self._low[at], value - half)
         self._high[at] = max(self._high[at], value + half)
         self._total[at] += value
@@ -77,7 +81,7 @@ class Curve:
         self.values, self.latest = self.values + 1, value
 
     def envelope(self) -> Envelope:
-        """What was collected."""
+        """Return the envelope of the collected values."""
         count = np.array(self._count)
         use = np.flatnonzero(count)
         width = (self._grid.to_ns - self._grid.from_ns) / self._grid.n
@@ -88,55 +92,55 @@ class Curve:
 
 @dataclass(slots=True)
 class Episode:
-    """One alarm from its first to its last window in the period."""
+    """Alarm of one story from its first to its last window in the period."""
 
     level: str
     story: int
     """`WHOLE` for the structure."""
     t_first_ns: int
     t_last_ns: int | None
-    """None while it lasts."""
+    """UTC of the end of the last window; None while the alarm lasts."""
     ddi: float
-    """At the highest level, the latest."""
+    """Latest damage index at the highest level."""
     ddi_std: float
 
 
 @dataclass(slots=True)
 class PeriodResults:
-    """results.jsonl over a period."""
+    """Results in results.jsonl over a period."""
 
     grid: Grid
     hop_s: float
     begun_ns: int
-    """A hop before the run's first window ended."""
+    """UTC of one hop before the end of the run's first window."""
     windows: int = 0
     skipped: Counter[str] = field(default_factory=Counter)
     judged: list[int] = field(default_factory=list)
-    """Of each bin."""
+    """Number of judged windows in each bin."""
     refused: list[int] = field(default_factory=list)
-    """Of each bin: windows of which nothing could be said."""
+    """Number of skipped windows in each bin."""
     modes: list[Curve] = field(default_factory=list)
     """Frequencies with two standard deviations, Hz."""
     ddi: list[Curve] = field(default_factory=list)
-    """Of each story, with two standard deviations."""
+    """Damage index of each story, with two standard deviations."""
     temperature: Curve | None = None
     misfit: Curve | None = None
     unidentified: set[int] = field(default_factory=set)
     episodes: list[Episode] = field(default_factory=list)
     damaged: int = 0
-    """Lines that are no JSON."""
+    """Number of lines that cannot be read."""
     no_baseline: bool = False
     _tracks: dict[int, Curve] = field(default_factory=dict)
     _open: dict[int, Episode] = field(default_factory=dict)
 
     @property
     def due(self) -> int:
-        """Windows that an unbroken stream would have given since the run began."""
+        """Number of windows that an unbroken stream would have given since the run began."""
         span_ns = self.grid.to_ns - max(self.grid.from_ns, self.begun_ns)
         return max(self.windows, round(span_ns / (self.hop_s * 1e9)))
 
     def add(self, line: dict[str, Any]) -> None:
-        """Take a line in."""
+        """Add the values of one line of results.jsonl."""
         t_ns = int(line["t_end_ns"])
         at = self.grid.at(t_ns)
         self.windows += 1
@@ -163,7 +167,7 @@ class PeriodResults:
         self._alarm(line, t_ns)
 
     def _mode(self, track: int, frequency: float) -> Curve:
-        """The curve that a frequency continues: its track's, else the nearest."""
+        """Find the curve that a frequency continues: the curve of its track, else the nearest one, else a new one."""
         if track in self._tracks:
             return self._tracks[track]
         near = [c for c in self.modes if abs(frequency - c.latest) < _SAME_MODE * c.latest]
@@ -176,6 +180,7 @@ class PeriodResults:
         return curve
 
     def _alarm(self, line: dict[str, Any], t_ns: int) -> None:
+        """Begin, raise and end the alarm episodes at one window."""
         level = Level(line["alarm"]["level"])
         active = (line["alarm"]["stories"] or [WHOLE]) if level is not Level.NORMAL else []
         for story in [s for s in self._open if s not in active]:
@@ -191,19 +196,26 @@ class PeriodResults:
                 episode.level, (episode.ddi, episode.ddi_std) = level.value, reading
 
     def common_modes(self) -> list[Curve]:
-        """The modes that show most often, by frequency."""
+        """Return the curves of the modes that are identified most often, by ascending frequency."""
         common = [c for c in self.modes if c.values >= 0.02 * sum(self.judged)]
-        often = sorted(common, key=lambda c: -c.values)[:_MAX_MODES]
-        return sorted(often, key=lambda c: c.latest)
+        most_frequent = sorted(common, key=lambda c: -c.values)[:_MAX_MODES]
+        return sorted(most_frequent, key=lambda c: c.latest)
 
 
 def read_results(folder: Path, from_ns: int | None, to_ns: int | None) -> PeriodResults:
-    """results.jsonl of a folder; windows belong to the period in which they end.
+    """Read results.jsonl of a folder; windows belong to the period in which they end.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of a replay or of the daemon.
+    from_ns, to_ns : int or None
+        Ends of the period, UTC; None for the beginning or the end of the run.
 
     Raises
     ------
     MissingInputError
-        No such file.
+        The file does not exist.
     BadInputError
         No window ends in the period, or the file holds no results.
     """
@@ -233,6 +245,7 @@ def read_results(folder: Path, from_ns: int | None, to_ns: int | None) -> Period
 
 
 def _lines_between(lines: Iterator[bytes], start: int, stop: int) -> Iterator[bytes]:
+    """Select the complete lines whose windows end in ``(start, stop]``, UTC in ns."""
     for raw in lines:
         found = _T_END.search(raw)
         if found is not None and start < int(found[1]) <= stop and raw.endswith(b"\n"):
@@ -240,7 +253,7 @@ def _lines_between(lines: Iterator[bytes], start: int, stop: int) -> Iterator[by
 
 
 def _extent(path: Path) -> tuple[int, int, float]:
-    """Ends of the first and the last window, UTC in ns, and the hop in s."""
+    """Read the ends of the first and the last window, UTC in ns, and the hop in s."""
     with path.open("rb") as file:
         head = [int(found[1]) for _, raw in zip(range(_HEAD), file, strict=False) if (found := _T_END.search(raw))]
         file.seek(max(0, path.stat().st_size - _TAIL_BYTES))
@@ -252,5 +265,5 @@ def _extent(path: Path) -> tuple[int, int, float]:
 
 
 def utc(t_ns: float) -> str:
-    """A time to the second, ISO 8601 without its zone."""
+    """Write a time to the second, ISO 8601 without its zone."""
     return str(np.datetime64(round(t_ns * 1e-9), "s")).replace("T", " ")

@@ -1,4 +1,4 @@
-"""What stands beside a run's results: sensors' quality, findings, and what people decided."""
+"""Records beside a run's results: the sensors' quality, the findings of diagnoses, and the decisions of operators."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ _REQUEST = re.compile(r"(acknowledge|reset|shelve|unshelve) alarm of story (\d+)
 
 @dataclass(frozen=True, slots=True)
 class ChannelQuality:
-    """One channel; None where it was not recorded."""
+    """Quality of one channel; None where a quantity was not recorded."""
 
     name: str
     rms_m_s2: float
     spikes: int
     stuck_s: float
     clipped: float
-    """Samples."""
+    """Number of clipped samples."""
     peak_m_s2: float | None = None
     noise_floor: float | None = None
     """Median, m/s^2/sqrt(Hz)."""
@@ -34,33 +34,35 @@ class ChannelQuality:
 
 @dataclass(frozen=True, slots=True)
 class Quality:
-    """Sensors and stream."""
+    """Quality of the sensors and of the stream."""
 
     says: str
-    """What the figures are of."""
+    """Source and span of the figures in words."""
     availability: float | None
     gaps: int
     lost_s: float
     overlaps: int
     channels: tuple[ChannelQuality, ...]
     clocks: tuple[tuple[str, float, float], ...] = ()
-    """Node, largest offset in s, latest drift in ppm."""
+    """Sensor node, largest offset in s, latest drift in ppm."""
 
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """A line of the ledger."""
+    """Line of the ledger."""
 
     t_ns: int
     who: str
     what: str
     action: str = ""
     story: int = -1
-    """Of an operator's request; `WHOLE` is the structure."""
+    """Story of an operator's request; `WHOLE` is the structure."""
 
 
 @dataclass(slots=True)
 class _ChannelTotals:
+    """Totals of one channel over the period."""
+
     power: float = 0.0
     peak: float = 0.0
     spikes: int = 0
@@ -70,7 +72,7 @@ class _ChannelTotals:
 
 
 class HealthFile:
-    """health.jsonl, the file set aside included, over a period."""
+    """Contents of health.jsonl over a period, the rotated file included."""
 
     def __init__(self, folder: Path, from_ns: int, to_ns: int) -> None:
         self._sums: dict[str, _ChannelTotals] = {}
@@ -87,6 +89,7 @@ class HealthFile:
                 self._add(line)
 
     def _add(self, line: dict[str, Any]) -> None:
+        """Add the values of one line to the totals."""
         stream = line["stream"]
         seconds = stream["samples"] / stream["rate_hz"]
         self._ends.append(line["t_ns"])
@@ -108,7 +111,7 @@ class HealthFile:
             self._clocks[clock["node"]] = (max(largest, abs(offset)), drift)
 
     def quality(self) -> Quality | None:
-        """None without a line in the period."""
+        """Sum up the period's quality; return None without a line in the period."""
         if not self._ends:
             return None
         channels = tuple(
@@ -130,13 +133,13 @@ class HealthFile:
         return Quality(says, share, self._gaps, self._lost_s, self._overlaps, channels, clocks)
 
     def data_ns(self, wall_ns: int) -> int:
-        """When it was by the data's time: a stream may run faster than the clock."""
+        """Convert wall-clock time to the data's time, both UTC in ns, since a stream may run faster than the clock."""
         near = min(self._times, key=lambda pair: abs(pair[0] - wall_ns), default=(wall_ns, wall_ns))
         return near[1] if abs(near[0] - wall_ns) < 60e9 else wall_ns
 
 
 def read_summary(folder: Path) -> dict[str, Any]:
-    """summary.json; empty where there is none that can be read."""
+    """Read summary.json; return an empty dict where it cannot be read."""
     try:
         content = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
     except (OSError, ValueError):
@@ -145,7 +148,7 @@ def read_summary(folder: Path) -> dict[str, Any]:
 
 
 def summary_quality(summary: dict[str, Any]) -> Quality | None:
-    """A replay's quality, which is that of the whole run."""
+    """Return the quality in the summary of a replay, which is that of the whole run; None where the summary has none."""
     table = summary.get("quality")
     if not table:
         return None
@@ -158,13 +161,13 @@ def summary_quality(summary: dict[str, Any]) -> Quality | None:
 
 
 def read_findings(folder: Path, from_ns: int, to_ns: int) -> list[dict[str, Any]]:
-    """Diagnoses of the period's data, in their order."""
+    """Read the diagnoses of the period's data, in the order of time."""
     found = [f for path in (folder / "findings").rglob("*.json") for f in _read_json_objects(path, whole=True)]
     return sorted((f for f in found if from_ns < f.get("t_ns", 0) <= to_ns), key=lambda f: int(f["t_ns"]))
 
 
 def read_decisions(folder: Path, health: HealthFile) -> list[Decision]:
-    """The ledger in the folder."""
+    """Read the ledger in a folder, with its times converted to the data's time."""
     out = []
     for line in _read_json_objects(folder / "ledger.jsonl"):
         t_ns = health.data_ns(utc_ns(line["when"]))
@@ -175,7 +178,7 @@ def read_decisions(folder: Path, health: HealthFile) -> list[Decision]:
 
 
 def overlapping_verdict(episode: Episode, findings: list[dict[str, Any]]) -> str | None:
-    """What a diagnosis of an alarm's time said."""
+    """Return the sentence of the first diagnosis whose data overlap an alarm; None where there is none."""
     overlapping = (
         f["says"]
         for f in findings
@@ -187,17 +190,23 @@ def overlapping_verdict(episode: Episode, findings: list[dict[str, Any]]) -> str
 
 
 def requests_for(episode: Episode, decisions: list[Decision], following_ns: float) -> list[Decision]:
-    """What operators asked of an alarm's story from its beginning to the story's next alarm."""
+    """Select what operators requested of an alarm's story, from the alarm's beginning to the story's next alarm."""
     return [d for d in decisions if d.story == episode.story and episode.t_first_ns <= d.t_ns < following_ns]
 
 
 def story_name(story: int) -> str:
-    """A story, or all of them."""
+    """Name a story; `WHOLE` stands for all of them."""
     return "every story" if story == WHOLE else f"story {story}"
 
 
 def _read_json_objects(path: Path, *, whole: bool = False) -> Iterator[dict[str, Any]]:
-    """The JSON objects of a file; what cannot be read is left out."""
+    """Read the JSON objects of a file and skip what cannot be read.
+
+    Parameters
+    ----------
+    whole : bool
+        Read the file as one object, not line by line.
+    """
     try:
         text = path.read_text(encoding="utf-8", errors="replace")
     except OSError:

@@ -1,4 +1,4 @@
-"""A period of a run as one HTML page: is it healthy, can it be trusted, what was decided.  Needs no network and prints."""
+"""Report of a period as one HTML page that needs no network and can be printed: health, trust in the results, decisions."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from monitor.publish.reports.period_notes import Decision, Quality, story_name
 from monitor.publish.reports.time_charts import HEIGHT, TimeAxes, draw_envelope, figure, panel, time_axes
 
 _MAX_ROWS = 200
-"""Rows of a table."""
+"""Largest number of rows of a table."""
 _UNKNOWN = "–"
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Period:
-    """All that the page tells."""
+    """Content of the page."""
 
     name: str
     results: PeriodResults
@@ -35,11 +35,17 @@ class Period:
     findings: list[dict[str, Any]]
     decisions: list[Decision]
     thresholds: Mapping[str, float]
-    """`alarm_loss`, `min_loss`, `significance`; empty where the run did not say."""
+    """`alarm_loss`, `min_loss`, `significance`; empty where the run did not record them."""
 
 
 def read_period(folder: Path, from_ns: int | None, to_ns: int | None) -> Period:
-    """What a replay or the daemon left in a folder of a period; all of it where no ends are given.
+    """Read the records of a period that a replay or the daemon left in a folder.
+
+    Parameters
+    ----------
+    folder : Path
+    from_ns, to_ns : int or None
+        Ends of the period, UTC; None for the beginning or the end of the run.
 
     Raises
     ------
@@ -48,24 +54,24 @@ def read_period(folder: Path, from_ns: int | None, to_ns: int | None) -> Period:
     """
     results = read_results(folder, from_ns, to_ns)
     start, stop = results.grid.from_ns, results.grid.to_ns
-    with _blame_file(folder / "health.jsonl"):
+    with _name_file_in_errors(folder / "health.jsonl"):
         health = notes.HealthFile(folder, start, stop)
-    with _blame_file(folder / "summary.json"):
+    with _name_file_in_errors(folder / "summary.json"):
         summary = notes.read_summary(folder)
         quality = health.quality() or notes.summary_quality(summary)
         episodes = results.episodes + _hidden_episodes(results.episodes, summary, start, stop)
         thresholds = {str(name): float(value) for name, value in summary.get("thresholds", {}).items()}
-    with _blame_file(folder / "ledger.jsonl"):
+    with _name_file_in_errors(folder / "ledger.jsonl"):
         decisions = [d for d in notes.read_decisions(folder, health) if start < d.t_ns <= stop]
-    with _blame_file(folder / "findings"):
+    with _name_file_in_errors(folder / "findings"):
         findings = notes.read_findings(folder, start, stop)
     episodes.sort(key=lambda e: e.t_first_ns)
     return Period(folder.resolve().name, results, quality, episodes, findings, decisions, thresholds)
 
 
 @contextmanager
-def _blame_file(path: Path) -> Iterator[None]:
-    """What a file of the run holds, or whose it is not, said of the file."""
+def _name_file_in_errors(path: Path) -> Iterator[None]:
+    """Turn errors in the content of a file into a BadInputError that names the file."""
     try:
         yield
     except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
@@ -73,7 +79,7 @@ def _blame_file(path: Path) -> Iterator[None]:
 
 
 def _hidden_episodes(known: Sequence[Episode], summary: Mapping[str, Any], start: int, stop: int) -> list[Episode]:
-    """Alarms that a higher one of another story hid in the lines; the summary has them."""
+    """List from the summary the alarms that the lines do not show, since another story had a higher alarm."""
     out = []
     for a in summary.get("alarms", ()):
         last = a["t_last_ns"]
@@ -91,22 +97,23 @@ def write_period(path: Path, period: Period) -> None:
 
 
 def page(period: Period) -> str:
-    """The page, which is well-formed XML as well."""
+    """Write the page, which is well-formed XML as well."""
     parts = [_head(period), _damage(period), _alarms(period), _modes(period), _trust(period), _findings(period)]
     return document(f"{period.name}: {_span(period)}", parts)
 
 
 def _span(period: Period) -> str:
+    """Write the ends of the period."""
     return f"{utc(period.results.grid.from_ns)} to {utc(period.results.grid.to_ns)} UTC"
 
 
 def _percent(value: float, std: float) -> str:
-    """With two standard deviations."""
+    """Write a share in percent with two standard deviations."""
     return f"{100 * value:.2f} ± {200 * std:.2f} %"
 
 
 def _head(period: Period) -> str:
-    """The verdict, the span, key figures."""
+    """Write the verdict, the span and the key figures."""
     r = period.results
     worst = max(period.episodes, key=lambda e: (Level(e.level).rank, e.ddi), default=None)
     if worst is not None:
@@ -139,7 +146,7 @@ def _head(period: Period) -> str:
 
 
 def _damage(period: Period) -> str:
-    """The index of every story on one scale, with alarms and threshold."""
+    """Draw the damage index of every story on one scale, with alarms and threshold."""
     if not period.results.ddi:
         return ""
     limit, r = period.thresholds.get("alarm_loss"), period.results
@@ -156,13 +163,14 @@ def _damage(period: Period) -> str:
         ]
         lines = [(0.0, "before dashed")] + ([(100 * limit, "limit dashed")] if limit is not None else [])
         marks += [axes.line(np.array(axes.x), np.full(2, y), kind) for y, kind in lines]
-        seen = "; the modes say next to nothing of it" if j in r.unidentified else ""
-        title = f"story {j}: stiffness lost, %{seen}"
+        remark = "; the modes say next to nothing of it" if j in r.unidentified else ""
+        title = f"story {j}: stiffness lost, %{remark}"
         out.append(figure(title, HEIGHT, axes.frame(title), *marks, *draw_envelope(axes, e, 100.0)))
     return "".join(out) + f"<p class='muted'>{_thresholds(period.thresholds)}</p>"
 
 
 def _thresholds(thresholds: Mapping[str, float]) -> str:
+    """Describe the thresholds in words."""
     shades = "Shaded orange: advisory or warning; red: alarm."
     if not {"alarm_loss", "min_loss", "significance"} <= thresholds.keys():
         return f"{shades} The run did not note its thresholds."
@@ -174,32 +182,36 @@ def _thresholds(thresholds: Mapping[str, float]) -> str:
 
 
 def _clipped(axes: TimeAxes, from_ns: int, to_ns: int | None) -> tuple[float, float]:
+    """Clip a span in ns to the axes, s."""
     start, stop = axes.x
     return max(start, from_ns * 1e-9), min(stop, stop if to_ns is None else to_ns * 1e-9)
 
 
 def _alarms(period: Period) -> str:
-    """Every alarm with what the diagnosis said and what operators did."""
+    """Tabulate every alarm with the verdict of its diagnosis and the actions of the operators."""
     if not period.episodes:
         return "<h2>Alarms</h2><p>None.</p>"
     rows = []
     for i, e in enumerate(period.episodes[:_MAX_ROWS]):
         later = (n.t_first_ns for n in period.episodes[i + 1 :] if n.story == e.story)
         asked = notes.requests_for(e, period.decisions, next(later, float("inf")))
-        done = "; ".join(f"{d.action} by {d.who}, {utc(d.t_ns)}" for d in asked) or "nobody yet"
+        actions = "; ".join(f"{d.action} by {d.who}, {utc(d.t_ns)}" for d in asked) or "nobody yet"
         ended = "lasts" if e.t_last_ns is None else utc(e.t_last_ns)
-        said = notes.overlapping_verdict(e, period.findings) or "not diagnosed"
-        rows.append((e.level, story_name(e.story), utc(e.t_first_ns), ended, _percent(e.ddi, e.ddi_std), said, done))
+        verdict = notes.overlapping_verdict(e, period.findings) or "not diagnosed"
+        rows.append(
+            (e.level, story_name(e.story), utc(e.t_first_ns), ended, _percent(e.ddi, e.ddi_std), verdict, actions)
+        )
     head = ["level", "where", "@from, UTC", "@to, UTC", "#stiffness lost", "diagnosis", "acknowledged"]
     return "<h2>Alarms</h2>" + table(head, rows) + _rest_count(len(period.episodes))
 
 
 def _rest_count(count: int) -> str:
+    """State how many rows are not shown."""
     return f"<p>{count - _MAX_ROWS} more are not shown.</p>" if count > _MAX_ROWS else ""
 
 
 def _modes(period: Period) -> str:
-    """Frequencies, and the temperature on the same axis."""
+    """Draw the frequencies, and the temperature on the same time axis."""
     curves = period.results.common_modes()
     if not curves:
         return ""
@@ -210,7 +222,7 @@ def _modes(period: Period) -> str:
 
 
 def _trust(period: Period) -> str:
-    """Availability, goodness of fit, sensors, clocks."""
+    """Write availability, goodness of fit, sensors and clocks."""
     r, q = period.results, period.quality
     rows = [(Skipped(reason).mend, str(n)) for reason, n in r.skipped.most_common(_MAX_ROWS)]
     missing = r.due - r.windows
@@ -223,8 +235,8 @@ def _trust(period: Period) -> str:
     if q is None:
         return "".join([*out, "<p class='muted'>No record of the sensors' quality in this period.</p>"])
     out.append(f"<h2>Sensors</h2><p class='muted'>From {escape(q.says)}.</p>")
-    came = "not known" if q.availability is None else f"{100 * q.availability:.3f} %"
-    stream = [("samples that came", came), ("gaps", str(q.gaps)), ("lost, s", f"{q.lost_s:.6g}")]
+    availability = "not known" if q.availability is None else f"{100 * q.availability:.3f} %"
+    stream = [("samples that came", availability), ("gaps", str(q.gaps)), ("lost, s", f"{q.lost_s:.6g}")]
     out.append(table([], [*stream, ("samples dropped (repeated, late, not finite)", str(q.overlaps))]))
     head = ["channel", "#RMS, m/s²", "#peak, m/s²", "#spikes", "#stuck, s", "#clipped samples", "#noise, m/s²/√Hz"]
     channels = [
@@ -233,18 +245,19 @@ def _trust(period: Period) -> str:
         for c in q.channels
     ]  # fmt: skip
     clocks = [(node, f"{1e3 * offset:.3g}", f"{drift:.3g}") for node, offset, drift in q.clocks]
-    told = [i for i in range(len(head)) if any(c[i] != _UNKNOWN for c in channels)]  # a replay knows no peaks
-    out.append(table([head[i] for i in told], [[c[i] for i in told] for c in channels]))
+    known_columns = [i for i in range(len(head)) if any(c[i] != _UNKNOWN for c in channels)]  # a replay knows no peaks
+    out.append(table([head[i] for i in known_columns], [[c[i] for i in known_columns] for c in channels]))
     out.append(table(["clock", "#largest offset, ms", "#drift, ppm"], clocks) if clocks else "")
     return "".join(out)
 
 
 def _known(value: float | None) -> str:
+    """Write a number, or a dash where it is not known."""
     return _UNKNOWN if value is None else f"{value:.4g}"
 
 
 def _coverage_strip(period: Period) -> str:
-    """Where windows were judged, where nothing could be said, and where there is nothing."""
+    """Draw where windows were judged, where they were skipped, and where there are none."""
     r = period.results
     axes = time_axes(period.results.grid, 0.0, 1.0, 26.0)
     width = (axes.x[1] - axes.x[0]) / r.grid.n
@@ -261,7 +274,7 @@ def _coverage_strip(period: Period) -> str:
 
 
 def _findings(period: Period) -> str:
-    """Diagnoses, and all that people decided."""
+    """Tabulate the diagnoses and all decisions of people."""
     out = []
     if period.findings:
         rows = [

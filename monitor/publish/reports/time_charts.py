@@ -8,7 +8,7 @@ from monitor.publish.reports.charts import Axes, svg
 from monitor.publish.reports.period_data import Curve, Envelope, Grid, utc
 
 HEIGHT = 110.0
-"""Of a curve, px."""
+"""Height of a curve, px."""
 _WIDTH, _LEFT = 1080.0, 62.0
 _STEPS_S = (1, 5, 15, 60, 300, 900, 1800, 3600, 10800, 21600, 43200)
 _STEPS_DAYS = (1, 2, 7, 14, 28, 91, 182, 364)
@@ -20,7 +20,7 @@ class TimeAxes(Axes):
     __slots__ = ()
 
     def x_ticks(self) -> list[tuple[float, str]]:
-        """At most nine round times."""
+        """Return at most nine round times with their labels."""
         start, stop = self.x
         step = next((s for s in (*_STEPS_S, *(86400 * d for d in _STEPS_DAYS)) if (stop - start) / s <= 9), None)
         step = step or 86400 * 364 * int((stop - start) / (86400 * 364 * 9) + 1)
@@ -31,19 +31,19 @@ class TimeAxes(Axes):
 
 
 def time_axes(grid: Grid, low: float, high: float, height: float = HEIGHT) -> TimeAxes:
-    """Axes over a grid's time, with a margin above and below."""
+    """Make axes over a grid's time, with a margin above and below the range of values."""
     margin = 0.06 * (high - low) or 0.01 * abs(high) or 1.0
     box = (_LEFT, 22.0, _WIDTH - _LEFT - 36.0, height)
     return TimeAxes((grid.from_ns * 1e-9, grid.to_ns * 1e-9), (low - margin, high + margin), box)
 
 
 def figure(label: str, height: float, *marks: str) -> str:
-    """A chart over time, `height` px high, with room for its ticks and title."""
+    """Write a chart over time, `height` px high, with room for its ticks and title."""
     return f"<figure>{svg(_WIDTH, height + 42.0, label, *marks)}</figure>"
 
 
 def draw_envelope(axes: Axes, e: Envelope, scale: float = 1.0) -> list[str]:
-    """An envelope: its mean as a line in its band, a lone bin as a point; broken where nothing was seen."""
+    """Draw an envelope as a line of the mean in its band, interrupted where there are no values; a lone bin is a point."""
     marks = []
     for piece in e.pieces():
         t = e.t_ns[piece] * 1e-9
@@ -57,7 +57,7 @@ def draw_envelope(axes: Axes, e: Envelope, scale: float = 1.0) -> list[str]:
 
 
 def panel(grid: Grid, curve: Curve | None, title: str) -> str:
-    """One quantity over the period."""
+    """Draw one quantity over the period; return an empty string where it has no values."""
     if curve is None or not curve.values:
         return ""
     e = curve.envelope()

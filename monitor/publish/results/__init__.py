@@ -1,1 +1,1 @@
-"""Results."""
+"""Result lines and summaries of a run."""

@@ -1,4 +1,4 @@
-"""Lines of results.jsonl as an Arrow table, for Parquet files."""
+"""Conversion of the lines of results.jsonl to an Arrow table, for Parquet files."""
 
 from __future__ import annotations
 
@@ -41,7 +41,9 @@ WINDOWS_SCHEMA = pa.schema(
         ("skipped", pa.string()),
     ]
 )
-"""The keys of a line of results.jsonl, `alarm` spread over three columns, besides the stream's name and the time as a time."""
+"""Columns of the table: the keys of a line of results.jsonl, with `alarm` as three columns, the stream's name, and the end of the
+window as a timestamp.
+"""
 
 
 def windows_table(lines: Iterable[Mapping[str, Any]], stream: str) -> pa.Table:

@@ -1,4 +1,4 @@
-"""The results of a window as its line of results.jsonl, an alarm as JSON, and the summary of a replay in words."""
+"""Result lines: a window as its line of results.jsonl, an alarm as JSON, and the summary of a replay in words."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from monitor.damage import AlarmState, hold
 
 
 def _rounded(values: Any) -> Any:
-    """Round numbers, of any shape, to nine significant digits: more than the data hold, and the lines stay short."""
+    """Round numbers of any shape to nine significant digits, which exceeds the precision of the data and keeps lines short."""
     return _round_nested(np.asarray(values, dtype=float).tolist())
 
 
@@ -118,7 +118,7 @@ def to_json(value: dict[str, Any]) -> str:
 
 
 class LinesFile:
-    """Write results.jsonl; the file takes its final name only when it is closed."""
+    """File results.jsonl in the making, which takes its final name only when it is closed."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -172,4 +172,5 @@ def replay_text(summary: dict[str, Any], *, has_baseline: bool) -> str:
 
 
 def _story_name(story: int | None) -> str:
+    """Name a story; None stands for the whole structure."""
     return "every story" if story is None else f"story {story}"

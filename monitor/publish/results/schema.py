@@ -1,4 +1,4 @@
-"""The JSON schema of a line of results.jsonl, for tools that read results.mcap."""
+"""JSON schema of a line of results.jsonl, for tools that read results.mcap."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The summary of a run: its counts, its alarm episodes at their highest level, and the quality of its data."""
+"""Summary of a run: its counts, its alarm episodes at their highest level, and the quality of its data."""
 
 from __future__ import annotations
 
@@ -14,13 +14,14 @@ from monitor.signals import Health
 
 @dataclass(slots=True)
 class Episode:
-    """The alarm of one story from its first to its last window."""
+    """Alarm of one story from its first to its last window."""
 
     level: str
     story: int | None
+    """None for the whole structure."""
     t_first_ns: int
     t_last_ns: int | None
-    """None while it lasts."""
+    """UTC of the end of the last window; None while the alarm lasts."""
     ddi: float
     """Damage index (relative stiffness loss): the latest significant one at the highest level."""
     ddi_std: float
@@ -30,7 +31,7 @@ class Episode:
 
 @dataclass(slots=True)
 class Summary:
-    """Count windows, gaps and alarm episodes of a run; `content` is the core of summary.json.
+    """Counts of windows, gaps and alarm episodes of a run; `content` is the core of summary.json.
 
     Examples
     --------
@@ -46,7 +47,7 @@ class Summary:
     gaps: int = 0
     dropped_samples: int = 0
     skip_reasons: dict[str, int] = field(default_factory=dict)
-    """How many windows were skipped for each reason."""
+    """Number of skipped windows for each reason."""
     alarms: list[Episode] = field(default_factory=list)
     frequencies_hz: list[float] | None = None
     """Mean natural frequencies, Hz; mode 0 = lowest."""
@@ -64,7 +65,7 @@ class Summary:
         self.gaps += 1
 
     def window(self, result: WindowResult) -> None:
-        """Count a window, and begin, raise and end the alarm episodes."""
+        """Count a window, and begin, raise and end alarm episodes."""
         self.windows += 1
         if result.temperature is not None:
             degc = float(result.temperature.lagged_degc[0])
@@ -94,7 +95,7 @@ class Summary:
                 episode.ddi, episode.ddi_std, episode.loss_n_per_m = reading
 
     def _average(self, frequencies: list[float]) -> None:
-        """Update the running mean of the natural frequencies; another number of modes begins it anew."""
+        """Update the running mean of the natural frequencies; a different number of modes restarts it."""
         self.n_frequencies += 1
         if self.frequencies_hz is None or len(self.frequencies_hz) != len(frequencies):
             self.frequencies_hz, self.n_frequencies = frequencies, 1
@@ -141,7 +142,7 @@ def _reading(damage: DamageReading, story: int) -> tuple[float, float, float]:
 
 @dataclass(slots=True)
 class Quality:
-    """Add up the sensors' health over all spans of a run."""
+    """Totals of the sensors' health over all spans of a run."""
 
     samples: int = 0
     gaps: int = 0

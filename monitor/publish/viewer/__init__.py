@@ -1,1 +1,1 @@
-"""Viewer."""
+"""Rerun recordings of the results and of a diagnosis."""

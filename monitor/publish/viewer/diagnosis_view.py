@@ -1,4 +1,4 @@
-"""The diagnosis as a Rerun recording: its time axis is frequency, so that one cursor reads all spectra at once."""
+"""Diagnosis as a Rerun recording whose time axis is frequency, so that one cursor reads all spectra at once."""
 
 from __future__ import annotations
 
@@ -21,8 +21,9 @@ from monitor.publish.viewer.scene import GREY, Colour
 _TIMELINE = "frequency_mHz"
 _MEASURED, _BEFORE, _AFTER = (235, 235, 235), (240, 154, 74), (90, 169, 240)
 _CLOSE_S = 10.0
+"""Longest time that closing the recording may take, s."""
 _FULL = 12.0
-"""Standard deviations at which the maps show their full colour."""
+"""Standard deviations at which the maps reach their full colour."""
 
 
 def write_view(path: Path, diagnosis: Diagnosis, content: Mapping[str, Any], segments: Segments) -> None:
@@ -30,10 +31,13 @@ def write_view(path: Path, diagnosis: Diagnosis, content: Mapping[str, Any], seg
 
     Parameters
     ----------
+    path : Path
+        File of the recording.
+    diagnosis : Diagnosis
     content : mapping
         diagnosis.json.
     segments : Segments
-        What was judged.
+        The segments that were diagnosed.
 
     Raises
     ------
@@ -44,8 +48,8 @@ def write_view(path: Path, diagnosis: Diagnosis, content: Mapping[str, Any], seg
     output = Output("diagnosis", path, None)
     try:
         output.stream.send_blueprint(_blueprint(compared))
-        told = rr.TextDocument(_status(diagnosis, content, segments, compared), media_type="text/markdown")
-        output.stream.log("/verdict", told, static=True)
+        status = rr.TextDocument(_status(diagnosis, content, segments, compared), media_type="text/markdown")
+        output.stream.log("/verdict", status, static=True)
         _spectra(output.stream, compared)
         for when, z in (("before", compared.z_before), ("after", compared.z_after)):
             rows = np.array([z[:, i, j] for _, i, j in compared.rows()])
@@ -57,7 +61,7 @@ def write_view(path: Path, diagnosis: Diagnosis, content: Mapping[str, Any], seg
 
 
 def _spectra(stream: rr.RecordingStream, c: Comparison) -> None:
-    """Spectra in dB, ratios in dB and the misfit in bands, over frequency."""
+    """Draw the spectra in dB, the ratios in dB and the misfit in bands, over frequency."""
 
     def line(path: str, name: str, colour: Colour, hz: Array, values: Array) -> None:
         stream.log(path, rr.SeriesLines(names=[name], colors=[colour], widths=[1.5]), static=True)
@@ -77,7 +81,7 @@ def _spectra(stream: rr.RecordingStream, c: Comparison) -> None:
 
 
 def _status(diagnosis: Diagnosis, content: Mapping[str, Any], segments: Segments, compared: Comparison) -> str:
-    """What the report says, Markdown."""
+    """Write the content of the report as Markdown."""
     gain = content["gain"]["log_score_per_sample"]
     lines = [f"# {content['verdict'].upper()}", headline(diagnosis, content), ""]
     if content["separating_measurement"]:
@@ -107,7 +111,7 @@ def _status(diagnosis: Diagnosis, content: Mapping[str, Any], segments: Segments
 
 
 def _blueprint(c: Comparison) -> rrb.Blueprint:
-    """The verdict and the misfit's maps at the left, spectra at the right."""
+    """Place the verdict and the maps of the misfit at the left, the spectra at the right."""
     corner = rrb.PlotLegend("RightTop")
 
     def plot(origin: str, name: str) -> rrb.TimeSeriesView:

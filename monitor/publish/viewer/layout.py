@@ -1,4 +1,4 @@
-"""Where things stand in the viewer: a page for each question."""
+"""Layout of the viewer: one page for each question of the operator."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ _DARK = (24, 26, 30)
 ALL_TIME = rrb.TimeAxis(
     view_range=rr.TimeRange(start=rr.TimeRangeBoundary.infinite(), end=rr.TimeRangeBoundary.infinite())
 )
-"""Otherwise plots show one minute about the cursor."""
+"""Time axis over the whole recording; by default plots show one minute about the cursor."""
 
 
 def _plot(origin: str, name: str, *, legend: bool = True) -> rrb.TimeSeriesView:
-    """Series over all the time there is."""
+    """Make a view of time series over the whole recording."""
     corner = rrb.PlotLegend("LeftTop", visible=legend)
     return rrb.TimeSeriesView(origin=origin, name=name, plot_legend=corner, axis_x=ALL_TIME)
 
 
 def blueprint(scene: Scene, page: int = 0) -> rrb.Blueprint:
-    """Is it healthy (shown first), can I trust it, what does it do now: `page` 0, 1, 2."""
+    """Make the layout with page 0 ("Is it healthy?"), 1 ("Can I trust it?") or 2 ("What does it do now?") in front."""
     return rrb.Blueprint(
-        rrb.Tabs(_healthy(scene), _trust(), _now(scene), active_tab=page),
+        rrb.Tabs(_healthy(scene), _trust(), _present_motion(scene), active_tab=page),
         rrb.TimePanel(state="collapsed", timeline="time", play_state="following"),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
@@ -31,6 +31,7 @@ def blueprint(scene: Scene, page: int = 0) -> rrb.Blueprint:
 
 
 def _frame(scene: Scene) -> rrb.Spatial3DView:
+    """Make the 3D view of the frame."""
     n = scene.n_stories
     centre = 0.275 * n
     eye = rrb.EyeControls3D(position=(centre, -1.1 - 0.5 * n, 0.75), look_target=(centre, 0.0, 0.42))
@@ -41,18 +42,20 @@ def _frame(scene: Scene) -> rrb.Spatial3DView:
 
 
 def _canvas(path: str, name: str) -> rrb.Spatial2DView:
+    """Make a 2D view of a diagram on the canvas of the stabilisation diagram."""
     width, height = STABILISATION
     bounds = rrb.VisualBounds2D(x_range=[-0.2 * width, 1.06 * width], y_range=[-1.06 * height, 0.14 * height])
     return rrb.Spatial2DView(origin="/", contents=f"{path}/**", visual_bounds=bounds, background=_DARK, name=name)
 
 
 def _events() -> rrb.TextLogView:
+    """Make the log of alarms and events."""
     columns = rrb.TextLogColumns(text_log_columns=["LogLevel", "Body"])
     return rrb.TextLogView(origin="/", contents=["/alarms", "/events"], name="Alarms and events", columns=columns)
 
 
 def _healthy(scene: Scene) -> rrb.Horizontal:
-    """The state at the left, how it came about at the right."""
+    """Make the page of health, with the present state at the left and the history at the right."""
     n = scene.n_stories
     modes = [_plot(f"/modes/frequency/{i}", f"Mode {i}, Hz", legend=False) for i in range(1, n + 1)]
     since = "since the baseline" if scene.has_baseline else "against the structure file"
@@ -73,7 +76,7 @@ def _healthy(scene: Scene) -> rrb.Horizontal:
 
 
 def _trust() -> rrb.Horizontal:
-    """What the diagnosis says and the estimate rests on; sensors and clocks."""
+    """Make the page of trust, with the verdict and the fit at the left, and the sensors and clocks at the right."""
     left = rrb.Vertical(
         rrb.TextDocumentView(origin="/verdict", name="Verdict"),
         _canvas("/stabilisation", "Stabilisation diagram: order over frequency, Hz"),
@@ -89,8 +92,8 @@ def _trust() -> rrb.Horizontal:
     return rrb.Horizontal(left, right, name="Can I trust it?")
 
 
-def _now(scene: Scene) -> rrb.Horizontal:
-    """Streams, spectra with the model's, mode shapes."""
+def _present_motion(scene: Scene) -> rrb.Horizontal:
+    """Make the page of the present motion, with the streams, the spectra with the model's, and the mode shapes."""
     left = rrb.Vertical(
         _plot("/streams", "Acceleration, m/s²"),
         _canvas("/spectra", "Power over frequency: measured, and the model's (white)"),

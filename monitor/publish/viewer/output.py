@@ -1,4 +1,4 @@
-"""The Rerun recording that the viewer's results go to: a file, a server that viewers join, or both."""
+"""Rerun recording of the results: a file, a server that viewers join, or both."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from monitor.core import finish, partial
 
 
 class Output:
-    """A Rerun recording that goes to a file, to viewers that join, or both.
+    """Rerun recording that goes to a file, to viewers that join, or both.
 
     Parameters
     ----------
@@ -25,7 +25,7 @@ class Output:
     serve : (str, int), optional
         Address and port to listen on; viewers join at ``rerun+http://ADDRESS:PORT/proxy``.
     memory : str
-        What the server keeps for viewers that join late; the oldest goes first.
+        Amount of data that the server keeps for viewers that join late; the oldest data are dropped first.
 
     Raises
     ------
@@ -34,8 +34,8 @@ class Output:
     """
 
     def __init__(self, name: str, file: Path | None, serve: tuple[str, int] | None, memory: str = "64MB") -> None:
-        rr.set_strict_mode(True)  # else a wrong call is only warned about
-        entry = re.sub(r"[^0-9A-Za-z_ -]+", "-", name)  # what Rerun takes as a name without a warning
+        rr.set_strict_mode(True)  # otherwise a wrong call only gives a warning
+        entry = re.sub(r"[^0-9A-Za-z_ -]+", "-", name)  # the characters that Rerun accepts without a warning
         self.stream = rr.RecordingStream(entry, recording_id=entry, send_properties=False)
         self._file = file
         sinks: list[rr.FileSink | rr.GrpcServerSink] = []
@@ -44,24 +44,25 @@ class Output:
             host = f"[{serve[0]}]" if ":" in serve[0] else serve[0]
             sinks.append(rr.GrpcServerSink(bind_ip=host, port=serve[1], server_memory_limit=memory))
         if file is not None:
-            # An index would be kept in memory until the end, an entry for all that is sent by itself.
+            # An index would be kept in memory until the end, with one entry for each message.
             sinks.append(rr.FileSink(partial(file), write_footer=False))
         self.stream.set_sinks(*sinks)
         self.stream.set_log_time_enabled(False)  # time is the data's
 
     def close(self, timeout_s: float) -> None:
-        """Write all that is left, see that the file is whole, and give it its name.
+        """Write the remaining data, check that the file is complete, and give it its name.
 
         Raises
         ------
         OSError, RuntimeError
-            Something did not arrive, as on a full disk; no file is left.
+            Some data did not arrive, as on a full disk; no file is left.
         """
         try:
             self.stream.flush(timeout_sec=timeout_s)
             self.stream.disconnect()
             if self._file is not None:
-                # Where writing failed, flush has raised; this raises at half a message, and warns that there is no index.
+                # Where writing failed, flush has raised.  The reader raises at an incomplete message, and warns that there is
+                # no index.
                 with warnings.catch_warnings(action="ignore"):
                     found = RrdReader(partial(self._file)).recordings()
                 if not found:
@@ -71,14 +72,14 @@ class Output:
             self.abandon()
 
     def abandon(self) -> None:
-        """Let go of the sinks and leave no unfinished file behind."""
+        """Disconnect the sinks and remove an unfinished file."""
         self.stream.disconnect()
         if self._file is not None:
             partial(self._file).unlink(missing_ok=True)
 
 
 def _require_free_port(address: str, port: int) -> None:
-    """Raise OSError if nobody can listen there: Rerun itself only prints that and goes on deaf."""
+    """Raise OSError if the port is taken, since Rerun itself only prints that and continues without a listener."""
     with socket.socket(socket.AF_INET6 if ":" in address else socket.AF_INET) as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:

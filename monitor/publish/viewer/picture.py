@@ -1,4 +1,4 @@
-"""Draws results into a Rerun recording; owned by one thread."""
+"""Drawing of the results into a Rerun recording; owned by one thread."""
 
 from __future__ import annotations
 
@@ -43,11 +43,11 @@ _LEVELS = {
 }
 
 Item = Samples | WindowResult | Gap | Health | Clocks | dict[str, Any]
-"""What can be drawn; a dict is a finding."""
+"""Items that can be drawn; a dict is a finding."""
 
 
 class ResultDrawing:
-    """Draws on one recording; lives in the worker's thread."""
+    """Drawing of all results into one recording, in the worker's thread."""
 
     def __init__(self, scene: Scene, stream: rr.RecordingStream, block_s: float, *, thin: bool = False) -> None:
         self._scene, self._stream, self._block_s = scene, stream, block_s
@@ -70,7 +70,7 @@ class ResultDrawing:
         self._thin = Thinning() if thin else None
 
     def begin(self) -> None:
-        """Names, colours and what never changes."""
+        """Draw the names, the colours and the static parts."""
         self._stream.send_blueprint(blueprint(self._scene))
         self._trust.begin()
         for i, channel in enumerate(self._scene.channels):
@@ -95,7 +95,7 @@ class ResultDrawing:
         return "/streams/" + rr.escape_entity_path_part(channel)
 
     def _style(self, path: str, names: list[str], i: int) -> None:
-        """Name and colour a line, and its bounds fainter and thinner."""
+        """Set names and colour of a line; its bounds are fainter and thinner."""
         colour = SERIES[i % len(SERIES)]
         faint = (*colour, 110)
         self._stream.log(
@@ -106,7 +106,7 @@ class ResultDrawing:
         )  # fmt: skip
 
     def draw(self, item: Item) -> None:
-        """Whatever comes out of the queue."""
+        """Draw an item from the queue."""
         if isinstance(item, Samples):
             self.samples(item)
         elif isinstance(item, Health):
@@ -126,7 +126,7 @@ class ResultDrawing:
 
     @property
     def _stretch(self) -> int:
-        """Viewers that watch are not kept waiting."""
+        """Factor on the amount that is sent at once; viewers that watch are not kept waiting."""
         return 1 if self._thin is None or self._block_s <= LIVE_BLOCK_S else self._thin.stretch
 
     def samples(self, samples: Samples) -> None:
@@ -142,13 +142,13 @@ class ResultDrawing:
             self.flush()
 
     def finish(self) -> None:
-        """Send what is left, and the latest mode shapes as a motion."""
+        """Send the remaining results, and the latest mode shapes as an animation."""
         self.flush()
         self._send()
         self._shapes.animate()
 
     def flush(self) -> None:
-        """Send the samples collected."""
+        """Send the collected samples."""
         if not self._blocks:
             return
         first = self._blocks[0]
@@ -166,18 +166,18 @@ class ResultDrawing:
         self._gathered = 0
 
     def gap(self, gap: Gap) -> None:
-        """Break the streams where samples are missing."""
+        """Break the lines of the streams where samples are missing."""
         self.flush()
-        self._at(gap.t_ns)
+        self._set_time(gap.t_ns)
         self._event(f"gap of {gap.duration_s:.3g} s: {gap.reason}", rr.TextLogLevel.WARN)
         for channel in self._scene.channels:
             self._stream.log(self._stream_path(channel), rr.Scalars(np.nan))
 
     def window(self, result: WindowResult) -> None:
-        """Everything said about one window, at its end."""
+        """Draw the result of one window at the window's end."""
         if self._thin is not None and not self._thin.window(result):
             return
-        self._at(result.t_end_ns)
+        self._set_time(result.t_end_ns)
         self._rows.text("/status", status_markdown(self._scene, result))
         self._alarm(result)
         reason = result.skipped.reason if result.skipped else None
@@ -197,7 +197,8 @@ class ResultDrawing:
         if result.modes is not None:
             self._stabilisation(result.modes)
 
-    def _at(self, t_ns: int) -> None:
+    def _set_time(self, t_ns: int) -> None:
+        """Set the time of what is drawn next, UTC in ns."""
         self._stream.set_time("time", timestamp=utc(t_ns))
         self._rows.at(t_ns)
 
@@ -205,7 +206,7 @@ class ResultDrawing:
         self._stream.log("/events", rr.TextLog(text, level=level))
 
     def _alarm(self, result: WindowResult) -> None:
-        """Tell changes of level only; a recording begins as normal."""
+        """Draw changes of the alarm's level only; a recording begins as normal."""
         alarm = result.alarm
         if result.skipped is not None and alarm.level is Level.NORMAL:
             return  # not judged is not normal
@@ -220,13 +221,14 @@ class ResultDrawing:
         self._stream.log("/alarm_level", rr.StateChange(state=alarm.level.value))
 
     def _bounded(self, path: str, value: float | None, std: float | None, scale: float = 1.0) -> None:
-        """One value with its two standard deviations either side, or a hole."""
+        """Draw one value with two standard deviations on either side, or an interruption where there is none."""
         if value is None or std is None:
             self._rows.scalars(path, *NO_VALUE)
         else:
             self._rows.scalars(path, scale * value, scale * (value - 2 * std), scale * (value + 2 * std))
 
     def _stiffness(self, stiffness: StiffnessEstimate | None) -> None:
+        """Draw the stiffness of every story."""
         n = self._scene.n_stories
         values = stiffness.stiffness_n_per_m.tolist() if stiffness else [None] * n
         stds = np.sqrt(np.diag(stiffness.covariance)).tolist() if stiffness else [None] * n
@@ -234,7 +236,7 @@ class ResultDrawing:
             self._bounded(f"/stiffness/story_{j + 1}", value, std)
 
     def _damage(self, damage: DamageReading | None) -> None:
-        """The index over time, and the frame coloured by it."""
+        """Draw the damage index over time, and colour the frame by it."""
         loss_at, n = self._scene.alarm_loss, self._scene.n_stories
         readings: list[tuple[float | None, float | None]] = [(None, None)] * n
         if damage is not None:
@@ -255,7 +257,7 @@ class ResultDrawing:
         label(self._rows, "/frame/stories/labels", places, labels, of_stories)
 
     def _stabilisation(self, modes: ModalEstimate) -> None:
-        """Poles in (Hz, order), stretched to the canvas, with their axes and the modes chosen."""
+        """Draw the poles in (Hz, order), scaled to the canvas, with axes and the selected modes."""
         poles = modes.poles
         if not len(poles):
             return
@@ -275,7 +277,7 @@ class ResultDrawing:
                        radii=ui_radius(0.8), draw_order=[1.0])  # fmt: skip
 
     def _stabilisation_axes(self, f_max: float, n_max: float) -> None:
-        """Drawn anew only when they grow."""
+        """Draw the axes again when they grow."""
         frame = rr.LineStrips2D([[(0, n_max), (0, 0), (f_max, 0)]], colors=[GREY], draw_order=0.0)
         self._stream.log("/stabilisation/axes", frame)
         ticks = [(f, 0.0) for f in np.linspace(0, f_max, 6)] + [(-0.1 * f_max, n) for n in np.linspace(0, n_max, 3)[1:]]

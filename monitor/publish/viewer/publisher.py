@@ -1,4 +1,4 @@
-"""The publisher of results as a Rerun recording: a file, a server that viewers join, or both.
+"""Publisher of results as a Rerun recording: a file, a server that viewers join, or both.
 
 The only clock is the data's: all results lie on the timeline ``time``, in UTC.
 """
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 class RerunPublisher(Publisher):
-    """Publish results to a file, to viewers that join, or both; no method waits for a viewer or raises.
+    """Publisher of results to a file, to viewers that join, or both; no method waits for a viewer or raises.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ class RerunPublisher(Publisher):
 
     Notes
     -----
-    Trouble of any kind, an unwritable file and a taken port included, shows in `failed`, and is logged once.
+    Errors of any kind, such as an unwritable file or a taken port, show in `failed` and are logged once.
     """
 
     def __init__(
@@ -50,12 +50,12 @@ class RerunPublisher(Publisher):
 
     @property
     def dropped(self) -> int:
-        """Blocks, results and gaps that found the queue full."""
+        """Number of blocks, results and gaps that found the queue full."""
         return self._worker.dropped
 
     @property
     def failed(self) -> str | None:
-        """Why nothing is published any more; None while all is well."""
+        """Reason why nothing is published any more; None without an error."""
         return self._worker.failed
 
     def samples(self, samples: Samples) -> None:
@@ -83,7 +83,7 @@ class RerunPublisher(Publisher):
         self._worker.put(finding)
 
     def close(self, timeout_s: float = 10.0) -> None:
-        """Publish the results that wait, and finish the file; give up after `timeout_s`."""
+        """Publish the waiting results, and finish the file; give up after `timeout_s`."""
         self._timeout_s = timeout_s
         self._worker.close(timeout_s)
 

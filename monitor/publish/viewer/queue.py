@@ -1,4 +1,4 @@
-"""One thread between the monitor and Rerun: whatever a viewer or a disk does stays behind a bounded queue."""
+"""Thread between the monitor and Rerun: delays and errors of a viewer or a disk stay behind a bounded queue."""
 
 from __future__ import annotations
 
@@ -15,12 +15,14 @@ _log = logging.getLogger(__name__)
 
 
 class Worker(Generic[T]):
-    """A daemon thread that handles items in order.
+    """Daemon thread that handles items in order.
 
-    Its first exception is logged once and ends the work: `failed` tells, and everything put later is ignored.
+    Its first exception is logged once and ends the work: `failed` holds the reason, and later items are ignored.
 
     Parameters
     ----------
+    name : str
+        Name of the thread.
     run : callable
         Called in the thread with `take`, which returns the next item, or None when the queue is closed and empty.
     size : int
@@ -41,7 +43,7 @@ class Worker(Generic[T]):
         self._thread.start()
 
     def put(self, item: T) -> None:
-        """Hand an item over; never raises."""
+        """Append an item to the queue; never raises."""
         with self._changed:
             if self._lossless:
                 self._changed.wait_for(lambda: len(self._items) < self._size or self._over)
@@ -67,9 +69,11 @@ class Worker(Generic[T]):
 
     @property
     def _over(self) -> bool:
+        """Whether the queue takes no more items."""
         return self._closed or self.failed is not None
 
     def _take(self) -> T | None:
+        """Wait for the next item; return None when the queue is closed and empty."""
         with self._changed:
             self._changed.wait_for(lambda: bool(self._items) or self._over)
             if not self._items or self.failed is not None:
@@ -79,12 +83,14 @@ class Worker(Generic[T]):
             return item
 
     def _work(self) -> None:
+        """Run the work and record its first exception."""
         try:
             self._run(self._take)
         except Exception as error:  # noqa: BLE001 - the viewer's troubles, of whatever kind, never reach the monitor
             self._fail(f"{type(error).__name__}: {error}")
 
     def _fail(self, reason: str) -> None:
+        """Record the reason of a failure, end the work and log it."""
         with self._changed:
             self.failed = reason
             self.cancelled = True

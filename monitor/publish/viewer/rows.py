@@ -1,4 +1,4 @@
-"""Rows of a Rerun recording, sent many at a time: a row by itself costs a tenth of a millisecond, in a column next to nothing."""
+"""Rows of a Rerun recording, sent in columns: a single row costs a tenth of a millisecond, a row in a column far less."""
 
 from __future__ import annotations
 
@@ -21,10 +21,12 @@ class Strips(list[Array]):
 
 
 class Rows:
-    """Gathers rows entity by entity; lives in the worker's thread.
+    """Collector of rows, entity by entity, in the worker's thread.
 
     Parameters
     ----------
+    stream : rr.RecordingStream
+        Recording to which the rows are sent.
     timeline : str
         ``time``, in nanoseconds of UTC, or another one, in nanoseconds from 0.
     """
@@ -35,25 +37,25 @@ class Rows:
         self._rows: defaultdict[_Key, list[tuple[Any, ...]]] = defaultdict(list)
 
     def at(self, t_ns: int) -> None:
-        """The time of the rows to come."""
+        """Set the time of the following rows, ns."""
         self._t_ns = t_ns
 
     def add(self, path: str, kind: type[Any], **components: Any) -> None:
-        """A row of an archetype: for each component a sequence with its instances, `Strips` for strips."""
+        """Add a row of an archetype; each component is a sequence of its instances, `Strips` for strips."""
         key = (path, kind, tuple(components))
         self._times[key].append(self._t_ns)
         self._rows[key].append(tuple(components.values()))
 
     def scalars(self, path: str, *values: float) -> None:
-        """A row of numbers."""
+        """Add a row of numbers."""
         self.add(path, rr.Scalars, scalars=values)
 
     def text(self, path: str, markdown: str) -> None:
-        """A row of text."""
+        """Add a row of text."""
         self.add(path, rr.TextDocument, text=[markdown], media_type=["text/markdown"])
 
     def send(self) -> None:
-        """Hand over what was gathered."""
+        """Send the collected rows."""
         for key, rows in self._rows.items():
             path, kind, names = key
             columns = [
@@ -68,13 +70,14 @@ class Rows:
         self._rows.clear()
 
     def _index(self, times: list[int]) -> rr.TimeColumn:
+        """Make the time column of rows."""
         if self._timeline == "time":
             return rr.TimeColumn("time", timestamp=np.array(times, dtype="datetime64[ns]"))
         return rr.TimeColumn(self._timeline, duration=np.array(times, dtype="timedelta64[ns]"))
 
 
 def ui_radius(points: float) -> list[float]:
-    """A radius in points of the screen rather than of the scene."""
+    """Convert a radius in points of the screen, not of the scene, to a component of Rerun."""
     return [float(rr.Radius.ui_points(points))]  # type: ignore[arg-type]
 
 
@@ -88,7 +91,7 @@ def _strip_type(dimensions: int) -> pa.DataType:
 
 
 def _concatenate(instances: Sequence[Any]) -> Any:
-    """The instances of all rows one after another."""
+    """Concatenate the instances of all rows."""
     if isinstance(instances[0], Strips):
         strips = [np.asarray(strip, dtype=np.float32) for row in instances for strip in row]
         points = np.concatenate(strips)

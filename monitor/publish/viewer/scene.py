@@ -1,4 +1,4 @@
-"""The site as the viewer shows it, the status text, and colours; pure functions."""
+"""Description of a site for the viewer, its status text and its colours; pure functions."""
 
 from __future__ import annotations
 
@@ -19,17 +19,19 @@ Colour = tuple[int, int, int]
 GREEN, AMBER, RED, GREY = (80, 190, 110), (240, 180, 50), (230, 70, 60), (130, 130, 130)
 SERIES: tuple[Colour, ...] = ((90, 170, 250), (250, 170, 70), (190, 130, 240), (90, 210, 190), (240, 120, 160))
 LIVE_BLOCK_S, FILE_BLOCK_S = 1.0, 60.0
-"""Samples are sent in blocks of at least this length, results so many at a time: few for viewers that watch, many for a small
-file that is written fast."""
+"""Shortest length of the blocks in which samples are sent, s, and number of results that are sent at a time.
+
+Both are small for viewers that watch, and large for a small file that is written fast.
+"""
 COLUMNS = ((0.0, 0.0), (0.6, 0.0), (0.6, 0.6), (0.0, 0.6))
 """Corners of the frame; it is drawn 1 high."""
 STABILISATION = (100.0, 55.0)
-"""Width and height of the stabilisation diagram's canvas."""
+"""Width and height of the canvas of the stabilisation diagram."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Scene:
-    """Describe a site to the viewer."""
+    """Description of a site for the viewer."""
 
     name: str
     channels: tuple[str, ...]
@@ -56,7 +58,7 @@ class Scene:
 
 
 class Clocks(NamedTuple):
-    """The sensor nodes' clocks at a time."""
+    """State of the sensor nodes' clocks at a time."""
 
     t_ns: int
     clocks: Sequence[ClockHealth]
@@ -121,7 +123,13 @@ def loss_colour(loss: float | None, alarm_loss: float) -> Colour:
 
 
 def utc(t_ns: int) -> np.datetime64:
-    """Convert UTC nanoseconds to NumPy's time."""
+    """Convert UTC nanoseconds to NumPy's time.
+
+    Examples
+    --------
+    >>> str(utc(1_700_000_000_000_000_000))
+    '2023-11-14T22:13:20.000000000'
+    """
     return np.datetime64(t_ns, "ns")
 
 
@@ -155,11 +163,14 @@ def status_markdown(scene: Scene, result: WindowResult) -> str:
 
 
 def mode_rows(modes: ModalEstimate) -> list[tuple[int, float, float, float, float]]:
-    """List for each mode the number of the model's mode, the frequency and its std (Hz), the damping ratio and its std."""
+    """List number, frequency and its standard deviation (Hz), damping ratio and its standard deviation of each mode.
+
+    The number is that of the model's mode.
+    """
     columns = (modes.frequencies_hz, modes.frequencies_std_hz, modes.damping_ratio, modes.damping_std)
     table = np.column_stack(columns).tolist()
     return [(int(k), f, fs, d, ds) for k, (f, fs, d, ds) in zip(modes.model_mode, table, strict=True)]
 
 
 NO_VALUE = (np.nan,) * 3
-"""No value: breaks a line and its bounds, where no row would be bridged, and a Clear or an empty row drags the axis to 0."""
+"""Interruption of a line and its bounds: without a row the line is bridged, and a Clear or an empty row drags the axis to 0."""

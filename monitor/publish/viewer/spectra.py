@@ -1,4 +1,4 @@
-"""The viewer's spectra: what the sensors say lately, and what the model that fits the window says they should."""
+"""Drawing of the spectra: those measured lately, and those of the model that fits the window."""
 
 from __future__ import annotations
 
@@ -14,18 +14,30 @@ from monitor.publish.viewer.scene import GREY, SERIES, STABILISATION, Scene
 from monitor.signals import taper
 
 LIVE_EVERY_S, FILE_EVERY_S = 60.0, 200.0
-"""They change slowly: half of what is averaged is new after 200 s."""
+"""Intervals at which spectra are drawn, s; spectra change slowly, and after 200 s half of the averaged data are new."""
 _SEGMENT_S, _LONGEST_S = 20.0, 400.0
+"""Length of a segment and longest span of the averaged data, s."""
 _DECADES = 7.0
-"""Of power, shown of each channel."""
+"""Decades of power shown for each channel."""
 _MOST_CHANNELS = 6
 MODEL = (235, 235, 235)
 
 
 def predict_power(scene: Scene, result: WindowResult, hz: Array) -> Array:
-    """Power of the channels under equal white forces on all floors, shape (n_hz, c), up to their level.
+    """Predict the power of the channels under equal white forces on all floors, up to a common factor.
 
-    Modes superposed: the model at the window's stiffnesses, with the window's damping where it was measured.
+    Modes are superposed: the model has the window's stiffnesses, and the window's damping where it was measured.
+
+    Parameters
+    ----------
+    scene : Scene
+    result : WindowResult
+    hz : ndarray, shape (n_hz,)
+        Frequencies, Hz.
+
+    Returns
+    -------
+    ndarray, shape (n_hz, c)
     """
     assert isinstance(scene.model, Model)
     k = result.stiffness
@@ -35,12 +47,12 @@ def predict_power(scene: Scene, result: WindowResult, hz: Array) -> Array:
         damping[result.modes.model_mode] = result.modes.damping_ratio
     w = 2.0 * np.pi * hz[:, None]
     modal = w**2 / (modes.eigenvalues - w**2 + 2j * damping * np.sqrt(modes.eigenvalues) * w)
-    seen = modes.shapes[[floor - 1 for floor in scene.sensor_floor]]
-    return np.asarray((np.abs(np.einsum("cm,fm,nm->fcn", seen, modal, modes.shapes)) ** 2).sum(axis=2))
+    sensor_shapes = modes.shapes[[floor - 1 for floor in scene.sensor_floor]]
+    return np.asarray((np.abs(np.einsum("cm,fm,nm->fcn", sensor_shapes, modal, modes.shapes)) ** 2).sum(axis=2))
 
 
 class SpectraDrawing:
-    """Draws both, one channel over the other, every so many seconds of data."""
+    """Drawing of measured and modelled spectra, one channel above the other, every `every_s` seconds of data."""
 
     def __init__(self, scene: Scene, stream: rr.RecordingStream, to: Rows, every_s: float) -> None:
         self._scene, self._stream, self._to = scene, stream, to
@@ -49,7 +61,7 @@ class SpectraDrawing:
         self._drawn_ns, self._axes = -self._every_ns, False
 
     def samples(self, samples: Samples) -> None:
-        """Keep the latest; what stands before a gap or another rate is let go."""
+        """Keep the latest samples; samples before a gap or at another rate are discarded."""
         if self._blocks:
             last = self._blocks[-1]
             due = last.t_ns + len(last.values) / last.rate_hz * 1e9
@@ -60,7 +72,7 @@ class SpectraDrawing:
             self._blocks.popleft()
 
     def window(self, result: WindowResult) -> None:
-        """Draw, if it is time; the stream stands at the window's end."""
+        """Draw the spectra if they are due; the recording's time is the window's end."""
         if not self._blocks or result.t_end_ns - self._drawn_ns < self._every_ns:
             return
         rate, values = self._blocks[0].rate_hz, np.concatenate([b.values for b in self._blocks])
@@ -92,6 +104,7 @@ class SpectraDrawing:
             self._draw_axes(lanes)
 
     def _draw_axes(self, lanes: int) -> None:
+        """Draw a frame for each channel, the frequencies and the names of the channels."""
         f_max = self._scene.cutoff_hz
         frame = [[(0, c), (f_max, c)] for c in range(lanes + 1)]
         self._stream.log(
@@ -105,7 +118,18 @@ class SpectraDrawing:
 
 
 def _welch_power(values: Array, rate_hz: float) -> tuple[Array, Array]:
-    """Frequencies and mean periodograms, shape (n_hz, c), of half-overlapping tapered segments, up to a factor."""
+    """Compute mean periodograms of half-overlapping tapered segments, up to a factor.
+
+    Parameters
+    ----------
+    values : ndarray, shape (n_samples, c)
+
+    Returns
+    -------
+    hz : ndarray, shape (n_hz,)
+        Frequencies, Hz.
+    power : ndarray, shape (n_hz, c)
+    """
     n = round(_SEGMENT_S * rate_hz)
     # Single precision is enough for a picture.
     segments = np.lib.stride_tricks.sliding_window_view(values.astype(np.float32), n, axis=0)[:: n // 2]
@@ -116,6 +140,6 @@ def _welch_power(values: Array, rate_hz: float) -> tuple[Array, Array]:
 
 
 def _scale_to_lane(hz: Array, power: Array, top: float, lane: int) -> Array:
-    """Logarithm of a channel's power in a lane 1 high, `_DECADES` below `top` at its foot."""
+    """Place the logarithm of a channel's power in its lane, which is 1 high and ends `_DECADES` below `top`; shape (n_hz, 2)."""
     level = (np.log10(np.maximum(power, 1e-300)) - top) / _DECADES + 1.0
     return np.column_stack([hz, lane + np.clip(level, 0.0, 1.0)])

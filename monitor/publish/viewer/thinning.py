@@ -1,4 +1,4 @@
-"""Thin out long histories: after a while a file keeps envelopes of the samples and every n-th window only."""
+"""Thinning of long histories: after a while a file keeps envelopes of the samples and every n-th window only."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ from numpy.typing import NDArray
 from monitor.core import Array, WindowResult
 
 FULL_RATE_NS = 2 * 3600 * 10**9
-"""Samples of the first two hours are kept as they are."""
+"""Span at the beginning of a recording in which all samples are kept, ns: two hours."""
 FULL_RATE_WINDOWS = 2000
-"""Windows kept in full, and after each further multiple of it every second, every fourth ... window."""
+"""Number of windows that are all kept; after each further multiple of it every second, every fourth ... window is kept."""
 _ENVELOPE = 500
-"""Number of samples in a bin of which the lowest and the highest are kept afterwards."""
+"""Number of samples in a bin, of which the lowest and the highest are kept afterwards."""
 _GROWTH, _LONGEST = 480, 10
-"""Windows by which the stretches that are sent at once grow by their first length, and to how many times that."""
+"""Number of windows by which the amount sent at once grows by its first value, and the largest factor on that value."""
 
 
 class Thinning:
-    """What of a recording goes into a file; its size grows with the logarithm of the windows.
+    """Selection of the part of a recording that goes into a file; its size grows with the logarithm of the windows.
 
-    A window at which the alarm's level, or whether anything can be said, changes is always kept.
+    A window is always kept where the alarm's level or stories change, or where windows begin or cease to be judged.
     """
 
     def __init__(self) -> None:
@@ -29,7 +29,7 @@ class Thinning:
         self._state: object = None
 
     def window(self, result: WindowResult) -> bool:
-        """Decide whether a window is kept."""
+        """Decide if a window is kept."""
         state = (result.alarm.level, result.alarm.stories, result.skipped is None)
         stride = 1 << (self._kept // FULL_RATE_WINDOWS)
         keep = self._seen % stride == 0 or state != self._state
@@ -39,12 +39,26 @@ class Thinning:
 
     @property
     def stretch(self) -> int:
-        """How many times as much as in the beginning is sent at once: a file's writer keeps an entry of its index in memory
-        for all that is sent by itself, until the file is closed."""
+        """Factor on the amount that is sent at once.
+
+        A file's writer keeps one index entry in memory for each message until the file is closed.
+        """
         return min(max(1, self._seen // _GROWTH), _LONGEST)
 
     def samples(self, t_ns: NDArray[np.int64], values: Array) -> tuple[NDArray[np.int64], Array]:
-        """Return times, shape (n,), and samples, shape (n, c), as they are, or the lowest and the highest sample of each bin."""
+        """Thin out samples: keep all at first, later the lowest and the highest sample of each bin.
+
+        Parameters
+        ----------
+        t_ns : ndarray of int, shape (n,)
+            Times, UTC in ns.
+        values : ndarray, shape (n, c)
+
+        Returns
+        -------
+        t_ns : ndarray of int, shape (k,)
+        values : ndarray, shape (k, c)
+        """
         self._first_ns = int(t_ns[0]) if self._first_ns is None else self._first_ns
         if t_ns[0] - self._first_ns < FULL_RATE_NS:
             return t_ns, values

@@ -1,4 +1,4 @@
-"""The viewer's answer to "can I trust it": sensors, clocks, goodness of fit, verdict."""
+"""Drawing of what the trust in a result rests on: sensors, clocks, goodness of fit, verdict."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from monitor.signals import Health
 
 
 class TrustDrawing:
-    """Draws on one recording; lives in the worker's thread."""
+    """Drawing of sensors, clocks, goodness of fit and verdict into one recording, in the worker's thread."""
 
     def __init__(self, scene: Scene, stream: rr.RecordingStream, to: Rows) -> None:
         self._scene, self._stream, self._to = scene, stream, to
-        self._told = False
+        self._has_verdict = False
 
     def begin(self) -> None:
-        """Names and colours."""
+        """Draw the names and the colours."""
         for i, channel in enumerate(self._scene.channels):
             colour = SERIES[i % len(SERIES)]
             for kind in ("rms", "noise_floor", "clipped"):
@@ -32,8 +32,8 @@ class TrustDrawing:
         )
 
     def misfit(self, value: float | None) -> None:
-        """Goodness of fit; the stream stands at the window's end."""
-        if not self._told:
+        """Draw the goodness of fit; the recording's time is the window's end."""
+        if not self._has_verdict:
             self._verdict("No diagnosis was asked for so far.")
         if value is not None:
             lines = (("line", value), ("one", 1.0), ("asks", self._scene.misfit_threshold))
@@ -41,7 +41,7 @@ class TrustDrawing:
                 self._to.scalars(f"/trust/misfit/{name}", size)
 
     def health(self, health: Health) -> None:
-        """A span of the sensors."""
+        """Draw the sensors' health in a span."""
         self._to.at(health.t_end_ns)
         self._to.scalars("/quality/availability", 100.0 * health.availability)
         for c in health.channels:
@@ -49,15 +49,15 @@ class TrustDrawing:
             for kind, value in (("rms", c.rms_m_s2), ("noise_floor", c.noise_floor), ("clipped", 100.0 * c.clipped)):
                 self._to.scalars(f"/quality/{kind}/{name}", value)
 
-    def clocks(self, told: Clocks) -> None:
-        """Offset of every node's clock, ms."""
-        self._stream.set_time("time", timestamp=utc(told.t_ns))
-        for clock in told.clocks:
+    def clocks(self, state: Clocks) -> None:
+        """Draw the offset of every node's clock, ms."""
+        self._stream.set_time("time", timestamp=utc(state.t_ns))
+        for clock in state.clocks:
             path = f"/clock/{rr.escape_entity_path_part(clock.node)}"
             self._stream.log(path, rr.Scalars(1000.0 * clock.offset_s))
 
     def finding(self, finding: dict[str, Any]) -> None:
-        """What a diagnosis said, at the end of its data."""
+        """Draw the finding of a diagnosis at the end of its data."""
         self._stream.set_time("time", timestamp=utc(finding["t_ns"]))
         verdict = finding.get("verdict") or "failed"
         says = finding.get("says") or finding.get("error") or ""
@@ -68,5 +68,6 @@ class TrustDrawing:
         self._stream.log("/events", rr.TextLog(f"diagnosis: {verdict}: {says}", level=rr.TextLogLevel.INFO))
 
     def _verdict(self, text: str) -> None:
-        self._told = True
+        """Draw the text of the verdict."""
+        self._has_verdict = True
         self._stream.log("/verdict", rr.TextDocument(text, media_type="text/markdown"))
