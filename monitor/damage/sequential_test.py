@@ -28,7 +28,7 @@ few for tails of six standard deviations. [s; judgement]"""
 _STD_EXCESS = 1.2
 """A window's own standard deviation counts only beyond this many times the smoothed one. [ratio; simulation: a window's
 standard deviation scatters by 10 to 15 %]"""
-_LOCAL_LOSS_CREDIT = 1.0
+LOCAL_LOSS_CREDIT = 1.0
 """A loss in one story needs this much less evidence than a uniform change, which is the rarer explanation. [standard
 deviations; judgement]"""
 _MAX_DISAGREEMENT = 4.0
@@ -156,7 +156,7 @@ def statistic(means: Array, covariance: Array, model_form: float) -> tuple[Array
     """
     from monitor.damage.kernels import evidence_of_loss  # compiled code takes a while to load
 
-    return evidence_of_loss(means, covariance, model_form, _SIGNIFICANT_STDS, _LOCAL_LOSS_CREDIT)
+    return evidence_of_loss(means, covariance, model_form, _SIGNIFICANT_STDS, LOCAL_LOSS_CREDIT)
 
 
 def shared_change(loss: Array, std: Array) -> float:

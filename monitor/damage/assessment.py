@@ -1,0 +1,402 @@
+"""The state of the structure in one word and one sentence: what a person reads first.
+
+`assess` is the only place that decides it.  Replay, daemon, reports, viewer, messages and metrics show what it says.
+
+A state is the gravest of what holds, in the order of `State`.  Green (`normal`) is said only where a loss smaller than the
+alarm's threshold would have been seen in every story (`damage.detectable_loss`).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+from enum import StrEnum
+from typing import Any
+
+from monitor.core import WHOLE, Level, Skipped
+from monitor.damage.detectable_loss import WITHIN_S
+from monitor.model import FORMS
+
+_UNIT_FACTOR = 10.0
+"""Motion so many times stronger, or weaker, than at calibration asks whether the unit is right. [ratio; definition: g and m/s^2
+differ by 9.8, m/s^2 and gal by 100]"""
+
+
+class State(StrEnum):
+    """What is known of the structure, in rising gravity."""
+
+    NORMAL = "normal"
+    NOT_JUDGED = "not_judged"
+    ADVISORY = "advisory"
+    DOUBTFUL = "doubtful"
+    WARNING = "warning"
+    ALARM = "alarm"
+
+    @property
+    def rank(self) -> int:
+        """0 for normal to 5 for alarm."""
+        return _STATE_RANKS[self]
+
+    @property
+    def words(self) -> str:
+        """The state as people read it."""
+        return self.value.replace("_", " ")
+
+
+_STATE_RANKS = {state: rank for rank, state in enumerate(State)}
+
+
+@dataclass(frozen=True, slots=True)
+class Loss:
+    """The stiffness that a story lost, as its alarm says."""
+
+    level: Level
+    story: int
+    """From 1; `WHOLE` for all stories alike."""
+    ddi: float
+    """Relative loss of stiffness."""
+    ddi_std: float
+    t_first_ns: int
+    t_last_ns: int | None
+    """None while the alarm lasts."""
+
+
+@dataclass(frozen=True, slots=True)
+class WindowFacts:
+    """What the state needs of one window."""
+
+    t_end_ns: int
+    window_s: float
+    skipped: str | None
+    """Why nothing could be said."""
+    active: Mapping[int, Level] = field(default_factory=dict)
+    """Announced level of every story that is not normal."""
+    losses: Mapping[int, tuple[float, float]] = field(default_factory=dict)
+    """Relative loss and its standard deviation, of every active story."""
+    shelved: tuple[int, ...] = ()
+    """Stories whose alarm an operator shelved."""
+    detectable: tuple[float | None, ...] | None = None
+    """Smallest loss of each story that would have been seen; None where none would.  As a whole None without a baseline."""
+    misfit: float | None = None
+    """Goodness of fit of the change since the baseline; 1 is expected."""
+    rms_m_s2: float | None = None
+    """Level of motion, mean over channels."""
+
+
+@dataclass(frozen=True, slots=True)
+class Course:
+    """The windows up to now, as far as the state depends on them."""
+
+    windows: int = 0
+    skipped: int = 0
+    skip_reasons: Mapping[str, int] = field(default_factory=dict)
+    """How many windows were skipped for each reason."""
+    recent: tuple[tuple[int, bool], ...] = ()
+    """End and whether it was judged, of each window of the last hour."""
+    last: WindowFacts | None = None
+    """The latest window."""
+    judged: WindowFacts | None = None
+    """The latest window that was judged."""
+    losses: tuple[Loss, ...] = ()
+    """Every alarm episode at its highest level, in the order in which they began."""
+    misfit_since_ns: int | None = None
+    """End of the first window of the unbroken run of those that stiffness does not explain."""
+    unexplained: float | None = None
+    """Largest goodness of fit of a run that lasted a window's length: data without the onset of a change."""
+    rms_range: tuple[float, float] | None = None
+    """Least and largest level of motion, m/s^2."""
+
+
+@dataclass(frozen=True, slots=True)
+class Known:
+    """What does not change from window to window."""
+
+    names: tuple[str, ...]
+    """Of the stories, as people call them."""
+    has_baseline: bool
+    alarm_loss: float
+    """Loss from which a confirmed one is an alarm."""
+    misfit: float
+    """Goodness of fit from which stiffness explains too little."""
+    level_range_m_s2: tuple[float, float] | None = None
+    """The baseline's."""
+    baseline_doubts: tuple[str, ...] = ()
+    """Why the baseline may not be this structure's."""
+    unwatched: tuple[int, ...] = ()
+    """Stories that the site's owner knows to be unseen."""
+    accepted: tuple[tuple[str, str], ...] = ()
+    """Name and place of the effects that the structure file states."""
+
+
+@dataclass(frozen=True, slots=True)
+class Assessment:
+    """The state, the sentence that stands on top, and what else holds."""
+
+    state: State
+    headline: str
+    doubts: tuple[str, ...] = ()
+
+    @property
+    def content(self) -> dict[str, Any]:
+        """The keys of summary.json."""
+        return {"state": self.state.value, "headline": self.headline, "doubts": list(self.doubts)}
+
+
+def follow(course: Course, window: WindowFacts, misfit: float) -> Course:
+    """Take in a window; `misfit` is the goodness of fit from which stiffness explains too little."""
+    recent = tuple(r for r in course.recent if window.t_end_ns - WITHIN_S * 1e9 < r[0] < window.t_end_ns)
+    course = replace(
+        course,
+        windows=course.windows + 1,
+        recent=(*recent, (window.t_end_ns, window.skipped is None)),
+        last=window,
+        losses=_followed(course.losses, window),
+    )
+    if window.rms_m_s2 is not None:
+        low, high = course.rms_range or (window.rms_m_s2, window.rms_m_s2)
+        course = replace(course, rms_range=(min(low, window.rms_m_s2), max(high, window.rms_m_s2)))
+    if window.skipped is not None:
+        reason = re.sub(r" \(.*", "", window.skipped)  # numbers in brackets differ between windows
+        reasons = {**course.skip_reasons, reason: course.skip_reasons.get(reason, 0) + 1}
+        return replace(course, skipped=course.skipped + 1, skip_reasons=reasons)
+    explained = window.misfit is None or window.misfit <= misfit
+    since_ns = None if explained else min(course.misfit_since_ns or window.t_end_ns, window.t_end_ns)
+    unexplained = course.unexplained
+    if since_ns is not None and window.misfit is not None and window.t_end_ns - since_ns >= window.window_s * 1e9:
+        unexplained = max(unexplained or 0.0, window.misfit)
+    return replace(course, judged=window, misfit_since_ns=since_ns, unexplained=unexplained)
+
+
+def _followed(losses: Sequence[Loss], window: WindowFacts) -> tuple[Loss, ...]:
+    """Begin, raise and end the episodes."""
+    out = []
+    for loss in losses:
+        if loss.t_last_ns is None and loss.story not in window.active:
+            loss = replace(loss, t_last_ns=window.t_end_ns)
+        elif loss.t_last_ns is None and loss.story in window.losses:
+            level, (ddi, std) = window.active[loss.story], window.losses[loss.story]
+            if level.rank >= loss.level.rank and ddi > 2.0 * std:
+                loss = replace(loss, level=level, ddi=ddi, ddi_std=std)
+        out.append(loss)
+    known = {loss.story for loss in out if loss.t_last_ns is None}
+    for story, level in window.active.items():
+        if story not in known and story in window.losses:
+            out.append(Loss(level, story, *window.losses[story], window.t_end_ns, None))
+    return tuple(out)
+
+
+def assess(
+    course: Course, known: Known, findings: Sequence[Mapping[str, Any]] = (), *, whole: bool = False
+) -> Assessment:
+    """Decide the state.
+
+    Parameters
+    ----------
+    course : Course
+        The windows.
+    known : Known
+        Site and baseline.
+    findings : sequence of mappings
+        Results of diagnoses: `verdict`, `says`, `causes`, `alternatives`, `ddi_effect`, `from_ns`, `t_ns`.
+    whole : bool
+        State of a whole recording, alarms that ended and misfits that passed included, in place of the present state.
+
+    Returns
+    -------
+    Assessment
+        With the sentence of the gravest fact as headline.
+    """
+    facts = [
+        *_alarms(course, known, findings, whole),
+        *_doubts(course, known, findings, whole),
+        *_unjudged(course, known),
+    ]
+    remarks = _remarks(course, known, whole)
+    if not facts:
+        return Assessment(State.NORMAL, _sentence(_seen(course, known)), tuple(remarks))
+    facts.sort(key=lambda fact: -fact[0].rank)  # stable: of equals the first stays first
+    (state, headline), *others = facts
+    sentences = [headline, *(sentence for _, sentence in others), *remarks]
+    return Assessment(state, headline, tuple(dict.fromkeys(sentences))[1:])
+
+
+Fact = tuple[State, str]
+
+
+def _alarms(course: Course, known: Known, findings: Sequence[Mapping[str, Any]], whole: bool) -> list[Fact]:
+    """State every alarm that stands or, in a whole recording, that stood."""
+    facts = []
+    losses = [loss for loss in course.losses if whole or loss.t_last_ns is None]
+    for loss in sorted(losses, key=lambda item: (-item.level.rank, -item.ddi)):
+        if loss.story == WHOLE:
+            says = f"every story lost {100 * loss.ddi:.1f} % alike (weather, mass, clock or stiffness)"
+        else:
+            says = f"{_name(loss.story, known)} lost {_percent(loss)} of its stiffness since the baseline"
+            says += ", not confirmed yet" if loss.level is Level.ADVISORY else ""
+        says += "" if loss.t_last_ns is None else f", until {utc(loss.t_last_ns)} UTC"
+        said = _overlapping(loss, findings)
+        facts.append((State(loss.level.value), _sentence(says + (f"; diagnosis: {said}" if said else ""))))
+    return facts
+
+
+def _overlapping(loss: Loss, findings: Sequence[Mapping[str, Any]]) -> str:
+    """Return what the first diagnosis of an alarm's time said, without a full stop; empty without one."""
+    for f in findings:
+        if (
+            loss.t_first_ns <= f["t_ns"]
+            and (loss.t_last_ns is None or f["from_ns"] <= loss.t_last_ns)
+            and f.get("says")
+        ):
+            return str(f["says"]).rstrip(".")
+    return ""
+
+
+def _doubts(course: Course, known: Known, findings: Sequence[Mapping[str, Any]], whole: bool) -> list[Fact]:
+    """State why the damage index cannot be relied on."""
+    says = []
+    if known.has_baseline:
+        says += [f"diagnosis {f.get('id', '')}: {_proposal(f)}" for f in findings if is_open(f, known)]
+        misfit = course.unexplained if whole else None
+        if course.judged is not None and course.judged.misfit is not None and course.judged.misfit > known.misfit:
+            misfit = max(misfit or 0.0, course.judged.misfit)
+        if misfit is not None:
+            says.append(
+                f"a change of stiffness does not explain the modes (goodness of fit {misfit:.3g} where 1 is expected); "
+                "a sensor, a cable or another cause may"
+            )
+        says += _levels(course, known)
+    says += known.baseline_doubts
+    return [(State.DOUBTFUL, _sentence(sentence)) for sentence in says]
+
+
+def is_open(finding: Mapping[str, Any], known: Known) -> bool:
+    """Tell whether a diagnosis found anything but losses of stiffness that nobody has accepted yet."""
+    if finding.get("verdict") not in {"named", "ambiguous", "unexplained"}:
+        return False
+    causes = finding.get("causes") or []
+    accepted = all((c["effect"], c["location"]) in known.accepted for c in causes)
+    losses = all(FORMS[c["effect"]].is_stiffness_loss for c in causes if c["effect"] in FORMS)
+    return finding["verdict"] != "named" or not (accepted or losses)
+
+
+def _proposal(finding: Mapping[str, Any]) -> str:
+    """State a finding, and the damage index that remains if its causes are taken out."""
+    says = str(finding.get("says") or finding["verdict"]).rstrip(".")
+    left = (finding.get("ddi_effect") or {}).get("with") or []
+    if finding["verdict"] != "named" or not left:
+        return f"{says} (not accepted yet)"
+    story = max(range(len(left)), key=lambda j: abs(left[j])) + 1
+    return (
+        f"{says} (a proposal until it is accepted; with it the largest change of stiffness is "
+        f"{-100 * left[story - 1]:+.1f} %, in story {story})"
+    )
+
+
+def _levels(course: Course, known: Known) -> list[str]:
+    """Ask whether the unit is right where the motion is far stronger, or weaker, than at calibration."""
+    if course.rms_range is None or known.level_range_m_s2 is None:
+        return []
+    (least, most), (low, high) = course.rms_range, known.level_range_m_s2
+    if most > _UNIT_FACTOR * high > 0.0:
+        return [
+            f"the motion is {most / high:.3g} times stronger than at calibration: is the unit right, or is it a storm?"
+        ]
+    if 0.0 < least < low / _UNIT_FACTOR:
+        return [
+            f"the motion is {low / least:.3g} times weaker than at calibration: is the unit right, is the sensor fixed?"
+        ]
+    return []
+
+
+def _unjudged(course: Course, known: Known) -> list[Fact]:
+    """State why nothing, or not enough, can be said of damage."""
+    if not known.has_baseline:
+        return [(State.NOT_JUDGED, "No baseline to compare with; make one with 'calibrate'.")]
+    if course.windows == 0:
+        return [(State.NOT_JUDGED, "No window of data yet.")]
+    if course.judged is None or not any(judged for _, judged in course.recent):
+        reason = max(course.skip_reasons, key=lambda r: course.skip_reasons[r], default="")
+        since = "" if course.judged is None else " for an hour"
+        return [(State.NOT_JUDGED, _sentence(f"no window could be judged{since}: {Skipped(reason).mend}"))]
+    unseen = _unseen(course.judged, known)
+    if unseen or course.judged.detectable is None:
+        return [(State.NOT_JUDGED, _sentence(_seen(course, known)))]
+    return []
+
+
+def _unseen(window: WindowFacts, known: Known) -> list[int]:
+    """List the watched stories in which a loss of the alarm's size would not have been seen."""
+    detectable = window.detectable or ()
+    return [
+        j
+        for j, loss in enumerate(detectable, start=1)
+        if j not in known.unwatched and (loss is None or loss >= known.alarm_loss or j in window.shelved)
+    ]
+
+
+def _seen(course: Course, known: Known) -> str:
+    """State the smallest loss that would have been seen, and the stories in which none would."""
+    window = course.judged
+    if window is None or window.detectable is None:
+        return "how small a loss would have been seen is not recorded in these results"
+    unseen = _unseen(window, known)
+    blind = sorted({*unseen, *known.unwatched})
+    losses = [loss for j, loss in enumerate(window.detectable, start=1) if j not in blind and loss is not None]
+    notes = [_why_unseen(j, window, known) for j in blind]
+    if not losses:
+        return "no loss would have been seen: " + "; ".join(notes)
+    where = "any story" if not blind else "any other story"
+    loss = f"no loss above {100 * max(losses):.2g} % in {where}"
+    if unseen:
+        return f"{'; '.join(notes)}; {loss}"
+    return "; ".join([loss, *notes])
+
+
+def _why_unseen(story: int, window: WindowFacts, known: Known) -> str:
+    """State that a story is not seen, and from which loss on it would be."""
+    name = _name(story, known)
+    loss = None if window.detectable is None else window.detectable[story - 1]
+    if story in window.shelved:
+        return f"the alarm of {name} is shelved"
+    if story in known.unwatched:
+        return f"{name} is not watched"
+    if loss is None or loss >= 1.0:
+        return f"{name} is not seen"
+    return f"in {name} only a loss above {100 * loss:.2g} % would be seen"
+
+
+def _remarks(course: Course, known: Known, whole: bool) -> list[str]:
+    """State what else is worth knowing and changes no state."""
+    says = []
+    if course.skipped and course.judged is not None:
+        reasons = "; ".join(f"{n}: {Skipped(reason).mend}" for reason, n in course.skip_reasons.items())
+        says.append(f"{course.skipped} of {course.windows} windows could not be judged ({reasons})")
+    ended = [loss for loss in course.losses if loss.t_last_ns is not None]
+    if ended and not whole:
+        loss = ended[-1]
+        says.append(
+            f"an earlier {loss.level.value} of {_name(loss.story, known)} ({_percent(loss)}) "
+            f"ended {utc(loss.t_last_ns or 0)} UTC"
+        )
+    return [_sentence(sentence) for sentence in says]
+
+
+def _name(story: int, known: Known) -> str:
+    return "every story" if story == WHOLE else known.names[story - 1]
+
+
+def _percent(loss: Loss) -> str:
+    return f"{100 * loss.ddi:.1f} ± {200 * loss.ddi_std:.1f} %"
+
+
+def _sentence(text: str) -> str:
+    """Begin with a capital letter, and end with a full stop or a question mark."""
+    text = text[:1].upper() + text[1:]
+    return text if text.endswith(("?", ".")) else text + "."
+
+
+def utc(t_ns: float) -> str:
+    """Write a time to the minute, ISO 8601 without its zone."""
+    return f"{datetime.fromtimestamp(t_ns * 1e-9, UTC):%Y-%m-%d %H:%M}"

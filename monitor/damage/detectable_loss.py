@@ -1,0 +1,157 @@
+"""The smallest loss of stiffness that the alarm would have seen: what "no alarm" is worth.
+
+A loss of one story appears suddenly.  It is seen if that story's alarm reaches `warning` within a stated time.  The loss that is
+seen with a stated probability follows from the covariance of a window's damage index and from the alarm's own rules, by a
+simulation of the errors of the windows.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+
+from monitor.core import Array, DamageReading
+from monitor.damage.alarm import AlarmSettings
+from monitor.damage.sequential_test import LOCAL_LOSS_CREDIT, STRETCHES, History
+
+PROBABILITY = 0.9
+"""Probability with which the smallest detectable loss is seen. [1; convention: a90 of inspection reliability, MIL-HDBK-1823A]"""
+WITHIN_S = 3600.0
+"""Time after a sudden loss within which it is to be seen. [s; definition: holds the longest stretch, eight windows of 400 s]"""
+_TRIALS = 500
+"""Simulated series of windows. [count; cost: the share seen errs by 1.3 percent]"""
+_LOOKS_A_WINDOW = 20
+"""Looks simulated in a window's length. [count; cost: errors of windows a twentieth apart are correlated by 0.95]"""
+_LN_STEP = 0.05
+"""Step to which the logarithms of standard deviations are rounded, so that one simulation serves many windows. [1; cost: far
+below the scatter of a window's own deviation, 0.13]"""
+_CORRELATION_STEP = 0.1
+"""The same for correlations. [1; cost]"""
+
+
+def smallest_detectable_loss(
+    reading: DamageReading, history: History, seen_s: float, hop_s: float, settings: AlarmSettings
+) -> Array:
+    """Compute the smallest sudden loss of each story that the alarm sees with `PROBABILITY` within `seen_s`.
+
+    Parameters
+    ----------
+    reading : DamageReading
+        Of the latest window.
+    history : History
+        The alarm's, after that window.
+    seen_s : float
+        Length of the data that were judged since the loss, s; at most `WITHIN_S` counts.
+    hop_s : float
+        Time between windows, s.
+    settings : AlarmSettings
+        The alarm's thresholds.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Relative losses of stiffness (0.02 = 2 %); infinite where no loss can be confirmed: too few windows, or modes that say
+        next to nothing of the story.
+    """
+    common = np.atleast_2d(reading.common_covariance)
+    own = reading.ddi_covariance - common - reading.form_variance * np.eye(reading.ddi.size)
+    own_std = np.exp(0.5 * history.ln_variance)
+    window_s = history.window_ns * 1e-9
+    common_std = np.sqrt(np.maximum(np.diag(common), 1e-24))
+    loss = _simulated(
+        _steps(own_std),
+        _steps(common_std),
+        _correlation(own),
+        _correlation(common),
+        round(max(hop_s / window_s, 1.0 / _LOOKS_A_WINDOW), 6),
+        int((min(seen_s, WITHIN_S) + 1e-6) // window_s),
+        settings.significance,
+        max(settings.model_form, reading.model_form),
+        settings.min_loss,
+    ).copy()
+    loss[[j - 1 for j in reading.unidentified]] = np.inf
+    return loss
+
+
+def _steps(std: Array) -> tuple[int, ...]:
+    """Round the logarithms of standard deviations."""
+    return tuple(int(v) for v in np.rint(np.log(std) / _LN_STEP))
+
+
+def _correlation(covariance: Array) -> tuple[int, ...]:
+    """Round the correlations of a covariance, row by row."""
+    std = np.sqrt(np.maximum(np.diag(covariance), 1e-24))
+    return tuple(int(v) for v in np.rint(covariance / np.outer(std, std) / _CORRELATION_STEP).ravel())
+
+
+def _covariance(steps: tuple[int, ...], correlation: tuple[int, ...]) -> Array:
+    """Make the nearest covariance of rounded standard deviations and correlations."""
+    std, n = np.exp(np.array(steps) * _LN_STEP), len(steps)
+    values, vectors = np.linalg.eigh(np.clip(np.reshape(correlation, (n, n)) * _CORRELATION_STEP, -1.0, 1.0))
+    rho = (vectors * np.maximum(values, 1e-6)) @ vectors.T
+    return np.asarray(rho * np.outer(std, std) / np.sqrt(np.outer(np.diag(rho), np.diag(rho))))
+
+
+@lru_cache(maxsize=256)
+def _simulated(
+    own_steps: tuple[int, ...],
+    common_steps: tuple[int, ...],
+    own_correlation: tuple[int, ...],
+    common_correlation: tuple[int, ...],
+    hop: float,
+    windows: int,
+    significance: float,
+    model_form: float,
+    min_loss: float,
+) -> Array:
+    """Simulate windows' errors and find the loss that is seen in a share `PROBABILITY` of trials, shape (n,).
+
+    `hop` is the time between looks and `windows` the length of the data after the loss, both in window lengths.
+    """
+    own, common = _covariance(own_steps, own_correlation), _covariance(common_steps, common_correlation)
+    n, rng = len(own), np.random.default_rng(0)
+    apart, longest = max(1, round(1.0 / hop)), max(STRETCHES)  # looks in a window
+    looks = np.arange(1, windows * apart + 1)
+    if looks.size < 2:  # nothing can be confirmed by one look
+        return np.full(n, np.inf)
+    before = longest * apart  # increments of the healthy data before the loss
+    increments = rng.standard_normal((_TRIALS, before + looks.size, n)) @ np.linalg.cholesky(own).T * np.sqrt(apart)
+    total = np.concatenate([np.zeros((_TRIALS, 1, n)), np.cumsum(increments, axis=1)], axis=1)
+    off = rng.standard_normal((_TRIALS, 1, n)) @ np.linalg.cholesky(common).T
+    wanted = np.full((_TRIALS, looks.size, n), np.inf)
+    for stretch in STRETCHES:
+        error = (total[:, before + looks] - total[:, before + looks - stretch * apart]) / (stretch * apart) + off
+        loss = np.maximum(_needed(error, own / stretch + common, significance, model_form), min_loss - error)
+        share = np.minimum(looks / (stretch * apart), 1.0)  # of the stretch that lies behind the loss
+        wanted = np.minimum(wanted, loss / share[:, None])
+    confirmed = np.maximum(wanted[:, 1:], wanted[:, :-1])  # still significant at the next look
+    return np.asarray(np.quantile(confirmed.min(axis=1), PROBABILITY, axis=0))
+
+
+def _needed(error: Array, covariance: Array, significance: float, model_form: float) -> Array:
+    """Compute the loss of each story alone at which the alarm's statistic is significant, beside errors of means.
+
+    Parameters
+    ----------
+    error : ndarray, shape (trials, looks, n)
+        Errors of the means, whose covariance is `covariance`, shape (n, n).
+
+    Returns
+    -------
+    ndarray, shape (trials, looks, n)
+    """
+    n = len(covariance)
+    std = np.sqrt(np.diag(covariance))
+    against_none = significance * std - error
+    if n == 1:
+        return against_none
+    # Against "all stories changed alike": the loss of the others may be this story's, by the model's form.
+    contrast = np.eye(n) - (1.0 - np.eye(n)) / std**2 / ((1.0 - np.eye(n)) / std**2).sum(axis=1, keepdims=True)
+    threshold = significance - LOCAL_LOSS_CREDIT
+    square = threshold**2 * np.einsum("ij,jk,ik->i", contrast, covariance, contrast)
+    leak = 1.0 - threshold**2 * model_form**2 * ((contrast**2).sum(axis=1) - 1.0)
+    about = -error @ contrast.T
+    root = np.sqrt(np.maximum(about**2 - leak * (about**2 - square), 0.0))
+    against_alike = np.where(leak > 0.0, (about + root) / np.where(leak > 0.0, leak, 1.0), np.inf)
+    return np.asarray(np.maximum(against_none, against_alike))
