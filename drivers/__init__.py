@@ -1,1 +1,1 @@
-"""Sources of sample blocks: files now, buses next.  Knows nothing of ``monitor``."""
+"""Sources of sample blocks: recordings, CAN and Zenoh.  This package imports nothing of ``monitor``."""

@@ -1,4 +1,4 @@
-"""The vocabulary between a driver and whoever reads it: one block of samples, and what can go wrong."""
+"""Interface between a driver and its reader: the block of samples, the source, its health and its errors."""
 
 from __future__ import annotations
 
@@ -23,21 +23,27 @@ UNITS = ("m/s^2", "degC")
 
 @dataclass(frozen=True, eq=False, slots=True)
 class SampleBlock:
-    """A run of consecutive samples of some channels, all taken on one clock.
+    """Block of consecutive samples of some channels, all taken on one clock.
 
     Raises
     ------
     ValueError
         If shape, rate, unit or counters contradict each other.
+
+    Examples
+    --------
+    >>> block = SampleBlock(ACCELERATION, 0, 0, 100.0, ("a1", "a2"), "m/s^2", np.zeros((50, 2), np.float32))
+    >>> block.n_samples
+    50
     """
 
     topic: str
     t_ns: int
     """UTC of the first sample, nanoseconds since the epoch."""
     sequence: int
-    """Index of the first sample since the stream began; a jump is a gap."""
+    """Index of the first sample, counted from the start of the stream; a jump means a gap."""
     sample_rate_hz: float
-    """Nominal rate."""
+    """Nominal sample rate."""
     channels: tuple[str, ...]
     """Channel names in column order."""
     unit: str
@@ -62,26 +68,27 @@ class SampleBlock:
 
 @dataclass(frozen=True, slots=True)
 class ClockHealth:
-    """A sensor node's clock against this machine's (or the recording's) UTC."""
+    """Offset and drift of a sensor node's clock against UTC of this machine or of the recording."""
 
     node: str
     """Channel, CAN identifier or key that the clock belongs to."""
     offset_s: float
-    """UTC of arrival minus the time that samples carry, smoothed."""
+    """UTC of arrival minus the time that the samples carry, smoothed."""
     drift_ppm: float
-    """How much faster than nominal the node samples."""
+    """Excess of the node's sample rate over the nominal rate."""
     drift_std_ppm: float
+    """Standard deviation of `drift_ppm`."""
     steps: int
-    """Jumps seen."""
+    """Number of clock jumps so far."""
 
 
 @dataclass(frozen=True, slots=True)
 class SourceHealth:
-    """What a source has seen since it was made; counts only grow."""
+    """Event counts and clocks of a source since its construction; the counts never decrease."""
 
     connected: bool
     counts: Mapping[str, int]
-    """Event -> times, as ``samples``, ``lost_samples``, ``repeated``, ``foreign``, ``undecodable``, ``error_frames``."""
+    """Event -> count, as ``samples``, ``lost_samples``, ``repeated``, ``foreign``, ``undecodable``, ``error_frames``."""
     clocks: tuple[ClockHealth, ...] = ()
     detail: str = ""
     """One sentence on the present state."""
@@ -89,64 +96,64 @@ class SourceHealth:
 
 @dataclass(frozen=True, slots=True)
 class SourceContext:
-    """What a driver is told besides its own table of the site file."""
+    """Arguments of a driver besides its own table of the site file."""
 
     channels: tuple[str, ...]
-    """The structure file's channels, in order."""
+    """Channels of the structure file, in order."""
     folder: Path = field(default_factory=Path)
-    """Where relative paths of the site file begin."""
+    """Folder to which paths in the site file are relative."""
     known_ns: int = 0
-    """UTC up to which samples were taken in by an earlier run; a recording as source goes on from there."""
+    """UTC up to which an earlier run has evaluated the samples; a recording as source continues from there."""
 
 
 class Source(Protocol):
-    """What a reader thread needs of a driver.
+    """Interface of a driver, as its reader thread uses it.
 
     A driver is a class ``Driver(settings, context)`` that opens nothing before `open`, with a class attribute
     ``Settings``: a frozen pydantic model of its ``[source]`` table that forbids unknown keys.
     """
 
     def open(self) -> None:
-        """Connect; called again after a `SourceError` to reconnect, with all counts kept.
+        """Connect to the source; another call after a `SourceError` reconnects and keeps all counts.
 
         Raises
         ------
         SourceError
-            It cannot be reached now.
+            If the source cannot be reached now.
         """
 
     def read(self, timeout_s: float) -> SampleBlock | None:
-        """The next block; None if none came in time.
+        """Return the next block, or None if no block arrives within `timeout_s`.
 
         Raises
         ------
         EndOfStream
-            Nothing will ever come again (a file's end).
+            If the source has ended for good (the end of a file).
         SourceError
-            The source failed; reopening may help.
+            If the source failed; reopening may help.
         """
 
     def health(self) -> SourceHealth:
-        """Counts and clocks so far; may be called from any thread."""
+        """Return counts and clocks so far; may be called from any thread."""
 
     def close(self) -> None:
-        """Release everything; calling it twice does no harm.
+        """Release all resources; a second call does no harm.
 
-        What had arrived may still be handed out by `read`, which then raises `EndOfStream` or `SourceError`.
+        `read` may still return blocks that had arrived, and then raises `EndOfStream` or `SourceError`.
         """
 
 
 class SourceError(Exception):
-    """A source failed; the caller may reopen it (bus off, router gone, cable out)."""
+    """Failure of a source that the caller may reopen (bus off, router gone, cable out)."""
 
 
 class EndOfStream(Exception):  # noqa: N818 - an event, not an error
-    """The source has given all that it has."""
+    """End of a source: no block will follow."""
 
 
 class RecordingError(Exception):
-    """The bytes of a recording cannot be used: damaged, foreign, wrong unit.  The message names file and mend."""
+    """Error of a recording whose bytes cannot be used: damaged, foreign, wrong unit.  The message names file and remedy."""
 
 
 class RecordingMissingError(RecordingError):
-    """The named recording does not exist, cannot be opened, or is a directory."""
+    """Error of a recording that does not exist, cannot be opened, or is a directory."""

@@ -1,4 +1,4 @@
-"""CAN as a source: any interface of python-can, or a log file, through a DBC to blocks of samples."""
+"""CAN source: frames of any interface of python-can, or of a log file, decoded by a DBC to blocks of samples."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _WAIT_S = 0.2
 
 
 class CanSource:
-    """Frames of the DBC's messages as blocks (`drivers.base.Source`).
+    """Source of blocks from the frames of a DBC's messages (`drivers.base.Source`).
 
     Raises
     ------
@@ -53,7 +53,7 @@ class CanSource:
         self._samples = 0
 
     def open(self) -> None:
-        """Connect, or open the log file."""
+        """Connect to the bus, or open the log file."""
         self.close()
         self._failed = ""
         if self._settings.interface == "log":
@@ -65,7 +65,10 @@ class CanSource:
         self._joiner.reset()
 
     def read(self, timeout_s: float) -> SampleBlock | None:
-        """The next block; shorter than `block_samples` where samples are lost or the bus is slow."""
+        """Return the next block, shorter than `block_samples` where samples are lost or the bus is slow.
+
+        Returns None if no block is complete within `timeout_s`.
+        """
         deadline = monotonic() + timeout_s
         while not self._ready:
             if self._failed:
@@ -81,7 +84,7 @@ class CanSource:
         return self._ready.popleft() if self._ready else None
 
     def health(self) -> SourceHealth:
-        """Counts and clocks so far."""
+        """Return counts and clocks so far."""
         counts = dict(self._counts)
         counts["samples"] = self._samples
         for node in self._nodes:
@@ -103,10 +106,10 @@ class CanSource:
         return SourceHealth(connected and not self._failed, counts, clocks, self._failed or self._detail())
 
     def close(self) -> None:
-        """Leave the bus; `read` still hands out what had arrived."""
+        """Leave the bus; `read` still returns blocks that had arrived."""
         bus, self._bus, self._log = self._bus, None, None
         if self._pending:
-            self._process()
+            self._process_frames()
         if self._file is not None:
             self._file.close()
         if bus is not None:
@@ -114,39 +117,42 @@ class CanSource:
                 bus.shutdown()
 
     def _detail(self) -> str:
-        said = [self._joiner.detail] if len(self._nodes) > 1 and self._joiner.detail else []
+        """Describe the alignment of the nodes, and the nodes that do not run in real time."""
+        notes = [self._joiner.detail] if len(self._nodes) > 1 and self._joiner.detail else []
         free = [n.layout.name for n in self._nodes if len(n.clock.offsets) >= 5 and not n.clock.real_time]
         if free:
-            said.append(f"{', '.join(free)} does not run in real time at the nominal rate: time is its count")
-        return "; ".join(said)
+            notes.append(f"{', '.join(free)} does not run in real time at the nominal rate: time is its count")
+        return "; ".join(notes)
 
     def _receive(self, bus: can.BusABC, deadline: float) -> bool:
-        """Take frames until a block's worth is there; False if the time is over first."""
-        seen = 0
+        """Receive frames until they fill a block; False if the deadline passes first."""
+        n_received = 0
         try:
             while self._pending < self._batch:
                 message = bus.recv(max(0.0, min(_WAIT_S, deadline - monotonic())))
-                seen += 1
+                n_received += 1
                 if message is not None:
-                    self._sort(message)
+                    self._accept_frame(message)
                 elif hung_up(bus):
                     self._failed = "the server closed the connection"
                 if self._failed:
                     break
-                if (message is None or seen % 64 == 0) and monotonic() >= deadline:
-                    # Not in small pieces, if the caller is impatient.
+                if (message is None or n_received % 64 == 0) and monotonic() >= deadline:
+                    # A short timeout of the caller must not give small blocks: frames stay pending up to `_patience_s`.
                     if not self._pending or monotonic() - self._since < self._patience_s():
                         return False
                     break
         except (can.CanError, OSError, ValueError) as error:
             self._failed = str(error).splitlines()[0] if str(error) else type(error).__name__
-        self._process()
+        self._process_frames()
         return bool(self._ready or self._failed) or monotonic() < deadline
 
     def _patience_s(self) -> float:
+        """Return the longest wait for a whole block, s: two block lengths, at most 0.25 s."""
         return min(0.25, 2.0 * self._settings.block_samples / self._settings.sample_rate_hz)
 
     def _read_log(self) -> None:
+        """Read frames from the log until they fill a block or the log ends."""
         assert self._log is not None
         try:
             while self._pending < self._batch:
@@ -154,14 +160,15 @@ class CanSource:
                 if message is None:
                     self._ended = True
                     break
-                self._sort(message, fatal=False)
+                self._accept_frame(message, fatal=False)
         except PARSE_ERRORS as error:
             self._counts["undecodable"] += 1
             self._joiner.detail = f"the log is damaged: {error or type(error).__name__}"
             self._ended = True
-        self._process(everything=self._ended)
+        self._process_frames(everything=self._ended)
 
-    def _sort(self, message: can.Message, *, fatal: bool = True) -> None:
+    def _accept_frame(self, message: can.Message, *, fatal: bool = True) -> None:
+        """Count a frame and pass it to its node; with `fatal`, bus off is a failure of the source."""
         if message.is_error_frame:
             self._counts["error_frames"] += 1
             kind = message.arbitration_id
@@ -176,7 +183,7 @@ class CanSource:
             self._counts["foreign"] += 1
             return
         n, data = node.layout.n_bytes, message.data
-        # FD frames come in certain lengths only and are padded.
+        # FD frames have certain lengths only and are padded.
         if message.is_remote_frame or len(data) < n or (len(data) > n and n < 8):
             self._counts["undecodable"] += 1
             return
@@ -187,17 +194,17 @@ class CanSource:
         node.frames.append(bytes(data[:n]))
         node.times.append(message.timestamp)
 
-    def _process(self, *, everything: bool = False) -> None:
-        """Frames to blocks."""
+    def _process_frames(self, *, everything: bool = False) -> None:
+        """Decode the pending frames to blocks."""
         self._pending = 0
         try:
-            self._cut(self._joiner.join(everything=everything))
+            self._append_blocks(self._joiner.join(everything=everything))
         except SourceError as error:
             self._failed = str(error)
             self._ended = self._log is not None
 
-    def _cut(self, rows: Rows) -> None:
-        """Blocks of consecutive samples under one anchor."""
+    def _append_blocks(self, rows: Rows) -> None:
+        """Cut rows into blocks of consecutive samples that have the same anchor of time."""
         index, samples = rows
         line = self._nodes[0].line
         if line is None:

@@ -1,4 +1,4 @@
-"""Opens what CAN frames come from: a bus of python-can, or a log file."""
+"""Opens the origin of CAN frames: a bus of python-can, or a log file."""
 
 from __future__ import annotations
 
@@ -31,53 +31,60 @@ PARSE_ERRORS = (
     can.CanError,
     can.io.blf.BLFParseError,
 )
-"""What python-can's readers raise on a damaged log."""
+"""Errors that python-can's readers raise on a damaged log."""
 LOG_SUFFIXES = (".blf", ".asc", ".log", ".trc", ".mf4")
 
 
 class CanSettings(BaseModel):
-    """``[source]`` with ``kind = "can"``."""
+    """Table ``[source]`` with ``kind = "can"``."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     kind: Literal["can"] = "can"
     interface: str = Field(min_length=1)
-    """Of python-can, as socketcan, socketcand, slcan; or "log", then `channel` is a file."""
+    """Interface of python-can, as socketcan, socketcand, slcan; or "log" if `channel` is a file."""
     channel: str | int
-    """The interface's channel, as ``can0``."""
+    """Channel of the interface, as ``can0``."""
     options: dict[str, Any] = Field(default_factory=dict)
-    """Handed to python-can as they are."""
+    """Further options, passed to python-can unchanged."""
     dbc: str = Field(min_length=1)
-    """What frames mean; relative to the site file."""
+    """DBC file that describes the frames; relative to the site file."""
     sample_rate_hz: Annotated[float, Field(gt=0, le=1e6)]
-    """Nominal, of each channel."""
+    """Nominal sample rate of each channel."""
     block_samples: Annotated[int, Field(ge=1, le=65536)] = 128
-    """Of each block that is handed on."""
+    """Number of samples in a block."""
     fd: bool = False
-    """CAN FD."""
+    """Use CAN FD."""
     receive_buffer_bytes: Annotated[int, Field(ge=4096)] = 1 << 22
-    """Of the socket, where the interface has one."""
+    """Size of the socket's receive buffer, where the interface has a socket."""
     counter_counts: Literal["samples", "frames"] = "samples"
-    """What the signal `counter` counts, for frames of several samples."""
+    """Unit in which the signal `counter` counts, for frames of several samples."""
     realign: bool = False
-    """Nodes whose counts differ are shifted by whole samples instead of refused."""
+    """Shift nodes whose counters differ, by whole samples, instead of refusing them."""
 
 
 def open_bus(settings: CanSettings, ids: tuple[tuple[int, bool], ...]) -> can.BusABC:
-    """The bus; kernel or hardware, if they can, let pass the given identifiers (and whether they are extended) only.
+    """Open the bus; kernel or hardware, where possible, filter the frames by identifier.
+
+    Parameters
+    ----------
+    settings
+        Interface, channel and options.
+    ids
+        Identifiers to receive, each with a flag for an extended identifier.
 
     Raises
     ------
     SourceError
-        If it cannot be opened now.
+        If the bus cannot be opened now.
     """
     if settings.interface == "socketcand":
-        _knock(settings.options.get("host"), settings.options.get("port"))
+        _require_server(settings.options.get("host"), settings.options.get("port"))
     masks: list[Any] = [{"can_id": i, "can_mask": 0x1FFFFFFF if ext else 0x7FF, "extended": ext} for i, ext in ids]
     options: dict[str, Any] = {**({"fd": True} if settings.fd else {}), **settings.options}
     try:
         bus = can.Bus(interface=settings.interface, channel=settings.channel, **options)
-        # Where python-can would filter itself, it would save nothing and keep back error frames.
+        # Filters in python-can itself would save nothing and would suppress error frames.
         if type(bus)._apply_filters is not can.BusABC._apply_filters:
             bus.set_filters(masks)
     except (can.CanError, OSError, ValueError, TypeError, ImportError) as error:
@@ -89,11 +96,14 @@ def open_bus(settings: CanSettings, ids: tuple[tuple[int, bool], ...]) -> can.Bu
     return bus
 
 
-def _knock(host: object, port: object) -> None:
-    """See that a server answers: python-can's client would try in a busy loop, and wait for the answer for ever."""
+def _require_server(host: object, port: object) -> None:
+    """Check that a socketcand server answers: python-can's client would retry in a busy loop and wait forever.
+
+    Raises SourceError if no server answers.
+    """
     if not (isinstance(host, str) and isinstance(port, int)):
         raise SourceError("socketcand needs options = {host = ..., port = ...}")
-    # It also warns of every frame that two packets share.
+    # python-can's client also warns of every frame that is split over two packets.
     logging.getLogger("can.interfaces.socketcand").setLevel(logging.CRITICAL)
     try:
         with socket.create_connection((host, port), timeout=2.0) as probe:
@@ -104,12 +114,19 @@ def _knock(host: object, port: object) -> None:
 
 
 def open_log(path: Path) -> tuple[IO[Any], Iterator[can.Message]]:
-    """A log file of CAN frames, to be closed by the caller, and its frames with absolute times.
+    """Open a log file of CAN frames; the caller closes the file.
+
+    Returns
+    -------
+    file
+        Open file.
+    frames
+        Iterator of its frames, with absolute times.
 
     Raises
     ------
     SourceError
-        If it cannot be read; the message names file and mend.
+        If the log cannot be read; the message names file and remedy.
     """
     reader = MESSAGE_READERS.get(path.suffix.lower())
     if path.suffix.lower() not in LOG_SUFFIXES or reader is None:
@@ -130,7 +147,7 @@ def open_log(path: Path) -> tuple[IO[Any], Iterator[can.Message]]:
 
 
 def hung_up(bus: can.BusABC) -> bool:
-    """Whether the server is gone, which python-can's socketcand client does not notice."""
+    """Test whether the server has closed the connection, which python-can's socketcand client does not notice."""
     peer = getattr(bus, "_SocketCanDaemonBus__socket", None)
     if peer is None:
         return False

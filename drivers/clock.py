@@ -1,7 +1,8 @@
-"""A node's clock: its sample counter against timestamps, and from counters to UTC.  Pure: time arrives as data.
+"""Clock of a sensor node: offset and drift of its sample counter against timestamps, and conversion of counters to UTC.
 
-Timestamps say when a frame arrived, never before its sample was taken.  So the earliest of each second of data bounds
-the node's clock from above, and a line through these is its offset and drift.
+The functions are pure: time arrives as data.  A timestamp says when a frame arrived, which is never before its sample was
+taken.  The smallest offset of each second of data is therefore an upper bound of the node's clock offset, and a straight
+line through these bounds gives offset and drift.
 """
 
 from __future__ import annotations
@@ -15,59 +16,86 @@ Ints = NDArray[np.int64]
 Floats = NDArray[np.float64]
 
 KEEP = 600
-"""Seconds of data that the fit remembers."""
+"""Seconds of data that the fit uses."""
 STEP_S = 0.1
-"""Timestamps that jump by more, for two seconds of data running, have stepped."""
+"""Jump of the timestamps, s, beyond which they have stepped, if it lasts for two consecutive seconds of data."""
 REAL_TIME_PPM = 1000.0
-"""A stream within this of its nominal rate runs in real time; of any other, only the counter is time."""
+"""Deviation from the nominal rate within which a stream runs in real time; the time of any other stream is its counter."""
 REANCHOR_S = 0.25
-"""Offset beyond which block times follow the timestamps."""
+"""Offset, s, beyond which block times follow the timestamps."""
 MAX_SHIFT_S = 0.5
-"""They follow by no more than this at a time, so that no sample is lost for it."""
+"""Greatest shift of the block times at once, s, so that the shift loses no sample."""
 LOST_S = 10.0
-"""An offset beyond this is no drift: taken over whole, which is a gap."""
+"""Offset, s, that is too large for drift: block times take it over in one step, which is a gap."""
 _SETTLED = 5
+"""Seconds of data before block times may follow the timestamps, and of the median that is the recent offset."""
 _PACE = 60
+"""Seconds of data over which the pace of a stream is judged."""
 _JITTER_S = 0.02
+"""Jitter of arrival, s, that the judgement of the pace allows."""
 
 
 @dataclass(frozen=True, slots=True)
 class ClockState:
-    """What is known of one node's clock; offsets in s, timestamp less counted time."""
+    """State of one node's clock; an offset is a timestamp minus the counted time, s."""
 
     index: int = 0
-    """Sample that counted time begins with."""
+    """Index of the sample at which counted time begins."""
     t_s: float = 0.0
-    """Its timestamp."""
+    """Timestamp of that sample, s."""
     second: int = -1
-    """Of data, the one not yet over; -1 before the first sample."""
+    """Number of the second of data that is not yet complete; -1 before the first sample."""
     least: float = np.inf
-    """The smallest offset in it."""
+    """Smallest offset in that second, s."""
     seconds: tuple[int, ...] = ()
+    """Numbers of the complete seconds."""
     offsets: tuple[float, ...] = ()
-    """The smallest of each second gone by."""
+    """Smallest offset of each complete second, s."""
     strayed: tuple[tuple[int, float], ...] = ()
-    """A second that was off by more than `STEP_S`, until the next one tells what it was."""
+    """Latest second with its offset, if off by more than `STEP_S`; the next second decides between an outlier and a step."""
     steps: int = 0
+    """Number of clock steps so far."""
     real_time: bool = False
-    """Whether timestamps tell how much was lost."""
+    """True if timestamps tell how much was lost."""
 
 
 @dataclass(frozen=True, slots=True)
 class ClockFit:
-    """Offset and drift as of the last full second of data."""
+    """Offset and drift of a clock at the last complete second of data."""
 
     offset_s: float
-    """Timestamp less counted time."""
+    """Timestamp minus counted time."""
     drift_ppm: float
-    """How much faster than nominal the node samples."""
+    """Excess of the node's sample rate over the nominal rate."""
     drift_std_ppm: float
+    """Standard deviation of `drift_ppm`; infinite if unknown."""
 
 
 def step(
     state: ClockState, line: Timeline | None, indices: Ints, times_s: Floats, rate_hz: float
 ) -> tuple[ClockState, Timeline | None]:
-    """Take in the timestamps of some samples, both of shape (n,); `line`, if given, follows them where it must."""
+    """Update the state of a clock with the timestamps of some samples, and re-anchor the timeline where needed.
+
+    Parameters
+    ----------
+    state : ClockState
+        State before these samples.
+    line : Timeline, optional
+        Timeline of the node.
+    indices : array, shape (n,)
+        Sample indices.
+    times_s : array, shape (n,)
+        Timestamps of these samples, s.
+    rate_hz : float
+        Nominal sample rate, Hz.
+
+    Returns
+    -------
+    ClockState
+        State after these samples.
+    Timeline or None
+        Timeline, re-anchored if the timestamps have left it.
+    """
     if not len(indices):
         return state, line
     if state.second < 0:
@@ -82,16 +110,16 @@ def step(
         if second == state.second:
             state = replace(state, least=min(least, state.least))
         elif second > state.second:
-            state = replace(_close(state), second=second, least=least)
-            # One second ahead, so that it falls on the same sample however frames are cut into batches.
+            state = replace(_close_second(state), second=second, least=least)
+            # One second ahead, so that the new anchor begins at the same sample however frames are cut into batches.
             line = line and reanchor(line, state, state.index + (second + 1) * length)
     return state, line
 
 
-def _close(state: ClockState) -> ClockState:
-    """A second of data is over."""
+def _close_second(state: ClockState) -> ClockState:
+    """Complete the present second of data: keep its smallest offset, and detect a clock step."""
     new = (state.second, state.least)
-    if not state.real_time or abs(state.least - _recent(state)) <= STEP_S:
+    if not state.real_time or abs(state.least - _recent_offset_s(state)) <= STEP_S:
         seconds, offsets = (*state.seconds, new[0])[-KEEP:], (*state.offsets, new[1])[-KEEP:]
         state = replace(state, seconds=seconds, offsets=offsets, strayed=())
     elif not state.strayed:
@@ -105,29 +133,33 @@ def _close(state: ClockState) -> ClockState:
             offsets=(old[1], new[1]),
             strayed=(),
             steps=state.steps + stepped,
-            real_time=stepped,  # else its pace has changed
+            real_time=stepped,  # otherwise the pace has changed
         )
     if len(state.offsets) < 3:
         return state
-    real_time = _runs_true(state)
-    if real_time and not state.real_time:  # what was before says nothing of the pace now
+    real_time = _runs_in_real_time(state)
+    if real_time and not state.real_time:  # earlier offsets say nothing about the present pace
         state = replace(state, seconds=state.seconds[-_PACE:], offsets=state.offsets[-_PACE:])
     return replace(state, real_time=real_time)
 
 
-def _recent(state: ClockState) -> float:
+def _recent_offset_s(state: ClockState) -> float:
+    """Compute the median of the latest `_SETTLED` offsets, s."""
     return float(np.median(state.offsets[-_SETTLED:]))
 
 
-def _runs_true(state: ClockState) -> bool:
-    """Whether counter and timestamps ran alike of late, but for the jitter of arrival."""
+def _runs_in_real_time(state: ClockState) -> bool:
+    """Test whether counter and timestamps agree over the latest `_PACE` seconds, apart from the jitter of arrival."""
     first = max(-_PACE, -len(state.offsets))
     span, moved = state.seconds[-1] - state.seconds[first], state.offsets[-1] - state.offsets[first]
     return abs(moved) <= REAL_TIME_PPM * 1e-6 * span + _JITTER_S
 
 
 def fit(state: ClockState, rate_hz: float) -> ClockFit:
-    """Straight line through the seconds' smallest offsets; those far above it (a second of late frames) are left out."""
+    """Fit a straight line through the smallest offsets of the seconds.
+
+    Offsets far above the line, as of a second in which all frames were late, are left out.
+    """
     n = len(state.offsets)
     if n < 3:
         least = min((*state.offsets, state.least))
@@ -137,19 +169,22 @@ def fit(state: ClockState, rate_hz: float) -> ClockFit:
     t = t - t[-1]
     keep = np.ones(n, dtype=bool)
     for _ in range(3):
-        mean, slope, std = _line(t[keep], y[keep])
-        miss = y - (mean + slope * t)
-        keep = miss <= max(3.0 * 1.4826 * float(np.median(np.abs(miss))), 1e-6)
+        mean, slope, std = _fit_line(t[keep], y[keep])
+        residuals = y - (mean + slope * t)
+        keep = residuals <= max(3.0 * 1.4826 * float(np.median(np.abs(residuals))), 1e-6)
         if keep.sum() < 3:
             break
-    if slope <= -1.0:  # times that stand still or run back say nothing of the rate
+    if slope <= -1.0:  # timestamps that stand still or run backwards say nothing about the rate
         return ClockFit(mean, 0.0, np.inf)
     drift = 1.0 / (1.0 + slope) - 1.0
     return ClockFit(mean, 1e6 * drift, 1e6 * std)
 
 
-def _line(t: Floats, y: Floats) -> tuple[float, float, float]:
-    """Value at t = 0, slope, and the slope's standard deviation."""
+def _fit_line(t: Floats, y: Floats) -> tuple[float, float, float]:
+    """Fit a line by least squares; `t` and `y` of shape (n,).
+
+    Returns the value at t = 0, the slope, and the standard deviation of the slope.
+    """
     n, middle = len(t), t.mean()
     sxx = float(((t - middle) ** 2).sum()) or 1.0
     slope = float(((t - middle) * (y - y.mean())).sum()) / sxx
@@ -160,48 +195,54 @@ def _line(t: Floats, y: Floats) -> tuple[float, float, float]:
 
 @dataclass(frozen=True, slots=True)
 class Timeline:
-    """Sample index to UTC: whole counts of the nominal period from an anchor, whatever frames arrived when."""
+    """Conversion of sample indices to UTC: whole nominal periods from an anchor, independent of the times of arrival."""
 
     index: int
+    """Sample index of the anchor."""
     t_ns: int
+    """UTC of the anchor, ns."""
     rate_hz: float
+    """Nominal sample rate, Hz."""
     shifts: tuple[tuple[int, int], ...] = ()
-    """The last re-anchorings: from this sample on, this much later (ns) than by the first anchor."""
+    """Latest re-anchorings: index of the first sample, and its delay against the first anchor, ns."""
 
     def at(self, index: int) -> int:
-        """UTC of a sample, nanoseconds."""
+        """Compute the UTC of a sample, ns."""
         shift = next((ns for first, ns in reversed(self.shifts) if index >= first), 0)
         return self.counted(index) + shift
 
     def counted(self, index: int) -> int:
-        """UTC of a sample by the first anchor."""
+        """Compute the UTC of a sample by the first anchor alone, ns."""
         return self.t_ns + round((index - self.index) / self.rate_hz * 1e9)
 
     def next_shift(self, index: int) -> int | None:
-        """The first sample beyond `index` with another anchor."""
+        """Return the first sample beyond `index` that has another anchor; None if there is none."""
         return next((first for first, _ in self.shifts if first > index), None)
 
     @property
     def shift_ns(self) -> int:
-        """Of the last re-anchoring."""
+        """Delay of the latest re-anchoring against the first anchor, ns."""
         return self.shifts[-1][1] if self.shifts else 0
 
 
 def reanchor(line: Timeline, state: ClockState, first: int) -> Timeline:
-    """Follow the timestamps, from sample `first` on, if they have left the count.
+    """Shift the timeline towards the timestamps from sample `first` on, if they differ by more than `REANCHOR_S`.
 
-    A stream faster or slower than the clock keeps the time of its counter.
+    A stream that does not run in real time keeps the time of its counter.
     """
     if not (state.real_time and len(state.offsets) >= _SETTLED and not state.strayed):
         return line
-    off = _recent(state) + origin_s(line, state)
+    off = _recent_offset_s(state) + origin_s(line, state)
     if abs(off) <= REANCHOR_S:
         return line
     change = off if abs(off) > LOST_S else float(np.clip(off, -MAX_SHIFT_S, MAX_SHIFT_S))
-    # The entries before the last still hold for samples on their way.
+    # Earlier re-anchorings still apply to samples that are not yet released.
     return replace(line, shifts=(*line.shifts[-3:], (first, line.shift_ns + round(change * 1e9))))
 
 
 def origin_s(line: Timeline, state: ClockState) -> float:
-    """What to add to the clock's offsets to make them timestamp less `line`, s."""
+    """Compute the difference between counted time and the timeline, s.
+
+    Adding it to an offset of the clock gives the timestamp minus the time by `line`.
+    """
     return state.t_s - (line.counted(state.index) + line.shift_ns) * 1e-9

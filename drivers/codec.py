@@ -1,6 +1,6 @@
-"""SampleBlock <-> protobuf bytes: the same bytes in MCAP files and over Zenoh.
+"""Encodes sample blocks as protobuf bytes and decodes them: the same bytes in MCAP files and over Zenoh.
 
-The message type is built here rather than generated, so that a checkout needs no protobuf compiler.
+The message type is built at run time rather than generated, so that a checkout needs no protobuf compiler.
 """
 
 from __future__ import annotations
@@ -53,11 +53,11 @@ _pool = descriptor_pool.Default()
 _pool.Add(_file_descriptor())
 _Message: Any = message_factory.GetMessageClass(_pool.FindMessageTypeByName(SCHEMA_NAME))
 SCHEMA_BYTES = _schema_bytes()
-"""FileDescriptorSet of `shm.SampleBlock` and what it depends on, as MCAP's protobuf encoding wants it."""
+"""FileDescriptorSet of `shm.SampleBlock` and its dependencies, in the form that MCAP's protobuf encoding requires."""
 
 
 def encode(block: SampleBlock) -> bytes:
-    """Protobuf bytes of a block (docs/connect.md has the field numbers)."""
+    """Encode a block as protobuf bytes (docs/connect.md has the field numbers)."""
     message = _Message(
         sequence=block.sequence,
         sample_rate_hz=block.sample_rate_hz,
@@ -70,14 +70,14 @@ def encode(block: SampleBlock) -> bytes:
 
 
 def decode(data: bytes, topic: str) -> SampleBlock:
-    """The block in `data`.
+    """Decode the block in `data`; `topic` is the topic of the block.
 
     Raises
     ------
     ValueError
-        If the bytes are no SampleBlock or contradict themselves; the message says how.
+        If the bytes are no SampleBlock, or its fields contradict each other; the message says how.
     """
-    message = _parsed(data)
+    message = _parse(data)
     channels = tuple(message.channels)
     samples = message.samples
     if not channels:
@@ -96,49 +96,49 @@ def decode(data: bytes, topic: str) -> SampleBlock:
 
 
 def decode_joined(messages: Iterable[bytes], topic: str, longest_s: float) -> list[SampleBlock]:
-    """Consecutive blocks, those that go on where the one before ends joined up to `longest_s`.
+    """Decode consecutive blocks, and join those without a gap to blocks of at most `longest_s` seconds.
 
     Raises
     ------
     ValueError
-        If a message is no SampleBlock, contradicts itself, or begins before the one before it.
+        If a message is no SampleBlock, its fields contradict each other, or it begins before the preceding message.
     """
     joined: list[SampleBlock] = []
     first: SampleBlock | None = None
     parts: list[bytes] = []
-    n, last_ns, size, like = 0, -1, 0, b""
+    n, last_ns, size, middle = 0, -1, 0, b""
     for data in messages:
-        # What lies between sequence and samples is mostly the same in block after block: then only the beginning is read.
-        short = bool(like) and data[-size - len(like) : -size] == like
-        message = _parsed(data[: -size - len(like)] if short else data)
-        if short and (message.samples or message.unit or message.channels or message.sample_rate_hz):
-            short, message = False, _parsed(data)
+        # The bytes between sequence and samples are mostly the same in consecutive blocks: then only the beginning is parsed.
+        abridged = bool(middle) and data[-size - len(middle) : -size] == middle
+        message = _parse(data[: -size - len(middle)] if abridged else data)
+        if abridged and (message.samples or message.unit or message.channels or message.sample_rate_hz):
+            abridged, message = False, _parse(data)
         t_ns = _time_ns(message)
         if t_ns < last_ns:
             raise ValueError("blocks out of order")
         last_ns = t_ns
-        samples = data[-size:] if short else message.samples
+        samples = data[-size:] if abridged else message.samples
         rows = 0 if first is None else len(samples) // (4 * len(first.channels))
         if (
             first is not None
             and message.sequence == first.sequence + n
             and n + rows <= longest_s * first.sample_rate_hz
             and abs(t_ns - first.t_ns - round(n / first.sample_rate_hz * 1e9)) <= 1
-            and (short or _fits(message, first))
+            and (abridged or _is_same_kind(message, first))
         ):
             parts.append(samples)
             n += rows
             continue
         if first is not None:
-            joined.append(_with(first, parts))
+            joined.append(_with_samples(first, parts))
         first = decode(data, topic)
         parts, n = [first.samples.tobytes()], first.n_samples
-        size, like = len(parts[0]), _between(data, first, parts[0])
-    return joined if first is None else [*joined, _with(first, parts)]
+        size, middle = len(parts[0]), _middle_bytes(data, first, parts[0])
+    return joined if first is None else [*joined, _with_samples(first, parts)]
 
 
-def _fits(message: Any, first: SampleBlock) -> bool:
-    """Whether a block is of the kind of another."""
+def _is_same_kind(message: Any, first: SampleBlock) -> bool:
+    """Test whether a message has the rate, channels and unit of a block."""
     return (
         message.sample_rate_hz == first.sample_rate_hz
         and len(message.samples) % (4 * len(first.channels)) == 0
@@ -147,35 +147,39 @@ def _fits(message: Any, first: SampleBlock) -> bool:
     )
 
 
-def _between(data: bytes, block: SampleBlock, samples: bytes) -> bytes:
-    """The bytes between time and sequence, which begin a message, and the samples, which end it; none if it is not so."""
+def _middle_bytes(data: bytes, block: SampleBlock, samples: bytes) -> bytes:
+    """Return the bytes of a message between time and sequence, at its beginning, and the samples, at its end.
+
+    Returns no bytes if the message has its fields in another order.
+    """
     begin = _Message(sequence=block.sequence)
     begin.timestamp.seconds, begin.timestamp.nanos = divmod(block.t_ns, _NS)
     head = begin.SerializeToString()
     if not (samples and data.startswith(head) and data.endswith(samples)):
         return b""
-    rest = _parsed(data[len(head) :])
+    rest = _parse(data[len(head) :])
     return b"" if rest.HasField("timestamp") or rest.sequence else data[len(head) : -len(samples)]
 
 
-def _with(block: SampleBlock, parts: list[bytes]) -> SampleBlock:
+def _with_samples(block: SampleBlock, parts: list[bytes]) -> SampleBlock:
+    """Return the block with the joined samples of all parts, each the bytes of float32 rows."""
     if len(parts) == 1:
         return block
     return replace(block, samples=np.frombuffer(b"".join(parts), _FLOAT32).reshape(-1, len(block.channels)))
 
 
 def time_ns(data: bytes) -> int:
-    """UTC of the first sample of the block in `data`, which may yet contradict itself.
+    """Read the UTC of the first sample of the block in `data`, ns; other fields are not checked.
 
     Raises
     ------
     ValueError
         If the bytes are no SampleBlock.
     """
-    return _time_ns(_parsed(data))
+    return _time_ns(_parse(data))
 
 
-def _parsed(data: bytes) -> Any:
+def _parse(data: bytes) -> Any:
     try:
         return _Message.FromString(data)
     except DecodeError as error:

@@ -1,6 +1,6 @@
-"""Counters that wrap, in frames that may be lost, repeated or swapped, to indices that do not.  Pure.
+"""Unwraps frame counters of finite width to indices that do not wrap; frames may be lost, repeated or swapped.  No I/O.
 
-What a frame becomes depends on the frames before it only, not on how they are cut into batches.
+The index of a frame depends only on the frames before it, not on how the frames are cut into batches.
 """
 
 from __future__ import annotations
@@ -15,117 +15,132 @@ Ints = NDArray[np.int64]
 Floats = NDArray[np.float64]
 
 REORDER = 32
-"""Frames by which one may come late and still be put in its place."""
+"""Greatest delay, in frames, at which a late frame is still put in its place."""
 TOLERANCE_S = 2.0
-"""How well a counter and timestamps must agree on what was lost; beyond, the node began anew."""
-_SILENT_S = 1.0
-"""Without frames for longer, the counter may have wrapped."""
+"""Greatest difference, s, between counter and timestamps about a loss; beyond it, the node has restarted its counter."""
+_SILENCE_S = 1.0
+"""Time without frames, s, after which the counter may have wrapped."""
 
 
 @dataclass(frozen=True, slots=True)
-class _Suspect:
-    """Frames that jumped, until those after them confirm it: at once if forwards, after a second of them if backwards."""
+class _UnconfirmedJump:
+    """Jump of the counter that later frames must confirm: one frame if it goes forwards, a second of frames if backwards."""
 
     first: int
-    """Counter of the first."""
+    """Counter of the first frame after the jump."""
     t_s: float
+    """Timestamp of that frame, s."""
     last: int
+    """Counter of the latest frame."""
     moved: int
-    """From the first to the last."""
+    """Change of the counter from the first to the latest frame."""
     needed: int
-    """Frames still to follow."""
+    """Frames that must still follow."""
     frames: int = 1
+    """Frames since the jump."""
 
 
 @dataclass(slots=True)
 class Sequencer:
-    """Numbers one node's frames.
+    """Unwrapped counter of the frames of one node.
 
     Parameters
     ----------
     bits
-        Of the counter; 0 if there is none: frames then count in order of arrival, and losses show by time only.
+        Width of the counter.  0 means no counter: frames are numbered in order of arrival, and only timestamps show losses.
     stride
-        How much the counter adds from frame to frame.
+        Increment of the counter from frame to frame.
     """
 
     bits: int
     stride: int = 1
     repeated: int = 0
+    """Number of repeated frames."""
     late: int = 0
-    """Too late to be put in order."""
+    """Number of frames that arrived too late to be put in order."""
     stray: int = 0
-    """Alone with their counter: neither before nor after them does anything fit."""
+    """Number of frames whose counter fits neither the frames before nor those after them."""
     restarts: int = 0
-    """The counter began anew."""
+    """Number of restarts of the counter."""
     ended: bool = False
-    """Nothing will come any more."""
+    """True if no frame will follow."""
     _last: tuple[int, int, float] | None = None
     """Counter, index and time of the last frame in order of arrival."""
-    _suspect: _Suspect | None = None
-    _top: int = -1
+    _unconfirmed: _UnconfirmedJump | None = None
+    _greatest: int = -1
     """Greatest index so far."""
     _first: int = 0
+    """Index of the first frame."""
     _accepted: int = 0
-    _seen: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64))
-    """Indices of late that a repetition could name."""
+    """Number of new frames so far."""
+    _recent: Ints = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    """Recent indices that a repeated frame could have."""
 
     def number(
         self, counters: Ints, times_s: Floats, rate_hz: float, *, real_time: bool
     ) -> tuple[Ints, NDArray[np.bool_]]:
-        """Indices of frames in order of arrival, and which of them are new; both of shape (n,).
+        """Number frames in order of arrival, and mark the new ones.
 
         Parameters
         ----------
-        times_s
-            NaN where unknown.
-        rate_hz
-            By which the counter grows.
-        real_time
+        counters : array, shape (n,)
+            Raw counters of the frames.
+        times_s : array, shape (n,)
+            Timestamps, s; NaN where unknown.
+        rate_hz : float
+            Rate at which the counter grows, Hz.
+        real_time : bool
             Whether timestamps may decide how often the counter wrapped.
+
+        Returns
+        -------
+        indices : array, shape (n,)
+            Unwrapped counters; 0 for frames after a jump of the counter that is not confirmed.
+        new : array of bool, shape (n,)
+            True for frames that have an index and are neither repeated nor late.
         """
         if self._last is None and len(counters):
             self._last = (int(counters[0]) - self.stride, int(counters[0]) - self.stride, float(times_s[0]))
-            self._top, self._first = self._last[1], int(counters[0])
+            self._greatest, self._first = self._last[1], int(counters[0])
         indices, good = self._unwrap(counters, times_s, rate_hz, real_time)
-        tops = np.maximum.accumulate(np.concatenate(([self._top], np.where(good, indices, self._top))))
-        on_time = good & (indices > tops[:-1] - REORDER * self.stride) & (indices >= self._first)
+        greatest = np.maximum.accumulate(np.concatenate(([self._greatest], np.where(good, indices, self._greatest))))
+        on_time = good & (indices > greatest[:-1] - REORDER * self.stride) & (indices >= self._first)
         self.late += int(np.count_nonzero(good & ~on_time))
         first = np.zeros(len(indices), dtype=bool)
         where = np.flatnonzero(on_time)
         first[where[np.unique(indices[where], return_index=True)[1]]] = True
-        new = first & ~np.isin(indices, self._seen)
+        new = first & ~np.isin(indices, self._recent)
         self.repeated += int(np.count_nonzero(on_time & ~new))
-        self._top = int(tops[-1])
+        self._greatest = int(greatest[-1])
         self._accepted += int(np.count_nonzero(new))
-        seen = np.concatenate((self._seen, indices[new]))
-        self._seen = seen[seen > self._top - REORDER * self.stride]
+        recent = np.concatenate((self._recent, indices[new]))
+        self._recent = recent[recent > self._greatest - REORDER * self.stride]
         return indices, new
 
     @property
     def horizon(self) -> int:
-        """Nothing below this index will be accepted any more."""
-        return self._top + 1 - (0 if self.ended else REORDER * self.stride)
+        """Smallest index that can still be accepted."""
+        return self._greatest + 1 - (0 if self.ended else REORDER * self.stride)
 
     @property
     def lost(self) -> int:
-        """Frames that will not come any more."""
-        known = self._accepted - int(np.count_nonzero(self._seen >= self.horizon))
+        """Number of frames that are lost for good."""
+        known = self._accepted - int(np.count_nonzero(self._recent >= self.horizon))
         return max(0, -((self._first - self.horizon) // self.stride) - known)
 
     def _unwrap(
         self, counters: Ints, times_s: Floats, rate_hz: float, real_time: bool
     ) -> tuple[Ints, NDArray[np.bool_]]:
-        """Indices, and which frames stand in a row with others."""
+        """Unwrap the counters; return the indices and which frames have one, both of shape (n,)."""
         if self._last is None:
             return np.empty(0, np.int64), np.empty(0, bool)
         value, index, t_s = self._last
         deltas = self._delta(np.diff(counters, prepend=value))
         with np.errstate(invalid="ignore"):
             waits = np.diff(times_s, prepend=t_s)
-            odd = (np.abs(deltas) > REORDER * self.stride) | (deltas % self.stride != 0)
-            odd |= (waits > self._silent_s(rate_hz)) & ((deltas != self.stride) | (self.bits == 0))
-        if self._suspect is None and not odd.any() and np.isfinite(times_s).all():
+            irregular = (np.abs(deltas) > REORDER * self.stride) | (deltas % self.stride != 0)
+            irregular |= (waits > self._silence_limit_s(rate_hz)) & ((deltas != self.stride) | (self.bits == 0))
+        if self._unconfirmed is None and not irregular.any() and np.isfinite(times_s).all():
             indices = index + np.cumsum(deltas)
             self._last = (int(counters[-1]), int(indices[-1]), float(times_s[-1]))
             return indices, np.ones(len(counters), dtype=bool)
@@ -137,39 +152,40 @@ class Sequencer:
         return indices, good
 
     def _unwrap_one(self, value: int, t_s: float, rate_hz: float, real_time: bool) -> int | None:
+        """Unwrap the counter of one frame; None while a jump of the counter is unconfirmed."""
         assert self._last is not None
         last, index, last_s = self._last
         delta = self._delta(value - last)
-        silent = t_s - last_s > self._silent_s(rate_hz)
-        suspect = self._suspect
-        unbroken = self.bits and delta == self.stride and suspect is None
-        if self._near(delta) and (unbroken or not silent):
-            if suspect is not None:
-                self.stray += suspect.frames
-                self._suspect = None
+        is_silent = t_s - last_s > self._silence_limit_s(rate_hz)
+        unconfirmed = self._unconfirmed
+        is_consecutive = self.bits and delta == self.stride and unconfirmed is None
+        if self._is_small_change(delta) and (is_consecutive or not is_silent):
+            if unconfirmed is not None:
+                self.stray += unconfirmed.frames
+                self._unconfirmed = None
             index += delta
         elif not self.bits:
-            index += self._jump(0, t_s - last_s, rate_hz, real_time)
+            index += self._lost_counts(0, t_s - last_s, rate_hz, real_time)
         else:
-            follows = self._delta(value - suspect.last) if suspect else 0
-            if suspect is None or not self._near(follows):
-                self.stray += suspect.frames if suspect else 0
-                needed = 1 if delta >= 0 or silent else max(1, round(rate_hz / self.stride))
-                self._suspect = _Suspect(value, t_s, value, 0, needed)
+            follows = self._delta(value - unconfirmed.last) if unconfirmed else 0
+            if unconfirmed is None or not self._is_small_change(follows):
+                self.stray += unconfirmed.frames if unconfirmed else 0
+                needed = 1 if delta >= 0 or is_silent else max(1, round(rate_hz / self.stride))
+                self._unconfirmed = _UnconfirmedJump(value, t_s, value, 0, needed)
                 return None
-            moved = suspect.moved + follows
-            if suspect.needed > 1:
-                self._suspect = replace(
-                    suspect, last=value, moved=moved, needed=suspect.needed - 1, frames=suspect.frames + 1
+            moved = unconfirmed.moved + follows
+            if unconfirmed.needed > 1:
+                self._unconfirmed = replace(
+                    unconfirmed, last=value, moved=moved, needed=unconfirmed.needed - 1, frames=unconfirmed.frames + 1
                 )
                 return None
-            self._suspect = None
-            index += self._jump(suspect.first - last, suspect.t_s - last_s, rate_hz, real_time) + moved
+            self._unconfirmed = None
+            index += self._lost_counts(unconfirmed.first - last, unconfirmed.t_s - last_s, rate_hz, real_time) + moved
         self._last = (value, index, t_s if np.isfinite(t_s) else last_s)
         return index
 
-    def _jump(self, difference: int, wait_s: float, rate_hz: float, real_time: bool) -> int:
-        """How much was lost, by the counter as far as it goes, by time beyond."""
+    def _lost_counts(self, difference: int, wait_s: float, rate_hz: float, real_time: bool) -> int:
+        """Return the advance of the index over a loss, from the counter within its width and from time beyond it."""
         forward = difference % (1 << self.bits)
         if not (real_time and np.isfinite(wait_s)):
             return forward or self.stride
@@ -180,18 +196,20 @@ class Sequencer:
             if forward and abs(forward - waited) <= TOLERANCE_S * rate_hz:
                 return forward
             self.restarts += 1
-        # Beyond whatever may still be put in order.
+        # Farther ahead than any late frame that can still be put in order.
         return max(REORDER + 1 if self.bits else 1, round(waited / self.stride)) * self.stride
 
     def _delta(self, difference: Any) -> Any:
-        """The least change of the counter, either way, that gives this difference."""
+        """Return the smallest change of the counter, forwards or backwards, that explains a difference."""
         if not self.bits:
             return 0 * difference + self.stride
         half = 1 << (self.bits - 1)
         return (difference + half) % (2 * half) - half
 
-    def _near(self, delta: int) -> bool:
+    def _is_small_change(self, delta: int) -> bool:
+        """Test whether a change is a whole number of frames, at most `REORDER` either way."""
         return abs(delta) <= REORDER * self.stride and delta % self.stride == 0
 
-    def _silent_s(self, rate_hz: float) -> float:
-        return max(_SILENT_S, (1 << self.bits) / (2 * rate_hz)) if self.bits else _SILENT_S
+    def _silence_limit_s(self, rate_hz: float) -> float:
+        """Return the time without frames, s, after which the counter may have wrapped."""
+        return max(_SILENCE_S, (1 << self.bits) / (2 * rate_hz)) if self.bits else _SILENCE_S

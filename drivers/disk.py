@@ -1,4 +1,4 @@
-"""What must be on the disk before a crash may come."""
+"""Synchronisation of folders with the disk, so that new file names outlast a crash."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 
 
 def sync_folder(folder: Path) -> None:
-    """See that the names in a folder are on the disk; raises OSError where they are not."""
+    """Write the names in a folder to the disk; raises OSError if that fails."""
     handle = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(handle)

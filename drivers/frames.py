@@ -1,4 +1,4 @@
-"""CAN frames <-> samples: a DBC compiled once to array operations, for classic and FD frames of either byte order."""
+"""Converts CAN frames to samples and back: a DBC compiled once to array operations (classic and FD, either byte order)."""
 
 from __future__ import annotations
 
@@ -15,39 +15,41 @@ Ints = NDArray[np.int64]
 Floats = NDArray[np.float64]
 
 COUNTER = "counter"
-"""Name of the signal that counts."""
+"""Name of the signal that holds the counter."""
 _UNITS = {"": 1.0, "m/s^2": 1.0, "m/s2": 1.0, "m/s²": 1.0, "m/s/s": 1.0, "g": 9.80665, "mg": 9.80665e-3, "gal": 1e-2}
 _WINDOW = 8
 
 
 class FrameError(ValueError):
-    """A DBC that cannot be read, or cannot carry the channels; the message names file, message and mend."""
+    """Error of a DBC that cannot be read or cannot carry the channels; the text names file, message and remedy."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Field:
-    """Where one number stands in a frame, and what it means."""
+    """Place of one number in a frame, and its conversion to a physical value."""
 
     start: int
-    """First byte of the eight that hold it."""
+    """Index of the first of the eight bytes that hold the number."""
     shift: int
-    """Its lowest bit within these, read as one integer."""
+    """Lowest bit of the number within these bytes, read as one integer."""
     length: int
-    """Bits."""
+    """Length of the number in bits."""
     big_endian: bool
     signed: bool
     real: bool
-    """An IEEE number of 32 or 64 bits."""
+    """True for an IEEE number of 32 or 64 bits."""
     scale: float
+    """Factor from raw number to physical value."""
     offset: float
+    """Physical value of the raw number 0."""
 
     def columns(self) -> Ints:
-        """The eight bytes, least significant first."""
+        """Return the indices of the eight bytes, shape (8,), least significant first."""
         order = np.arange(_WINDOW)
         return self.start + (order[::-1] if self.big_endian else order)
 
     def unpack(self, padded: Bytes) -> NDArray[Any]:
-        """Raw numbers, shape (n,), of frames padded by eight bytes, shape (n, bytes + 8)."""
+        """Extract raw numbers, shape (n,), from frames padded by eight bytes, shape (n, bytes + 8)."""
         window = np.ascontiguousarray(padded[:, self.columns()]).view("<u8")[:, 0]
         top = window << np.uint64(64 - self.shift - self.length)
         if self.signed:
@@ -68,7 +70,7 @@ class Field:
         padded[:, self.columns()] |= window.view(np.uint8).reshape(-1, _WINDOW)
 
     def limits(self) -> tuple[float, float]:
-        """Least and greatest raw number."""
+        """Return the least and the greatest raw number."""
         if self.real:
             return -np.inf, np.inf
         low = -(1 << (self.length - 1)) if self.signed else 0
@@ -77,7 +79,7 @@ class Field:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Layout:
-    """One message: what a node sends."""
+    """Layout of one CAN message: identifier, channels, fields and counter."""
 
     name: str
     frame_id: int
@@ -85,25 +87,26 @@ class Layout:
     n_bytes: int
     channels: tuple[str, ...]
     n_samples: int
-    """Samples of each channel in a frame."""
+    """Number of samples of each channel in a frame."""
     fields: tuple[Field, ...]
-    """Sample by sample, and within a sample in the order of `channels`; they yield m/s^2."""
+    """Fields sample by sample, and within a sample in the order of `channels`; their values are in m/s^2."""
     counter: Field | None
+    """Field of the counter; None if the message has no counter."""
 
     @property
     def counter_bits(self) -> int:
-        """0 if nothing counts."""
+        """Width of the counter in bits; 0 without a counter."""
         return 0 if self.counter is None else self.counter.length
 
     def decode(self, frames: bytes) -> tuple[NDArray[np.float32], Ints]:
-        """Frames laid end to end, each `n_bytes` long.
+        """Decode n concatenated frames, each `n_bytes` long.
 
         Returns
         -------
         samples : ndarray, shape (n * n_samples, n_channels)
-            m/s^2.
+            Samples, m/s^2.
         counters : ndarray, shape (n,)
-            Raw; zeros if nothing counts.
+            Raw counters; zeros without a counter.
         """
         data = np.frombuffer(frames, dtype=np.uint8).reshape(-1, self.n_bytes)
         padded = np.zeros((len(data), self.n_bytes + _WINDOW), dtype=np.uint8)
@@ -116,7 +119,22 @@ class Layout:
         return samples.reshape(-1, len(self.channels)), counters.astype(np.int64)
 
     def encode(self, samples: Floats, counters: Ints) -> tuple[Bytes, int]:
-        """The other way about; also how many numbers did not fit and were set to the nearest that does."""
+        """Encode samples as n frames; set numbers that do not fit to the nearest that fits.
+
+        Parameters
+        ----------
+        samples : array, shape (n * n_samples, n_channels)
+            Samples, m/s^2.
+        counters : array, shape (n,)
+            Counters of the frames; only their lowest `counter_bits` bits are sent.
+
+        Returns
+        -------
+        frames : array, shape (n, n_bytes)
+            Bytes of the frames.
+        saturated : int
+            Number of samples that did not fit.
+        """
         values = np.asarray(samples, dtype=np.float64).reshape(-1, len(self.fields))
         padded = np.zeros((len(values), self.n_bytes + _WINDOW), dtype=np.uint8)
         saturated = 0
@@ -134,14 +152,14 @@ class Layout:
 
 
 def load(path: Path, channels: tuple[str, ...] = ()) -> tuple[Layout, ...]:
-    """The messages of a DBC that carry `channels`; every acceleration in it if none are named.
+    """Load the layouts of the messages of a DBC that carry `channels`, or all accelerations if no channel is named.
 
-    A channel is a signal of its name, or, of frames with several samples, the signals NAME_0, NAME_1, ...
+    A channel is the signal of the same name.  In frames with several samples, it is the signals NAME_0, NAME_1, ...
 
     Raises
     ------
     FrameError
-        If the file cannot be read, or does not carry them.
+        If the file cannot be read, or does not carry the channels.
     """
     try:
         database: Any = cantools.database.load_file(path, database_format="dbc")
@@ -168,7 +186,7 @@ def load(path: Path, channels: tuple[str, ...] = ()) -> tuple[Layout, ...]:
 
 
 def _accelerations(message: Any) -> tuple[str, ...]:
-    """Names of the channels that a message seems to carry."""
+    """List the names of the channels that a message carries, judged by the units of its signals."""
     names = [s.name for s in message.signals if s.name != COUNTER and s.unit and _unit(s) is not None]
     stems = {name: name.removesuffix("_0") for name in names if name.endswith("_0")}
     several = {stem: len(_signals(message, stem)) for stem in stems.values()}
@@ -177,6 +195,7 @@ def _accelerations(message: Any) -> tuple[str, ...]:
 
 
 def _signals(message: Any, name: str) -> list[Any]:
+    """List the signals of a channel, one for each sample in a frame; empty if the message does not carry the channel."""
     signals = {signal.name: signal for signal in message.signals}
     if name in signals:
         return [signals[name]]
@@ -187,10 +206,12 @@ def _signals(message: Any, name: str) -> list[Any]:
 
 
 def _unit(signal: Any) -> float | None:
+    """Return the factor from the signal's unit to m/s^2; None if it is no unit of acceleration."""
     return _UNITS.get((signal.unit or "").strip().casefold().replace(" ", "").replace("**", "^"))
 
 
 def _layout(path: Path, message: Any, groups: dict[str, list[Any]]) -> Layout:
+    """Build the layout of a DBC message from the signals of each channel; raise FrameError if it cannot be used."""
     place = f"{path}: {message.name}"
     if not 0 < message.length <= 64:
         raise FrameError(f"{place}: {message.length} bytes; a frame has 1 to 64")
@@ -219,6 +240,7 @@ def _layout(path: Path, message: Any, groups: dict[str, list[Any]]) -> Layout:
 
 
 def _field(place: str, signal: Any) -> Field:
+    """Build the field of a DBC signal; `place` names file and message in errors."""
     if signal.is_multiplexer or signal.multiplexer_ids is not None:
         raise FrameError(f"{place}: {signal.name} is multiplexed; give each sample its own bits")
     big = signal.byte_order == "big_endian"

@@ -1,4 +1,4 @@
-"""What lies between a transport's threads and the one that reads."""
+"""Bounded queue between the threads of a transport and the thread that reads."""
 
 from __future__ import annotations
 
@@ -7,47 +7,52 @@ from collections import deque
 
 
 class Inbox:
-    """Payloads with the topic that they came on, bounded in bytes; who puts into a full one waits.
+    """Queue of payloads with their topics, bounded in bytes; `put` waits while the queue is full.
 
-    A closed inbox takes nothing and lets nobody wait; what is in it can still be got.
+    A closed inbox accepts no payload and makes no caller wait.  Payloads that it already holds can still be read.
 
     Parameters
     ----------
     limit_bytes : int
-        One payload always finds room.
+        Greatest size of all payloads together, bytes; a single larger payload is accepted if the queue is empty.
     """
 
     def __init__(self, limit_bytes: int) -> None:
-        self._limit, self._held = limit_bytes, 0
+        self._limit, self._n_bytes = limit_bytes, 0
         self._items: deque[tuple[str, bytes]] = deque()
         self._changed = threading.Condition()
         self._open = False
 
     def open(self) -> None:
-        """Take payloads from now on."""
+        """Accept payloads from now on."""
         self._set_open(True)
 
     def close(self) -> None:
-        """Take none any more and wake all who wait."""
+        """Accept no more payloads, and wake all waiting threads."""
         self._set_open(False)
 
     def put(self, topic: str, data: bytes) -> None:
-        """Add a payload, when there is room."""
+        """Add a payload as soon as there is room; discard the payload if the inbox is closed."""
         with self._changed:
-            self._changed.wait_for(lambda: not self._open or not self._items or self._held + len(data) <= self._limit)
+            self._changed.wait_for(
+                lambda: not self._open or not self._items or self._n_bytes + len(data) <= self._limit
+            )
             if self._open:
                 self._items.append((topic, data))
-                self._held += len(data)
+                self._n_bytes += len(data)
                 self._changed.notify_all()
 
     def get(self, timeout_s: float) -> tuple[str, bytes] | None:
-        """The oldest payload; None if there is none in time, or none and the inbox is closed."""
+        """Remove and return the oldest payload with its topic.
+
+        Returns None if no payload arrives within `timeout_s`, or if the inbox is empty and closed.
+        """
         with self._changed:
             self._changed.wait_for(lambda: self._items or not self._open, timeout_s)
             if not self._items:
                 return None
             item = self._items.popleft()
-            self._held -= len(item[1])
+            self._n_bytes -= len(item[1])
             self._changed.notify_all()
             return item
 

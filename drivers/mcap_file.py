@@ -1,4 +1,4 @@
-"""Recordings: reads sample blocks of any number of MCAP files in time order; the writer stands beside."""
+"""Reads the sample blocks of any number of MCAP files in time order (`drivers.mcap_writer` writes them)."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ __all__ = ["McapWriter", "RecordingInfo", "read_recordings", "recording_info", "
 _UNIT_OF = {ACCELERATION: "m/s^2", GROUND: "m/s^2", TEMPERATURE: "degC"}
 _MAX_INT = 1 << 62
 _Item = SampleBlock | ImuSample
-_Read = TypeVar("_Read")
+_Result = TypeVar("_Result")
 OnWarning = Callable[[str], None]
 
 
 @dataclass(frozen=True, slots=True)
 class RecordingInfo:
-    """What a recording holds; rate, time and samples are those of `/acceleration`."""
+    """Content of a recording; rate, time and number of samples are those of `/acceleration`."""
 
     topics: tuple[str, ...]
     channels: dict[str, tuple[str, ...]]
     """Topic -> channel names, in column order."""
     sample_rate_hz: float
     duration_s: float
-    """From the first sample to one sample after the last, gaps included."""
+    """Time from the first sample to one sampling period after the last, gaps included."""
     t_start_ns: int
     n_samples: int
 
@@ -50,13 +50,15 @@ def read_recordings(
     on_warning: OnWarning = lambda _: None,
     longest_s: float = 0.0,
 ) -> Iterator[SampleBlock]:
-    """Blocks of all files in the order of their times; those of live records in the order in which they arrived.
+    """Read the blocks of all files in the order of their times, or of their arrival if they were recorded live.
 
-    Every file is checked whole (checksums, the form of every message) before the first block is given; then
-    blocks are read again as they are asked for, so that memory grows by some 100 bytes a chunk only.
+    Every file is checked as a whole (checksums, form of every message) before the first block is returned.  The blocks are
+    then read again on demand, so that memory grows by some 100 bytes a chunk only.
 
     Parameters
     ----------
+    paths
+        Recordings, in any order.
     topics
         Topics to read.
     topic_map
@@ -64,33 +66,33 @@ def read_recordings(
     on_warning
         Called once for each file that ends early.
     longest_s
-        Blocks of `/acceleration` that go on where the one before ends are joined to blocks of at most this length.
+        Greatest length, s, of the blocks to which consecutive blocks of `/acceleration` are joined; 0 joins none.
 
     Raises
     ------
     RecordingMissingError
         If a file cannot be opened.
     RecordingError
-        If bytes are damaged or foreign, a wanted topic is absent, or a unit is wrong.  A whole message that
-        contradicts itself, and errors of joining ROS 2 topics, are told while blocks are taken.
+        If bytes are damaged or foreign, a wanted topic is absent, or a unit is wrong.  Contradictory fields of a message, and
+        errors of joining ROS 2 topics, are raised while the blocks are iterated.
     """
     topic_map = topic_map or {}
     surveys = [_Survey(McapFile(Path(path)), topics, topic_map) for path in paths]
-    seen: set[str] = set()
+    found_topics: set[str] = set()
     for survey in surveys:
         survey.run(on_warning)
-        seen |= survey.seen
+        found_topics |= survey.found_topics
     wanted = ACCELERATION in topics and not topic_map
-    if surveys and ((wanted and ACCELERATION not in seen) or not topic_map.keys() <= seen):
+    if surveys and ((wanted and ACCELERATION not in found_topics) or not topic_map.keys() <= found_topics):
         names = ", ".join(str(survey.file.path) for survey in surveys)
-        absent = ", ".join(sorted(topic_map.keys() - seen)) or ACCELERATION
-        raise RecordingError(f"{names}: no messages of {absent}; the topics are {', '.join(sorted(seen))}")
-    blocks = _joined(surveys, topic_map, longest_s)
+        absent = ", ".join(sorted(topic_map.keys() - found_topics)) or ACCELERATION
+        raise RecordingError(f"{names}: no messages of {absent}; the topics are {', '.join(sorted(found_topics))}")
+    blocks = _join_topics(surveys, topic_map, longest_s)
     return merged(blocks, longest_s) if longest_s else blocks
 
 
 def recording_info(path: Path, *, topic_map: Mapping[str, str] | None = None) -> RecordingInfo:
-    """What a recording holds (errors as `read_recordings`)."""
+    """Read a recording and return its channels, rate, duration and number of samples (errors as `read_recordings`)."""
     channels: dict[str, tuple[str, ...]] = {}
     samples: dict[str, int] = {}
     first: dict[str, SampleBlock] = {}
@@ -106,7 +108,7 @@ def recording_info(path: Path, *, topic_map: Mapping[str, str] | None = None) ->
 
 
 def scan_messages(path: Path) -> Iterator[tuple[str, int, bytes]]:
-    """Topic, log time (ns) and data of every message in file order (errors as `read_recordings`)."""
+    """Read topic, log time (ns) and data of every message in file order (errors as `read_recordings`)."""
     file = McapFile(Path(path))
     for _, messages in file.segments():
         for message in messages:
@@ -114,33 +116,36 @@ def scan_messages(path: Path) -> Iterator[tuple[str, int, bytes]]:
 
 
 class _Survey:
-    """One file: which of its segments hold wanted messages, and from which time on."""
+    """Overview of one file: its segments that hold wanted messages, and the time at which each begins."""
 
     def __init__(self, file: McapFile, topics: Sequence[str], topic_map: Mapping[str, str]) -> None:
         self.file = file
-        self.seen: set[str] = set()
+        self.found_topics: set[str] = set()
         self.segments: list[tuple[int, Segment]] = []
         self._topics = frozenset(topics)
         self._channels: dict[int, tuple[Channel, bool]] = {}
         self._axes = {topic: split_target(target)[1] for topic, target in topic_map.items()}
 
     def run(self, on_warning: OnWarning) -> None:
-        """Check the whole file."""
+        """Check the whole file, and find the segments with wanted messages."""
         self.file.demand()
-        if self._indexed():
+        if self._use_index():
             return
         count = 0
         for segment, messages in self.file.segments():
-            if times := [t_ns for t_ns, _ in self._each(messages, self._time_ns)]:
+            if times := [t_ns for t_ns, _ in self._read_wanted(messages, self._time_ns)]:
                 self.segments.append((min(times), segment))
                 count += len(times)
         if not self.segments:
-            raise RecordingError(f"{self.file.path}: {self._foreign()}")
+            raise RecordingError(f"{self.file.path}: {self._content_text()}")
         if self.file.cut:
             on_warning(f"{self.file.path}: {self.file.cut}; the {count} whole blocks before it are used")
 
-    def _indexed(self) -> bool:
-        """Whether the file is one of ours, whole, and holds what is wanted: then its index tells all."""
+    def _use_index(self) -> bool:
+        """Take the segments from the file's index; False if the file must be read through instead.
+
+        The index suffices for a whole file of our own writer with wanted messages.
+        """
         index = read_index(self.file.path)
         if index is None or index.library != LIBRARY or self._axes:
             return False
@@ -149,21 +154,24 @@ class _Survey:
         try:
             if not any([self._wanted(channel) for channel in index.channels.values()]):
                 return False
-        except ValueError:  # a walk tells where
+        except ValueError:  # reading the file through gives an error message with the place
             return False
         self.segments = index.chunks
         return True
 
     def load(self, segment: Segment) -> list[tuple[int, _Item]]:
-        """The wanted messages of a segment, each with the time that orders it."""
+        """Load the wanted messages of a segment, each with the time (ns) by which it is ordered."""
         return self.decoded(self.file.load(segment))
 
     def decoded(self, messages: list[Message]) -> list[tuple[int, _Item]]:
-        """The wanted ones of some messages, each with the time that orders it."""
-        return list(self._each(messages, self._decode))
+        """Decode the wanted ones of some messages, each with the time (ns) by which it is ordered."""
+        return list(self._read_wanted(messages, self._decode))
 
     def load_joined(self, messages: list[Message], longest_s: float) -> list[SampleBlock] | None:
-        """A segment's messages where all that are wanted are `/acceleration` of one channel and in order; else None."""
+        """Decode a segment's messages to joined blocks.
+
+        Returns None unless all wanted messages are `/acceleration` on one MCAP channel and in order.
+        """
         wanted = {number for number in {m.channel_id for m in messages} if self._wanted(self.file.channels[number])}
         if len(wanted) != 1:
             return None
@@ -175,13 +183,13 @@ class _Survey:
             data = [m.data for m in messages if m.channel_id == number]
             blocks = codec.decode_joined(data, channel.topic, longest_s)
             for block in blocks:
-                _demand_sane(block)
-        except ValueError:  # one by one, they tell where
+                _require_plausible(block)
+        except ValueError:  # decoding the messages one by one gives an error message with the place
             return None
         return blocks
 
-    def _each(self, messages: list[Message], read: Callable[[Message, Channel], _Read]) -> Iterator[_Read]:
-        """What `read` makes of each wanted message."""
+    def _read_wanted(self, messages: list[Message], read: Callable[[Message, Channel], _Result]) -> Iterator[_Result]:
+        """Yield the result of `read` for each wanted message; errors name file, topic and log time."""
         for message in messages:
             channel = self.file.channels[message.channel_id]
             try:
@@ -192,13 +200,14 @@ class _Survey:
                 raise RecordingError(f"{place}: {error}; record or import it again") from error
 
     def _wanted(self, channel: Channel) -> bool:
-        """Whether the channel's messages are to be read; each channel is looked at once."""
+        """Test whether the channel's messages are to be read; the result is kept for each channel."""
         known = self._channels.get(channel.id)
         if known is None or known[0] is not channel:
-            known = self._channels[channel.id] = channel, self._looked_at(channel)
+            known = self._channels[channel.id] = channel, self._check_channel(channel)
         return known[1]
 
-    def _looked_at(self, channel: Channel) -> bool:
+    def _check_channel(self, channel: Channel) -> bool:
+        """Test whether a channel is wanted; raise ValueError if its schema or encoding is wrong."""
         topic, schema = channel.topic, self.file.schema_name(channel)
         if topic in self._axes:
             fits = schema in IMU_SCHEMAS and channel.message_encoding == "cdr"
@@ -210,25 +219,28 @@ class _Survey:
             return False
         if not fits:
             raise ValueError(fault)
-        self.seen.add(topic)
+        self.found_topics.add(topic)
         return True
 
     def _time_ns(self, message: Message, channel: Channel) -> tuple[int, None]:
+        """Read the time by which a message is ordered, ns, without decoding its samples."""
         if channel.topic in self._axes:
             return self._decode(message, channel)[0], None
         t_ns = codec.time_ns(message.data)
         return message.log_time if channel.metadata.get(ORDER) == AS_ARRIVED else t_ns, None
 
     def _decode(self, message: Message, channel: Channel) -> tuple[int, _Item]:
+        """Decode a message; return the time by which it is ordered, ns, and its content."""
         topic = channel.topic
         if topic in self._axes:
             sample = decode_imu(message.data, topic, self._axes[topic])
             return sample.t_ns, sample
         block = codec.decode(message.data, topic)
-        _demand_sane(block)
+        _require_plausible(block)
         return message.log_time if channel.metadata.get(ORDER) == AS_ARRIVED else block.t_ns, block
 
-    def _foreign(self) -> str:
+    def _content_text(self) -> str:
+        """Describe, for an error message, a file without a wanted message."""
         held = ", ".join(
             f"{channel.topic} ({self.file.schema_name(channel) or 'no schema'})"
             for channel in list(self.file.channels.values())[:20]
@@ -241,15 +253,16 @@ class _Survey:
         )
 
 
-def _demand_sane(block: SampleBlock) -> None:
-    """Raise ValueError where only damage or a foreign writer can be behind it; later arithmetic is in 64-bit integers."""
+def _require_plausible(block: SampleBlock) -> None:
+    """Raise ValueError for values that only damage or a foreign writer explains; later arithmetic is in 64-bit integers."""
     if not (0 <= block.t_ns < _MAX_INT and block.sequence < _MAX_INT and 1e-3 <= block.sample_rate_hz <= 1e7):
         raise ValueError(f"time {block.t_ns} ns, sequence {block.sequence} or {block.sample_rate_hz} Hz is absurd")
     if block.unit != _UNIT_OF.get(block.topic, block.unit):
         raise ValueError(f"unit {block.unit!r} where {_UNIT_OF[block.topic]!r} is needed")
 
 
-def _merged(surveys: list[_Survey], longest_s: float) -> Iterator[_Item]:
+def _merge_in_time_order(surveys: list[_Survey], longest_s: float) -> Iterator[_Item]:
+    """Yield the messages of all files in time order; only segments that overlap in time are held in memory together."""
     pool = [(start, number, segment) for number, survey in enumerate(surveys) for start, segment in survey.segments]
     pool.sort()
     heap: list[tuple[int, int, int, _Item]] = []
@@ -276,13 +289,14 @@ def _merged(surveys: list[_Survey], longest_s: float) -> Iterator[_Item]:
 
 
 def _last_ns(block: SampleBlock) -> int:
-    """Time of the last sample: no small block inside a joined one begins later."""
+    """Compute the time of a block's last sample, ns: no small block inside a joined block begins later."""
     return block.t_ns + round((block.n_samples - 1) / block.sample_rate_hz * 1e9)
 
 
-def _joined(surveys: list[_Survey], topic_map: Mapping[str, str], longest_s: float) -> Iterator[SampleBlock]:
+def _join_topics(surveys: list[_Survey], topic_map: Mapping[str, str], longest_s: float) -> Iterator[SampleBlock]:
+    """Yield the blocks of all files in time order, and join the mapped ROS 2 topics to blocks."""
     joiner = ImuJoiner(topic_map, ", ".join(str(survey.file.path) for survey in surveys)) if topic_map else None
-    for item in _merged(surveys, longest_s):
+    for item in _merge_in_time_order(surveys, longest_s):
         if isinstance(item, SampleBlock):
             yield item
         elif joiner:

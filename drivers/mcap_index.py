@@ -1,4 +1,4 @@
-"""What a whole, indexed file says of itself: where its chunks lie and when they begin, without unpacking any."""
+"""Reads the index of a whole MCAP file: place and first log time of its chunks, without unpacking them."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ _READ_BYTES = 1 << 20
 
 
 class Index(NamedTuple):
-    """The summary section of a file."""
+    """Summary section of a file."""
 
     library: str
-    """What wrote it."""
+    """Name of the library that wrote the file."""
     schemas: dict[int, Schema]
     channels: dict[int, Channel]
     chunks: list[tuple[int, Segment]]
-    """Least log time and place of each."""
+    """Smallest log time (ns) and place of each chunk."""
 
 
 def read_index(path: Path) -> Index | None:
-    """The index of a file whose checksums, of the whole data section and of the index, are there and right; else None.
+    """Read the index of a file, if the checksums of the data section and of the index are present and right; else None.
 
-    None says nothing about the file: walk it.
+    None does not mean that the file is damaged: read it through.
     """
     try:
         with path.open("rb") as file:
@@ -42,6 +42,7 @@ def read_index(path: Path) -> Index | None:
 
 
 def _read(file: BinaryIO, size: int) -> Index | None:
+    """Read footer, summary and header of a file of `size` bytes, and verify the checksums."""
     file.seek(size - len(MAGIC) - _FOOTER)
     tail = file.read()
     footer = Footer.read(stream(tail[_HEAD.size : _FOOTER]))
@@ -61,12 +62,12 @@ def _read(file: BinaryIO, size: int) -> Index | None:
     opcode, length = _HEAD.unpack(file.read(_HEAD.size))
     header = Header.read(stream(file.read(min(length, 1 << 16))))
     index = Index(header.library, {}, {}, [])
-    _fill(index, summary)
+    _parse_summary(index, summary)
     return index if opcode == Opcode.HEADER else None
 
 
 def _data_is_whole(file: BinaryIO, length: int) -> bool:
-    """Whether the checksum of the data section, which is `length` bytes long, is stated and right."""
+    """Test whether the checksum of the data section, which is `length` bytes long, is present and right."""
     file.seek(0)
     crc, left = 0, length
     while left > 0:
@@ -76,7 +77,8 @@ def _data_is_whole(file: BinaryIO, length: int) -> bool:
     return bool(opcode == Opcode.DATA_END and stated == 4 and expected == crc)
 
 
-def _fill(index: Index, summary: bytes) -> None:
+def _parse_summary(index: Index, summary: bytes) -> None:
+    """Add the schemas, channels and chunks of a summary section to the index."""
     position = 0
     while position < len(summary):
         opcode, length = _HEAD.unpack_from(summary, position)

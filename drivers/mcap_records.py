@@ -1,7 +1,7 @@
-"""The bytes of an MCAP file, checked: records, chunks, checksums, and what a crash leaves.
+"""Reads the records of an MCAP file and verifies lengths and checksums, also in a file that a crash left unfinished.
 
-The walk is our own because the library's reader trusts every length field (a flipped bit makes it ask for
-terabytes), gives nothing of a file without footer in time order, and leaves most checksums unread.
+The library's reader is not used because it trusts every length field (a flipped bit makes it ask for terabytes), gives
+nothing of a file without footer in time order, and leaves most checksums unread.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from drivers.base import RecordingError, RecordingMissingError
 
 MAGIC = b"\x89MCAP0\r\n"
 MAX_RECORD_BYTES = 1 << 28
-"""Largest chunk (packed or unpacked) or message that is loaded; a lying length field asks for more."""
+"""Largest chunk (packed or unpacked) or message that is loaded, bytes; only a damaged length field asks for more."""
 _RUN_BYTES = 1 << 18
 _HEAD = struct.Struct("<BQ")
 _CHUNK = struct.Struct("<QQQII")
@@ -37,16 +37,16 @@ PARSE_ERRORS = (
     struct.error,
     zstandard.ZstdError,
     RuntimeError,  # lz4
-    ValueError,  # UnicodeDecodeError among them
+    ValueError,  # includes UnicodeDecodeError
     EOFError,
     OverflowError,
     MemoryError,
 )
-"""Everything that the parsers below raise on bytes that are no MCAP."""
+"""All errors that the parsers below raise on bytes that are no MCAP."""
 
 
 class Message(NamedTuple):
-    """One message as it stands in the file."""
+    """Message as stored in the file: channel, log time (ns), data."""
 
     channel_id: int
     log_time: int
@@ -54,7 +54,7 @@ class Message(NamedTuple):
 
 
 class Segment(NamedTuple):
-    """Where a chunk's record, or a run of records outside chunks, lies in the file."""
+    """Place of a chunk's record, or of consecutive records outside chunks, in the file (bytes)."""
 
     offset: int
     length: int
@@ -62,19 +62,19 @@ class Segment(NamedTuple):
 
 
 class _CutError(Exception):
-    """The file ends inside a record."""
+    """End of the file inside a record."""
 
 
 @dataclass
 class McapFile:
-    """One MCAP file: walk it once with `segments`, then `load` any segment again.
+    """MCAP file: `segments` reads it through once, then `load` reads any segment again.
 
     Attributes
     ----------
     channels, schemas
-        By id, complete after the walk.
+        Channels and schemas by id, complete after `segments`.
     cut
-        None, or why the walk ended early (crash, full disk); all before it is whole.
+        Reason why `segments` ended early (crash, full disk), or None; all data before that place are whole.
     """
 
     path: Path
@@ -85,14 +85,14 @@ class McapFile:
     _size: int = 0
 
     def segments(self) -> Iterator[tuple[Segment, list[Message]]]:
-        """Every segment in file order with its messages, all lengths and checksums verified.
+        """Yield every segment in file order with its messages, and verify all lengths and checksums.
 
         Raises
         ------
         RecordingMissingError
             If the file cannot be opened.
         RecordingError
-            If its bytes are damaged or no MCAP.
+            If the bytes are damaged or no MCAP.
         """
         with self._open() as file:
             if file.read(len(MAGIC)) != MAGIC:
@@ -107,28 +107,28 @@ class McapFile:
                 self._summary_section(file)
             except _CutError as error:
                 if closed:
-                    raise self._damage(file.tell(), str(error)) from error
+                    raise self._damage_error(file.tell(), str(error)) from error
                 self.cut = str(error)
 
     def load(self, segment: Segment) -> list[Message]:
-        """The messages of a segment that the walk has given (same errors)."""
+        """Load the messages of a segment that `segments` has yielded (errors as `segments`)."""
         with self._open() as file:
             file.seek(segment.offset)
             return self._parse(segment, file.read(segment.length))
 
     def demand(self) -> None:
-        """See that the file can be opened (errors as `segments`)."""
+        """Check that the file can be opened (errors as `segments`)."""
         self._open().close()
 
     def schema_name(self, channel: Channel) -> str:
-        """Name of a channel's schema, empty if it has none."""
+        """Return the name of a channel's schema, empty if the channel has none."""
         schema = self.schemas.get(channel.schema_id)
         return schema.name if schema else ""
 
     def _open(self) -> BinaryIO:
         try:
             status = self.path.stat()
-            if not stat.S_ISREG(status.st_mode):  # opening a pipe would wait for ever
+            if not stat.S_ISREG(status.st_mode):  # opening a pipe would wait forever
                 raise RecordingMissingError(f"{self.path}: is no regular file; name a recording")
             self._size = status.st_size
             return self.path.open("rb")
@@ -136,10 +136,11 @@ class McapFile:
             reason = getattr(error, "strerror", None) or str(error)
             raise RecordingMissingError(f"{self.path}: cannot be opened: {reason}") from error
 
-    def _damage(self, offset: int, what: object) -> RecordingError:
+    def _damage_error(self, offset: int, what: object) -> RecordingError:
         return RecordingError(f"{self.path}: damaged at byte {offset}: {what}; use another copy of this file")
 
-    def _take(self, file: BinaryIO, length: int) -> bytes:
+    def _read_checked(self, file: BinaryIO, length: int) -> bytes:
+        """Read `length` bytes and update the checksum."""
         if length > self._size - file.tell():
             raise _CutError(f"the file ends inside a record at byte {self._size}")
         data = file.read(length)
@@ -147,43 +148,47 @@ class McapFile:
         return data
 
     def _skip(self, file: BinaryIO, length: int) -> None:
+        """Read past `length` bytes and update the checksum."""
         if length > self._size - file.tell():
             raise _CutError(f"the file ends inside a record at byte {self._size}")
         for start in range(0, length, _RUN_BYTES):
-            self._take(file, min(_RUN_BYTES, length - start))
+            self._read_checked(file, min(_RUN_BYTES, length - start))
 
     def _data_section(self, file: BinaryIO, closed: bool) -> Iterator[tuple[Segment, list[Message]]]:
+        """Yield the segments of the data section; `closed` means that the file ends with the magic bytes."""
         run = bytearray()
         while True:
             offset, crc = file.tell(), self._crc
             try:
                 if offset == self._size:
                     raise _CutError("the file has no footer")
-                opcode, length = _HEAD.unpack(head := self._take(file, _HEAD.size))
-                if opcode == 0:  # zeros: what a file system leaves of blocks that were never written
+                opcode, length = _HEAD.unpack(head := self._read_checked(file, _HEAD.size))
+                if opcode == 0:  # zeros: the file system never wrote these blocks
                     raise (
-                        _CutError(f"unwritten bytes from {offset}") if not closed else self._damage(offset, "opcode 0")
+                        _CutError(f"unwritten bytes from {offset}")
+                        if not closed
+                        else self._damage_error(offset, "opcode 0")
                     )
                 kept = opcode in _KEPT
                 if (kept or opcode == Opcode.CHUNK) and length > min(MAX_RECORD_BYTES, self._size - file.tell()):
                     raise _CutError(f"the record at byte {offset} claims {length} bytes")
-                body = self._take(file, length) if kept or opcode == Opcode.CHUNK else b""
+                body = self._read_checked(file, length) if kept or opcode == Opcode.CHUNK else b""
             except _CutError:
-                yield from self._run(offset, run)
+                yield from self._finish_run(offset, run)
                 raise
             if kept:
                 run += head + body
                 if len(run) < _RUN_BYTES:
                     continue
                 offset = file.tell()
-            yield from self._run(offset, run)
+            yield from self._finish_run(offset, run)
             run.clear()
             if opcode == Opcode.CHUNK:
                 segment = Segment(offset, _HEAD.size + length, True)
                 try:
                     messages = self._parse(segment, head + body)
                 except RecordingError:
-                    # Zeros behind it, or at its end: it was being written when the machine stopped.
+                    # Zeros after the chunk, or at its end, mean that the machine stopped while writing the chunk.
                     if closed or (file.read(_RUN_BYTES) or body[-16:]).strip(b"\0"):
                         raise
                     raise _CutError(f"the chunk at byte {offset} was written in part") from None
@@ -192,41 +197,44 @@ class McapFile:
                 self._check_data_end(file, offset, length, crc)
                 return
             elif opcode == Opcode.FOOTER:
-                raise self._damage(offset, "a footer before the end of the data")
+                raise self._damage_error(offset, "a footer before the end of the data")
             elif not kept:
                 self._skip(file, length)
 
-    def _run(self, end: int, run: bytearray) -> Iterator[tuple[Segment, list[Message]]]:
+    def _finish_run(self, end: int, run: bytearray) -> Iterator[tuple[Segment, list[Message]]]:
+        """Yield the records outside chunks that end at byte `end` as one segment, if there are any."""
         if run:
             segment = Segment(end - len(run), len(run), False)
             yield segment, self._parse(segment, bytes(run))
 
     def _check_data_end(self, file: BinaryIO, offset: int, length: int, crc: int) -> None:
+        """Verify the checksum of the data section; 0 means that the writer stored none."""
         if length < 4:
-            raise self._damage(offset, "a data end record that is too short")
-        (expected,) = struct.unpack("<I", self._take(file, 4))
+            raise self._damage_error(offset, "a data end record that is too short")
+        (expected,) = struct.unpack("<I", self._read_checked(file, 4))
         self._skip(file, length - 4)
         if expected not in (0, crc):
-            raise self._damage(offset, "the checksum of the data section does not fit")
+            raise self._damage_error(offset, "the checksum of the data section does not fit")
         self._crc = 0
 
     def _summary_section(self, file: BinaryIO) -> None:
+        """Read past the summary section, and verify its checksum and the end of the file."""
         while True:
             offset = file.tell()
-            opcode, length = _HEAD.unpack(self._take(file, _HEAD.size))
+            opcode, length = _HEAD.unpack(self._read_checked(file, _HEAD.size))
             if opcode != Opcode.FOOTER:
                 self._skip(file, length)
                 continue
             if length < 20:
-                raise self._damage(offset, "a footer that is too short")
-            self._take(file, 16)
+                raise self._damage_error(offset, "a footer that is too short")
+            self._read_checked(file, 16)
             crc = self._crc
-            (expected,) = struct.unpack("<I", self._take(file, 4))
+            (expected,) = struct.unpack("<I", self._read_checked(file, 4))
             self._skip(file, length - 20)
             if expected not in (0, crc):
-                raise self._damage(offset, "the checksum of the summary does not fit")
-            if self._take(file, len(MAGIC)) != MAGIC or file.tell() != self._size:
-                raise self._damage(file.tell(), "wrong bytes after the footer")
+                raise self._damage_error(offset, "the checksum of the summary does not fit")
+            if self._read_checked(file, len(MAGIC)) != MAGIC or file.tell() != self._size:
+                raise self._damage_error(file.tell(), "wrong bytes after the footer")
             return
 
     def _parse(self, segment: Segment, raw: bytes) -> list[Message]:
@@ -234,12 +242,12 @@ class McapFile:
             return self._messages(unpack_chunk(raw[_HEAD.size :]) if segment.is_chunk else raw)
         except PARSE_ERRORS as error:
             kind = "chunk: " if segment.is_chunk else ""
-            raise self._damage(segment.offset, f"{kind}{error}") from error
+            raise self._damage_error(segment.offset, f"{kind}{error}") from error
 
     def _messages(self, content: bytes) -> list[Message]:
         messages, position, end = [], 0, len(content)
         head, fields, channels, is_message = _HEAD.unpack_from, _MESSAGE.unpack_from, self.channels, int(Opcode.MESSAGE)
-        head_size, fields_size = _HEAD.size, _MESSAGE.size  # looked up once: this loop is long
+        head_size, fields_size = _HEAD.size, _MESSAGE.size  # looked up once, because this loop is long
         while position < end:
             opcode, length = head(content, position)
             start, position = position + head_size, position + head_size + length
@@ -262,12 +270,12 @@ class McapFile:
 
 
 def unpack_chunk(body: bytes) -> bytes:
-    """The records inside a chunk record's body, its size and checksum verified.
+    """Unpack the records inside a chunk record's body, and verify size and checksum.
 
     Raises
     ------
     ValueError, struct.error, zstandard.ZstdError, RuntimeError
-        If they are damaged or would need more than `MAX_RECORD_BYTES`.
+        If the chunk is damaged or would need more than `MAX_RECORD_BYTES`.
     """
     _, _, size, crc, name_length = _CHUNK.unpack_from(body)
     start = _CHUNK.size + name_length
@@ -276,7 +284,7 @@ def unpack_chunk(body: bytes) -> bytes:
     packed = body[start + 8 : start + 8 + length]
     if size > MAX_RECORD_BYTES or len(packed) != length:
         raise ValueError(f"it claims {length} bytes, {size} unpacked")
-    # Never ask for more than the chunk states: a few bytes can unpack to terabytes.
+    # Never unpack more than the chunk states: a few bytes can unpack to terabytes.
     if compression == "zstd" and zstandard.frame_content_size(packed) == size:
         content = zstandard.ZstdDecompressor().decompress(packed)
     elif compression == "zstd":  # of unknown size, or several frames
@@ -296,5 +304,5 @@ def unpack_chunk(body: bytes) -> bytes:
 
 
 def stream(data: bytes) -> ReadDataStream:
-    """Bytes as the library's record parsers take them."""
+    """Wrap bytes as the stream that the library's record parsers read."""
     return ReadDataStream(io.BytesIO(data))

@@ -1,4 +1,4 @@
-"""Recordings as a live source: at the data's own pace, some times faster, or as fast as they are taken."""
+"""Plays recordings as a live source: at the pace of the data, faster by a factor, or as fast as possible."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ _log = logging.getLogger(__name__)
 
 
 class McapSettings(BaseModel):
-    """``[source]`` with ``kind = "mcap"``."""
+    """Table ``[source]`` with ``kind = "mcap"``."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     kind: Literal["mcap"]
     files: tuple[str, ...] = Field(min_length=1)
-    """Recordings, relative to the site file; patterns as ``recordings/*.mcap`` too."""
+    """Recordings, relative to the site file; patterns such as ``recordings/*.mcap`` are allowed."""
     speed: float | None = Field(default=None, gt=0)
-    """Times real time; as fast as possible without."""
+    """Speed as a multiple of real time; as fast as possible by default."""
     topics: dict[str, str] = Field(default_factory=dict)
-    """ROS 2 Imu topic to channel, as ``"/imu/top" = "a1.x"``."""
+    """Channel of each ROS 2 Imu topic, as ``"/imu/top" = "a1.x"``."""
 
 
 class McapSource:
-    """Gives the blocks of recordings, then ends (see `drivers.base.Source`)."""
+    """Source of the blocks of recordings, which ends after the last block (see `drivers.base.Source`)."""
 
     Settings = McapSettings
 
@@ -47,24 +47,24 @@ class McapSource:
         self._counts: Counter[str] = Counter(blocks=0, samples=0)
 
     def open(self) -> None:
-        """Check the files and begin at their first block.
+        """Check the files, and start with the first block that is not yet evaluated.
 
         Raises
         ------
         RecordingMissingError, RecordingError
-            A file is not there or not whole; waiting mends neither.
+            If a file is missing or damaged; another attempt does not help.
         """
         blocks = read_recordings(self._paths(), topic_map=self._settings.topics or None, on_warning=_log.warning)
         self._blocks = (block for block in blocks if not self._known(block))
         self._next, self._first_ns, self._begun_s = None, None, self._clock()
 
     def read(self, timeout_s: float) -> SampleBlock | None:
-        """The next block once it is due.
+        """Return the next block when it is due; None if it is not due within `timeout_s`.
 
         Raises
         ------
         EndOfStream
-            That was the last.
+            After the last block.
         """
         if self._next is None:
             self._next = next(self._blocks, None) if self._blocks is not None else None
@@ -84,18 +84,19 @@ class McapSource:
         return block
 
     def health(self) -> SourceHealth:
-        """Counts so far."""
+        """Return the counts of blocks and of acceleration samples so far."""
         return SourceHealth(self._blocks is not None, dict(self._counts))
 
     def close(self) -> None:
-        """Let go of the files."""
+        """Release the files."""
         self._blocks = None
 
     def _known(self, block: SampleBlock) -> bool:
-        """Whether its last sample was taken before."""
+        """Test whether an earlier run has evaluated the block to its last sample."""
         return block.t_ns + (block.n_samples - 0.5) / block.sample_rate_hz * 1e9 < self._context.known_ns
 
     def _paths(self) -> list[Path]:
+        """List the recordings that the names and patterns of the settings denote."""
         paths: list[Path] = []
         for name in self._settings.files:
             if not any(sign in name for sign in "*?["):

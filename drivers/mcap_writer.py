@@ -1,4 +1,4 @@
-"""Writes recordings: indexed MCAP in zstd chunks, whole or not at all."""
+"""Writes recordings: indexed MCAP in zstd chunks, under their final name only when they are whole."""
 
 from __future__ import annotations
 
@@ -17,32 +17,35 @@ from drivers.base import SampleBlock
 
 _CHUNK_BYTES = 256 * 1024
 LIBRARY = "shm-monitor"
-"""Named in the file's header: a chunk's log times are then the times by which its blocks are ordered."""
+"""Library name in the file's header; it says that a chunk's log times are the times by which its blocks are ordered."""
 ORDER, AS_ARRIVED = "order", "as arrived"
-"""Channel metadata that tells a live record from others."""
+"""Key and value of the channel metadata that mark a live recording."""
 
 
 class McapWriter:
-    """A recording that appears under its name only when whole; until then it is `NAME.part` beside it.
+    """Writer of a recording that has the name `NAME.part` until it is whole.
 
     The same calls give the same bytes.  After a crash the `.part` file is readable up to the last `flush`.
 
     Parameters
     ----------
     path
-        Final name; its folder is made if need be.
+        Final name; its folder is created if necessary.
     metadata
         MCAP metadata records, name -> keys and values.
     as_arrived
-        Readers are to give the blocks in the order of their log times, not of their own: a live record.
+        Live recording: readers order the blocks by their log times, not by the times of their samples.
 
-    Raises ``OSError`` if the file cannot be written.
+    Raises
+    ------
+    OSError
+        If the file cannot be written.
     """
 
     def __init__(
         self, path: Path, metadata: Mapping[str, Mapping[str, str]] | None = None, *, as_arrived: bool = False
     ) -> None:
-        """Open the part file."""
+        """Create the `.part` file."""
         self.path = Path(path)
         self.part_path = self.path.with_name(self.path.name + ".part")
         self.path.parent.mkdir(parents=True, exist_ok=True)
@@ -58,25 +61,32 @@ class McapWriter:
             self._writer.add_metadata(name, dict(values))
 
     def __enter__(self) -> Self:
-        """The writer itself."""
+        """Return the writer itself."""
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Close, or after an error remove the part file."""
+        """Close the recording, or remove the `.part` file after an error."""
         if kind is None:
             self.close()
         else:
             self.abort()
 
     def write(self, block: SampleBlock, log_time_ns: int | None = None) -> None:
-        """Append a block; its log time is its own time, in a live record (`as_arrived`) the one given.
+        """Append a block.
+
+        Parameters
+        ----------
+        block : SampleBlock
+            Block of samples.
+        log_time_ns : int, optional
+            Log time in a live recording (`as_arrived`), ns; the time of the block by default and in all other recordings.
 
         Raises
         ------
         ValueError
-            If its time lies before 1970, which MCAP cannot say.
+            If the time of the block lies before 1970, which MCAP cannot represent.
         """
         if block.t_ns < 0:
             raise ValueError(f"block of {block.topic} at {block.t_ns} ns: before 1970")
@@ -86,7 +96,7 @@ class McapWriter:
         self._writer.add_message(channel, log_time_ns, codec.encode(block), block.t_ns)
 
     def write_json(self, topic: str, t_ns: int, data: bytes | str, schema: Mapping[str, object] | None = None) -> None:
-        """Append one JSON message; `schema` is its JSON schema, by default any object."""
+        """Append one JSON message at `t_ns` (UTC, ns); `schema` is its JSON schema, by default that of any object."""
         channel = self._channels.get(topic)
         if channel is None:
             text = json.dumps(schema or {"type": "object"}, sort_keys=True).encode()
@@ -94,12 +104,12 @@ class McapWriter:
         self._writer.add_message(channel, t_ns, data.encode() if isinstance(data, str) else data, t_ns)
 
     def flush(self) -> None:
-        """End the chunk and put all so far on the disk: what a crash then leaves."""
+        """End the chunk, and write all data so far to the disk, where they outlast a crash."""
         self._writer.flush()  # type: ignore[no-untyped-call]
         os.fsync(self._file.fileno())
 
     def close(self) -> None:
-        """Finish the file and give it its name; calling it again does no harm."""
+        """Finish the file and give it its final name; a second call does no harm."""
         if self._file.closed:
             return
         try:
@@ -113,7 +123,7 @@ class McapWriter:
             raise
 
     def keep(self) -> None:
-        """Give the file its name as it stands, readable up to the last whole chunk: what to do when the disk is full."""
+        """Give the unfinished file its final name, readable up to the last whole chunk; for a full disk."""
         with contextlib.suppress(OSError):
             self._file.close()
         os.replace(self.part_path, self.path)
@@ -124,6 +134,7 @@ class McapWriter:
         self.part_path.unlink(missing_ok=True)
 
     def _channel(self, topic: str, encoding: str, name: str, schema_encoding: str, schema: bytes) -> int:
+        """Return the id of a topic's MCAP channel, registered with its schema at the first call."""
         if topic not in self._channels:
             if name not in self._schemas:
                 self._schemas[name] = self._writer.register_schema(name, schema_encoding, schema)

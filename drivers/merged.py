@@ -1,4 +1,4 @@
-"""Small blocks that follow one another, joined: results do not depend on how samples were cut, but their cost does."""
+"""Joins small consecutive blocks: results do not depend on how samples are cut into blocks, but the run time does."""
 
 from __future__ import annotations
 
@@ -11,24 +11,34 @@ from drivers.base import ACCELERATION, SampleBlock
 
 
 def merged(blocks: Iterable[SampleBlock], longest_s: float) -> Iterator[SampleBlock]:
-    """The same samples in the same order; consecutive blocks of `/acceleration` joined, up to `longest_s` of them.
+    """Join consecutive blocks of `/acceleration` to blocks of at most `longest_s` seconds, with all samples in order.
 
-    Only blocks that go on where the one before ends, by sequence and to the nanosecond, are joined, and none across a block of
-    another topic.
+    Two blocks are joined only if the second continues the first without a gap, by sequence and to the nanosecond, and no
+    block of another topic lies between them.
+
+    Examples
+    --------
+    >>> parts = [SampleBlock(ACCELERATION, n * 10**9, n * 10, 10.0, ("a1",), "m/s^2", np.zeros((10, 1), np.float32))
+    ...          for n in range(3)]
+    >>> [block.n_samples for block in merged(parts, longest_s=2.0)]
+    [20, 10]
     """
-    held: list[SampleBlock] = []
+    pending: list[SampleBlock] = []
     n = 0
     for block in blocks:
-        if held and not (_goes_on(held[0], n, block) and (n + block.n_samples) <= longest_s * block.sample_rate_hz):
-            yield _joined(held)
-            held, n = [], 0
-        held.append(block)
+        if pending and not (
+            _continues(pending[0], n, block) and (n + block.n_samples) <= longest_s * block.sample_rate_hz
+        ):
+            yield _join(pending)
+            pending, n = [], 0
+        pending.append(block)
         n += block.n_samples
-    if held:
-        yield _joined(held)
+    if pending:
+        yield _join(pending)
 
 
-def _goes_on(first: SampleBlock, n: int, block: SampleBlock) -> bool:
+def _continues(first: SampleBlock, n: int, block: SampleBlock) -> bool:
+    """Test whether a block follows the `n` samples that begin with the block `first`."""
     return (
         block.sequence == first.sequence + n
         and abs(block.t_ns - first.t_ns - round(n / first.sample_rate_hz * 1e9)) <= 1
@@ -39,5 +49,7 @@ def _goes_on(first: SampleBlock, n: int, block: SampleBlock) -> bool:
     )
 
 
-def _joined(held: list[SampleBlock]) -> SampleBlock:
-    return held[0] if len(held) == 1 else replace(held[0], samples=np.concatenate([b.samples for b in held]))
+def _join(pending: list[SampleBlock]) -> SampleBlock:
+    return (
+        pending[0] if len(pending) == 1 else replace(pending[0], samples=np.concatenate([b.samples for b in pending]))
+    )

@@ -1,6 +1,6 @@
-"""CAN nodes to rows of samples: each node's frames in order, several nodes joined on one count.  No I/O.
+"""Converts the frames of CAN nodes to rows of samples, and joins several nodes on one sample index.  No I/O.
 
-Nodes that each sample by their own clock are joined sample by sample, never interpolated.
+Nodes that sample by clocks of their own are joined sample by sample, without interpolation.
 """
 
 from __future__ import annotations
@@ -19,19 +19,21 @@ from drivers.frames import Layout
 Ints = NDArray[np.int64]
 Samples = NDArray[np.float32]
 Rows = tuple[Ints, Samples]
-"""Rising indices, shape (n,), and samples, shape (n, n_channels)."""
+"""Increasing sample indices, shape (n,), and samples, shape (n, n_channels), m/s^2."""
 
 HOLD_S = 1.0
-"""A node that lags by more is not waited for; its samples are missing then."""
+"""Longest wait for a node that lags, s of data; beyond it, the node's samples are missing."""
 WARM_S = 3
-"""Seconds of data on which it is decided whether nodes fit each other."""
+"""Seconds of data before the nodes are aligned."""
 _MARGIN = 0.25
+"""Lag beyond half a sample, in samples, that nodes once aligned may reach before they are aligned again."""
 _MAX_T_S = 4e9
+"""Timestamps from here on, s since 1970, are not used."""
 
 
 @dataclass(slots=True)
 class Node:
-    """What one node sent: frames in, rows out."""
+    """Decoder of the frames of one node: raw frames in, rows of samples out."""
 
     layout: Layout
     rate_hz: float
@@ -40,10 +42,11 @@ class Node:
     times: list[float] = field(default_factory=list)
     clock: ClockState = field(default_factory=ClockState)
     line: Timeline | None = None
-    """Of this node's own count."""
+    """UTC of the node's sample indices; None before the first timestamp."""
     untimed: int = 0
-    """Frames before the first with a timestamp."""
+    """Number of frames before the first one with a timestamp."""
     bad_times: int = 0
+    """Number of frames whose timestamp cannot be used."""
     sequencer: Sequencer = field(init=False)
     _factor: int = field(init=False)
     _next: int | None = None
@@ -59,7 +62,15 @@ class Node:
         )
 
     def take(self, *, everything: bool = False) -> Rows:
-        """Rows that are in order now; `everything`: whatever is held, since nothing will come any more."""
+        """Return the rows that are in order now; with `everything`, all rows, because no frame will follow.
+
+        Returns
+        -------
+        indices : array, shape (n,)
+            Sample indices.
+        samples : array, shape (n, n_channels)
+            Samples, m/s^2.
+        """
         if self.frames:
             frames, times = b"".join(self.frames), np.array(self.times, dtype=np.float64)
             self.frames, self.times = [], []
@@ -69,6 +80,10 @@ class Node:
         return self._release(everything)
 
     def _add(self, samples: Samples, counters: Ints, times: NDArray[np.float64]) -> None:
+        """Number the frames and keep the new ones.
+
+        `samples` has shape (n_frames, n_samples, n_channels), `counters` and `times` (s) have shape (n_frames,).
+        """
         timed = (times >= 0) & (times < _MAX_T_S)  # false for NaN
         self.bad_times += int(np.count_nonzero(~timed))
         times = np.where(timed, times, np.nan)
@@ -84,17 +99,18 @@ class Node:
         if self.line is None:
             self.line = Timeline(int(rows[0]), self._anchor(float(times[0])), self.rate_hz)
         known = new & timed
-        last = rows[known] + self.layout.n_samples - 1  # a frame leaves with its last sample
+        last = rows[known] + self.layout.n_samples - 1  # a frame is sent when its last sample is taken
         self.clock, self.line = clock.step(self.clock, self.line, last, times[known], self.rate_hz)
         held, old = self._held
         self._held = np.concatenate((held, rows[new])), np.concatenate((old, samples[new]))
 
     def _anchor(self, t_s: float) -> int:
-        """UTC of the first sample, whole microseconds: finer than that no transport tells."""
+        """Compute the UTC of the first sample, ns, in whole microseconds: no transport has finer timestamps."""
         before_us = (self.layout.n_samples - 1) / self.rate_hz * 1e6
         return max(0, round(round(t_s * 1e6) - before_us)) * 1000
 
     def _release(self, everything: bool) -> Rows:
+        """Remove and return the rows before the first gap that late frames can still fill."""
         rows, samples = self._held
         n, step = self.layout.n_samples, self.sequencer.stride * self._factor
         order = np.argsort(rows)
@@ -112,14 +128,14 @@ class Node:
         return singles, samples[:count].reshape(-1, len(self.layout.channels))
 
     def origin_s(self) -> float | None:
-        """UTC of this node's sample 0 by its clock; None while unknown."""
+        """Compute the UTC of this node's sample 0 by its clock, s; None while unknown."""
         if len(self.clock.offsets) < WARM_S:
             return None
         least = min(self.clock.offsets[-5:])
         return self.clock.t_s + least - self.clock.index / self.rate_hz
 
     def health(self) -> ClockHealth:
-        """The clock against the times that blocks carry."""
+        """Return offset and drift of the node's clock against the times that blocks carry."""
         found = clock.fit(self.clock, self.rate_hz)
         offset = found.offset_s + clock.origin_s(self.line, self.clock) if self.line else 0.0
         std = found.drift_std_ppm if np.isfinite(found.drift_std_ppm) else 0.0
@@ -129,17 +145,20 @@ class Node:
 
 @dataclass(slots=True)
 class Joiner:
-    """Rows of several nodes to rows of all; the first node's count is the common one."""
+    """Joiner of the rows of several nodes; the sample index of the first node is the common index."""
 
     nodes: tuple[Node, ...]
     channels: tuple[str, ...]
     rate_hz: float
     realign: bool
     unmatched: int = 0
-    """Rows given without the samples of some node, and samples of nodes that came too late."""
+    """Number of joined rows that lack the samples of some node, plus number of rows that arrived too late."""
     realigned: int = 0
+    """Number of shifts by whole samples since the first alignment."""
     detail: str = ""
+    """One sentence on the alignment."""
     _shifts: list[int] | None = None
+    """Shift of each node's index against the common index, samples; None while not aligned."""
     _queues: list[list[Rows]] = field(init=False)
     _from: list[int] = field(init=False)
     _done: int = -(1 << 62)
@@ -148,18 +167,25 @@ class Joiner:
         self.reset()
 
     def reset(self) -> None:
-        """Find out anew how the nodes fit."""
+        """Discard the alignment of the nodes and the waiting rows."""
         self._shifts = [0] if len(self.nodes) == 1 else None
         self._queues = [[] for _ in self.nodes]
         self._from = [-(1 << 62)] * len(self.nodes)
 
     def join(self, *, everything: bool = False) -> Rows:
-        """What all nodes have by now, in the order of `channels`, NaN where one has nothing.
+        """Join the rows of all nodes so far; with `everything`, wait for no node.
+
+        Returns
+        -------
+        indices : array, shape (n,)
+            Common sample indices.
+        samples : array, shape (n, n_channels)
+            Samples in the order of `channels`, m/s^2; NaN where a node has none.
 
         Raises
         ------
         SourceError
-            If the nodes' samples do not fall together.
+            If the nodes do not sample at the same times.
         """
         for queue, node in zip(self._queues, self.nodes, strict=True):
             rows = node.take(everything=everything)
@@ -172,55 +198,56 @@ class Joiner:
                 return np.empty(0, np.int64), np.empty((0, len(self.channels)), np.float32)
             columns = [self.nodes[0].layout.channels.index(name) for name in self.channels]
             return joined[0][0], joined[0][1][:, columns]
-        if not self._fit(everything):
-            self._bound()
+        if not self._align(everything):
+            self._limit_queues()
             return np.empty(0, np.int64), np.empty((0, len(self.channels)), np.float32)
         return self._merge(everything)
 
-    def _bound(self) -> None:
-        """While one node is waited for, the others' rows are kept for some seconds only."""
+    def _limit_queues(self) -> None:
+        """Drop the oldest rows beyond some seconds, while the others wait for one node."""
         for queue in self._queues:
             while sum(len(rows) for rows, _ in queue) > 4 * WARM_S * self.rate_hz and len(queue) > 1:
                 self.unmatched += len(queue.pop(0)[0])
 
-    def _fit(self, everything: bool) -> bool:
-        """Whether it is known which samples fall together."""
+    def _align(self, everything: bool) -> bool:
+        """Find the shift of each node against the first one; False while a node's clock is unknown."""
         origins = [node.origin_s() for node in self.nodes]
         first = origins[0]
         waiting = [node.layout.name for node, origin in zip(self.nodes, origins, strict=True) if origin is None]
         if waiting and self._shifts is None and not everything:
             self.detail = f"waiting for {', '.join(waiting)}"
             return False
-        paced = all(node.clock.real_time for node in self.nodes)
-        fresh = self._shifts is None
+        in_real_time = all(node.clock.real_time for node in self.nodes)
+        is_first = self._shifts is None
         self._shifts = self._shifts or [0] * len(self.nodes)
-        said = []
+        lag_texts = []
         for at, (node, origin) in enumerate(zip(self.nodes, origins, strict=True)):
-            if at == 0 or origin is None or first is None or not paced:
+            if at == 0 or origin is None or first is None or not in_real_time:
                 continue
-            apart = (origin - first) * self.rate_hz - self._shifts[at]
-            if abs(apart) > 0.5 + (0.0 if fresh else _MARGIN):
-                self._move(at, node, apart, fresh)
-                apart -= round(apart)
-            said.append(f"{node.layout.name} {apart:+.2f}")
-        if not paced and any(not node.layout.counter_bits for node in self.nodes):
+            lag = (origin - first) * self.rate_hz - self._shifts[at]
+            if abs(lag) > 0.5 + (0.0 if is_first else _MARGIN):
+                self._shift_node(at, node, lag, is_first)
+                lag -= round(lag)
+            lag_texts.append(f"{node.layout.name} {lag:+.2f}")
+        if not in_real_time and any(not node.layout.counter_bits for node in self.nodes):
             raise SourceError("nodes without a counter can be joined in real time only")
         after = f"samples after those of {self.nodes[0].layout.name}"
-        self.detail = f"{', '.join(said)} {after}" if said else "joined by their counters alone"
+        self.detail = f"{', '.join(lag_texts)} {after}" if lag_texts else "joined by their counters alone"
         return True
 
-    def _move(self, at: int, node: Node, apart: float, fresh: bool) -> None:
+    def _shift_node(self, at: int, node: Node, lag: float, is_first: bool) -> None:
+        """Shift a node by its lag rounded to whole samples; raise SourceError if the settings forbid it."""
         assert self._shifts is not None
         counted = bool(node.layout.counter_bits)
-        if not (self.realign or (fresh and not counted)):
+        if not (self.realign or (is_first and not counted)):
             self.reset()
             raise SourceError(
-                f"{node.layout.name} samples {apart:+.2f} samples after {self.nodes[0].layout.name}: their clocks are "
+                f"{node.layout.name} samples {lag:+.2f} samples after {self.nodes[0].layout.name}: their clocks are "
                 "not synchronised; synchronise the nodes, or set realign = true"
             )
-        self._shifts[at] += round(apart)
-        if not fresh:
-            # A hole, since the samples about it do not follow each other.
+        self._shifts[at] += round(lag)
+        if not is_first:
+            # Leave a gap, because the samples on its two sides are not consecutive.
             self.realigned += 1
             self._from[at] = self._done + 3
 
@@ -251,6 +278,7 @@ class Joiner:
 
 
 def _concatenate(queue: list[Rows], width: int, shift: int) -> Rows:
+    """Concatenate rows of `width` channels, with `shift` added to their indices."""
     if not queue:
         return np.empty(0, np.int64), np.empty((0, width), np.float32)
     return np.concatenate([rows for rows, _ in queue]) + shift, np.concatenate([samples for _, samples in queue])

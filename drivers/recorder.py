@@ -1,4 +1,4 @@
-"""Everything received, as rolling recordings: readable after a power cut, within the disk's limits, in order of arrival."""
+"""Records all received blocks in files of limited size: in order of arrival, readable after a power cut, within a disk limit."""
 
 from __future__ import annotations
 
@@ -26,53 +26,63 @@ _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _UNIT_OF = {ACCELERATION: "m/s^2", GROUND: "m/s^2", TEMPERATURE: "degC"}
 _MB, _GB = 1 << 20, 1 << 30
 _NAME = re.compile(r"\d{8}T\d{6}\.\d{6}Z-\d{4}\.mcap")
-_MOST_UNFLUSHED_BYTES = 8 * _MB
-_MOST_BLOCK_BYTES = 64 * _MB
-_EARLY = 0.8
-"""Of `flush_s`, when a flush begins: a slow disk must have it by then."""
-_LEAST_FLUSH_S = 1.0
+_MAX_UNFLUSHED_BYTES = 8 * _MB
+_MAX_BLOCK_BYTES = 64 * _MB
+_FLUSH_SHARE = 0.8
+"""Share of `flush_s` after which a flush begins, so that a slow disk has the data in time."""
+_MIN_FLUSH_S = 1.0
+"""Shortest time between two flushes that the length of the data causes, s."""
 _MAX_INT = 1 << 62
 
 
 @dataclass(frozen=True, slots=True)
 class RecorderHealth:
-    """How recording goes; counts only grow."""
+    """State of the recording; the counts never decrease."""
 
     recording: bool
     detail: str
-    """Why not, or empty."""
+    """Reason why recording is paused, or empty."""
     blocks: int
+    """Number of blocks written."""
     lost_blocks: int
-    """Blocks that came while nothing could be written, or that a failed file took along."""
+    """Number of blocks that arrived while recording was paused, or that were lost with a failed file."""
     files: int
-    """Files begun."""
+    """Number of files begun."""
     removed_files: int
+    """Number of old files removed."""
 
 
 def unfit(block: SampleBlock) -> str | None:
-    """Why a recording cannot hold a block, or None."""
+    """Return the reason why a recording cannot hold a block, or None if it can."""
     if not (0 <= block.t_ns < _MAX_INT and block.sequence < _MAX_INT and 1e-3 <= block.sample_rate_hz <= 1e7):
         return f"time {block.t_ns} ns, sequence {block.sequence} or {block.sample_rate_hz:g} Hz is absurd"
     if block.unit != _UNIT_OF.get(block.topic):
         return f"topic {block.topic!r} in {block.unit!r}; known: {', '.join(_UNIT_OF)}"
-    if not block.channels or block.samples.nbytes > _MOST_BLOCK_BYTES:
+    if not block.channels or block.samples.nbytes > _MAX_BLOCK_BYTES:
         return f"a block of {len(block.channels)} channels and {block.samples.nbytes} bytes"
     return None
 
 
 class Recorder:
-    """Writes blocks to files named by the time of their first one, so that names sort by time.
+    """Recorder of blocks to files that are named by the time of their first block, so that names sort by time.
 
-    Messages bear a log time that rises strictly in the order of arrival, from one run to the next too: reading the files
-    gives the blocks as they came.
-    Trouble with the disk pauses recording and never raises; it is tried again after `flush_s`.
+    The log times of the messages increase strictly in the order of arrival, also from one run to the next.  Reading the
+    files therefore gives the blocks in the order of arrival.  A disk error pauses recording and raises nothing; recording is
+    attempted again after `flush_s`.
 
     Parameters
     ----------
+    folder : Path
+        Folder of the recordings.
+    settings : RecorderSettings
+        Limits of size and time.
     clock : callable
-        Seconds that only rise.
+        Monotonic clock, s.
 
-    Raises ``OSError`` if the folder cannot be made.
+    Raises
+    ------
+    OSError
+        If the folder cannot be created.
     """
 
     def __init__(self, folder: Path, settings: RecorderSettings, clock: Callable[[], float] = time.monotonic) -> None:
@@ -81,21 +91,21 @@ class Recorder:
         self._begun_ns = self._flushed_ns = 0
         self._flushed_s = self._retry_s = clock()
         self._unflushed_bytes = self._unflushed_blocks = 0
-        self._holds = False
-        """Whether the file has anything on the disk."""
+        self._has_flushed = False
+        """True if the present file has data on the disk."""
         self._detail = ""
         self._received = self._lost = self._files = self._removed = 0
         folder.mkdir(parents=True, exist_ok=True)
         recover(folder)
-        self.stamp_ns = max((stamp for stamp, _ in _messages(_names(folder)[-1:])), default=0)
-        """Log time of the latest block."""
+        self.stamp_ns = max((stamp for stamp, _ in _messages(_recordings(folder)[-1:])), default=0)
+        """Log time of the latest block, ns."""
 
     def write(self, block: SampleBlock) -> None:
         """Record a block that is not `unfit`."""
         self.stamp_ns = max(self.stamp_ns + 1, block.t_ns)
         self._received += 1
         try:
-            if self._writer is None and not self._begin():
+            if self._writer is None and not self._begin_file():
                 self._lost += 1
                 return
             assert self._writer is not None
@@ -107,17 +117,17 @@ class Recorder:
             self._pause(f"cannot write: {error.strerror or error}")
 
     def tick(self) -> None:
-        """Flush if it is time; call now and then when no block comes."""
+        """Flush if a flush is due; call from time to time while no block arrives."""
         if self._writer is None or not self._unflushed_blocks:
             return
         waited_s, data_s = self._clock() - self._flushed_s, (self.stamp_ns - self._flushed_ns) * 1e-9
-        flush_s = _EARLY * self._settings.flush_s
-        due = waited_s >= flush_s or (data_s >= flush_s and waited_s >= min(_LEAST_FLUSH_S, flush_s))
-        if due or self._unflushed_bytes >= _MOST_UNFLUSHED_BYTES:
+        flush_s = _FLUSH_SHARE * self._settings.flush_s
+        due = waited_s >= flush_s or (data_s >= flush_s and waited_s >= min(_MIN_FLUSH_S, flush_s))
+        if due or self._unflushed_bytes >= _MAX_UNFLUSHED_BYTES:
             self.flush()
 
     def flush(self) -> None:
-        """See that all so far outlasts a power cut."""
+        """Write all blocks so far to the disk, where they outlast a power cut."""
         if self._writer is None or not self._unflushed_blocks:
             return
         try:
@@ -126,12 +136,12 @@ class Recorder:
             self._pause(f"cannot write: {error.strerror or error}")
 
     def health(self) -> RecorderHealth:
-        """Counts so far; may be called from any thread."""
+        """Return the counts so far; may be called from any thread."""
         written = self._received - self._lost
         return RecorderHealth(not self._detail, self._detail, written, self._lost, self._files, self._removed)
 
     def close(self) -> None:
-        """Finish the file; calling it again does no harm."""
+        """Finish the present file; a second call does no harm."""
         writer, self._writer = self._writer, None
         if writer is None:
             return
@@ -141,7 +151,8 @@ class Recorder:
         except OSError as error:
             self._detail = f"cannot write: {error.strerror or error}"
 
-    def _begin(self) -> bool:
+    def _begin_file(self) -> bool:
+        """Begin a new file; False while recording is paused."""
         if self._clock() < self._retry_s:
             return False
         free = shutil.disk_usage(self._folder).free
@@ -152,17 +163,18 @@ class Recorder:
         self._begun_ns = self._flushed_ns = self.stamp_ns
         self._flushed_s = self._clock()
         self._files += 1
-        self._holds = False
+        self._has_flushed = False
         self._detail = ""
         return True
 
     def _flush(self, writer: McapWriter) -> None:
+        """Flush the file, remove old files, and finish the file if it is full or disk space is short."""
         writer.flush()
-        self._holds = True
+        self._has_flushed = True
         self._flushed_ns, self._flushed_s = self.stamp_ns, self._clock()
         self._unflushed_blocks = self._unflushed_bytes = 0
         size, s = writer.part_path.stat().st_size, self._settings
-        self._limit(size)
+        self._remove_oldest(size)
         full = size >= s.file_mb * _MB or self.stamp_ns - self._begun_ns >= s.file_s * 1e9
         short = shutil.disk_usage(self._folder).free < s.min_free_gb * _GB
         if full or short:
@@ -172,12 +184,12 @@ class Recorder:
         if short:
             self._pause("too little free space")
 
-    def _limit(self, current: int) -> None:
-        """Remove the oldest files beyond the space for recordings."""
-        names = _names(self._folder)
-        sizes = [path.stat().st_size for path in names]
+    def _remove_oldest(self, current: int) -> None:
+        """Remove the oldest files until all fit into `keep_gb`; `current` is the size of the open file, bytes."""
+        paths = _recordings(self._folder)
+        sizes = [path.stat().st_size for path in paths]
         total = current + sum(sizes)
-        for path, size in zip(names, sizes, strict=True):
+        for path, size in zip(paths, sizes, strict=True):
             if total <= self._settings.keep_gb * _GB:
                 return
             path.unlink()
@@ -185,6 +197,7 @@ class Recorder:
             total -= size
 
     def _pause(self, detail: str) -> None:
+        """Pause recording for `flush_s`; keep the flushed part of the present file."""
         self._detail = detail
         self._retry_s = self._clock() + self._settings.flush_s
         self._lost += self._unflushed_blocks
@@ -192,11 +205,14 @@ class Recorder:
         writer, self._writer = self._writer, None
         if writer is not None:
             with contextlib.suppress(OSError):
-                writer.keep() if self._holds else writer.abort()
+                writer.keep() if self._has_flushed else writer.abort()
 
 
 def recover(folder: Path) -> None:
-    """Give what a crash left its name: the whole blocks of each file can be read; one without any is removed."""
+    """Give the files that a crash left unfinished their final names.
+
+    The whole blocks of each file can be read.  A file without blocks is removed, a damaged one gets the suffix `.damaged`.
+    """
     for part in sorted(folder.glob("*.mcap.part")):
         name = part.with_suffix("")
         try:
@@ -212,11 +228,11 @@ def recover(folder: Path) -> None:
 
 
 def recorded(folder: Path, after_ns: int) -> Iterator[tuple[int, SampleBlock]]:
-    """Log time and content of the blocks with a log time after that, in the order of arrival.
+    """Read the recorded blocks with a log time after `after_ns`, in the order of arrival, each with its log time, ns.
 
-    What is damaged is logged and left out.
+    Damaged blocks and files are logged and left out.
     """
-    paths = _names(folder)
+    paths = _recordings(folder)
     later = [_begun_ns(path) for path in paths[1:]]
     for stamp_ns, (topic, data) in _messages(
         [p for p, end in zip(paths, [*later, _MAX_INT], strict=False) if end > after_ns]
@@ -230,6 +246,7 @@ def recorded(folder: Path, after_ns: int) -> Iterator[tuple[int, SampleBlock]]:
 
 
 def _messages(paths: Sequence[Path]) -> Iterator[tuple[int, tuple[str, bytes]]]:
+    """Read log time (ns), topic and data of the messages of all files; log damage and continue with the next file."""
     for path in paths:
         try:
             for topic, stamp_ns, data in scan_messages(path):
@@ -238,18 +255,19 @@ def _messages(paths: Sequence[Path]) -> Iterator[tuple[int, tuple[str, bytes]]]:
             _log.warning("%s; the rest of it is left out", error)
 
 
-def _names(folder: Path) -> list[Path]:
+def _recordings(folder: Path) -> list[Path]:
+    """List the recordings in a folder in the order of their times."""
     return sorted(path for path in folder.iterdir() if _NAME.fullmatch(path.name))
 
 
 def _begun_ns(path: Path) -> int:
-    """Log time of a file's first block, to the microsecond below."""
+    """Read the log time of a file's first block from its name, ns, rounded down to a microsecond."""
     begun = datetime.strptime(path.name[:22], "%Y%m%dT%H%M%S.%f").replace(tzinfo=UTC)
     return (begun - _EPOCH) // timedelta(microseconds=1) * 1000
 
 
 def _new_name(folder: Path, t_ns: int) -> Path:
-    """A name that is free, by UTC to the microsecond."""
+    """Choose an unused name by UTC to the microsecond."""
     seconds, rest = divmod(t_ns, 1_000_000_000)
     time_text = f"{datetime.fromtimestamp(seconds, UTC):%Y%m%dT%H%M%S}.{rest // 1000:06d}Z"
     numbered = (folder / f"{time_text}-{number:04d}.mcap" for number in range(1, 10_000))

@@ -1,4 +1,4 @@
-"""Settings of the recorder, apart from it: reading them must not load the recording's format."""
+"""Settings of the recorder, in a module of their own: reading the settings must not load the MCAP libraries."""
 
 from __future__ import annotations
 
@@ -6,18 +6,18 @@ from pydantic import BaseModel, ConfigDict, Field
 
 
 class RecorderSettings(BaseModel):
-    """``[recorder]`` of the site file."""
+    """Table ``[recorder]`` of the site file."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     enabled: bool = True
     file_mb: float = Field(default=64.0, gt=0)
-    """A new file is begun when one has this size, in MiB."""
+    """Size at which a new file is begun, in MiB."""
     file_s: float = Field(default=3600.0, gt=0)
-    """... or this length of data."""
+    """Length of data at which a new file is begun."""
     keep_gb: float = Field(default=20.0, gt=0)
-    """Most disk space for recordings, in GiB; then the oldest go."""
+    """Greatest disk space of all recordings, in GiB; beyond it the oldest files are removed."""
     min_free_gb: float = Field(default=0.2, ge=0)
-    """Recording pauses while the disk has less free space, in GiB; nothing is removed for it."""
+    """Free disk space below which recording pauses, in GiB; no file is removed to gain space."""
     flush_s: float = Field(default=10.0, gt=0)
-    """Data that a power cut may cost."""
+    """Length of data that a power cut may lose."""

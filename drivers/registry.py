@@ -1,4 +1,4 @@
-"""Kinds of sources by name; a driver is imported only when it is asked for."""
+"""Registry of source kinds; a driver is imported only when its kind is requested."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ GROUP = "shm_monitor.sources"
 
 
 class UnknownSourceError(ValueError):
-    """No driver has that name."""
+    """Error of a source kind that no driver has."""
 
 
 def source_type(kind: str) -> Any:
-    """The driver class of a kind.
+    """Import and return the driver class of a source kind.
 
     Raises
     ------
     UnknownSourceError
-        The message lists the kinds there are.
+        If no driver has this kind; the message lists the known kinds.
     """
     if kind in SOURCES:
         module, _, name = SOURCES[kind].partition(":")

@@ -1,4 +1,4 @@
-"""Blocks of one stream in order of their sequence numbers: no I/O, no clock."""
+"""Sorts the blocks of one stream by their sequence numbers: no I/O, no clock."""
 
 from __future__ import annotations
 
@@ -7,27 +7,36 @@ from collections import Counter, deque
 from drivers.base import SampleBlock
 
 _REMEMBERED = 256
-"""Blocks by which a repetition is known."""
+"""Number of latest blocks among which a repeated block is recognised."""
 
 
 def _end(block: SampleBlock) -> int:
+    """Return the sequence number that follows the last sample of a block."""
     return block.sequence + block.n_samples
 
 
 class Reorder:
-    """Hands blocks on in order and counts what was lost, repeated, reordered, late.
+    """Sorter of the blocks of one stream, with counts of lost, repeated, reordered and late blocks.
 
-    A block that comes too early waits until those before it have come, or until more than `hold` wait; then the place
-    is given up as lost.  Blocks from the past are thrown away, unless `hold` of them follow upon each other while
-    nothing else comes: then the publisher has begun anew.
+    A block that arrives too early waits for the blocks before it.  When more than `hold` blocks wait, the missing samples
+    count as lost.  Blocks older than the last one released are discarded.  If `hold` such blocks follow one another without
+    another block between them, the publisher has restarted its sequence, and they are released.
 
     Parameters
     ----------
     counts : Counter
-        Receives the events ``lost_samples``, ``gaps``, ``repeated``, ``reordered``, ``late``, ``restarts`` (in blocks, but
-        for the first).
+        Receives the counts: ``lost_samples`` in samples, ``repeated``, ``reordered`` and ``late`` in blocks, ``gaps`` and
+        ``restarts`` in events.
     hold : int
-        Blocks that may wait; 0 hands every jump on at once.
+        Greatest number of waiting blocks; with 0 the block after a gap is released at once.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> order = Reorder(Counter())
+    >>> blocks = [SampleBlock("/acceleration", 0, n, 1.0, ("a1",), "m/s^2", np.zeros((1, 1), np.float32)) for n in (0, 2, 1)]
+    >>> [[released.sequence for released in order.push(block)] for block in blocks]
+    [[0], [], [1, 2]]
     """
 
     def __init__(self, counts: Counter[str], hold: int = 4) -> None:
@@ -38,33 +47,33 @@ class Reorder:
         self._past: list[SampleBlock] = []
 
     def push(self, block: SampleBlock) -> list[SampleBlock]:
-        """The blocks that can be handed on now, in order."""
+        """Take a block, and return the blocks that can be released now, in order."""
         mark = (block.sequence, block.n_samples, block.t_ns)
         if mark in self._recent:
             self._counts["repeated"] += 1
             return []
         self._recent.append(mark)
         if self._last is None:
-            return self._go_on(block)
+            return self._release(block)
         due = _end(self._last)
         if _end(block) <= due:
-            return self._of_the_past(block)
+            return self._push_past(block)
         if block.sequence > due:
             self._early.setdefault(block.sequence, block)
-            return self._give_up() if len(self._early) > self._hold else []
+            return self._skip_gap() if len(self._early) > self._hold else []
         if self._early and min(self._early) <= _end(block):
             self._counts["reordered"] += 1
-        return self._go_on(block)
+        return self._release(block)
 
     def flush(self) -> list[SampleBlock]:
-        """What still waits, in order; for the end of the stream."""
+        """Return the blocks that still wait, in order, at the end of the stream."""
         blocks: list[SampleBlock] = []
         while self._early:
-            blocks += self._give_up()
+            blocks += self._skip_gap()
         return blocks
 
-    def _go_on(self, block: SampleBlock) -> list[SampleBlock]:
-        """Hand on `block` and those that waited for it."""
+    def _release(self, block: SampleBlock) -> list[SampleBlock]:
+        """Release `block` and the blocks that waited for it."""
         self._counts["late"] += len(self._past)
         self._past.clear()
         blocks = [block]
@@ -77,26 +86,27 @@ class Reorder:
         self._last = blocks[-1]
         return blocks
 
-    def _give_up(self) -> list[SampleBlock]:
-        """Go on behind a gap."""
+    def _skip_gap(self) -> list[SampleBlock]:
+        """Count the gap before the first waiting block, and release that block."""
         block = self._early.pop(min(self._early))
         last = self._last
         if last is not None:
-            # A sequence number alone may lie; what is missing must be missing from time too.
+            # A sequence number alone may be wrong, so the loss is limited to what the timestamps leave room for.
             elapsed_s = max(0.0, (block.t_ns - last.t_ns) * 1e-9 - last.n_samples / last.sample_rate_hz)
             self._counts["lost_samples"] += min(block.sequence - _end(last), round(elapsed_s * block.sample_rate_hz))
             self._counts["gaps"] += 1
-        return self._go_on(block)
+        return self._release(block)
 
-    def _of_the_past(self, block: SampleBlock) -> list[SampleBlock]:
+    def _push_past(self, block: SampleBlock) -> list[SampleBlock]:
+        """Take a block older than the last one released; release it only if the publisher has restarted."""
         if self._past and _end(self._past[-1]) != block.sequence:
             self._counts["late"] += len(self._past)
             self._past.clear()
         self._past.append(block)
         if len(self._past) < max(1, self._hold):
             return []
-        begun, self._past = self._past, []
+        restarted, self._past = self._past, []
         self._counts["restarts"] += 1
         blocks = self.flush()
-        self._last = begun[-1]
-        return blocks + begun
+        self._last = restarted[-1]
+        return blocks + restarted

@@ -1,6 +1,6 @@
-"""ROS 2 `sensor_msgs/msg/Imu` recordings, one topic a floor, as sample blocks.
+"""Converts ROS 2 `sensor_msgs/msg/Imu` recordings, with one topic for each floor, to sample blocks.
 
-The CDR layout of this one message is fixed, so it is read by hand; no ROS installation is needed.
+The CDR layout of this message is fixed and decoded here, so that no ROS installation is needed.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from drivers.base import ACCELERATION, RecordingError, SampleBlock
 IMU_SCHEMAS = ("sensor_msgs/msg/Imu", "sensor_msgs/Imu")
 _NS = 1_000_000_000
 _AXES = {"x": 25, "y": 26, "z": 27}  # of 37 doubles: orientation 4+9, angular velocity 3+9, acceleration 3+9
-_LEARN = 256  # samples of a topic from which its rate is learned
-_PENDING = 100_000  # samples of one topic waiting for the others; more means that another has ended
+_RATE_SAMPLES = 256  # samples of a topic from which its rate is estimated
+_MAX_PENDING = 100_000  # samples of one topic that wait for the others; more means that another topic has ended
 
 
 class ImuSample(NamedTuple):
-    """One reading: stamp of the header (ns), topic, acceleration along the mapped axis (m/s^2)."""
+    """Reading of one Imu message: stamp of the header (ns), topic, acceleration along the mapped axis (m/s^2)."""
 
     t_ns: int
     topic: str
@@ -30,13 +30,19 @@ class ImuSample(NamedTuple):
 
 
 def split_target(target: str) -> tuple[str, str]:
-    """Channel name and axis of a topic map's value, "a1" or "a1.y"; the axis is x unless told."""
+    """Split a topic map's value into channel name and axis; the axis is x by default.
+
+    Examples
+    --------
+    >>> split_target("a1.y"), split_target("a1")
+    (('a1', 'y'), ('a1', 'x'))
+    """
     name, dot, axis = target.rpartition(".")
     return (name, axis) if dot and axis in _AXES else (target, "x")
 
 
 def decode_imu(data: bytes, topic: str, axis: str = "x") -> ImuSample:
-    """The acceleration in one CDR message.
+    """Decode stamp and acceleration (m/s^2) along one axis from one CDR message.
 
     Raises
     ------
@@ -46,7 +52,7 @@ def decode_imu(data: bytes, topic: str, axis: str = "x") -> ImuSample:
     if len(data) < 16 or data[0] != 0 or data[1] not in (0, 1):
         raise ValueError("no plain CDR message")
     order = "<" if data[1] else ">"
-    body = data[4:]  # alignment counts from behind the encapsulation header
+    body = data[4:]  # alignment counts from the end of the encapsulation header
     seconds, nanoseconds, frame_length = struct.unpack_from(order + "iII", body)
     start = -(-(12 + frame_length) // 8) * 8
     if start + 37 * 8 > len(body):
@@ -56,24 +62,24 @@ def decode_imu(data: bytes, topic: str, axis: str = "x") -> ImuSample:
 
 
 class ImuJoiner:
-    """Joins topics sample by sample: a row where all stamps agree within half a sample.
+    """Joiner of Imu topics: one row of samples where the stamps of all topics agree within half a sample.
 
-    Samples before the last topic's start, and those whose partner was lost, are left out; the jump of
-    `sequence` says so.  Feed samples in the order of their stamps.
+    Samples before the start of the last topic, and samples without a partner in another topic, are left out; a jump of
+    `sequence` marks the loss.  Samples must be added in the order of their stamps.
     """
 
     def __init__(self, topic_map: Mapping[str, str], where: str) -> None:
-        """Topic -> channel name with axis; `where` names the files in errors."""
+        """Join the topics of `topic_map` (topic -> channel name with axis); `where` names the files in errors."""
         self._where = where
         self._queues: dict[str, deque[ImuSample]] = {topic: deque() for topic in topic_map}
         self._channels = tuple(split_target(target)[0] for target in topic_map.values())
         self._step_ns = 0.0
         self._rows: list[list[float]] = []
         self._start_ns = self._last_ns = self._sequence = 0
-        self._rows_in_all = 0
+        self._n_joined = 0
 
     def add(self, sample: ImuSample) -> Iterator[SampleBlock]:
-        """Take one sample; give the blocks that it completes.
+        """Add one sample, and yield the blocks that it completes.
 
         Raises
         ------
@@ -86,32 +92,39 @@ class ImuJoiner:
                 f"{self._where}: topic {sample.topic}: stamps do not rise at {sample.t_ns} ns; record stamped messages"
             )
         queue.append(sample)
-        if len(queue) > _PENDING:
+        if len(queue) > _MAX_PENDING:
             silent = [topic for topic, waiting in self._queues.items() if not waiting]
             raise RecordingError(
-                f"{self._where}: topic {sample.topic} runs {_PENDING} samples ahead of "
+                f"{self._where}: topic {sample.topic} runs {_MAX_PENDING} samples ahead of "
                 f"{', '.join(silent) or 'the others'}; "
                 "map only topics recorded at the same time"
             )
         if not self._step_ns:
-            if min(map(len, self._queues.values())) < _LEARN:
+            if min(map(len, self._queues.values())) < _RATE_SAMPLES:
                 return
-            self._learn()
-        yield from self._drain()
+            self._estimate_step()
+        yield from self._join_rows()
 
     def finish(self) -> Iterator[SampleBlock]:
-        """What remains at the end (same errors)."""
+        """Yield the remaining blocks at the end of the recording.
+
+        Raises
+        ------
+        RecordingError
+            If the topics do not run at one rate on one clock, or their stamps never agree.
+        """
         if not self._step_ns:
-            self._learn()
-        yield from self._drain()
-        yield from self._emit()
-        if not self._rows_in_all:
+            self._estimate_step()
+        yield from self._join_rows()
+        yield from self._emit_block()
+        if not self._n_joined:
             raise RecordingError(
                 f"{self._where}: the stamps of {', '.join(self._queues)} never agree within half a sample; "
                 "set the clocks"
             )
 
-    def _learn(self) -> None:
+    def _estimate_step(self) -> None:
+        """Estimate the sampling period, ns, as the median difference of the stamps."""
         steps = {}
         for topic, queue in self._queues.items():
             if len(queue) < 2:
@@ -122,7 +135,8 @@ class ImuJoiner:
             rates = ", ".join(f"{topic} {_NS / step:.2f} Hz" for topic, step in steps.items())
             raise RecordingError(f"{self._where}: the Imu topics run at different rates: {rates}; record them at one")
 
-    def _drain(self) -> Iterator[SampleBlock]:
+    def _join_rows(self) -> Iterator[SampleBlock]:
+        """Join the waiting samples to rows; yield a block before each gap and after each second."""
         queues = list(self._queues.values())
         while all(queues):
             newest = max(queue[0].t_ns for queue in queues)
@@ -132,17 +146,18 @@ class ImuJoiner:
                     queue.popleft()
                 continue
             t_ns = queues[0][0].t_ns
-            missed = max(1, round((t_ns - self._last_ns) / self._step_ns)) if self._rows_in_all else 1
-            if missed > 1 or len(self._rows) * self._step_ns >= _NS:
-                yield from self._emit()
-                self._sequence += missed - 1
+            steps_since = max(1, round((t_ns - self._last_ns) / self._step_ns)) if self._n_joined else 1
+            if steps_since > 1 or len(self._rows) * self._step_ns >= _NS:
+                yield from self._emit_block()
+                self._sequence += steps_since - 1
             if not self._rows:
                 self._start_ns = t_ns
             self._rows.append([queue.popleft().value for queue in queues])
             self._last_ns = t_ns
-            self._rows_in_all += 1
+            self._n_joined += 1
 
-    def _emit(self) -> Iterator[SampleBlock]:
+    def _emit_block(self) -> Iterator[SampleBlock]:
+        """Yield the joined rows as one block, if there are any."""
         if self._rows:
             yield SampleBlock(
                 topic=ACCELERATION,

@@ -14,15 +14,20 @@ _MAX_CLIENTS = 32
 
 
 class SocketcandServer:
-    """A bus that its clients and its owner share; what one sends, all others get.
+    """Bus that is shared by the clients and the owner of the server; each frame goes to all but its sender.
 
-    A client that takes nothing for `patience_s` is cut off; until then all wait for it, so that nobody loses a frame.
+    A client that receives nothing for `patience_s` is disconnected.  Until then all others wait for it, so that no client
+    loses a frame.
 
     Parameters
     ----------
+    host, port
+        Address to listen at; port 0 selects a free port.
     settle_s
-        A client gets frames from so long after its last answer on: python-can's takes anything in the same packet for
-        a part of the answer, and fails.
+        Time from the last answer to a client until its first frame, s.  python-can's client takes anything in the same packet
+        as part of the answer, and fails.
+    patience_s
+        Time after which a client that receives nothing is disconnected, s.
     """
 
     def __init__(self, host: str, port: int, *, settle_s: float = 0.5, patience_s: float = 30.0) -> None:
@@ -32,11 +37,11 @@ class SocketcandServer:
         self._all: set[socket.socket] = set()
         self._listener = socket.create_server((host, port))
         self.port = int(self._listener.getsockname()[1])
-        """Where it listens, also if asked for port 0."""
+        """Port at which the server listens, also if port 0 was requested."""
         threading.Thread(target=self._accept, name="socketcand", daemon=True).start()
 
     def wait_for_client(self, timeout_s: float) -> bool:
-        """Whether, within that time, a client takes frames."""
+        """Wait until a client receives frames; False if none does within `timeout_s`."""
         deadline = time.monotonic() + timeout_s
         while time.monotonic() < deadline:
             with self._lock:
@@ -46,7 +51,7 @@ class SocketcandServer:
         return False
 
     def send(self, text: bytes, sender: socket.socket | None = None) -> None:
-        """Hand frames (see `frame_text`) to all clients but the sender."""
+        """Send frames (see `frame_text`) to all clients but the sender."""
         with self._lock:
             now = time.monotonic()
             for client in [c for c, since in self._raw.items() if since <= now and c is not sender]:
@@ -56,7 +61,7 @@ class SocketcandServer:
                     self._drop(client)
 
     def close(self) -> None:
-        """End all connections, after what was sent."""
+        """Close all connections, after the data already sent."""
         with contextlib.suppress(OSError):
             self._listener.shutdown(socket.SHUT_RDWR)
         self._listener.close()
@@ -65,6 +70,7 @@ class SocketcandServer:
                 self._drop(client)
 
     def _drop(self, client: socket.socket) -> None:
+        """Disconnect a client."""
         self._raw.pop(client, None)
         self._all.discard(client)
         with contextlib.suppress(OSError):
@@ -72,6 +78,7 @@ class SocketcandServer:
         client.close()
 
     def _accept(self) -> None:
+        """Accept clients until the server is closed."""
         while True:
             try:
                 client, _ = self._listener.accept()
@@ -87,6 +94,7 @@ class SocketcandServer:
             threading.Thread(target=self._serve, args=(client,), name="socketcand-client", daemon=True).start()
 
     def _serve(self, client: socket.socket) -> None:
+        """Greet a client, and execute its commands until it leaves."""
         waiting = b""
         with contextlib.suppress(OSError):
             client.sendall(b"< hi >")
@@ -94,16 +102,17 @@ class SocketcandServer:
                 try:
                     data = client.recv(4096)
                 except TimeoutError:
-                    continue  # a listener need not speak
+                    continue  # a client that only receives need not send
                 if not data:
                     break
                 *commands, waiting = (waiting + data).split(b">")
                 for command in commands:
-                    self._obey(client, command.strip() + b" >")
+                    self._execute(client, command.strip() + b" >")
         with self._lock:
             self._drop(client)
 
-    def _obey(self, client: socket.socket, command: bytes) -> None:
+    def _execute(self, client: socket.socket, command: bytes) -> None:
+        """Execute one command of a client."""
         word = command.split()[1:2]
         if word == [b"send"]:
             if found := _SEND.fullmatch(command):
@@ -124,6 +133,6 @@ class SocketcandServer:
 
 
 def frame_text(frame_id: int, extended: bool, t_s: float, data: bytes) -> bytes:
-    """One frame on the wire; `t_s` is UTC."""
+    """Format one frame as socketcand sends it; `t_s` is UTC, s since 1970."""
     number = f"{frame_id:08X}" if extended else f"{frame_id:03X}"
     return f"< frame {number} {t_s:.6f} {data.hex().upper()} >".encode()

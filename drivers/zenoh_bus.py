@@ -1,4 +1,4 @@
-"""Sample blocks over Zenoh: the source that the daemon reads, and the publisher that a sensor node is."""
+"""Sample blocks over Zenoh: the source that the daemon reads, and the publisher of a sensor node."""
 
 from __future__ import annotations
 
@@ -30,66 +30,67 @@ from drivers.zenoh_session import Callbacks, Key, SessionSettings, leave, open_s
 
 ENCODING = f"application/protobuf;{codec.SCHEMA_NAME}"
 _UNITS = {ACCELERATION: "m/s^2", GROUND: "m/s^2", TEMPERATURE: "degC"}
-_ASK_AGAIN: Any = timedelta(seconds=10)
-"""How often publishers are asked whether more came.  (Heartbeats instead would stop the stream for good: where the publisher
-is a direct peer and the reader slow, the subscriber's handling of a heartbeat deadlocks in Zenoh 1.10.)"""
+_QUERY_PERIOD: Any = timedelta(seconds=10)
+"""Interval at which publishers are queried for missed blocks.  Heartbeats would stop the stream for good: with a direct peer
+as publisher and a slow reader, the subscriber's handling of a heartbeat deadlocks in Zenoh 1.10."""
 _LIMIT = 1 << 62
-"""Times in ns and sequence numbers from here on are nonsense; sums of two still fit 64 bits."""
-_MOST_ALIVE = 256
-"""Sensors that are named; whoever may declare more must not fill the memory."""
+"""Bound of valid times, ns, and sequence numbers; the sum of two still fits 64 bits."""
+_MAX_ALIVE = 256
+"""Greatest number of sensors listed as alive, so that no participant can fill the memory."""
 _EVENTS = ("blocks", "samples", "lost_samples", "gaps", "repeated", "reordered", "late", "restarts", "undecodable", "oversized",
            "missed", "links_lost", "sensors_lost")  # fmt: skip
 
 
 class StreamSettings(SessionSettings):
-    """Keys of a stream of blocks; those not given are not carried."""
+    """Keys of a stream of blocks; a topic without a key is not carried."""
 
     key: Key
-    """Accelerations of the floors, as ``shm/lab-frame/acceleration``."""
+    """Key of the floors' accelerations, as ``shm/lab-frame/acceleration``."""
     temperature_key: Key | None = None
-    """Temperatures, degC."""
+    """Key of the temperatures, degC."""
     ground_key: Key | None = None
-    """The measured base motion."""
+    """Key of the measured base motion."""
 
     @property
     def topics(self) -> dict[str, str]:
-        """Topic -> key."""
+        """Key of each topic that is carried."""
         keys = {ACCELERATION: self.key, GROUND: self.ground_key, TEMPERATURE: self.temperature_key}
         return {topic: key for topic, key in keys.items() if key is not None}
 
 
-def _beside(key: str, name: str) -> str:
+def _sibling_key(key: str, name: str) -> str:
+    """Replace the last chunk of a key by `name`."""
     return "/".join([*key.split("/")[:-1], name])
 
 
 def _received_key(key: str) -> str:
-    """Asked by a publisher that ends: a reader answers when it has taken all that came before."""
+    """Return the key that a publisher queries before it ends; a reader replies after it has received all earlier blocks."""
     return f"{key}/received"
 
 
 class ZenohSettings(StreamSettings):
-    """``[source]`` table of kind ``zenoh``."""
+    """Table ``[source]`` with ``kind = "zenoh"``."""
 
     kind: Literal["zenoh"] = "zenoh"
     history_blocks: int = Field(default=512, ge=0)
-    """Blocks asked of the publishers' caches when the source is opened."""
+    """Number of blocks requested from the publishers' caches when the source is opened."""
     hold_blocks: int = Field(default=4, ge=0, le=64)
-    """Blocks that may wait for an earlier one before its place is given up as lost."""
+    """Number of blocks that may wait for an earlier block before the earlier block counts as lost."""
     queue_bytes: int = Field(default=32 << 20, ge=1 << 12)
-    """What may wait to be read; then the network waits."""
+    """Greatest size of the data that wait to be read; beyond it the network waits."""
     max_payload_bytes: int = Field(default=1 << 20, ge=1, le=16 << 20)
-    """Larger messages are counted, never decoded."""
+    """Greatest size of a message; larger messages are counted, never decoded."""
     max_channels: int = Field(default=256, ge=1)
-    """Blocks with more are refused."""
+    """Greatest number of channels; blocks with more are refused."""
     max_rate_hz: float = Field(default=100e3, gt=0)
-    """Blocks that state a higher rate are refused."""
+    """Greatest sample rate; blocks that state a higher rate are refused."""
 
 
 class ZenohSource:
-    """Reads the sample blocks of any publisher, plain or advanced; see `drivers.base.Source`.
+    """Source of the sample blocks of any publisher, plain or advanced; see `drivers.base.Source`.
 
-    A publisher with a cache is asked again for what a broken link lost.  The session joins again by itself when a router
-    comes back.  After `close`, `read` still hands out what had arrived, then raises `EndOfStream`.
+    Blocks lost on a broken link are requested again from publishers with a cache.  The session reconnects by itself when a
+    router comes back.  After `close`, `read` still returns the blocks that had arrived, then raises `EndOfStream`.
     """
 
     Settings = ZenohSettings
@@ -107,7 +108,7 @@ class ZenohSource:
         self._alive: set[str] = set()
 
     def open(self) -> None:
-        """Join and subscribe; see `drivers.base.Source.open`."""
+        """Open the session and subscribe; see `drivers.base.Source.open`."""
         self.close()
         session = open_session(self._settings, self._context.folder)
         self._session = session
@@ -115,7 +116,7 @@ class ZenohSource:
         try:
             for topic, key in self._settings.topics.items():
                 self._subscribe(session, topic, key)
-            alive = _beside(self._settings.key, "alive/*")
+            alive = _sibling_key(self._settings.key, "alive/*")
             self._entities += [
                 session.liveliness().declare_subscriber(alive, self._callbacks.of(self._on_alive), history=True),
                 session.info.declare_transport_events_listener(self._callbacks.of(self._on_transport), history=False),
@@ -125,6 +126,8 @@ class ZenohSource:
             raise SourceError(f"cannot subscribe: {error}") from error
 
     def _subscribe(self, session: zenoh.Session, topic: str, key: str) -> None:
+        """Subscribe to the blocks of one topic, and reply to publishers that end."""
+
         def on_sample(sample: zenoh.Sample) -> None:
             if sample.kind != zenoh.SampleKind.PUT:
                 return
@@ -139,7 +142,7 @@ class ZenohSource:
             key,
             self._callbacks.of(on_sample),
             history=ext.HistoryConfig(detect_late_publishers=True, max_samples=history) if history else None,
-            recovery=ext.RecoveryConfig(periodic_queries=_ASK_AGAIN, heartbeat=None),
+            recovery=ext.RecoveryConfig(periodic_queries=_QUERY_PERIOD, heartbeat=None),
         )
         self._entities += [
             subscriber,
@@ -148,7 +151,7 @@ class ZenohSource:
         ]
 
     def read(self, timeout_s: float) -> SampleBlock | None:
-        """The next block in order; see `drivers.base.Source.read`."""
+        """Return the next block in order; see `drivers.base.Source.read`."""
         deadline = time.monotonic() + timeout_s
         while not self._ready:
             item = self._inbox.get(max(0.0, deadline - time.monotonic()))
@@ -164,14 +167,16 @@ class ZenohSource:
         return block
 
     def _accept(self, topic: str, data: bytes) -> None:
+        """Decode a payload, and queue the blocks that can be released."""
         try:
-            block = self._decoded(data, topic)
+            block = self._decode(data, topic)
         except ValueError:
             self._counts["undecodable"] += 1
         else:
             self._ready.extend(self._orders[topic].push(block))
 
-    def _decoded(self, data: bytes, topic: str) -> SampleBlock:
+    def _decode(self, data: bytes, topic: str) -> SampleBlock:
+        """Decode a block; raise ValueError if it exceeds the limits of the settings."""
         block = codec.decode(data, topic)
         limits = self._settings
         if not (
@@ -187,12 +192,13 @@ class ZenohSource:
         return block
 
     def _flush(self) -> bool:
+        """Queue the blocks that still wait for earlier ones; False if there are none."""
         for order in self._orders.values():
             self._ready.extend(order.flush())
         return bool(self._ready)
 
     def health(self) -> SourceHealth:
-        """Counts so far, whether anyone is connected, and which sensors are alive."""
+        """Return the counts so far, the state of the connection, and the sensors that are alive."""
         session, alive = self._session, sorted(self._alive)
         connected = session is not None and not session.is_closed() and bool(session.info.transports())
         place = where(self._settings)
@@ -206,7 +212,7 @@ class ZenohSource:
         self._inbox.close()  # first, so that no callback waits while it is undeclared
         session, self._session = self._session, None
         entities, self._entities = self._entities, []
-        for entity in reversed(entities):  # a callback outlives its object otherwise
+        for entity in reversed(entities):  # otherwise a callback would outlive this object
             entity.undeclare()
         if session is not None:
             leave(session)
@@ -214,7 +220,7 @@ class ZenohSource:
         self._alive.clear()
 
     def _count(self, event: str, times: int = 1) -> None:
-        with self._lock:  # Zenoh calls back from several threads; the reader has other events
+        with self._lock:  # Zenoh calls back from several threads; the reader counts other events
             self._counts[event] += times
 
     def _on_miss(self, miss: ext.Miss) -> None:
@@ -223,7 +229,7 @@ class ZenohSource:
     def _on_alive(self, sample: zenoh.Sample) -> None:
         name = str(sample.key_expr)
         if sample.kind == zenoh.SampleKind.PUT:
-            if len(self._alive) < _MOST_ALIVE:
+            if len(self._alive) < _MAX_ALIVE:
                 self._alive.add(name)
         elif name in self._alive:
             self._alive.discard(name)
@@ -239,27 +245,27 @@ class ZenohSource:
 
 
 class PublisherSettings(StreamSettings):
-    """What a sensor node's publisher needs to know."""
+    """Settings of a sensor node's publisher."""
 
     name: str = Field(default="sensor", pattern=r"^[A-Za-z0-9._-]+$")
-    """The node's; it shows as ``<site>/alive/<name>`` while it lives."""
+    """Name of the node, visible as ``<site>/alive/<name>`` while the node is connected."""
     cache_blocks: int = Field(default=512, ge=1)
-    """Kept for readers that come late or lost their link."""
+    """Number of blocks kept for readers that connect late or lost their link."""
 
 
 class ZenohPublisher:
-    """Publishes sample blocks, loses none on a link that stands, and keeps the latest for one that broke.
+    """Publisher of sample blocks; no block is lost on an intact link, and the latest blocks are cached for a broken one.
 
     Raises
     ------
     SourceError
-        The network cannot be joined.
+        If the session cannot be opened.
     """
 
     def __init__(self, settings: PublisherSettings, folder: Path = Path()) -> None:
         self._settings = settings
         self._session = open_session(settings, folder)
-        self._token = self._session.liveliness().declare_token(_beside(settings.key, f"alive/{settings.name}"))
+        self._token = self._session.liveliness().declare_token(_sibling_key(settings.key, f"alive/{settings.name}"))
         self._publishers = {
             topic: ext.declare_advanced_publisher(
                 self._session,
@@ -275,17 +281,17 @@ class ZenohPublisher:
         }
 
     def send(self, block: SampleBlock) -> None:
-        """Publish a block; waits while readers are behind.  Blocks of a topic without a key are left out."""
+        """Publish a block; wait while readers lag behind.  Blocks of a topic without a key are ignored."""
         if (publisher := self._publishers.get(block.topic)) is not None:
             publisher.put(codec.encode(block))
 
     put = send
 
     def close(self, timeout_s: float = 10.0) -> None:
-        """Wait until the readers have taken everything, no longer than `timeout_s` a key, and leave."""
+        """Wait until the readers have received all blocks, no longer than `timeout_s` for each key, and close the session."""
         if self._session.is_closed():
             return
-        # Zenoh itself forgets what is still under way.  A query stays behind the data that went before it.
+        # Zenoh itself drops data still in transit.  A query does not overtake the data sent before it.
         for key in self._settings.topics.values():
             for _ in self._session.get(
                 _received_key(key), target=zenoh.QueryTarget.ALL, timeout=timeout_s,

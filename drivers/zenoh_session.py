@@ -1,6 +1,6 @@
-"""How a Zenoh session is set up: shared by the source, the sensor's publisher and the publisher of results.
+"""Configures and opens Zenoh sessions for the source, the sensor's publisher and the publisher of results.
 
-Nothing is ever searched for: no multicast, no gossip, only the endpoints that are written down.
+A session uses only the endpoints in its settings; discovery by multicast and gossip is off.
 """
 
 from __future__ import annotations
@@ -21,43 +21,44 @@ from drivers.base import SourceError
 _log = logging.getLogger(__name__)
 
 Key = Annotated[str, Field(pattern=r"^[^/*$?#@\s][^/*$?#\s]*(/[^/*$?#@\s][^/*$?#\s]*)*$", max_length=256)]
-"""A key without wildcards; chunks that begin with ``@`` are Zenoh's own and are matched by no ``**``."""
+"""Key without wildcards; chunks that begin with ``@`` are reserved by Zenoh and not matched by ``**``."""
 Endpoint = Annotated[str, Field(pattern=r"^(tcp|tls|quic)/[^\s]+:\d+$")]
 
 _MAX_MESSAGE_BYTES = 16 << 20
 _STALL_S = 60
-"""A receiver may stall this long before the sender gives up its link; Zenoh's own 5 s loses data behind a slow reader."""
+"""Longest stall of a receiver, s, before the sender closes the link; Zenoh's default of 5 s loses data behind a slow reader."""
 
 
 class TlsSettings(BaseModel):
-    """``tls`` table: both sides show a certificate of the site's own authority."""
+    """Table ``tls``: both sides present a certificate of the site's own authority."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     root_ca: Path
-    """PEM file of the authority; relative to the site file, as all of these."""
+    """PEM file of the authority; this and the other paths are relative to the site file."""
     certificate: Path
-    """This side's own."""
+    """PEM file of this side's certificate."""
     private_key: Path
+    """PEM file of this side's private key."""
     verify_name: bool = True
-    """Whether the router's certificate must name the host that is connected to."""
+    """Require that the router's certificate names the host of the endpoint."""
 
 
 class SessionSettings(BaseModel):
-    """The part of a table that says how to join the network."""
+    """Part of a table that describes the connection to the network."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     mode: Literal["client", "peer", "router"] = "client"
-    """Connect to a router; connect or listen directly; or let others connect and pass their data on."""
+    """Role: a client connects to a router, a peer connects or listens directly, a router also forwards data of others."""
     connect: tuple[Endpoint, ...] = ()
-    """Endpoints such as ``tcp/127.0.0.1:7447`` or ``tls/gateway:7447``."""
+    """Endpoints to connect to, such as ``tcp/127.0.0.1:7447`` or ``tls/gateway:7447``."""
     listen: tuple[Endpoint, ...] = ()
-    """Endpoints that others may connect to."""
+    """Endpoints at which others may connect."""
     tls: TlsSettings | None = None
-    """Certificates, for endpoints of tls and quic."""
+    """Certificates, required for endpoints of tls and quic."""
     connect_timeout_s: float = Field(default=5.0, gt=0)
-    """How long a client tries to reach a router before it says that it cannot."""
+    """Time after which a client that reaches no router reports an error."""
 
     @model_validator(mode="after")
     def _reachable(self) -> SessionSettings:
@@ -71,20 +72,23 @@ class SessionSettings(BaseModel):
 
 
 class Callbacks:
-    """A session's callbacks.  Zenoh runs each in a thread of its own, which goes on with what it holds after its entity is
-    undeclared; an interpreter that ends meanwhile is aborted."""
+    """Callbacks of a session, each of which Zenoh runs in a thread of its own.
+
+    A thread continues with its queued items after its entity is undeclared.  If the interpreter ends meanwhile, the process
+    is aborted.
+    """
 
     def __init__(self) -> None:
         self._ended: list[threading.Event] = []
 
     def of(self, function: Callable[[Any], None]) -> zenoh.handlers.Callback[Any]:
-        """What to hand to Zenoh, once, in place of a function."""
+        """Wrap a function as a callback; pass the result to Zenoh once, in place of the function."""
         ended = threading.Event()
         self._ended.append(ended)
         return zenoh.handlers.Callback(function, drop=ended.set)
 
     def join(self, timeout_s: float = 10.0) -> None:
-        """Wait until all have ended whose entities are undeclared; no longer than `timeout_s`."""
+        """Wait until the callbacks of all undeclared entities have ended, no longer than `timeout_s`."""
         deadline, ended = time.monotonic() + timeout_s, self._ended
         self._ended = []
         if not all(event.wait(max(0.0, deadline - time.monotonic())) for event in ended):
@@ -92,7 +96,7 @@ class Callbacks:
 
 
 def configuration(settings: SessionSettings, folder: Path) -> zenoh.Config:
-    """Zenoh's configuration; relative paths begin at `folder`."""
+    """Build Zenoh's configuration; certificate paths are relative to `folder`."""
     client = settings.mode == "client"
     values: dict[str, Any] = {
         "mode": settings.mode,
@@ -100,14 +104,14 @@ def configuration(settings: SessionSettings, folder: Path) -> zenoh.Config:
         "listen/endpoints": settings.listen,
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
-        "timestamping/enabled": True,  # caches and their recovery need it
-        # A client that found no router would wait inside `open`; others go on trying in the background.
+        "timestamping/enabled": True,  # required by caches and their recovery
+        # A client that finds no router would wait inside `open`; peers and routers retry in the background.
         "connect/timeout_ms": round(1e3 * settings.connect_timeout_s) if client else -1,
         "connect/exit_on_failure": client,
         "transport/shared_memory/enabled": False,
         "transport/link/rx/max_message_size": _MAX_MESSAGE_BYTES,
         "transport/link/tx/queue/congestion_control/block/wait_before_close": 1_000_000 * _STALL_S,
-        "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 100_000,  # us; 1 ms drops under mere load
+        "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 100_000,  # us; 1 ms drops data under normal load
     }
     if (tls := settings.tls) is not None:
         certificate, key = str(folder / tls.certificate), str(folder / tls.private_key)
@@ -127,12 +131,12 @@ def configuration(settings: SessionSettings, folder: Path) -> zenoh.Config:
 
 
 def open_session(settings: SessionSettings, folder: Path) -> zenoh.Session:
-    """Join the network.
+    """Open a session; certificate paths are relative to `folder`.
 
     Raises
     ------
     SourceError
-        No router can be reached, a port is taken, or a certificate cannot be used or is refused.
+        If no router can be reached, a port is taken, or a certificate cannot be used or is refused.
     """
     if (tls := settings.tls) is not None:
         for path in (tls.root_ca, tls.certificate, tls.private_key):
@@ -145,7 +149,10 @@ def open_session(settings: SessionSettings, folder: Path) -> zenoh.Session:
 
 
 def leave(session: zenoh.Session) -> None:
-    """Close a session.  Behind a flood Zenoh may give that up after 10 s; by then nothing is lost that was to be kept."""
+    """Close a session.
+
+    Under heavy traffic Zenoh may abandon the closing after 10 s; by then all data to be kept have been transferred.
+    """
     try:
         session.close()  # type: ignore[no-untyped-call]
     except zenoh.ZError as error:
@@ -153,5 +160,5 @@ def leave(session: zenoh.Session) -> None:
 
 
 def where(settings: SessionSettings) -> str:
-    """The endpoints, for messages."""
+    """List the endpoints of a session, for messages."""
     return ", ".join(settings.connect or settings.listen)

@@ -1,4 +1,4 @@
-"""One job over recordings each: replay, calibrate, diagnose, import, simulate, archives."""
+"""Jobs over recordings: replay, calibrate, diagnose, import, simulate, reprocess archives."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""The healthy baseline from recordings, in one pass over them."""
+"""Learns the healthy baseline from recordings, in one pass over them."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from monitor.runs import diagnose
 from monitor.runs.recordings import OnProgress, OnWarning, Progress, file_names, push_block, read_blocks
 
 _COMMON_MODE_SHARE = 0.9
-"""A mode belongs to the baseline when this share of the windows shows it."""
+"""Share of the windows in which a mode must be identified to belong to the baseline."""
 _MAX_LEARNED_S = 40_000.0
-"""Of healthy data that a diagnosis learns from: 4000 segments of 20 s."""
+"""Greatest length of the healthy data from which the reference of diagnoses is learned, s: 4000 segments of 20 s."""
 _SHORT_RECORDINGS_BYTES = 40_000_000
 _HOUR_NS = 3_600_000_000_000
 
@@ -35,18 +35,26 @@ def calibrate(
     on_warning: OnWarning = lambda _: None,
     on_progress: OnProgress = lambda _: None,
 ) -> tuple[Baseline, Update]:
-    """The healthy baseline from recordings.
+    """Learn the healthy baseline, and the reference of later diagnoses, from recordings.
+
+    Returns
+    -------
+    Baseline
+        Healthy baseline.
+    Update
+        Result of the model updating.
 
     Raises
     ------
     MissingInputError, BadInputError
+        If a recording cannot be used, or no window can be identified.
     """
     pipeline, progress = Pipeline(config), Progress(on_progress)
     good: list[WindowResult] = []
     reasons: list[str] = []
 
-    def passing() -> Iterator[SampleBlock]:
-        """The blocks, once the pipeline has seen them."""
+    def pass_to_pipeline() -> Iterator[SampleBlock]:
+        """Yield the blocks after the pipeline has evaluated them."""
         for block in read_blocks(paths, config, on_warning):
             progress.add(block)
             for result in push_block(pipeline, block, paths):
@@ -55,7 +63,7 @@ def calibrate(
                     reasons.extend([result.skipped.mend] if result.skipped is not None else [])
             yield block
 
-    segments = _gather_hourly(passing(), config, _learned_share(paths, config))
+    segments = _gather_hourly(pass_to_pipeline(), config, _learned_share(paths, config))
     progress.require_window(pipeline, len(good) + len(reasons), paths)
     if not good:
         raise BadInputError(f"{file_names(paths)}: no window could be identified, the last because: {reasons[-1]}")
@@ -89,7 +97,7 @@ def calibrate(
 
 
 def _learned_share(paths: list[Path], config: Configuration) -> float:
-    """Which share of every hour a diagnosis learns from, so that memory stays bounded."""
+    """Compute the share of every hour from which the reference is learned, so that memory stays bounded."""
     if sum(p.stat().st_size for p in paths) < _SHORT_RECORDINGS_BYTES:
         return 1.0
     seconds = sum(recording_info(p, topic_map=config.topics or None).duration_s for p in paths)
@@ -97,10 +105,13 @@ def _learned_share(paths: list[Path], config: Configuration) -> float:
 
 
 def _gather_hourly(blocks: Iterator[SampleBlock], config: Configuration, share: float) -> Segments | None:
-    """Segments of the beginning of every hour; all blocks are taken, whatever is kept.  None if there are too few."""
+    """Gather the segments in the first `share` of every hour; None if there are too few.
+
+    All blocks are read, also those outside these segments.
+    """
     refused: list[BadInputError] = []
 
-    def kept() -> Iterator[SampleBlock]:
+    def beginnings_of_hours() -> Iterator[SampleBlock]:
         begun = 0
         try:
             for block in blocks:
@@ -112,7 +123,7 @@ def _gather_hourly(blocks: Iterator[SampleBlock], config: Configuration, share: 
             raise
 
     try:
-        return gather(kept(), config.front_end())
+        return gather(beginnings_of_hours(), config.front_end())
     except BadInputError:
         if refused:
             raise
@@ -120,7 +131,7 @@ def _gather_hourly(blocks: Iterator[SampleBlock], config: Configuration, share: 
 
 
 def _with_common_modes(windows: list[WindowResult]) -> list[WindowResult]:
-    """The windows with those modes alone that nearly all of them show, without the few that do not."""
+    """Select the modes identified in at least `_COMMON_MODE_SHARE` of the windows, and the windows with all these modes."""
     seen = Counter(int(k) for w in windows if w.modes is not None for k in w.modes.model_mode)
     common = frozenset(k for k, count in seen.items() if count >= _COMMON_MODE_SHARE * len(windows))
     kept = [replace(w, modes=w.modes.only(common)) for w in windows if w.modes is not None]
@@ -128,7 +139,7 @@ def _with_common_modes(windows: list[WindowResult]) -> list[WindowResult]:
 
 
 def _warn_of_ambiguities(baseline: Baseline, config: Configuration, last: WindowResult, on_warning: OnWarning) -> None:
-    """What these sensors and modes cannot tell, said before anybody relies on it."""
+    """Warn of stories without influence on the modes, and of other stiffnesses that explain the same frequencies."""
     unidentified = last.damage.unidentified if last.damage is not None else ()
     if unidentified:
         on_warning(

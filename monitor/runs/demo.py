@@ -1,4 +1,4 @@
-"""The tour behind `make demo`: calibrate, watch damage appear, replay a measured frame."""
+"""Demonstration of `make demo`: calibrates, replays a damage that appears, and replays a measured frame."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from monitor.runs import calibrate, replay
 
 
 def run(recordings: Path, out: Path, *, say: Callable[[str], None], on_warning: Callable[[str], None]) -> None:
-    """Leave the demo's results in `out`.
+    """Run the demonstration with the shipped recordings, and write its results to the folder `out`.
 
     Raises
     ------
     MissingInputError, BadInputError
-        If `recordings` does not hold the shipped recordings, or nothing can be written in `out`.
+        If `recordings` does not hold the shipped recordings, or `out` cannot be written.
     """
     if not (recordings / "frame.toml").is_file():
         raise MissingInputError(f"{recordings}: no recordings here; run in the project's folder or give --recordings")

@@ -1,4 +1,4 @@
-"""What a simulation gets wrong, from recordings: the work behind `diagnose`, `evaluate` and the online diagnosis."""
+"""Diagnoses model errors of a structure from recordings, for `diagnose`, `evaluate` and the online diagnosis."""
 
 from __future__ import annotations
 
@@ -44,31 +44,31 @@ from monitor.model import (
 )
 from monitor.runs.recordings import OnProgress, OnWarning, Progress, file_names, read_blocks
 
-_TRIALS = np.errstate(over="ignore", invalid="ignore")
-"""A fit's trial step that overflows has no likelihood, and is refused for that."""
+_IGNORE_OVERFLOW = np.errstate(over="ignore", invalid="ignore")
+"""Setting that ignores overflow: a trial step of a fit that overflows has no likelihood, and is rejected for that."""
 
-_STANDING = 8
-"""Causes at most that stand from the start: every sensor may have a gain of its own."""
+_MAX_INITIAL_CAUSES = 8
+"""Greatest number of causes that are present from the start: every sensor may have a gain error of its own."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Finding:
-    """A diagnosis with all that is published of it."""
+    """Diagnosis with its held-out gain, its data, its models and its published content."""
 
     diagnosis: Diagnosis
     gain: HeldOutGain
     content: dict[str, Any]
-    """diagnosis.json."""
+    """Content of diagnosis.json."""
     segments: Segments
     updated: Model
-    """The old model form, refitted."""
+    """Model of the old form, refitted."""
     extended: Model
-    """With the causes."""
+    """Refitted model with the causes."""
     reference_degc: float | None
-    """Temperature at which the models' stiffnesses hold."""
+    """Temperature at which the models' stiffnesses are valid, degC."""
 
 
-@_TRIALS
+@_IGNORE_OVERFLOW
 def diagnose(
     paths: list[Path],
     config: Configuration,
@@ -81,6 +81,7 @@ def diagnose(
     Raises
     ------
     MissingInputError, BadInputError
+        If a recording cannot be used, or the baseline has no reference for a diagnosis.
     """
     segments = _read(paths, config, on_warning, on_progress)
     if baseline is not None and baseline.reference is None:
@@ -88,62 +89,71 @@ def diagnose(
             "the baseline holds nothing for a diagnosis to start from; calibrate anew, on 70 s or more without a gap"
         )
     prior = _drawing_prior(config) if baseline is None or baseline.reference is None else baseline.reference
-    settled, gain = diagnose_segments(segments, prior, config)
-    updated, extended = (fitted_model(settled.posterior, fit) for fit in (settled.null_fit, settled.final_fit))
+    confirmed, gain = diagnose_segments(segments, prior, config)
+    updated, extended = (fitted_model(confirmed.posterior, fit) for fit in (confirmed.null_fit, confirmed.final_fit))
     degc = prior.reference_degc
     if degc is None and segments.temperature.size:
         degc = float(segments.temperature[:, 1].mean())
-    plain = content(settled, gain, config.model().effects, ddi_effect(settled))
+    plain = content(confirmed, gain, config.model().effects, ddi_effect(confirmed))
     plain |= {"model": model_to_plain(extended, degc), "since_calibration": baseline is not None}
-    return Finding(settled, gain, plain, segments, updated, extended, degc)
+    return Finding(confirmed, gain, plain, segments, updated, extended, degc)
 
 
-@_TRIALS
+@_IGNORE_OVERFLOW
 def diagnose_segments(
     segments: Segments, prior: StructuralPrior, config: Configuration
 ) -> tuple[Diagnosis, HeldOutGain]:
-    """The diagnosis as it stands before held-out data, and its gain there."""
+    """Diagnose segments of data, and test the causes on held-out data.
+
+    Returns
+    -------
+    Diagnosis
+        Diagnosis, without causes if held-out data do not confirm them.
+    HeldOutGain
+        Gain of the causes on held-out data; zero if they are withdrawn.
+    """
     found = diagnose_spectra(classify(segments), prior, _context(segments, config), config.diagnosis)
     gain = heldout_gain(segments, found)
-    settled = require_gain(found, gain)
-    return settled, gain if settled is found else HeldOutGain()
+    confirmed = require_gain(found, gain)
+    return confirmed, gain if confirmed is found else HeldOutGain()
 
 
-@_TRIALS
+@_IGNORE_OVERFLOW
 def learn_healthy_prior(segments: Segments, config: Configuration) -> StructuralPrior:
-    """What healthy data say of the structure: the reference of later diagnoses, with what is wrong from the start."""
+    """Learn the reference of later diagnoses from healthy data, including the causes that are present from the start."""
     observed, context, known = classify(segments), _context(segments, config), _drawing_prior(config)
     if segments.temperature.size:
         known = replace(known, reference_degc=float(segments.temperature[:, 1].mean()))
     found = diagnose_spectra(observed, known, context, config.diagnosis)
     most = config.diagnosis.max_causes
-    if found.verdict == "unexplained" or len(found.causes) >= most:  # there may be more
+    if found.verdict == "unexplained" or len(found.causes) >= most:  # further causes are possible
         condition = found.posterior.conditions[0]
         site = _site_effects(known, context, condition)
         ambient = _with_persistent_effects(known, site, context, condition)
         shaped = observed.drive is None and bool(site) and _gains_more_than_cost(ambient, found)
-        if shaped or len(found.rounds) >= most:  # else the search had ended by itself, and would again
+        if shaped or len(found.rounds) >= most:  # otherwise the search ended by itself, and would again
             known = ambient if shaped else known
-            more = config.diagnosis.model_copy(update={"max_causes": max(most, _STANDING)})
+            more = config.diagnosis.model_copy(update={"max_causes": max(most, _MAX_INITIAL_CAUSES)})
             found = diagnose_spectra(observed, known, context, more)
-    # Whatever the verdict: what describes the healthy data is no news later, and of what no data tell apart either does.
+    # Independent of the verdict: an effect that describes the healthy data is no change later.  Of effects that no data
+    # distinguish, either will do.
     causes, condition = found.final_fit.effects, found.posterior.conditions[0]
     while True:
-        alike = _same_laws_elsewhere(causes, context)
-        wider = _with_persistent_effects(known, (*causes, *alike), context, condition, n_guessed=len(alike))
+        same_laws = _same_laws_in_other_stories(causes, context)
+        wider = _with_persistent_effects(known, (*causes, *same_laws), context, condition, n_guessed=len(same_laws))
         learnt = healthy_prior.learn_prior(observed, wider, context, config.diagnosis)[0]
-        stays = [
+        is_kept = [
             is_significant(e, std) for e, std in zip(learnt.effects(learnt.mean), learnt.standing_std, strict=True)
         ]
-        found_stays = stays[len(known.model.effects) :][: len(causes)]
-        kept = tuple(e for e, own in zip(causes, found_stays, strict=True) if own)
+        cause_is_kept = is_kept[len(known.model.effects) :][: len(causes)]
+        kept = tuple(e for e, own in zip(causes, cause_is_kept, strict=True) if own)
         if kept == causes:
             return learnt.with_daily_standing().with_known_lines()
-        causes = kept  # beside the rest, the others are nothing
+        causes = kept  # the others are not significant next to these
 
 
 def _site_effects(known: StructuralPrior, context: Context, condition: Condition) -> tuple[Effect, ...]:
-    """Return the effects that calibration alone looks for and the structure file does not state, at their first sizes."""
+    """List the effects that only a calibration searches for and the structure file does not state, at their initial sizes."""
     stated = {effect.name for effect in known.model.effects}
     return tuple(
         kind.starts(place, context, condition)[0]
@@ -154,27 +164,30 @@ def _site_effects(known: StructuralPrior, context: Context, condition: Condition
     )
 
 
-def _same_laws_elsewhere(causes: tuple[Effect, ...], context: Context) -> tuple[Effect, ...]:
-    """Laws like those that were found, in proportion to the stiffness of every story where none was: what bends one story bends
-    the others, though healthy data do not show it."""
+def _same_laws_in_other_stories(causes: tuple[Effect, ...], context: Context) -> tuple[Effect, ...]:
+    """Create nonlinear laws like those found, for every story without one, scaled by the story's stiffness.
+
+    A mechanism that acts in one story also acts in the others, although healthy data do not show it.
+    """
     stiffness, out = context.structure.stiffness_n_per_m, {(e.name, e.location): e for e in causes}
     for law in (e for e in causes if e.nonlinear and e.family == "structure" and e.location.startswith("story")):
         if all(p.weighty for p in law.parameters):
             for place in locations("story", context):
-                there = replace(law, location=place)
-                size = law.coordinates * stiffness[there.index] / stiffness[law.index]
-                out.setdefault((law.name, place), there.at(size))
+                other = replace(law, location=place)
+                size = law.coordinates * stiffness[other.index] / stiffness[law.index]
+                out.setdefault((law.name, place), other.at(size))
     return tuple(out.values())[len(causes) :]
 
 
 def evaluate(
     paths: list[Path], config: Configuration, on_warning: OnWarning, on_progress: OnProgress = lambda _: None
 ) -> Score:
-    """How well the structure file's model predicts recordings.
+    """Score the prediction of recordings by the structure file's model.
 
     Raises
     ------
     MissingInputError, BadInputError
+        If a recording cannot be used.
     """
     segments = _read(paths, config, on_warning, on_progress)
     degc = config.structure.reference_temperature_degc
@@ -182,37 +195,40 @@ def evaluate(
 
 
 def _read(paths: list[Path], config: Configuration, on_warning: OnWarning, on_progress: OnProgress) -> Segments:
+    """Read the recordings, and gather their data in segments; errors name the recordings."""
     progress = Progress(on_progress)
 
-    def passing() -> Iterator[SampleBlock]:
+    def count_blocks() -> Iterator[SampleBlock]:
         for block in read_blocks(paths, config, on_warning):
             progress.add(block)
             yield block
 
     try:
-        return gather(passing(), config.front_end())
+        return gather(count_blocks(), config.front_end())
     except BadInputError as error:
-        told = str(error)
-        raise BadInputError(told if str(paths[0]) in told else f"{file_names(paths)}: {told}") from error
+        message = str(error)
+        raise BadInputError(message if str(paths[0]) in message else f"{file_names(paths)}: {message}") from error
 
 
 def _context(segments: Segments, config: Configuration) -> Context:
+    """Return the context of effects at the sample rate of the segments."""
     return config.instrumented().context(segments.rate_hz)
 
 
 def _drawing_prior(config: Configuration) -> StructuralPrior:
+    """Build the prior of the structure from the structure file."""
     known = prior_from_drawing(config.model(), config.instrumented().prior_std, len(config.channels))
     return replace(known, reference_degc=config.structure.reference_temperature_degc)
 
 
 def _gains_more_than_cost(wider: StructuralPrior, found: Diagnosis) -> bool:
-    """Whether what a wider reference leaves to the data explains more than what it costs, beside what was found."""
+    """Test whether a wider reference, refitted with the causes found, gains more log posterior than its parameters cost."""
     posterior, fit = found.posterior, found.final_fit
     structure = posterior.layout.structure
     x = posterior.layout.with_structure(fit.x, np.concatenate([fit.x[structure], wider.mean[structure.stop :]]))
-    there = maximize_posterior(replace(posterior, prior=wider), x, fit.effects, iterations=FAR)
+    refitted = maximize_posterior(replace(posterior, prior=wider), x, fit.effects, iterations=FAR)
     return (
-        there.log_posterior - fit.log_posterior - parameter_cost(posterior, wider.mean.size - structure.stop)
+        refitted.log_posterior - fit.log_posterior - parameter_cost(posterior, wider.mean.size - structure.stop)
         > found.settings.margin
     )
 
@@ -220,12 +236,16 @@ def _gains_more_than_cost(wider: StructuralPrior, found: Diagnosis) -> bool:
 def _with_persistent_effects(
     known: StructuralPrior, effects: tuple[Effect, ...], context: Context, condition: Condition, *, n_guessed: int = 0
 ) -> StructuralPrior:
-    """The reference with effects whose sizes healthy data are yet to tell; those of the last may be nothing or twice as large."""
-    beforehand = [e.known(context, condition) for e in effects[: len(effects) - n_guessed]]
-    beforehand += [(e.coordinates, e.coordinates**-2.0) for e in effects[len(effects) - n_guessed :]]
-    told = np.concatenate([[], *[precision for _, precision in beforehand]])
+    """Add effects, whose sizes the healthy data will determine, to the reference.
+
+    The prior of the last `n_guessed` effects has their coordinates as mean and as standard deviation: the size may be zero or
+    twice as large.
+    """
+    priors = [e.known(context, condition) for e in effects[: len(effects) - n_guessed]]
+    priors += [(e.coordinates, e.coordinates**-2.0) for e in effects[len(effects) - n_guessed :]]
+    prior_precision = np.concatenate([[], *[precision for _, precision in priors]])
     coordinates = np.concatenate([[], *[e.coordinates for e in effects]])
-    coordinates = np.where(told > 0.0, np.concatenate([[], *[mean for mean, _ in beforehand]]), coordinates)
-    precision = block_diag(known.precision, np.diag(told))
+    coordinates = np.where(prior_precision > 0.0, np.concatenate([[], *[mean for mean, _ in priors]]), coordinates)
+    precision = block_diag(known.precision, np.diag(prior_precision))
     model = replace(known.model, effects=(*known.model.effects, *effects))
     return replace(known, model=model, mean=np.concatenate([known.mean, coordinates]), precision=precision)

@@ -1,4 +1,4 @@
-"""Diagnoses in processes of their own, so that neither their run time nor their failure touches the session.
+"""Runs diagnoses in separate processes, so that neither their run time nor their failure affects the session.
 
 ``python -m monitor.runs.diagnosis_process`` is such a process.
 """
@@ -33,18 +33,18 @@ from monitor.runs.recordings import OnWarning
 _log = logging.getLogger(__name__)
 
 _POLL_S = 0.05
-"""Seconds between two looks at the findings while `DiagnosisQueue.wait` waits."""
+"""Interval, s, at which `DiagnosisQueue.wait` polls the findings."""
 _WRITE_PAUSE_S = 50e-6
-"""Seconds between two blocks written: the evaluation of new samples, which needs the interpreter too, goes first."""
+"""Pause between two blocks written, s: the evaluation of new samples, which needs the interpreter too, has priority."""
 _NICENESS = 5
-"""Niceness that a diagnosis adds to its own: the session, on the same cores, goes first."""
+"""Niceness that a diagnosis adds to its own, so that the session on the same cores has priority."""
 _OOM_SCORE = "500"
-"""Half of the greatest adjustment of the kernel's out-of-memory score: where memory runs out, the diagnosis goes first."""
+"""Adjustment of the kernel's out-of-memory score, half of the greatest: the diagnosis is killed before the session."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Job:
-    """One diagnosis with the files that its process reads and writes."""
+    """Diagnosis with the files that its process reads and writes."""
 
     number: int
     request: Request
@@ -53,15 +53,16 @@ class _Job:
 
     @property
     def request_keys(self) -> dict[str, Any]:
+        """Keys of a finding that come from its request."""
         r = self.request
         return {"id": f"{self.number:03d}", "t_ns": r.to_ns, "from_ns": r.from_ns, "reason": r.reason}
 
 
 class DiagnosisQueue:
-    """Run the diagnoses that are submitted, one after the other, each in a new process.
+    """Queue of diagnoses, which run one after the other, each in a new process.
 
     Every request gives one finding, a dict: the content of diagnosis.json with `id`, `t_ns`, `from_ns` and `reason`, kept as
-    ``FOLDER/ID.json``.  Where the diagnosis failed, `verdict` is None and `error` says why.  The caller never waits for
+    ``FOLDER/ID.json``.  If the diagnosis failed, `verdict` is None and `error` gives the reason.  The caller never waits for
     a disk: a thread writes the recording that the process reads, waits for the process and keeps the finding.
 
     Parameters
@@ -71,7 +72,7 @@ class DiagnosisQueue:
     folder : Path
         Folder of the findings; findings of an earlier run are removed.
     time_limit_s : float
-        Seconds after which a diagnosis is given up.
+        Time limit of a diagnosis, s.
     """
 
     def __init__(self, structure: Path, healthy: Path | None, folder: Path, time_limit_s: float) -> None:
@@ -121,7 +122,7 @@ class DiagnosisQueue:
         return found
 
     def close(self, timeout_s: float = 5.0) -> None:
-        """End the diagnosis that still runs; wait no longer than `timeout_s`."""
+        """Stop the diagnosis that still runs; wait no longer than `timeout_s`."""
         self._closing.set()
         self._jobs.put(None)
         if self._process is not None:
@@ -130,6 +131,7 @@ class DiagnosisQueue:
         self._scratch.cleanup()
 
     def _work(self) -> None:
+        """Run the jobs of the queue until it is closed."""
         while (item := self._jobs.get()) is not None and not self._closing.is_set():
             job, blocks = item
             try:
@@ -145,7 +147,7 @@ class DiagnosisQueue:
             for block in blocks:
                 writer.write(block)
                 time.sleep(_WRITE_PAUSE_S)
-        # A new interpreter, never a fork: threads of this one may hold locks.
+        # A new interpreter, never a fork, because threads of this one may hold locks.
         healthy = [] if self._healthy is None else [str(self._healthy)]
         command = [
             sys.executable,
@@ -200,7 +202,7 @@ def main(arguments: list[str]) -> int:
     Returns
     -------
     int
-        Exit code: 0, or that of the error which is printed on standard error.
+        Exit code: 0, or that of the error, which is printed on standard error.
     """
     recording, out, structure, *healthy = map(Path, arguments)
     os.nice(_NICENESS)

@@ -1,4 +1,4 @@
-"""Sensor nodes that are none: a stream of blocks sent over CAN or Zenoh at its real pace."""
+"""Emulates sensor nodes: sends a stream of blocks over CAN or Zenoh at its real pace."""
 
 from __future__ import annotations
 
@@ -20,24 +20,34 @@ from drivers.socketcand_server import SocketcandServer, frame_text
 from monitor.core import BadConfigurationError, BadInputError, MissingInputError, parse_address, settings_problems
 
 CAN_BURST_S = 0.01
-"""Frames leave in bursts of so many seconds, as a node's transmit queue lets them."""
+"""Length of data, s, whose frames are sent in one burst, as by a node's transmit queue."""
 BLOCK_SAMPLES = 128
-"""Of a block over Zenoh."""
+"""Number of samples in a block over Zenoh."""
 DESTINATIONS = "can:socketcand-server:HOST:PORT, can:INTERFACE:CHANNEL or zenoh:MODE:ENDPOINT:KEY"
 
 
 class Sink(Protocol):
-    """Where a stream goes."""
+    """Destination of a stream of blocks."""
 
     def send(self, block: SampleBlock) -> None:
         """Send a block."""
 
     def close(self) -> None:
-        """Finish what is on its way and leave."""
+        """Finish the transmission and disconnect."""
 
 
 def send_when_due(blocks: Iterable[SampleBlock], sink: Sink, *, speed: float | None = 1.0) -> int:
-    """Send blocks when they are due; None: at once.  Returns the number of samples sent of `/acceleration`."""
+    """Send blocks when they are due, and return the number of samples sent of `/acceleration`.
+
+    Parameters
+    ----------
+    blocks : iterable of SampleBlock
+        Blocks in time order.
+    sink : Sink
+        Destination.
+    speed : float, optional
+        Speed as a multiple of real time; None sends all blocks at once.
+    """
     begun, first_ns, count = time.monotonic(), None, 0
     for block in blocks:
         if first_ns is None:
@@ -51,7 +61,7 @@ def send_when_due(blocks: Iterable[SampleBlock], sink: Sink, *, speed: float | N
 
 
 def cut_blocks(blocks: Iterable[SampleBlock], n_samples: int) -> Iterator[SampleBlock]:
-    """Blocks cut at multiples of `n_samples` in sequence."""
+    """Cut blocks at the sequence numbers that are multiples of `n_samples`."""
     for block in blocks:
         start = 0
         while start < block.n_samples:
@@ -62,13 +72,24 @@ def cut_blocks(blocks: Iterable[SampleBlock], n_samples: int) -> Iterator[Sample
 
 
 Transmit = Callable[[Layout, list[float], NDArray[np.uint8]], None]
-"""Sends the frames of one message: its layout, UTC of each in s, shape (n, n_bytes)."""
+"""Sends n frames of one message, given its layout, the UTC of each frame, s, and the bytes, shape (n, n_bytes)."""
 
 
 class CanSink:
-    """Blocks as the frames of a DBC; only `/acceleration` goes over CAN.
+    """Destination on a CAN bus: sends the blocks of `/acceleration` as frames of a DBC, and ignores other topics.
 
-    A frame carries the time of its last sample.
+    A frame has the time of its last sample.
+
+    Parameters
+    ----------
+    layouts : tuple of Layout
+        Messages of the DBC.
+    transmit : callable
+        Sends the frames of one message.
+    close : callable
+        Disconnects from the bus.
+    counts_frames : bool
+        Whether the counter of a frame counts frames instead of samples.
     """
 
     def __init__(
@@ -77,31 +98,32 @@ class CanSink:
         self._layouts, self._transmit, self._close, self._by_frame = layouts, transmit, close, counts_frames
         self._rest: dict[str, SampleBlock] = {}
         self.saturated = 0
-        """Numbers beyond what the DBC can say, sent as the nearest that it can."""
+        """Number of values outside the range of the DBC, sent as the nearest value within."""
         self.left_out = 0
-        """Samples that did not fill a frame."""
+        """Number of samples that did not fill a frame."""
 
     def send(self, block: SampleBlock) -> None:
-        """Quantise and send."""
+        """Quantise a block and send its frames."""
         if block.topic != ACCELERATION:
             return
         for layout in self._layouts:
             self._send(layout, block)
 
     def close(self) -> None:
-        """Leave."""
+        """Disconnect; samples that did not fill a frame are left out."""
         self.left_out += sum(rest.n_samples for rest in self._rest.values())
         self._rest = {}
         self._close()
 
     def _send(self, layout: Layout, block: SampleBlock) -> None:
+        """Send the whole frames of one message, and keep the remaining samples for the next block."""
         n = layout.n_samples
         rest = self._rest.pop(layout.name, None)
         if rest is not None and rest.sequence + rest.n_samples == block.sequence:
             block = replace(rest, samples=np.concatenate((rest.samples, block.samples)))
         elif rest is not None:
             self.left_out += rest.n_samples
-        # Frames begin at multiples of their samples, wherever blocks do.
+        # Frames begin at multiples of their number of samples, independent of where blocks begin.
         skip = -block.sequence % n
         self.left_out += min(skip, block.n_samples) if rest is None else 0
         whole = max(0, block.n_samples - skip) // n * n
@@ -125,6 +147,8 @@ class CanSink:
 
 
 def _transmit_over_tcp(server: SocketcandServer) -> Transmit:
+    """Return the function that sends frames to the clients of a socketcand server."""
+
     def transmit(layout: Layout, times: list[float], data: NDArray[np.uint8]) -> None:
         server.send(
             b"".join(
@@ -137,6 +161,8 @@ def _transmit_over_tcp(server: SocketcandServer) -> Transmit:
 
 
 def _transmit_over_bus(bus: can.BusABC) -> Transmit:
+    """Return the function that sends frames on a bus of python-can."""
+
     def transmit(layout: Layout, times: list[float], data: NDArray[np.uint8]) -> None:
         for t_s, row in zip(times, data, strict=True):
             message = can.Message(
@@ -189,7 +215,7 @@ def open_sink(
     BadConfigurationError
         If `to` is of no known form, or the DBC cannot carry the channels.
     MissingInputError
-        If it cannot be reached.
+        If the destination cannot be reached.
     """
     kind, _, rest = to.partition(":")
     if kind == "zenoh":
@@ -245,14 +271,27 @@ def _open_zenoh(to: str, rest: str) -> Sink:
 def send_all(
     blocks: Iterable[SampleBlock], to: str, *, dbc: Path | None, speed: float | None, say: Callable[[str], None]
 ) -> None:
-    """Open the destination by the first block's channels, send everything, say what could not be sent as it was.
+    """Open the destination for the channels of the first block, send all blocks, and report saturated or omitted samples.
+
+    Parameters
+    ----------
+    blocks : iterable of SampleBlock
+        Blocks in time order.
+    to : str
+        Destination, one of `DESTINATIONS`.
+    dbc : Path, optional
+        Layout of the frames; CAN needs one.
+    speed : float, optional
+        Speed as a multiple of real time; None sends all blocks at once.
+    say : callable
+        Shows a message to the user.
 
     Raises
     ------
     BadConfigurationError, MissingInputError
         See `open_sink`.
     BadInputError
-        If there is nothing to send.
+        If there is no block of `/acceleration`.
     """
     stream = iter(blocks)
     head: list[SampleBlock] = []

@@ -1,4 +1,4 @@
-"""The ledger of decisions: accept a finding, extend the structure file, and note who did it."""
+"""Ledger of decisions: accepts a finding, extends the structure file, and records who decided."""
 
 from __future__ import annotations
 
@@ -23,8 +23,10 @@ def read_finding(path: Path) -> dict[str, Any]:
 
     Raises
     ------
-    MissingInputError, BadInputError
-        The latter also if no cause was named.
+    MissingInputError
+        If the file cannot be read.
+    BadInputError
+        If the file is not a finding, or the finding names no cause.
     """
     try:
         finding = json.loads(path.read_text(encoding="utf-8"))
@@ -43,20 +45,28 @@ def read_finding(path: Path) -> dict[str, Any]:
 def extended_structure_text(
     path: Path, finding: Mapping[str, Any], structure: str, config: Configuration, *, with_baseline: bool
 ) -> str:
-    """Write the structure file with the finding's causes.
+    """Return the text of the structure file extended by the finding's causes.
 
-    With a baseline, which brings the healthy stiffness and masses, the causes alone are added; without, the model that was
-    fitted beside them is written too.
+    With a baseline, which contains the healthy stiffness and masses, only the causes are added.  Without a baseline, the
+    model that was fitted together with the causes is written too.
 
     Parameters
     ----------
+    path : Path
+        File of the finding, for messages.
+    finding : mapping
+        Content of the finding.
     structure : str
-        The structure file, `config` its settings.
+        Text of the structure file.
+    config : Configuration
+        Settings in the structure file.
+    with_baseline : bool
+        Whether the site has a baseline.
 
     Raises
     ------
     BadInputError
-        If the finding is not one of this structure.
+        If the finding does not belong to this structure.
     """
     if with_baseline and not finding.get("since_calibration"):
         raise BadInputError(f"{path}: this finding refers to the structure file; accept it without --baseline")
@@ -68,11 +78,12 @@ def extended_structure_text(
         for effect in model.effects:
             effect.check(model.structure, config.channels)
         return structure_text(structure, model, finding["model"]["reference_temperature_degc"])
-    except (KeyError, TypeError, ValueError) as error:  # EffectError among them
+    except (KeyError, TypeError, ValueError) as error:  # includes EffectError
         raise BadInputError(f"{path}: not a finding of this structure ({error})") from error
 
 
 def _effect_of_cause(cause: Mapping[str, Any], config: Configuration) -> Effect:
+    """Create the effect of a finding's cause; raise EffectError if it does not fit the structure."""
     if cause["effect"] not in FORMS:
         raise EffectError(f"unknown effect {cause['effect']!r}")
     values = {name: float(p["value"]) for name, p in cause["parameters"].items()}
@@ -82,12 +93,18 @@ def _effect_of_cause(cause: Mapping[str, Any], config: Configuration) -> Effect:
 
 
 def append_entry(out: Path, finding: Mapping[str, Any], files: Mapping[str, Path | None], who: str | None) -> Path:
-    """Append one line to the ledger beside `out`, and return the ledger's path.
+    """Append one line to the ledger in the folder of `out`, and return the ledger's path.
 
     Parameters
     ----------
+    out : Path
+        File that the decision wrote; the ledger lies in the same folder.
+    finding : mapping
+        Accepted finding.
     files : mapping
         Files of the decision by role; the line names each with its checksum.
+    who : str, optional
+        Person who decided; the user of the process by default.
 
     Raises
     ------
@@ -113,6 +130,7 @@ def append_entry(out: Path, finding: Mapping[str, Any], files: Mapping[str, Path
 
 
 def _user() -> str:
+    """Return the name of the process's user, or the number of a user without a name."""
     try:
         return getpass.getuser()
     except (KeyError, OSError):

@@ -1,4 +1,4 @@
-"""Diagnoses that the results of a running session ask for: when one is due, and which data it is given."""
+"""Requests diagnoses from the results of a running session: decides when one is due, and selects its data."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ _MAX_FINDINGS = 1000
 _MAX_BLOCKS = 200_000
 """Blocks kept at most, whatever their length, so that memory stays bounded with blocks of single samples."""
 _MARGIN_S = 30.0
-"""Seconds of data kept beyond the longest span of a diagnosis: a request comes with the block that completes its window, and that
-block may be a long one."""
+"""Seconds of data kept beyond the longest span of a diagnosis: a request arises with the block that completes its window, and
+that block may be long."""
 FINDING_KEYS = ("id", "t_ns", "from_ns", "reason", "verdict", "says", "causes")
 """Keys of a finding that summary.json repeats."""
 
 
 class RecentBlocks:
-    """Keep the latest blocks of samples as they came, for a diagnosis.
+    """Latest blocks of samples in the order of arrival, kept for a diagnosis.
 
     Parameters
     ----------
@@ -50,9 +50,9 @@ class RecentBlocks:
         self._blocks: deque[SampleBlock] = deque()
 
     def push(self, block: SampleBlock) -> None:
-        """Keep a block, and forget the blocks that are too old.
+        """Keep a block, and discard the blocks that are too old.
 
-        The age of a block is the length of the data since, because clocks may stand still or be set back.
+        The age of a block is the length of the data since then, because clocks may stand still or be set back.
         """
         self._blocks.append(block)
         self._seconds += _length_s(block)
@@ -61,12 +61,12 @@ class RecentBlocks:
             self._seconds -= _length_s(self._blocks.popleft())
 
     def between(self, from_ns: int, to_ns: int) -> list[SampleBlock]:
-        """Return the samples taken within a span of UTC, however the blocks were cut."""
+        """Return the samples taken from `from_ns` to `to_ns` (UTC, ns), cut out of the blocks."""
         return [b for block in self._blocks if (b := _cut_to_span(block, from_ns, to_ns)).n_samples]
 
 
 def _cut_to_span(block: SampleBlock, from_ns: int, to_ns: int) -> SampleBlock:
-    """Cut a block to its samples within a span of UTC."""
+    """Cut a block to its samples from `from_ns` to `to_ns` (UTC, ns)."""
     first, end = (
         min(max(ceil(round((t - block.t_ns) * 1e-9 * block.sample_rate_hz, 6)), 0), block.n_samples)
         for t in (from_ns, to_ns)
@@ -78,13 +78,13 @@ def _cut_to_span(block: SampleBlock, from_ns: int, to_ns: int) -> SampleBlock:
 
 
 def _length_s(block: SampleBlock) -> float:
-    """Return the length of a block in s; blocks of other topics run beside the acceleration and count nothing."""
+    """Return the length of a block of acceleration, s; 0 for other topics, which run in parallel."""
     return block.n_samples / block.sample_rate_hz if block.topic == ACCELERATION else 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class OnlineDiagnosisState:
-    """The diagnoses of a session for a checkpoint: the episode, the findings, and the requests without a finding."""
+    """Checkpoint state of a session's diagnoses: the episode, the findings, and the requests without a finding."""
 
     episode: trigger.WatchState
     t_ns: int
@@ -98,7 +98,7 @@ class OnlineDiagnosisState:
 
 
 class OnlineDiagnosis:
-    """Request a diagnosis where the results of a session call for one, and collect the findings.
+    """Controller of the diagnoses of a session: requests a diagnosis when one is due, and collects the findings.
 
     Parameters
     ----------
@@ -128,7 +128,7 @@ class OnlineDiagnosis:
         return OnlineDiagnosisState(self._episode, self._t_ns, findings, pending, submitted)
 
     def restore(self, state: OnlineDiagnosisState) -> None:
-        """Go on from a checkpoint; pending requests are submitted anew with the blocks kept before this call."""
+        """Continue from a checkpoint; pending requests are submitted again with the blocks kept before this call."""
         self._episode, self._t_ns = state.episode, state.t_ns
         self.findings.extend(json.loads(text) for text in state.found)
         if self._queue is not None:
@@ -150,7 +150,7 @@ class OnlineDiagnosis:
         return findings
 
     def window(self, result: WindowResult) -> None:
-        """Follow the result of a window, and submit a diagnosis if one is due."""
+        """Evaluate the result of a window, and submit a diagnosis if one is due."""
         self._t_ns = result.t_end_ns
         self._episode, request = trigger.step(self._episode, result, self.settings, self._window_s)
         self._submit(request)
@@ -163,10 +163,11 @@ class OnlineDiagnosis:
         return findings
 
     def close(self, timeout_s: float = 5.0) -> None:
-        """End the diagnosis that still runs; wait no longer than `timeout_s`."""
+        """Stop the diagnosis that still runs; wait no longer than `timeout_s`."""
         if self._queue is not None:
             self._queue.close(timeout_s)
 
     def _submit(self, request: trigger.Request | None) -> None:
+        """Submit a request, if there is one, with its span of the recent blocks."""
         if request is not None and self._queue is not None:
             self._queue.submit(request, self._recent.between(request.from_ns, request.to_ns))

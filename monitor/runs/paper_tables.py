@@ -1,4 +1,4 @@
-"""The paper's Tables 2-7 and damage indices, computed anew beside what it prints."""
+"""Recomputes Tables 2-7 and the damage indices of the paper, and compares them with the printed values."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from monitor.signals import Conditioner, WindowGrid
 from monitor.signals import windows as window
 
 MASSES_KG = np.array([0.3253, 0.3514, 0.3129])
-"""Figure 2 is lost; recovered from Table 4's converged row (docs/theory.md)."""
+"""Masses of the floors, kg.  Figure 2 is lost; recovered from Table 4's converged row (docs/theory.md)."""
 INITIAL_STIFFNESS = np.array([2251.8509, 2251.8509, 1811.292])
-"""Table 4, initial value: 2 * 12 E I / h^3 of the drawing."""
+"""Story stiffness before updating, N/m.  Table 4, initial value: 2 * 12 E I / h^3 of the drawing."""
 MEASURED_HZ = np.array([5.2, 16.3, 23.0])
-"""Table 2, experimental results."""
+"""Measured frequencies, Hz.  Table 2, experimental results."""
 CASES = {"case_1": np.array([0.2, 0.0, 0.0]), "case_2": np.array([0.0, 0.2, 0.1])}
 NOISES = (0.0, 0.05, 0.10)
 Excitation = Literal["free", "ambient"]
@@ -67,24 +67,56 @@ _BY_FREQUENCIES_AND_SHAPES = UpdatingSettings(penalty="weighted")
 
 
 def paper_frame(stiffness: Array) -> Model:
-    """The paper's frame with 1 % Rayleigh damping."""
+    """Build the paper's frame with 1 % Rayleigh damping; `stiffness` has shape (3,), N/m.
+
+    Examples
+    --------
+    >>> paper_frame(INITIAL_STIFFNESS).modes().frequencies_hz.round(2)
+    array([ 5.47, 16.04, 23.27])
+    """
     return Model(ShearFrame(MASSES_KG, stiffness, 0.01))
 
 
 def updating_history() -> Array:
-    """Stiffness after 0, 1, 2 ... steps of eq. 27 from the drawing to the measured frequencies, shape (n, 3)."""
+    """Compute the stiffness after 0, 1, 2 ... steps of eq. 27, from the drawing to the measured frequencies.
+
+    Returns
+    -------
+    array, shape (n, 3)
+        Story stiffness after each step, N/m.
+
+    References
+    ----------
+    Paper, eq. 27.
+    """
     target = _frequencies_only(MEASURED_HZ)
     return update(paper_frame(INITIAL_STIFFNESS), np.eye(3), target, _BY_FREQUENCIES).history
 
 
 def _frequencies_only(frequencies_hz: Array) -> Observation:
-    """Three frequencies as the paper uses them; equal relative variances (a square fit ignores them)."""
+    """Build the observation of three frequencies, shape (3,), Hz, as in the paper.
+
+    The relative variances are equal; a fit with as many frequencies as parameters does not depend on them.
+    """
     lam = (2.0 * np.pi * frequencies_hz) ** 2
     return Observation(lam, np.diag(lam**-2.0), np.zeros((1, lam.size)), tuple(range(lam.size)), (), log=False)
 
 
 def paper_forces(excitation: Excitation, rng: np.random.Generator) -> Array:
-    """The paper's forces: an impact on node 2, or white noise of unit standard deviation on every node."""
+    """Generate the paper's forces: an impact on node 2, or white noise of unit standard deviation on every node.
+
+    Parameters
+    ----------
+    excitation : "free" or "ambient"
+        Impact or white noise.
+    rng : Generator
+        Random numbers of the white noise.
+
+    Returns
+    -------
+    array, shape (n, 3)
+        Force on every node, N.
+    """
     n = round(_DURATION_S[excitation] / _DT[excitation])
     if excitation == "ambient":
         return rng.standard_normal((n, 3))
@@ -96,9 +128,27 @@ def paper_forces(excitation: Excitation, rng: np.random.Generator) -> Array:
 def identify_noisy(
     clean: Array, excitation: Excitation, noise: float, rng: np.random.Generator, like: Model
 ) -> ModalEstimate | Skipped:
-    """Add noise before the filter, filter, resample to 100 Hz, and identify (algorithm 2, CVA).
+    """Add noise to a response, filter it, resample it to 100 Hz, and identify the modes (algorithm 2, CVA).
 
-    Newmark's longer periods are taken out: they are the integrator's error, not the method's.
+    The period elongation of Newmark's method is removed: it is an error of the integrator, not of the identification.
+
+    Parameters
+    ----------
+    clean : array, shape (n, 3)
+        Simulated response without noise.
+    excitation : "free" or "ambient"
+        Kind of excitation, which determines rate and length.
+    noise : float
+        Standard deviation of the noise as a share of the mean RMS of the channels.
+    rng : Generator
+        Random numbers of the noise.
+    like : Model
+        Model whose modes are identified.
+
+    Returns
+    -------
+    ModalEstimate or Skipped
+        Identified modes, or the reason why there are none.
     """
     dt = _DT[excitation]
     rms = noise * float(np.sqrt((clean**2).mean(axis=0)).mean())
@@ -117,26 +167,52 @@ def identify_noisy(
 
 
 def ddi_by_frequencies(frequencies_hz: Array, healthy: Model) -> Array:
-    """DDI against the adjusted model as the paper does it, shape (3,); NaN where the updating does not converge."""
+    """Compute the DDI against the adjusted model from frequencies alone, as in the paper.
+
+    Parameters
+    ----------
+    frequencies_hz : array, shape (3,)
+        Identified frequencies, Hz.
+    healthy : Model
+        Adjusted model.
+
+    Returns
+    -------
+    array, shape (3,)
+        DDI of every story; NaN if the updating does not converge.
+    """
     return _ddi(update(healthy, np.eye(3), _frequencies_only(frequencies_hz), _BY_FREQUENCIES), healthy)
 
 
 def ddi_by_frequencies_and_shapes(modes: ModalEstimate, healthy: Model) -> Array:
-    """DDI from frequencies and shapes."""
+    """Compute the DDI against the adjusted model from frequencies and mode shapes.
+
+    Returns
+    -------
+    array, shape (3,)
+        DDI of every story; NaN if the updating does not converge.
+    """
     target = observe(modes, _BY_FREQUENCIES_AND_SHAPES)
-    # Noise-free data leave nothing to weigh by: a floor far below any noise keeps the weights finite.
+    # Noise-free data have zero variance: a floor far below any noise keeps the weights finite.
     target = replace(target, weight=np.diag(1.0 / (1.0 / np.diag(target.weight) + 1e-12)))
     return _ddi(update(healthy, np.eye(3), target, _BY_FREQUENCIES_AND_SHAPES), healthy)
 
 
 def _ddi(fit: Update, healthy: Model) -> Array:
+    """Compute the DDI of an updated model, shape (3,); NaN if the updating did not converge."""
     if not fit.converged:
         return np.full(3, np.nan)
     return np.asarray(1.0 - fit.parameters / healthy.structure.stiffness_n_per_m)
 
 
 def run_simulated_tests(seeds: int, on_progress: Callable[[float], None] = lambda _: None) -> list[dict[str, Any]]:
-    """The twelve tests of Tables 6 and 7 and Figures 9 and 10, each over `seeds` draws of force and noise."""
+    """Run the twelve tests of Tables 6 and 7 and Figures 9 and 10, each over `seeds` draws of force and noise.
+
+    Returns
+    -------
+    list of dict
+        Mean frequencies (Hz), DDI and their errors for each case, excitation and noise.
+    """
     healthy = paper_frame(updating_history()[-1])
     tests: list[dict[str, Any]] = []
     for case, loss in CASES.items():
@@ -166,6 +242,7 @@ def run_simulated_tests(seeds: int, on_progress: Callable[[float], None] = lambd
 def _summarize(
     case: str, excitation: str, noise: float, loss: Array, results: list[tuple[Array, Array, Array]], failed: int
 ) -> dict[str, Any]:
+    """Summarize one test: mean and spread of the frequencies (Hz), and the errors of the DDI."""
     frequencies = np.array([r[0] for r in results])
     test: dict[str, Any] = {
         "case": case,
@@ -190,7 +267,7 @@ def _summarize(
 
 
 def reproduce(seeds: int, on_progress: Callable[[float], None] = lambda _: None) -> dict[str, Any]:
-    """Everything as plain numbers (`reproduce --json`; docs/figures.md)."""
+    """Recompute all tables as plain numbers (`reproduce --json`; docs/figures.md)."""
     steps = updating_history()
 
     def after(n: int) -> Array:
@@ -230,7 +307,7 @@ def reproduce(seeds: int, on_progress: Callable[[float], None] = lambda _: None)
 
 
 def tables_text(content: dict[str, Any]) -> str:
-    """The tables in words, ours beside the paper's."""
+    """Format the tables as text, with our values next to the paper's."""
     lines = ["Table 2, Hz            ours                          paper"]
     for name in ("theory", "measured"):
         lines.append(f"  {name:<12}" + _pair(content["table_2"][name], PAPER["table_2"][name], 2))

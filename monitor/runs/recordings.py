@@ -1,4 +1,4 @@
-"""Recordings as the commands read them: blocks in time order, progress, and errors that name the recordings."""
+"""Reads recordings for the commands: blocks in time order, progress, and errors that name the recordings."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def duration_s(first: SampleBlock | None, last: SampleBlock | None) -> float:
 
 
 class Progress:
-    """Follow the time of the data, and refuse recordings that are too short for one window.
+    """Progress through the data of recordings, with a check that they are long enough for one window.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ class Progress:
         Raises
         ------
         BadInputError
-            If `windows` is 0; the message says how much usable data there is.
+            If `windows` is 0; the message gives the length of the usable data.
         """
         if windows:
             return
@@ -103,7 +103,7 @@ def file_names(paths: list[Path]) -> str:
 
 
 class BlockConsumer(Protocol):
-    """A pipeline, or a session around one."""
+    """Interface of a pipeline, or of a session around one."""
 
     def push(self, block: SampleBlock) -> list[Result]:
         """Take a block, and return its results."""

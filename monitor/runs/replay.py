@@ -1,4 +1,4 @@
-"""Recordings through the pipeline, with results as files."""
+"""Replays recordings through the pipeline, and writes the results as files."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from monitor.runs.viewer import open_viewer
 __all__ = ["RESULT_FILES", "pass_through", "replay", "with_first_block_read"]
 
 RESULT_FILES = ("results.jsonl", "results.mcap", "live.rrd", "summary.json")
-"""What `replay` leaves in its folder."""
+"""Files that `replay` writes to its folder."""
 
 
 class _ResultFiles(Publisher):
-    """The files of a replay; each takes its final name when it is whole, and none before the last window."""
+    """Publisher to the files of a replay; each file takes its final name when it is whole, after the last window."""
 
     def __init__(self, out: Path) -> None:
         for name in RESULT_FILES:
@@ -69,17 +69,25 @@ def replay(
 
     Parameters
     ----------
+    paths : list of Path
+        Recordings.
+    config : Configuration
+        Settings of the site.
+    baseline : Baseline, optional
+        Healthy reference; no alarm is raised without one.
+    out : Path
+        Folder of the results.
     speed : float, optional
-        Times real time; as fast as possible when None.
+        Speed as a multiple of real time; as fast as possible by default.
     serve : (str, int), optional
-        Address and port where Rerun viewers may join meanwhile.
+        Address and port at which Rerun viewers may connect during the replay.
     files : (Path, Path or None), optional
-        Structure and baseline file, for the diagnoses that alarms ask for; none are made without.
+        Structure and baseline file for the diagnoses that alarms request; no diagnosis is made without.
 
     Raises
     ------
     MissingInputError, BadInputError
-        Too short for one window, missing channels, unreadable files.
+        If the recordings are too short for one window, lack channels, or cannot be read.
     """
     pieces = {} if speed is None else {"longest_s": 0.0}  # viewers want samples as they were taken
     source = with_first_block_read(
@@ -104,7 +112,7 @@ def replay(
 
 
 def with_first_block_read(source: Iterator[SampleBlock]) -> Iterator[SampleBlock]:
-    """The same blocks, the first of them read already."""
+    """Read the first block at once, so that bad input raises its error here; return the iterator of all blocks."""
     return chain([first] if (first := next(source, None)) is not None else [], source)
 
 
@@ -116,12 +124,28 @@ def pass_through(
     speed: float | None = None,
     on_progress: OnProgress = lambda _: None,
 ) -> float:
-    """Push all blocks and wait for the findings; the data's length over the time that it took.
+    """Push all blocks through a session and wait for the findings; return the real-time factor.
+
+    Parameters
+    ----------
+    session : Session
+        Session that takes the blocks.
+    source : iterable of SampleBlock
+        Blocks in time order.
+    paths : list of Path
+        Recordings of the blocks, for messages.
+    speed : float, optional
+        Speed as a multiple of real time; as fast as possible by default.
+
+    Returns
+    -------
+    float
+        Length of the data over the run time.
 
     Raises
     ------
     BadInputError
-        Too short for one window, or refused by the pipeline.
+        If the recordings are too short for one window, or the pipeline refuses them.
     """
     progress, started = Progress(on_progress), time.monotonic()
     for block in source:
@@ -136,7 +160,7 @@ def pass_through(
 
 
 def _warn_of_losses(session: Session, view: RerunPublisher, out: Path, on_warning: OnWarning) -> None:
-    """What went wrong on the way without ending the replay."""
+    """Warn of failed diagnoses, a failed viewer file and dropped samples, which do not end the replay."""
     for finding in session.online_diagnosis.findings:
         if "error" in finding:
             on_warning(f"finding {finding['id']} ({finding['reason']}) came to nothing: {finding['error']}")
@@ -147,4 +171,5 @@ def _warn_of_losses(session: Session, view: RerunPublisher, out: Path, on_warnin
 
 
 def _sleep_until_due(started: float, due_s: float) -> None:
+    """Sleep until `due_s` seconds after `started` (monotonic clock, s)."""
     time.sleep(max(0.0, started + due_s - time.monotonic()))

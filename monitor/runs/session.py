@@ -1,6 +1,6 @@
-"""One session: the pipeline, its summary, the diagnoses that its results ask for, and the publishers of its results.
+"""Session: a pipeline with its summary, the diagnoses that its results request, and the publishers of its results.
 
-A replay and the daemon run the same session, so that the daemon's results are those of a replay, bit for bit.
+A replay and the daemon run the same session, so that the daemon's results equal those of a replay bit for bit.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from monitor.signals import Health
 
 @dataclass(frozen=True, slots=True)
 class SessionState:
-    """All that a session knows, for a checkpoint; no part of it changes any more."""
+    """State of a session for a checkpoint; no part of the state changes later."""
 
     pipeline: PipelineState
     summary: Summary
@@ -32,18 +32,18 @@ class SessionState:
 
 
 class Session:
-    """Push blocks of samples through the pipeline, and hand the results to publishers.
+    """Session that pushes blocks of samples through the pipeline, and passes the results to publishers.
 
     Parameters
     ----------
     config : Configuration
         Settings of the site.
     baseline : Baseline, optional
-        The healthy reference; no alarm is raised without one.
+        Healthy reference; no alarm is raised without one.
     publishers : sequence of Publisher
         Publishers, in the order in which they take each result.
     files : (Path, Path or None), optional
-        Structure or site file, and baseline, for the diagnoses that alarms ask for; no diagnosis is made without.
+        Structure or site file, and baseline, for the diagnoses that alarms request; no diagnosis is made without.
     findings : Path
         Folder of the findings of these diagnoses.
     """
@@ -75,7 +75,7 @@ class Session:
 
     @property
     def now_ns(self) -> int:
-        """Time of the data, just past the latest sample, UTC in ns."""
+        """Time of the data, one sampling period after the latest sample, UTC in ns."""
         return self.pipeline.state.align.t_next_ns()
 
     @property
@@ -90,13 +90,13 @@ class Session:
         return SessionState(self.pipeline.state, summary, quality, self.online_diagnosis.state)
 
     def restore(self, state: SessionState) -> None:
-        """Go on from a checkpoint."""
+        """Continue from a checkpoint."""
         self.pipeline.state = state.pipeline
         self._summary, self._quality = copy.deepcopy((state.summary, state.quality))
         self.online_diagnosis.restore(state.watcher)
 
     def push(self, block: SampleBlock, accepted: Callable[[list[Result]], None] = lambda _: None) -> list[Result]:
-        """Take a block of samples, and publish the results that it brings.
+        """Evaluate a block of samples, publish the results, and return them.
 
         Parameters
         ----------
@@ -108,7 +108,7 @@ class Session:
         Raises
         ------
         BadInputError
-            If the pipeline refuses the block; the session is then as if the block had never come.
+            If the pipeline refuses the block; the state of the session is then unchanged.
         """
         results = self.pipeline.push(block)
         accepted(results)
@@ -127,7 +127,7 @@ class Session:
         self.pipeline.state = replace(state, alarm=change(state.alarm))
 
     def reconfigure(self, config: Configuration) -> None:
-        """Go on with other thresholds; nothing else of the configuration may differ (`monitor.service.reload`)."""
+        """Continue with other thresholds; the rest of the configuration must be equal (`monitor.service.reload`)."""
         self.config = self.pipeline.config = config
         self.online_diagnosis.settings = config.watch
 
@@ -137,7 +137,7 @@ class Session:
         Parameters
         ----------
         realtime_factor : float
-            Length of the data over the time that its evaluation took.
+            Length of the data over the run time of the evaluation.
         """
         self._summary.dropped_samples = self.dropped
         findings = self.online_diagnosis.findings

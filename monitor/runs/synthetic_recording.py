@@ -1,4 +1,4 @@
-"""Simulated recordings: the bridge from the simulator to recording files."""
+"""Writes the motions of the simulator as recordings."""
 
 from __future__ import annotations
 
@@ -33,23 +33,30 @@ _TEMPERATURE_HZ = 1.0
 
 @dataclass(frozen=True, slots=True)
 class TemperatureCycle:
-    """A temperature that goes up and down: mean - swing / 2 cos(2 pi t / period_s)."""
+    """Periodic temperature: mean - swing / 2 cos(2 pi t / period_s)."""
 
     mean_degc: float
     swing_k: float
-    """From the lowest to the highest."""
+    """Difference between the highest and the lowest temperature, K."""
     period_s: float
     reference_degc: float
-    """At which the stiffness is the structure file's."""
+    """Temperature at which the stiffness is that of the structure file, degC."""
 
     @classmethod
     def parse(cls, text: str | None, duration_s: float) -> TemperatureCycle:
-        """``MEAN[,SWING[,PERIOD[,REFERENCE]]]``; by default 10 K about 20 degC in one period, the mean as reference.
+        """Parse ``MEAN[,SWING[,PERIOD[,REFERENCE]]]`` (degC, K, s, degC).
+
+        The defaults are a mean of 20 degC, a swing of 10 K, one period in `duration_s`, and the mean as reference.
 
         Raises
         ------
         ValueError
             If the text is not of that form.
+
+        Examples
+        --------
+        >>> TemperatureCycle.parse("15,8", duration_s=86400.0)
+        TemperatureCycle(mean_degc=15.0, swing_k=8.0, period_s=86400.0, reference_degc=15.0)
         """
         parts = (text or "20").split(",")
         try:
@@ -62,7 +69,7 @@ class TemperatureCycle:
         return cls(mean, swing, period, reference)
 
     def degc(self, n: int, rate_hz: float) -> Array:
-        """Shape (n,)."""
+        """Compute the temperature of `n` samples at `rate_hz`, shape (n,), degC."""
         turn = 2.0 * np.pi / (rate_hz * self.period_s)
         return np.asarray(self.mean_degc - 0.5 * self.swing_k * np.cos(turn * np.arange(n)))
 
@@ -77,7 +84,27 @@ def cut_into_blocks(
     first: int = 0,
     unit: str = "m/s^2",
 ) -> Iterator[SampleBlock]:
-    """Cut samples, shape (n_samples, n_channels), into blocks of `block_n`; `first` is the first one's sequence."""
+    """Cut samples into blocks.
+
+    Parameters
+    ----------
+    topic : str
+        Topic of the blocks.
+    values : array, shape (n_samples, n_channels)
+        Samples, in `unit`.
+    channels : tuple of str
+        Names of the columns.
+    rate_hz : float
+        Sample rate, Hz.
+    t0_ns : int
+        UTC of the sample with sequence number 0, ns.
+    block_n : int
+        Number of samples in a block; the last block may be shorter.
+    first : int
+        Sequence number of the first sample.
+    unit : str
+        Unit of the samples.
+    """
     for start in range(0, values.shape[0], block_n):
         t_ns = t0_ns + round((first + start) / rate_hz * 1e9)
         yield SampleBlock(
@@ -86,7 +113,18 @@ def cut_into_blocks(
 
 
 def parse_damage(text: str) -> Effect:
-    """``storyN=LOSS``, LOSS between 0 and 1."""
+    """Parse ``storyN=LOSS`` as an effect; LOSS is the relative loss of stiffness, from 0 to below 1.
+
+    Raises
+    ------
+    EffectError
+        If the text is not of that form.
+
+    Examples
+    --------
+    >>> parse_damage("story2=0.1").location
+    'story 2'
+    """
     match = re.fullmatch(r"story ?(\d+)=([0-9.eE+-]+)", text)
     try:
         loss = float(match[2]) if match else np.nan
@@ -112,7 +150,32 @@ def write_simulated_recording(
     seed: int,
     temperature: str | None = None,
 ) -> None:
-    """Write a simulated recording that begins at `t0_ns` (UTC, since 1970), with the truth in its metadata.
+    """Write a simulated recording, with the truth in its metadata.
+
+    Parameters
+    ----------
+    out : Path
+        Recording to write.
+    config : Configuration
+        Structure and sensors.
+    duration_s : float
+        Length, s.
+    excitation : str
+        Kind of excitation (`monitor.model.ExcitationKind`).
+    noise, level_spread
+        As of `monitor.model.simulate`.
+    damage : list of str
+        Losses of stiffness, as of `parse_damage`.
+    effects : list of str
+        Further effects, as of `monitor.model.parse_effect`.
+    rate_hz : float
+        Sample rate, Hz.
+    t0_ns : int
+        Time of the first sample, UTC in ns since 1970.
+    seed : int
+        Seed of the random numbers.
+    temperature : str, optional
+        Temperature, as of `TemperatureCycle.parse`; none is simulated by default, unless an effect needs one.
 
     Raises
     ------
@@ -144,7 +207,7 @@ def write_simulated_recording(
             context=config.instrumented().context(rate_hz),
             excess_degc=None if weather is None else weather.degc(n_samples, rate_hz) - weather.reference_degc,
         )
-    except ValueError as error:  # EffectError among them
+    except ValueError as error:  # includes EffectError
         raise BadConfigurationError(str(error)) from error
     metadata = {
         "structure": config.structure.model_dump_json(),
@@ -160,12 +223,12 @@ def write_simulated_recording(
 
 
 def _require_stable(truth: Model, channels: tuple[str, ...]) -> Model:
-    """The model, once its effects have their places and it bears its own weight.
+    """Return the model if its effects fit the structure and its stiffness matrix is positive definite.
 
     Raises
     ------
     ValueError
-        If not.
+        If an effect does not fit, or the structure is unstable.
     """
     for effect in truth.effects:
         effect.check(truth.structure, channels)
@@ -178,7 +241,7 @@ def _require_stable(truth: Model, channels: tuple[str, ...]) -> Model:
 def _sample_blocks(
     motion: Motion, channels: tuple[str, ...], weather: TemperatureCycle | None, t0_ns: int
 ) -> Iterator[SampleBlock]:
-    """All streams in blocks of one second, in time order."""
+    """Cut the accelerations, the base motion and the temperature into blocks of one second, in time order."""
     rate_hz, n_samples = motion.rate_hz, len(motion.floors)
     block_n = max(1, round(rate_hz))
     streams = [cut_into_blocks(ACCELERATION, motion.floors, channels, rate_hz, t0_ns, block_n)]
@@ -191,6 +254,7 @@ def _sample_blocks(
 
 
 def _write_blocks(out: Path, blocks: Iterator[SampleBlock], metadata: dict[str, dict[str, str]]) -> None:
+    """Write blocks and metadata as a recording."""
     try:
         with McapWriter(out, metadata) as writer:
             for block in blocks:

@@ -24,7 +24,7 @@ def open_viewer(
     config : Configuration
         Settings of the site.
     baseline : Baseline, optional
-        Its model and frequencies are the reference that the viewer shows; the structure file's model is without one.
+        Reference whose model and frequencies the viewer shows; by default the model of the structure file.
     file, serve, lossless
         As of `monitor.publish.RerunPublisher`.
     """

@@ -174,7 +174,7 @@ def test_a_slow_reader_holds_the_publisher_up_and_loses_nothing(mode: str, liste
         if got is not None:
             numbers.append(got.sequence // n)
             time.sleep(0.0005)
-        assert source._inbox._held <= 1 << 18
+        assert source._inbox._n_bytes <= 1 << 18
     assert numbers == list(range(count))
     sender.communicate(timeout=PATIENCE_S)
     assert sender.returncode == 0

@@ -1,1 +1,1 @@
-"""Archive."""
+"""Archives: replay and diagnosis of many recordings in parallel."""

@@ -1,4 +1,4 @@
-"""The recordings of an archive: which follow one another and make one replay, and the name of its results."""
+"""Inventory of an archive: groups recordings that follow one another into runs, and names the results of each run."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pathlib import Path
 from monitor import __version__
 
 _OVERLAP_NS = 1_000_000_000
-"""Recordings of one stream overlap by less than this; those that overlap by more were made side by side."""
+"""Overlap, ns, below which two recordings may belong to one stream; with a larger overlap they were made in parallel."""
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -29,24 +29,24 @@ class Survey:
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """Recordings that make one replay."""
+    """Run of consecutive recordings, which are replayed together."""
 
     stream: str
-    """The folder that holds them."""
+    """Folder of the recordings."""
     paths: tuple[Path, ...]
-    """In the order of their times."""
+    """Recordings in the order of their times."""
     t_start_ns: int
     t_end_ns: int
 
     def name(self, configuration: str) -> str:
-        """Name the results; another configuration, recording or version of the program gives another name."""
+        """Name the results of the run; the name depends on configuration, recordings and version of the program."""
         begun = datetime.fromtimestamp(self.t_start_ns // 1_000_000_000, UTC).strftime("%Y%m%dT%H%M%S")
         label = "".join(c if c.isalnum() or c in "-_." else "-" for c in Path(self.stream).name)
         return f"{label}-{begun}-{fingerprint(configuration, *map(file_version, self.paths))}"
 
 
 def fingerprint(*parts: str) -> str:
-    """Compute sixteen hexadecimal digits that change with any of the parts.
+    """Compute a hash of sixteen hexadecimal digits that depends on all parts and on the version of the program.
 
     Examples
     --------
@@ -65,8 +65,8 @@ def file_version(path: Path) -> str:
 def group_into_runs(surveys: Iterable[Survey], longest_gap_s: float) -> list[Run]:
     """Group recordings that follow one another into runs, the longest run first.
 
-    A recording goes on with another's run if it lies in the same folder, has the same channels and rate, and begins no more than
-    `longest_gap_s` after that one's end and not before it.
+    A recording continues the run of another if it lies in the same folder, has the same channels and rate, and begins at most
+    `longest_gap_s` after the end of the other; an overlap below 1 s is allowed.
     """
     open_runs: list[list[Survey]] = []
     done: list[Run] = []
@@ -83,12 +83,16 @@ def group_into_runs(surveys: Iterable[Survey], longest_gap_s: float) -> list[Run
 
 
 def _continues(before: Survey, after: Survey, longest_gap_s: float) -> bool:
+    """Test whether a recording may follow another in one run."""
     same = (before.folder, before.channels, before.rate_hz) == (after.folder, after.channels, after.rate_hz)
     return same and -_OVERLAP_NS < after.t_start_ns - before.t_end_ns <= longest_gap_s * 1e9
 
 
 def expand_patterns(patterns: Sequence[str]) -> list[Path]:
-    """List the files that patterns (``*``, ``?``, ``**``) or names stand for, each once, absolute; names of no file stay."""
+    """List the absolute paths of the files that patterns (``*``, ``?``, ``**``) or names denote, each once.
+
+    A pattern that matches no file is kept as a name.
+    """
     import glob
 
     found = [name for pattern in patterns for name in (sorted(glob.glob(pattern, recursive=True)) or [pattern])]

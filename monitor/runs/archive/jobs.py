@@ -1,4 +1,4 @@
-"""What a process of `reprocess` does: survey a recording, replay a run of them, diagnose one."""
+"""Jobs of the processes of `reprocess`: survey a recording, replay a run of recordings, diagnose a recording."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ from monitor.runs.replay import pass_through, with_first_block_read
 from monitor.runs.session import Session
 
 WINDOWS, RUNS, DIAGNOSES = "windows", "runs", "diagnoses"
-"""Folders in the output: the Parquet dataset; of each run its summary and findings; of each recording its diagnosis."""
+"""Folders in the output: the Parquet dataset, summary and findings of each run, and the diagnosis of each recording."""
 METADATA_KEY = b"shm-monitor"
-"""Key of a Parquet file's metadata under which its run stands."""
+"""Key of a Parquet file's metadata that holds its run."""
 _ROW_GROUP = 2048
-"""Windows held before they are written, a row group."""
+"""Number of windows in a row group, which is written at once."""
 
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """What a process needs to know to make one result."""
+    """Task of a process: the inputs and the output of one result."""
 
     name: str
     stream: str
@@ -44,18 +44,19 @@ class Task:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What became of one result."""
+    """Outcome of one task."""
 
     name: str
     paths: tuple[Path, ...]
     error: str | None = None
+    """Reason for the failure, or None."""
     made: bool = True
-    """False where it was there already."""
+    """False if the result existed already."""
     warnings: list[str] = field(default_factory=list)
 
 
 class WindowsFile(Publisher):
-    """The windows of a run as one file of the dataset, row group by row group."""
+    """Publisher of the windows of a run to one file of the dataset, row group by row group."""
 
     def __init__(self, scratch: Path, final: Path, stream: str, kept: dict[str, Any]) -> None:
         self._scratch, self._final, self._stream = scratch, final, stream
@@ -64,23 +65,24 @@ class WindowsFile(Publisher):
         self._lines: list[dict[str, Any]] = []
 
     def window(self, result: WindowResult, line: str) -> None:
-        """Keep its line."""
+        """Add the line of a window; write a row group when it is full."""
         self._lines.append(json.loads(line))
         if len(self._lines) >= _ROW_GROUP:
             self._flush()
 
     def close(self) -> None:
-        """Finish the file and let the dataset have it."""
+        """Finish the file and move it to the dataset."""
         self._flush()
         self._file.close()
         os.replace(self._scratch, self._final)
 
     def abandon(self) -> None:
-        """Leave nothing behind."""
+        """Remove the unfinished file."""
         self._file.close()
         self._scratch.unlink(missing_ok=True)
 
     def _flush(self) -> None:
+        """Write the kept lines as a row group."""
         if self._lines:
             self._file.write_table(
                 windows_table(self._lines, self._stream).replace_schema_metadata(self._file.schema.metadata)
@@ -89,7 +91,7 @@ class WindowsFile(Publisher):
 
 
 def survey_recording(item: tuple[Path, dict[str, str]]) -> Survey | str:
-    """What a recording (with a map of its ROS 2 topics) holds, or what is wrong with it."""
+    """Survey a recording, given with its map of ROS 2 topics; return an error message if it cannot be used."""
     path, topics = item
     try:
         info = recording_info(path, topic_map=topics or None)
@@ -100,7 +102,7 @@ def survey_recording(item: tuple[Path, dict[str, str]]) -> Survey | str:
 
 
 def replay_run(task: Task) -> Outcome:
-    """One run through the pipeline."""
+    """Replay the recordings of one run, and write its summary, findings and windows."""
     outcome = Outcome(task.name, task.paths)
     keep_freed()
     try:
@@ -114,6 +116,7 @@ def replay_run(task: Task) -> Outcome:
 
 
 def _replay(task: Task, warnings: list[str]) -> None:
+    """Replay a run as `replay_run`; errors are raised."""
     settings = configuration.load(task.structure)
     healthy = (
         None if task.baseline is None else load_baseline(task.baseline, settings.instrumented(), settings.updating)
@@ -136,7 +139,7 @@ def _replay(task: Task, warnings: list[str]) -> None:
 
 
 def diagnose_recording(task: Task) -> Outcome:
-    """One recording's diagnosis."""
+    """Diagnose one recording, and write the diagnosis."""
     from monitor.runs import diagnose
 
     outcome = Outcome(task.name, task.paths)

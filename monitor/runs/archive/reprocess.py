@@ -1,7 +1,7 @@
-"""Archives: many recordings replayed, each run of them once, by several processes or a cluster (Dask).
+"""Reprocesses archives: replays many recordings, each run of them once, in several processes or on a cluster (Dask).
 
-A run's results are those that `replay` gives for its recordings.  They appear under their final names when they are whole, and
-those that are there are not made again, so that a command that was interrupted goes on where it stopped.
+The results of a run equal those of `replay` for its recordings.  They get their final names when they are whole, and existing
+results are not computed again, so that an interrupted command continues where it stopped.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ Job = TypeVar("Job")
 Done = TypeVar("Done")
 _SURVEYS = "surveys.json"
 Work = Callable[[Callable[[Any], Any], Sequence[Any]], list[Any]]
-"""Gives the function of every job."""
+"""Function that applies a function to all jobs in parallel, and returns the results in order."""
 
 
 def reprocess(
@@ -56,25 +56,40 @@ def reprocess(
     workers: int | None = None,
     on_done: Callable[[int, int], None] = lambda done, of: None,
 ) -> list[Outcome]:
-    """Replay, and where asked diagnose, all recordings that are not done yet.
+    """Replay, and optionally diagnose, all recordings without results.
 
     Parameters
     ----------
+    recordings : sequence of Path
+        Recordings of the archive.
+    structure : Path
+        Structure or site file.
+    baseline : Path, optional
+        Healthy reference; no alarm is raised without one.
+    out : Path
+        Folder of the results.
     diagnose : bool
-        Also diagnose each recording by itself; alarms have their diagnoses anyhow, as in `replay`.
+        Also diagnose each recording by itself; alarms request their diagnoses in any case, as in `replay`.
     longest_gap_s : float, optional
-        Pause after which recordings of one folder are no longer one replay; the window's length by default.
+        Longest gap, s, between recordings of one folder that are replayed together; the window's length by default.
     scheduler : str, optional
-        Address of a Dask scheduler whose workers see the same files; processes on this machine without.
+        Address of a Dask scheduler whose workers see the same files; processes on this machine by default.
     workers : int, optional
-        How many of these; one a core by default.
+        Number of processes on this machine; one for each core by default.
+    on_done : callable
+        Called with the number of finished jobs and the number of all jobs.
+
+    Returns
+    -------
+    list of Outcome
+        Outcome of every run and diagnosis, and of every recording that cannot be read.
 
     Raises
     ------
     WrongUsageError
-        A file of `out` is one that is read.
+        If a result would overwrite an input.
     BadConfigurationError, MissingInputError
-        Of the structure file and the baseline.  What is wrong with a recording is told by its outcome.
+        If the structure file or the baseline cannot be used.  An error of a recording is part of its outcome.
     """
     spare_inputs([out / _SURVEYS], [*recordings, structure, baseline])
     settings = config.load(structure)
@@ -106,6 +121,7 @@ def reprocess(
 
 
 def _task(name: str, stream: str, paths: tuple[Path, ...], structure: Path, baseline: Path | None, out: Path) -> Task:
+    """Create a task with absolute paths."""
     return Task(name, stream, paths, structure.resolve(), baseline and baseline.resolve(), out.resolve())
 
 
@@ -115,20 +131,20 @@ def _compute_missing(
     results: Sequence[Path],
     work: Work,
 ) -> list[Outcome]:
-    """Make the results that are not there."""
-    there = [Outcome(t.name, t.paths, made=False) for t, r in zip(tasks, results, strict=True) if r.exists()]
-    return there + work(function, [t for t, r in zip(tasks, results, strict=True) if not r.exists()])
+    """Compute the results that do not exist."""
+    existing = [Outcome(t.name, t.paths, made=False) for t, r in zip(tasks, results, strict=True) if r.exists()]
+    return existing + work(function, [t for t, r in zip(tasks, results, strict=True) if not r.exists()])
 
 
 def _configuration_fingerprint(settings: config.Configuration, baseline: Path | None) -> str:
-    """Everything besides the recordings that results depend on."""
-    told = settings.model_dump_json(exclude={"output", "source"})
-    return fingerprint(told, "" if baseline is None else baseline.read_text(encoding="utf-8"))
+    """Compute the fingerprint of all inputs of the results besides the recordings."""
+    settings_json = settings.model_dump_json(exclude={"output", "source"})
+    return fingerprint(settings_json, "" if baseline is None else baseline.read_text(encoding="utf-8"))
 
 
 @contextmanager
 def _open_workers(scheduler: str | None, workers: int | None, on_done: Callable[[int, int], None]) -> Iterator[Work]:
-    """Whoever does the work: this process where one is enough, several of this machine, or a cluster."""
+    """Open the workers: this process if one is enough, several processes on this machine, or a cluster."""
     count = workers or os.cpu_count() or 1
     if scheduler is not None:
         from distributed import Client, as_completed
@@ -147,22 +163,22 @@ def _open_workers(scheduler: str | None, workers: int | None, on_done: Callable[
         with client:
             yield on_cluster
         return
-    # New interpreters, never forks: threads of this one may hold locks.
+    # New interpreters, never forks, because threads of this one may hold locks.
     with ProcessPoolExecutor(count, get_context("spawn")) as pool:
         options = {"scheduler": "sync"} if count == 1 else {"scheduler": "processes", "pool": pool, "chunksize": 1}
 
-        def here(function: Callable[[Job], Done], jobs: Sequence[Job]) -> list[Done]:
+        def on_this_machine(function: Callable[[Job], Done], jobs: Sequence[Job]) -> list[Done]:
             number = iter(range(1, len(jobs) + 1))
             with Callback(posttask=lambda *_: on_done(next(number, len(jobs)), len(jobs))):
                 return list(dask.compute(*[dask.delayed(function, pure=False)(job) for job in jobs], **options))
 
-        yield here
+        yield on_this_machine
 
 
 def _survey_recordings(
     recordings: Sequence[Path], topics: dict[str, str], out: Path, work: Work
 ) -> tuple[list[Survey], list[Outcome]]:
-    """What each recording holds, read once and kept in ``surveys.json``."""
+    """Survey each recording once, and keep the surveys in ``surveys.json``; return surveys and failures."""
     kept_in = out / _SURVEYS
     try:
         kept: dict[str, Any] = json.loads(kept_in.read_text(encoding="utf-8"))
@@ -179,8 +195,8 @@ def _survey_recordings(
             new.append((key, path))
         else:
             surveys.append(_survey_from_json(known))
-    looked_at = work(survey_recording, [(path, topics) for _, path in new])
-    for (key, path), found in zip(new, looked_at, strict=True):
+    surveyed = work(survey_recording, [(path, topics) for _, path in new])
+    for (key, path), found in zip(new, surveyed, strict=True):
         if isinstance(found, str):
             failed.append(Outcome(str(path), (path,), found))
         else:
@@ -191,11 +207,12 @@ def _survey_recordings(
 
 
 def _survey_from_json(kept: dict[str, Any]) -> Survey:
+    """Restore a survey kept as JSON."""
     return Survey(**{**kept, "channels": tuple(kept["channels"]), "path": Path(kept["path"])})
 
 
 def _remove_superseded(out: Path, now: dict[str, Run], failed: list[str]) -> None:
-    """Remove files of the dataset whose recordings stand in another by now: no window is in it twice."""
+    """Remove files of the dataset whose recordings are part of another run now, so that no window is in it twice."""
     covered = {str(path) for name, run in now.items() if name not in failed for path in run.paths}
     for file in (out / WINDOWS).glob("*.parquet"):
         if file.stem not in now:

@@ -1,4 +1,4 @@
-"""Import foreign data as recordings: CSV of any dialect, Xsens DOT, zipped CSV, NPZ, CAN logs."""
+"""Imports foreign data as recordings: CSV of any dialect, Xsens DOT, zipped CSV, NPZ, CAN logs."""
 
 from __future__ import annotations
 
@@ -33,30 +33,36 @@ def import_files(
     dbc: Path | None = None,
     on_warning: OnWarning = lambda _: None,
 ) -> RecordingInfo:
-    """Write the readings of `files` as one recording, and return what the recording holds.
+    """Write the readings of `files` as one recording, and return the content of the recording.
 
     Parameters
     ----------
+    files
+        Files to import, sampled at the same time.
+    out
+        Recording to write.
     rate_hz
-        Needed where no file tells; overrides a time column.
+        Sample rate, Hz.  Required if no file states it; overrides the rate of a time column.
     unit
-        Of columns whose header states none: m/s^2, g, mg, gal.
+        Unit of columns whose header states none: m/s^2, g, mg, gal.
     channels
-        Channel name -> "FILE" or "FILE:COLUMN", FILE by name or stem; by default the columns of one file,
-        the stems of several.
+        Channel name -> "FILE" or "FILE:COLUMN", with FILE by name or stem.  By default the channels are the columns of a
+        single file, or the stems of several files.
     ground
         "FILE" or "FILE:COLUMN" of the base motion.
     start_ns
-        UTC of the first sample, since 1970; 1970 if neither this nor a file tells.
+        UTC of the first sample, ns since 1970; by default the time stated in a file, or 1970.
     dbc
-        What the frames of CAN logs mean.
+        DBC file that describes the frames of CAN logs.
+    on_warning
+        Shows a warning to the user.
 
     Raises
     ------
     BadInputError
         If the data cannot be used.
     MissingInputError
-        If a file cannot be read, or `out` not written.
+        If a file cannot be read, or `out` cannot be written.
 
     Examples
     --------
@@ -83,7 +89,7 @@ def import_files(
         chosen, base = _choose_columns(tables, channels, ground)
         rate, numbers = _timing(tables, clock, rate_hz, on_warning)
         start_ns = _start_ns(tables, on_warning) if start_ns is None else start_ns
-        # The last time must fit 64-bit nanoseconds; with a damaged counter it does not.
+        # The time of the last sample must fit 64-bit nanoseconds, which a damaged counter violates.
         if not 1e-3 <= rate <= 1e7 or start_ns + numbers[-1] * 1e9 / rate > 4e18:
             raise BadInputError(f"{files[0]}: {rate} Hz and {numbers[-1]} samples in all are absurd")
         samples = np.column_stack([table.acceleration(column, unit) for table, column in chosen.values()])
@@ -98,7 +104,7 @@ def import_files(
 
 
 def _warn_of_missing(samples: Array, numbers: Ticks, rate_hz: float, on_warning: OnWarning) -> None:
-    """Warn of samples that are not finite, shape (n, c), and of jumps in the samples' numbers, shape (n,)."""
+    """Warn of `samples`, shape (n, c), that are not finite, and of jumps in their `numbers`, shape (n,)."""
     if not np.isfinite(samples).all():
         on_warning(f"{np.count_nonzero(~np.isfinite(samples))} samples are missing or no finite numbers")
     gaps, lost = np.count_nonzero(np.diff(numbers) > 1), int(numbers[-1]) + 1 - len(numbers)
@@ -107,6 +113,7 @@ def _warn_of_missing(samples: Array, numbers: Ticks, rate_hz: float, on_warning:
 
 
 def _load_table(path: Path, on_warning: OnWarning) -> Table:
+    """Read a file, detect its format by its content, and convert it to a table."""
     try:
         if not path.is_file():
             raise MissingInputError(f"{path}: {'is no file' if path.exists() else 'does not exist'}")
@@ -128,12 +135,14 @@ def _load_table(path: Path, on_warning: OnWarning) -> Table:
 
 
 def _require_samples(table: Table) -> Table:
+    """Return the table if it has at least two samples; raise BadInputError otherwise."""
     if len(table.values) < 2:
         raise BadInputError(f"{table.path}: {len(table.values)} samples are too few")
     return table
 
 
 def _zip_members(path: Path, raw: bytes) -> list[str]:
+    """List the names of the files in a zip archive."""
     try:
         with zipfile.ZipFile(io.BytesIO(raw)) as archive:
             return [name for name in archive.namelist() if not name.endswith("/")]
@@ -142,12 +151,13 @@ def _zip_members(path: Path, raw: bytes) -> list[str]:
 
 
 def _unzip(path: Path, raw: bytes, members: list[str]) -> bytes:
+    """Unpack the only table of a zip archive."""
     tables = [name for name in members if ".csv" in name.lower()] or members
     if len(tables) != 1:
         raise BadInputError(f"{path}: holds {len(tables)} tables; unpack it and name one: {', '.join(tables)}")
     try:
         with zipfile.ZipFile(io.BytesIO(raw)) as archive, archive.open(tables[0]) as member:
-            data = member.read(_MAX_UNZIPPED + 1)  # whatever size the archive claims
+            data = member.read(_MAX_UNZIPPED + 1)  # independent of the size that the archive states
     except (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, NotImplementedError, ValueError) as error:
         raise BadInputError(f"{path}: damaged or encrypted zip archive: {error}") from error
     if len(data) > _MAX_UNZIPPED:
@@ -179,6 +189,7 @@ def _choose_columns(
 
 
 def _find_column(tables: list[Table], reference: str) -> _Column:
+    """Find the column that "FILE", "FILE:COLUMN" or, with a single file, "COLUMN" denotes."""
     exact = [(table, None) for table in tables if reference in table.names]
     parts = [
         (table, reference[len(name) + 1 :])
@@ -191,9 +202,9 @@ def _find_column(tables: list[Table], reference: str) -> _Column:
         return tables[0], reference
     if len(found) != 1:
         what = "names several files" if found else "names no file"
-        there = ", ".join(f"{table.path} ({', '.join(table.columns)})" for table in tables)
+        files_text = ", ".join(f"{table.path} ({', '.join(table.columns)})" for table in tables)
         raise BadInputError(
-            f"{reference!r} {what}; the files, with their columns, are {there}; "
+            f"{reference!r} {what}; the files, with their columns, are {files_text}; "
             f"write FILE:COLUMN, as {tables[0].names[0]}:{tables[0].columns[0]}"
         )
     table, column = found[0]

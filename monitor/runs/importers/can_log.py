@@ -1,4 +1,4 @@
-"""CAN logs (.blf .asc .log .trc .mf4): through the driver that also reads buses, so that both give the same samples."""
+"""Imports CAN logs (.blf .asc .log .trc .mf4) with the driver that reads buses too, so that both give the same samples."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from monitor.core import BadInputError, MissingInputError
 from monitor.runs.importers.table import OnWarning
 
 _UNREPORTED_COUNTS = ("frames", "samples", "foreign", "overruns")
-"""Counts that are no trouble, or told by others."""
+"""Counts that are no errors, or that other counts include."""
 
 
 def is_log(path: Path) -> bool:
-    """By its suffix."""
+    """Test whether a file is a CAN log, by its suffix."""
     return path.suffix.lower() in LOG_SUFFIXES
 
 
 def check_options(
     files: list[Path], dbc: Path | None, channels: dict[str, str] | None, ground: str | None, start_ns: int | None
 ) -> None:
-    """Refuse what a log with its DBC already says, and a log without one.
+    """Check the options of an import: one log with a DBC, and nothing that log and DBC already state.
 
     Raises
     ------
     BadInputError
-        If more or less is given.
+        If the DBC is missing, or there are several logs or redundant options.
     """
     if len(files) > 1:
         raise BadInputError(f"{files[0]}: import CAN logs one by one")
@@ -42,14 +42,27 @@ def check_options(
 
 
 def import_log(path: Path, out: Path, *, dbc: Path, rate_hz: float | None, on_warning: OnWarning) -> RecordingInfo:
-    """Write the samples of a log as a recording and say what it holds.
+    """Write the samples of a log as a recording, and return the content of the recording.
+
+    Parameters
+    ----------
+    path
+        CAN log.
+    out
+        Recording to write.
+    dbc
+        DBC file that describes the frames.
+    rate_hz
+        Nominal sample rate, Hz; required.
+    on_warning
+        Shows a warning to the user.
 
     Raises
     ------
     BadInputError
-        If log and DBC cannot be used.
+        If log or DBC cannot be used.
     MissingInputError
-        If one of them cannot be read.
+        If log or DBC cannot be read.
     """
     if rate_hz is None:
         raise BadInputError(f"{path}: neither frames nor DBC tell the sample rate; give --rate HZ")
@@ -89,6 +102,7 @@ def import_log(path: Path, out: Path, *, dbc: Path, rate_hz: float | None, on_wa
 
 
 def _blocks(source: CanSource) -> Iterator[SampleBlock]:
+    """Read all blocks of a source, and close it."""
     try:
         with suppress(EndOfStream):
             source.open()

@@ -1,4 +1,4 @@
-"""Delimited text of any dialect: delimiter, decimal comma, encoding, leading comments, dates."""
+"""Reads delimited text of any dialect: delimiter, decimal comma, encoding, leading comments, dates."""
 
 from __future__ import annotations
 
@@ -25,19 +25,20 @@ _TICKS = {"s": 10**9, "sec": 10**9, "ms": 10**6, "us": 1000, "µs": 1000, "ns": 
 
 @dataclass(frozen=True, slots=True)
 class Cells:
-    """A text file cut into cells."""
+    """Cells of a text file."""
 
     path: Path
     preamble: tuple[str, ...]
     """Lines before the rows."""
     header: tuple[str, ...]
-    """Names with units; empty without a header row."""
+    """Column names with units; empty without a header row."""
     rows: list[list[str]]
+    """Cells of each row of data."""
     first_line: int
-    """Line number of the first row, from 1."""
+    """Line number of the first row, counted from 1."""
 
     def numbers(self, column: int) -> Array:
-        """One column, shape (n_rows,); an empty cell is a missing sample (NaN).
+        """Convert one column to numbers, shape (n_rows,); an empty cell is a missing sample (NaN).
 
         Raises
         ------
@@ -55,7 +56,7 @@ class Cells:
 
 
 def decode_text(path: Path, raw: bytes) -> str:
-    """The file's text: UTF-8 or UTF-16 by their marks, else cp1252, else latin-1.
+    """Decode a file's bytes: UTF-16 if they begin with its byte order mark, else UTF-8, cp1252 or latin-1.
 
     Raises
     ------
@@ -77,17 +78,17 @@ def decode_text(path: Path, raw: bytes) -> str:
 
 
 def cut_into_cells(path: Path, text: str, on_warning: OnWarning) -> Cells:
-    """Find delimiter, header and data rows.
+    """Find delimiter, header and data rows of a text, and cut it into cells.
 
     Raises
     ------
     BadInputError
-        If there is no table of numbers, or a row has another number of cells.
+        If there is no table of numbers, or the rows differ in their number of cells.
     """
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
     while lines and not lines[-1].strip(" ,;\t"):
         lines.pop()
-    # The table's end tells its shape: the head may be comments.  Its last line may be cut.
+    # The end of the table shows its shape, because the head may be comments.  The last line may be incomplete.
     tail = [line for line in lines[-101:] if line.strip()][:-1] or lines
     delimiter = next((mark for mark in "\t;," if sum(mark in line for line in tail) * 2 > len(tail)), None)
     try:
@@ -101,10 +102,10 @@ def cut_into_cells(path: Path, text: str, on_warning: OnWarning) -> Cells:
         raise BadInputError(f"{path}: no rows of numbers found; is it a CSV table?")
     head = next((at for at in range(first - 1, -1, -1) if any(rows[at])), None)
     header: list[str] = []
-    # Some loggers end the header, but no row, with a delimiter.
+    # Some loggers end the header with a delimiter, but not the rows.
     if head is not None and (len(rows[head]) == width or rows[head][width:] == [""]):
         header = rows[head][:width]
-        header[0] = header[0].lstrip("#% ") or header[0]  # numpy.savetxt's mark of a comment
+        header[0] = header[0].lstrip("#% ") or header[0]  # comment mark of numpy.savetxt
         if any(map(_NUMBER.fullmatch, header)) and not any(map(_TIME.fullmatch, header)):
             bad = next((cell for cell in header if not _NUMBER.fullmatch(cell)), header[0])
             raise BadInputError(f"{path}: line {head + 1}: {bad[:40]!r} is no number")
@@ -119,7 +120,7 @@ def cut_into_cells(path: Path, text: str, on_warning: OnWarning) -> Cells:
 
 
 def to_table(cells: Cells, on_warning: OnWarning) -> Table:
-    """Columns of numbers on the clock of the time column, if there is one.
+    """Convert cells to a table of numbers, with the time column, if there is one, as clock.
 
     Raises
     ------
@@ -149,7 +150,7 @@ def to_table(cells: Cells, on_warning: OnWarning) -> Table:
         raise BadInputError(f"{cells.path}: columns of the same name in the header: {', '.join(columns)}")
     default = columns
     if any(units[at] for at in kept):
-        # A file that states units is believed: strains and forces are no accelerations.
+        # Trust the units that a file states: columns such as strains and forces are no accelerations.
         default = tuple(names[at] for at in kept if unit_factor(units[at]) is not None) or columns
         if len(default) < len(columns):
             others = ", ".join(name for name in columns if name not in default)
@@ -166,18 +167,21 @@ def to_table(cells: Cells, on_warning: OnWarning) -> Table:
 
 
 def _split(line: str, delimiter: str | None) -> list[str]:
+    """Split a line into cells; without a delimiter, at white space."""
     if delimiter and '"' in line:
         return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter, skipinitialspace=True), [""])]
     return [cell.strip(' \t"') for cell in (line.split(delimiter) if delimiter else line.split())]
 
 
 def _is_data(row: list[str]) -> bool:
+    """Test whether a row has numbers, and otherwise only dates or empty cells."""
     numbers = sum(bool(_NUMBER.fullmatch(cell)) for cell in row)
     others = sum(bool(cell) and not _NUMBER.fullmatch(cell) and not _DATE.fullmatch(cell) for cell in row)
     return numbers > 0 and others == 0
 
 
 def _tick_column(cells: Cells, column: int, name: str, unit: str) -> Ticks:
+    """Convert a column of numbers in a unit of time to ns, shape (n_rows,)."""
     suffix = name.rpartition("_")[2]
     if name.casefold() == "sampletimefine":
         tick = 1000
@@ -194,8 +198,9 @@ def _tick_column(cells: Cells, column: int, name: str, unit: str) -> Ticks:
 
 
 def _date_column(cells: Cells, column: int) -> Ticks:
+    """Convert a column of dates to UTC, ns since 1970, shape (n_rows,)."""
     texts = [row[column] for row in cells.rows]
-    # One form for the whole file: month and day must not change places within it.
+    # One date format for the whole file, so that month and day are never exchanged within it.
     for form in _DATE_FORMATS:
         times = [_parse_date(text, form) for text in texts[:1]]
         if times[0] is not None and None not in (times := [_parse_date(text, form) for text in texts]):
@@ -208,7 +213,7 @@ def _date_column(cells: Cells, column: int) -> Ticks:
 
 
 def _parse_date(text: str, form: str) -> int | None:
-    """Nanoseconds since 1970 of a date in one of the forms, UTC unless told; None if it is none."""
+    """Parse a date in the given format, in UTC unless it states a zone; return ns since 1970, None if it does not match."""
     try:
         if form != "ISO":
             clock, _, fraction = text.rpartition(":")[2].replace(",", ".").partition(".")
@@ -220,6 +225,7 @@ def _parse_date(text: str, form: str) -> int | None:
 
 
 def _warn_of_swapped_date(path: Path, start_ns: int, on_warning: OnWarning) -> None:
+    """Warn if the date in the file's name is the start with day and month exchanged."""
     day = datetime.fromtimestamp(start_ns / 1e9, UTC).date()
     named = re.search(r"(\d{4})-(\d{2})-(\d{2})", path.name)
     if (

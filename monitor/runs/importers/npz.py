@@ -1,4 +1,4 @@
-"""NumPy archives: `samples` (n, channels) or one array a channel; `rate_hz`/`fs`, `channels`, `t`, `unit`."""
+"""Reads NumPy archives: `samples` (n, channels) or one array for each channel; `rate_hz`/`fs`, `channels`, `t`, `unit`."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ _RESERVED = {"samples", "channels", "unit", *_RATE, *_TIME}
 
 
 def to_table(path: Path, raw: bytes) -> Table:
-    """The arrays of an archive; pickled objects are never loaded.
+    """Convert the arrays of an archive to a table; pickled objects are never loaded.
 
     Raises
     ------
     BadInputError
-        If it is damaged or its arrays do not fit each other.
+        If the archive is damaged, or its arrays do not fit each other.
     """
     try:
         with np.load(io.BytesIO(raw), allow_pickle=False) as archive:
@@ -37,6 +37,7 @@ def to_table(path: Path, raw: bytes) -> Table:
 
 
 def _build(path: Path, arrays: dict[str, NDArray[np.generic]]) -> Table:
+    """Build a table of arrays; raise ValueError if they do not fit each other."""
     if "samples" in arrays:
         values = np.asarray(arrays["samples"], dtype=np.float64)
         values = values[:, None] if values.ndim == 1 else values

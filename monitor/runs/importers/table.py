@@ -1,4 +1,4 @@
-"""The common form of all imported files: columns of readings on one clock."""
+"""Common form of all imported files: columns of readings on one clock."""
 
 from __future__ import annotations
 
@@ -21,38 +21,45 @@ UNITS |= {"mg": 9.80665e-3, "gal": 1e-2, "cm/s^2": 1e-2, "cm/s2": 1e-2, "mm/s^2"
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Table:
-    """The readings of one file."""
+    """Readings of one file."""
 
     path: Path
     columns: tuple[str, ...]
     units: tuple[str, ...]
-    """Unit of each column as the file states it; empty if it does not."""
+    """Unit of each column as stated in the file; empty if none is stated."""
     values: Array
-    """Shape (n_samples, n_columns), in `units`."""
+    """Readings, shape (n_samples, n_columns), in `units`."""
     default: tuple[str, ...]
-    """Columns that are taken when the caller names none."""
+    """Columns that are used when the caller names none."""
     time_ns: Ticks | None = None
-    """Shape (n_samples,), the file's own clock; None if it has none."""
+    """Time of each sample by the file's own clock, shape (n_samples,), ns; None without a clock."""
     index: Ticks | None = None
-    """Shape (n_samples,), the device's own sample counter, if it has one."""
+    """Sample counter of the device, shape (n_samples,); None without a counter."""
     start_ns: int | None = None
-    """UTC of the first sample, nanoseconds since 1970, if the file tells."""
+    """UTC of the first sample, ns since 1970; None if the file does not state it."""
     rate_hz: float | None = None
-    """Stated by the file, for formats that do."""
+    """Sample rate stated in the file, Hz; None if the file does not state it."""
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The ways in which a caller may refer to this file."""
+        """Names by which a caller may refer to this file."""
         stem = self.path.stem.removesuffix(".csv")  # x.csv.zip
         return (stem, self.path.stem, self.path.name, str(self.path))
 
     def acceleration(self, column: str, unit: str) -> Array:
-        """A column in m/s^2, shape (n_samples,); `unit` counts where the file states none.
+        """Convert a column to m/s^2, shape (n_samples,).
+
+        Parameters
+        ----------
+        column : str
+            Name of the column.
+        unit : str
+            Unit of the column if the file states none.
 
         Raises
         ------
         BadInputError
-            If there is no such column, or no acceleration has its unit.
+            If there is no such column, or its unit is no unit of acceleration.
         """
         if column not in self.columns:
             raise BadInputError(f"{self.path}: no column {column!r}; it has {', '.join(self.columns)}")
@@ -68,7 +75,7 @@ class Table:
 
 
 def unit_factor(unit: str) -> float | None:
-    """Return the factor from `unit` to m/s^2; None if it is no unit of acceleration.
+    """Return the factor from `unit` to m/s^2; None if `unit` is no unit of acceleration.
 
     Examples
     --------
@@ -113,22 +120,30 @@ def sample_numbers(path: Path, time_ns: Ticks) -> tuple[float, Ticks]:
     if np.quantile(np.abs(steps - counts * step), 0.999) > 0.2 * step:
         raise BadInputError(f"{path}: the time column is irregular (more than 20 % of a sample); give --rate")
     numbers = np.concatenate(([0], np.cumsum(counts)))
-    # The mean over the whole file, since one step is only as fine as the clock's ticks.
+    # The mean over the whole file, because a single step is only as fine as the clock's ticks.
     rate = 1e9 * float(numbers[-1]) / float(time_ns[-1] - time_ns[0])
     nominal = float(round(rate))
     return (nominal if nominal and abs(rate / nominal - 1) < 1e-4 else round(rate, 6)), numbers
 
 
 def join_tables(tables: list[Table], on_warning: OnWarning) -> tuple[list[Table], Ticks | None]:
-    """The tables cut to the samples that they share, and their common clock (ns; None without one).
+    """Cut tables to their common samples.
 
-    With clocks, only samples whose times agree in all files within half a step are kept; without, the files
-    are taken to begin together.
+    With clocks, only the samples whose times agree in all files within half a step are kept.  Without clocks, all files are
+    assumed to begin at the same time.
+
+    Returns
+    -------
+    list of Table
+        Tables with n samples each.
+    array, shape (n,), or None
+        Common clock, ns; None without clocks.
 
     Raises
     ------
     BadInputError
-        If only some have a clock, or the clocks share less than half of the shortest file.
+        If only some files have a clock, the clocks run at different rates or not forwards, or the files have less than half of
+        the shortest file in common.
     """
     clocks = [table.time_ns for table in tables if table.time_ns is not None]
     if len(tables) == 1:
@@ -172,6 +187,7 @@ def join_tables(tables: list[Table], on_warning: OnWarning) -> tuple[list[Table]
 
 
 def _select_rows(table: Table, rows: NDArray[np.int64]) -> Table:
+    """Select rows, shape (n,), of a table; its start moves to the first of these rows."""
     start = table.start_ns
     if start is not None and table.time_ns is not None and len(rows):
         start += int(table.time_ns[rows[0]] - table.time_ns[0])

@@ -1,4 +1,4 @@
-"""The Xsens DOT dialect of CSV: a packet counter, a microsecond clock of 32 bit, local start time."""
+"""Reads the Xsens DOT dialect of CSV: a packet counter, a microsecond clock of 32 bit, local start time."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ _WRAP = 1 << 32
 
 
 def is_xsens(cells: Cells) -> bool:
-    """Whether the header is the dialect's."""
+    """Test whether the header is that of Xsens DOT."""
     return {"PacketCounter", "SampleTimeFine"} <= set(cells.header)
 
 
 def to_table(cells: Cells, on_warning: OnWarning) -> Table:
-    """The accelerations (m/s^2) on the sensor's own clock; Acc_X unless the caller names others.
+    """Convert cells to a table of accelerations (m/s^2) on the sensor's own clock; the default column is Acc_X.
 
     Raises
     ------
@@ -40,7 +40,7 @@ def to_table(cells: Cells, on_warning: OnWarning) -> Table:
     clock = micros.astype(np.int64)
     clock[1:] += _WRAP * np.cumsum(np.diff(clock) < -_WRAP // 2)
     start_ns = _start_ns(cells, on_warning)
-    # The device writes the orientation before its first acceleration is there: zeros, gravity too.
+    # The device writes the orientation before its first acceleration is available: that row is all zeros, even gravity.
     first = int(len(values) > 1 and not values[0].any())
     if start_ns is not None:
         start_ns += 1000 * int(clock[first] - clock[0])
@@ -57,6 +57,7 @@ def to_table(cells: Cells, on_warning: OnWarning) -> Table:
 
 
 def _start_ns(cells: Cells, on_warning: OnWarning) -> int | None:
+    """Read the start time from the preamble, UTC in ns since 1970; None if it is not stated."""
     found = next((match for line in cells.preamble if (match := _START.search(line))), None)
     if found is None:
         return None
