@@ -268,6 +268,9 @@ class WindowResult:
     """None without a temperature channel, or where it is too old."""
     mode_tracks: tuple[int, ...] = ()
     """Identity over time of each of the modes, from 0; -1 for one not seen often enough yet."""
+    detectable_loss: Array | None = None
+    """Shape (n,): smallest sudden loss of each story that would be seen (`damage.detectable_loss`), infinite where none would;
+    None without a baseline."""
 
 
 @dataclass(frozen=True, slots=True)

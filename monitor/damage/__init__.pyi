@@ -1,6 +1,7 @@
 from . import alarm, damage_index
 from .alarm import AlarmSettings, AlarmState, StoryState, hold
 from .alternative_solutions import second_solutions
+from .assessment import Assessment, Course, Known, Loss, State, WindowFacts, assess, facts_of, follow
 from .baseline import Baseline, learn_baseline
 from .baseline_file import load_baseline, save_baseline
 from .updating import Observation, Update, UpdatingSettings, observe, update
@@ -8,13 +9,22 @@ from .updating import Observation, Update, UpdatingSettings, observe, update
 __all__ = [
     "AlarmSettings",
     "AlarmState",
+    "Assessment",
     "Baseline",
+    "Course",
+    "Known",
+    "Loss",
     "Observation",
+    "State",
     "StoryState",
     "Update",
     "UpdatingSettings",
+    "WindowFacts",
     "alarm",
+    "assess",
     "damage_index",
+    "facts_of",
+    "follow",
     "hold",
     "learn_baseline",
     "load_baseline",

@@ -15,7 +15,9 @@ from datetime import UTC, datetime
 from enum import StrEnum
 from typing import Any
 
-from monitor.core import WHOLE, Level, Skipped
+import numpy as np
+
+from monitor.core import WHOLE, AlarmCondition, DamageReading, Level, Skipped, WindowResult
 from monitor.damage.detectable_loss import WITHIN_S
 from monitor.model import FORMS
 
@@ -56,10 +58,12 @@ class Loss:
     story: int
     """From 1; `WHOLE` for all stories alike."""
     ddi: float
-    """Relative loss of stiffness."""
+    """Relative loss of stiffness: the latest significant one at the highest level."""
     ddi_std: float
+    loss_n_per_m: float | None
+    """Stiffness lost, N/m."""
     t_first_ns: int
-    t_last_ns: int | None
+    t_last_ns: int | None = None
     """None while the alarm lasts."""
 
 
@@ -71,10 +75,10 @@ class WindowFacts:
     window_s: float
     skipped: str | None
     """Why nothing could be said."""
-    active: Mapping[int, Level] = field(default_factory=dict)
+    active: dict[int, Level] = field(default_factory=dict)
     """Announced level of every story that is not normal."""
-    losses: Mapping[int, tuple[float, float]] = field(default_factory=dict)
-    """Relative loss and its standard deviation, of every active story."""
+    losses: dict[int, tuple[float, float, float | None]] = field(default_factory=dict)
+    """Relative loss, its standard deviation and the stiffness lost in N/m, of every active story."""
     shelved: tuple[int, ...] = ()
     """Stories whose alarm an operator shelved."""
     detectable: tuple[float | None, ...] | None = None
@@ -91,7 +95,7 @@ class Course:
 
     windows: int = 0
     skipped: int = 0
-    skip_reasons: Mapping[str, int] = field(default_factory=dict)
+    skip_reasons: dict[str, int] = field(default_factory=dict)
     """How many windows were skipped for each reason."""
     recent: tuple[tuple[int, bool], ...] = ()
     """End and whether it was judged, of each window of the last hour."""
@@ -144,6 +148,33 @@ class Assessment:
         return {"state": self.state.value, "headline": self.headline, "doubts": list(self.doubts)}
 
 
+def facts_of(result: WindowResult) -> WindowFacts:
+    """Collect what the state needs of a window's result."""
+    alarm, damage = result.alarm, result.damage
+    shelved = tuple(j for j, condition in alarm.conditions.items() if condition is AlarmCondition.SHELVED)
+    losses = {} if damage is None else {story: _reading(damage, story) for story in alarm.active}
+    detectable = None
+    if result.detectable_loss is not None:
+        detectable = tuple(float(v) if np.isfinite(v) else None for v in result.detectable_loss)
+    return WindowFacts(
+        result.t_end_ns,
+        result.window_s,
+        None if result.skipped is None else result.skipped.reason,
+        dict(alarm.active),
+        losses,
+        shelved,
+        detectable,
+        None if result.stiffness is None else result.stiffness.misfit,
+        result.rms_m_s2,
+    )
+
+
+def _reading(damage: DamageReading, story: int) -> tuple[float, float, float | None]:
+    """Return a story's damage index, its standard deviation and the stiffness lost in N/m; `WHOLE`: of what lost least."""
+    j = int(damage.ddi.argmin()) if story == WHOLE else story - 1
+    return float(damage.ddi[j]), float(damage.ddi_std[j]), float(damage.loss_n_per_m[j])
+
+
 def follow(course: Course, window: WindowFacts, misfit: float) -> Course:
     """Take in a window; `misfit` is the goodness of fit from which stiffness explains too little."""
     recent = tuple(r for r in course.recent if window.t_end_ns - WITHIN_S * 1e9 < r[0] < window.t_end_ns)
@@ -152,7 +183,6 @@ def follow(course: Course, window: WindowFacts, misfit: float) -> Course:
         windows=course.windows + 1,
         recent=(*recent, (window.t_end_ns, window.skipped is None)),
         last=window,
-        losses=_followed(course.losses, window),
     )
     if window.rms_m_s2 is not None:
         low, high = course.rms_range or (window.rms_m_s2, window.rms_m_s2)
@@ -166,7 +196,13 @@ def follow(course: Course, window: WindowFacts, misfit: float) -> Course:
     unexplained = course.unexplained
     if since_ns is not None and window.misfit is not None and window.t_end_ns - since_ns >= window.window_s * 1e9:
         unexplained = max(unexplained or 0.0, window.misfit)
-    return replace(course, judged=window, misfit_since_ns=since_ns, unexplained=unexplained)
+    return replace(
+        course,
+        judged=window,
+        losses=_followed(course.losses, window),
+        misfit_since_ns=since_ns,
+        unexplained=unexplained,
+    )
 
 
 def _followed(losses: Sequence[Loss], window: WindowFacts) -> tuple[Loss, ...]:
@@ -176,14 +212,14 @@ def _followed(losses: Sequence[Loss], window: WindowFacts) -> tuple[Loss, ...]:
         if loss.t_last_ns is None and loss.story not in window.active:
             loss = replace(loss, t_last_ns=window.t_end_ns)
         elif loss.t_last_ns is None and loss.story in window.losses:
-            level, (ddi, std) = window.active[loss.story], window.losses[loss.story]
+            level, (ddi, std, stiffness) = window.active[loss.story], window.losses[loss.story]
             if level.rank >= loss.level.rank and ddi > 2.0 * std:
-                loss = replace(loss, level=level, ddi=ddi, ddi_std=std)
+                loss = replace(loss, level=level, ddi=ddi, ddi_std=std, loss_n_per_m=stiffness)
         out.append(loss)
     known = {loss.story for loss in out if loss.t_last_ns is None}
     for story, level in window.active.items():
         if story not in known and story in window.losses:
-            out.append(Loss(level, story, *window.losses[story], window.t_end_ns, None))
+            out.append(Loss(level, story, *window.losses[story], window.t_end_ns))
     return tuple(out)
 
 

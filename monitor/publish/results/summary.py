@@ -2,36 +2,19 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
 
-from monitor.core import WHOLE, DamageReading, Gap, Level, WindowResult
+from monitor.core import WHOLE, Gap, WindowResult
+from monitor.damage import Course, Loss, facts_of, follow
 from monitor.signals import Health
 
 
 @dataclass(slots=True)
-class Episode:
-    """Alarm of one story from its first to its last window."""
-
-    level: str
-    story: int | None
-    """None for the whole structure."""
-    t_first_ns: int
-    t_last_ns: int | None
-    """UTC of the end of the last window; None while the alarm lasts."""
-    ddi: float
-    """Damage index (relative stiffness loss): the latest significant one at the highest level."""
-    ddi_std: float
-    loss_n_per_m: float
-    """Stiffness lost, N/m."""
-
-
-@dataclass(slots=True)
 class Summary:
-    """Counts of windows, gaps and alarm episodes of a run; `content` is the core of summary.json.
+    """Count windows, gaps and alarm episodes of a run; `content` is the core of summary.json.
 
     Examples
     --------
@@ -42,57 +25,30 @@ class Summary:
     (1, 0, 1234.6)
     """
 
-    windows: int = 0
-    skipped: int = 0
+    course: Course = field(default_factory=Course)
+    """The windows, as far as the state depends on them, and the alarm episodes."""
     gaps: int = 0
     dropped_samples: int = 0
-    skip_reasons: dict[str, int] = field(default_factory=dict)
-    """Number of skipped windows for each reason."""
-    alarms: list[Episode] = field(default_factory=list)
     frequencies_hz: list[float] | None = None
     """Mean natural frequencies, Hz; mode 0 = lowest."""
     temperature_range_degc: tuple[float, float] | None = None
     """Lowest and highest mean temperature of a window, degC."""
     n_frequencies: int = 0
     """Number of windows in the mean `frequencies_hz`."""
-    _open: dict[int, Episode] = field(init=False)
-
-    def __post_init__(self) -> None:
-        self._open = {WHOLE if e.story is None else e.story: e for e in self.alarms if e.t_last_ns is None}
 
     def gap(self, gap: Gap) -> None:
         """Count a gap."""
         self.gaps += 1
 
-    def window(self, result: WindowResult) -> None:
-        """Count a window, and begin, raise and end alarm episodes."""
-        self.windows += 1
+    def window(self, result: WindowResult, misfit: float) -> None:
+        """Count a window; `misfit` is the goodness of fit from which stiffness explains too little."""
+        self.course = follow(self.course, facts_of(result), misfit)
         if result.temperature is not None:
             degc = float(result.temperature.lagged_degc[0])
             low, high = self.temperature_range_degc or (degc, degc)
             self.temperature_range_degc = min(low, degc), max(high, degc)
-        if result.skipped is not None:
-            self.skipped += 1
-            reason = re.sub(r" \(.*", "", result.skipped.reason)  # numbers in brackets differ between windows
-            self.skip_reasons[reason] = self.skip_reasons.get(reason, 0) + 1
-            return
-        if result.modes is not None:
+        if result.skipped is None and result.modes is not None:
             self._average(result.modes.frequencies_hz.tolist())
-        assert result.damage is not None
-        active = result.alarm.active
-        for story in list(self._open):
-            if story not in active:
-                self._open.pop(story).t_last_ns = result.t_end_ns
-        for story, level in active.items():
-            reading = _reading(result.damage, story)
-            episode = self._open.get(story)
-            if episode is None:
-                episode = Episode(level.value, None if story == WHOLE else story, result.t_end_ns, None, *reading)
-                self._open[story] = episode
-                self.alarms.append(episode)
-            elif level.rank >= Level(episode.level).rank and reading[0] > 2.0 * reading[1]:
-                episode.level = level.value
-                episode.ddi, episode.ddi_std, episode.loss_n_per_m = reading
 
     def _average(self, frequencies: list[float]) -> None:
         """Update the running mean of the natural frequencies; a different number of modes restarts it."""
@@ -117,10 +73,10 @@ class Summary:
         if self.frequencies_hz is not None:
             misfit = [f / g - 1.0 for f, g in zip(self.frequencies_hz, model_frequencies_hz, strict=False)]
         return {
-            "windows": self.windows,
-            "skipped": self.skipped,
-            "skip_reasons": self.skip_reasons,
-            "alarms": [asdict(e) for e in self.alarms],
+            "windows": self.course.windows,
+            "skipped": self.course.skipped,
+            "skip_reasons": self.course.skip_reasons,
+            "alarms": [episode_content(loss) for loss in self.course.losses],
             "dropped_samples": self.dropped_samples,
             "gaps": self.gaps,
             "realtime_factor": round(realtime_factor, 1),
@@ -131,13 +87,9 @@ class Summary:
         }
 
 
-def _reading(damage: DamageReading, story: int) -> tuple[float, float, float]:
-    """Return a story's damage index, its standard deviation and the stiffness lost in N/m.
-
-    For the whole structure (`WHOLE`) these are the values of the story that lost least.
-    """
-    j = int(damage.ddi.argmin()) if story == WHOLE else story - 1
-    return float(damage.ddi[j]), float(damage.ddi_std[j]), float(damage.loss_n_per_m[j])
+def episode_content(loss: Loss) -> dict[str, Any]:
+    """Return an alarm episode as it stands in summary.json; `story` is None for the whole structure."""
+    return asdict(loss) | {"level": loss.level.value, "story": None if loss.story == WHOLE else loss.story}
 
 
 @dataclass(slots=True)
