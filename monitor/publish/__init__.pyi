@@ -4,7 +4,7 @@ from .reports.period_report import read_period, write_period
 from .results.arrow_table import WINDOWS_SCHEMA, windows_table
 from .results.lines import LinesFile, alarm_line, current_alarm_line, replay_text, to_json, window_line
 from .results.schema import LINE_SCHEMA
-from .results.summary import Episode, Quality, Summary
+from .results.summary import Quality, Summary, episode_content
 from .viewer.diagnosis_view import write_view
 from .viewer.output import Output
 from .viewer.publisher import RerunPublisher
@@ -13,7 +13,6 @@ from .viewer.scene import make_scene, utc
 __all__ = [
     "LINE_SCHEMA",
     "WINDOWS_SCHEMA",
-    "Episode",
     "LinesFile",
     "Output",
     "Publisher",
@@ -22,6 +21,7 @@ __all__ = [
     "Summary",
     "alarm_line",
     "current_alarm_line",
+    "episode_content",
     "make_scene",
     "read_period",
     "replay_text",

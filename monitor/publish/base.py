@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from monitor.core import Gap, Samples, WindowResult
+from monitor.damage import Assessment
 from monitor.signals import Health
 
 
@@ -46,6 +47,9 @@ class Publisher:
 
     def health(self, health: Health) -> None:
         """Take the sensors' health in a span of data."""
+
+    def state(self, assessment: Assessment) -> None:
+        """Take the present state of the structure, each time that it changes; before the window that changes it."""
 
     def finding(self, finding: dict[str, Any]) -> None:
         """Take the finding of a diagnosis: the content of diagnosis.json with `id`, `t_ns`, `from_ns` and `reason`."""

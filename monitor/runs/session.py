@@ -14,9 +14,9 @@ from typing import Any
 from drivers.base import SampleBlock
 from monitor.config import Configuration
 from monitor.core import Gap, Samples
-from monitor.damage import AlarmState, Baseline
+from monitor.damage import AlarmState, Assessment, Baseline, Known, Loss, assess
 from monitor.pipeline import Pipeline, PipelineState, Result
-from monitor.publish import Episode, Publisher, Quality, Summary, to_json, window_line
+from monitor.publish import Publisher, Quality, Summary, to_json, window_line
 from monitor.runs.online_diagnosis import FINDING_KEYS, OnlineDiagnosis, OnlineDiagnosisState
 from monitor.signals import Health
 
@@ -46,6 +46,8 @@ class Session:
         Structure or site file, and baseline, for the diagnoses that alarms request; no diagnosis is made without.
     findings : Path
         Folder of the findings of these diagnoses.
+    whole : bool
+        Whether the state is that of the whole run, as of a recording, or the present one, as of a site.
     """
 
     def __init__(
@@ -55,6 +57,8 @@ class Session:
         publishers: Sequence[Publisher],
         files: tuple[Path, Path | None] | None,
         findings: Path,
+        *,
+        whole: bool = False,
     ) -> None:
         self.config = config
         self.pipeline = Pipeline(config, baseline)
@@ -62,11 +66,13 @@ class Session:
         self._publishers = publishers
         self._summary, self._quality = Summary(), Quality()
         self._model_hz = config.model().modes().frequencies_hz.tolist()
+        self._baseline, self._whole = baseline, whole
+        self._assessment: Assessment | None = None
 
     @property
     def windows(self) -> int:
         """Number of windows so far."""
-        return self._summary.windows
+        return self._summary.course.windows
 
     @property
     def dropped(self) -> int:
@@ -79,9 +85,14 @@ class Session:
         return self.pipeline.state.align.t_next_ns()
 
     @property
-    def episodes(self) -> Sequence[Episode]:
+    def episodes(self) -> Sequence[Loss]:
         """Alarm episodes so far, in the order in which they began."""
-        return self._summary.alarms
+        return self._summary.course.losses
+
+    @property
+    def assessment(self) -> Assessment:
+        """The state of the structure: of the whole run or the present one."""
+        return self._assess(self._whole)
 
     @property
     def state(self) -> SessionState:
@@ -145,16 +156,44 @@ class Session:
         for alarm in summary["alarms"]:
             alarm["verdict"] = _verdict(alarm, findings)
         return {
+            **self.assessment.content,
             **summary,
             "findings": [{key: f[key] for key in FINDING_KEYS} for f in findings],
             "quality": self._quality.content(),
             "thresholds": self.config.alarm.model_dump(include={"significance", "min_loss", "alarm_loss"}),
         }
 
+    def _assess(self, whole: bool) -> Assessment:
+        return assess(self._summary.course, self._known, self.online_diagnosis.findings, whole=whole)
+
+    @property
+    def _known(self) -> Known:
+        """What the state depends on and no window changes."""
+        c, b = self.config, self._baseline
+        return Known(
+            names=c.story_names,
+            has_baseline=b is not None,
+            alarm_loss=c.alarm.alarm_loss,
+            misfit=c.watch.misfit,
+            level_range_m_s2=None if b is None else b.level_range_m_s2,
+            baseline_doubts=() if b is None else b.doubts,
+            unwatched=c.alarm.unwatched,
+            accepted=tuple((e.name, e.location) for e in c.model().effects),
+        )
+
     def _publish_findings(self, findings: Iterable[dict[str, Any]]) -> None:
         for finding in findings:
             for publisher in self._publishers:
                 publisher.finding(finding)
+            self._publish_state()
+
+    def _publish_state(self) -> None:
+        """Publish the present state where it changed."""
+        present = self._assess(whole=False)
+        if present != self._assessment:
+            self._assessment = present
+            for publisher in self._publishers:
+                publisher.state(present)
 
     def _publish(self, result: Result) -> None:
         if isinstance(result, Samples):
@@ -169,7 +208,8 @@ class Session:
             for publisher in self._publishers:
                 publisher.health(result)
         else:
-            self._summary.window(result)
+            self._summary.window(result, self.config.watch.misfit)
+            self._publish_state()
             line = to_json(window_line(result))
             for publisher in self._publishers:
                 publisher.window(result, line)
