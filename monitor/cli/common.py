@@ -50,11 +50,6 @@ def address(text: str | None) -> tuple[str, int] | None:
     ------
     typer.BadParameter
         The value is no address.
-
-    Examples
-    --------
-    >>> address("127.0.0.1:9876")
-    ('127.0.0.1', 9876)
     """
     try:
         return None if text is None else parse_address(text)
