@@ -1,4 +1,4 @@
-"""The base class of the publishers through which results leave the daemon's process."""
+"""Base class of the publishers through which results leave the daemon's process."""
 
 from __future__ import annotations
 
