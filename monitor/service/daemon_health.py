@@ -32,7 +32,7 @@ class Way(Protocol):
 
     @property
     def failed(self) -> str | None:
-        """Why the output is blocked; None or empty if it is not."""
+        """Reason for which the output is blocked; None or empty if it is not."""
 
     @property
     def dropped(self) -> int:

@@ -40,9 +40,7 @@ class Inbox(Outlet):
         self._polled_s = float("-inf")
         self._done: list[Path] = []
         self._stuck: set[Path] = set()
-        with contextlib.suppress(
-            OSError
-        ):  # created here so that the daemon's user owns it, whoever makes the first request
+        with contextlib.suppress(OSError):  # created here, so that the daemon's user owns it, whoever asks first
             folder.mkdir(parents=True, exist_ok=True)
 
     def take_requests(self) -> Sequence[Request]:

@@ -176,7 +176,7 @@ class Notifier(Outlet):
         return 0 if self._outbox is None else self._outbox.dropped
 
     def window(self, result: WindowResult, line: str) -> None:
-        """Announce alarms that the window raises, escalates or clears."""
+        """Announce alarms that the window raises, escalates or clears, and long times without a judged window."""
         self._windows += 1
         self._observe(lambda outbox: self._add_notices(outbox, *notices.of_window(outbox.told, result, self._settings)))
 
@@ -212,9 +212,8 @@ class Notifier(Outlet):
     def _observe(self, observation: Callable[[Outbox], None]) -> None:
         with self._changed:
             self._observations.append(observation)
-            if (
-                self._thread is None
-            ):  # not started earlier, so that a daemon that may not use the folder does not touch it
+            # Not started earlier, so that a daemon that may not use the folder does not touch it.
+            if self._thread is None:
                 self._thread = threading.Thread(target=self._run, name="notify", daemon=True)
                 self._thread.start()
             self._changed.notify_all()

@@ -153,9 +153,8 @@ class ZenohOut(Outlet):
             while (queued := self._take()) is not None:
                 name, text = queued
                 publishers[name].put(text)
-            for _ in session.get(
-                f"{self.prefix}/closing", timeout=1.0
-            ):  # its end comes after what was published before
+            # This query ends after everything that was published before it.
+            for _ in session.get(f"{self.prefix}/closing", timeout=1.0):
                 pass
 
     def _publisher(self, session: zenoh.Session, name: str, kept: int) -> ext.AdvancedPublisher:
