@@ -1,4 +1,4 @@
-"""The commands that follow recordings through the pipeline: replay, calibrate."""
+"""Commands that process recordings with the pipeline: replay, calibrate."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ def replay(
     structure: Structure,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the results.")],
     baseline: Annotated[Path | None, typer.Option(metavar="B.json", help="Healthy baseline by 'calibrate'.")] = None,
-    speed: Annotated[str, typer.Option(help="'max', or times real time.")] = "max",
+    speed: Annotated[str, typer.Option(help="'max', or a multiple of real time.")] = "max",
     serve: Annotated[
-        str | None, typer.Option(metavar="HOST:PORT", help="Rerun viewers may join here, as 127.0.0.1:9876.")
+        str | None, typer.Option(metavar="HOST:PORT", help="Serve Rerun viewers here, as 127.0.0.1:9876.")
     ] = None,
     as_json: Json = False,
 ) -> None:
@@ -44,8 +44,8 @@ def replay(
         on_warning=warn,
         on_progress=progress("replay"),
     )
-    story = replay_text(summary, has_baseline=healthy is not None)
-    text = f"{story}\nresults in {out}; look at them with: shm-monitor view {out}"
+    summary_text = replay_text(summary, has_baseline=healthy is not None)
+    text = f"{summary_text}\nresults in {out}; look at them with: shm-monitor view {out}"
     say(text, {**summary, "out": str(out)}, as_json)
 
 
@@ -55,7 +55,7 @@ def calibrate(
     out: Annotated[Path, typer.Option(metavar="B.json", help="Baseline file to write.")],
     as_json: Json = False,
 ) -> None:
-    """Learn the healthy baseline.  It holds the updated stiffness with covariance, modes, the misfit that remains."""
+    """Estimate the healthy baseline.  It holds the updated stiffness with its covariance, the modes and the remaining misfit."""
     from monitor.config import configuration
     from monitor.damage import save_baseline
     from monitor.runs import calibrate as run
@@ -65,10 +65,12 @@ def calibrate(
     demand_place(out)
     baseline, fit = run.calibrate(recordings, settings, on_warning=warn, on_progress=progress("calibrate"))
     save_baseline(baseline, out)
-    drawn = settings.model().modes().frequencies_hz
+    nominal_hz = settings.model().modes().frequencies_hz
     lines = [f"{baseline.windows} windows; the updating {'converged' if fit.converged else 'did NOT converge'}"]
     for i, (f, std) in enumerate(zip(baseline.frequencies_hz, baseline.frequencies_std_hz, strict=True), start=1):
-        lines.append(f"mode {i}: {f:.4f} ± {2 * std:.4f} Hz; structure file {drawn[baseline.model_mode[i - 1]]:.4f} Hz")
+        lines.append(
+            f"mode {i}: {f:.4f} ± {2 * std:.4f} Hz; structure file {nominal_hz[baseline.model_mode[i - 1]]:.4f} Hz"
+        )
     for j, k in enumerate(baseline.model.structure.stiffness_n_per_m, start=1):
         lines.append(f"story {j}: {k:.1f} N/m; structure file {settings.structure.stiffness_n_per_m[j - 1]:.1f} N/m")
     if (law := baseline.temperature) is not None:
@@ -89,7 +91,7 @@ def calibrate(
         "frequencies_hz": baseline.frequencies_hz.tolist(),
         "frequencies_std_hz": baseline.frequencies_std_hz.tolist(),
         "stiffness_n_per_m": baseline.model.structure.stiffness_n_per_m.tolist(),
-        "structure_file_frequencies_hz": drawn.tolist(),
+        "structure_file_frequencies_hz": nominal_hz.tolist(),
         "structure_file_stiffness_n_per_m": list(settings.structure.stiffness_n_per_m),
     }
     say("\n".join(lines), content, as_json)

@@ -1,7 +1,7 @@
-"""The commands; `monitor.core.errors` has their exit codes, README.md and docs/ what they are for.
+"""Application that collects the commands; `monitor.core.errors` defines their exit codes, README.md and docs/ explain them.
 
-A module of commands imports what its work needs within its functions, so that every command is listed, and any one
-begins, without the rest being loaded.
+A module of commands imports what its commands need inside their functions.  So the list of commands, and the start of any
+one command, load nothing that the others need.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ from monitor.core import (
 app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
-    rich_markup_mode=None,  # it would take what stands in square brackets for its own
+    rich_markup_mode=None,  # Rich markup would swallow text in square brackets
     context_settings={"max_content_width": 120},
     help="Online structural health monitor: identification, model updating, damage index, alarms. SI units, UTC.",
 )
@@ -77,7 +77,7 @@ def _main(version: Annotated[bool, typer.Option("--version", help="Print the ver
 
 
 def main() -> None:
-    """Entry point: user errors become one message and the contract's exit code."""
+    """Run the command line; report an error of the user as one message and its exit code."""
     logging.basicConfig(format="%(levelname)s %(name)s: %(message)s", level=logging.WARNING)
     keep_freed()
     leave_unread(app)
@@ -90,8 +90,8 @@ def main() -> None:
         raise SystemExit(error.exit_code) from None
     except OSError as error:
         place = "" if error.filename is None else f"{error.filename}: "
-        mend = "; run this as its owner or as root" if isinstance(error, PermissionError) else ""
-        print(f"error: {place}{error.strerror or error}{mend}", file=sys.stderr)
+        remedy = "; run this as its owner or as root" if isinstance(error, PermissionError) else ""
+        print(f"error: {place}{error.strerror or error}{remedy}", file=sys.stderr)
         raise SystemExit(MissingInputError.exit_code) from None
     except MemoryError as error:
         print(f"error: too little memory: {error}", file=sys.stderr)

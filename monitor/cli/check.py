@@ -1,4 +1,4 @@
-"""The command `check`."""
+"""Command `check`."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def check(
     file: Annotated[Path, typer.Argument(metavar="FILE.toml", help="Structure file, site file or fleet file.")],
     as_json: Json = False,
 ) -> None:
-    """List every problem of a file at once.  A structure file, a site file or a fleet file."""
+    """List every problem of a file at once.  The file is a structure file, a site file or a fleet file."""
     from monitor.config import configuration, security_check
 
     if "fleet" in configuration.read_toml(file):
@@ -32,8 +32,8 @@ def check(
 
     settings = configuration.load(file)
     outlets.make_outlets(file, settings, dry=True)
-    for open_door in security_check.warnings(file, settings):
-        warn(open_door)
+    for warning in security_check.warnings(file, settings):
+        warn(warning)
     modes, p = settings.model().modes(), settings.processing
     frequencies = modes.frequencies_hz
     head = f"{file}: no problems; {len(settings.structure.masses_kg)} stories, channels {', '.join(settings.channels)}"

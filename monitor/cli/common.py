@@ -1,4 +1,4 @@
-"""What the commands share."""
+"""Options, output and parsing that several commands share."""
 
 from __future__ import annotations
 
@@ -15,36 +15,42 @@ from monitor.core import parse_address, utc_ns
 
 Recordings = Annotated[list[Path], typer.Argument(metavar="REC.mcap...", help="Recordings, in any order.")]
 Structure = Annotated[Path, typer.Option(metavar="S.toml", help="Structure file.")]
-Json = Annotated[bool, typer.Option("--json", help="Say it as one JSON object instead.")]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object instead.")]
 
 
 def say(text: str, content: dict[str, Any], as_json: bool) -> None:
-    """The answer of a command on standard output, for people or for programs."""
+    """Print the result of a command on standard output: `text` for people, or `content` as JSON for programs."""
     print(json.dumps(content, allow_nan=False) if as_json else text)
 
 
 def warn(message: str) -> None:
-    """Say it on standard error."""
+    """Print a warning on standard error."""
     print(f"warning: {message}", file=sys.stderr)
 
 
 def progress(label: str) -> Callable[[float], None]:
-    """Seconds of data done, on a terminal only."""
+    """Create a function that shows the processed time of the data, given in s; silent unless standard error is a terminal."""
     if not sys.stderr.isatty():
         return lambda _: None
-    shown = [0.0]
+    shown_s = [0.0]
 
-    def tell(seconds: float) -> None:
-        if seconds - shown[0] >= 60.0:
-            shown[0] = seconds
-            # What is said next begins on this line and takes its place.
+    def show(seconds: float) -> None:
+        if seconds - shown_s[0] >= 60.0:
+            shown_s[0] = seconds
+            # The next output begins on this line and overwrites it.
             print(f"\r\x1b[K{label}: {seconds / 60.0:.0f} min of data\r", end="", file=sys.stderr, flush=True)
 
-    return tell
+    return show
 
 
 def address(text: str | None) -> tuple[str, int] | None:
-    """--serve HOST:PORT, taken apart."""
+    """Parse the value HOST:PORT of --serve into host and port.
+
+    Raises
+    ------
+    typer.BadParameter
+        The value is no address.
+    """
     try:
         return None if text is None else parse_address(text)
     except ValueError as error:
@@ -52,7 +58,18 @@ def address(text: str | None) -> tuple[str, int] | None:
 
 
 def time_ns(option: str, text: str | None) -> int | None:
-    """UTC, ns since 1970, of what an option says; no data are older."""
+    """Parse the time (ISO 8601) of an option into UTC, ns since 1970.
+
+    Raises
+    ------
+    typer.BadParameter
+        The value is no time, or lies before 1970, which no recording can express.
+
+    Examples
+    --------
+    >>> time_ns("--from", "1970-01-01T00:00:01")
+    1000000000
+    """
     try:
         t_ns = None if text is None else utc_ns(text)
     except ValueError as error:
@@ -63,9 +80,13 @@ def time_ns(option: str, text: str | None) -> int | None:
 
 
 def leave_unread(app: typer.Typer) -> None:
-    """A file that must not be read is bad input (66), as one that is not there; the command line would call it wrong usage."""
+    """Turn off the command line's own check that input files are readable.
+
+    A file without read permission is then reported as missing input (exit code 66), as is a file that does not exist.  The
+    command line would report wrong usage.
+    """
     for command in app.registered_commands:
         for annotation in get_type_hints(command.callback, include_extras=True).values():
-            for said in getattr(annotation, "__metadata__", ()):
-                if isinstance(said, (ArgumentInfo, OptionInfo)):
-                    said.readable = False
+            for parameter in getattr(annotation, "__metadata__", ()):
+                if isinstance(parameter, (ArgumentInfo, OptionInfo)):
+                    parameter.readable = False

@@ -1,4 +1,4 @@
-"""The commands that show what the monitor can do: reproduce, demo."""
+"""Commands that demonstrate the monitor: reproduce, demo."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def reproduce(
     json_file: Annotated[Path | None, typer.Option("--json", metavar="F", help="Also write the figures here.")] = None,
     seeds: Annotated[int, typer.Option(min=1, help="Simulated tests of each kind.")] = 100,
 ) -> None:
-    """The paper's Tables 2-7 and DDI figures beside ours."""
+    """Compare the paper's Tables 2-7 and DDI figures with ours."""
     from monitor.runs import paper_tables as paper
 
     if json_file is not None:
@@ -33,7 +33,7 @@ def demo(
         "recordings"
     ),
 ) -> None:
-    """Calibrate, watch damage appear, replay a measured frame.  All from the shipped recordings."""
+    """Calibrate, watch damage appear, replay a measured frame.  It uses the shipped recordings."""
     from monitor.runs import demo as tour
 
     tour.run(recordings, out, say=print, on_warning=warn)

@@ -1,4 +1,4 @@
-"""The commands on what a simulation gets wrong: diagnose, evaluate, accept."""
+"""Commands that diagnose the lack of fit of a simulation: diagnose, evaluate, accept."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def diagnose(
     baseline: Healthy = None,
     as_json: Json = False,
 ) -> None:
-    """What the simulation gets wrong, and why.
+    """Find what the simulation gets wrong, and why.
 
     Writes diagnosis.json, report.html, diagnosis.rrd and the extended model in DIR.
     """
@@ -42,14 +42,14 @@ def diagnose(
     write_atomically(content, json.dumps(found.content, indent=1, allow_nan=False) + "\n")
     write_atomically(updated, structure_text(text, found.updated, found.reference_degc))
     write_atomically(extended, structure_text(text, found.extended, found.reference_degc))
-    # Rerun starts threads of its own, beside which nothing should be forked.
+    # Imported only now: Rerun starts threads, and no process should be forked while threads run.
     from monitor.publish import write_report, write_view
 
     write_report(report, found.diagnosis, found.content, found.segments)
     write_view(view, found.diagnosis, found.content, found.segments)
     lines = [f"{found.diagnosis.verdict}: {found.content['says']}"]
-    stood = [*found.content["standing"], *filter(None, [found.content["standing_misfit"]])]
-    lines += [f"already so at calibration: {one['says']}" for one in stood]
+    at_calibration = [*found.content["standing"], *filter(None, [found.content["standing_misfit"]])]
+    lines += [f"already so at calibration: {cause['says']}" for cause in at_calibration]
     if found.diagnosis.verdict != "none":
         low, high = found.gain.ci95
         lines.append(f"gain on held-out data: {found.gain.value:.3g} nats a sample (95 %: {low:.3g} to {high:.3g})")
@@ -58,21 +58,21 @@ def diagnose(
 
 
 def evaluate(recordings: Recordings, structure: Structure) -> None:
-    """How well a model predicts recordings, as JSON.  Nothing but the excitation's level and the noise is fitted.
+    """Score how well a model predicts recordings, as JSON.  Only the level of the excitation and the noise are fitted.
 
-    log_score_per_sample: nats per sample instant, all channels together, in the band from 5 to 90 % of cutoff_hz, by the
-    debiased Whittle likelihood.  csd_error: squared error of the mean cross-spectra over their own square.
+    log_score_per_sample: debiased Whittle log-likelihood in nats per sample instant, all channels together, in the band from
+    5 to 90 % of cutoff_hz.  csd_error: squared error of the mean cross-spectra over their own square.
     """
     from monitor.config import configuration
     from monitor.runs import diagnose as job
 
     score = job.evaluate(recordings, configuration.load(structure), warn, progress("evaluate"))
-    plain = {
+    content = {
         "log_score_per_sample": score.log_score_per_sample,
         "csd_error": score.csd_error,
         "samples": score.samples,
     }
-    print(json.dumps(plain, allow_nan=False))
+    print(json.dumps(content, allow_nan=False))
 
 
 def accept(
@@ -80,12 +80,14 @@ def accept(
     structure: Structure,
     out: Annotated[Path, typer.Option(metavar="OUT.toml", help="Structure file to write, with the causes.")],
     baseline: Healthy = None,
-    by: Annotated[str | None, typer.Option(metavar="NAME", help="Who decides; the login name by default.")] = None,
+    by: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Name of who decides; the login name by default.")
+    ] = None,
     as_json: Json = False,
 ) -> None:
-    """Take a named cause into the structure file.  The decision is written into ledger.jsonl beside it.
+    """Add the named causes to a structure file.  The decision is recorded in ledger.jsonl beside the written file.
 
-    With the baseline that the finding refers to, the causes alone are added: the baseline brings the healthy stiffness.
+    With the baseline to which the finding refers, only the causes are added: the healthy stiffness comes from the baseline.
     """
     from monitor.config import configuration
     from monitor.damage import load_baseline

@@ -1,4 +1,4 @@
-"""The command that plays sensor nodes."""
+"""Command that emulates sensor nodes."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ import typer
 _FORMS = "can:socketcand-server:HOST:PORT, can:INTERFACE:CHANNEL or zenoh:MODE:ENDPOINT:KEY."
 To = Annotated[str, typer.Option(metavar="DESTINATION", help=_FORMS)]
 OptionalTo = Annotated[str | None, typer.Option(metavar="DESTINATION", help=f"Also send it: {_FORMS}")]
-Dbc = Annotated[Path | None, typer.Option(metavar="FILE.dbc", help="What CAN frames mean; their factors quantise.")]
-Speed = Annotated[str | None, typer.Option(help="Times real time, or 'max'; 1.0 by default.")]
+Dbc = Annotated[Path | None, typer.Option(metavar="FILE.dbc", help="Layout of the CAN frames; its factors quantise.")]
+Speed = Annotated[str | None, typer.Option(help="Multiple of real time, or 'max'; 1.0 by default.")]
 
 
 def emulate(
@@ -24,12 +24,18 @@ def emulate(
     dbc: Dbc = None,
     speed: Speed = None,
 ) -> None:
-    """Send recordings as sensor nodes would, over CAN or Zenoh.  At their real pace, or another."""
+    """Send recordings as sensor nodes would, over CAN or Zenoh.  They are sent in real time unless --speed says otherwise."""
     send(recordings, to, dbc, speed)
 
 
 def send(recordings: list[Path], to: str, dbc: Path | None, speed: str | None) -> None:
-    """Send recordings; what is sent is said on standard error."""
+    """Send recordings to a destination, and report on standard error what is sent.
+
+    Raises
+    ------
+    MissingInputError, BadInputError
+        A recording does not exist or is unusable.
+    """
     from drivers.base import RecordingError, RecordingMissingError
     from drivers.mcap_file import read_recordings
     from monitor.core import BadInputError, MissingInputError
@@ -48,7 +54,10 @@ def send(recordings: list[Path], to: str, dbc: Path | None, speed: str | None) -
 
 @contextmanager
 def recording_for(out: Path | None, to: str | None, dbc: Path | None, speed: str | None) -> Iterator[Path]:
-    """A file to write a recording to; then it is sent to `to`, if given, and kept only as `out`."""
+    """Provide the path of a recording to write; on leaving the context, send the recording to `to` if that is given.
+
+    The file is kept if `out` names it; without `out` the file is temporary.
+    """
     if to is None and (dbc is not None or speed is not None):
         raise typer.BadParameter("--dbc and --speed say how to send: name a destination (--to)")
     parse_speed(speed)
@@ -60,12 +69,17 @@ def recording_for(out: Path | None, to: str | None, dbc: Path | None, speed: str
 
 
 def parse_speed(text: str | None) -> float | None:
-    """Times real time, 1 unless told; None for 'max'.
+    """Parse the value of --speed into a multiple of real time; 1 by default, None for ``max``.
 
     Raises
     ------
     typer.BadParameter
-        If it is neither.
+        The value is neither ``max`` nor a number from 1e-6 to 1e6.
+
+    Examples
+    --------
+    >>> parse_speed("2.5"), parse_speed(None), parse_speed("max")
+    (2.5, 1.0, None)
     """
     if text == "max":
         return None

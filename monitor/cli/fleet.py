@@ -1,4 +1,4 @@
-"""The command `fleet`."""
+"""Command `fleet`."""
 
 from __future__ import annotations
 
@@ -15,55 +15,62 @@ from monitor.cli.common import address
 from monitor.core import MissingInputError, demand_place, spare_inputs
 
 _ALARM, _TROUBLE = 10, 11
-"""Exit codes: an alarm stands; a monitor cannot be relied on."""
+"""Exit codes: an alarm is active; a monitor cannot be relied on."""
 
 
 def fleet(
     file: Annotated[Path, typer.Argument(metavar="FLEET.toml", help="Fleet file: how to join, which sites.")],
     every: Annotated[
-        float | None, typer.Option(min=0.1, max=86400.0, metavar="S", help="Look again and again; once without.")
+        float | None,
+        typer.Option(min=0.1, max=86400.0, metavar="S", help="Time from one query to the next; one query without."),
     ] = None,
-    count: Annotated[int | None, typer.Option(min=1, help="So many looks; without end if not given.")] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="One JSON object a look.")] = False,
+    count: Annotated[int | None, typer.Option(min=1, help="Number of queries; endless by default.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object a query.")] = False,
     out: Annotated[Path | None, typer.Option(metavar="F.rrd", help="Also draw into a Rerun recording.")] = None,
     serve: Annotated[
-        str | None, typer.Option(metavar="HOST:PORT", help="Rerun viewers may join here, as 127.0.0.1:9876.")
+        str | None, typer.Option(metavar="HOST:PORT", help="Serve Rerun viewers here, as 127.0.0.1:9876.")
     ] = None,
 ) -> None:
-    """Ask every monitor on a Zenoh network how its structure is.
+    """Ask every monitor on a Zenoh network for its state.
 
-    Exit code of the last look: 0 all well, 10 an alarm stands, 11 a monitor is missing, silent or cannot judge.
+    Exit code of the last query: 0 all well, 10 an alarm is active, 11 a monitor is missing, silent or cannot judge.
     """
     from monitor.service import FleetView, text
-    from monitor.service import fleet as ships
+    from monitor.service import fleet as fleet_status
 
     if count is not None and every is None:
         raise typer.BadParameter("--count says how often to look: needs --every")
     spare_inputs([] if out is None else [out], [file])
-    settings, served = ships.load(file), address(serve)
+    settings, served = fleet_status.load(file), address(serve)
     if out is not None:
         demand_place(out)
-    statuses: list[ships.SiteStatus] = []
-    with ships.Fleet(settings, file.resolve().parent) as network:
+    statuses: list[fleet_status.SiteStatus] = []
+    with fleet_status.Fleet(settings, file.resolve().parent) as network:
         try:
             view = FleetView(out, served) if out is not None or served is not None else None
         except (OSError, RuntimeError) as error:
             raise MissingInputError(f"the view cannot be made: {error}") from error
-        left = 1 if every is None else count
+        remaining = 1 if every is None else count
         try:
             with suppress(KeyboardInterrupt):
-                while left is None or left > 0:
+                while remaining is None or remaining > 0:
                     statuses = network.look()
-                    told = json.dumps({"sites": [asdict(s) for s in statuses]}) if as_json else text(statuses)
-                    print(told, flush=True)
+                    lines = json.dumps({"sites": [asdict(s) for s in statuses]}) if as_json else text(statuses)
+                    print(lines, flush=True)
                     if view is not None:
                         view.show(statuses)
-                    left = None if left is None else left - 1
-                    if left != 0:
+                    remaining = None if remaining is None else remaining - 1
+                    if remaining != 0:
                         time.sleep(every or 0.0)
         finally:
             if view is not None:
                 view.close()
     states = {s.state for s in statuses}
-    code = 0 if states <= {ships.WELL} else _TROUBLE if states <= {ships.WELL, ships.TROUBLE} else _ALARM
+    code = (
+        0
+        if states <= {fleet_status.WELL}
+        else _TROUBLE
+        if states <= {fleet_status.WELL, fleet_status.TROUBLE}
+        else _ALARM
+    )
     raise typer.Exit(code)

@@ -1,4 +1,4 @@
-"""The commands by which operators see and steer a running daemon."""
+"""Commands by which operators inspect and control a running daemon: status, ack, export."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ def status(
     place: Annotated[Path, typer.Argument(metavar="SITE.toml|DIR", help="Site file, or the daemon's output folder.")],
     as_json: Json = False,
 ) -> None:
-    """What a daemon does, in ten lines.
+    """Print the state of a daemon in ten lines.
 
-    Exit code 0: all well; 10: an alarm stands; 11: it runs, but source, recorder or a way out does not; 12: not running, or
-    silent for a minute.
+    Exit code 0: all well; 10: an alarm is active; 11: the daemon runs, but its source, its recorder or an output does not;
+    12: not running, or silent for a minute.
     """
     from monitor.service import status as reader
 
@@ -37,12 +37,12 @@ def status(
 def ack(
     file: Annotated[Path, typer.Argument(metavar="SITE.toml", help="Site file of the running daemon.")],
     story: Annotated[int, typer.Option(min=0, metavar="N", help="Story; 0: the structure as a whole.")],
-    who: Annotated[str, typer.Option(metavar="NAME", help="Who decides; stands in the ledger.")],
-    note: Annotated[str, typer.Option(help="Why; shelving needs it.")] = "",
+    who: Annotated[str, typer.Option(metavar="NAME", help="Name of who decides; recorded in the ledger.")],
+    note: Annotated[str, typer.Option(help="Reason; shelving needs one.")] = "",
     shelve: Annotated[
-        float | None, typer.Option(min=0.0, max=720.0, metavar="HOURS", help="Announce nothing for so long.")
+        float | None, typer.Option(min=0.0, max=720.0, metavar="HOURS", help="Do not announce the alarm for this time.")
     ] = None,
-    unshelve: Annotated[bool, typer.Option("--unshelve", help="Announce again.")] = False,
+    unshelve: Annotated[bool, typer.Option("--unshelve", help="Announce the alarm again.")] = False,
     reset: Annotated[
         bool, typer.Option("--reset", help="Release a latched alarm that is over and acknowledged.")
     ] = False,
@@ -50,7 +50,8 @@ def ack(
 ) -> None:
     """Acknowledge the alarm of a story, or shelve or reset it.
 
-    Goes over Zenoh where [output.zenoh] is, else through the daemon's folder, to which the asker needs write access.
+    The request goes over Zenoh if the site file has [output.zenoh] and the daemon answers there.  Otherwise it goes through
+    the daemon's folder, to which the user needs write access.
     """
     from pydantic import ValidationError
 
@@ -65,22 +66,24 @@ def ack(
     if sum((shelve is not None, unshelve, reset)) > 1:
         raise WrongUsageError("--shelve, --unshelve and --reset exclude each other")
     action = "shelve" if shelve is not None else "unshelve" if unshelve else "reset" if reset else "acknowledge"
-    wish = {"action": action, "story": story, "who": who, "note": note, "seconds": 3600.0 * (shelve or 0.0)}
+    fields = {"action": action, "story": story, "who": who, "note": note, "seconds": 3600.0 * (shelve or 0.0)}
     try:
-        request = Request.model_validate(wish)
+        request = Request.model_validate(fields)
     except ValidationError as error:
         raise WrongUsageError("; ".join(settings_problems(error))) from error
-    applied, said = None, ""
+    applied, outcome = None, ""
     if settings.output.zenoh is not None:
-        said = _over_zenoh(file, settings, request.model_dump_json())
-    if not said:
-        applied, said = _by_file(file.resolve().parent / settings.output.dir, request)
-    say(said, {"applied": applied, "says": said}, as_json)
+        outcome = _send_over_zenoh(file, settings, request.model_dump_json())
+    if not outcome:
+        applied, outcome = _send_by_file(file.resolve().parent / settings.output.dir, request)
+    say(outcome, {"applied": applied, "says": outcome}, as_json)
 
 
 def export(
     place: Annotated[Path, typer.Argument(metavar="SITE.toml|DIR", help="Site file, or the daemon's output folder.")],
-    out: Annotated[Path, typer.Option(metavar="FILE.parquet|FILE.csv", help="Written when whole.")],
+    out: Annotated[
+        Path, typer.Option(metavar="FILE.parquet|FILE.csv", help="File to write; it appears when it is complete.")
+    ],
     table: Annotated[
         str, typer.Option(help="windows, alarms, requests (acknowledgements), findings, gaps or health.")
     ] = "windows",
@@ -88,7 +91,7 @@ def export(
     end: Annotated[str | None, typer.Option("--to", metavar="TIME", help="ISO 8601, UTC; not included.")] = None,
     as_json: Json = False,
 ) -> None:
-    """The history as a table.  SI units, times in UTC as ns since 1970; a running daemon is not disturbed."""
+    """Export the history as a table.  SI units, times in UTC as ns since 1970; a running daemon is not disturbed."""
     from monitor.service import export as writer
 
     spare_inputs([out], [place])
@@ -99,19 +102,19 @@ def export(
 
 
 def _folder(place: Path) -> Path:
-    """The daemon's output folder."""
+    """Return the daemon's output folder, named itself or by its site file."""
     from monitor.config import configuration
 
     return place if place.is_dir() else place.resolve().parent / configuration.load(place).output.dir
 
 
-def _over_zenoh(file: Path, settings: Configuration, request: str) -> str:
-    """What came of it; nothing if nobody answers, then the folder is the way.
+def _send_over_zenoh(file: Path, settings: Configuration, request: str) -> str:
+    """Send a request over Zenoh and return the outcome in words; empty if no daemon answers.
 
     Raises
     ------
     WrongUsageError
-        It was refused.
+        The daemon refused the request.
     """
     from pydantic import ValidationError
 
@@ -137,8 +140,8 @@ def _over_zenoh(file: Path, settings: Configuration, request: str) -> str:
     return "accepted; it is applied with the next data"
 
 
-def _by_file(out: Path, request: Request) -> tuple[bool, str]:
-    """Whether it was applied yet, and that in words."""
+def _send_by_file(out: Path, request: Request) -> tuple[bool, str]:
+    """Leave a request in the daemon's folder; return whether the daemon has applied it by now, and that in words."""
     from monitor.service import leave_request
     from monitor.service import status as reader
 

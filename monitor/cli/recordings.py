@@ -1,4 +1,4 @@
-"""The commands that make recordings: simulate, import."""
+"""Commands that create recordings: simulate, import."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def simulate(
     speed: Speed = None,
     as_json: Json = False,
 ) -> None:
-    """Write a recording with known truth, or send it.  With --to it is sent as sensor nodes would."""
+    """Simulate a recording of a known structure.  It is written to --out, or sent to --to as sensor nodes would send it."""
     from monitor.config import configuration
     from monitor.runs import synthetic_recording
 
@@ -69,7 +69,7 @@ def simulate(
 
 
 def import_(
-    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="CSV, NPZ, CAN log; several: one a level.")],
+    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="CSV, NPZ or CAN log; or one file a level.")],
     out: Annotated[Path, typer.Option(metavar="REC.mcap", help="Recording to write.")],
     rate: Annotated[
         float | None, typer.Option(min=0.001, max=1e7, help="Sample rate in Hz, where the file has no time.")
@@ -80,10 +80,10 @@ def import_(
     ] = [],  # noqa: B006
     ground: Annotated[str | None, typer.Option(metavar="FILE[:COLUMN]", help="Measured base motion.")] = None,
     start: Annotated[str | None, typer.Option(help="UTC of the first sample, ISO 8601.")] = None,
-    dbc: Annotated[Path | None, typer.Option(metavar="FILE.dbc", help="What the frames of a CAN log mean.")] = None,
+    dbc: Annotated[Path | None, typer.Option(metavar="FILE.dbc", help="Layout of the frames of a CAN log.")] = None,
     as_json: Json = False,
 ) -> None:
-    """Foreign data to our recording format."""
+    """Convert foreign data to the recording format."""
     from monitor.runs import import_files
 
     spare_inputs([out], [*files, dbc])

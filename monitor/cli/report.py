@@ -1,4 +1,4 @@
-"""The command `report`."""
+"""Command `report`."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _INPUTS = ("results.jsonl", "summary.json", "health.jsonl", "health.jsonl.1", "l
 
 
 def report(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="What 'replay --out' or [output] dir names.")],
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of 'replay --out' or of [output] dir.")],
     out: Annotated[Path, typer.Option(metavar="REPORT.html", help="Page to write.")],
     start: Annotated[
         str | None, typer.Option("--from", metavar="T", help="UTC, ISO 8601; the first window's by default.")
@@ -24,7 +24,10 @@ def report(
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """A period of a run as one page.  Availability, damage, alarms, modes, quality, findings.  Windows count where they end."""
+    """Report a period of a run as one page.  It shows availability, damage, alarms, modes, quality and findings.
+
+    A window belongs to the period in which it ends.
+    """
     from monitor.publish import read_period, write_period
 
     from_ns, to_ns = time_ns("--from", start), time_ns("--to", end)
@@ -37,7 +40,7 @@ def report(
     r = period.results
     if r.damaged:
         warn(f"{folder / 'results.jsonl'}: unreadable lines left out: {r.damaged}")
-    told = {
+    content = {
         "report": str(out),
         "from_ns": r.grid.from_ns,
         "to_ns": r.grid.to_ns,
@@ -47,5 +50,7 @@ def report(
         "alarms": len(period.episodes),
         "findings": len(period.findings),
     }
-    says = f"{told['judged']} of {r.due} windows judged, alarms: {told['alarms']}, findings: {told['findings']}"
-    say(f"{says}\nreport in {out}", told, as_json)
+    text = (
+        f"{content['judged']} of {r.due} windows judged, alarms: {content['alarms']}, findings: {content['findings']}"
+    )
+    say(f"{text}\nreport in {out}", content, as_json)

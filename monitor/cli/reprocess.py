@@ -1,4 +1,4 @@
-"""The command `reprocess`."""
+"""Command `reprocess`."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ def reprocess(
     ],
     structure: Structure,
     out: Annotated[
-        Path, typer.Option(metavar="DIR", help="Folder for the results; what is done there is not done again.")
+        Path,
+        typer.Option(metavar="DIR", help="Folder for the results; results that it already has are not computed again."),
     ],
     baseline: Annotated[Path | None, typer.Option(metavar="B.json", help="Healthy baseline by 'calibrate'.")] = None,
     diagnose: Annotated[bool, typer.Option("--diagnose", help="Also diagnose each recording by itself.")] = False,
@@ -31,7 +32,7 @@ def reprocess(
     ] = None,
     scheduler: Annotated[
         str | None,
-        typer.Option(metavar="ADDRESS", help="Dask scheduler, as tcp://127.0.0.1:8786; local processes without."),
+        typer.Option(metavar="ADDRESS", help="Dask scheduler, as tcp://127.0.0.1:8786; local processes by default."),
     ] = None,
     workers: Annotated[
         int | None, typer.Option(min=1, max=1024, help="Local processes; one a core by default.")
@@ -40,7 +41,7 @@ def reprocess(
 ) -> None:
     """Replay an archive on many processes.  Writes a Parquet dataset of all windows in DIR/windows.
 
-    Recordings of one folder that follow one another are one replay, with the results that 'replay' gives for them.
+    Consecutive recordings of one folder are replayed together, with the results that 'replay' gives for them.
     """
     from monitor.runs import WINDOWS, expand_patterns
     from monitor.runs import reprocess as run
@@ -59,18 +60,18 @@ def reprocess(
     for outcome in outcomes:
         for message in outcome.warnings:
             warn(message)
-    made, there = (sum(o.error is None and o.made is made for o in outcomes) for made in (True, False))
+    done, done_before = (sum(o.error is None and o.made is made for o in outcomes) for made in (True, False))
     errors = [o.error for o in outcomes if o.error is not None]
-    text = f"{made} done, {there} done before; windows in {out / WINDOWS}"
-    say(text, {"done": made, "done_before": there, "failed": len(errors), "windows": str(out / WINDOWS)}, as_json)
+    text = f"{done} done, {done_before} done before; windows in {out / WINDOWS}"
+    say(text, {"done": done, "done_before": done_before, "failed": len(errors), "windows": str(out / WINDOWS)}, as_json)
     if errors:
         raise BadInputError("\n".join([f"{len(errors)} could not be done", *errors]))
 
 
 def _progress() -> Callable[[int, int], None]:
-    """Tasks done, on a terminal only."""
+    """Create a function that shows how many tasks are done; silent unless standard error is a terminal."""
     if not sys.stderr.isatty():
-        return lambda done, of: None
-    return lambda done, of: print(
-        f"\rreprocess: {done} of {of}", end="" if done < of else "\n", file=sys.stderr, flush=True
+        return lambda done, total: None
+    return lambda done, total: print(
+        f"\rreprocess: {done} of {total}", end="" if done < total else "\n", file=sys.stderr, flush=True
     )

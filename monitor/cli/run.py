@@ -1,4 +1,4 @@
-"""The command `run`."""
+"""Command `run`."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ import typer
 def run(
     file: Annotated[Path, typer.Argument(metavar="CONFIG.toml", help="Site file: structure, source, output.")],
 ) -> None:
-    """Monitor a live source until it ends or SIGTERM comes.  Writes results.jsonl, summary.json and recordings in [output] dir.
+    """Monitor a live source until it ends or SIGTERM arrives.
 
-    Prints READY on standard error when the source is open.
+    Writes results.jsonl, summary.json and recordings in [output] dir.  Prints READY on standard error when the source is open.
     """
     from monitor.config import configuration
     from monitor.service import Daemon, logs

@@ -1,4 +1,4 @@
-"""The command `view`."""
+"""Command `view`."""
 
 from __future__ import annotations
 
@@ -24,64 +24,67 @@ _SCREENS = ("DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET")
 
 def view(
     what: Annotated[
-        str, typer.Argument(metavar="DIR|FILE.rrd|HOST:PORT", help="Results, a recording, or [output] serve.")
+        str,
+        typer.Argument(
+            metavar="DIR|FILE.rrd|HOST:PORT", help="Folder of results, a recording, or the address of [output] serve."
+        ),
     ],
     web: Annotated[
-        bool, typer.Option("--web", help="In a browser: says the address, serves until interrupted.")
+        bool, typer.Option("--web", help="Use a browser: print the address, serve until interrupted.")
     ] = False,
     bind: Annotated[
         str | None,
-        typer.Option(metavar="ADDRESS", help=f"Where --web listens, {_LOOPBACK} by default; there is no password."),
+        typer.Option(metavar="ADDRESS", help=f"Address of --web, {_LOOPBACK} by default; there is no password."),
     ] = None,
     port: Annotated[
         int | None,
-        typer.Option(min=0, max=65535, help=f"Of the page, for --web, {_PORT} by default; 0 takes a free one."),
+        typer.Option(min=0, max=65535, help=f"Port of the page of --web, {_PORT} by default; 0: any free one."),
     ] = None,
 ) -> None:
     """Show a run in the Rerun viewer, or with --web in a browser."""
     if not web and (bind is not None or port is not None):
         raise WrongUsageError("--bind and --port go with --web")
-    source, program = _source(what), _program()
+    source, program = _viewer_source(what), _viewer_program()
     if not web and sys.platform == "linux" and not any(os.environ.get(name) for name in _SCREENS):
         raise WrongUsageError(
             f"{what}: no screen here ({', '.join(_SCREENS)} are not set); see it in a browser with --web"
         )
     subprocess.run([program, "analytics", "disable"], capture_output=True, check=False)
     if not web:
-        # By itself the viewer would take data from whoever reaches port 9876, and hand `source` to a daemon that serves there.
+        # By default the viewer would accept data from whoever reaches port 9876, and pass `source` to a daemon that serves there.
         os.environ["RUST_LOG"] = "error"
         os.execv(program, [program, source, "--bind", _LOOPBACK, "--port", "auto"])
     bind, port = _LOOPBACK if bind is None else bind, _PORT if port is None else port
     if bind != _LOOPBACK:
         warn(f"whoever reaches {bind} can see this; prefer an SSH tunnel to {_LOOPBACK}")
-    page, data = _free(bind, port), _free(bind, 0)
-    shown = source if "://" in source else f"rerun+http://{_reachable(bind)}:{data}/proxy"
+    page, data = _free_port(bind, port), _free_port(bind, 0)
+    data_url = source if "://" in source else f"rerun+http://{_reachable(bind)}:{data}/proxy"
     command = [program, "--serve-web", "--bind", bind, "--web-viewer-port", str(page), "--port", str(data)]
-    if shown != source:
+    if data_url != source:
         command.append(source)
     with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as server:
         print(
-            f"http://{_reachable(bind)}:{page}/?url={quote(shown, safe='')}&theme=dark", flush=True
-        )  # as are our colours
+            f"http://{_reachable(bind)}:{page}/?url={quote(data_url, safe='')}&theme=dark", flush=True
+        )  # the dark theme, for which our colours are chosen
         for number in (signal.SIGTERM, signal.SIGINT):  # a shell's background job begins with SIGINT ignored
             signal.signal(number, signal.default_int_handler)
         try:
-            said = server.communicate()[1]
+            errors = server.communicate()[1]
         except KeyboardInterrupt:
             server.terminate()
             return
     if server.returncode > 0:
-        print(said, file=sys.stderr)
+        print(errors, file=sys.stderr)
         raise typer.Exit(1)
 
 
-def _source(what: str) -> str:
-    """What the viewer is to open.
+def _viewer_source(what: str) -> str:
+    """Return the URL or the file that the viewer is to open.
 
     Raises
     ------
     MissingInputError
-        There is no such thing.
+        There is no such recording.
     """
     with suppress(ValueError):
         parse_address(what)
@@ -94,8 +97,14 @@ def _source(what: str) -> str:
     return str(path)
 
 
-def _program() -> str:
-    """The viewer itself: its wrapper, ended, would leave it running."""
+def _viewer_program() -> str:
+    """Return the path of the viewer's executable; its Python wrapper, when it is ended, would leave the viewer running.
+
+    Raises
+    ------
+    MissingInputError
+        The viewer is not installed.
+    """
     spec = find_spec("rerun_cli")
     path = Path(spec.origin).parent / "rerun" if spec and spec.origin else Path("rerun")
     if not path.exists():
@@ -103,8 +112,14 @@ def _program() -> str:
     return str(path)
 
 
-def _free(address: str, port: int) -> int:
-    """The port, or a free one for 0."""
+def _free_port(address: str, port: int) -> int:
+    """Return `port` if it is free, or for 0 any free port.
+
+    Raises
+    ------
+    MissingInputError
+        The address cannot be listened at.
+    """
     try:
         with socket.create_server((address, port)) as probe:
             return int(probe.getsockname()[1])
@@ -115,4 +130,5 @@ def _free(address: str, port: int) -> int:
 
 
 def _reachable(bind: str) -> str:
+    """Return an address under which this machine reaches a server bound to `bind`."""
     return _LOOPBACK if bind in ("0.0.0.0", "::") else bind

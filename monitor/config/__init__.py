@@ -1,4 +1,4 @@
-"""The user's TOML files, read into validated settings."""
+"""Read the user's TOML files into validated settings."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""TOML to settings; every problem is reported at once."""
+"""Structure files and site files (TOML): read into validated settings, with every problem reported at once."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ class SensorTable(Settings):
     """``[[sensors]]``: one accelerometer."""
 
     channel: str = Field(min_length=1)
-    """Its name in the data."""
+    """Name of the channel in the data."""
     floor: int = Field(ge=1)
-    """Floor (degree of freedom) that it sits on; 1 is the top floor."""
+    """Floor (degree of freedom) on which the sensor is mounted; 1 is the top floor."""
 
 
 class EffectTable(Settings):
     """``[[effects]]``: one effect that extends the structure."""
 
     effect: str
-    """Its name, as in docs/effects.md."""
+    """Name of the effect, as in docs/effects.md."""
     location: str
     """``story 2``, ``floor 1``, ``channel a2``, ``base`` or ``frame``."""
     parameters: dict[str, float] = Field(default_factory=dict)
@@ -47,9 +47,9 @@ class SiteSettings(Settings):
     """``[site]`` of the daemon's file."""
 
     name: str = ""
-    """In keys, metrics, messages and the log; the structure's by default."""
+    """Name of the site in keys, metrics, messages and the log; by default the name of the structure."""
     baseline: str | None = None
-    """File that 'calibrate' wrote, relative to the site file, as all its paths; no alarm without one."""
+    """Baseline file that 'calibrate' wrote. All paths of a site file are relative to it. Without a baseline there is no alarm."""
 
 
 class OutputSettings(Settings):
@@ -58,11 +58,11 @@ class OutputSettings(Settings):
     dir: str = "out"
     """Folder of everything that the daemon writes."""
     serve: str | None = None
-    """HOST:PORT where Rerun viewers may join."""
+    """HOST:PORT of the server that Rerun viewers may join."""
     zenoh: dict[str, Any] | None = None
-    """Where results, alarms and health are published (`monitor.service.outlets`)."""
+    """Table of the publisher of results, alarms and health over Zenoh (`monitor.service.outlets`)."""
     metrics: dict[str, Any] | None = None
-    """Where Prometheus may ask (`monitor.service.outlets`)."""
+    """Table of the endpoint for Prometheus (`monitor.service.outlets`)."""
 
     @field_validator("serve")
     @classmethod
@@ -73,12 +73,21 @@ class OutputSettings(Settings):
 
     @property
     def address(self) -> tuple[str, int] | None:
-        """Host and port of `serve`."""
+        """Host and port of `serve`; None if no server is wanted."""
         return None if self.serve is None else parse_address(self.serve)
 
 
 class Configuration(Settings):
-    """Everything a structure file or a site file may hold."""
+    """Settings of a structure file or a site file.
+
+    Examples
+    --------
+    >>> structure = {"kind": "shear_frame", "masses_kg": [1000.0, 1000.0], "stiffness_n_per_m": [2e6, 2e6]}
+    >>> sensors = [{"channel": "a1", "floor": 1}, {"channel": "a2", "floor": 2}]
+    >>> config = Configuration.model_validate({"structure": structure, "sensors": sensors})
+    >>> config.model().modes().frequencies_hz.round(3)
+    array([ 4.399, 11.517])
+    """
 
     structure: StructureTable
     sensors: tuple[SensorTable, ...] = Field(min_length=1)
@@ -104,7 +113,7 @@ class Configuration(Settings):
     state: StateSettings = StateSettings()
     log: LogSettings = LogSettings()
     notify: dict[str, Any] = Field(default_factory=dict)
-    """Whom to tell (`monitor.service.outlets`)."""
+    """Table of the notifications to people (`monitor.service.outlets`)."""
 
     @model_validator(mode="after")
     def _consistent(self) -> Configuration:
@@ -129,13 +138,13 @@ class Configuration(Settings):
         elif abs(step_s * p.rate_hz - round(step_s * p.rate_hz)) > 1e-6:
             problems.append(f"processing: window_s and hop_s must be whole numbers of samples at {p.rate_hz:g} Hz")
         if not problems:
-            problems += self._standing()
+            problems += self._model_problems()
         if problems:
             raise ValueError("\n".join(problems))
         return self
 
-    def _standing(self) -> list[str]:
-        """What is wrong with the model as a whole."""
+    def _model_problems(self) -> list[str]:
+        """Check the assembled model: a positive definite stiffness, and a natural frequency within the analysed band."""
         if np.linalg.eigvalsh(self.model().stiffness_matrix()).min() <= 0:
             subject = "effects: with them the structure" if self.effects else "structure: it"
             return [f"{subject} would not stand (its stiffness is not positive)"]
@@ -160,36 +169,36 @@ class Configuration(Settings):
 
     @property
     def site_name(self) -> str:
-        """What the site is called in messages and keys."""
+        """Name of the site in messages and keys: `site.name`, else the structure's name, else ``site``."""
         return self.site.name or self.structure.name or "site"
 
     def model(self) -> Model:
-        """The nominal model with the file's effects."""
+        """Build the nominal model with the effects of the file."""
         table = self.structure
         effects = tuple(self._effect(t) for t in self.effects)
         return Model(table.structure(), effects, table.correction(), table.modal_damping())
 
     def front_end(self) -> FrontEnd:
-        """The way from the source's samples to windows and segments."""
+        """Create the front end that turns samples of the source into windows and segments."""
         return FrontEnd(
             self.channels, self.processing, self.refinement.segment_s, n_lags=2 * self.identification.block_rows
         )
 
     def instrumented(self) -> InstrumentedModel:
-        """The nominal model with its sensors and the ranges of its parameters."""
+        """Build the nominal model with its sensors and the prior standard deviations of its parameters."""
         floors = tuple(s.floor for s in self.sensors)
         return InstrumentedModel(self.model(), self.channels, floors, self.structure.prior_std())
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """The tables of a TOML file.
+    """Read the tables of a TOML file.
 
     Raises
     ------
     MissingInputError
-        If the file does not exist, cannot be read or is a directory.
+        The file does not exist, cannot be read or is a directory.
     BadConfigurationError
-        If it is not TOML.
+        The file is not TOML.
     """
     try:
         text = path.read_text(encoding="utf-8")
@@ -204,12 +213,14 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def load(path: Path) -> Configuration:
-    """Settings from a structure file or a site file.
+    """Load and validate the settings of a structure file or a site file.
 
     Raises
     ------
-    MissingInputError, BadConfigurationError
-        The latter lists every problem, one a line.
+    MissingInputError
+        The file, or a matrix file that it names, cannot be read.
+    BadConfigurationError
+        The settings are invalid; the message lists every problem, one a line.
     """
     tables = read_toml(path)
     if isinstance(tables.get("structure"), dict):
@@ -231,12 +242,12 @@ def load(path: Path) -> Configuration:
 
 
 def make_source(table: Mapping[str, Any], context: SourceContext) -> Source:
-    """The driver of a ``[source]`` table, not yet open.
+    """Create the driver of a ``[source]`` table, without opening it.
 
     Raises
     ------
     BadConfigurationError
-        One problem a line.
+        The table is invalid; the message lists one problem a line.
     """
     try:
         driver = source_type(str(table.get("kind", "")))

@@ -1,4 +1,4 @@
-"""``[log]`` of the site file."""
+"""Settings of the service's log."""
 
 from __future__ import annotations
 
@@ -11,5 +11,6 @@ class LogSettings(Settings):
     """``[log]`` of the site file."""
 
     format: Literal["text", "json"] = "text"
-    """``key=value`` pairs, or JSON."""
+    """Format of a line: ``key=value`` pairs, or JSON."""
     level: Literal["debug", "info", "warning", "error"] = "warning"
+    """Lowest level that is logged."""

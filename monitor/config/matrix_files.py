@@ -1,4 +1,4 @@
-"""Matrices of a structure file that stand in files of their own."""
+"""Matrices of a structure that are stored in separate files (NumPy, JSON, Matrix Market)."""
 
 from __future__ import annotations
 
@@ -15,27 +15,37 @@ _KEYS = ("mass_matrix", "stiffness_matrix", "stiffness_derivatives")
 
 
 def read_matrices(table: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """``[structure]`` with file names replaced by what the files hold.
+    """Replace file names in a ``[structure]`` table by the matrices that the files hold.
 
-    A name ends in ``.npz`` (NumPy) or ``.json``, which hold the matrix under the key's name, or in ``.mtx`` (Matrix
-    Market), which holds one matrix; `stiffness_derivatives` may be a list of such names.
+    A file whose name ends in ``.npz`` (NumPy) or ``.json`` holds the matrix under the name of the key.  A file whose name ends
+    in ``.mtx`` (Matrix Market) holds one matrix.  `stiffness_derivatives` may be a list of such names.
 
     Parameters
     ----------
+    table : dict
+        Table as read from the structure file.
     folder : Path
-        What relative names are relative to.
+        Folder to which relative names refer.
+
+    Returns
+    -------
+    dict
+        Copy of the table with matrices as lists of rows, in the units of the table.
 
     Raises
     ------
-    MissingInputError, BadConfigurationError
+    MissingInputError
+        A file cannot be read.
+    BadConfigurationError
+        A file holds no such matrix, or has another format.
     """
 
-    def filled(key: str, value: Any) -> Any:
+    def resolved(key: str, value: Any) -> Any:
         if isinstance(value, str):
             return _read(folder / value, key)
-        return [filled(key, v) for v in value] if isinstance(value, list) and key == _KEYS[2] else value
+        return [resolved(key, v) for v in value] if isinstance(value, list) and key == _KEYS[2] else value
 
-    return {key: filled(key, value) if key in _KEYS else value for key, value in table.items()}
+    return {key: resolved(key, value) if key in _KEYS else value for key, value in table.items()}
 
 
 def _read(path: Path, key: str) -> Any:
@@ -46,7 +56,7 @@ def _read(path: Path, key: str) -> Any:
         if path.suffix == ".json":
             return json.loads(path.read_text(encoding="utf-8"))[key]
         if path.suffix == ".mtx":
-            from scipy.io import mmread  # loads sparse matrices, which nobody else wants
+            from scipy.io import mmread  # imported here: it loads SciPy's sparse matrices, which nothing else needs
 
             matrix = mmread(path)
             return (matrix if isinstance(matrix, np.ndarray) else matrix.toarray()).tolist()

@@ -1,4 +1,4 @@
-"""What of a site file lets in more than this machine, or shows secrets."""
+"""Security check of a site file: unprotected access from other machines, and secrets that everyone may read."""
 
 from __future__ import annotations
 
@@ -12,7 +12,15 @@ from monitor.config.configuration import Configuration
 
 
 def warnings(path: Path, config: Configuration) -> list[str]:
-    """One sentence for each open door."""
+    """List one warning for each setting that gives unprotected access or exposes a secret.
+
+    Parameters
+    ----------
+    path : Path
+        Site file, to whose folder the path of the URL file is relative.
+    config : Configuration
+        Settings of that file.
+    """
     found = []
     address = config.output.address
     if address is not None and not is_loopback(address[0]):
@@ -24,18 +32,24 @@ def warnings(path: Path, config: Configuration) -> list[str]:
     if not is_loopback(host) and "client_ca" not in metrics:
         found.append(f"output.metrics: all who reach {host} may read; set certificate, private_key and client_ca")
     for name, table in (("source", config.source), ("output.zenoh", config.output.zenoh)):
-        for key, says in (
+        for key, risk in (
             ("listen", "is open to the network without TLS: whoever reaches it may send and ask anything"),
             ("connect", "leaves this machine without TLS: data may be read and forged on the way"),
         ):
             endpoints = (e for e in _endpoints(table, key) if e.startswith("tcp/"))
-            away = (e for e in endpoints if not is_loopback(e[4:].rpartition(":")[0]))
-            found += [f"{name}.{key}: {endpoint} {says}" for endpoint in away]
-    return found + _readable(path, config)
+            remote = (e for e in endpoints if not is_loopback(e[4:].rpartition(":")[0]))
+            found += [f"{name}.{key}: {endpoint} {risk}" for endpoint in remote]
+    return found + _readable_secrets(path, config)
 
 
 def is_loopback(host: str) -> bool:
-    """Whether only this machine can reach it."""
+    """Return whether only this machine can reach a host: ``localhost`` or a loopback address.
+
+    Examples
+    --------
+    >>> is_loopback("[::1]"), is_loopback("localhost"), is_loopback("192.168.0.7")
+    (True, True, False)
+    """
     try:
         return ipaddress.ip_address(host.strip("[]")).is_loopback
     except ValueError:
@@ -43,11 +57,13 @@ def is_loopback(host: str) -> bool:
 
 
 def _endpoints(table: Mapping[str, Any] | None, key: str) -> list[str]:
+    """List the Zenoh endpoints of a table; none if the table or the key is missing."""
     value = (table or {}).get(key, [])
     return [str(item) for item in value] if isinstance(value, list | tuple) else []
 
 
-def _readable(path: Path, config: Configuration) -> list[str]:
+def _readable_secrets(path: Path, config: Configuration) -> list[str]:
+    """Warn of a URL file that every user of this machine may read."""
     name = config.notify.get("url_file")
     try:
         mode = (path.resolve().parent / str(name)).stat().st_mode if name is not None else 0

@@ -1,4 +1,4 @@
-"""``[state]`` of the site file."""
+"""Settings of what the service keeps over a restart."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from monitor.core import Settings
 
 
 class StateSettings(Settings):
-    """What outlasts a restart, and for how long."""
+    """``[state]`` of the site file: what is kept over a restart, and for how long."""
 
     checkpoint_s: float = Field(default=60.0, ge=0)
-    """A checkpoint is written this often, in data time; 0: none, and every start begins anew but for the alarms."""
+    """Interval between checkpoints, in data time. 0: no checkpoints, so that only the alarms are kept over a restart."""
     history: bool = True
-    """Keep `history.db`."""
+    """Write the results into the database `history.db`."""
     windows_days: float = Field(default=365.0, gt=0)
-    """Every window is kept this long; of older ones those that announce something, and one in sixty."""
+    """Age up to which every window is kept; of older windows those with an alarm level other than normal, and one in sixty."""
     health_days: float = Field(default=30.0, gt=0)
-    """Every health span is kept this long; of older ones those with a gap, and one in sixty."""
+    """Age up to which every health span is kept; of older spans those with a gap or missing samples, and one in sixty."""
     keep_days: float = Field(default=3650.0, gt=0)
-    """Nothing of windows and spans is kept longer; alarms, acknowledgements and findings are kept for ever."""
+    """Age from which windows and health spans are removed; alarms, acknowledgements and findings are kept for ever."""

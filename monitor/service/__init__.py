@@ -1,4 +1,4 @@
-"""The daemon: threads, restart, history, its own health, and the outlets that others hear it by."""
+"""Monitoring service: the daemon with its threads, restart, history and own health, and the outlets that publish results."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""Lines that are on the disk as soon as they are written; a full disk holds them up but loses none."""
+"""Append-only files of lines: each line is written to the disk at once, and a full disk delays lines without losing them."""
 
 from __future__ import annotations
 
@@ -13,35 +13,45 @@ _MOST_PENDING_BYTES = 16 << 20
 
 
 class AppendedLines:
-    """A file of lines that others may follow while it grows.
+    """Append-only file of lines that other programs may follow while it grows.
 
-    What the disk does not take waits in memory, within bounds.  Half a line at the file's end, as a power cut leaves it, is
-    removed first.
+    Lines that the disk does not accept wait in memory, up to a bound.  An incomplete last line, as a power cut leaves it, is
+    removed when the file is opened.
 
     Parameters
     ----------
+    path : Path
+        File to append to.
     most_bytes : int, optional
-        A file that has grown beyond this is set aside as NAME.1, in the place of the one before.
+        Size limit.  A larger file is renamed to NAME.1 and replaces the previous NAME.1.
 
-    Raises ``OSError`` if the file cannot be opened.
+    Attributes
+    ----------
+    dropped : int
+        Number of lines lost because too many waited.
+    failed : str
+        Why lines wait; empty if none do.
+
+    Raises
+    ------
+    OSError
+        The file cannot be opened.
     """
 
     def __init__(self, path: Path, most_bytes: int | None = None) -> None:
         self._path, self._most_bytes = path, most_bytes
         self._pending = b""
         self.dropped, self._losing = 0, False
-        """Lines that found no room to wait."""
         self.failed = ""
-        """Why lines wait; empty while all is well."""
         self._open()
 
     @property
     def size(self) -> int:
-        """Bytes that the file has."""
+        """Size of the file in bytes."""
         return os.fstat(self._handle).st_size
 
     def write(self, line: str) -> None:
-        """Add one line; never raises OSError."""
+        """Append one line; a failing disk does not raise, `failed` then holds the reason."""
         data = line.encode() + b"\n"
         if len(self._pending) + len(data) > _MOST_PENDING_BYTES:
             if not self._losing:
@@ -53,7 +63,7 @@ class AppendedLines:
         self.flush()
 
     def flush(self) -> None:
-        """Try again to write what waits."""
+        """Try again to write the lines that wait."""
         try:
             while self._pending:
                 self._pending = self._pending[os.write(self._handle, self._pending) :]
@@ -66,19 +76,20 @@ class AppendedLines:
             self.failed = f"{self._path}: {error.strerror or error}"
 
     def sync(self) -> None:
-        """See that the lines outlast a power cut."""
+        """Force the written lines onto the disk (fsync), so that they survive a power cut."""
         try:
             os.fsync(self._handle)
         except OSError as error:
             self.failed = f"{self._path}: {error.strerror or error}"
 
     def close(self) -> None:
-        """The last of it."""
+        """Write the lines that wait and close the file."""
         self.flush()
         self.sync()
         os.close(self._handle)
 
     def _open(self) -> None:
+        """Open the file and remove an incomplete last line."""
         self._handle = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o644)
         size = os.fstat(self._handle).st_size
         tail = os.pread(self._handle, _TAIL_BYTES, max(0, size - _TAIL_BYTES))

@@ -1,4 +1,7 @@
-"""The long-running service: one thread reads, this one evaluates, one records; nothing else remembers anything."""
+"""Long-running monitoring service of one site.
+
+One thread reads the source, the main thread evaluates, and one thread records.  Nothing else keeps state of the evaluation.
+"""
 
 from __future__ import annotations
 
@@ -37,30 +40,35 @@ _log = logging.getLogger(__name__)
 
 _TICK_S = 0.2
 _QUIET_S = 10.0
-"""Without data, health is told this often; the summary is written no more often."""
+"""Interval between health lines while no data arrive; shortest interval between summaries."""
 _STOP_S, _DRAIN_S, _END_S = 1.5, 2.5, 4.5
-"""From the signal on, the source is waited for until the first, the queue until the second, all the rest until the last."""
+"""Deadlines after the stop signal: for the source to close, for the queue to empty, and for everything else to end."""
 _DURABLE_S = 0.5
-"""Longest wait for the disk before an alarm's change is told."""
+"""Longest wait for the disk before a change of an alarm is announced."""
 _LATEST = 50
 _HEALTH_FILE_BYTES = 16 << 20
 
 
 class Daemon(Publisher):
-    """One site.
+    """Monitoring service of one site.
 
     Parameters
     ----------
     path : Path
         Site file; its paths are relative to its folder.
     source : Source, optional
-        In place of the one that the file names.
+        Source to read in place of the one that the file names.
     outlets : sequence of Outlet, optional
-        Besides those that the file names; closed in reverse order.
+        Outlets in addition to those that the file names; they are closed in reverse order.
 
     Raises
     ------
-    MissingInputError, BadConfigurationError
+    MissingInputError
+        A file is missing, or the output folder cannot be written.
+    BadInputError
+        The baseline file is unusable.
+    BadConfigurationError
+        The site file is invalid, or another daemon writes into the output folder.
     """
 
     def __init__(self, path: Path, source: Source | None = None, outlets: Sequence[Outlet] = ()) -> None:
@@ -75,7 +83,7 @@ class Daemon(Publisher):
         self.out = folder / settings.output.dir
         self._vitals, self._progress = Vitals(self.out), Progress(lambda _: None)
         self._begun_s = self._health_s = self._summary_s = self._sync_s = time.monotonic()
-        self._path, self._stopping, self._changed, self._end_s = path, False, False, float("inf")
+        self._path, self._stopping, self._reload_requested, self._end_s = path, False, False, float("inf")
         self._outlets: tuple[Outlet, ...] = (*make_outlets(path, settings), *outlets)
         try:
             (self.out / "state").mkdir(parents=True, exist_ok=True)
@@ -103,19 +111,20 @@ class Daemon(Publisher):
         self.reader = Reader(source)
 
     def _new_session(self) -> Session:
+        """Begin a new session and make it the current one."""
         self.session = self._begin()
         return self.session
 
     def run(self) -> None:
-        """Until the source ends or a signal comes.
+        """Monitor until the source ends or SIGTERM or SIGINT arrives; SIGHUP reads the site file again.
 
         Raises
         ------
         MissingInputError, BadInputError
-            The source's files are missing or unusable.
+            The files of the source are missing or unusable.
         """
-        previous = {number: signal.signal(number, self._signal) for number in (signal.SIGTERM, signal.SIGINT)}
-        previous[signal.SIGHUP] = signal.signal(signal.SIGHUP, self._hang_up)
+        previous = {number: signal.signal(number, self._request_stop) for number in (signal.SIGTERM, signal.SIGINT)}
+        previous[signal.SIGHUP] = signal.signal(signal.SIGHUP, self._request_reload)
         try:
             self.reader.start()
             self._loop()
@@ -136,7 +145,7 @@ class Daemon(Publisher):
             raise self.reader.failure
 
     def window(self, result: WindowResult, line: str) -> None:
-        """Write and send it, unless a former run did."""
+        """Write and publish the result of a window, unless a previous run did so."""
         self._history.episodes([asdict(e) for e in self.session.episodes[-_LATEST:]])
         if result.index in self._keeper.written:
             return
@@ -146,7 +155,7 @@ class Daemon(Publisher):
             outlet.window(result, line)
 
     def gap(self, gap: Gap) -> None:
-        """Send it."""
+        """Store and publish a gap in the data."""
         self._history.gap(gap.t_ns, gap.duration_s, gap.reason)
         if self._keeper.resuming:
             return
@@ -154,7 +163,7 @@ class Daemon(Publisher):
             outlet.gap(gap)
 
     def health(self, health: Health | None) -> None:
-        """Write and send it with the rest that there is to say."""
+        """Write and publish the sensors' health together with the daemon's own health."""
         span: dict[str, Any] | None = None
         if health is not None:
             span = plain(health)
@@ -164,27 +173,30 @@ class Daemon(Publisher):
         if self._keeper.resuming:
             return
         self._health_s = time.monotonic()
-        line = self._vitals.line(span, self.reader, self._recording.health(), self._ways())
+        line = self._vitals.line(span, self.reader, self._recording.health(), self._outputs())
         self._health_lines.write(json.dumps(line, allow_nan=False))
         for outlet in self._outlets:
             outlet.health_line(line)
 
     def finding(self, finding: dict[str, Any]) -> None:
-        """Send it."""
+        """Store and publish the finding of a diagnosis."""
         self._history.finding(finding)
         for outlet in self._outlets:
             outlet.finding(finding)
 
-    def _signal(self, number: int, _: object) -> None:
+    def _request_stop(self, number: int, _: object) -> None:
+        """Handle SIGTERM and SIGINT: stop within `_END_S`."""
         self._stopping, self._end_s = True, time.monotonic() + _END_S
-        signal.signal(number, signal.SIG_DFL)  # the next one ends at once
+        signal.signal(number, signal.SIG_DFL)  # a second signal ends the process at once
 
-    def _hang_up(self, number: int, _: object) -> None:
-        self._changed = True
+    def _request_reload(self, number: int, _: object) -> None:
+        """Handle SIGHUP: read the site file again in the main loop."""
+        self._reload_requested = True
 
     def _loop(self) -> None:
-        ready, told = False, False
-        watchdog_s, barked_s = systemd.watchdog_s(), time.monotonic()
+        """Evaluate blocks from the queue until it is closed and empty."""
+        ready, stop_sent = False, False
+        watchdog_s, notified_s = systemd.watchdog_s(), time.monotonic()
         while not self.reader.queue.over:
             item = self.reader.queue.take(_TICK_S)
             now = time.monotonic()
@@ -192,21 +204,24 @@ class Daemon(Publisher):
                 ready = True
                 print("READY", file=sys.stderr, flush=True)
                 systemd.notify("READY=1")
-            if watchdog_s is not None and now - barked_s >= watchdog_s:
-                barked_s = now
+            if watchdog_s is not None and now - notified_s >= watchdog_s:
+                notified_s = now
                 systemd.notify("WATCHDOG=1")
             if item is not None and now < self._end_s - (_END_S - _DRAIN_S):
-                self._take(*item)
+                self._process(*item)
             elif item is not None:
                 self._vitals.unprocessed += 1
-            self._now_and_then(now)
-            if self._stopping and not told:
-                told = True
+            self._do_periodic_work(now)
+            if self._stopping and not stop_sent:
+                stop_sent = True
                 systemd.notify("STOPPING=1")
                 self.reader.stop(max(0.0, self._end_s - (_END_S - _STOP_S) - time.monotonic()))
 
-    def _take(self, block: SampleBlock, arrived_s: float) -> None:
-        """Evaluate, record what was taken in, then publish: the recordings replayed are this run again."""
+    def _process(self, block: SampleBlock, arrived_s: float) -> None:
+        """Evaluate a block, record it if it was accepted, then publish the results.
+
+        In this order a replay of the recordings repeats the run exactly.
+        """
         self._vitals.received(block)
         reason = unfit(block)
         if reason is not None:
@@ -214,7 +229,7 @@ class Daemon(Publisher):
             return
         before = self.session.windows
         try:
-            self.session.push(block, partial(self._accepted, block))
+            self.session.push(block, partial(self._record, block))
         except BadInputError as error:
             self._vitals.refuse(str(error))
             return
@@ -223,16 +238,16 @@ class Daemon(Publisher):
             self._vitals.published(arrived_s)
         self._keeper.took(self.session, block)
 
-    def _accepted(self, block: SampleBlock, results: Sequence[Result]) -> None:
-        """Record it; what makes an alarm come or go is on the disk before anybody hears of it."""
+    def _record(self, block: SampleBlock, results: Sequence[Result]) -> None:
+        """Record an accepted block; a block that changes an alarm is on the disk before the change is announced."""
         self._recording.write(block)
         alarms = [(r.alarm.active, r.alarm.conditions) for r in results if isinstance(r, WindowResult)]
         if any(alarm != self._alarm for alarm in alarms):
             self._alarm = alarms[-1]
             self._recording.flush(_DURABLE_S)
 
-    def _serve(self, outlet: Outlet) -> None:
-        """Apply what operators asked for, and note it in the ledger."""
+    def _apply_requests(self, outlet: Outlet) -> None:
+        """Apply the operators' requests that an outlet received, and record them in the ledger."""
         for request in outlet.take_requests():
             try:
                 self.session.alter_alarm(partial(apply, request=request, t_ns=self.session.now_ns))
@@ -243,17 +258,19 @@ class Daemon(Publisher):
             except (ValueError, MissingInputError) as error:
                 _log.warning("request of %s: %s", request.who, error)
 
-    def _reread(self) -> None:
-        """Go on with the site file's thresholds as they are now."""
-        self._changed = False
+    def _reload(self) -> None:
+        """Read the site file again and continue with its present thresholds."""
+        self._reload_requested = False
         self.settings = reread(self._path, self.settings, self._outlets, self.out)
         self.session.reconfigure(self.settings)
 
-    def _now_and_then(self, now: float) -> None:
-        if self._changed:
-            self._reread()
-        for outlet in self._outlets if self._progress.first is not None else ():  # wishes count from the data's time
-            self._serve(outlet)
+    def _do_periodic_work(self, now: float) -> None:
+        """Reload settings, apply requests, and write health, results and the summary when they are due."""
+        if self._reload_requested:
+            self._reload()
+        # Requests are timed by the data's clock, so they wait for the first data.
+        for outlet in self._outlets if self._progress.first is not None else ():
+            self._apply_requests(outlet)
         if now - self._health_s >= _QUIET_S:
             self.health(None)
         if now - self._sync_s >= self.settings.recorder.flush_s:
@@ -272,15 +289,16 @@ class Daemon(Publisher):
         content["alarm"] = current_alarm_line(self.session.pipeline.state.alarm)
         self._chores.write(self.out / "summary.json", to_json(plain(content)) + "\n")
 
-    def _ways(self) -> list[tuple[str, Way]]:
-        """All ways out, by name."""
+    def _outputs(self) -> list[tuple[str, Way]]:
+        """List every output with its name: outlets, viewer, checkpoint, history and files."""
         own: dict[str, Way | None] = {"viewer": self._view, "checkpoint": self._keeper, "history": self._history}
         own |= {"results.jsonl": self._lines, "health.jsonl": self._health_lines}
         return [(n, way) for n, way in own.items() if way is not None] + [(type(o).__name__, o) for o in self._outlets]
 
     def _close(self) -> None:
+        """Close everything before the deadline; what hangs does not use up the time of the others."""
         self._end_s = min(self._end_s, time.monotonic() + _END_S)
-        self.reader.stop(0.1)  # it has ended, but for an error
+        self.reader.stop(0.1)  # it has ended already, except after an error
         self._recording.close(self._share_s())
         self.session.online_diagnosis.close(self._share_s())
         self.health(None)
@@ -296,5 +314,5 @@ class Daemon(Publisher):
         os.close(self._lock)
 
     def _share_s(self) -> float:
-        """How long one more may take to close: half of what is left, so that who hangs leaves time to the others."""
+        """Return the time that the next part may take to close, s: half of the remaining time, so that the others have some."""
         return max(0.0, self._end_s - time.monotonic()) / 2.0

@@ -1,4 +1,7 @@
-"""How the daemon itself fares, as lines of health.jsonl: here alone the wall clock is held against the data's time."""
+"""Health of the daemon itself, as lines of health.jsonl.
+
+This is the only module that compares the wall clock with the time of the data.
+"""
 
 from __future__ import annotations
 
@@ -18,64 +21,70 @@ from drivers.recorder import RecorderHealth
 from monitor.service.threads import Reader
 
 LATENCY_MS = (5, 10, 20, 50, 100, 200, 500, 1000)
-"""Upper edges of the histogram's bins; one more holds the rest."""
+"""Upper edges of the bins of the latency histogram; one more bin holds the rest. [ms]"""
 _RECENT = 1000
-"""Windows that the median is of."""
+"""Number of latest windows over which the median latency is taken."""
 _MOST_TEXT = 300
 
 
 class Way(Protocol):
-    """A way out."""
+    """Output of the daemon: a file, the viewer or an outlet."""
 
     @property
     def failed(self) -> str | None:
-        """Why it is blocked; None or empty while all is well."""
+        """Reason for which the output is blocked; None or empty if it is not."""
 
     @property
     def dropped(self) -> int:
-        """How much found no room on it since the start."""
+        """Number of items lost since the start because too many waited."""
 
 
 class Vitals:
-    """Counts since the daemon began; `out` is where results go."""
+    """Counters and latencies of the daemon since its start.
+
+    Parameters
+    ----------
+    out : Path
+        Output folder, whose free disk space is reported.
+    """
 
     def __init__(self, out: Path) -> None:
         self._out, self._begun_s = out, time.monotonic()
         self.refused = 0
-        """Blocks that neither the recorder nor the pipeline could take."""
+        """Number of blocks that neither the recorder nor the pipeline could accept."""
         self.refusal = ""
-        """The latest reason."""
+        """Reason of the latest refusal."""
         self.unprocessed = 0
-        """Blocks that shutting down left no time for."""
+        """Number of blocks for which shutting down left no time."""
         self._bins = [0] * (len(LATENCY_MS) + 1)
         self._latest_ms = self._most_ms = 0.0
         self._recent_ms: deque[float] = deque(maxlen=_RECENT)
         self._delay_s: float | None = None
 
     def refuse(self, reason: str) -> None:
-        """A block was turned away."""
+        """Count a refused block."""
         self.refused += 1
         self.refusal = reason[:_MOST_TEXT]
 
     def received(self, block: SampleBlock) -> None:
-        """A block was taken from the queue."""
+        """Note the delay of a block that was taken from the queue: wall clock less the time of its last sample."""
         if block.topic == ACCELERATION:
             self._delay_s = time.time() - block.t_ns * 1e-9 - block.n_samples / block.sample_rate_hz
 
     def published(self, arrived_s: float) -> None:
-        """A window's line is written; its last sample came at `arrived_s` (monotonic)."""
+        """Note the latency of a published window, whose last sample arrived at `arrived_s` (monotonic clock, s)."""
         ms = self._latest_ms = 1e3 * (time.monotonic() - arrived_s)
         self._most_ms = max(self._most_ms, ms)
         self._recent_ms.append(ms)
         self._bins[sum(ms > edge for edge in LATENCY_MS)] += 1
 
     def latency(self) -> dict[str, Any]:
-        """Milliseconds from the arrival of a window's last sample to its published line."""
+        """Summarize the latency from the arrival of a window's last sample to its published line, ms."""
         names = (*(f"<= {edge}" for edge in LATENCY_MS), f"> {LATENCY_MS[-1]}")
         counts = dict(zip(names, self._bins, strict=True))
         median = statistics.median(self._recent_ms) if self._recent_ms else 0.0
-        said = {"latest": self._latest_ms, "median": median, "max": self._most_ms}
-        return {**{name: round(ms, 2) for name, ms in said.items()}, "windows": counts}
+        values = {"latest": self._latest_ms, "median": median, "max": self._most_ms}
+        return {**{name: round(ms, 2) for name, ms in values.items()}, "windows": counts}
 
     def line(
         self,
@@ -84,7 +93,19 @@ class Vitals:
         recorder: RecorderHealth | None,
         ways: Iterable[tuple[str, Way]],
     ) -> dict[str, Any]:
-        """A line of health.jsonl; `span` is a `Health` made plain, None when no data came."""
+        """Build a line of health.jsonl.
+
+        Parameters
+        ----------
+        span : mapping or None
+            Sensors' health (`Health`) as plain values; None if no data arrived.
+        reader : Reader
+            Reader of the source.
+        recorder : RecorderHealth or None
+            Health of the recorder; None if nothing is recorded.
+        ways : iterable of (str, Way)
+            Outputs of the daemon with their names.
+        """
         ways = list(ways)
         source = reader.source.health()
         stream = dict(span or {})
@@ -104,7 +125,7 @@ class Vitals:
                 "refused": {"blocks": self.refused, "latest": self.refusal},
                 "queue": len(reader.queue),
                 "uptime_s": time.monotonic() - self._begun_s,
-                "disk_free_bytes": _free(self._out),
+                "disk_free_bytes": _free_bytes(self._out),
                 "latency_ms": self.latency(),
                 "recorder": recorder,
                 "failed": failures(ways),
@@ -115,16 +136,17 @@ class Vitals:
 
 
 def failures(ways: Iterable[tuple[str, Way]]) -> dict[str, str]:
-    """Which ways out are blocked, and why."""
+    """Return the reason for each output that is blocked."""
     return {name: way.failed for name, way in ways if way.failed}
 
 
 def losses(ways: Iterable[tuple[str, Way]]) -> dict[str, int]:
-    """How much found no room on its way out since the start, of each that lost anything."""
+    """Return the number of lost items for each output that lost any since the start."""
     return {name: way.dropped for name, way in ways if way.dropped}
 
 
-def _free(place: Path) -> int | None:
+def _free_bytes(place: Path) -> int | None:
+    """Return the free space of the disk, bytes; None if it is not known."""
     try:
         return shutil.disk_usage(place).free
     except OSError:
@@ -132,14 +154,17 @@ def _free(place: Path) -> int | None:
 
 
 @lru_cache
-def _names(kind: Any) -> tuple[str, ...]:
+def _field_names(kind: Any) -> tuple[str, ...]:
     return tuple(f.name for f in fields(kind))
 
 
 def plain(value: Any) -> Any:
-    """The same as strict JSON can say it: None for what is not finite, a dictionary for a dataclass."""
+    """Convert a value to what strict JSON can express: None for a number that is not finite, a dictionary for a dataclass.
+
+    Other floats are rounded to nine significant digits.
+    """
     if is_dataclass(value):
-        return {name: plain(getattr(value, name)) for name in _names(value.__class__)}
+        return {name: plain(getattr(value, name)) for name in _field_names(value.__class__)}
     if isinstance(value, dict):
         return {str(k): plain(v) for k, v in value.items()}
     if isinstance(value, list | tuple):

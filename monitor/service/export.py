@@ -1,4 +1,4 @@
-"""The history as a table for other programs: Parquet or CSV, one column a number."""
+"""Export of the history as a table for other programs: Parquet or CSV, one column for each number."""
 
 from __future__ import annotations
 
@@ -14,29 +14,38 @@ from monitor.service.history import TABLES
 
 _BATCH = 20_000
 _TIME = {"windows": "t_end_ns", "alarms": "t_first_ns"}
-"""What a table's rows are ordered by; others by `t_ns`."""
+"""Table -> column of the time by which its rows are ordered; other tables use `t_ns`."""
 _LISTS = ("frequencies_hz", "frequencies_std_hz", "damping_ratio", "damping_std", "ddi", "ddi_std", "loss_n_per_m")
 FORMATS = (".parquet", ".csv")
 
 
 def export(database: Path, table: str, out: Path, span_ns: tuple[int, int]) -> int:
-    """Write the rows of a table in order of time; a list of n values becomes the columns NAME_1 .. NAME_n.
+    """Write the rows of a table of the history in order of time; a list of n values becomes the columns NAME_1 .. NAME_n.
 
     Parameters
     ----------
     database : Path
-        history.db, of a running daemon too.
+        The file history.db; its daemon may be running.
+    table : str
+        Name of the table, one of `history.TABLES`.
+    out : Path
+        File to write; its suffix, one of `FORMATS`, selects the format.
     span_ns : (int, int)
-        UTC, ns, from the first to before the last.
+        Start (included) and end (excluded) of the period, UTC, ns since 1970.
 
     Returns
     -------
     int
-        Rows.
+        Number of rows.
 
     Raises
     ------
-    WrongUsageError, MissingInputError, BadInputError
+    WrongUsageError
+        The table or the format is unknown.
+    MissingInputError
+        The database does not exist, or the file cannot be written.
+    BadInputError
+        The database cannot be read.
     """
     if table not in TABLES:
         raise WrongUsageError(f"--table {table}: known: {', '.join(TABLES)}")
@@ -56,11 +65,12 @@ def export(database: Path, table: str, out: Path, span_ns: tuple[int, int]) -> i
 
 
 def _write(source: sqlite3.Connection, table: str, out: Path, span_ns: tuple[int, int]) -> int:
+    """Write the rows in batches and return their number."""
     import pyarrow as pa
     import pyarrow.csv
     import pyarrow.parquet
 
-    schema, count = pa.schema([(n, _kind(pa, k)) for n, k, *_ in _columns(source, table, span_ns)]), 0
+    schema, count = pa.schema([(n, _arrow_type(pa, k)) for n, k, *_ in _columns(source, table, span_ns)]), 0
     make: Any = pyarrow.parquet.ParquetWriter if out.suffix == ".parquet" else pyarrow.csv.CSVWriter
     with make(str(partial(out)), schema) as writer:
         for batch in _batches(source, table, span_ns):
@@ -69,17 +79,19 @@ def _write(source: sqlite3.Connection, table: str, out: Path, span_ns: tuple[int
     return count
 
 
-def _kind(pa: Any, declared: str) -> Any:
+def _arrow_type(pa: Any, declared: str) -> Any:
+    """Return the Arrow type of a column by its declared SQLite type."""
     return {"INTEGER": pa.int64(), "REAL": pa.float64()}.get(declared, pa.string())
 
 
 def _span(table: str) -> str:
+    """Build the SQL that selects the rows of a period, in order of time."""
     time = _TIME.get(table, "t_ns")
     return f"FROM {table} WHERE {time} >= ? AND {time} < ? ORDER BY {time}, id"
 
 
 def _columns(source: sqlite3.Connection, table: str, span_ns: tuple[int, int]) -> Iterator[tuple[str, str, str, int]]:
-    """Name, declared type, name in the database, and index in its list or -1."""
+    """Yield for each column: name, declared type, name in the database, and index in the list or -1."""
     for _, name, declared, *_ in source.execute(f"PRAGMA table_info({table})").fetchall():
         if name in _LISTS and table == "windows":
             (most,) = source.execute(f"SELECT max(json_array_length({name})) {_span(table)}", span_ns).fetchone()
@@ -90,13 +102,14 @@ def _columns(source: sqlite3.Connection, table: str, span_ns: tuple[int, int]) -
 
 
 def _batches(source: sqlite3.Connection, table: str, span_ns: tuple[int, int]) -> Iterator[dict[str, list[Any]]]:
+    """Yield the rows in batches, as lists of values by column."""
     columns = list(_columns(source, table, span_ns))
-    names = list(dict.fromkeys(held for *_, held, _ in columns))
+    names = list(dict.fromkeys(stored_name for *_, stored_name, _ in columns))
     rows = source.execute(f"SELECT {', '.join(names)} {_span(table)}", span_ns)
     while batch := rows.fetchmany(_BATCH):
-        held = dict(zip(names, zip(*batch, strict=True), strict=True))
-        lists = {name: [json.loads(text or "[]") for text in held[name]] for name in names if name in _LISTS}
+        stored = dict(zip(names, zip(*batch, strict=True), strict=True))
+        lists = {name: [json.loads(text or "[]") for text in stored[name]] for name in names if name in _LISTS}
         yield {
-            shown: list(held[name]) if k < 0 else [values[k] if k < len(values) else None for values in lists[name]]
-            for shown, _, name, k in columns
+            column: list(stored[name]) if k < 0 else [values[k] if k < len(values) else None for values in lists[name]]
+            for column, _, name, k in columns
         }

@@ -1,6 +1,7 @@
-"""Many structures over one Zenoh network: what each monitor says of its own, asked with one query.
+"""State of many structures over one Zenoh network: one query asks every monitor for the state of its structure.
 
-Keys are those of `docs/zenoh.md`: a monitor answers ``PREFIX/SITE/state`` and holds the token ``PREFIX/SITE/alive/monitor``.
+The keys are documented in `docs/zenoh.md`: a monitor answers ``PREFIX/SITE/state`` and holds the liveliness token
+``PREFIX/SITE/alive/monitor``.
 """
 
 from __future__ import annotations
@@ -21,21 +22,21 @@ from monitor.config import read_toml
 from monitor.core import BadConfigurationError, MissingInputError, Settings, settings_problems
 
 _MOST_BYTES = 1 << 20
-"""Of one monitor's answer."""
+"""Largest accepted answer of one monitor."""
 WELL, ALARM, TROUBLE = "normal", "alarm", "trouble"
 
 
 class FleetSettings(SessionSettings):
-    """``[fleet]`` of a fleet file: how to join the network, and who ought to be there."""
+    """``[fleet]`` of a fleet file: how to join the network, and which sites are expected."""
 
     prefix: Key = "shm"
-    """Where the sites' keys begin."""
+    """Common prefix of the sites' keys."""
     sites: tuple[str, ...] = ()
-    """Names that must be there; others are shown too."""
+    """Names of the expected sites; other sites are shown too."""
     silent_s: float = Field(default=60.0, gt=0)
-    """Time without a word of health after which a monitor counts as hung."""
+    """Time without a health line after which a monitor counts as hung."""
     timeout_s: float = Field(default=5.0, gt=0, le=60)
-    """How long answers are waited for."""
+    """Time for which answers are waited for."""
 
 
 class _FleetFile(Settings):
@@ -44,32 +45,36 @@ class _FleetFile(Settings):
 
 @dataclass(frozen=True, slots=True)
 class SiteStatus:
-    """One structure as its monitor sees it."""
+    """State of one structure as its monitor reports it."""
 
     site: str
     state: str
-    """``normal``, ``advisory``, ``warning``, ``alarm``, or ``trouble`` where that cannot be relied on."""
+    """``normal``, ``advisory``, ``warning``, ``alarm``, or ``trouble`` if ``normal`` cannot be relied on or is not known."""
     says: str
-    """Why; empty when all is well."""
+    """Reason of the state; empty if all is well."""
     stories: tuple[int, ...] = ()
-    """Of the alarm; 0 is the structure as a whole."""
+    """Stories with an alarm; 0 is the structure as a whole."""
     ddi: float | None = None
-    """Largest relative loss of stiffness of any story, in the latest window that was judged."""
+    """Largest relative loss of stiffness of any story in the latest window; None if that was not judged."""
     ddi_std: float | None = None
+    """Standard deviation of `ddi`."""
     frequency_hz: float | None = None
-    """The lowest."""
+    """Lowest natural frequency."""
     t_end_ns: int | None = None
-    """UTC, end of the latest window."""
+    """End of the latest window, UTC, ns since 1970."""
     silent_s: float | None = None
-    """Since the monitor's latest line of health."""
+    """Time since the monitor's latest health line."""
 
 
 def load(path: Path) -> FleetSettings:
-    """A fleet file.
+    """Load and validate the settings of a fleet file.
 
     Raises
     ------
-    MissingInputError, BadConfigurationError
+    MissingInputError
+        The file cannot be read.
+    BadConfigurationError
+        The settings are invalid; the message lists one problem a line.
     """
     try:
         return _FleetFile.model_validate(read_toml(path)).fleet
@@ -78,7 +83,14 @@ def load(path: Path) -> FleetSettings:
 
 
 class Fleet:
-    """A session on the fleet's network; a context manager.
+    """Session on the network of a fleet; a context manager.
+
+    Parameters
+    ----------
+    settings : FleetSettings
+        Settings of the fleet file.
+    folder : Path
+        Folder to which relative paths of the settings refer.
 
     Raises
     ------
@@ -94,7 +106,7 @@ class Fleet:
             raise MissingInputError(str(error)) from error
 
     def __enter__(self) -> Fleet:
-        """Itself."""
+        """Return the session itself."""
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -102,7 +114,7 @@ class Fleet:
         leave(self._session)
 
     def look(self) -> list[SiteStatus]:
-        """Every site that is there or ought to be, by name."""
+        """Query the state of every site that is alive, answers or is expected, sorted by name."""
         s = self._settings
         alive = {self._site(str(r.ok.key_expr)) for r in self._alive() if r.ok is not None}
         answers: dict[str, bytes] = {}
@@ -114,27 +126,44 @@ class Fleet:
         return [status(name, answers.get(name), name in alive, now_ns, s.silent_s) for name in names]
 
     def _alive(self) -> Iterable[zenoh.Reply]:
+        """Query the liveliness tokens of the monitors."""
         pattern = f"{self._settings.prefix}/*/alive/monitor"
         return self._session.liveliness().get(pattern, timeout=self._settings.timeout_s)
 
     def _site(self, key: str) -> str:
+        """Return the site's name in a key."""
         return key[len(self._settings.prefix) + 1 :].partition("/")[0]
 
 
 def status(site: str, answer: bytes | None, alive: bool, now_ns: int, silent_s: float) -> SiteStatus:
-    """What an answer, or none, says of a site; whatever it holds."""
+    """Derive the state of a site from its monitor's answer; an answer of any content is accepted.
+
+    Parameters
+    ----------
+    site : str
+        Name of the site.
+    answer : bytes or None
+        Answer as JSON; None if there was none.
+    alive : bool
+        True if the monitor holds its liveliness token.
+    now_ns : int
+        Present time, UTC, ns since 1970.
+    silent_s : float
+        Age of the latest health line beyond which the monitor counts as hung, s.
+    """
     if answer is None:
         says = "there, but does not answer" if alive else "not there"
         return SiteStatus(site, TROUBLE, says)
     try:
-        told = json.loads(answer)
-        return _understood(site, told, now_ns, silent_s)
+        decoded = json.loads(answer)
+        return _parse_status(site, decoded, now_ns, silent_s)
     except (ValueError, TypeError, AttributeError, KeyError, IndexError):
         return SiteStatus(site, TROUBLE, "its answer cannot be understood")
 
 
-def _understood(site: str, told: Mapping[str, Any], now_ns: int, silent_s: float) -> SiteStatus:
-    result, alarm, health = told.get("results") or {}, told.get("alarm") or {}, told.get("health") or {}
+def _parse_status(site: str, answer: Mapping[str, Any], now_ns: int, silent_s: float) -> SiteStatus:
+    """Read a site's state from the decoded answer of its monitor."""
+    result, alarm, health = answer.get("results") or {}, answer.get("alarm") or {}, answer.get("health") or {}
     quiet_s = (now_ns - int(health["wall_ns"])) * 1e-9 if health else None
     level = str(alarm.get("level", WELL))
     troubles = _troubles(result, health, quiet_s, silent_s)
@@ -157,7 +186,7 @@ def _understood(site: str, told: Mapping[str, Any], now_ns: int, silent_s: float
 def _troubles(
     result: Mapping[str, Any], health: Mapping[str, Any], quiet_s: float | None, silent_s: float
 ) -> list[str]:
-    """What keeps a monitor from doing its work."""
+    """List what keeps a monitor from working: silence, no data, blocked outputs, a window that was not judged."""
     troubles = []
     if quiet_s is not None and quiet_s > silent_s:
         troubles.append(f"silent for {quiet_s:.0f} s")

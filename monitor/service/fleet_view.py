@@ -1,4 +1,4 @@
-"""The fleet as text and as a Rerun recording: a table, states over time, losses over time."""
+"""View of a fleet as text and as a Rerun recording: a table, states over time, losses of stiffness over time."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _HEAD = ("site", "state", "largest loss", "first mode", "window until", "says")
 
 
 def cells(status: SiteStatus) -> tuple[str, ...]:
-    """A row of the table."""
+    """Format the state of a site as a row of the table."""
     loss = (
         ""
         if status.ddi is None or status.ddi_std is None
@@ -28,14 +28,21 @@ def cells(status: SiteStatus) -> tuple[str, ...]:
 
 
 def text(statuses: Sequence[SiteStatus]) -> str:
-    """The table for a terminal."""
+    """Format the states of all sites as a table for a terminal."""
     rows = [_HEAD, *map(cells, statuses)]
     widths = [max(len(row[i]) for row in rows) for i in range(len(_HEAD))]
     return "\n".join("  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in rows)
 
 
 class FleetView:
-    """One look after the other, on the clock of whoever looks.
+    """Rerun view of a fleet, one query after another, timed by the clock of this machine.
+
+    Parameters
+    ----------
+    file : Path or None
+        Rerun recording to write.
+    serve : (str, int) or None
+        Host and port of a server that viewers may join.
 
     Raises
     ------
@@ -51,7 +58,7 @@ class FleetView:
         self._output.stream.send_blueprint(rrb.Blueprint(rrb.Vertical(table, states, losses), collapse_panels=True))
 
     def show(self, statuses: Sequence[SiteStatus]) -> None:
-        """Draw a look."""
+        """Draw the states of one query."""
         stream = self._output.stream
         stream.set_time("time", timestamp=utc(time.time_ns()))
         lines = ["| " + " | ".join(row) + " |" for row in (_HEAD, ("---",) * len(_HEAD), *map(cells, statuses))]
@@ -63,5 +70,5 @@ class FleetView:
                 stream.log(f"/ddi/{name}", rr.Scalars(100.0 * status.ddi))
 
     def close(self) -> None:
-        """Finish the file."""
+        """Finish the recording file."""
         self._output.close(10.0)

@@ -1,7 +1,7 @@
-"""Years of results to ask questions of: an SQLite database beside results.jsonl, which stays the truth.
+"""History of years of results for queries: an SQLite database beside results.jsonl, which stays the authoritative record.
 
-A thread of its own writes what is put into a bounded queue.  A locked or full database is tried again, a damaged one is set
-aside and begun anew; neither ever holds up or ends the monitor.
+A separate thread writes the rows from a bounded queue.  A write to a locked database or a full disk is repeated; a damaged
+database is renamed and a new one begun.  Neither delays or ends the monitor.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from monitor.config import StateSettings
 _log = logging.getLogger(__name__)
 
 VERSION = 1
-"""Kept as the database's user_version; to be raised with an entry in `UPGRADES`."""
+"""Version of the schema, stored as the database's user_version; to be raised with an entry in `UPGRADES`."""
 UPGRADES: dict[int, str] = {}
-"""Version -> SQL that makes a database of it one of the next version."""
+"""Version -> SQL that upgrades a database of that version to the next version."""
 _SCHEMA = """
 CREATE TABLE windows (
     id INTEGER PRIMARY KEY, t_end_ns INTEGER NOT NULL, window INTEGER NOT NULL, window_s REAL, level TEXT, skipped TEXT,
@@ -45,7 +45,7 @@ CREATE TABLE thinned (name TEXT PRIMARY KEY, id INTEGER NOT NULL);
 """
 TABLES = ("windows", "alarms", "requests", "findings", "gaps", "health")
 _UPDATED = {"alarms": "(story, t_first_ns)", "findings": "(t_ns, from_ns)"}
-"""Tables whose rows change, and by what a row is known; of the others what stands stays."""
+"""Table whose rows are updated -> columns that identify a row; rows of the other tables never change."""
 _NORMAL = {"windows": "level = 'normal'", "health": "gaps = 0 AND availability >= 1.0"}
 _ONE_IN = 60
 _MOST_QUEUED = 20_000
@@ -55,19 +55,26 @@ Row = dict[str, Any]
 
 
 class History:
-    """Takes rows; never waits, never raises.  With ``history = false`` it lets them go and touches no file.
+    """Database of the results, written in the background; no method but `close` waits, and none raises.
+
+    With ``history = false`` the rows are discarded and no file is opened.
 
     Parameters
     ----------
+    path : Path
+        Database file.
+    settings : StateSettings
+        Ages up to which rows are kept.
     hop_s, span_s : float
-        Time from one window, and from one health span, to the next: age is counted in rows, which no clock can falsify.
+        Time from one window to the next, and from one health span to the next, s.  Age is counted in rows, which a wrong
+        clock cannot falsify.
 
     Attributes
     ----------
     dropped : int
-        Rows that found no room to wait.
+        Number of rows lost because too many waited.
     failed : str or None
-        Why rows wait; None while all is well.
+        Why rows wait; None if none do.
     """
 
     def __init__(self, path: Path, settings: StateSettings, hop_s: float, span_s: float) -> None:
@@ -79,7 +86,7 @@ class History:
         self._rows: deque[tuple[str, Row]] = deque()
         self._wake = threading.Event()
         self._closing = threading.Event()
-        self._told: dict[tuple[int | None, int], Row] = {}
+        self._stored_alarms: dict[tuple[int | None, int], Row] = {}
         self._inserted = 0
         self.dropped, self._losing = 0, False
         self.failed: str | None = None
@@ -88,7 +95,7 @@ class History:
             self._thread.start()
 
     def window(self, line: Mapping[str, Any]) -> None:
-        """A line of results.jsonl."""
+        """Store the result of a window, given as its line of results.jsonl."""
         row = {
             name: line.get(name) for name in ("t_end_ns", "window", "window_s", "skipped", "temperature_degc", "misfit")
         }
@@ -104,39 +111,40 @@ class History:
         self._put("windows", row | {name: _text(line.get(name)) for name in lists} | {"level": line["alarm"]["level"]})
 
     def episodes(self, episodes: Iterable[Mapping[str, Any]]) -> None:
-        """The latest alarms as they stand now; story None is the structure as a whole."""
-        now = {(e["story"], e["t_first_ns"]): {**e, "story": e["story"] or 0} for e in episodes}
-        for key, row in now.items():
-            if self._told.get(key) != row:
+        """Store those of the latest alarms that are new or changed; story None is the structure as a whole."""
+        latest = {(e["story"], e["t_first_ns"]): {**e, "story": e["story"] or 0} for e in episodes}
+        for key, row in latest.items():
+            if self._stored_alarms.get(key) != row:
                 self._put("alarms", row)
-        self._told = now
+        self._stored_alarms = latest
 
     def request(self, t_ns: int, request: Mapping[str, Any]) -> None:
-        """What an operator asked for."""
+        """Store a request of an operator, applied at `t_ns` (UTC, ns since 1970)."""
         self._put("requests", {"t_ns": t_ns, **request})
 
     def finding(self, finding: Mapping[str, Any]) -> None:
-        """A diagnosis."""
+        """Store the finding of a diagnosis."""
         names = ("t_ns", "from_ns", "reason", "verdict", "says")
         self._put("findings", {name: finding[name] for name in names} | {"causes": _text(finding["causes"])})
 
     def gap(self, t_ns: int, duration_s: float, reason: str) -> None:
-        """Missing samples."""
+        """Store a gap in the data that begins at `t_ns` (UTC, ns since 1970) and lasts `duration_s`."""
         self._put("gaps", {"t_ns": t_ns, "duration_s": duration_s, "reason": reason})
 
     def health(self, span: Mapping[str, Any]) -> None:
-        """A span of sensor health."""
+        """Store the sensors' health in a span of data."""
         names = ("t_ns", "rate_hz", "samples", "availability", "gaps", "lost_s", "overlaps")
         self._put("health", {name: span[name] for name in names} | {"channels": _text(span["channels"])})
 
     def close(self, timeout_s: float) -> None:
-        """Write what waits, no longer than that."""
+        """Write the rows that wait, for at most `timeout_s`."""
         self._closing.set()
         self._wake.set()
         if self._enabled:
             self._thread.join(timeout_s)
 
     def _put(self, table: str, row: Row) -> None:
+        """Queue a row, or count it as dropped if the queue is full."""
         if len(self._rows) >= _MOST_QUEUED:
             if not self._losing:
                 _log.error("%s: %d rows wait; rows are lost from here on", self._path, len(self._rows))
@@ -147,17 +155,18 @@ class History:
             self._wake.set()
 
     def _work(self) -> None:
+        """Write the queued rows until the history is closed (the thread's work)."""
         database: sqlite3.Connection | None = None
         while self._rows or not self._closing.is_set():
             self._wake.wait()
-            self._closing.wait(_COMMIT_S)  # many rows, one transaction
+            self._closing.wait(_COMMIT_S)  # collect many rows for one transaction
             self._wake.clear()
             try:
                 database = open_database(self._path) if database is None else database
                 self._write(database)
                 self.failed, self._losing = None, False
             except (sqlite3.Error, OSError) as error:
-                self._tell(str(error))
+                self._note_failure(str(error))
                 if database is not None:
                     database.close()
                 database = None
@@ -171,12 +180,14 @@ class History:
         if database is not None:
             database.close()
 
-    def _tell(self, reason: str) -> None:
+    def _note_failure(self, reason: str) -> None:
+        """Set `failed`, and log the reason if it is a new one."""
         if self.failed != reason:
             _log.warning("%s: %s; %d rows wait", self._path, reason, len(self._rows))
         self.failed = reason
 
     def _write(self, database: sqlite3.Connection) -> None:
+        """Write all queued rows in one transaction; now and then remove old rows."""
         batch = list(self._rows)
         with database:
             for table, row in batch:
@@ -192,9 +203,12 @@ class History:
 
 
 def open_database(path: Path) -> sqlite3.Connection:
-    """The database, made or upgraded if need be.
+    """Open the database; create it, or upgrade its schema, if necessary.
 
-    Raises ``sqlite3.Error``.
+    Raises
+    ------
+    sqlite3.Error
+        The database cannot be used, or was written by a newer program.
     """
     database = sqlite3.connect(path, timeout=2.0, check_same_thread=False)
     try:
@@ -214,12 +228,12 @@ def open_database(path: Path) -> sqlite3.Connection:
 
 
 def is_damage(error: Exception) -> bool:
-    """Whether waiting will not mend it: no lock, no want of space."""
+    """Return whether an error means a damaged database, which a later attempt cannot cure, unlike a lock or a full disk."""
     return type(error) is sqlite3.DatabaseError
 
 
 def set_aside(path: Path, reason: str) -> bool:
-    """Give a database that cannot be used another name; whether the disk lets us."""
+    """Rename a database that cannot be used; return whether the disk allowed it."""
     numbered = (path.with_name(f"{path.name}.damaged-{n}") for n in range(1, 10_000))
     place = next(p for p in numbered if not p.exists())
     _log.error("%s: %s; set aside as %s, a new one is begun", path, reason, place.name)
@@ -232,12 +246,17 @@ def set_aside(path: Path, reason: str) -> bool:
 
 
 def limit(database: sqlite3.Connection, table: str, full: int, most: int) -> None:
-    """Thin out and remove old rows of a table, some at a time.
+    """Thin out and remove old rows of a table, a limited number in each call.
 
     Parameters
     ----------
+    database : sqlite3.Connection
+        Open database.
+    table : str
+        ``windows`` or ``health``.
     full, most : int
-        Of so many latest rows all are kept; of those before only unusual ones and one in sixty; of those before `most` none.
+        The latest `full` rows are all kept.  Of older rows the unusual ones and one in sixty are kept.  Rows older than the
+        latest `most` are removed.
     """
     (last,) = database.execute(f"SELECT coalesce(max(id), 0) FROM {table}").fetchone()
     (thinned,) = database.execute("SELECT coalesce(max(id), 0) FROM thinned WHERE name = ?", (table,)).fetchone()
@@ -251,7 +270,7 @@ def limit(database: sqlite3.Connection, table: str, full: int, most: int) -> Non
 
 
 def _statement(table: str, names: tuple[str, ...]) -> str:
-    """An insertion that may be repeated."""
+    """Build the SQL of an insertion; repeating it updates the row in the tables of `_UPDATED` and has no effect in the others."""
     head = f"INSERT INTO {table} ({', '.join(names)}) VALUES ({', '.join('?' * len(names))}) ON CONFLICT"
     if table not in _UPDATED:
         return f"{head} DO NOTHING"
@@ -260,4 +279,5 @@ def _statement(table: str, names: tuple[str, ...]) -> str:
 
 
 def _text(value: Any) -> str | None:
+    """Encode a list as compact JSON; None stays None."""
     return None if value is None else json.dumps(value, separators=(",", ":"))

@@ -1,4 +1,4 @@
-"""The service's log: one line an event on standard error, for the platform to keep and rotate."""
+"""Log of the service: one line for each event on standard error, which the platform keeps and rotates."""
 
 from __future__ import annotations
 
@@ -16,12 +16,14 @@ _MOST_TEXT = 4000
 
 
 class LineFormatter(logging.Formatter):
-    """An event as one line, whatever its text holds: nobody's data can forge a second one.
+    """Formatter that writes each event as exactly one line; text from outside is escaped, so it cannot forge a second line.
 
     Parameters
     ----------
+    style : {"text", "json"}
+        ``key=value`` pairs, or JSON.
     site : str
-        Named in each line.
+        Name of the site, written into each line.
     """
 
     def __init__(self, style: Literal["text", "json"], site: str) -> None:
@@ -29,7 +31,7 @@ class LineFormatter(logging.Formatter):
         self._json, self._site = style == "json", site
 
     def format(self, record: logging.LogRecord) -> str:
-        """The line, without its end."""
+        """Format an event as a line without the newline."""
         fields = {
             "time": datetime.fromtimestamp(record.created, UTC).isoformat(timespec="milliseconds"),
             "level": record.levelname.lower(),
@@ -45,9 +47,9 @@ class LineFormatter(logging.Formatter):
 
 
 def begin(settings: LogSettings, site: str) -> None:
-    """Log in this way from now on.
+    """Set up logging for the process with the format and the level of the settings.
 
-    The library that delivers notifications is silenced: at some levels it writes the addresses, which hold secrets.
+    The library that delivers notifications (apprise) is silenced: at some levels it logs the addresses, which hold secrets.
     """
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(LineFormatter(settings.format, site))

@@ -1,4 +1,4 @@
-"""What of a site file may change while the daemon runs."""
+"""Reload of the site file while the daemon runs, limited to the settings that may then change."""
 
 from __future__ import annotations
 
@@ -14,15 +14,24 @@ from monitor.service.outlets import Outlet, change_outlets
 _log = logging.getLogger(__name__)
 
 CHANGEABLE = ("alarm", "watch", "notify")
-"""Tables on which nothing depends that was estimated, recorded or opened."""
-_LASTING = ("longest_s", "time_limit_s")
-"""Keys of ``[watch]`` that do not follow: so much data is kept since the start, and diagnoses run by that limit."""
+"""Tables that may change: nothing that was estimated, recorded or opened depends on them."""
+_FIXED_WATCH_KEYS = ("longest_s", "time_limit_s")
+"""Keys of ``[watch]`` that may not change: since the start data are kept for the one, and diagnoses run under the other."""
 
 
 def reread(path: Path, running: Configuration, outlets: Sequence[Outlet], out: Path) -> Configuration:
-    """The configuration to go on with: the site file as it is now, or the running one where that cannot be; never raises.
+    """Read the site file again and return the configuration to continue with; an unusable file does not raise.
 
-    Outlets are told, and a change is noted in the ledger in `out`.
+    Parameters
+    ----------
+    path : Path
+        Site file.
+    running : Configuration
+        Present configuration, which is returned if the file cannot be used.
+    outlets : sequence of Outlet
+        Outlets that receive the new settings.
+    out : Path
+        Output folder, in whose ledger a change is recorded.
     """
     try:
         new = changed(path, running)
@@ -39,21 +48,23 @@ def reread(path: Path, running: Configuration, outlets: Sequence[Outlet], out: P
 
 
 def changed(path: Path, running: Configuration) -> Configuration:
-    """The site file as it is now.
+    """Load the site file and check that only settings changed that may change while the daemon runs.
 
     Raises
     ------
-    MissingInputError, BadConfigurationError
-        It cannot be used, or something else than `CHANGEABLE`, or one of `_LASTING`, is not as it was.
+    MissingInputError
+        The file cannot be read.
+    BadConfigurationError
+        The file is invalid, or a table other than `CHANGEABLE` or a key of `_FIXED_WATCH_KEYS` changed.
     """
     new = configuration.load(path)
     names = [name for name in type(new).model_fields if getattr(new, name) != getattr(running, name)]
     fixed = [f"[{name}]" for name in names if name not in CHANGEABLE]
-    fixed += [f"[watch] {key}" for key in _LASTING if getattr(new.watch, key) != getattr(running.watch, key)]
+    fixed += [f"[watch] {key}" for key in _FIXED_WATCH_KEYS if getattr(new.watch, key) != getattr(running.watch, key)]
     if fixed:
         raise BadConfigurationError(
             f"{path}: {', '.join(fixed)} changed; restart for that, or put it back: "
             f"without a restart only {', '.join(f'[{name}]' for name in CHANGEABLE)} may change, "
-            f"and of [watch] not {' and '.join(_LASTING)}"
+            f"and of [watch] not {' and '.join(_FIXED_WATCH_KEYS)}"
         )
     return new

@@ -1,4 +1,4 @@
-"""What operators ask of the alarms, as JSON: parsed where it arrives, applied where the alarms are."""
+"""Operators' requests on alarms, as JSON: validated where they arrive, applied by the thread that owns the alarms."""
 
 from __future__ import annotations
 
@@ -13,18 +13,24 @@ MAX_REQUEST_BYTES = 4096
 
 
 class Request(Settings):
-    """One request of an operator; ``story`` 0 is the structure as a whole.
+    """Request of an operator on the alarm of one story; ``story`` 0 is the structure as a whole.
 
-    Text is for people: it is kept and shown, never interpreted.
+    Text is for people: it is stored and shown, never interpreted.
+
+    Examples
+    --------
+    >>> request = Request(action="shelve", story=2, who="A. Smith", note="test of the crane", seconds=3600.0)
+    >>> Request.model_validate_json(request.model_dump_json()) == request
+    True
     """
 
     action: Literal["acknowledge", "reset", "shelve", "unshelve"]
     story: int = Field(ge=0, le=1000)
     who: str = Field(min_length=1, max_length=100)
     note: str = Field(default="", max_length=1000)
-    """Shelving needs one: its reason."""
+    """Reason; shelving needs one."""
     seconds: float = Field(default=0.0, ge=0, le=30 * 86400)
-    """How long to shelve."""
+    """Duration of shelving, s."""
 
     @model_validator(mode="after")
     def _complete(self) -> Request:
@@ -34,12 +40,21 @@ class Request(Settings):
 
 
 def apply(state: alarm.AlarmState, request: Request, t_ns: int) -> alarm.AlarmState:
-    """The alarms' state after a request; `t_ns` is the end of the latest window.
+    """Apply a request to the state of the alarms and return the new state.
+
+    Parameters
+    ----------
+    state : AlarmState
+        Present state of the alarms.
+    request : Request
+        Request of an operator.
+    t_ns : int
+        End of the latest window, UTC, ns since 1970; shelving counts from it.
 
     Raises
     ------
     ValueError
-        If there is no such story.
+        There is no such story.
     """
     match request.action:
         case "acknowledge":

@@ -1,4 +1,4 @@
-"""What of one run the next goes on from: the lock, the baseline in use, checkpoints, and the recordings since the last."""
+"""Restart of the daemon: lock of the folder, baseline in use, checkpoints, and catching up from the recordings."""
 
 from __future__ import annotations
 
@@ -37,53 +37,59 @@ _KEYED = (
     "updating",
     "temperature",
 )
-"""Tables of the site file that results depend on, besides the structure.  Limits of alarm, quality and watch may change."""
+"""Tables of the site file on which the results depend, besides the structure.  Limits of alarm, quality and watch may change."""
 _LONGEST_WAIT_S = 0.5
 _MOST_LINES_BYTES = 64 << 20
 
 
 @dataclass(frozen=True, slots=True)
 class Saved:
-    """A checkpoint."""
+    """Content of a checkpoint."""
 
     session: SessionState
     stamp_ns: int
-    """Log time of the latest block that it knows; those after it are taken from the recordings."""
+    """Log time of the latest block that the state includes, ns; later blocks are read from the recordings."""
     results_bytes: int
-    """Length of results.jsonl."""
+    """Length of results.jsonl in bytes."""
 
 
 @dataclass(frozen=True, slots=True)
 class KeptAlarms:
-    """The alarms, kept apart: they outlast a change of the configuration."""
+    """States of the alarms, stored separately from the checkpoint because they survive a change of the configuration."""
 
     stories: tuple[StoryState, ...]
 
 
 class Checkpointer:
-    """Writes checkpoints and resumes from them.
+    """Writer of checkpoints, which also resumes a session from the latest one.
 
-    A checkpoint is written by the recorder's thread, when all blocks that it knows are on the disk: so the recordings that
-    follow it begin where it ends, whatever happens.  With ``checkpoint_s = 0`` the alarms alone are written, when they change.
+    The recorder's thread writes a checkpoint when all blocks that the state includes are on the disk.  So the recordings
+    always continue where the checkpoint ends.  With ``checkpoint_s = 0`` only the alarms are written, when they change.
 
     Parameters
     ----------
     out : Path
-        The daemon's folder.
+        Output folder of the daemon.
+    config : Configuration
+        Settings of the site file; the tables on which results depend identify a usable checkpoint.
     healthy : Path or None
         Baseline file.
+    recording : Recording
+        Recorder, whose thread writes the checkpoints.
+    lines : AppendedLines
+        The file results.jsonl.
 
     Attributes
     ----------
     written : set of int
-        Windows whose lines a former run wrote after its last checkpoint: they are not to be told again.
+        Indices of windows whose lines a previous run wrote after its last checkpoint; they are not published again.
     resuming : bool
-        Blocks are taken from the recordings, not from the source.
+        True while blocks are read from the recordings, not from the source.
     failed : str or None
-        Why there is no checkpoint; None while all is well.
+        Why no checkpoint could be written; None if the latest one was.
     """
 
-    dropped = 0  # a newer one replaces one that could not be written
+    dropped = 0  # no checkpoint counts as lost: a newer one replaces one that could not be written
 
     def __init__(
         self, out: Path, config: Configuration, healthy: Path | None, recording: Recording, lines: AppendedLines
@@ -93,7 +99,7 @@ class Checkpointer:
         structure = config.structure.model_dump(mode="json", exclude={"name"})
         baseline = None if healthy is None else sha256(healthy)
         self._key = serialization.fingerprint({"tables": tables, "structure": structure, "baseline": baseline})
-        # Alarms are known by their stories: that many must there be, whatever is known of them.
+        # Alarms are identified by their stories, so their states fit any configuration with the same number of stories.
         self._alarm_key = serialization.fingerprint({"stories": len(config.structure.stiffness_n_per_m)})
         self._place, self._alarms = out / "state" / "checkpoint", out / "state" / "alarms"
         self._seconds, self._due, self._busy = 0.0, False, False
@@ -103,24 +109,24 @@ class Checkpointer:
         self.failed: str | None = None
 
     def resume(self, begin: Callable[[], Session], known: Callable[[dict[str, Any]], None]) -> int:
-        """Bring a new session to where the last run stopped.
+        """Begin a session and restore the state in which the previous run stopped.
 
         Parameters
         ----------
         begin : callable
-            Makes a new session.
+            Creates a new session.
         known : callable
-            Told the lines of results.jsonl since the checkpoint.
+            Receives each line of results.jsonl since the checkpoint.
 
         Returns
         -------
         int
-            UTC up to which samples are known, ns; 0 if nothing could be resumed from.
+            Time up to which samples were processed, UTC, ns since 1970; 0 if there was no usable checkpoint.
 
         Notes
         -----
-        Without a usable checkpoint only the alarms are taken over: what was announced stays so until the data, or an operator,
-        say otherwise.
+        Without a usable checkpoint only the alarms are restored: an announced alarm stays active until the data, or an
+        operator, end it.
         """
         saved = serialization.load(self._place, self._key, Saved) if self._config.state.checkpoint_s else None
         session = begin()
@@ -132,7 +138,7 @@ class Checkpointer:
             try:
                 self._catch_up(session, saved)
                 return session.now_ns
-            except Exception:  # noqa: BLE001 - whatever is wrong with the state of yesterday, today must be monitored
+            except Exception:  # noqa: BLE001 - whatever is wrong with the old state, monitoring must go on
                 _log.exception("%s: not resumed from; monitoring begins anew", self._place)
                 session.online_diagnosis.close()
                 session = begin()
@@ -142,19 +148,19 @@ class Checkpointer:
         kept = serialization.load(self._alarms, self._alarm_key, KeptAlarms)
         if kept is not None:
             session.alter_alarm(lambda state: replace(state, stories=kept.stories))
-        self.save(session)  # a run that ends before its first checkpoint is gone on from, not begun anew
+        self.save(session)  # so that a run that ends before its first regular checkpoint is resumed too
         return 0
 
     def took(self, session: Session, block: SampleBlock) -> None:
-        """A block was evaluated and what it brought about told; now and then that is worth a checkpoint."""
+        """Count a block whose results were published, and write a checkpoint if one is due."""
         every_s = self._config.state.checkpoint_s
         self._seconds += block.n_samples / block.sample_rate_hz if block.topic == ACCELERATION else 0.0
-        worth_it = self._seconds >= every_s if every_s else self._stories != session.pipeline.state.alarm.stories
-        if self._due or worth_it:
+        is_time = self._seconds >= every_s if every_s else self._stories != session.pipeline.state.alarm.stories
+        if self._due or is_time:
             self.save(session)
 
     def save(self, session: Session) -> None:
-        """Write a checkpoint, soon; where none are wanted, the alarms alone."""
+        """Write a checkpoint in the background; with ``checkpoint_s = 0`` only the alarms."""
         self._due = bool(self._busy or self._lines.failed)
         if self._due:
             return
@@ -162,13 +168,13 @@ class Checkpointer:
         self._recording.then(partial(self._write, session.state, self._lines.size))
 
     def save_now(self, session: Session) -> None:
-        """Write a checkpoint and wait for it, though not for long."""
+        """Write a checkpoint and wait until it is on the disk, for a limited time."""
         self._recording.flush(_LONGEST_WAIT_S)
         self.save(session)
         self._recording.flush(_LONGEST_WAIT_S)
 
     def forget(self) -> None:
-        """The stream is over: the next one begins anew."""
+        """Remove the checkpoint after the end of the stream, so that the next run begins anew."""
         for place in (self._place, self._alarms):
             self._recording.then(partial(self._forget, place))
 
@@ -176,6 +182,7 @@ class Checkpointer:
         serialization.forget(place)
 
     def _write(self, state: SessionState, results_bytes: int, stamp_ns: int) -> None:
+        """Write the alarms and the checkpoint (in the recorder's thread)."""
         try:
             self._lines.sync()
             serialization.save(self._alarms, self._alarm_key, KeptAlarms(state.pipeline.alarm.stories))
@@ -189,7 +196,10 @@ class Checkpointer:
             self._busy = False
 
     def _catch_up(self, session: Session, saved: Saved) -> None:
-        """Take in what was recorded since the checkpoint; what came shortly before it may be asked for by a diagnosis."""
+        """Restore the checkpoint and process the blocks recorded since.
+
+        Blocks from shortly before the checkpoint are kept for the online diagnosis, which may need them.
+        """
         folder, restored = self._out / "recordings", False
         from_ns = max(0, saved.stamp_ns - round(session.online_diagnosis.longest_s * 1e9))
         for stamp_ns, block in recorded(folder, from_ns) if self._config.recorder.enabled else ():
@@ -205,6 +215,7 @@ class Checkpointer:
             session.restore(saved.session)
 
     def _lines_since(self, offset: int) -> list[dict[str, Any]]:
+        """Read the windows' lines of results.jsonl from a byte offset on; other lines are skipped."""
         with (self._out / "results.jsonl").open("rb") as file:
             file.seek(offset)
             texts = file.read(_MOST_LINES_BYTES).split(b"\n")
@@ -220,12 +231,17 @@ class Checkpointer:
 
 
 def lock(path: Path, out: Path) -> int:
-    """A lock that ends with the process.
+    """Lock the output folder `out` by a file; the lock ends with the process.
+
+    Returns
+    -------
+    int
+        File descriptor that holds the lock.
 
     Raises
     ------
     BadConfigurationError
-        Another daemon holds it.
+        Another daemon holds the lock.
     """
     handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
     try:
@@ -237,16 +253,16 @@ def lock(path: Path, out: Path) -> int:
 
 
 def note_baseline(out: Path, site: Path, healthy: Path | None) -> None:
-    """A line in the ledger when the reference for damage is not the one of the run before."""
+    """Record in the ledger that the baseline differs from that of the previous run."""
     place = out / "state" / "baseline.json"
-    now = {"baseline_sha256": None if healthy is None else sha256(healthy)}
+    present = {"baseline_sha256": None if healthy is None else sha256(healthy)}
     try:
-        before = json.loads(place.read_text(encoding="utf-8"))
+        previous = json.loads(place.read_text(encoding="utf-8"))
     except (OSError, ValueError):
-        before = None
-    if before == now:
+        previous = None
+    if previous == present:
         return
-    if before is not None:
+    if previous is not None:
         finding = {"says": "monitoring goes on from another baseline", "causes": []}
         ledger.append_entry(out / "results.jsonl", finding, {"site": site, "baseline": healthy}, None)
-    write_atomically(place, json.dumps(now) + "\n")
+    write_atomically(place, json.dumps(present) + "\n")

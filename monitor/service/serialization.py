@@ -1,7 +1,8 @@
-"""State on the disk, exactly as it was: any frozen dataclass of numbers, text and arrays; whole, checked, never pickled.
+"""Serialization of checkpoints: any frozen dataclass of numbers, text and arrays, restored exactly.
 
-A file is one line of JSON (format, version, key, checksum of the rest), one line of JSON that holds the value with arrays
-replaced by where they lie, and the bytes of the arrays.  Types come from the reader's dataclasses, never from the file.
+A file has three parts: one line of JSON (format, version, key, checksum of the rest), one line of JSON that holds the value
+with each array replaced by its place, and the bytes of the arrays.  Types come from the reader's dataclasses, never from the
+file; nothing is pickled.  A file is written completely or not at all.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ FORMAT = "shm-monitor state"
 
 
 def _without_doubled_sums(tree: Any) -> Any:
-    """From version 1: blocks of a window kept sums that others tell as well."""
+    """Upgrade from version 1: remove sums of a window's blocks that follow from other fields."""
     run = tree["session"]["pipeline"]["run"] if "session" in tree else None
     for block in run["window"]["blocks"] if run is not None else ():
         block["shifted"] = block.pop("second")
@@ -39,9 +40,9 @@ def _without_doubled_sums(tree: Any) -> Any:
 
 
 VERSION = 2
-"""To be raised, with an entry in `UPGRADES`, when a field of the state comes, goes or changes its meaning."""
+"""Version of the state; to be raised, with an entry in `UPGRADES`, when a field is added, removed or changes its meaning."""
 UPGRADES: dict[int, Callable[[Any], Any]] = {1: _without_doubled_sums}
-"""Version -> what makes its plain value (`plain`) that of the next version."""
+"""Version -> function that converts its plain value (`plain`) to that of the next version."""
 _DTYPES = ("<f8", "<c16", "<i8", "<f4", "|b1")
 _ARRAY = "@array"
 _MOST_BYTES = 1 << 30
@@ -50,24 +51,36 @@ T = TypeVar("T")
 
 
 class CheckpointError(Exception):
-    """A file that nothing can be resumed from; the message says why."""
+    """Error of a checkpoint that cannot be used; the message gives the reason."""
 
 
 def fingerprint(parts: Mapping[str, Any]) -> str:
-    """Checksum of what a state depends on, of plain values."""
+    """Compute a checksum of the settings on which a state depends, given as plain values; the order of keys has no effect."""
     text = json.dumps(parts, sort_keys=True, default=str)
     return hashlib.sha256(text.encode()).hexdigest()
 
 
 def save(path: Path, key: str, value: object) -> int:
-    """Write a value, whole or not at all; what stood there before is kept beside it, as `previous`.
+    """Write a value to a file, completely or not at all; the value before it is kept beside it, as `previous`.
+
+    Parameters
+    ----------
+    path : Path
+        File to write.
+    key : str
+        Checksum of the settings (`fingerprint`), which a reader must give too.
+    value : object
+        Frozen dataclass of numbers, text and arrays.
 
     Returns
     -------
     int
-        Bytes written.
+        Number of bytes written.
 
-    Raises ``OSError`` if the disk does not take it; the last checkpoint then still stands.
+    Raises
+    ------
+    OSError
+        The disk does not accept the file; the last checkpoint is then unchanged.
     """
     data, temporary = to_bytes(key, value), partial(path)
     try:
@@ -86,7 +99,7 @@ def save(path: Path, key: str, value: object) -> int:
 
 
 def load(path: Path, key: str, cls: type[T]) -> T | None:
-    """The value last written under this key, else the one before; None, with the reasons logged, if neither can be used."""
+    """Load the latest value with this key, else the one before it; None, with the reasons logged, if neither can be used."""
     for place in (path, previous(path)):
         try:
             return from_bytes(_read(place), key, cls)
@@ -98,7 +111,7 @@ def load(path: Path, key: str, cls: type[T]) -> T | None:
 
 
 def forget(path: Path) -> None:
-    """Remove a value and the one before it, if the disk lets us."""
+    """Remove a value and the one before it; a failure is logged."""
     for place in (path, previous(path)):
         try:
             place.unlink(missing_ok=True)
@@ -107,12 +120,18 @@ def forget(path: Path) -> None:
 
 
 def previous(path: Path) -> Path:
-    """Where the value before the present one is kept."""
+    """Return the path under which the value before the present one is kept."""
     return path.with_name(path.name + ".previous")
 
 
 def to_bytes(key: str, value: object) -> bytes:
-    """A checkpoint's content."""
+    """Serialize a value as the content of a checkpoint.
+
+    Raises
+    ------
+    TypeError
+        A part of the value has a type that cannot be stored.
+    """
     arrays: list[bytes] = []
     size = 0
 
@@ -122,7 +141,7 @@ def to_bytes(key: str, value: object) -> bytes:
             return item.item()
         if not isinstance(item, np.ndarray) or item.dtype.str not in _DTYPES:
             raise TypeError(f"cannot be kept: {type(item).__name__} {getattr(item, 'dtype', '')}")
-        # The order of axes in memory is kept: sums of floats depend on it.
+        # The order of the axes in memory is kept, because the rounding of sums depends on it.
         axes = np.argsort([-abs(s) for s in item.strides], kind="stable").tolist()
         data = item.transpose(axes).tobytes()
         place = {_ARRAY: [item.dtype.str, list(item.shape), axes, size]}
@@ -137,12 +156,13 @@ def to_bytes(key: str, value: object) -> bytes:
 
 
 def from_bytes(data: bytes, key: str, cls: type[T]) -> T:
-    """The value of a checkpoint's content.
+    """Restore a value of class `cls` from the content of a checkpoint.
 
     Raises
     ------
     CheckpointError
-        Foreign, damaged, of a newer version, of one that nobody can upgrade, or of another configuration.
+        The content is no checkpoint, is damaged, has a newer version or one that cannot be upgraded, or belongs to another
+        configuration.
     """
     try:
         line, _, body = data.partition(b"\n")
@@ -170,7 +190,7 @@ def from_bytes(data: bytes, key: str, cls: type[T]) -> T:
 
 
 def plain(value: object) -> Any:
-    """A value as dicts, lists, numbers, text and arrays; a dict becomes a list of pairs."""
+    """Convert a value to dicts, lists, numbers, text and arrays; a dataclass becomes a dict, a dict a list of pairs."""
     if is_dataclass(value) and not isinstance(value, type):
         return {f.name: plain(getattr(value, f.name)) for f in fields(value) if f.init}
     if isinstance(value, dict):
@@ -185,12 +205,12 @@ def plain(value: object) -> Any:
 
 
 def build(hint: Any, tree: Any) -> Any:
-    """What `plain` made the tree from, by the type that it is to have.
+    """Rebuild a value of the type `hint` from its plain form; the inverse of `plain`.
 
     Raises
     ------
     ValueError
-        If it is of another.
+        The tree does not fit the type.
     """
     origin, arguments = get_origin(hint), get_args(hint)
     if is_dataclass(hint) and isinstance(hint, type):
@@ -221,6 +241,7 @@ def _collection(origin: Any, arguments: tuple[Any, ...], items: list[Any]) -> An
 
 
 def _checked(tree: Any, kind: Any) -> Any:
+    """Return the value if it has the type `kind`, else raise ValueError; a bool is no number."""
     if not isinstance(tree, kind) or (isinstance(tree, bool) and kind is not bool):
         raise ValueError(f"{str(tree)[:40]!r} is no {kind}")
     return tree
@@ -228,19 +249,21 @@ def _checked(tree: Any, kind: Any) -> Any:
 
 @cache
 def _fields(cls: type) -> dict[str, Any]:
+    """Return the types of the fields that the constructor of a dataclass takes, by name."""
     hints = get_type_hints(cls)
     return {f.name: hints[f.name] for f in fields(cls) if f.init}
 
 
 def _unpack(item: dict[str, Any], arrays: bytes) -> Any:
+    """Replace the place of an array by the array itself, with its order of axes in memory."""
     if _ARRAY not in item:
         return item
     dtype, shape, axes, offset = item[_ARRAY]
     if dtype not in _DTYPES or any(not isinstance(n, int) or n < 0 for n in (*shape, offset)):
         raise ValueError(f"an array of {dtype!r}, shape {shape}")
-    laid = [shape[a] for a in axes]
-    values = np.frombuffer(arrays, dtype, count=int(np.prod(laid, dtype=object)), offset=offset)
-    return values.reshape(laid).copy().transpose(np.argsort(axes).tolist())
+    stored_shape = [shape[a] for a in axes]
+    values = np.frombuffer(arrays, dtype, count=int(np.prod(stored_shape, dtype=object)), offset=offset)
+    return values.reshape(stored_shape).copy().transpose(np.argsort(axes).tolist())
 
 
 def _read(path: Path) -> bytes:

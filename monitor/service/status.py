@@ -1,4 +1,4 @@
-"""What a daemon's folder says of it: read from outside, changing nothing."""
+"""Status of a daemon, read from its output folder without changing anything there."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from typing import Any
 from monitor.core import MissingInputError
 
 HEALTHY, ALARM, TROUBLE, DOWN = 0, 10, 11, 12
-"""Exit codes: all well; an alarm stands; it runs, but something does not; it does not run, or stands still."""
+"""Exit codes: all well; an alarm is active; it runs, but a part does not work; it does not run, or is silent."""
 _SILENT_S = 60.0
-"""Health is told at least every 10 s."""
+"""Age of the latest health line beyond which a daemon counts as silent; one is written at least every 10 s."""
 _TAIL_BYTES = 1 << 20
 _OF_HEALTH, _OF_RESULT = {"wall_ns", "source", "recorder", "failed"}, {"t_end_ns", "skipped"}
-"""Keys without which a line is another's."""
+"""Keys that every health line, and every line of results, has; a line without them is skipped."""
 
 
 def running(out: Path) -> bool:
-    """Whether a daemon holds the folder."""
+    """Return whether a running daemon holds the lock of the output folder."""
     try:
         handle = os.open(out / "state" / "lock", os.O_RDONLY | os.O_CLOEXEC)
     except OSError:
@@ -32,23 +32,24 @@ def running(out: Path) -> bool:
     except BlockingIOError:
         return True
     finally:
-        os.close(handle)  # and with it the lock
+        os.close(handle)  # this also releases the lock
     return False
 
 
 def demand_state(out: Path) -> None:
-    """Refuse a folder that no daemon has ever written into.
+    """Check that a daemon has written into the folder.
 
     Raises
     ------
     MissingInputError
+        No daemon has ever written there.
     """
     if not (out / "state").is_dir():
         raise MissingInputError(f"{out}: no daemon has written here; give a site file, or the dir of its [output]")
 
 
 def look(out: Path) -> dict[str, Any]:
-    """All that is known, as `status --json` prints it.
+    """Read the status of a daemon from its output folder, as `status --json` prints it.
 
     Raises
     ------
@@ -80,24 +81,28 @@ def look(out: Path) -> dict[str, Any]:
 
 
 def tell(status: dict[str, Any]) -> str:
-    """The same in ten lines."""
+    """Format the status of a daemon in ten lines."""
     summary, health, result = (status[k] or {} for k in ("summary", "health", "result"))
     source, recorder, quality = (
         d or {} for d in (health.get("source"), health.get("recorder"), summary.get("quality"))
     )
     up_s = health.get("uptime_s")
-    seen = "no health line" if status["silent_s"] is None else f"heard of {status['silent_s']:.0f} s ago"
+    last_line = "no health line" if status["silent_s"] is None else f"heard of {status['silent_s']:.0f} s ago"
     up = f", up {up_s / 3600:.1f} h" if status["running"] and up_s is not None else ""
-    rows = [("state", f"{status['state'].upper()} ({'running' if status['running'] else 'not running'}{up}; {seen})")]
+    rows = [
+        ("state", f"{status['state'].upper()} ({'running' if status['running'] else 'not running'}{up}; {last_line})")
+    ]
     connected = "connected" if source.get("connected") else f"NOT connected {source.get('error', '')}".rstrip()
     rows.append(("source", f"{connected}, lost {source.get('lost', 0)} times; {_delay(health)}"))
     rows.append(("quality", _quality(quality, health)))
     rows.append(("windows", f"{summary.get('windows', 0)}, {summary.get('skipped', 0)} skipped; {_latest(result)}"))
     rows.append(("modes", _pairs(result.get("frequencies_hz"), result.get("frequencies_std_hz"), "Hz", 1.0)))
-    baseless = str((result.get("alarm") or {}).get("reason")).startswith("no baseline")
-    since, why = (" against the structure file", "; no baseline, so none can be raised") if baseless else ("", "")
-    rows.append(("loss", _pairs(result.get("ddi"), result.get("ddi_std"), "%" + since, 100.0)))
-    rows.append(("alarm", _alarm(summary.get("alarm"), result) + why))
+    without_baseline = str((result.get("alarm") or {}).get("reason")).startswith("no baseline")
+    reference, remark = (
+        (" against the structure file", "; no baseline, so none can be raised") if without_baseline else ("", "")
+    )
+    rows.append(("loss", _pairs(result.get("ddi"), result.get("ddi_std"), "%" + reference, 100.0)))
+    rows.append(("alarm", _alarm(summary.get("alarm"), result) + remark))
     rows.append(("recorder", _recorder(recorder, health)))
     found = summary.get("findings") or []
     rows.append(("findings", f"{len(found)}; latest: {found[-1]['says'] or found[-1]['reason']}" if found else "none"))
@@ -107,11 +112,13 @@ def tell(status: dict[str, Any]) -> str:
 
 
 def _level(status: dict[str, Any]) -> str:
-    standing = (status["summary"] or {}).get("alarm") or (status["result"] or {}).get("alarm") or {}
-    return str(standing.get("level", "normal"))
+    """Return the level of the alarm, from the summary or else from the latest window."""
+    alarm = (status["summary"] or {}).get("alarm") or (status["result"] or {}).get("alarm") or {}
+    return str(alarm.get("level", "normal"))
 
 
 def _troubles(health: dict[str, Any] | None) -> list[str]:
+    """List what does not work: the source, the recorder, outputs."""
     if health is None:
         return []
     troubles = [] if health["source"]["connected"] else [f"source: {health['source']['error'] or 'not connected'}"]
@@ -142,21 +149,22 @@ def _latest(result: dict[str, Any]) -> str:
 
 
 def _pairs(values: list[float] | None, stds: list[float] | None, unit: str, scale: float) -> str:
+    """Format values with their standard deviations, scaled to `unit`."""
     if not values or not stds:
         return "the latest window says nothing"
-    said = (f"{scale * v:.3f} +- {scale * s:.3f}" for v, s in zip(values, stds, strict=False) if s is not None)
-    return ", ".join(said) + f" {unit}"
+    texts = (f"{scale * v:.3f} +- {scale * s:.3f}" for v, s in zip(values, stds, strict=False) if s is not None)
+    return ", ".join(texts) + f" {unit}"
 
 
-def _alarm(standing: dict[str, Any] | None, result: dict[str, Any]) -> str:
-    if standing is None:
+def _alarm(alarm: dict[str, Any] | None, result: dict[str, Any]) -> str:
+    if alarm is None:
         return str((result.get("alarm") or {}).get("level", "nothing known"))
     names = {"0": "the whole structure"}
     parts = [
-        f"{names.get(j, f'story {j}')} {standing['active'].get(j, 'normal')} ({condition})"
-        for j, condition in standing["conditions"].items()
+        f"{names.get(j, f'story {j}')} {alarm['active'].get(j, 'normal')} ({condition})"
+        for j, condition in alarm["conditions"].items()
     ]
-    return "; ".join([str(standing["level"]), *parts])
+    return "; ".join([str(alarm["level"]), *parts])
 
 
 def _recorder(recorder: dict[str, Any], health: dict[str, Any]) -> str:
@@ -180,7 +188,7 @@ def _read(path: Path) -> dict[str, Any] | None:
 
 
 def _last_line(path: Path, keys: set[str]) -> dict[str, Any] | None:
-    """The last line that is whole and has these keys; None if it is not among the last two."""
+    """Read the last complete line that has these keys; None if it is not one of the last two lines."""
     try:
         with path.open("rb") as file:
             size = file.seek(0, os.SEEK_END)

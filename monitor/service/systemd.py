@@ -1,4 +1,4 @@
-"""What systemd is told (sd_notify(3)): a datagram to a socket that it names; without it nothing happens."""
+"""Notification of systemd by sd_notify(3): a datagram to the socket that systemd names; without a socket nothing is sent."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import socket
 
 
 def notify(text: str) -> None:
-    """Send ``READY=1``, ``WATCHDOG=1``, ``STOPPING=1`` or the like."""
+    """Send a state to systemd, as ``READY=1``, ``WATCHDOG=1`` or ``STOPPING=1``; a failure is ignored."""
     address = os.environ.get("NOTIFY_SOCKET", "")
     if not address:
         return
@@ -20,7 +20,7 @@ def notify(text: str) -> None:
 
 
 def watchdog_s() -> float | None:
-    """How often the watchdog wants to hear from this process; None if it does not."""
+    """Return the interval at which to notify systemd's watchdog, s: half its limit; None without a watchdog."""
     microseconds = os.environ.get("WATCHDOG_USEC", "")
     if not microseconds.isdigit() or os.environ.get("WATCHDOG_PID", str(os.getpid())) != str(os.getpid()):
         return None

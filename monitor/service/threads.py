@@ -1,4 +1,4 @@
-"""The threads beside the main one, one that reads a source and one that records, each behind a bounded queue."""
+"""Threads of the daemon besides the main one: reading a source, recording, and small writes to the disk."""
 
 from __future__ import annotations
 
@@ -27,7 +27,15 @@ T = TypeVar("T")
 
 
 class BlockQueue(Generic[T]):
-    """Blocks, or what stands among them, in order; full, in number or bytes, it makes the giver wait, so nothing is lost."""
+    """Bounded queue of blocks and other items, in order; when it is full, `put` waits, so that nothing is lost.
+
+    Parameters
+    ----------
+    most_blocks : int
+        Largest number of items.
+    most_bytes : int
+        Largest size of the samples of all blocks, bytes.  A single block of any size fits an empty queue.
+    """
 
     def __init__(self, most_blocks: int = 1024, most_bytes: int = 8 << 20) -> None:
         self._most_blocks, self._most_bytes = most_blocks, most_bytes
@@ -37,7 +45,7 @@ class BlockQueue(Generic[T]):
         self._changed = threading.Condition()
 
     def put(self, block: T) -> None:
-        """Hand a block over, once there is room."""
+        """Append a block; wait until there is room for it."""
         arrived_s = time.monotonic()
         with self._changed:
             self._changed.wait_for(lambda: self._closed or self._unbounded or self._has_room(_size(block)))
@@ -46,7 +54,10 @@ class BlockQueue(Generic[T]):
             self._changed.notify_all()
 
     def take(self, timeout_s: float) -> tuple[T, float] | None:
-        """The next block and when it came (monotonic s); None if none came in time or none will."""
+        """Remove and return the next block and its time of arrival (monotonic clock, s).
+
+        None is returned if no block arrives within `timeout_s` or the queue is closed and empty.
+        """
         with self._changed:
             self._changed.wait_for(lambda: self._items or self._closed, timeout_s)
             if not self._items:
@@ -57,20 +68,20 @@ class BlockQueue(Generic[T]):
             return block, arrived_s
 
     def lift(self) -> None:
-        """Let go who waits for room: the giver is about to end."""
+        """Remove the bounds, so that a waiting `put` returns: the thread that calls it is about to end."""
         with self._changed:
             self._unbounded = True
             self._changed.notify_all()
 
     def close(self) -> None:
-        """Nothing waits any more; what is in the queue can still be taken."""
+        """Close the queue: no call waits any more, and items in the queue can still be taken."""
         with self._changed:
             self._closed = True
             self._changed.notify_all()
 
     @property
     def over(self) -> bool:
-        """Closed and empty."""
+        """True if the queue is closed and empty."""
         with self._changed:
             return self._closed and not self._items
 
@@ -78,8 +89,8 @@ class BlockQueue(Generic[T]):
         return len(self._items)
 
     def _has_room(self, size: int) -> bool:
-        few = len(self._items) < self._most_blocks and self._bytes + size <= self._most_bytes
-        return few or not self._items  # one block, however large, always fits
+        fits = len(self._items) < self._most_blocks and self._bytes + size <= self._most_bytes
+        return fits or not self._items  # else a block larger than the bound would wait for ever
 
 
 def _size(item: object) -> int:
@@ -87,22 +98,29 @@ def _size(item: object) -> int:
 
 
 class Reader:
-    """Reads a source in a thread of its own, and opens it again whenever it is lost.
+    """Reader of a source in a separate thread, which opens the source again whenever it is lost.
+
+    Parameters
+    ----------
+    source : Source
+        Source to read, not yet open.
+    queue : BlockQueue, optional
+        Queue for the blocks; a new one by default.
 
     Attributes
     ----------
     queue : BlockQueue
-        Closed when nothing more comes.
+        Queue of the blocks read; it is closed when no more follow.
     opened : bool
-        The source has been open at least once.
+        True if the source has been open at least once.
     ended : bool
-        The source has given all that it has.
+        True if the source reported the end of its data.
     failure : Exception or None
-        What ended reading for good: neither an end nor a loss that reopening may mend.
+        Error that ended reading for good: neither the end of the data nor a loss of the source that reopening may cure.
     lost : int
-        Times the source failed or could not be opened.
+        Number of times that the source failed or could not be opened.
     error : str
-        Why, the last time; empty while all is well.
+        Reason of the latest loss; empty while the source is open.
     """
 
     def __init__(self, source: Source, queue: BlockQueue[SampleBlock] | None = None) -> None:
@@ -117,17 +135,18 @@ class Reader:
         self._thread = threading.Thread(target=self._work, name="reader", daemon=True)
 
     def start(self) -> None:
-        """Begin."""
+        """Start reading."""
         self._thread.start()
 
     def stop(self, timeout_s: float) -> None:
-        """Read no more but what has arrived; waits for the source to close, but no longer than `timeout_s`."""
+        """Stop reading after the blocks that have already arrived; wait for the source to close for at most `timeout_s`."""
         self._stop.set()
         self.queue.lift()
         self._thread.join(timeout_s)
         self.queue.close()
 
     def _work(self) -> None:
+        """Read until the source ends, fails for good or is stopped (the thread's work)."""
         wait_s = _LEAST_WAIT_S
         while not self._stop.is_set():
             before = self._received
@@ -154,12 +173,13 @@ class Reader:
             self.queue.close()
 
     def _drain(self) -> None:
-        """What a closed source still holds."""
+        """Queue the blocks that a closed source still holds."""
         with contextlib.suppress(EndOfStream, SourceError):
             while (block := self.source.read(0.0)) is not None:
                 self.queue.put(block)
 
     def _read(self) -> None:
+        """Open the source and queue its blocks until it raises or reading is stopped."""
         self.source.open()
         self.opened = True
         self.error = ""
@@ -171,13 +191,20 @@ class Reader:
 
 
 Job = Callable[[int], None]
-"""Something to be done when all blocks before it are on the disk; told the log time of the last one."""
+"""Function that is called when all blocks before it are on the disk, with the log time of the last one (ns)."""
 
 
 class Recording:
-    """The recorder in a thread of its own, behind a queue of minutes: a slow disk holds up nothing.
+    """Recorder in a separate thread, behind a queue that holds minutes of data, so that a slow disk delays nothing.
 
-    Not `enabled`, it records nothing but still does jobs.
+    If the recorder is not `enabled` in its settings, nothing is recorded but jobs are still done.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the recordings.
+    settings : RecorderSettings
+        Settings of the recorder.
     """
 
     def __init__(self, folder: Path, settings: RecorderSettings) -> None:
@@ -187,26 +214,26 @@ class Recording:
         self._thread.start()
 
     def health(self) -> RecorderHealth | None:
-        """How recording goes; None if nothing is to be recorded."""
+        """Return the health of the recorder; None if nothing is to be recorded."""
         return None if self._recorder is None else self._recorder.health()
 
     def write(self, block: SampleBlock) -> None:
-        """Hand a block over."""
+        """Queue a block for recording."""
         if self._recorder is not None:
             self._queue.put(block)
 
     def then(self, job: Job) -> None:
-        """Do this, in the recorder's thread, once all blocks so far are on the disk."""
+        """Call `job` in the recorder's thread once all blocks queued so far are on the disk."""
         self._queue.put(job)
 
     def flush(self, timeout_s: float) -> bool:
-        """Wait until all blocks so far are on the disk; whether they are in time."""
+        """Wait until all blocks queued so far are on the disk; return False if `timeout_s` was too short."""
         done = threading.Event()
         self.then(lambda _: done.set())
         return done.wait(timeout_s)
 
     def close(self, timeout_s: float) -> None:
-        """Write what waits and finish the file."""
+        """Write the queued blocks and finish the file, for at most `timeout_s`."""
         self._queue.close()
         self._thread.join(timeout_s)
 
@@ -229,9 +256,9 @@ class Recording:
 
 
 class Chores:
-    """Small jobs that may wait for the disk, done in a thread of their own so that nobody else waits.
+    """Worker for small jobs that may wait for the disk, in a separate thread so that no other thread waits.
 
-    Of jobs of one name only the latest is done.
+    Of waiting jobs with the same name only the latest is done.
     """
 
     def __init__(self) -> None:
@@ -242,17 +269,17 @@ class Chores:
         self._thread.start()
 
     def do(self, name: str, job: Callable[[], None]) -> None:
-        """Do a job soon; it must not raise."""
+        """Queue a job, which must not raise."""
         with self._changed:
             self._jobs[name] = job
             self._changed.notify_all()
 
     def write(self, path: Path, text: str) -> None:
-        """Write a small file soon; it does no harm if the disk refuses."""
+        """Queue the writing of a small file; a failure is only logged."""
         self.do(str(path), partial(_write, path, text))
 
     def close(self, timeout_s: float) -> None:
-        """Do what is left, no longer than that."""
+        """Do the queued jobs, for at most `timeout_s`."""
         with self._changed:
             self._closed = True
             self._changed.notify_all()

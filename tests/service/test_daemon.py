@@ -389,7 +389,7 @@ def test_what_operators_ask_for_is_done_and_noted(site: Path, record: np.ndarray
     last = health(site.parent / "out")[-1]
     assert last["lost"] == {"Desk": 3}
     daemon._lines.dropped, daemon._health_lines.dropped, daemon._history.dropped = 1, 2, 4
-    assert losses(daemon._ways()) == {"results.jsonl": 1, "health.jsonl": 2, "history": 4, "Desk": 3}
+    assert losses(daemon._outputs()) == {"results.jsonl": 1, "health.jsonl": 2, "history": 4, "Desk": 3}
     assert "; 3 lost on the way to Desk" in tell(look(site.parent / "out"))
     metrics = Metrics("bench", MetricsSettings(listen="127.0.0.1:0"))
     try:

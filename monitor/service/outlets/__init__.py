@@ -1,4 +1,7 @@
-"""Publishers that leave this machine or its process, by the site file's tables; each is imported only when it is asked for."""
+"""Outlets: publishers that send results out of the daemon's process, as the site file's tables ask.
+
+The module of an outlet is imported only when the site file has its table.
+"""
 
 from __future__ import annotations
 
@@ -16,12 +19,21 @@ from monitor.service.outlets.notify import Addresses, Notifier, NotifySettings, 
 
 
 def make_outlets(path: Path, config: Configuration, *, dry: bool = False) -> tuple[Outlet, ...]:
-    """The publishers that a site file asks for; with `dry` its tables are only checked.
+    """Create the outlets that a site file asks for; with `dry` only check its tables.
+
+    Parameters
+    ----------
+    path : Path
+        Site file, to whose folder relative paths refer.
+    config : Configuration
+        Settings of that file.
+    dry : bool
+        If true, no outlet is created.
 
     Raises
     ------
     BadConfigurationError
-        One problem a line.
+        A table is invalid; the message lists one problem a line.
     """
     folder, name = path.resolve().parent, config.site_name
     state = folder / config.output.dir / "state"
@@ -35,17 +47,17 @@ def make_outlets(path: Path, config: Configuration, *, dry: bool = False) -> tup
         raise BadConfigurationError("\n".join(f"{path}: {problem}" for problem in problems))
     if dry:
         return ()
-    made = tuple(make(name) for make in makers if make is not None)
-    return Inbox(state / "requests"), *made, Notifier(name, settings, to, state / "outbox.jsonl")
+    optional = tuple(make(name) for make in makers if make is not None)
+    return Inbox(state / "requests"), *optional, Notifier(name, settings, to, state / "outbox.jsonl")
 
 
 def change_outlets(path: Path, config: Configuration, outlets: Sequence[Outlet]) -> None:
-    """Let those of a running monitor that can go on with the settings of a file that was read again.
+    """Apply the settings of a reloaded site file to those running outlets that support it.
 
     Raises
     ------
     BadConfigurationError
-        One problem a line; nothing has changed then.
+        The settings are invalid; the message lists one problem a line.  Nothing has changed then.
     """
     problems: list[str] = []
     settings, to = _notify(config, path.resolve().parent, problems)
@@ -57,6 +69,7 @@ def change_outlets(path: Path, config: Configuration, outlets: Sequence[Outlet])
 
 
 def _notify(config: Configuration, folder: Path, problems: list[str]) -> tuple[NotifySettings, Addresses]:
+    """Validate the table ``[notify]`` and resolve its addresses; append what is wrong to `problems`."""
     try:
         settings = NotifySettings.model_validate(config.notify)
         return settings, addresses(settings, folder)
@@ -82,7 +95,7 @@ def _metrics() -> tuple[Any, type[BaseModel]]:
 def _maker(
     name: str, table: Any, load: Callable[[], tuple[Any, type[BaseModel]]], folder: Path, problems: list[str]
 ) -> _Maker | None:
-    """What makes the outlet of a table of ``[output]``, its library loaded only where the table is there."""
+    """Return a function that creates the outlet of a table of ``[output]``; its library is loaded only if the table exists."""
     if table is None:
         return None
     try:

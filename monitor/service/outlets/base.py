@@ -1,4 +1,4 @@
-"""The base class of the publishers through which results leave the daemon's process."""
+"""Base class of the publishers through which results leave the daemon's process."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Outlet(Publisher):
 
     @property
     def failed(self) -> str | None:
-        """Why nothing gets out at present; None while everything does."""
+        """Reason for which nothing can be published at present; None if everything is published."""
         return None
 
     @property
@@ -35,4 +35,4 @@ class Outlet(Publisher):
         return ()
 
     def close(self, timeout_s: float) -> None:
-        """Publish what still waits, for at most `timeout_s`."""
+        """Publish the messages that still wait, for at most `timeout_s`."""

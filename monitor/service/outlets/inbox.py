@@ -1,4 +1,4 @@
-"""Operators' requests as files of a folder: whoever may write there may ask, and nobody else."""
+"""Operators' requests as files of a folder: only users who may write into the folder can make requests."""
 
 from __future__ import annotations
 
@@ -23,22 +23,28 @@ _MOST = 64
 
 
 class Inbox(Outlet):
-    """Read the operators' requests from a folder, twice a second at most.
+    """Read the operators' requests from a folder, at most twice a second.
 
-    A file is removed only after what it asked for was applied: what a power cut interrupts is done again, and all requests say
-    how things shall be, so twice is as once.  One that cannot be removed is applied once in a run.
+    A file is removed only after its request was applied, so that a request interrupted by a power cut is applied again.
+    Applying a request twice has the same effect as once, because every request states the wanted result.  A request whose file
+    cannot be removed is applied once in a run.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the requests; it is created if it does not exist.
     """
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self._looked_s = float("-inf")
+        self._polled_s = float("-inf")
         self._done: list[Path] = []
         self._stuck: set[Path] = set()
-        with contextlib.suppress(OSError):  # so that it is the daemon's, whoever asks first
+        with contextlib.suppress(OSError):  # created here, so that the daemon's user owns it, whoever asks first
             folder.mkdir(parents=True, exist_ok=True)
 
     def take_requests(self) -> Sequence[Request]:
-        """Those that came since; what was handed out before counts as applied."""
+        """Return the requests since the last call; requests returned before count as applied."""
         for path in self._done:
             try:
                 path.unlink(missing_ok=True)
@@ -47,50 +53,54 @@ class Inbox(Outlet):
                 _log.error("%s was applied and cannot be removed: %s; remove it", path, error.strerror or error)
         self._done = []
         now = time.monotonic()
-        if now - self._looked_s < _EVERY_S:
+        if now - self._polled_s < _EVERY_S:
             return ()
-        self._looked_s = now
+        self._polled_s = now
         try:
-            asked = {self._folder / name for name in os.listdir(self._folder) if name.endswith(".json")}
+            files = {self._folder / name for name in os.listdir(self._folder) if name.endswith(".json")}
         except OSError:
             return ()
-        self._stuck &= asked
-        self._done = sorted(asked - self._stuck)[:_MOST]
+        self._stuck &= files
+        self._done = sorted(files - self._stuck)[:_MOST]
         return [request for path in self._done if (request := _read(path)) is not None]
 
     def close(self, timeout_s: float) -> None:
-        """What was applied goes; what comes now is for the next run."""
-        self._looked_s = float("inf")
+        """Remove the files of applied requests; later requests are left for the next run."""
+        self._polled_s = float("inf")
         self.take_requests()
 
 
 def leave_request(folder: Path, request: Request) -> Path:
-    """Put a request into the folder; the file is gone when it was applied.
+    """Write a request into the folder and return its file, which the daemon removes once the request is applied.
 
-    Raises ``OSError`` if it cannot be written.
+    Raises
+    ------
+    OSError
+        The file cannot be written.
     """
     if not folder.is_dir():
         folder.mkdir(parents=True, exist_ok=True)
-        _give(folder, folder.parent)
-    place = folder / f"{time.time_ns()}-{secrets.token_hex(4)}.json"  # in the order in which they were asked
-    made = partial(place)
-    made.write_text(request.model_dump_json(), encoding="utf-8")
-    made.chmod(0o644)  # the folder says who may
-    _give(made, folder)
+        _set_owner(folder, folder.parent)
+    place = folder / f"{time.time_ns()}-{secrets.token_hex(4)}.json"  # names sort in the order of the requests
+    temporary = partial(place)
+    temporary.write_text(request.model_dump_json(), encoding="utf-8")
+    temporary.chmod(0o644)  # access is controlled by the folder's permissions
+    _set_owner(temporary, folder)
     finish(place)
     return place
 
 
-def _give(path: Path, like: Path) -> None:
-    """What root asks, the daemon's user must be able to read and remove."""
+def _set_owner(path: Path, like: Path) -> None:
+    """Give `path` the owner of `like`, so that the daemon's user can read and remove what root has written."""
     owner = like.stat()
     with contextlib.suppress(PermissionError):
         os.chown(path, owner.st_uid, owner.st_gid)
 
 
 def _read(path: Path) -> Request | None:
+    """Read a request from a file; None, with the reason logged, if it holds none."""
     try:
-        # Neither a link nor a pipe: the one leads elsewhere, the other would wait for ever.
+        # No link, which could lead outside the folder, and no pipe, on which reading would wait for ever.
         handle = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
         with open(handle, "rb") as file:
             if not stat.S_ISREG(os.fstat(handle).st_mode):

@@ -1,6 +1,6 @@
-"""Prometheus metrics, on loopback unless told otherwise.
+"""Prometheus metrics over HTTP, by default on the loopback address only.
 
-Counts are the monitor's own, taken over as they are when asked; nothing is remembered here but the latest lines.
+The metrics are built from the latest results, the latest health line and a few counters at the time of each request.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from monitor.service.outlets.base import Outlet
 
 _log = logging.getLogger(__name__)
 _MOST_LABELS = 256
-"""Values of one label: what a node on the bus calls itself must not fill the database."""
+"""Largest number of values of one label: names that nodes on the bus give themselves must not fill the database."""
 _REASONS = {
     "gap": "gap",
     "does not move": "dead_channel",
@@ -35,18 +35,20 @@ _REASONS = {
     "updating": "updating",
     "mode": "modes",
 }
-"""What a reason says -> its class; the first that fits."""
+"""Pattern in a reason -> class of the reason; the first pattern that matches counts."""
 
 
 class MetricsSettings(Settings):
     """``[output.metrics]`` of the site file."""
 
     listen: str = "127.0.0.1:9464"
-    """HOST:PORT."""
+    """HOST:PORT to listen at."""
     certificate: Path | None = None
-    """PEM files for TLS, relative to the site file; with `client_ca`, readers show a certificate too."""
+    """PEM file for TLS, relative to the site file, as are `private_key` and `client_ca`."""
     private_key: Path | None = None
+    """PEM file of the certificate's private key."""
     client_ca: Path | None = None
+    """PEM file of the authority that signs the readers' certificates; with it, readers must present one."""
 
     @field_validator("listen")
     @classmethod
@@ -64,19 +66,28 @@ class MetricsSettings(Settings):
 
     @property
     def address(self) -> tuple[str, int]:
-        """Host and port."""
+        """Host and port of `listen`."""
         return parse_address(self.listen, any_port=True)
 
 
 class Metrics(Collector, Outlet):
     """Answer Prometheus over HTTP with the latest results and counts.
 
-    A port that is taken shows in `failed`, and is tried again with each line of health.
+    If the port cannot be opened, `failed` says so, and every health line triggers another attempt.
+
+    Parameters
+    ----------
+    site : str
+        Name of the site.
+    settings : MetricsSettings
+        Settings of ``[output.metrics]``.
+    folder : Path
+        Folder to which relative paths of the settings refer.
 
     Attributes
     ----------
     port : int or None
-        Where it listens.
+        Port of the server; None until it listens.
     """
 
     failed: str | None = None
@@ -95,7 +106,7 @@ class Metrics(Collector, Outlet):
         self._findings = 0
 
     def window(self, result: WindowResult, line: str) -> None:
-        """Count it, and keep it if it says something."""
+        """Count a window, and keep its result unless the window was skipped."""
         with self._lock:
             self._windows += 1
             self._active = result.alarm.active
@@ -105,13 +116,13 @@ class Metrics(Collector, Outlet):
                 self._skipped[reason_class(result.skipped.reason)] += 1
 
     def gap(self, gap: Gap) -> None:
-        """Count it."""
+        """Count a gap and its duration."""
         with self._lock:
             self._gaps += 1
             self._lost_s += max(0.0, gap.duration_s)
 
     def health_line(self, line: Mapping[str, Any]) -> None:
-        """Keep the latest line, and begin to listen."""
+        """Keep the latest health line; begin to listen if the port is not open."""
         with self._lock:
             self._health = line
             if (stream := line["stream"]) is not None:
@@ -121,19 +132,19 @@ class Metrics(Collector, Outlet):
             self._listen()
 
     def finding(self, finding: Mapping[str, Any]) -> None:
-        """Count it."""
+        """Count a finding."""
         with self._lock:
             self._findings += 1
 
     def close(self, timeout_s: float) -> None:
-        """Listen no more."""
+        """Stop listening."""
         if self._server is not None:
             self._server.shutdown()
             self._server.server_close()
 
     def collect(self) -> Iterator[Metric]:
-        """All metrics as they are now."""
-        with self._lock:  # never while a reader is slow
+        """Build all metrics from the present state."""
+        with self._lock:  # released before the answer is sent, so that a slow reader does not hold it
             return iter(list(self._families()))
 
     def _families(self) -> Iterator[Metric]:
@@ -148,11 +159,12 @@ class Metrics(Collector, Outlet):
         yield CounterMetricFamily("shm_dropped_samples", "Repeated, late or not finite.", self._dropped)
         yield CounterMetricFamily("shm_findings", "Diagnoses made.", self._findings)
         if self._result is not None:
-            yield from _of_result(self._result, self._active)
+            yield from _result_metrics(self._result, self._active)
         if self._health:
-            yield from _of_health(self._health)
+            yield from _health_metrics(self._health)
 
     def _listen(self) -> None:
+        """Start the HTTP server; a failure is kept in `failed` and logged once."""
         s = self._settings
         registry = CollectorRegistry(auto_describe=False)
         registry.register(self)
@@ -174,31 +186,39 @@ class Metrics(Collector, Outlet):
 
 
 def reason_class(reason: str) -> str:
-    """One of few words for why a window says nothing."""
+    """Classify the reason for which a window was skipped.
+
+    Examples
+    --------
+    >>> reason_class("channel a1 is stuck")
+    'stuck_channel'
+    """
     return next((name for part, name in _REASONS.items() if re.search(part, reason)), "other")
 
 
-def _of_result(result: WindowResult, active: Mapping[int, Level]) -> Iterator[Metric]:
+def _result_metrics(result: WindowResult, active: Mapping[int, Level]) -> Iterator[Metric]:
+    """Yield the metrics of the latest window that was not skipped, and the levels of active alarms."""
     assert result.damage is not None
     assert result.modes is not None
     assert result.stiffness is not None
     stories = [str(j) for j in range(1, len(result.damage.ddi) + 1)]
     yield GaugeMetricFamily("shm_window_end_timestamp_seconds", "UTC of the data.", result.t_end_ns * 1e-9)
-    for name, says, values in (
+    for name, help_text, values in (
         ("shm_ddi", "Relative stiffness loss since the baseline.", result.damage.ddi),
         ("shm_ddi_std", "Its standard deviation.", result.damage.ddi_std),
     ):
         shown = {j: float(x) for j, x in zip(stories, values, strict=True)}
-        yield _labelled(GaugeMetricFamily, name, says, shown, "story")
+        yield _labelled(GaugeMetricFamily, name, help_text, shown, "story")
     ranks = {j: active.get(int(j), Level.NORMAL).rank for j in [*stories, str(WHOLE)]}
-    says = "0 normal, 1 advisory, 2 warning, 3 alarm; story 0 is the whole structure."
-    yield _labelled(GaugeMetricFamily, "shm_alarm_level", says, ranks, "story")
+    help_text = "0 normal, 1 advisory, 2 warning, 3 alarm; story 0 is the whole structure."
+    yield _labelled(GaugeMetricFamily, "shm_alarm_level", help_text, ranks, "story")
     hz = {str(k): float(f) for k, f in enumerate(result.modes.frequencies_hz, start=1)}
     yield _labelled(GaugeMetricFamily, "shm_frequency_hertz", "Natural frequencies.", hz, "mode")
     yield GaugeMetricFamily("shm_goodness_of_fit", "1 where stiffness explains the change.", result.stiffness.misfit)
 
 
-def _of_health(health: Mapping[str, Any]) -> Iterator[Metric]:
+def _health_metrics(health: Mapping[str, Any]) -> Iterator[Metric]:
+    """Yield the metrics of a health line."""
     source, recorder = health["source"], health["recorder"]
     single: list[tuple[type[Any], str, str, Any]] = [
         (GaugeMetricFamily, "shm_source_connected", "Whether the source is open.", source["connected"]),
@@ -221,17 +241,17 @@ def _of_health(health: Mapping[str, Any]) -> Iterator[Metric]:
             (CounterMetricFamily, "shm_recorder_lost_blocks", "Blocks not recorded.", recorder["lost_blocks"]),
             (CounterMetricFamily, "shm_recorder_files", "Files begun.", recorder["files"]),
         ]
-    for family, name, says, value in single:
+    for family, name, help_text, value in single:
         if value is not None:
-            yield family(name, says, float(value))
+            yield family(name, help_text, float(value))
     events = {k: n for k, n in source["counts"].items()}
     yield _labelled(CounterMetricFamily, "shm_source_events", "The driver's counts.", events, "event")
-    for name, says, key in (
+    for name, help_text, key in (
         ("shm_clock_offset_seconds", "Arrival less time of the samples.", "offset_s"),
         ("shm_clock_drift_ppm", "How much faster than nominal a node samples.", "drift_ppm"),
     ):
         clocks = {c["node"]: c[key] for c in source["clocks"]}
-        yield _labelled(GaugeMetricFamily, name, says, clocks, "node")
+        yield _labelled(GaugeMetricFamily, name, help_text, clocks, "node")
     rms = {c["channel"]: c["rms_m_s2"] for c in health["channels"]}
     yield _labelled(GaugeMetricFamily, "shm_channel_rms_m_s2", "About the mean, last span.", rms, "channel")
     blocked = {name: 1 for name in health["failed"]}
@@ -242,7 +262,7 @@ def _of_health(health: Mapping[str, Any]) -> Iterator[Metric]:
 
 
 def _latency(windows: Mapping[str, int]) -> Metric:
-    """From the arrival of a window's last sample to its line."""
+    """Build the histogram of the latency from the arrival of a window's last sample to its published line."""
     total, buckets = 0, []
     for edge, count in windows.items():
         total += count
@@ -250,8 +270,9 @@ def _latency(windows: Mapping[str, int]) -> Metric:
     return HistogramMetricFamily("shm_latency_seconds", "Last sample to published line.", buckets, None)
 
 
-def _labelled(family: type[Any], name: str, says: str, values: Mapping[str, float | None], label: str) -> Metric:
-    metric = family(name, says, labels=(label,))
+def _labelled(family: type[Any], name: str, help_text: str, values: Mapping[str, float | None], label: str) -> Metric:
+    """Build a metric with one value for each value of a label, up to `_MOST_LABELS`; None values are left out."""
+    metric = family(name, help_text, labels=(label,))
     for key, value in list(values.items())[:_MOST_LABELS]:
         if value is not None:
             metric.add_metric((key,), float(value))

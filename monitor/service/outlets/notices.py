@@ -1,7 +1,7 @@
-"""What people are told, and when: pure, by comparing what is so with what was told last.
+"""Notices to people: derived by pure functions from the present state and the state that was announced last.
 
-A notice follows from the difference, not from an event, so whatever interrupts the monitor, the next look says what is still
-to be said and nothing twice.
+A notice follows from the difference of the two states, not from an event.  So after any interruption the next comparison
+yields every notice that is still due, and none twice.
 """
 
 from __future__ import annotations
@@ -18,45 +18,54 @@ _MOST_TEXT = 1000
 
 
 class NoticeSettings(Settings):
-    """What is worth telling; the part of ``[notify]`` that says nothing of where to."""
+    """Settings of ``[notify]`` that select what is announced, without the addresses."""
 
     level: Level = Level.ADVISORY
-    """Alarms from this level on; ``normal`` is as ``advisory``."""
+    """Lowest level of an alarm that is announced; ``normal`` has the effect of ``advisory``."""
     source_lost_s: float = Field(default=300.0, gt=0)
-    """A source that gives nothing for this long, by the clock, is lost."""
+    """Time without data, by the clock, after which the source is announced as lost."""
     blind_s: float = Field(default=3600.0, gt=0)
-    """Windows that come but say nothing for this long, in data time."""
+    """Time without a judged window, in data time, after which that is announced."""
     findings: bool = True
-    """Whether diagnoses are told."""
+    """Announce diagnoses."""
 
 
 @dataclass(frozen=True, slots=True)
 class Notice:
-    """One message to people."""
+    """Message to people."""
 
     kind: str
     """``alarm``, ``source``, ``recorder``, ``blind`` or ``finding``."""
     good: bool
-    """Whether it is the end of trouble."""
+    """True if the message announces the end of a trouble."""
     title: str
     text: str
 
 
 @dataclass(frozen=True, slots=True)
 class Told:
-    """What people were told last."""
+    """State that was announced last."""
 
     levels: Mapping[int, Level] = field(default_factory=dict)
-    """Highest level told of each alarm that was not told to be over; story 0 is the whole structure."""
+    """Highest announced level of each alarm whose end has not been announced, by story; story 0 is the whole structure."""
     lost: bool = False
+    """True if the source was announced as lost."""
     stopped: bool = False
+    """True if the recorder was announced as stopped."""
     blind: bool = False
+    """True if it was announced that windows cannot be judged."""
     judged_ns: int | None = None
-    """End of the latest window that said something, or of the first that did not."""
+    """End of the latest judged window, or before any of the first window that was not judged; UTC, ns since 1970."""
 
 
 def of_window(told: Told, result: WindowResult, settings: NoticeSettings) -> tuple[Told, list[Notice]]:
-    """What a window calls for: alarms raised, escalated and cleared; windows that say nothing for long."""
+    """Derive the notices that a window calls for: alarms raised, escalated and cleared, and long times without a judged window.
+
+    Returns
+    -------
+    (Told, list of Notice)
+        The announced state after the notices, and the notices.
+    """
     if result.skipped is not None:
         since = result.t_end_ns if told.judged_ns is None else told.judged_ns
         told = replace(told, judged_ns=since)
@@ -68,7 +77,7 @@ def of_window(told: Told, result: WindowResult, settings: NoticeSettings) -> tup
     levels, least = dict(told.levels), max(settings.level.rank, Level.ADVISORY.rank)
     for story in sorted(levels.keys() | result.alarm.active.keys()):
         if result.alarm.conditions.get(story) is AlarmCondition.SHELVED:
-            continue  # neither raised nor over: an operator wants to hear nothing of it
+            continue  # neither its rise nor its end is announced, as the operator asked
         before, now = levels.get(story, Level.NORMAL), result.alarm.active.get(story, Level.NORMAL)
         place = "the whole structure" if story == WHOLE else f"story {story}"
         if now.rank > before.rank and now.rank >= least:
@@ -83,12 +92,23 @@ def of_window(told: Told, result: WindowResult, settings: NoticeSettings) -> tup
 def of_health(
     told: Told, line: Mapping[str, Any], silent_s: float, settings: NoticeSettings
 ) -> tuple[Told, list[Notice]]:
-    """What a line of health.jsonl calls for: the source lost and back, the recorder stopped and going on.
+    """Derive the notices that a health line calls for: source lost or back, recorder stopped or going on.
 
     Parameters
     ----------
+    told : Told
+        State that was announced last.
+    line : mapping
+        Line of health.jsonl.
     silent_s : float
-        How long no data have come.
+        Time since the latest data, s.
+    settings : NoticeSettings
+        Selection of what is announced.
+
+    Returns
+    -------
+    (Told, list of Notice)
+        The announced state after the notices, and the notices.
     """
     notices = []
     lost = silent_s >= settings.source_lost_s
@@ -108,7 +128,7 @@ def of_health(
 
 
 def of_finding(finding: Mapping[str, Any], settings: NoticeSettings) -> list[Notice]:
-    """What a diagnosis found; one that failed is for the log."""
+    """Derive the notice of a finding; a diagnosis that failed is not announced."""
     if not settings.findings or finding["verdict"] is None:
         return []
     return [Notice("finding", False, f"diagnosis: {finding['verdict']}", str(finding["says"])[:_MOST_TEXT])]

@@ -1,8 +1,8 @@
-"""People are told, through apprise (e-mail, webhooks, chat ...), and a watcher outside hears a heartbeat.
+"""Notifications to people through apprise (e-mail, webhooks, chat ...), and a heartbeat to an external supervisor.
 
-Observations come in on the monitor's thread; this module's own judges them, keeps them on the disk and delivers them.
-A message that nobody takes is tried again for ever, after 1, 2, 4 .. 300 s, and outlasts restarts.  One that was taken when the
-power went, before that was noted, comes again with the same number.
+Observations arrive on the monitor's thread.  A separate thread derives messages from them, stores the messages on the disk and
+delivers them.  An undelivered message is tried again without end, after 1, 2, 4 .. 300 s, and survives restarts.  A message
+that was delivered just before a power cut, so that its delivery was not recorded, is sent again with the same number.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 _log = logging.getLogger(__name__)
 _RETRY_S = (1.0, 300.0)
 _TIMEOUT_S = 10.0
-_MOST_SEEN = 256
+_MOST_OBSERVATIONS = 256
 _VARIABLE = re.compile(r"\$\{(\w+)\}")
 
 
@@ -41,32 +41,39 @@ class NotifySettings(NoticeSettings):
     """``[notify]`` of the site file; addresses hold secrets and are best kept out of it."""
 
     urls: tuple[str, ...] = Field(default=(), max_length=16)
-    """apprise URLs; ``${NAME}`` is taken from the environment."""
+    """apprise URLs; ``${NAME}`` is replaced by the environment variable NAME."""
     url_file: Path | None = None
-    """A file with one such URL a line; relative to the site file."""
+    """File with one such URL a line; relative to the site file."""
     heartbeat_url: str | None = None
-    """Fetched every `heartbeat_s` while windows are produced; ``${NAME}`` as above."""
+    """URL that is fetched every `heartbeat_s` while windows are produced; ``${NAME}`` as in `urls`."""
     heartbeat_s: float = Field(default=300.0, gt=0)
-    """How often, at most."""
+    """Shortest time from one heartbeat to the next."""
     most_per_hour: int = Field(default=60, ge=1)
-    """Messages to one address; more wait."""
+    """Largest number of messages to one address in an hour; further messages wait."""
 
 
 @dataclass(frozen=True, slots=True)
 class Addresses:
-    """Where to; never printed."""
+    """Resolved addresses of the notifications; never printed, because they hold secrets."""
 
     urls: tuple[str, ...] = field(default=(), repr=False)
     heartbeat_url: str | None = field(default=None, repr=False)
 
 
 def addresses(settings: NotifySettings, folder: Path) -> Addresses:
-    """The URLs, with environment and file read, each seen to be one; `folder` is the site file's.
+    """Resolve the URLs of the settings: read the environment and the URL file, and check every URL.
+
+    Parameters
+    ----------
+    settings : NotifySettings
+        Settings of ``[notify]``.
+    folder : Path
+        Folder of the site file.
 
     Raises
     ------
     ValueError
-        One problem a line, without any part of a URL.
+        The addresses are invalid; the message lists one problem a line, without any part of a URL.
     """
     problems: list[str] = []
     named = [(f"urls[{k}]", url) for k, url in enumerate(settings.urls)]
@@ -78,32 +85,33 @@ def addresses(settings: NotifySettings, folder: Path) -> Addresses:
         except (OSError, UnicodeDecodeError) as error:
             problems.append(f"url_file: {settings.url_file}: {getattr(error, 'strerror', None) or 'not UTF-8 text'}")
 
-    def filled(place: str, text: str) -> str:
+    def expanded(place: str, text: str) -> str:
         missing = [name for name in _VARIABLE.findall(text) if not os.environ.get(name)]
         problems.extend(f"{place}: the environment has no {name}" for name in missing)
         return "" if missing else _VARIABLE.sub(lambda match: os.environ[match[1]], text)
 
-    urls = [(place, filled(place, url)) for place, url in named]
+    urls = [(place, expanded(place, url)) for place, url in named]
     problems += [f"{place}: no URL that apprise knows" for place, url in urls if url and _service(url) is None]
-    beat = None if settings.heartbeat_url is None else filled("heartbeat_url", settings.heartbeat_url)
-    if beat and not beat.startswith(("http://", "https://")):
+    heartbeat = None if settings.heartbeat_url is None else expanded("heartbeat_url", settings.heartbeat_url)
+    if heartbeat and not heartbeat.startswith(("http://", "https://")):
         problems.append("heartbeat_url: no http:// or https:// URL")
     if problems:
         raise ValueError("\n".join(problems))
-    return Addresses(tuple(dict.fromkeys(url for _, url in urls)), beat)
+    return Addresses(tuple(dict.fromkeys(url for _, url in urls)), heartbeat)
 
 
 def _service(url: str) -> apprise.NotifyBase | None:
+    """Create apprise's service for a URL; None if apprise does not know it."""
     import apprise
 
-    logging.getLogger("apprise").setLevel(logging.CRITICAL + 1)  # it writes addresses
+    logging.getLogger("apprise").setLevel(logging.CRITICAL + 1)  # it logs addresses, which hold secrets
     asset = apprise.AppriseAsset(async_mode=False, app_id="shm-monitor", app_desc="structural health monitor")
     service = apprise.Apprise.instantiate(url, asset=asset, suppress_exceptions=True)
     return service if isinstance(service, apprise.NotifyBase) else None
 
 
 class _Channel:
-    """One address and how it fares."""
+    """Delivery to one address: its service, its retries and its recent messages."""
 
     def __init__(self, url: str) -> None:
         self.service = _service(url)
@@ -114,7 +122,7 @@ class _Channel:
 
     @property
     def name(self) -> str:
-        """The kind of service; nothing of the address."""
+        """Kind of the service, without any part of the address."""
         return "" if self.service is None else str(self.service.service_name)
 
 
@@ -124,11 +132,15 @@ class Notifier(Outlet):
     Parameters
     ----------
     site : str
-        Named in each message.
+        Name of the site, given in each message.
+    settings : NotifySettings
+        Settings of ``[notify]``.
+    to : Addresses
+        Resolved addresses.
     place : Path
-        The outbox's file.
+        File of the outbox.
     clock : callable
-        Seconds that only rise.
+        Monotonic clock, s.
     """
 
     def __init__(
@@ -142,101 +154,111 @@ class Notifier(Outlet):
         self._site, self._place, self._clock = site, place, clock
         self._settings, self._to = settings, to
         self._channels: list[_Channel] = []
-        self._stale = True
-        self._trouble: str | None = None
+        self._channels_outdated = True
+        self._error: str | None = None
         self._outbox: Outbox | None = None
-        self._seen: deque[Callable[[Outbox], None]] = deque(maxlen=_MOST_SEEN)
+        self._observations: deque[Callable[[Outbox], None]] = deque(maxlen=_MOST_OBSERVATIONS)
         self._data_s = clock()
-        self._beat_s, self._windows, self._beaten = float("-inf"), 0, 0
+        self._heartbeat_sent_s, self._windows, self._heartbeat_windows = float("-inf"), 0, 0
         self._changed = threading.Condition()
         self._closed = False
         self._thread: threading.Thread | None = None
 
     @property
     def failed(self) -> str | None:
-        """Who cannot be reached, or why nothing is kept."""
+        """Services that cannot be reached, or why messages cannot be stored; None if all is well."""
         blocked = [f"{channel.name} not delivered" for channel in self._channels if channel.failed]
-        return self._trouble or (self._outbox and self._outbox.failed) or "; ".join(blocked) or None
+        return self._error or (self._outbox and self._outbox.failed) or "; ".join(blocked) or None
 
     @property
     def dropped(self) -> int:
-        """Messages given up because too many waited."""
+        """Number of messages given up because too many waited."""
         return 0 if self._outbox is None else self._outbox.dropped
 
     def window(self, result: WindowResult, line: str) -> None:
-        """See what alarms it changes."""
+        """Announce alarms that the window raises, escalates or clears, and long times without a judged window."""
         self._windows += 1
-        self._see(lambda outbox: self._note(outbox, *notices.of_window(outbox.told, result, self._settings)))
+        self._observe(lambda outbox: self._add_notices(outbox, *notices.of_window(outbox.told, result, self._settings)))
 
     def health_line(self, line: Mapping[str, Any]) -> None:
-        """See whether source and recorder are at work."""
+        """Announce changes of the source's and the recorder's state."""
         now = self._clock()
         self._data_s = self._data_s if line["stream"] is None else now
         silent_s = now - self._data_s
-        self._see(lambda outbox: self._note(outbox, *notices.of_health(outbox.told, line, silent_s, self._settings)))
+        self._observe(
+            lambda outbox: self._add_notices(outbox, *notices.of_health(outbox.told, line, silent_s, self._settings))
+        )
 
     def finding(self, finding: Mapping[str, Any]) -> None:
-        """Tell what a diagnosis found."""
-        self._see(lambda outbox: self._note(outbox, outbox.told, notices.of_finding(finding, self._settings)))
+        """Announce the finding of a diagnosis."""
+        self._observe(
+            lambda outbox: self._add_notices(outbox, outbox.told, notices.of_finding(finding, self._settings))
+        )
 
     def change(self, settings: NotifySettings, to: Addresses) -> None:
-        """Go on with other settings; what waits for an address that is gone is dropped."""
+        """Replace settings and addresses; messages that wait for a removed address are dropped."""
         with self._changed:
-            self._settings, self._to, self._stale = settings, to, True
+            self._settings, self._to, self._channels_outdated = settings, to, True
             self._changed.notify_all()
 
     def close(self, timeout_s: float) -> None:
-        """Try once more what waits; the rest is on the disk."""
+        """Try once more to deliver the messages that wait; the others stay on the disk."""
         with self._changed:
             self._closed = True
             self._changed.notify_all()
         if self._thread is not None:
             self._thread.join(timeout_s)
 
-    def _see(self, look: Callable[[Outbox], None]) -> None:
+    def _observe(self, observation: Callable[[Outbox], None]) -> None:
         with self._changed:
-            self._seen.append(look)
-            if self._thread is None:  # not before: whoever is refused the folder has no business in it
+            self._observations.append(observation)
+            # Not started earlier, so that a daemon that may not use the folder does not touch it.
+            if self._thread is None:
                 self._thread = threading.Thread(target=self._run, name="notify", daemon=True)
                 self._thread.start()
             self._changed.notify_all()
 
-    def _note(self, outbox: Outbox, told: notices.Told, found: Sequence[notices.Notice]) -> None:
+    def _add_notices(self, outbox: Outbox, told: notices.Told, found: Sequence[notices.Notice]) -> None:
+        """Log notices and queue them for every address."""
         for notice in found:
             _log.warning("%s%s", notice.title, f": {notice.text}" if notice.text else "")
         outbox.add(told, found, [channel.key for channel in self._channels])
 
     def _run(self) -> None:
+        """Process observations and deliver messages until closed (the thread's work)."""
         outbox = self._outbox = Outbox(self._place)
         while True:
             with self._changed:
-                self._changed.wait_for(lambda: self._seen or self._stale or self._closed, self._pause(outbox))
-                seen, closed = list(self._seen), self._closed
-                self._seen.clear()
+                self._changed.wait_for(
+                    lambda: self._observations or self._channels_outdated or self._closed, self._pause(outbox)
+                )
+                observations, closed = list(self._observations), self._closed
+                self._observations.clear()
             try:
-                if self._stale:
-                    self._stale = False
+                if self._channels_outdated:
+                    self._channels_outdated = False
                     self._channels = [_Channel(url) for url in self._to.urls]
                     outbox.only(channel.key for channel in self._channels)
-                for look in seen:
-                    look(outbox)
+                for observation in observations:
+                    observation(outbox)
                 for channel in self._channels:
                     self._deliver(outbox, channel, closed=closed)
-                self._beat()
-                self._trouble = None
-            except Exception as error:  # noqa: BLE001 - telling people never stops the monitor
-                if self._trouble is None:
+                self._send_heartbeat()
+                self._error = None
+            except Exception as error:  # noqa: BLE001 - a failing notification never stops the monitor
+                if self._error is None:
                     _log.error("notifications: %s", type(error).__name__)  # its text may hold an address
-                self._trouble = type(error).__name__
+                self._error = type(error).__name__
             if closed:
                 return
 
     def _pause(self, outbox: Outbox) -> float:
-        """Seconds until there is something to do unasked."""
+        """Return the time until the next retry is due, s; at most 10 s."""
         waits = [channel.due_s - self._clock() for channel in self._channels if outbox.first(channel.key)]
         return max(0.05, min([10.0, *waits]))
 
     def _deliver(self, outbox: Outbox, channel: _Channel, *, closed: bool) -> None:
+        """Deliver the messages that wait for an address, until one fails or the limit of messages per hour is reached."""
         while (message := outbox.first(channel.key)) is not None and (closed or self._clock() >= channel.due_s):
             now = self._clock()
             while channel.sent_s and now - channel.sent_s[0] >= 3600.0:
@@ -257,6 +279,7 @@ class Notifier(Outlet):
             outbox.delivered(message, channel.key)
 
     def _send(self, channel: _Channel, message: Message) -> bool:
+        """Send a message to one address; return whether it was delivered."""
         notice = message.notice
         body = f"{notice.text or notice.title}\n{message.when}, site {self._site}, message {message.id}"
         kind = "success" if notice.good else "warning"
@@ -264,20 +287,25 @@ class Notifier(Outlet):
             return False
         try:
             return bool(channel.service.notify(body=body, title=f"[{self._site}] {notice.title}", notify_type=kind))
-        except Exception:  # noqa: BLE001 - a service's own troubles, of whatever kind; the text may hold an address
+        except Exception:  # noqa: BLE001 - a service may raise anything; the error is not logged, as it may hold an address
             return False
 
-    def _beat(self) -> None:
-        import urllib.request  # only a heartbeat needs it, and it loads TLS
+    def _send_heartbeat(self) -> None:
+        """Fetch the heartbeat's URL if it is due and windows were produced since the last time."""
+        import urllib.request  # imported here because it loads TLS, which only a heartbeat needs
 
         url, now = self._to.heartbeat_url, self._clock()
-        if url is None or self._windows == self._beaten or now - self._beat_s < self._settings.heartbeat_s:
+        if (
+            url is None
+            or self._windows == self._heartbeat_windows
+            or now - self._heartbeat_sent_s < self._settings.heartbeat_s
+        ):
             return
-        self._beat_s, self._beaten = now, self._windows
+        self._heartbeat_sent_s, self._heartbeat_windows = now, self._windows
         try:
             with urllib.request.urlopen(url, timeout=_TIMEOUT_S) as answer:  # http(s) only: see `addresses`
                 answer.read(1024)
         except (OSError, ValueError) as error:
             _log.warning("heartbeat not heard: %s", type(error).__name__)
-            self._beat_s = now - self._settings.heartbeat_s + min(60.0, self._settings.heartbeat_s)
-            self._beaten = -1
+            self._heartbeat_sent_s = now - self._settings.heartbeat_s + min(60.0, self._settings.heartbeat_s)
+            self._heartbeat_windows = -1

@@ -1,4 +1,4 @@
-"""Messages on their way: on the disk until everyone has them, in order, in bounded number."""
+"""Outbox of messages: stored on the disk until every address has received them, in order and in bounded number."""
 
 from __future__ import annotations
 
@@ -21,27 +21,38 @@ MOST_MESSAGES = 256
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """A notice with what it takes to deliver it."""
+    """Notice with the state of its delivery."""
 
     id: int
-    """Counts up for as long as the file lives; a reader may tell repeats by it."""
+    """Number that increases as long as the file exists; a recipient can recognize repeats by it."""
     when: str
-    """UTC, when it was made, ISO 8601."""
+    """Time of creation, UTC, ISO 8601."""
     notice: Notice
     to: tuple[str, ...]
-    """Keys of those who still lack it."""
+    """Keys of the addresses that have not received it."""
 
 
 class Outbox:
-    """Messages and what was told last, in one file that is replaced whole with every change.
+    """Messages to deliver and the state that was announced last, in one file that is replaced as a whole with every change.
 
-    What is told and what still has to be delivered change together, so no crash can part them.  A file that cannot be read is
-    set aside; what the disk does not take is kept in memory, and `failed` says so.
+    The announced state and the messages change together, so that no crash can make them inconsistent.  A file that cannot be
+    read is renamed.  If the disk does not accept the file, the messages stay in memory and `failed` says so.
 
     Parameters
     ----------
+    path : Path
+        File of the outbox.
     most : int
-        Messages that may wait; then the oldest go and are counted in `dropped`.
+        Largest number of waiting messages; beyond it the oldest are given up and counted in `dropped`.
+
+    Attributes
+    ----------
+    told : Told
+        State that was announced last.
+    dropped : int
+        Number of messages given up.
+    failed : str or None
+        Why the file could not be read or written; None if it could.
     """
 
     def __init__(self, path: Path, most: int = MOST_MESSAGES) -> None:
@@ -57,13 +68,13 @@ class Outbox:
         return len(self._messages)
 
     def add(self, told: Told, notices: Iterable[Notice], to: Sequence[str]) -> None:
-        """Queue notices for everyone; `told` is what has been told when they are."""
+        """Queue notices for the addresses with the keys `to`; `told` is the announced state after the notices."""
         when = datetime.now(UTC).isoformat(timespec="seconds")
         notices = list(notices)
         if not notices and told == self.told:
             return
-        # An end of judging is renewed with every window; it alone is not worth a write.
-        worth = bool(notices) or replace(told, judged_ns=None) != replace(self.told, judged_ns=None)
+        # `judged_ns` changes with every window; its change alone is not worth a write.
+        must_save = bool(notices) or replace(told, judged_ns=None) != replace(self.told, judged_ns=None)
         self.told = told
         for notice in notices:
             self._messages += [Message(self._next_id, when, notice, tuple(to))] if to else []
@@ -73,28 +84,28 @@ class Outbox:
             _log.error("%s: %d messages wait; the oldest %d are given up", self._path, len(self._messages), excess)
         self.dropped += excess
         del self._messages[:excess]
-        if worth:
+        if must_save:
             self._save()
 
     def first(self, key: str) -> Message | None:
-        """The oldest message that `key` still lacks."""
+        """Return the oldest message that the address `key` has not received; None if there is none."""
         return next((m for m in self._messages if key in m.to), None)
 
     def delivered(self, message: Message, key: str) -> None:
-        """One has it now."""
+        """Record that the address `key` has received a message."""
         changed = (replace(m, to=tuple(k for k in m.to if k != key)) if m is message else m for m in self._messages)
         self._messages = [m for m in changed if m.to]
         self._save()
 
     def only(self, keys: Iterable[str]) -> None:
-        """Forget everyone else: their addresses are gone."""
+        """Keep only messages to the addresses with these keys, because the other addresses were removed."""
         known = set(keys)
         kept = (replace(m, to=tuple(k for k in m.to if k in known)) for m in self._messages)
         self._messages = [m for m in kept if m.to]
 
     def _save(self) -> None:
         levels = {str(k): v.value for k, v in self.told.levels.items()}
-        # When a window was last judged is no use after a restart: no windows come in between.
+        # `judged_ns` is not stored: while the monitor is off there are no windows, so it means nothing after a restart.
         told = {**asdict(self.told), "levels": levels, "judged_ns": None}
         head = {"version": VERSION, "next_id": self._next_id, "told": told}
         lines = [json.dumps(head), *(json.dumps(asdict(m)) for m in self._messages)]

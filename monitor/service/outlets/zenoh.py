@@ -1,6 +1,7 @@
-"""What the monitor says, over Zenoh: results, alarms, health, gaps; and what operators ask of it.
+"""Publication of results, alarms, health, gaps and findings over Zenoh, and reception of operators' requests.
 
-Keys stand in `docs/zenoh.md`.  The session is its own: the source's may be held up by a full queue, this one never is.
+The keys are documented in `docs/zenoh.md`.  The outlet has its own Zenoh session, because that of the source may be blocked by
+a full queue.
 """
 
 from __future__ import annotations
@@ -29,33 +30,36 @@ from monitor.service.requests import MAX_REQUEST_BYTES, Request
 _log = logging.getLogger(__name__)
 _RETRY_S = (0.5, 30.0)
 _CACHES = {"results": 64, "alarm": 64, "health": 1, "gap": 64, "finding": 64}
-"""Key below the prefix -> values kept for subscribers that come late."""
+"""Key below the prefix -> number of values kept for subscribers that join late."""
 
 
 class ZenohOutSettings(SessionSettings):
-    """``[output.zenoh]`` of the site file: where results go and operators' requests come from."""
+    """``[output.zenoh]`` of the site file: network to which results are published and from which requests are received."""
 
     prefix: Key | None = None
-    """Where the keys begin; ``shm/<site>`` by default."""
+    """Common prefix of the keys; ``shm/<site>`` by default."""
     max_requests: int = Field(default=64, ge=1)
-    """Requests of operators that may wait; more are refused."""
+    """Largest number of waiting requests of operators; further requests are refused."""
 
 
 class ZenohOut(Outlet):
-    """Publishes what is said about each window, and collects requests; never holds up or fails its caller.
+    """Publish results over Zenoh and collect operators' requests; no method but `close` waits, and none raises.
 
     Parameters
     ----------
     site : str
-        Name in the keys, where the settings give no prefix.
+        Name of the site in the keys, if the settings give no prefix.
+    settings : ZenohOutSettings
+        Settings of ``[output.zenoh]``.
     folder : Path
-        Where relative paths of the settings begin.
+        Folder to which relative paths of the settings refer.
     queue_size : int
-        Messages that may wait while the network is away; then the oldest go, and are counted in `dropped`.
+        Largest number of messages that wait while there is no network; beyond it the oldest are discarded and counted in
+        `dropped`.
 
     Notes
     -----
-    Trouble shows in `failed` while it lasts and is logged once; the network is tried again for ever.
+    While the network fails, `failed` gives the reason, which is logged once; joining is tried again without end.
     """
 
     failed: str | None = None
@@ -74,7 +78,7 @@ class ZenohOut(Outlet):
         self._thread.start()
 
     def window(self, result: WindowResult, line: str) -> None:
-        """Publish a window's line of results.jsonl, and its alarm where that changed."""
+        """Publish a window's line of results.jsonl, and its alarm if that changed."""
         self._put("results", line)
         alarm = alarm_line(result.alarm)
         if (alarm["level"], alarm["active"], alarm["conditions"]) != self._alarm:
@@ -90,19 +94,19 @@ class ZenohOut(Outlet):
         self._put("health", to_json(dict(line)))
 
     def finding(self, finding: Mapping[str, Any]) -> None:
-        """Publish what a diagnosis found."""
+        """Publish the finding of a diagnosis."""
         keys = ("id", "t_ns", "from_ns", "reason", "verdict", "says", "causes")
         self._put("finding", to_json({key: finding[key] for key in keys}))
 
     def take_requests(self) -> list[Request]:
-        """The operators' requests since the last call, oldest first; for the thread that owns the alarms."""
+        """Return the operators' requests since the last call, oldest first; called by the thread that owns the alarms."""
         with self._changed:
             requests = list(self._requests)
             self._requests.clear()
         return requests
 
     def close(self, timeout_s: float = 5.0) -> None:
-        """Publish what waits and leave; gives up after `timeout_s`."""
+        """Publish the messages that wait and leave the network, for at most `timeout_s`."""
         with self._changed:
             self._closed = True
             self._changed.notify_all()
@@ -116,13 +120,13 @@ class ZenohOut(Outlet):
             self._changed.notify_all()
 
     def _run(self) -> None:
-        """Work of the thread: join, publish until closed, join again if that breaks."""
+        """Join the network and publish until closed; join again after a failure (the thread's work)."""
         pause = _RETRY_S[0]
         while True:
             begun = time.monotonic()
             try:
                 self._publish()
-            except Exception as error:  # noqa: BLE001 - the network's troubles, of whatever kind, never reach the monitor
+            except Exception as error:  # noqa: BLE001 - no failure of the network may reach the monitor
                 if self.failed is None:
                     _log.error("nothing is published over Zenoh for now: %s", error)
                 self.failed = f"{type(error).__name__}: {error}"
@@ -133,6 +137,7 @@ class ZenohOut(Outlet):
                 self._changed.wait_for(lambda: self._closed, pause)
 
     def _publish(self) -> None:
+        """Open a session and publish the queued messages until the outlet is closed."""
         session, callbacks = open_session(self._settings, self._folder), Callbacks()
         with ExitStack() as ending:
             ending.callback(callbacks.join)
@@ -145,10 +150,11 @@ class ZenohOut(Outlet):
             ):
                 ending.callback(entity.undeclare)
             self.failed = None
-            while (taken := self._take()) is not None:
-                name, text = taken
+            while (queued := self._take()) is not None:
+                name, text = queued
                 publishers[name].put(text)
-            for _ in session.get(f"{self.prefix}/closing", timeout=1.0):  # comes back behind what was put before
+            # This query ends after everything that was published before it.
+            for _ in session.get(f"{self.prefix}/closing", timeout=1.0):
                 pass
 
     def _publisher(self, session: zenoh.Session, name: str, kept: int) -> ext.AdvancedPublisher:
@@ -156,7 +162,7 @@ class ZenohOut(Outlet):
             session,
             f"{self.prefix}/{name}",
             encoding=zenoh.Encoding.APPLICATION_JSON,
-            # A reader that hangs loses messages rather than holding up all others; it may ask the cache again.
+            # A subscriber that hangs loses messages instead of blocking all others; it can fetch them from the cache.
             congestion_control=zenoh.CongestionControl.DROP,
             reliability=zenoh.Reliability.RELIABLE,
             cache=ext.CacheConfig(kept),
@@ -165,6 +171,7 @@ class ZenohOut(Outlet):
         )
 
     def _take(self) -> tuple[str, str] | None:
+        """Wait for the next queued message: key and text; None if the outlet is closed and the queue empty."""
         with self._changed:
             self._changed.wait_for(lambda: self._waiting or self._closed)
             return self._waiting.popleft() if self._waiting else None
@@ -176,13 +183,13 @@ class ZenohOut(Outlet):
             query.reply(f"{self.prefix}/state", text, encoding=zenoh.Encoding.APPLICATION_JSON)
 
     def _on_request(self, query: zenoh.Query) -> None:
-        trouble = self._refused(query.payload)
-        answer = to_json({"accepted": trouble is None, "reason": trouble})
+        refusal = self._queue_request(query.payload)
+        answer = to_json({"accepted": refusal is None, "reason": refusal})
         with query:
             query.reply(f"{self.prefix}/ack", answer, encoding=zenoh.Encoding.APPLICATION_JSON)
 
-    def _refused(self, payload: zenoh.ZBytes | None) -> str | None:
-        """Queue a request; why not, if it cannot be."""
+    def _queue_request(self, payload: zenoh.ZBytes | None) -> str | None:
+        """Queue a request; return the reason if it is refused, else None."""
         if payload is None or len(payload) > MAX_REQUEST_BYTES:
             return f"a request is a JSON object of at most {MAX_REQUEST_BYTES} bytes"
         try:
@@ -197,21 +204,34 @@ class ZenohOut(Outlet):
 
 
 def key_prefix(site: str, settings: ZenohOutSettings) -> str:
-    """Where the keys of a site begin."""
+    """Return the common prefix of a site's keys; in the name of the site, characters that a key may not hold become hyphens."""
     return settings.prefix or "shm/" + (re.sub(r"[^0-9A-Za-z._-]+", "-", site) or "site")
 
 
 def ask(settings: ZenohOutSettings, folder: Path, prefix: str, request: str, timeout_s: float) -> dict[str, Any] | None:
-    """Hand a request (`monitor.service.requests`) to a running monitor; its answer, or None if nobody answers.
+    """Send a request to a running monitor; return its answer, or None if no monitor answers.
+
+    Parameters
+    ----------
+    settings : ZenohOutSettings
+        The monitor's settings of ``[output.zenoh]``.
+    folder : Path
+        Folder to which relative paths of the settings refer.
+    prefix : str
+        Prefix of the monitor's keys (`key_prefix`).
+    request : str
+        Request as JSON (`monitor.service.requests`).
+    timeout_s : float
+        Longest wait for the answer, s.
 
     Raises
     ------
     SourceError
         The network cannot be joined.
     """
-    # A monitor that listens is connected to, one that connects is met at the same router.
-    where = settings.listen or settings.connect
-    joining = settings.model_copy(update={"mode": "client", "connect": where, "listen": ()})
+    # Connect to a monitor that listens; a monitor that connects to a router is reached through the same router.
+    endpoints = settings.listen or settings.connect
+    joining = settings.model_copy(update={"mode": "client", "connect": endpoints, "listen": ()})
     with open_session(joining, folder) as session:
         for reply in session.get(f"{prefix}/ack", payload=request, timeout=timeout_s):
             if reply.ok is not None:
