@@ -20,7 +20,7 @@ from monitor.core import (
     Window,
     WindowResult,
 )
-from monitor.damage import Baseline, alarm, damage_index
+from monitor.damage import Baseline, alarm, damage_index, smallest_detectable_loss
 from monitor.identification import expected_modes, identify, refine, sensor_correction, tracking
 from monitor.signals import (
     Conditioner,
@@ -221,11 +221,13 @@ class Pipeline:
         )
         if not stiffness.converged:
             return skip(Skipped("model updating did not converge"), modes)
+        detectable = None
         if self.baseline is None:
             verdict = Alarm(Level.NORMAL, (), "no baseline: a difference from the structure file is no change")
         else:
             alarms, verdict = alarm.step(self.state.alarm, reading, item.t_end_ns, c.alarm)
             self.state = replace(self.state, alarm=alarms)
+            detectable = smallest_detectable_loss(reading, alarms.history, c.processing.hop_s, c.alarm)
         return WindowResult(
             item.index,
             item.t_end_ns,
@@ -238,6 +240,7 @@ class Pipeline:
             item.rms_m_s2,
             felt,
             tracks,
+            detectable,
         )
 
     def _follow(self, modes: ModalEstimate | None, item: Window) -> tuple[int, ...]:

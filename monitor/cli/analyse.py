@@ -44,7 +44,7 @@ def replay(
         on_warning=warn,
         on_progress=progress("replay"),
     )
-    summary_text = replay_text(summary, has_baseline=healthy is not None)
+    summary_text = replay_text(summary)
     text = f"{summary_text}\nresults in {out}; look at them with: shm-monitor view {out}"
     say(text, {**summary, "out": str(out)}, as_json)
 

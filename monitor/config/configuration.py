@@ -137,6 +137,8 @@ class Configuration(Settings):
             )
         elif abs(step_s * p.rate_hz - round(step_s * p.rate_hz)) > 1e-6:
             problems.append(f"processing: window_s and hop_s must be whole numbers of samples at {p.rate_hz:g} Hz")
+        stories = len(self.structure.stiffness_n_per_m)
+        problems += [f"alarm.unwatched: there is no story {j}" for j in self.alarm.unwatched if not 1 <= j <= stories]
         if not problems:
             problems += self._model_problems()
         if problems:
@@ -177,6 +179,15 @@ class Configuration(Settings):
         table = self.structure
         effects = tuple(self._effect(t) for t in self.effects)
         return Model(table.structure(), effects, table.correction(), table.modal_damping())
+
+    @property
+    def story_names(self) -> tuple[str, ...]:
+        """What people call each stiffness, shape (p,): its number, with its name where the structure file has one."""
+        names = self.structure.story_names or ()
+        return tuple(
+            f"story {j}" + (f" ({names[j - 1]})" if names else "")
+            for j in range(1, len(self.structure.stiffness_n_per_m) + 1)
+        )
 
     def front_end(self) -> FrontEnd:
         """Create the front end that turns samples of the source into windows and segments."""

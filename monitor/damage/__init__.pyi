@@ -4,6 +4,7 @@ from .alternative_solutions import second_solutions
 from .assessment import Assessment, Course, Known, Loss, State, WindowFacts, assess, facts_of, follow
 from .baseline import Baseline, learn_baseline
 from .baseline_file import load_baseline, save_baseline
+from .detectable_loss import smallest_detectable_loss
 from .updating import Observation, Update, UpdatingSettings, observe, update
 
 __all__ = [
@@ -31,5 +32,6 @@ __all__ = [
     "observe",
     "save_baseline",
     "second_solutions",
+    "smallest_detectable_loss",
     "update",
 ]

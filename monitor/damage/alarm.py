@@ -43,6 +43,8 @@ class AlarmSettings(Settings):
     """Standard deviations by which an announced loss may fall below its thresholds before it counts as gone."""
     latching: bool = False
     """An alarm that returned to normal stays announced until it is reset."""
+    unwatched: tuple[int, ...] = ()
+    """Stories that the sensors are known not to see: they are named, but no longer keep the state from being `normal`."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -54,6 +54,8 @@ class Baseline:
     """UTC of the healthy data's first sample and of their end."""
     reference: StructuralPrior | None = None
     """What a diagnosis starts from; None where the healthy data were too short for one."""
+    doubts: tuple[str, ...] = ()
+    """Why it may not be this structure's; not in the file."""
 
     def only(self, model_modes: tuple[int, ...]) -> Baseline:
         """The baseline of those modes of the model alone, for a window that does not show them all."""

@@ -30,10 +30,10 @@ _CORRELATION_STEP = 0.1
 """The same for correlations. [1; cost]"""
 
 
-def smallest_detectable_loss(
-    reading: DamageReading, history: History, seen_s: float, hop_s: float, settings: AlarmSettings
-) -> Array:
-    """Compute the smallest sudden loss of each story that the alarm sees with `PROBABILITY` within `seen_s`.
+def smallest_detectable_loss(reading: DamageReading, history: History, hop_s: float, settings: AlarmSettings) -> Array:
+    """Compute the smallest sudden loss of each story that the alarm sees with `PROBABILITY` within `WITHIN_S`.
+
+    Where fewer data were judged in that time, because windows were skipped or the run is young, only these count.
 
     Parameters
     ----------
@@ -41,8 +41,6 @@ def smallest_detectable_loss(
         Of the latest window.
     history : History
         The alarm's, after that window.
-    seen_s : float
-        Length of the data that were judged since the loss, s; at most `WITHIN_S` counts.
     hop_s : float
         Time between windows, s.
     settings : AlarmSettings
@@ -65,13 +63,22 @@ def smallest_detectable_loss(
         _correlation(own),
         _correlation(common),
         round(max(hop_s / window_s, 1.0 / _LOOKS_A_WINDOW), 6),
-        int((min(seen_s, WITHIN_S) + 1e-6) // window_s),
+        int((_judged_s(history, hop_s) + 1e-6) // window_s),
         settings.significance,
         max(settings.model_form, reading.model_form),
         settings.min_loss,
     ).copy()
     loss[[j - 1 for j in reading.unidentified]] = np.inf
     return loss
+
+
+def _judged_s(history: History, hop_s: float) -> float:
+    """Estimate the length of the judged data within the last `WITHIN_S` from the windows that the alarm remembers, s."""
+    window_s = history.window_ns * 1e-9
+    begun_s = history.memory_s + window_s  # since the first judged window began
+    remembered_s = min(begun_s, max(STRETCHES) * window_s)
+    judged_s = (history.t_ns.size - 1) * hop_s + window_s
+    return min(begun_s, WITHIN_S) * min(judged_s / remembered_s, 1.0)
 
 
 def _steps(std: Array) -> tuple[int, ...]:

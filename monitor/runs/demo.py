@@ -31,14 +31,14 @@ def run(recordings: Path, out: Path, *, say: Callable[[str], None], on_warning: 
     parts = [recordings / "frame-before.mcap", recordings / "frame-after.mcap"]
     files = (recordings / "frame.toml", out / "baseline.json")
     summary = replay.replay(parts, frame, healthy, out, files=files, on_warning=on_warning)
-    say(_indent(replay_text(summary, has_baseline=True)))
+    say(_indent(replay_text(summary)))
     say("3. Replaying a measured frame (mini shake table, an earthquake record played by the table) ...")
     measured = configuration.load(recordings / "mini-shake-table-flexible.toml")
     target = out / "measured-frame"
     summary = replay.replay(
         [recordings / "mini-shake-table-flexible.mcap"], measured, None, target, on_warning=on_warning
     )
-    say(_indent(replay_text(summary, has_baseline=False)))
+    say(_indent(replay_text(summary)))
     say("Look at it:")
     for folder in (out, target):
         say(f"   .venv/bin/shm-monitor view {folder}    (--web for a browser)")

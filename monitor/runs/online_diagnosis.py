@@ -23,7 +23,7 @@ _MAX_BLOCKS = 200_000
 _MARGIN_S = 30.0
 """Seconds of data kept beyond the longest span of a diagnosis: a request arises with the block that completes its window, and
 that block may be long."""
-FINDING_KEYS = ("id", "t_ns", "from_ns", "reason", "verdict", "says", "causes")
+FINDING_KEYS = ("id", "t_ns", "from_ns", "reason", "verdict", "says", "causes", "ddi_effect")
 """Keys of a finding that summary.json repeats."""
 
 

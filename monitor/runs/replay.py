@@ -95,7 +95,7 @@ def replay(
     )  # bad input shows before any output is begun
     written = _ResultFiles(out)
     view = open_viewer(config, baseline, file=out / "live.rrd", serve=serve, lossless=True)
-    session = Session(config, baseline, (written, view), files, out / "findings")
+    session = Session(config, baseline, (written, view), files, out / "findings", whole=True)
     try:
         factor = pass_through(session, source, paths, speed=speed, on_progress=on_progress)
         content = session.content(factor)

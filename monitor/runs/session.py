@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -158,6 +158,7 @@ class Session:
         return {
             **self.assessment.content,
             **summary,
+            "known": asdict(self._known),
             "findings": [{key: f[key] for key in FINDING_KEYS} for f in findings],
             "quality": self._quality.content(),
             "thresholds": self.config.alarm.model_dump(include={"significance", "min_loss", "alarm_loss"}),

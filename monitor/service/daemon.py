@@ -12,7 +12,6 @@ import signal
 import sys
 import time
 from collections.abc import Sequence
-from dataclasses import asdict
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -24,7 +23,7 @@ from monitor.config import configuration
 from monitor.core import BadConfigurationError, BadInputError, Gap, MissingInputError, WindowResult
 from monitor.damage import load_baseline
 from monitor.pipeline import Result
-from monitor.publish import Publisher, current_alarm_line, to_json
+from monitor.publish import Publisher, current_alarm_line, episode_content, to_json
 from monitor.runs import Progress, Session, duration_s, ledger, open_viewer
 from monitor.service import restart, systemd
 from monitor.service.appended_lines import AppendedLines
@@ -146,7 +145,7 @@ class Daemon(Publisher):
 
     def window(self, result: WindowResult, line: str) -> None:
         """Write and publish the result of a window, unless a previous run did so."""
-        self._history.episodes([asdict(e) for e in self.session.episodes[-_LATEST:]])
+        self._history.episodes([episode_content(e) for e in self.session.episodes[-_LATEST:]])
         if result.index in self._keeper.written:
             return
         self._history.window(json.loads(line))

@@ -37,6 +37,8 @@ class _Drawing(Settings):
     """Damping ratio of every mode, in place of `damping_ratio`; as a diagnosis writes it."""
     stiffness_correction_n_per_m: Matrix | None = None
     """Stiffness that the structure's form cannot show, a symmetric matrix; as a diagnosis writes it."""
+    story_names: tuple[str, ...] | None = None
+    """What each stiffness is, as ``girder 3`` or ``left bearing``; sentences name it beside its number."""
     reference_temperature_degc: float | None = None
     """Where the stiffnesses are those stated; the recording's mean by default."""
 
@@ -114,8 +116,6 @@ class MatricesTable(_Drawing):
     """N rows of N, N/m, at the nominal `stiffness_n_per_m`."""
     stiffness_derivatives: tuple[Matrix, ...]
     """dK / dk_j for each of `stiffness_n_per_m`, N rows of N."""
-    story_names: tuple[str, ...] | None = None
-    """What each stiffness is: a note for people, results number the stories."""
 
     @property
     def masses_kg(self) -> tuple[float, ...]:

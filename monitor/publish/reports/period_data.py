@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -15,7 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from monitor.core import WHOLE, Array, BadInputError, Level, MissingInputError
+from monitor.core import Array, BadInputError, MissingInputError
+from monitor.damage import Course, follow
+from monitor.publish.results.lines import facts_of_line
 
 MAX_BINS = 1000
 """Largest number of bins of a curve, which is drawn as the two sides of its envelope: 2000 points."""
@@ -91,21 +92,6 @@ class Curve:
 
 
 @dataclass(slots=True)
-class Episode:
-    """Alarm of one story from its first to its last window in the period."""
-
-    level: str
-    story: int
-    """`WHOLE` for the structure."""
-    t_first_ns: int
-    t_last_ns: int | None
-    """UTC of the end of the last window; None while the alarm lasts."""
-    ddi: float
-    """Latest damage index at the highest level."""
-    ddi_std: float
-
-
-@dataclass(slots=True)
 class PeriodResults:
     """Results in results.jsonl over a period."""
 
@@ -113,8 +99,10 @@ class PeriodResults:
     hop_s: float
     begun_ns: int
     """UTC of one hop before the end of the run's first window."""
-    windows: int = 0
-    skipped: Counter[str] = field(default_factory=Counter)
+    misfit_limit: float
+    """Goodness of fit from which stiffness explains too little."""
+    course: Course = field(default_factory=Course)
+    """The windows, as far as the state depends on them, and the alarm episodes."""
     judged: list[int] = field(default_factory=list)
     """Number of judged windows in each bin."""
     refused: list[int] = field(default_factory=list)
@@ -126,26 +114,23 @@ class PeriodResults:
     temperature: Curve | None = None
     misfit: Curve | None = None
     unidentified: set[int] = field(default_factory=set)
-    episodes: list[Episode] = field(default_factory=list)
     damaged: int = 0
     """Number of lines that cannot be read."""
     no_baseline: bool = False
     _tracks: dict[int, Curve] = field(default_factory=dict)
-    _open: dict[int, Episode] = field(default_factory=dict)
 
     @property
     def due(self) -> int:
         """Number of windows that an unbroken stream would have given since the run began."""
         span_ns = self.grid.to_ns - max(self.grid.from_ns, self.begun_ns)
-        return max(self.windows, round(span_ns / (self.hop_s * 1e9)))
+        return max(self.course.windows, round(span_ns / (self.hop_s * 1e9)))
 
     def add(self, line: dict[str, Any]) -> None:
         """Add the values of one line of results.jsonl."""
         t_ns = int(line["t_end_ns"])
         at = self.grid.at(t_ns)
-        self.windows += 1
+        self.course = follow(self.course, facts_of_line(line), self.misfit_limit)
         if line["skipped"] is not None:
-            self.skipped[re.sub(r" \(.*", "", line["skipped"])] += 1
             self.refused[at] += 1
             return
         self.judged[at] += 1
@@ -164,7 +149,6 @@ class PeriodResults:
                 setattr(self, name.partition("_")[0], curve)
                 curve.add(at, value)
         self.no_baseline = line["alarm"]["reason"].startswith("no baseline")
-        self._alarm(line, t_ns)
 
     def _mode(self, track: int, frequency: float) -> Curve:
         """Find the curve that a frequency continues: the curve of its track, else the nearest one, else a new one."""
@@ -179,22 +163,6 @@ class PeriodResults:
             self._tracks[track] = curve
         return curve
 
-    def _alarm(self, line: dict[str, Any], t_ns: int) -> None:
-        """Begin, raise and end the alarm episodes at one window."""
-        level = Level(line["alarm"]["level"])
-        active = (line["alarm"]["stories"] or [WHOLE]) if level is not Level.NORMAL else []
-        for story in [s for s in self._open if s not in active]:
-            self._open.pop(story).t_last_ns = t_ns
-        for story in active:
-            j = int(np.argmin(line["ddi"])) if story == WHOLE else story - 1
-            reading = float(line["ddi"][j]), float(line["ddi_std"][j])
-            episode = self._open.get(story)
-            if episode is None:
-                self._open[story] = Episode(level.value, story, t_ns, None, *reading)
-                self.episodes.append(self._open[story])
-            elif level.rank >= Level(episode.level).rank:
-                episode.level, (episode.ddi, episode.ddi_std) = level.value, reading
-
     def common_modes(self) -> list[Curve]:
         """Return the curves of the modes that are identified most often, by ascending frequency."""
         common = [c for c in self.modes if c.values >= 0.02 * sum(self.judged)]
@@ -202,7 +170,7 @@ class PeriodResults:
         return sorted(most_frequent, key=lambda c: c.latest)
 
 
-def read_results(folder: Path, from_ns: int | None, to_ns: int | None) -> PeriodResults:
+def read_results(folder: Path, from_ns: int | None, to_ns: int | None, misfit_limit: float) -> PeriodResults:
     """Read results.jsonl of a folder; windows belong to the period in which they end.
 
     Parameters
@@ -211,6 +179,8 @@ def read_results(folder: Path, from_ns: int | None, to_ns: int | None) -> Period
         Folder of a replay or of the daemon.
     from_ns, to_ns : int or None
         Ends of the period, UTC; None for the beginning or the end of the run.
+    misfit_limit : float
+        Goodness of fit from which stiffness explains too little.
 
     Raises
     ------
@@ -227,7 +197,7 @@ def read_results(folder: Path, from_ns: int | None, to_ns: int | None) -> Period
         stop = last_ns if to_ns is None else to_ns
         length_s = (stop - start) * 1e-9
         grid = Grid(start, max(stop, start + 1), int(np.clip(length_s / hop_s, 1, MAX_BINS)))
-        results = PeriodResults(grid, hop_s, begun_ns, judged=[0] * grid.n, refused=[0] * grid.n)
+        results = PeriodResults(grid, hop_s, begun_ns, misfit_limit, judged=[0] * grid.n, refused=[0] * grid.n)
         with path.open("rb") as file:
             for raw in _lines_between(file, start, stop):
                 try:
@@ -238,7 +208,7 @@ def read_results(folder: Path, from_ns: int | None, to_ns: int | None) -> Period
         raise MissingInputError(
             f"{path}: {error.strerror}; give the folder that 'replay --out' or [output] dir names"
         ) from error
-    if not results.windows:
+    if not results.course.windows:
         has = f"it has {utc(first_ns)} to {utc(last_ns)}"
         raise BadInputError(f"{path}: no window ends within the period; {has} UTC: change --from and --to")
     return results

@@ -11,8 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from monitor.core import WHOLE, utc_ns
-from monitor.publish.reports.period_data import Episode, utc
+from monitor.core import utc_ns
+from monitor.damage import Loss
+from monitor.publish.reports.period_data import utc
 
 _REQUEST = re.compile(r"(acknowledge|reset|shelve|unshelve) alarm of story (\d+): ?(.*)", re.DOTALL)
 
@@ -177,7 +178,7 @@ def read_decisions(folder: Path, health: HealthFile) -> list[Decision]:
     return out
 
 
-def overlapping_verdict(episode: Episode, findings: list[dict[str, Any]]) -> str | None:
+def overlapping_verdict(episode: Loss, findings: list[dict[str, Any]]) -> str | None:
     """Return the sentence of the first diagnosis whose data overlap an alarm; None where there is none."""
     overlapping = (
         f["says"]
@@ -189,14 +190,9 @@ def overlapping_verdict(episode: Episode, findings: list[dict[str, Any]]) -> str
     return next(overlapping, None)
 
 
-def requests_for(episode: Episode, decisions: list[Decision], following_ns: float) -> list[Decision]:
+def requests_for(episode: Loss, decisions: list[Decision], following_ns: float) -> list[Decision]:
     """Select what operators requested of an alarm's story, from the alarm's beginning to the story's next alarm."""
     return [d for d in decisions if d.story == episode.story and episode.t_first_ns <= d.t_ns < following_ns]
-
-
-def story_name(story: int) -> str:
-    """Name a story; `WHOLE` stands for all of them."""
-    return "every story" if story == WHOLE else f"story {story}"
 
 
 def _read_json_objects(path: Path, *, whole: bool = False) -> Iterator[dict[str, Any]]:

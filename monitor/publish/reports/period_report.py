@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from html import escape
 from itertools import groupby
 from pathlib import Path
@@ -13,15 +13,25 @@ from typing import Any
 import numpy as np
 
 from monitor.core import WHOLE, BadInputError, Level, Skipped, write_atomically
+from monitor.damage import Assessment, Course, Known, Loss, State, assess
 from monitor.publish.reports import period_notes as notes
 from monitor.publish.reports.page import document, table
-from monitor.publish.reports.period_data import Episode, PeriodResults, read_results, utc
-from monitor.publish.reports.period_notes import Decision, Quality, story_name
+from monitor.publish.reports.period_data import PeriodResults, read_results, utc
+from monitor.publish.reports.period_notes import Decision, Quality
 from monitor.publish.reports.time_charts import HEIGHT, TimeAxes, draw_envelope, figure, panel, time_axes
 
 _MAX_ROWS = 200
 """Largest number of rows of a table."""
 _UNKNOWN = "–"
+_COLOURS = {
+    State.NORMAL: "none",
+    State.NOT_JUDGED: "unknown",
+    State.ADVISORY: "ambiguous",
+    State.DOUBTFUL: "ambiguous",
+    State.WARNING: "ambiguous",
+    State.ALARM: "",
+}
+"""Style of the state's badge: green is for `normal` alone."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -31,7 +41,10 @@ class Period:
     name: str
     results: PeriodResults
     quality: Quality | None
-    episodes: list[Episode]
+    course: Course
+    """The windows and all alarm episodes, those included that a higher alarm of another story hid in the lines."""
+    assessment: Assessment
+    known: Known
     findings: list[dict[str, Any]]
     decisions: list[Decision]
     thresholds: Mapping[str, float]
@@ -52,21 +65,36 @@ def read_period(folder: Path, from_ns: int | None, to_ns: int | None) -> Period:
     MissingInputError, BadInputError
         There are no results, or none of that period.
     """
-    results = read_results(folder, from_ns, to_ns)
+    with _name_file_in_errors(folder / "summary.json"):
+        summary = notes.read_summary(folder)
+        known = _known(summary)
+    results = read_results(folder, from_ns, to_ns, known.misfit)
     start, stop = results.grid.from_ns, results.grid.to_ns
     with _name_file_in_errors(folder / "health.jsonl"):
         health = notes.HealthFile(folder, start, stop)
     with _name_file_in_errors(folder / "summary.json"):
-        summary = notes.read_summary(folder)
         quality = health.quality() or notes.summary_quality(summary)
-        episodes = results.episodes + _hidden_episodes(results.episodes, summary, start, stop)
+        losses = results.course.losses
+        losses = (*losses, *_hidden_losses(losses, summary, start, stop))
+        course = replace(results.course, losses=tuple(sorted(losses, key=lambda loss: loss.t_first_ns)))
         thresholds = {str(name): float(value) for name, value in summary.get("thresholds", {}).items()}
     with _name_file_in_errors(folder / "ledger.jsonl"):
         decisions = [d for d in notes.read_decisions(folder, health) if start < d.t_ns <= stop]
     with _name_file_in_errors(folder / "findings"):
         findings = notes.read_findings(folder, start, stop)
-    episodes.sort(key=lambda e: e.t_first_ns)
-    return Period(folder.resolve().name, results, quality, episodes, findings, decisions, thresholds)
+    if not known.names:  # a run of an older version
+        known = replace(known, names=tuple(f"story {j + 1}" for j in range(len(results.ddi))))
+        known = replace(known, has_baseline=not results.no_baseline)
+    assessment = assess(course, known, findings, whole=True)
+    name = folder.resolve().name
+    return Period(name, results, quality, course, assessment, known, findings, decisions, thresholds)
+
+
+def _known(summary: Mapping[str, Any]) -> Known:
+    """Read from the summary what the state depends on and no window changes; defaults where an older version wrote it."""
+    told = {"names": (), "has_baseline": True, "alarm_loss": 0.1, "misfit": 5.0} | summary.get("known", {})
+    told["accepted"] = tuple(tuple(pair) for pair in told.get("accepted", ()))
+    return Known(**{key: tuple(v) if isinstance(v, list) else v for key, v in told.items()})
 
 
 @contextmanager
@@ -78,16 +106,18 @@ def _name_file_in_errors(path: Path) -> Iterator[None]:
         raise BadInputError(f"{path}: not as the monitor writes it ({error!r}); move it away and ask again") from error
 
 
-def _hidden_episodes(known: Sequence[Episode], summary: Mapping[str, Any], start: int, stop: int) -> list[Episode]:
+def _hidden_losses(known: Sequence[Loss], summary: Mapping[str, Any], start: int, stop: int) -> list[Loss]:
     """List from the summary the alarms that the lines do not show, since another story had a higher alarm."""
     out = []
     for a in summary.get("alarms", ()):
         last = a["t_last_ns"]
-        e = Episode(a["level"], a["story"] or WHOLE, a["t_first_ns"], last, a["ddi"], a["ddi_std"])
-        same = [k for k in known if k.story == e.story and (last is None or k.t_first_ns <= last)]
-        same = [k for k in same if k.t_last_ns is None or k.t_last_ns >= e.t_first_ns]
-        if e.t_first_ns <= stop and (last is None or last > start) and not same:
-            out.append(e)
+        loss = Loss(
+            Level(a["level"]), a["story"] or WHOLE, a["ddi"], a["ddi_std"], a.get("loss_n_per_m"), a["t_first_ns"], last
+        )
+        same = [k for k in known if k.story == loss.story and (last is None or k.t_first_ns <= last)]
+        same = [k for k in same if k.t_last_ns is None or k.t_last_ns >= loss.t_first_ns]
+        if loss.t_first_ns <= stop and (last is None or last > start) and not same:
+            out.append(loss)
     return out
 
 
@@ -107,6 +137,11 @@ def _span(period: Period) -> str:
     return f"{utc(period.results.grid.from_ns)} to {utc(period.results.grid.to_ns)} UTC"
 
 
+def _story(story: int, period: Period) -> str:
+    """Write the name of a story."""
+    return "every story" if story == WHOLE else period.known.names[story - 1]
+
+
 def _percent(value: float, std: float) -> str:
     """Write a share in percent with two standard deviations."""
     return f"{100 * value:.2f} ± {200 * std:.2f} %"
@@ -114,21 +149,11 @@ def _percent(value: float, std: float) -> str:
 
 def _head(period: Period) -> str:
     """Write the verdict, the span and the key figures."""
-    r = period.results
-    worst = max(period.episodes, key=lambda e: (Level(e.level).rank, e.ddi), default=None)
-    if worst is not None:
-        kind, word = ("ambiguous" if worst.level == "advisory" else ""), worst.level
-        ended = "" if worst.t_last_ns is None else f", until {utc(worst.t_last_ns)[:16]} UTC"
-        says = f"{story_name(worst.story)} lost {_percent(worst.ddi, worst.ddi_std)} of its stiffness{ended}"
-    elif not sum(r.judged):
-        kind, word, says = "ambiguous", "cannot say", "nothing could be judged"
-    elif r.no_baseline:
-        kind, word, says = "ambiguous", "no baseline", "no alarm can be raised without a baseline"
-    else:
-        kind, word, says = "none", "no alarm", "no change beyond chance since the baseline"
+    r, said = period.results, period.assessment
+    doubts = "".join(f"<li>{escape(doubt)}</li>" for doubt in said.doubts)
     figures = [
         (f"{100 * sum(r.judged) / r.due:.1f} %", f"of {r.due} windows due were judged, one every {r.hop_s:g} s"),
-        (f"{len(period.episodes)}", "alarm" if len(period.episodes) == 1 else "alarms"),
+        (f"{len(period.course.losses)}", "alarm" if len(period.course.losses) == 1 else "alarms"),
     ]
     if period.quality is not None and period.quality.availability is not None:
         figures.insert(0, (f"{100 * period.quality.availability:.2f} %", "of the samples due came"))
@@ -137,8 +162,8 @@ def _head(period: Period) -> str:
         figures += latest if len(latest) <= 4 else [max(latest, key=lambda f: float(f[0].split()[0]))]
     boxes = "".join(f"<div><b>{a}</b>{escape(b)}</div>" for a, b in figures)
     return (
-        f'<span class="verdict {kind}">{word}</span><h1>{escape(says[0].upper() + says[1:])}.</h1>'
-        f'<p class="muted">{escape(period.name)}, {_span(period)}</p><div class="figures">{boxes}</div>'
+        f'<span class="verdict {_COLOURS[said.state]}">{said.state.words}</span><h1>{escape(said.headline)}</h1>'
+        f'{f"<ul>{doubts}</ul>" if doubts else ""}<p class="muted">{escape(period.name)}, {_span(period)}</p><div class="figures">{boxes}</div>'
         '<p class="muted">The damage index is the share of a story\'s stiffness lost since the baseline. Shaded: least '
         "to greatest value in each step of time, with two standard deviations; line: their mean. Times are those of "
         "the windows' ends, by the data.</p>"
@@ -158,7 +183,7 @@ def _damage(period: Period) -> str:
         axes = time_axes(period.results.grid, low, high)
         marks = [
             axes.shade(_clipped(axes, a.t_first_ns, a.t_last_ns), "still" if a.level == "alarm" else "off")
-            for a in period.episodes
+            for a in period.course.losses
             if a.story in (j, WHOLE)
         ]
         lines = [(0.0, "before dashed")] + ([(100 * limit, "limit dashed")] if limit is not None else [])
@@ -189,20 +214,20 @@ def _clipped(axes: TimeAxes, from_ns: int, to_ns: int | None) -> tuple[float, fl
 
 def _alarms(period: Period) -> str:
     """Tabulate every alarm with the verdict of its diagnosis and the actions of the operators."""
-    if not period.episodes:
+    if not period.course.losses:
         return "<h2>Alarms</h2><p>None.</p>"
     rows = []
-    for i, e in enumerate(period.episodes[:_MAX_ROWS]):
-        later = (n.t_first_ns for n in period.episodes[i + 1 :] if n.story == e.story)
+    for i, e in enumerate(period.course.losses[:_MAX_ROWS]):
+        later = (n.t_first_ns for n in period.course.losses[i + 1 :] if n.story == e.story)
         asked = notes.requests_for(e, period.decisions, next(later, float("inf")))
         actions = "; ".join(f"{d.action} by {d.who}, {utc(d.t_ns)}" for d in asked) or "nobody yet"
         ended = "lasts" if e.t_last_ns is None else utc(e.t_last_ns)
         verdict = notes.overlapping_verdict(e, period.findings) or "not diagnosed"
         rows.append(
-            (e.level, story_name(e.story), utc(e.t_first_ns), ended, _percent(e.ddi, e.ddi_std), verdict, actions)
+            (e.level, _story(e.story, period), utc(e.t_first_ns), ended, _percent(e.ddi, e.ddi_std), verdict, actions)
         )
     head = ["level", "where", "@from, UTC", "@to, UTC", "#stiffness lost", "diagnosis", "acknowledged"]
-    return "<h2>Alarms</h2>" + table(head, rows) + _rest_count(len(period.episodes))
+    return "<h2>Alarms</h2>" + table(head, rows) + _rest_count(len(period.course.losses))
 
 
 def _rest_count(count: int) -> str:
@@ -224,8 +249,11 @@ def _modes(period: Period) -> str:
 def _trust(period: Period) -> str:
     """Write availability, goodness of fit, sensors and clocks."""
     r, q = period.results, period.quality
-    rows = [(Skipped(reason).mend, str(n)) for reason, n in r.skipped.most_common(_MAX_ROWS)]
-    missing = r.due - r.windows
+    rows = [
+        (Skipped(reason).mend, str(n))
+        for reason, n in sorted(r.course.skip_reasons.items(), key=lambda item: -item[1])[:_MAX_ROWS]
+    ]
+    missing = r.due - r.course.windows
     rows += [("no data, or the monitor did not run", str(missing))] if missing > 0 else []
     rows += [("a line of results.jsonl that cannot be read", str(r.damaged))] if r.damaged else []
     out = ["<h2>Can it be trusted</h2>", _coverage_strip(period)]

@@ -31,6 +31,8 @@ WINDOWS_SCHEMA = pa.schema(
         ("ddi_sequential", _MANY),
         ("loss_n_per_m", _MANY),
         ("unidentified", _NUMBERS),
+        ("detectable_loss", _MANY),
+        ("rms_m_s2", pa.float64()),
         ("mode_tracks", _NUMBERS),
         ("misfit", pa.float64()),
         ("temperature_degc", pa.float64()),

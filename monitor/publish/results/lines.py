@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 import math
 import os
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from monitor.core import Alarm, Skipped, WindowResult, finish, partial
-from monitor.damage import AlarmState, hold
+from monitor.core import WHOLE, Alarm, Level, WindowResult, finish, partial
+from monitor.damage import AlarmState, State, WindowFacts, hold
 
 
 def _rounded(values: Any) -> Any:
@@ -69,6 +70,8 @@ def window_line(result: WindowResult) -> dict[str, Any]:
         "ddi_sequential": damage and _rounded(damage.ddi_sequential),
         "loss_n_per_m": damage and _rounded(damage.loss_n_per_m),
         "unidentified": damage and list(damage.unidentified),
+        "detectable_loss": None if result.detectable_loss is None else _rounded(result.detectable_loss),
+        "rms_m_s2": None if result.rms_m_s2 is None else _rounded(result.rms_m_s2),
         "mode_tracks": list(result.mode_tracks),
         "misfit": stiffness and _rounded(stiffness.misfit),
         "temperature_degc": result.temperature and _rounded(result.temperature.lagged_degc[0]),
@@ -141,8 +144,34 @@ class LinesFile:
         partial(self._path).unlink(missing_ok=True)
 
 
-def replay_text(summary: dict[str, Any], *, has_baseline: bool) -> str:
-    """Describe a replay in words, from the content of its summary.json."""
+def facts_of_line(line: Mapping[str, Any]) -> WindowFacts:
+    """Collect what the state needs of a window from its line of results.jsonl."""
+    level = Level(line["alarm"]["level"])
+    active = {} if level is Level.NORMAL else dict.fromkeys(line["alarm"]["stories"] or [WHOLE], level)
+    losses = {} if line["ddi"] is None else {story: _reading(line, story) for story in active}
+    detectable = line.get("detectable_loss")
+    return WindowFacts(
+        line["t_end_ns"],
+        line.get("window_s") or 0.0,
+        line["skipped"],
+        active,
+        losses,
+        (),
+        None if detectable is None else tuple(detectable),
+        line.get("misfit"),
+        line.get("rms_m_s2"),
+    )
+
+
+def _reading(line: Mapping[str, Any], story: int) -> tuple[float, float, float | None]:
+    """Return a story's damage index, its standard deviation and the stiffness lost in N/m; `WHOLE`: of what lost least."""
+    j = int(np.argmin(line["ddi"])) if story == WHOLE else story - 1
+    lost = line.get("loss_n_per_m")
+    return float(line["ddi"][j]), float(line["ddi_std"][j]), None if lost is None else float(lost[j])
+
+
+def replay_text(summary: Mapping[str, Any]) -> str:
+    """Describe a replay in words, from the content of its summary.json; the state stands last, where a terminal shows it."""
     pace = f"{summary['realtime_factor']:.0f} x real time" + (", diagnosis apart" if summary["alarms"] else "")
     text = [f"{summary['windows']} windows, {summary['skipped']} skipped, {pace}"]
     if summary["frequencies_hz"] is not None:
@@ -157,20 +186,5 @@ def replay_text(summary: dict[str, Any], *, has_baseline: bool) -> str:
                 f"mode {i}: {measured:.4g} Hz measured, {drawn:.4g} Hz by the structure file "
                 f"(the data lie {100 * misfit:+.1f} % off)"
             )
-    for a in summary["alarms"]:
-        text.append(
-            f"{a['level']}: {_story_name(a['story'])} lost {100 * a['ddi']:.2f} ± {200 * a['ddi_std']:.2f} % "
-            f"(latest window; {a['loss_n_per_m']:.4g} N/m)"
-        )
-    for reason, count in summary["skip_reasons"].items():
-        text.append(f"{count} of {summary['windows']} windows could not be judged: {Skipped(reason).mend}")
-    if summary["skipped"] == summary["windows"]:
-        text.append("nothing could be judged, so nothing is said about the structure's health")
-    elif not summary["alarms"]:
-        text.append("no alarm" if has_baseline else "no baseline, so no alarm can be raised; make one with 'calibrate'")
-    return "\n".join(text)
-
-
-def _story_name(story: int | None) -> str:
-    """Name a story; None stands for the whole structure."""
-    return "every story" if story is None else f"story {story}"
+    state = State(summary["state"])
+    return "\n".join([*text, f"{state.words}: {summary['headline']}", *(f"  {doubt}" for doubt in summary["doubts"])])

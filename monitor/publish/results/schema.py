@@ -24,6 +24,8 @@ LINE_SCHEMA: dict[str, Any] = {
         "order": {"type": ["integer", "null"]},
         "refined": {"type": ["boolean", "null"]},
         "unidentified": _INTEGERS,
+        "detectable_loss": {"type": ["array", "null"], "items": _NUMBER},
+        "rms_m_s2": _NUMBER,
         "mode_tracks": _INTEGERS,
         "misfit": _NUMBER,
         "temperature_degc": _NUMBER,
