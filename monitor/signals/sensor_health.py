@@ -147,6 +147,7 @@ def step(
     size = max(2, min(round(settings.span_s * rate), _MAX_SPAN_SAMPLES))
 
     def close() -> None:
+        """Report the present span and begin the next."""
         nonlocal state
         span = _span_health(state, dropped, channels)
         found.append(span)

@@ -25,6 +25,7 @@ class ProcessingSettings(Settings):
 
     @model_validator(mode="after")
     def _consistent(self) -> ProcessingSettings:
+        """Refuse a hop longer than the window, and a cutoff beyond the Nyquist frequency."""
         if self.hop_s > self.window_s:
             raise ValueError("hop_s is longer than window_s")
         if self.cutoff_hz >= 0.5 * self.rate_hz:
