@@ -27,7 +27,7 @@ force]"""
 class AmbientForces(Effect):
     """Difference of the floors' forces from white and independent ones: a smooth spectrum, and a part common to all floors.
 
-    The logarithm of the power density is linear in the logarithm of the frequency over half octaves, and constant beyond its ends.
+    The logarithm of the power density is linear in that of the frequency over half octaves, and constant beyond its ends.
     The common share of each floor's power acts on all floors at once, in proportion to the root of each floor's own power.
     Calibration alone looks for this effect, since a persistent spectrum is a property of the site.  Differences on another day
     have names of their own in the catalogue.
