@@ -243,7 +243,7 @@ def _fit_by_scoring(posterior: Posterior, x: Array, effects: tuple[Effect, ...] 
     free = posterior.layout.excitation
     first, data = x[free].copy(), posterior.predict(x, effects).data  # levels do not change the means
     precision = np.diag(np.r_[np.full(n, FORCE_STD), np.full(k + 1, LEVEL_STD)] ** -2.0)
-    if isinstance(posterior, DrivenPosterior):  # a class's level is not that of its forces
+    if isinstance(posterior, DrivenPosterior):  # the levels of the classes are not levels of the forces
         precision[:n, :n] = difference_operator(n)
 
     def moved(by: Array) -> tuple[Array, ComplexArray, float]:

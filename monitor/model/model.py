@@ -71,9 +71,8 @@ class Model:
         stiffness : ndarray, shape (n, n), N/m
         """
         structure = self.structure
-        for (
-            effect
-        ) in self.effects:  # members first: joints and a base are added to the members as they are after changes
+        # Changes of members come first, since joints and a base act on the members after all changes.
+        for effect in self.effects:
             structure = effect.altered(structure)
         mass, stiffness = structure.mass_matrix(), structure.stiffness_matrix()
         for effect in self.effects:

@@ -22,9 +22,8 @@ class BaseExcitation(Effect):
     separating_measurement: ClassVar[str] = "put an accelerometer on the ground"
 
     conditional: ClassVar[bool] = True
-    form_doubt: ClassVar[tuple[float, ...]] = (
-        0.03,
-    )  # up to which frequency the ground's motion, or the forces, are white
+    # It is not known up to which frequency the ground's motion and the forces are white.
+    form_doubt: ClassVar[tuple[float, ...]] = (0.03,)
 
     share: float
     """Share of a channel's acceleration variance at the source's rate that the ground causes, mean over channels."""

@@ -121,4 +121,4 @@ def _limit_over_unclipped_rms(ratio: float) -> float:
 def clipped_power(a: float) -> float:
     """Compute the variance of a unit normal variable clipped at +-a."""
     power = erf(a / sqrt(2.0)) - sqrt(2.0 / pi) * a * exp(-0.5 * a**2) + a**2 * erfc(a / sqrt(2.0))
-    return max(power, 0.0)  # rounding, where next to nothing is left
+    return max(power, 0.0)  # rounding, where nearly no power is left
