@@ -1,4 +1,4 @@
-"""The data's way from a block of samples to an alarm: one function, `Pipeline.push`."""
+"""Pipeline from a block of samples to an alarm: one function, `Pipeline.push`."""
 
 from __future__ import annotations
 
@@ -37,17 +37,17 @@ from monitor.signals import (
 from monitor.signals import windows as window
 
 _SET_BACK_S = 0.25
-"""A clock that was set back by at least this takes the windows' times along."""
+"""Step back of the clock from which the windows' times follow the clock, s."""
 
 Result = Samples | Gap | WindowResult | Health
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Run:
-    """Filters and windows of the samples since the last gap."""
+    """State of filters and windows for the samples since the last gap."""
 
     t0_ns: int
-    """UTC of grid index 0: the stream's first sample, as today's clock would have stamped it.  Kept over gaps."""
+    """UTC of grid index 0, the stream's first sample, by the clock as it is set now.  Kept over gaps."""
     grid: WindowGrid
     conditioner: Conditioner
     condition: ConditionState
@@ -56,7 +56,7 @@ class Run:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PipelineState:
-    """All that the next block needs of those before; nothing else remembers anything."""
+    """Complete state of the pipeline between blocks."""
 
     align: alignment.AlignState
     run: Run | None
@@ -67,14 +67,14 @@ class PipelineState:
 
 
 class Pipeline:
-    """Wires the stages; time is the data's.
+    """Chain of the stages from samples to alarms; all times are those of the data.
 
     Parameters
     ----------
     config : Configuration
     baseline : Baseline, optional
-        Without one, modes and stiffness are compared with the structure file's, and nothing is ever announced: a
-        drawing is never the truth, so a difference from it is no change.
+        Without a baseline, modes and stiffness are compared with the structure file's, and no alarm is announced: the
+        structure file is never exact, so a difference from it is no change.
     """
 
     def __init__(self, config: Configuration, baseline: Baseline | None = None) -> None:
@@ -98,13 +98,13 @@ class Pipeline:
         )
 
     def push(self, block: SampleBlock) -> list[Result]:
-        """Everything that a block brings about, in order.
+        """Process a block of samples and return all results that it completes, in order.
 
         Raises
         ------
         BadInputError
-            If a channel of the structure file is missing, the unit is wrong, or the rate too low; the block is then as
-            if it had never come.
+            If a channel of the structure file is missing, the unit is wrong, or the rate too low.  The state is then
+            unchanged, as without the block.
         """
         before = self.state
         try:
@@ -114,8 +114,9 @@ class Pipeline:
             raise
 
     def _advance(self, block: SampleBlock) -> list[Result]:
+        """Process a block of samples as `push`, without restoring the state on an error."""
         if block.topic == TEMPERATURE:
-            self._feel(block)
+            self._store_temperature(block)
         if block.topic != ACCELERATION:
             return []
         align_state, pieces = self.front_end.align(self.state.align, block)
@@ -129,7 +130,7 @@ class Pipeline:
                 run = self._begin(piece, run)
             elif piece.shift_ns:
                 run = replace(run, t0_ns=run.t0_ns + piece.shift_ns)
-            results += self._examine(piece, align_state.dropped)
+            results += self._check_sensors(piece, align_state.dropped)
             condition, values = run.conditioner.step_block(run.condition, piece.values)
             first = run.window.start + run.window.n
             t_ns = run.t0_ns + round(first / run.grid.rate_hz * 1e9)
@@ -139,12 +140,12 @@ class Pipeline:
             self.state = replace(self.state, run=run)
             for item in windows:
                 results.append(
-                    self._judge(item, run.conditioner.cutoff_hz) if isinstance(item, Window) else self._skip(*item)
+                    self._assess(item, run.conditioner.cutoff_hz) if isinstance(item, Window) else self._skip(*item)
                 )
         return results
 
     def _begin(self, piece: alignment.Piece, previous: Run | None) -> Run:
-        """A new run of samples: filters start at rest, windows stay on the stream's grid."""
+        """Begin a new run of samples: filters start at rest, windows stay on the stream's grid."""
         n_channels = len(self.front_end.channels)
         self.front_end.check_rate(piece.rate_hz)
         conditioner = self.front_end.conditioner(piece.rate_hz)
@@ -155,40 +156,43 @@ class Pipeline:
             grid = self.front_end.grid(conditioner, with_segments=self.config.refinement.enabled)
         t0_ns, index, last = piece.t_ns, 0, None
         if previous is not None:
-            t0_ns, last = previous.t0_ns, _at_rate(previous.window, rate_hz / previous.grid.rate_hz)
+            t0_ns, last = previous.t0_ns, _convert_rate(previous.window, rate_hz / previous.grid.rate_hz)
             end = last.start + last.n
-            # Rounding first keeps a start that lies on the grid from slipping one sample.
+            # Without rounding first, a start that lies on the grid could move by one sample.
             index = ceil(round((piece.t_ns - t0_ns) * 1e-9 * rate_hz, 6))
-            if (end - index) / rate_hz >= _SET_BACK_S:  # the grid goes on, and times with the clock
+            if (end - index) / rate_hz >= _SET_BACK_S:  # the grid continues, and its times follow the clock
                 t0_ns = piece.t_ns - round(end / rate_hz * 1e9)
             index = max(index, end)
         begun = window.start(grid, n_channels, index=index, previous=last)
         return Run(t0_ns, grid, conditioner, conditioner.start(n_channels), begun)
 
-    def _examine(self, piece: alignment.Piece, dropped: int) -> list[Health]:
-        """What the sensors are like, every so often."""
+    def _check_sensors(self, piece: alignment.Piece, dropped: int) -> list[Health]:
+        """Update the health of the sensors, and return that of the spans that are complete."""
         c = self.config
         spans_s = c.processing.window_s + c.health.span_s
         state, found = sensor_health.step(self.state.health, piece, dropped, c.channels, c.health, spans_s)
         self.state = replace(self.state, health=state)
         return found
 
-    def _feel(self, block: SampleBlock) -> None:
-        """Keep the temperatures that windows to come may need."""
-        c, seen = self.config, self.state.align
-        oldest_ns = seen.t_next_ns() - temperature.reach_ns(c.processing.window_s, c.temperature) if seen.n_run else 0
+    def _store_temperature(self, block: SampleBlock) -> None:
+        """Store the temperatures that later windows may need."""
+        c, align = self.config, self.state.align
+        reach_ns = temperature.reach_ns(c.processing.window_s, c.temperature)
+        oldest_ns = align.t_next_ns() - reach_ns if align.n_run else 0
         self.state = replace(self.state, temperature=temperature.push(self.state.temperature, block, oldest_ns))
 
-    def _felt(self, t_end_ns: int) -> Temperature | None:
+    def _window_temperature(self, t_end_ns: int) -> Temperature | None:
+        """Return the temperature of the window that ends at `t_end_ns` (UTC)."""
         c = self.config
         return temperature.window_temperature(self.state.temperature, t_end_ns, c.processing.window_s, c.temperature)
 
-    def _judge(self, item: Window, cutoff_hz: float) -> WindowResult:
-        """One whole window: identification, updating, damage, alarm."""
+    def _assess(self, item: Window, cutoff_hz: float) -> WindowResult:
+        """Process one complete window: identification, updating, damage index, alarm."""
         c = self.config
 
-        def skip(reason: Skipped, seen: ModalEstimate | None = None) -> WindowResult:
-            return self._skip(item.index, item.t_end_ns, item.window_s, reason, item.rms_m_s2, seen)
+        def skip(reason: Skipped, found: ModalEstimate | None = None) -> WindowResult:
+            """Skip the window, with the modes found in it."""
+            return self._skip(item.index, item.t_end_ns, item.window_s, reason, item.rms_m_s2, found)
 
         skipped = window_quality.check(item.sums, item.rate_hz, cutoff_hz, c.channels, c.quality)
         begin_ns = item.t_end_ns - round(item.window_s * 1e9)
@@ -206,18 +210,18 @@ class Pipeline:
         )
         if self.acquisition and not isinstance(modes, Skipped):
             modes = sensor_correction.correct_modes(modes, self.acquisition, self.context)
-        tracks = self._follow(None if isinstance(modes, Skipped) else modes, item)
+        tracks = self._track_modes(None if isinstance(modes, Skipped) else modes, item)
         if isinstance(modes, Skipped):
             return skip(modes)
         if not len(modes.deviations):
             return skip(Skipped("the modes' uncertainty is not asked for, so nothing is judged"), modes)
-        shown = tuple(int(k) for k in modes.model_mode)
-        healthy = None if self.baseline is None else self.baseline.only(shown)
-        if healthy is not None and healthy.model_mode != shown:
+        identified = tuple(int(k) for k in modes.model_mode)
+        healthy = None if self.baseline is None else self.baseline.only(identified)
+        if healthy is not None and healthy.model_mode != identified:
             return skip(Skipped("modes are not the baseline's"), modes)
-        felt = self._felt(item.t_end_ns)
+        degc = self._window_temperature(item.t_end_ns)
         stiffness, reading = damage_index.step(
-            modes, self.reference, healthy, self.sensors, c.updating, felt, self.prior_std
+            modes, self.reference, healthy, self.sensors, c.updating, degc, self.prior_std
         )
         if not stiffness.converged:
             return skip(Skipped("model updating did not converge"), modes)
@@ -238,15 +242,15 @@ class Pipeline:
             verdict,
             None,
             item.rms_m_s2,
-            felt,
+            degc,
             tracks,
             detectable,
         )
 
-    def _follow(self, modes: ModalEstimate | None, item: Window) -> tuple[int, ...]:
-        """Identity of every mode over time; a window in which none was found is a look too."""
-        seen = tracking.observed(modes, item.window_s)
-        state, tracked = tracking.step(self.state.track, seen, item.t_end_ns, self.config.tracking)
+    def _track_modes(self, modes: ModalEstimate | None, item: Window) -> tuple[int, ...]:
+        """Assign the modes of a window to tracks and return their numbers; a window without modes counts as a look too."""
+        observed = tracking.observed(modes, item.window_s)
+        state, tracked = tracking.step(self.state.track, observed, item.t_end_ns, self.config.tracking)
         self.state = replace(self.state, track=state)
         return tuple(int(number) for number in tracked.observed)
 
@@ -259,15 +263,15 @@ class Pipeline:
         rms: float | None = None,
         modes: ModalEstimate | None = None,
     ) -> WindowResult:
-        """Nothing can be said of damage: the alarm stays as it was."""
+        """Return the result of a window without damage index: the alarm is unchanged."""
         alarms, verdict = alarm.hold(self.state.alarm, t_end_ns)
         self.state = replace(self.state, alarm=alarms)
-        felt = self._felt(t_end_ns)
-        return WindowResult(index, t_end_ns, data_s, modes, None, None, verdict, skipped, rms, felt)
+        degc = self._window_temperature(t_end_ns)
+        return WindowResult(index, t_end_ns, data_s, modes, None, None, verdict, skipped, rms, degc)
 
 
-def _at_rate(state: WindowState, ratio: float) -> WindowState:
-    """Where runs lay, counted in samples of another rate; at the same rate nothing changes."""
+def _convert_rate(state: WindowState, ratio: float) -> WindowState:
+    """Convert the extent of the runs to samples of another rate (`ratio` of new to old); at the same rate nothing changes."""
     if ratio == 1.0:
         return state
     start, end = floor(state.start * ratio), ceil((state.start + state.n) * ratio)

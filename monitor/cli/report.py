@@ -42,15 +42,17 @@ def report(
         warn(f"{folder / 'results.jsonl'}: unreadable lines left out: {r.damaged}")
     content = {
         "report": str(out),
+        **period.assessment.content,
         "from_ns": r.grid.from_ns,
         "to_ns": r.grid.to_ns,
-        "windows": r.windows,
+        "windows": r.course.windows,
         "windows_due": r.due,
         "judged": sum(r.judged),
-        "alarms": len(period.episodes),
+        "alarms": len(period.course.losses),
         "findings": len(period.findings),
     }
     text = (
         f"{content['judged']} of {r.due} windows judged, alarms: {content['alarms']}, findings: {content['findings']}"
     )
-    say(f"{text}\nreport in {out}", content, as_json)
+    said = period.assessment
+    say(f"{text}\n{said.state.words}: {said.headline}\nreport in {out}", content, as_json)

@@ -1,4 +1,4 @@
-"""The words that every room shares: results, errors, settings, files and a map over processes."""
+"""Types and tools shared by all packages: results, errors, settings, files and a map over processes."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""How many threads the linear algebra takes."""
+"""Number of threads of the linear algebra."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 _VARIABLES = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS")
-"""What the libraries read when they are loaded."""
+"""Environment variables that the libraries read when they are loaded."""
 
 
 @contextmanager
 def single_blas_thread() -> Iterator[None]:
-    """Keep the linear algebra of this process and of its children to one thread.
+    """Limit the linear algebra of this process and of its children to one thread.
 
     The matrices are small, so that several threads only wait for one another.  Libraries that are loaded later read the
-    limit from the environment; those that are loaded already are limited by ``threadpoolctl``, which need not be
-    imported otherwise.
+    limit from the environment.  Libraries that are loaded already are limited by ``threadpoolctl``, which is imported only
+    for these.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Functions that numba compiles."""
+"""Compilation of functions by numba."""
 
 from __future__ import annotations
 
@@ -11,17 +11,18 @@ _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 
 def compiled(**options: Any) -> Callable[[_Function], _Function]:
-    """As ``numba.njit`` that lets other threads run, and kept on the disk where there is a place for it.
+    """Compile a function by ``numba.njit`` without the interpreter lock, and cache the result on disk where possible.
 
-    A program that root installed, run by a user without a home, has none unless ``NUMBA_CACHE_DIR`` names one: it compiles again
-    in each process, which takes seconds, and says nothing.
+    There is no cache where neither the package nor the user has a writable folder, unless ``NUMBA_CACHE_DIR`` names one: for
+    example a program that root installed, run by a user without a home.  The function is then compiled again in each process,
+    which takes seconds, without a message.
     """
 
     def wrap(function: _Function) -> _Function:
         try:
-            made: _Function = njit(cache=True, nogil=True, **options)(function)
+            result: _Function = njit(cache=True, nogil=True, **options)(function)
         except RuntimeError:
-            made = njit(nogil=True, **options)(function)
-        return made
+            result = njit(nogil=True, **options)(function)
+        return result
 
     return wrap

@@ -1,4 +1,4 @@
-"""Files that are whole or not there."""
+"""Atomic writing of files: a file exists under its final name only when it is complete."""
 
 from __future__ import annotations
 
@@ -12,16 +12,23 @@ from monitor.core.errors import MissingInputError, WrongUsageError
 
 
 def partial(path: Path) -> Path:
-    """Where a file is written before it takes its final name."""
+    """Return the path under which a file is written before it gets its final name.
+
+    Examples
+    --------
+    >>> partial(Path("day.mcap")).name
+    'day.mcap.part'
+    """
     return path.with_name(path.name + ".part")
 
 
 def spare_inputs(outputs: Iterable[Path], inputs: Iterable[Path | None]) -> None:
-    """Refuse to write over what is read.
+    """Refuse outputs that would overwrite an input.
 
     Raises
     ------
     WrongUsageError
+        If an output is an input too.
     """
     taken = {path.resolve() for path in inputs if path is not None}
     for path in outputs:
@@ -30,11 +37,12 @@ def spare_inputs(outputs: Iterable[Path], inputs: Iterable[Path | None]) -> None
 
 
 def demand_place(path: Path) -> None:
-    """Make the folder of an output and see that a file can be written there.
+    """Make the folder of an output and check that a file can be written there.
 
     Raises
     ------
     MissingInputError
+        If the file cannot be written.
     """
     try:
         path.resolve().parent.mkdir(parents=True, exist_ok=True)
@@ -48,12 +56,12 @@ def demand_place(path: Path) -> None:
 
 
 def finish(path: Path) -> None:
-    """Give the partial file of `path` its final name."""
+    """Rename the partial file of `path` to its final name."""
     os.replace(partial(path), path)
 
 
 def write_atomically(path: Path, text: str) -> None:
-    """Write a small text file under its final name only when complete."""
+    """Write a small text file that gets its final name only when it is complete."""
     temporary = partial(path)
     try:
         with temporary.open("w", encoding="utf-8") as file:
@@ -67,6 +75,6 @@ def write_atomically(path: Path, text: str) -> None:
 
 
 def sha256(path: Path) -> str:
-    """Checksum of a file, hexadecimal."""
+    """Compute the SHA-256 checksum of a file, hexadecimal."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()

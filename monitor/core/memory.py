@@ -1,4 +1,4 @@
-"""How the process holds its memory."""
+"""Memory management of the process."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ _TRIM_THRESHOLD, _TOP_PAD, _MMAP_THRESHOLD = -1, -2, -3
 
 
 def keep_freed() -> None:
-    """Let the C library keep what arrays leave behind for the next ones, instead of fetching it page by page for every window.
+    """Let the C library keep freed memory for later arrays, instead of requesting it page by page for every window.
 
-    A quarter of the time before identification went into that.  At most 64 MiB are kept; does nothing without glibc.
+    The requests took a quarter of the time before identification.  At most 64 MiB are kept; without glibc nothing is done.
     """
     try:
         mallopt = ctypes.CDLL(None).mallopt

@@ -1,4 +1,4 @@
-"""What people write: HOST:PORT and times."""
+"""Parsing of user input: HOST:PORT and times."""
 
 from __future__ import annotations
 
@@ -8,11 +8,19 @@ _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 
 def parse_address(text: str, *, any_port: bool = False) -> tuple[str, int]:
-    """Host, an IPv6 one without its brackets, and port; 0, a free one, only with `any_port`.
+    """Parse HOST:PORT to host and port; an IPv6 address loses its brackets.
+
+    Port 0, for any free port, is accepted only with `any_port`.
 
     Raises
     ------
     ValueError
+        If the text is not HOST:PORT.
+
+    Examples
+    --------
+    >>> parse_address("[::1]:9876")
+    ('::1', 9876)
     """
     host, _, port = text.rpartition(":")
     if not host or not port.isdecimal() or not (0 if any_port else 1) <= int(port) < 65536:
@@ -21,12 +29,17 @@ def parse_address(text: str, *, any_port: bool = False) -> tuple[str, int]:
 
 
 def utc_ns(text: str) -> int:
-    """Nanoseconds since 1970 of a time in ISO 8601, UTC where it names no zone.
+    """Convert a time in ISO 8601 to nanoseconds since 1970 UTC; a time without zone is UTC.
 
     Raises
     ------
     ValueError
-        It is none, or none that 64 bits can say.
+        If the text is not a time, or the time does not fit in 64 bits.
+
+    Examples
+    --------
+    >>> utc_ns("1970-01-01T00:00:01.5")
+    1500000000
     """
     try:
         moment = datetime.fromisoformat(text)

@@ -1,7 +1,7 @@
-"""The nouns: frozen values that stages hand on and publishers publish.
+"""Results of the stages: frozen values that stages pass on and publishers publish.
 
-Every field's doc gives its unit and shape; ``m`` modes, ``n`` stories, ``c`` channels.  Every estimate carries
-its covariance, and "cannot say" is a value (`Skipped`).
+Every field's doc gives its unit and shape, for ``m`` modes, ``n`` stories and ``c`` channels.  Every estimate has its covariance.
+A window without an estimate is a value too (`Skipped`).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ WHOLE = 0
 
 
 class Level(StrEnum):
-    """Alarm levels, in rising order."""
+    """Alarm level, in increasing order."""
 
     NORMAL = "normal"
     ADVISORY = "advisory"
@@ -30,7 +30,7 @@ class Level(StrEnum):
 
     @property
     def rank(self) -> int:
-        """0 for normal to 3 for alarm."""
+        """Rank of the level, from 0 for normal to 3 for alarm."""
         return _RANKS[self]
 
 
@@ -38,7 +38,7 @@ _RANKS = {level: rank for rank, level in enumerate(Level)}
 
 
 class AlarmCondition(StrEnum):
-    """What became of an alarm, by the state diagram of IEC 62682 (ISA-18.2)."""
+    """State of an alarm in the state diagram of IEC 62682 (ISA-18.2)."""
 
     NORMAL = "normal"
     UNACKNOWLEDGED = "active, unacknowledged"
@@ -54,13 +54,13 @@ GAP = "gap in the data"
 
 @dataclass(frozen=True, slots=True)
 class Skipped:
-    """Nothing could be said about a window, and why."""
+    """Reason why a window has no result."""
 
     reason: str
 
     @property
     def mend(self) -> str:
-        """The reason, with what helps where something does."""
+        """The reason, with a remedy if there is one."""
         if self.reason == GAP:
             return f"{GAP}; a shorter [processing] window_s loses less to each"
         return self.reason
@@ -68,7 +68,7 @@ class Skipped:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Samples:
-    """Conditioned samples, one common clock."""
+    """Conditioned samples of all channels on one clock."""
 
     t_ns: int
     """UTC of the first sample."""
@@ -79,33 +79,33 @@ class Samples:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class LagSums:
-    """Lagged products of one window about its mean, as they come: sums over blocks of the raw samples."""
+    """Lag sums of one window: sums of lagged products over blocks of raw samples, and the terms that remove the mean."""
 
     products: Array
     """Shape (n_blocks, 2 i, c, c), (m/s^2)^2: ``sum_k y[k] y[k + tau]^T`` over the samples k of a block."""
     shifted: Array
-    """Shape (n_blocks, 2 i, c): sums of the second factors, at lag 0 of the first ones as well."""
+    """Shape (n_blocks, 2 i, c), m/s^2: sums of the second factors; at lag 0 these are the first factors as well."""
     mean: Array
-    """Shape (c,), of the window, m/s^2."""
+    """Shape (c,): mean of the window, m/s^2."""
     counts: NDArray[np.int64]
     """Shape (n_blocks,): the number of products in each block."""
     head: Array
     """Shape (2 i - 1, c): the window's first samples about its mean, m/s^2."""
     tail: Array
-    """Shape (2 i - 1, c): the window's last samples about its mean."""
+    """Shape (2 i - 1, c): the window's last samples about its mean, m/s^2."""
     total: Array
-    """Shape (2 i, c, c): sum of the blocks about the window's mean."""
+    """Shape (2 i, c, c): sum of the blocks' lagged products about the window's mean, (m/s^2)^2."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Window:
-    """One sliding window, ready for identification."""
+    """Data of one sliding window for identification."""
 
     index: int
     t_end_ns: int
     """Exclusive end of the window, UTC."""
     window_s: float
-    """Length of the data in the window."""
+    """Length of the data in the window, s."""
     rate_hz: float
     sums: LagSums
     first_block: int
@@ -113,61 +113,62 @@ class Window:
     segments: tuple[ComplexArray, ...]
     """Each of shape (n_bins, c): tapered Fourier transforms of half-overlapping segments, m/s^2/sqrt(Hz)."""
     segment_bin_hz: float
-    """Spacing of the bins, which begin at 0 Hz."""
+    """Spacing of the bins, which begin at 0 Hz, in Hz."""
     first_segment: int
     """Number of the first segment on the stream's grid."""
 
     @property
     def rms_m_s2(self) -> float:
-        """Response level: mean over channels of the RMS."""
+        """Response level: mean over channels of the RMS, m/s^2."""
         variance = self.sums.total[0].diagonal() / self.sums.counts.sum()
         return float(np.sqrt(variance).mean())
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class ModalEstimate:
-    """Modes of one window in the order of the model's, whichever is lower now, with their joint covariance."""
+    """Modes of one window, in the order of the model's modes (not by their present frequency), with their joint covariance."""
 
     frequencies_hz: Array
     """Shape (m,)."""
     damping_ratio: Array
     """Shape (m,)."""
     shapes: ComplexArray
-    """Shape (m, c); each with one component, the subspace estimate's largest, 1."""
+    """Shape (m, c); the component that is largest in the subspace estimate is 1."""
     model_mode: NDArray[np.int64]
-    """Shape (m,): which mode of the model (0 = lowest) each one was matched to."""
+    """Shape (m,): number of the model's mode (0 = lowest) that each mode was matched to."""
     deviations: Array
     """Shape (n_blocks, m, 2 + 2 c): first-order influence of each block of data on (ln f, damping ratio, Re shape,
-    Im shape).  Their sum of squares is the covariance of the estimate; without blocks it is not known."""
+    Im shape).  The sum of their squares is the covariance of the estimate; without blocks the covariance is not known."""
     first: int
-    """Number of the first deviation on the stream's grid: windows that overlap share what happened there."""
+    """Number of the first deviation on the stream's grid; overlapping windows share the deviations of common data."""
     order: int
-    """State-space order that the estimate was taken from (a mode that it splits, from another)."""
+    """State-space order of the estimate (a mode that is split at this order is taken from another)."""
     poles: Array
     """Shape (n_poles, 4): order, frequency in Hz, damping ratio, 1 if stable; the stabilisation diagram."""
     weight_factor: Array | None = None
-    """Shape (n_rows, m, 2 + 2 c): rows whose squares sum to a covariance that weighs the updating; from the likelihood's
-    information, so well conditioned.  None: weigh by the deviations' variances."""
+    """Shape (n_rows, m, 2 + 2 c): rows whose squares sum to the covariance for the weights of the updating.  It is the inverse of
+    the likelihood's information and well conditioned.  None: weigh by the deviations' variances."""
     refined: bool = False
-    """Whether this is the maximum-likelihood estimate rather than the subspace one."""
+    """True for the maximum-likelihood estimate, False for the subspace estimate."""
 
     @property
     def frequencies_std_hz(self) -> Array:
-        """Shape (m,), Hz; not a number where it is not known."""
+        """Standard deviations of the frequencies, shape (m,), Hz; NaN where not known."""
         return np.asarray(self.frequencies_hz * self._std(0))
 
     @property
     def damping_std(self) -> Array:
-        """Shape (m,); not a number where it is not known."""
+        """Standard deviations of the damping ratios, shape (m,); NaN where not known."""
         return self._std(1)
 
     def _std(self, column: int) -> Array:
+        """Compute the standard deviations of one column of the deviations, shape (m,)."""
         if not len(self.deviations):
             return np.full(len(self.frequencies_hz), np.nan)
         return np.asarray(np.sqrt((self.deviations[:, :, column] ** 2).sum(axis=0)))
 
     def only(self, model_modes: frozenset[int]) -> ModalEstimate:
-        """The estimate of these modes of the model (0 = lowest) alone."""
+        """Select the estimates of some modes of the model (0 = lowest)."""
         rows = [row for row, mode in enumerate(self.model_mode) if mode in model_modes]
         return replace(
             self,
@@ -182,7 +183,7 @@ class ModalEstimate:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class StiffnessEstimate:
-    """Story stiffness updated to a window's modes."""
+    """Story stiffnesses updated to a window's modes."""
 
     stiffness_n_per_m: Array
     """Shape (n,)."""
@@ -191,7 +192,8 @@ class StiffnessEstimate:
     converged: bool
     iterations: int
     misfit: float
-    """Goodness of fit of the change since the baseline: squared misfit over its expectation; 1 when stiffness explains it."""
+    """Goodness of fit of the change since the baseline: squared misfit over its expectation; about 1 when stiffness explains the
+    change, and 1 without a baseline."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -201,39 +203,39 @@ class DamageReading:
     ddi: Array
     """Shape (n,): the direct parameter ratio, 1 - k / k_baseline."""
     ddi_covariance: Array
-    """Shape (n, n); contains the baseline's own uncertainty."""
+    """Shape (n, n): covariance of `ddi`, including the baseline's uncertainty."""
     ddi_sequential: Array
-    """Shape (n,): read from the difference of the stiffness matrices in the paper's sequence."""
+    """Shape (n,): index from the difference of the stiffness matrices, in the paper's sequence."""
     loss_n_per_m: Array
     """Shape (n,): stiffness lost since the baseline."""
     common_covariance: Array = field(default_factory=lambda: np.zeros(()))
-    """Shape (n, n): the part of `ddi_covariance` that all windows share, the baseline's own, which no averaging lessens."""
+    """Shape (n, n): the part of `ddi_covariance` common to all windows, from the baseline; averaging does not reduce it."""
     model_form: float = 0.0
-    """Share of the largest loss by which the model's standing misfit may falsify any story's, one standard deviation; it
-    is in `ddi_covariance`, but says nothing against a story that lost nothing."""
+    """Error of any story's index from the systematic misfit of the model, as a share of the largest loss (one standard
+    deviation).  It is contained in `ddi_covariance`, but is no evidence against a story without loss."""
     temperature_effect: Array | None = None
-    """Shape (n,): relative change of stiffness that the temperature explains, already taken out of the index; None where
+    """Shape (n,): relative change of stiffness explained by the temperature, removed from the index; None where
     no dependence is known."""
     unidentified: tuple[int, ...] = ()
-    """Stories, from 1, of which the window's modes say next to nothing: their index is held by the prior alone."""
+    """Stories, from 1, that the window's modes hardly determine: their index is determined by the prior alone."""
 
     @property
     def ddi_std(self) -> Array:
-        """Shape (n,)."""
+        """Standard deviations of the index, shape (n,)."""
         return np.asarray(np.sqrt(np.diag(self.ddi_covariance)))
 
     @property
     def form_variance(self) -> float:
-        """The part of every story's variance that the model's form adds, in proportion to the largest loss."""
+        """Part of every story's variance from the error of the model's form, which is proportional to the largest loss."""
         return float((self.model_form * np.abs(self.ddi).max(initial=0.0)) ** 2)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Temperature:
-    """What a window felt."""
+    """Temperature of a window."""
 
     lagged_degc: Array
-    """Shape (n_lags,): mean over the window behind each of `temperature.LAGS_S`, degC; the first is as measured."""
+    """Shape (n_lags,): mean over the window after each thermal lag of `temperature.LAGS_S`, degC; the first is as measured."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -242,17 +244,17 @@ class Alarm:
 
     level: Level
     stories: tuple[int, ...]
-    """Story numbers from 1 at this level; empty for the whole structure or none."""
+    """Story numbers from 1 at this level; empty if only the structure as a whole, or no story, is at it."""
     reason: str
     active: dict[int, Level] = field(default_factory=dict)
-    """Announced level of every story that is not normal; `WHOLE` stands for the structure as a whole."""
+    """Announced level of every story that is not normal; the key of the structure as a whole is `WHOLE`."""
     conditions: dict[int, AlarmCondition] = field(default_factory=dict)
-    """AlarmCondition of every alarm that is not normal, shelved ones among them."""
+    """Condition of every alarm that is not normal, including shelved alarms."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class WindowResult:
-    """Everything said about one window: a line of results.jsonl."""
+    """All results of one window: a line of results.jsonl."""
 
     index: int
     t_end_ns: int
@@ -263,11 +265,11 @@ class WindowResult:
     alarm: Alarm
     skipped: Skipped | None
     rms_m_s2: float | None = None
-    """Response level, mean over channels; None for a window with a hole."""
+    """Response level, m/s^2, mean over channels; None for a window with a gap."""
     temperature: Temperature | None = None
-    """None without a temperature channel, or where it is too old."""
+    """Temperature of the window; None without a temperature channel, or where the newest reading is too old."""
     mode_tracks: tuple[int, ...] = ()
-    """Identity over time of each of the modes, from 0; -1 for one not seen often enough yet."""
+    """Number of the track of each mode, from 0; -1 for a mode not observed often enough yet."""
     detectable_loss: Array | None = None
     """Shape (n,): smallest sudden loss of each story that would be seen (`damage.detectable_loss`), infinite where none would;
     None without a baseline."""
@@ -275,7 +277,7 @@ class WindowResult:
 
 @dataclass(frozen=True, slots=True)
 class Gap:
-    """Samples that never came, or a clock that jumped."""
+    """Gap in the stream: missing samples, or a jump of the clock."""
 
     t_ns: int
     """UTC where the gap begins."""

@@ -1,4 +1,4 @@
-"""Base of all settings: frozen, unknown keys refused, every problem reported."""
+"""Base class of all settings: frozen, unknown keys refused, every problem reported."""
 
 from __future__ import annotations
 
@@ -6,19 +6,19 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 
 class Settings(BaseModel):
-    """Settings of one stage stand beside the stage; `monitor.config.configuration` reads them from TOML."""
+    """Base class of the settings of a stage, which are defined beside it; `monitor.config.configuration` reads them from TOML."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
 def settings_problems(error: ValidationError, *place: str) -> list[str]:
-    """One line a problem, with where it lies below `place`; without the values, which may be secret."""
+    """List the problems of a validation, one line each, with the key below `place`; values may be secret and are left out."""
     lines = []
     for problem in error.errors():
         loc = (*place, *problem["loc"])
         if problem["type"].startswith("union_tag"):
             loc = (*loc, "kind")
-        elif loc[:1] == ("structure",):  # pydantic also names the table that its `kind` chose
+        elif loc[:1] == ("structure",):  # pydantic also names the table that `kind` selected
             loc = (*loc[:1], *loc[2:])
         where = ".".join(map(str, loc))
         message = problem["msg"].removeprefix("Value error, ")

@@ -1,4 +1,4 @@
-"""Stiffness updated to the modes, compared with the healthy baseline, and the alarm."""
+"""Model updating of the story stiffnesses, damage index against the healthy baseline, and alarms."""
 
 import lazy_loader
 

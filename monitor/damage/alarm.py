@@ -1,8 +1,8 @@
-"""The only place that decides: alarms by evidence, persistence and size, in the vocabulary of IEC 62682.
+"""Alarms by significance, duration and size of a loss, in the vocabulary of IEC 62682.
 
-An alarm for each story and one for the structure as a whole.  It becomes active when the evidence (`sequential`) has exceeded the
-threshold for the on-delay, and returns to normal when it has stayed below threshold less deadband for the off-delay.
-Operators acknowledge, shelve and reset it; none of this changes what is measured.
+There is an alarm for each story and one for the structure as a whole.  An alarm becomes active when the z-score
+(`sequential_test`) has exceeded the threshold for the on-delay, and returns to normal when the z-score has stayed below threshold
+minus deadband for the off-delay.  Operators acknowledge, shelve and reset alarms; this does not change what is measured.
 
 References
 ----------
@@ -23,33 +23,33 @@ from monitor.damage.sequential_test import History
 
 
 class AlarmSettings(Settings):
-    """When a loss of stiffness is announced."""
+    """``[alarm]``: thresholds and delays for announcing a loss of stiffness."""
 
     significance: float = Field(default=6.5, gt=0)
-    """Evidence, in standard deviations, from which a loss is significant (one-sided)."""
+    """z-score from which a loss is significant, in standard deviations (one-sided)."""
     min_loss: float = Field(default=0.002, ge=0, lt=1)
     """Losses below this are never announced."""
     alarm_loss: float = Field(default=0.10, gt=0, lt=1)
     """A confirmed loss of at least this is an `alarm`."""
     model_form: float = Field(default=0.05, ge=0)
-    """Share of another story's loss that the model's wrong form may show here (one standard deviation)."""
+    """Share of one story's loss that may appear in another because of errors in the model's form (one standard deviation)."""
     uniform_loss: float = Field(default=0.05, gt=0, lt=1)
-    """A change alike in all stories is announced, as `advisory` of the whole structure, from this loss on."""
+    """A loss common to all stories is announced, as `advisory` of the whole structure, from this size on."""
     confirm_s: float = Field(default=10.0, ge=0)
     """On-delay: a loss is confirmed when it has stayed significant this long."""
     clear_s: float = Field(default=100.0, ge=0)
     """Off-delay: an announced loss is cleared when it has stayed insignificant this long."""
     deadband: float = Field(default=1.0, ge=0)
-    """Standard deviations by which an announced loss may fall below its thresholds before it counts as gone."""
+    """Standard deviations by which an announced loss may fall below its thresholds before it returns to normal."""
     latching: bool = False
-    """An alarm that returned to normal stays announced until it is reset."""
+    """Keep an alarm that returned to normal announced until it is reset."""
     unwatched: tuple[int, ...] = ()
     """Stories that the sensors are known not to see: they are named, but no longer keep the state from being `normal`."""
 
 
 @dataclass(frozen=True, slots=True)
 class Shelving:
-    """Taken out of the announcements by an operator, for a time."""
+    """Suppression of an alarm's announcement by an operator, for a limited time."""
 
     until_ns: int
     reason: str
@@ -57,12 +57,12 @@ class Shelving:
 
 @dataclass(frozen=True, slots=True)
 class StoryState:
-    """One alarm: a story's, or that of the whole structure."""
+    """State of the alarm of one story, or of the structure as a whole."""
 
     level: Level = Level.NORMAL
-    """As the data say now."""
+    """Level by the data up to now."""
     since_ns: int | None = None
-    """End of the first window of the unbroken run of significant ones."""
+    """End of the first window of the present unbroken run of significant windows."""
     quiet_since_ns: int | None = None
     latched: Level = Level.NORMAL
     """Highest level since the last reset, where alarms latch."""
@@ -72,14 +72,14 @@ class StoryState:
 
     @property
     def announced(self) -> Level:
-        """The level that operators see: none while shelved."""
+        """The level that operators see: normal while shelved."""
         if self.shelved is not None:
             return Level.NORMAL
         return max(self.level, self.latched, key=lambda level: level.rank)
 
     @property
     def condition(self) -> AlarmCondition:
-        """State in the standard's diagram."""
+        """State in the alarm state diagram of the standard."""
         if self.shelved is not None:
             return AlarmCondition.SHELVED
         if self.level is not Level.NORMAL:
@@ -91,64 +91,70 @@ class StoryState:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class AlarmState:
-    """All that the next window needs."""
+    """State of all alarms between windows."""
 
     stories: tuple[StoryState, ...]
-    """The stories', then that of the structure as a whole."""
+    """Alarms of the stories, then the alarm of the structure as a whole."""
     history: History
 
 
 def start(n_stories: int, window_s: float = 400.0) -> AlarmState:
-    """State before the first window.
+    """Return the state before the first window.
 
     Parameters
     ----------
     window_s : float
-        Length of the windows: readings further apart share no data.
+        Length of the windows, s: readings further apart share no data.
+
+    Examples
+    --------
+    >>> state, announced = hold(start(n_stories=2), t_ns=0)
+    >>> announced.level.value, announced.reason
+    ('normal', 'unchanged: the window was skipped')
     """
     return AlarmState((StoryState(),) * (n_stories + 1), sequential_test.begin(n_stories, window_s))
 
 
 def step(state: AlarmState, damage: DamageReading, t_ns: int, settings: AlarmSettings) -> tuple[AlarmState, Alarm]:
-    """Judge one window's damage reading; `t_ns` is the window's end."""
+    """Update the alarms by one window's damage reading; `t_ns` is the UTC of the window's end."""
     history, evidence = sequential_test.look(state.history, damage, t_ns, settings.model_form)
     shared = sequential_test.shared_change(evidence.loss, evidence.std)
     own = evidence.loss - sequential_test.shared_by_others(evidence.loss, evidence.std)
     *before, whole_before = state.stories
-    judged = [
-        s if j in damage.unidentified else _judge(s, float(loss), float(z), float(std), t_ns, settings)
+    updated = [
+        s if j in damage.unidentified else _update_alarm(s, float(loss), float(z), float(std), t_ns, settings)
         for j, (s, loss, z, std) in enumerate(zip(before, own, evidence.z, evidence.std, strict=True), start=1)
     ]
     std = float(evidence.std.max())
-    whole = _judge(whole_before, shared, shared / std, std, t_ns, _advisory_only(settings))
+    whole = _update_alarm(whole_before, shared, shared / std, std, t_ns, _advisory_only(settings))
     lost = {
         j: f"story {j} lost {100 * d:.1f} ± {200 * s:.1f} % (mean of the latest windows)"
         for j, (d, s) in enumerate(zip(own, evidence.std, strict=True), start=1)
     }
     lost[WHOLE] = f"all stories lost {100 * shared:.1f} % alike (weather, mass, clock or stiffness)"
     alike = f"all stories changed alike, stiffness by {-100 * shared:+.1f} % (weather, mass, clock or stiffness)"
-    state = AlarmState(tuple(_unshelved(s, t_ns) for s in (*judged, whole)), history)
+    state = AlarmState(tuple(_end_shelving(s, t_ns) for s in (*updated, whole)), history)
     return state, _summarize(state.stories, lost, alike if shared else "")
 
 
 def hold(state: AlarmState, t_ns: int) -> tuple[AlarmState, Alarm]:
-    """The alarm while nothing can be said: as it was, but for shelving whose time is over."""
-    stories = tuple(_unshelved(s, t_ns) for s in state.stories)
+    """Keep the alarms over a skipped window; only shelving whose time is over ends."""
+    stories = tuple(_end_shelving(s, t_ns) for s in state.stories)
     return replace(state, stories=stories), _summarize(stories, {}, "unchanged: the window was skipped")
 
 
 def acknowledge(state: AlarmState, story: int, who: str) -> AlarmState:
-    """An operator has seen a story's alarm (`WHOLE`: the structure's); one that rises later is to be seen again.
+    """Acknowledge a story's alarm (`WHOLE`: the structure's); a later rise of its level must be acknowledged again.
 
     Raises
     ------
     ValueError
         If there is no such story.
     """
-    alarm = _of(state, story)
+    alarm = _find_alarm(state, story)
     if not alarm.unacknowledged:
         return state
-    return _with(state, story, replace(alarm, unacknowledged=False, acknowledged_by=who))
+    return _replace_alarm(state, story, replace(alarm, unacknowledged=False, acknowledged_by=who))
 
 
 def reset(state: AlarmState, story: int) -> AlarmState:
@@ -159,14 +165,14 @@ def reset(state: AlarmState, story: int) -> AlarmState:
     ValueError
         If there is no such story.
     """
-    alarm = _of(state, story)
+    alarm = _find_alarm(state, story)
     if alarm.condition is not AlarmCondition.LATCHED_ACKNOWLEDGED:
         return state
-    return _with(state, story, replace(alarm, latched=Level.NORMAL))
+    return _replace_alarm(state, story, replace(alarm, latched=Level.NORMAL))
 
 
 def shelve(state: AlarmState, story: int, until_ns: int, reason: str) -> AlarmState:
-    """Announce a story's alarm no more until then; it is tracked on, and comes back when the time is over.
+    """Suppress the announcement of a story's alarm until `until_ns` (UTC); its level is still updated meanwhile.
 
     Raises
     ------
@@ -175,7 +181,7 @@ def shelve(state: AlarmState, story: int, until_ns: int, reason: str) -> AlarmSt
     """
     if not reason.strip():
         raise ValueError("shelving needs a reason")
-    return _with(state, story, replace(_of(state, story), shelved=Shelving(until_ns, reason)))
+    return _replace_alarm(state, story, replace(_find_alarm(state, story), shelved=Shelving(until_ns, reason)))
 
 
 def unshelve(state: AlarmState, story: int) -> AlarmState:
@@ -186,32 +192,38 @@ def unshelve(state: AlarmState, story: int) -> AlarmState:
     ValueError
         If there is no such story.
     """
-    return _with(state, story, replace(_of(state, story), shelved=None))
+    return _replace_alarm(state, story, replace(_find_alarm(state, story), shelved=None))
 
 
-def _of(state: AlarmState, story: int) -> StoryState:
+def _find_alarm(state: AlarmState, story: int) -> StoryState:
+    """Return the alarm of a story, or of the whole structure for `WHOLE`."""
     if not 0 <= story < len(state.stories):
         raise ValueError(f"no story {story}: there are {len(state.stories) - 1}, and {WHOLE} for the whole")
     return state.stories[story - 1]  # the whole structure's is the last
 
 
-def _with(state: AlarmState, story: int, alarm: StoryState) -> AlarmState:
+def _replace_alarm(state: AlarmState, story: int, alarm: StoryState) -> AlarmState:
+    """Replace the alarm of a story, or of the whole structure for `WHOLE`."""
     stories = list(state.stories)
     stories[story - 1] = alarm
     return replace(state, stories=tuple(stories))
 
 
-def _unshelved(alarm: StoryState, t_ns: int) -> StoryState:
+def _end_shelving(alarm: StoryState, t_ns: int) -> StoryState:
+    """End the shelving of an alarm if its time is over."""
     return replace(alarm, shelved=None) if alarm.shelved is not None and t_ns >= alarm.shelved.until_ns else alarm
 
 
 @lru_cache(maxsize=8)
 def _advisory_only(settings: AlarmSettings) -> AlarmSettings:
-    """For the structure as a whole: the cause is open, so it is never more than an advisory."""
+    """Return the settings for the structure as a whole: the cause is unknown, so its level never exceeds advisory."""
     return settings.model_copy(update={"confirm_s": np.inf, "min_loss": settings.uniform_loss})
 
 
-def _judge(alarm: StoryState, loss: float, z: float, std: float, t_ns: int, settings: AlarmSettings) -> StoryState:
+def _update_alarm(
+    alarm: StoryState, loss: float, z: float, std: float, t_ns: int, settings: AlarmSettings
+) -> StoryState:
+    """Update one alarm by relative loss, z-score, and standard deviation of the loss."""
     active = alarm.level is not Level.NORMAL
     band = settings.deadband if active else 0.0
     slack = band * std
@@ -242,6 +254,7 @@ def _judge(alarm: StoryState, loss: float, z: float, std: float, t_ns: int, sett
 
 
 def _summarize(stories: tuple[StoryState, ...], lost: dict[int, str], otherwise: str) -> Alarm:
+    """Combine all alarms to the announced level with its reason; `lost` words each story's loss, `otherwise` a common change."""
     alarms = dict(zip([*range(1, len(stories)), WHOLE], stories, strict=True))
     active: dict[int, Level] = {j: a.announced for j, a in alarms.items() if a.announced is not Level.NORMAL}
     conditions: dict[int, AlarmCondition] = {
@@ -259,4 +272,5 @@ def _summarize(stories: tuple[StoryState, ...], lost: dict[int, str], otherwise:
 
 
 def _name(story: int) -> str:
+    """Name a story in a message."""
     return f"story {story}" if story != WHOLE else "the whole structure"

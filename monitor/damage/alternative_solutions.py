@@ -1,4 +1,4 @@
-"""Other stiffnesses that fit as well: frequencies alone may have several exact solutions."""
+"""Search for further exact solutions of the updating: frequencies alone may have several."""
 
 from __future__ import annotations
 
@@ -20,33 +20,33 @@ _EXACT_RESIDUAL = 1e-6
 
 
 def second_solutions(model: Model, sensors: Array, observation: Observation, settings: UpdatingSettings) -> Array:
-    """Stiffnesses far from the model's that reproduce the observation exactly.
+    """Find stiffnesses other than the model's that reproduce the observation exactly.
 
     Parameters
     ----------
     model : Model
-        Updated to the observation: its own solution is left out.
+        Model updated to the observation; its own solution is left out.
     sensors : ndarray, shape (c, n)
-        Picks the sensors out of the floors.
+        Sensor matrix: channels by floors.
     observation : Observation
 
     Returns
     -------
     ndarray, shape (n_solutions, p), N/m
-        Nearest first; those that Gauss-Newton steps reach from evenly spread starts, so not surely all.  None where
-        there are more stiffnesses than data: then solutions are no points, and `Update.unseen` tells their directions.
+        Solutions that Gauss-Newton steps reach from evenly spread starting points, nearest first; there may be more.  Empty
+        where there are more stiffnesses than data: solutions are then not isolated, and `Update.unseen` has their directions.
     """
-    here = model.structure.stiffness_n_per_m
-    if observation.z.size < here.size:
-        return np.zeros((0, here.size))
+    own = model.structure.stiffness_n_per_m
+    if observation.z.size < own.size:
+        return np.zeros((0, own.size))
     plain = settings.model_copy(update={"penalty": "least_squares"})
     scale = np.ones(observation.z.size) if observation.log else np.abs(observation.z)
-    found = [here]
-    for point in qmc.Halton(here.size, scramble=False).random(_N_STARTS + 1)[1:]:
-        start = here * _LARGEST_START_FACTOR ** (2.0 * point - 1.0)
+    found = [own]
+    for point in qmc.Halton(own.size, scramble=False).random(_N_STARTS + 1)[1:]:
+        start = own * _LARGEST_START_FACTOR ** (2.0 * point - 1.0)
         fit = update(model.with_stiffness(start), sensors, observation, plain)
         new = all(np.abs(fit.parameters / other - 1.0).max() > _SAME_SOLUTION for other in found)
         if fit.converged and new and np.abs(fit.residual / scale).max() < _EXACT_RESIDUAL:
             found.append(fit.parameters)
-    others = np.array(found[1:]).reshape(-1, here.size)
-    return np.asarray(others[np.abs(np.log(others / here)).max(axis=1).argsort()])
+    others = np.array(found[1:]).reshape(-1, own.size)
+    return np.asarray(others[np.abs(np.log(others / own)).max(axis=1).argsort()])

@@ -1,4 +1,4 @@
-"""The healthy baseline: what later windows are compared with."""
+"""The healthy baseline, the reference state with which later windows are compared."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ from monitor.signals import TemperatureSettings
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Baseline:
-    """Modes, updated model and standing misfit of the healthy structure."""
+    """Modes, updated model and systematic misfit of the healthy structure."""
 
     model: Model
-    """Updated to the healthy modes."""
+    """Model updated to the healthy modes."""
     covariance: Array
-    """Of stiffnesses, then masses, relative to their values, shape (p + n, p + n)."""
+    """Covariance of stiffnesses, then masses, relative to their values, shape (p + n, p + n)."""
     z: Array
     """Measured vector of the healthy state, shape (n_data,) (see `updating.Observation`)."""
     z_covariance: Array
     """Shape (n_data, n_data)."""
     misfit: Array
-    """z less the updated model's: the standing model error, which cancels from every change, shape (n_data,)."""
+    """z minus the updated model's: the systematic model error, which cancels from every change, shape (n_data,)."""
     model_mode: tuple[int, ...]
-    """Which of `model`'s modes (0 = lowest) the healthy ones are, in the order of `z`."""
+    """Numbers of the healthy modes in `model` (0 = lowest), in the order of `z`."""
     gauges: tuple[int, ...]
     log: bool
     frequencies_hz: Array
@@ -43,22 +43,22 @@ class Baseline:
     """Floor of each channel."""
     windows: int
     level_range_m_s2: tuple[float, float]
-    """Least and largest RMS of the windows, mean over channels."""
+    """Smallest and largest response level of the windows: RMS, mean over channels."""
     reference_temperature_degc: float | None = None
-    """Mean over the windows; None without a temperature channel."""
+    """Mean temperature over the windows; None without a temperature channel."""
     temperature: Dependence | None = None
-    """How the healthy stiffness follows the temperature; None where nothing could be learned."""
+    """Temperature dependence of the healthy stiffness; None where none was found."""
     recordings: tuple[dict[str, Any], ...] = field(default=())
     """Name and sha256 of every recording used."""
     span_ns: tuple[int, int] = (0, 0)
-    """UTC of the healthy data's first sample and of their end."""
+    """UTC of the first sample of the healthy data and of their end, ns."""
     reference: StructuralPrior | None = None
-    """What a diagnosis starts from; None where the healthy data were too short for one."""
+    """Prior of a diagnosis; None where the healthy data were too short for one."""
     doubts: tuple[str, ...] = ()
     """Why it may not be this structure's; not in the file."""
 
     def only(self, model_modes: tuple[int, ...]) -> Baseline:
-        """The baseline of those modes of the model alone, for a window that does not show them all."""
+        """Select some modes of the model (0 = lowest), for a window in which not all of the baseline's were identified."""
         keep = [i for i, mode in enumerate(self.model_mode) if mode in model_modes]
         m, others = len(self.model_mode), len(self.channels) - 1
         if len(keep) == m:
@@ -78,13 +78,16 @@ class Baseline:
 
     @property
     def model_form(self) -> float:
-        """How far a change's pattern may be wrong, relative: twice the standing misfit of ln eigenvalues and shapes beyond
-        its noise (joints of ratio 10 leave 2.6 %, and falsify a loss by 4 to 8 % of it)."""
+        """Relative error of a loss from the model's form, one standard deviation.
+
+        It is twice the systematic misfit of ln eigenvalues and shapes, with the noise's part removed.  For example, joints
+        of ratio 10 leave a misfit of 2.6 % and an error of 4 to 8 % of a loss.
+        """
         excess = float((self.misfit**2).mean() - np.diag(self.z_covariance).mean())
         return 2.0 * float(np.sqrt(max(excess, 0.0)))
 
     def target(self, observation: Observation) -> Observation:
-        """The observation with the standing misfit taken out: what the baseline's model should predict."""
+        """Subtract the systematic misfit from an observation: the target that the baseline's model is updated to."""
         return replace(observation, z=observation.z - self.misfit)
 
 
@@ -99,21 +102,27 @@ def learn_baseline(
     updating: UpdatingSettings,
     temperature: TemperatureSettings,
 ) -> tuple[Baseline, Update]:
-    """The baseline from the windows of healthy recordings.
+    """Learn the baseline from the windows of healthy recordings.
 
     Parameters
     ----------
     windows : list of ModalEstimate
-        Overlapping windows share the influence of the data they share, so that the mean's covariance comes out right.
+        Windows may overlap: the covariance of their mean counts shared data once.
     rms : ndarray, shape (n_windows,)
         Response level of each window, m/s^2.
     temperatures : sequence of Temperature or None
-        Of each window; empty without a temperature channel.
+        Temperature of each window; empty without a temperature channel.
+
+    Returns
+    -------
+    Baseline
+    Update
+        Outcome of the updating to the mean of the windows.
 
     Raises
     ------
     BadInputError
-        If there is no window, or the model cannot be updated to them.
+        If there is no window, or the model cannot be updated to their mean.
     """
     if not windows:
         raise BadInputError("no healthy window could be identified: nothing to learn a baseline from")
@@ -185,5 +194,6 @@ def _changes(
 
 
 def _frequency_std(f: Array, z_covariance: Array, log: bool) -> Array:
+    """Convert the standard deviations of (log) eigenvalues to those of the frequencies, shape (m,), Hz."""
     std = np.sqrt(np.diag(z_covariance)[: f.size])
     return np.asarray(f * std / 2.0 if log else std / (8.0 * np.pi**2 * f))

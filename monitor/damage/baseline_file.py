@@ -23,13 +23,13 @@ Vector = tuple[float, ...]
 
 
 class _Strict(Settings):
-    """Part of the file: JSON's own types, nothing converted."""
+    """Part of the file, validated strictly: JSON types are not converted."""
 
     model_config = ConfigDict(strict=True)
 
 
 class _Temperature(_Strict):
-    """`Dependence`."""
+    """`Dependence` in the file."""
 
     per_degc: Vector
     covariance: Matrix
@@ -40,7 +40,7 @@ class _Temperature(_Strict):
 
 
 class _Effect(_Strict):
-    """One of `_Reference`."""
+    """Effect of `_Reference` in the file."""
 
     effect: str
     location: str
@@ -48,7 +48,7 @@ class _Effect(_Strict):
 
 
 class _StandingError(_Strict):
-    """`reference.StandingError`."""
+    """`reference.StandingError` in the file."""
 
     hz: Vector
     real: tuple[Matrix, ...]
@@ -57,7 +57,7 @@ class _StandingError(_Strict):
 
 
 class _Reference(_Strict):
-    """`StructuralPrior`, as `reference_file` writes it."""
+    """`StructuralPrior` in the file, as `prior_file` writes it."""
 
     effects: tuple[_Effect, ...]
     correction: Vector
@@ -69,7 +69,7 @@ class _Reference(_Strict):
 
 
 class _Content(_Strict):
-    """The file: `Baseline` with its model taken apart."""
+    """Content of the file: `Baseline`, with the parameters of its model instead of the model."""
 
     format: int
     stiffness_n_per_m: tuple[Positive, ...]
@@ -97,6 +97,7 @@ class _Content(_Strict):
 
 
 def _plain(value: Any) -> Any:
+    """Convert an array to lists; return any other value as it is."""
     return value.tolist() if isinstance(value, np.ndarray) else value
 
 
@@ -132,7 +133,7 @@ def load_baseline(path: Path, instrumented: InstrumentedModel, updating: Updatin
         if (written := json.loads(text)["format"]) != FORMAT:
             raise BadInputError(f"{path}: baseline format {written!r}, expected {FORMAT}; calibrate anew")
         content = _Content.model_validate_json(text)
-        loaded = _built(content, instrumented)
+        loaded = _build(content, instrumented)
     except ValidationError as error:
         raise BadInputError(
             f"{path}: not a baseline file ({settings_problems(error)[0]}); make one with 'calibrate'"
@@ -145,17 +146,17 @@ def load_baseline(path: Path, instrumented: InstrumentedModel, updating: Updatin
     return loaded
 
 
-def _built(c: _Content, instrumented: InstrumentedModel) -> Baseline:
-    """The baseline of a file's content.
+def _build(c: _Content, instrumented: InstrumentedModel) -> Baseline:
+    """Build the baseline from a file's content.
 
     Raises
     ------
     ValueError, KeyError, TypeError
-        If its parts do not fit each other or the structure.
+        If the parts of the content do not fit each other or the structure.
     """
     model = instrumented.model
     size = model.structure.n_dofs
-    # As the calibration knew it: what a diagnosis wrote into the file since then stands in `misfit` already.
+    # The correction known at calibration: a correction that a diagnosis added later is contained in `misfit` already.
     known = c.stiffness_correction_n_per_m
     model = replace(model, correction=None if known is None else np.array(known).reshape(size, size))
     temperature = None if c.temperature is None else c.temperature.model_dump()
@@ -185,7 +186,7 @@ def _built(c: _Content, instrumented: InstrumentedModel) -> Baseline:
 
 
 def _mismatch(b: Baseline, instrumented: InstrumentedModel, updating: UpdatingSettings) -> str | None:
-    """Why a baseline does not belong to a structure file, or None."""
+    """Return the reason why a baseline does not belong to a structure file, or None if it does."""
     drawn, structure = instrumented.model.structure, b.model.structure
     n, p, m, c = drawn.n_dofs, drawn.n_stories, len(b.model_mode), len(b.channels)
     if structure.masses_kg.shape != (n,) or structure.stiffness_n_per_m.shape != (p,):

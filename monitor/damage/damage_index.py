@@ -25,22 +25,33 @@ def step(
     temperature: Temperature | None = None,
     prior_std: Array | None = None,
 ) -> tuple[StiffnessEstimate, DamageReading]:
-    """Stiffness updated to a window's modes, and its loss since the baseline.
+    """Update the stiffness to a window's modes and compute its loss since the baseline.
 
-    With a baseline the update starts from the baseline's model and aims at the measured modes less the standing
-    misfit, so that a model that is wrong from the start still gives a right change; to first order the loss is
-    ``gain (z - z_baseline)``, whose covariance is that of both.
+    With a baseline the update starts from the baseline's model, and its target is the measured modes minus the baseline's
+    misfit.  A model with a systematic error then still gives the right change.  To first order the loss is
+    ``gain (z - z_baseline)``, and its covariance contains that of both.
 
     Parameters
     ----------
+    modes : ModalEstimate
+        Modes of the window; with a baseline, those of `baseline` in its order.
     reference : Model
         The baseline's model, or the structure file's where there is no baseline.
+    sensors : ndarray, shape (c, n)
+        Sensor matrix: channels by floors.
     temperature : Temperature, optional
-        Of the window: where the baseline knows the stiffness's dependence on it, the loss is against the healthy
+        Temperature of the window.  Where the baseline has a temperature dependence, the loss refers to the healthy
         stiffness at this temperature.
     prior_std : ndarray, shape (p,), optional
-        How far each stiffness may be from the reference, relative, one standard deviation; holds, and bounds the
-        uncertainty of, what the modes do not see.  By default `settings.parameter_std` for all.
+        Prior standard deviation of each stiffness, relative to the reference.  It determines directions that the modes do
+        not observe, and bounds their uncertainty.  By default `settings.parameter_std` for all.
+
+    Returns
+    -------
+    StiffnessEstimate
+        Stiffness in N/m, shape (p,), with covariance.
+    DamageReading
+        Relative loss of each stiffness, shape (p,), with covariance.
     """
     observation = observe(modes, settings, baseline.gauges if baseline is not None else None)
     if baseline is not None:
@@ -54,7 +65,7 @@ def step(
     else:
         uncertain = z_covariance + baseline.z_covariance
         misfit = _misfit_of_change(fit, observation, uncertain)
-    # A change that stiffness explains badly (a window across the onset, another cause) is known less well than its noise says.
+    # Where stiffness explains the change badly (a window across the onset, another cause), the noise understates its error.
     widened = max(1.0, misfit / _TOLERATED_MISFIT)
     effect: Array | None = None
     effect_covariance = np.zeros((fit.parameters.size, fit.parameters.size))
@@ -71,15 +82,15 @@ def step(
     )
     covariance = widened * (fit.gain @ uncertain @ fit.gain.T) + fit.prior_left
     common = np.zeros_like(covariance) if baseline is None else fit.gain @ baseline.z_covariance @ fit.gain.T
-    common = common + fit.prior_left  # no averaging shows what the sensors do not see
+    common = common + fit.prior_left  # averaging does not lessen the uncertainty of unobserved directions
     is_chain = isinstance(reference.structure, ShearFrame)
     healthy_k, now_k = reference.stiffness_matrix(), fit.model.stiffness_matrix()
     ddi = 1.0 - fit.parameters / healthy
     form = 0.0 if baseline is None else baseline.model_form
-    falsified = (form * np.abs(ddi).max()) ** 2 * np.eye(ddi.size)
+    form_covariance = (form * np.abs(ddi).max()) ** 2 * np.eye(ddi.size)
     reading = DamageReading(
         ddi=ddi,
-        ddi_covariance=covariance / np.outer(healthy, healthy) + effect_covariance + falsified,
+        ddi_covariance=covariance / np.outer(healthy, healthy) + effect_covariance + form_covariance,
         model_form=form,
         ddi_sequential=sequential_reading(healthy_k, now_k) if is_chain else ddi,
         loss_n_per_m=healthy - fit.parameters,
@@ -91,20 +102,31 @@ def step(
 
 
 _as_built = lru_cache(maxsize=4)(Model.as_built)
-"""The same model every window, of which updating remembers the modes."""
+"""`Model.as_built`, cached: one model object for all windows, so that updating reuses its modes."""
 
 
 def _misfit_of_change(fit: Update, observation: Observation, covariance: Array) -> float:
-    """Squared distance of the change from what stiffness can explain, over its expectation from both covariances."""
+    """Compute the weighted squared residual of the updated change over its expectation from both covariances."""
     left_over = np.eye(fit.residual.size) - fit.sensitivity @ fit.gain
     expected = float(np.trace(observation.weight @ left_over @ covariance @ left_over.T))
     return float(fit.residual @ observation.weight @ fit.residual) / max(expected, 1e-300)
 
 
 def sequential_reading(healthy: Array, now: Array) -> Array:
-    """DDI as the paper reads it from two stiffness matrices, shape (n,).
+    """Compute the DDI from two stiffness matrices, in the paper's sequence, shape (n,).
 
-    Story j < n stands alone in the term K[j, j+1] = -k_j; the last one is what K[n, n] lost beyond story n - 1.
+    Story j < n alone determines the term K[j, j+1] = -k_j; the last story follows from K[n, n] less story n - 1.
+
+    Parameters
+    ----------
+    healthy, now : ndarray, shape (n, n), N/m
+        Stiffness matrices of a shear frame.
+
+    Examples
+    --------
+    >>> healthy = np.array([[2.0, -2.0], [-2.0, 6.0]])  # the upper story has 2 N/m, the lower 4 N/m
+    >>> sequential_reading(healthy, np.array([[2.0, -2.0], [-2.0, 5.0]]))  # the lower story lost a quarter
+    array([0.  , 0.25])
     """
     n = healthy.shape[0]
     before, after = -np.diag(healthy, 1), -np.diag(now, 1)

@@ -1,4 +1,4 @@
-"""Compiled loop of the alarm's evidence."""
+"""Compiled loop of the alarm's test statistic."""
 
 from __future__ import annotations
 
@@ -11,7 +11,24 @@ from monitor.core import Array, compiled
 def evidence_of_loss(
     means: Array, covariance: Array, model_form: float, significant: float, credit: float
 ) -> tuple[Array, Array]:
-    """`sequential.statistic`, for which a change is `significant` and a story's loss has `credit` from so many deviations."""
+    """Compute the z-scores of `sequential_test.statistic`.
+
+    Parameters
+    ----------
+    means : ndarray, shape (k, n)
+    covariance : ndarray, shape (k, n, n)
+    model_form : float
+        Share of another story's change that may show in a story (one standard deviation).
+    significant : float
+        Distance up to which two stories' changes agree, in standard deviations.
+    credit : float
+        Standard deviations added to the z-score against a uniform change.
+
+    Returns
+    -------
+    z, std : ndarray, shape (k, n)
+        z-score of the loss, and standard deviation of the mean.
+    """
     k, n = means.shape
     z, std = np.empty((k, n)), np.empty((k, n))
     leak, weight = np.zeros(n), np.zeros(n)
@@ -34,11 +51,11 @@ def evidence_of_loss(
                 weight[i] = 1.0 / std[s, i] ** 2 if agrees else 0.0
             contrast = -weight / weight.sum()
             contrast[j] = 1.0
-            against, square = 0.0, 0.0
+            difference, square = 0.0, 0.0
             for i in range(n):
-                against += contrast[i] * mean[i]
+                difference += contrast[i] * mean[i]
                 square += (contrast[i] * leak[i]) ** 2
                 for other in range(n):
                     square += contrast[i] * covariance[s, i, other] * contrast[other]
-            z[s, j] = min(z[s, j], against / np.sqrt(square) + credit)
+            z[s, j] = min(z[s, j], difference / np.sqrt(square) + credit)
     return z, std

@@ -9,7 +9,21 @@ from monitor.damage.updating import Observation, UpdatingSettings, observe
 
 
 def mean_observation(windows: list[ModalEstimate], settings: UpdatingSettings) -> Observation:
-    """Mean over windows, with the influence of every stretch of data that they share."""
+    """Average the observations of several windows.
+
+    Windows that overlap share data.  Their influences are added before squaring, so that the covariance of the mean counts
+    shared data once.
+
+    Parameters
+    ----------
+    windows : list of ModalEstimate
+        All with the same modes of the model, in the same order.
+
+    Returns
+    -------
+    Observation
+        The gauges are those of the first window.
+    """
     gauges = observe(windows[0], settings).gauges
     observations = [observe(m, settings, gauges if settings.use_shapes else None) for m in windows]
     influence: dict[tuple[bool, int], Array] = {}
@@ -19,7 +33,7 @@ def mean_observation(windows: list[ModalEstimate], settings: UpdatingSettings) -
             influence[place] = influence.get(place, 0.0) + row / len(windows)
     deviations = np.array(list(influence.values()))
     last = observations[-1]
-    # The mean weighs its components as a window does, and as heavily as the scatter of the data says.
+    # The weights between components are those of a window; their common scale follows from the scatter of the data.
     shape_of_weight = np.mean([o.weight for o in observations], axis=0)
     shrink = np.mean((deviations**2).sum(axis=0) * np.diag(shape_of_weight)) if len(windows) > 1 else 1.0
     return Observation(

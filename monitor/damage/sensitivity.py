@@ -9,12 +9,14 @@ from monitor.model import Modes
 
 
 def fox_kapoor(modes: Modes, d_k: Array, d_m: Array | None = None) -> tuple[Array, Array]:
-    """Derivatives of eigenvalues (eq. 20) and mode shapes (eq. 19, expanded in the modes).
+    """Compute the derivatives of eigenvalues (eq. 20) and of mode shapes (eq. 19, expanded in the modes).
 
     Parameters
     ----------
+    modes : Modes
+        All n modes, shapes of unit modal mass.
     d_k, d_m : ndarray, shape (p, n, n)
-        Without `d_m` masses stay as they are.
+        Derivatives of the stiffness and mass matrices by p parameters; masses are constant without `d_m`.
 
     Returns
     -------
@@ -35,7 +37,7 @@ def fox_kapoor(modes: Modes, d_k: Array, d_m: Array | None = None) -> tuple[Arra
         own = -0.5 * m_modal[:, diagonal, diagonal]
     d_lambda = mixed[:, diagonal, diagonal].T
     apart = lam[None, :] - lam[:, None]  # lambda_i - lambda_r at (r, i)
-    # Modes that coincide may mix at will; their mixing is left out.
+    # Shapes of coincident modes are determined only up to a rotation; the term between them is left out.
     apart[np.abs(apart) < 1e-9 * lam] = np.inf
     coefficients = mixed / apart
     coefficients[:, diagonal, diagonal] = own

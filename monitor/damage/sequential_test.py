@@ -1,8 +1,8 @@
-"""Sequential evidence for a loss of stiffness: a window-limited likelihood ratio over growing stretches of data.
+"""Sequential test for a loss of stiffness: a window-limited likelihood ratio over stretches of one to eight windows.
 
-Windows overlap, so a stretch of k window lengths is averaged from the k readings that share no data: the mean over exactly that
-stretch, with the variance of one window over k.  What all windows share, the baseline's error, is added after averaging and
-bounds what patience can gain.  Large losses show in one window, small ones in eight.
+Windows overlap, so a stretch of k window lengths is averaged from the k readings that share no data.  That is the mean over
+exactly this stretch, with the variance of one window over k.  The baseline's error is common to all windows.  It is added after
+averaging, so averaging does not reduce it.  Large losses are detected in one window, small ones in eight.
 
 References
 ----------
@@ -40,55 +40,57 @@ _SIGNIFICANT_STDS = 3.0
 
 @dataclass(frozen=True, eq=False, slots=True)
 class History:
-    """The readings that the longest stretch needs, h of them."""
+    """History of the h latest readings, as many as the longest stretch needs."""
 
     window_ns: int
     t_ns: NDArray[np.int64]
-    """Shape (h,): ends of the windows."""
+    """Shape (h,): ends of the windows, UTC."""
     ddi: Array
-    """Shape (h, n)."""
+    """Shape (h, n): damage index."""
     variance: Array
-    """Shape (h, n): of each window alone."""
+    """Shape (h, n): variance of the damage index in each window, without the baseline's error."""
     ln_variance: Array
-    """Shape (n,): smoothed."""
+    """Shape (n,): smoothed logarithm of the variance."""
     memory_s: float
-    """Time smoothed over so far."""
+    """Time over which the variance has been smoothed so far."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class SequentialStatistic:
-    """What the windows up to now say of each story."""
+    """Test statistic of each story after a window."""
 
     z: Array
-    """Shape (n,): the strongest evidence, in standard deviations, that this story lost stiffness beyond what all share."""
+    """Shape (n,): largest z-score over the stretches, for a loss of this story beyond a change common to all stories."""
     loss: Array
-    """Shape (n,): mean over the longest stretch with which the newest window agrees."""
+    """Shape (n,): mean loss over the longest stretch with which the newest window agrees."""
     std: Array
-    """Shape (n,): of `loss`."""
+    """Shape (n,): standard deviation of `loss`."""
 
 
 def begin(n_stories: int, window_s: float) -> History:
-    """Nothing seen yet."""
+    """Return the empty history of n stories, for windows of `window_s` seconds."""
     none = np.zeros((0, n_stories))
     return History(round(window_s * 1e9), np.zeros(0, dtype=np.int64), none, none, np.zeros(n_stories), 0.0)
 
 
 def look(history: History, reading: DamageReading, t_ns: int, model_form: float) -> tuple[History, SequentialStatistic]:
-    """Take in one window's reading.
+    """Update the test statistic by one window's reading.
 
     Parameters
     ----------
+    reading : DamageReading
+        Damage index of n stories.
     t_ns : int
-        End of the window.  Readings that are missing are left out of the means.
+        End of the window, UTC.  Missing readings are left out of the means.
     model_form : float
-        Share of another story's loss that may show in a story (one standard deviation).
+        Share of another story's loss that may appear in a story (one standard deviation).
     """
     n = reading.ddi.size
     own = reading.ddi_covariance - reading.common_covariance + (1e-24 - reading.form_variance) * np.eye(n)
     model_form = max(model_form, reading.model_form)
     variance = own.diagonal()
-    history = _remembered(history, reading.ddi, variance, t_ns)
-    chain = _disjoint(history)
+    history = _append(history, reading.ddi, variance, t_ns)
+    chain = _disjoint_readings(history)
     age = (t_ns - history.t_ns[chain]) / history.window_ns
     counts = np.array([np.count_nonzero(age < stretch - 1e-6) for stretch in STRETCHES])
     ddi, variance = history.ddi[chain], history.variance[chain]
@@ -105,11 +107,11 @@ def look(history: History, reading: DamageReading, t_ns: int, model_form: float)
     return history, SequentialStatistic(np.where(agrees, z, -np.inf).max(axis=0), means[longest], std[longest])
 
 
-def _remembered(history: History, ddi: Array, variance: Array, t_ns: int) -> History:
-    """The history with a reading added and what no stretch needs any more dropped.
+def _append(history: History, ddi: Array, variance: Array, t_ns: int) -> History:
+    """Append a reading, damage index and variance of shape (n,), and drop readings that no stretch needs any more.
 
-    The smoothed standard deviation counts, so that no lucky window looks more certain than it is, unless the window's own is
-    clearly larger: conditions got worse, or the window lies across the onset of a change.
+    The smoothed standard deviation is used, because a window's own may be too small by chance.  The window's own is used where
+    it is clearly larger: conditions got worse, or the window lies across the onset of a change.
     """
     first, last = np.searchsorted(history.t_ns, (t_ns - max(STRETCHES) * history.window_ns + 1, t_ns))
     keep = slice(first, last)
@@ -129,8 +131,8 @@ def _remembered(history: History, ddi: Array, variance: Array, t_ns: int) -> His
     )
 
 
-def _disjoint(history: History) -> list[int]:
-    """Indices of readings that share no data, newest first."""
+def _disjoint_readings(history: History) -> list[int]:
+    """List the indices of readings that share no data, newest first."""
     t_ns = history.t_ns.tolist()  # a few look-ups in a short list: bisect is faster than numpy's search
     chain = [len(t_ns) - 1]
     while i := bisect_right(t_ns, t_ns[chain[-1]] - history.window_ns + 1_000_000):
@@ -139,20 +141,24 @@ def _disjoint(history: History) -> list[int]:
 
 
 def statistic(means: Array, covariance: Array, model_form: float) -> tuple[Array, Array]:
-    """Evidence for a loss of each story, in standard deviations, and the standard deviation of its mean.
+    """Compute the z-score of each story's loss, and the standard deviation of its mean.
 
-    Two explanations without that loss must both fail: that nothing changed, and that all stories changed alike, by what
-    the others say.  The others' word is the mean of those that agree with the least change, so that a second
-    damaged story does not hide the first.
+    The z-score is the smaller one against two null hypotheses: that nothing changed, and that all stories changed alike.
+    The common change is estimated from the other stories, as the mean of those that agree with the smallest change.  A
+    second damaged story therefore does not mask the first.
 
     Parameters
     ----------
     means : ndarray, shape (k, n)
+        Mean damage index over each of k stretches.
     covariance : ndarray, shape (k, n, n)
+        Covariance of each mean.
+    model_form : float
+        Share of another story's change that may appear in a story (one standard deviation).
 
     Returns
     -------
-    ndarray, shape (k, n), twice
+    z, std : ndarray, shape (k, n)
     """
     from monitor.damage.kernels import evidence_of_loss  # compiled code takes a while to load
 
@@ -160,16 +166,26 @@ def statistic(means: Array, covariance: Array, model_form: float) -> tuple[Array
 
 
 def shared_change(loss: Array, std: Array) -> float:
-    """The part of a change that all stories share: the least one, where all changed significantly the same way, else 0.
+    """Return the part of a change that is common to all stories.
 
-    Weather, added mass, a slow clock and a loss in every story alike look the same in accelerations.
+    It is the smallest change in magnitude where all stories changed significantly in the same direction, else 0.  Weather,
+    added mass, a slow clock and an equal loss in every story have the same effect on accelerations.
+
+    Parameters
+    ----------
+    loss, std : ndarray, shape (n,)
+
+    Examples
+    --------
+    >>> shared_change(np.array([0.05, 0.08]), np.array([0.01, 0.01]))
+    0.05
     """
     alike = np.abs(np.sign(loss).sum()) == loss.size and (np.abs(loss) > _SIGNIFICANT_STDS * std).all()
     return float(loss[np.abs(loss).argmin()]) if alike and loss.size else 0.0
 
 
 def shared_by_others(loss: Array, std: Array) -> Array:
-    """What all stories but one share, for each that one, shape (n,)."""
+    """Return for each story the change common to all other stories (`shared_change`), shape (n,)."""
     n = loss.size
     if np.count_nonzero(np.abs(loss) > _SIGNIFICANT_STDS * std) < n - 1:
         return np.zeros(n)

@@ -1,7 +1,7 @@
-"""What the healthy stiffness owes to the temperature: learned at calibration, taken out of the damage index.
+"""Temperature dependence of the healthy stiffness: learned at calibration, removed from the damage index.
 
-The law is a constant relative change per kelvin, story by story: ``k(T) = k(T_ref) exp(a (T - T_ref))``, T the measured
-temperature after a first-order thermal lag.
+The law is a constant relative change per kelvin, story by story: ``k(T) = k(T_ref) exp(a (T - T_ref))``, where T is the
+measured temperature after a first-order thermal lag.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ deviations squared]"""
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Dependence:
-    """How the healthy stories' stiffness follows the temperature."""
+    """Temperature dependence of the healthy stories' stiffness."""
 
     per_degc: Array
     """Shape (n,): relative change of each story's stiffness per K."""
@@ -33,22 +33,22 @@ class Dependence:
     lag_s: float
     """First-order thermal lag, one of `LAGS_S`."""
     reference_degc: float
-    """Mean of the healthy windows' lagged temperatures: where the baseline's stiffness holds."""
+    """Mean of the healthy windows' lagged temperatures: the temperature of the baseline's stiffness."""
     range_degc: tuple[float, float]
-    """Least and highest of them."""
+    """Lowest and highest of the healthy windows' lagged temperatures."""
     extrapolation: float = 0.5
     """See `TemperatureSettings.extrapolation`."""
 
     def expected(self, temperature: Temperature | None) -> tuple[Array, Array]:
-        """What the temperature does to the stiffness.
+        """Predict the change of stiffness at a window's temperature.
 
         Returns
         -------
         relative : ndarray, shape (n,)
-            Change since the reference temperature; 0 where the temperature is not known.
+            Relative change since the reference temperature; 0 where the temperature is not known.
         covariance : ndarray, shape (n, n)
-            Of the slope; outside the range seen of the law as well; without a temperature, of its lying anywhere in
-            the range seen.
+            Covariance from the error of the slope and, outside the learned range, from that of the law.  Without a
+            temperature it is that of a temperature uniformly distributed over the learned range.
         """
         low, high = self.range_degc
         if temperature is None:
@@ -62,19 +62,19 @@ class Dependence:
 
 
 def to_plain(dependence: Dependence | None) -> dict[str, Any] | None:
-    """For the baseline's file."""
+    """Convert a dependence to JSON types for the baseline's file."""
     if dependence is None:
         return None
     return {k: v.tolist() if isinstance(v, np.ndarray) else v for k, v in asdict(dependence).items()}
 
 
 def from_plain(content: dict[str, Any] | None, n_stories: int) -> Dependence | None:
-    """What `to_plain` wrote.
+    """Convert the JSON types that `to_plain` wrote back to a dependence.
 
     Raises
     ------
     ValueError, KeyError, TypeError
-        If it is damaged or another structure's.
+        If the content is damaged or belongs to another structure.
     """
     if content is None:
         return None
@@ -89,35 +89,37 @@ def from_plain(content: dict[str, Any] | None, n_stories: int) -> Dependence | N
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Change:
-    """A healthy window's stiffness against the baseline's."""
+    """Change of a healthy window's stiffness from the baseline's."""
 
     relative: Array
-    """Shape (n,)."""
+    """Shape (n,): relative change."""
     deviations: Array
-    """Shape (n_rows, n): influences whose squares sum to its covariance."""
+    """Shape (n_rows, n): influences whose squares sum to the covariance of `relative`."""
     places: tuple[tuple[bool, int], ...]
-    """What each row belongs to: windows that overlap share rows."""
+    """Stretch of data of each row of `deviations`: overlapping windows share stretches."""
     temperature: Temperature | None
 
 
 def learn(changes: list[Change], span_s: float, settings: TemperatureSettings) -> Dependence | None:
-    """The stories' dependence on temperature by least squares over healthy windows, and the lag that explains most.
+    """Estimate the stories' temperature coefficients by least squares over healthy windows, at the lag that fits best.
 
     Parameters
     ----------
+    changes : list of Change
+        One for each healthy window.
     span_s : float
-        From the first window to the last; lags up to a quarter of it are tried.
+        Time from the first window to the last, s; lags up to a quarter of it are tried.
 
     Returns
     -------
     Dependence or None
         None if temperatures are missing in more than a tenth of the windows (their mean would not be the baseline's),
-        too few windows are independent, the range is too narrow, or nothing significant was found.
+        too few windows are independent, the range is too narrow, or the dependence is not significant.
 
     Notes
     -----
-    The slope's covariance comes from the influences that overlapping windows share.  Where the windows scatter more about
-    the line than their own covariances say, it is widened by that ratio.
+    The slope's covariance is computed from the influences that overlapping windows share.  Where the windows scatter more
+    about the line than their own covariances predict, the slope's covariance is multiplied by that ratio of variances.
     """
     known = [c for c in changes if c.temperature is not None]
     lagged = np.array([c.temperature.lagged_degc for c in known if c.temperature is not None])
@@ -125,65 +127,66 @@ def learn(changes: list[Change], span_s: float, settings: TemperatureSettings) -
         return None
     own = np.mean([c.deviations.T @ c.deviations for c in known], axis=0)
 
-    def overlap(pull: Array) -> float:
-        """How many overlapping windows tell, weighted so, as much as one alone."""
-        return float(np.trace(_shared(known, pull)) / (pull @ pull * np.trace(own)))
+    def overlap(weights: Array) -> float:
+        """Compute the variance of a weighted sum of the windows over its variance if the windows were independent."""
+        return float(np.trace(_covariance_of_sum(known, weights)) / (weights @ weights * np.trace(own)))
 
-    of_mean, of_slope = overlap(np.ones(len(known))), overlap(_pull(lagged[:, 0]))
+    of_mean, of_slope = overlap(np.ones(len(known))), overlap(_slope_weights(lagged[:, 0]))
     if len(known) < _MIN_INDEPENDENT_WINDOWS * of_mean:
         return None
-    weight, seen = _inverse(own)
-    freedom = seen * (len(known) - of_mean - of_slope)
+    weight, rank = _pseudo_inverse(own)
+    freedom = rank * (len(known) - of_mean - of_slope)
     x = np.array([c.relative for c in known])
     misfit = np.array([_misfit(x, lagged[:, i], weight) for i, lag_s in enumerate(LAGS_S) if lag_s <= span_s / 4.0])
     best = int(misfit.argmin())
     if misfit[0] - misfit[best] < _MIN_LAG_GAIN * of_slope * max(1.0, misfit[best] / freedom):
         best = 0
-    pull = _pull(lagged[:, best])
-    covariance = max(1.0, misfit[best] / freedom) * _shared(known, pull)
-    slope, (precision, seen) = pull @ x, _inverse(covariance)
-    if slope @ precision @ slope < chdtri(seen, 2.0 * ndtr(-settings.significance)):
+    slope_weights = _slope_weights(lagged[:, best])
+    covariance = max(1.0, misfit[best] / freedom) * _covariance_of_sum(known, slope_weights)
+    slope, (precision, rank) = slope_weights @ x, _pseudo_inverse(covariance)
+    if slope @ precision @ slope < chdtri(rank, 2.0 * ndtr(-settings.significance)):
         return None
-    slope, covariance = _drawn_together(slope, covariance, settings.unevenness)
+    slope, covariance = _shrink_to_common(slope, covariance, settings.unevenness)
     degc = lagged[:, best]
     span = float(degc.min()), float(degc.max())
     return Dependence(slope, covariance, LAGS_S[best], float(degc.mean()), span, settings.extrapolation)
 
 
-def _pull(degc: Array) -> Array:
-    """Pull of each window on the slope, shape (n_windows,)."""
+def _slope_weights(degc: Array) -> Array:
+    """Compute the weight of each window in the least-squares slope, shape (n_windows,), 1/K."""
     centred = degc - degc.mean()
     return np.asarray(centred / (centred @ centred))
 
 
 def _misfit(x: Array, degc: Array, weight: Array) -> float:
-    """Squared distance of all windows from the line."""
-    residual = x - x.mean(axis=0) - np.outer(degc - degc.mean(), _pull(degc) @ x)
+    """Sum the squared distances of all windows, shape (n_windows, n), from the regression line, weighted by `weight`."""
+    residual = x - x.mean(axis=0) - np.outer(degc - degc.mean(), _slope_weights(degc) @ x)
     return float(np.einsum("wi,wi->", residual, residual @ weight))
 
 
-def _inverse(covariance: Array) -> tuple[Array, int]:
-    """Precision, 0 in directions that no sensor sees, and the number of the others."""
-    seen = np.linalg.matrix_rank(covariance, rtol=1e-9, hermitian=True)
-    return np.asarray(np.linalg.pinv(covariance, rtol=1e-9, hermitian=True)), int(seen)
+def _pseudo_inverse(covariance: Array) -> tuple[Array, int]:
+    """Return the precision, which is 0 in directions that no sensor observes, and the rank of the covariance."""
+    rank = np.linalg.matrix_rank(covariance, rtol=1e-9, hermitian=True)
+    return np.asarray(np.linalg.pinv(covariance, rtol=1e-9, hermitian=True)), int(rank)
 
 
-def _drawn_together(slope: Array, covariance: Array, unevenness: float) -> tuple[Array, Array]:
-    """Posterior of the slopes where they scatter about an unknown common one: what the data cannot tell apart.
+def _shrink_to_common(slope: Array, covariance: Array, unevenness: float) -> tuple[Array, Array]:
+    """Compute the posterior mean and covariance of the slopes, given that they scatter about an unknown common slope.
 
-    They scatter by `unevenness` times their size, or more if they differ by more than their errors explain.
+    The prior scatter is `unevenness` times the size of the slopes, or more if they differ by more than their errors
+    explain.  It decides how a change that the data cannot assign to single stories is divided among them.
     """
-    n, (precision, _) = slope.size, _inverse(covariance)
+    n, (precision, _) = slope.size, _pseudo_inverse(covariance)
     scatter = max(unevenness**2 * float(np.mean(slope**2)), float(slope.var() - np.trace(covariance) / n))
     prior = (np.eye(n) - 1.0 / n) / scatter
     posterior = np.linalg.inv(precision + prior)
     return posterior @ precision @ slope, np.asarray(posterior)
 
 
-def _shared(known: list[Change], pull: Array) -> Array:
-    """Covariance of the windows' sum weighted by `pull`, shape (n, n)."""
+def _covariance_of_sum(known: list[Change], weights: Array) -> Array:
+    """Compute the covariance of the weighted sum of the windows, shape (n, n); shared data enter once."""
     rows: dict[tuple[bool, int], Array] = {}
-    for change, weight in zip(known, pull, strict=True):
+    for change, weight in zip(known, weights, strict=True):
         for place, row in zip(change.places, change.deviations, strict=True):
             rows[place] = rows.get(place, 0.0) + weight * row
     together = np.array(list(rows.values()))

@@ -1,8 +1,9 @@
 """Iterative model updating by penalty functions (paper, section 3, eqs 18-33).
 
 The measured vector z holds, for each mode, its eigenvalue (or the eigenvalue's logarithm) and, if wanted, the
-components of its shape relative to a gauge component.  Parameters are story stiffnesses and, for a baseline, floor
-masses.  Directions of theta that the data do not see are held by the prior, and said.
+components of its shape relative to a gauge component, the channel by which the shape is normalized.  The parameters theta
+are story stiffnesses and, for a baseline, floor masses.  Directions of theta that the data do not determine keep their
+prior values, and are reported.
 """
 
 from __future__ import annotations
@@ -40,25 +41,26 @@ Penalty = Literal["least_squares", "weighted", "step", "initial", "minimum_norm"
 
 
 class UpdatingSettings(Settings):
-    """How stiffness follows from modes."""
+    """``[updating]``: penalty, data and convergence of the model updating."""
 
     penalty: Penalty = "weighted"
     """least_squares: eqs 22-24; weighted: 25-27; step: 28-30; initial: 31-33; minimum_norm: 21."""
     use_shapes: bool = True
-    """Use mode shapes besides frequencies; without them, as the paper, the fit loses most of the information."""
+    """Use mode shapes besides frequencies.  Without them, as in the paper, most of the information is lost."""
     eigenvalue: Literal["log", "linear"] = "log"
-    """Compare eigenvalues by their logarithms (changes cancel a scale error of the masses) or as the paper does."""
+    """Compare logarithms of eigenvalues (a scale error of the masses then cancels from changes), or eigenvalues as in the
+    paper."""
     parameter_std: float = Field(default=0.2, gt=0)
     """Relative standard deviation for W_theta where no prior is given; the service gives the ranges of the structure file."""
     max_iterations: int = Field(default=50, ge=1)
-    """Without convergence by then a window is skipped."""
+    """Largest number of iterations; a window without convergence is skipped."""
     tolerance: float = Field(default=1e-7, gt=0)
-    """Converged when no parameter moves by more than this fraction."""
+    """Convergence when no parameter changes by more than this fraction."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Observation:
-    """The measured vector z_m of eq. 27 and what it is made of."""
+    """Measured vector z_m of eq. 27 with its weights, influences and modes."""
 
     z: Array
     """Shape (n_data,): eigenvalues (or logarithms), then shape components mode by mode."""
@@ -67,7 +69,7 @@ class Observation:
     deviations: Array
     """Shape (n_blocks, n_data): influences whose squares sum to the covariance of z."""
     model_mode: tuple[int, ...]
-    """Which modes of the model (0 = lowest) these are, before an update reorders them (`counterparts`)."""
+    """Numbers of the modes in the model (0 = lowest), before an update reorders them (`counterparts`)."""
     gauges: tuple[int, ...]
     """Channel whose shape component is 1, for each mode; empty when shapes are not used."""
     log: bool
@@ -75,7 +77,7 @@ class Observation:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Update:
-    """Outcome of the iteration; not having converged is a value, not an error."""
+    """Outcome of the iteration; without convergence `converged` is false, and no error is raised."""
 
     model: Model
     parameters: Array
@@ -88,25 +90,32 @@ class Update:
     """Shape (n_data,): z_m - z."""
     converged: bool
     iterations: int
-    """0 where a mode does not move at its gauge, or cannot be computed: then nothing is learned and the model stays."""
+    """0 where a mode does not move at its gauge, or cannot be computed: the model is then unchanged."""
     history: Array
     """Shape (iterations + 1, n_parameters), the initial values first."""
     identifiable: Array
-    """Shape (n_parameters,): share of each parameter's prior variance that the data take away, 0 to 1."""
+    """Shape (n_parameters,): share of each parameter's prior variance that the data remove, 0 to 1."""
     unseen: Array
-    """Shape (n_unseen, n_parameters): directions of relative change, of length 1, that the data do not see (`UNSEEN`)."""
+    """Shape (n_unseen, n_parameters): directions of relative change, of length 1, not identified by the data (`UNSEEN`)."""
     prior_left: Array
-    """Shape (n_parameters, n_parameters): the part of the prior's covariance that the gain leaves in the parameters."""
+    """Shape (n_parameters, n_parameters): covariance of the parameters that remains from the prior at this gain."""
 
 
 def observe(modes: ModalEstimate, settings: UpdatingSettings, gauges: tuple[int, ...] | None = None) -> Observation:
-    """z_m with its variances from identified modes.
+    """Form the measured vector z_m, its weights and its influences from identified modes.
 
     Parameters
     ----------
+    modes : ModalEstimate
+        m modes of c channels, with deviations.
     gauges : tuple of int, optional
-        Channel to scale each shape by; by default the largest component.  A change since a baseline needs the
-        baseline's.
+        Channel by which each shape is normalized; by default that of its largest component.  For a change since a baseline
+        the gauges must be the baseline's.
+
+    Returns
+    -------
+    Observation
+        n_data is m without shapes, and m c with them.
     """
     log = settings.eigenvalue == "log"
     omega_squared = (2.0 * np.pi * modes.frequencies_hz) ** 2
@@ -116,88 +125,92 @@ def observe(modes: ModalEstimate, settings: UpdatingSettings, gauges: tuple[int,
         gauges = tuple(int(g) for g in np.abs(modes.shapes).argmax(axis=1))
     z = [np.log(omega_squared) if log else omega_squared]
     if gauges:
-        told, at_gauge = _told(modes.shapes, gauges)
-        z.append((modes.shapes / at_gauge[:, None]).real[told])
+        free, at_gauge = _split_at_gauges(modes.shapes, gauges)
+        z.append((modes.shapes / at_gauge[:, None]).real[free])
     scale = np.full(omega_squared.shape, 2.0) if log else 2.0 * omega_squared
-    deviations = _carried(modes, modes.deviations, scale, gauges)
+    deviations = _propagate(modes, modes.deviations, scale, gauges)
     if modes.weight_factor is None:
         weight = np.diag(1.0 / (deviations**2).sum(axis=0))
     else:
-        factor = _carried(modes, modes.weight_factor, scale, gauges)
+        factor = _propagate(modes, modes.weight_factor, scale, gauges)
         weight = np.linalg.inv(factor.T @ factor)
     model_mode = tuple(int(i) for i in modes.model_mode)
     return Observation(np.concatenate(z), weight, deviations, model_mode, gauges, log)
 
 
-def _carried(modes: ModalEstimate, rows: Array, scale: Array, gauges: tuple[int, ...]) -> Array:
-    """What rows of (ln f, damping, Re shape, Im shape) do to z, shape (n_rows, n_data)."""
+def _propagate(modes: ModalEstimate, rows: Array, scale: Array, gauges: tuple[int, ...]) -> Array:
+    """Propagate deviations of (ln f, damping, Re shape, Im shape), shape (n_rows, m, 2 + 2 c), to z, shape (n_rows, n_data)."""
     c = modes.shapes.shape[1]
     parts = [rows[:, :, 0] * scale]
     if gauges:
-        told, at_gauge = _told(modes.shapes, gauges)
+        free, at_gauge = _split_at_gauges(modes.shapes, gauges)
         d_shapes = rows[:, :, 2 : 2 + c] + 1j * rows[:, :, 2 + c :]
         shapes = modes.shapes / at_gauge[:, None]
-        d_ratio = (d_shapes - shapes * d_shapes[:, ~told][:, :, None]) / at_gauge[:, None]
-        parts.append(d_ratio.real[:, told])
+        d_ratio = (d_shapes - shapes * d_shapes[:, ~free][:, :, None]) / at_gauge[:, None]
+        parts.append(d_ratio.real[:, free])
     return np.concatenate(parts, axis=1)
 
 
-def _told(shapes: Array | ComplexArray, gauges: tuple[int, ...]) -> tuple[NDArray[np.bool_], Any]:
-    """Which components of shapes, shape (m, c), stand in z: all but the gauges'; and these, shape (m,)."""
-    told, gauge = _beside(shapes.shape[1], gauges)
-    return told, shapes[gauge]
+def _split_at_gauges(shapes: Array | ComplexArray, gauges: tuple[int, ...]) -> tuple[NDArray[np.bool_], Any]:
+    """Return the mask of the components that are in z (all but the gauges), shape (m, c), and the values at the gauges, (m,)."""
+    free, gauge = _gauge_masks(shapes.shape[1], gauges)
+    return free, shapes[gauge]
 
 
 @lru_cache(maxsize=64)
-def _beside(n_channels: int, gauges: tuple[int, ...]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Which components of each shape are not its gauge, and which are, shape (m, c)."""
-    told = np.arange(n_channels) != np.array(gauges)[:, None]
-    return told, ~told
+def _gauge_masks(n_channels: int, gauges: tuple[int, ...]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return the masks of the components that are not the gauge of their shape, and of those that are, shape (m, c)."""
+    free = np.arange(n_channels) != np.array(gauges)[:, None]
+    return free, ~free
 
 
 def counterparts(modes: Modes, sensors: Array, observation: Observation) -> tuple[int, ...]:
-    """Which of a model's modes the observed ones are, in their order: by frequency, and where a change has brought modes
-    into another order, by shape.
+    """Match the observed modes to a model's modes: by frequency, or by shape where a change has altered the order.
 
     Parameters
     ----------
     modes : Modes
-        Of a model under change: in time its modes are those of `observation.model_mode`, by rank.
+        Modes of a model during updating; in its original order they are those of `observation.model_mode`, by rank.
     sensors : ndarray, shape (c, n)
-        Picks the sensors out of the floors.
+        Sensor matrix: channels by floors.
+
+    Returns
+    -------
+    tuple of int, length m
+        Number of the model's mode (0 = lowest) for each observed mode, in the order of `observation`.
     """
-    by_rank, seen = _ranked(observation, len(sensors))
+    by_rank, observed = _rank_observation(observation, len(sensors))
     if not observation.gauges:
         return tuple(by_rank.tolist())
     from scipy.optimize import linear_sum_assignment  # takes a third of a second to load
 
     shapes = sensors @ modes.shapes
     power = (shapes**2).sum(axis=0)
-    power = np.maximum(power, 1e-6 * power.max())  # what no sensor sees is like nothing
-    likeness = (seen @ shapes) ** 2 / power
-    likeness[np.arange(by_rank.size), by_rank] += _MIN_REORDERING_MAC
-    return tuple(linear_sum_assignment(likeness, maximize=True)[1].tolist())
+    power = np.maximum(power, 1e-6 * power.max())  # a mode that no sensor observes matches no observed mode
+    mac = (observed @ shapes) ** 2 / power
+    mac[np.arange(by_rank.size), by_rank] += _MIN_REORDERING_MAC
+    return tuple(linear_sum_assignment(mac, maximize=True)[1].tolist())
 
 
 @lru_cache(maxsize=8)
-def _ranked(observation: Observation, n_channels: int) -> tuple[NDArray[np.intp], Array]:
-    """The model's modes by rank of the observed frequencies, shape (m,), and the observed shapes of unit norm, shape (m, c)."""
+def _rank_observation(observation: Observation, n_channels: int) -> tuple[NDArray[np.intp], Array]:
+    """Return the model's modes by rank of the observed frequencies, shape (m,), and the observed shapes of unit norm, (m, c)."""
     m = len(observation.model_mode)
     by_rank = np.empty(m, dtype=np.intp)
     by_rank[observation.z[:m].argsort(kind="stable")] = sorted(observation.model_mode)
-    seen = np.ones((m, n_channels))
+    observed = np.ones((m, n_channels))
     if observation.gauges:
-        seen[_beside(n_channels, observation.gauges)[0]] = observation.z[m:]
-    return by_rank, seen / np.sqrt((seen**2).sum(axis=1, keepdims=True))
+        observed[_gauge_masks(n_channels, observation.gauges)[0]] = observation.z[m:]
+    return by_rank, observed / np.sqrt((observed**2).sum(axis=1, keepdims=True))
 
 
 def predict(model: Model, sensors: Array, observation: Observation, with_masses: bool) -> tuple[Array, Array]:
-    """The model's z and its sensitivity S = dz / d theta (eqs 18-20), its modes by rank.
+    """Predict z by the model's modes `observation.model_mode`, with the sensitivity S = dz / d theta (eqs 18-20).
 
     Parameters
     ----------
     sensors : ndarray, shape (c, n)
-        Picks the sensors out of the floors.
+        Sensor matrix: channels by floors.
 
     Returns
     -------
@@ -210,28 +223,33 @@ def predict(model: Model, sensors: Array, observation: Observation, with_masses:
     numpy.linalg.LinAlgError
         If the model has no modes, or one of them does not move at its gauge.
     """
-    return _predicted(_sensitive_modes(model, with_masses), sensors, observation)
+    return _predict_selected(_sensitive_modes(model, with_masses), sensors, observation)
 
 
 def _sensitive_modes(model: Model, with_masses: bool) -> tuple[Modes, Array, Array]:
-    """A model's modes and their derivatives by the parameters."""
+    """Compute a model's modes and their derivatives by the parameters (`fox_kapoor`)."""
     modes = model.modes()
     return modes, *fox_kapoor(modes, *_matrix_derivatives(model, with_masses))
 
 
 _starting_modes = lru_cache(maxsize=4)(_sensitive_modes)
-"""Of models that updates start from: every window's starts from the baseline's."""
+"""`_sensitive_modes`, cached for the models that updates start from: every window starts from the baseline's."""
 
 
-def _recognized(found: tuple[Modes, Array, Array], sensors: Array, observation: Observation) -> tuple[Array, Array]:
-    """As `predict`, of those modes that are the observed ones."""
+def _predict_matched(
+    found: tuple[Modes, Array, Array], sensors: Array, observation: Observation
+) -> tuple[Array, Array]:
+    """Predict as `predict`, by the model's modes that match the observed ones (`counterparts`)."""
     own = counterparts(found[0], sensors, observation)
     if own != observation.model_mode:
         observation = replace(observation, model_mode=own)
-    return _predicted(found, sensors, observation)
+    return _predict_selected(found, sensors, observation)
 
 
-def _predicted(found: tuple[Modes, Array, Array], sensors: Array, observation: Observation) -> tuple[Array, Array]:
+def _predict_selected(
+    found: tuple[Modes, Array, Array], sensors: Array, observation: Observation
+) -> tuple[Array, Array]:
+    """Predict as `predict`, from modes and derivatives computed before."""
     modes, d_lambda, d_shapes = found
     used = list(observation.model_mode)
     lam = np.maximum(modes.eigenvalues, _MIN_EIGENVALUE_RATIO * modes.eigenvalues[-1])[used]
@@ -239,13 +257,13 @@ def _predicted(found: tuple[Modes, Array, Array], sensors: Array, observation: O
     rows = [d_lambda[used] / lam[:, None] if observation.log else d_lambda[used]]
     if observation.gauges:
         shapes, d_at_sensors = (sensors @ modes.shapes[:, used]).T, sensors @ d_shapes[used]
-        told, at_gauge = _told(shapes, observation.gauges)
+        free, at_gauge = _split_at_gauges(shapes, observation.gauges)
         if (np.abs(at_gauge) <= _MIN_SHAPE_RATIO * np.abs(shapes).max(axis=1)).any():
             raise np.linalg.LinAlgError("a mode does not move at its gauge")
         ratio = shapes / at_gauge[:, None]
-        d_ratio = (d_at_sensors - ratio[:, :, None] * d_at_sensors[~told][:, None]) / at_gauge[:, None, None]
-        z.append(ratio[told])
-        rows.append(d_ratio[told])
+        d_ratio = (d_at_sensors - ratio[:, :, None] * d_at_sensors[~free][:, None]) / at_gauge[:, None, None]
+        z.append(ratio[free])
+        rows.append(d_ratio[free])
     return np.concatenate(z), np.concatenate(rows)
 
 
@@ -258,28 +276,35 @@ def update(
     prior_std: Array | None = None,
     with_masses: bool = False,
 ) -> Update:
-    """Iterate eq. 23, 27, 30 or 33 from the model's present parameters.
+    """Update the model's parameters to an observation by iterating eq. 23, 27, 30 or 33 from their present values.
 
     Parameters
     ----------
+    sensors : ndarray, shape (c, n)
+        Sensor matrix: channels by floors.
     prior_std : ndarray, shape (n_parameters,), optional
-        Relative standard deviations for W_theta; by default `settings.parameter_std` for all.  With them, penalty
-        ``weighted`` turns into ``initial`` where the data leave a direction unseen, which nothing else would hold.
+        Relative standard deviations for W_theta; by default `settings.parameter_std` for all.  If they are given, penalty
+        ``weighted`` is replaced by ``initial`` where the data do not identify a direction, which is otherwise undetermined.
     with_masses : bool
-        Update the floor masses too; their scale is held by the prior alone, so this wants penalty ``initial``.
+        Update the floor masses too.  Only the prior determines their scale, so this requires penalty ``initial``.
+
+    Returns
+    -------
+    Update
+        Stiffnesses in N/m, then masses in kg if `with_masses`.
     """
     structure = model.structure
     initial = np.concatenate([structure.stiffness_n_per_m, structure.masses_kg][: 2 if with_masses else 1])
     relative = np.full(initial.size, settings.parameter_std) if prior_std is None else prior_std
     try:
-        return _iterated(model, sensors, observation, settings, initial, relative, prior_std is not None, with_masses)
+        return _iterate(model, sensors, observation, settings, initial, relative, prior_std is not None, with_masses)
     except np.linalg.LinAlgError:
-        nothing = np.zeros((initial.size, observation.z.size))
+        no_gain = np.zeros((initial.size, observation.z.size))
         return Update(
             model=model,
             parameters=initial,
-            gain=nothing,
-            sensitivity=nothing.T,
+            gain=no_gain,
+            sensitivity=no_gain.T,
             residual=np.zeros(observation.z.size),
             converged=False,
             iterations=0,
@@ -290,47 +315,49 @@ def update(
         )
 
 
-def _iterated(
+def _iterate(
     model: Model,
     sensors: Array,
     observation: Observation,
     settings: UpdatingSettings,
     initial: Array,
     relative: Array,
-    holds: bool,
+    use_prior: bool,
     with_masses: bool,
 ) -> Update:
-    """`update` from parameters `initial`; the prior deviations `relative` hold what is unseen, if they may (`holds`).
+    """Run the iteration of `update` from the parameters `initial`.
+
+    With `use_prior`, directions that the data do not identify keep the prior of relative standard deviations `relative`.
 
     Raises
     ------
     numpy.linalg.LinAlgError
-        As `predict`, or on the way.
+        As `predict`, at the start or during the iteration.
     """
     theta, history = initial.copy(), [initial]
     w_theta = 1.0 / (relative * initial) ** 2
     converged, penalty = False, settings.penalty
-    z, sensitivity = _recognized(_starting_modes(model, with_masses), sensors, observation)
-    if penalty == "weighted" and holds:
+    z, sensitivity = _predict_matched(_starting_modes(model, with_masses), sensors, observation)
+    if penalty == "weighted" and use_prior:
         least = np.linalg.eigvalsh(_information(sensitivity, observation.weight, initial, relative))[0]
         penalty = "initial" if 1.0 / np.sqrt(1.0 + max(least, 0.0)) > UNSEEN else penalty
 
-    def objective(z: Array, where: Array) -> float:
-        """J of eqs 25 and 31."""
-        error, pull = observation.z - z, where - initial
-        held = float(pull @ (w_theta * pull)) if penalty == "initial" else 0.0
-        return float(error @ observation.weight @ error) + held
+    def objective(z: Array, parameters: Array) -> float:
+        """Evaluate the objective J of eqs 25 and 31."""
+        error, change = observation.z - z, parameters - initial
+        prior_term = float(change @ (w_theta * change)) if penalty == "initial" else 0.0
+        return float(error @ observation.weight @ error) + prior_term
 
-    # With as many parameters as data there is nothing to trade, and the plain iteration is the paper's.
+    # With as many parameters as data every residual can vanish, and the iteration without step control is the paper's.
     overdetermined = observation.z.size > theta.size or penalty == "initial"
     for _ in range(settings.max_iterations):
         gain = _gain(sensitivity, observation.weight, w_theta, penalty)
         step = gain @ (observation.z - z)
-        if penalty == "initial":  # eq. 33 pulls towards the initial values, eq. 30 only brakes the step
+        if penalty == "initial":  # eq. 33 penalizes the distance from the initial values, eq. 30 only the step
             step -= _prior_pull(sensitivity, observation.weight, w_theta) @ (theta - initial)
-        # A step that would make a stiffness negative is shortened: half way to zero at most.
+        # A step is shortened so that no parameter decreases by more than half: a stiffness must not become negative.
         step /= max(1.0, float(np.max(-2.0 * step / theta)))
-        if np.abs(step / theta).max() < settings.tolerance:  # so little is linear
+        if np.abs(step / theta).max() < settings.tolerance:  # z is linear in so small a step
             converged, theta, z = True, theta + step, z + sensitivity @ step
             model = _with_parameters(model, theta, with_masses)
             history.append(theta)
@@ -338,15 +365,15 @@ def _iterated(
         now, shortened = objective(z, theta), 0
         while True:
             model = _with_parameters(model, theta + step, with_masses)
-            z, sensitivity = _recognized(_sensitive_modes(model, with_masses), sensors, observation)
+            z, sensitivity = _predict_matched(_sensitive_modes(model, with_masses), sensors, observation)
             better = objective(z, theta + step) <= now
             if better or not overdetermined or shortened == 6:
                 break
-            step, shortened = 0.5 * step, shortened + 1  # the linearized step overshot: the model's form is wrong
+            step, shortened = 0.5 * step, shortened + 1  # the linearized step overshot: the model has a wrong form
         theta = theta + step
         history.append(theta)
     gain = _gain(sensitivity, observation.weight, w_theta, penalty)
-    identifiable, unseen = _seen(sensitivity, observation.weight, initial, relative)
+    identifiable, unseen = _identifiability(sensitivity, observation.weight, initial, relative)
     left = (np.eye(theta.size) - gain @ sensitivity) * (relative * initial)
     return Update(
         model=model,
@@ -364,13 +391,16 @@ def _iterated(
 
 
 def _information(sensitivity: Array, weight: Array, initial: Array, relative: Array) -> Array:
-    """What the data say, with parameters in units of their prior deviations: the prior says one in every direction."""
+    """Compute the data's information matrix, shape (p, p), for parameters in units of their prior standard deviations.
+
+    In these units the prior's information is the identity.
+    """
     scaled = sensitivity * (relative * initial)
     return np.asarray(scaled.T @ weight @ scaled)
 
 
-def _seen(sensitivity: Array, weight: Array, initial: Array, relative: Array) -> tuple[Array, Array]:
-    """`Update.identifiable` and `Update.unseen`: what the data's information adds to the prior's.
+def _identifiability(sensitivity: Array, weight: Array, initial: Array, relative: Array) -> tuple[Array, Array]:
+    """Compute `Update.identifiable` and `Update.unseen` from the data's information.
 
     The data's information has eigenvalues g along its eigenvectors; the posterior variance is 1 / (1 + g) of the prior's.
     """
@@ -381,7 +411,7 @@ def _seen(sensitivity: Array, weight: Array, initial: Array, relative: Array) ->
 
 
 def _gain(sensitivity: Array, weight: Array, w_theta: Array, penalty: Penalty) -> Array:
-    """The matrix that turns z_m - z into a step of theta."""
+    """Compute the gain, shape (n_parameters, n_data), that turns z_m - z into a step of theta (eqs 21, 23, 27, 30, 33)."""
     if penalty in ("least_squares", "minimum_norm"):
         return np.asarray(np.linalg.pinv(sensitivity))  # eq. 23; with too few data, the shortest step (eq. 21)
     weighted = sensitivity.T @ weight
@@ -392,13 +422,14 @@ def _gain(sensitivity: Array, weight: Array, w_theta: Array, penalty: Penalty) -
 
 
 def _prior_pull(sensitivity: Array, weight: Array, w_theta: Array) -> Array:
+    """Compute the matrix, shape (n_parameters, n_parameters), of the prior's term in the step of eq. 33."""
     return _solve_scaled(sensitivity.T @ weight @ sensitivity + np.diag(w_theta), np.diag(w_theta))
 
 
 def _solve_scaled(normal: Array, right: Array) -> Array:
     """Solve the normal equations after scaling their diagonal to one (stiffness and mass differ by 1e4).
 
-    By Cholesky where every pivot counts, else by the shortest least-squares solution.
+    The solution is by Cholesky if no pivot is too small, else the least-squares solution of minimum norm.
     """
     scale = 1.0 / np.sqrt(normal.diagonal())
     scaled, wanted = normal * scale[:, None] * scale, scale[:, None] * right
@@ -409,6 +440,7 @@ def _solve_scaled(normal: Array, right: Array) -> Array:
 
 
 def _matrix_derivatives(model: Model, with_masses: bool) -> tuple[Array, Array | None]:
+    """Return the derivatives of stiffness and mass matrix by the parameters, shape (n_parameters, n, n) each."""
     d_k = model.stiffness_derivatives()
     if not with_masses:
         return d_k, None
@@ -417,6 +449,7 @@ def _matrix_derivatives(model: Model, with_masses: bool) -> tuple[Array, Array |
 
 
 def _with_parameters(model: Model, theta: Array, with_masses: bool) -> Model:
+    """Return the model with the parameters theta: stiffnesses, then masses if `with_masses`."""
     p = model.structure.n_stories
     updated = model.with_stiffness(theta[:p])
     return updated.with_masses(theta[p:]) if with_masses else updated

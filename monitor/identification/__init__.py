@@ -1,4 +1,4 @@
-"""The modes of a window (stochastic subspace identification, refinement) and their identity over time."""
+"""Identification of a window's modes (stochastic subspace identification, refinement) and tracking of modes over time."""
 
 import lazy_loader
 

@@ -1,9 +1,9 @@
-"""Eigenvalues and vectors of small matrices in Hessenberg form, without the rest that LAPACK would give.
+"""Eigenvalues and eigenvectors of small matrices, limited to those that identification needs; LAPACK computes all.
 
-A window asks some fifteen matrices for their poles, of which those above the real axis and a few rows of the eigenvectors are
-looked at.  After reduction to Hessenberg form (zero below the first subdiagonal) the double-shift QR iteration acts on
-what is not yet split off alone, for it need not keep the triangular form, and a vector follows from one solution with its pole as
-shift.  Of a symmetric one, whose form is tridiagonal, the leading vectors are wanted alone.
+A window has some fifteen matrices whose poles above the real axis are needed, with a few rows of the eigenvectors.  After
+reduction to Hessenberg form (zero below the first subdiagonal) the double-shift QR iteration acts on the undeflated block alone,
+because the triangular form is not needed.  An eigenvector follows from one step of inverse iteration with its pole as shift.
+Of a symmetric matrix, whose Hessenberg form is tridiagonal, only the leading vectors are computed.
 
 References
 ----------
@@ -24,7 +24,7 @@ from monitor.core import Array, ComplexArray, compiled
 Indices = NDArray[np.intp]
 Poles = tuple[Indices, ComplexArray, ComplexArray, ComplexArray]
 Region = tuple[float, float, float, float]
-"""Bounds of a pole's logarithm: its least and largest magnitude, and of its damping ratio."""
+"""Bounds of a pole: least and largest magnitude of its logarithm, then least and largest damping ratio."""
 EVERYWHERE: Region = (0.0, np.inf, -np.inf, np.inf)
 """A region that holds every eigenvalue. [1; definition]"""
 
@@ -42,23 +42,27 @@ rounding]"""
 
 
 def upper_poles(a: Array, c: Array, orders: Sequence[int], region: Region = EVERYWHERE) -> Poles:
-    """Eigenvalues above the real axis and within a region, of the leading part of `a` of every order.
+    """Compute the eigenvalues above the real axis and within a region, of the leading part of `a` for every order.
 
     Parameters
     ----------
     a : ndarray, shape (n, n)
     c : ndarray, shape (l, n)
     orders : sequence of int
-        Rising, none above n.
+        Increasing, none above n.
+    region : tuple of float
+        See `Region`.
 
     Returns
     -------
     space : ndarray, shape (m,)
-        Index of each one's order in `orders`.
+        Index of the order of each eigenvalue in `orders`.
     value : ndarray, shape (m,)
+        Eigenvalues.
     logarithm : ndarray, shape (m,)
+        Logarithms of the eigenvalues.
     shape : ndarray, shape (m, l)
-        `c` times the eigenvectors, of unit norm.
+        `c` times the eigenvectors, scaled to unit norm.
     """
     sizes = np.asarray(orders, dtype=np.intp)
     space, value, logarithm, shape, sound = _upper_poles(
@@ -68,7 +72,7 @@ def upper_poles(a: Array, c: Array, orders: Sequence[int], region: Region = EVER
 
 
 def _by_lapack(a: Array, c: Array, orders: Sequence[int], region: Region) -> Poles:
-    """As `upper_poles`, where the iteration does not converge or a vector does not show."""
+    """Compute the result of `upper_poles` by LAPACK, for use where the iteration or an eigenvector does not converge."""
     value, shape = [np.zeros(0, complex)], [np.zeros((0, len(c)), complex)]
     for n in orders:
         values, vectors = np.linalg.eig(a[:n, :n])
@@ -82,7 +86,7 @@ def _by_lapack(a: Array, c: Array, orders: Sequence[int], region: Region) -> Pol
 
 @compiled()
 def _within(logarithm: complex, region: Region) -> bool:
-    """Whether the pole lies in the region."""
+    """Check that a pole lies in the region."""
     slowest, fastest, least_damped, most_damped = region
     size = abs(logarithm)
     return slowest < size < fastest and least_damped < -logarithm.real / size < most_damped
@@ -92,16 +96,16 @@ def _within(logarithm: complex, region: Region) -> bool:
 def _upper_poles(
     a: Array, c: Array, orders: Indices, region: Region
 ) -> tuple[Indices, ComplexArray, ComplexArray, ComplexArray, bool]:
-    """As `upper_poles`; and whether all succeeded."""
+    """Compute the result of `upper_poles`, and a flag that all iterations converged."""
     most, l, largest = orders.sum() // 2, c.shape[0], orders.max() if orders.size else 0  # noqa: E741 - the paper's letters
     space, value = np.empty(most, dtype=np.intp), np.empty(most, dtype=np.complex128)
     logarithm, shape = np.empty(most, dtype=np.complex128), np.empty((most, l), dtype=np.complex128)
-    room, x = np.empty((largest, largest), dtype=np.complex128), np.empty(largest, dtype=np.complex128)
+    workspace, x = np.empty((largest, largest), dtype=np.complex128), np.empty(largest, dtype=np.complex128)
     m, sound = 0, True
     for s in range(orders.size):
         n = orders[s]
-        h, turned = a[:n, :n].copy(), c[:, :n].copy()
-        _reduce(h, turned)
+        h, transformed = a[:n, :n].copy(), c[:, :n].copy()
+        _reduce(h, transformed)
         values = _eigenvalues(h)
         sound = sound and not np.isnan(values[0])
         for k in range(n):
@@ -110,12 +114,12 @@ def _upper_poles(
             space[m], value[m], logarithm[m] = s, values[k], np.log(values[k])
             if not _within(logarithm[m], region):
                 continue
-            sound = _vector(h, values[k], room, x) and sound
+            sound = _eigenvector(h, values[k], workspace, x) and sound
             size = 0.0
             for i in range(l):
                 total = 0j
                 for j in range(n):
-                    total += turned[i, j] * x[j]
+                    total += transformed[i, j] * x[j]
                 shape[m, i] = total
                 size += total.real**2 + total.imag**2
             shape[m] /= np.sqrt(size)
@@ -125,11 +129,11 @@ def _upper_poles(
 
 @compiled(error_model="numpy", fastmath={"contract", "reassoc"})
 def _reduce(h: Array, c: Array) -> None:
-    """Turn `h` into Hessenberg form by reflections, and `c` with it, in place."""
+    """Reduce `h`, shape (n, n), to Hessenberg form by reflections, and transform `c`, shape (l, n), alike, in place."""
     n = h.shape[0]
-    room = np.empty((3, n))
+    workspace = np.empty((3, n))
     for k in range(n - 2):
-        v, image, seen = room[0, k + 1 :], room[1, k + 1 :], room[2, k + 1 :]
+        v, v_h, h_v = workspace[0, k + 1 :], workspace[1, k + 1 :], workspace[2, k + 1 :]  # v, v^T H, H v
         square = 0.0
         for i in range(k + 2, n):
             square += h[i, k] * h[i, k]
@@ -139,22 +143,22 @@ def _reduce(h: Array, c: Array) -> None:
         size = np.sqrt(first * first + square)
         size = size if first > 0.0 else -size
         for i in range(v.size):
-            v[i], image[i], h[k + 1 + i, k] = h[k + 1 + i, k], 0.0, 0.0
+            v[i], v_h[i], h[k + 1 + i, k] = h[k + 1 + i, k], 0.0, 0.0
         v[0], h[k + 1, k] = first + size, -size
         twice = 2.0 / (v[0] * v[0] + square)
-        both = 0.0  # v^T A v
+        v_h_v = 0.0
         for i in range(v.size):
             row, factor, total = h[k + 1 + i, k + 1 :], v[i], 0.0
             for j in range(v.size):
-                image[j] += factor * row[j]
+                v_h[j] += factor * row[j]
                 total += row[j] * v[j]
-            seen[i] = total
-            both += factor * total
+            h_v[i] = total
+            v_h_v += factor * total
         for i in range(v.size):
             row, left = h[k + 1 + i, k + 1 :], twice * v[i]
-            right = twice * (seen[i] - both * left)
+            right = twice * (h_v[i] - v_h_v * left)
             for j in range(v.size):
-                row[j] -= left * image[j] + right * v[j]
+                row[j] -= left * v_h[j] + right * v[j]
         for i in range(k + 1):
             _reflect(h[i, k + 1 :], v, twice)
         for i in range(c.shape[0]):
@@ -163,7 +167,7 @@ def _reduce(h: Array, c: Array) -> None:
 
 @compiled(fastmath={"contract", "reassoc"})
 def _reflect(row: Array, v: Array, twice: float) -> None:
-    """`row` times the reflection along `v`, in place."""
+    """Multiply `row` by the reflection along `v`, in place."""
     total = 0.0
     for j in range(v.size):
         total += row[j] * v[j]
@@ -174,13 +178,13 @@ def _reflect(row: Array, v: Array, twice: float) -> None:
 
 @compiled(error_model="numpy", fastmath={"contract"})
 def _eigenvalues(hessenberg: Array) -> ComplexArray:
-    """All eigenvalues, shape (n,); not a number if they do not converge."""
+    """Compute all eigenvalues of a Hessenberg matrix, shape (n,); NaN if the iteration does not converge."""
     n = hessenberg.shape[0]
     h, values = np.zeros((n + 1, n + 1)), np.empty(n, dtype=np.complex128)  # room for a reflection of three at the end
     h[:n, :n] = hessenberg
     end, sweeps = n - 1, 0
     while end >= 0:
-        begin = end  # of the block that ends at `end` and does not fall apart
+        begin = end  # start of the undeflated block that ends at `end`
         while begin > 0 and abs(h[begin, begin - 1]) > _EPS * (abs(h[begin - 1, begin - 1]) + abs(h[begin, begin])):
             begin -= 1
         if begin == end:
@@ -202,9 +206,9 @@ def _eigenvalues(hessenberg: Array) -> ComplexArray:
 
 @compiled(error_model="numpy", fastmath={"contract"})
 def _sweep(h: Array, begin: int, end: int, stuck: bool) -> None:
-    """One double-shift QR step on the block from `begin` to `end`, in place."""
+    """Do one double-shift QR step on the block from `begin` to `end`, in place."""
     x, y, product = h[end, end], h[end - 1, end - 1], h[end, end - 1] * h[end - 1, end]
-    if stuck:  # other shifts leave a cycle
+    if stuck:  # exceptional shifts break a cycle of the iteration
         size = abs(h[end, end - 1]) + abs(h[end - 1, end - 2])
         x = y = h[end, end] + 0.75 * size
         product = -0.4375 * size * size
@@ -233,7 +237,7 @@ def _sweep(h: Array, begin: int, end: int, stuck: bool) -> None:
         u, v, w, q, r = p / size, q / size, r / size, q / p, r / p
         above, row, below = h[k, k : end + 1], h[k + 1, k : end + 1], h[k + 2, k : end + 1]
         for j in range(above.size):
-            one, two, three = above[j], row[j], below[j]  # fetched before anything is stored, which could be the same
+            one, two, three = above[j], row[j], below[j]  # load all before storing: the compiler must assume aliasing
             total = one + q * two + r * three
             above[j], row[j], below[j] = one - total * u, two - total * v, three - total * w
         for i in range(begin, min(end, k + 3) + 1):
@@ -244,8 +248,11 @@ def _sweep(h: Array, begin: int, end: int, stuck: bool) -> None:
 
 
 @compiled(error_model="numpy", fastmath={"contract"})
-def _vector(h: Array, pole: complex, u: ComplexArray, x: ComplexArray) -> bool:
-    """Eigenvector of `h` into `x`, of any scale, by one step of inverse iteration; `u` is room.  False if it did not grow."""
+def _eigenvector(h: Array, pole: complex, u: ComplexArray, x: ComplexArray) -> bool:
+    """Compute an eigenvector of `h` into `x`, of any scale, by one step of inverse iteration; `u` is a workspace.
+
+    The result is False if the solution did not grow, that is, if the vector is not accurate.
+    """
     n = h.shape[0]
     norm = 0.0
     for j in range(n):
@@ -258,18 +265,18 @@ def _vector(h: Array, pole: complex, u: ComplexArray, x: ComplexArray) -> bool:
     for k in range(
         n - 1
     ):  # Gaussian elimination of h - pole; a row is exchanged with the next where that has the larger pivot
-        beside = h[k + 1, k]
+        subdiagonal = h[k + 1, k]
         for j in range(k + 1, n):
             u[k + 1, j] = h[k + 1, j]
         u[k + 1, k + 1] -= pole
-        if abs(u[k, k].real) + abs(u[k, k].imag) >= abs(beside):
+        if abs(u[k, k].real) + abs(u[k, k].imag) >= abs(subdiagonal):
             x[k] = _inverse(u[k, k], least)
-            if beside != 0.0:
-                factor = beside * x[k]
+            if subdiagonal != 0.0:
+                factor = subdiagonal * x[k]
                 for j in range(k + 1, n):
                     u[k + 1, j] -= factor * u[k, j]
         else:
-            x[k] = complex(1.0 / beside)
+            x[k] = complex(1.0 / subdiagonal)
             factor = u[k, k] * x[k].real
             for j in range(k + 1, n):
                 lower = u[k + 1, j]
@@ -277,7 +284,7 @@ def _vector(h: Array, pole: complex, u: ComplexArray, x: ComplexArray) -> bool:
                 u[k, j] = lower
     x[n - 1] = _inverse(u[n - 1, n - 1], least)
     growth = 0.0
-    for i in range(n - 1, -1, -1):  # x holds the inverse pivots of the rows above
+    for i in range(n - 1, -1, -1):  # back substitution; x still holds the inverse pivots of the rows above
         total = 1.0 + 0j
         for j in range(i + 1, n):
             total -= u[i, j] * x[j]
@@ -288,25 +295,31 @@ def _vector(h: Array, pole: complex, u: ComplexArray, x: ComplexArray) -> bool:
 
 @compiled(error_model="numpy")
 def _inverse(pivot: complex, least: float) -> complex:
-    """Of a pivot, or of the `least` where it is smaller."""
+    """Invert a pivot, or `least` where the pivot is smaller."""
     if abs(pivot.real) + abs(pivot.imag) < least:
         return complex(1.0 / least)
     return pivot.conjugate() / (pivot.real**2 + pivot.imag**2)
 
 
 @compiled(error_model="numpy")
-def tridiagonal_vectors(diagonal: Array, beside: Array, values: Array) -> Array:
-    """Unit eigenvectors of a symmetric tridiagonal matrix for known eigenvalues, as rows, shape (m, n).
+def tridiagonal_vectors(diagonal: Array, off_diagonal: Array, values: Array) -> Array:
+    """Compute unit eigenvectors of a symmetric tridiagonal matrix for known eigenvalues.
 
-    Each follows from the factors of the shifted matrix from the top and from the bottom, joined where they tell it best.  It is
-    as good as rounding over the distance to the next value; what that leaves in it of the vectors of near values is taken off.
+    Each vector follows from the factorizations of the shifted matrix from the top and from the bottom (twisted factorization),
+    joined at the row of the smallest pivot.  Its error is rounding over the distance to the next eigenvalue.  Its components
+    along the vectors of close eigenvalues are therefore removed.
 
     Parameters
     ----------
     diagonal : ndarray, shape (n,)
-    beside : ndarray, shape (n - 1,)
+    off_diagonal : ndarray, shape (n - 1,)
     values : ndarray, shape (m,)
-        In order.
+        Eigenvalues, in order.
+
+    Returns
+    -------
+    ndarray, shape (m, n)
+        Eigenvectors as rows.
     """
     n, near = diagonal.size, _CLUSTER_DISTANCE * np.abs(values).max()
     out, down, up = np.empty((values.size, n)), np.empty(n), np.empty(n)
@@ -314,10 +327,10 @@ def tridiagonal_vectors(diagonal: Array, beside: Array, values: Array) -> Array:
         down[0], up[n - 1] = diagonal[0] - values[k], diagonal[n - 1] - values[k]
         for i in range(1, n):
             down[i - 1] = down[i - 1] or _PIVOT_IN_PLACE_OF_0
-            down[i] = diagonal[i] - values[k] - beside[i - 1] ** 2 / down[i - 1]
+            down[i] = diagonal[i] - values[k] - off_diagonal[i - 1] ** 2 / down[i - 1]
         for i in range(n - 2, -1, -1):
             up[i + 1] = up[i + 1] or _PIVOT_IN_PLACE_OF_0
-            up[i] = diagonal[i] - values[k] - beside[i] ** 2 / up[i + 1]
+            up[i] = diagonal[i] - values[k] - off_diagonal[i] ** 2 / up[i + 1]
         joint, least = 0, np.inf
         for i in range(n):
             left = abs(down[i] + up[i] - (diagonal[i] - values[k]))
@@ -326,9 +339,9 @@ def tridiagonal_vectors(diagonal: Array, beside: Array, values: Array) -> Array:
         row = out[k]
         row[joint] = 1.0
         for i in range(joint - 1, -1, -1):
-            row[i] = -beside[i] / down[i] * row[i + 1]
+            row[i] = -off_diagonal[i] / down[i] * row[i + 1]
         for i in range(joint + 1, n):
-            row[i] = -beside[i - 1] / up[i] * row[i - 1]
+            row[i] = -off_diagonal[i - 1] / up[i] * row[i - 1]
         for j in range(k - 1, -1, -1):
             if abs(values[j] - values[k]) > near:
                 break

@@ -1,7 +1,7 @@
 """Uncertainty of modes identified from one free decay in white sensor noise.
 
-A decay has no stationary blocks whose scatter could be read.  But its model is explicit, a sum of damped sinusoids, so
-the covariance follows from the linearized least-squares fit of that sum: what remains gives the noise.
+A decay has no stationary blocks from whose scatter the uncertainty could be estimated.  But its model is explicit, a sum of
+damped sinusoids.  The covariance follows from the linearized least-squares fit of that sum, and the noise from the residual.
 """
 
 from __future__ import annotations
@@ -17,12 +17,21 @@ _SETTLING_S = 0.3
 
 
 def with_decay_deviations(modes: ModalEstimate, values: Array, rate_hz: float) -> ModalEstimate:
-    """The same modes with the covariance of a free decay.
+    """Compute the deviations of modes that were identified from a free decay.
 
     Parameters
     ----------
+    modes : ModalEstimate
+        m modes of c channels, each shape with one component exactly 1.
     values : ndarray, shape (n_samples, c), m/s^2
         The conditioned decay.
+    rate_hz : float
+        Sampling rate, Hz.
+
+    Returns
+    -------
+    ModalEstimate
+        The same modes with deviations.
     """
     skip = round(_SETTLING_S * rate_hz)
     y = values[skip:]
@@ -45,8 +54,8 @@ def with_decay_deviations(modes: ModalEstimate, values: Array, rate_hz: float) -
         slope = t[:, None] * waves * amplitude[:, channel]
         jacobian[rows, 2 * m * c :] = np.concatenate([slope.real, -slope.imag], axis=1)
     scale = np.linalg.norm(jacobian, axis=0)
-    factor = sigma * np.linalg.pinv(jacobian / scale).T / scale  # rows: one a datum; squares sum to the covariance
-    # The rows' R factor has the same squares and few rows.
+    factor = sigma * np.linalg.pinv(jacobian / scale).T / scale  # one row a datum; squares sum to the covariance
+    # The R factor of its QR decomposition has the same sums of squares in few rows.
     factor = np.asarray(np.linalg.qr(factor, mode="r"))
     d_amplitude = (factor[:, : m * c] + 1j * factor[:, m * c : 2 * m * c]).reshape(-1, m, c)
     d_pole = factor[:, 2 * m * c : 2 * m * c + m] + 1j * factor[:, 2 * m * c + m :]

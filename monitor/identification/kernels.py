@@ -13,8 +13,19 @@ IMPOSSIBLE = 1e3
 
 @compiled()
 def scatter(products: Array, shifted: Array, mean: Array, counts: NDArray[np.int64], past: NDArray[np.intp]) -> Array:
-    """How far every block's lagged products about the window's mean lie off the mean block's, at lags from 1 on, for the first
-    factors `past`; shape (2 i - 1, r, c, n_blocks), other parameters as in `LagSums`.
+    """Compute the deviation of each block's lagged products, about the window's mean, from those of the mean block.
+
+    Parameters
+    ----------
+    products, shifted, mean, counts
+        As in `LagSums`.
+    past : ndarray, shape (r,)
+        Channels of the first factors.
+
+    Returns
+    -------
+    ndarray, shape (2 i - 1, r, c, n_blocks)
+        For lags from 1 on.
     """
     n_blocks, n_lags, c, _ = products.shape
     out, share = np.empty((n_lags - 1, past.size, c, n_blocks)), counts / counts.sum()
@@ -34,14 +45,19 @@ def scatter(products: Array, shifted: Array, mean: Array, counts: NDArray[np.int
 
 @compiled()
 def displaced(lag_sum: Array, head: Array, tail: Array) -> Array:
-    """Gram matrix of the block Hankel matrix with these lag sums as first block row, shape (n_lags c, n_lags c).
+    """Compute the Gram matrix of the block Hankel matrix from its first block row, the lag sums.
 
-    A block is the one above it on its diagonal with the product at the window's head taken off and the one at its tail put on.
+    A block equals the previous block on its diagonal, minus the product at the window's head, plus the product at its tail.
 
     Parameters
     ----------
     lag_sum : ndarray, shape (n_lags, c, c)
     head, tail : ndarray, shape (n_lags - 1, c)
+        First and last samples of the window.
+
+    Returns
+    -------
+    ndarray, shape (n_lags c, n_lags c)
     """
     lags, c, _ = lag_sum.shape
     out = np.empty((lags * c, lags * c))
@@ -58,8 +74,8 @@ def displaced(lag_sum: Array, head: Array, tail: Array) -> Array:
 
 
 @compiled()
-def _likeness(a: ComplexArray, b: ComplexArray) -> float:
-    """Modal assurance criterion of two shapes of unit norm."""
+def _mac(a: ComplexArray, b: ComplexArray) -> float:
+    """Compute the modal assurance criterion of two shapes of unit norm, shape (c,)."""
     total = 0j
     for i in range(a.size):
         total += np.conj(a[i]) * b[i]
@@ -70,15 +86,23 @@ def _likeness(a: ComplexArray, b: ComplexArray) -> float:
 def recurring(
     space: NDArray[np.intp], frequency: Array, shape: ComplexArray, most_change: float, least_likeness: float
 ) -> Array:
-    """For each pole 1 if the order below has the same, else 0.
+    """Mark each pole with 1 if the next lower order has a matching pole, else 0.
 
     Parameters
     ----------
     space : ndarray, shape (n_poles,)
-        Number of the order, rising.
-    frequency : ndarray, shape (n_poles,)
+        Number of the order, increasing.
+    frequency : ndarray, shape (n_poles,), Hz
     shape : ndarray, shape (n_poles, c)
-        Of unit norm.
+        Shapes of unit norm.
+    most_change : float
+        Largest relative change of frequency between matching poles.
+    least_likeness : float
+        Least modal assurance criterion between matching poles.
+
+    Returns
+    -------
+    ndarray, shape (n_poles,)
     """
     found = np.zeros(frequency.size)
     for p in range(frequency.size):
@@ -86,7 +110,7 @@ def recurring(
             if (
                 space[q] == space[p] - 1
                 and abs(frequency[p] / frequency[q] - 1.0) < most_change
-                and _likeness(shape[p], shape[q]) > least_likeness
+                and _mac(shape[p], shape[q]) > least_likeness
             ):
                 found[p] = 1.0
     return found
@@ -101,19 +125,24 @@ def grouped(
     least_likeness: float,
     enough: float,
 ) -> NDArray[np.intp]:
-    """Number of the mode of each pole, -1 for none; parameters as in `recurring`.
+    """Group the poles into modes, with at most one pole from each order, and at least `enough` poles in all.
 
-    A mode has one pole an order, in `enough` of them or more.
+    Parameters are as in `recurring`.
+
+    Returns
+    -------
+    ndarray of int, shape (n_poles,)
+        Number of the mode of each pole, -1 for none.
     """
     n = frequency.size
     near = np.zeros((n, n), dtype=np.bool_)
     for i in range(n):
         for j in range(n):
             if abs(frequency[i] / frequency[j] - 1.0) < most_change:
-                near[i, j] = _likeness(shape[i], shape[j]) > least_likeness
+                near[i, j] = _mac(shape[i], shape[j]) > least_likeness
     group, free, modes = np.full(n, -1), np.ones(n, dtype=np.bool_), 0
     while True:
-        # The pole with most companions is the best centre of a mode; where even that has too few, no other has enough.
+        # The pole with most matching poles is the best centre of a mode; if even this pole has too few, no other has enough.
         seed, most = 0, 0
         for i in range(n):
             companions = 0
@@ -147,19 +176,29 @@ def unlikeness(
     most_distance: float,
     least_likeness: float,
 ) -> Array:
-    """How unlike each of the model's modes every identified one is, shape (k, n_modes); IMPOSSIBLE beyond the bounds.
+    """Compute the cost of matching each of the model's modes to each identified mode; IMPOSSIBLE beyond the bounds.
 
-    Frequency (the median over orders), shape, and how many orders show it, which says more than how near the drawing it lies.
+    The cost has terms for frequency (the median over orders), for shape, and for the share of orders in which the mode was
+    found.  That share is a better criterion than the closeness to the structure file's frequency.
 
     Parameters
     ----------
     group : ndarray, shape (n_poles,)
         Number of each pole's mode, -1 for none.
-    frequency : ndarray, shape (n_poles,)
+    frequency : ndarray, shape (n_poles,), Hz
     shape : ndarray, shape (n_poles, c)
-        Of unit norm.
+        Shapes of unit norm.
     model_ln_f : ndarray, shape (k,)
+        Logarithms of the model's frequencies in Hz.
     model_shape : ndarray, shape (k, c)
+    most_distance : float
+        Largest distance in ln f.
+    least_likeness : float
+        Least modal assurance criterion.
+
+    Returns
+    -------
+    ndarray, shape (k, n_modes)
     """
     n_modes = group.max() + 1 if group.size else 0
     out = np.full((model_ln_f.size, n_modes), IMPOSSIBLE)
@@ -171,8 +210,8 @@ def unlikeness(
             for s in range(middle.size):
                 total += model_shape[i, s] * middle[s]
                 power += model_shape[i, s] ** 2
-            likeness = (total.real**2 + total.imag**2) / power if power > 0.0 else 0.0
-            if distance <= most_distance and likeness >= least_likeness:
-                shown = members.size / n_orders
-                out[i, j] = 0.5 * distance / most_distance + 2.0 * (1.0 - likeness) + (1.0 - shown)
+            mac = (total.real**2 + total.imag**2) / power if power > 0.0 else 0.0
+            if distance <= most_distance and mac >= least_likeness:
+                share = members.size / n_orders
+                out[i, j] = 0.5 * distance / most_distance + 2.0 * (1.0 - mac) + (1.0 - share)
     return out

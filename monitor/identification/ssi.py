@@ -1,9 +1,9 @@
 """Stochastic subspace identification from lag sums (paper, section 2, eqs 1-17).
 
-The tall block Hankel matrix of eq. 3 is never formed.  Everything its QR factorization and its SVD would give follows
-from its Gram matrix, whose first block row is the window's lag sums and whose other rows follow by displacement:
-moving both factors one sample on removes one product at the window's head and adds one at its tail.  That is exact,
-and costs the number of block rows rather than the number of samples.
+The tall block Hankel matrix of eq. 3 is never formed.  All results of its QR factorization and its SVD follow from its Gram
+matrix.  The first block row of the Gram matrix is the window's lag sums, and the other rows follow by displacement: a shift of
+both factors by one sample removes one product at the window's head and adds one at its tail.  That is exact, and its cost
+depends on the number of block rows, not on the number of samples.
 """
 
 from __future__ import annotations
@@ -38,23 +38,30 @@ _MIN_SPARSE_ROWS = 500
 
 
 class SsiSettings(Settings):
-    """How the state-space models are identified."""
+    """``[identification]``: stochastic subspace identification of state-space models."""
 
     variant: Literal["auto", "CVA", "UPC", "PC", "COV"] = "auto"
-    """Weights of Table 1, or COV: covariance-driven, on the lag covariances. auto: CVA up to ten channels, else COV."""
+    """Weights of Table 1, or COV: covariance-driven, from the lag covariances. auto: CVA up to ten channels, else COV."""
     algorithm: Literal[1, 2] = 2
     """1: from the state sequences (eqs 9-11); 2: from the observability matrix (eqs 12, 13)."""
     block_rows: int = Field(default=25, ge=4, le=200)
-    """Number i of block rows, past and future each."""
+    """Number i of block rows, for past and future each."""
     max_order: int = Field(default=30, ge=4)
-    """Largest state-space order; every even one from 2 is identified."""
+    """Largest state-space order; every even order from 2 is identified."""
     reference_channels: tuple[str, ...] = ()
-    """Channels that make up the past; all when empty."""
+    """Reference channels, which make up the past; all channels when empty."""
     uncertainty: bool = True
-    """Without it modes alone are told, at a third of the cost: a change of unknown significance is not judged."""
+    """Compute the uncertainty of the modes.  Without it identification takes a third of the time, but damage is not assessed:
+    the significance of a change is then unknown."""
 
     def used(self, n_channels: int) -> Literal["CVA", "UPC", "PC", "COV"]:
-        """The variant for so many channels."""
+        """Return the variant used for so many channels.
+
+        Examples
+        --------
+        >>> SsiSettings().used(5), SsiSettings().used(20)
+        ('CVA', 'COV')
+        """
         if self.variant != "auto":
             return self.variant
         return "CVA" if n_channels <= _MAX_CVA_CHANNELS else "COV"
@@ -62,17 +69,18 @@ class SsiSettings(Settings):
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Realisation:
-    """What the Gram matrix says about every order at once."""
+    """Observability matrix for all orders, from the Gram matrix."""
 
     observability: Array
-    """O_i for the largest order, shape (l i, n_max); order n uses its first n columns (eq. 8).  The states' basis is free: in
-    this one the columns without the last block row are orthonormal, which solves eq. 12 for every order at once."""
+    """O_i for the largest order, shape (l i, n_max); order n uses its first n columns (eq. 8).  The basis of the states is
+    arbitrary.  It is chosen so that the columns without the last block row are orthonormal, which solves eq. 12 for every order
+    at once."""
     right: Array
-    """Z with O_i = Y_f Y_p^T Z to first order, shape (r i, n_max): how errors of the lag sums enter O_i."""
+    """Z with O_i = Y_f Y_p^T Z to first order, shape (r i, n_max); it propagates errors of the lag sums to O_i."""
     singular_values: Array
     """Shape (at least n_max,)."""
     past: tuple[int, ...]
-    """Columns that make up the past."""
+    """Numbers of the channels that make up the past."""
     n_channels: int
     states: tuple[Array, Array, Array] | None
     """Algorithm 1 only: Gram matrices of the projections (X_i X_i^T, X_i+1 X_i^T, Y_i X_i^T before O_i^+)."""
@@ -80,7 +88,7 @@ class Realisation:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class StateSpace:
-    """A and C of one order with their eigenvectors (eq. 14)."""
+    """State-space matrices A and C of one order, with eigenvalues and eigenvectors of A (eq. 14)."""
 
     order: int
     poles: ComplexArray
@@ -95,24 +103,24 @@ class StateSpace:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PoleTable:
-    """Poles of all orders above the real axis, one row each, by order."""
+    """Poles above the real axis of all orders, one row each, by order."""
 
     orders: tuple[int, ...]
-    """All that were identified, whether they have poles here or not."""
+    """All orders identified, with or without poles in the table."""
     space: Indices
-    """Index in `orders`."""
+    """Shape (n_poles,): index of the pole's order in `orders`."""
     value: ComplexArray
-    """Discrete-time eigenvalue."""
+    """Shape (n_poles,): discrete-time eigenvalue."""
     frequency: Array
-    """Hz."""
+    """Shape (n_poles,), Hz."""
     damping: Array
-    """Ratio."""
+    """Shape (n_poles,): damping ratio."""
     shape: ComplexArray
-    """Unit norm, shape (n_poles, l)."""
+    """Shape (n_poles, l): mode shape of unit norm."""
 
 
 def gram(sums: LagSums) -> Array:
-    """Gram matrix of the block Hankel matrix of eq. 3 with all channels, shape (2 i l, 2 i l), not normalized."""
+    """Compute the Gram matrix of the block Hankel matrix of eq. 3 with all l channels, shape (2 i l, 2 i l), not normalized."""
     from monitor.identification.kernels import displaced  # compiled code takes a while to load
 
     return displaced(sums.total, sums.head, sums.tail)
@@ -125,12 +133,14 @@ def realise(
 
     Parameters
     ----------
-    past : tuple of int
-        Reference columns.
+    sums : LagSums
+        Lag sums of l channels at 2 i lags.
+    past : tuple of int, length r
+        Numbers of the reference channels.
     max_order : int
-        Largest order wanted; lowered to the number of rows of the past.
+        Largest order wanted; it is lowered where the matrices have fewer rows.
     cutoff : float
-        Of the lowpass that the samples went through, cycles per sample.
+        Cutoff of the lowpass of the samples, cycles per sample.
     """
     i, l = settings.block_rows, sums.head.shape[1]  # noqa: E741 - the paper's letters
     past_rows, future = _past_rows(i, l, past), slice(i * l, 2 * i * l)
@@ -150,47 +160,50 @@ def realise(
             weighted = _weight(full[future, future], l, cutoff).T @ weighted
         values, right = _leading(weighted, max_order)
         white = half_pp @ right
-    # Noise-free data have no more singular values than the structure has states.
+    # Noise-free data have only as many singular values as the structure has states.
     rank = max(2, int(np.count_nonzero(values[:max_order] > _SINGULAR_TOLERANCE * values[0])))
     if rank < max_order and variant == "CVA":
-        # Their canonical correlations are all one, which ranks nothing: weigh by energy instead.
+        # The canonical correlations of noise-free data are all one and give no order of states: weigh by energy instead.
         return realise(sums, settings.model_copy(update={"variant": "UPC"}), past, max_order, cutoff)
     values = values[:rank]
     z = white[:, :rank] / np.sqrt(np.maximum(values, 1e-300))
     states = _state_products(full, past_rows, i, l) if settings.algorithm == 1 else None
-    o, z = _orthonormal(g_fp @ z, z, l)
+    o, z = _orthonormalize(g_fp @ z, z, l)
     return Realisation(o, z, values, past, l, states)
 
 
 @lru_cache(maxsize=8)
 def _past_rows(i: int, l: int, past: tuple[int, ...]) -> Indices:  # noqa: E741
-    """Rows of the Hankel matrix's upper half that belong to the reference columns."""
+    """Return the rows of the Hankel matrix's upper half that belong to the reference channels, shape (r i,)."""
     return np.asarray((np.arange(i)[:, None] * l + np.asarray(past)[None, :]).ravel())
 
 
-def _orthonormal(o: Array, z: Array, l: int) -> tuple[Array, Array]:  # noqa: E741
-    """O and Z in the basis of `Realisation`, as far as the columns are independent; they stay nested over orders."""
+def _orthonormalize(o: Array, z: Array, l: int) -> tuple[Array, Array]:  # noqa: E741
+    """Transform O and Z, (l i, n) and (r i, n), to the basis of `Realisation`, up to the first dependent column.
+
+    The first columns still belong to the lower orders.
+    """
     r, reflectors, *_ = lapack.dgeqrf(o[:-l])
     q, *_ = lapack.dorgqr(r, reflectors)
     size = np.abs(r.diagonal())
     weak = np.flatnonzero(size < _SINGULAR_TOLERANCE * size[0])
     sound = int(weak[0]) if weak.size else size.size
-    inverse, _ = lapack.dtrtri(r[:sound, :sound] * _upper(sound))  # below lie the reflectors
+    inverse, _ = lapack.dtrtri(r[:sound, :sound] * _upper(sound))  # the lower triangle holds the reflectors
     return np.concatenate([q[:, :sound], o[-l:, :sound] @ inverse]), z[:, :sound] @ inverse
 
 
 @lru_cache(maxsize=8)
 def _upper(n: int) -> Array:
-    """1 on the diagonal and above, else 0."""
+    """Return the mask of the upper triangle with diagonal, shape (n, n): 1 there, else 0."""
     return np.triu(np.ones((n, n)))
 
 
 def _leading(matrix: Array, count: int) -> tuple[Array, Array]:
-    """At least the `count` largest singular values, falling, and as many right vectors, as columns."""
+    """Compute at least the `count` largest singular values, decreasing, and `count` right singular vectors, as columns."""
     if min(matrix.shape) < _MIN_SPARSE_ROWS:
-        # Where squares lose no more than a few digits, the symmetric problem takes less than half the time.
-        reflected, diagonal, beside, scales, _ = lapack.dsytrd(matrix.T @ matrix, lower=1)
-        squares, failed = lapack.dsterf(diagonal, beside)
+        # Where squaring loses no more than a few digits, the symmetric problem takes less than half the time.
+        reflected, diagonal, off_diagonal, scales, _ = lapack.dsytrd(matrix.T @ matrix, lower=1)
+        squares, failed = lapack.dsterf(diagonal, off_diagonal)
         apart = np.diff(squares[-count - 1 :]).min()
         if (
             not failed
@@ -199,14 +212,14 @@ def _leading(matrix: Array, count: int) -> tuple[Array, Array]:
         ):
             from monitor.identification.eigen import tridiagonal_vectors  # compiled code takes a while to load
 
-            turned = tridiagonal_vectors(diagonal, beside, squares[: -count - 1 : -1]).T
-            others, *_ = lapack.dormqr("L", "N", reflected[1:, :-1], scales, turned[1:], 64 * count)
-            return np.sqrt(squares[: -count - 1 : -1]), np.concatenate([turned[:1], others])
+            vectors = tridiagonal_vectors(diagonal, off_diagonal, squares[: -count - 1 : -1]).T
+            others, *_ = lapack.dormqr("L", "N", reflected[1:, :-1], scales, vectors[1:], 64 * count)
+            return np.sqrt(squares[: -count - 1 : -1]), np.concatenate([vectors[:1], others])
         _, values, right_t = svd(matrix)
         return values, right_t[:count].T
     from scipy.sparse.linalg import svds  # takes a quarter of a second to load
 
-    _, values, right_t = svds(matrix, count, v0=np.ones(min(matrix.shape)))  # a given start: the same bits every time
+    _, values, right_t = svds(matrix, count, v0=np.ones(min(matrix.shape)))  # fixed start vector: reproducible bits
     return values[::-1], right_t[::-1].T
 
 
@@ -217,30 +230,47 @@ def poles(
     band_hz: tuple[float, float] = (0.0, np.inf),
     damping: tuple[float, float] = (-np.inf, np.inf),
 ) -> PoleTable:
-    """The poles of every order, as far as the data have states, within the bounds of frequency and damping ratio."""
+    """Compute the poles of every order within bounds of frequency and damping ratio.
+
+    Orders above the number of states of the data are left out.
+
+    Parameters
+    ----------
+    rate_hz : float
+        Sampling rate, Hz.
+    band_hz : tuple of float
+        Lowest and highest frequency, Hz.
+    damping : tuple of float
+        Least and largest damping ratio.
+    """
     from monitor.identification.eigen import upper_poles  # compiled code takes a while to load
 
-    told = tuple(n for n in orders if n <= realisation.observability.shape[1])
+    identified = tuple(n for n in orders if n <= realisation.observability.shape[1])
     radian = 2.0 * np.pi / rate_hz
     region = (radian * band_hz[0], radian * band_hz[1], *damping)
-    if realisation.states is None or not told:
-        space, value, logarithm, shape = upper_poles(*_matrices(realisation, max(told, default=0)), told, region)
+    if realisation.states is None or not identified:
+        largest = max(identified, default=0)
+        space, value, logarithm, shape = upper_poles(*_matrices(realisation, largest), identified, region)
     else:
-        found = [upper_poles(*_matrices(realisation, n), (n,), region) for n in told]
+        found = [upper_poles(*_matrices(realisation, n), (n,), region) for n in identified]
         space = np.concatenate([k + spaces for k, (spaces, *_) in enumerate(found)])
         value, logarithm, shape = (np.concatenate(parts) for parts in list(zip(*found, strict=True))[1:])
-    return PoleTable(told, space, value, *continuous(logarithm, rate_hz), shape)
+    return PoleTable(identified, space, value, *continuous(logarithm, rate_hz), shape)
 
 
 def state_space(realisation: Realisation, order: int) -> StateSpace:
-    """A, C and all eigenvectors of one order."""
+    """Compute A, C and all eigenvectors of one order."""
     a, c = _matrices(realisation, order)
     values, vectors = np.linalg.eig(a)
     return StateSpace(order, values.astype(complex), vectors.astype(complex), c @ vectors, a, c)
 
 
 def _matrices(realisation: Realisation, order: int) -> tuple[Array, Array]:
-    """A and C by algorithm 2, where those of a lower order are their leading parts, or by algorithm 1 where prepared."""
+    """Compute A, shape (n, n), and C, shape (l, n), of one order.
+
+    By algorithm 2 A and C of a lower order are the leading parts of those of a higher one.  Algorithm 1 is used where its
+    products are in the realisation.
+    """
     l, o = realisation.n_channels, realisation.observability[:, :order]  # noqa: E741
     if realisation.states is None:
         return o[:-l].T @ o[l:], o[:l]
@@ -248,13 +278,20 @@ def _matrices(realisation: Realisation, order: int) -> tuple[Array, Array]:
 
 
 def continuous(logarithm: ComplexArray, rate_hz: float) -> tuple[Array, Array]:
-    """Frequencies in Hz and damping ratios of discrete-time poles by their logarithms (eqs 14, 15); shapes as those."""
+    """Convert logarithms of discrete-time poles to frequencies in Hz and damping ratios (eqs 14, 15), of the same shape.
+
+    Examples
+    --------
+    >>> hz, damping = continuous(np.array([-0.002 + 0.2j]), rate_hz=100.0)
+    >>> round(float(hz[0]), 3), round(float(damping[0]), 3)
+    (3.183, 0.01)
+    """
     size = np.abs(logarithm)
     return size * (rate_hz / (2.0 * np.pi)), -logarithm.real / size
 
 
 def _toeplitz(sums: LagSums, i: int, past: tuple[int, ...]) -> Array:
-    """Block Toeplitz matrix of lag covariances, future rows by past columns: block (a, b) is R(i + a - b)."""
+    """Form the block Toeplitz matrix of lag covariances, shape (l i, r i): block (a, b) is R(i + a - b)."""
     lag_sum = sums.total[:, list(past)]
     lag = i + np.arange(i)[:, None] - np.arange(i)[None, :]
     blocks = lag_sum[lag]  # (a, b, past channel, future channel)
@@ -262,33 +299,33 @@ def _toeplitz(sums: LagSums, i: int, past: tuple[int, ...]) -> Array:
 
 
 def _weight(gram: Array, n_channels: int, cutoff: float) -> Array:
-    """W with W W^T the inverse of a Gram matrix in which white noise fills what a lowpass has taken.
+    """Compute W with W W^T the inverse of a Gram matrix to which white noise beyond the lowpass's cutoff is added.
 
-    Where next to nothing is left up to half the rate, canonical correlations are all one: states of that nothing come before the
-    structure's, and an order that cuts through them biases the modes.  What the states are does not depend on the
-    weights, only which come first; within the band these are those of Table 1.
+    Without the noise almost no power remains between the cutoff and half the rate, and the canonical correlations there are
+    all one.  States of that empty band would rank before the structure's, and an order that truncates them biases the modes.
+    The weights change only the ranking of the states.  Within the band they are those of Table 1.
     """
     if cutoff >= 0.5:
         return _inverse_root(gram)
     filled, i = gram.copy(), len(gram) // n_channels
     blocks = filled.reshape(i, n_channels, i, n_channels)
     for c in range(n_channels):
-        blocks[:, c, :, c] += gram[c, c] * _beyond(i, cutoff)
+        blocks[:, c, :, c] += gram[c, c] * _out_of_band_covariance(i, cutoff)
     return _inverse_root(filled)
 
 
 @lru_cache(maxsize=8)
-def _beyond(i: int, cutoff: float) -> Array:
-    """Covariances at i moments of white noise beyond the cutoff, of power `_OUT_OF_BAND_NOISE`, shape (i, i)."""
+def _out_of_band_covariance(i: int, cutoff: float) -> Array:
+    """Compute the covariance of i samples of white noise beyond the cutoff, of power `_OUT_OF_BAND_NOISE`, shape (i, i)."""
     lag = np.abs(np.arange(i)[:, None] - np.arange(i))
     within = 2.0 * cutoff * np.sinc(2.0 * cutoff * lag)
     return np.asarray(_OUT_OF_BAND_NOISE * ((lag == 0) - within) / (1.0 - 2.0 * cutoff))
 
 
 def _inverse_root(matrix: Array) -> Array:
-    """W with W W^T the (pseudo-)inverse of a positive semidefinite matrix.
+    """Compute W with W W^T the (pseudo-)inverse of a positive semidefinite matrix.
 
-    Cholesky where the matrix has full rank; an eigenvalue decomposition where it has not (noise-free data).
+    W follows from Cholesky where the matrix has full rank, else (noise-free data) from an eigenvalue decomposition.
     """
     upper, failed = lapack.dpotrf(matrix)
     if not failed and upper.diagonal().min() ** 2 > _RANK_TOLERANCE * matrix.diagonal().max():
@@ -299,13 +336,14 @@ def _inverse_root(matrix: Array) -> Array:
 
 
 def _state_products(full: Array, past_rows: Indices, i: int, l: int) -> tuple[Array, Array, Array]:  # noqa: E741
-    """Products of projections and outputs that algorithm 1 needs (eqs 9-11), free of the state basis."""
+    """Compute the products of projections and outputs that algorithm 1 needs (eqs 9-11), independent of the state basis."""
     future = np.arange(i * l, 2 * i * l)
     later = future[l:]
     now = future[:l]
     past_plus = np.concatenate([past_rows, i * l + past_rows[past_rows < l]])
 
     def g(rows: Indices, columns: Indices) -> Array:
+        """Select a block of the Gram matrix."""
         return np.asarray(full[np.ix_(rows, columns)])
 
     root, root_plus = _inverse_root(g(past_rows, past_rows)), _inverse_root(g(past_plus, past_plus))
@@ -319,7 +357,7 @@ def _state_products(full: Array, past_rows: Indices, i: int, l: int) -> tuple[Ar
 
 
 def _algorithm_1(states: tuple[Array, Array, Array], o: Array, l: int) -> tuple[Array, Array]:  # noqa: E741
-    """Least squares for A and C from the state sequences (eq. 11)."""
+    """Solve eq. 11 for A, shape (n, n), and C, shape (l, n), by least squares from the state sequences."""
     inverse, inverse_minus = np.linalg.pinv(o), np.linalg.pinv(o[:-l])
     now_now = inverse @ states[0] @ inverse.T
     next_now = inverse_minus @ states[1] @ inverse.T

@@ -1,9 +1,9 @@
 """First-order uncertainty of identified modes, from the scatter of the window's blocks.
 
-Each block's lag sums deviate a little from the window's mean; carried through the identification to first order, each
-deviation moves frequency, damping and shape of a mode by so much.  The sum of squares of those influences is the
-covariance of the estimate.  To first order the weights of Table 1 do not matter: with ``O = Y_f Y_p^T Z`` an error of
-the lag sums enters as ``dO = d(Y_f Y_p^T) Z``.
+The lag sums of each block deviate from the mean over the window.  The influence of a block is the first-order change of
+frequency, damping and shape that its deviation causes.  The sum of squares of the influences is the covariance of the estimate.
+To first order the weights of Table 1 do not matter: with ``O = Y_f Y_p^T Z`` an error of the lag sums enters as
+``dO = d(Y_f Y_p^T) Z``.
 
 References
 ----------
@@ -29,23 +29,25 @@ def mode_deviations(
     shapes: ComplexArray,
     rate_hz: float,
 ) -> Array:
-    """Influence of every block on the chosen modes.
+    """Compute the influence of every block on the chosen modes.
 
     Parameters
     ----------
-    chosen : list of int
+    chosen : list of int, length m
         Indices of the modes' poles in `space`.
     shapes : ndarray, shape (m, c)
         The normalized shapes, one component exactly 1.
+    rate_hz : float
+        Sampling rate, Hz.
 
     Returns
     -------
     ndarray, shape (n_blocks, m, 2 + 2 c)
-        Of ln f, damping ratio, real and imaginary part of the shape.
+        Influence on ln f, damping ratio, real and imaginary part of the shape.
     """
     l, observability = realisation.n_channels, realisation.observability[:, : space.order]  # noqa: E741 - the paper's letters
     pole, modes = space.poles[chosen][:, None], np.arange(len(chosen))
-    d_ov = _moved_observability(sums, realisation, space.right[:, chosen])
+    d_ov = _observability_influence(sums, realisation, space.right[:, chosen])
     # w_j^H dA v_q, shape (m, n, n_blocks), as A v_q = pole v_q
     moved = np.linalg.solve(space.right, observability[:-l].T) @ (d_ov[:, l:] - pole[..., None] * d_ov[:, :-l])
     mu = np.log(pole) * rate_hz
@@ -59,21 +61,21 @@ def mode_deviations(
     d_shape = (d_shape - shapes[..., None] * d_shape[modes, gauge][:, None]) / space.shapes[gauge, chosen][
         :, None, None
     ]
-    told = np.concatenate([d_ln_f[:, None], d_damping[:, None], d_shape.real, d_shape.imag], axis=1)
-    return np.ascontiguousarray(told.transpose(2, 0, 1))
+    influence = np.concatenate([d_ln_f[:, None], d_damping[:, None], d_shape.real, d_shape.imag], axis=1)
+    return np.ascontiguousarray(influence.transpose(2, 0, 1))
 
 
-def _moved_observability(sums: LagSums, realisation: Realisation, states: ComplexArray) -> ComplexArray:
-    """dO of every block times some states, shape (m, l i, n_blocks) for states of shape (n, m)."""
+def _observability_influence(sums: LagSums, realisation: Realisation, states: ComplexArray) -> ComplexArray:
+    """Compute dO of every block times m state vectors, shape (m, l i, n_blocks) for states of shape (n, m)."""
     from monitor.identification.kernels import scatter  # compiled code takes a while to load
 
     past, n_blocks, m = np.array(realisation.past), len(sums.products), states.shape[1]
     by_lag = scatter(sums.products, sums.shifted, sums.mean, sums.counts, past)
     z = realisation.right[:, : len(states)] @ np.concatenate([states.real, states.imag], axis=1)
-    # A mean of n_blocks blocks has been taken out, so the squares fall short by that degree of freedom.
+    # The mean of the n_blocks blocks was subtracted: the squares are corrected for this degree of freedom.
     z *= np.sqrt(n_blocks / (n_blocks - 1.0)) if n_blocks > 1 else 1.0
     back = z.T.reshape(2 * m, -1, past.size)[:, ::-1].reshape(2 * m, -1)
-    # Block (a, b) of d(Y_f Y_p^T) is the deviation at lag i + a - b, transposed: row a needs i lags on end, from its own on.
+    # Block (a, b) of d(Y_f Y_p^T) is the deviation at lag i + a - b, transposed: row a needs i consecutive lags from lag a + 1.
     lags = by_lag.reshape(len(by_lag) * past.size, -1)
     (down, along), i = lags.strides, back.shape[1] // past.size
     product = back @ as_strided(lags, (i, back.shape[1], lags.shape[1]), (down * past.size, down, along))

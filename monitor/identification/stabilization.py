@@ -1,4 +1,4 @@
-"""Which poles are modes: stabilisation over orders, and the match to the model's modes.
+"""Selection of modes among the poles: stabilisation over model orders, and match to the model's modes.
 
 References
 ----------
@@ -35,30 +35,37 @@ mode. [ratio; simulation: white and coloured forces give 1 to 3.5; measured fram
 
 
 class SelectionSettings(Settings):
-    """What makes a pole a mode."""
+    """``[selection]``: criteria by which a pole is accepted as a mode, and as the counterpart of a model's mode."""
 
     min_frequency_hz: float = Field(default=0.2, gt=0)
-    """Poles below are no modes."""
+    """Poles of lower frequency are rejected."""
     max_damping_ratio: float = Field(default=0.15, gt=0, lt=1)
-    """Poles damped more are no modes."""
+    """Poles of higher damping ratio are rejected."""
     stable_frequency: float = Field(default=0.01, gt=0)
     """Largest relative change of frequency from one order to the next for a stable pole."""
     stable_mac: float = Field(default=0.95, gt=0, lt=1)
-    """Least modal assurance criterion between the two."""
+    """Least modal assurance criterion from one order to the next for a stable pole."""
     min_stable_share: float = Field(default=0.5, gt=0, le=1)
     """Share of the orders with room for all modes in the band in which a mode must be stable."""
     max_frequency_ratio: float = Field(default=1.5, gt=1)
-    """A mode farther than this factor from the model's is not its counterpart."""
+    """Largest ratio of a mode's frequency to that of its counterpart in the model, or the inverse."""
     min_model_mac: float = Field(default=0.5, ge=0, lt=1)
-    """A mode less like the model's shape than this is not its counterpart."""
+    """Least modal assurance criterion between a mode and its counterpart in the model."""
     max_modes: int = Field(default=8, ge=1)
-    """So many of the model's lowest modes are looked for."""
+    """Number of the model's lowest modes to identify."""
     required_modes: int = Field(default=4, ge=1)
-    """So many of the lowest must be found; higher ones are used where they show."""
+    """Number of the lowest modes that must be found; higher modes are used where they are found."""
 
 
 def expected_modes(reference: Modes, highest_hz: float, select: SelectionSettings) -> tuple[int, ...]:
-    """Which of the model's modes (0 = lowest) a recording up to `highest_hz` should show."""
+    """List the model's modes (0 = lowest) that a recording up to `highest_hz` should contain.
+
+    Examples
+    --------
+    >>> modes = Modes((2.0 * np.pi * np.array([2.0, 6.0, 9.0])) ** 2, np.eye(3))
+    >>> expected_modes(modes, highest_hz=8.0, select=SelectionSettings())
+    (0, 1)
+    """
     n = min(int(np.count_nonzero(reference.frequencies_hz < highest_hz)), select.max_modes)
     return tuple(range(n))
 
@@ -66,7 +73,15 @@ def expected_modes(reference: Modes, highest_hz: float, select: SelectionSetting
 def advice(
     reference: Modes, rate_hz: float, cutoff_hz: float, ssi: SsiSettings, select: SelectionSettings
 ) -> str | None:
-    """What to set where the lags do not span the lowest mode's period, which then comes out late and uncertain; else None."""
+    """Advise on settings if the lags do not span the lowest mode's period, else return None.
+
+    With shorter lags the lowest mode is identified late and with a large uncertainty.
+
+    Parameters
+    ----------
+    rate_hz, cutoff_hz : float
+        Sampling rate and cutoff of the lowpass, Hz.
+    """
     span_s, lowest = 2 * ssi.block_rows / rate_hz, float(reference.frequencies_hz[0])
     wanted = expected_modes(reference, cutoff_hz, select)
     if not wanted or span_s * lowest >= 1.0:
@@ -92,23 +107,25 @@ def identify(
     cutoff_hz: float | None = None,
     refiner: Callable[[ModalEstimate], ModalEstimate] | None = None,
 ) -> ModalEstimate | Skipped:
-    """Modes of a window: every order, stabilisation, and the model's counterparts.
+    """Identify the modes of a window: poles of all orders, stabilisation, and match to the model's modes.
 
     Parameters
     ----------
+    window : Window
+        Lag sums of c channels.
     past : tuple of int
-        Reference columns.
+        Numbers of the reference channels.
     reference : Modes
-        The model's modes, to which the identified ones are matched.
+        The model's modes, to which the identified modes are matched.
     sensors : ndarray, shape (c, n)
-        Picks the sensors out of the model's floors.
+        Sensor matrix: channels by the model's floors.
     wanted : tuple of int, optional
-        The model's modes to look for, in the order that the estimate is to have; by default those in the band.
+        The model's modes to identify (0 = lowest), in the order of the estimate; by default those in the band.
     cutoff_hz : float, optional
-        Of the lowpass that the samples went through.
+        Cutoff of the lowpass of the samples, Hz.
     refiner : callable, optional
-        Betters an estimate that has no deviations yet and gives it its own; where it hands the same back, they follow from the
-        subspace identification, whose costly covariance is formed then alone.
+        Refines an estimate without deviations, and computes its deviations (`refine`).  If the refiner returns the estimate
+        unchanged, the deviations are those of the subspace identification; their costly covariance is computed only then.
 
     Returns
     -------
@@ -136,7 +153,7 @@ def identify(
         )
     wanted = tuple(i for i, m in zip(wanted, modes, strict=True) if m is not None)
     clusters = [m for m in modes if m is not None]
-    # Canonical correlations rank all modes alike, those that are not looked for too; energy ranks those that matter first.
+    # Canonical correlations rank all modes alike, also those not wanted, which need room; by energy the strong ones come first.
     crowd = min(in_band, ssi.max_order // 2 - 2) if ssi.used(window.sums.head.shape[1]) in ("CVA", "UPC") else 0
     chosen = _common_order(poles, clusters, 2 * max(len(clusters), crowd) + 4)
     if chosen is None:
@@ -145,7 +162,10 @@ def identify(
 
 
 def _stable(poles: PoleTable, select: SelectionSettings, complete: bool) -> Array:
-    """1 for each pole that the order below has too.  With all states of the data seen (`complete`) the last order is believed."""
+    """Mark with 1 each pole that recurs from the next lower order, shape (n_poles,), else 0.
+
+    If the orders cover all states of the data (`complete`), all poles of the last order are stable.
+    """
     from monitor.identification.kernels import recurring  # compiled code takes a while to load
 
     stable = recurring(poles.space, poles.frequency, poles.shape, select.stable_frequency, select.stable_mac)
@@ -157,9 +177,16 @@ def _stable(poles: PoleTable, select: SelectionSettings, complete: bool) -> Arra
 def _match(
     poles: PoleTable, stable: Array, frequencies: Array, shapes: Array, select: SelectionSettings, in_band: int
 ) -> list[list[int] | None]:
-    """For every model mode, the stable poles of its counterpart; None where there is none.
+    """Find for each of the model's modes the stable poles of its counterpart; None where there is none.
 
-    A mode must be stable in its share of the orders that have room for all modes in the band, in a third of all at least.
+    A mode must be stable in the share `min_stable_share` of the orders with room for all modes in the band.  At least a third
+    of all orders count as such.
+
+    Parameters
+    ----------
+    frequencies : ndarray, shape (k,), Hz
+    shapes : ndarray, shape (k, c)
+        Frequencies and shapes of the model's modes.
     """
     from monitor.identification.kernels import IMPOSSIBLE, grouped, unlikeness
 
@@ -195,10 +222,10 @@ def _match(
 
 
 def _common_order(poles: PoleTable, clusters: list[list[int]], enough: int) -> list[int] | None:
-    """One pole a mode, all from the lowest order, from `enough` on, that shows them all with room for what is no mode.
+    """Select one pole for each mode, all from the lowest order of at least `enough` that has a pole for every mode.
 
-    The exact order is a trap for data-driven identification (bias in frequency and damping); two more pairs remove
-    it, and higher orders only add variance.  Noise-free data have no such orders: then the highest below.
+    At the exact order data-driven identification is biased in frequency and damping.  Two more pairs of poles remove the bias,
+    and higher orders only add variance.  Noise-free data have no such orders: the highest order below is used then.
     """
     shown = [dict(zip(poles.space[c].tolist(), c, strict=True)) for c in clusters]
     above = [s for s, order in enumerate(poles.orders) if order >= enough]
@@ -220,10 +247,11 @@ def _estimate(
     ssi: SsiSettings,
     select: SelectionSettings,
 ) -> ModalEstimate:
+    """Form the estimate of the chosen poles (`rows`), refine it if possible, and compute its deviations."""
     estimate = ModalEstimate(
         frequencies_hz=poles.frequency[rows],
         damping_ratio=poles.damping[rows],
-        shapes=_scaled(poles.shape[rows]),
+        shapes=_normalize(poles.shape[rows]),
         model_mode=np.array(wanted, dtype=np.int64),
         deviations=np.zeros((0, len(rows), 2 + 2 * poles.shape.shape[1])),
         first=window.first_block,
@@ -234,11 +262,11 @@ def _estimate(
     if better is not estimate or not ssi.uncertainty:
         return better
     estimate = replace(estimate, deviations=_deviations(window, realisation, poles, rows))
-    return _unsplit(window, realisation, poles, rows, estimate, select)
+    return _replace_split_modes(window, realisation, poles, rows, estimate, select)
 
 
-def _scaled(shapes: ComplexArray) -> ComplexArray:
-    """Shapes whose largest entries are one."""
+def _normalize(shapes: ComplexArray) -> ComplexArray:
+    """Scale shapes, shape (m, c), so that the largest component of each is exactly 1."""
     every, largest = np.arange(len(shapes)), np.abs(shapes).argmax(axis=1)
     scaled = shapes / shapes[every, largest][:, None]
     scaled[every, largest] = 1.0
@@ -246,13 +274,13 @@ def _scaled(shapes: ComplexArray) -> ComplexArray:
 
 
 def _deviations(window: Window, realisation: Realisation, poles: PoleTable, rows: list[int]) -> Array:
-    """Of the modes that poles of one order are."""
+    """Compute the deviations (`mode_deviations`) of modes whose poles (`rows`) are all of one order."""
     space = state_space(realisation, poles.orders[poles.space[rows[0]]])
     columns = [int(np.abs(space.poles - pole).argmin()) for pole in poles.value[rows]]
-    return mode_deviations(window.sums, realisation, space, columns, _scaled(poles.shape[rows]), window.rate_hz)
+    return mode_deviations(window.sums, realisation, space, columns, _normalize(poles.shape[rows]), window.rate_hz)
 
 
-def _unsplit(
+def _replace_split_modes(
     window: Window,
     realisation: Realisation,
     poles: PoleTable,
@@ -260,15 +288,15 @@ def _unsplit(
     found: ModalEstimate,
     select: SelectionSettings,
 ) -> ModalEstimate:
-    """Each mode that is far less certain than ambient vibration allows, from the order in which it is most certain.
+    """Take each mode that is far more uncertain than ambient vibration implies from the order of least uncertainty.
 
-    Forces that are not steady, an earthquake's say, make two poles of one mode in most orders that have room for both; they
-    lie somewhere about the mode, each uncertain by percents.
+    Nonstationary forces, for example an earthquake's, split one mode into two poles in most orders that have room for both.
+    The two poles scatter about the mode, each with an uncertainty of percents.
     """
     cycles = found.frequencies_hz * window.sums.counts.sum() / window.rate_hz
     allowed = found.frequencies_hz * np.sqrt(
         found.damping_ratio / (2.0 * np.pi * cycles)
-    )  # Au, of a mode that stands alone
+    )  # Au, for a well-separated mode
     split = np.flatnonzero(found.frequencies_std_hz > _SPLIT * allowed)
     if not split.size:
         return found
@@ -277,13 +305,13 @@ def _unsplit(
         near = np.abs(poles.frequency / poles.frequency[rows[m]] - 1.0) < 2.0 * select.stable_frequency
         alike = np.abs(poles.shape @ poles.shape[rows[m]].conj()) ** 2 > select.stable_mac
         same = np.flatnonzero(near & alike)
-        told = [_deviations(window, realisation, poles, [row])[:, 0] for row in same.tolist()]
-        best = int(np.argmin([(d[:, 0] ** 2).sum() for d in told]))
-        chosen[m], deviations[:, m] = same[best], told[best]
+        candidates = [_deviations(window, realisation, poles, [row])[:, 0] for row in same.tolist()]
+        best = int(np.argmin([(d[:, 0] ** 2).sum() for d in candidates]))
+        chosen[m], deviations[:, m] = same[best], candidates[best]
     return replace(
         found,
         frequencies_hz=poles.frequency[chosen],
         damping_ratio=poles.damping[chosen],
-        shapes=_scaled(poles.shape[chosen]),
+        shapes=_normalize(poles.shape[chosen]),
         deviations=deviations,
     )

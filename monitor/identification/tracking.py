@@ -1,4 +1,4 @@
-"""Which mode is which over time: an identity for every mode, kept through crossings, absences and changes."""
+"""Tracking of modes over time: every mode has an identity, kept through crossings, absences and changes."""
 
 from __future__ import annotations
 
@@ -25,34 +25,34 @@ _MIN_FREQUENCY_STD = 1e-5
 
 
 class TrackSettings(Settings):
-    """What makes an observed mode one that was seen before.  A look is a window's length of new data."""
+    """``[tracking]``: criteria by which an observed mode is assigned to a track.  A look is one window's length of new data."""
 
     drift_per_sqrt_day: float = Field(default=0.01, gt=0)
-    """Random walk of ln f, one standard deviation after a day: weather and slow change."""
+    """Random walk of ln f by weather and slow change, as the standard deviation after one day."""
     gate: float = Field(default=4.0, gt=0)
-    """Standard deviations within which an observation may be the track's."""
+    """Gate: largest distance in frequency at which an observation is assigned to a track, in standard deviations."""
     min_mac: float = Field(default=0.5, ge=0, lt=1)
-    """Least likeness of shapes within it."""
+    """Least modal assurance criterion of shapes within the gate."""
     max_change: float = Field(default=0.15, gt=0, lt=1)
-    """Largest change of ln f since a track was seen; beyond the gate it is followed by its shape alone."""
+    """Largest change of ln f since the last observation of a track; beyond the gate the shape alone decides."""
     jump_mac: float = Field(default=0.95, gt=0, le=1)
-    """Least likeness of shapes beyond the gate."""
+    """Least modal assurance criterion of shapes beyond the gate."""
     max_std: float = Field(default=0.1, gt=0)
     """Observations with a larger relative standard deviation of frequency are left out."""
     confirm_hits: int = Field(default=4, ge=1)
-    """Looks in which a new track must be seen to be confirmed ..."""
+    """A new track is confirmed when it was observed in this many looks ..."""
     confirm_looks: int = Field(default=10, ge=1)
-    """... out of so many since its first."""
+    """... out of this many since its first."""
     shape_memory: float = Field(default=20.0, ge=1)
     """Looks over which the shape is averaged."""
     lost_hours: float = Field(default=6.0, gt=0)
-    """Time unseen after which a confirmed track is called lost; it may come back."""
+    """Time without an observation after which a confirmed track is lost; it may be observed again."""
     death_days: float = Field(default=30.0, gt=0)
-    """Time unseen after which a look gives it up; the mode, should it return, is a new one."""
+    """Time without an observation after which a track is deleted; a mode that returns later gets a new identity."""
 
 
 class Status(StrEnum):
-    """How far a track can be believed."""
+    """Status of a track."""
 
     TENTATIVE = "tentative"
     CONFIRMED = "confirmed"
@@ -61,7 +61,7 @@ class Status(StrEnum):
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Observed:
-    """Modes seen in one window, in any order; m may be 0."""
+    """Modes observed in one window, in any order; m may be 0."""
 
     frequencies_hz: Array
     """Shape (m,)."""
@@ -70,36 +70,37 @@ class Observed:
     shapes: ComplexArray
     """Shape (m, c), of any scale and phase; c = 0 where only frequencies are known."""
     window_s: float
-    """Length of the data behind them, by which overlapping windows are discounted."""
+    """Length of the window, s; the weight of an overlapping window is its share of new data."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Track:
-    """One mode over time."""
+    """Track of one mode over time."""
 
     number: int
-    """Identity, from 0 in order of confirmation; -1 until then."""
+    """Identity, from 0 in order of confirmation; -1 until confirmed."""
     first_ns: int
-    """When it was first seen, UTC."""
+    """Time of the first observation, UTC."""
     last_ns: int
     ln_f: float
     """Smoothed ln(f / Hz)."""
     variance: float
-    """Of `ln_f` at `last_ns`."""
+    """Variance of `ln_f` at `last_ns`."""
     noise: float
-    """Learned ratio of the observations' variance to the stated one."""
+    """Estimated ratio of the observations' variance to their stated variance."""
     shape: ComplexArray
     """Shape (c,): running average, unit norm; empty while unknown."""
     hits: float
+    """Number of looks with an observation of the track."""
     misses: float
-    """Looks in which it was seen and was not."""
+    """Number of looks without an observation of the track."""
 
     def variance_at(self, t_ns: int, settings: TrackSettings) -> float:
-        """Of ln f: it grows while nothing is seen."""
+        """Predict the variance of ln f at a time (UTC); it grows without observations."""
         return self.variance + settings.drift_per_sqrt_day**2 * (t_ns - self.last_ns) / _DAY_NS
 
     def status(self, t_ns: int, settings: TrackSettings) -> Status:
-        """What the track is at a time."""
+        """Return the status of the track at a time (UTC)."""
         if self.number < 0:
             return Status.TENTATIVE
         lost = t_ns - self.last_ns > settings.lost_hours / 24 * _DAY_NS
@@ -108,57 +109,67 @@ class Track:
 
 @dataclass(frozen=True, slots=True)
 class TrackState:
-    """All tracks, confirmed ones first, by number."""
+    """State of the tracking between looks: all tracks, confirmed ones first, by number."""
 
     tracks: tuple[Track, ...] = ()
     t_ns: int | None = None
-    """Time of the last look."""
+    """Time of the last look, UTC."""
     next_number: int = 0
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class TrackedModes:
-    """Identities at one time; k tracks are confirmed or lost."""
+    """Identities of the m observed modes, and the k confirmed or lost tracks, after one look."""
 
     observed: NDArray[np.int64]
-    """Shape (m,): the track of each observed mode, -1 for none."""
+    """Shape (m,): number of the track of each observed mode, -1 for none."""
     numbers: NDArray[np.int64]
-    """Shape (k,): the tracks, rising."""
+    """Shape (k,): numbers of the tracks, increasing."""
     frequencies_hz: Array
-    """Shape (k,): smoothed."""
+    """Shape (k,): smoothed frequencies."""
     frequencies_std_hz: Array
-    """Shape (k,): grows while a track is unseen."""
+    """Shape (k,): standard deviations of the smoothed frequencies, which grow without observations."""
     status: tuple[Status, ...]
-    """k of them."""
+    """Status of each of the k tracks."""
     births: tuple[int, ...]
     """Tracks confirmed by this look."""
     deaths: tuple[int, ...]
-    """Tracks given up at this look; they are not among `numbers`."""
+    """Tracks deleted by this look; they are not among `numbers`."""
 
 
 def observed(modes: ModalEstimate | None, window_s: float) -> Observed:
-    """What a window's modal estimate shows; None for a window in which no mode was found."""
+    """Convert a window's modal estimate to an observation; None stands for a window without modes.
+
+    Examples
+    --------
+    >>> state, tracked = step(TrackState(), observed(None, window_s=400.0), 0, TrackSettings())
+    >>> tracked.numbers.size
+    0
+    """
     if modes is None:
         return Observed(np.zeros(0), np.zeros(0), np.zeros((0, 0), complex), window_s)
     return Observed(modes.frequencies_hz, modes.frequencies_std_hz, modes.shapes, window_s)
 
 
 def step(state: TrackState, seen: Observed, t_ns: int, settings: TrackSettings) -> tuple[TrackState, TrackedModes]:
-    r"""Give the modes of one window to the tracks.
+    r"""Assign the modes of one window to the tracks, and update the tracks.
 
-    Confirmed tracks choose first, then tentative ones; each by the assignment of largest likelihood of frequency
-    (a local level in :math:`\ln f`) and shape [1]_.  What is left starts a new track unless its shape lies in the span
-    of the tracks at its frequency: close modes' shapes are determined only as a subspace [2]_, and one mode is often
-    found twice.  A track whose frequency jumps is followed by its shape if it takes nobody else's observation.
+    Observations are assigned to confirmed tracks first, then to tentative ones, each time by the assignment of largest
+    likelihood of frequency (a local level in :math:`\ln f`) and shape [1]_.  An observation that is left starts a new track,
+    unless its shape lies in the span of the tracks at its frequency: shapes of close modes are determined only as a
+    subspace [2]_, and one mode is often found twice.  A track whose frequency jumps is matched by its shape, if the
+    observation does not belong to another track.
 
-    Windows that overlap share their data.  A look of which a share w is new counts w, and its variance 1 / w-fold, so
-    that one window's length of looks weighs as one window.
+    Windows that overlap share their data.  A window of which a share w is new counts as w looks, with the variance
+    multiplied by 1 / w, so that overlapping windows of one window's length of new data weigh as one window.
 
     Parameters
     ----------
+    seen : Observed
+        The m observed modes.
     t_ns : int
-        UTC of the window's end.  If it is not later than the look before, the clock was set back: what is known is then
-        taken to be as old as a window is long.
+        UTC of the window's end.  If it is not later than the last look, the clock was set back; the time since the last look
+        is then taken to be the length of a window.
 
     References
     ----------
@@ -171,23 +182,23 @@ def step(state: TrackState, seen: Observed, t_ns: int, settings: TrackSettings) 
         state = replace(state, t_ns=state.t_ns + by_ns, tracks=moved)
     since_s = seen.window_s if state.t_ns is None else (t_ns - state.t_ns) * 1e-9
     weight = min(1.0, since_s / seen.window_s)
-    old, fresh = state.tracks, _fresh(seen, t_ns, settings)
+    old, fresh = state.tracks, _candidate_tracks(seen, t_ns, settings)
     owner = _associate(old, fresh, settings)
     taken = {i: fresh[j] for j, i in owner.items()}
     tracks = [
-        _hit(t, taken[i], weight, settings) if i in taken else replace(t, misses=t.misses + weight)
+        _update_track(t, taken[i], weight, settings) if i in taken else replace(t, misses=t.misses + weight)
         for i, t in enumerate(old)
     ]
     tracks += [taken[i] for i in range(len(old), len(old) + len(fresh)) if i in taken]
     births = _confirm(tracks, state.next_number, settings)
     identities = np.full(len(seen.frequencies_hz), -1, dtype=np.int64)
     identities[list(owner)] = [tracks[i].number for i in owner.values()]
-    # Deaths come last, so that modes outlive an outage of the monitor.
+    # Tracks are deleted after the update, so that modes survive an outage of the monitor.
     known = [t for t in tracks if t.number >= 0 and t_ns - t.last_ns <= settings.death_days * _DAY_NS]
     deaths = tuple(t.number for t in tracks if t.number >= 0 and t not in known)
     known.sort(key=lambda t: t.number)
-    hopeful = [t for t in tracks if t.number < 0 and t.misses <= settings.confirm_looks - settings.confirm_hits]
-    state = TrackState((*known, *hopeful), t_ns, state.next_number + len(births))
+    tentative = [t for t in tracks if t.number < 0 and t.misses <= settings.confirm_looks - settings.confirm_hits]
+    state = TrackState((*known, *tentative), t_ns, state.next_number + len(births))
     f = np.exp([t.ln_f for t in known])
     std = f * np.sqrt([t.variance_at(t_ns, settings) for t in known])
     numbers = np.array([t.number for t in known], dtype=np.int64)
@@ -195,8 +206,8 @@ def step(state: TrackState, seen: Observed, t_ns: int, settings: TrackSettings) 
     return state, TrackedModes(identities, numbers, f, std, status, births, deaths)
 
 
-def _fresh(seen: Observed, t_ns: int, settings: TrackSettings) -> dict[int, Track]:
-    """The usable observations by their place in `seen`, each as the track that it would start."""
+def _candidate_tracks(seen: Observed, t_ns: int, settings: TrackSettings) -> dict[int, Track]:
+    """Form the track that each usable observation would start, by its index in `seen`."""
     f, std = np.asarray(seen.frequencies_hz), np.asarray(seen.frequencies_std_hz)
     usable = np.flatnonzero(np.isfinite(f) & (f > 0) & (std <= settings.max_std * f)).tolist()
     if not usable:
@@ -210,25 +221,28 @@ def _fresh(seen: Observed, t_ns: int, settings: TrackSettings) -> dict[int, Trac
 
 
 def _associate(tracks: Sequence[Track], fresh: dict[int, Track], settings: TrackSettings) -> dict[int, int]:
-    """The track of each observation that has one, by place; places beyond the tracks are births."""
+    """Map the index of each assigned observation to that of its track; indices beyond the tracks are new tracks."""
     owner: dict[int, int] = {}
-    free = sorted(fresh, key=lambda j: fresh[j].variance)  # of one mode found twice, the better starts the track
+    free = sorted(fresh, key=lambda j: fresh[j].variance)  # of one mode found twice, the more precise starts the track
     for confirmed in (True, False):
         rows = [i for i, t in enumerate(tracks) if (t.number >= 0) is confirmed]
         tier = [tracks[i] for i in rows]
         for a, b in _assign(tier, [fresh[j] for j in free], settings):
             owner[free[b]] = rows[a]
-        free = [j for j in free if j not in owner and not _explained(fresh[j], tier, settings)]
+        free = [j for j in free if j not in owner and not _is_explained(fresh[j], tier, settings)]
     born: list[Track] = []
     for j in free:
-        if not _explained(fresh[j], born, settings):
+        if not _is_explained(fresh[j], born, settings):
             owner[j] = len(tracks) + len(born)
             born.append(fresh[j])
     return owner
 
 
 def _assign(tracks: Sequence[Track], fresh: Sequence[Track], settings: TrackSettings) -> list[tuple[int, int]]:
-    """Pairs of the largest likelihood in all; a shape just like enough weighs as much as a frequency at the gate."""
+    """List the pairs (track, observation) of largest total likelihood.
+
+    The cost of a shape at `min_mac` equals the cost of a frequency at the gate.
+    """
     if not tracks or not fresh:
         return []
     from scipy.optimize import linear_sum_assignment  # takes a third of a second to load
@@ -236,20 +250,20 @@ def _assign(tracks: Sequence[Track], fresh: Sequence[Track], settings: TrackSett
     difference = np.array([o.ln_f for o in fresh]) - np.array([[t.ln_f] for t in tracks])
     noise = np.array([[t.noise] for t in tracks]) * np.array([o.variance for o in fresh])
     variance = np.array([[t.variance_at(fresh[0].last_ns, settings)] for t in tracks]) + noise
-    mac = _likeness(tracks, fresh)
+    mac = _mac(tracks, fresh)
     limit = settings.gate**2
     distance = difference**2 / variance
     unlike = np.where(np.isnan(mac), 0.0, limit * (1.0 - mac) / (1.0 - settings.min_mac))
     alike = ((distance <= limit) & (unlike <= limit)) | (mac >= settings.jump_mac)
     cost = np.minimum(distance, limit) + unlike + np.log(variance / variance.max())
-    # Leaving both alone gains nothing, a possible pair something: no good pair is given up for two poor ones.
+    # No assignment has the gain 0, a possible pair a positive one: a good pair is not exchanged for two poor ones.
     gain = np.where(alike & (np.abs(difference) <= settings.max_change), 2.0 * limit + 1.0 - cost, 0.0)
     rows, columns = linear_sum_assignment(gain, maximize=True)
     return [(i, j) for i, j in zip(rows.tolist(), columns.tolist(), strict=True) if gain[i, j] > 0]
 
 
-def _likeness(tracks: Sequence[Track], fresh: Sequence[Track]) -> Array:
-    """Modal assurance criterion, shape (k, m); not a number where a shape is unknown."""
+def _mac(tracks: Sequence[Track], fresh: Sequence[Track]) -> Array:
+    """Compute the modal assurance criterion of tracks and observations, shape (k, m); NaN where a shape is unknown."""
     mac = np.full((len(tracks), len(fresh)), np.nan)
     known = [i for i, t in enumerate(tracks) if t.shape.size == fresh[0].shape.size > 0]
     if known:
@@ -257,8 +271,8 @@ def _likeness(tracks: Sequence[Track], fresh: Sequence[Track]) -> Array:
     return mac
 
 
-def _explained(seen: Track, tracks: Sequence[Track], settings: TrackSettings) -> bool:
-    """Whether the tracks at this observation's frequency span its shape."""
+def _is_explained(seen: Track, tracks: Sequence[Track], settings: TrackSettings) -> bool:
+    """Check that the tracks at the frequency of an observation span its shape."""
     near = []
     for track in tracks:
         variance = track.variance_at(seen.last_ns, settings) + track.noise * seen.variance
@@ -270,15 +284,15 @@ def _explained(seen: Track, tracks: Sequence[Track], settings: TrackSettings) ->
     return bool(np.linalg.norm(basis.conj().T @ seen.shape) ** 2 >= settings.min_mac)
 
 
-def _hit(track: Track, seen: Track, weight: float, settings: TrackSettings) -> Track:
-    """The track after an observation: Kalman filter of a local level, its noise learned, its shape averaged."""
+def _update_track(track: Track, seen: Track, weight: float, settings: TrackSettings) -> Track:
+    """Update a track by an observation: Kalman filter of a local level with estimated noise, and average of the shape."""
     predicted = track.variance_at(seen.last_ns, settings)
     noise, difference = track.noise, seen.ln_f - track.ln_f
-    surprise = difference**2 / (predicted + noise * seen.variance)
-    if surprise > settings.gate**2:  # a change of the level, not noise
+    innovation = difference**2 / (predicted + noise * seen.variance)
+    if innovation > settings.gate**2:  # a change of the level, not noise
         predicted += difference**2
     else:
-        noise *= 1.0 + _NOISE_RATE * weight * (surprise - 1.0)
+        noise *= 1.0 + _NOISE_RATE * weight * (innovation - 1.0)
     gain = predicted / (predicted + noise * seen.variance / weight)
     shape = track.shape if track.shape.size else seen.shape
     if track.shape.size == seen.shape.size > 0:
@@ -297,7 +311,7 @@ def _hit(track: Track, seen: Track, weight: float, settings: TrackSettings) -> T
 
 
 def _confirm(tracks: list[Track], number: int, settings: TrackSettings) -> tuple[int, ...]:
-    """Number the tracks seen often enough, in place, by frequency."""
+    """Number the tracks observed often enough, in place, by frequency; return the new numbers."""
     due = [i for i, t in enumerate(tracks) if t.number < 0 and t.hits >= settings.confirm_hits - _ROUNDING]
     births = tuple(range(number, number + len(due)))
     for n, i in zip(births, sorted(due, key=lambda i: tracks[i].ln_f), strict=True):

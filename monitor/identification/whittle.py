@@ -1,9 +1,10 @@
 """Maximum-likelihood refinement of modes on a window's own cross-spectra (debiased Whittle).
 
-Started from the subspace estimate, a modal model (`whittle_model`) is fitted to the segments' cross-spectra about the
-modes; every segment has its own level, so that wind that wanders costs no information.  Fisher scoring reaches the statistical
-limit in two or three steps.  The information matrix then weighs the updating; it also gives the covariance its form and the
-scatter of the segments' scores gives its size, and its form too as far as the two disagree.
+From the subspace estimate as starting point, a modal model (`whittle_model`) is fitted to the segments' cross-spectra near the
+modes.  Every segment has its own excitation level, so that a varying wind costs no information.  Fisher scoring reaches the
+statistical limit in two or three steps.  The information matrix gives the weights of the updating.  The covariance of the
+estimate has the form of the inverse information and the size of the scatter of the segments' scores.  As far as the form of the
+scatter differs significantly, the covariance follows the scatter in form too.
 
 References
 ----------
@@ -47,27 +48,34 @@ _MAX_ENTRIES = 4_000_000
 
 
 class RefinementSettings(Settings):
-    """Maximum-likelihood refinement of the subspace estimate."""
+    """``[refinement]``: maximum-likelihood refinement of the subspace estimate."""
 
     enabled: bool = True
     segment_s: float = Field(default=20.0, gt=0)
     """Length of the segments whose cross-spectra are averaged; rounded to whole blocks."""
     half_band: float = Field(default=12.0, gt=0)
-    """Spectra are fitted this many of its half-power bandwidths either side of each mode, and at least 8 bins."""
+    """Half-width of the fitted band about each mode, in half-power bandwidths of the mode; at least 8 bins."""
     max_iterations: int = Field(default=8, ge=1)
     tolerance: float = Field(default=0.3, gt=0)
-    """Converged when no parameter moves by more than this many of its standard deviations."""
+    """Convergence when no modal parameter changes by more than this many of its standard deviations."""
     min_segments: int = Field(default=6, ge=3)
 
 
 def refine(window: Window, modes: ModalEstimate, settings: RefinementSettings) -> ModalEstimate:
-    """The maximum-likelihood estimate near a subspace estimate.
+    """Refine a subspace estimate by maximum likelihood.
+
+    Parameters
+    ----------
+    window : Window
+        Window with the transforms of its segments, shape (n_bins, c) each.
+    modes : ModalEstimate
+        Subspace estimate, the starting point.
 
     Returns
     -------
     ModalEstimate
-        The subspace estimate itself where there are too few segments, or so many channels that the scoring would take
-        longer than it is worth, or where it does not settle nearby.
+        The maximum-likelihood estimate with its deviations.  The subspace estimate itself is returned where there are too few
+        segments, where so many channels would make the scoring too slow, or where the scoring does not converge near the start.
     """
     from monitor.identification.whittle_kernels import inverses  # compiled code takes a while to load
 
@@ -84,26 +92,26 @@ def refine(window: Window, modes: ModalEstimate, settings: RefinementSettings) -
             model = predict(layout, point)
             inverse = inverses(model.value)
             level = _levels(layout, inverse, data)
-            if level.mean() > _MAX_START_RATIO:  # responses that are none of these modes: the scoring would run away
+            if level.mean() > _MAX_START_RATIO:  # the response is not of these modes: the scoring would diverge
                 return modes
             level /= level.mean()
-            curve, information = _curve(layout, inverse, model)
+            score_weights, information = _score_weights(layout, inverse, model)
             mean = np.tensordot(1.0 / level, data, axes=1) / n_segments
-            score = product((mean - upper(model.value))[None], curve)[0]
-            # Next to none may be known of a noise that hides below the response: a wide prior keeps it in bounds.
+            score = product((mean - upper(model.value))[None], score_weights)[0]
+            # Noise far below the response is hardly determined by the data: a wide prior bounds it.
             weak = np.arange(n_modal + len(layout.pairs), len(information))
             information[weak, weak] += 1.0 / (_WEAK_STD**2 * n_segments)
-            if not np.diag(information).min() > 0.0:  # more modes than the channels can tell apart
+            if not np.diag(information).min() > 0.0:  # more modes than the channels can distinguish
                 return modes
             scale = 1.0 / np.sqrt(np.diag(information))
             covariance = scale[:, None] * np.linalg.inv(information * scale[:, None] * scale) * scale
             if not (np.isfinite(covariance).all() and np.diag(covariance).min() > 0):
                 return modes
             step = covariance @ score
-            moved = np.abs(step) / np.sqrt(np.diag(covariance) / n_segments)
-            point = _moved(layout, point, step)
-            if iteration and moved[:n_modal].max() < settings.tolerance:
-                scores = product(data, curve) / level[:, None]
+            step_stds = np.abs(step) / np.sqrt(np.diag(covariance) / n_segments)
+            point = _take_step(layout, point, step)
+            if iteration and step_stds[:n_modal].max() < settings.tolerance:
+                scores = product(data, score_weights) / level[:, None]
                 influence = (scores - scores.mean(axis=0)) @ covariance[:, :n_modal] / n_segments
                 rows, factor = _uncertainty(influence, covariance[:n_modal, :n_modal] / n_segments)
                 damping = slice(point.ln_f.size, 2 * point.ln_f.size)
@@ -114,14 +122,20 @@ def refine(window: Window, modes: ModalEstimate, settings: RefinementSettings) -
     return modes
 
 
-def _curve(layout: Layout, inverse: ComplexArray, model: Spectrum) -> tuple[ComplexArray, Array]:
-    """What a packed spectrum is multiplied by for its score, and the Fisher information of one segment."""
-    curve = packed(layout, inverse @ model.u, inverse @ model.v) * layout.counts
-    return curve, product(curve, packed(layout, model.u[None], model.v))
+def _score_weights(layout: Layout, inverse: ComplexArray, model: Spectrum) -> tuple[ComplexArray, Array]:
+    """Compute the weights of a packed spectrum in its score, shape (parameters, pairs, pools), and a segment's information.
+
+    The Fisher information has the shape (parameters, parameters).
+    """
+    weights = packed(layout, inverse @ model.u, inverse @ model.v) * layout.counts
+    return weights, product(weights, packed(layout, model.u[None], model.v))
 
 
 def _start(layout: Layout, modes: ModalEstimate, mean: ComplexArray) -> Point:
-    """Modes from the subspace estimate; forces and noise, in which the spectrum is linear, by weighted least squares."""
+    """Compute the starting point: modes from the subspace estimate, forces and noise by weighted least squares.
+
+    The spectrum is linear in forces and noise.  `mean` is the mean packed cross-spectrum, shape (pairs, pools).
+    """
     from monitor.identification.whittle_kernels import inverses  # compiled code takes a while to load
 
     m, c = modes.shapes.shape
@@ -143,26 +157,26 @@ def _start(layout: Layout, modes: ModalEstimate, mean: ComplexArray) -> Point:
     model, inverse = predict(layout, p), inverses(rough)
     linear = slice(layout.n_modal, layout.columns[-2])
     u, v = model.u[:, linear], model.v[:, :, linear]
-    curve = packed_columns(inverse @ u, inverse @ v) * layout.counts
-    x = np.linalg.solve(product(curve, packed_columns(u[None], v)), product(mean[None], curve)[0])
+    weights = packed_columns(inverse @ u, inverse @ v) * layout.counts
+    x = np.linalg.solve(product(weights, packed_columns(u[None], v)), product(mean[None], weights)[0])
     n_pairs = len(layout.pairs)
     forces = np.zeros((m, m))
     for (a, b), entry in zip(layout.pairs, x[:n_pairs], strict=True):
         forces[a, b] = forces[b, a] = entry
     values, vectors = np.linalg.eigh(forces)
     forces = (vectors * np.maximum(values, 1e-3 * values[-1])) @ vectors.T
-    # The noise's slope is by its logarithm, so its coefficient is a factor.
+    # The derivative is by the logarithm of the noise, so its coefficient is a factor.
     return replace(p, forces=forces, noise=p.noise * np.clip(x[n_pairs:], 1e-2, 1e2))
 
 
 def _levels(layout: Layout, inverse: ComplexArray, data: ComplexArray) -> Array:
-    """Maximum-likelihood level of every segment, shape (segments,): 1 where it is the model's."""
+    """Estimate the excitation level of each segment by maximum likelihood, shape (segments,), relative to the model's."""
     weight = upper(inverse) * layout.counts
     return np.asarray(product(data, weight[None])[:, 0] / (inverse.shape[-1] * layout.sizes.sum()))
 
 
-def _moved(layout: Layout, p: Point, step: Array) -> Point:
-    """A scoring step, bounded so that a bad start cannot run away."""
+def _take_step(layout: Layout, p: Point, step: Array) -> Point:
+    """Add a scoring step, shape (parameters,), to a point, with bounds so that the scoring cannot diverge from a bad start."""
     m, n_free = len(layout.gauges), len(layout.free)
     shapes, forces = p.shapes.copy(), p.forces.copy()
     for (i, j), value in zip(layout.free, step[2 * m :], strict=False):
@@ -183,29 +197,34 @@ def _moved(layout: Layout, p: Point, step: Array) -> Point:
 
 
 def _uncertainty(influence: Array, covariance: Array) -> tuple[Array, Array]:
-    """Rows of influence whose squares sum to the best covariance, and a factor of the model's.
+    """Compute rows of influence whose squares sum to the shrunk covariance, and a factor of the model's covariance.
 
-    In coordinates where the model's covariance is the identity, that of the segments' scatter is shrunk towards a
-    multiple of it, by as much as its own sampling error exceeds its departure from it (Ledoit and Wolf): a form read off
-    some 40 segments alone would give the damage index the long tails of Student's t.
+    In coordinates where the model's covariance is the identity, the covariance of the segments' scatter is shrunk towards a
+    multiple of the identity.  The shrinkage is the ratio of its sampling error to its departure from that multiple (Ledoit and
+    Wolf).  A covariance estimated from some 40 segments alone would give the damage index the long tails of Student's t.
 
     Parameters
     ----------
     influence : ndarray, shape (segments, n)
-        Of each segment on the estimate, mean zero.
+        Influence of each segment on the estimate, mean zero.
     covariance : ndarray, shape (n, n)
-        Of the estimate by the information matrix, right but for a factor.
+        Covariance of the estimate by the information matrix, correct up to a factor.
+
+    Returns
+    -------
+    rows : ndarray, shape (segments, n)
+    factor : ndarray, shape (n, n)
     """
     n_segments = len(influence)
     factor = np.linalg.cholesky(covariance)
-    # A mean has been taken out, and neighbours share half their samples: each adds its share to the variance.
+    # The mean was subtracted, and neighbouring segments share half their samples: both increase the variance.
     inflate = np.sqrt(n_segments / (n_segments - 1.0) * (1.0 + 2.0 * overlap_correlation()))
     white = inflate * np.linalg.solve(factor, influence.T).T
     values, vectors = np.linalg.eigh(white.T @ white)
     departure = ((values - values.mean()) ** 2).sum()
     sampling = ((white**2).sum(axis=1) ** 2).sum() - (values**2).sum() / n_segments
     share = min(1.0, sampling / max(departure, 1e-300))
-    # Segments fewer than parameters do not span them all: what they span stands for the rest.
+    # Fewer segments than parameters do not span all directions: only those spanned are rescaled.
     spanned = values > 1e-9 * values[-1]
     values, vectors = values[spanned], vectors[:, spanned]
     turn = np.sqrt(1.0 - share + share * values.mean() / values)
@@ -213,10 +232,17 @@ def _uncertainty(influence: Array, covariance: Array) -> tuple[Array, Array]:
 
 
 def _leverage(rows: Array, n_fitted: float) -> Array:
-    """Factor on the deviations of ln damping, shape (m,), for the parameters fitted to the data of each mode.
+    """Compute the leverage correction of the deviations of ln damping, shape (m,) (HC3 of MacKinnon and White).
 
-    Damping is read off a scatter: one over the variance of its logarithm is how many independent numbers lie under the
-    peak, `n_fitted` parameters follow them, and to second order that widens the error (HC3 of MacKinnon and White).
+    One over the variance of ln damping is the number of independent data under the mode's peak.  `n_fitted` parameters are
+    fitted to these data, which to second order increases the error.
+
+    Parameters
+    ----------
+    rows : ndarray, shape (segments, m)
+        Deviations of ln damping.
+    n_fitted : float
+        Number of fitted parameters for each mode.
     """
     return np.asarray(1.0 / (1.0 - np.minimum(0.5, n_fitted * (rows**2).sum(axis=0))))
 
@@ -224,10 +250,11 @@ def _leverage(rows: Array, n_fitted: float) -> Array:
 def _estimate(
     layout: Layout, p: Point, modes: ModalEstimate, rows: Array, factor: Array, first_segment: int
 ) -> ModalEstimate:
-    """Frequencies, damping and real shapes of the fit with influences; imaginary parts stay the subspace estimate's."""
+    """Form the estimate of a fit: frequencies, damping and real shapes; imaginary parts stay the subspace estimate's."""
     m, c = modes.shapes.shape
 
     def spread(rows: Array) -> Array:
+        """Arrange rows by modal parameter, shape (n, n_modal), as deviations, shape (n, m, 2 + 2 c)."""
         out = np.zeros((rows.shape[0], m, 2 + 2 * c))
         out[:, :, 0] = rows[:, :m]
         out[:, :, 1] = rows[:, m : 2 * m] * np.exp(p.ln_damping)

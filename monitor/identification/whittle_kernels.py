@@ -1,4 +1,4 @@
-"""Compiled kernels of the refinement, as `kernels` of the rest of a window's way."""
+"""Compiled loops of the refinement (`whittle`)."""
 
 from __future__ import annotations
 
@@ -10,7 +10,17 @@ from monitor.core import Array, ComplexArray, compiled
 
 @compiled()
 def pool_products(x: ComplexArray, first: NDArray[np.intp], sizes: NDArray[np.intp], out: ComplexArray) -> None:
-    """Cross-spectra of one segment, shape (n_bins, c), means over pools of bins, packed, into shape (pairs, pools)."""
+    """Average the cross-spectra of one segment over pools of bins, packed.
+
+    Parameters
+    ----------
+    x : ndarray, shape (n_bins, c)
+        Fourier transform of the segment.
+    first, sizes : ndarray of int, shape (pools,)
+        First bin and number of bins of each pool.
+    out : ndarray, shape (pairs, pools)
+        Receives the result.
+    """
     c = x.shape[1]
     for p in range(first.size):
         begin, size = first[p], sizes[p]
@@ -26,7 +36,16 @@ def pool_products(x: ComplexArray, first: NDArray[np.intp], sizes: NDArray[np.in
 
 @compiled()
 def pack_columns(u: Array | ComplexArray, v: ComplexArray) -> ComplexArray:
-    """Upper triangles of ``u v^H + v u^H`` of every column, shapes (pools or 1, c, columns) to (columns, pairs, pools)."""
+    """Compute the upper triangles of ``u v^H + v u^H`` of every column.
+
+    Parameters
+    ----------
+    u, v : ndarray, shape (pools or 1, c, columns) and (pools, c, columns)
+
+    Returns
+    -------
+    ndarray, shape (columns, pairs, pools)
+    """
     pools, c, columns = v.shape
     out = np.empty((columns, c * (c + 1) // 2, pools), dtype=np.complex128)
     for p in range(pools):
@@ -42,12 +61,16 @@ def pack_columns(u: Array | ComplexArray, v: ComplexArray) -> ComplexArray:
 
 @compiled(error_model="numpy", fastmath={"contract"})
 def modal_products(w: Array, weights: Array, omega: Array, damping: Array, colour: Array) -> ComplexArray:
-    """Modal transfer functions g of acceleration times the forces' amplitude, and their slopes, times every conjugate g.
+    """Compute the products of modal transfer functions g of acceleration, and of their derivatives, with every conjugate g.
+
+    g includes the amplitude of the forces' spectrum.
 
     Parameters
     ----------
     w : ndarray, shape (pools, taps)
-        Angular frequencies, rad/s; over the taps the products are added up with `weights`.
+        Angular frequencies, rad/s.
+    weights : ndarray, shape (taps,)
+        Weights of the sum over taps.
     omega, damping : ndarray, shape (m,)
         Modal frequencies, rad/s, and damping ratios.
     colour : ndarray, shape (2,)
@@ -56,7 +79,7 @@ def modal_products(w: Array, weights: Array, omega: Array, damping: Array, colou
     Returns
     -------
     ndarray, shape (pools, 5, m, m)
-        Of g itself, then of its slopes by ln omega, ln damping, tilt and curvature.
+        Products of g itself, then of its derivatives by ln omega, ln damping, tilt and curvature.
     """
     (pools, taps), m = w.shape, omega.size
     out, each, middle = np.zeros((pools, 5, m, m), dtype=np.complex128), np.empty((5, m), dtype=np.complex128), w.mean()
@@ -82,13 +105,13 @@ def modal_products(w: Array, weights: Array, omega: Array, damping: Array, colou
 
 @compiled(error_model="numpy")
 def inverses(matrices: ComplexArray) -> ComplexArray:
-    """Inverses of Hermitian matrices, shape (n, c, c); not finite where a pivot vanishes."""
+    """Invert Hermitian matrices, shape (n, c, c); the inverse is not finite where a pivot vanishes."""
     n, c, _ = matrices.shape
     a, out = matrices.copy(), np.zeros((n, c, c), dtype=np.complex128)
     for k in range(n):
         for i in range(c):
             out[k, i, i] = 1.0
-        for p in range(c):  # Gauss-Jordan; definite matrices need no other order of pivots
+        for p in range(c):  # Gauss-Jordan; definite matrices need no exchange of pivots
             scale = 1.0 / a[k, p, p].real
             for j in range(c):
                 a[k, p, j] *= scale

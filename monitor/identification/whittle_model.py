@@ -1,9 +1,9 @@
-"""The modal model of a window's cross-spectra: ``S = A Q A^H + N`` with its slopes, pooled as the data are.
+"""Modal model of a window's cross-spectra, ``S = A Q A^H + N``, and its derivatives, averaged over the same pools as the data.
 
-A holds shapes times modal transfer functions of acceleration, Q is the covariance of the modal forces, whose spectrum
-may slope and bend (excitation is seldom white over a wide band), N the sensors' noise.
-Away from the modes, where the spectrum is smooth, bins are pooled, so that a wide band costs little.  Hermitian matrices are
-packed as their upper triangles.
+A holds shapes times modal transfer functions of acceleration.  Q is the covariance of the modal forces, whose spectrum may have
+a tilt and a curvature (excitation is seldom white over a wide band).  N is the sensors' noise.
+Away from the modes the spectrum is smooth, and bins are averaged in pools, so that a wide band costs little.  Hermitian matrices
+are packed as their upper triangles.
 """
 
 from __future__ import annotations
@@ -27,39 +27,42 @@ _POOL_WIDTH = 0.3
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Point:
-    """A point of the fit."""
+    """Parameters of the modal model at one point of the fit: m modes, c channels."""
 
     ln_f: Array
+    """Shape (m,): ln(f / Hz)."""
     ln_damping: Array
+    """Shape (m,): ln of the damping ratio."""
     shapes: Array
     """Shape (c, m), real, 1 at each mode's gauge."""
     forces: Array
     """Q, shape (m, m), symmetric."""
     noise: Array
-    """Shape (c,), two-sided density."""
+    """Shape (c,): two-sided power spectral density of the noise, (m/s^2)^2/Hz."""
     colour: Array
     """Shape (2,), tilt and curvature: forces have amplitude ``exp(tilt x + curvature x^2)``, x = ln f about mid-band."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Layout:
-    """Which bins are fitted, how they are pooled, and how parameters are numbered."""
+    """Bins of the fit, pools of bins, and numbering of the parameters."""
 
     first: NDArray[np.intp]
-    """First bin of each pool."""
+    """Shape (pools,): first bin of each pool."""
     sizes: NDArray[np.intp]
-    """Bins in each pool."""
+    """Shape (pools,): number of bins in each pool."""
     columns: NDArray[np.intp]
-    """Where each parameter's columns begin in `Spectrum`."""
+    """First column of each parameter in `Spectrum`."""
     nodes_hz: Array
-    """Shape (pools, taps): a pool's spectrum is the mean of the true one over these, weighed by `leakage`."""
+    """Shape (pools, taps): frequencies over which the true spectrum is averaged with the weights `leakage` for a pool."""
     counts: Array
-    """Shape (pairs, pools): how often each entry of a packed matrix counts in a sum of traces over all bins."""
+    """Shape (pairs, pools): multiplicity of each entry of a packed matrix in a sum of traces over all bins."""
     gauges: tuple[int, ...]
+    """Channel at which each mode's shape is 1."""
     free: tuple[tuple[int, int], ...]
     """(mode, channel) of every free shape component."""
     pairs: tuple[tuple[int, int], ...]
-    """Upper triangle of Q."""
+    """(row, column) of the upper triangle of Q."""
 
     @property
     def n_modal(self) -> int:
@@ -69,9 +72,10 @@ class Layout:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Spectrum:
-    """The model at a point; its slope by a parameter is the sum over its columns of ``u v^H`` and the conjugate transposes.
+    """Model spectrum at a point, and its derivatives by the parameters.
 
-    Parameters are numbered ln f, ln damping, free shape components, Q's upper triangle, ln noise, tilt, curvature.
+    The derivative by a parameter is the sum over the parameter's columns of ``u v^H`` and its conjugate transpose.  The order of
+    parameters is ln f, ln damping, free shape components, Q's upper triangle, ln noise, tilt, curvature.
     """
 
     value: ComplexArray
@@ -83,12 +87,14 @@ class Spectrum:
 
 
 def layout_of(modes: ModalEstimate, half_band: float, n_bins: int, bin_hz: float) -> Layout:
-    """Bins within `half_band` half-power bandwidths of the modes, in pools.
+    """Select the bins within `half_band` half-power bandwidths of the modes, and divide them into pools.
 
     Parameters
     ----------
     n_bins : int
-        Bins there are, from 0 Hz up, `bin_hz` apart.
+        Number of bins of the data, from 0 Hz up.
+    bin_hz : float
+        Spacing of the bins, Hz.
     """
     number = np.arange(n_bins)
     centre = np.round(modes.frequencies_hz / bin_hz)
@@ -103,7 +109,8 @@ def layout_of(modes: ModalEstimate, half_band: float, n_bins: int, bin_hz: float
             first.append(begin)
             begin = min(end, begin + int(widest[begin]))
     sizes = np.diff([*first, bins.size])
-    # A pool blurs besides the taper: one kernel of the taper's form and of both their spreads stands for the two.
+    # Pooling smooths the spectrum in addition to the taper: one kernel of the taper's form with the sum of both variances
+    # represents the two.
     offsets = LEAKAGE_OFFSETS / 2.0
     stretch = np.sqrt(1.0 + (sizes**2 - 1.0) / 12.0 / (leakage() @ offsets**2))
     nodes = np.maximum(0.5, (bins[first] + (sizes - 1.0) / 2.0)[:, None] + offsets * stretch[:, None])
@@ -113,13 +120,22 @@ def layout_of(modes: ModalEstimate, half_band: float, n_bins: int, bin_hz: float
     pairs = tuple((a, b) for a in range(m) for b in range(a, m))
     i, j = triangle(c)
     single = 2 * m + len(free) + len(pairs) + c
-    columns = np.array([*range(single), single, single + m])  # the forces' colour moves every mode
+    columns = np.array([*range(single), single, single + m])  # tilt and curvature affect every mode: m columns each
     counts = np.where(i == j, 1.0, 2.0)[:, None] * sizes
     return Layout(bins[first], sizes, columns, nodes * bin_hz, counts, gauges, free, pairs)
 
 
 def cross_spectra(layout: Layout, segments: tuple[ComplexArray, ...]) -> ComplexArray:
-    """Every segment's cross-spectra, means over pools, packed, shape (segments, pairs, pools)."""
+    """Compute each segment's cross-spectra, averaged over pools and packed.
+
+    Parameters
+    ----------
+    segments : tuple of ndarray, shape (n_bins, c), m/s^2/sqrt(Hz)
+
+    Returns
+    -------
+    ndarray, shape (segments, pairs, pools), (m/s^2)^2/Hz
+    """
     from monitor.identification.whittle_kernels import pool_products  # compiled code takes a while to load
 
     sums = np.empty((len(segments), len(layout.counts), len(layout.first)), dtype=complex)
@@ -129,16 +145,16 @@ def cross_spectra(layout: Layout, segments: tuple[ComplexArray, ...]) -> Complex
 
 
 def predict(layout: Layout, p: Point) -> Spectrum:
-    """The spectrum that a point of the fit gives, blurred by taper and pools, and its slopes."""
+    """Compute the model spectrum at a point of the fit, smoothed by taper and pools, and its derivatives."""
     from monitor.identification.whittle_kernels import modal_products  # compiled code takes a while to load
 
     (c, m), pools = p.shapes.shape, len(layout.nodes_hz)
-    # Shapes are constant over frequency, so blurring the modes' products blurs the spectrum and all its slopes.
+    # Shapes do not depend on frequency, so smoothing the modes' products smooths the spectrum and all its derivatives.
     w = 2.0 * np.pi * layout.nodes_hz
-    blurred = modal_products(w, leakage(), 2.0 * np.pi * np.exp(p.ln_f), np.exp(p.ln_damping), p.colour)
-    products = blurred[:, 0]
-    carried = (p.forces * blurred).reshape(-1, m) @ p.shapes.T
-    half, by_f, by_damping, by_tilt, by_curvature = carried.reshape(pools, 5, m, c).swapaxes(0, 1)
+    smoothed = modal_products(w, leakage(), 2.0 * np.pi * np.exp(p.ln_f), np.exp(p.ln_damping), p.colour)
+    products = smoothed[:, 0]
+    at_channels = (p.forces * smoothed).reshape(-1, m) @ p.shapes.T
+    half, by_f, by_damping, by_tilt, by_curvature = at_channels.reshape(pools, 5, m, c).swapaxes(0, 1)
     value = p.shapes @ half + np.diag(p.noise)
     mode, channel = [i for i, _ in layout.free], [j for _, j in layout.free]
     first, second = [a for a, _ in layout.pairs], [b for _, b in layout.pairs]
@@ -159,7 +175,7 @@ def predict(layout: Layout, p: Point) -> Spectrum:
 
 @cache
 def triangle(c: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Rows and columns of the entries of a packed matrix of size c."""
+    """Return the rows and columns of the entries of a packed matrix of size c, shape (pairs,) each."""
     return np.triu_indices(c)
 
 
@@ -170,21 +186,30 @@ def upper(matrices: ComplexArray) -> ComplexArray:
 
 
 def packed(layout: Layout, u: Array | ComplexArray, v: ComplexArray) -> ComplexArray:
-    """Packed ``u v^H + v u^H`` from columns of shape (.., c, columns), shape (parameters, pairs, pools)."""
+    """Pack ``u v^H + v u^H``, summed over each parameter's columns.
+
+    Parameters
+    ----------
+    u, v : ndarray, shape (pools or 1, c, columns) and (pools, c, columns)
+
+    Returns
+    -------
+    ndarray, shape (parameters, pairs, pools)
+    """
     each = packed_columns(u, v)
-    tilt, curvature = layout.columns[-2:]  # the only ones of several columns
+    tilt, curvature = layout.columns[-2:]  # the only parameters with several columns
     each[tilt], each[tilt + 1] = each[tilt:curvature].sum(axis=0), each[curvature:].sum(axis=0)
     return each[: tilt + 2]
 
 
 def packed_columns(u: Array | ComplexArray, v: ComplexArray) -> ComplexArray:
-    """The same, column by column, shape (columns, pairs, pools)."""
+    """Pack ``u v^H + v u^H`` column by column, shape (columns, pairs, pools); shapes of u and v as in `packed`."""
     from monitor.identification.whittle_kernels import pack_columns  # compiled code takes a while to load
 
     return pack_columns(u, v)
 
 
 def product(a: ComplexArray, b: ComplexArray) -> Array:
-    """Real parts of the inner products of the rows of `a` with those of `b`, shape (n_a, n_b)."""
+    """Compute the real parts of the inner products of `a[i]` with `b[j]` over all further axes, shape (n_a, n_b)."""
     flat_a, flat_b = (np.ascontiguousarray(x).reshape(len(x), -1).view(float) for x in (a, b))
     return np.asarray(flat_a @ flat_b.T)

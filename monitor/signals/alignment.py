@@ -1,4 +1,4 @@
-"""Blocks to one gapless run of samples in the structure's channel order; everything else is a gap."""
+"""Alignment of sample blocks: runs without gaps in the structure's channel order, and the gaps between them."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _MAX_INT = 1 << 62
 
 @dataclass(frozen=True, slots=True)
 class AlignState:
-    """Where the stream stands."""
+    """State of the stream between blocks."""
 
     t_run_ns: int
     """UTC of the current run's first sample."""
@@ -38,27 +38,27 @@ class AlignState:
     next_sequence: int
     rate_hz: float
     dropped: int
-    """Samples thrown away: repeated, late or not finite."""
+    """Number of samples dropped: repeated, late or not finite."""
     offset_ns: int = 0
-    """By how much the clock has drifted in this run: the latest block's time less that counted from the run's first."""
+    """Drift of the clock in this run: the latest block's time minus the time counted from the run's first sample."""
     label_ns: int = 0
-    """How much of that the times given to samples have taken over."""
+    """Part of the drift that the times of samples already include."""
     late: int = 0
-    """Samples in a row that were dropped for coming late."""
+    """Number of consecutive samples dropped because they came late."""
 
     def t_next_ns(self) -> int:
-        """When the next sample of the run is due."""
+        """Return the UTC at which the next sample of the run is due."""
         return self.t_run_ns + round(self.n_run / self.rate_hz * 1e9) + self.label_ns
 
 
 def start() -> AlignState:
-    """State before the first sample."""
+    """Return the state before the first sample."""
     return AlignState(t_run_ns=0, n_run=0, next_sequence=0, rate_hz=1.0, dropped=0)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Piece:
-    """Consecutive finite samples; `gap` tells what was lost before them, if anything."""
+    """Consecutive finite samples, with the gap before them, if any."""
 
     t_ns: int
     values: Array
@@ -66,11 +66,11 @@ class Piece:
     gap: Gap | None
     rate_hz: float
     shift_ns: int = 0
-    """What times of samples from here on are later than those before would have it: the clock drifts."""
+    """Correction of the times of samples from this piece on, for the drift of the clock."""
 
 
 def select(block: SampleBlock, channels: tuple[str, ...]) -> Array:
-    """The structure's channels of a block, shape (n_samples, c), m/s^2.
+    """Select the structure's channels of a block, shape (n_samples, c), m/s^2.
 
     Raises
     ------
@@ -92,14 +92,14 @@ def select(block: SampleBlock, channels: tuple[str, ...]) -> Array:
     if block.unit != "m/s^2":
         raise BadInputError(f"{block.topic}: unit {block.unit!r}, expected 'm/s^2'")
     columns = [block.channels.index(name) for name in channels]
-    with np.errstate(invalid="ignore"):  # signalling NaN: a hole like any other
+    with np.errstate(invalid="ignore"):  # a signalling NaN is a missing sample like any other
         if block.channels == channels:
             return np.asarray(block.samples, dtype=np.float64)
         return block.samples[:, columns].astype(np.float64)
 
 
 def step(state: AlignState, block: SampleBlock, channels: tuple[str, ...]) -> tuple[AlignState, list[Piece]]:
-    """Place a block in the stream.
+    """Append a block to the stream and cut it at gaps and non-finite samples.
 
     Returns
     -------
@@ -109,9 +109,9 @@ def step(state: AlignState, block: SampleBlock, channels: tuple[str, ...]) -> tu
 
     Notes
     -----
-    Blocks in sequence are one run as long as the clock does not jump between two of them: a clock some parts in a million off
-    makes no gap.  Times of samples count on from the run's first; when the clock has left that by a quarter of a second
-    they follow it in one step.  A source whose times are exact never makes one.
+    Blocks in sequence form one run as long as the clock does not jump between two of them: a clock error of some parts in a
+    million makes no gap.  Times of samples are counted from the run's first sample.  When the clock differs from that count by
+    a quarter of a second, the times are corrected in one step.  A source whose times are exact is never corrected.
     """
     values = select(block, channels)
     if np.isfinite(values).all():
@@ -129,7 +129,7 @@ def step(state: AlignState, block: SampleBlock, channels: tuple[str, ...]) -> tu
 
 
 def _place(state: AlignState, block: SampleBlock, values: Array, offset: int) -> tuple[AlignState, list[Piece]]:
-    """One run of finite samples that begins `offset` samples into the block."""
+    """Append one run of finite samples that begins `offset` samples into the block."""
     rate, n = block.sample_rate_hz, values.shape[0]
     t_ns, sequence = block.t_ns + round(offset / rate * 1e9), block.sequence + offset
     if n == 0:
@@ -159,11 +159,11 @@ def _place(state: AlignState, block: SampleBlock, values: Array, offset: int) ->
         return state, [Piece(due_ns + shift_ns, values, None, rate, shift_ns)]
     patience = ceil(_PATIENCE_S * rate) - state.late
     if not follows and jump_s < 0 and sequence < state.next_sequence and patience > 0:
-        # Repeated or late: keep only what is new.  The sequence says what is, unless it has begun anew with another file.
+        # Repeated or late: keep only new samples.  The sequence number identifies them, unless it restarted with another file.
         behind = state.next_sequence - sequence
         if abs(jump_s + behind / rate) >= _MAX_CLOCK_OFFSET_S:
             behind = min(behind, round(-jump_s * rate))
-        known = min(n, max(1, behind), patience)  # in samples: blocks of any size end it at the same one
+        known = min(n, max(1, behind), patience)  # in samples: the patience ends at the same sample for any block size
         state = replace(state, dropped=state.dropped + known, late=state.late + known)
         return _place(state, block, values[known:], offset + known)
     if follows:

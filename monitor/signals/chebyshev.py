@@ -42,7 +42,7 @@ def chebyshev_lowpass(order: int, ripple_db: float, cutoff_hz: float, rate_hz: f
     >>> sections.shape
     (4, 6)
     >>> gain_at_0 = sections[:, :3].sum(axis=1) / sections[:, 3:].sum(axis=1)
-    >>> round(float(-20.0 * np.log10(gain_at_0.prod())), 6)  # an even order lies at the lower end of the ripple there
+    >>> round(float(-20.0 * np.log10(gain_at_0.prod())), 6)  # at 0 Hz an even order has the full ripple as attenuation
     0.05
     """
     ripple = sqrt(10.0 ** (0.1 * ripple_db) - 1.0)

@@ -19,7 +19,7 @@ _MAX_DECIMATION = 1000
 
 @dataclass(frozen=True)
 class FrontEnd:
-    """Design alignment, filter, resampling and grid once, for the pipeline and for the segments of a diagnosis.
+    """Design of alignment, filter, resampling and grid, shared by the pipeline and the segments of a diagnosis.
 
     Examples
     --------
@@ -82,7 +82,7 @@ class FrontEnd:
         return Conditioner.design(rate_in_hz, self.processing.rate_hz, self.processing.cutoff_hz, self.step_s)
 
     def grid(self, conditioner: Conditioner, *, with_segments: bool = True) -> WindowGrid:
-        """Design the grid of windows, and of segments if they are wanted, for the samples that leave `conditioner`."""
+        """Design the grid of windows, with segments if wanted, for the output samples of `conditioner`."""
         p, segment_s = self.processing, self.segment_s if with_segments else 0.0
         return WindowGrid.design(
             conditioner.rate_hz, p.window_s, p.hop_s, self.n_lags, segment_s, conditioner.cutoff_hz

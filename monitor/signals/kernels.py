@@ -10,13 +10,20 @@ from monitor.core import Array, compiled
 
 @compiled()
 def filtered(sos: Array, x: Array, memory: Array) -> tuple[Array, Array]:
-    """Second-order sections one after the other, to the last bit as ``scipy.signal.sosfilt``; and what they remember.
+    """Filter by second-order sections in cascade, with the result of ``scipy.signal.sosfilt`` to the last bit.
 
     Parameters
     ----------
     sos : ndarray, shape (n_sections, 6)
     x : ndarray, shape (n_samples, c)
     memory : ndarray, shape (n_sections, 2, c)
+        State of the sections before the first sample.
+
+    Returns
+    -------
+    out : ndarray, shape (n_samples, c)
+    memory : ndarray, shape (n_sections, 2, c)
+        State of the sections after the last sample.
     """
     out, memory = np.empty(x.shape), memory.copy()
     for k in range(x.shape[0]):
@@ -33,7 +40,19 @@ def filtered(sos: Array, x: Array, memory: Array) -> tuple[Array, Array]:
 
 @compiled()
 def interpolate(x: Array, first: NDArray[np.int64], phase: NDArray[np.int64], taps: Array) -> Array:
-    """Output k is the sum of ``taps[phase[k]]`` times the samples from ``first[k]`` on; the order of sums is the taps'."""
+    """Interpolate: output k is the sum of ``taps[phase[k]]`` times the samples from ``first[k]`` on, summed in the taps' order.
+
+    Parameters
+    ----------
+    x : ndarray, shape (n_samples, c)
+    first : ndarray of int, shape (n_output,)
+    phase : ndarray of int, shape (n_output,)
+    taps : ndarray, shape (n_phases, n_taps)
+
+    Returns
+    -------
+    ndarray, shape (n_output, c)
+    """
     c, n_taps = x.shape[1], taps.shape[1]
     out = np.empty((first.size, c))
     for k in range(first.size):
@@ -47,9 +66,9 @@ def interpolate(x: Array, first: NDArray[np.int64], phase: NDArray[np.int64], ta
 
 @compiled(fastmath={"reassoc", "contract"})
 def lag_products(x: Array, n: int, n_lags: int) -> tuple[Array, Array]:
-    """Sums over k < n of ``x[:, k] x[:, k + tau]^T`` and of ``x[:, k + tau]``, for every lag.
+    """Sum ``x[:, k] x[:, k + tau]^T`` and ``x[:, k + tau]`` over k < n, for every lag tau.
 
-    Sums may be taken in another order than written, so that the processor adds many numbers at once.
+    The compiler may reorder the sums, so that the processor adds many numbers at once.
 
     Parameters
     ----------
@@ -72,7 +91,7 @@ def lag_products(x: Array, n: int, n_lags: int) -> tuple[Array, Array]:
     for i in range(c):
         now = x[i, :n]
         for j in range(c):
-            for tau in range(0, n_lags, 2):  # two lags at once: each sample is fetched for both
+            for tau in range(0, n_lags, 2):  # two lags at once: each sample is loaded once for both
                 after = min(tau + 1, n_lags - 1)
                 one, two, first, second = x[j, tau : tau + n], x[j, after : after + n], 0.0, 0.0
                 for k in range(n):
@@ -84,15 +103,15 @@ def lag_products(x: Array, n: int, n_lags: int) -> tuple[Array, Array]:
 
 @compiled(fastmath={"contract"})
 def flatness(lag_sum: Array, weights: Array) -> float:
-    """Geometric over arithmetic mean of the channels' summed spectrum.
+    """Compute the spectral flatness: geometric over arithmetic mean of the channels' summed spectrum.
 
-    Each channel counts at unit variance, so that a loud one does not hide that the others are noise.
+    Each channel is scaled to unit variance, so that a channel of large amplitude does not mask noise in the others.
 
     Parameters
     ----------
     lag_sum : ndarray, shape (n_lags, c, c)
     weights : ndarray, shape (n_frequencies, n_lags)
-        Of every lag in the spectrum at every frequency.
+        Weight of every lag in the spectrum at every frequency.
     """
     logs, mean = 0.0, 0.0
     for f in range(weights.shape[0]):
@@ -110,16 +129,27 @@ def flatness(lag_sum: Array, weights: Array) -> float:
 
 @compiled(fastmath={"reassoc", "nnan", "nsz"})
 def described(x: Array, factor: float, fewest: int, ratio: int) -> tuple[Array, Array]:
-    """Each row of `x`, shape (c, n), about its mean; and its mean, RMS and largest magnitude about it, spikes, steps that are
-    not zero, and samples piled up at its ends, shape (6, c).
+    """Remove the mean of each channel and compute the statistics of its health.
 
-    Samples are piled up if `fewest` and more than `ratio` times those at the value next to it lie at an end: no motion stays
-    there.
+    Samples count as piled up at the channel's largest or least value if at least `fewest` lie at that value, and more than
+    `ratio` times as many as at the value next to it.  Motion does not stay at an extreme; a clipped channel does.
+
+    Parameters
+    ----------
+    x : ndarray, shape (c, n)
+    factor : float
+        Size of a spike, in mean steps from one sample to the next.
+
+    Returns
+    -------
+    centred : ndarray, shape (c, n)
+    statistics : ndarray, shape (6, c)
+        Mean; RMS and largest magnitude about the mean; number of spikes, of nonzero steps, and of piled-up samples.
     """
     c, n = x.shape
-    about, told = np.empty((c, n)), np.zeros((6, c))
+    centred, statistics = np.empty((c, n)), np.zeros((6, c))
     for i in range(c):
-        row, out = x[i], about[i]
+        row, out = x[i], centred[i]
         mean = row.sum() / n
         square, top, least, path, still = 0.0, row[0], row[0], 0.0, 0
         for k in range(n):
@@ -129,27 +159,27 @@ def described(x: Array, factor: float, fewest: int, ratio: int) -> tuple[Array, 
         for k in range(1, n):
             path += abs(row[k] - row[k - 1])
             still += row[k] == row[k - 1]
-        told[0, i], told[1, i], told[2, i] = mean, np.sqrt(square / n), max(top - mean, mean - least)
-        told[3, i], told[4, i] = _spikes(row, factor * path / max(n - 1, 1)), n - 1 - still
+        statistics[0, i], statistics[1, i], statistics[2, i] = mean, np.sqrt(square / n), max(top - mean, mean - least)
+        statistics[3, i], statistics[4, i] = _count_spikes(row, factor * path / max(n - 1, 1)), n - 1 - still
         if top > least:
-            told[5, i] = _piled(row, top, fewest, ratio) + _piled(-row, -least, fewest, ratio)
-    return about, told
+            statistics[5, i] = _count_piled(row, top, fewest, ratio) + _count_piled(-row, -least, fewest, ratio)
+    return centred, statistics
 
 
 @compiled()
-def _spikes(row: Array, limit: float) -> int:
-    """Samples more than the limit off both neighbours."""
-    found = _off(row, limit)
+def _count_spikes(row: Array, limit: float) -> int:
+    """Count the samples that differ from both neighbours by more than the limit, or than three median nonzero steps."""
+    found = _count_outliers(row, limit)
     if found:
-        # Between long rests a step of the sensor's resolution is none.
+        # In a channel mostly at rest the mean step is small, and a step of the sensor's resolution is no spike.
         sizes = np.abs(row[1:] - row[:-1])
-        found = _off(row, max(limit, 3.0 * np.median(sizes[sizes > 0.0])))
+        found = _count_outliers(row, max(limit, 3.0 * np.median(sizes[sizes > 0.0])))
     return found
 
 
 @compiled()
-def _off(row: Array, limit: float) -> int:
-    """Samples that lie farther than the limit off both neighbours, to the same side."""
+def _count_outliers(row: Array, limit: float) -> int:
+    """Count the samples that differ from both neighbours by more than the limit, in the same direction."""
     found = 0
     for k in range(1, row.size - 1):
         before, after = row[k] - row[k - 1], row[k] - row[k + 1]
@@ -158,8 +188,8 @@ def _off(row: Array, limit: float) -> int:
 
 
 @compiled()
-def _piled(row: Array, top: float, fewest: int, ratio: int) -> int:
-    """Samples at the row's `top`, if they are piled up there."""
+def _count_piled(row: Array, top: float, fewest: int, ratio: int) -> int:
+    """Count the samples at the largest value `top` of a row, shape (n,); 0 if they are not piled up (see `described`)."""
     count = 0
     for k in range(row.size):
         count += row[k] == top

@@ -1,9 +1,9 @@
 """Streaming lowpass and rational resampling: the same output, bit for bit, for any block size.
 
 An eighth-order Chebyshev type I lowpass (0.05 dB ripple, the usual decimation design; paper, section 4) runs at the
-source's rate; a polyphase windowed-sinc interpolator then picks the filtered signal at the new instants.  The
-interpolator is causal, so its constant delay, like the filter's, is the same on every channel and leaves modes
-untouched.  Sources slower than the wanted rate keep their own.
+source's rate.  A polyphase windowed-sinc interpolator then evaluates the filtered signal at the new instants.  The
+interpolator is causal.  Its constant delay, like the filter's, is the same on every channel and does not affect modes.
+A source slower than the wanted rate keeps its own rate.
 """
 
 from __future__ import annotations
@@ -30,27 +30,35 @@ _MAX_PHASES = 4096
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Conditioner:
-    """The design of filter and resampler for one source rate."""
+    """Design of filter and resampler for one source rate.
+
+    Examples
+    --------
+    >>> design = Conditioner.design(rate_in_hz=1000.0, rate_hz=100.0, cutoff_hz=40.0)
+    >>> state, samples = design.step_block(design.start(n_channels=2), np.ones((5000, 2)))
+    >>> samples.shape
+    (500, 2)
+    """
 
     rate_in_hz: float
     rate_hz: float
-    """Rate after resampling: the wanted one, or the source's if that is lower."""
+    """Rate after resampling, Hz: the wanted rate, or the source's if that is lower."""
     cutoff_hz: float
     sos: Array
-    """Second-order sections of the lowpass."""
+    """Second-order sections of the lowpass, shape (n_sections, 6)."""
     step: Fraction
     """Source samples per output sample, at least 1."""
     taps: Array
     """Shape (n_phases, n_taps): interpolation weights on the n_taps latest filtered samples, oldest first."""
 
     @classmethod
-    @lru_cache(maxsize=16)  # every gap asks anew, and a stream may have hundreds a second
+    @lru_cache(maxsize=16)  # a design is requested after every gap, and a stream may have hundreds of gaps a second
     def design(cls, rate_in_hz: float, rate_hz: float, cutoff_hz: float, step_s: float | None = None) -> Conditioner:
-        """The conditioner from `rate_in_hz` to `rate_hz` with the lowpass at `cutoff_hz`.
+        """Design lowpass and resampler from `rate_in_hz` to `rate_hz` with the cutoff at `cutoff_hz`, all Hz.
 
-        A slower source keeps its own rate, or, where `step_s` must hold whole samples, the next lower one that does.
-        A cutoff beyond 0.8 of the Nyquist frequency of the slower rate is lowered to it.  Rates are matched by a
-        ratio of integers, exact to 1e-6.
+        A source slower than `rate_hz` keeps its own rate or, with `step_s` (s), gets the next lower rate that has a whole
+        number of samples in `step_s`.  A cutoff beyond 0.8 of the Nyquist frequency of the output rate is lowered to that
+        value.  Rates are matched by a ratio of integers, exact to 1e-6.
         """
         out_hz = rate_hz
         if rate_in_hz < rate_hz:
@@ -61,7 +69,7 @@ class Conditioner:
         return cls(rate_in_hz, out_hz, cutoff_hz, sos, step, _interpolator(step, cutoff_hz / rate_in_hz))
 
     def start(self, n_channels: int) -> ConditionState:
-        """State at rest, before the first sample."""
+        """Return the state at rest, before the first sample."""
         return ConditionState(
             filter_memory=np.zeros((self.sos.shape[0], 2, n_channels)),
             history=np.zeros((self.taps.shape[1] - 1, n_channels)),
@@ -88,8 +96,8 @@ class Conditioner:
         latest, memory = filtered(self.sos, np.ascontiguousarray(samples), state.filter_memory)
         n_in = state.n_in + samples.shape[0]
         p, q = self.step.numerator, self.step.denominator
-        n_out = -(-n_in * q // p)  # all outputs k whose latest source sample, floor(k p / q), has come
-        if q == 1:  # nothing lies between samples
+        n_out = -(-n_in * q // p)  # all outputs k whose latest source sample, floor(k p / q), has arrived
+        if q == 1:  # every output lies on a source sample: no interpolation
             output = np.ascontiguousarray(latest[state.n_out * p - state.n_in :: p])
             return ConditionState(memory, state.history, n_in, n_out), output
         extended = np.concatenate([state.history, latest])
@@ -103,7 +111,7 @@ class Conditioner:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class ConditionState:
-    """What the next block needs of those before."""
+    """State of filter and resampler between blocks."""
 
     filter_memory: Array
     """Shape (n_sections, 2, n_channels)."""
@@ -114,14 +122,14 @@ class ConditionState:
 
 
 def _interpolator(step: Fraction, passband: float) -> Array:
-    """Kaiser-windowed sinc weights, shape (n_phases, n_taps).
+    """Design the Kaiser-windowed sinc weights of the interpolator, shape (n_phases, n_taps).
 
-    The signal ends at the lowpass's cutoff (`passband`, cycles per source sample); images begin at 1 - passband, so
-    that is the whole transition band.
+    The signal ends at the lowpass's cutoff (`passband`, cycles per source sample), and its images begin at 1 - passband.
+    The transition band lies between the two.
     """
     if step.denominator == 1:
         return np.ones((1, 1))
-    edge = 1.15 * passband  # the lowpass needs a little room to fall
+    edge = 1.15 * passband  # leaves room for the transition band of the lowpass
     transition = 2.0 * np.pi * (1.0 - 2.0 * edge)
     half = int(np.ceil(((_STOPBAND_DB - 8.0) / (2.285 * transition) + 1.0) / 2.0))
     beta = 0.1102 * (_STOPBAND_DB - 8.7)

@@ -1,7 +1,7 @@
-"""What the sensors and the stream are like, span by span of data time; and whether that spoils a window.
+"""Health of the sensors and of the stream over spans of data time, and the check whether a window is usable.
 
 Reported for each channel: level, spikes, stuck and clipped samples, noise floor; for the stream: availability, gaps, overlaps.
-Only what no estimate can survive keeps a window out: a clipped or noisy channel is for the diagnosis to explain.
+A window is skipped only where no estimate is possible.  A clipped or noisy channel is left to the diagnosis.
 
 References
 ----------
@@ -39,36 +39,36 @@ class HealthSettings(Settings):
     """``[health]``: sensor checks."""
 
     span_s: float = Field(default=10.0, gt=0)
-    """Length of data told of at once."""
+    """Length of data of one health report."""
     max_stuck: float = Field(default=0.1, gt=0, le=1)
-    """Share of a window in which a channel may give one constant value while others move."""
+    """Share of a window in which a channel may give one constant value while another moves."""
     max_clipped: float = Field(default=0.5, gt=0, le=1)
     """Share of a window's samples that may lie at a channel's limits."""
 
 
 @dataclass(frozen=True, slots=True)
 class ChannelHealth:
-    """One channel in one span."""
+    """Health of one channel in one span."""
 
     channel: str
     mean_m_s2: float
     rms_m_s2: float
-    """About the mean."""
+    """RMS about the mean."""
     peak_m_s2: float
     """Largest magnitude about the mean."""
     spikes: int
-    """Single samples far off both neighbours: twelve times the mean step and more."""
+    """Number of single samples that differ from both neighbours by twelve times the mean step or more."""
     repeated: float
-    """Share of samples that equal the one before; 1: stuck."""
+    """Share of samples that equal the one before; 1: the channel is stuck."""
     clipped: float
-    """Share of samples at the largest or least value, where these are piled up."""
+    """Share of samples at the largest or least value, where samples pile up there."""
     noise_floor: float
-    """Quietest tenth of the spectrum, m/s^2/sqrt(Hz)."""
+    """Noise floor from the lowest tenth of the spectrum, m/s^2/sqrt(Hz)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Health:
-    """All channels in one span."""
+    """Health of all channels and of the stream in one span."""
 
     t_ns: int
     """UTC of the first sample."""
@@ -77,7 +77,7 @@ class Health:
     rate_hz: float
     samples: int
     availability: float
-    """Share of the span's samples that came."""
+    """Share of the span's samples that arrived."""
     gaps: int
     lost_s: float
     overlaps: int
@@ -86,7 +86,7 @@ class Health:
 
 
 class Piece(Protocol):
-    """Consecutive samples, as `align` gives them."""
+    """Consecutive samples (`alignment.Piece`)."""
 
     @property
     def t_ns(self) -> int:
@@ -98,51 +98,60 @@ class Piece(Protocol):
 
     @property
     def gap(self) -> Gap | None:
-        """What was lost before them."""
+        """Gap before the samples, if any."""
 
     @property
     def rate_hz(self) -> float:
-        """Samples a second."""
+        """Sampling rate, Hz."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class HealthState:
-    """The span that is being filled, and those behind that a window may still need."""
+    """State of the health checks: the span that is being filled, and completed spans that a window may still need."""
 
     t_ns: int = 0
     t_end_ns: int = 0
     rate_hz: float = 1.0
     parts: tuple[Array, ...] = ()
-    """The span's samples so far, each of shape (.., c)."""
+    """The span's samples so far, each of shape (.., c), m/s^2."""
     n: int = 0
     gaps: int = 0
     lost_s: float = 0.0
     dropped: int = 0
-    """Of the stream when the span began."""
+    """Dropped samples of the stream when the span began."""
     spans: tuple[Health, ...] = ()
 
 
 def step(
     state: HealthState, piece: Piece, dropped: int, channels: tuple[str, ...], settings: HealthSettings, keep_s: float
 ) -> tuple[HealthState, list[Health]]:
-    """Add samples; every span that they complete is told.
+    """Add samples and report the health of every span that they complete.
 
     Parameters
     ----------
+    piece : Piece
+        Samples, shape (n_samples, c), m/s^2.
     dropped : int
-        Samples of the stream dropped so far.
+        Number of samples of the stream dropped so far.
     keep_s : float
-        How far behind the newest span `check` looks.
+        Time before the newest span for which completed spans are kept for `check`, s.
+
+    Returns
+    -------
+    state : HealthState
+    list of Health
+        The completed spans, in order.
     """
     found: list[Health] = []
     rate, t_ns, values = piece.rate_hz, piece.t_ns, piece.values
     size = max(2, min(round(settings.span_s * rate), _MAX_SPAN_SAMPLES))
 
     def close() -> None:
+        """Report the present span and begin the next."""
         nonlocal state
-        told = _told(state, dropped, channels)
-        found.append(told)
-        spans = tuple(s for s in (*state.spans, told) if abs(told.t_end_ns - s.t_end_ns) <= keep_s * 1e9)
+        span = _span_health(state, dropped, channels)
+        found.append(span)
+        spans = tuple(s for s in (*state.spans, span) if abs(span.t_end_ns - s.t_end_ns) <= keep_s * 1e9)
         state = HealthState(t_ns, t_ns, rate, dropped=dropped, spans=spans)
 
     if piece.gap is not None:
@@ -163,7 +172,13 @@ def step(
 
 
 def check(state: HealthState, begin_ns: int, end_ns: int, settings: HealthSettings) -> Skipped | None:
-    """Why the window from `begin_ns` to `end_ns` cannot be identified, by the spans wholly within it; or None."""
+    """Check the health of the sensors over the window from `begin_ns` to `end_ns` (UTC), by the spans wholly within it.
+
+    Returns
+    -------
+    Skipped or None
+        The reason why the window cannot be identified; None if it can.
+    """
     inside = [s for s in state.spans if begin_ns <= s.t_ns and s.t_end_ns <= end_ns + 1000]  # times are rounded
     n = sum(s.samples for s in inside)
     if not n:
@@ -172,7 +187,7 @@ def check(state: HealthState, begin_ns: int, end_ns: int, settings: HealthSettin
     clipped: defaultdict[str, float] = defaultdict(float)
     for s in inside:
         for c in s.channels:
-            # All quiet at once is a structure at rest, in steps of the sensors' resolution.
+            # Where all channels are constant the structure is at rest, below the sensors' resolution.
             if c.repeated == 1.0 and any(other.repeated < 0.5 for other in s.channels):
                 stuck[c.channel] += s.samples
             if c.clipped:
@@ -185,7 +200,8 @@ def check(state: HealthState, begin_ns: int, end_ns: int, settings: HealthSettin
     return None
 
 
-def _told(state: HealthState, dropped: int, channels: tuple[str, ...]) -> Health:
+def _span_health(state: HealthState, dropped: int, channels: tuple[str, ...]) -> Health:
+    """Compute the health of all channels and of the stream in the span that is complete."""
     x = np.ascontiguousarray(np.concatenate(state.parts).T)
     wanted = state.n + state.lost_s * state.rate_hz
     return Health(
@@ -197,22 +213,23 @@ def _told(state: HealthState, dropped: int, channels: tuple[str, ...]) -> Health
         gaps=state.gaps,
         lost_s=state.lost_s,
         overlaps=dropped - state.dropped,
-        channels=_examined(x, state.rate_hz, channels),
+        channels=_channel_health(x, state.rate_hz, channels),
     )
 
 
-def _examined(x: Array, rate_hz: float, channels: tuple[str, ...]) -> tuple[ChannelHealth, ...]:
-    """Each of the rows of `x`, shape (c, n)."""
+def _channel_health(x: Array, rate_hz: float, channels: tuple[str, ...]) -> tuple[ChannelHealth, ...]:
+    """Compute the health of each channel, a row of `x`, shape (c, n), m/s^2."""
     from monitor.signals.kernels import described  # compiled code takes a while to load
 
-    about, (mean, rms, peak, spikes, moves, clipped) = described(x, _SPIKE_RMS, _MIN_PILED_SAMPLES, _PILED_RATIO)
+    centred, (mean, rms, peak, spikes, moves, clipped) = described(x, _SPIKE_RMS, _MIN_PILED_SAMPLES, _PILED_RATIO)
     n = x.shape[1]
-    told = mean, rms, peak, spikes.astype(int), 1.0 - moves / max(n - 1, 1), clipped / n, _noise_floor(about, rate_hz)
-    return tuple(ChannelHealth(*one) for one in zip(channels, *(values.tolist() for values in told), strict=True))
+    repeated, floor = 1.0 - moves / max(n - 1, 1), _noise_floor(centred, rate_hz)
+    fields = mean, rms, peak, spikes.astype(int), repeated, clipped / n, floor
+    return tuple(ChannelHealth(*one) for one in zip(channels, *(values.tolist() for values in fields), strict=True))
 
 
 def _noise_floor(x: Array, rate_hz: float) -> Array:
-    """Of each row, m/s^2/sqrt(Hz): Hann window on the span's middle."""
+    """Estimate the noise floor of each row of `x`, shape (c, n) to (c,), m/s^2/sqrt(Hz), by a Hann window at mid-span."""
     n = min(x.shape[1], _FFT_N)
     start = (x.shape[1] - n) // 2
     spectrum = np.fft.rfft(x[:, start : start + n] * _taper(n), axis=1)
@@ -223,6 +240,6 @@ def _noise_floor(x: Array, rate_hz: float) -> Array:
 
 @lru_cache(maxsize=8)
 def _taper(n: int) -> Array:
-    """Hann's, of unit energy."""
+    """Return the symmetric Hann taper of unit energy, shape (n,)."""
     taper = np.hanning(n + 2)[1:-1]
     return np.asarray(taper / np.sqrt(taper @ taper))

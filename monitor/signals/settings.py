@@ -1,4 +1,4 @@
-"""Settings of the way from the source's samples to windows."""
+"""Settings of resampling and windows."""
 
 from __future__ import annotations
 
@@ -12,19 +12,20 @@ Positive = Annotated[float, Field(gt=0)]
 
 
 class ProcessingSettings(Settings):
-    """``[processing]``: from the source's samples to windows."""
+    """``[processing]``: resampling and windows."""
 
     rate_hz: Positive = 100.0
-    """After resampling; slower sources keep their own rate."""
+    """Sampling rate after resampling; slower sources keep their own rate."""
     cutoff_hz: Positive = 40.0
-    """Of the lowpass; modes beyond it are not looked for."""
+    """Cutoff of the lowpass; modes beyond it are not identified."""
     window_s: Positive = 400.0
-    """Length of the data that one result rests on."""
+    """Length of a window: the data of one result."""
     hop_s: Positive = 10.0
-    """From one window to the next."""
+    """Time from one window to the next."""
 
     @model_validator(mode="after")
     def _consistent(self) -> ProcessingSettings:
+        """Refuse a hop longer than the window, and a cutoff beyond the Nyquist frequency."""
         if self.hop_s > self.window_s:
             raise ValueError("hop_s is longer than window_s")
         if self.cutoff_hz >= 0.5 * self.rate_hz:

@@ -1,4 +1,4 @@
-"""The temperature channel: what each window felt."""
+"""The temperature channel: buffer of readings, thermal lags, and the mean temperature of a window."""
 
 from __future__ import annotations
 
@@ -26,45 +26,50 @@ _S_PER_NS = 1e-9
 
 
 class TemperatureSettings(Settings):
-    """``[temperature]``: how windows are given a temperature, and when a dependence on it is believed."""
+    """``[temperature]``: the temperature of a window, and the dependence of stiffness on temperature."""
 
     patience_s: float = Field(default=60.0, ge=0)
-    """A window's temperature is the mean over a stretch as long as it that ends this much earlier, so that samples which
-    come up to this late, or in another order than the accelerations, change nothing."""
+    """A window's temperature is the mean over a stretch of the window's length that ends this much before the window.
+    Temperatures that arrive up to this late, or in another order than the accelerations, then change no result."""
     max_age_s: float = Field(default=600.0, gt=0)
-    """A window whose newest temperature is older than this has none."""
+    """A window whose newest temperature is older than this has no temperature."""
     min_range_k: float = Field(default=2.0, gt=0)
     """Least range of the healthy windows' temperatures from which a dependence is learned."""
     significance: float = Field(default=4.0, gt=0)
-    """Standard deviations from which a dependence is believed (all stories jointly)."""
+    """Significance from which a dependence is accepted, in standard deviations (all stories jointly)."""
     unevenness: float = Field(default=0.2, gt=0)
-    """Share by which the stories' coefficients are expected to differ from a common one (one standard deviation)."""
+    """Expected scatter of the stories' coefficients about a common one, relative to their size (one standard deviation)."""
     extrapolation: float = Field(default=0.5, ge=0)
-    """Standard deviation of the law outside the range seen, as a share of what it says beyond the range's end."""
+    """Standard deviation of the extrapolated change, as a share of the change that the law predicts from the end of the
+    learned range."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class TemperatureState:
-    """Samples that windows still to come may need."""
+    """Temperature readings that later windows may need."""
 
     t_ns: np.ndarray
-    """Shape (n,), int64, rising."""
+    """Shape (n,), int64, UTC in ns, increasing."""
     lagged_degc: Array
-    """Shape (n, n_lags): after each of `LAGS_S`; the first column is as measured."""
+    """Shape (n, n_lags), degC: the readings after each thermal lag of `LAGS_S`; the first column is as measured."""
 
 
 def start() -> TemperatureState:
-    """State before the first sample."""
+    """Return the state before the first reading."""
     return TemperatureState(np.zeros(0, np.int64), np.zeros((0, len(LAGS_S))))
 
 
 def push(state: TemperatureState, block: SampleBlock, oldest_ns: int = 0) -> TemperatureState:
-    """Take a block in: the mean of its channels, rows with a sample that is no temperature left out.
+    """Add a block of readings: the mean of its channels after each thermal lag.
+
+    Rows with an implausible or missing value in any channel are left out.
 
     Parameters
     ----------
+    block : SampleBlock
+        Readings in degC.
     oldest_ns : int
-        No window to come reaches further back.
+        Readings before this time (UTC, ns) are dropped: no later window needs them.
 
     Raises
     ------
@@ -75,17 +80,17 @@ def push(state: TemperatureState, block: SampleBlock, oldest_ns: int = 0) -> Tem
         raise BadInputError(f"{block.topic}: unit {block.unit!r}, expected 'degC'")
     degc = np.asarray(block.samples, dtype=np.float64)
     low, high = _PLAUSIBLE_DEGC
-    good = ((degc > low) & (degc < high)).all(axis=1) & bool(block.channels)  # not NaN either
+    good = ((degc > low) & (degc < high)).all(axis=1) & bool(block.channels)  # NaN compares as false: left out as well
     t_ns = block.t_ns + np.round(np.arange(block.n_samples) / block.sample_rate_hz / _S_PER_NS).astype(np.int64)
     if state.t_ns.size and state.t_ns[-1] - block.t_ns > _CLOCK_JUMP_NS:
-        state = start()  # the clock had been wrong: what it stamped will never be needed
+        state = start()  # the earlier clock was wrong: no window will need the readings that it stamped
     last_ns = int(state.t_ns[-1]) if state.t_ns.size else -_CLOCK_JUMP_NS
     y = state.lagged_degc[-1] if state.t_ns.size else None
     lags, times, rows = np.maximum(LAGS_S, _S_PER_NS), [], []
-    # One by one: the lag is recursive, and any cut into blocks must give the same bits.
+    # One reading at a time: the lag is recursive, and any division into blocks must give the same bits.
     for t, value in zip(t_ns[good].tolist(), degc[good].mean(axis=1).tolist(), strict=True):
         if t // _SPACING_NS <= last_ns // _SPACING_NS:
-            continue  # repeated, late, or more than are needed
+            continue  # repeated, late, or closer than one reading per spacing
         y = np.full(lags.size, value) if y is None else value + (y - value) * np.exp((last_ns - t) * _S_PER_NS / lags)
         last_ns = t
         times.append(t)
@@ -100,17 +105,20 @@ def push(state: TemperatureState, block: SampleBlock, oldest_ns: int = 0) -> Tem
 
 
 def reach_ns(window_s: float, settings: TemperatureSettings) -> int:
-    """How far before its end a window's temperature reaches back, at most."""
+    """Return the longest time before a window's end from which its temperature is taken, ns."""
     return round((window_s + settings.patience_s + settings.max_age_s) / _S_PER_NS)
 
 
 def window_temperature(
     state: TemperatureState, t_end_ns: int, window_s: float, settings: TemperatureSettings
 ) -> Temperature | None:
-    """The temperature of the window that ends at `t_end_ns`; None if none is known.
+    """Average the readings that belong to the window that ends at `t_end_ns` (UTC, ns).
 
-    The mean of the samples of its stretch (see `TemperatureSettings.patience_s`) or, between the samples of a slow
-    channel, the one before.
+    Returns
+    -------
+    Temperature or None
+        The mean over the window's stretch (see `TemperatureSettings.patience_s`).  Where a slow channel has no reading in
+        the stretch, the reading before it.  None if the newest reading is older than `TemperatureSettings.max_age_s`.
     """
     if not state.t_ns.size:
         return None

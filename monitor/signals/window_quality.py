@@ -1,4 +1,4 @@
-"""Is there anything in a window to identify?"""
+"""Quality check of a window: every channel moves, and the response stands out from white noise."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from monitor.core import Array, LagSums, Settings, Skipped
 
 
 class QualitySettings(Settings):
-    """What keeps a window out."""
+    """Limits beyond which a window is skipped."""
 
     max_spectral_flatness: float = Field(default=0.95, gt=0, le=1)
     """Geometric over arithmetic mean of the spectrum: 1 for white noise alone, about 0.1 for a vibrating frame."""
@@ -20,14 +20,30 @@ class QualitySettings(Settings):
 def check(
     sums: LagSums, rate_hz: float, cutoff_hz: float, channels: tuple[str, ...], settings: QualitySettings
 ) -> Skipped | None:
-    """Why this window cannot be identified, or None.
+    """Check that a window holds a response from which modes can be identified.
 
-    The spectrum is the lag window estimate (Bartlett) of the summed channels, from 1 Hz to 0.9 of the cutoff.
+    The spectral flatness is that of the lag window estimate (Bartlett) of the summed channels, from 1 Hz to 0.9 of the cutoff.
+
+    Parameters
+    ----------
+    sums : LagSums
+        Lagged products of the window, c channels.
+    rate_hz : float
+        Sampling rate, Hz.
+    cutoff_hz : float
+        Cutoff of the lowpass, Hz.
+    channels : tuple of str, length c
+        Names of the channels, for the message.
+
+    Returns
+    -------
+    Skipped or None
+        The reason why the window cannot be identified; None if it can.
     """
     from monitor.signals.kernels import flatness  # compiled code takes a while to load
 
     variance = (sums.total[0].diagonal() / sums.counts.sum()).tolist()
-    # A sensor that gives a constant leaves rounding errors only.
+    # A constant channel has a variance of rounding errors only.
     least = max(1e-20, 1e-10 * max(variance))
     dead = [name for name, v in zip(channels, variance, strict=True) if not v > least]
     if dead:
@@ -40,7 +56,7 @@ def check(
 
 @lru_cache(maxsize=8)
 def _bartlett(n: int, rate_hz: float, cutoff_hz: float) -> Array:
-    """What every lag and its negative add at every frequency of the spectrum."""
+    """Compute the weights of the lags in the Bartlett spectrum, shape (n_frequencies, n); each includes the negative lag."""
     frequency, lag = np.arange(1.0, 0.9 * cutoff_hz, 0.5), np.arange(n)
     cosines = np.cos(2.0 * np.pi * frequency[:, None] * lag / rate_hz)
     return np.asarray(np.where(lag, 2.0, 1.0) * (1.0 - lag / n) * cosines)

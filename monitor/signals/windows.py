@@ -1,8 +1,8 @@
-"""Sliding windows as lag sums: each hop costs one hop of products, however long the window.
+"""Sliding windows as lag sums: the cost of a hop is independent of the window's length.
 
 The time axis is cut into blocks that tile windows and hops, on a fixed grid.  A block's lagged products are formed
-once; a window only adds up its blocks.  So the cost is the hop's, the sum never drifts, and the blocks are at hand
-for the uncertainty.
+once, and a window is the sum of its blocks.  No running sum is kept, so rounding errors do not accumulate.  The
+uncertainty is estimated from the same blocks.
 """
 
 from __future__ import annotations
@@ -22,13 +22,28 @@ _CORRELATION_BLOCK_S = 10.0
 
 
 def common_step_s(window_s: float, hop_s: float) -> float:
-    """The largest step of time that tiles windows and hops, which count in milliseconds; 0 if shorter than one."""
+    """Return the largest time step that divides window and hop, s; both are rounded to milliseconds.
+
+    The step is 0 where the hop is shorter than one millisecond.
+
+    Examples
+    --------
+    >>> common_step_s(25.0, 10.0)
+    5.0
+    """
     return gcd(round(window_s * 1e3), round(hop_s * 1e3)) / 1e3 if round(hop_s * 1e3) else 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class WindowGrid:
-    """Where windows lie on the axis of conditioned samples."""
+    """Grid of windows, blocks and segments on the axis of conditioned samples.
+
+    Examples
+    --------
+    >>> grid = WindowGrid.design(rate_hz=100.0, window_s=40.0, hop_s=10.0, n_lags=50)
+    >>> grid.window_n, grid.block_n, grid.end(1)
+    (4000, 1000, 5000)
+    """
 
     rate_hz: float
     window_n: int
@@ -36,23 +51,23 @@ class WindowGrid:
     n_lags: int
     segment_s: float = 20.0
     max_hz: float = 40.0
-    """Highest frequency kept of the segments' transforms."""
+    """Highest frequency kept of the segments' transforms, Hz."""
 
     @classmethod
     def design(
         cls, rate_hz: float, window_s: float, hop_s: float, n_lags: int, segment_s: float = 20.0, max_hz: float = 40.0
     ) -> WindowGrid:
-        """Grid of windows; `rate_hz` must give whole blocks (`common_step_s`)."""
+        """Design the grid of windows; `rate_hz` times `common_step_s` must be a whole number of samples."""
         return cls(rate_hz, round(window_s * rate_hz), round(hop_s * rate_hz), n_lags, segment_s, max_hz)
 
     @property
     def block_n(self) -> int:
-        """Samples in a block: the largest of at most 10 s that tiles windows and hops."""
+        """Samples in a block: the longest block of at most 10 s that divides windows and hops."""
         return _block_n(self.window_n, self.hop_n, self.n_lags, self.rate_hz)
 
     @property
     def segment_step(self) -> int:
-        """Blocks from one segment's start to the next; a segment is twice as long; 0 where none is wanted."""
+        """Blocks from the start of one segment to the start of the next, half a segment; 0 without segments."""
         return max(1, round(0.5 * self.segment_s * self.rate_hz / self.block_n)) if self.segment_s else 0
 
     @property
@@ -62,12 +77,13 @@ class WindowGrid:
         return SegmentDesign(self.rate_hz, n, min(n // 2 + 1, round(self.max_hz * n / self.rate_hz) + 1))
 
     def end(self, k: int) -> int:
-        """Index just past window k's last sample."""
+        """Return the grid index just past the last sample of window k."""
         return k * self.hop_n + self.window_n
 
 
 @lru_cache(maxsize=16)
 def _block_n(window_n: int, hop_n: int, n_lags: int, rate_hz: float) -> int:
+    """Return the samples in a block (`WindowGrid.block_n`); a block has at least `n_lags`, if any division allows it."""
     step = gcd(window_n, hop_n)
     least = max(1, ceil(step / (_CORRELATION_BLOCK_S * rate_hz)))
     parts = (q for q in range(least, step // n_lags + 1) if step % q == 0)
@@ -79,16 +95,17 @@ class _Block:
     """Lagged products of one block of samples."""
 
     products: Array
-    """Shape (n_lags, c, c): products that begin in this block; of the latest block, those wholly inside."""
+    """Shape (n_lags, c, c): sums of the products whose first factor lies in this block; in the latest block only those
+    with both factors inside."""
     shifted: Array
-    """Shape (n_lags, c): sum of their second factors; at lag 0, of the first ones as well."""
+    """Shape (n_lags, c): sums of the second factors of these products; at lag 0 these are the first factors as well."""
     head: Array
     """Shape (n_lags - 1, c): the block's first samples."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class WindowState:
-    """What the next samples need of those before; one run without gaps, and where older runs lay."""
+    """State of the window stage between samples: the current run without gaps, and the extent of earlier runs."""
 
     start: int
     """Grid index of the current run's first sample."""
@@ -96,30 +113,30 @@ class WindowState:
     """Samples in the current run."""
     next_window: int
     samples: Array
-    """The latest samples of the run, two blocks or a segment of them, shape (.., c)."""
+    """The latest samples of the run, shape (.., c): two blocks or one segment, whichever is longer."""
     blocks: tuple[_Block, ...]
     """The latest complete blocks of the run, at most one window of them."""
     segments: tuple[tuple[int, ComplexArray], ...] = ()
     """(number, transform) of the run's latest segments, at most one window of them."""
     past_runs: tuple[tuple[int, int, int], ...] = ()
-    """(start, end, samples) of earlier runs that a coming window may still touch; those within one block are one entry, so
-    that a storm of gaps is carried as lightly as one."""
+    """(start, end, samples) of earlier runs that a later window may overlap.  Runs within one block are one entry, so
+    that many gaps in a short time do not lengthen the list."""
 
 
 def start(grid: WindowGrid, n_channels: int, *, index: int, previous: WindowState | None = None) -> WindowState:
-    """State before the first sample of a run that begins at grid index `index`."""
+    """Return the state before the first sample of a run that begins at grid index `index`."""
     runs: tuple[tuple[int, int, int], ...] = ()
     next_window = 0
     if previous is not None:
         runs = _all_runs(grid, previous)
-        next_window = _touching(grid, runs, index, previous.next_window)
+        next_window = _next_window_with_data(grid, runs, index, previous.next_window)
         if runs and runs[0][1] <= next_window * grid.hop_n:
             runs = tuple(r for r in runs if r[1] > next_window * grid.hop_n)
     return WindowState(index, 0, next_window, np.zeros((0, n_channels)), (), (), runs)
 
 
 def _all_runs(grid: WindowGrid, state: WindowState) -> tuple[tuple[int, int, int], ...]:
-    """Earlier runs and the current one, in order."""
+    """List the earlier runs and the current one, in order."""
     runs, begin, end, n = state.past_runs, state.start, state.start + state.n, state.n
     if n and runs and runs[-1][0] // grid.block_n == (end - 1) // grid.block_n:
         begin, n = runs[-1][0], n + runs[-1][2]
@@ -142,11 +159,11 @@ def step(
     -------
     state : WindowState
     list
-        Windows in order; one with a hole in it is ``(index, t_end_ns, data_s, Skipped)``.
+        Windows in order; a window with a gap is ``(index, t_end_ns, data_s, Skipped)``.
     """
     results: list[Window | tuple[int, int, float, Skipped]] = []
     while samples.shape[0]:
-        # Up to the next block boundary, so that each block is formed from the same samples however they came.
+        # Cut at block boundaries: each block is then formed from the same samples, however the input was divided.
         room = grid.block_n - (state.start + state.n) % grid.block_n
         part, samples = samples[:room], samples[room:]
         state = _append(grid, state, part)
@@ -155,15 +172,15 @@ def step(
             state = _close_segment(grid, _close_block(grid, state))
         while grid.end(state.next_window) <= end:
             k = state.next_window
-            state = replace(state, next_window=_touching(grid, state.past_runs, state.start, k + 1))
+            state = replace(state, next_window=_next_window_with_data(grid, state.past_runs, state.start, k + 1))
             results.extend(_emit(grid, state, k, t0_ns))
     return state, results
 
 
-def _touching(grid: WindowGrid, runs: tuple[tuple[int, int, int], ...], start: int, k: int) -> int:
-    """The first window from k on that holds data of earlier `runs` or of the one that begins at `start`.
+def _next_window_with_data(grid: WindowGrid, runs: tuple[tuple[int, int, int], ...], start: int, k: int) -> int:
+    """Find the first window from k on that holds data of earlier `runs` or of the run that begins at `start`.
 
-    Windows that lie wholly in a gap are passed over at once, however long it was.
+    Windows that lie wholly in a gap are skipped in one step, however long the gap.
     """
     if runs and runs[-1][1] > k * grid.hop_n:
         return k
@@ -171,13 +188,14 @@ def _touching(grid: WindowGrid, runs: tuple[tuple[int, int, int], ...], start: i
 
 
 def _append(grid: WindowGrid, state: WindowState, part: Array) -> WindowState:
+    """Append samples, shape (n_samples, c), to the current run and drop those that no block or segment needs."""
     keep = max(2 * grid.block_n, grid.segments.n)
     joined = np.concatenate([state.samples, part])[-keep:]
     return replace(state, n=state.n + part.shape[0], samples=joined)
 
 
 def _close_block(grid: WindowGrid, state: WindowState) -> WindowState:
-    """Form the block that has just become complete, and the seam of the one before it."""
+    """Form the lagged products of the completed block, and those that reach into it from the block before."""
     size, lags = grid.block_n, grid.n_lags
     if state.n < size:  # the run began inside this block
         return state
@@ -188,7 +206,7 @@ def _close_block(grid: WindowGrid, state: WindowState) -> WindowState:
     blocks = list(state.blocks)
     if blocks:
         around = np.ascontiguousarray(state.samples[-size - lags + 1 : -size + lags - 1].T)
-        products, shifted = lag_products(around, lags - 1, lags)  # begin in that one and end in this
+        products, shifted = lag_products(around, lags - 1, lags)  # first factors: its last lags - 1 samples
         b = blocks[-1]
         blocks[-1] = _Block(b.products + products, b.shifted + shifted, b.head)
     blocks.append(_Block(*inner, state.samples[-size:][: lags - 1].copy()))
@@ -196,21 +214,22 @@ def _close_block(grid: WindowGrid, state: WindowState) -> WindowState:
 
 
 def _close_segment(grid: WindowGrid, state: WindowState) -> WindowState:
-    """Transform the segment that ends here, if one does and it lies wholly in the run."""
+    """Transform the segment that ends at the latest sample, if one does and lies wholly in the run."""
     if not grid.segment_step:
         return state
     design = grid.segments
     number, odd = divmod((state.start + state.n) // grid.block_n - 2 * grid.segment_step, grid.segment_step)
     if odd or state.n < design.n:
         return state
-    made = (number, transform(design, state.samples[-design.n :]))
-    fit = max(0, grid.window_n // (grid.segment_step * grid.block_n) - 1)
-    return replace(state, segments=(*state.segments, made)[-fit:] if fit else ())
+    segment = (number, transform(design, state.samples[-design.n :]))
+    n_kept = max(0, grid.window_n // (grid.segment_step * grid.block_n) - 1)
+    return replace(state, segments=(*state.segments, segment)[-n_kept:] if n_kept else ())
 
 
 def _emit(
     grid: WindowGrid, state: WindowState, k: int, t0_ns: int
 ) -> Iterator[Window | tuple[int, int, float, Skipped]]:
+    """Yield window k if it lies wholly in the current run, else the skipped window if it holds any data."""
     end = grid.end(k)
     begin = end - grid.window_n
     t_end_ns = t0_ns + round(end / grid.rate_hz * 1e9)
@@ -230,12 +249,12 @@ def _emit(
         )
         return
     data_n = sum(max(0, min(n, end - s, e - begin, grid.window_n)) for s, e, n in _all_runs(grid, state))
-    if data_n:  # a window without any data is not worth a line
+    if data_n:  # a window without any data is not reported
         yield k, t_end_ns, data_n / grid.rate_hz, Skipped(GAP)
 
 
 def _sum_up(grid: WindowGrid, state: WindowState) -> LagSums:
-    """The lag sums of the window that the state's blocks make up."""
+    """Add up the blocks of the state to the lag sums of one window."""
     lags, blocks, c = grid.n_lags, state.blocks, state.samples.shape[1]
     counts = np.full(len(blocks), grid.block_n)
     counts[-1] = grid.block_n - lags + 1

@@ -67,8 +67,8 @@ def test_slopes_are_the_derivatives_of_the_model(one: tuple[Window, ModalEstimat
         step = np.zeros(len(slopes))
         size = min(1e-4, 1e-6 * np.abs(spectrum.value).max() / np.abs(slopes[i]).max())
         step[i] = size
-        up = predict(layout, whittle._moved(layout, point, step)).value
-        down = predict(layout, whittle._moved(layout, point, -step)).value
+        up = predict(layout, whittle._take_step(layout, point, step)).value
+        down = predict(layout, whittle._take_step(layout, point, -step)).value
         np.testing.assert_allclose((up - down) / (2 * size), slopes[i], atol=2e-4 * np.abs(slopes[i]).max())
 
 

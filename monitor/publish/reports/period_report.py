@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import TypeAdapter
 
 from monitor.core import WHOLE, BadInputError, Level, Skipped, write_atomically
 from monitor.damage import Assessment, Course, Known, Loss, State, assess
@@ -67,7 +68,7 @@ def read_period(folder: Path, from_ns: int | None, to_ns: int | None) -> Period:
     """
     with _name_file_in_errors(folder / "summary.json"):
         summary = notes.read_summary(folder)
-        known = _known(summary)
+        known = _known_of(summary)
     results = read_results(folder, from_ns, to_ns, known.misfit)
     start, stop = results.grid.from_ns, results.grid.to_ns
     with _name_file_in_errors(folder / "health.jsonl"):
@@ -90,11 +91,11 @@ def read_period(folder: Path, from_ns: int | None, to_ns: int | None) -> Period:
     return Period(name, results, quality, course, assessment, known, findings, decisions, thresholds)
 
 
-def _known(summary: Mapping[str, Any]) -> Known:
+def _known_of(summary: Mapping[str, Any]) -> Known:
     """Read from the summary what the state depends on and no window changes; defaults where an older version wrote it."""
-    told = {"names": (), "has_baseline": True, "alarm_loss": 0.1, "misfit": 5.0} | summary.get("known", {})
-    told["accepted"] = tuple(tuple(pair) for pair in told.get("accepted", ()))
-    return Known(**{key: tuple(v) if isinstance(v, list) else v for key, v in told.items()})
+    content: dict[str, Any] = {"names": (), "has_baseline": True, "alarm_loss": 0.1, "misfit": 5.0}
+    content |= summary.get("known", {})
+    return TypeAdapter(Known).validate_python(content)
 
 
 @contextmanager
@@ -163,7 +164,8 @@ def _head(period: Period) -> str:
     boxes = "".join(f"<div><b>{a}</b>{escape(b)}</div>" for a, b in figures)
     return (
         f'<span class="verdict {_COLOURS[said.state]}">{said.state.words}</span><h1>{escape(said.headline)}</h1>'
-        f'{f"<ul>{doubts}</ul>" if doubts else ""}<p class="muted">{escape(period.name)}, {_span(period)}</p><div class="figures">{boxes}</div>'
+        f'<ul class="doubts">{doubts}</ul><p class="muted">{escape(period.name)}, {_span(period)}</p>'
+        f'<div class="figures">{boxes}</div>'
         '<p class="muted">The damage index is the share of a story\'s stiffness lost since the baseline. Shaded: least '
         "to greatest value in each step of time, with two standard deviations; line: their mean. Times are those of "
         "the windows' ends, by the data.</p>"

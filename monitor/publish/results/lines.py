@@ -147,7 +147,9 @@ class LinesFile:
 def facts_of_line(line: Mapping[str, Any]) -> WindowFacts:
     """Collect what the state needs of a window from its line of results.jsonl."""
     level = Level(line["alarm"]["level"])
-    active = {} if level is Level.NORMAL else dict.fromkeys(line["alarm"]["stories"] or [WHOLE], level)
+    active: dict[int, Level] = (
+        {} if level is Level.NORMAL else dict.fromkeys(line["alarm"]["stories"] or [WHOLE], level)
+    )
     losses = {} if line["ddi"] is None else {story: _reading(line, story) for story in active}
     detectable = line.get("detectable_loss")
     return WindowFacts(
