@@ -1,4 +1,4 @@
-"""How probable a model is given a recording: cross-spectra, posterior, most probable parameters."""
+"""Inference: cross-spectra of a recording, the posterior of a model's parameters, and the most probable parameters."""
 
 import lazy_loader
 

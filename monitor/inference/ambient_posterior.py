@@ -1,4 +1,4 @@
-"""The posterior of a recording of which only the output was measured: forces on the floors are unknown in every class."""
+"""Posterior of an output-only recording: the forces on the floors are unknown in every class."""
 
 from __future__ import annotations
 
@@ -15,10 +15,13 @@ from monitor.model import Effect
 
 @dataclass(frozen=True, eq=False, slots=True)
 class AmbientPosterior(Posterior):
-    """Score parameters by output alone.  A class's level multiplies the forces on all floors."""
+    """Posterior of an output-only recording.  The level of a class multiplies the forces on all floors."""
 
     def linear_spectra(self, x: Array, effects: Sequence[Effect], classes: Sequence[int]) -> ComplexArray:
-        """See `ForwardModel.linear_spectra`.  Where no effect depends on the class, one class is scaled to the others."""
+        """See `ForwardModel.linear_spectra`.
+
+        Where no effect depends on the class, the spectra of one class are computed and scaled to the others.
+        """
         base, context, layout = self.system(x, effects), self.context_at(x), self.layout
         noise, band = self.noise(x), self.observed.band
 
@@ -30,10 +33,19 @@ class AmbientPosterior(Posterior):
             forces = self.forces(x)
             return np.stack([spectra(k, forces[k], noise) for k in classes])
         unit, level = spectra(classes[0], np.exp(x[layout.forces]), np.zeros(noise.size)), np.exp(x[layout.levels])
-        return np.stack([self._scaled(unit, level[k], noise, effects) for k in classes])
+        return np.stack([self._scale_to_level(unit, level[k], noise, effects) for k in classes])
 
-    def _scaled(self, unit: ComplexArray, level: float, noise: Array, effects: Sequence[Effect]) -> ComplexArray:
-        """Another class's spectra where only the level differs: everything but the noise scales."""
+    def _scale_to_level(
+        self, unit: ComplexArray, level: float, noise: Array, effects: Sequence[Effect]
+    ) -> ComplexArray:
+        """Scale spectra to a class of another level; the noise does not scale with the level.
+
+        Parameters
+        ----------
+        unit : ndarray, shape (n_bins, c, c)
+            Spectra at level one, without the channels' noise.
+        noise : ndarray, shape (c,), (m/s^2)^2/Hz
+        """
         extra = sum((e.noise_variance(self.context, self.conditions[0]) for e in effects), np.zeros(noise.size))
         extra = np.asarray(extra) / self.context.rate_hz
         diagonal = np.arange(noise.size)
@@ -55,7 +67,7 @@ class AmbientPosterior(Posterior):
         return np.asarray(np.exp(levels - levels[self.n_classes // 2]))
 
     def force_prior(self, x: Array) -> tuple[Array, Array]:
-        """See `Posterior.force_prior`.  Floors are excited about as strongly as their mean."""
+        """See `Posterior.force_prior`.  The prior mean of every floor's force is the mean over floors."""
         own = x[self.layout.forces]
         return np.full(own.size, own.mean()), difference_operator(own.size)
 

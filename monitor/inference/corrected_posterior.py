@@ -1,4 +1,4 @@
-"""A posterior whose linearized laws are corrected by what simulation of the exact ones adds, at the simulated sizes and near."""
+"""Posterior whose linearized spectra are corrected by simulation of the exact laws, at the simulated sizes and near them."""
 
 from __future__ import annotations
 
@@ -28,33 +28,33 @@ _CORRECTION_DIFFERENCE = 0.01
 
 @dataclass(frozen=True, eq=False, slots=True)
 class CorrectedPosterior(AmbientPosterior):
-    """A posterior with the linear terms of the correction by the laws' sizes; `offset` is its value at their centre."""
+    """Posterior with a correction that is linear in the laws' coordinates about their centre, where it is `offset`."""
 
     laws: tuple[tuple[str, str], ...] = ()
-    """Names and places of the effects that were simulated, besides those that stand."""
+    """Names and places of the simulated effects, without the persistent ones."""
     centre: Array = field(default_factory=lambda: np.zeros(0))
-    """Their coordinates there, shape (p,)."""
+    """Coordinates of these effects at the simulation, shape (p,)."""
     base: ComplexArray = field(default_factory=lambda: np.zeros(0, dtype=complex))
-    """Lower Cholesky factors of the linearized spectra there, shape (classes, n_bins, c, c)."""
+    """Lower Cholesky factors of the linearized spectra at the centre, shape (classes, n_bins, c, c)."""
     relative: ComplexArray = field(default_factory=lambda: np.zeros(0, dtype=complex))
     """Correction and its slopes by the coordinates, relative to the linearized spectra, shape (1 + p, classes, n_bins, c, c)."""
     by_motion: ComplexArray = field(default_factory=lambda: np.zeros(0, dtype=complex))
-    """The same slopes where not the law but the motion changes, shape (p, classes, n_bins, c, c)."""
+    """Slopes of the correction for a change of the motion instead of the law, shape (p, classes, n_bins, c, c)."""
     feigned: Array = field(default_factory=lambda: np.zeros((0, 0)))
-    """Information on the coordinates that the chance in their slopes feigns, shape (p, p)."""
+    """Spurious information on the coordinates from the random error of their slopes, shape (p, p)."""
     simulations: int = 0
-    """How many the slopes are the mean of."""
+    """Number of simulations of which the slopes are the mean."""
     lost: float = 0.0
-    """Log likelihood that the simulations' chance takes away, nats."""
+    """Loss of log likelihood by the random error of the simulations, nats."""
     doubt: Array = field(default_factory=lambda: np.zeros(0))
-    """Standard deviation of all effects' coordinates beyond their fit's own; empty where a single simulation was made."""
+    """Standard deviation of all effects' coordinates beyond that of their fit; empty where a single simulation was made."""
     drift: Array = field(default_factory=lambda: np.zeros((0, 0)))
-    """The linearized model's RMS drift there, shape (classes, n_stories), m."""
+    """RMS drift of the linearized model at the centre, shape (classes, n_stories), m."""
     ln_mass: float = 0.0
-    """Mean logarithm of the masses there."""
+    """Mean logarithm of the masses at the centre."""
 
     def part(self, evidence: ObservedSpectra, classes: NDArray[np.intp]) -> CorrectedPosterior:
-        """See `Posterior.part`; the correction is a matter of the law, not of what was measured."""
+        """See `Posterior.part`.  The correction depends on the law, not on the measured data."""
         return replace(
             Posterior.part(self, evidence, classes),
             offset=None if self.offset is None else self.offset[classes],
@@ -67,51 +67,60 @@ class CorrectedPosterior(AmbientPosterior):
     def scatter(self, x: Array, effects: Sequence[Effect], *, classes: Sequence[int] | None = None) -> ComplexArray:
         """See `Posterior.scatter`.
 
-        The correction is relative to the spectra: peaks that move or grow take it along.  Where the motion grows, a law acts
-        as one of another size does; where all masses and stiffnesses do, as one that is as much smaller.
+        The correction is relative to the spectra, and so follows peaks that move or grow.  Where the motion grows, a law acts as
+        one of another size.  Where all masses and stiffnesses grow, a law acts as one that is smaller in proportion.
         """
         plain = replace(self, offset=None)
         linear = Posterior.scatter(plain, x, effects, classes=classes)
         relative = self.beyond(x, effects)
         if relative is None:
             return linear
-        # A step too far gives NaN: a model that is none has no likelihood.
+        # Too long a step gives NaN, since spectra that are not positive definite have no likelihood.
         return grown_by(linear, relative if classes is None else relative[list(classes)])
 
     def beyond(self, x: Array, effects: Sequence[Effect]) -> ComplexArray | None:
         """See `Posterior.beyond`."""
-        if not self._acts(effects):
+        if not self._applies_to(effects):
             return None
-        here = [e for e in effects if (e.name, e.location) in self.laws]
-        scale = self._scale(x, here)
-        sizes = np.concatenate([[], *[e.coordinates for e in here]]) / scale
+        corrected = [e for e in effects if (e.name, e.location) in self.laws]
+        scale = self._coordinate_scale(x, corrected)
+        sizes = np.concatenate([[], *[e.coordinates for e in corrected]]) / scale
         relative = np.tensordot(np.append(1.0, sizes - self.centre), self.relative, axes=1)
-        if any(e.amplitude_powers for e in here):
-            centre = iter(np.split(self.centre * scale, np.cumsum([len(e.parameters) for e in here])))
-            centred = [e.at(next(centre)) if e in here else e for e in effects]
-            # What the size itself makes of the motion is in its slope.
+        if any(e.amplitude_powers for e in corrected):
+            centre = iter(np.split(self.centre * scale, np.cumsum([len(e.parameters) for e in corrected])))
+            centred = [e.at(next(centre)) if e in corrected else e for e in effects]
+            # The change of the motion that the size itself causes is part of the slope by the size.
             growth = forced_drift(replace(self, offset=None), x, centred) / self.drift
-            grown = sizes * (np.hstack([_scaled(e, growth) for e in here]) - 1.0)
+            grown = sizes * (np.hstack([_apparent_size_factor(e, growth) for e in corrected]) - 1.0)
             relative = relative + np.einsum("kp,pkfab->kfab", grown, self.by_motion)
-        return _bounded(relative)
+        return _bound_corrections(relative)
 
-    def _scale(self, x: Array, laws: Sequence[Effect]) -> Array:
-        """By what laws' coordinates must grow to stay as strong beside the masses and stiffnesses, shape (p,)."""
+    def _coordinate_scale(self, x: Array, laws: Sequence[Effect]) -> Array:
+        """Compute the factor on the laws' coordinates that keeps their ratio to the masses and stiffnesses, shape (p,)."""
         grown = np.exp(x[self.layout.masses].mean() - self.ln_mass)
         return np.array([grown if p.weighty else 1.0 for e in laws for p in e.parameters])
 
     def slope(self, x: Array, i: int, effects: tuple[Effect, ...], spectra: ComplexArray) -> ComplexArray:
-        """See `Posterior.slope`; of every class its own, since a law that bends much has its peaks elsewhere in each."""
-        if not self._acts(effects):
+        """See `Posterior.slope`.
+
+        Every class has a slope of its own, since a strongly nonlinear law has peaks at other frequencies in each class.
+        """
+        if not self._applies_to(effects):
             return Posterior.slope(self, x, i, effects, spectra)
         return self.slope_by_class(x, i, effects, spectra)
 
-    def _acts(self, effects: Sequence[Effect]) -> bool:
-        """Whether the correction is that of these effects."""
+    def _applies_to(self, effects: Sequence[Effect]) -> bool:
+        """Check that the correction is that of these effects."""
         return self.offset is not None and set(self.laws) <= {(e.name, e.location) for e in effects}
 
     def mirrored(self, law: Effect) -> CorrectedPosterior:
-        """The same with a law's other hand, whose spectra are the same."""
+        """Return the posterior for a law with left and right exchanged, whose spectra are the same.
+
+        Parameters
+        ----------
+        law : Effect
+            The law with its new signs.
+        """
         centre, relative, grown, first = self.centre.copy(), self.relative.copy(), self.by_motion.copy(), 0
         for name, place in self.laws:
             n = len(EFFECTS[name].parameters)
@@ -125,34 +134,36 @@ class CorrectedPosterior(AmbientPosterior):
 
     @property
     def slopes_by_size(self) -> ComplexArray:
-        """Of the correction, shape (p, classes, n_bins, c, c)."""
-        return _around(self.base, self.by_motion)
+        """Slopes of the correction by the coordinates, shape (p, classes, n_bins, c, c)."""
+        return _congruence(self.base, self.by_motion)
 
     def spread(self, offsets: ComplexArray) -> ComplexArray:
-        """Offsets smoothed as the correction is, shape (..., classes, n_bins, c, c)."""
+        """Smooth offsets of the spectra over frequency as the correction is, shape (..., classes, n_bins, c, c)."""
         inverse = np.linalg.inv(self.base)
-        return _around(self.base, _smooth(_around(inverse, offsets), self.observed.band.hz))
+        return _congruence(self.base, _smooth_over_frequency(_congruence(inverse, offsets), self.observed.band.hz))
 
 
-def _scaled(effect: Effect, growth: Array) -> Array:
-    """By how much a law's sizes seem changed where its story's drift has grown, shape (classes, p)."""
+def _apparent_size_factor(effect: Effect, growth: Array) -> Array:
+    """Compute the factor on a law's parameters that acts as the growth of its story's drift does, shape (classes, p)."""
     if not effect.amplitude_powers:
         return np.ones((len(growth), len(effect.parameters)))
     return np.asarray(growth[:, [effect.index]] ** np.array(effect.amplitude_powers))
 
 
-def _around(root: NDArray[Any], inner: NDArray[Any]) -> ComplexArray:
+def _congruence(root: NDArray[Any], inner: NDArray[Any]) -> ComplexArray:
+    """Compute ``R A R^H`` for stacks of matrices, shape (..., c, c)."""
     return np.asarray(root @ inner @ root.conj().swapaxes(-1, -2))
 
 
-def _smooth(relative: ComplexArray, hz: Array) -> ComplexArray:
+def _smooth_over_frequency(relative: ComplexArray, hz: Array) -> ComplexArray:
+    """Smooth relative corrections over frequency with a normal kernel of relative width, shape (..., n_bins, c, c)."""
     near = np.exp(-0.5 * ((hz[:, None] - hz) / np.maximum(_SMOOTHING_WIDTH * hz[:, None], 1e-9)) ** 2)
     near /= near.sum(axis=1, keepdims=True)
     return np.asarray(np.moveaxis(np.tensordot(near, relative, axes=(1, -3)), 0, -3))
 
 
-def _bounded(relative: ComplexArray) -> ComplexArray:
-    """Corrections that leave some of every spectrum."""
+def _bound_corrections(relative: ComplexArray) -> ComplexArray:
+    """Bound relative corrections so that the corrected spectra stay positive definite, shape (classes, n_bins, c, c)."""
     deep = ~definite(relative - _MIN_CORRECTION * np.eye(relative.shape[-1])) & np.isfinite(relative).all(axis=(-2, -1))
     values, vectors = np.linalg.eigh(relative[deep])
     out = relative.copy()
@@ -161,46 +172,64 @@ def _bounded(relative: ComplexArray) -> ComplexArray:
 
 
 def relative_to(spectra: ComplexArray, offset: ComplexArray, hz: Array) -> ComplexArray:
-    """A simulated offset with less chance in it: smooth and relative to the spectra, shape (classes, n_bins, c, c)."""
+    """Smooth a simulated offset over frequency and express it relative to the spectra, which reduces its random error.
+
+    Parameters
+    ----------
+    spectra : ndarray, shape (classes, n_bins, c, c), (m/s^2)^2/Hz
+        Linearized spectra S = L L^H.
+    offset : ndarray, shape (classes, n_bins, c, c), (m/s^2)^2/Hz
+    hz : ndarray, shape (n_bins,), Hz
+
+    Returns
+    -------
+    ndarray, shape (classes, n_bins, c, c)
+        ``L^-1 offset L^-H``, smoothed and bounded.
+    """
     inverse = np.linalg.inv(np.linalg.cholesky(spectra))
-    return _bounded(_smooth(_around(inverse, offset), hz))
+    return _bound_corrections(_smooth_over_frequency(_congruence(inverse, offset), hz))
 
 
 def correct_posterior(
     posterior: Posterior, x: Array, effects: tuple[Effect, ...], offset: ComplexArray, slopes: ComplexArray
 ) -> CorrectedPosterior:
-    """The posterior with a correction that was simulated at given parameters, smoothed relative to the spectra.
+    """Correct a posterior by an offset that was simulated at given parameters, smoothed relative to the spectra.
 
     Parameters
     ----------
-    offset : ndarray, shape (classes, n_bins, c, c)
+    x : ndarray, shape (n,)
+        Parameters of the simulation.
+    effects : tuple of Effect
+        Extra effects of the simulation.
+    offset : ndarray, shape (classes, n_bins, c, c), (m/s^2)^2/Hz
+        Exact less linearized spectra.
     slopes : ndarray, shape (p, classes, n_bins, c, c) or (0, ...)
-        By the coordinates of the nonlinear effects; none where they are not known.
+        Slopes of the offset by the coordinates of the nonlinear effects; none where they are not known.
     """
     plain = {f.name: getattr(posterior, f.name) for f in fields(Posterior)}
     linear, hz = posterior.of_model_alone(), posterior.observed.band.hz
-    acting = [e for e in effects if e.nonlinear]  # beside those that stand
+    acting = [e for e in effects if e.nonlinear]  # without the persistent effects
     centre = np.concatenate([[], *[e.coordinates for e in acting]])
 
     def relative_at(sizes: Array, offset: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
         parts = iter(np.split(sizes, np.cumsum([len(e.parameters) for e in acting])))
         moved = [e.at(next(parts)) if e.nonlinear else e for e in effects]
         base = np.asarray(np.linalg.cholesky(Posterior.scatter(linear, x, moved)), dtype=np.complex128)
-        return base, _smooth(_around(np.linalg.inv(base), offset), hz)
+        return base, _smooth_over_frequency(_congruence(np.linalg.inv(base), offset), hz)
 
-    base, here = relative_at(centre, offset)
+    base, at_centre = relative_at(centre, offset)
     known = np.zeros((centre.size, *offset.shape), dtype=complex)
     known[: len(slopes)] = slopes
     by_size = []
     for i, step in enumerate(np.diag(_CORRECTION_DIFFERENCE * np.abs(centre))):
-        by_size.append((relative_at(centre + step, offset + known[i] * step[i])[1] - here) / step[i])
+        by_size.append((relative_at(centre + step, offset + known[i] * step[i])[1] - at_centre) / step[i])
     return CorrectedPosterior(
         **plain | {"offset": offset},
         laws=tuple((e.name, e.location) for e in acting),
         centre=centre,
         base=base,
-        relative=np.array([here, *by_size]),
-        by_motion=_smooth(_around(np.linalg.inv(base), known), hz),
+        relative=np.array([at_centre, *by_size]),
+        by_motion=_smooth_over_frequency(_congruence(np.linalg.inv(base), known), hz),
         drift=forced_drift(linear, x, effects),
         ln_mass=float(x[posterior.layout.masses].mean()),
     )

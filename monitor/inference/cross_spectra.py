@@ -1,7 +1,8 @@
 """Cross-spectra that a model predicts for a recording's segments: ``S = R T H Q H^H T^H R^H + lines + noise``.
 
-H is the acceleration the floors answer forces with, T picks the channels, R is what the acquisition makes of them; the
-result is blurred as the segments' taper blurs it (debiased Whittle), so that it may be compared with their mean.
+H is the accelerance of the floors, Q the density of the forces, T picks the channels, and R is the frequency response of the
+acquisition.  The result is convolved with the kernel of the segments' taper (debiased Whittle), so that it is the expectation
+of their mean cross-spectra.
 """
 
 from __future__ import annotations
@@ -32,49 +33,55 @@ _LOG_STEPS = 4000
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Band:
-    """The frequencies that are compared."""
+    """Band of frequencies in which model and recording are compared."""
 
     first: int
     """Index of the first bin."""
     n_bins: int
     bin_hz: float
-    """Spacing of the bins, the reciprocal of the segments' length."""
+    """Spacing of the bins, the reciprocal of the segments' length, Hz."""
     gain: Array
     """Power gain of the anti-alias filter at the bins, shape (n_bins,)."""
 
     @property
     def hz(self) -> Array:
-        """Shape (n_bins,)."""
+        """Frequencies of the bins, shape (n_bins,), Hz."""
         return np.asarray((self.first + np.arange(self.n_bins)) * self.bin_hz)
 
     @property
     def fine_hz(self) -> Array:
-        """Half-bin grid that reaches as far beyond the band as the taper blurs."""
+        """Grid of half-bin spacing that extends beyond the band by the width of the taper's kernel, shape (n_fine,), Hz."""
         low, high = LEAKAGE_OFFSETS[0], 2 * (self.n_bins - 1) + LEAKAGE_OFFSETS[-1]
         return np.asarray((2 * self.first + np.arange(low, high + 1)) * (0.5 * self.bin_hz))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Excitation:
-    """What drives the structure and its sensors, as two-sided power densities."""
+    """Excitation of the structure and noise of its sensors, as two-sided power densities."""
 
     force: Array
     """White forces on the floors, shape (n,), N^2/Hz."""
     noise: Array
     """White noise of the channels, shape (c,), (m/s^2)^2/Hz."""
     ground_noise: float = 0.0
-    """White noise of a measured ground motion, which the prediction takes for motion, (m/s^2)^2/Hz."""
+    """White noise of a measured ground motion, which the prediction treats as motion, (m/s^2)^2/Hz."""
 
 
 def modally_damped(mass: Array, stiffness: Array, ratios: Array) -> System:
-    """The linear system with given damping ratios of its modes, shape (n,)."""
+    """Make the linear system with given damping ratios of its modes.
+
+    Parameters
+    ----------
+    mass, stiffness : ndarray, shape (n, n), kg and N/m
+    ratios : ndarray, shape (n,)
+    """
     eigenvalues, shapes = eigh(stiffness, mass)
     carried = mass @ shapes
     return System(mass, (carried * (2.0 * ratios * np.sqrt(np.maximum(eigenvalues, 0.0)))) @ carried.T, stiffness)
 
 
 def extended(system: System, effects: Sequence[Effect], context: Context, condition: Condition) -> System:
-    """The system with what effects add at a condition."""
+    """Add to the system what effects contribute at a condition."""
     for effect in effects:
         system = effect.extend(system, context, condition)
     return system
@@ -88,7 +95,7 @@ def cross_spectra(
     context: Context,
     condition: Condition,
 ) -> ComplexArray:
-    """Expected cross-spectra of the segments, shape (n_bins, c, c), (m/s^2)^2/Hz, two-sided."""
+    """Compute the expected cross-spectra of the segments, shape (n_bins, c, c), (m/s^2)^2/Hz, two-sided."""
     clock = float(np.prod([e.clock_factor for e in effects]))
     fine = band.fine_hz
     answer = seen(system, effects, fine, clock, context, condition)
@@ -121,7 +128,20 @@ def cross_spectra(
 def seen(
     system: System, effects: Sequence[Effect], hz: Array, clock: float, context: Context, condition: Condition
 ) -> ComplexArray:
-    """Channels' response to forces on the floors and, last, to a ground acceleration, shape (n_hz, c, n + 1)."""
+    """Compute the frequency response of the recorded channels, with the effects of the acquisition.
+
+    Parameters
+    ----------
+    hz : ndarray, shape (n_hz,), Hz
+        Frequencies by the acquisition's clock.
+    clock : float
+        True rate over nominal rate.
+
+    Returns
+    -------
+    ndarray, shape (n_hz, c, n + 1)
+        For forces on the floors and, in the last column, a ground acceleration.
+    """
     answer = channel_response(system, clock * hz, context)
     for effect in effects:
         response = effect.response(hz * clock, context, condition)
@@ -131,7 +151,17 @@ def seen(
 
 
 def channel_response(system: System, hz: Array, context: Context) -> ComplexArray:
-    """True acceleration at the sensors for forces on the floors and, last, a ground acceleration, shape (n_hz, c, n + 1)."""
+    """Compute the frequency response of the true accelerations at the sensors.
+
+    Parameters
+    ----------
+    hz : ndarray, shape (n_hz,), Hz
+
+    Returns
+    -------
+    ndarray, shape (n_hz, c, n + 1)
+        For forces on the floors and, in the last column, a ground acceleration.
+    """
     n = context.structure.n_dofs
     right = np.zeros((system.mass.shape[0], n + 1))
     right[:n, :n] = np.eye(n)
@@ -141,7 +171,7 @@ def channel_response(system: System, hz: Array, context: Context) -> ComplexArra
 
 
 def force_colour(effects: Sequence[Effect], hz: Array) -> Array:
-    """Factor on the power density of the floors' forces, shape (n_hz,)."""
+    """Compute the factor on the power density of the floors' forces, shape (n_hz,)."""
     colour = np.ones(hz.size)
     for effect in effects:
         colour = colour * effect.colour(hz)
@@ -149,8 +179,15 @@ def force_colour(effects: Sequence[Effect], hz: Array) -> Array:
 
 
 def force_root(force: Array, effects: Sequence[Effect]) -> Array:
-    """The floors' forces as sums of independent ones of density one, shape (n, n); with one column more where a part of them is
-    common to all floors.
+    """Compute a root of the floors' force densities: the forces as sums of independent sources of density one.
+
+    Parameters
+    ----------
+    force : ndarray, shape (n,), N^2/Hz
+
+    Returns
+    -------
+    ndarray, shape (n, n), or (n, n + 1) where a part of the forces is common to all floors
     """
     root, common = np.sqrt(force), sum(e.common_force for e in effects)
     if common == 0.0:
@@ -161,7 +198,10 @@ def force_root(force: Array, effects: Sequence[Effect]) -> Array:
 def ground_density(
     share: float, system: System, force: Array, effects: Sequence[Effect], context: Context, condition: Condition
 ) -> float:
-    """White ground acceleration that causes `share` of the channels' variance, mean over channels, beside the forces."""
+    """Find the density of white ground acceleration that causes `share` of the channels' variance, mean over channels.
+
+    The forces, of density `force`, shape (n,), N^2/Hz, cause the rest of the variance.  The result is in (m/s^2)^2/Hz.
+    """
     by_force, by_ground, above = variances(system, force, effects, context, condition.band_hz)
     by_force = by_force + (condition.beyond - 1.0) * above
     share = min(share, _MAX_GROUND_SHARE)
@@ -179,8 +219,19 @@ def ground_density(
 def variances(
     system: System, force: Array, effects: Sequence[Effect], context: Context, band_hz: float
 ) -> tuple[Array, Array, Array]:
-    """Variance of every channel, shape (c,): by the forces, by a white ground acceleration of density one, and by the forces
-    above a frequency, all up to half the source's rate."""
+    """Integrate the variance of every channel up to half the source's rate.
+
+    Parameters
+    ----------
+    force : ndarray, shape (n,), N^2/Hz
+    band_hz : float
+        Frequency above which the third variance is integrated, Hz.
+
+    Returns
+    -------
+    by_force, by_ground, above : ndarray, shape (c,)
+        Variance by the forces, by a white ground acceleration of density one, and by the forces above `band_hz`.
+    """
     low, high = np.log(_LOWEST_HZ), np.log(0.5 * context.rate_hz)
     hz = np.exp(np.linspace(low, high, _LOG_STEPS))  # equal steps of the logarithm follow the peaks' width
     answer = channel_response(system, hz, context)
@@ -192,13 +243,23 @@ def variances(
 
 @compiled(error_model="numpy")
 def accelerance(mass: Array, damping: Array, stiffness: Array, omega: Array, right: Array) -> ComplexArray:
-    """Acceleration per force, ``-w^2 (K + i w C - w^2 M)^-1 right``, shape (n_omega, N, columns).
+    """Compute the accelerance ``-w^2 (K + i w C - w^2 M)^-1 right``, acceleration per force.
 
-    NaN where a pivot vanishes, which of a symmetric matrix with a definite imaginary part only one without mass does.
+    Parameters
+    ----------
+    mass, damping, stiffness : ndarray, shape (N, N), kg, N s/m and N/m
+    omega : ndarray, shape (n_omega,), rad/s
+    right : ndarray, shape (N, columns)
+        Columns of forces.
+
+    Returns
+    -------
+    ndarray, shape (n_omega, N, columns)
+        NaN where a pivot vanishes.  Of a symmetric matrix with a definite imaginary part that happens only without mass.
     """
     size, columns = right.shape
     out = np.empty((omega.size, size, columns), dtype=np.complex128)
-    # A block of frequencies at a time, each step of the elimination for all of them: the machine works on several at once.
+    # Each step of the elimination is done for a block of frequencies, since the processor works on several numbers at once.
     re, im = np.empty((2, size, size + columns, _FREQUENCY_BLOCK))
     by_re, by_im = np.empty((2, _FREQUENCY_BLOCK))
     for first in range(0, omega.size, _FREQUENCY_BLOCK):
@@ -212,7 +273,7 @@ def accelerance(mass: Array, damping: Array, stiffness: Array, omega: Array, rig
                 for k in range(m):
                     re[i, size + j, k], im[i, size + j, k] = -w[k] * w[k] * right[i, j], 0.0
         for p in range(size):
-            for k in range(m):  # the pivot's inverse takes its place; scaled, as squares of what is small vanish
+            for k in range(m):  # the pivot's inverse replaces it; scaled, since squares of small numbers underflow
                 x, y = re[p, p, k], im[p, p, k]
                 scale = 1.0 / max(abs(x), abs(y))
                 x, y = x * scale, y * scale
@@ -242,14 +303,17 @@ def accelerance(mass: Array, damping: Array, stiffness: Array, omega: Array, rig
 
 @compiled(error_model="numpy")
 def _at_sensors(floors: ComplexArray, sensors: Array) -> ComplexArray:
-    """Sensors' absolute acceleration, shape (n_omega, c, columns); the floors' is relative to the ground in the last column."""
+    """Compute the sensors' absolute acceleration, shape (n_omega, c, columns).
+
+    The last column of `floors`, shape (n_omega, n, columns), is relative to the ground.
+    """
     n_omega, _, columns = floors.shape
     c, n = sensors.shape
     out = np.zeros((n_omega, c, columns), dtype=np.complex128)
     for s in range(c):
         for i in range(n):
             share = sensors[s, i]
-            if share == 0.0:  # nearly all are
+            if share == 0.0:  # most entries are zero
                 continue
             for k in range(n_omega):
                 for j in range(columns):
@@ -260,7 +324,17 @@ def _at_sensors(floors: ComplexArray, sensors: Array) -> ComplexArray:
 
 @compiled(error_model="numpy")
 def _powers(answer: ComplexArray, root: Array) -> Array:
-    """Power density of every channel, shape (n_omega, c), by independent sources of density one through `root`."""
+    """Compute the power density of every channel by independent sources of density one through `root`.
+
+    Parameters
+    ----------
+    answer : ndarray, shape (n_omega, c, n)
+    root : ndarray, shape (n, n_sources)
+
+    Returns
+    -------
+    ndarray, shape (n_omega, c)
+    """
     n_omega, c, n = answer.shape
     out = np.zeros((n_omega, c))
     for k in range(n_omega):
@@ -275,13 +349,20 @@ def _powers(answer: ComplexArray, root: Array) -> Array:
 
 @compiled(error_model="numpy")
 def blurred_products(answer: ComplexArray, density: Array, taps: Array) -> ComplexArray:
-    """Products ``answer density answer^H`` on the half-bin grid, blurred into bins, shape (n_bins, c, c).
+    """Compute ``answer density answer^H`` on the half-bin grid and convolve it with the taper's kernel into bins.
 
     Parameters
     ----------
     answer : ndarray, shape (n_fine, c, columns)
+        Frequency response of the channels.
     density : ndarray, shape (n_fine, columns)
-        Power of each column's source.
+        Power density of each column's source.
+    taps : ndarray, shape (n_taps,)
+        Kernel of the taper on the half-bin grid.
+
+    Returns
+    -------
+    ndarray, shape (n_bins, c, c)
     """
     n_fine, c, n = answer.shape
     n_bins = (n_fine - taps.size) // 2 + 1

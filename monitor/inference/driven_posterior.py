@@ -1,7 +1,7 @@
-"""The posterior of a recording of which the ground's motion was measured too: input and output are known.
+"""Posterior of a recording with measured ground motion: input and output are known.
 
-The segments' means are the response to the ground.  What they scatter about it is left to forces on the floors, to noise and to
-the model's own error.
+The means of the segments are the response to the ground motion.  The scatter about these means is due to forces on the floors,
+to noise and to the model's own error.
 """
 
 from __future__ import annotations
@@ -29,26 +29,26 @@ judgement]"""
 
 @dataclass(frozen=True, eq=False, slots=True)
 class ExactSlopes:
-    """What exact laws add, near one fit, to the slopes of their linearized response."""
+    """Difference of the slopes of the exact response from those of the linearized response, near one fit."""
 
     laws: frozenset[tuple[str, str]]
     """Names and places of the effects."""
     slopes: ComplexArray
-    """By the nuisances, shape (n_nuisance, n_segments, n_bins, c)."""
+    """Differences of the slopes by the nuisances, shape (n_nuisance, n_segments, n_bins, c)."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class DrivenPosterior(Posterior):
-    """Score parameters by output and measured ground motion.
+    """Posterior of a recording with measured ground motion.
 
-    A class's level is that of the model's own error, a share of the measured power that is independent between channels.  The
-    forces on the floors are the same in all classes: wind does not follow the ground.
+    The level of a class is that of the model's own error, a share of the measured power that is independent between channels.
+    The forces on the floors are the same in all classes, since wind does not follow the ground motion.
     """
 
     exact_slopes: ExactSlopes | None = None
-    """What laws add to the linearized slopes of the response; None where those serve."""
+    """Correction of the linearized slopes of the response; None where the linearized slopes are used."""
     wind: Array | None = None
-    """Logarithms of the forces that the recording's quiet segments tell, shape (n,); None while they are not known."""
+    """Logarithms of the forces as estimated from the recording's quiet segments, shape (n,); None while they are not known."""
 
     @property
     def drive(self) -> Drive:
@@ -72,7 +72,7 @@ class DrivenPosterior(Posterior):
         return replace(Posterior.part(self, observed, classes), exact_slopes=None)
 
     def between_samples(self, between: Between) -> Self:
-        """Return the posterior where the ground moves otherwise between its samples."""
+        """Return the posterior with another assumption on the ground's motion between its samples."""
         return replace(self, observed=replace(self.observed, drive=replace(self.drive, between=between)))
 
     def predict(self, x: Array, effects: Sequence[Effect]) -> Prediction:
@@ -106,7 +106,7 @@ class DrivenPosterior(Posterior):
         return out
 
     def linear_spectra(self, x: Array, effects: Sequence[Effect], classes: Sequence[int]) -> ComplexArray:
-        """See `ForwardModel.linear_spectra`.  The common noise is the ground's too, and moves the floors."""
+        """See `ForwardModel.linear_spectra`.  The common noise is also that of the ground's sensor, and acts as ground motion."""
         base, context, layout = self.system(x, effects), self.context_at(x), self.layout
         forces, level, noise = self.forces(x), np.exp(x[layout.levels]), self.noise(x)
         out = []
@@ -120,15 +120,15 @@ class DrivenPosterior(Posterior):
     def forces(self, x: Array) -> Array:
         """See `ForwardModel.forces`.
 
-        The densities of `x` hold for the masses known before.  All masses and forces grow together, since no output shows the
-        common scale of masses and stiffnesses.
+        The densities of `x` apply to the prior mean of the masses.  All masses and forces grow together, since no output shows
+        the common scale of masses and stiffnesses.
         """
         layout = self.layout
         heavier = (x[layout.masses] - self.prior.mean[layout.masses]).mean()
         return np.tile(np.exp(x[layout.forces]) * np.exp(2.0 * heavier), (self.n_classes, 1))
 
     def relative_levels(self, x: Array) -> Array:
-        """See `ForwardModel.relative_levels`: forces are the same in all classes."""
+        """See `ForwardModel.relative_levels`.  The forces are the same in all classes."""
         return np.ones(self.n_classes)
 
     def force_prior(self, x: Array) -> tuple[Array, Array]:
@@ -143,7 +143,7 @@ class DrivenPosterior(Posterior):
         layout = self.layout
         out = np.zeros((x.size, *spectra.shape), dtype=complex)
         out[layout.effects] = self.effect_slopes(x, effects, spectra)
-        # Forces stay as small as they are until quiet segments have told them: they would excuse a wrong response at its peaks.
+        # The forces are fixed until quiet segments give an estimate, since free forces would hide a wrong response at its peaks.
         free = layout.structure if self.wind is None else slice(layout.forces.stop)
         for i in (*range(free.stop), layout.noise):
             out[i] = self.slope(x, i, effects, spectra)
@@ -156,13 +156,15 @@ class DrivenPosterior(Posterior):
     ) -> ComplexArray:
         """Differentiate the segments' means by the wanted coordinates, shape (n_wanted, n_segments, n_bins, c).
 
-        The slopes by an effect's own sizes are those of the exact laws.  The slopes by nuisances are those of the linearized
-        laws, which are quicker, with what is known of the difference.
+        The slopes by an effect's own coordinates are those of the exact laws.  The slopes by nuisances are those of the
+        linearized laws, which are faster, corrected by `exact_slopes` where known.
 
         Parameters
         ----------
         mean : ndarray, shape (n_segments, n_bins, c)
             The response at `x`.
+        wanted : iterable of int
+            Indices of the coordinates.
         """
         linear = self._linear_mean(x, effects, mean)
         exact = (
@@ -199,40 +201,45 @@ class DrivenPosterior(Posterior):
         return replace(self, exact_slopes=ExactSlopes(_laws(effects), slopes))
 
     def _linear_mean(self, x: Array, effects: tuple[Effect, ...], mean: ComplexArray) -> ComplexArray:
-        """Return the linearized laws' response where the exact ones' is `mean`."""
+        """Compute the linearized laws' response, given the exact laws' response `mean`, shape (n_segments, n_bins, c)."""
         if not any(e.nonlinear for e in (*self.prior.effects(x), *effects)):
             return mean
         return self.mean(x, effects, exact=False)
 
     @property
     def _moving(self) -> list[int]:
-        """Nuisances that move the response: neither noise nor forces."""
+        """Indices of the nuisances that change the response: neither noise nor forces."""
         noise = self.layout.channel_noise
         return [*range(noise.start), *range(noise.stop, self.layout.structure.stop)]
 
-    def mean_rows(self, here: Prediction, slopes: ComplexArray) -> tuple[Array, Array]:
+    def mean_rows(self, prediction: Prediction, slopes: ComplexArray) -> tuple[Array, Array]:
         """See `Posterior.mean_rows`."""
-        assert here.left is not None
+        assert prediction.left is not None
         e = self.observed
         weight = e.weight * e.counts / [m.size for m in e.members]
-        rows = ground_response.mean_rows(here.spectra, np.concatenate([slopes, here.left[None]]), e.members, weight)
+        rows = ground_response.mean_rows(
+            prediction.spectra, np.concatenate([slopes, prediction.left[None]]), e.members, weight
+        )
         return rows[:, :-1], rows[:, -1]
 
     def jacobian(
-        self, x: Array, effects: tuple[Effect, ...], here: Prediction, first: int = 0
+        self, x: Array, effects: tuple[Effect, ...], prediction: Prediction, first: int = 0
     ) -> tuple[Array, Array, Array]:
         """See `Posterior.jacobian`."""
-        assert here.left is not None
-        rows, residual, _ = Posterior.jacobian(self, x, effects, here, first)
-        mean_slopes = self.mean_slopes(x, effects, self.observed.segments.values - here.left, range(first, x.size))
-        mean_rows, mean_residual = self.mean_rows(here, mean_slopes)
+        assert prediction.left is not None
+        rows, residual, _ = Posterior.jacobian(self, x, effects, prediction, first)
+        mean_slopes = self.mean_slopes(
+            x, effects, self.observed.segments.values - prediction.left, range(first, x.size)
+        )
+        mean_rows, mean_residual = self.mean_rows(prediction, mean_slopes)
         return np.concatenate([rows, mean_rows]), residual, mean_residual
 
 
 def _laws(effects: Sequence[Effect]) -> frozenset[tuple[str, str]]:
+    """Return names and places of the nonlinear effects."""
     return frozenset((e.name, e.location) for e in effects if e.nonlinear)
 
 
 def _diagonal(power: Array) -> Array:
-    """Put the channels' power on diagonals, shape (n_bins, c, c)."""
+    """Put the channels' power, shape (n_bins, c), on the diagonals of matrices, shape (n_bins, c, c)."""
     return power[:, :, None] * np.eye(power.shape[1])

@@ -1,4 +1,4 @@
-"""Spectra of the exact nonlinear laws, by simulation beside the linearized systems under the same forces."""
+"""Spectra of the exact nonlinear laws, by simulation together with the linearized systems under the same forces."""
 
 from __future__ import annotations
 
@@ -33,39 +33,53 @@ _COHERENCE_BINS = 2
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Forces:
-    """What drives one simulation."""
+    """Forces, ground motion and noise of one simulation."""
 
     rate_hz: float
     floors: Array
-    """Shape (n_samples, n), N."""
+    """Forces on the floors, shape (n_samples, n), N."""
     ground: Array | None
-    """Shape (n_samples,), m/s^2."""
+    """Ground acceleration, shape (n_samples,), m/s^2; None for ground at rest."""
     noise: Array | None
-    """Of the channels, shape (n_samples, c), m/s^2; none where no sensor bends, since then it is the same on both sides."""
+    """Noise of the channels, shape (n_samples, c), m/s^2; None where no sensor is nonlinear, since the noise is then the same in
+    the exact and the linearized spectra."""
     rng: np.random.Generator
-    """For what sensors add."""
+    """Generator of the random numbers that the sensors' effects add."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class SimulatedSpectra:
-    """One simulation of the exact laws beside the linearized ones under the same forces."""
+    """Simulation of the exact laws together with the linearized laws under the same forces."""
 
     controlled: ComplexArray
-    """Exact spectra less those that the linearized laws make expect, with a control variate, shape (classes, n_bins, c, c)."""
+    """Exact spectra less the expected linearized spectra, with a control variate, shape (classes, n_bins, c, c)."""
     free: ComplexArray
-    """The same without one."""
+    """Exact spectra less the expected linearized spectra, without a control variate, shape (classes, n_bins, c, c)."""
     bent: ComplexArray
-    """Transforms of the segments behind all sensors under the exact laws, shape (n_segments, n_bins, c)."""
+    """Transforms of the segments after all sensors under the exact laws, shape (n_segments, n_bins, c)."""
     straight: ComplexArray
-    """Under the linearized laws."""
+    """Transforms of the segments after all sensors under the linearized laws, shape (n_segments, n_bins, c)."""
 
 
 def draw_forces(posterior: Posterior, x: Array, effects: Sequence[Effect], seed: int) -> Forces:
-    """Random forces of every segment's own level: one segment to swing in, then the segments one after the other."""
+    """Draw random forces that have each segment's own level.
+
+    The simulation begins with one segment in which the transient of the start from rest decays.  The recording's segments follow
+    one after the other.
+
+    Parameters
+    ----------
+    x : ndarray, shape (n,)
+        Parameters of the model and of the excitation.
+    effects : sequence of Effect
+        Extra effects, beside the persistent ones.
+    seed : int
+        Seed of the random numbers.
+    """
     e, context = posterior.observed, posterior.context_at(x)
     effects = (*posterior.prior.effects(x), *effects)
-    bent = _bent(effects)
-    half = round(e.rate_hz / e.band.bin_hz / 2) if bent else _samples(posterior)
+    nonlinear = _nonlinear_sensors(effects)
+    half = round(e.rate_hz / e.band.bin_hz / 2) if nonlinear else _half_segment_samples(posterior)
     rate = 2.0 * half * e.band.bin_hz
     n, n_segments, known = context.structure.n_dofs, e.t_s.size, posterior.forces(x)
     density = np.empty((n_segments, n))
@@ -85,149 +99,203 @@ def draw_forces(posterior: Posterior, x: Array, effects: Sequence[Effect], seed:
         ratio = ground_density(share, system, first, effects, context, posterior.conditions[0]) / first.mean()
         ground = np.sqrt(ratio) * root.mean(axis=1) * rng.standard_normal(root.shape[0])
     noise = None
-    if bent:
+    if nonlinear:
         noise = np.sqrt(posterior.noise(x) * rate) * rng.standard_normal((root.shape[0], len(context.channels)))
     return Forces(rate, floors, ground, noise, rng)
 
 
-def _samples(posterior: Posterior) -> int:
-    """In half a segment."""
+def _half_segment_samples(posterior: Posterior) -> int:
+    """Choose the number of samples in half a segment of the simulation."""
     band = posterior.observed.band
     return int(next_fast_len(int(np.ceil(_STEPS_A_PERIOD * band.hz[-1] / band.bin_hz / 2.0))))
 
 
-def _bent(effects: Sequence[Effect]) -> list[Effect]:
-    """Sensors with a law of their own."""
+def _nonlinear_sensors(effects: Sequence[Effect]) -> list[Effect]:
+    """Select the nonlinear sensor effects."""
     return [effect for effect in effects if effect.family == "sensor" and effect.nonlinear]
 
 
 def simulate_exact(posterior: Posterior, x: Array, effects: Sequence[Effect], acting: Forces) -> ComplexArray:
-    """Transforms of the segments under the exact laws before the linear sensors, shape (n_segments, n_bins, c)."""
+    """Simulate the exact laws under given forces, without the linear sensor effects.
+
+    Parameters
+    ----------
+    x : ndarray, shape (n,)
+        Parameters of the model and of the excitation.
+    effects : sequence of Effect
+        Extra effects, beside the persistent ones.
+    acting : Forces
+        Forces of the simulation.
+
+    Returns
+    -------
+    ndarray, shape (n_segments, n_bins, c)
+        Tapered transforms of the segments.
+    """
     context, everything = posterior.context_at(x), (*posterior.prior.effects(x), *effects)
     model, finer = posterior.model(x, everything), 1
     if any(law.kind == LawKind.FRICTION for effect in everything for law in effect.laws(model.structure)):
-        finer = _FRICTION_STEPS  # where the sign of a velocity turns, forces change within a short time
+        finer = _FRICTION_STEPS  # friction changes within a short time where a velocity changes sign
     moved = respond(model, acting.floors, acting.ground, acting.rate_hz, step_hz=finer * acting.rate_hz)
-    seen = moved @ context.sensors.T
+    channels = moved @ context.sensors.T
     if acting.noise is not None:
-        seen = seen + acting.noise
-    for effect in _bent(everything):
-        seen = _measured(effect, seen, posterior, acting, context)
-    return _transformed(_spectrum(seen, posterior), posterior, range(posterior.observed.t_s.size))
+        channels = channels + acting.noise
+    for effect in _nonlinear_sensors(everything):
+        channels = _apply_sensor_law(effect, channels, posterior, acting, context)
+    return _segment_transforms(_kept_spectrum(channels, posterior), posterior, range(posterior.observed.t_s.size))
 
 
-def _measured(effect: Effect, samples: Array, posterior: Posterior, acting: Forces, context: Context) -> Array:
-    """What a sensor's law makes of samples at the measured RMS, which beyond the band the model need not meet."""
+def _apply_sensor_law(effect: Effect, samples: Array, posterior: Posterior, acting: Forces, context: Context) -> Array:
+    """Apply a sensor's nonlinear law to samples that are scaled to the measured RMS, shape (n_samples, c), m/s^2.
+
+    The scaling is needed since the model need not have the measured RMS beyond the band.
+    """
     e, part = posterior.observed, samples[::_LEVEL_STRIDE]
     wanted = np.sqrt(e.counts @ e.rms**2 / e.counts.sum())[: samples.shape[1]]
-    louder = np.ones(samples.shape[1])
+    gain = np.ones(samples.shape[1])
     for _ in range(_LEVEL_STEPS):
-        heard = effect.measure(part * louder, acting.rate_hz, context, acting.rng)
-        louder *= wanted / heard.std(axis=0)
-    return np.asarray(effect.measure(samples * louder, acting.rate_hz, context, acting.rng) / louder)
+        measured = effect.measure(part * gain, acting.rate_hz, context, acting.rng)
+        gain *= wanted / measured.std(axis=0)
+    return np.asarray(effect.measure(samples * gain, acting.rate_hz, context, acting.rng) / gain)
 
 
 def class_means(posterior: Posterior, x: Array, effects: Sequence[Effect], transforms: ComplexArray) -> ComplexArray:
-    """Spectra of every class behind the linear sensors, shape (classes, n_bins, c, c), of `simulate_exact`'s transforms."""
+    """Average the spectra of every class after the linear sensor effects, shape (classes, n_bins, c, c), (m/s^2)^2/Hz.
+
+    `transforms` are those of `simulate_exact`, shape (n_segments, n_bins, c).
+    """
     e, everything = posterior.observed, (*posterior.prior.effects(x), *effects)
-    straight = [effect for effect in everything if effect not in _bent(everything)]
-    out = [_products(_through(transforms[m], straight, posterior, k)) for k, m in enumerate(e.members)]
+    linear = [effect for effect in everything if effect not in _nonlinear_sensors(everything)]
+    out = [_mean_products(_apply_responses(transforms[m], linear, posterior, k)) for k, m in enumerate(e.members)]
     return np.asarray(np.stack(out) * e.band.gain[:, None, None])
 
 
 def linearization_error(
     posterior: Posterior, x: Array, effects: tuple[Effect, ...], acting: Forces, transforms: ComplexArray
 ) -> ComplexArray:
-    """Exact less linearized spectra of every class, shape (classes, n_bins, c, c).
+    """Compute the exact less the linearized spectra of every class.
 
-    A structure's law is made linear at the motion that the simulation's own spectra tell, as it is for the measured ones.
+    A law of the structure is linearized at the motion that follows from the simulation's own spectra, as it is for the measured
+    spectra.
+
+    Parameters
+    ----------
+    transforms : ndarray, shape (n_segments, n_bins, c)
+        Result of `simulate_exact` under the forces `acting`.
+
+    Returns
+    -------
+    ndarray, shape (classes, n_bins, c, c), (m/s^2)^2/Hz
     """
-    if _bent((*posterior.prior.effects(x), *effects)):
-        return _sensors_sides(posterior, x, effects, acting, transforms).controlled
-    _, simulated, expected = _compared(posterior, x, effects, transforms)
+    if _nonlinear_sensors((*posterior.prior.effects(x), *effects)):
+        return _compare_sensors(posterior, x, effects, acting, transforms).controlled
+    _, simulated, expected = _compare_at_simulated_motion(posterior, x, effects, transforms)
     return np.asarray(simulated - expected)
 
 
 def simulate_spectra(
     posterior: Posterior, x: Array, effects: tuple[Effect, ...], acting: Forces, transforms: ComplexArray
 ) -> SimulatedSpectra:
-    """What the exact laws make of forces, of `simulate_exact`'s transforms, beside what the linearized ones do.
+    """Compare the exact laws with the linearized laws under the same forces, with a control variate.
 
-    The linearized system under the same forces is the control: its simulated spectra less those expected, times the likeness
-    of the two responses, are taken off (its chance is theirs as far as they are alike).  A sensor's law is always compared so.
+    The control variate is the linearized system under the same forces: its simulated less its expected spectra, times the
+    squared regression of the exact response on it, are subtracted.  Both responses share their random error as far as they are
+    alike.  A sensor's law is always compared with the linear sensor under the same forces.
+
+    Parameters
+    ----------
+    transforms : ndarray, shape (n_segments, n_bins, c)
+        Result of `simulate_exact` under the forces `acting`.
     """
     e, everything = posterior.observed, (*posterior.prior.effects(x), *effects)
-    if _bent(everything):
-        return _sensors_sides(posterior, x, effects, acting, transforms)
-    posterior, simulated, expected = _compared(posterior, x, effects, transforms)
-    noise, diagonal = _noise(posterior, x, everything), np.arange(len(posterior.context.channels))
+    if _nonlinear_sensors(everything):
+        return _compare_sensors(posterior, x, effects, acting, transforms)
+    posterior, simulated, expected = _compare_at_simulated_motion(posterior, x, effects, transforms)
+    noise, diagonal = _noise_density(posterior, x, everything), np.arange(len(posterior.context.channels))
     out, bent, straight = np.empty_like(e.spectra), np.empty_like(transforms), np.empty_like(transforms)
-    for k, (members, y) in enumerate(zip(e.members, _linear(posterior, x, everything, acting), strict=True)):
-        linear = _products(y) * e.band.gain[:, None, None]
+    for k, (members, y) in enumerate(zip(e.members, _linear_transforms(posterior, x, everything, acting), strict=True)):
+        linear = _mean_products(y) * e.band.gain[:, None, None]
         linear[:, diagonal, diagonal] += noise[k] * e.band.gain[:, None]
-        z = _through(transforms[members], everything, posterior, k)
-        likeness = _likeness(np.einsum("sfa,sfb->fab", z, y.conj()) / members.size, _products(y))
-        out[k] = simulated[k] - expected[k] - likeness[:, None, None] * (linear - expected[k])
+        z = _apply_responses(transforms[members], everything, posterior, k)
+        regression = _squared_regression(np.einsum("sfa,sfb->fab", z, y.conj()) / members.size, _mean_products(y))
+        out[k] = simulated[k] - expected[k] - regression[:, None, None] * (linear - expected[k])
         bent[members], straight[members] = z, y
     return SimulatedSpectra(out, np.asarray(simulated - expected), bent, straight)
 
 
-def _sensors_sides(
+def _compare_sensors(
     posterior: Posterior, x: Array, effects: tuple[Effect, ...], acting: Forces, transforms: ComplexArray
 ) -> SimulatedSpectra:
-    """As `simulate_spectra` where a sensor bends: less what the linear sensors say under the same forces and noise."""
+    """Compare nonlinear sensors with the linear ones under the same forces and noise, for `simulate_spectra`."""
     gain, everything = posterior.observed.band.gain, (*posterior.prior.effects(x), *effects)
     posterior, diagonal = posterior.of_model_alone(), np.arange(len(posterior.context.channels))
-    out, sensors = class_means(posterior, x, effects, transforms), _bent(everything)
+    out, sensors = class_means(posterior, x, effects, transforms), _nonlinear_sensors(everything)
     others = [effect for effect in everything if effect not in sensors]
     bent, straight = np.empty_like(transforms), np.empty_like(transforms)
-    for k, y in enumerate(_linear(posterior, x, everything, acting)):
+    for k, y in enumerate(_linear_transforms(posterior, x, everything, acting)):
         members = posterior.observed.members[k]
-        out[k] -= _products(y) * gain[:, None, None]
-        out[k][:, diagonal, diagonal] -= _added(sensors, posterior, k) * gain[:, None]  # what clipping adds
-        bent[members], straight[members] = _through(transforms[members], others, posterior, k), y
+        out[k] -= _mean_products(y) * gain[:, None, None]
+        # The expectation of the linearized sensors includes the distortion that clipping adds, as white noise.
+        out[k][:, diagonal, diagonal] -= _added_noise_density(sensors, posterior, k) * gain[:, None]
+        bent[members], straight[members] = _apply_responses(transforms[members], others, posterior, k), y
     return SimulatedSpectra(out, out, bent, straight)
 
 
-def _compared(
+def _compare_at_simulated_motion(
     posterior: Posterior, x: Array, effects: tuple[Effect, ...], transforms: ComplexArray
 ) -> tuple[Posterior, ComplexArray, ComplexArray]:
-    """The posterior linear at the simulation's motion, the exact spectra of every class and those that it expects."""
+    """Linearize a posterior at the simulated motion and compute the exact and the expected spectra of every class.
+
+    Returns
+    -------
+    posterior : Posterior
+        The posterior, linearized at the simulated motion.
+    simulated, expected : ndarray, shape (classes, n_bins, c, c), (m/s^2)^2/Hz
+    """
     posterior, everything = posterior.of_model_alone(), (*posterior.prior.effects(x), *effects)
     simulated, diagonal = class_means(posterior, x, effects, transforms), np.arange(len(posterior.context.channels))
-    noise = _noise(posterior, x, everything)[:, None, :] * posterior.observed.band.gain[:, None]
+    noise = _noise_density(posterior, x, everything)[:, None, :] * posterior.observed.band.gain[:, None]
     simulated[:, :, diagonal, diagonal] += noise
     posterior = replace(posterior, conditions=linearize(posterior, x, effects, simulated))
     return posterior, simulated, posterior.scatter(x, effects)
 
 
-def _noise(posterior: Posterior, x: Array, effects: Sequence[Effect]) -> Array:
-    """Density of the channels' noise in every class, shape (classes, c)."""
-    return np.array([posterior.noise(x) + _added(effects, posterior, k) for k in range(posterior.n_classes)])
+def _noise_density(posterior: Posterior, x: Array, effects: Sequence[Effect]) -> Array:
+    """Compute the density of the channels' noise in every class, shape (classes, c), (m/s^2)^2/Hz."""
+    return np.array(
+        [posterior.noise(x) + _added_noise_density(effects, posterior, k) for k in range(posterior.n_classes)]
+    )
 
 
-def _linear(posterior: Posterior, x: Array, effects: tuple[Effect, ...], acting: Forces) -> Iterator[ComplexArray]:
-    """Transforms of every class's segments as its linearized system answers the forces."""
+def _linear_transforms(
+    posterior: Posterior, x: Array, effects: tuple[Effect, ...], acting: Forces
+) -> Iterator[ComplexArray]:
+    """Yield the transforms of every class's segments under its linearized system, shape (n_members, n_bins, c)."""
     context, base = posterior.context_at(x), posterior.system(x, effects)
-    bent = _bent(effects)
-    hz = np.arange(_kept(posterior)) * acting.rate_hz / len(acting.floors)
+    nonlinear = _nonlinear_sensors(effects)
+    hz = np.arange(_kept_frequencies(posterior)) * acting.rate_hz / len(acting.floors)
     sources = acting.floors if acting.ground is None else np.column_stack([acting.floors, acting.ground])
-    driven, straight = _spectrum(sources, posterior), np.sinc(hz / acting.rate_hz)[:, None] ** 2
-    heard = 0.0 if acting.noise is None else _spectrum(acting.noise, posterior)
+    driven, interpolation = _kept_spectrum(sources, posterior), np.sinc(hz / acting.rate_hz)[:, None] ** 2
+    noise = 0.0 if acting.noise is None else _kept_spectrum(acting.noise, posterior)
     for k, members in enumerate(posterior.observed.members):
         system = extended(base, effects, context, posterior.conditions[k])
         answer = channel_response(system, hz, context)[:, :, : driven.shape[1]]
         at_once = channel_response(system, np.array([_INERTIA_FREQUENCY * acting.rate_hz]), context)[
             0, :, : driven.shape[1]
         ]
-        # Forces run straight between samples.  What that adds far above the band, where floors answer at once, is folded into it.
-        folded = (driven * (1.0 - straight)) @ at_once.T
-        y = _transformed(np.einsum("fcj,fj->fc", answer, driven * straight) + folded + heard, posterior, members)
-        yield _through(_through(y, bent, posterior, k), [e for e in effects if e not in bent], posterior, k)
+        # Forces are linear in time between samples, which adds motion far above the band.  Sampling folds this motion into the
+        # band.  At its frequencies only the inertia of the floors responds.
+        folded = (driven * (1.0 - interpolation)) @ at_once.T
+        y = _segment_transforms(
+            np.einsum("fcj,fj->fc", answer, driven * interpolation) + folded + noise, posterior, members
+        )
+        yield _apply_responses(
+            _apply_responses(y, nonlinear, posterior, k), [e for e in effects if e not in nonlinear], posterior, k
+        )
 
 
-def _added(effects: Sequence[Effect], posterior: Posterior, k: int) -> Array:
-    """Density of the white noise that effects add to the channels."""
+def _added_noise_density(effects: Sequence[Effect], posterior: Posterior, k: int) -> Array:
+    """Compute the density of the white noise that effects add to the channels in class k, shape (c,), (m/s^2)^2/Hz."""
     context = posterior.context
     variance = sum(
         (f.noise_variance(context, posterior.conditions[k]) for f in effects), np.zeros(len(context.channels))
@@ -235,19 +303,26 @@ def _added(effects: Sequence[Effect], posterior: Posterior, k: int) -> Array:
     return np.asarray(variance) / context.rate_hz
 
 
-def _likeness(cross: ComplexArray, own: ComplexArray) -> Array:
-    """Squared regression of one response on another near every bin, shape (n_bins,)."""
+def _squared_regression(cross: ComplexArray, own: ComplexArray) -> Array:
+    """Compute the squared regression coefficient of one response on another near every bin, shape (n_bins,).
+
+    Parameters
+    ----------
+    cross, own : ndarray, shape (n_bins, c, c)
+        Cross-spectra of the two responses, and spectra of the second.
+    """
     ones = np.ones(2 * _COHERENCE_BINS + 1)
     part, whole = (np.convolve((np.abs(a) ** 2).sum(axis=(1, 2)), ones, "same") for a in (cross, own))
     return np.asarray(part / whole)
 
 
-def _products(transforms: ComplexArray) -> ComplexArray:
+def _mean_products(transforms: ComplexArray) -> ComplexArray:
+    """Average the segments' cross-products, shape (n_bins, c, c)."""
     return np.asarray(np.einsum("sfa,sfb->fab", transforms, transforms.conj()) / len(transforms))
 
 
-def _through(transforms: ComplexArray, effects: Sequence[Effect], posterior: Posterior, k: int) -> ComplexArray:
-    """Transforms after the effects' responses."""
+def _apply_responses(transforms: ComplexArray, effects: Sequence[Effect], posterior: Posterior, k: int) -> ComplexArray:
+    """Apply the effects' frequency responses in class k to transforms, shape (n_members, n_bins, c)."""
     for effect in effects:
         response = effect.response(posterior.observed.band.hz, posterior.context, posterior.conditions[k])
         if response is not None:
@@ -256,27 +331,30 @@ def _through(transforms: ComplexArray, effects: Sequence[Effect], posterior: Pos
     return transforms
 
 
-def _coarse(posterior: Posterior) -> int:
-    """Samples in half a segment of the series that holds the band alone."""
+def _kept_samples(posterior: Posterior) -> int:
+    """Choose the number of samples in half a segment of the resampled series, which contains the band only."""
     band = posterior.observed.band
     fast = next_fast_len(int(np.ceil(_KEPT_BAND * band.hz[-1] / band.bin_hz)), real=True)
     return int(min(fast, round(posterior.observed.rate_hz / band.bin_hz / 2)))
 
 
-def _kept(posterior: Posterior) -> int:
-    """Frequencies of a whole series that matter in the band."""
-    return (posterior.observed.t_s.size + 2) * _coarse(posterior) // 2 + 1
+def _kept_frequencies(posterior: Posterior) -> int:
+    """Count the frequencies of a whole series that are kept."""
+    return (posterior.observed.t_s.size + 2) * _kept_samples(posterior) // 2 + 1
 
 
-def _spectrum(samples: Array, posterior: Posterior) -> ComplexArray:
-    """Lowest frequencies of whole series, shape (n, columns), scaled so that fewer samples keep the amplitude."""
-    n = _kept(posterior)
+def _kept_spectrum(samples: Array, posterior: Posterior) -> ComplexArray:
+    """Transform whole series and keep the lowest frequencies, shape (n_kept, columns).
+
+    The scaling keeps the amplitude of a series of fewer samples.
+    """
+    n = _kept_frequencies(posterior)
     return np.asarray(rfft(np.ascontiguousarray(samples.T))[:, :n].T * (2.0 * (n - 1) / len(samples)))
 
 
-def _transformed(spectrum: ComplexArray, posterior: Posterior, wanted: Iterable[int]) -> ComplexArray:
-    """Tapered transforms of the wanted segments in the band, shape (n_wanted, n_bins, c), of a series at a lower rate."""
-    band, half = posterior.observed.band, _coarse(posterior)
+def _segment_transforms(spectrum: ComplexArray, posterior: Posterior, wanted: Iterable[int]) -> ComplexArray:
+    """Cut the wanted segments out of a whole series and transform them with the taper, shape (n_wanted, n_bins, c)."""
+    band, half = posterior.observed.band, _kept_samples(posterior)
     samples = irfft(np.ascontiguousarray(spectrum.T), n=(posterior.observed.t_s.size + 2) * half)
     window = taper(2 * half) / np.sqrt(2.0 * half * band.bin_hz)
     parts = np.stack([samples[:, (i + 1) * half : (i + 3) * half] for i in wanted])  # half overlapped

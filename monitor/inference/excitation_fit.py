@@ -1,4 +1,4 @@
-"""The excitation of a model whose structure is stated: levels and noise that make its prediction of a recording most probable."""
+"""Fit of the excitation of a model with a given structure: the most probable forces, levels and noise of a recording."""
 
 from __future__ import annotations
 
@@ -44,36 +44,43 @@ _QUIET_SHARE = 1.0 / 3.0
 
 @dataclass(frozen=True, eq=False, slots=True)
 class ExcitationStart:
-    """The excitation of a recording that is like the one at hand, or part of it, under nearly the same model."""
+    """Excitation of a similar recording, or of a part of the recording, under nearly the same model: the start of a fit."""
 
     forces: Array
-    """Logarithms of the floors', shape (n,)."""
+    """Logarithms of the floors' force densities, shape (n,)."""
     levels: Array
-    """Logarithms of the classes', shape (classes,)."""
+    """Logarithms of the classes' levels, shape (classes,)."""
     noise: float
-    """Logarithm of its density."""
+    """Logarithm of the noise density."""
     beyond: ComplexArray | None = None
-    """What exact laws add to the linearized spectra, relative to them, shape (classes, n_bins, c, c); None if not known."""
+    """Exact less linearized spectra, relative to the latter, shape (classes, n_bins, c, c); None if not known."""
 
     @classmethod
     def at(cls, posterior: Posterior, x: Array, beyond: ComplexArray | None = None) -> Self:
-        """That of a vector of nuisances."""
+        """Take the excitation of a vector of nuisances, shape (n_nuisance,)."""
         layout = posterior.layout
         return cls(x[layout.forces], x[layout.levels], float(x[layout.noise]), beyond)
 
     def of(self, n_classes: int) -> ExcitationStart:
-        """For as many classes of rising level."""
-        like = nearest_classes(self.levels.size, n_classes)
-        return replace(self, levels=self.levels[like], beyond=None if self.beyond is None else self.beyond[like])
+        """Convert the excitation to another number of classes of rising level."""
+        nearest = nearest_classes(self.levels.size, n_classes)
+        return replace(self, levels=self.levels[nearest], beyond=None if self.beyond is None else self.beyond[nearest])
 
     @property
     def vector(self) -> Array:
-        """Forces, levels and noise, as they follow the structural nuisances."""
+        """Forces, levels and noise in the order of the parameter vector, shape (n + classes + 1,)."""
         return np.concatenate([self.forces, self.levels, [self.noise]])
 
 
 def nearest_classes(n: int, wanted: int) -> NDArray[np.intp]:
-    """Of n classes of rising level those nearest to as many as are wanted."""
+    """Choose, out of n classes of rising level, those nearest to a wanted number of classes, shape (wanted,).
+
+    Examples
+    --------
+    >>> from monitor.inference import nearest_classes
+    >>> nearest_classes(5, 3).tolist()
+    [0, 2, 4]
+    """
     return np.rint(np.linspace(0, n - 1, wanted)).astype(np.intp)
 
 
@@ -84,10 +91,26 @@ def fit_excitation(
     reference_degc: float | None,
     near: ExcitationStart | None = None,
 ) -> tuple[Posterior, Array]:
-    """The model's posterior with levels and noise fitted, from nearby where that is known; everything else as it is stated.
+    """Fit levels and noise of a recording under a model; all other parameters stay as stated.
 
-    Laws that depend on the level are made linear at the motion that the model itself shows, hence the repetition; what that
-    leaves out is simulated.
+    Laws that depend on the level are linearized at the motion of the fitted model, which is why the fit is repeated.  Simulation
+    adds the difference of the exact from the linearized laws.
+
+    Parameters
+    ----------
+    evidence : ObservedSpectra
+        Spectra of the recording.
+    reference_degc : float or None
+        Temperature of the stated stiffnesses; None for the recording's mean.
+    near : ExcitationStart, optional
+        Excitation from which the fit starts.
+
+    Returns
+    -------
+    posterior : Posterior
+        The posterior at the fitted motion.
+    x : ndarray, shape (n_nuisance,)
+        The fitted nuisances.
     """
     n, c = context.structure.n_dofs, len(context.channels)
     stories = context.structure.n_stories
@@ -96,7 +119,7 @@ def fit_excitation(
     plain = replace(known, model=replace(model, effects=()), mean=known.mean[without_effects])
     posterior = make_posterior(evidence, plain, context)
     if isinstance(posterior, DrivenPosterior):
-        # One level is fitted for all forces, which therefore begin alike.
+        # One level is fitted for all forces, which therefore start from equal values.
         posterior, near = _best_between_samples(posterior, known), None
     near = None if near is None else near.of(posterior.n_classes)
     x = _first_guess(posterior) if near is None else np.concatenate([plain.mean, near.vector])
@@ -108,15 +131,25 @@ def fit_excitation(
         x = _fit_levels(posterior, at_prior)
     if isinstance(posterior, AmbientPosterior) and any(e.nonlinear for e in model.effects):
         linear = posterior.scatter(x, ())
-        beyond = _beyond(posterior, x, linear) if near is None or near.beyond is None else near.beyond
-        exactly = replace(posterior, offset=grown_by(linear, beyond) - linear)
-        if np.isfinite(exactly.score(x, ())[0]):  # a law far too strong moves too differently to be corrected
-            posterior, x = exactly, _fit_levels(exactly, x)
+        beyond = _simulated_correction(posterior, x, linear) if near is None or near.beyond is None else near.beyond
+        corrected = replace(posterior, offset=grown_by(linear, beyond) - linear)
+        if np.isfinite(corrected.score(x, ())[0]):  # the motion under a far too strong law cannot be corrected
+            posterior, x = corrected, _fit_levels(corrected, x)
     return posterior, x
 
 
-def _beyond(posterior: Posterior, x: Array, linear: ComplexArray) -> ComplexArray:
-    """What the exact laws add to the linearized spectra, relative to them, by simulation."""
+def _simulated_correction(posterior: Posterior, x: Array, linear: ComplexArray) -> ComplexArray:
+    """Simulate the difference of the exact from the linearized spectra, relative to the latter.
+
+    Parameters
+    ----------
+    linear : ndarray, shape (classes, n_bins, c, c), (m/s^2)^2/Hz
+        Linearized spectra.
+
+    Returns
+    -------
+    ndarray, shape (classes, n_bins, c, c)
+    """
 
     loaded()
 
@@ -130,20 +163,23 @@ def _beyond(posterior: Posterior, x: Array, linear: ComplexArray) -> ComplexArra
 
 
 def _best_between_samples(posterior: DrivenPosterior, known: StructuralPrior) -> DrivenPosterior:
-    """Let the ground move between its samples so that least of the floors' motion is left unexplained."""
+    """Choose the ground's motion between its samples that leaves the least of the floors' motion unexplained."""
     whole = replace(posterior, prior=known)
     x = np.zeros(whole.layout.n_nuisance)
     x[whole.layout.structure] = known.mean
 
-    def left(between: Between) -> float:
-        rest = whole.observed.segments.values - whole.between_samples(between).mean(x, ())
-        return float(np.log((np.abs(rest) ** 2).mean(axis=0)).sum())
+    def log_residual(between: Between) -> float:
+        residual = whole.observed.segments.values - whole.between_samples(between).mean(x, ())
+        return float(np.log((np.abs(residual) ** 2).mean(axis=0)).sum())
 
-    return posterior.between_samples(min(get_args(Between), key=left))
+    return posterior.between_samples(min(get_args(Between), key=log_residual))
 
 
 def _first_guess(posterior: Posterior) -> Array:
-    """Guess the levels of the forces; beside a measured ground the level of all forces, the error being all of the power."""
+    """Guess the levels of the forces, shape (n_nuisance,).
+
+    With a measured ground one level of all forces is guessed, and the model's own error is taken as the whole power.
+    """
     x, ratio = guess_levels(posterior)
     if isinstance(posterior, DrivenPosterior):
         x[posterior.layout.forces] = np.log(ratio).mean() + np.log(FORCED)
@@ -153,10 +189,11 @@ def _first_guess(posterior: Posterior) -> Array:
 
 
 def _fit_driven(posterior: DrivenPosterior, x: Array) -> Array:
-    """Most probable level of the forces, of the model's own error in every class, noise of the ground and of the channels,
-    the rest of `x` kept.
+    """Fit the excitation of a recording with measured ground: one level of all forces, the model's own error, and noise.
 
-    The forces stand for what the response lacks at its resonances, the error for what it lacks everywhere.
+    The error has a level in every class; the noise is that of the ground and that of the channels.  The rest of `x`, shape
+    (n_nuisance,), does not change.  The forces explain residuals at the resonances, the error explains residuals at all
+    frequencies.
     """
     layout, k = posterior.layout, posterior.n_classes
     moving = np.zeros((k + 3, x.size))
@@ -164,7 +201,7 @@ def _fit_driven(posterior: DrivenPosterior, x: Array) -> Array:
     moving[1:-2, layout.levels] = np.eye(k)
     moving[-2, layout.noise] = 1.0
     moving[-1, layout.channel_noise] = 1.0
-    data = posterior.predict(x, ()).data  # levels move no mean
+    data = posterior.predict(x, ()).data  # levels do not change the means
 
     def cost(by: Array) -> float:
         value = -posterior.log_likelihood(posterior.scatter(x + by @ moving, ()), data)
@@ -174,32 +211,41 @@ def _fit_driven(posterior: DrivenPosterior, x: Array) -> Array:
 
 
 def forces_from_quiet_segments(posterior: DrivenPosterior, x: Array, effects: tuple[Effect, ...]) -> Array:
-    """The vector with the forces beside a measured ground that its quietest segments tell, the rest of `x` kept.
+    """Estimate the forces beside a measured ground motion from its quietest segments.
 
-    Wind blows there too, while what the model's response lacks grows with the ground's motion.
+    Wind acts in quiet segments too, while the error of the model's response grows with the ground's motion.
+
+    Parameters
+    ----------
+    x : ndarray, shape (n,)
+        Parameters, of which only the forces change.
+
+    Returns
+    -------
+    ndarray, shape (n,)
     """
     e, forces, levels = posterior.observed, posterior.layout.forces, posterior.layout.levels
     moved = (np.abs(posterior.mean(x, effects)) ** 2 / posterior.power).mean(axis=(1, 2))
     quiet = classify(replace(e.segments, drive=posterior.drive).part(moved <= np.quantile(moved, _QUIET_SHARE)))
-    like = nearest_classes(posterior.n_classes, quiet.counts.size)
-    there = posterior.part(quiet, like)
-    known = np.concatenate([x[: levels.start], x[levels][like], x[levels.stop :]])
+    nearest = nearest_classes(posterior.n_classes, quiet.counts.size)
+    quiet_posterior = posterior.part(quiet, nearest)
+    known = np.concatenate([x[: levels.start], x[levels][nearest], x[levels.stop :]])
     out = x.copy()
-    out[forces] = _by_scoring(there, known, effects)[forces]
+    out[forces] = _fit_by_scoring(quiet_posterior, known, effects)[forces]
     return out
 
 
 def _fit_levels(posterior: Posterior, x: Array) -> Array:
-    """Most probable forces, levels of the classes and noise, the rest of `x` kept: Fisher scoring, Levenberg-Marquardt steps.
+    """Fit forces, levels of the classes and noise by Fisher scoring with Levenberg-Marquardt steps, the rest of `x` fixed.
 
-    How strongly each floor is shaken belongs to the recording as its level does; were it held equal, a wrong structure that
-    makes up for it would score best.
+    The force on each floor is a property of the recording, as its level is.  With equal forces on all floors, a wrong structure
+    that compensates for their differences would have the best score.
     """
-    return _fit_driven(posterior, x) if isinstance(posterior, DrivenPosterior) else _by_scoring(posterior, x)
+    return _fit_driven(posterior, x) if isinstance(posterior, DrivenPosterior) else _fit_by_scoring(posterior, x)
 
 
-def _by_scoring(posterior: Posterior, x: Array, effects: tuple[Effect, ...] = (), iterations: int = 40) -> Array:
-    """As `_fit_levels`, beside further effects, whose coordinates follow in `x`."""
+def _fit_by_scoring(posterior: Posterior, x: Array, effects: tuple[Effect, ...] = (), iterations: int = 40) -> Array:
+    """Fit as `_fit_levels`, with extra effects, whose coordinates follow in `x`."""
     fit = _ExcitationFit.at(posterior, x, effects)
     return levenberg_marquardt(
         fit.evaluate(x),

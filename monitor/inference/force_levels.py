@@ -1,4 +1,4 @@
-"""What each force, or the ground, makes of the spectra, and how strong each was: wind comes and goes floor by floor."""
+"""Parts of the spectra by each force and by the ground, and their levels: wind varies from floor to floor."""
 
 from __future__ import annotations
 
@@ -22,22 +22,36 @@ _MIN_LEVEL_FACTOR = 0.1
 
 
 def spectra_by_force(posterior: Posterior, x: Array, effects: Sequence[Effect]) -> ComplexArray:
-    """Each force's part of the spectra without noise and, last, an unmeasured ground's, shape (n + 1, classes, n_bins, c, c).
+    """Split the spectra without noise into the parts of each force and, last, of an unmeasured ground.
 
-    What none of them makes alone is shared by the forces.
+    The rest, which none of them causes alone, is shared equally by the forces.
+
+    Parameters
+    ----------
+    x : ndarray, shape (n_x,)
+        Parameters of the model and of the excitation.
+    effects : sequence of Effect
+        Extra effects, beside the persistent ones.
+
+    Returns
+    -------
+    ndarray, shape (n + 1, classes, n_bins, c, c), (m/s^2)^2/Hz
     """
     layout, n = posterior.layout, posterior.context.structure.n_dofs
-    still = _silent(posterior, x)
-    # What simulation adds, and what the model gets wrong from the start, is relative to all that acts together.
+    noiseless = _without_noise(posterior, x)
+    # The simulated correction and the known model error are relative to the spectra of all forces together.
     linear = posterior.of_model_alone()
     calm = replace(linear, conditions=tuple(replace(c, ground=0.0) for c in posterior.conditions))
-    whole, ground = posterior.scatter(still, effects), linear.scatter(still, effects) - calm.scatter(still, effects)
-    none = still.copy()
+    whole, ground = (
+        posterior.scatter(noiseless, effects),
+        linear.scatter(noiseless, effects) - calm.scatter(noiseless, effects),
+    )
+    none = noiseless.copy()
     none[layout.forces] = _LOG_NOTHING
     alone, unforced = [], calm.scatter(none, effects)
     for j in range(n):
         one = none.copy()
-        one[layout.forces][j] = still[layout.forces][j]
+        one[layout.forces][j] = noiseless[layout.forces][j]
         alone.append(calm.scatter(one, effects) - unforced)
     parts = np.stack([*alone, ground])
     parts[:n] += (whole - parts.sum(axis=0)) / n
@@ -45,7 +59,10 @@ def spectra_by_force(posterior: Posterior, x: Array, effects: Sequence[Effect]) 
 
 
 def ground_levels(posterior: Posterior, x: Array, effects: Sequence[Effect]) -> Array:
-    """How strongly an unmeasured ground shook in every class, over the forces, relative to the whole recording: (classes,)."""
+    """Estimate the level of an unmeasured ground over that of the forces in every class, relative to the whole recording.
+
+    Parameters and units are those of `spectra_by_force`; the result has shape (classes,).
+    """
     e, linear = posterior.observed, replace(posterior, offset=None)
     *alone, ground = spectra_by_force(linear, x, effects)
     forces = np.sum(alone, axis=0)
@@ -57,7 +74,25 @@ def ground_levels(posterior: Posterior, x: Array, effects: Sequence[Effect]) -> 
 
 
 def fit_levels(parts: ComplexArray, noise: ComplexArray, data: ComplexArray) -> Array:
-    """Factors on the parts, each of shape (n_bins, c, c), that explain the data best beside the noise, shape (n_parts,)."""
+    """Fit the factors on the parts of a spectrum that explain the data best, together with the noise, by Fisher scoring.
+
+    Parameters
+    ----------
+    parts : ndarray, shape (n_parts, n_bins, c, c), (m/s^2)^2/Hz
+    noise, data : ndarray, shape (n_bins, c, c), (m/s^2)^2/Hz
+
+    Returns
+    -------
+    ndarray, shape (n_parts,)
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from monitor.inference import fit_levels
+    >>> parts = np.ones((1, 4, 1, 1), dtype=complex)
+    >>> fit_levels(parts, noise=0.1 * parts[0], data=2.1 * parts[0]).round(6)
+    array([2.])
+    """
     level = np.ones(len(parts))
     for _ in range(_SCORING_STEPS):
         model = np.tensordot(level, parts, axes=1) + noise
@@ -69,8 +104,8 @@ def fit_levels(parts: ComplexArray, noise: ComplexArray, data: ComplexArray) -> 
     return level
 
 
-def _silent(posterior: Posterior, x: Array) -> Array:
-    """The nuisances without noise."""
-    still = x.copy()
-    still[posterior.layout.noise] = _LOG_NOTHING
-    return still
+def _without_noise(posterior: Posterior, x: Array) -> Array:
+    """Return the parameters with no noise, shape (n_x,)."""
+    noiseless = x.copy()
+    noiseless[posterior.layout.noise] = _LOG_NOTHING
+    return noiseless

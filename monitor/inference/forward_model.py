@@ -1,4 +1,4 @@
-"""What parameters predict of a recording's segments: their spectra, and their response where the ground was measured."""
+"""Forward model: prediction of the segments' spectra, and of their response to a measured ground motion, from parameters."""
 
 from __future__ import annotations
 
@@ -25,62 +25,66 @@ _LINE_SHARE = 0.01
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Prediction:
-    """What parameters say of the segments, beside what was measured.
+    """Prediction of the segments' spectra, with the measured spectra to compare.
 
-    Without a measured ground all is chance.  With one, the segments' means are its response, `spectra` are those of what
-    is left, and so are `data`, which therefore depend on the parameters.
+    Without a measured ground motion the segments are random with zero mean.  With one, the segments' means are the response to
+    it.  `spectra` and `data` are then those of the residuals, so that `data` depend on the parameters.
     """
 
     spectra: ComplexArray
-    """Shape (classes, bins, c, c)."""
+    """Predicted spectra, shape (classes, bins, c, c)."""
     data: ComplexArray
+    """Measured spectra, shape (classes, bins, c, c)."""
     left: ComplexArray | None = None
-    """Segments less their means, shape (n_segments, n_bins, c)."""
+    """Residuals, segments less their means, shape (n_segments, n_bins, c); None without a measured ground motion."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class ForwardModel(ABC):
-    """Predict the spectra of a recording's segments from parameters and effects.
+    """Model that predicts the spectra of a recording's segments from parameters and effects.
 
-    What excites the structure is left to the two kinds of posterior: forces only (`AmbientPosterior`), or a measured ground
-    motion beside them (`DrivenPosterior`).
+    The excitation is defined by the two kinds of posterior: forces only (`AmbientPosterior`), or forces and a measured ground
+    motion (`DrivenPosterior`).
     """
 
     observed: ObservedSpectra
     prior: StructuralPrior
     context: Context
     conditions: tuple[Condition, ...]
-    """One a class."""
+    """Condition of every class."""
     offset: ComplexArray | None = None
-    """What simulation adds to the spectra of a linearized law, shape (classes, n_bins, c, c)."""
+    """Simulated correction of the linearized spectra, shape (classes, n_bins, c, c); None for no correction."""
     damped_as_built: bool = False
-    """Whether the damping matrix is that of the structure without the extra effects; else its modal ratios stay."""
+    """Whether the damping matrix is that of the structure without the extra effects; else the modal ratios do not change."""
     smoothing: Array | None = None
-    """Averages bins into coarse ones, shape (n_coarse, n_bins), for a start from far away."""
+    """Matrix that averages bins into coarse ones for a fit from a distant start, shape (n_coarse, n_bins)."""
     left_out: NDArray[np.bool_] | None = None
-    """Bins that are not compared, shape (n_bins,)."""
+    """Mask of the bins that are not compared, shape (n_bins,)."""
 
     @property
     def n_classes(self) -> int:
-        """Classes of level and temperature."""
+        """Number of classes of level and temperature."""
         return int(self.observed.counts.size)
 
     @property
     def layout(self) -> ParameterLayout:
-        """Where each group of parameters lies in `x`."""
+        """Layout of the groups of parameters in `x`."""
         return ParameterLayout.of(self.prior, self.n_classes)
 
     @property
     def error(self) -> ModelDiscrepancy | None:
-        """What the model of the healthy structure gets wrong; None where nothing is known of it."""
+        """Known error of the model of the healthy structure; None where nothing is known of it."""
         return self.prior.error
 
     def of_model_alone(self) -> Self:
-        """The same without what simulation adds, and without what the model gets wrong from the start."""
+        """Return the forward model without the simulated correction and without the known model error."""
         return replace(self, offset=None, prior=replace(self.prior, error=None))
 
     def widths(self) -> Array:
-        """Bins in each (coarse) bin; none about known machines' lines, and fewer where the model is known to err."""
+        """Compute the number of independent bins in each (coarse) bin, shape (bins,).
+
+        The number is zero about known machines' lines and in bins left out, and smaller where the model error is known.
+        """
         if self.smoothing is not None:
             return np.asarray(1.0 / (self.smoothing**2).sum(axis=1))
         band = self.observed.band
@@ -92,16 +96,16 @@ class ForwardModel(ABC):
         error = self.error
         if error is not None:
             inside, at = error.at(band.hz)
-            # An error that all segments and bins of a narrow band share does not average out.
+            # A model error that is common to all segments and bins of a narrow band does not average out.
             out[inside] /= 1.0 + error.variance[at] * self.observed.pieces(error.step_hz / band.bin_hz)
         return out
 
     def data(self) -> ComplexArray:
-        """Measured cross-spectra, (classes, bins, c, c)."""
+        """Return the measured (smoothed) cross-spectra, shape (classes, bins, c, c), (m/s^2)^2/Hz."""
         return self.smooth(self.observed.spectra)
 
     def smooth(self, spectra: ComplexArray) -> ComplexArray:
-        """Average bins, the third axis from the end."""
+        """Average bins, the third axis from the end, by `smoothing`."""
         if self.smoothing is None:
             return spectra
         return np.asarray(np.moveaxis(np.tensordot(self.smoothing, spectra, axes=(1, -3)), 0, -3))
@@ -116,7 +120,7 @@ class ForwardModel(ABC):
         Parameters
         ----------
         exact : bool
-            Whether nonlinear laws are stepped in time, or replaced by their linearization, which is quicker.
+            Whether nonlinear laws are integrated in time, or replaced by their linearization, which is faster.
         """
         return None
 
@@ -130,7 +134,7 @@ class ForwardModel(ABC):
         Parameters
         ----------
         classes : sequence of int, optional
-            The classes that are wanted; all of them by default.
+            Indices of the wanted classes; all classes by default.
 
         Returns
         -------
@@ -138,7 +142,7 @@ class ForwardModel(ABC):
         """
         wanted = range(self.n_classes) if classes is None else classes
         spectra = self.linear_spectra(x, (*self.prior.effects(x), *effects), wanted)
-        return self._as_healthy(spectra if self.offset is None else spectra + self.offset[list(wanted)])
+        return self._with_model_error(spectra if self.offset is None else spectra + self.offset[list(wanted)])
 
     @abstractmethod
     def linear_spectra(self, x: Array, effects: Sequence[Effect], classes: Sequence[int]) -> ComplexArray:
@@ -156,10 +160,10 @@ class ForwardModel(ABC):
 
     @abstractmethod
     def relative_levels(self, x: Array) -> Array:
-        """Return what a slope of the middle class is multiplied by to be that of every class, shape (classes,)."""
+        """Return the factors from a slope of the middle class to that of every class, shape (classes,)."""
 
-    def _as_healthy(self, spectra: ComplexArray) -> ComplexArray:
-        """With what the model gets wrong from the start."""
+    def _with_model_error(self, spectra: ComplexArray) -> ComplexArray:
+        """Apply the known model error to spectra, shape (classes, n_bins, c, c)."""
         error = self.error
         if error is None:
             return spectra
@@ -169,7 +173,7 @@ class ForwardModel(ABC):
         return grown_by(spectra, relative)
 
     def system(self, x: Array, effects: Sequence[Effect]) -> System:
-        """The system at a vector of nuisances, before what effects add at a level."""
+        """Make the linear system at a vector of parameters, before effects that depend on the level are added."""
         ratios, (mass, stiffness) = np.exp(x[self.layout.damping]), self.model(x, effects).structural_matrices()
         if not self.damped_as_built:
             return modally_damped(mass, stiffness, ratios)
@@ -177,16 +181,16 @@ class ForwardModel(ABC):
         return System(mass, modally_damped(*built, ratios).damping, stiffness)
 
     def context_at(self, x: Array) -> Context:
-        """Where effects act, with the structure at a vector of nuisances: relative sizes refer to it."""
+        """Make the context of effects with the structure at a vector of parameters, to which relative sizes refer."""
         layout, drawn = self.layout, self.prior.model.structure
         structure = drawn.with_stiffness(np.exp(x[layout.stiffness])).with_masses(np.exp(x[layout.masses]))
         return replace(self.context, structure=structure)
 
     def model(self, x: Array, effects: Sequence[Effect]) -> Model:
-        """The model at a vector of nuisances; `effects` are all of its effects."""
+        """Make the model at a vector of parameters; `effects` are all of its effects."""
         layout, base, structure = self.layout, self.prior.model, self.context_at(x).structure
         correction = x[layout.correction]
-        # The scale of all masses and stiffnesses cannot be seen; the correction shares it.
+        # The common scale of all masses and stiffnesses is not observable; the correction scales with them.
         scale = np.exp((x[layout.masses] - self.prior.mean[layout.masses]).mean())
         change = scale * np.tensordot(correction, self.prior.basis, axes=1) if correction.size else None
         if base.correction is not None:
@@ -200,6 +204,6 @@ class ForwardModel(ABC):
         )
 
     def noise(self, x: Array) -> Array:
-        """Noise density of every channel."""
+        """Return the noise density of every channel, shape (c,), (m/s^2)^2/Hz."""
         layout = self.layout
         return np.asarray(np.exp(x[layout.noise] + x[layout.channel_noise]))

@@ -1,6 +1,6 @@
-"""The response to a measured ground motion: a known input's known output, with nothing of chance in it.
+"""Response to a measured ground motion: the deterministic output of a known input.
 
-What a segment shows beyond it is left to forces, noise and the model's own error (output error identification).
+The residual of a segment is due to forces, noise and the model's own error (output error identification).
 
 References
 ----------
@@ -24,7 +24,7 @@ from monitor.model import Condition, Context, Effect, System
 from monitor.signals import SegmentDesign, taper
 
 Between = Literal["smooth", "straight", "held"]
-"""How the ground moves between its samples: as a sensor's filter leaves it, or as a simulation reads them."""
+"""Motion of the ground between its samples: smooth as after a sensor's filter, or straight or held as in a simulation."""
 
 _IMAGES = (0, -1, 1)
 """Images of the spectrum that sampling folds into the band. [count; definition]"""
@@ -53,34 +53,34 @@ _MEAN_ROWS = 2.0
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Run:
-    """A stretch of ground motion without a gap, in the frequency domain."""
+    """Run of ground motion without a gap, in the frequency domain."""
 
     spectrum: ComplexArray
     """Unscaled transform of the conditioned samples with zeros after them, m/s^2, shape (n // 2 + 1,)."""
     n: int
-    """Samples, zeros included."""
+    """Number of samples, zeros included."""
     length: int
-    """Samples without them."""
+    """Number of samples without the zeros."""
     passed: ComplexArray
-    """What the anti-alias filter makes of the frequencies, shape (n // 2 + 1,)."""
+    """Frequency response of the anti-alias filter, shape (n // 2 + 1,)."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Drive:
-    """The measured ground motion, whole, and where the recording's segments lie in it."""
+    """Whole measured ground motion, with the places of the recording's segments in it."""
 
     runs: tuple[Run, ...]
     run: NDArray[np.intp]
-    """Of every segment, shape (n_segments,)."""
+    """Index of every segment's run, shape (n_segments,)."""
     first: NDArray[np.intp]
-    """First sample of every segment in its run."""
+    """First sample of every segment in its run, shape (n_segments,)."""
     design: SegmentDesign
     source_hz: float
-    """Rate of the source's samples."""
+    """Rate of the source's samples, Hz."""
     between: Between = "smooth"
 
     def images(self, hz: Array) -> Iterator[tuple[float, Array | ComplexArray]]:
-        """Frequencies that samples do not tell from `hz`, as distances, and the share of the ground's motion at each."""
+        """Yield the aliases of frequencies `hz`, shape (n_hz,): distance in Hz, and factor on the ground's motion, (n_hz,)."""
         if self.between == "smooth":
             yield 0.0, np.ones(hz.size)
             return
@@ -92,23 +92,35 @@ class Drive:
             )
 
     def part(self, chosen: NDArray[np.bool_] | NDArray[np.intp]) -> Drive:
-        """The chosen segments alone."""
+        """Select segments by mask or index."""
         return replace(self, run=self.run[chosen], first=self.first[chosen])
 
     def hz(self, run: Run, band: Band) -> Array:
-        """Frequencies of a run's transform as far as they matter in the band."""
+        """Return the frequencies of a run's transform up to a little beyond the band, shape (n_hz,), Hz."""
         hz = np.arange(run.n // 2 + 1) * (self.design.rate_hz / run.n)
         return np.asarray(hz[: np.searchsorted(hz, 1.1 * band.hz[-1])])
 
     def ground(self, band: Band) -> ComplexArray:
-        """Transforms of the ground's own motion in every segment, shape (n_segments, n_bins)."""
+        """Transform the ground's own motion in every segment, shape (n_segments, n_bins)."""
         out = np.empty((self.run.size, band.n_bins), dtype=complex)
         for members, samples in self.moved(np.ones((run.n // 2 + 1, 1), dtype=complex) for run in self.runs):
-            out[members] = _transforms(self.design, samples)[:, band.first : band.first + band.n_bins, 0]
+            out[members] = _tapered_transforms(self.design, samples)[:, band.first : band.first + band.n_bins, 0]
         return out
 
     def moved(self, answers: Iterable[ComplexArray]) -> Iterator[tuple[NDArray[np.intp], Array]]:
-        """Segments of every run and their samples, shape (n, columns), given each run's answer per frequency."""
+        """Yield the segments of every run and their samples, for given frequency responses to the ground motion.
+
+        Parameters
+        ----------
+        answers : iterable of ndarray, shape (n_hz, columns)
+            Frequency response of each run.
+
+        Yields
+        ------
+        members : ndarray, shape (n_members,)
+            Indices of the run's segments.
+        samples : ndarray, shape (n_members, n, columns)
+        """
         for i, (run, answer) in enumerate(zip(self.runs, answers, strict=True)):
             samples = irfft(answer.T * run.spectrum[: len(answer)], n=run.n)
             members = np.flatnonzero(self.run == i)
@@ -123,14 +135,23 @@ def locate(
     source_hz: float,
     filtered: Callable[[Array], ComplexArray],
 ) -> tuple[Drive, NDArray[np.bool_]] | None:
-    """The drive of segments that begin at given times, with which of them a run covers; None where too few are.
+    """Locate segments in the runs of ground motion.
 
     Parameters
     ----------
     runs : sequence of (int, ndarray)
         UTC of the first sample in ns and conditioned samples, m/s^2, of every run.
+    segments_t_ns : sequence of int
+        UTC of the first sample of every segment, ns.
+    source_hz : float
+        Rate of the source's samples.
     filtered : callable
-        What the conditioning makes of frequencies in Hz.
+        Frequency response of the conditioning at frequencies in Hz.
+
+    Returns
+    -------
+    (Drive, ndarray of bool, shape (n_segments,)) or None
+        The ground motion, and the segments that a run covers; None where too few segments are covered.
     """
     which, first, covered = [], [], np.ones(len(segments_t_ns), dtype=bool)
     for s, t_ns in enumerate(segments_t_ns):
@@ -144,40 +165,40 @@ def locate(
             covered[s] = False
     if len(which) < max(_MIN_RUN_SEGMENTS, 0.5 * covered.size):
         return None
-    made = []
+    transformed = []
     for _, samples in runs:
         n = next_fast_len(round(samples.size + _PAD_S * design.rate_hz), real=True)
         hz = np.arange(n // 2 + 1) * (design.rate_hz / n)
-        made.append(Run(np.asarray(rfft(samples, n=n)), n, samples.size, filtered(hz)))
+        transformed.append(Run(np.asarray(rfft(samples, n=n)), n, samples.size, filtered(hz)))
     return Drive(
-        tuple(made), np.array(which, dtype=np.intp), np.array(first, dtype=np.intp), design, source_hz
+        tuple(transformed), np.array(which, dtype=np.intp), np.array(first, dtype=np.intp), design, source_hz
     ), covered
 
 
 def response(
     drive: Drive, system: System, effects: Sequence[Effect], band: Band, context: Context, condition: Condition
 ) -> ComplexArray:
-    """Transforms of the channels' response in every segment, shape (n_segments, n_bins, c)."""
+    """Compute the transforms of the channels' response in every segment, shape (n_segments, n_bins, c)."""
     clock = float(np.prod([e.clock_factor for e in effects]))
     out = np.empty((drive.run.size, band.n_bins, len(context.channels)), dtype=complex)
 
     def answer(run: Run) -> ComplexArray:
         hz = drive.hz(run, band)
         floors = np.zeros((hz.size, context.structure.n_dofs), dtype=complex)
-        for far, share in drive.images(hz):
-            floors += share[:, None] * (_relative(system, clock * (hz + far), context) + 1.0)
+        for distance_hz, factor in drive.images(hz):
+            floors += factor[:, None] * (_relative_response(system, clock * (hz + distance_hz), context) + 1.0)
         channels = np.asarray(floors @ context.sensors.T, dtype=np.complex128)
-        return _seen(channels, effects, clock * hz, context, condition)
+        return _apply_sensor_effects(channels, effects, clock * hz, context, condition)
 
     for members, samples in drive.moved(answer(run) for run in drive.runs):
-        out[members] = _transforms(drive.design, samples)[:, band.first : band.first + band.n_bins]
+        out[members] = _tapered_transforms(drive.design, samples)[:, band.first : band.first + band.n_bins]
     return out
 
 
-def _seen(
+def _apply_sensor_effects(
     channels: ComplexArray, effects: Sequence[Effect], hz: Array, context: Context, condition: Condition
 ) -> ComplexArray:
-    """What sensors make of the true accelerations, shape (n_hz, c)."""
+    """Apply the effects' frequency responses to the true accelerations at the sensors, shape (n_hz, c)."""
     for effect in effects:
         response = effect.response(hz, context, condition)
         if response is not None:
@@ -185,15 +206,15 @@ def _seen(
     return channels
 
 
-def _relative(system: System, hz: Array, context: Context) -> ComplexArray:
-    """Acceleration of the floors over the ground's, relative to it, shape (n_hz, n)."""
+def _relative_response(system: System, hz: Array, context: Context) -> ComplexArray:
+    """Compute the floors' acceleration relative to the ground, over the ground's acceleration, shape (n_hz, n)."""
     right = -system.mass.sum(axis=1)[:, None]
     floors = accelerance(system.mass, system.damping, system.stiffness, 2.0 * np.pi * hz, right)
     return np.asarray(floors[:, : context.structure.n_dofs, 0])
 
 
-def _transforms(design: SegmentDesign, samples: Array) -> ComplexArray:
-    """`monitor.signals.welch.transform` of many segments at once, shape (n_segments, n_bins, c)."""
+def _tapered_transforms(design: SegmentDesign, samples: Array) -> ComplexArray:
+    """Transform many segments at once as `monitor.signals.welch.transform` does, shape (n_segments, n_bins, c)."""
     tapered = np.moveaxis(samples, 1, -1) * (taper(design.n) / np.sqrt(design.rate_hz))
     return np.asarray(np.moveaxis(rfft(tapered, axis=-1)[..., : design.n_bins], -1, 1))
 
@@ -201,12 +222,16 @@ def _transforms(design: SegmentDesign, samples: Array) -> ComplexArray:
 def exact_response(
     drive: Drive, system: System, effects: Sequence[Effect], band: Band, context: Context, condition: Condition
 ) -> ComplexArray:
-    """As `response`, with nonlinear laws stepped in time instead of made linear.
+    """Compute the channels' response as `response`, with nonlinear laws integrated in time instead of linearized.
 
     Parameters
     ----------
     system : System
-        Without what the nonlinear effects add.
+        System without the nonlinear effects.
+
+    Returns
+    -------
+    ndarray, shape (n_segments, n_bins, c)
     """
     from monitor.model import march  # compiled code takes a while to load
 
@@ -218,10 +243,10 @@ def exact_response(
     for i, run in enumerate(drive.runs):
         hz = np.asarray(np.arange(run.n // 2 + 1) * (drive.design.rate_hz / run.n), dtype=np.float64)
         finer = drive.design.rate_hz * _GROUND_OVERSAMPLING
-        # The laws see the ground before the filter, as far as it leaves any of it.
+        # The true ground motion, before the filter, acts on the laws; frequencies that the filter removes are lost.
         kept = np.abs(run.passed) > _MIN_FILTER_GAIN
         moved = next(drive.images(hz))[1] * run.spectrum * np.where(kept, 1.0 / np.where(kept, run.passed, 1.0), 0.0)
-        # Steps run straight between samples, which is a lowpass; slow tilt is no motion.
+        # Forces are linear in time between samples, which is a lowpass; slow tilt of the sensors is no motion.
         shape = 1.0 / np.sinc(hz / finer) ** 2 / (1.0 + (lowest / np.maximum(hz, 1e-9)) ** _HIGHPASS_ORDER)
         ground = (
             irfft(shape * moved, n=run.n * _GROUND_OVERSAMPLING)[: run.length * _GROUND_OVERSAMPLING]
@@ -230,33 +255,44 @@ def exact_response(
         floors = march(system, n, laws, -ground[:, None] * inertia, finer * clock, None, _MIN_STEP_HZ)
         floors = np.pad(floors[::_GROUND_OVERSAMPLING], ((0, run.n - run.length), (0, 0)))
         absolute = np.asarray((rfft(floors, axis=0) + moved[:, None]) * run.passed[:, None]) @ context.sensors.T
-        samples = irfft(_seen(np.asarray(absolute, dtype=complex), effects, hz * clock, context, condition).T, n=run.n)
+        samples = irfft(
+            _apply_sensor_effects(np.asarray(absolute, dtype=complex), effects, hz * clock, context, condition).T,
+            n=run.n,
+        )
         members = np.flatnonzero(drive.run == i)
         windows = np.lib.stride_tricks.sliding_window_view(samples, drive.design.n, axis=1)
-        made = _transforms(drive.design, np.moveaxis(windows[:, drive.first[members]], 0, -1))
-        out[members] = made[:, band.first : band.first + band.n_bins]
+        transforms = _tapered_transforms(drive.design, np.moveaxis(windows[:, drive.first[members]], 0, -1))
+        out[members] = transforms[:, band.first : band.first + band.n_bins]
     return out
 
 
 def motion_rms(
     drive: Drive, system: System, band: Band, context: Context, rows: Array, order: int, lowest_hz: float
 ) -> Array:
-    """RMS over the segments of the floors' motion relative to the ground, in given rows of it.
+    """Compute the RMS over the segments of the floors' motion relative to the ground.
 
     Parameters
     ----------
     rows : ndarray, shape (m, n)
+        Rows that pick drifts or floors out of the floors' motion.
     order : {0, 1}
         0 for displacement, 1 for velocity.
     lowest_hz : float
-        What is slower is the sensors' tilt and drift.
+        Frequency below which motion is taken as tilt and drift of the sensors, and left out.
+
+    Returns
+    -------
+    ndarray, shape (m,), m or m/s
     """
 
     def answer(run: Run) -> ComplexArray:
         hz = drive.hz(run, band)
         w = 2.0 * np.pi * np.maximum(hz, lowest_hz)
         relative = (
-            _relative(system, w / (2.0 * np.pi), context) @ rows.T / (-(w**2))[:, None] * (1j * w[:, None]) ** order
+            _relative_response(system, w / (2.0 * np.pi), context)
+            @ rows.T
+            / (-(w**2))[:, None]
+            * (1j * w[:, None]) ** order
         )
         return np.asarray(relative * (hz >= lowest_hz)[:, None])
 
@@ -268,9 +304,19 @@ def motion_rms(
 
 
 def smooth_power(transforms: ComplexArray, bin_hz: float) -> Array:
-    """Mean power of segments, smoothed widely, shape (n_bins, c): what a model's own error is measured by.
+    """Average the power of segments and smooth it over a wide range of frequencies; the model's own error is a share of it.
 
-    An error with peaks of its own would excuse a wrong response just where it tells the most.
+    An error with peaks of its own would hide a wrong response where that is most informative.
+
+    Parameters
+    ----------
+    transforms : ndarray, shape (n_segments, n_bins, c)
+    bin_hz : float
+        Spacing of the bins.
+
+    Returns
+    -------
+    ndarray, shape (n_bins, c)
     """
     power = (np.abs(transforms) ** 2).mean(axis=0)
     half = round(0.5 * _SMOOTH_HZ / bin_hz)
@@ -279,7 +325,7 @@ def smooth_power(transforms: ComplexArray, bin_hz: float) -> Array:
 
 
 def products(transforms: ComplexArray, members: Sequence[NDArray[np.intp]]) -> ComplexArray:
-    """Mean cross-products of every class's segments, shape (classes, n_bins, c, c)."""
+    """Average the cross-products of every class's segments, shape (classes, n_bins, c, c)."""
     by_bin = [transforms[m].transpose(1, 2, 0) for m in members]
     return np.stack([x @ x.conj().swapaxes(1, 2) / x.shape[2] for x in by_bin])
 
@@ -287,15 +333,22 @@ def products(transforms: ComplexArray, members: Sequence[NDArray[np.intp]]) -> C
 def mean_rows(
     spectra: ComplexArray, stacked: ComplexArray, members: Sequence[NDArray[np.intp]], weight: Array
 ) -> Array:
-    """Changes of the segments' means as real rows of unit information, shape (n_segments * n_bins * c * 2, p).
+    """Whiten changes of the segments' means into real rows of unit information.
 
     Parameters
     ----------
     spectra : ndarray, shape (classes, n_bins, c, c)
-        Of what is left of the segments.
+        Spectra of the residuals.
     stacked : ndarray, shape (p, n_segments, n_bins, c)
+        Changes of the means.
+    members : sequence of ndarray
+        Segments of every class.
     weight : ndarray, shape (classes,)
-        Independent pieces of information a segment and bin.
+        Independent pieces of information in a segment and bin.
+
+    Returns
+    -------
+    ndarray, shape (n_segments * n_bins * c * 2, p)
     """
     of = np.empty(stacked.shape[1], dtype=np.intp)
     for k, m in enumerate(members):
@@ -307,7 +360,15 @@ def mean_rows(
 
 @compiled(error_model="numpy")
 def _whitened_means(whiteners: ComplexArray, of: NDArray[np.intp], stacked: ComplexArray) -> Array:
-    """Real and imaginary parts of every whitened segment, shape (p, 2, n_segments, n_bins, c); `of` is each one's class."""
+    """Whiten every segment into its real and imaginary parts, shape (p, 2, n_segments, n_bins, c).
+
+    Parameters
+    ----------
+    whiteners : ndarray, shape (classes, n_bins, c, c)
+    of : ndarray, shape (n_segments,)
+        Class of each segment.
+    stacked : ndarray, shape (p, n_segments, n_bins, c)
+    """
     p, segments, bins, c = stacked.shape
     out = np.empty((p, 2, segments, bins, c))
     for q in range(p):

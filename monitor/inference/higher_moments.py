@@ -1,8 +1,8 @@
-"""What averaged spectra do not say and laws show: the skewness of drifts, and the kurtosis of modes.
+"""Higher moments, which averaged spectra do not contain: the skewness of drifts, and the kurtosis of modes.
 
-A one-sided law leaves a drift skewed; no linear cause and no symmetric law does.  Under friction large motion is damped less
-than small motion, so that a mode's level has heavier tails than that of a normal process; under drag lighter ones.  Both are
-told at one level of the forces, where averaged spectra cannot tell such a law from a damper.
+A one-sided law makes a drift skewed; no linear cause and no symmetric law does.  Under friction large motion is damped less than
+small motion, so that a mode's level has heavier tails than that of a normal process; under drag it has lighter tails.  Skewness
+and kurtosis identify such laws at one level of the forces, where averaged spectra cannot distinguish them from a damper.
 """
 
 from __future__ import annotations
@@ -32,44 +32,56 @@ must not decide]"""
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Moments:
-    """Of the third order and of the fourth, beyond those of a normal process."""
+    """Moments of the third and the fourth order, in excess of those of a normal process."""
 
     skewness: Array
-    """Of every story's drift in the band, shape (n_stories,)."""
+    """Skewness of every story's drift in the band, shape (n_stories,)."""
     kurtosis: Array
-    """Excess of every mode's in a narrow band, shape (n,): of a normal process 0, of a tone -1.5."""
+    """Excess kurtosis of every mode in a narrow band, shape (n,): 0 for a normal process, -1.5 for a tone."""
 
     def __add__(self, other: Moments) -> Moments:
+        """Add moments."""
         return Moments(self.skewness + other.skewness, self.kurtosis + other.kurtosis)
 
     def __sub__(self, other: Moments) -> Moments:
+        """Subtract moments."""
         return Moments(self.skewness - other.skewness, self.kurtosis - other.kurtosis)
 
     def __truediv__(self, n: float) -> Moments:
+        """Divide moments by a number."""
         return Moments(self.skewness / n, self.kurtosis / n)
 
     def mirrored(self, about: Moments) -> Moments:
-        """With what is added to the skewness of others turned round."""
+        """Reverse the sign of the skewness relative to that of other moments."""
         return Moments(2.0 * about.skewness - self.skewness, self.kurtosis)
 
 
 def normal_moments(posterior: Posterior) -> Moments:
-    """Those of a normal process."""
+    """Return the moments of a normal process, which are zero."""
     structure = posterior.context.structure
     return Moments(np.zeros(structure.n_stories), np.zeros(structure.n_dofs))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class MeasuredMoments:
-    """A recording's moments with their chance."""
+    """Moments of a recording with their standard deviations."""
 
     mean: Moments
     std: Moments
     uneven: float
-    """Excess kurtosis between the modes, where motion follows the forces at once: what gusts within a segment make of it."""
+    """Excess kurtosis between the modes, where motion follows the forces at once: that of gusts within a segment."""
 
     def log_likelihood(self, expected: Moments, spread: float) -> float:
-        """Of expected ones that have `spread - 1` times the recording's chance in them, nats."""
+        """Compute the log likelihood of expected moments, nats.
+
+        Parameters
+        ----------
+        expected : Moments
+            Expected moments, such as simulated ones.
+        spread : float
+            Variance of the difference over that of the measured moments; the variance of the expected moments is `spread - 1`
+            times that of the measured ones.
+        """
         away = self.mean - expected
         skew = (away.skewness / self.std.skewness) ** 2 / spread + np.log(spread)
         known = self.std.kurtosis < np.inf
@@ -80,35 +92,43 @@ class MeasuredMoments:
 
 
 def measure_moments(transforms: ComplexArray, posterior: Posterior, at: MapEstimate) -> MeasuredMoments:
-    """Moments of a recording's segments, shape (n_segments, n_bins, c); the modes are those of a fit."""
-    split = _split(transforms, posterior, at)
+    """Measure the moments of a recording's segments, with their standard deviations.
+
+    Parameters
+    ----------
+    transforms : ndarray, shape (n_segments, n_bins, c)
+    at : MapEstimate
+        Fit that gives the modes.
+    """
+    split = _split_by_mode(transforms, posterior, at)
     skew, tails = _skewness(split.floors, posterior), [_kurtosis(narrow, split.level) for narrow in split.modes]
     mean, std = (Moments(skew[i], np.array([t[i] for t in tails])) for i in (0, 1))
-    return MeasuredMoments(mean, std, _uneven(split, posterior.observed.band.hz))
+    return MeasuredMoments(mean, std, _kurtosis_between_modes(split, posterior.observed.band.hz))
 
 
 def simulate_moments(transforms: ComplexArray, posterior: Posterior, at: MapEstimate) -> Moments:
-    """As `measure_moments`, without their chance."""
-    split = _split(transforms, posterior, at)
+    """Compute the moments of simulated segments as `measure_moments` does, without standard deviations."""
+    split = _split_by_mode(transforms, posterior, at)
     tails = np.array([_kurtosis(narrow, split.level)[0] for narrow in split.modes])
     return Moments(_skewness(split.floors, posterior)[0], tails)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Split:
-    """Segments by mode."""
+    """Segments split by mode."""
 
     floors: ComplexArray
-    """Shape (n_segments, n_bins, n)."""
+    """Transforms of the floors' accelerations, shape (n_segments, n_bins, n)."""
     level: Array
-    """Shape (n_segments,): every one counts by its own, which wanders."""
+    """Level of every segment, which varies slowly and by which the segment's power is divided, shape (n_segments,)."""
     modes: tuple[ComplexArray, ...]
-    """Each of shape (n_segments, bins about the mode)."""
+    """Transforms of every mode's coordinate, each of shape (n_segments, bins about the mode)."""
     between: NDArray[np.intp]
-    """Bins that are about none."""
+    """Bins outside the bands of all modes."""
 
 
-def _split(transforms: ComplexArray, posterior: Posterior, at: MapEstimate) -> _Split:
+def _split_by_mode(transforms: ComplexArray, posterior: Posterior, at: MapEstimate) -> _Split:
+    """Split segments into the bands of a fit's modes; `transforms` have the shape (n_segments, n_bins, c)."""
     context, hz = posterior.context, posterior.observed.band.hz
     floors = transforms[:, :, : len(context.channels)] @ np.linalg.pinv(context.sensors).T
     model = posterior.model(at.x, (*posterior.prior.effects(at.x), *at.effects))
@@ -119,8 +139,8 @@ def _split(transforms: ComplexArray, posterior: Posterior, at: MapEstimate) -> _
     return _Split(floors, relative_level(transforms), narrow, np.flatnonzero(~near.any(axis=0)))
 
 
-def _uneven(split: _Split, hz: Array) -> float:
-    """Excess kurtosis of floors between the modes, of all that there is room for; 0 where there is none."""
+def _kurtosis_between_modes(split: _Split, hz: Array) -> float:
+    """Average the excess kurtosis of the floors over all sufficiently wide bands between modes; 0 where there is none."""
     found, weight, free = [0.0], [0.0], split.between
     for run in np.split(free, np.flatnonzero(np.diff(free) > 1) + 1):
         if run.size and hz[run[-1]] - hz[run[0]] > _MIN_BAND_WIDTH * hz[run[0]]:
@@ -130,9 +150,9 @@ def _uneven(split: _Split, hz: Array) -> float:
 
 
 def _skewness(floors: ComplexArray, posterior: Posterior) -> tuple[Array, Array]:
-    """Mean over segments, and its standard deviation.
+    """Compute the mean skewness of the drifts over segments, and its standard deviation, shape (n_stories,) each.
 
-    Accelerations become drifts in the frequency domain; tapered segments keep the sign of the third moment.
+    Accelerations are integrated to drifts in the frequency domain.  The taper does not change the sign of the third moment.
     """
     band = posterior.observed.band
     drift = floors @ posterior.context.structure.drift_matrix().T / (-((2.0 * np.pi * band.hz) ** 2))[:, None]
@@ -146,20 +166,22 @@ def _skewness(floors: ComplexArray, posterior: Posterior) -> tuple[Array, Array]
 
 
 def _kurtosis(narrow: ComplexArray, level: Array) -> tuple[float, float]:
-    """Excess over all segments of transforms in a narrow band, shape (n_segments, n_bins), and its standard deviation: 0 and
-    infinite where the band is empty."""
+    """Compute the excess kurtosis in a narrow band over all segments, and its standard deviation.
+
+    `narrow` are the transforms, shape (n_segments, n_bins).  An empty band gives 0 with an infinite standard deviation.
+    """
     if not narrow.shape[1]:
         return 0.0, np.inf
     length = next_fast_len(4 * narrow.shape[1])  # room for the fourth power
     power = np.abs(ifft(narrow, n=length, axis=1)) ** 2 / level[:, None]
     second, fourth = power.mean(axis=1), (power**2).mean(axis=1)
-    ratio = fourth.mean() / second.mean() ** 2 / _normal(length)
+    ratio = fourth.mean() / second.mean() ** 2 / _normal_ratio(length)
     by_segment = ratio * (fourth / fourth.mean() - 2.0 * second / second.mean())
     std = by_segment.std(ddof=1) * np.sqrt((1.0 + 2.0 * overlap_correlation()) / len(second))
     return 3.0 * (float(ratio) - 1.0), 3.0 * float(std)
 
 
-def _normal(length: int) -> float:
-    """Mean fourth power of a normal process's envelope over its mean square squared, under the taper."""
+def _normal_ratio(length: int) -> float:
+    """Compute the mean fourth power of a normal process's envelope over the square of its mean square, under the taper."""
     shape = taper(length) ** 2
     return float(2.0 * (shape**2).mean() / shape.mean() ** 2)

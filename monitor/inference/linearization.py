@@ -1,4 +1,4 @@
-"""The motion of a recording's classes, at which nonlinear laws are made linear."""
+"""Motion of a recording's classes, at which nonlinear laws are linearized."""
 
 from __future__ import annotations
 
@@ -30,11 +30,28 @@ _MIN_MOTION = 0.3
 def linearize(
     posterior: Posterior, x: Array, effects: tuple[Effect, ...], spectra: ComplexArray | None = None
 ) -> tuple[Condition, ...]:
-    """RMS motion of every class, as its spectra (by default the measured ones) tell it under the fitted model, and its
-    temperature.
+    """Estimate the RMS motion and the temperature of every class under the fitted model.
 
-    A class's narrow modes swing more or less by chance than its forces' level says, and nonlinear laws follow the motion:
-    the model's variance is corrected by what a Wiener filter sees of the motion in the spectra.
+    The motion of narrow-band modes differs by chance from that expected at the level of the forces, and nonlinear laws depend on
+    the actual motion.  The variance by the model is therefore corrected by a Wiener filter's estimate from the spectra.
+
+    Parameters
+    ----------
+    x : ndarray, shape (n_x,)
+        Parameters of the model and of the excitation.
+    effects : tuple of Effect
+        Extra effects, beside the persistent ones.
+    spectra : ndarray, shape (classes, n_bins, c, c), (m/s^2)^2/Hz, optional
+        Spectra from which the motion is estimated; the measured ones by default.
+
+    Returns
+    -------
+    tuple of Condition
+        One condition for every class.
+
+    References
+    ----------
+    J. B. Roberts, P. D. Spanos, Random Vibration and Statistical Linearization (1990).
     """
     e, context = posterior.observed, posterior.context_at(x)
     everything = (*posterior.prior.effects(x), *effects)
@@ -43,40 +60,54 @@ def linearize(
     drift = context.structure.drift_matrix()
     rows, order = np.vstack([drift, drift, np.eye(n)]), np.repeat([0, 1, 1], [len(drift), len(drift), n])
     excess = (e.spectra if spectra is None else spectra) - posterior.scatter(x, effects)
-    beyond, out = _beyond(posterior, x, everything), []
+    beyond, out = _power_above_band(posterior, x, everything), []
     shaken = not isinstance(posterior, DrivenPosterior) and any(effect.ground_share for effect in everything)
     ground = ground_levels(posterior, x, effects) if shaken else np.ones(posterior.n_classes)
     for k in range(posterior.n_classes):
         system = extended(base, everything, context, posterior.conditions[k])
         lowest = np.sqrt(max(eigh(base.stiffness, base.mass, eigvals_only=True).min(), 1e-6)) / (2.0 * np.pi)
         step = min(0.25 * e.band.bin_hz, 0.25 * damping.min() * lowest)
-        step = max(step, e.band.hz[-1] / _MAX_BINS)  # a damping that the fit lets go to nothing
+        step = max(step, e.band.hz[-1] / _MAX_BINS)  # a damping ratio that the fit moves to zero
         hz = np.arange(max(0.2 * lowest, step), e.band.hz[-1] * 1.2, step)
-        motion, _ = _moved(system, everything, hz, forces[k], rows, order, context)
+        motion, _ = _motion_roots(system, everything, hz, forces[k], rows, order, context)
         variance = 2.0 * step * (np.abs(motion) ** 2).sum(axis=(0, 2))
         if isinstance(posterior, DrivenPosterior):
             drive = posterior.drive.part(e.members[k])
             driven = [motion_rms(drive, system, e.band, context, rows[order == o], o, 0.2 * lowest) for o in (0, 1)]
             variance = variance + np.concatenate(driven) ** 2
         else:
-            motion, seen_there = _moved(system, everything, e.band.hz, forces[k], rows, order, context, posterior, k)
-            channels = seen_there @ seen_there.conj().swapaxes(-1, -2) + np.diag(posterior.noise(x))
-            wiener = np.linalg.solve(channels, seen_there @ motion.conj().swapaxes(-1, -2)).conj().swapaxes(-1, -2)
-            # What is slower than the structure is the noise of sensors that are integrated twice.
-            heard = (e.band.hz > _SLOW_SHARE * lowest)[:, None, None] / e.band.gain[:, None, None] * excess[k]
-            more = np.einsum("fra,fab,frb->r", wiener, heard, wiener.conj()).real
-            variance = np.maximum(variance + 2.0 * e.band.bin_hz * more, _MIN_MOTION * variance)
+            motion, channel_roots = _motion_roots(
+                system, everything, e.band.hz, forces[k], rows, order, context, posterior, k
+            )
+            channels = channel_roots @ channel_roots.conj().swapaxes(-1, -2) + np.diag(posterior.noise(x))
+            wiener = np.linalg.solve(channels, channel_roots @ motion.conj().swapaxes(-1, -2)).conj().swapaxes(-1, -2)
+            # Motion slower than the structure is noise of sensors, integrated twice.
+            recorded = (e.band.hz > _SLOW_SHARE * lowest)[:, None, None] / e.band.gain[:, None, None] * excess[k]
+            excess_power = np.einsum("fra,fab,frb->r", wiener, recorded, wiener.conj()).real
+            variance = np.maximum(variance + 2.0 * e.band.bin_hz * excess_power, _MIN_MOTION * variance)
         rms = np.sqrt(variance)
-        warmer = partial(_excess_degc, e, k, posterior.prior.reference_degc)
+        excess_degc = partial(_excess_degc, e, k, posterior.prior.reference_degc)
         m = len(drift)
         piled, band_hz = e.piled >= _MIN_PILE, float(e.band.hz[-1])
-        moved = rms[:m], rms[m : 2 * m], rms[2 * m :]
-        out.append(Condition(*moved, e.rms[k], warmer, e.peak, piled, beyond, band_hz, float(ground[k])))
+        parts = rms[:m], rms[m : 2 * m], rms[2 * m :]
+        out.append(Condition(*parts, e.rms[k], excess_degc, e.peak, piled, beyond, band_hz, float(ground[k])))
     return tuple(out)
 
 
 def forced_drift(posterior: Posterior, x: Array, effects: Sequence[Effect]) -> Array:
-    """RMS drift that the linearized model has under forces of its level, shape (classes, n_stories), m; whatever their colour."""
+    """Compute the RMS drift of the linearized model under forces of each class's level, taken as white.
+
+    Parameters
+    ----------
+    x : ndarray, shape (n_x,)
+        Parameters of the model and of the excitation.
+    effects : sequence of Effect
+        Extra effects, beside the persistent ones.
+
+    Returns
+    -------
+    ndarray, shape (classes, n_stories), m
+    """
     everything = (*posterior.prior.effects(x), *effects)
     context, base = posterior.context_at(x), posterior.system(x, everything)
     n = context.structure.n_dofs
@@ -90,7 +121,7 @@ def forced_drift(posterior: Posterior, x: Array, effects: Sequence[Effect]) -> A
         root = inverse[:, :n] @ force_root(force, everything)
         drive[size:, size:] = root @ root.T
         drives.append(drive)
-    # Lyapunov's equation of all classes at once: in the eigenvectors' coordinates it is a division.
+    # Lyapunov's equation of all classes at once: in the coordinates of the eigenvectors its solution is a division.
     poles, vectors = np.linalg.eig(np.array(states))
     back = np.linalg.inv(vectors)
     inner = back @ np.array(drives) @ back.conj().swapaxes(1, 2) / -(poles[:, :, None] + poles[:, None, :].conj())
@@ -98,8 +129,8 @@ def forced_drift(posterior: Posterior, x: Array, effects: Sequence[Effect]) -> A
     return np.asarray(np.sqrt(0.5 * np.einsum("kra,kab,krb->kr", rows, inner, rows.conj()).real))
 
 
-def _beyond(posterior: Posterior, x: Array, effects: Sequence[Effect]) -> float:
-    """See `Condition.beyond`; 1 without a shaken ground, whose motion would be taken for what forces cause."""
+def _power_above_band(posterior: Posterior, x: Array, effects: Sequence[Effect]) -> float:
+    """Compute `Condition.beyond`; 1 where no effect is a ground motion, since only the share of a ground motion needs it."""
     if not any(effect.ground_share for effect in effects):
         return 1.0
     e, context = posterior.observed, posterior.context_at(x)
@@ -109,13 +140,27 @@ def _beyond(posterior: Posterior, x: Array, effects: Sequence[Effect]) -> float:
     return float((np.maximum(e.segments.above.mean(axis=0) - noise, 0.0) / white).mean())
 
 
-def _moved(
+def _motion_roots(
     system: System, effects: Sequence[Effect], hz: Array, force: Array, rows: Array, order: Array, context: Context,
     posterior: Posterior | None = None, k: int = 0,
 ) -> tuple[ComplexArray, ComplexArray]:  # fmt: skip
-    """Roots of the density of displacements (order 0) and velocities (1) in given rows, and of the channels.
+    """Compute roots of the density of displacements (order 0) and velocities (order 1) in given rows, and of the channels.
 
-    Shapes (n_hz, rows, columns) and (n_hz, c, columns), for independent forces of density one.
+    Parameters
+    ----------
+    hz : ndarray, shape (n_hz,), Hz
+    force : ndarray, shape (n,), N^2/Hz
+    rows : ndarray, shape (m, n)
+    order : ndarray, shape (m,)
+    k : int
+        Class, whose condition is that of the channels.
+
+    Returns
+    -------
+    motion : ndarray, shape (n_hz, m, columns)
+        For independent sources of density one, one in each column.
+    channels : ndarray, shape (n_hz, c, columns)
+        The same of the channels; `motion` itself without a posterior.
     """
     n = force.size
     size = system.mass.shape[0]
@@ -133,7 +178,7 @@ def _moved(
 
 
 def _excess_degc(evidence: ObservedSpectra, k: int, reference_degc: float | None, lag_s: float) -> float:
-    """See `Condition.excess_degc`: than at the baseline's mean temperature, else the recording's."""
+    """Compute `Condition.excess_degc`: the temperature of class k above the reference, by default the recording's mean."""
     value = class_temperature(evidence, k, lag_s)
     if value is None:
         return 0.0

@@ -1,4 +1,4 @@
-"""Most probable parameters: Fisher scoring with Levenberg-Marquardt steps."""
+"""Most probable parameters by Fisher scoring with Levenberg-Marquardt steps."""
 
 from __future__ import annotations
 
@@ -12,6 +12,12 @@ from monitor.inference.forward_model import Prediction
 from monitor.inference.posterior import MAX_EXCITATION_STEP, Posterior, with_coordinates
 from monitor.model import Effect, inverse
 
+_MAX_STRUCTURE_STEP = 0.1
+"""Longest step of the logarithm of a stiffness or a mass, and of the stiffness correction. [1; judgement: ten percent]"""
+_MAX_DAMPING_STEP = 1.0
+"""Longest step of the logarithm of a damping ratio or of a channel's noise. [1; judgement: a factor of e]"""
+_MAX_SIZE_STEP = 0.5
+"""Longest step of the logarithm of a size of an effect. [1; judgement: a factor of 1.6]"""
 _MAX_EFFECT_STEP = 0.5
 """Longest step of the parameters of effects that are part of the model already. [effect's own unit; judgement]"""
 _FIXED_SLOPES_GAIN = 1.0
@@ -20,34 +26,34 @@ _FIXED_SLOPES_GAIN = 1.0
 
 @dataclass(frozen=True, eq=False, slots=True)
 class MapEstimate:
-    """A model fitted to evidence."""
+    """Most probable parameters of a model, with their covariance (maximum a posteriori)."""
 
     x: Array
-    """Structural nuisances, excitation, then the extra effects' coordinates."""
+    """Structural nuisances, excitation, then the extra effects' coordinates, shape (p,)."""
     effects: tuple[Effect, ...]
     """The extra effects."""
     log_likelihood: float
-    """Tempered for correlated bins and segments, nats; without the prior."""
+    """Log likelihood without the prior, tempered for correlated bins and segments, nats."""
     log_prior: float
     covariance: Array
-    """Of x."""
+    """Covariance of x, shape (p, p)."""
     converged: bool
     jacobian: Array
-    """Whitened slopes, each row weighed by the root of its information, shape (rows, p): classes * bins * c * c rows of
+    """Whitened slopes, each row weighted by the root of its information, shape (rows, p): classes * bins * c * c rows of
     the spectra, then those of the segments' means where the ground was measured."""
     residual: Array
-    """Whitened and weighed residual of the spectra's rows."""
+    """Whitened and weighted residual of the spectra's rows."""
     mean_residual: Array
-    """That of the means' rows."""
+    """Whitened and weighted residual of the means' rows."""
 
     @property
     def log_posterior(self) -> float:
-        """Of the fit, up to a constant."""
+        """Log posterior density of the fit up to a constant, nats."""
         return self.log_likelihood + self.log_prior
 
     @property
     def n_effect(self) -> int:
-        """Coordinates of the extra effects."""
+        """Number of coordinates of the extra effects."""
         return sum(len(e.parameters) for e in self.effects)
 
 
@@ -60,21 +66,25 @@ def maximize_posterior(
     tolerance: float = 0.02,
     frozen: Array | None = None,
 ) -> MapEstimate:
-    """Most probable parameters near `x` by Fisher scoring with Levenberg-Marquardt steps.
+    """Find the most probable parameters near `x` by Fisher scoring with Levenberg-Marquardt steps.
 
     Parameters
     ----------
-    x : ndarray
-        Nuisances; the effects' coordinates are taken from `effects`.
+    x : ndarray, shape (n_nuisance,) or more
+        Nuisances, from which the fit starts; the effects' coordinates are taken from `effects`.
+    effects : tuple of Effect
+        Extra effects, beside the persistent ones.
+    iterations : int
+        Largest number of steps.
     tolerance : float
-        Converged when a step promises less gain than this, nats.
-    frozen : ndarray, optional
-        Whitened slopes of the nuisances, shape (rows, n_nuisance), taken as they are: quicker, for a ranking.
+        Gain of a step below which the fit has converged, nats.
+    frozen : ndarray, shape (rows, n_nuisance), optional
+        Whitened slopes of the nuisances that are not computed again: faster, for a ranking.
     """
     start = _evaluate(posterior, x, effects)
 
     def move(at: _Point, step: Array) -> _Point:
-        moved = _limited(posterior, at.x, step, at.effects)
+        moved = _take_bounded_step(posterior, at.x, step, at.effects)
         return _evaluate(posterior, moved, with_coordinates(at.effects, moved[posterior.layout.effects]))
 
     search = levenberg_marquardt(
@@ -159,13 +169,13 @@ def _linearize(posterior: Posterior, at: _Point, last: _Slopes | None, frozen: A
     return _Slopes(rows, residual, mean_residual, rows.T @ rows + precision, gradient)
 
 
-def _limited(posterior: Posterior, x: Array, step: Array, effects: Sequence[Effect]) -> Array:
-    """A step bounded so that a bad start cannot run away."""
+def _take_bounded_step(posterior: Posterior, x: Array, step: Array, effects: Sequence[Effect]) -> Array:
+    """Take a bounded step from `x`, shape (p,), so that a fit from a bad start does not diverge."""
     bound, layout = np.full(x.size, np.inf), posterior.layout
-    bound[layout.stiffness] = bound[layout.masses] = bound[layout.correction] = 0.1
-    bound[layout.damping] = bound[layout.channel_noise] = 1.0
+    bound[layout.stiffness] = bound[layout.masses] = bound[layout.correction] = _MAX_STRUCTURE_STEP
+    bound[layout.damping] = bound[layout.channel_noise] = _MAX_DAMPING_STEP
     bound[layout.persistent] = _MAX_EFFECT_STEP * posterior.prior.units[layout.persistent]
     bound[layout.excitation] = MAX_EXCITATION_STEP
     logarithms = [p.scale == "log" for e in effects for p in e.parameters]
-    bound[layout.effects] = np.where(logarithms, 0.5, np.inf)
+    bound[layout.effects] = np.where(logarithms, _MAX_SIZE_STEP, np.inf)
     return np.asarray(x + np.clip(step, -bound, bound))

@@ -1,4 +1,4 @@
-"""What a recording says: averaged cross-spectra of its segments in classes of level and of temperature."""
+"""Observed cross-spectra of a recording, averaged over its segments in classes of level and of temperature."""
 
 from __future__ import annotations
 
@@ -28,42 +28,42 @@ _READINGS_A_SEGMENT = 21
 
 @dataclass(frozen=True, eq=False, slots=True)
 class ObservedSpectra:
-    """Cross-spectra of one recording by class: what every model is scored against."""
+    """Observed cross-spectra of one recording by class, with which every model is compared."""
 
     spectra: ComplexArray
     """Shape (classes, n_bins, c, c), (m/s^2)^2/Hz."""
     counts: Array
-    """Shape (classes,): segments in each class."""
+    """Number of segments in each class, shape (classes,)."""
     weight: float
-    """Independent pieces of information a segment and bin: overlap and taper correlate neighbours."""
+    """Independent pieces of information in a segment and bin; less than one, since overlap and taper correlate neighbours."""
     rms: Array
-    """RMS of every channel's source samples, shape (classes, c)."""
+    """RMS of every channel's source samples, shape (classes, c), m/s^2."""
     peak: Array
-    """Largest magnitude of every channel's source samples, shape (c,)."""
+    """Largest magnitude of every channel's source samples, shape (c,), m/s^2."""
     piled: NDArray[np.int64]
-    """How many of a channel's samples share it, shape (c,)."""
+    """Number of each channel's samples that share its largest magnitude, shape (c,)."""
     members: tuple[NDArray[np.intp], ...]
-    """Segments of every class."""
+    """Indices of the segments of every class."""
     t_s: Array
-    """Middle of every segment."""
+    """Middle of every segment, s since the recording's first sample, shape (n_segments,)."""
     temperature: Array
-    """Readings, shape (n, 2)."""
+    """Readings, shape (n_readings, 2): s since the recording's first sample, degC."""
     band: Band
     rate_hz: float
     samples: int
     segments: Segments
-    """What was averaged."""
+    """Segments that were averaged."""
     level: Array
-    """Level of every segment over its class's, shape (n_segments,)."""
+    """Level of every segment over that of its class, shape (n_segments,)."""
     power: Array | None
-    """Where the ground was measured: the channels' power in which a model's own error is told, shape (n_bins, c)."""
+    """The channels' power of which a model's own error is a share, shape (n_bins, c); None without a measured ground."""
     drive: Drive | None
-    """The measured ground motion, which `segments` no longer hold."""
+    """Measured ground motion, which `segments` no longer contain; None where it was not measured."""
     by_temperature: bool = False
-    """Whether the classes are of temperature too."""
+    """Whether the classes are of level and temperature, or of level only."""
 
     def pieces(self, n_bins: float) -> float:
-        """Independent pieces of information that all segments hold on so many bins."""
+        """Count the independent pieces of information of all segments in a number of bins."""
         return float(self.weight * self.counts.sum() * n_bins)
 
 
@@ -72,22 +72,24 @@ _BIN_CORRELATION = (2.0 / 3.0) ** 2, (1.0 / 6.0) ** 2
 
 
 def _information_weight() -> float:
+    """Compute the independent pieces of information in a segment and bin."""
     return 1.0 / ((1.0 + 2.0 * sum(_BIN_CORRELATION)) * (1.0 + 2.0 * overlap_correlation()))
 
 
 def classify(segments: Segments) -> ObservedSpectra:
-    """Average the segments' cross-spectra in classes of level and, where it was measured and varies, of temperature."""
+    """Average the segments' cross-spectra in classes of level and of temperature, where that was measured and varies."""
     x = segments.values
     level = relative_level(x)
-    # With the ground measured one class: its response is no mean over levels, and quiet stretches must not outweigh it.
+    # One class where the ground was measured: the response is not averaged over levels, and quiet segments must not have more
+    # weight than the others.
     most = _LEVEL_CLASSES if segments.drive is None else 1
-    label = _quantiles(level, min(most, max(1, level.size // _MIN_SEGMENTS_A_CLASS)))
-    degc = _temperature_at(segments.temperature, segments.t_s, 1.0 / segments.band.bin_hz)
+    label = _classes_by_rank(level, min(most, max(1, level.size // _MIN_SEGMENTS_A_CLASS)))
+    degc = _mean_temperature(segments.temperature, segments.t_s, 1.0 / segments.band.bin_hz)
     by_temperature = degc is not None and bool(np.ptp(degc) > _MIN_RANGE_DEGC)
     if degc is not None and by_temperature:
         n_degc = max(1, min(_TEMPERATURE_CLASSES, level.size // (2 * _MIN_SEGMENTS_A_CLASS)))
         n_level = max(1, min(3, level.size // (n_degc * _MIN_SEGMENTS_A_CLASS)))
-        label = n_level * _quantiles(degc, n_degc) + _quantiles(level, n_level)
+        label = n_level * _classes_by_rank(degc, n_degc) + _classes_by_rank(level, n_level)
     members = tuple(np.flatnonzero(label == k) for k in np.unique(label))
     spectra = np.stack([np.einsum("ska,skb->kab", x[m], x[m].conj()) / m.size for m in members])
     relative = np.ones(level.size)
@@ -116,9 +118,19 @@ def classify(segments: Segments) -> ObservedSpectra:
 
 
 def relative_level(x: ComplexArray) -> Array:
-    """Level of every segment's power over the mean of all, shape (n_segments,), of transforms, shape (n_segments, n_bins, c).
+    """Compute the level of every segment over the mean of all segments.
 
-    Whitened by the mean spectrum every bin counts alike, so that it follows the excitation, not one mode's chance.
+    The segments are whitened by the mean spectrum, so that all bins have equal weight and the level follows the excitation, not
+    the random response of one mode.
+
+    Parameters
+    ----------
+    x : ndarray, shape (n_segments, n_bins, c)
+        Transforms of the segments.
+
+    Returns
+    -------
+    ndarray, shape (n_segments,)
     """
     mean = np.einsum("ska,skb->kab", x, x.conj()) / x.shape[0]
     floor = 1e-6 * np.einsum("kaa->k", mean).real / mean.shape[1]
@@ -127,16 +139,29 @@ def relative_level(x: ComplexArray) -> Array:
     return np.asarray(level / level.mean())
 
 
-def _quantiles(value: Array, n: int) -> NDArray[np.intp]:
-    """Class of every value, equally many in each."""
+def _classes_by_rank(value: Array, n: int) -> NDArray[np.intp]:
+    """Divide values into n classes of equal size by their rank; return the class of every value."""
     rank = np.argsort(np.argsort(value, kind="stable"), kind="stable")
     return np.asarray(rank * n // value.size)
 
 
-def _temperature_at(readings: Array, t_s: Array, length_s: float, lag_s: float = 0.0) -> Array | None:
-    """Mean temperature of segments about times, after a first-order lag; None without readings.
+def _mean_temperature(readings: Array, t_s: Array, length_s: float, lag_s: float = 0.0) -> Array | None:
+    """Compute the mean temperature of segments after a first-order lag; None without readings.
 
-    Means, since the slope that a short lag works on drowns in the noise of single readings.
+    The temperature is averaged over the segment, since the noise of single readings hides the slope that a short lag acts on.
+
+    Parameters
+    ----------
+    readings : ndarray, shape (n_readings, 2)
+        Time in s and temperature in degC.
+    t_s : ndarray, shape (n_segments,), s
+        Middles of the segments.
+    length_s, lag_s : float
+        Length of a segment and time constant of the lag.
+
+    Returns
+    -------
+    ndarray, shape (n_segments,), degC, or None
     """
     if readings.shape[0] < 2:
         return None
@@ -144,7 +169,7 @@ def _temperature_at(readings: Array, t_s: Array, length_s: float, lag_s: float =
     value = readings[first, 1]
     if lag_s > 0.0:
         lagged = value.copy()
-        for i in range(1, t.size):  # straight between readings
+        for i in range(1, t.size):  # linear between readings
             keep = np.exp(-(t[i] - t[i - 1]) / lag_s)
             behind = lag_s * (value[i] - value[i - 1]) / (t[i] - t[i - 1])
             lagged[i] = value[i] - behind + keep * (lagged[i - 1] - value[i - 1] + behind)
@@ -154,7 +179,7 @@ def _temperature_at(readings: Array, t_s: Array, length_s: float, lag_s: float =
 
 
 def class_temperature(evidence: ObservedSpectra, k: int, lag_s: float) -> float | None:
-    """Mean temperature of class k after a first-order lag of `lag_s`, degC; None where none was measured."""
+    """Compute the mean temperature of class k after a first-order lag of `lag_s`, degC; None where it was not measured."""
     length_s = 1.0 / evidence.band.bin_hz
-    degc = _temperature_at(evidence.temperature, evidence.t_s[evidence.members[k]], length_s, lag_s)
+    degc = _mean_temperature(evidence.temperature, evidence.t_s[evidence.members[k]], length_s, lag_s)
     return None if degc is None else float(degc.mean())

@@ -1,4 +1,4 @@
-"""Where each group of parameters lies in the vector that a fit estimates."""
+"""Layout of the groups of parameters in the vector that a fit estimates."""
 
 from __future__ import annotations
 
@@ -13,11 +13,10 @@ from monitor.model import StructuralPrior
 
 @dataclass(frozen=True, slots=True)
 class ParameterLayout:
-    """Name the slices of the parameter vector ``x = [structure | forces | levels | noise | effects]``.
+    """Slices of the parameter vector ``x = [structure | forces | levels | noise | effects]``.
 
-    All parameters but the noise level's index are slices, so that ``x[layout.forces]`` reads a group and
-    ``x[layout.forces] = value`` sets one.  The order is that of the fields.  Everything before the extra effects is a
-    nuisance parameter.
+    All fields but `noise`, an index, are slices, so that ``x[layout.forces]`` reads a group and ``x[layout.forces] = value``
+    sets one.  The groups are in the order of the fields.  All parameters before the extra effects are nuisance parameters.
 
     Examples
     --------
@@ -46,7 +45,7 @@ class ParameterLayout:
     forces: slice
     """ln density of the white force on every degree of freedom, N^2/Hz."""
     levels: slice
-    """ln level of every class: of its forces; beside a measured ground, of the model's own error as a share of the power."""
+    """ln level of every class: of its forces or, with a measured ground, of the model's own error as a share of the power."""
     noise: int
     """Index of the ln noise density common to all channels, (m/s^2)^2/Hz."""
 
@@ -61,22 +60,22 @@ class ParameterLayout:
 
     @property
     def structure(self) -> slice:
-        """What the structural prior covers: everything before the forces."""
+        """Slice of the parameters of the structural prior: all before the forces."""
         return slice(0, self.forces.start)
 
     @property
     def excitation(self) -> slice:
-        """Forces, levels and noise."""
+        """Slice of forces, levels and noise."""
         return slice(self.forces.start, self.noise + 1)
 
     @property
     def nuisances(self) -> slice:
-        """Everything before the extra effects."""
+        """Slice of the nuisance parameters: all before the extra effects."""
         return slice(0, self.noise + 1)
 
     @property
     def effects(self) -> slice:
-        """Coordinates of the extra effects."""
+        """Slice of the coordinates of the extra effects."""
         return slice(self.noise + 1, None)
 
     @property
@@ -85,7 +84,7 @@ class ParameterLayout:
         return self.noise + 1
 
     def with_structure(self, x: Array, structure: Array) -> Array:
-        """Put other structural parameters, of whatever number, before the rest of a vector.
+        """Replace the structural parameters of a vector by others, whose number may differ.
 
         Parameters
         ----------

@@ -1,7 +1,7 @@
-"""The one score for all causes: debiased Whittle likelihood of a recording's cross-spectra under a model.
+"""Posterior by which all causes are scored: the debiased Whittle likelihood of a recording's cross-spectra and a prior.
 
-Nuisances (stiffness and mass within what is known of them, damping, excitation, noise) compete with every effect.  What is
-known of the structure, from its drawing or from its baseline, is a normal prior on the structural nuisances.
+Nuisance parameters (stiffness and mass within their prior, damping, excitation, noise) are fitted together with every effect, and
+may explain what the effect explains.  The prior of the structural nuisances is normal; it is from the drawing or the baseline.
 
 References
 ----------
@@ -41,21 +41,37 @@ NUDGE = 1e-5
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Posterior(ForwardModel):
-    """Score parameters: the likelihood of a recording's observed spectra, and what is known of the parameters before it."""
+    """Posterior of parameters: the likelihood of a recording's observed spectra, and the prior of the parameters."""
 
     def part(self, evidence: ObservedSpectra, classes: NDArray[np.intp]) -> Self:
-        """The same for other segments, whose classes are like those of these numbers here."""
+        """Return the posterior for other segments of the recording.
+
+        Parameters
+        ----------
+        evidence : ObservedSpectra
+            Spectra of these segments.
+        classes : ndarray, shape (n_classes,)
+            For each of their classes, the index of the class prediction that has the same condition.
+        """
         return replace(self, observed=evidence, conditions=tuple(self.conditions[k] for k in classes))
 
     def beyond(self, x: Array, effects: Sequence[Effect]) -> ComplexArray | None:
-        """What simulation adds to the linearized spectra at a point, relative to them, shape (classes, n_bins, c, c).
+        """Return the simulated correction relative to the linearized spectra at a point, shape (classes, n_bins, c, c).
 
-        None where none was made, or one of other laws.
+        The result is None where no correction was simulated, or one of other laws.
         """
         return None
 
     def normal_prior(self, x: Array, effects: Sequence[Effect]) -> tuple[Array, Array]:
-        """Mean and precision of the nuisances, given the forces' mean level, and of the effects' coordinates."""
+        """Return mean and precision of the prior of all parameters at a point.
+
+        The prior of the forces is about their mean level at `x`, and that of the noise about its value at `x`.
+
+        Returns
+        -------
+        mean : ndarray, shape (p,)
+        precision : ndarray, shape (p, p)
+        """
         middle = self.conditions[self.n_classes // 2]
         known = [e.known(self.context, middle) for e in effects]
         forces, force_precision = self.force_prior(x)
@@ -88,9 +104,16 @@ class Posterior(ForwardModel):
     def log_likelihood(
         self, spectra: ComplexArray, data: ComplexArray | None = None, *, levelled: bool = False
     ) -> float:
-        """Tempered Whittle log likelihood, nats; -inf where a spectrum is not positive definite.
+        """Compute the tempered Whittle log likelihood, nats; -inf where a spectrum is not positive definite.
 
-        If `levelled`, of each class's spectra times the factor by which they fit the data best.
+        Parameters
+        ----------
+        spectra : ndarray, shape (classes, bins, c, c), (m/s^2)^2/Hz
+            Predicted (smoothed) spectra.
+        data : ndarray, shape (classes, bins, c, c), (m/s^2)^2/Hz, optional
+            Measured (smoothed) spectra; those of `data()` by default.
+        levelled : bool
+            Whether each class's spectra are first multiplied by the factor with which they fit the data best.
         """
         log_det, trace = log_det_and_trace(spectra, self.data() if data is None else data)
         if levelled:
@@ -101,9 +124,9 @@ class Posterior(ForwardModel):
         return float(total) if np.isfinite(total) else -np.inf
 
     def score(self, x: Array, effects: tuple[Effect, ...]) -> tuple[float, float]:
-        """Log likelihood and log prior at a point."""
-        here = self.predict(x, effects)
-        ll = self.log_likelihood(here.spectra, here.data)
+        """Compute the log likelihood and the log prior at a point, nats."""
+        prediction = self.predict(x, effects)
+        ll = self.log_likelihood(prediction.spectra, prediction.data)
         mean, precision = self.normal_prior(x, effects)
         return ll, -0.5 * float((x - mean) @ precision @ (x - mean))
 
@@ -118,8 +141,11 @@ class Posterior(ForwardModel):
         """
 
     def slope(self, x: Array, i: int, effects: tuple[Effect, ...], spectra: ComplexArray) -> ComplexArray:
-        """As `slopes`, by nuisance i alone: taken at the middle class and scaled by level, as it only weighs the residual, but
-        for what standing effects do to every class in its own way."""
+        """Differentiate the (smoothed) spectra by nuisance i, shape (classes, bins, c, c).
+
+        The slope is computed in the middle class and scaled by level, since it only weights the residual.  The slopes by
+        persistent effects that act differently in each class are computed in every class.
+        """
         if i in self._by_class:
             return self.slope_by_class(x, i, effects, spectra)
         middle, scale = self.n_classes // 2, self.relative_levels(x)
@@ -128,12 +154,12 @@ class Posterior(ForwardModel):
         return np.asarray(change / h * scale[:, None, None, None])
 
     def slope_by_class(self, x: Array, i: int, effects: tuple[Effect, ...], spectra: ComplexArray) -> ComplexArray:
-        """As `slope`, of every class its own."""
+        """Differentiate the (smoothed) spectra by nuisance i in every class, shape (classes, bins, c, c)."""
         h, moved = self.nudged(x, i, effects)
         return np.asarray((self.smooth(self.scatter(moved, effects)) - spectra) / h)
 
     def effect_slopes(self, x: Array, effects: tuple[Effect, ...], spectra: ComplexArray) -> ComplexArray:
-        """As `slopes`, by the extra effects' coordinates alone."""
+        """Differentiate the (smoothed) spectra by the extra effects' coordinates, shape (n_effect, classes, bins, c, c)."""
         n = self.layout.n_nuisance
         out = np.empty((x.size - n, *spectra.shape), dtype=complex)
         for j in range(len(out)):
@@ -143,27 +169,60 @@ class Posterior(ForwardModel):
 
     @property
     def _by_class(self) -> list[int]:
-        """Coordinates of standing effects that depend on the condition, or do not follow the level."""
+        """Indices of the coordinates of persistent effects that depend on the condition, or do not scale with the level."""
         first = self.layout.persistent.start
         conditional = [e.conditional or bool(e.lines()) for e in self.prior.model.effects for _ in e.parameters]
         return [first + j for j, by_class in enumerate(conditional) if by_class]
 
-    def mean_rows(self, here: Prediction, slopes: ComplexArray) -> tuple[Array, Array]:
-        """Whiten changes of the segments' means as `whitened` does those of the spectra; no rows without a measured ground."""
+    def mean_rows(self, prediction: Prediction, slopes: ComplexArray) -> tuple[Array, Array]:
+        """Whiten changes of the segments' means as `whitened` does those of the spectra.
+
+        Parameters
+        ----------
+        slopes : ndarray, shape (p, n_segments, n_bins, c)
+
+        Returns
+        -------
+        rows : ndarray, shape (rows, p)
+            No rows without a measured ground.
+        residual : ndarray, shape (rows,)
+        """
         return np.zeros((0, len(slopes))), np.zeros(0)
 
     def jacobian(
-        self, x: Array, effects: tuple[Effect, ...], here: Prediction, first: int = 0
+        self, x: Array, effects: tuple[Effect, ...], prediction: Prediction, first: int = 0
     ) -> tuple[Array, Array, Array]:
-        """Whitened slopes by the coordinates from `first` on, and the residuals of the spectra's and of the means' rows."""
-        slopes = (self.effect_slopes if first else self.slopes)(x, effects, here.spectra)
-        rows, residual = self.whitened(here.spectra, slopes, here.data)
+        """Compute the whitened slopes by the coordinates from `first` on, and the whitened residuals.
+
+        Returns
+        -------
+        rows : ndarray, shape (rows, p - first)
+            Rows of the spectra, then rows of the segments' means.
+        residual, mean_residual : ndarray
+            Residuals of the rows of the spectra and of the means.
+        """
+        slopes = (self.effect_slopes if first else self.slopes)(x, effects, prediction.spectra)
+        rows, residual = self.whitened(prediction.spectra, slopes, prediction.data)
         return np.ascontiguousarray(rows), residual, np.zeros(0)
 
     def whitened(
         self, spectra: ComplexArray, slopes: ComplexArray, data: ComplexArray | None = None
     ) -> tuple[Array, Array]:
-        """Slopes and residual as real rows of unit information, shapes (rows, p) and (rows,)."""
+        """Whiten slopes and residual into real rows of unit information.
+
+        Parameters
+        ----------
+        spectra : ndarray, shape (classes, bins, c, c)
+            Predicted spectra.
+        slopes : ndarray, shape (p, classes, bins, c, c)
+        data : ndarray, shape (classes, bins, c, c), optional
+            Measured spectra.
+
+        Returns
+        -------
+        rows : ndarray, shape (classes * bins * c * c, p)
+        residual : ndarray, shape (classes * bins * c * c,)
+        """
         data = self.data() if data is None else data
         root = np.sqrt(self.observed.weight * self.observed.counts[:, None] * self.widths())
         stacked = np.concatenate([slopes, (data - spectra)[None]])
@@ -171,7 +230,7 @@ class Posterior(ForwardModel):
         return rows[:, :-1], rows[:, -1]
 
     def nudged(self, x: Array, i: int, effects: Sequence[Effect]) -> tuple[float, Array]:
-        """Finite difference for coordinate i, and x moved by it."""
+        """Return the finite difference for coordinate i, and the parameter vector changed by it, shape (p,)."""
         layout = self.layout
         if i >= layout.n_nuisance:
             least = [p.least for e in effects for p in e.parameters]
@@ -186,13 +245,16 @@ class Posterior(ForwardModel):
 
 
 def difference_operator(n: int) -> Array:
-    """Precision of the logarithms of forces on n floors that are about as strong, at a level that is hardly known."""
+    """Build the prior precision of the logarithms of the forces on n floors, shape (n, n).
+
+    The forces differ little between floors, while their common level is nearly unknown.
+    """
     one = np.full((n, n), 1.0 / n)
     return np.asarray((np.eye(n) - one) / FORCE_STD**2 + one / LEVEL_STD**2)
 
 
 def with_coordinates(effects: Sequence[Effect], coordinates: Array) -> tuple[Effect, ...]:
-    """Effects at a joint vector of coordinates."""
+    """Return the effects at a joint vector of their coordinates, shape (n_effect,)."""
     out = []
     for e in effects:
         out.append(e.at(coordinates[: len(e.parameters)]))

@@ -1,4 +1,4 @@
-"""A recording's segments: conditioned as the pipeline does, cut, tapered, transformed."""
+"""Segments of a recording: conditioned as in the pipeline, cut, tapered and transformed."""
 
 from __future__ import annotations
 
@@ -26,8 +26,9 @@ from monitor.signals import (
 )
 
 Runs = Sequence[tuple[int, Array]]
-"""UTC of the first sample in ns and samples of every stretch of ground motion without a gap, m/s^2."""
+"""UTC of the first sample in ns, and samples in m/s^2, of every run of ground motion without a gap."""
 Located = tuple[Drive, NDArray[np.bool_]]
+"""Ground motion, and mask of the segments that it covers, shape (n_segments,)."""
 _BAND_START = 0.05
 """Lowest frequency of the band, over the cutoff. [ratio; judgement]"""
 _BAND_END = 0.9
@@ -52,29 +53,29 @@ class Segments:
     values: ComplexArray
     """Shape (n_segments, n_bins, c), m/s^2/sqrt(Hz)."""
     t_s: Array
-    """Middle of each, s since the recording's first sample, shape (n_segments,)."""
+    """Middle of each segment, s since the recording's first sample, shape (n_segments,)."""
     rms: Array
     """RMS of every channel's source samples, shape (n_segments, c), m/s^2."""
     above: Array
     """Variance of the tapered source samples above the band, shape (n_segments, c), (m/s^2)^2."""
     peak: Array
-    """Largest magnitude of every channel's source samples, shape (c,)."""
+    """Largest magnitude of every channel's source samples, shape (c,), m/s^2."""
     piled: NDArray[np.int64]
-    """How many of a channel's samples share it, shape (c,)."""
+    """Number of each channel's samples that share its largest magnitude, shape (c,)."""
     drive: Drive | None
-    """The measured ground motion."""
+    """Measured ground motion; None where it was not measured."""
     temperature: Array
     """Shape (n_readings, 2): s since the recording's first sample, degC; no rows where none was measured."""
     band: Band
     rate_hz: float
-    """Of the source's samples."""
+    """Rate of the source's samples."""
     resampled_hz: float
     """Rate to which the samples were resampled before they were cut into segments."""
     samples: int
-    """Sample instants after resampling that the segments cover, each counted once whatever the number of channels."""
+    """Number of sample instants after resampling that the segments cover, each counted once for all channels."""
 
     def part(self, chosen: NDArray[np.bool_]) -> Segments:
-        """The chosen segments alone."""
+        """Select segments by a mask, shape (n_segments,)."""
         share = float(chosen.mean()) if chosen.size else 0.0
         return replace(
             self,
@@ -88,9 +89,10 @@ class Segments:
 
 
 def gather(blocks: Iterable[SampleBlock], front_end: FrontEnd) -> Segments:
-    """Condition a recording as the pipeline does and cut it into segments.
+    """Condition a recording as in the pipeline and cut it into segments.
 
-    Where the ground was measured, those of the three minutes in which it moved most, with its motion from a minute before.
+    Where the ground was measured, the segments are those of the three minutes with the largest ground motion, with the ground
+    motion from one minute before.
 
     Raises
     ------
@@ -128,9 +130,9 @@ def gather(blocks: Iterable[SampleBlock], front_end: FrontEnd) -> Segments:
             ground_response.locate,
             design=design,
             source_hz=conditioner.rate_in_hz,
-            filtered=lambda hz: _filter(conditioner, hz),
+            filtered=lambda hz: _filter_response(conditioner, hz),
         )
-        located = _strongest(runs, list(floors.segments), band, to_segments)
+        located = _keep_strongest(runs, list(floors.segments), band, to_segments)
     drive, covered = located or (None, np.ones(len(floors.segments), dtype=bool))
     readings = np.array([((t - t0) * 1e-9, v) for t, v in temperature if np.isfinite(v)]).reshape(-1, 2)
     transforms, rms, tapered = (np.stack(x) for x in zip(*floors.segments.values(), strict=True))
@@ -152,10 +154,13 @@ def gather(blocks: Iterable[SampleBlock], front_end: FrontEnd) -> Segments:
     return replace(segments.part(covered), drive=drive)
 
 
-def _strongest(
+def _keep_strongest(
     runs: Runs, t_ns: Sequence[int], band: Band, locate: Callable[[Runs, Sequence[int]], Located | None]
 ) -> Located | None:
-    """As `driven.locate`, with no more than `_DRIVEN_SEGMENTS` in a row, those in which the ground moves most."""
+    """Locate segments as `ground_response.locate` does, but keep at most `_DRIVEN_SEGMENTS` consecutive ones.
+
+    The kept segments are those with the largest ground motion.
+    """
     located = locate(runs, t_ns)
     if located is None or located[0].first.size <= _DRIVEN_SEGMENTS:
         return located
@@ -178,7 +183,7 @@ def _strongest(
 
 
 class _Stream:
-    """One topic on its way from blocks to segments."""
+    """Conditioning and segmentation of one topic's blocks."""
 
     def __init__(self, front_end: FrontEnd, segment_s: float, *, is_ground: bool) -> None:
         self._front_end, self._segment_s, self._is_ground = front_end, segment_s, is_ground
@@ -190,34 +195,34 @@ class _Stream:
         self.design: SegmentDesign | None = None
         self.least_s = 3.5 * segment_s
         self.segments: dict[int, tuple[ComplexArray, Array, Array]] = {}
-        """Transform, RMS and tapered variance of the source samples by the time of their first sample, UTC ns."""
+        """Transform, RMS and tapered variance of the source samples of every segment, by the time of its first sample, UTC ns."""
         self.t0_ns = 0
         self.seconds = 0.0
         self.peak = np.zeros(1 if is_ground else len(front_end.channels))
         self.piled = np.zeros(self.peak.size, dtype=np.int64)
         self.runs: list[tuple[int, list[Array]]] = []
-        """Conditioned samples without a gap, each with the time of its first one, UTC ns; of the ground only."""
+        """Conditioned samples of every run without a gap, with the time of the run's first sample, UTC ns; of the ground only."""
         self._raw: list[Array] = []
-        """Source samples of the segment to come."""
+        """Source samples of the next segment."""
 
     def push(self, block: SampleBlock) -> None:
-        """Add a block's samples."""
+        """Condition a block's samples and cut the segments that they complete."""
         if self._is_ground and not self.runs:
             self._front_end = replace(self._front_end, channels=block.channels[:1])
         self._align, pieces = self._front_end.align(self._align, block)
         for piece in pieces:
             if self._rest is None or piece.gap is not None:
-                self._begin(piece)
+                self._begin_run(piece)
             self._state, values = self.conditioner.step_block(self._state, piece.values)
             if self._is_ground:
                 self.runs[-1][1].append(values)
             self.seconds += values.shape[0] / self.conditioner.rate_hz
-            self._heap(np.abs(piece.values))
+            self._update_peak(np.abs(piece.values))
             self._raw.append(piece.values)
-            self._cut(values)
+            self._cut_segments(values)
 
-    def _heap(self, magnitude: Array) -> None:
-        """Follow the largest magnitude and how many samples share it."""
+    def _update_peak(self, magnitude: Array) -> None:
+        """Update the largest magnitude of each channel and the number of samples that share it."""
         if not magnitude.size:
             return
         top = magnitude.max(axis=0)
@@ -225,19 +230,20 @@ class _Stream:
         self.peak = np.maximum(self.peak, top)
         self.piled += (magnitude >= self.peak * (1.0 - _CLIPPED_TOLERANCE)).sum(axis=0)
 
-    def _begin(self, piece: alignment.Piece) -> None:
+    def _begin_run(self, piece: alignment.Piece) -> None:
+        """Begin a run of samples without a gap."""
         self.conditioner = self._front_end.conditioner(piece.rate_hz)
         self._state = self.conditioner.start(self.peak.size)
         self._rest = np.zeros((0, self.peak.size))
         if self.design is None:
-            self.design = self._designed()
+            self.design = self._design_segments()
             self.t0_ns = piece.t_ns
         self._run_ns, self._done, self._raw = piece.t_ns, 0, []
         if self._is_ground:
             self.runs.append((piece.t_ns, []))
 
-    def _designed(self) -> SegmentDesign:
-        """Segments on the pipeline's grid; those of driven motion are shorter than its blocks."""
+    def _design_segments(self) -> SegmentDesign:
+        """Design segments on the pipeline's grid, or shorter ones where the ground is measured."""
         conditioner = self.conditioner
         if self._segment_s < self._front_end.segment_s:
             n = 2 * round(0.5 * self._segment_s * conditioner.rate_hz)
@@ -245,7 +251,8 @@ class _Stream:
             return SegmentDesign(conditioner.rate_hz, n, min(n // 2 + 1, kept))
         return self._front_end.grid(conditioner).segments
 
-    def _cut(self, values: Array) -> None:
+    def _cut_segments(self, values: Array) -> None:
+        """Cut and transform the segments that new conditioned samples complete, shape (n_samples, c)."""
         assert self._rest is not None
         assert self.design is not None
         n = self.design.n
@@ -254,7 +261,7 @@ class _Stream:
             t_ns = self._run_ns + round(self._done / self.design.rate_hz * 1e9)
             raw = np.concatenate(self._raw)
             n_raw = round(n * self.conditioner.rate_in_hz / self.design.rate_hz)
-            if self._done:  # the first half segment holds the filter's start from rest
+            if self._done:  # the first half segment contains the filter's transient
                 own = raw[:n_raw] - raw[:n_raw].mean(axis=0)
                 tapered = ((taper(len(own))[:, None] * own) ** 2).sum(axis=0)
                 self.segments[t_ns] = transform(self.design, rest[:n]), own.std(axis=0), tapered
@@ -264,12 +271,12 @@ class _Stream:
 
 
 def _filter_gain(conditioner: Conditioner, n: int, step_hz: float) -> Array:
-    """Power gain of the anti-alias filter at the first n bins."""
-    return np.asarray(np.abs(_filter(conditioner, np.asarray(np.arange(n) * step_hz, dtype=float))) ** 2)
+    """Compute the power gain of the anti-alias filter at the first n bins, shape (n,)."""
+    return np.asarray(np.abs(_filter_response(conditioner, np.asarray(np.arange(n) * step_hz, dtype=float))) ** 2)
 
 
-def _filter(conditioner: Conditioner, hz: Array) -> ComplexArray:
-    """Response of the anti-alias filter."""
+def _filter_response(conditioner: Conditioner, hz: Array) -> ComplexArray:
+    """Compute the frequency response of the anti-alias filter at frequencies in Hz, shape (n_hz,)."""
     from scipy.signal import sosfreqz  # takes most of a second to load
 
     return np.asarray(sosfreqz(conditioner.sos, worN=hz, fs=conditioner.rate_in_hz)[1])

@@ -1,4 +1,4 @@
-"""Start a fit: make the posterior of a recording, and guess its excitation from the measured power."""
+"""Starting point of a fit: the posterior of a recording, and a guess of its excitation from the measured power."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ _LITTLE_NOISE = 10.0
 def make_posterior(observed: ObservedSpectra, prior: StructuralPrior, context: Context) -> Posterior:
     """Make the posterior of a recording: driven where the ground was measured, else ambient.
 
-    The motion of the classes is not known yet.  Until `linearize` has estimated it, all of it is one (m, m/s, m/s^2), which
-    serves as long as no effect depends on it.
+    The motion of the classes is not known yet.  Until `linearize` has estimated the motion, all its values are one (m, m/s,
+    m/s^2), which is sufficient as long as no effect depends on the motion.
     """
     n, c, stories = context.structure.n_dofs, len(context.channels), context.structure.n_stories
     unknown = Condition(np.ones(stories), np.ones(stories), np.ones(n), np.ones(c))
@@ -36,14 +36,14 @@ def make_posterior(observed: ObservedSpectra, prior: StructuralPrior, context: C
 def guess_levels(posterior: Posterior) -> tuple[Array, Array]:
     """Guess the noise from the least power, and the level of every class from the medians of the power over frequency.
 
-    Medians are robust to peaks that do not lie where the model has them.
+    Medians are robust to peaks at other frequencies than those of the model.
 
     Returns
     -------
     x : ndarray, shape (n_nuisance,)
-        The prior's mean with the noise; forces and levels are zero.
+        The prior's mean, with the guessed noise; forces and levels are zero.
     ratio : ndarray, shape (classes,)
-        Measured over predicted power at `x` with next to no noise.
+        Measured over predicted power at `x` with nearly no noise.
     """
     layout, c = posterior.layout, len(posterior.context.channels)
     power = np.einsum("kfaa->kfa", posterior.observed.spectra[:, :, :c, :c]).real

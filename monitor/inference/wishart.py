@@ -1,4 +1,4 @@
-"""Compiled kernels of the complex Wishart likelihood, one small matrix a class and bin."""
+"""Compiled kernels of the complex Wishart likelihood, for one small matrix per class and bin."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from monitor.core import Array, ComplexArray, compiled
 
 @compiled(error_model="numpy")
 def _cholesky(a: ComplexArray, out: ComplexArray) -> bool:
+    """Compute the lower Cholesky factor of a, shape (c, c), into `out`; return False where a is not positive definite."""
     c = a.shape[0]
     for j in range(c):
         total = a[j, j].real
@@ -29,7 +30,18 @@ def _cholesky(a: ComplexArray, out: ComplexArray) -> bool:
 
 @compiled(error_model="numpy")
 def log_det_and_trace(spectra: ComplexArray, data: ComplexArray) -> tuple[Array, Array]:
-    """``ln det S`` (infinite where S is not positive definite) and ``tr(S^-1 data)`` of every class and bin."""
+    """Compute ``ln det S`` and ``tr(S^-1 data)`` of every class and bin.
+
+    Parameters
+    ----------
+    spectra, data : ndarray, shape (classes, bins, c, c)
+        S and the data.
+
+    Returns
+    -------
+    log_det, trace : ndarray, shape (classes, bins)
+        Infinity and zero where S is not positive definite.
+    """
     classes, bins, c, _ = spectra.shape
     log_det, trace = np.full((classes, bins), np.inf), np.zeros((classes, bins))
     lower = np.zeros((c, c), dtype=np.complex128)
@@ -53,6 +65,7 @@ def log_det_and_trace(spectra: ComplexArray, data: ComplexArray) -> tuple[Array,
 
 @compiled(error_model="numpy")
 def _invert_lower(lower: ComplexArray, out: ComplexArray) -> None:
+    """Invert a lower triangular matrix, shape (c, c), into `out`."""
     c = lower.shape[0]
     for j in range(c):
         out[j, j] = 1.0 / lower[j, j]
@@ -65,7 +78,7 @@ def _invert_lower(lower: ComplexArray, out: ComplexArray) -> None:
 
 @compiled(error_model="numpy")
 def definite(matrices: ComplexArray) -> NDArray[np.bool_]:
-    """Which Hermitian matrices, shape (classes, bins, c, c), are positive definite."""
+    """Find the Hermitian matrices, shape (classes, bins, c, c), that are positive definite: a mask, shape (classes, bins)."""
     classes, bins, c, _ = matrices.shape
     out = np.empty((classes, bins), dtype=np.bool_)
     lower = np.zeros((c, c), dtype=np.complex128)
@@ -77,7 +90,18 @@ def definite(matrices: ComplexArray) -> NDArray[np.bool_]:
 
 @compiled(error_model="numpy")
 def grown_by(spectra: ComplexArray, relative: ComplexArray) -> ComplexArray:
-    """``S + L dS L^H`` with ``S = L L^H``, of every class and bin; NaN where S is not positive definite."""
+    """Compute ``S + L dS L^H`` with ``S = L L^H`` of every class and bin.
+
+    Parameters
+    ----------
+    spectra, relative : ndarray, shape (classes, bins, c, c)
+        S and the relative change dS.
+
+    Returns
+    -------
+    ndarray, shape (classes, bins, c, c)
+        NaN where S is not positive definite.
+    """
     classes, bins, c, _ = spectra.shape
     out = spectra.copy()
     lower = np.zeros((c, c), dtype=np.complex128)
@@ -102,7 +126,21 @@ def grown_by(spectra: ComplexArray, relative: ComplexArray) -> ComplexArray:
 
 @compiled(error_model="numpy")
 def whiten(spectra: ComplexArray, slopes: ComplexArray, root: Array) -> Array:
-    """Rows ``root L^-1 dS L^-H`` as reals, shape (classes * bins * c * c, p)."""
+    """Compute ``root L^-1 dS L^-H`` as real rows, zeros where S is not positive definite.
+
+    Parameters
+    ----------
+    spectra : ndarray, shape (classes, bins, c, c)
+        S = L L^H.
+    slopes : ndarray, shape (p, classes, bins, c, c)
+        Changes dS.
+    root : ndarray, shape (classes, bins)
+        Root of the information in each bin.
+
+    Returns
+    -------
+    ndarray, shape (classes * bins * c * c, p)
+    """
     p, classes, bins, c, _ = slopes.shape
     out = np.empty((classes * bins * c * c, p))
     lower = np.zeros((c, c), dtype=np.complex128)
@@ -117,7 +155,7 @@ def whiten(spectra: ComplexArray, slopes: ComplexArray, root: Array) -> Array:
             _invert_lower(lower, inverse)
             for q in range(p):
                 for i in range(c):
-                    for b in range(i + 1):  # what lies above follows from symmetry
+                    for b in range(i + 1):  # the upper triangle follows from symmetry
                         total = 0j
                         for a in range(i + 1):
                             total += inverse[i, a] * slopes[q, k, f, a, b]

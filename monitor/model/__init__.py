@@ -1,4 +1,4 @@
-"""The simulation: Model = structure + effects, its motion in time, and what is known of it beforehand."""
+"""Model = structure + effects: its matrices, its simulated motion, and the prior of its parameters."""
 
 import lazy_loader
 

@@ -1,4 +1,4 @@
-"""A model with its sensors: what an estimator must know of a site beside the recorded data."""
+"""A model with its sensors: the information on a site that an estimator needs beside the recorded data."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from monitor.model.model import Model
 
 @dataclass(frozen=True, eq=False, slots=True)
 class InstrumentedModel:
-    """A model, the sensors on its floors, and how far its parameters may be from the truth.
+    """A model, the sensors on its floors, and the prior standard deviations of its parameters.
 
     Examples
     --------

@@ -1,7 +1,7 @@
-"""Steps a system with nonlinear laws: exact for its linear part, second order in what the laws add.
+"""Time integration of a system with nonlinear laws: exact for its linear part, second order in the laws' forces.
 
-Within a step the forces run straight; so do the laws' forces, from those at its start to those at the predicted end
-(the exponential trapezoidal rule).  Steps are shorter than a sample where samples are slow.
+Within a step the applied forces are linear in time.  So are the laws' forces, between their values at the start of the step
+and at its predicted end (the exponential trapezoidal rule).  Steps are shorter than a sample where the sampling rate is low.
 """
 
 from __future__ import annotations
@@ -24,13 +24,14 @@ _TEMPERATURE_LAW = -1
 
 @compiled(error_model="numpy")
 def phi(kind: int, p0: float, p1: float, d: float, v: float) -> float:
-    """Force of a law at displacement d and velocity v; `LawKind` says what the parameters are, each effect why.
+    """Evaluate the force of a nonlinear law at displacement d and velocity v.
 
-    Here, not with the effects: a compiled function that calls one of another file is not compiled anew when that changes.
+    `LawKind` defines the parameters p0 and p1; each effect gives their reasons.  The function is in this file, not with the
+    effects, since a compiled function that calls one of another file is not compiled again when that file changes.
     """
     if kind == _CUBIC:
-        faded = (d / p1) * (d / p1)
-        return p0 * d * d * d / (1.0 + faded * faded)
+        squared = (d / p1) * (d / p1)
+        return p0 * d * d * d / (1.0 + squared * squared)
     if kind == _CONTACT:
         closed = d > p0 if p0 >= 0.0 else d < p0
         return p1 * (d - p0) if closed else 0.0
@@ -48,58 +49,71 @@ def march(
     factor: Array | None = None,
     step_hz: float = STEP_HZ,
 ) -> Array:
-    """Accelerations of the structure's dofs, at rest before the first sample, shape (n_samples, n), m/s^2.
+    """Integrate the accelerations of the structure's degrees of freedom, from rest before the first sample.
 
     Parameters
     ----------
     system : System
-        The linear part, N dofs.
+        The linear part, N degrees of freedom.
     n : int
-        How many of them are the structure's.
+        Number of the structure's degrees of freedom, the first of the N.
+    laws : sequence of Law
+        Nonlinear forces on the structure's degrees of freedom.
     forces : ndarray, shape (n_samples, n to N), N
-        Straight between samples.
+        Applied forces, linear in time between samples.
+    rate_hz : float
+        Rate of the samples.
     factor : ndarray, shape (n_samples,), optional
-        On the stiffness of the structure's dofs.
+        Factor on the stiffness of the structure's degrees of freedom.
+    step_hz : float
+        Least rate of the integration steps.
+
+    Returns
+    -------
+    ndarray, shape (n_samples, n), m/s^2
 
     Notes
     -----
-    Each of the linear part's complex modes makes a step by ``q1 = e^(p h) q0 + behind u0 + ahead u1``, where u is the force
-    on it.  What warmth adds to the stiffness acts as one more law for each dof.
+    A step of each complex mode of the linear part is ``q1 = e^(p h) q0 + behind u0 + ahead u1``, where u is the modal force.
+    The stiffness that temperature adds acts as one more law for each degree of freedom.
     """
     size, columns, substeps = system.mass.shape[0], forces.shape[1], max(1, ceil(step_hz / rate_hz))
     h = 1.0 / (rate_hz * substeps)
     poles, shapes, drive = system.decoupled()
     decay = np.exp(poles * h)
-    held = np.expm1(poles * h) / poles
-    ahead = (held - h) / (poles * h)
+    constant = np.expm1(poles * h) / poles  # response to a force that is constant within the step
+    ahead = (constant - h) / (poles * h)
     acting = np.array([law.direction for law in laws]).reshape(-1, n)
-    heard, kinds = acting, [int(law.kind) for law in laws]
+    sensing, kinds = acting, [int(law.kind) for law in laws]
     parameters = np.array([law.parameters for law in laws], dtype=np.float64).reshape(-1, 2)
     if factor is not None:
-        acting, heard = np.vstack([acting, np.eye(n)]), np.vstack([acting, system.stiffness[:n, :n]])
+        acting, sensing = np.vstack([acting, np.eye(n)]), np.vstack([acting, system.stiffness[:n, :n]])
         kinds, parameters = kinds + n * [_TEMPERATURE_LAW], np.vstack([parameters, np.zeros((n, 2))])
-    given = np.linalg.inv(system.mass)[:n]
+    inverse_mass = np.linalg.inv(system.mass)[:n]
     moved = _march(
         decay,
-        held - ahead,
+        constant - ahead,
         ahead,
         np.ascontiguousarray(drive[:, :columns]),
         drive[:, :n] @ acting.T,
-        heard @ shapes[:n],
-        heard @ shapes[size : size + n],
+        sensing @ shapes[:n],
+        sensing @ shapes[size : size + n],
         poles * shapes[size : size + n],
-        given[:, :n] @ acting.T,
+        inverse_mass[:, :n] @ acting.T,
         np.array(kinds, dtype=np.int64),
         parameters,
         np.ascontiguousarray(forces),
         np.zeros(0) if factor is None else factor - 1.0,
         substeps,
     )
-    return np.asarray(moved + forces @ given[:, :columns].T)
+    return np.asarray(moved + forces @ inverse_mass[:, :columns].T)
 
 
 def loaded() -> None:
-    """Have the loop compiled, or read from the disk, in this process: else every process that it forks does so by itself."""
+    """Compile the integration loop, or read it from the disk, in this process.
+
+    Otherwise every process that this process forks would do so by itself.
+    """
     march(System(np.eye(1), np.eye(1), np.eye(1)), 1, (), np.zeros((2, 1)), STEP_HZ)
 
 
@@ -109,23 +123,29 @@ def _march(
     drift: ComplexArray, speed: ComplexArray, output: ComplexArray, direct: Array, kinds: Array, parameters: Array,
     forces: Array, excess: Array, substeps: int,
 ) -> Array:  # fmt: skip
-    """Accelerations but for the forces' direct part, shape (n_samples, n).
+    """Integrate the accelerations without the direct part of the applied forces, shape (n_samples, n), m/s^2.
 
     Parameters
     ----------
     decay, behind, ahead : ndarray, shape (m,)
-        Of the m modes.
+        Coefficients of a step of the m modes.
     drive, acting : ndarray, shape (m, columns), (m, q)
-        Of the forces and of the q laws on the modes.
+        Modal forces of the applied forces and of the q laws.
     drift, speed, output : ndarray, shape (q, m), (q, m), (n, m)
-        The modes in what the laws hear and in the accelerations, as real parts.
+        Rows whose product with the modal coordinates has as its real part the displacements and velocities on which the laws
+        depend, and the accelerations.
     direct : ndarray, shape (n, q)
         Accelerations that the laws' forces cause at once.
+    kinds, parameters : ndarray, shape (q,), (q, 2)
+        Kind and parameters of each law.
+    forces : ndarray, shape (n_samples, columns), N
+    excess : ndarray, shape (n_samples,) or (0,)
+        Factor on the stiffness less one; empty where the stiffness is constant.
     """
     m, q, columns, n = decay.size, kinds.size, forces.shape[1], output.shape[0]
     floors = np.empty((forces.shape[0], n))
-    predicted, here, change, force = np.zeros((4, m), dtype=np.complex128)
-    given, late, d, v = np.zeros((4, q))
+    predicted, pending, change, force = np.zeros((4, m), dtype=np.complex128)
+    law_force, force_change, d, v = np.zeros((4, q))
     both, carried = np.empty((2, m, q), dtype=np.complex128)
     last = np.empty((m, q), dtype=np.complex128)
     for p in range(m):
@@ -136,7 +156,7 @@ def _march(
         (speed @ last).real.copy(),
         (output @ last).real.copy(),
     )
-    warm = excess[0] if excess.size else 0.0
+    stiffness_excess = excess[0] if excess.size else 0.0
     for k in range(forces.shape[0]):
         for p in range(m):
             new = 0.0j
@@ -144,31 +164,31 @@ def _march(
                 new += drive[p, j] * forces[k, j]
             step = (new - force[p]) / substeps
             change[p] = (behind[p] + ahead[p]) * step
-            here[p] = (behind[p] + ahead[p]) * force[p] + ahead[p] * step
+            pending[p] = (behind[p] + ahead[p]) * force[p] + ahead[p] * step
             force[p] = new
         for s in range(substeps):
             if excess.size and k > 0:
-                warm = excess[k - 1] + (s + 1.0) / substeps * (excess[k] - excess[k - 1])
+                stiffness_excess = excess[k - 1] + (s + 1.0) / substeps * (excess[k] - excess[k - 1])
             d[:], v[:] = 0.0, 0.0
             for p in range(m):
-                state = decay[p] * predicted[p] + here[p]
-                here[p] += change[p]
+                state = decay[p] * predicted[p] + pending[p]
+                pending[p] += change[p]
                 for j in range(q):
-                    state += carried[p, j] * late[j] + both[p, j] * given[j]
+                    state += carried[p, j] * force_change[j] + both[p, j] * law_force[j]
                     d[j] += drift[j, p].real * state.real - drift[j, p].imag * state.imag
                     v[j] += speed[j, p].real * state.real - speed[j, p].imag * state.imag
                 predicted[p] = state
             for j in range(q):
-                late[j] = -_force(kinds[j], parameters[j], warm, d[j], v[j]) - given[j]
+                force_change[j] = -_force(kinds[j], parameters[j], stiffness_excess, d[j], v[j]) - law_force[j]
             for j in range(q):
                 for i in range(q):
-                    d[j] += own_drift[j, i] * late[i]
-                    v[j] += own_speed[j, i] * late[i]
-                given[j] = -_force(kinds[j], parameters[j], warm, d[j], v[j])
+                    d[j] += own_drift[j, i] * force_change[i]
+                    v[j] += own_speed[j, i] * force_change[i]
+                law_force[j] = -_force(kinds[j], parameters[j], stiffness_excess, d[j], v[j])
         for i in range(n):
             total = 0.0
             for j in range(q):
-                total += direct[i, j] * given[j] + own_output[i, j] * late[j]
+                total += direct[i, j] * law_force[j] + own_output[i, j] * force_change[j]
             for p in range(m):
                 total += output[i, p].real * predicted[p].real - output[i, p].imag * predicted[p].imag
             floors[k, i] = total
@@ -176,5 +196,6 @@ def _march(
 
 
 @compiled(error_model="numpy")
-def _force(kind: int, parameters: Array, warm: float, d: float, v: float) -> float:
-    return warm * d if kind == _TEMPERATURE_LAW else phi(kind, parameters[0], parameters[1], d, v)
+def _force(kind: int, parameters: Array, stiffness_excess: float, d: float, v: float) -> float:
+    """Evaluate the force of a law, or that of the stiffness that temperature adds."""
+    return stiffness_excess * d if kind == _TEMPERATURE_LAW else phi(kind, parameters[0], parameters[1], d, v)

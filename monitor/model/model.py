@@ -1,4 +1,4 @@
-"""``Model = structure + effects``: the one idea that updating, simulation and diagnosis share."""
+"""``Model = structure + effects``: the model that updating, simulation and diagnosis share."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from monitor.model.structures import Structure
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Modes:
-    """Undamped modes of a model, lowest first."""
+    """Undamped modes of a model, lowest frequency first."""
 
     eigenvalues: Array
     """Shape (n,), (rad/s)^2."""
@@ -23,37 +23,56 @@ class Modes:
 
     @property
     def frequencies_hz(self) -> Array:
-        """Shape (n,)."""
+        """Natural frequencies, shape (n,), Hz."""
         return np.asarray(np.sqrt(self.eigenvalues) / (2.0 * np.pi))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Model:
-    """A structure and the effects that its drawing leaves out."""
+    """A structure and the effects that its drawing leaves out.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from monitor.model import Model, ShearFrame
+    >>> frame = Model(ShearFrame(np.array([100.0, 100.0]), np.array([1e6, 1e6]), damping_ratio=0.01))
+    >>> frame.modes().frequencies_hz.round(2)
+    array([ 9.84, 25.75])
+    """
 
     structure: Structure
     effects: tuple[Effect, ...] = ()
     correction: Array | None = None
-    """Stiffness that neither the structure's form nor an effect explains, shape (n, n), N/m: the standing model error."""
+    """Stiffness that neither the structure's form nor an effect explains, the persistent model error; shape (n, n), N/m."""
     modal_damping: Array | None = None
     """Damping ratio of every mode, shape (n,), in place of the structure's Rayleigh damping."""
 
     def with_stiffness(self, stiffness_n_per_m: Array) -> Model:
-        """The same model with other story stiffnesses, shape (p,), N/m."""
+        """Return the model with other story stiffnesses, shape (p,), N/m."""
         return replace(self, structure=self.structure.with_stiffness(stiffness_n_per_m))
 
     def as_built(self) -> Model:
-        """The same model, of which stiffnesses may now change, and nothing that is sized by them."""
+        """Return the model with its present stiffnesses recorded as those that were built.
+
+        Later changes of the stiffnesses then leave unchanged what is sized by them, as the girders of a shear frame.
+        """
         return replace(self, structure=self.structure.changed(np.zeros(self.structure.n_stories)))
 
     def with_masses(self, masses_kg: Array) -> Model:
-        """The same model with other floor masses, shape (n,), kg."""
+        """Return the model with other floor masses, shape (n,), kg."""
         return replace(self, structure=self.structure.with_masses(masses_kg))
 
     def structural_matrices(self) -> tuple[Array, Array]:
-        """Mass and stiffness matrices with the effects that are linear at every level, shape (n, n), kg and N/m."""
+        """Assemble the mass and stiffness matrices, with the effects that are linear at every level of vibration.
+
+        Returns
+        -------
+        mass : ndarray, shape (n, n), kg
+        stiffness : ndarray, shape (n, n), N/m
+        """
         structure = self.structure
-        for effect in self.effects:  # members first, whenever they changed: joints and a base join what is there
+        # Changes of members come first, since joints and a base act on the members after all changes.
+        for effect in self.effects:
             structure = effect.altered(structure)
         mass, stiffness = structure.mass_matrix(), structure.stiffness_matrix()
         for effect in self.effects:
@@ -61,15 +80,15 @@ class Model:
         return mass, stiffness if self.correction is None else stiffness + self.correction
 
     def mass_matrix(self) -> Array:
-        """Shape (n, n), kg."""
+        """Assemble the mass matrix, shape (n, n), kg."""
         return self.structural_matrices()[0]
 
     def stiffness_matrix(self) -> Array:
-        """Shape (n, n), N/m."""
+        """Assemble the stiffness matrix, shape (n, n), N/m."""
         return self.structural_matrices()[1]
 
     def damping_ratios(self) -> Array:
-        """Damping ratio of every mode, shape (n,)."""
+        """Compute the damping ratio of every mode, shape (n,)."""
         if self.modal_damping is not None:
             return self.modal_damping
         modes = self.modes()
@@ -77,7 +96,11 @@ class Model:
         return np.asarray(modal / (2.0 * np.sqrt(modes.eigenvalues)))
 
     def damping_matrix(self) -> Array:
-        """Rayleigh damping with the structure's ratio in modes 1 and 2, or the modal ratios where given, shape (n, n), N s/m."""
+        """Assemble the damping matrix, shape (n, n), N s/m.
+
+        The damping is modal where `modal_damping` is given.  Otherwise it is Rayleigh damping with the structure's damping ratio
+        in modes 1 and 2.
+        """
         omega = np.sqrt(self.modes().eigenvalues)
         if self.modal_damping is not None:
             carried = self.mass_matrix() @ self.modes().shapes
@@ -91,7 +114,10 @@ class Model:
         return np.asarray(alpha * self.mass_matrix() + beta * self.stiffness_matrix())
 
     def stiffness_derivatives(self) -> Array:
-        """dK / dk_j, shape (n_stories, n, n): exact for the bare structure, central differences with effects."""
+        """Differentiate the stiffness matrix by the story stiffnesses: dK / dk_j, shape (n_stories, n, n).
+
+        The derivatives are exact for the structure without effects, and central differences with effects.
+        """
         if not self.effects:
             return self.structure.stiffness_derivatives()
         stiffness = self.structure.stiffness_n_per_m
@@ -105,12 +131,12 @@ class Model:
         )
 
     def modes(self) -> Modes:
-        """Solve K phi = lambda M phi.
+        """Solve the undamped eigenvalue problem K phi = lambda M phi.
 
         Raises
         ------
         numpy.linalg.LinAlgError
-            If the mass matrix is not positive definite.
+            If the mass matrix is not positive definite, or mass or stiffness is not finite.
         """
         mass, stiffness = self.structural_matrices()
         if not (np.isfinite(mass).all() and np.isfinite(stiffness).all()):

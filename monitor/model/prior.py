@@ -1,4 +1,4 @@
-"""What is known of the structure before a recording is seen: from its drawing, or from its healthy baseline."""
+"""Prior of the structure's parameters before a recording: from its drawing, or from its healthy baseline."""
 
 from __future__ import annotations
 
@@ -21,30 +21,43 @@ _UNKNOWN_NOISE_STD = 3.0
 
 @dataclass(frozen=True, eq=False, slots=True)
 class ModelDiscrepancy:
-    """What the model gets wrong from the start and no known effect explains: where its spectra are ``L L^H``, healthy ones are
-    ``L (1 + E) L^H``.
+    """Model error of the healthy structure that no known effect explains, as a relative error E of the spectra.
+
+    Where the model's spectra are ``L L^H``, those of the healthy structure are ``L (1 + E) L^H``.
     """
 
     hz: Array
-    """Middles of narrow bands, evenly spaced, shape (m,); outside E is nothing."""
+    """Middles of narrow bands, evenly spaced, shape (m,), Hz; E is zero outside the bands."""
     relative: ComplexArray
     """E, shape (m, c, c)."""
     variance: Array
-    """Of E, relative to one, shape (m,); nothing where E is."""
+    """Variance of E, relative to one, shape (m,); zero where E is."""
 
     @property
     def step_hz(self) -> float:
-        """Width of the bands."""
+        """Width of the bands, Hz."""
         return float(self.hz[1] - self.hz[0])
 
     def at(self, hz: Array) -> tuple[NDArray[np.bool_], NDArray[np.intp]]:
-        """Which frequencies lie within the bands, and the bands of these."""
+        """Find the band of each frequency.
+
+        Parameters
+        ----------
+        hz : ndarray, shape (n_hz,), Hz
+
+        Returns
+        -------
+        inside : ndarray of bool, shape (n_hz,)
+            True for frequencies within the bands.
+        band : ndarray of int, shape (n_inside,)
+            Index of the band of each of these frequencies.
+        """
         band = np.floor((hz - self.hz[0]) / self.step_hz + 0.5).astype(int)
         inside = (band >= 0) & (band < self.hz.size)
         return inside, band[inside]
 
     def doubtful_hz(self) -> list[list[float]]:
-        """Lowest and highest frequencies where E is something, with neighbours joined."""
+        """Return the lowest and highest frequencies of the ranges where E is not zero, neighbouring bands joined, Hz."""
         out: list[list[float]] = []
         for f in self.hz[self.variance > 0.0].tolist():
             low, high = f - 0.5 * self.step_hz, f + 0.5 * self.step_hz
@@ -57,25 +70,25 @@ class ModelDiscrepancy:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class StructuralPrior:
-    """What is known of the structure before the recording is seen."""
+    """Normal prior of the structural nuisance parameters before a recording."""
 
     model: Model
     mean: Array
-    """Of ln stiffness, ln mass, ln damping ratio of every mode, ln noise of every channel over their mean, standing stiffness
-    correction in the modes' coordinates; then the standing effects' coordinates."""
+    """Mean, shape (p,), of: ln stiffness, ln mass, ln damping ratio of every mode, ln noise of every channel over their mean,
+    persistent stiffness correction in the modes' coordinates; then the coordinates of the persistent effects."""
     precision: Array
-    """Shape (p, p)."""
+    """Inverse of the covariance, shape (p, p)."""
     basis: Array
-    """Stiffness corrections that the standing misfit may be made of, shape (e, n, n), N/m; e = 0 for none."""
+    """Stiffness corrections that the persistent misfit is a sum of, shape (e, n, n), N/m; e = 0 for none."""
     reference_degc: float | None = None
     known_lines_hz: tuple[float, ...] = ()
-    """Lines of machines that are known: what a recording has about them tells of those, not of the structure."""
+    """Line frequencies of known machines.  Bins near them inform about the machines, not about the structure."""
     error: ModelDiscrepancy | None = None
-    """Of healthy data that contradict the model."""
+    """Model error that healthy data show; None where nothing is known of it."""
 
     @property
     def sizes(self) -> tuple[int, int, int, int, int]:
-        """Lengths of the parts of `mean` before the standing effects'."""
+        """Lengths of the parts of `mean` before the coordinates of the persistent effects."""
         s = self.model.structure
         n = s.n_dofs
         corrections = self.basis.shape[0]
@@ -84,11 +97,11 @@ class StructuralPrior:
 
     @property
     def n_standing(self) -> int:
-        """Coordinates of the standing effects."""
+        """Number of coordinates of the persistent effects."""
         return sum(len(e.parameters) for e in self.model.effects)
 
     def standing(self, x: Array) -> list[Array]:
-        """Every standing effect's coordinates of a vector of structural nuisances, shape (p,) each."""
+        """Split off the coordinates of every persistent effect from a vector of structural nuisances, shape (p,) each."""
         last, out = self.parts(x)[5], []
         for e in self.model.effects:
             out.append(last[: len(e.parameters)])
@@ -97,22 +110,22 @@ class StructuralPrior:
 
     @property
     def units(self) -> Array:
-        """Sizes by which the coordinates are small or large: one, and of the standing effects' that of their own."""
+        """Units of the coordinates, shape (p,): one, and for a persistent effect's coordinates their own magnitude."""
         return np.concatenate([np.ones(self.mean.size - self.n_standing), *[e.units for e in self.model.effects]])
 
     @property
     def covariance(self) -> Array:
-        """Of the coordinates; those without any precision have none."""
+        """Covariance of the coordinates, shape (p, p); zero for coordinates without any precision."""
         return inverse(self.precision)
 
     @property
     def standing_std(self) -> list[Array]:
-        """Standard deviations of every standing effect's coordinates, shape (p,) each."""
+        """Standard deviations of every persistent effect's coordinates, shape (p,) each."""
         return self.standing(np.sqrt(np.diag(self.covariance)))
 
     @property
     def channel_noises(self) -> slice:
-        """Where the channels' noise lies among the coordinates."""
+        """Slice of the channels' noise among the coordinates."""
         k, m, d, c, _ = self.sizes
         return slice(k + m + d, k + m + d + c)
 
@@ -122,47 +135,57 @@ class StructuralPrior:
         return [x[first:last] for first, last in pairwise(ends)]
 
     def effects(self, x: Array) -> tuple[Effect, ...]:
-        """The standing effects at a vector of nuisances."""
+        """Return the persistent effects at a vector of structural nuisances, shape (p,)."""
         return tuple(e.at(own) for e, own in zip(self.model.effects, self.standing(x), strict=True))
 
     def with_unseen_scale(self, std: float) -> StructuralPrior:
-        """Where all masses and stiffnesses together may be larger or smaller by so much, which no output shows."""
+        """Add uncertainty of the common scale of all masses and stiffnesses, which no output shows.
+
+        Parameters
+        ----------
+        std : float
+            Standard deviation of the logarithm of that scale.
+        """
         k, m, *_ = self.sizes
-        return self._wider(slice(k + m), std)
+        return self._loosen_jointly(slice(k + m), std)
 
     def with_looser_damping(self, ln_std: Array) -> StructuralPrior:
-        """Where the damping of every mode may differ by so much more, shape (n,)."""
+        """Add uncertainty of the logarithm of every mode's damping ratio, shape (n,)."""
         k, m, *_ = self.sizes
-        return self._looser(k + m, ln_std)
+        return self._loosen(k + m, ln_std)
 
     def with_looser_noise(self, ln_std: Array) -> StructuralPrior:
-        """Where the noise density of every channel, over their mean, may differ by so much more, shape (c,)."""
+        """Add uncertainty of the logarithm of every channel's noise density over their mean, shape (c,)."""
         k, m, d, *_ = self.sizes
-        return self._looser(k + m + d, ln_std)
+        return self._loosen(k + m + d, ln_std)
 
     def with_daily_standing(self) -> StructuralPrior:
-        """Where standing effects may be of another size on another day, or as the form of their law leaves open."""
+        """Add uncertainty of the persistent effects' sizes: their change from day to day, and the form of their laws."""
         std = np.concatenate([[], *[np.hypot(e.units * (e.daily or 0.0), e.form_std) for e in self.effects(self.mean)]])
-        return self._looser(self.mean.size - self.n_standing, std) if std.any() else self
+        return self._loosen(self.mean.size - self.n_standing, std) if std.any() else self
 
     def with_known_lines(self) -> StructuralPrior:
-        """Where machines among the standing effects may run a little faster or slower, and unsteadily."""
+        """Note the line frequencies of the machines among the persistent effects.
+
+        The machines may run a little faster or slower, and unsteadily.
+        """
         lines = tuple(line.frequency_hz for e in self.effects(self.mean) for line in e.lines())
         return replace(self, known_lines_hz=lines)
 
     def with_any_noise(self) -> StructuralPrior:
-        """Where the channels, all alike, may be more or less noisy than the sensor of the ground."""
-        return self._wider(self.channel_noises, _UNKNOWN_NOISE_STD)
+        """Add uncertainty of the noise that all channels share, relative to the noise of the ground's sensor."""
+        return self._loosen_jointly(self.channel_noises, _UNKNOWN_NOISE_STD)
 
-    def _wider(self, these: slice, std: float) -> StructuralPrior:
-        """Where coordinates may all together be larger or smaller by so much more."""
+    def _loosen_jointly(self, these: slice, std: float) -> StructuralPrior:
+        """Add uncertainty of a change that the given coordinates have in common."""
         along = np.zeros(self.mean.size)
         along[these] = std
-        held = self.precision @ along  # Sherman and Morrison: what is not known at all has no covariance
-        return replace(self, precision=self.precision - np.outer(held, held) / (1.0 + along @ held))
+        # Sherman and Morrison's formula, since a coordinate that is not known at all has no finite covariance.
+        weighted = self.precision @ along
+        return replace(self, precision=self.precision - np.outer(weighted, weighted) / (1.0 + along @ weighted))
 
-    def _looser(self, first: int, std: Array) -> StructuralPrior:
-        """Where coordinates from `first` on may differ by so much more."""
+    def _loosen(self, first: int, std: Array) -> StructuralPrior:
+        """Add independent uncertainty to the coordinates from `first` on, shape (n_changed,)."""
         covariance = self.covariance
         these = np.arange(first, first + std.size)
         covariance[these, these] += std**2
@@ -171,24 +194,40 @@ class StructuralPrior:
 
 
 def correction_basis(model: Model, n_modes: int) -> Array:
-    """Symmetric corrections of the stiffness within the lowest modes, each of relative size one, shape (e, n, n)."""
+    """Build the symmetric stiffness corrections within the lowest modes, each of relative size one.
+
+    Parameters
+    ----------
+    n_modes : int
+        Number of lowest modes, m.
+
+    Returns
+    -------
+    ndarray, shape (m (m + 1) / 2, n, n), N/m
+    """
     modes = model.modes()
-    carried = model.mass_matrix() @ modes.shapes[:, :n_modes] * np.sqrt(np.maximum(modes.eigenvalues[:n_modes], 0.0))
+    scaled = model.mass_matrix() @ modes.shapes[:, :n_modes] * np.sqrt(np.maximum(modes.eigenvalues[:n_modes], 0.0))
     pairs = [(a, b) for a in range(n_modes) for b in range(a, n_modes)]
-    outer = [np.outer(carried[:, a], carried[:, b]) for a, b in pairs]
-    n = carried.shape[0]
+    outer = [np.outer(scaled[:, a], scaled[:, b]) for a, b in pairs]
+    n = scaled.shape[0]
     return np.array([0.5 * (o + o.T) for o in outer]).reshape(-1, n, n)
 
 
 def prior_from_drawing(
     model: Model, prior_std: Array, n_channels: int, n_modes: int = 0, correction_std: float = 0.1
 ) -> StructuralPrior:
-    """What the structure file alone says.
+    """Make the prior that follows from the structure file alone.
 
     Parameters
     ----------
     prior_std : ndarray, shape (n_stiffness + n,)
-        Relative standard deviations of stiffness and masses.
+        Relative standard deviations of stiffnesses, then masses.
+    n_channels : int
+        Number of channels.
+    n_modes : int
+        Number of modes within which the stiffness may be corrected; 0 for no correction.
+    correction_std : float
+        Relative standard deviation of the stiffness corrections.
     """
     s = model.structure
     n = s.mass_matrix().shape[0]
@@ -210,11 +249,30 @@ def prior_from_drawing(
 
 
 def as_stated(effects: Sequence[Effect]) -> Array:
-    """Precision of coordinates that are taken as stated."""
+    """Return the precisions of effects' coordinates that are taken as the structure file states them, shape (p,)."""
     return np.concatenate([[], *[(_STATED_STD * e.units) ** -2.0 for e in effects]])
 
 
 def inverse(normal: Array) -> Array:
-    """Inverse of a normal matrix whose parameters have different units; directions without information get none."""
+    """Invert a normal matrix whose parameters have different units.
+
+    Directions without information have zeros in the inverse.
+
+    Parameters
+    ----------
+    normal : ndarray, shape (p, p)
+        Symmetric, positive semidefinite.
+
+    Returns
+    -------
+    ndarray, shape (p, p)
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from monitor.model import inverse
+    >>> inverse(np.diag([4.0, 0.0])).tolist()
+    [[0.25, 0.0], [0.0, 0.0]]
+    """
     scale = 1.0 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
     return np.asarray(scale[:, None] * np.linalg.pinv(normal * scale[:, None] * scale, hermitian=True) * scale)

@@ -1,4 +1,4 @@
-"""A diagnosis's reference as a part of the baseline file."""
+"""Conversion of a diagnosis's reference, the prior of the healthy structure, to and from its part of the baseline file."""
 
 from __future__ import annotations
 
@@ -14,7 +14,10 @@ from monitor.model.prior import ModelDiscrepancy, StructuralPrior, as_stated
 
 
 def to_plain(reference: StructuralPrior | None) -> dict[str, Any] | None:
-    """JSON content; the structure itself and what its file states come from the structure file."""
+    """Convert a reference to JSON content.
+
+    The structure itself and what its file states are not part of the content: they come from the structure file.
+    """
     if reference is None:
         return None
     return {
@@ -32,9 +35,10 @@ def to_plain(reference: StructuralPrior | None) -> dict[str, Any] | None:
 
 
 def from_plain(content: dict[str, Any] | None, model: Model, channels: tuple[str, ...]) -> StructuralPrior | None:
-    """The reference on the structure file's model.
+    """Read a reference from JSON content, on the structure file's model.
 
-    Effects that the file states by now, as after a finding was accepted, and the calibration did not know are added as stated.
+    Effects that the structure file states now and the calibration did not know, as after a finding was accepted, are added as
+    stated.
 
     Raises
     ------
@@ -69,6 +73,7 @@ def from_plain(content: dict[str, Any] | None, model: Model, channels: tuple[str
 
 
 def _error_to_plain(error: ModelDiscrepancy) -> dict[str, Any]:
+    """Convert the model error to JSON content."""
     e = error.relative
     return {
         "hz": error.hz.tolist(),
@@ -79,6 +84,7 @@ def _error_to_plain(error: ModelDiscrepancy) -> dict[str, Any]:
 
 
 def _error_from_plain(content: dict[str, Any], n_channels: int) -> ModelDiscrepancy:
+    """Read the model error from JSON content and check it."""
     hz, real, imaginary, variance = (
         np.array(content[name], dtype=float) for name in ("hz", "real", "imaginary", "variance")
     )

@@ -1,8 +1,8 @@
-"""Integrates a Model in time: recordings with known truth.
+"""Simulation of a Model in time: recordings with known truth.
 
-Everything of ours is stepped by `monitor.model.integration`: exactly where the model is linear (force straight between
-samples, so that nothing is delayed).  Newmark's average acceleration at the paper's steps is for `reproduce` alone: it
-lengthens periods to ``f_N = atan(pi f dt) / (pi dt)``.
+`monitor.model.integration` integrates every simulation but those of `reproduce`.  It is exact where the model is linear, for
+forces that are linear in time between samples, so that nothing is delayed.  Newmark's average-acceleration method at the paper's
+steps is for `reproduce` alone: it lengthens periods to ``f_N = atan(pi f dt) / (pi dt)``.
 """
 
 from __future__ import annotations
@@ -22,36 +22,39 @@ ExcitationKind = Literal["ambient", "impulse", "ground"]
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Motion:
-    """What the sensors of a simulated structure said."""
+    """Recording of the sensors of a simulated structure."""
 
     rate_hz: float
     floors: Array
     """Absolute accelerations, shape (n_samples, c), m/s^2; one channel a floor unless sensors were named."""
     ground: Array | None
-    """Ground acceleration, where it was measured, shape (n_samples,), m/s^2."""
+    """Measured ground acceleration, shape (n_samples,), m/s^2; None where it was not measured."""
 
 
 def linear_system(model: Model) -> System:
-    """Structure, its damping and what effects add that is linear at every level."""
+    """Assemble the structure, its damping and the effects that are linear at every level of vibration."""
     n = model.structure.n_dofs
     mass, stiffness = model.structural_matrices()
     system = System(mass, model.damping_matrix(), stiffness)
     context = Context(model.structure, (), np.zeros((0, n)), 1.0)
-    nowhere = Condition(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0))
+    no_condition = Condition(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0))
     for effect in model.effects:
-        if not (effect.conditional or effect.nonlinear):  # of those the exact law acts
-            system = effect.extend(system, context, nowhere)
+        if not (effect.conditional or effect.nonlinear):  # the exact laws of the others act in the integration
+            system = effect.extend(system, context, no_condition)
     return system
 
 
 def respond_exactly(model: Model, forces: Array, rate_hz: float) -> Array:
-    """Accelerations of the floors under forces that run straight between samples, nonlinear laws left out.
+    """Simulate the floors' accelerations exactly, under forces that are linear in time between samples.
+
+    Nonlinear laws are left out.
 
     Parameters
     ----------
     forces : ndarray, shape (n_samples, n), N
         More columns act on the degrees of freedom that effects append.
     rate_hz : float
+        Rate of the samples.
 
     Returns
     -------
@@ -64,10 +67,21 @@ def respond_exactly(model: Model, forces: Array, rate_hz: float) -> Array:
 
 
 def respond_newmark(model: Model, forces: Array, rate_hz: float) -> Array:
-    """Accelerations of the floors by Newmark's average-acceleration method (gamma 1/2, beta 1/4).
+    """Simulate the floors' accelerations by Newmark's average-acceleration method (gamma 1/2, beta 1/4).
 
-    Parameters and return value as `respond_exactly`.  In modal coordinates of a classically damped model the method
-    is the bilinear transform of ``s^2 / (s^2 + 2 zeta w s + w^2)``.
+    In modal coordinates of a classically damped model the method is the bilinear transform of
+    ``s^2 / (s^2 + 2 zeta w s + w^2)``.
+
+    Parameters
+    ----------
+    forces : ndarray, shape (n_samples, n), N
+    rate_hz : float
+        Rate of the samples.
+
+    Returns
+    -------
+    ndarray, shape (n_samples, n), m/s^2
+        Relative to the ground; at rest before the first sample.
     """
     from scipy.signal import lfilter  # takes most of a second to load
 
@@ -87,7 +101,7 @@ def respond_newmark(model: Model, forces: Array, rate_hz: float) -> Array:
 
 
 def level_wander(n: int, rate_hz: float, spread: float, rng: np.random.Generator) -> Array:
-    """A slowly wandering level with mean square 1: log-normal, correlated over 60 s, shape (n,)."""
+    """Draw a slowly varying level of mean square 1, log-normal and correlated over 60 s, shape (n,)."""
     if spread == 0.0:
         return np.ones(n)
     from scipy.signal import lfilter  # takes most of a second to load
@@ -114,22 +128,31 @@ def simulate(
     context: Context | None = None,
     excess_degc: Array | None = None,
 ) -> Motion:
-    """A recording's worth of motion.
+    """Simulate a recording of a model under random forces, hammer blows or ground motion.
 
     Parameters
     ----------
+    duration_s, rate_hz : float
+        Length of the recording and nominal rate of its samples.
     excitation : {"ambient", "impulse", "ground"}
         Independent white forces of 1 N on every floor; a hammer blow on the middle floor every 10 s; a white ground
         acceleration of 0.5 m/s^2, measured.
     noise : float
         Sensor noise, white at `rate_hz`, as a fraction of the mean over channels of the acceleration's RMS, the same
-        on every channel.  It passes the sensor effects as the motion does.
+        on every channel.  The sensor effects act on the noise as on the motion.
     level_spread : float
-        Relative spread of the excitation's slowly wandering level (0.35 for wind).
+        Relative spread of the excitation's slowly varying level (0.35 for wind).
+    seed : int
+        Seed of the random numbers.
     context : Context, optional
         Names and places of the sensors; by default one a floor, a1 to an.
     excess_degc : ndarray, shape (n_samples,), optional
-        Temperature above the reference; none by default.
+        Temperature above the reference, K; none by default.
+
+    Returns
+    -------
+    Motion
+        Accelerations of the channels, shape (n_samples, c), and of a measured ground, shape (n_samples,), m/s^2.
 
     Raises
     ------
@@ -142,7 +165,7 @@ def simulate(
     if context is None:
         context = Context(model.structure, tuple(f"a{j + 1}" for j in range(n)), np.eye(n), rate_hz)
     rng = np.random.default_rng(seed)
-    own = rng.spawn(1)[0]  # of effects, so that the same seed gives the same forces and noise without them
+    effects_rng = rng.spawn(1)[0]  # so that the same seed gives the same forces and noise with and without effects
     n_samples = round(duration_s * rate_hz)
     true_rate_hz = rate_hz * float(np.prod([e.clock_factor for e in model.effects]))
     level = level_wander(n_samples, rate_hz, level_spread, rng)[:, None]
@@ -155,14 +178,16 @@ def simulate(
         ground = 0.5 * level[:, 0] * rng.standard_normal(n_samples)
     for effect in model.effects:
         forces = effect.drive(forces, true_rate_hz)
-    moving = _hidden_ground(model, forces, level[:, 0], true_rate_hz, context, own) if ground is None else ground
-    clean = respond(model, forces, moving, true_rate_hz, excess_degc) @ context.sensors.T
+    true_ground = (
+        _unmeasured_ground(model, forces, level[:, 0], true_rate_hz, context, effects_rng) if ground is None else ground
+    )
+    clean = respond(model, forces, true_ground, true_rate_hz, excess_degc) @ context.sensors.T
     rms = noise * float(np.sqrt((clean**2).mean(axis=0)).mean())
     samples = clean + rms * rng.standard_normal(clean.shape)
     if ground is not None:
         ground = ground + rms * rng.standard_normal(n_samples)
     for effect in model.effects:
-        samples = effect.measure(samples, true_rate_hz, context, own)
+        samples = effect.measure(samples, true_rate_hz, context, effects_rng)
     return Motion(rate_hz, samples, ground)
 
 
@@ -174,17 +199,22 @@ def respond(
     excess_degc: Array | None = None,
     step_hz: float | None = None,
 ) -> Array:
-    """Absolute accelerations of the floors, shape (n_samples, n), every law at work.
+    """Simulate the floors' absolute accelerations with all linear and nonlinear laws of the model.
 
     Parameters
     ----------
     forces : ndarray, shape (n_samples, n), N
     ground : ndarray, shape (n_samples,), m/s^2, or None for ground at rest
     rate_hz : float
+        Rate of the samples.
     excess_degc : ndarray, shape (n_samples,), optional
-        Temperature above the reference.
+        Temperature above the reference, K.
     step_hz : float, optional
-        Least rate at which nonlinear laws are stepped; `monitor.model.integration.STEP_HZ` unless told otherwise.
+        Least rate of the integration steps with nonlinear laws; `monitor.model.integration.STEP_HZ` by default.
+
+    Returns
+    -------
+    ndarray, shape (n_samples, n), m/s^2
     """
     if ground is not None:
         forces = _with_inertia(model, forces, ground)
@@ -203,16 +233,19 @@ def respond(
 
 
 def _with_inertia(model: Model, forces: Array, ground: Array) -> Array:
-    """Forces on every degree of freedom in a frame that moves with the ground, shape (n_samples, N)."""
+    """Add the inertia forces of the ground's acceleration to the forces, shape (n_samples, N), N."""
     inertia = linear_system(model).mass.sum(axis=1)
     padded = np.pad(forces, ((0, 0), (0, inertia.size - forces.shape[1])))
     return np.asarray(padded - ground[:, None] * inertia)
 
 
-def _hidden_ground(
+def _unmeasured_ground(
     model: Model, forces: Array, level: Array, rate_hz: float, context: Context, rng: np.random.Generator
 ) -> Array | None:
-    """Ground acceleration that causes the effects' share of the channels' variance, as the linear model answers."""
+    """Draw the ground acceleration that causes the effects' share of the channels' variance, shape (n_samples,), m/s^2.
+
+    The variances are those of the linear model's response.
+    """
     share = sum(e.ground_share for e in model.effects)
     if share <= 0.0:
         return None
@@ -220,8 +253,8 @@ def _hidden_ground(
         names = ", ".join(dict.fromkeys(e.name for e in model.effects if e.ground_share))
         raise ValueError(f"{names}: shares add up to {share:g}, not below 1")
     ground = np.asarray(level * rng.standard_normal(level.size))
-    shaken = respond_exactly(model, _with_inertia(model, np.zeros_like(forces), ground), rate_hz) + ground[:, None]
-    by_ground = ((shaken @ context.sensors.T) ** 2).mean(axis=0)
+    response = respond_exactly(model, _with_inertia(model, np.zeros_like(forces), ground), rate_hz) + ground[:, None]
+    by_ground = ((response @ context.sensors.T) ** 2).mean(axis=0)
     by_force = ((respond_exactly(model, forces, rate_hz) @ context.sensors.T) ** 2).mean(axis=0)
 
     def excess(ln_power: float) -> float:

@@ -11,7 +11,7 @@ from drivers.base import ACCELERATION
 from monitor.config.configuration import Configuration
 from monitor.diagnosis.initial_fit import fit_linearized
 from monitor.diagnosis.simulation_refit import refine_fit
-from monitor.inference.corrected_posterior import _bounded, correct_posterior
+from monitor.inference.corrected_posterior import _bound_corrections, correct_posterior
 from monitor.inference.exact_simulation import draw_forces, simulate_exact, simulate_spectra
 from monitor.inference.linearization import linearize
 from monitor.inference.map_estimate import MapEstimate, maximize_posterior
@@ -113,7 +113,7 @@ def test_the_scale_of_masses_and_stiffness_that_nothing_shows_stays_unseen(bent:
 def test_a_law_that_cannot_stand_has_no_likelihood() -> None:
     unknown = np.full((1, 2, 3, 3), np.nan, dtype=complex)
     deep = -2.0 * np.eye(3) + np.zeros((1, 2, 3, 3), dtype=complex)
-    both = _bounded(np.concatenate([unknown, deep]))
+    both = _bound_corrections(np.concatenate([unknown, deep]))
     assert np.isnan(both[0]).all()
     assert np.linalg.eigvalsh(both[1]) == pytest.approx(-0.85 * np.ones((2, 3)))
 

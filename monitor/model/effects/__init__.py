@@ -1,4 +1,7 @@
-"""Effects by name: what a structure file leaves out.  One file each; `Model` and the simulator use the same objects."""
+"""Catalogue of effects by name, the terms that a structure file leaves out.
+
+Each effect has a file of its own.  `Model` and the simulation use the same objects.
+"""
 
 from __future__ import annotations
 
@@ -72,11 +75,11 @@ EFFECTS: dict[str, type[Effect]] = {
         SensorNoise,
     )
 }
-"""The catalogue: what a diagnosis looks for."""
+"""Catalogue of the effects that a diagnosis looks for."""
 CALIBRATION_EFFECTS: dict[str, type[Effect]] = {AmbientForces.name: AmbientForces}
-"""Properties of a site, which calibration alone looks for."""
+"""Effects that are properties of a site, which calibration alone looks for."""
 FORMS: Mapping[str, type[Effect]] = ChainMap(EFFECTS, CALIBRATION_EFFECTS)
-"""What a file may state: the catalogue, with whatever is added to it, and what calibration alone looks for."""
+"""Effects that a file may state: the catalogue, with whatever is added to it, and those that calibration alone looks for."""
 
 __all__ = [
     "CALIBRATION_EFFECTS",
@@ -115,18 +118,24 @@ def story_damage(story: int, loss: float) -> Effect:
     Raises
     ------
     EffectError
-        If there can be no such story or no such loss.
+        If the story or the loss is impossible.
     """
     return StiffnessChange.create(f"story {story}", {"relative": -loss})
 
 
 def parse_effect(text: str) -> Effect:
-    """The effect written as ``NAME:LOCATION:PARAM=VALUE,...`` (the command line's form).
+    """Parse an effect written as ``NAME:LOCATION:PARAM=VALUE,...``, the command line's form.
 
     Raises
     ------
     EffectError
         If name, place or parameters are not the effect's.
+
+    Examples
+    --------
+    >>> from monitor.model import parse_effect
+    >>> parse_effect("stiffness_change:story 2:relative=-0.2")
+    StiffnessChange(location='story 2', relative=-0.2)
     """
     name, _, rest = text.partition(":")
     location, _, assignments = rest.partition(":")

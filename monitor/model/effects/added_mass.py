@@ -1,4 +1,4 @@
-"""Mass that the drawing does not know, on one floor or on all alike."""
+"""Mass that the drawing does not contain, on one floor or on all floors alike."""
 
 from __future__ import annotations
 
@@ -20,7 +20,10 @@ _SIGNATURE = "frequencies fall in the pattern of one floor (of the frame: all al
 
 @dataclass(frozen=True)
 class AddedMass(Effect):
-    """A floor's mass m becomes m + mass_kg; on the frame, where it is an `AddedMassEverywhere`, m (1 + relative)."""
+    """Additional mass: a floor's mass m becomes m + mass_kg.
+
+    On the frame the effect is an `AddedMassEverywhere`, and every m becomes m (1 + relative).
+    """
 
     name: ClassVar[str] = "added_mass"
     family: ClassVar[Literal["structure", "excitation", "sensor"]] = "structure"
@@ -62,7 +65,7 @@ class AddedMass(Effect):
 
 @dataclass(frozen=True)
 class AddedMassEverywhere(Effect):
-    """`AddedMass` on the frame: the same fraction on every floor."""
+    """Additional mass on the whole frame: the same fraction of every floor's mass."""
 
     name: ClassVar[str] = "added_mass"
     family: ClassVar[Literal["structure", "excitation", "sensor"]] = "structure"

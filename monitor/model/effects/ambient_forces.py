@@ -1,4 +1,4 @@
-"""Forces of every day, which are neither white nor apart from each other."""
+"""Ambient forces of a site, which are neither white nor independent between floors."""
 
 from __future__ import annotations
 
@@ -25,11 +25,12 @@ force]"""
 
 @dataclass(frozen=True)
 class AmbientForces(Effect):
-    """How the floors' forces differ from white and independent ones: a smooth spectrum, and a part that pushes all alike.
+    """Difference of the floors' forces from white and independent ones: a smooth spectrum, and a part common to all floors.
 
-    The logarithm of the power density runs straight over half octaves, and on at its ends' values.  Of each floor's power the
-    common share acts on all floors at once, in proportion to the root of each floor's own.  Calibration alone looks for it: what
-    stands so is a property of the site, and what differs on another day has a name in the catalogue.
+    The logarithm of the power density is linear in that of the frequency over half octaves, and constant beyond its ends.
+    The common share of each floor's power acts on all floors at once, in proportion to the root of each floor's own power.
+    Calibration alone looks for this effect, since a persistent spectrum is a property of the site.  Differences on another day
+    have names of their own in the catalogue.
     """
 
     name: ClassVar[str] = "ambient_forces"
@@ -50,7 +51,7 @@ class AmbientForces(Effect):
 
     common_share: float = 0.0
     rise_1: float = 0.0
-    """Logarithm of the power density at 0.35 Hz over that at 0.25 Hz; and so on, half an octave each."""
+    """Logarithm of the power density at 0.35 Hz over that at 0.25 Hz; the others follow, half an octave each."""
     rise_2: float = 0.0
     rise_3: float = 0.0
     rise_4: float = 0.0
@@ -79,7 +80,7 @@ class AmbientForces(Effect):
         return np.asarray(np.exp(np.interp(at, knots, density) - np.interp(np.log(_ANCHOR_HZ), knots, density)))
 
     def drive(self, forces: Array, rate_hz: float) -> Array:
-        """See `Effect.drive`; the symmetric root of the correlation mixes the floors."""
+        """See `Effect.drive`.  The symmetric root of the correlation matrix mixes the floors' forces."""
         from scipy.fft import irfft, next_fast_len, rfft  # takes a third of a second to load
 
         count, n = forces.shape
@@ -102,7 +103,7 @@ class AmbientForces(Effect):
 
     @classmethod
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
-        """See `Effect.starts`: white and independent forces, from which the fit goes anywhere."""
+        """See `Effect.starts`.  The fit starts from white and independent forces, from which it reaches any spectrum."""
         return (cls(location),)
 
     @classmethod

@@ -1,4 +1,4 @@
-"""Something that swings on a floor."""
+"""Oscillator on a floor, such as something that hangs or stands there on a spring."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ judgement]"""
 
 @dataclass(frozen=True)
 class AttachedOscillator(Effect):
-    """A mass on a spring and a damper, appended to the system as one more degree of freedom."""
+    """Mass on a spring and a damper on a floor, appended to the system as one more degree of freedom."""
 
     name: ClassVar[str] = "attached_oscillator"
     family: ClassVar[Literal["structure", "excitation", "sensor"]] = "structure"
@@ -43,7 +43,7 @@ class AttachedOscillator(Effect):
 
     mass_kg: float
     frequency_hz: float
-    """On a floor that is held."""
+    """Natural frequency on a fixed floor."""
     damping_ratio: float
 
     def extend(self, system: System, context: Context, condition: Condition) -> System:
@@ -64,13 +64,13 @@ class AttachedOscillator(Effect):
         )
 
     def known(self, context: Context, condition: Condition) -> tuple[Array, Array]:
-        """See `Effect.known`: a few percent of damping, give or take a factor of two."""
+        """See `Effect.known`.  The damping ratio is a few percent, within a factor of two."""
         mean = self.coordinates
         mean[2] = np.log(_OSCILLATOR_DAMPING)
         return mean, np.array([0.0, 0.0, _LN_DAMPING_STD**-2])
 
     def is_plausible(self, band_hz: Array) -> bool:
-        """See `Effect.is_plausible`: it swings within the band, and is not damped at once."""
+        """See `Effect.is_plausible`.  The natural frequency lies in the band, and the damping ratio is below the limit."""
         return bool(band_hz[0] <= self.frequency_hz <= band_hz[-1] and self.damping_ratio < _MAX_OSCILLATOR_DAMPING)
 
     @classmethod

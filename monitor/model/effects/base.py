@@ -1,8 +1,9 @@
-"""What every effect is: a place, parameters, and one law with two faces.
+"""Base class of every effect: a place, parameters, and one law in the frequency domain and in the time domain.
 
-The spectral face says how the effect changes a linear model's matrices, excitation and sensors at a condition (level of
-vibration, temperature); the likelihood, the updating and the alarms use it.  The time face is the exact law that the
-simulator integrates.  An effect overrides only what it changes.
+In the frequency domain (the spectral face) an effect changes a linear model's matrices, excitation and sensors at a condition,
+that is at a level of vibration and a temperature; the likelihood, the updating and the alarms use it.  In the time domain
+(the time face) an effect is the exact law that the simulation integrates.  An effect overrides only the methods of what it
+changes.
 """
 
 from __future__ import annotations
@@ -28,33 +29,34 @@ needs: what a frame that is no shear frame blurs. [ratio; judgement]"""
 
 
 class EffectError(ValueError):
-    """Name, place or parameters of an effect are wrong; the message says which and what is allowed."""
+    """Error in an effect's name, place or parameters; the message says which is wrong and what is allowed."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Context:
-    """Where an effect acts."""
+    """Structure and sensors on which effects act."""
 
     structure: Structure
     channels: tuple[str, ...]
     sensors: Array
-    """Shape (c, n): picks the channels out of the floors."""
+    """Matrix that picks the channels out of the floors' motion, shape (c, n)."""
     rate_hz: float
-    """Of the source's samples."""
+    """Rate of the source's samples."""
 
 
 def _none_degc(lag_s: float) -> float:
+    """Return a temperature at its reference, K above it."""
     return 0.0
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Condition:
-    """The motion and weather at which nonlinear laws are made linear: one level class of a recording."""
+    """Motion and temperature at which nonlinear laws are linearized: those of one level class of a recording."""
 
     drift_m: Array
     """RMS drift of every story, shape (n,)."""
     drift_velocity_m_s: Array
-    """RMS rate of every story's drift, shape (n,)."""
+    """RMS velocity of every story's drift, shape (n,)."""
     floor_velocity_m_s: Array
     """RMS velocity of every floor, shape (n,)."""
     channel_m_s2: Array
@@ -66,16 +68,16 @@ class Condition:
     channel_piled: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(1, dtype=bool))
     """Whether many of a channel's samples share its largest magnitude, shape (c,)."""
     beyond: float = 1.0
-    """What the forces cause above the band that is compared, over what white ones would up to half the source's rate."""
+    """Variance that the forces cause above the compared band, over that of white forces there, up to half the source's rate."""
     band_hz: float = np.inf
-    """Where that begins."""
+    """Upper end of the compared band."""
     ground: float = 1.0
-    """How strongly an unmeasured ground shook, over the forces, relative to the whole recording."""
+    """Level of an unmeasured ground motion over that of the forces, relative to the whole recording."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class FittedModel:
-    """A fitted model, as far as it says how well the form of a law lets an effect's size be known."""
+    """Properties of a fitted model that determine the uncertainty of an effect's size by the form of its law."""
 
     structure: Structure
     """The structure at the fit, without effects."""
@@ -84,14 +86,14 @@ class FittedModel:
     effects: tuple[Effect, ...]
     """All effects of the model, persistent ones first."""
     correction_rms: float
-    """RMS of the relative stiffness corrections, which the structure's form does not explain; 0 where there are none."""
+    """RMS of the relative stiffness corrections that the structure's form does not explain; 0 where there are none."""
     bin_hz: float
     """Spacing of the spectra's bins."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class System:
-    """A linear system: the structure's dofs first, then those that effects add."""
+    """Linear system: the structure's degrees of freedom first, then those that effects add."""
 
     mass: Array
     """Shape (N, N), kg."""
@@ -101,7 +103,12 @@ class System:
     """Shape (N, N), N/m."""
 
     def plus(self, *, damping: Array | float = 0.0, stiffness: Array | float = 0.0) -> System:
-        """With terms on the structure's dofs, shape (n, n)."""
+        """Add terms to the matrices of the structure's degrees of freedom.
+
+        Parameters
+        ----------
+        damping, stiffness : ndarray, shape (n, n), N s/m and N/m, or 0.0 for none
+        """
 
         def padded(base: Array, term: Array | float) -> Array:
             out = base.copy()
@@ -113,13 +120,13 @@ class System:
         return replace(self, damping=padded(self.damping, damping), stiffness=padded(self.stiffness, stiffness))
 
     def state_matrix(self) -> Array:
-        """Of displacements and velocities, shape (2N, 2N), 1/s."""
+        """Assemble the state matrix of displacements and velocities, shape (2N, 2N), 1/s."""
         size = self.mass.shape[0]
         inverse = np.linalg.inv(self.mass)
         return np.block([[np.zeros((size, size)), np.eye(size)], [-inverse @ self.stiffness, -inverse @ self.damping]])
 
     def decoupled(self) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-        """First-order equations ``dq/dt = pole q + drive @ forces``, one of each conjugate pair.
+        """Decouple the system into first-order equations ``dq/dt = pole q + drive @ forces``, one of each conjugate pair.
 
         Returns
         -------
@@ -137,81 +144,85 @@ class System:
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """A harmonic force."""
+    """Harmonic force on a floor."""
 
     floor: int
-    """Index from 0."""
+    """Index of the floor, from 0."""
     frequency_hz: float
     force_n: float
-    """Amplitude."""
+    """Amplitude of the force."""
 
 
 class LawKind(IntEnum):
-    """Which phi of `monitor.model.integration`; its two parameters in brackets."""
+    """Kind of the function phi in `monitor.model.integration`, with its two parameters in brackets."""
 
     CUBIC = 0
-    """(k3, drift at which its force has faded to half)"""
+    """(k3, drift at which the factor on the cubic force is one half)"""
     CONTACT = 1
-    """(gap, stiffness that comes in beyond it)"""
+    """(gap, stiffness added beyond the gap)"""
     FRICTION = 2
-    """(force, velocity that regularizes its sign)"""
+    """(force, velocity that regularizes the sign of the velocity)"""
     QUADRATIC = 3
     """(coefficient, unused)"""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Law:
-    """An exact nonlinear force: ``-direction * phi(direction . x, direction . v)`` on the structure's dofs.
+    """Exact nonlinear force ``-direction * phi(direction . x, direction . v)`` on the structure's degrees of freedom.
 
-    `kind` picks phi in `monitor.model.integration`, compiled once for all of them.
+    `kind` selects phi in `monitor.model.integration`, where one function is compiled for all kinds.
     """
 
     kind: LawKind
     direction: Array
-    """Shape (n,): a story's drift or a floor."""
+    """Row that picks a story's drift or a floor's motion, shape (n,)."""
     parameters: tuple[float, float]
 
 
 @dataclass(frozen=True)
 class Effect(ReportFace, ABC):
-    """A term that the drawing leaves out.  Subclasses add one float field a parameter, in `parameters`' order."""
+    """Effect: a term that the drawing leaves out.
+
+    A subclass adds one float field for each parameter, in the order of `parameters`.
+    """
 
     name: ClassVar[str]
     family: ClassVar[Literal["structure", "excitation", "sensor"]]
     places: ClassVar[tuple[str, ...]]
-    """Kinds of place: ``story``, ``floor``, ``channel``, ``channels`` (a pair), ``base``, ``frame``."""
+    """Allowed kinds of place: ``story``, ``floor``, ``channel``, ``channels`` (a pair), ``base``, ``frame``."""
     parameters: ClassVar[tuple[Parameter, ...]]
     conditional: ClassVar[bool] = False
-    """Whether its spectral face depends on the condition."""
+    """Whether the effect in the frequency domain depends on the condition."""
     nonlinear: ClassVar[bool] = False
-    """Whether its spectral face is a linearization (parameters are polished by simulation)."""
+    """Whether the effect in the frequency domain is a linearization; simulation then refines its parameters."""
 
     proportional: ClassVar[bool] = True
-    """Whether twice its amplitude makes about twice the change, so that a score test can tell its size."""
+    """Whether twice the amplitude makes about twice the change, so that a score test can estimate the amplitude."""
 
     order: ClassVar[int] = 1
-    """Power of its amplitude with which the spectra change."""
+    """Power of the amplitude with which the spectra change."""
     amplitude_powers: ClassVar[tuple[float, ...]] = ()
-    """Of a story's nonlinear law: at a drift a times as large it acts as with parameters a^power times as large."""
+    """Exponent of each parameter of a story's nonlinear law: at a times the drift the law acts as one with parameters a^power
+    times as large."""
     daily: ClassVar[tuple[float, ...]] = ()
-    """By how much each coordinate may be another on another day where it stands, in its units, as a standard deviation."""
+    """Standard deviation of each coordinate's change from day to day, in the coordinate's units, of a persistent effect."""
     stationary_only: ClassVar[bool] = False
-    """Whether its linearization needs a stationary, normal motion, which an earthquake's is not."""
+    """Whether the linearization needs a stationary, normal motion, which that of an earthquake is not."""
     is_stiffness_loss: ClassVar[bool] = False
-    """Whether it is what the damage index measures, a change of stories' stiffness, and not a cause beside the index."""
+    """Whether the effect is a change of stories' stiffness, which the damage index measures, and no other cause of its change."""
     colour_title: ClassVar[str] = ""
     """Title of the curve of `colour` that a report draws in place of the parameters that are `drawn`; empty for no curve."""
     form_doubt: ClassVar[tuple[float, ...]] = ()
-    """Relative standard deviation of each parameter that the law's form leaves open, whatever the data; none without."""
+    """Relative standard deviation of each parameter that the law's form leaves open, whatever the data; empty for none."""
 
     location: str
-    """As in the contract: ``story 2``, ``floor 1``, ``channel a2``, ``base``, ``frame``."""
+    """Place of the effect: ``story 2``, ``floor 1``, ``channel a2``, ``base``, ``frame``."""
 
     # --- identity -------------------------------------------------------------------------------------------
 
     @classmethod
     def create(cls, location: str, parameters: Mapping[str, float]) -> Effect:
-        """The effect at `location`.
+        """Create the effect at `location` with the given parameters.
 
         Raises
         ------
@@ -234,7 +245,7 @@ class Effect(ReportFace, ABC):
         return cls(location, **parameters)
 
     def values(self) -> dict[str, float]:
-        """Parameters by name."""
+        """Return the parameters by name."""
         return {f.name: getattr(self, f.name) for f in fields(self) if f.name != "location"}
 
     @property
@@ -244,7 +255,7 @@ class Effect(ReportFace, ABC):
 
     @property
     def units(self) -> Array:
-        """Sizes by which the coordinates are small or large, shape (p,): one for logarithms, else what they are here."""
+        """Units of the coordinates, shape (p,): one for a logarithm, else the coordinate's present magnitude."""
         sizes = zip(self.parameters, np.abs(self.coordinates), strict=True)
         return np.array([1.0 if p.scale == "log" else max(size, p.least) for p, size in sizes])
 
@@ -261,7 +272,7 @@ class Effect(ReportFace, ABC):
         return self.form_std
 
     def is_plausible(self, band_hz: Array) -> bool:
-        """Whether a fit of this size means this effect, and not another one that it imitates.
+        """Check that a fit of this size means this effect, and not another one that it imitates.
 
         Parameters
         ----------
@@ -272,53 +283,62 @@ class Effect(ReportFace, ABC):
 
     @property
     def is_softening(self) -> bool:
-        """Whether its law weakens with the amplitude, so that a fit to its linearization may lie far from the law itself."""
+        """Whether the law weakens with the amplitude, so that a fit to its linearization may differ much from the exact law."""
         return False
 
     @property
     def temperature_lag_s(self) -> float | None:
-        """Lag behind the temperature that the effect follows, s; None where it follows no temperature."""
+        """Lag behind the temperature that the effect depends on, s; None where it depends on no temperature."""
         return None
 
     @property
     def column_to_girder(self) -> float:
-        """Stiffness of a column over that of a girder, which the effect adds to the joints' flexibility; 0 without."""
+        """Stiffness of a column over that of a girder, which the effect adds to the joints' flexibility; 0 for none."""
         return 0.0
 
     def at(self, coordinates: Array) -> Self:
-        """The same effect elsewhere in its parameters' space, kept within their bounds."""
+        """Return the effect with other coordinates, shape (p,), limited to the parameters' bounds."""
         values = {p.name: p.value(float(x)) for p, x in zip(self.parameters, coordinates, strict=True)}
         return type(self)(self.location, **values)
 
     def known(self, context: Context, condition: Condition) -> tuple[Array, Array]:
-        """What the recording tells of the coordinates besides its spectra: mean and precision, shape (p,) each."""
+        """Return the prior mean and precision of the coordinates, shape (p,) each.
+
+        The prior may use what the recording shows in addition to its spectra.
+        """
         return self.coordinates, np.zeros(len(self.parameters))
 
     def mirrored(self) -> Effect | None:
-        """The same law with left and right exchanged, which no spectrum tells from it; None where that is itself."""
+        """Return the law with left and right exchanged, which has the same spectra; None where that is the same law."""
         return None
 
     @property
     def index(self) -> int:
-        """Story or floor as an index from 0.  Meaningless elsewhere."""
+        """Index of the story or floor, from 0; meaningless for other kinds of place."""
         return int(self.location.partition(" ")[2]) - 1
 
     def direction(self, structure: Structure) -> Array:
-        """Picks the story's drift or the floor's motion out of the floors', shape (n,)."""
+        """Return the row that picks the story's drift or the floor's motion out of the floors' motion, shape (n,)."""
         rows = structure.drift_matrix() if self.location.startswith("story") else np.eye(structure.n_dofs)
         return np.asarray(rows[self.index])
 
     def pattern(self, structure: Structure) -> Array:
-        """Matrix of a unit spring or damper there, shape (n, n)."""
+        """Assemble the matrix of a unit spring or damper at the effect's place, shape (n, n)."""
         direction = self.direction(structure)
         return np.outer(direction, direction)
 
     def channel_indices(self, context: Context) -> tuple[int, ...]:
-        """Places of the named channels in the structure file's order."""
+        """Return the indices of the named channels in the structure file's order."""
         return tuple(context.channels.index(name) for name in self.location.partition(" ")[2].split(","))
 
     def check(self, structure: Structure, channels: tuple[str, ...]) -> None:
-        """Raises EffectError if the structure has no such place."""
+        """Check that the structure has the effect's place.
+
+        Raises
+        ------
+        EffectError
+            If the structure has no such story, floor or channel.
+        """
         kind, _, which = self.location.partition(" ")
         counts = {"story": (structure.n_stories, "stories"), "floor": (structure.n_dofs, "floors")}
         if kind in counts and self.index >= counts[kind][0]:
@@ -328,22 +348,31 @@ class Effect(ReportFace, ABC):
                 if name not in channels:
                     raise EffectError(f"{self.name}: no channel {name!r}; the structure file has {', '.join(channels)}")
 
-    # --- spectral face --------------------------------------------------------------------------------------
+    # --- frequency domain (spectral face) --------------------------------------------------------------------------------------
 
     def altered(self, structure: Structure) -> Structure:
-        """The structure after what this effect does to its members, from which all effects' matrices follow."""
+        """Return the structure with this effect on its members; the matrices of all effects follow from that structure."""
         return structure
 
     def structural(self, mass: Array, stiffness: Array, structure: Structure) -> tuple[Array, Array]:
-        """Mass and stiffness matrices with this effect, shape (n, n) each; the structure's damping follows them."""
+        """Add this effect to the mass and stiffness matrices, from which the structure's damping follows.
+
+        Parameters
+        ----------
+        mass, stiffness : ndarray, shape (n, n), kg and N/m
+
+        Returns
+        -------
+        mass, stiffness : ndarray, shape (n, n), kg and N/m
+        """
         return mass, stiffness
 
     def extend(self, system: System, context: Context, condition: Condition) -> System:
-        """The system with what does not enter the structure's own damping: dampers, dofs, linearized laws."""
+        """Add to the system what does not enter the structure's own damping: dampers, degrees of freedom, linearized laws."""
         return system
 
     def colour(self, hz: Array) -> Array | float:
-        """Factor on the power density of the floors' forces at frequencies `hz`."""
+        """Return the factor on the power density of the floors' forces at frequencies `hz`, shape (n_hz,) or a number."""
         return 1.0
 
     @property
@@ -357,15 +386,15 @@ class Effect(ReportFace, ABC):
         return 0.0
 
     def lines(self) -> tuple[Line, ...]:
-        """Harmonic forces."""
+        """Return the harmonic forces of the effect."""
         return ()
 
     def response(self, hz: Array, context: Context, condition: Condition) -> ComplexArray | None:
-        """What the acquisition makes of true channels, shape (n_hz or 1, c, c); None leaves them."""
+        """Return the acquisition's frequency response to the true channels, shape (n_hz or 1, c, c); None for no change."""
         return None
 
     def noise_variance(self, context: Context, condition: Condition) -> Array | float:
-        """Variance of white noise at the source's rate that is added to each channel, shape (c,), (m/s^2)^2."""
+        """Return the variance of the white noise at the source's rate that is added to each channel, shape (c,), (m/s^2)^2."""
         return 0.0
 
     @property
@@ -373,44 +402,60 @@ class Effect(ReportFace, ABC):
         """True rate over nominal rate."""
         return 1.0
 
-    # --- time face ------------------------------------------------------------------------------------------
+    # --- time domain (time face) ------------------------------------------------------------------------------------------
 
     def laws(self, structure: Structure) -> tuple[Law, ...]:
-        """Exact nonlinear forces."""
+        """Return the exact nonlinear forces of the effect."""
         return ()
 
     def stiffness_factor(self, excess_degc: Array, rate_hz: float) -> Array | None:
-        """Factor on the stiffness matrix at every sample, shape (n_samples,), from the temperature above its reference."""
+        """Compute the factor on the stiffness matrix at every sample; None for no change.
+
+        Parameters
+        ----------
+        excess_degc : ndarray, shape (n_samples,), K
+            Temperature above the reference.
+
+        Returns
+        -------
+        ndarray, shape (n_samples,), or None
+        """
         return None
 
     def drive(self, forces: Array, rate_hz: float) -> Array:
-        """The floors' forces with this effect, shape (n_samples, n), N."""
+        """Apply this effect to the floors' forces, shape (n_samples, n), N."""
         return forces
 
     def measure(self, samples: Array, rate_hz: float, context: Context, rng: np.random.Generator) -> Array:
-        """What the acquisition makes of true samples, shape (n_samples, c), m/s^2."""
+        """Apply the acquisition's part of this effect to true samples, shape (n_samples, c), m/s^2."""
         return samples
 
     # --- search ---------------------------------------------------------------------------------------------
 
     @classmethod
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Effect, ...]:
-        """Small sizes of the effect at a place, one for each shape that must be tried (both signs share one)."""
+        """Return starting points of a fit of the effect at a place: small sizes, one for each shape that must be tried.
+
+        Both signs of a size share one starting point.
+        """
         raise NotImplementedError
 
     @classmethod
     def at_frequency(cls, location: str, hz: float, context: Context, condition: Condition) -> Effect | None:
-        """A small size of the effect at a frequency where the spectra show too much power; None where it has none."""
+        """Return a small size of the effect at a frequency where the spectra show too much power.
+
+        The result is None where the effect has no frequency.
+        """
         return None
 
 
 def blurred_by_form(effect: Effect, fitted: FittedModel, girders: float = 0.0) -> Array:
-    """Return the standard deviation of a size relative to a story's stiffness, of which the frame's form blurs the latter.
+    """Return the standard deviation of a size that is relative to a story's stiffness, which the frame's form leaves uncertain.
 
     Parameters
     ----------
     girders : float
-        Relative standard deviation because girders may have changed with the columns.
+        Relative standard deviation that girders which may have changed with the columns cause.
 
     Returns
     -------
@@ -422,7 +467,7 @@ def blurred_by_form(effect: Effect, fitted: FittedModel, girders: float = 0.0) -
 
 
 def _kind(location: str) -> str:
-    """Which kind of place a location names, or the empty string."""
+    """Return the kind of place that a location names, or the empty string."""
     kind, _, which = location.partition(" ")
     if kind in ("frame", "base") and not which:
         return kind
@@ -435,7 +480,7 @@ def _kind(location: str) -> str:
 
 
 def locations(kind: str, context: Context) -> tuple[str, ...]:
-    """Every place of a kind."""
+    """List every place of a kind: ``story``, ``floor``, ``channel``, ``channels``, ``base`` or ``frame``."""
     if kind in ("frame", "base"):
         return (kind,)
     if kind in ("story", "floor"):

@@ -1,4 +1,4 @@
-"""Ground that moves under the frame, as traffic shakes it."""
+"""Unmeasured ground motion under the frame, as from traffic."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from monitor.model.effects.report_face import FittedSizes
 
 @dataclass(frozen=True)
 class BaseExcitation(Effect):
-    """A white, horizontal ground acceleration, felt by all floors at once, beside the forces on the floors."""
+    """White, horizontal ground acceleration that acts on all floors at once, in addition to the forces on the floors."""
 
     name: ClassVar[str] = "base_excitation"
     family: ClassVar[Literal["structure", "excitation", "sensor"]] = "excitation"
@@ -22,10 +22,11 @@ class BaseExcitation(Effect):
     separating_measurement: ClassVar[str] = "put an accelerometer on the ground"
 
     conditional: ClassVar[bool] = True
-    form_doubt: ClassVar[tuple[float, ...]] = (0.03,)  # how far up the ground's motion, or the forces', is white
+    # It is not known up to which frequency the ground's motion and the forces are white.
+    form_doubt: ClassVar[tuple[float, ...]] = (0.03,)
 
     share: float
-    """Fraction of a channel's acceleration variance at the source's rate that the ground causes, mean over channels."""
+    """Share of a channel's acceleration variance at the source's rate that the ground causes, mean over channels."""
 
     @property
     def ground_share(self) -> float:

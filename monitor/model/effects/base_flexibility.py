@@ -1,4 +1,4 @@
-"""A light footing on a spring: the ground gives way under the lowest story."""
+"""Flexible base: a massless footing on a spring under the lowest story."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from monitor.model.structures import ShearFrame, Structure
 
 @dataclass(frozen=True)
 class BaseFlexibility(Effect):
-    """A spring under the whole frame, in series with the lowest story; the footing is massless.
+    """Spring under the whole frame, in series with the lowest story; the footing is massless.
 
-    The footing's motion is condensed statically, whatever the frame above it: K - K 1 (K 1)^T / (1^T K 1 + k_b).
+    The footing's motion is condensed statically, for any frame above it: K - K 1 (K 1)^T / (1^T K 1 + k_b).
     """
 
     name: ClassVar[str] = "base_flexibility"
@@ -42,7 +42,7 @@ class BaseFlexibility(Effect):
 
     def structural(self, mass: Array, stiffness: Array, structure: Structure) -> tuple[Array, Array]:
         """See `Effect.structural`."""
-        pull = stiffness.sum(axis=1)  # what a unit motion of the footing does to the floors
+        pull = stiffness.sum(axis=1)  # forces on the floors by a unit displacement of the footing
         condensed = np.outer(pull, pull) / (pull.sum() + self.stiffness_n_per_m)
         return mass, np.asarray(stiffness - condensed)
 

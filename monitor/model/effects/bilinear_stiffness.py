@@ -1,4 +1,4 @@
-"""A crack that breathes: open for positive drift, closed for negative."""
+"""Breathing crack: open for positive drift, closed for negative drift."""
 
 from __future__ import annotations
 
@@ -15,9 +15,10 @@ from monitor.model.structures import Structure
 
 @dataclass(frozen=True)
 class BilinearStiffness(Effect):
-    """Story stiffness k (1 - relative_drop) for positive drift, k for negative.
+    """Bilinear story stiffness: k (1 - relative_drop) for positive drift, k for negative drift.
 
-    Linearized about the mean drift that it brings, k (1 - 0.5 drop) and a little less, the same at every level.
+    The linearization about the mean drift that the law causes is a little less than k (1 - 0.5 drop), the same at every level of
+    vibration.
     """
 
     name: ClassVar[str] = "bilinear_stiffness"
@@ -32,7 +33,7 @@ class BilinearStiffness(Effect):
     )
     nonlinear: ClassVar[bool] = True
     amplitude_powers: ClassVar[tuple[float, ...]] = (0.0,)
-    form_doubt: ClassVar[tuple[float, ...]] = (0.015,)  # simulators written apart differ by 1 to 2 %
+    form_doubt: ClassVar[tuple[float, ...]] = (0.015,)  # independently written simulators differ by 1 to 2 %
 
     relative_drop: float
 
@@ -48,7 +49,7 @@ class BilinearStiffness(Effect):
         return (Law(LawKind.CONTACT, self.direction(structure), (0.0, -drop)),)
 
     def form_std_in(self, fitted: FittedModel) -> Array:
-        """See `Effect.form_std_in`: the drop is relative to a story's stiffness, which the frame's form blurs."""
+        """See `Effect.form_std_in`.  The drop is relative to a story's stiffness, which the frame's form leaves uncertain."""
         return blurred_by_form(self, fitted)
 
     @classmethod

@@ -1,4 +1,4 @@
-"""Two cables in each other's socket."""
+"""Swap of two channels, as by exchanged cables."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from monitor.model.structures import Structure
 
 @dataclass(frozen=True)
 class ChannelSwap(Effect):
-    """Two channels have each other's name."""
+    """Swap of two channels: each is recorded under the other's name."""
 
     name: ClassVar[str] = "channel_swap"
     family: ClassVar[Literal["structure", "excitation", "sensor"]] = "sensor"
@@ -43,6 +43,7 @@ class ChannelSwap(Effect):
         return samples[:, self._order(context)]
 
     def _order(self, context: Context) -> list[int]:
+        """Return the channels' indices with the two swapped."""
         order = list(range(len(context.channels)))
         first, second = self.channel_indices(context)
         order[first], order[second] = second, first

@@ -1,4 +1,4 @@
-"""An acquisition whose clock runs wrong."""
+"""Error of the acquisition's sampling clock."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from monitor.model.effects.report_face import FittedSizes
 
 @dataclass(frozen=True)
 class ClockRate(Effect):
-    """Samples are taken at nominal rate x (1 + relative) and called nominal."""
+    """Error of the sampling rate: samples are taken at nominal rate x (1 + relative) and recorded as at the nominal rate."""
 
     name: ClassVar[str] = "clock_rate"
     family: ClassVar[Literal["structure", "excitation", "sensor"]] = "sensor"

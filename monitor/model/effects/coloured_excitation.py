@@ -1,4 +1,4 @@
-"""Forces that are weaker at high frequencies, as of wind."""
+"""Forces that are weaker at high frequencies, as those of wind."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from monitor.model.effects.report_face import FittedSizes
 
 @dataclass(frozen=True)
 class ColouredExcitation(Effect):
-    """Power density of the floors' forces times 1 / (1 + (f / corner_hz)^2); the level at 0 Hz stays.
+    """Coloured forces: the power density of the floors' forces times 1 / (1 + (f / corner_hz)^2), unchanged at 0 Hz.
 
-    White forces pass a first-order recursion, which is the sampled Ornstein-Uhlenbeck process exactly.
+    In the simulation white forces pass a first-order recursion, which is exactly the sampled Ornstein-Uhlenbeck process.
     """
 
     name: ClassVar[str] = "coloured_excitation"

@@ -1,4 +1,4 @@
-"""Dry friction across a story."""
+"""Dry (Coulomb) friction across a story."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ _STICK_FACTOR = 8.0
 
 @dataclass(frozen=True)
 class CoulombFriction(Effect):
-    """A force of constant size against the drift's velocity.
+    """Dry friction: a force of constant size F against the drift's velocity v.
 
-    Integrated with tanh(v / v0) for the sign of v, v0 = F / (8 sqrt(k m)), m what the story moves when only
-    it moves: a creep well below any velocity that matters, since v0 falls with F.  Linearized: c + sqrt(2 / pi) F / s_v,
-    s_v the RMS drift velocity.
+    The integration uses tanh(v / v0) for the sign of v, with v0 = F / (8 sqrt(k m)), where m is the mass that moves when only the
+    story drifts.  This creep is well below any velocity that matters, since v0 falls with F.  Linearized, the damping is
+    c + sqrt(2 / pi) F / s_v, where s_v is the RMS drift velocity.
     """
 
     name: ClassVar[str] = "coulomb_friction"
@@ -38,7 +38,7 @@ class CoulombFriction(Effect):
     conditional: ClassVar[bool] = True
     nonlinear: ClassVar[bool] = True
     amplitude_powers: ClassVar[tuple[float, ...]] = (-1.0,)
-    form_doubt: ClassVar[tuple[float, ...]] = (0.04,)  # laws that creep, or stick harder than they slide
+    form_doubt: ClassVar[tuple[float, ...]] = (0.04,)  # real laws may creep, or have more static than sliding friction
 
     friction_force_n: float
 

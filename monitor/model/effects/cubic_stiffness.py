@@ -1,4 +1,4 @@
-"""A story that hardens or softens with its drift."""
+"""Cubic stiffness: a story that hardens or softens with its drift."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from monitor.model.structures import Structure
 
 _NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(40)
 _WEIGHTS /= _WEIGHTS.sum()
-"""Mean over a standard normal variable."""
+"""Gauss-Hermite nodes and weights of the mean over a standard normal variable."""
 
 
 @dataclass(frozen=True)
 class CubicStiffness(Effect):
-    """Story force k d + k3 d^3.
+    """Cubic stiffness: story force k d + k3 d^3.
 
-    A softening cubic would run away, so its force fades as 1 / (1 + (d / q)^4), q^2 = k / |k3|: up to the sixth order it is the
-    cubic, and the tangent stays positive.  Linearized: k + E[d phi(d)] / s_d^2 for a normal drift, k + 3 k3 s_d^2 where it
-    hardens.
+    A softening cubic would be unstable at large drift.  Its force is therefore multiplied by 1 / (1 + (d / q)^4), q^2 = k / |k3|:
+    the law is the cubic up to the sixth order, and its tangent stays positive.  Linearized for a normal drift, the stiffness is
+    k + E[d phi(d)] / s_d^2, which is k + 3 k3 s_d^2 where the story hardens.
     """
 
     name: ClassVar[str] = "cubic_stiffness"
@@ -39,22 +39,21 @@ class CubicStiffness(Effect):
     conditional: ClassVar[bool] = True
     nonlinear: ClassVar[bool] = True
     amplitude_powers: ClassVar[tuple[float, ...]] = (2.0,)
-    daily: ClassVar[tuple[float, ...]] = (0.2,)  # where it stands, it is read off few simulations
-    form_doubt: ClassVar[tuple[float, ...]] = (
-        0.1,
-    )  # fits that begin elsewhere stop that far apart, where levels make up for it
+    daily: ClassVar[tuple[float, ...]] = (0.2,)  # a persistent one is estimated by few simulations
+    # Fits from different starts end that far apart, where the levels compensate for the difference.
+    form_doubt: ClassVar[tuple[float, ...]] = (0.1,)
 
     k3_n_per_m3: float
 
     def extend(self, system: System, context: Context, condition: Condition) -> System:
         """See `Effect.extend`."""
-        s, faded = float(condition.drift_m[self.index]), self._faded_m(context.structure)
-        fourth = float(_WEIGHTS @ (_NODES**4 / (1.0 + (s * _NODES / faded) ** 4)))
+        s, half_force = float(condition.drift_m[self.index]), self._half_force_drift_m(context.structure)
+        fourth = float(_WEIGHTS @ (_NODES**4 / (1.0 + (s * _NODES / half_force) ** 4)))
         return system.plus(stiffness=self.k3_n_per_m3 * s**2 * fourth * self.pattern(context.structure))
 
     def laws(self, structure: Structure) -> tuple[Law, ...]:
         """See `Effect.laws`."""
-        return (Law(LawKind.CUBIC, self.direction(structure), (self.k3_n_per_m3, self._faded_m(structure))),)
+        return (Law(LawKind.CUBIC, self.direction(structure), (self.k3_n_per_m3, self._half_force_drift_m(structure))),)
 
     @property
     def is_softening(self) -> bool:
@@ -64,8 +63,8 @@ class CubicStiffness(Effect):
     def form_std_in(self, fitted: FittedModel) -> Array:
         """See `Effect.form_std_in`.
 
-        How softening goes on beyond the third order is not known: with a fifth order like that of tanh, a size would differ
-        by twice the relative softening.
+        The law of softening beyond the third order is not known.  With a fifth order like that of tanh, a size would differ by
+        twice the relative softening.
         """
         if not self.is_softening:
             return self.form_std
@@ -73,8 +72,8 @@ class CubicStiffness(Effect):
         drift, stiffness = fitted.condition.drift_m[self.index], fitted.structure.stiffness_n_per_m[self.index]
         return np.asarray(np.hypot(self.form_std, size * 3.0 * size * drift**2 / stiffness))
 
-    def _faded_m(self, structure: Structure) -> float:
-        """Drift at which the cubic's force has faded to half."""
+    def _half_force_drift_m(self, structure: Structure) -> float:
+        """Compute the drift at which the factor on the cubic force is one half, m."""
         if self.k3_n_per_m3 >= 0.0:
             return 1e30
         return sqrt(float(structure.stiffness_n_per_m[self.index]) / -self.k3_n_per_m3)

@@ -1,4 +1,4 @@
-"""Something that a story touches only when it drifts far enough."""
+"""Contact with a stop that a story reaches only when its drift exceeds a gap."""
 
 from __future__ import annotations
 
@@ -14,9 +14,10 @@ from monitor.model.structures import Structure
 
 @dataclass(frozen=True)
 class GapContact(Effect):
-    """Story force k d + kc (d - gap) for d beyond the gap; a negative gap closes for negative drift.
+    """Contact with a stop: story force k d + kc (d - gap) for d beyond the gap.
 
-    Linearized at the story's RMS drift, about the mean drift that the one-sided force brings (`mean_contact`).
+    A negative gap closes for negative drift.  The law is linearized at the story's RMS drift, about the mean drift that the
+    one-sided force causes (`mean_contact`).
     """
 
     name: ClassVar[str] = "gap_contact"
@@ -35,10 +36,10 @@ class GapContact(Effect):
     conditional: ClassVar[bool] = True
     nonlinear: ClassVar[bool] = True
     amplitude_powers: ClassVar[tuple[float, ...]] = (-1.0, 0.0)
-    form_doubt: ClassVar[tuple[float, ...]] = (0.05, 0.12)  # how hard a contact is while it closes
+    form_doubt: ClassVar[tuple[float, ...]] = (0.05, 0.12)  # the stiffness of a contact while it closes is not known
 
     gap_m: float
-    """Negative: closes for negative drift."""
+    """Drift at which the contact closes; negative for one that closes at negative drift."""
     contact_stiffness_n_per_m: float
 
     def extend(self, system: System, context: Context, condition: Condition) -> System:
@@ -74,21 +75,21 @@ class GapContact(Effect):
 
 
 def mean_contact(stiffness: float, contact: float, gap: float) -> float:
-    """Share of time that a normal drift of unit RMS spends beyond a gap, on its way about its own mean.
+    """Compute the share of time that a normal drift of unit RMS about its own mean spends beyond a gap.
 
     Parameters
     ----------
     stiffness : float
-        Of the story, N/m.
+        Stiffness of the story, N/m.
     contact : float
-        Stiffness that comes in beyond the gap, N/m; negative for one that is lost.
+        Stiffness added beyond the gap, N/m; negative for stiffness that is lost there.
     gap : float
-        Over the RMS drift.
+        Gap over the RMS drift.
 
     Notes
     -----
-    The mean m bears no load: ``k m + kc E[(m + z - gap)+] = 0``, solved by Newton's method (the left side is monotonic
-    and convex or concave).
+    The mean force at the mean drift m is zero: ``k m + kc E[(m + z - gap)+] = 0``, solved by Newton's method (the left side is
+    monotonic and convex or concave).
     """
     mean = 0.0
     for _ in range(12):

@@ -1,4 +1,4 @@
-"""Gravity pulls a leaning story further over (P-delta)."""
+"""Softening by gravity: the weight above a story that leans adds to its drift (P-delta)."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ _GRAVITY_M_S2 = 9.80665
 
 @dataclass(frozen=True)
 class GravitySoftening(Effect):
-    """Story stiffness k becomes k - factor N / h, N the weight above, h the story's height.
+    """Softening by gravity: story stiffness k becomes k - factor N / h, N the weight above, h the story's height.
 
-    Theory fixes the factor: 1 for hinged columns, 1.2 for columns clamped at both ends.
+    The factor is known from theory: 1 for hinged columns, 1.2 for columns clamped at both ends.
     """
 
     name: ClassVar[str] = "gravity_softening"

@@ -1,4 +1,4 @@
-"""A machine that runs on a floor."""
+"""Harmonic force on a floor, as of a machine that runs there."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ strong line otherwise. [bins; judgement]"""
 
 @dataclass(frozen=True)
 class HarmonicExcitation(Effect):
-    """A force ``force_n sin(2 pi frequency_hz t)``, t from the recording's first sample."""
+    """Harmonic force ``force_n sin(2 pi frequency_hz t)``, t from the recording's first sample."""
 
     name: ClassVar[str] = "harmonic_excitation"
     family: ClassVar[Literal["structure", "excitation", "sensor"]] = "excitation"
@@ -38,7 +38,7 @@ class HarmonicExcitation(Effect):
 
     frequency_hz: float
     force_n: float
-    """Amplitude."""
+    """Amplitude of the force."""
 
     def lines(self) -> tuple[Line, ...]:
         """See `Effect.lines`."""
@@ -56,7 +56,7 @@ class HarmonicExcitation(Effect):
 
     @classmethod
     def at_frequency(cls, location: str, hz: float, context: Context, condition: Condition) -> Self:
-        """A weak line at a frequency, as of a peak in the spectrum."""
+        """Make a weak harmonic force at a frequency, as that of a peak in the spectrum."""
         j = int(location.partition(" ")[2]) - 1
         return cls(location, hz, 0.1 * float(context.structure.masses_kg[j] * condition.channel_m_s2.mean()))
 

@@ -1,4 +1,4 @@
-"""Joints that rotate: the girders of a one-bay frame are not rigid."""
+"""Flexible joints: the girders of a one-bay frame are not rigid, so that its joints rotate."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from monitor.model.structures import ShearFrame, Structure
 
 @dataclass(frozen=True)
 class JointFlexibility(Effect):
-    """Story shear from two columns clamped into joints that rotate, held by one girder a floor.
+    """Flexible joints: the two columns of a story are clamped into joints that rotate against one girder a floor.
 
     Both joints of a floor rotate alike (sway), so each floor has one rotation; `ShearFrame` condenses them.
     """
@@ -42,7 +42,7 @@ class JointFlexibility(Effect):
         return 0.0 if self.girder_to_column_ratio == inf else 1.0 / self.girder_to_column_ratio
 
     def altered(self, structure: Structure) -> Structure:
-        """See `Effect.altered`; beside joints that were known, they are by so much more flexible."""
+        """See `Effect.altered`.  The flexibility adds to that of joints that are known to rotate."""
         assert isinstance(structure, ShearFrame), "refused by `check`"
         return replace(structure, column_to_girder=structure.column_to_girder + self.column_to_girder)
 

@@ -1,4 +1,4 @@
-"""One parameter of an effect: its name, bounds, and the coordinate in which it is estimated."""
+"""Parameter of an effect: its name, its bounds, and the coordinate in which it is estimated."""
 
 from __future__ import annotations
 
@@ -11,38 +11,38 @@ import numpy as np
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """One parameter of an effect."""
+    """Parameter of an effect."""
 
     name: str
-    """With its unit as suffix."""
+    """Name with the unit as suffix."""
     low: float
-    """Exclusive bounds of what is physically possible."""
+    """Lower bound of what is physically possible; exclusive, as `high`."""
     high: float
     scale: Literal["linear", "log", "inverse"] = "linear"
-    """In which coordinate it is estimated: itself, its logarithm, or its reciprocal."""
+    """Coordinate of estimation: the parameter itself, its logarithm, or its reciprocal."""
     absent: float | None = None
-    """Value at which the effect vanishes; None if it can only take shape, not vanish, by this parameter."""
+    """Value at which the effect vanishes; None where the effect vanishes at no value of this parameter."""
     closed: bool = False
     """Whether the lower bound itself is allowed."""
     least: float = 1e-9
-    """Coordinate below which finite differences no longer shrink with it."""
+    """Coordinate below which finite differences no longer shrink in proportion to the coordinate."""
 
     drawn: bool = False
-    """Whether a report shows it by a curve (`Effect.colour_title`) instead of a row of its table."""
+    """Whether a report shows the parameter by a curve (`Effect.colour_title`) instead of a row of its table."""
 
     @property
     def weighty(self) -> bool:
-        """Whether it scales with the structure's masses and stiffnesses, whose scale no motion shows: forces, not lengths."""
+        """Whether the parameter scales with masses and stiffnesses, whose common scale no motion shows: forces, not lengths."""
         return not {"n", "kg"}.isdisjoint(self.name.split("_"))
 
     def coordinate(self, value: float) -> float:
-        """The value in the coordinate of estimation."""
+        """Convert a value to the coordinate of estimation."""
         if self.scale == "log":
             return float(np.log(value))
         return 1.0 / value if self.scale == "inverse" else value
 
     def value(self, coordinate: float) -> float:
-        """Inverse of `coordinate`, kept within the bounds."""
+        """Convert a coordinate of estimation to the value, limited to the bounds."""
         if self.scale == "log":
             coordinate = float(np.exp(min(coordinate, 300.0)))
         elif self.scale == "inverse":
@@ -53,5 +53,5 @@ class Parameter:
         return float(np.clip(coordinate, low, high))
 
     def allows(self, value: float) -> bool:
-        """Whether the value is finite and within the bounds."""
+        """Check that a value is finite and within the bounds."""
         return abs(value) < inf and value < self.high and (value > self.low or (self.closed and value == self.low))

@@ -1,4 +1,4 @@
-"""Drag of a floor in air or water."""
+"""Quadratic damping: drag of a floor in air or water."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from monitor.model.structures import Structure
 
 @dataclass(frozen=True)
 class QuadraticDamping(Effect):
-    """Force c2 v |v| against a floor's velocity (relative to the ground).
+    """Quadratic damping: force c2 v |v| against a floor's velocity v relative to the ground.
 
-    Linearized: c + sqrt(8 / pi) c2 s_v, s_v the RMS velocity of the floor.
+    Linearized, the damping is c + sqrt(8 / pi) c2 s_v, where s_v is the RMS velocity of the floor.
     """
 
     name: ClassVar[str] = "quadratic_damping"

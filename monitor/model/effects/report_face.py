@@ -1,4 +1,4 @@
-"""Report face of an effect: the sentence that states its size, and the measurement that separates it from its rivals."""
+"""Wording of an effect in a report: a sentence with its size, and the measurement that separates it from other causes."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import ClassVar
 from monitor.model.structures import Structure
 
 ParameterEstimates = Mapping[str, Mapping[str, float]]
-"""Parameter name -> its ``value`` and its standard deviation ``std``, both in the parameter's unit, as in diagnosis.json."""
+"""Map of a parameter's name to its ``value`` and standard deviation ``std``, in the parameter's unit, as in diagnosis.json."""
 
 _UNITS = (
     ("_n_s2_per_m2", "N s²/m²"),
@@ -26,7 +26,7 @@ _UNITS = (
     ("seconds", "s"),
     ("per_degc", "1/K"),
 )
-"""Suffix of a parameter's name -> its unit; the first suffix that fits counts."""
+"""Pairs of a parameter name's suffix and its unit; the first suffix that fits counts."""
 
 
 def unit(parameter_name: str) -> str:
@@ -82,7 +82,7 @@ def interval(entry: Mapping[str, float], scale: float = 1.0, unit: str = "") -> 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class FittedSizes:
-    """The place and the estimated parameters of one effect, with what its sentence compares them with."""
+    """Place and estimated parameters of one effect, with the structure that its sentence compares them with."""
 
     location: str
     """As in diagnosis.json: ``story 2``, ``floor 1``, ``channel a2``, ``base``, ``frame``."""
@@ -90,7 +90,7 @@ class FittedSizes:
     structure: Structure
     """The structure that "more" and "less" refer to."""
     source: str
-    """Where that structure is known from, as a clause: ``the structure file says`` or ``at calibration``."""
+    """Source of that structure, as a clause: ``the structure file says`` or ``at calibration``."""
 
     @property
     def place_name(self) -> str:
@@ -124,13 +124,13 @@ class FittedSizes:
 
 
 class ReportFace:
-    """How a report words an effect."""
+    """Wording of an effect in a report."""
 
     name: ClassVar[str]
     signature: ClassVar[str]
-    """How it shows in the accelerations, in one sentence."""
+    """Sign of the effect in the accelerations, in one sentence."""
     separating_measurement: ClassVar[str] = ""
-    """What to measure so as to tell this effect from its rivals; empty where no measurement is ever asked for."""
+    """Measurement that separates this effect from other causes; empty where no measurement is ever asked for."""
 
     @classmethod
     def sentence(cls, fitted: FittedSizes) -> str:

@@ -1,4 +1,4 @@
-"""A sensor whose range is too small."""
+"""Clipping of a sensor whose range is too small."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ of some 100 000 samples]"""
 
 @dataclass(frozen=True)
 class SensorClipping(Effect):
-    """Samples end at +-limit_m_s2.
+    """Clipping of a channel's samples at +-limit_m_s2.
 
-    Linearized by Bussgang's theorem for a normal signal of RMS s: a gain erf(a / sqrt(2)), a = limit / s, and a distortion,
-    uncorrelated with the signal and taken to be white, that makes up the rest of the clipped signal's variance.  What is
-    known is the RMS of the clipped samples; s follows from it.
+    The law is linearized by Bussgang's theorem for a normal signal of RMS s: a gain erf(a / sqrt(2)), a = limit / s, and a
+    distortion that makes up the rest of the clipped signal's variance.  The distortion is uncorrelated with the signal and taken
+    to be white.  The RMS of the clipped samples is known; s follows from it.
     """
 
     name: ClassVar[str] = "sensor_clipping"
@@ -73,26 +73,26 @@ class SensorClipping(Effect):
         return measured
 
     def _limit(self, condition: Condition, channel: int) -> float:
-        """The limit over the unclipped signal's RMS."""
-        return _before_clipping(self.limit_m_s2 / float(condition.channel_m_s2[channel]))
+        """Compute the limit over the unclipped signal's RMS."""
+        return _limit_over_unclipped_rms(self.limit_m_s2 / float(condition.channel_m_s2[channel]))
 
     @classmethod
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
         """See `Effect.starts`."""
         j = context.channels.index(location.partition(" ")[2])
-        rms, peak = float(condition.channel_m_s2[j]), _of(condition.channel_peak_m_s2, j)
-        if _of(condition.channel_piled, j):
+        rms, peak = float(condition.channel_m_s2[j]), _channel_value(condition.channel_peak_m_s2, j)
+        if _channel_value(condition.channel_piled, j):
             return (cls(location, peak),)
         if peak > _PEAK_FACTOR * rms:
             return (cls(location, 2.0 * rms),) if peak == inf else ()
         return (cls(location, 0.8 * peak), cls(location, 0.999 * peak))
 
     def known(self, context: Context, condition: Condition) -> tuple[Array, Array]:
-        """See `Effect.known`: where samples pile up at the largest magnitude, that is the limit."""
+        """See `Effect.known`.  Where many samples share the largest magnitude, that magnitude is the limit."""
         j = self.channel_indices(context)[0]
-        if not _of(condition.channel_piled, j):
+        if not _channel_value(condition.channel_piled, j):
             return self.coordinates, np.zeros(1)
-        peak = _of(condition.channel_peak_m_s2, j)
+        peak = _channel_value(condition.channel_peak_m_s2, j)
         return np.array([1.0 / peak]), np.array([(peak / _PILE_STD) ** 2])
 
     @classmethod
@@ -101,14 +101,14 @@ class SensorClipping(Effect):
         return f"{fitted.location} is cut off at ± {fitted.interval('limit_m_s2')}"
 
 
-def _of(values: Array | NDArray[np.bool_], channel: int) -> float:
-    """A channel's value; where the condition says nothing there is one for all."""
+def _channel_value(values: Array | NDArray[np.bool_], channel: int) -> float:
+    """Return a channel's value; a condition without values by channel has one for all channels."""
     return float(values[min(channel, values.size - 1)])
 
 
-@lru_cache(maxsize=256)  # every spectrum asks anew
-def _before_clipping(ratio: float) -> float:
-    """A limit over the unclipped signal's RMS, from the limit over the clipped one's."""
+@lru_cache(maxsize=256)  # every spectrum needs the same values again
+def _limit_over_unclipped_rms(ratio: float) -> float:
+    """Compute the limit over the unclipped signal's RMS from the limit over the clipped signal's RMS."""
     if ratio >= _NO_CLIPPING:
         return _NO_CLIPPING
     low, high = 0.0, ratio  # a / sqrt(power) falls with a to 1, where all samples are clipped
@@ -119,6 +119,6 @@ def _before_clipping(ratio: float) -> float:
 
 
 def clipped_power(a: float) -> float:
-    """Variance of a unit normal variable clipped at +-a."""
+    """Compute the variance of a unit normal variable clipped at +-a."""
     power = erf(a / sqrt(2.0)) - sqrt(2.0 / pi) * a * exp(-0.5 * a**2) + a**2 * erfc(a / sqrt(2.0))
-    return max(power, 0.0)  # rounding, where next to nothing is left
+    return max(power, 0.0)  # rounding, where nearly no power is left

@@ -1,4 +1,4 @@
-"""A channel calibrated wrongly."""
+"""Wrong calibration of a channel."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from monitor.model.effects.report_face import FittedSizes
 
 @dataclass(frozen=True)
 class SensorGain(Effect):
-    """Samples times `gain`."""
+    """Wrong gain of a channel: its samples are the true ones times `gain`."""
 
     name: ClassVar[str] = "sensor_gain"
     family: ClassVar[Literal["structure", "excitation", "sensor"]] = "sensor"
@@ -52,7 +52,18 @@ class SensorGain(Effect):
 
 
 def on_channel(factor: complex | ComplexArray, channel: int, context: Context) -> ComplexArray:
-    """The response that multiplies one channel, shape (n_hz or 1, c, c)."""
+    """Build the frequency response that multiplies one channel by a factor and leaves the others unchanged.
+
+    Parameters
+    ----------
+    factor : complex or ndarray, shape (n_hz,)
+    channel : int
+        Index of the channel.
+
+    Returns
+    -------
+    ndarray, shape (n_hz or 1, c, c)
+    """
     factors = np.atleast_1d(factor)
     response = np.tile(np.eye(len(context.channels), dtype=complex), (factors.size, 1, 1))
     response[:, channel, channel] = factors

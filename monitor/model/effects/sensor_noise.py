@@ -1,4 +1,4 @@
-"""A channel noisier than the others."""
+"""Noise of a channel beyond that of the others."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from monitor.model.effects.report_face import FittedSizes
 
 @dataclass(frozen=True)
 class SensorNoise(Effect):
-    """White noise in addition to the common floor."""
+    """White noise of one channel, in addition to the noise that all channels have."""
 
     name: ClassVar[str] = "sensor_noise"
     family: ClassVar[Literal["structure", "excitation", "sensor"]] = "sensor"
     order: ClassVar[int] = 2
     places: ClassVar[tuple[str, ...]] = ("channel",)
     parameters: ClassVar[tuple[Parameter, ...]] = (Parameter("rms_m_s2", 0.0, inf, absent=0.0),)
-    daily: ClassVar[tuple[float, ...]] = (0.2,)  # what is noise about a channel may follow its motion
+    daily: ClassVar[tuple[float, ...]] = (0.2,)  # a part of a channel's noise may follow its motion
     signature: ClassVar[str] = "a raised floor between the peaks of one channel, its coherence down"
     separating_measurement: ClassVar[str] = "record the sensor on a block that stands still"
 
     rms_m_s2: float
-    """At the source's rate."""
+    """RMS of the noise at the source's rate."""
 
     def noise_variance(self, context: Context, condition: Condition) -> Array | float:
         """See `Effect.noise_variance`."""

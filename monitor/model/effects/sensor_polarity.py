@@ -1,4 +1,4 @@
-"""A channel mounted or wired the wrong way round."""
+"""Reversed sign of a channel that is mounted or wired the wrong way round."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from monitor.model.effects.sensor_gain import on_channel
 
 @dataclass(frozen=True)
 class SensorPolarity(Effect):
-    """Samples times -1."""
+    """Reversed polarity of a channel: its samples are the true ones times -1."""
 
     name: ClassVar[str] = "sensor_polarity"
     family: ClassVar[Literal["structure", "excitation", "sensor"]] = "sensor"

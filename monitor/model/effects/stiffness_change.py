@@ -1,4 +1,4 @@
-"""A story, or every story alike, lost or gained stiffness."""
+"""Loss or gain of stiffness of one story, or of all stories alike."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _GIRDERS_STD = 0.25
 
 @dataclass(frozen=True)
 class StiffnessChange(Effect):
-    """Stiffness k becomes k (1 + relative)."""
+    """Change of stiffness: k becomes k (1 + relative), of one story or of all stories."""
 
     name: ClassVar[str] = "stiffness_change"
     family: ClassVar[Literal["structure", "excitation", "sensor"]] = "structure"
@@ -46,7 +46,7 @@ class StiffnessChange(Effect):
         return mass, stiffness * (1.0 + self.relative) if self.location == "frame" else stiffness
 
     def form_std_in(self, fitted: FittedModel) -> Array:
-        """See `Effect.form_std_in`: a story's stiffness is blurred by the frame's form and by girders that may have changed."""
+        """See `Effect.form_std_in`.  The frame's form, and girders that may have changed, leave a story's stiffness uncertain."""
         if self.location == "frame":
             return self.form_std
         flexible = sum(effect.column_to_girder for effect in fitted.effects)

@@ -1,4 +1,4 @@
-"""A viscous damper across a story."""
+"""Viscous damper across a story."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from monitor.model.effects.report_face import FittedSizes
 
 @dataclass(frozen=True)
 class StoryDamper(Effect):
-    """Force c times the drift's velocity, in addition to the structure's own damping."""
+    """Viscous damper: a force c times the drift's velocity, in addition to the structure's own damping."""
 
     name: ClassVar[str] = "story_damper"
     family: ClassVar[Literal["structure", "excitation", "sensor"]] = "structure"

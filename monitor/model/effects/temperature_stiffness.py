@@ -1,4 +1,4 @@
-"""Stiffness that follows the weather."""
+"""Stiffness that depends on the temperature."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from monitor.model.effects.report_face import FittedSizes
 
 @dataclass(frozen=True)
 class TemperatureStiffness(Effect):
-    """Every stiffness k becomes k (1 + per_degc T), T the temperature above its reference after a first-order lag.
+    """Temperature dependence of the stiffness: every k becomes k (1 + per_degc T).
 
-    The damping stays.
+    T is the temperature above its reference after a first-order lag.  The damping does not change.
     """
 
     name: ClassVar[str] = "temperature_stiffness"
@@ -37,9 +37,9 @@ class TemperatureStiffness(Effect):
     conditional: ClassVar[bool] = True
 
     per_degc: float
-    """Relative change per kelvin."""
+    """Relative change of the stiffness per kelvin."""
     lag_s: float
-    """The first temperature is taken to have lasted."""
+    """Time constant of the lag; before the first reading the temperature is taken to have been constant."""
 
     @property
     def temperature_lag_s(self) -> float | None:

@@ -1,4 +1,4 @@
-"""A channel that comes late."""
+"""Time offset of a channel."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _PAD_N = 1024
 
 @dataclass(frozen=True)
 class TimeOffset(Effect):
-    """Sample k of the channel is the motion of `seconds` before: a band-limited fractional delay."""
+    """Delay of a channel: each sample is the motion of `seconds` before, a band-limited fractional delay."""
 
     name: ClassVar[str] = "time_offset"
     family: ClassVar[Literal["structure", "excitation", "sensor"]] = "sensor"

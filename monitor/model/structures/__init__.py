@@ -1,4 +1,7 @@
-"""Structures: how masses and stiffnesses make matrices.  One file a kind; `tables` reads them from TOML."""
+"""Kinds of structure: mass and stiffness matrices from masses and stiffnesses.
+
+Each kind has a file of its own; `tables` reads their parameters from TOML.
+"""
 
 from monitor.model.structures.base import Structure
 from monitor.model.structures.matrices import MatrixStructure

@@ -1,4 +1,4 @@
-"""What every structure is: mass and stiffness matrices that follow from its masses and stiffnesses."""
+"""Interface of every structure: mass and stiffness matrices that follow from its masses and stiffnesses."""
 
 from __future__ import annotations
 
@@ -8,52 +8,55 @@ from monitor.core import Array
 
 
 class Structure(Protocol):
-    """N degrees of freedom ("floors") and p stiffnesses ("stories"), the parameters that updating moves."""
+    """Structure of N degrees of freedom ("floors") and p stiffnesses ("stories"), the parameters that updating estimates."""
 
     @property
     def masses_kg(self) -> Array:
-        """Diagonal of the mass matrix, shape (N,)."""
+        """Diagonal of the mass matrix, shape (N,), kg."""
 
     @property
     def stiffness_n_per_m(self) -> Array:
-        """Shape (p,)."""
+        """Stiffnesses, shape (p,), N/m."""
 
     @property
     def damping_ratio(self) -> float:
-        """Rayleigh damping: this ratio in modes 1 and 2."""
+        """Damping ratio of modes 1 and 2 (Rayleigh damping)."""
 
     @property
     def story_heights_m(self) -> Array | None:
-        """Shape (p,), where stories have heights."""
+        """Heights of the stories, shape (p,), m; None where stories have no heights."""
 
     @property
     def n_dofs(self) -> int:
-        """N, the number of degrees of freedom and of modes."""
+        """Number N of degrees of freedom and of modes."""
 
     @property
     def n_stories(self) -> int:
-        """p, the number of stiffnesses."""
+        """Number p of stiffnesses."""
 
     def with_stiffness(self, stiffness_n_per_m: Array) -> Self:
-        """The same structure with other stiffnesses, shape (p,)."""
+        """Return the structure with other stiffnesses, shape (p,), N/m."""
 
     def changed(self, relative: Array) -> Self:
-        """After its stiffnesses changed by these shares of what was built, shape (p,); what is sized by them stays."""
+        """Change the stiffnesses by shares of the stiffnesses as built, shape (p,).
+
+        Members that are sized by the stiffnesses as built, as girders, do not change.
+        """
 
     def with_masses(self, masses_kg: Array) -> Self:
-        """The same structure with other masses, shape (N,)."""
+        """Return the structure with other masses, shape (N,), kg."""
 
     def drift_matrix(self) -> Array:
-        """How far each story's spring is stretched, from the displacements, shape (p, N): dK_j = d_j d_j^T."""
+        """Return the matrix from displacements to the elongations of the stories' springs, shape (p, N): dK_j = d_j d_j^T."""
 
     def mass_matrix(self) -> Array:
-        """Shape (N, N), kg; symmetric, positive definite."""
+        """Assemble the mass matrix, shape (N, N), kg; symmetric, positive definite."""
 
     def stiffness_matrix(self) -> Array:
-        """Shape (N, N), N/m; symmetric."""
+        """Assemble the stiffness matrix, shape (N, N), N/m; symmetric."""
 
     def mass_derivatives(self) -> Array:
-        """dM / dm_i, shape (N, N, N): first axis is the mass."""
+        """Differentiate the mass matrix by the masses: dM / dm_i, shape (N, N, N), first axis the mass."""
 
     def stiffness_derivatives(self) -> Array:
-        """dK / dk_j, shape (p, N, N): first axis is the story."""
+        """Differentiate the stiffness matrix by the stiffnesses: dK / dk_j, shape (p, N, N), first axis the story."""

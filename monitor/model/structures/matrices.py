@@ -1,4 +1,4 @@
-"""A structure given by its matrices: any linear model, from a finite-element program or by hand."""
+"""Structure given by its matrices: any linear model, from a finite-element program or by hand."""
 
 from __future__ import annotations
 
@@ -12,26 +12,29 @@ from monitor.core import Array
 
 @dataclass(frozen=True, eq=False, slots=True)
 class MatrixStructure:
-    """K is linear in the stiffnesses, ``K = K_fixed + sum_j k_j dK_j``; masses scale rows and columns of M alike."""
+    """Structure given by its matrices.
+
+    K is linear in the stiffnesses, ``K = K_fixed + sum_j k_j dK_j``.  A mass scales its row and its column of M alike.
+    """
 
     masses_kg: Array
-    """Diagonal of M, shape (N,)."""
+    """Diagonal of M, shape (N,), kg."""
     stiffness_n_per_m: Array
-    """Shape (p,)."""
+    """Shape (p,), N/m."""
     damping_ratio: float
-    """Rayleigh damping: this ratio in modes 1 and 2 (in mode 1 alone for a single degree of freedom)."""
+    """Damping ratio of modes 1 and 2 (Rayleigh damping), of mode 1 alone for a single degree of freedom."""
     mass_coupling: Array
     """M over the square roots of its diagonal, shape (N, N): ones on the diagonal."""
     fixed_stiffness: Array
-    """What no parameter touches, shape (N, N), N/m."""
+    """Part of K that depends on no parameter, shape (N, N), N/m."""
     slopes: Array
     """dK_j, shape (p, N, N)."""
     built_n_per_m: Array | None = None
-    """Stiffnesses before they changed, shape (p,); None: those of `stiffness_n_per_m`."""
+    """Stiffnesses as built, before they changed, shape (p,), N/m; None: those of `stiffness_n_per_m`."""
 
     @classmethod
     def create(cls, mass: Array, stiffness: Array, slopes: Array, nominal: Array, damping_ratio: float) -> Self:
-        """From M and K at the nominal stiffnesses.
+        """Make the structure from M and K at the nominal stiffnesses.
 
         Parameters
         ----------
@@ -40,7 +43,9 @@ class MatrixStructure:
         slopes : ndarray, shape (p, N, N)
             dK / dk_j.
         nominal : ndarray, shape (p,), N/m
+            Stiffnesses at which K is given.
         damping_ratio : float
+            Damping ratio of modes 1 and 2.
         """
         masses = np.diag(mass).copy()
         root = np.sqrt(masses)
@@ -49,17 +54,17 @@ class MatrixStructure:
 
     @property
     def story_heights_m(self) -> Array | None:
-        """None: what the parameters are is the user's."""
+        """None: the parameters of given matrices need not be stories with heights."""
         return None
 
     @property
     def n_stories(self) -> int:
-        """p, the number of stiffnesses."""
+        """Number p of stiffnesses."""
         return int(self.stiffness_n_per_m.size)
 
     @property
     def n_dofs(self) -> int:
-        """N, the number of degrees of freedom."""
+        """Number N of degrees of freedom."""
         return int(self.masses_kg.size)
 
     def with_stiffness(self, stiffness_n_per_m: Array) -> Self:
@@ -76,7 +81,7 @@ class MatrixStructure:
         return replace(self, masses_kg=masses_kg)
 
     def drift_matrix(self) -> Array:
-        """See `Structure.drift_matrix`; of a dK_j that is no single spring, its stiffest direction."""
+        """See `Structure.drift_matrix`.  Where dK_j is not a single spring, the row is its stiffest direction."""
         values, vectors = np.linalg.eigh(self.slopes)
         rows = vectors[:, :, -1] * np.sqrt(values[:, -1:])
         size = np.abs(rows)
@@ -84,16 +89,16 @@ class MatrixStructure:
         return np.asarray(rows * np.sign(np.take_along_axis(rows, largest[:, None], axis=1)))
 
     def mass_matrix(self) -> Array:
-        """Shape (N, N), kg."""
+        """Assemble the mass matrix, shape (N, N), kg."""
         root = np.sqrt(self.masses_kg)
         return np.asarray(self.mass_coupling * np.outer(root, root))
 
     def stiffness_matrix(self) -> Array:
-        """Shape (N, N), N/m."""
+        """Assemble the stiffness matrix, shape (N, N), N/m."""
         return np.asarray(self.fixed_stiffness + np.tensordot(self.stiffness_n_per_m, self.slopes, axes=1))
 
     def mass_derivatives(self) -> Array:
-        """dM / dm_i, shape (N, N, N): row and column i of M, halved, over m_i."""
+        """Differentiate the mass matrix: dM / dm_i, half of row and column i of M over m_i, shape (N, N, N)."""
         n, mass = self.n_dofs, self.mass_matrix()
         slopes = np.zeros((n, n, n))
         for i in range(n):
@@ -102,5 +107,5 @@ class MatrixStructure:
         return slopes
 
     def stiffness_derivatives(self) -> Array:
-        """dK / dk_j, shape (p, N, N): first axis is the story."""
+        """Differentiate the stiffness matrix: dK / dk_j, shape (p, N, N), first axis the story."""
         return self.slopes

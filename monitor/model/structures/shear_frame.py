@@ -1,4 +1,4 @@
-"""A shear frame: rigid floors on columns that only shear (the paper's frame, section 4)."""
+"""Shear frame: rigid floors on columns that only shear (the paper's frame, section 4)."""
 
 from __future__ import annotations
 
@@ -13,32 +13,42 @@ from monitor.core import Array
 
 @dataclass(frozen=True, eq=False, slots=True)
 class ShearFrame:
-    """Floors 1 (top) to n (lowest); story j joins floors j and j + 1, story n reaches the ground.
+    """Shear frame of n floors, numbered from 1 (top) to n (lowest).
 
-    Its parameters are the story stiffnesses: K is linear in them.
+    Story j joins floors j and j + 1; story n joins floor n and the ground.  The parameters are the story stiffnesses, in which K
+    is linear.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from monitor.model import ShearFrame
+    >>> ShearFrame(np.ones(2), np.array([1000.0, 2000.0]), damping_ratio=0.01).stiffness_matrix()
+    array([[ 1000., -1000.],
+           [-1000.,  3000.]])
     """
 
     masses_kg: Array
-    """Shape (n,)."""
+    """Shape (n,), floor 1 first."""
     stiffness_n_per_m: Array
     """Shape (n,), story 1 first."""
     damping_ratio: float
-    """Rayleigh damping: this ratio in modes 1 and 2 (in mode 1 alone for a single floor)."""
+    """Damping ratio of modes 1 and 2 (Rayleigh damping), of mode 1 alone for a single floor."""
     story_heights_m: Array | None = None
     """Shape (n,)."""
     built_n_per_m: Array | None = None
-    """Story stiffnesses before they changed, to which girders were built, shape (n,); None: those of `stiffness_n_per_m`."""
+    """Story stiffnesses as built, by which the girders were sized, shape (n,); None: those of `stiffness_n_per_m`."""
     column_to_girder: float = 0.0
-    """(E I_c / h) / (E I_g / L_g): one column as built, the mean over stories, over one girder of a one-bay frame; 0: rigid."""
+    """(E I_c / h) / (E I_g / L_g): one column as built, the mean over stories, over one girder of a one-bay frame; 0 for rigid
+    girders."""
 
     @property
     def n_stories(self) -> int:
-        """Number of stories, and of floors."""
+        """Number n of stories and of floors."""
         return int(self.masses_kg.size)
 
     @property
     def n_dofs(self) -> int:
-        """Number of floors, and of stories."""
+        """Number n of floors and of stories."""
         return int(self.masses_kg.size)
 
     def with_stiffness(self, stiffness_n_per_m: Array) -> Self:
@@ -52,6 +62,7 @@ class ShearFrame:
 
     @property
     def _built(self) -> Array:
+        """Story stiffnesses as built, shape (n,), N/m."""
         return self.stiffness_n_per_m if self.built_n_per_m is None else self.built_n_per_m
 
     def with_masses(self, masses_kg: Array) -> Self:
@@ -59,23 +70,23 @@ class ShearFrame:
         return replace(self, masses_kg=masses_kg)
 
     def drift_matrix(self) -> Array:
-        """Drift of every story from the floors' displacements, shape (n, n): upper floor minus lower."""
+        """Return the matrix from the floors' displacements to the stories' drifts, upper floor minus lower, shape (n, n)."""
         return _drift_matrix(self.n_stories)
 
     def mass_matrix(self) -> Array:
-        """Shape (n, n), kg."""
+        """Assemble the mass matrix, shape (n, n), kg."""
         return np.diag(self.masses_kg)
 
     def stiffness_matrix(self) -> Array:
-        """Shape (n, n), N/m."""
+        """Assemble the stiffness matrix, shape (n, n), N/m."""
         drift = self.drift_matrix()
         rigid = np.asarray(drift.T @ (self.stiffness_n_per_m[:, None] * drift))
-        return rigid if self.column_to_girder == 0.0 else rigid - self._lost_by_rotation()
+        return rigid if self.column_to_girder == 0.0 else rigid - self._stiffness_lost_by_rotation()
 
-    def _lost_by_rotation(self) -> Array:
-        """What joints that rotate, those of a floor alike, take of the stiffness once condensed, shape (n, n).
+    def _stiffness_lost_by_rotation(self) -> Array:
+        """Compute the stiffness that the joints' rotation takes away, by static condensation, shape (n, n), N/m.
 
-        Heights are taken equal where none are given.
+        All joints of a floor rotate alike.  Heights are taken as equal where none are given.
 
         References
         ----------
@@ -85,7 +96,7 @@ class ShearFrame:
         heights = np.ones(n) if self.story_heights_m is None else self.story_heights_m
         column = self.stiffness_n_per_m * heights**2 / 24.0  # E I_c / h of one of the two columns
         girder = float((self._built * heights**2 / 24.0).mean()) / self.column_to_girder
-        # Story j's rotations: its upper floor's and, but for the clamped ground, its lower floor's.
+        # The rotations of story j are those of its upper floor and, unless that is the clamped ground, of its lower floor.
         rotation_sum = np.eye(n) + np.eye(n, k=1)
         k_theta = 12.0 * girder * np.eye(n)  # one girder bent in double curvature, both ends
         for j in range(n):
@@ -97,20 +108,20 @@ class ShearFrame:
         return np.asarray(coupling @ np.linalg.solve(k_theta, coupling.T))
 
     def mass_derivatives(self) -> Array:
-        """dM / dm_i, shape (n, n, n): first axis is the floor."""
+        """Differentiate the mass matrix: dM / dm_i, shape (n, n, n), first axis the floor."""
         n = self.n_dofs
         unit = np.zeros((n, n, n))
         unit[np.arange(n), np.arange(n), np.arange(n)] = 1.0
         return unit
 
     def stiffness_derivatives(self) -> Array:
-        """dK / dk_j of rigid joints, shape (n, n, n): first axis is the story."""
+        """Differentiate the stiffness matrix of rigid joints: dK / dk_j, shape (n, n, n), first axis the story."""
         return _drift_products(self.n_stories)
 
 
 @cache
 def _drift_products(n: int) -> Array:
-    """Of every story's drift with itself, shape (n, n, n)."""
+    """Return the outer product of every story's drift row with itself, shape (n, n, n)."""
     drift = _drift_matrix(n)
     products = drift[:, :, None] * drift[:, None, :]
     products.setflags(write=False)
@@ -119,6 +130,7 @@ def _drift_products(n: int) -> Array:
 
 @cache
 def _drift_matrix(n: int) -> Array:
+    """Build the drift matrix of n stories once, shape (n, n)."""
     matrix = np.eye(n) - np.eye(n, k=1)
     matrix.setflags(write=False)
     return matrix

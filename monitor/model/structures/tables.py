@@ -1,4 +1,4 @@
-"""``[structure]`` of a structure file, by its ``kind``: the design drawing, never the truth."""
+"""Table ``[structure]`` of a structure file, by its ``kind``: the structure as drawn, not as it is."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from monitor.model.structures.matrices import MatrixStructure
 from monitor.model.structures.shear_frame import ShearFrame
 
 Positive = Annotated[float, Field(gt=0, le=1e30)]
-"""Squares of more would be beyond what a float holds."""
+"""Positive number; the square of one above the limit could exceed the range of a float."""
 Range = tuple[Positive, Positive]
 Matrix = tuple[tuple[float, ...], ...]
 _SYMMETRY_TOLERANCE = 1e-6
@@ -21,14 +21,14 @@ _SYMMETRY_TOLERANCE = 1e-6
 
 
 class _Drawing(Settings):
-    """What every kind has."""
+    """Keys that every kind of structure has."""
 
     name: str = ""
-    """For people."""
+    """Name of the structure, for people."""
     stiffness_n_per_m: tuple[Positive, ...] = Field(min_length=1)
-    """As drawn, story 1 (the top one) first."""
+    """Stiffnesses as drawn, story 1 (the top one) first."""
     damping_ratio: float = Field(default=0.01, gt=0, lt=1)
-    """In modes 1 and 2 (Rayleigh)."""
+    """Damping ratio of modes 1 and 2 (Rayleigh damping)."""
     masses_range_kg: tuple[Range, ...] | None = None
     """Range of each mass as its prior (two standard deviations either way); 5 % either way by default."""
     stiffness_range_n_per_m: tuple[Range, ...] | None = None
@@ -36,16 +36,16 @@ class _Drawing(Settings):
     modal_damping_ratio: tuple[Annotated[float, Field(gt=0, lt=1)], ...] | None = None
     """Damping ratio of every mode, in place of `damping_ratio`; as a diagnosis writes it."""
     stiffness_correction_n_per_m: Matrix | None = None
-    """Stiffness that the structure's form cannot show, a symmetric matrix; as a diagnosis writes it."""
+    """Stiffness that the structure's form cannot represent, a symmetric matrix; as a diagnosis writes it."""
     reference_temperature_degc: float | None = None
-    """Where the stiffnesses are those stated; the recording's mean by default."""
+    """Temperature at which the stiffnesses are those stated; the recording's mean by default."""
 
     def structure(self) -> Structure:
-        """The structure as drawn."""
+        """Make the structure as drawn."""
         raise NotImplementedError
 
     def prior_std(self) -> Array:
-        """Relative standard deviations of stiffnesses, then masses, shape (p + N,)."""
+        """Compute the relative standard deviations of stiffnesses, then masses, shape (p + N,)."""
 
         def spread(ranges: tuple[Range, ...] | None, values: Array, default: float) -> Array:
             if ranges is None:
@@ -61,17 +61,18 @@ class _Drawing(Settings):
         )
 
     def correction(self) -> Array | None:
-        """`stiffness_correction_n_per_m`, shape (N, N)."""
+        """Return `stiffness_correction_n_per_m` as an array, shape (N, N), N/m; None where it is not given."""
         if self.stiffness_correction_n_per_m is None:
             return None
         size = self.structure().n_dofs
         return _symmetric("stiffness_correction_n_per_m", self.stiffness_correction_n_per_m, size)
 
     def modal_damping(self) -> Array | None:
-        """`modal_damping_ratio`, shape (N,)."""
+        """Return `modal_damping_ratio` as an array, shape (N,); None where it is not given."""
         return None if self.modal_damping_ratio is None else np.array(self.modal_damping_ratio)
 
     def _check_lengths(self, wanted: dict[str, int], what: str) -> None:
+        """Check the lengths of the named keys' values, and that every range has its lower end first."""
         for name, n in wanted.items():
             value = getattr(self, name)
             if value is not None and len(value) != n:
@@ -83,13 +84,13 @@ class _Drawing(Settings):
 
 
 class ShearFrameTable(_Drawing):
-    """``kind = "shear_frame"``."""
+    """Table of a shear frame, ``kind = "shear_frame"``."""
 
     kind: Literal["shear_frame"]
     masses_kg: tuple[Positive, ...] = Field(min_length=1)
-    """As drawn, floor 1 (the top one) first."""
+    """Masses as drawn, floor 1 (the top one) first."""
     story_heights_m: tuple[Positive, ...] | None = None
-    """For `gravity_softening` and the viewer."""
+    """Heights of the stories, for `gravity_softening` and the viewer."""
 
     @model_validator(mode="after")
     def _same_length(self) -> ShearFrameTable:
@@ -99,32 +100,35 @@ class ShearFrameTable(_Drawing):
         return self
 
     def structure(self) -> ShearFrame:
-        """The structure as drawn."""
+        """Make the structure as drawn."""
         heights = None if self.story_heights_m is None else np.array(self.story_heights_m)
         return ShearFrame(np.array(self.masses_kg), np.array(self.stiffness_n_per_m), self.damping_ratio, heights)
 
 
 class MatricesTable(_Drawing):
-    """``kind = "matrices"``: N degrees of freedom, p stiffnesses; `monitor.config.matrix_files` reads matrices from files."""
+    """Table of a structure given by its matrices, ``kind = "matrices"``: N degrees of freedom, p stiffnesses.
+
+    `monitor.config.matrix_files` reads matrices from files.
+    """
 
     kind: Literal["matrices"]
     mass_matrix: Matrix = Field(min_length=1)
-    """N rows of N, kg."""
+    """Mass matrix, N rows of N, kg."""
     stiffness_matrix: Matrix
-    """N rows of N, N/m, at the nominal `stiffness_n_per_m`."""
+    """Stiffness matrix, N rows of N, N/m, at the nominal `stiffness_n_per_m`."""
     stiffness_derivatives: tuple[Matrix, ...]
     """dK / dk_j for each of `stiffness_n_per_m`, N rows of N."""
     story_names: tuple[str, ...] | None = None
-    """What each stiffness is: a note for people, results number the stories."""
+    """Name of each stiffness, a note for people; results number the stories."""
 
     @property
     def masses_kg(self) -> tuple[float, ...]:
-        """Diagonal of the mass matrix."""
+        """Diagonal of the mass matrix, kg."""
         return tuple(row[i] for i, row in enumerate(self.mass_matrix))
 
     @property
     def story_heights_m(self) -> None:
-        """Matrices know no heights."""
+        """None: matrices contain no heights."""
         return None
 
     @model_validator(mode="after")
@@ -145,7 +149,7 @@ class MatricesTable(_Drawing):
         return self
 
     def structure(self) -> MatrixStructure:
-        """The structure as drawn."""
+        """Make the structure as drawn."""
         n = len(self.mass_matrix)
         return MatrixStructure.create(
             _symmetric("mass_matrix", self.mass_matrix, n),
@@ -160,7 +164,7 @@ StructureTable = Annotated[ShearFrameTable | MatricesTable, Field(discriminator=
 
 
 def _symmetric(name: str, rows: Matrix, n: int) -> Array:
-    """The matrix, free of rounding's asymmetry."""
+    """Check that a matrix is square and symmetric, and remove the asymmetry of rounding, shape (n, n)."""
     if len(rows) != n or any(len(row) != n for row in rows):
         widths = sorted({len(row) for row in rows})
         raise ValueError(f"{name} has {len(rows)} rows of {', '.join(map(str, widths))} values, not {n} of {n}")
