@@ -285,7 +285,8 @@ def _overlapping(loss: Loss, findings: Sequence[Mapping[str, Any]]) -> str:
             and (loss.t_last_ns is None or f["from_ns"] <= loss.t_last_ns)
             and f.get("says")
         ):
-            return str(f["says"]).rstrip(".")
+            says = str(f["says"]).rstrip(".")
+            return says[:1].lower() + says[1:]
     return ""
 
 

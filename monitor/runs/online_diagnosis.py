@@ -123,7 +123,7 @@ class OnlineDiagnosis:
     @property
     def state(self) -> OnlineDiagnosisState:
         """State for a checkpoint; the recent blocks are not part of it and must be kept again after `restore`."""
-        findings = tuple(json.dumps({key: f[key] for key in FINDING_KEYS}) for f in self.findings)
+        findings = tuple(json.dumps({key: f.get(key) for key in FINDING_KEYS}) for f in self.findings)
         pending, submitted = ((), 0) if self._queue is None else (self._queue.pending, self._queue.submitted)
         return OnlineDiagnosisState(self._episode, self._t_ns, findings, pending, submitted)
 

@@ -159,7 +159,7 @@ class Session:
             **self.assessment.content,
             **summary,
             "known": asdict(self._known),
-            "findings": [{key: f[key] for key in FINDING_KEYS} for f in findings],
+            "findings": [{key: f.get(key) for key in FINDING_KEYS} for f in findings],
             "quality": self._quality.content(),
             "thresholds": self.config.alarm.model_dump(include={"significance", "min_loss", "alarm_loss"}),
         }

@@ -39,9 +39,22 @@ def _without_doubled_sums(tree: Any) -> Any:
     return tree
 
 
-VERSION = 2
+def _with_course(tree: Any) -> Any:
+    """Upgrade from version 2, whose summary counted windows and episodes itself."""
+    if "session" in tree:
+        summary = tree["session"]["summary"]
+        losses = [episode | {"story": episode["story"] or 0} for episode in summary.pop("alarms")]
+        counts = {name: summary.pop(name) for name in ("windows", "skipped", "skip_reasons")}
+        unknown = dict.fromkeys(("last", "judged", "misfit_since_ns", "unexplained", "rms_range"))
+        summary["course"] = {**counts, "recent": [], "losses": losses, **unknown}
+        findings = tree["session"]["watcher"]
+        findings["found"] = [json.dumps({"ddi_effect": None} | json.loads(text)) for text in findings["found"]]
+    return tree
+
+
+VERSION = 3
 """Version of the state; to be raised, with an entry in `UPGRADES`, when a field is added, removed or changes its meaning."""
-UPGRADES: dict[int, Callable[[Any], Any]] = {1: _without_doubled_sums}
+UPGRADES: dict[int, Callable[[Any], Any]] = {1: _without_doubled_sums, 2: _with_course}
 """Version -> function that converts its plain value (`plain`) to that of the next version."""
 _DTYPES = ("<f8", "<c16", "<i8", "<f4", "|b1")
 _ARRAY = "@array"
