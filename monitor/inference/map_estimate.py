@@ -13,11 +13,7 @@ from monitor.inference.posterior import MAX_EXCITATION_STEP, Posterior, with_coo
 from monitor.model import Effect, inverse
 
 _MAX_STRUCTURE_STEP = 0.1
-<<<<<<< HEAD
-"""Longest step of the logarithm of a stiffness or a mass, and of the correction of the stiffness matrix. [1; judgement: ten percent]"""
-=======
 """Longest step of the logarithm of a stiffness or a mass, and of the stiffness correction. [1; judgement: ten percent]"""
->>>>>>> main
 _MAX_DAMPING_STEP = 1.0
 """Longest step of the logarithm of a damping ratio or of a channel's noise. [1; judgement: a factor of e]"""
 _MAX_SIZE_STEP = 0.5
