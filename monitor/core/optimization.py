@@ -97,7 +97,7 @@ def levenberg_marquardt(
     >>> found = levenberg_marquardt(
     ...     at(0.0), lambda p, last: Slopes(np.eye(1), np.array([3.0 - p.x])), lambda p, step: at(p.x + step[0]),
     ...     iterations=20, tolerance=1e-6, fixed_slopes_gain=0.0)
-    >>> found.converged, round(found.point.x, 3)
+    >>> found.converged, round(float(found.point.x), 3)
     (True, 3.0)
     """
     point, damping, gain = start, _FIRST_DAMPING, np.inf
