@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import tomllib
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from monitor.core.results import WindowResult
 from monitor.damage import baseline
 from monitor.pipeline import Pipeline
 from monitor.runs import calibrate
+from tests.conftest import Cli
 
 FOLDER = Path(__file__).parents[2] / "recordings"
 INDEX = tomllib.loads((FOLDER / "index.toml").read_text())
@@ -33,6 +35,25 @@ def test_a_recording_is_what_the_index_says(name: str) -> None:
     assert info.sample_rate_hz == entry["rate_hz"]
     assert list(info.channels["/acceleration"]) == entry["channels"]
     assert info.n_samples == entry["samples"]
+
+
+def simulations() -> dict[str, list[str]]:
+    """Options of every simulation of make_simulated.sh, by the file that it makes."""
+    lines = (FOLDER / "make_simulated.sh").read_text().splitlines()
+    common = next(line for line in lines if line.startswith("simulate()"))
+    common = common.partition("simulate --")[2].partition('"$@"')[0]
+    calls = [shlex.split(line) for line in lines if line.startswith("simulate --out")]
+    return {Path(words[2]).name: [*shlex.split("--" + common), *words[3:]] for words in calls}
+
+
+@pytest.mark.parametrize("name", simulations())
+def test_a_simulated_recording_is_what_its_script_makes(name: str, tmp_path: Path, main: Cli) -> None:
+    done = main("simulate", "--out", tmp_path / name, *simulations()[name], cwd=FOLDER.parent)
+    assert done.returncode == 0, done.stderr
+    made, shipped = (
+        np.concatenate([b.samples for b in read_recordings([folder / name])]) for folder in (tmp_path, FOLDER)
+    )
+    np.testing.assert_allclose(made, shipped, atol=1e-5 * float(np.abs(shipped).max()))
 
 
 @pytest.mark.parametrize("name", REPLAYS)
