@@ -14,8 +14,9 @@ from monitor.config import configuration
 from monitor.core.files import sha256
 from monitor.core.results import WindowResult
 from monitor.damage import baseline
+from monitor.inference.segments import gather
 from monitor.pipeline import Pipeline
-from monitor.runs import calibrate
+from monitor.runs import calibrate, diagnose
 from tests.conftest import Cli
 
 FOLDER = Path(__file__).parents[2] / "recordings"
@@ -77,3 +78,17 @@ def test_a_replay_gives_what_the_index_says(name: str) -> None:
         np.testing.assert_allclose(last.damage.ddi, entry["ddi"], atol=entry["ddi_atol"])
     assert last.alarm.level.value == entry["level"]
     assert list(last.alarm.stories) == entry["stories"]
+
+
+@pytest.mark.engine
+def test_the_damaged_recording_is_diagnosed_as_what_it_was_made_with() -> None:
+    config = configuration.load(FOLDER / "frame.toml")
+    healthy, changed = (
+        gather(read_recordings([FOLDER / f"frame-{name}.mcap"]), config.front_end()) for name in ("healthy", "after")
+    )
+    found, _ = diagnose.diagnose_segments(changed, diagnose.learn_healthy_prior(healthy, config), config)
+    assert found.verdict == "named"
+    (cause,) = found.causes
+    assert (cause.effect.name, cause.effect.location) == ("stiffness_change", "story 2")
+    assert abs(cause.effect.values()["relative"] + 0.12) < 1.96 * cause.std["relative"]
+    assert cause.std["relative"] < 0.005
