@@ -30,7 +30,7 @@ from drivers.base import ACCELERATION, SampleBlock
 from monitor.config.configuration import Configuration
 from monitor.diagnosis.score_test import fit_candidate
 from monitor.diagnosis.simulation_refit import fit_initial_model
-from monitor.diagnosis.stepwise_selection import Cause, Verdict, _causes
+from monitor.diagnosis.stepwise_selection import Cause, _causes
 from monitor.inference.observed_spectra import classify
 from monitor.inference.segments import Segments, gather
 from monitor.model.effects import EFFECTS, Effect
@@ -148,7 +148,7 @@ def make_site(number: int, seed: int) -> Site:
     return own_site(np.random.default_rng([seed, number, 0]), joints=number % 4 == 2)
 
 
-def search(segments: Segments, prior: StructuralPrior, drawing: Configuration) -> tuple[Verdict, tuple[Cause, ...]]:
+def search(segments: Segments, prior: StructuralPrior, drawing: Configuration) -> tuple[str, tuple[Cause, ...]]:
     """Diagnose as `diagnose` does."""
     found, _ = diagnose.diagnose_segments(segments, prior, drawing)
     return found.verdict, found.causes
@@ -156,12 +156,12 @@ def search(segments: Segments, prior: StructuralPrior, drawing: Configuration) -
 
 def fit_given(
     segments: Segments, prior: StructuralPrior, drawing: Configuration, effect: Effect
-) -> tuple[Verdict, tuple[Cause, ...]]:
-    """Fit an effect without a search."""
+) -> tuple[str, tuple[Cause, ...]]:
+    """Fit an effect without a search, in place of a verdict `given`."""
     context = drawing.instrumented().context(segments.rate_hz)
     posterior, null_fit, _ = fit_initial_model(classify(segments), prior, context)
     found = fit_candidate(posterior, null_fit, effect)
-    return "named", _causes(posterior, found.fit, [found], np.zeros(found.fit.n_effect))
+    return "given", _causes(posterior, found.fit, [found], np.zeros(found.fit.n_effect))
 
 
 def diagnose_site(number: int, seed: int, kinds: tuple[str, ...], *, given: bool = False) -> Iterator[dict[str, Any]]:
@@ -206,9 +206,10 @@ def diagnose_site(number: int, seed: int, kinds: tuple[str, ...], *, given: bool
 class Coverage:
     """Share of 95 % intervals that hold the truth."""
 
-    diagnoses: int
+    searched: int
+    """Diagnoses with a search."""
     named: int
-    """Diagnoses that name the effect at its place and nothing else."""
+    """Those that name the effect at its place and nothing else."""
     z: np.ndarray
     """Error over stated standard deviation of every stated size, shape (n,)."""
 
@@ -216,7 +217,7 @@ class Coverage:
     def of(cls, rows: list[dict[str, Any]]) -> Coverage:
         """Count the rows of one kind."""
         named = sum(r["verdict"] == "named" and "z" in r and len(r["causes"]) == 1 for r in rows)
-        return cls(len(rows), named, np.array([r["z"] for r in rows if "z" in r]))
+        return cls(sum(r["verdict"] != "given" for r in rows), named, np.array([r["z"] for r in rows if "z" in r]))
 
     @property
     def held(self) -> int:
@@ -240,7 +241,7 @@ def report(rows: list[dict[str, Any]]) -> str:
             if c.z.size:
                 low, high = c.likely
                 lines.append(
-                    f"{kind if not simulator else '  ' + simulator:<26}{c.named:>4} of {c.diagnoses:<4}{c.held:>4} of "
+                    f"{kind if not simulator else '  ' + simulator:<26}{c.named:>4} of {c.searched:<4}{c.held:>4} of "
                     f"{c.z.size:<4}({low} to {high})".ljust(67)
                     + f"{np.sqrt((c.z**2).mean()):>5.2f}{c.z.mean():>9.2f}{np.abs(c.z).max():>10.1f}"
                 )

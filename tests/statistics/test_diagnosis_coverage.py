@@ -42,5 +42,5 @@ def test_intervals_hold() -> None:
     print("\n" + report(rows))
     for kind in KINDS:
         counted = Coverage.of([row for row in rows if row["kind"] == kind])
-        assert counted.named >= 0.95 * counted.diagnoses, kind
+        assert counted.named >= 0.95 * counted.searched, kind
         assert counted.likely[0] <= counted.held <= counted.likely[1], kind
