@@ -21,7 +21,7 @@ from drivers.base import RecordingError, RecordingMissingError, SampleBlock, Sou
 from drivers.recorder import unfit
 from monitor.config import configuration
 from monitor.core import BadConfigurationError, BadInputError, Gap, MissingInputError, WindowResult
-from monitor.damage import load_baseline
+from monitor.damage import Assessment, load_baseline, outdated, utc
 from monitor.pipeline import Result
 from monitor.publish import Publisher, current_alarm_line, episode_content, to_json
 from monitor.runs import Progress, Session, duration_s, ledger, open_viewer
@@ -81,7 +81,8 @@ class Daemon(Publisher):
         )
         self.out = folder / settings.output.dir
         self._vitals, self._progress = Vitals(self.out), Progress(lambda _: None)
-        self._begun_s = self._health_s = self._summary_s = self._sync_s = time.monotonic()
+        self._begun_s = self._health_s = self._summary_s = self._sync_s = self._data_s = time.monotonic()
+        self._said: Assessment | None = None
         self._path, self._stopping, self._reload_requested, self._end_s = path, False, False, float("inf")
         self._outlets: tuple[Outlet, ...] = (*make_outlets(path, settings), *outlets)
         try:
@@ -125,6 +126,7 @@ class Daemon(Publisher):
         previous = {number: signal.signal(number, self._request_stop) for number in (signal.SIGTERM, signal.SIGINT)}
         previous[signal.SIGHUP] = signal.signal(signal.SIGHUP, self._request_reload)
         try:
+            self._publish_state()
             self.reader.start()
             self._loop()
             if self.reader.ended:
@@ -145,10 +147,11 @@ class Daemon(Publisher):
 
     def window(self, result: WindowResult, line: str) -> None:
         """Write and publish the result of a window, unless a previous run did so."""
+        present = self._publish_state()
         self._history.episodes([episode_content(e) for e in self.session.episodes[-_LATEST:]])
         if result.index in self._keeper.written:
             return
-        self._history.window(json.loads(line))
+        self._history.window(json.loads(line) | {"state": present.state.value})
         self._lines.write(line)
         for outlet in self._outlets:
             outlet.window(result, line)
@@ -161,6 +164,12 @@ class Daemon(Publisher):
         for outlet in self._outlets:
             outlet.gap(gap)
 
+    def state(self, assessment: Assessment) -> None:
+        """Publish the present state of the structure."""
+        self._said = assessment
+        for outlet in self._outlets:
+            outlet.state(assessment)
+
     def health(self, health: Health | None) -> None:
         """Write and publish the sensors' health together with the daemon's own health."""
         span: dict[str, Any] | None = None
@@ -171,6 +180,7 @@ class Daemon(Publisher):
                 self._view.clocks(health.t_end_ns, self.reader.source.health().clocks)
         if self._keeper.resuming:
             return
+        self._publish_state()
         self._health_s = time.monotonic()
         line = self._vitals.line(span, self.reader, self._recording.health(), self._outputs())
         self._health_lines.write(json.dumps(line, allow_nan=False))
@@ -222,6 +232,7 @@ class Daemon(Publisher):
         In this order a replay of the recordings repeats the run exactly.
         """
         self._vitals.received(block)
+        self._data_s = time.monotonic()
         reason = unfit(block)
         if reason is not None:
             self._vitals.refuse(reason)
@@ -279,6 +290,23 @@ class Daemon(Publisher):
         if now - self._summary_s >= _QUIET_S:
             self._write_summary()
 
+    @property
+    def _present(self) -> Assessment:
+        """The present state of the structure: that of the session, outdated once no data have come for a window's length."""
+        present, silent_s = self.session.present, time.monotonic() - self._data_s
+        if silent_s < self.settings.processing.window_s or not self.session.windows:
+            return present
+        return outdated(present, f"no data since {utc(self.session.now_ns)} UTC")
+
+    def _publish_state(self) -> Assessment:
+        """Publish the present state where it is not what was published last, and return it."""
+        present = self._present
+        if present != self._said:
+            self.state(present)
+            if self._view is not None:
+                self._view.state(present)
+        return present
+
     def _write_summary(self) -> None:
         self._summary_s = time.monotonic()
         seconds = duration_s(self._progress.first, self._progress.last)
@@ -286,6 +314,7 @@ class Daemon(Publisher):
         v = self._vitals
         content |= {"refused_blocks": v.refused, "unprocessed_blocks": v.unprocessed, "latency_ms": v.latency()}
         content["alarm"] = current_alarm_line(self.session.pipeline.state.alarm)
+        content |= self._present.content
         self._chores.write(self.out / "summary.json", to_json(plain(content)) + "\n")
 
     def _outputs(self) -> list[tuple[str, Way]]:
