@@ -212,7 +212,9 @@ def overlooked(tmp_path: Path, count: int, frame_text: str, cut: Cut, main: Cli)
             assert list(found) == ["frame-0", *sorted(names)]
             for name in names:
                 assert found[name]["state"] == "not_judged", found[name]
-                assert found[name]["headline"].startswith(("No baseline", "No data since")) and not found[name]["troubles"]
+                assert (
+                    found[name]["headline"].startswith(("No baseline", "No data since")) and not found[name]["troubles"]
+                )
                 np.testing.assert_allclose(found[name]["frequency_hz"], first[name], rtol=0.03)
             assert found["frame-0"]["says"] == "The monitor is not there."
             print(
