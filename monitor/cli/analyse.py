@@ -9,7 +9,7 @@ import typer
 
 from monitor.cli.common import Json, Recordings, Structure, address, progress, say, warn
 from monitor.cli.emulate import parse_speed
-from monitor.core import WrongUsageError, demand_place, spare_inputs
+from monitor.core import demand_place, spare_inputs
 
 
 def replay(
@@ -74,7 +74,7 @@ def calibrate(
 
     recordings = recordings or []
     if bool(recordings) == (rebase is not None):
-        raise WrongUsageError("name either healthy recordings, or a baseline with --rebase")
+        raise typer.BadParameter("name either healthy recordings, or a baseline with --rebase")
     spare_inputs([out], [*recordings, structure, rebase])
     settings = configuration.load(structure)
     demand_place(out)

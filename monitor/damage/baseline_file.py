@@ -199,23 +199,24 @@ def _demand_own(
         If the content is damaged.
     """
     here, there = Origin.of(instrumented), None if c.origin is None else Origin(**c.origin.model_dump())
-    says = number_differences(len(c.masses_kg), len(c.stiffness_n_per_m), instrumented)
-    says += sensor_differences(c.channels, c.floors, instrumented)
+    numbers = len(c.masses_kg), len(c.stiffness_n_per_m)
+    if there is not None and (len(there.masses_kg), len(there.stiffness_n_per_m)) != numbers:
+        raise ValueError("the numbers of masses and stiffnesses are not those of its origin")
+    says = number_differences(*numbers, instrumented) + sensor_differences(c.channels, c.floors, instrumented)
     says += [] if there is None else there.sampling_differences(here)
     if c.log != (updating.eigenvalue == "log") or bool(c.gauges) != updating.use_shapes:
         says.append("it was learned with another [updating] eigenvalue or use_shapes")
-    redrawn_only = not says and there is not None
-    if not says and there is not None and not redrawn:
-        says = there.drawing_differences(here)
-    elif not says and not redrawn:
-        says = far_values(c.masses_kg, c.stiffness_n_per_m, instrumented)
+    mend = "name this structure's own baseline, or make it with 'calibrate'"
+    if not says and not redrawn:
+        if there is None:
+            says = far_values(c.masses_kg, c.stiffness_n_per_m, instrumented)
+        else:
+            says = there.drawing_differences(here)
+            mend += f"; if the structure is the same and only its drawing was changed, use 'calibrate --rebase {path}'"
     if not says:
         return
     if there is not None and there.is_named_otherwise(here):
         says.insert(0, f"it is of {there.name!r}, this is {here.name!r}")
-    mend = "name this structure's own baseline, or make it with 'calibrate'"
-    if redrawn_only:
-        mend += f"; if the structure is the same and only its drawing was changed, use 'calibrate --rebase {path}'"
     raise BadConfigurationError(f"{path}: the baseline is not of this structure: {'; '.join(says)}. Remedy: {mend}")
 
 
@@ -289,6 +290,4 @@ def _damage(b: Baseline) -> str | None:
         or len(b.gauges) not in (0, m)
     ):
         return "modes are"
-    if b.origin is not None and (len(b.origin.masses_kg), len(b.origin.stiffness_n_per_m)) != (n, p):
-        return "origin is"
     return None

@@ -67,7 +67,7 @@ class Daemon(Publisher):
     BadInputError
         The baseline file is unusable.
     BadConfigurationError
-        The site file is invalid, or another daemon writes into the output folder.
+        The site file is invalid, the baseline is another structure's, or another daemon writes into the output folder.
     """
 
     def __init__(self, path: Path, source: Source | None = None, outlets: Sequence[Outlet] = ()) -> None:
