@@ -2,7 +2,7 @@ from . import alarm, damage_index
 from .alarm import AlarmSettings, AlarmState, StoryState, hold
 from .alternative_solutions import second_solutions
 from .assessment import Assessment, Course, Known, Loss, State, WindowFacts, assess, facts_of, follow
-from .baseline import Baseline, learn_baseline, rebase
+from .baseline import Baseline, learn_baseline, rebase_baseline
 from .baseline_file import load_baseline, save_baseline
 from .detectable_loss import smallest_detectable_loss
 from .origin import Origin
@@ -32,7 +32,7 @@ __all__ = [
     "learn_baseline",
     "load_baseline",
     "observe",
-    "rebase",
+    "rebase_baseline",
     "save_baseline",
     "second_solutions",
     "smallest_detectable_loss",

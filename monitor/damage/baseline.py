@@ -159,7 +159,9 @@ def learn_baseline(
     return replace(baseline, reference_temperature_degc=float(np.mean(known)), temperature=dependence), fit
 
 
-def rebase(baseline: Baseline, instrumented: InstrumentedModel, updating: UpdatingSettings) -> tuple[Baseline, Update]:
+def rebase_baseline(
+    baseline: Baseline, instrumented: InstrumentedModel, updating: UpdatingSettings
+) -> tuple[Baseline, Update]:
     """Update a changed drawing of the same structure to the baseline's healthy modes.
 
     The modes are kept, and so is the temperature dependence: a relative change that all stories have alike is the same in every

@@ -147,7 +147,7 @@ def load_baseline(
     Parameters
     ----------
     redrawn : bool
-        Accept a changed drawing of the same structure, for `rebase`.
+        Accept a changed drawing of the same structure, for `rebase_baseline`.
 
     Returns
     -------

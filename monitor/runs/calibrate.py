@@ -11,10 +11,18 @@ import numpy as np
 
 from drivers.base import SampleBlock
 from drivers.mcap_file import recording_info
-from monitor import damage
 from monitor.config import Configuration
 from monitor.core import BadInputError, WindowResult, sha256
-from monitor.damage import Baseline, Observation, Origin, Update, learn_baseline, load_baseline, second_solutions
+from monitor.damage import (
+    Baseline,
+    Observation,
+    Origin,
+    Update,
+    learn_baseline,
+    load_baseline,
+    rebase_baseline,
+    second_solutions,
+)
 from monitor.diagnosis import contradicted
 from monitor.inference import Segments, gather
 from monitor.pipeline import Pipeline
@@ -128,7 +136,7 @@ def rebase(path: Path, config: Configuration) -> tuple[Baseline, tuple[str, ...]
         if old.origin.fingerprint == here.fingerprint:
             says.append("masses, stiffnesses and matrices are drawn as before: all else is kept")
             return replace(old, origin=here, doubts=()), tuple(says)
-    new, fit = damage.rebase(old, instrumented, config.updating)
+    new, fit = rebase_baseline(old, instrumented, config.updating)
     says.append(f"the updating to the healthy modes {'converged' if fit.converged else 'did NOT converge'}")
     says.append(
         f"the model's form leaves an error of {100 * new.model_form:.2g} % of a loss, {100 * old.model_form:.2g} % before"

@@ -10,7 +10,17 @@ import pytest
 
 from monitor.config.configuration import Configuration
 from monitor.core.errors import BadConfigurationError
-from monitor.damage import Baseline, Course, Known, WindowFacts, assess, follow, load_baseline, rebase, save_baseline
+from monitor.damage import (
+    Baseline,
+    Course,
+    Known,
+    WindowFacts,
+    assess,
+    follow,
+    load_baseline,
+    rebase_baseline,
+    save_baseline,
+)
 from monitor.damage.baseline import learn_baseline
 from tests.damage.test_damage_index import drawing, exact_modes, truth
 
@@ -74,7 +84,7 @@ def test_an_unchanged_drawing_is_updated_to_the_same_model() -> None:
     """
     config = drawing((1, -1, 1))
     healthy = learned(config)
-    again, fit = rebase(healthy, config.instrumented(), config.updating)
+    again, fit = rebase_baseline(healthy, config.instrumented(), config.updating)
     assert fit.converged
     change = again.model.structure.stiffness_n_per_m / healthy.model.structure.stiffness_n_per_m - 1.0
     assert np.abs(change).max() < 0.01 < 0.25 * healthy.model_form
@@ -83,8 +93,8 @@ def test_an_unchanged_drawing_is_updated_to_the_same_model() -> None:
 
 def test_masses_drawn_alike_too_light_scale_the_stiffness_and_nothing_else() -> None:
     light, heavy = drawing((-1, -1, -1)), drawing((1, 1, 1))
-    old, _ = rebase(learned(light), light.instrumented(), light.updating)
-    new, _ = rebase(old, heavy.instrumented(), heavy.updating)
+    old, _ = rebase_baseline(learned(light), light.instrumented(), light.updating)
+    new, _ = rebase_baseline(old, heavy.instrumented(), heavy.updating)
     np.testing.assert_allclose(new.model.modes().frequencies_hz, old.model.modes().frequencies_hz, rtol=0.01)
     ratio = new.model.structure.stiffness_n_per_m / old.model.structure.stiffness_n_per_m
     np.testing.assert_allclose(ratio, 1.05 / 0.95, rtol=0.02)
