@@ -132,7 +132,10 @@ def rebase(path: Path, config: Configuration) -> tuple[Baseline, tuple[str, ...]
     else:
         says = old.origin.drawing_differences(here)
         if old.origin.is_named_otherwise(here):
-            says.insert(0, f"it was of {old.origin.name!r} and is of {here.name!r} now")
+            says.insert(
+                0,
+                f"it was of {old.origin.name!r} and is of {here.name!r} now: right only if that is the same structure",
+            )
         if old.origin.fingerprint == here.fingerprint:
             says.append("masses, stiffnesses and matrices are drawn as before: all else is kept")
             return replace(old, origin=here, doubts=()), tuple(says)
