@@ -354,18 +354,18 @@ def _levels(course: Course, known: Known, whole: bool) -> list[str]:
 
 def _unjudged(course: Course, known: Known) -> list[Fact]:
     """State why nothing, or not enough, can be said of damage."""
-    if not known.has_baseline:
-        return [(State.NOT_JUDGED, "No baseline to compare with; make one with 'calibrate'.")]
+    says = []
     if course.windows == 0:
-        return [(State.NOT_JUDGED, "No window of data yet.")]
-    if course.judged is None or not any(judged for _, judged in course.recent):
+        says.append("no window of data yet")
+    elif course.judged is None or not any(judged for _, judged in course.recent):
         reason = max(course.skip_reasons, key=lambda r: course.skip_reasons[r], default="")
         since = "" if course.judged is None else " for an hour"
-        return [(State.NOT_JUDGED, _sentence(f"no window could be judged{since}: {Skipped(reason).mend}"))]
-    unseen = _unseen(course.judged, known)
-    if unseen or course.judged.detectable is None:
-        return [(State.NOT_JUDGED, _sentence(_seen(course, known)))]
-    return []
+        says.append(f"no window could be judged{since}: {Skipped(reason).mend}")
+    if not known.has_baseline:
+        says.append("no baseline to compare with; make one with 'calibrate'")
+    elif not says and course.judged is not None and (_unseen(course.judged, known) or course.judged.detectable is None):
+        says.append(_seen(course, known))
+    return [(State.NOT_JUDGED, _sentence(sentence)) for sentence in says]
 
 
 def _unseen(window: WindowFacts, known: Known) -> list[int]:

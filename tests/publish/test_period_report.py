@@ -148,18 +148,21 @@ def test_modes_are_three_curves_at_their_frequencies(page: ElementTree.Element) 
 
 def test_a_period_is_cut_out_and_reads_alike(months: Path, tmp_path: Path) -> None:
     period = read_period(months, T0 + 10 * DAY, T0 + 20 * DAY)
-    assert (period.results.windows, period.results.due, period.episodes, period.findings) == (1440, 1440, [], [])
+    assert (period.course.windows, period.results.due, period.course.losses, period.findings) == (1440, 1440, (), [])
     assert period.quality is not None
     assert period.quality.gaps == 10
     assert np.isclose(period.quality.availability, 0.990099, atol=1e-6)
     write_period(tmp_path / "r.html", period)
-    assert "no alarm" in words(parsed(tmp_path / "r.html"))
+    said = words(parsed(tmp_path / "r.html"))
+    assert "not judged" in said and "not recorded in these results" in said, (
+        "lines of a version that noted no smallest loss"
+    )
 
 
 def test_windows_are_due_from_the_run_s_first_on_and_ends_count_to_the_nanosecond(tmp_path: Path, main: Cli) -> None:
     json_lines(tmp_path / "results.jsonl", [line_of(k) for k in range(10)])
     early = read_period(tmp_path, T0 - 365 * DAY, None)
-    assert (early.results.windows, early.results.due) == (10, 10)
+    assert (early.course.windows, early.results.due) == (10, 10)
     for end, windows in (("00:49:59.999999", 4), ("00:50:00.4", 5)):
         done = main("report", tmp_path, "--out", tmp_path / "r.html", "--to", f"2026-01-01T{end}", "--json")
         assert (json.loads(done.stdout)["windows"], done.returncode) == (windows, 0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import json
 import os
 import signal
@@ -487,6 +488,14 @@ def test_a_source_that_hangs_does_not_keep_it_from_ending(site: Path, record: np
     Daemon(site, Hanging(cut(record, RATE), hold=released)).run()
     released.set()
     assert len(lines(site.parent / "out")) == 9
+
+
+def test_without_data_a_line_of_health_comes_at_the_stated_interval(site: Path) -> None:
+    """The daemon's clock is the test's: an hour of silence takes no time."""
+    seconds = itertools.count(0.0, 5.0)
+    Daemon(site, Scripted([None] * 1000), clock=lambda: next(seconds), tick_s=0.001, quiet_s=60.0).run()
+    told = health(site.parent / "out")
+    assert len(told) > 20 and all(line["t_ns"] is None for line in told)
 
 
 def test_a_drivers_bug_is_not_swallowed(site: Path) -> None:
