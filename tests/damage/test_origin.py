@@ -10,17 +10,7 @@ import pytest
 
 from monitor.config.configuration import Configuration
 from monitor.core.errors import BadConfigurationError
-from monitor.damage import (
-    Baseline,
-    Course,
-    Known,
-    WindowFacts,
-    assess,
-    follow,
-    load_baseline,
-    rebase_baseline,
-    save_baseline,
-)
+from monitor.damage import Baseline, load_baseline, rebase_baseline, save_baseline
 from monitor.damage.baseline import learn_baseline
 from tests.damage.test_damage_index import drawing, exact_modes, truth
 
@@ -98,18 +88,3 @@ def test_masses_drawn_alike_too_light_scale_the_stiffness_and_nothing_else() -> 
     np.testing.assert_allclose(new.model.modes().frequencies_hz, old.model.modes().frequencies_hz, rtol=0.01)
     ratio = new.model.structure.stiffness_n_per_m / old.model.structure.stiffness_n_per_m
     np.testing.assert_allclose(ratio, 1.05 / 0.95, rtol=0.02)
-
-
-def window(k: int, rms: float) -> WindowFacts:
-    return WindowFacts((k + 1) * 10**10, 20.0, None, detectable=(0.03,), misfit=1.0, rms_m_s2=rms)
-
-
-@pytest.mark.parametrize(("rms", "asks"), [(4.0, False), (9.8, True), (0.3, False), (0.102, True)])
-def test_a_level_of_another_unit_is_asked_about_and_a_calm_day_is_not(rms: float, asks: bool) -> None:
-    """g and m/s^2 differ by 9.81.  A site asks while it lasts; a whole recording, if it ever was so."""
-    known = Known(("story 1",), True, 0.1, 5.0, level_range_m_s2=(1.0, 1.0))
-    course = follow(Course(), window(0, rms), 5.0)
-    assert ("is the unit right" in assess(course, known).headline) == asks
-    after = follow(course, window(1, 1.0), 5.0)
-    assert assess(after, known).state == "normal"
-    assert ("is the unit right" in assess(after, known, whole=True).headline) == asks
