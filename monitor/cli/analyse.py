@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -50,23 +50,44 @@ def replay(
 
 
 def calibrate(
-    recordings: Recordings,
     structure: Structure,
     out: Annotated[Path, typer.Option(metavar="B.json", help="Baseline file to write.")],
+    recordings: Annotated[
+        list[Path] | None, typer.Argument(metavar="REC.mcap...", help="Healthy recordings, in any order.")
+    ] = None,
+    rebase: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="OLD.json", help="Baseline of this structure whose drawing was changed; needs no recordings."
+        ),
+    ] = None,
     as_json: Json = False,
 ) -> None:
-    """Estimate the healthy baseline.  It holds the updated stiffness with its covariance, the modes and the remaining misfit."""
+    """Estimate the healthy baseline.  It holds the updated stiffness with its covariance, the modes and the remaining misfit.
+
+    With --rebase the healthy modes are those of another baseline of the same structure, and the changed drawing is updated to
+    them.
+    """
     from monitor.config import configuration
     from monitor.damage import save_baseline
     from monitor.runs import calibrate as run
 
-    spare_inputs([out], [*recordings, structure])
+    recordings = recordings or []
+    if bool(recordings) == (rebase is not None):
+        raise typer.BadParameter("name either healthy recordings, or a baseline with --rebase")
+    spare_inputs([out], [*recordings, structure, rebase])
     settings = configuration.load(structure)
     demand_place(out)
-    baseline, fit = run.calibrate(recordings, settings, on_warning=warn, on_progress=progress("calibrate"))
+    if rebase is not None:
+        baseline, says = run.rebase(rebase, settings)
+        lines = [f"{rebase} with the drawing of {structure}:", *says]
+        content: dict[str, Any] = {"rebased": str(rebase), "says": list(says)}
+    else:
+        baseline, fit = run.calibrate(recordings, settings, on_warning=warn, on_progress=progress("calibrate"))
+        lines = [f"{baseline.windows} windows; the updating {'converged' if fit.converged else 'did NOT converge'}"]
+        content = {"converged": bool(fit.converged)}
     save_baseline(baseline, out)
     nominal_hz = settings.model().modes().frequencies_hz
-    lines = [f"{baseline.windows} windows; the updating {'converged' if fit.converged else 'did NOT converge'}"]
     for i, (f, std) in enumerate(zip(baseline.frequencies_hz, baseline.frequencies_std_hz, strict=True), start=1):
         lines.append(
             f"mode {i}: {f:.4f} ± {2 * std:.4f} Hz; structure file {nominal_hz[baseline.model_mode[i - 1]]:.4f} Hz"
@@ -84,10 +105,9 @@ def calibrate(
             "no dependence on the temperature learned: too narrow a range, too short a record, or nothing showed"
         )
     lines.append(f"baseline in {out}")
-    content = {
+    content |= {
         "baseline": str(out),
         "windows": baseline.windows,
-        "converged": bool(fit.converged),
         "frequencies_hz": baseline.frequencies_hz.tolist(),
         "frequencies_std_hz": baseline.frequencies_std_hz.tolist(),
         "stiffness_n_per_m": baseline.model.structure.stiffness_n_per_m.tolist(),

@@ -27,10 +27,18 @@ def check(
             as_json,
         )
         return
+    from monitor.damage import load_baseline
     from monitor.identification import stabilization
     from monitor.service import outlets
 
     settings = configuration.load(file)
+    if settings.site.baseline is not None:
+        baseline = file.parent / settings.site.baseline
+        if baseline.exists():
+            for doubt in load_baseline(baseline, settings.instrumented(), settings.updating).doubts:
+                warn(doubt)
+        else:
+            warn(f"{baseline}: there is no such baseline yet; make it with 'calibrate'")
     outlets.make_outlets(file, settings, dry=True)
     for warning in security_check.warnings(file, settings):
         warn(warning)

@@ -37,6 +37,8 @@ def diagnose(
     healthy = None if baseline is None else load_baseline(baseline, settings.instrumented(), settings.updating)
     for path in (content, report, updated, extended, view):
         demand_place(path)
+    for doubt in () if healthy is None else healthy.doubts:
+        warn(doubt)
     found = job.diagnose(recordings, settings, healthy, warn, progress("diagnose"))
     text = structure.read_text(encoding="utf-8")
     write_atomically(content, json.dumps(found.content, indent=1, allow_nan=False) + "\n")

@@ -198,7 +198,17 @@ class Configuration(Settings):
     def instrumented(self) -> InstrumentedModel:
         """Build the nominal model with its sensors and the prior standard deviations of its parameters."""
         floors = tuple(s.floor for s in self.sensors)
-        return InstrumentedModel(self.model(), self.channels, floors, self.structure.prior_std())
+        drawn, samples = self.structure, self.processing
+        return InstrumentedModel(
+            self.model(),
+            self.channels,
+            floors,
+            drawn.prior_std(),
+            name=drawn.name,
+            kind=drawn.kind,
+            rate_hz=samples.rate_hz,
+            cutoff_hz=samples.cutoff_hz,
+        )
 
 
 def read_toml(path: Path) -> dict[str, Any]:

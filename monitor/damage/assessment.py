@@ -21,9 +21,9 @@ from monitor.core import WHOLE, AlarmCondition, DamageReading, Level, Skipped, W
 from monitor.damage.detectable_loss import WITHIN_S
 from monitor.model import FORMS
 
-_UNIT_FACTOR = 10.0
-"""Motion so many times stronger, or weaker, than at calibration asks whether the unit is right. [ratio; definition: g and m/s^2
-differ by 9.8, m/s^2 and gal by 100]"""
+_UNIT_FACTOR = 4.9
+"""Motion so many times stronger, or weaker, than at calibration asks whether the unit is right. [ratio; definition: half of 9.81,
+by which g and m/s^2, the closest units in use, differ: the motion itself may be half as strong as at calibration]"""
 
 
 class State(StrEnum):
@@ -345,7 +345,7 @@ def _doubts(course: Course, known: Known, findings: Sequence[Mapping[str, Any]],
                 f"a change of stiffness does not explain the modes (goodness of fit {misfit:.3g} where 1 is expected); "
                 "a sensor, a cable or another cause may"
             )
-        says += _levels(course, known)
+        says += _levels(course, known, whole)
     says += known.baseline_doubts
     return [(State.DOUBTFUL, _sentence(sentence)) for sentence in says]
 
@@ -373,11 +373,16 @@ def _proposal(finding: Mapping[str, Any]) -> str:
     )
 
 
-def _levels(course: Course, known: Known) -> list[str]:
-    """Ask whether the unit is right where the motion is far stronger, or weaker, than at calibration."""
-    if course.rms_range is None or known.level_range_m_s2 is None:
+def _levels(course: Course, known: Known, whole: bool) -> list[str]:
+    """Ask whether the unit is right where the motion is far stronger, or weaker, than at calibration.
+
+    That is the motion of the latest window or, in a whole recording, of any.
+    """
+    latest = None if course.last is None else course.last.rms_m_s2
+    seen = course.rms_range if whole or latest is None else (latest, latest)
+    if seen is None or known.level_range_m_s2 is None:
         return []
-    (least, most), (low, high) = course.rms_range, known.level_range_m_s2
+    (least, most), (low, high) = seen, known.level_range_m_s2
     if most > _UNIT_FACTOR * high > 0.0:
         return [
             f"the motion is {most / high:.3g} times stronger than at calibration: is the unit right, or is it a storm?"

@@ -13,7 +13,16 @@ from drivers.base import SampleBlock
 from drivers.mcap_file import recording_info
 from monitor.config import Configuration
 from monitor.core import BadInputError, WindowResult, sha256
-from monitor.damage import Baseline, Observation, Update, learn_baseline, second_solutions
+from monitor.damage import (
+    Baseline,
+    Observation,
+    Origin,
+    Update,
+    learn_baseline,
+    load_baseline,
+    rebase_baseline,
+    second_solutions,
+)
 from monitor.diagnosis import contradicted
 from monitor.inference import Segments, gather
 from monitor.pipeline import Pipeline
@@ -94,6 +103,57 @@ def calibrate(
     if reference.error is not None:
         on_warning(contradicted(reference.error))
     return replace(baseline, reference=reference), fit
+
+
+def rebase(path: Path, config: Configuration) -> tuple[Baseline, tuple[str, ...]]:
+    """Update a changed drawing to the healthy modes of a baseline's file, without recordings.
+
+    Parameters
+    ----------
+    path : Path
+        Baseline of the same structure, made with another drawing of it.
+
+    Returns
+    -------
+    Baseline
+        With the changed drawing's updated model.
+    tuple of str
+        What changed and what is left out.
+
+    Raises
+    ------
+    MissingInputError, BadInputError, BadConfigurationError
+        If the file is no baseline, or one of other sensors, samples or numbers of masses and stiffnesses.
+    """
+    instrumented = config.instrumented()
+    old, here = load_baseline(path, instrumented, config.updating, redrawn=True), Origin.of(instrumented)
+    if old.origin is None:
+        says = [f"{path.name} does not note whose it is: it is taken for this structure's on your word"]
+    else:
+        says = old.origin.drawing_differences(here)
+        if old.origin.is_named_otherwise(here):
+            says.insert(
+                0,
+                f"it was of {old.origin.name!r} and is of {here.name!r} now: right only if that is the same structure",
+            )
+        if old.origin.fingerprint == here.fingerprint:
+            says.append("masses, stiffnesses and matrices are drawn as before: all else is kept")
+            return replace(old, origin=here, doubts=()), tuple(says)
+    new, fit = rebase_baseline(old, instrumented, config.updating)
+    says.append(f"the updating to the healthy modes {'converged' if fit.converged else 'did NOT converge'}")
+    says.append(
+        f"the model's form leaves an error of {100 * new.model_form:.2g} % of a loss, {100 * old.model_form:.2g} % before"
+    )
+    if old.temperature is not None:
+        says.append(
+            "the dependence on the temperature is kept: a change that all stories have alike does not depend on the drawing"
+        )
+    if old.reference is not None:
+        says.append(
+            "left out: what diagnoses start from, which was fitted to spectra with the old drawing; 'diagnose' needs a baseline "
+            "calibrated anew from recordings"
+        )
+    return new, tuple(says)
 
 
 def _learned_share(paths: list[Path], config: Configuration) -> float:

@@ -70,7 +70,7 @@ class Daemon(Publisher):
     BadInputError
         The baseline file is unusable.
     BadConfigurationError
-        The site file is invalid, or another daemon writes into the output folder.
+        The site file is invalid, the baseline is another structure's, or another daemon writes into the output folder.
     """
 
     def __init__(
