@@ -158,6 +158,9 @@ def status_markdown(scene: Scene, result: WindowResult) -> str:
             base = scene.baseline_frequencies_hz
             was = f"{base[k]:.3f}" if base is not None and k < len(base) else "-"
             lines.append(f"| {k + 1} | {plus_minus(f, fs, digits=3)} | {was} | {plus_minus(d, ds, 100, 2)} |")
+        for other in modes.others:
+            f, fs, d = other.frequency_hz, other.frequency_std_hz, other.damping_ratio
+            lines.append(f"| not of the model | {plus_minus(f, fs, digits=3)} | - | {100 * d:.2f} |")
     lines += ["", f"{scene.name}, window of {result.window_s:g} s to {end:%Y-%m-%d %H:%M:%S} UTC"]
     return "\n".join(lines)
 
