@@ -161,16 +161,16 @@ def identify(
         for row in _common_order(poles, [cluster], enough) or []
         if poles.frequency[row] < cutoff * window.rate_hz
     ]
+    others = _other_modes(window, realisation, poles, beside, select, with_std=ssi.uncertainty)
     missing = tuple(
-        (i, _why_missing(i, f, shape, poles, beside, select))
+        (i, _why_missing(i, f, shape, others, select))
         for i, f, shape, m in zip(wanted, frequencies.tolist(), shapes, modes, strict=True)
         if m is None
     )
-    if not clusters and not beside:
+    if not clusters and not others:
         return Skipped("; ".join(why for _, why in missing))
     found = tuple(i for i, m in zip(wanted, modes, strict=True) if m is not None)
     estimate = _estimate(window, realisation, poles, stable, chosen, found, refiner, ssi, select)
-    others = _other_modes(window, realisation, poles, beside, with_std=ssi.uncertainty)
     return replace(estimate, others=others, missing=missing)
 
 
@@ -251,32 +251,45 @@ def _distinct(
 
 
 def _why_missing(
-    mode: int, frequency_hz: float, shape: Array, poles: PoleTable, beside: list[int], select: SelectionSettings
+    mode: int, frequency_hz: float, shape: Array, others: tuple[OtherMode, ...], select: SelectionSettings
 ) -> str:
-    """State why a mode of the model, of shape (c,), has no counterpart; `beside` are the poles of the other modes."""
+    """State why a mode of the model, of shape (c,), has no counterpart beside `others`."""
     says = f"mode {mode + 1} ({frequency_hz:.3g} Hz by the model): "
-    distance = {row: abs(log(poles.frequency[row] / frequency_hz)) for row in beside}
-    nearest = min(distance, key=lambda row: distance[row], default=None)
-    if nearest is None or distance[nearest] > log(select.max_frequency_ratio):
+    nearest = min(others, key=lambda other: abs(log(other.frequency_hz / frequency_hz)), default=None)
+    if nearest is None or abs(log(nearest.frequency_hz / frequency_hz)) > log(select.max_frequency_ratio):
         return says + "no stable pole near it"
-    mac = abs(poles.shape[nearest] @ shape) ** 2 / max(float(shape @ shape), 1e-300)
-    there = f"{poles.frequency[nearest]:.3g} Hz, MAC {mac:.2f}"
+    power = float(shape @ shape) * float(np.linalg.norm(nearest.shape)) ** 2
+    there = f"{nearest.frequency_hz:.3g} Hz, MAC {abs(nearest.shape @ shape) ** 2 / max(power, 1e-300):.2f}"
     return says + f"no stable pole of its shape, but a mode of another one ({there}): another direction, or torsion?"
 
 
 def _other_modes(
-    window: Window, realisation: Realisation, poles: PoleTable, rows: list[int], *, with_std: bool
+    window: Window,
+    realisation: Realisation,
+    poles: PoleTable,
+    rows: list[int],
+    select: SelectionSettings,
+    *,
+    with_std: bool,
 ) -> tuple[OtherMode, ...]:
-    """Form the estimates of the modes, given by one pole each, that have no counterpart in the model."""
-    std = dict.fromkeys(rows, float("nan"))
-    if with_std:
-        for space in sorted(set(poles.space[rows].tolist())):
-            alike = [row for row in rows if poles.space[row] == space]
-            relative = np.sqrt((_deviations(window, realisation, poles, alike)[:, :, 0] ** 2).sum(axis=0))
-            std |= dict(zip(alike, (poles.frequency[alike] * relative).tolist(), strict=True))
+    """Form the estimates of the modes, given by one pole each, that have no counterpart in the model.
+
+    A pole that is less certain than stable poles may differ is left out: forces that change split modes into such poles.
+    """
+    relative = dict.fromkeys(rows, float("nan"))
+    for space in sorted(set(poles.space[rows].tolist())) if with_std else ():
+        alike = [row for row in rows if poles.space[row] == space]
+        squares = (_deviations(window, realisation, poles, alike)[:, :, 0] ** 2).sum(axis=0)
+        relative |= dict(zip(alike, np.sqrt(squares).tolist(), strict=True))
     return tuple(
-        OtherMode(float(poles.frequency[row]), std[row], float(poles.damping[row]), _normalize(poles.shape[[row]])[0])
+        OtherMode(
+            frequency_hz=float(poles.frequency[row]),
+            frequency_std_hz=float(poles.frequency[row]) * relative[row],
+            damping_ratio=float(poles.damping[row]),
+            shape=_normalize(poles.shape[[row]])[0],
+        )
         for row in rows
+        if not relative[row] > select.stable_frequency
     )
 
 
