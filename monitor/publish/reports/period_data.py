@@ -74,6 +74,8 @@ class Curve:
         self._total, self._count = [0.0] * grid.n, [0] * grid.n
         self.values = 0
         self.latest = 0.0
+        self.mode: int | None = None
+        """Number of the model's mode whose frequency it is, 1 = lowest; None for any other quantity or mode."""
 
     def add(self, at: int, value: float, half: float = 0.0) -> None:
         """Add a value with its half-interval to bin `at`."""
@@ -134,8 +136,11 @@ class PeriodResults:
         self.course = follow(self.course, facts_of_line(line), self.misfit_limit)
         tracks = line.get("mode_tracks") or []
         frequencies, stds = line["frequencies_hz"] or [], line["frequencies_std_hz"] or []
-        for i, (f, std) in enumerate(zip(frequencies, stds, strict=True)):
-            self._mode(tracks[i] if i < len(tracks) else -1, f).add(at, f, 2.0 * (std or 0.0))
+        numbers = line.get("model_modes") or range(1, len(frequencies) + 1)
+        for i, (mode, f, std) in enumerate(zip(numbers, frequencies, stds, strict=True)):
+            curve = self._mode(tracks[i] if i < len(tracks) else -1, f)
+            curve.add(at, f, 2.0 * (std or 0.0))
+            curve.mode = mode
         for other in line.get("other_modes") or []:
             f, std = other["frequency_hz"], other["frequency_std_hz"]
             self._mode(other["track"], f, _SAME_OTHER_MODE).add(at, f, 2.0 * (std or 0.0))
