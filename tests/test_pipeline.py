@@ -17,7 +17,7 @@ from drivers.mcap_file import McapWriter, read_recordings
 from monitor.config import configuration
 from monitor.config.configuration import Configuration
 from monitor.core.errors import BadInputError, UserError
-from monitor.core.results import Gap, ModalEstimate, Samples, WindowResult
+from monitor.core.results import Alarm, Gap, Level, ModalEstimate, Samples, WindowResult
 from monitor.damage import learn_baseline
 from monitor.identification import SelectionSettings
 from monitor.model.model import Model
@@ -26,6 +26,7 @@ from monitor.model.structures import MatrixStructure, ShearFrame
 from monitor.pipeline import Pipeline, Result
 from monitor.publish.results.lines import to_json, window_line
 from monitor.publish.results.summary import Summary
+from monitor.runs.calibrate import with_common_modes
 from monitor.runs.synthetic_recording import cut_into_blocks
 from tests.conftest import T0_NS, Cut
 from tests.damage.test_updating import HEALTHY, two_directions
@@ -440,6 +441,21 @@ def test_a_mode_of_another_shape_is_not_taken_for_the_nearest_of_the_model() -> 
         temperature=site.temperature,
     )[0]
     assert healthy.model_mode == (0, 1, 3, 4)
+
+
+def test_a_baseline_keeps_what_half_of_its_windows_show_of_the_lowest_modes_and_nine_in_ten_of_the_others() -> None:
+    def window(*model_modes: int) -> WindowResult:
+        shapes = np.ones((len(model_modes), 1), dtype=complex)
+        blocks = np.ones((2, len(model_modes), 4))
+        f, numbers = 1.0 + np.array(model_modes), np.array(model_modes)
+        modes = ModalEstimate(f, 0.01 * f, shapes, numbers, blocks, 0, 4, np.zeros((0, 4)))
+        return WindowResult(0, 0, 60.0, modes, None, None, Alarm(Level.NORMAL, (), ""), None)
+
+    healthy = [window(0, 1, 3), window(0, 1, 3), window(0, 3), window(0, 1, 2)]
+    kept = with_common_modes(healthy, required=2)
+    assert [w.modes.model_mode.tolist() for w in kept if w.modes is not None] == [[0, 1]] * 3
+    seldom = with_common_modes([window(0, 1), window(0), window(0)], required=2)
+    assert [w.modes.model_mode.tolist() for w in seldom if w.modes is not None] == [[0]] * 3
 
 
 def test_where_updating_fails_the_mode_that_the_model_cannot_follow_is_set_aside() -> None:
