@@ -6,6 +6,8 @@ from dataclasses import dataclass, replace
 from functools import partial
 from math import ceil, floor, inf
 
+import numpy as np
+
 from drivers.base import ACCELERATION, TEMPERATURE, SampleBlock
 from monitor.config import Configuration
 from monitor.core import (
@@ -40,6 +42,8 @@ from monitor.signals import windows as window
 
 _SET_BACK_S = 0.25
 """Step back of the clock from which the windows' times follow the clock, s."""
+_LEAST_SHARE = 0.5
+"""Share of the lowest required modes that must be found for the model to be updated without a baseline. [ratio; judgement]"""
 _CHECK = "check floors, signs and units of the channels, and what 'check' says of the lags"
 """What to do where not even the lowest mode is found. [words]"""
 
@@ -265,9 +269,9 @@ class Pipeline:
         DamageReading
         """
         c, baseline = self.config, self.baseline
-        required = () if baseline is None else baseline.model_mode[: c.selection.required_modes]
-        missing = {mode: why for mode, why in modes.missing if mode in required or not modes.model_mode.size}
+        missing = self._missing(modes)
         if missing:
+            required = () if baseline is None else baseline.model_mode
             fewer = min(required.index(mode) for mode in missing) if required else 0
             mend = f"set [selection] required_modes = {fewer}, or calibrate anew" if fewer else _CHECK
             return Skipped(f"{'; '.join(missing.values())}; {mend}")
@@ -287,7 +291,8 @@ class Pipeline:
         while not stiffness.converged:
             # Of the modes without each of which the updating converges, that is set aside whose absence leaves the least misfit.
             less = [modes.set_aside(k, self._unfitting(k, modes)) for k in modes.model_mode.tolist()]
-            fits = [step(modes) for modes in less] if healthy is None and len(less) > 1 else []
+            less = [] if baseline is not None else [fewer for fewer in less if not self._missing(fewer)]
+            fits = [step(fewer) for fewer in less]
             left = [float(fit.mode_misfit.sum()) if fit.converged else inf for fit, _ in fits]
             if min(left, default=inf) == inf:
                 worst = int(modes.model_mode[stiffness.mode_misfit.argmax()])
@@ -296,6 +301,18 @@ class Pipeline:
             best = left.index(min(left))
             modes, (stiffness, reading) = less[best], fits[best]
         return modes, stiffness, reading
+
+    def _missing(self, modes: ModalEstimate) -> dict[int, str]:
+        """Return the missing modes (0 = lowest) without which a window is not judged, and why they are missing.
+
+        With a baseline these are its lowest `required_modes`; without one, half of the model's lowest are enough.
+        """
+        n = self.config.selection.required_modes
+        if self.baseline is not None:
+            return {mode: why for mode, why in modes.missing if mode in self.baseline.model_mode[:n]}
+        missing = {mode: why for mode, why in modes.missing if mode < n}
+        found = int(np.count_nonzero(modes.model_mode < n))
+        return missing if found < _LEAST_SHARE * (found + len(missing)) or not modes.model_mode.size else {}
 
     def _unfitting(self, mode: int, modes: ModalEstimate) -> str:
         """State that the model cannot follow the counterpart of its `mode` (0 = lowest)."""
