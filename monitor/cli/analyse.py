@@ -88,10 +88,8 @@ def calibrate(
         content = {"converged": bool(fit.converged)}
     save_baseline(baseline, out)
     nominal_hz = settings.model().modes().frequencies_hz
-    for i, (f, std) in enumerate(zip(baseline.frequencies_hz, baseline.frequencies_std_hz, strict=True), start=1):
-        lines.append(
-            f"mode {i}: {f:.4f} ± {2 * std:.4f} Hz; structure file {nominal_hz[baseline.model_mode[i - 1]]:.4f} Hz"
-        )
+    for k, f, std in zip(baseline.model_mode, baseline.frequencies_hz, baseline.frequencies_std_hz, strict=True):
+        lines.append(f"mode {k + 1}: {f:.4f} ± {2 * std:.4f} Hz; structure file {nominal_hz[k]:.4f} Hz")
     for j, k in enumerate(baseline.model.structure.stiffness_n_per_m, start=1):
         lines.append(f"story {j}: {k:.1f} N/m; structure file {settings.structure.stiffness_n_per_m[j - 1]:.1f} N/m")
     if (law := baseline.temperature) is not None:

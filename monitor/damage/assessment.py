@@ -188,7 +188,7 @@ def follow(course: Course, window: WindowFacts, misfit: float) -> Course:
         low, high = course.rms_range or (window.rms_m_s2, window.rms_m_s2)
         course = replace(course, rms_range=(min(low, window.rms_m_s2), max(high, window.rms_m_s2)))
     if window.skipped is not None:
-        reason = re.sub(r" \(.*", "", window.skipped)  # numbers in brackets differ between windows
+        reason = _without_numbers(window.skipped)
         reasons = {**course.skip_reasons, reason: course.skip_reasons.get(reason, 0) + 1}
         return replace(course, skipped=course.skipped + 1, skip_reasons=reasons)
     explained = window.misfit is None or window.misfit <= misfit
@@ -203,6 +203,11 @@ def follow(course: Course, window: WindowFacts, misfit: float) -> Course:
         misfit_since_ns=since_ns,
         unexplained=unexplained,
     )
+
+
+def _without_numbers(reason: str) -> str:
+    """Remove from a reason what stands in brackets: the numbers there differ between windows."""
+    return re.sub(r" \([^()]*\)", "", reason)
 
 
 def _followed(losses: Sequence[Loss], window: WindowFacts) -> tuple[Loss, ...]:
@@ -401,6 +406,9 @@ def _unjudged(course: Course, known: Known) -> list[Fact]:
         says.append("no window of data yet")
     elif course.judged is None or not any(judged for _, judged in course.recent):
         reason = max(course.skip_reasons, key=lambda r: course.skip_reasons[r], default="")
+        latest = course.last.skipped if course.last is not None else None
+        if latest is not None and _without_numbers(latest) == reason:
+            reason = latest
         since = "" if course.judged is None else " for an hour"
         says.append(f"no window could be judged{since}: {Skipped(reason).mend}")
     if not known.has_baseline:

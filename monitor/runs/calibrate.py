@@ -31,6 +31,8 @@ from monitor.runs.recordings import OnProgress, OnWarning, Progress, file_names,
 
 _COMMON_MODE_SHARE = 0.9
 """Share of the windows in which a mode must be identified to belong to the baseline."""
+_REQUIRED_MODE_SHARE = 0.5
+"""The same for the modes of `[selection] required_modes`: windows without them are left out. [ratio; judgement]"""
 _MAX_LEARNED_S = 40_000.0
 """Greatest length of the healthy data from which the reference of diagnoses is learned, s: 4000 segments of 20 s."""
 _SHORT_RECORDINGS_BYTES = 40_000_000
@@ -78,7 +80,9 @@ def calibrate(
         raise BadInputError(f"{file_names(paths)}: no window could be identified, the last because: {reasons[-1]}")
     if reasons:
         on_warning(f"{len(reasons)} of {len(good) + len(reasons)} windows were left out, the last: {reasons[-1]}")
-    good = _with_common_modes(good)
+    kept = with_common_modes(good, config.selection.required_modes)
+    _warn_of_missing_modes(good, kept, on_warning)
+    good = kept
     recordings = tuple({"file": p.name, "sha256": sha256(p)} for p in paths)
     windows = [r.modes for r in good if r.modes is not None]
     rms = np.array([r.rms_m_s2 for r in good])
@@ -190,12 +194,36 @@ def _gather_hourly(blocks: Iterator[SampleBlock], config: Configuration, share: 
         return None
 
 
-def _with_common_modes(windows: list[WindowResult]) -> list[WindowResult]:
-    """Select the modes identified in at least `_COMMON_MODE_SHARE` of the windows, and the windows with all these modes."""
-    seen = Counter(int(k) for w in windows if w.modes is not None for k in w.modes.model_mode)
-    common = frozenset(k for k, count in seen.items() if count >= _COMMON_MODE_SHARE * len(windows))
+def with_common_modes(windows: list[WindowResult], required: int) -> list[WindowResult]:
+    """Select the modes that the windows have in common, and the windows with all these modes.
+
+    The model's `required` lowest modes belong to them if `_REQUIRED_MODE_SHARE` of the windows have them, a higher one if
+    `_COMMON_MODE_SHARE` of the windows with these have it.
+    """
+    lowest = _modes_in(windows, _REQUIRED_MODE_SHARE, range(required))
+    windows = [w for w in windows if w.modes is not None and lowest <= set(w.modes.model_mode.tolist())]
+    common = lowest | _modes_in(windows, _COMMON_MODE_SHARE)
     kept = [replace(w, modes=w.modes.only(common)) for w in windows if w.modes is not None]
     return [w for w in kept if w.modes is not None and w.modes.model_mode.size == len(common)]
+
+
+def _modes_in(windows: list[WindowResult], share: float, among: range | None = None) -> frozenset[int]:
+    """List the model's modes (0 = lowest) that at least a share of the windows has."""
+    seen = Counter(int(k) for w in windows if w.modes is not None for k in w.modes.model_mode)
+    return frozenset(k for k, n in seen.items() if n >= share * len(windows) and (among is None or k in among))
+
+
+def _warn_of_missing_modes(windows: list[WindowResult], kept: list[WindowResult], on_warning: OnWarning) -> None:
+    """Warn of modes of the model that the baseline lacks, and of windows left out for lack of its modes."""
+    why = {mode: text for w in windows if w.modes is not None for mode, text in w.modes.missing}
+    has = {int(mode) for w in kept[:1] if w.modes is not None for mode in w.modes.model_mode}
+    for mode, text in sorted(why.items()):
+        if mode not in has:
+            on_warning(f"{text}; the baseline goes without this mode")
+    if len(kept) < len(windows):
+        on_warning(
+            f"{len(windows) - len(kept)} of {len(windows)} windows were left out: they lack a mode of the others"
+        )
 
 
 def _warn_of_ambiguities(baseline: Baseline, config: Configuration, last: WindowResult, on_warning: OnWarning) -> None:

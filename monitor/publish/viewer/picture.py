@@ -191,7 +191,7 @@ class ResultDrawing:
             self._bounded(f"/modes/damping/{k + 1}", d, ds, 100.0)
         self._stiffness(result.stiffness)
         self._damage(result.damage)
-        self._shapes.draw(result.modes)
+        self._shapes.draw(result.modes if modes else None)
         self._trust.misfit(None if result.stiffness is None else result.stiffness.misfit)
         self._spectra.window(result)
         if result.modes is not None:
@@ -271,9 +271,11 @@ class ResultDrawing:
         self._rows.add("/stabilisation", rr.Transform3D, scale=[(width / f_max, -height / n_max, 1.0)])
         self._rows.add("/stabilisation", rr.Points2D, positions=poles[:, [1, 0]], colors=colours,
                        radii=ui_radius(2.5), draw_order=[2.0])  # fmt: skip
-        chosen = Strips(np.array([(f, 0.0), (f, n_max)]) for f in modes.frequencies_hz.tolist())
+        selected = [*modes.frequencies_hz.tolist(), *(mode.frequency_hz for mode in modes.others)]
+        chosen = Strips(np.array([(f, 0.0), (f, n_max)]) for f in selected)
+        of_model = [SERIES[k % len(SERIES)] for k in modes.model_mode.tolist()]
         self._rows.add("/stabilisation/modes", rr.LineStrips2D, strips=chosen,
-                       colors=[SERIES[k % len(SERIES)] for k in modes.model_mode.tolist()],
+                       colors=[*of_model, *[GREY] * len(modes.others)],
                        radii=ui_radius(0.8), draw_order=[1.0])  # fmt: skip
 
     def _stabilisation_axes(self, f_max: float, n_max: float) -> None:

@@ -40,7 +40,7 @@ class Scene:
     story_heights_m: Array
     """Shape (n,); story 1 = top.  Only their proportions are drawn."""
     baseline_frequencies_hz: Array | None
-    """Shape (m,); mode 0 = lowest."""
+    """Shape (m,); mode 0 = the model's lowest, NaN where the baseline lacks a mode."""
     has_baseline: bool
     alarm_loss: float
     """Relative stiffness loss that counts as an alarm."""
@@ -103,13 +103,20 @@ def make_scene(
         channels=tuple(sensor_floor),
         sensor_floor=tuple(sensor_floor.values()),
         story_heights_m=np.ones(n) if heights is None else np.array(heights),
-        baseline_frequencies_hz=None if baseline is None else baseline.frequencies_hz,
+        baseline_frequencies_hz=None if baseline is None else _by_model_mode(baseline),
         has_baseline=baseline is not None,
         alarm_loss=alarm_loss,
         model=model if baseline is None else baseline.model,
         cutoff_hz=cutoff_hz,
         misfit_threshold=misfit_threshold,
     )
+
+
+def _by_model_mode(baseline: Baseline) -> Array:
+    """Order the baseline's frequencies by number of the model's mode."""
+    out = np.full(max(baseline.model_mode, default=-1) + 1, np.nan)
+    out[list(baseline.model_mode)] = baseline.frequencies_hz
+    return out
 
 
 def loss_colour(loss: float | None, alarm_loss: float) -> Colour:
@@ -156,8 +163,11 @@ def status_markdown(scene: Scene, result: WindowResult) -> str:
         lines += ["| mode | frequency, Hz (± 2σ) | baseline, Hz | damping, % (± 2σ) |", "|---|---|---|---|"]
         for k, f, fs, d, ds in mode_rows(modes):
             base = scene.baseline_frequencies_hz
-            was = f"{base[k]:.3f}" if base is not None and k < len(base) else "-"
+            was = f"{base[k]:.3f}" if base is not None and k < len(base) and base[k] > 0 else "-"
             lines.append(f"| {k + 1} | {plus_minus(f, fs, digits=3)} | {was} | {plus_minus(d, ds, 100, 2)} |")
+        for other in modes.others:
+            f, fs, d = other.frequency_hz, other.frequency_std_hz, other.damping_ratio
+            lines.append(f"| not of the model | {plus_minus(f, fs, digits=3)} | - | {100 * d:.2f} |")
     lines += ["", f"{scene.name}, window of {result.window_s:g} s to {end:%Y-%m-%d %H:%M:%S} UTC"]
     return "\n".join(lines)
 
