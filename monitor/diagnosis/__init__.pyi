@@ -2,7 +2,7 @@ from . import healthy_prior, trigger
 from .cross_validation import HeldOutGain, heldout_gain, require_gain
 from .damage_index_effect import ddi_effect
 from .drawing_refit import refit
-from .files import content, effects_text, model_from_plain, model_to_plain, structure_text
+from .files import content, effects_text, model_from_plain, model_to_plain, standing_causes, structure_text
 from .fold_refit import fitted_model
 from .initial_fit import FAR
 from .lack_of_fit import residual_bands
@@ -42,6 +42,7 @@ __all__ = [
     "residual_bands",
     "score",
     "separating_measurement",
+    "standing_causes",
     "structure_text",
     "trigger",
 ]

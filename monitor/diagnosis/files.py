@@ -60,7 +60,7 @@ def content(
         "separating_measurement": separating_measurement(alternatives),
         "misfit": [{"where": m.where, "size": _finite(m.size), "says": m.says} for m in diagnosis.misfit],
         "gain": _gain(gain),
-        "standing": [c for c in _standing(prior) if (c["effect"], c["location"]) not in stated],
+        "standing": [c for c in standing_causes(prior) if (c["effect"], c["location"]) not in stated],
         "standing_misfit": _standing_misfit(prior),
         "tried": [
             {"effect": c.effect.name, "location": c.effect.location, "log_evidence_over_none": _finite(c.log_evidence)}
@@ -97,7 +97,7 @@ def _alternative(candidate: Candidate, probability: float, prior: StructuralPrio
     }
 
 
-def _standing(prior: StructuralPrior) -> list[dict[str, Any]]:
+def standing_causes(prior: StructuralPrior) -> list[dict[str, Any]]:
     """Describe the effects that calibration found, with the standard deviations of their parameters from the healthy data."""
     # Scaled by their own units: the precision of a law's size in N/m^3 is of the order of 1e-24, which would pass for zero.
     unit = np.maximum(np.diag(prior.precision), 1e-300) ** -0.5

@@ -86,7 +86,7 @@ class SpectraDrawing:
         width, height = STABILISATION
         scale = (width / self._scene.cutoff_hz, -height / lanes, 1.0)
         colours = [SERIES[c % len(SERIES)] for c in range(lanes)]
-        top = np.log10(power.max(axis=0) * 3.0)
+        top = np.log10(np.maximum(power.max(axis=0) * 3.0, 1e-300))
         lines = Strips(
             _scale_to_lane(hz, p, t, lanes - 1 - c) for c, (p, t) in enumerate(zip(power.T, top, strict=True))
         )
