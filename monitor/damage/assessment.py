@@ -24,6 +24,8 @@ from monitor.model import FORMS
 _UNIT_FACTOR = 8.0
 """Motion so many times stronger, or weaker, than at calibration asks whether the unit is right. [ratio; definition: g and m/s^2
 differ by 9.8, m/s^2 and gal by 100]"""
+_MOST_UNSEEN = 0.3
+"""Loss of a story that green leaves unseen at most, however high a site sets its alarm. [ratio; judgement]"""
 _RISE_STDS = 4.0
 """Least rise of a story's stiffness that asks whether the baseline is a healthy one. [standard deviations; judgement: what
 several stories and windows do not give by chance]"""
@@ -349,7 +351,7 @@ def _risen(course: Course, known: Known) -> list[str]:
         f"{_name(j, known)} is {-100 * change:.1f} ± {200 * std:.1f} % stiffer than at calibration: was it damaged then, or is "
         "a sensor, a mass or the temperature another?"
         for j, (change, std) in enumerate(changes, start=1)
-        if -change >= max(known.alarm_loss, _RISE_STDS * std)
+        if -change >= max(min(known.alarm_loss, _MOST_UNSEEN), _RISE_STDS * std)
     ]
 
 
@@ -402,7 +404,8 @@ def _unseen(window: WindowFacts, known: Known) -> list[int]:
     return [
         j
         for j, loss in enumerate(detectable, start=1)
-        if j not in known.unwatched and (loss is None or loss >= known.alarm_loss or j in window.shelved)
+        if j not in known.unwatched
+        and (loss is None or loss >= min(known.alarm_loss, _MOST_UNSEEN) or j in window.shelved)
     ]
 
 

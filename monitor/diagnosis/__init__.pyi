@@ -12,7 +12,7 @@ from .score_test import detectable_losses, parameter_cost
 from .settings import DiagnosisSettings
 from .stepwise_selection import Diagnosis, diagnose
 from .trigger import Request, WatchSettings
-from .wording import contradicted, csd_error_in_words, in_words, separating_measurement
+from .wording import contradicted, csd_error_in_words, in_words
 
 __all__ = [
     "FAR",
@@ -41,7 +41,6 @@ __all__ = [
     "require_gain",
     "residual_bands",
     "score",
-    "separating_measurement",
     "standing_causes",
     "structure_text",
     "trigger",

@@ -79,3 +79,9 @@ def test_a_recording_whose_end_was_not_judged_says_so() -> None:
     assert said.state is State.NOT_JUDGED
     assert said.headline == "The last 400 s could not be judged: channel a1 does not move."
     assert assess(course(JUDGED, silent(390.0)), KNOWN, whole=True).state is State.NORMAL
+
+
+def test_no_threshold_makes_the_loss_of_a_third_green() -> None:
+    deaf = replace(KNOWN, alarm_loss=0.95)
+    assert assess(course(replace(JUDGED, detectable=(0.02, 0.25))), deaf).state is State.NORMAL
+    assert assess(course(replace(JUDGED, detectable=(0.02, 0.9))), deaf).state is State.NOT_JUDGED
