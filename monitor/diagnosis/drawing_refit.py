@@ -76,11 +76,15 @@ def _in_words(name: str, relative: dict[str, float], words: tuple[str, str]) -> 
 
 
 def refit_headline(rows: Sequence[dict[str, Any]]) -> str:
-    """State the parameters that lie beyond the drawing's tolerance, largest differences first; empty without any rows."""
+    """State the parameters that lie beyond the drawing's tolerance: stiffnesses before masses, largest differences first.
+
+    Empty without any rows.
+    """
     if not rows:
         return ""
     stated = [row for row in rows if row["tolerance"] is not None]
-    beyond = sorted((row for row in rows if row["beyond_tolerance"]), key=lambda row: -abs(row["relative"]))
+    beyond = [row for row in rows if row["beyond_tolerance"]]
+    beyond.sort(key=lambda row: (row["parameter"] == "mass_kg", -abs(row["relative"])))
     if not beyond:
         return "Refitted, every stiffness and mass is " + (
             "within the drawing's tolerance." if stated else "as drawn, within its interval."

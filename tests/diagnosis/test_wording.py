@@ -205,5 +205,7 @@ def test_within_the_tolerance_is_not_beyond_it_and_without_one_every_difference_
     assert refit_headline(open_rows).endswith(
         "floor 2 is 2.0 ± 1.0 % heavier than drawn (the structure file states no tolerance)."
     )
+    heavy = refit_headline(refitted((0.0, 0.0, -0.05, 0.0, 0.2, 0.0), 0.005, (np.nan,) * 6))
+    assert heavy.startswith("Story 3 (hanger) is 5.00 ± 0.95 % softer")  # stiffnesses come first
     assert open_rows[1]["says"] == "story 2 is as drawn to within 1 %"
     assert refit_headline([]) == ""
