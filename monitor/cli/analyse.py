@@ -70,6 +70,8 @@ def calibrate(
     """
     from monitor.config import configuration
     from monitor.damage import save_baseline
+    from monitor.diagnosis import standing_causes
+    from monitor.model import interval
     from monitor.runs import calibrate as run
 
     recordings = recordings or []
@@ -90,8 +92,15 @@ def calibrate(
     nominal_hz = settings.model().modes().frequencies_hz
     for k, f, std in zip(baseline.model_mode, baseline.frequencies_hz, baseline.frequencies_std_hz, strict=True):
         lines.append(f"mode {k + 1}: {f:.4f} ± {2 * std:.4f} Hz; structure file {nominal_hz[k]:.4f} Hz")
-    for j, k in enumerate(baseline.model.structure.stiffness_n_per_m, start=1):
-        lines.append(f"story {j}: {k:.1f} N/m; structure file {settings.structure.stiffness_n_per_m[j - 1]:.1f} N/m")
+    relative_std = baseline.covariance.diagonal() ** 0.5
+    stiffness = baseline.model.structure.stiffness_n_per_m
+    for name, k, drawn, std in zip(
+        settings.story_names, stiffness, settings.structure.stiffness_n_per_m, relative_std, strict=False
+    ):
+        size = interval({"value": float(k), "std": float(k * std)}, 1.0, "N/m")
+        lines.append(f"{name}: {size}; structure file {drawn:.5g} N/m ({100.0 * (k / drawn - 1.0):+.1f} %)")
+    if baseline.reference is not None:
+        lines += [f"already so at calibration: {cause['says']}" for cause in standing_causes(baseline.reference)]
     if (law := baseline.temperature) is not None:
         slopes = ", ".join(f"{1e3 * a:+.2f}" for a in law.per_degc)
         lines.append(
@@ -102,7 +111,7 @@ def calibrate(
         lines.append(
             "no dependence on the temperature learned: too narrow a range, too short a record, or nothing showed"
         )
-    lines.append(f"baseline in {out}")
+    lines.append(f"baseline in {out}: what differs from the structure file here counts as healthy from now on")
     content |= {
         "baseline": str(out),
         "windows": baseline.windows,

@@ -50,9 +50,13 @@ def diagnose(
     write_report(report, found.diagnosis, found.content, found.segments)
     write_view(view, found.diagnosis, found.content, found.segments)
     lines = [f"{found.diagnosis.verdict}: {found.content['says']}"]
+    lines += [f"  {100 * a['probability']:.0f} %: {a['says']}" for a in found.content["alternatives"]]
+    lines += [f"refitted: {row['says']}" for row in found.content["refit"]]
     at_calibration = [*found.content["standing"], *filter(None, [found.content["standing_misfit"]])]
     lines += [f"already so at calibration: {cause['says']}" for cause in at_calibration]
-    if found.diagnosis.verdict != "none":
+    if found.gain.withheld and found.diagnosis.verdict != "none":
+        lines.append(f"gain on held-out data: none, {found.gain.withheld}")
+    elif not found.gain.withheld:
         low, high = found.gain.ci95
         lines.append(f"gain on held-out data: {found.gain.value:.3g} nats a sample (95 %: {low:.3g} to {high:.3g})")
     lines.append(f"report in {report}")

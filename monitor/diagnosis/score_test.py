@@ -33,6 +33,8 @@ _MIN_START_FACTOR = 0.05
 """Smallest factor on an effect's start size at which it is first tried. [ratio; judgement]"""
 _MAX_START_FACTOR = 20.0
 """Largest such factor. [ratio; judgement]"""
+_ONE_SIDED_95 = 1.645
+"""Quantile of the standard normal distribution for a probability of 95 %. [standard deviations; definition]"""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -195,6 +197,40 @@ def _expected_gains(
         return out if scaled is None else [*out, (0.5 * score**2 / information, scaled)]
 
     return list(chain.from_iterable(parallel_map(predict_gain, candidates)))
+
+
+def detectable_losses(posterior: Posterior, null_fit: MapEstimate, margin: float) -> list[float | None]:
+    """Compute the smallest loss of each story that the search would find in 95 % of recordings like this one.
+
+    Parameters
+    ----------
+    posterior : Posterior
+    null_fit : MapEstimate
+        Fit without a further effect.
+    margin : float
+        Log evidence that a cause needs, nats.
+
+    Returns
+    -------
+    list of float or None
+        Relative loss of each story; None where no loss would be found.
+    """
+    (kind,) = (kind for kind in EFFECTS.values() if kind.is_stiffness_loss)
+    typical, context = posterior.conditions[posterior.n_classes // 2], posterior.context
+    starts = [kind.starts(place, context, typical)[0] for place in locations("story", context)]
+    prediction = posterior.predict(null_fit.x, null_fit.effects)
+    tangent = null_fit.jacobian
+    normal = inverse(tangent.T @ tangent + posterior.normal_prior(null_fit.x, null_fit.effects)[1])
+    stds = np.sqrt(2.0 * (margin + parameter_cost(posterior, 1))) + _ONE_SIDED_95
+
+    def loss(effect: Effect) -> float | None:
+        v = _whitened_slope(posterior, null_fit, prediction, effect)
+        along = tangent.T @ v
+        information = float(v @ v - along @ normal @ along)
+        size = stds * float(abs(effect.coordinates[0])) / np.sqrt(max(information, 1e-9))
+        return size if size < 1.0 else None
+
+    return [loss(effect) for effect in starts]
 
 
 def _whitened_slope(posterior: Posterior, null_fit: MapEstimate, prediction: Prediction, effect: Effect) -> Array:

@@ -23,8 +23,9 @@ from monitor.damage import (
     rebase_baseline,
     second_solutions,
 )
-from monitor.diagnosis import contradicted
+from monitor.diagnosis import contradicted, standing_causes
 from monitor.inference import Segments, gather
+from monitor.model import FORMS, StructuralPrior
 from monitor.pipeline import Pipeline
 from monitor.runs import diagnose
 from monitor.runs.recordings import OnProgress, OnWarning, Progress, file_names, push_block, read_blocks
@@ -104,6 +105,7 @@ def calibrate(
         on_warning("too short for a diagnosis to learn from; 'diagnose' will not take this baseline")
         return baseline, fit
     reference = diagnose.learn_healthy_prior(segments, config)
+    _warn_of_sensors(reference, config, on_warning)
     if reference.error is not None:
         on_warning(contradicted(reference.error))
     return replace(baseline, reference=reference), fit
@@ -224,6 +226,14 @@ def _warn_of_missing_modes(windows: list[WindowResult], kept: list[WindowResult]
         on_warning(
             f"{len(windows) - len(kept)} of {len(windows)} windows were left out: they lack a mode of the others"
         )
+
+
+def _warn_of_sensors(reference: StructuralPrior, config: Configuration, on_warning: OnWarning) -> None:
+    """Warn of errors of the acquisition that the healthy data show and the structure file does not state."""
+    stated = {(effect.name, effect.location) for effect in config.model().effects}
+    for cause in standing_causes(reference):
+        if FORMS[cause["effect"]].family == "sensor" and (cause["effect"], cause["location"]) not in stated:
+            on_warning(f"{cause['says']}; the baseline takes that for healthy: mend it and calibrate anew")
 
 
 def _warn_of_ambiguities(baseline: Baseline, config: Configuration, last: WindowResult, on_warning: OnWarning) -> None:

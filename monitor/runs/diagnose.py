@@ -21,12 +21,14 @@ from monitor.diagnosis import (
     Score,
     content,
     ddi_effect,
+    detectable_losses,
     fitted_model,
     healthy_prior,
     heldout_gain,
     is_significant,
     model_to_plain,
     parameter_cost,
+    refit,
     require_gain,
     score,
 )
@@ -94,7 +96,11 @@ def diagnose(
     degc = prior.reference_degc
     if degc is None and segments.temperature.size:
         degc = float(segments.temperature[:, 1].mean())
-    plain = content(confirmed, gain, config.model().effects, ddi_effect(confirmed))
+    rows = refit(confirmed, config.structure.tolerance(), config.story_names) if baseline is None else []
+    detectable: list[float | None] = []
+    if baseline is not None and confirmed.verdict == "none":
+        detectable = detectable_losses(confirmed.posterior, confirmed.null_fit, config.diagnosis.margin)
+    plain = content(confirmed, gain, config.model().effects, ddi_effect(confirmed), rows, detectable)
     plain |= {"model": model_to_plain(extended, degc), "since_calibration": baseline is not None}
     return Finding(confirmed, gain, plain, segments, updated, extended, degc)
 

@@ -62,6 +62,17 @@ class _Drawing(Settings):
             ]
         )
 
+    def tolerance(self) -> Array:
+        """Return the relative half widths of the stated ranges: stiffnesses, then masses, shape (p + N,); NaN for none."""
+        structure = self.structure()
+        stated = np.concatenate(
+            [
+                np.full(structure.stiffness_n_per_m.size, self.stiffness_range_n_per_m is not None),
+                np.full(structure.masses_kg.size, self.masses_range_kg is not None),
+            ]
+        )
+        return np.where(stated, 2.0 * self.prior_std(), np.nan)
+
     def correction(self) -> Array | None:
         """Return `stiffness_correction_n_per_m` as an array, shape (N, N), N/m; None where it is not given."""
         if self.stiffness_correction_n_per_m is None:

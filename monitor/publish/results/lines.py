@@ -179,6 +179,7 @@ def facts_of_line(line: Mapping[str, Any]) -> WindowFacts:
         None if detectable is None else tuple(detectable),
         line.get("misfit"),
         line.get("rms_m_s2"),
+        () if line["ddi"] is None else tuple(zip(line["ddi"], line["ddi_std"], strict=True)),
     )
 
 

@@ -11,7 +11,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from monitor.core import Array
-from monitor.diagnosis import Diagnosis, headline, in_words
+from monitor.diagnosis import Diagnosis, in_words
 from monitor.inference import Segments
 from monitor.publish.reports.comparison import Comparison, compare
 from monitor.publish.viewer.layout import ALL_TIME
@@ -83,7 +83,7 @@ def _spectra(stream: rr.RecordingStream, c: Comparison) -> None:
 def _status(diagnosis: Diagnosis, content: Mapping[str, Any], segments: Segments, compared: Comparison) -> str:
     """Write the content of the report as Markdown."""
     gain = content["gain"]["log_score_per_sample"]
-    lines = [f"# {content['verdict'].upper()}", headline(diagnosis, content), ""]
+    lines = [f"# {content['verdict'].upper()}", content["says"], ""]
     if content["separating_measurement"]:
         lines += [f"**To tell them apart:** {content['separating_measurement']}.", ""]
     if content["causes"]:
