@@ -24,6 +24,7 @@ from .model import Model, Modes
 from .prior import ModelDiscrepancy, StructuralPrior, correction_basis, inverse, prior_from_drawing
 from .simulation import ExcitationKind, Motion, respond, respond_newmark, simulate
 from .structures import MatrixStructure, ShearFrame
+from .structures.drawing import Drawing, LineTable, NodeTable, drawing_problems
 from .structures.tables import Matrix, Positive, StructureTable
 
 __all__ = [
@@ -32,6 +33,7 @@ __all__ = [
     "FORMS",
     "Condition",
     "Context",
+    "Drawing",
     "Effect",
     "EffectError",
     "ExcitationKind",
@@ -39,12 +41,14 @@ __all__ = [
     "FittedSizes",
     "InstrumentedModel",
     "LawKind",
+    "LineTable",
     "Matrix",
     "MatrixStructure",
     "Model",
     "ModelDiscrepancy",
     "Modes",
     "Motion",
+    "NodeTable",
     "ParameterEstimates",
     "Positive",
     "ShearFrame",
@@ -52,6 +56,7 @@ __all__ = [
     "StructureTable",
     "System",
     "correction_basis",
+    "drawing_problems",
     "interval",
     "inverse",
     "loaded",

@@ -173,6 +173,8 @@ def _same_laws_in_other_stories(causes: tuple[Effect, ...], context: Context) ->
     for law in (e for e in causes if e.nonlinear and e.family == "structure" and e.location.startswith("story")):
         if all(p.weighty for p in law.parameters):
             for place in locations("story", context):
+                if not context.structure.single_springs()[int(place.removeprefix("story ")) - 1]:
+                    continue
                 other = replace(law, location=place)
                 size = law.coordinates * stiffness[other.index] / stiffness[law.index]
                 out.setdefault((law.name, place), other.at(size))

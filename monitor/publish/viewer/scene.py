@@ -12,21 +12,77 @@ import numpy as np
 from drivers.base import ClockHealth
 from monitor.core import Array, Level, ModalEstimate, WindowResult
 from monitor.damage import Baseline
-from monitor.model import Model, StructureTable
+from monitor.model import Drawing, Model
 
 Colour = tuple[int, int, int]
 
 GREEN, AMBER, RED, GREY = (80, 190, 110), (240, 180, 50), (230, 70, 60), (130, 130, 130)
-SERIES: tuple[Colour, ...] = ((90, 170, 250), (250, 170, 70), (190, 130, 240), (90, 210, 190), (240, 120, 160))
+SERIES: tuple[Colour, ...] = (
+    (90, 170, 250), (250, 170, 70), (190, 130, 240), (90, 210, 190), (240, 120, 160), (220, 220, 90),
+    (120, 200, 90), (170, 190, 220), (200, 140, 90), (110, 120, 250), (240, 90, 90), (160, 220, 240),
+)  # fmt: skip
+"""Colours of lines: of stories, of modes and of channels."""
 LIVE_BLOCK_S, FILE_BLOCK_S = 1.0, 60.0
 """Shortest length of the blocks in which samples are sent, s, and number of results that are sent at a time.
 
 Both are small for viewers that watch, and large for a small file that is written fast.
 """
-COLUMNS = ((0.0, 0.0), (0.6, 0.0), (0.6, 0.6), (0.0, 0.6))
-"""Corners of the frame; it is drawn 1 high."""
+_MODE_GAP = 0.4
+"""Free space between drawn mode shapes, over the size of the structure. [ratio; judgement]"""
+_LABEL_ROWS = 3
+"""Rows over which the labels of a long structure are spread. [count; judgement]"""
 STABILISATION = (100.0, 55.0)
 """Width and height of the canvas of the stabilisation diagram."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Plan:
+    """Places in the view of a structure: it is drawn 1 large, its mode shapes beside it if it is tall, below it if it is long."""
+
+    points: Array
+    """Shape (n, 3)."""
+    labels: Array
+    """Place of the label of every story, shape (p, 3)."""
+    size: Array
+    """Extent of the structure along x, y and z, shape (3,)."""
+    is_tall: bool
+
+    @classmethod
+    def of(cls, drawing: Drawing, n_stories: int) -> Plan:
+        """Plan the view of a drawing."""
+        low, high = drawing.points.min(axis=0), drawing.points.max(axis=0)
+        scale = max(float((high - low).max()), 1e-12)
+        points, size = (drawing.points - low) / scale, (high - low) / scale
+        is_tall = bool(size[2] >= size[0])
+        labels = np.empty((n_stories, 3))
+        for j in range(n_stories):
+            ends = points[drawing.lines[drawing.stories == j]].reshape(-1, 3)
+            middle = ends.mean(axis=0)
+            if is_tall:  # outside of the story, on the side where it is
+                left = middle[0] <= 0.5 * size[0] + 1e-9
+                labels[j] = (ends[:, 0].min() - 0.3 if left else ends[:, 0].max() + 0.3, middle[1], middle[2])
+            else:
+                labels[j] = (middle[0], middle[1], size[2] + 0.07 + 0.07 * (j % _LABEL_ROWS))
+        return cls(points, labels, size, is_tall)
+
+    def offset(self, mode: int) -> Array:
+        """Compute the place of a mode shape relative to the structure, shape (3,)."""
+        k = mode + 1
+        return np.array([k * (self.size[0] + _MODE_GAP) if self.is_tall else 0.0, 0.0,
+                         0.0 if self.is_tall else -k * (self.size[2] + _MODE_GAP)])  # fmt: skip
+
+    def mode_label(self, mode: int) -> tuple[float, float, float]:
+        """Compute the place of a mode's label: below it, or at the left of a long structure."""
+        x, y, z = self.offset(mode) + (
+            (0.5 * self.size[0], 0.0, -0.1) if self.is_tall else (-0.2, 0.0, 0.5 * self.size[2])
+        )
+        return float(x), float(y), float(z)
+
+    def bounds(self, n_modes: int) -> tuple[Array, Array]:
+        """Return the lower and the upper corner of structure, labels and mode shapes, shape (3,) each."""
+        last = self.offset(n_modes - 1)
+        below, above = np.array([-0.55, 0.0, -0.15]), np.array([0.2, 0.0, 0.05 if self.is_tall else 0.3])
+        return np.minimum(0.0, last) + below, np.maximum(0.0, last) + self.size + above
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -37,8 +93,9 @@ class Scene:
     channels: tuple[str, ...]
     sensor_floor: tuple[int, ...]
     """Floor of each channel, from 1 = top."""
-    story_heights_m: Array
-    """Shape (n,); story 1 = top.  Only their proportions are drawn."""
+    drawing: Drawing
+    story_names: tuple[str, ...]
+    """What people call each story."""
     baseline_frequencies_hz: Array | None
     """Shape (m,); mode 0 = lowest."""
     has_baseline: bool
@@ -50,11 +107,18 @@ class Scene:
     """Highest frequency of the analysis, Hz."""
     misfit_threshold: float = 5.0
     """Goodness of fit from which a diagnosis is requested."""
+    n_modes: int = 3
+    """Number of the model's modes, the lowest ones, that are shown."""
 
     @property
     def n_stories(self) -> int:
-        """Number of stories, which is also the number of the model's modes."""
-        return len(self.story_heights_m)
+        """Number of stories."""
+        return len(self.story_names)
+
+    @property
+    def plan(self) -> Plan:
+        """Places of structure, labels and mode shapes."""
+        return Plan.of(self.drawing, self.n_stories)
 
 
 class Clocks(NamedTuple):
@@ -66,7 +130,8 @@ class Clocks(NamedTuple):
 
 def make_scene(
     name: str,
-    structure: StructureTable,
+    drawing: Drawing,
+    story_names: tuple[str, ...],
     sensor_floor: Mapping[str, int],
     model: Model,
     baseline: Baseline | None,
@@ -74,6 +139,7 @@ def make_scene(
     alarm_loss: float,
     cutoff_hz: float,
     misfit_threshold: float,
+    max_modes: int,
 ) -> Scene:
     """Describe a site to the viewer.
 
@@ -81,8 +147,10 @@ def make_scene(
     ----------
     name : str
         Name of the site.
-    structure : StructureTable
-        Its story heights set the proportions of the drawing; all stories are equally high where it has none.
+    drawing : Drawing
+        Points and lines of the structure.
+    story_names : tuple of str
+        What people call each story.
     sensor_floor : Mapping
         Floor of each channel by the channel's name, from 1 = top, in column order of the samples.
     model : Model
@@ -95,20 +163,23 @@ def make_scene(
         Highest frequency of the analysis, Hz.
     misfit_threshold : float
         Goodness of fit of the updated stiffness from which a diagnosis is requested.
+    max_modes : int
+        Most modes that are identified, the lowest ones below `cutoff_hz`.
     """
-    heights = structure.story_heights_m
-    n = max(len(structure.masses_kg), len(structure.stiffness_n_per_m))
+    below = int((model.modes().frequencies_hz <= cutoff_hz).sum())
     return Scene(
         name=name,
         channels=tuple(sensor_floor),
         sensor_floor=tuple(sensor_floor.values()),
-        story_heights_m=np.ones(n) if heights is None else np.array(heights),
+        drawing=drawing,
+        story_names=story_names,
         baseline_frequencies_hz=None if baseline is None else baseline.frequencies_hz,
         has_baseline=baseline is not None,
         alarm_loss=alarm_loss,
         model=model if baseline is None else baseline.model,
         cutoff_hz=cutoff_hz,
         misfit_threshold=misfit_threshold,
+        n_modes=max(1, min(below, max_modes)),
     )
 
 
@@ -150,8 +221,8 @@ def status_markdown(scene: Scene, result: WindowResult) -> str:
         since = "since the baseline" if scene.has_baseline else "against the structure file (no baseline)"
         lines += [f"Stiffness lost {since}, alarm from {100 * scene.alarm_loss:g} %", ""]
         lines += ["| story | loss, % (± 2σ) |", "|---|---|"]
-        pairs = zip(damage.ddi, damage.ddi_std, strict=True)
-        lines += [f"| {j} | {plus_minus(d, s, 100)} |" for j, (d, s) in enumerate(pairs, 1)] + [""]
+        rows = zip(scene.story_names, damage.ddi, damage.ddi_std, strict=True)
+        lines += [f"| {name.removeprefix('story ')} | {plus_minus(d, s, 100)} |" for name, d, s in rows] + [""]
     if modes is not None:
         lines += ["| mode | frequency, Hz (± 2σ) | baseline, Hz | damping, % (± 2σ) |", "|---|---|---|---|"]
         for k, f, fs, d, ds in mode_rows(modes):
