@@ -72,7 +72,8 @@ def calibrate(
             f"mode {i}: {f:.4f} ± {2 * std:.4f} Hz; structure file {nominal_hz[baseline.model_mode[i - 1]]:.4f} Hz"
         )
     for j, k in enumerate(baseline.model.structure.stiffness_n_per_m, start=1):
-        lines.append(f"story {j}: {k:.1f} N/m; structure file {settings.structure.stiffness_n_per_m[j - 1]:.1f} N/m")
+        drawn = settings.structure.stiffness_n_per_m[j - 1]
+        lines.append(f"{settings.story_names[j - 1]}: {k:.6g} N/m; structure file {drawn:.6g} N/m")
     if (law := baseline.temperature) is not None:
         slopes = ", ".join(f"{1e3 * a:+.2f}" for a in law.per_degc)
         lines.append(

@@ -294,7 +294,7 @@ def _doubts(course: Course, known: Known, findings: Sequence[Mapping[str, Any]],
     """State why the damage index cannot be relied on."""
     says = []
     if known.has_baseline:
-        says += [f"diagnosis {f.get('id', '')}: {_proposal(f)}" for f in findings if is_open(f, known)]
+        says += [f"diagnosis {f.get('id', '')}: {_proposal(f, known)}" for f in findings if is_open(f, known)]
         misfit = course.unexplained if whole else None
         if course.judged is not None and course.judged.misfit is not None and course.judged.misfit > known.misfit:
             misfit = max(misfit or 0.0, course.judged.misfit)
@@ -318,7 +318,7 @@ def is_open(finding: Mapping[str, Any], known: Known) -> bool:
     return finding["verdict"] != "named" or not (accepted or losses)
 
 
-def _proposal(finding: Mapping[str, Any]) -> str:
+def _proposal(finding: Mapping[str, Any], known: Known) -> str:
     """State a finding, and the damage index that remains if its causes are taken out."""
     says = str(finding.get("says") or finding["verdict"]).rstrip(".")
     left = (finding.get("ddi_effect") or {}).get("with") or []
@@ -327,7 +327,7 @@ def _proposal(finding: Mapping[str, Any]) -> str:
     story = max(range(len(left)), key=lambda j: abs(left[j])) + 1
     return (
         f"{says} (a proposal until it is accepted; with it the largest change of stiffness is "
-        f"{-100 * left[story - 1]:+.1f} %, in story {story})"
+        f"{-100 * left[story - 1]:+.1f} %, in {_name(story, known)})"
     )
 
 

@@ -12,7 +12,7 @@ from scipy.linalg import block_diag
 
 from drivers.base import SampleBlock
 from monitor.config import Configuration
-from monitor.core import BadInputError
+from monitor.core import BadInputError, name_stories_in
 from monitor.damage import Baseline
 from monitor.diagnosis import (
     FAR,
@@ -96,6 +96,7 @@ def diagnose(
         degc = float(segments.temperature[:, 1].mean())
     plain = content(confirmed, gain, config.model().effects, ddi_effect(confirmed))
     plain |= {"model": model_to_plain(extended, degc), "since_calibration": baseline is not None}
+    plain = name_stories_in(plain, config.story_names)
     return Finding(confirmed, gain, plain, segments, updated, extended, degc)
 
 

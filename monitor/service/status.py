@@ -10,7 +10,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from monitor.core import MissingInputError
+from monitor.core import MissingInputError, name_stories
 
 HEALTHY, ALARM, TROUBLE, DOWN = 0, 10, 11, 12
 """Exit codes: all well; an alarm is active; it runs, but a part does not work; it does not run, or is silent."""
@@ -102,7 +102,8 @@ def tell(status: dict[str, Any]) -> str:
         (" against the structure file", "; no baseline, so none can be raised") if without_baseline else ("", "")
     )
     rows.append(("loss", _pairs(result.get("ddi"), result.get("ddi_std"), "%" + reference, 100.0)))
-    rows.append(("alarm", _alarm(summary.get("alarm"), result) + remark))
+    names = (summary.get("known") or {}).get("names") or ()
+    rows.append(("alarm", name_stories(_alarm(summary.get("alarm"), result), names) + remark))
     rows.append(("recorder", _recorder(recorder, health)))
     found = summary.get("findings") or []
     rows.append(("findings", f"{len(found)}; latest: {found[-1]['says'] or found[-1]['reason']}" if found else "none"))

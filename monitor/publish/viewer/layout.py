@@ -9,7 +9,7 @@ import rerun.blueprint as rrb
 from monitor.publish.viewer.scene import STABILISATION, Scene
 
 _DARK = (24, 26, 30)
-_DISTANCE_TO_WIDTH, _DISTANCE_TO_HEIGHT = 0.75, 1.1
+_DISTANCE_TO_WIDTH, _DISTANCE_TO_HEIGHT = 0.7, 0.95
 """Distance of the eye over width and height of what it sees. [ratio; the viewer's angle of view]"""
 _MODES_IN_A_COLUMN = 3
 """Most modes whose frequencies are drawn below each other. [count; judgement]"""
@@ -37,8 +37,8 @@ def blueprint(scene: Scene, page: int = 0) -> rrb.Blueprint:
 
 def _frame(scene: Scene) -> rrb.Spatial3DView:
     """Make the 3D view of the structure and its mode shapes, seen from the front."""
-    low, high = scene.plan.bounds(scene.n_modes)
-    centre, (width, _, height) = 0.5 * (low + high), high - low
+    plan = scene.plan
+    centre, (width, _, height) = 0.5 * (plan.low + plan.high), plan.high - plan.low
     away = max(_DISTANCE_TO_WIDTH * width, _DISTANCE_TO_HEIGHT * height)
     eye = rrb.EyeControls3D(position=centre + away * np.array([0.0, -1.0, 0.15]), look_target=centre)
     return rrb.Spatial3DView(

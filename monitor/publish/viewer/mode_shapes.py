@@ -80,7 +80,7 @@ class ModeShapes:
         self._latest, self._shown = modes, True
         self._draw_phase(self._to, modes, 1.0)
         numbers = modes.model_mode.tolist()
-        labels = [f"mode {k + 1}: {f:.2f} Hz" for k, f in zip(numbers, modes.frequencies_hz.tolist(), strict=True)]
+        labels = [f"{f:.2f} Hz" for f in modes.frequencies_hz.tolist()]
         label(self._to, "/frame/modes/labels", list(map(self._plan.mode_label, numbers)), labels, self._colours(modes))
 
     def animate(self) -> None:

@@ -249,7 +249,9 @@ class ResultDrawing:
             self._bounded(f"/ddi/story_{j + 1}", ddi, std, 100.0)
             colours.append(loss_colour(ddi, loss_at))
             known = "unknown" if ddi is None or std is None else plus_minus(ddi, std, 100) + " %"
-            labels.append(f"{self._scene.story_names[j]}: {known}")
+            is_quiet = ddi is None or std is None or abs(ddi) <= 2 * std
+            # Along a long structure there is room for the names of those stories only that changed.
+            labels.append(f"{j + 1}" if self._plan.is_long and is_quiet else f"{self._scene.story_names[j]}: {known}")
         of_stories = np.array(colours, dtype=np.uint8)
         of_members = of_stories[self._scene.drawing.stories[self._is_member]]
         self._rows.add("/frame/stories", rr.LineStrips3D, strips=self._members, colors=of_members, radii=[0.02])

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -29,6 +30,12 @@ Both are small for viewers that watch, and large for a small file that is writte
 """
 _MODE_GAP = 0.4
 """Free space between drawn mode shapes, over the size of the structure. [ratio; judgement]"""
+_LONG = 0.5
+"""Height over length below which a structure is long. [ratio; judgement]"""
+_LABEL_STEP = 0.09
+"""Distance of two labels, over the size of the structure. [ratio; judgement]"""
+_LABEL_SHARE = 0.33
+"""Share of the view's width that the labels at the left take. [ratio; measured on pictures]"""
 _LABEL_ROWS = 3
 """Rows over which the labels of a long structure are spread. [count; judgement]"""
 STABILISATION = (100.0, 55.0)
@@ -37,7 +44,7 @@ STABILISATION = (100.0, 55.0)
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Plan:
-    """Places in the view of a structure: it is drawn 1 large, its mode shapes beside it if it is tall, below it if it is long."""
+    """Places in the view of a structure: it is drawn 1 large, its mode shapes beside it, or below it if it is long."""
 
     points: Array
     """Shape (n, 3)."""
@@ -45,44 +52,44 @@ class Plan:
     """Place of the label of every story, shape (p, 3)."""
     size: Array
     """Extent of the structure along x, y and z, shape (3,)."""
-    is_tall: bool
+    is_long: bool
+    low: Array
+    """Lower corner of structure, labels and mode shapes, shape (3,)."""
+    high: Array
+    """Their upper corner."""
 
     @classmethod
-    def of(cls, drawing: Drawing, n_stories: int) -> Plan:
-        """Plan the view of a drawing."""
+    def of(cls, drawing: Drawing, n_stories: int, n_modes: int) -> Plan:
+        """Plan the view of a drawing: labels in a column at its left, or in rows above a long one."""
         low, high = drawing.points.min(axis=0), drawing.points.max(axis=0)
         scale = max(float((high - low).max()), 1e-12)
         points, size = (drawing.points - low) / scale, (high - low) / scale
-        is_tall = bool(size[2] >= size[0])
-        labels = np.empty((n_stories, 3))
-        for j in range(n_stories):
-            ends = points[drawing.lines[drawing.stories == j]].reshape(-1, 3)
-            middle = ends.mean(axis=0)
-            if is_tall:  # outside of the story, on the side where it is
-                left = middle[0] <= 0.5 * size[0] + 1e-9
-                labels[j] = (ends[:, 0].min() - 0.3 if left else ends[:, 0].max() + 0.3, middle[1], middle[2])
-            else:
-                labels[j] = (middle[0], middle[1], size[2] + 0.07 + 0.07 * (j % _LABEL_ROWS))
-        return cls(points, labels, size, is_tall)
+        is_long = bool(size[2] < _LONG * size[0])
+        ends = [points[drawing.lines[drawing.stories == j]].reshape(-1, 3) for j in range(n_stories)]
+        labels = np.array([e.mean(axis=0) for e in ends])
+        length = float(n_modes * (size[2 if is_long else 0] + _MODE_GAP))  # of the mode shapes
+        if is_long:
+            labels[:, 2] = size[2] + _LABEL_STEP * (1 + np.arange(n_stories) % _LABEL_ROWS)
+            low, high = (-0.4, 0.0, -length - 0.15), (1.15, 0.0, size[2] + _LABEL_STEP * (1 + _LABEL_ROWS))
+        else:
+            room = _LABEL_SHARE / (1.0 - _LABEL_SHARE) * (size[0] + length + 0.15)
+            labels[:, 0] = -0.5 * room - 0.05
+            step = _LABEL_STEP * max(1.0, 1.3 * room)
+            for above, j in pairwise(np.argsort(-labels[:, 2], kind="stable")):
+                labels[j, 2] = min(labels[j, 2], labels[above, 2] - step)
+            low, high = (-room - 0.1, 0.0, -0.15), (size[0] + length + 0.15, 0.0, size[2] + 0.05)
+        return cls(points, labels, size, is_long, np.array(low), np.array(high))
 
     def offset(self, mode: int) -> Array:
         """Compute the place of a mode shape relative to the structure, shape (3,)."""
-        k = mode + 1
-        return np.array([k * (self.size[0] + _MODE_GAP) if self.is_tall else 0.0, 0.0,
-                         0.0 if self.is_tall else -k * (self.size[2] + _MODE_GAP)])  # fmt: skip
+        axis = np.array([0.0, 0.0, -1.0] if self.is_long else [1.0, 0.0, 0.0])
+        return (mode + 1) * axis * (self.size + _MODE_GAP)
 
     def mode_label(self, mode: int) -> tuple[float, float, float]:
         """Compute the place of a mode's label: below it, or at the left of a long structure."""
-        x, y, z = self.offset(mode) + (
-            (0.5 * self.size[0], 0.0, -0.1) if self.is_tall else (-0.2, 0.0, 0.5 * self.size[2])
-        )
-        return float(x), float(y), float(z)
-
-    def bounds(self, n_modes: int) -> tuple[Array, Array]:
-        """Return the lower and the upper corner of structure, labels and mode shapes, shape (3,) each."""
-        last = self.offset(n_modes - 1)
-        below, above = np.array([-0.55, 0.0, -0.15]), np.array([0.2, 0.0, 0.05 if self.is_tall else 0.3])
-        return np.minimum(0.0, last) + below, np.maximum(0.0, last) + self.size + above
+        own = (-0.2, 0.0, 0.5 * self.size[2]) if self.is_long else (0.5 * self.size[0], 0.0, -0.1)
+        x, y, z = (self.offset(mode) + own).tolist()
+        return x, y, z
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -118,7 +125,8 @@ class Scene:
     @property
     def plan(self) -> Plan:
         """Places of structure, labels and mode shapes."""
-        return Plan.of(self.drawing, self.n_stories)
+        moves = bool((self.drawing.dofs >= 0).any())
+        return Plan.of(self.drawing, self.n_stories, self.n_modes if moves else 0)
 
 
 class Clocks(NamedTuple):
