@@ -23,6 +23,7 @@ from monitor.core import (
     Temperature,
     Window,
     WindowResult,
+    name_stories,
 )
 from monitor.damage import Baseline, alarm, damage_index, smallest_detectable_loss
 from monitor.identification import expected_modes, identify, refine, sensor_correction, tracking
@@ -220,6 +221,7 @@ class Pipeline:
             verdict = Alarm(Level.NORMAL, (), "no baseline: a difference from the structure file is no change")
         else:
             alarms, verdict = alarm.step(self.state.alarm, reading, item.t_end_ns, c.alarm)
+            verdict = replace(verdict, reason=name_stories(verdict.reason, c.story_names))
             self.state = replace(self.state, alarm=alarms)
             detectable = smallest_detectable_loss(reading, alarms.history, c.processing.hop_s, c.alarm)
         return WindowResult(
@@ -339,6 +341,7 @@ class Pipeline:
     ) -> WindowResult:
         """Return the result of a window without damage index: the alarm is unchanged."""
         alarms, verdict = alarm.hold(self.state.alarm, t_end_ns)
+        verdict = replace(verdict, reason=name_stories(verdict.reason, self.config.story_names))
         self.state = replace(self.state, alarm=alarms)
         degc = self._window_temperature(t_end_ns)
         return WindowResult(index, t_end_ns, data_s, modes, None, None, verdict, skipped, rms, degc, tracks)

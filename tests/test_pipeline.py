@@ -18,7 +18,7 @@ from monitor.config import configuration
 from monitor.config.configuration import Configuration
 from monitor.core.errors import BadInputError, UserError
 from monitor.core.results import Alarm, Gap, Level, ModalEstimate, Samples, WindowResult
-from monitor.damage import learn_baseline
+from monitor.damage import alarm, learn_baseline
 from monitor.identification import SelectionSettings
 from monitor.model.model import Model
 from monitor.model.simulation import simulate
@@ -285,6 +285,17 @@ def test_without_a_baseline_nothing_is_ever_announced(site: Configuration, recor
     results = windows(push(Pipeline(drawn), cut(record, RATE)))
     assert any(r.damage is not None and np.abs(r.damage.ddi).max() > 0.1 for r in results)
     assert {r.alarm.level.value for r in results} == {"normal"}
+
+
+def test_the_reason_of_an_alarm_names_its_story(
+    site: Configuration, record: np.ndarray, cut: Cut, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    named = site.structure.model_copy(update={"story_names": ("roof", "middle", "foot")})
+    shelved = Alarm(Level.NORMAL, (), "story 2 shelved: painters")
+    monkeypatch.setattr(alarm, "hold", lambda state, t_ns: (state, shelved))
+    results = windows(push(Pipeline(site.model_copy(update={"structure": named})), cut(np.zeros_like(record), RATE)))
+    assert results
+    assert {r.alarm.reason for r in results} == {"story 2 (middle) shelved: painters"}
 
 
 def directions(stiffness: np.ndarray) -> Configuration:

@@ -44,7 +44,7 @@ def check(
         warn(warning)
     modes, p = settings.model().modes(), settings.processing
     frequencies = modes.frequencies_hz
-    head = f"{file}: no problems; {len(settings.structure.masses_kg)} stories, channels {', '.join(settings.channels)}"
+    head = f"{file}: no problems; {settings.size_words}; channels {', '.join(settings.channels)}"
     text = f"{head}\nnatural frequencies: {', '.join(f'{f:.4g}' for f in frequencies)} Hz"
     content = {"file": str(file), "channels": list(settings.channels), "frequencies_hz": frequencies.tolist()}
     say(text, content, as_json)

@@ -47,8 +47,8 @@ def diagnose(
     # Imported only now: Rerun starts threads, and no process should be forked while threads run.
     from monitor.publish import write_report, write_view
 
-    write_report(report, found.diagnosis, found.content, found.segments)
-    write_view(view, found.diagnosis, found.content, found.segments)
+    for write, path in ((write_report, report), (write_view, view)):
+        write(path, found.diagnosis, found.content, found.segments, settings.story_names)
     lines = [f"{found.diagnosis.verdict}: {found.content['says']}"]
     lines += [f"  {100 * a['probability']:.0f} %: {a['says']}" for a in found.content["alternatives"]]
     lines += [f"refitted: {row['says']}" for row in found.content["refit"]]

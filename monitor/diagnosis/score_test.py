@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import partial
@@ -13,6 +14,8 @@ from monitor.core import Array, parallel_map
 from monitor.diagnosis.initial_fit import COARSE, FAR, LONG, ROUGHLY
 from monitor.inference import MapEstimate, Posterior, Prediction, maximize_posterior
 from monitor.model import EFFECTS, Context, Effect, EffectError, inverse, locations
+
+_log = logging.getLogger(__name__)
 
 _MAX_STEPS_ROUGH = 5
 """Most iterations of a rough fit without a measured ground. [iterations; cost]"""
@@ -59,6 +62,17 @@ class Candidate:
         A rough fit is assumed to find half of the whole gain, or all but `_ROUGH_FIT_NATS`.
         """
         return self.log_evidence + max(self.delta_log_posterior, _ROUGH_FIT_NATS) > min_log_evidence
+
+
+def best_first(candidates: Iterable[Candidate]) -> list[Candidate]:
+    """Rank candidates by evidence, without those whose evidence is not finite: such a fit failed and explains nothing."""
+    finite = []
+    for c in candidates:
+        if np.isfinite(c.log_evidence):
+            finite.append(c)
+        else:
+            _log.info("%s at %s is left out: its evidence is %s", *c.key, c.log_evidence)
+    return sorted(finite, key=lambda c: -c.log_evidence)
 
 
 def candidate_starts(
@@ -157,7 +171,7 @@ def rank_by_score(posterior: Posterior, null_fit: MapEstimate, candidates: list[
         gains += [(gain - lost, effect) for gain, effect in _expected_gains(held, rest, candidates)]
         shaped = [e for e in candidates if e.parameters and not e.proportional]  # no score test gives their size
         gains += parallel_map(partial(_gain_from_prior, posterior, null_fit), shaped)
-    return sorted(gains, key=lambda item: -item[0])
+    return sorted((item for item in gains if np.isfinite(item[0])), key=lambda item: -item[0])
 
 
 def _expected_gains(

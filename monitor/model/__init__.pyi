@@ -25,6 +25,7 @@ from .model import Model, Modes
 from .prior import ModelDiscrepancy, StructuralPrior, correction_basis, inverse, prior_from_drawing
 from .simulation import ExcitationKind, Motion, respond, respond_newmark, simulate
 from .structures import MatrixStructure, ShearFrame
+from .structures.drawing import Drawing, LineTable, NodeTable, drawing_problems
 from .structures.tables import Matrix, Positive, StructureTable
 
 __all__ = [
@@ -33,6 +34,7 @@ __all__ = [
     "FORMS",
     "Condition",
     "Context",
+    "Drawing",
     "Effect",
     "EffectError",
     "ExcitationKind",
@@ -41,12 +43,14 @@ __all__ = [
     "InstrumentedModel",
     "LawFamily",
     "LawKind",
+    "LineTable",
     "Matrix",
     "MatrixStructure",
     "Model",
     "ModelDiscrepancy",
     "Modes",
     "Motion",
+    "NodeTable",
     "ParameterEstimates",
     "Positive",
     "ShearFrame",
@@ -54,6 +58,7 @@ __all__ = [
     "StructureTable",
     "System",
     "correction_basis",
+    "drawing_problems",
     "interval",
     "inverse",
     "loaded",

@@ -241,7 +241,7 @@ def _warn_of_ambiguities(baseline: Baseline, config: Configuration, last: Window
     unidentified = last.damage.unidentified if last.damage is not None else ()
     if unidentified:
         on_warning(
-            f"the modes say next to nothing about story {', '.join(map(str, unidentified))}: damage there "
+            f"the modes say next to nothing about {', '.join(config.story_names[j - 1] for j in unidentified)}: damage there "
             "cannot be judged; more sensors or more modes would help"
         )
     if config.updating.use_shapes:

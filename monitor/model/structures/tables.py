@@ -9,6 +9,7 @@ from pydantic import Field, model_validator
 
 from monitor.core import Array, Settings
 from monitor.model.structures.base import Structure
+from monitor.model.structures.drawing import Drawing
 from monitor.model.structures.matrices import MatrixStructure
 from monitor.model.structures.shear_frame import ShearFrame
 
@@ -44,6 +45,10 @@ class _Drawing(Settings):
 
     def structure(self) -> Structure:
         """Make the structure as drawn."""
+        raise NotImplementedError
+
+    def drawing(self) -> Drawing:
+        """Return what is drawn of the structure where its file has no ``[[nodes]]``."""
         raise NotImplementedError
 
     def prior_std(self) -> Array:
@@ -107,7 +112,7 @@ class ShearFrameTable(_Drawing):
 
     @model_validator(mode="after")
     def _same_length(self) -> ShearFrameTable:
-        names = ("stiffness_n_per_m", "story_heights_m", "masses_range_kg", "stiffness_range_n_per_m")
+        names = ("stiffness_n_per_m", "story_heights_m", "story_names", "masses_range_kg", "stiffness_range_n_per_m")
         self._check_lengths(dict.fromkeys((*names, "modal_damping_ratio"), len(self.masses_kg)), "masses")
         self.correction()
         return self
@@ -116,6 +121,11 @@ class ShearFrameTable(_Drawing):
         """Make the structure as drawn."""
         heights = None if self.story_heights_m is None else np.array(self.story_heights_m)
         return ShearFrame(np.array(self.masses_kg), np.array(self.stiffness_n_per_m), self.damping_ratio, heights)
+
+    def drawing(self) -> Drawing:
+        """Draw the frame; all stories are equally high where it has no heights."""
+        heights = self.story_heights_m
+        return Drawing.of_frame(np.ones(len(self.masses_kg)) if heights is None else np.array(heights))
 
 
 class MatricesTable(_Drawing):
@@ -169,6 +179,10 @@ class MatricesTable(_Drawing):
             np.array(self.stiffness_n_per_m),
             self.damping_ratio,
         )
+
+    def drawing(self) -> Drawing:
+        """Draw a list of the stiffnesses: matrices tell no form."""
+        return Drawing.of_bars(len(self.stiffness_n_per_m))
 
 
 StructureTable = Annotated[ShearFrameTable | MatricesTable, Field(discriminator="kind")]

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from monitor.core import Array, write_atomically
+from monitor.core import Array, name_stories, write_atomically
 from monitor.diagnosis import Diagnosis, csd_error_in_words, in_words
 from monitor.inference import Segments
 from monitor.model import FORMS, Effect, interval, unit
@@ -24,7 +24,9 @@ _MAX_SHOWN = 12
 """Largest number of rows of the misfit's table, and of bars of a ranking."""
 
 
-def write_report(path: Path, diagnosis: Diagnosis, content: Content, segments: Segments) -> None:
+def write_report(
+    path: Path, diagnosis: Diagnosis, content: Content, segments: Segments, story_names: Sequence[str] = ()
+) -> None:
     """Write the page; the file appears under its name only when complete.
 
     Parameters
@@ -36,8 +38,11 @@ def write_report(path: Path, diagnosis: Diagnosis, content: Content, segments: S
         diagnosis.json.
     segments : Segments
         The segments that were diagnosed.
+    story_names : sequence of str
+        What people call each story.
     """
-    write_atomically(path, page(diagnosis, content, segments))
+    names = [escape(name) for name in story_names]
+    write_atomically(path, name_stories(page(diagnosis, content, segments), names))
 
 
 def page(diagnosis: Diagnosis, content: Content, segments: Segments) -> str:

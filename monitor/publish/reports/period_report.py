@@ -159,7 +159,7 @@ def _head(period: Period) -> str:
     if period.quality is not None and period.quality.availability is not None:
         figures.insert(0, (f"{100 * period.quality.availability:.2f} %", "of the samples due came"))
     if r.ddi:
-        latest = [(f"{100 * c.latest:.2f} %", f"story {j}, latest") for j, c in enumerate(r.ddi, 1)]
+        latest = [(f"{100 * c.latest:.2f} %", f"{_story(j, period)}, latest") for j, c in enumerate(r.ddi, 1)]
         figures += latest if len(latest) <= 4 else [max(latest, key=lambda f: float(f[0].split()[0]))]
     boxes = "".join(f"<div><b>{a}</b>{escape(b)}</div>" for a, b in figures)
     return (
@@ -191,7 +191,7 @@ def _damage(period: Period) -> str:
         lines = [(0.0, "before dashed")] + ([(100 * limit, "limit dashed")] if limit is not None else [])
         marks += [axes.line(np.array(axes.x), np.full(2, y), kind) for y, kind in lines]
         remark = "; the modes say next to nothing of it" if j in r.unidentified else ""
-        title = f"story {j}: stiffness lost, %{remark}"
+        title = f"{_story(j, period)}: stiffness lost, %{remark}"
         out.append(figure(title, HEIGHT, axes.frame(title), *marks, *draw_envelope(axes, e, 100.0)))
     return "".join(out) + f"<p class='muted'>{_thresholds(period.thresholds)}</p>"
 
