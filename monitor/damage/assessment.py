@@ -380,7 +380,10 @@ def _levels(course: Course, known: Known) -> list[str]:
 def _unjudged(course: Course, known: Known, whole: bool) -> list[Fact]:
     """State why nothing, or not enough, can be said of damage."""
     if not known.has_baseline:
-        return [(State.NOT_JUDGED, "No baseline to compare with; make one with 'calibrate'.")]
+        facts = [(State.NOT_JUDGED, "No baseline to compare with; make one with 'calibrate'.")]
+        if course.windows and course.judged is None:
+            facts += _unjudged(course, replace(known, has_baseline=True), whole)
+        return facts
     if course.windows == 0:
         return [(State.NOT_JUDGED, "No window of data yet.")]
     if course.judged is None or not any(judged for _, judged in course.recent):
