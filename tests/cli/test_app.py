@@ -201,7 +201,7 @@ def test_a_planted_loss_of_a_tenth_is_found_in_its_story_alone(site: Site, calib
             assert line["alarm"]["level"] == "normal"
         assert line["alarm"]["stories"] in ([], [2])
     assert lines[-1]["alarm"]["level"] == "alarm"
-    assert "story 2" in done.stdout
+    assert "alarm: Story 2 lost" in done.stdout
 
 
 @pytest.mark.system
