@@ -227,6 +227,35 @@ def test_a_diagnosis_after_the_last_window_changes_the_state_that_is_shown(tmp_p
     assert "Cause named" in read(file)["/verdict"][T0][0]
 
 
+@pytest.mark.parametrize(
+    ("has_baseline", "detectable", "colours"),
+    [
+        (True, (0.02, 0.02, 0.02), "green amber green"),
+        (True, (0.02, 0.02, np.inf), "green amber grey"),
+        (True, None, "grey grey grey"),
+        (False, None, "grey grey grey"),
+    ],
+)
+def test_a_story_is_green_only_where_a_loss_would_have_been_seen(
+    has_baseline: bool, detectable: tuple[float, ...] | None, colours: str, tmp_path: Path
+) -> None:
+    file = tmp_path / "live.rrd"
+    view = RerunPublisher(replace(SCENE, has_baseline=has_baseline), file=file, serve=None, lossless=True)
+    result = window(0)
+    assert result.damage is not None
+    damage = replace(result.damage, ddi=np.array([0.0, 0.05, 0.0]))
+    view.window(
+        replace(result, damage=damage, detectable_loss=None if detectable is None else np.array(detectable)), ""
+    )
+    view.close(60.0)
+    assert view.failed is None
+    (chunk,) = [c for c in RrdReader(file).stream() if c.entity_path == "/frame/stories/labels"]
+    batch = chunk.to_record_batch()
+    ((*drawn,),) = batch[next(n for n in batch.schema.names if n.endswith(":colors"))].to_pylist()
+    named = {"green": rerun_scene.GREEN, "amber": rerun_scene.AMBER, "grey": rerun_scene.GREY}
+    assert drawn == [rgba(named[colour]) for colour in colours.split()]
+
+
 def test_a_viewer_that_joins_late_sees_the_state_at_the_next_window() -> None:
     class Stream:
         def log(self, *args: object, **more: object) -> None: ...

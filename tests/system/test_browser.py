@@ -73,7 +73,8 @@ def test_the_viewer_draws_in_a_browser(tmp_path: Path) -> None:
     for k in range(20):
         result = window(k, Level.ALARM)
         assert result.damage is not None
-        publisher.window(replace(result, damage=replace(result.damage, ddi=np.array([0.0, 0.15, 0.0]))), "")
+        damage = replace(result.damage, ddi=np.array([0.0, 0.15, 0.0]))
+        publisher.window(replace(result, damage=damage, detectable_loss=np.full(3, 0.02)), "")
     publisher.close(60.0)
     command = [sys.executable, "-m", "monitor", "view", str(tmp_path), "--web", "--port", "0"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=ROOT) as server:
@@ -87,7 +88,7 @@ def test_the_viewer_draws_in_a_browser(tmp_path: Path) -> None:
                     page.wait(10.0)
                     (tmp_path / "web.png").write_bytes(page.picture())
                     picture = np.asarray(Image.open(tmp_path / "web.png").convert("RGB")).astype(int)
-                    red, green, blue = np.moveaxis(picture[:450, :640], 2, 0)
+                    red, green, blue = np.moveaxis(picture[300:660, :640], 2, 0)
                     sound = int(((green - red > 60) & (green - blue > 40)).sum())
                     lost = int(((red - green > 100) & (red - blue > 100)).sum())
                     if min(sound, lost) > 500:

@@ -116,9 +116,9 @@ def _present_motion(scene: Scene) -> rrb.Horizontal:
     left = rrb.Vertical(
         _plot("/streams", "Acceleration, m/s²"),
         _canvas("/spectra", "Power spectral density, dB re 1 (m/s²)²/Hz: measured, and the model's (white)"),
-        row_shares=[2, 3],
+        row_shares=[1, 1],
     )
     shapes = _frame(scene)
     shapes.name = "Mode shapes: they move on the timeline 'phase'"
     right = rrb.Vertical(shapes, _plot("/modes/damping", "Damping, %"), row_shares=[3, 2])
-    return rrb.Horizontal(left, right, column_shares=[3, 2], name="What does it do now?")
+    return rrb.Horizontal(left, right, column_shares=[5, 4], name="What does it do now?")

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
-from monitor.core import DamageReading, Gap, ModalEstimate, Samples, StiffnessEstimate, WindowResult
+from monitor.core import Gap, ModalEstimate, Samples, StiffnessEstimate, WindowResult
 from monitor.damage import Assessment
 from monitor.publish.viewer.layout import blueprint
 from monitor.publish.viewer.mode_shapes import ModeShapes, label
@@ -197,7 +197,7 @@ class ResultDrawing:
             change, change_std = (None, None) if f is None or fs is None else (f / reference - 1.0, fs / reference)
             self._bounded(f"/modes/change/{k + 1}", change, change_std, 100.0)
         self._stiffness(result.stiffness)
-        self._damage(result.damage)
+        self._damage(result)
         self._shapes.draw(result.modes)
         self._trust.misfit(None if result.stiffness is None else result.stiffness.misfit)
         self._spectra.window(result)
@@ -227,20 +227,23 @@ class ResultDrawing:
         for j, (value, std) in enumerate(zip(values, stds, strict=True)):
             self._bounded(f"/stiffness/story_{j + 1}", value, std)
 
-    def _damage(self, damage: DamageReading | None) -> None:
-        """Draw the damage index over time, and colour the frame by it."""
+    def _damage(self, result: WindowResult) -> None:
+        """Draw the damage index over time, and colour the frame by it: green only where a loss would have been seen."""
+        damage, detectable = result.damage, result.detectable_loss
         loss_at, n = self._scene.alarm_loss, self._scene.n_stories
         readings: list[tuple[float | None, float | None]] = [(None, None)] * n
         if damage is not None:
             readings = list(zip(damage.ddi.tolist(), damage.ddi_std.tolist(), strict=True))
-        if damage is not None:
+        if damage is not None and self._scene.has_baseline:
             self._rows.scalars("/ddi/alarm_loss", 100.0 * loss_at)
         colours, places, labels = [], [], []
         for j, (ddi, std) in enumerate(readings):
             self._bounded(f"/ddi/story_{j + 1}", ddi, std, 100.0)
             top, foot = self._z[j], self._z[j + 1]
-            colours.append(loss_colour(ddi, loss_at))
-            places.append((-0.45, 0.0, (top + foot) / 2))
+            seen = detectable is not None and detectable[j] < loss_at
+            judged = self._scene.has_baseline and (seen or (ddi is not None and ddi >= loss_at))
+            colours.append(loss_colour(ddi if judged else None, loss_at))
+            places.append((-0.7, 0.0, (top + foot) / 2))
             known = "unknown" if ddi is None or std is None else plus_minus(ddi, std, 100) + " %"
             labels.append(f"story {j + 1}: {known}")
         of_stories = np.array(colours, dtype=np.uint8)
@@ -272,7 +275,8 @@ class ResultDrawing:
         """Draw the axes again when they grow."""
         frame = rr.LineStrips2D([[(0, n_max), (0, 0), (f_max, 0)]], colors=[GREY], draw_order=0.0)
         self._stream.log("/stabilisation/axes", frame)
-        ticks = [(f, 0.0) for f in np.linspace(0, f_max, 6)] + [(-0.1 * f_max, n) for n in np.linspace(0, n_max, 3)[1:]]
-        texts = [f"{f:g} Hz" for f, _ in ticks[:6]] + [f"order {n:g}" for _, n in ticks[6:]]
-        marks = rr.Points2D(ticks, labels=texts, colors=[GREY], radii=rr.Radius.ui_points(2.0), show_labels=True)
+        ticks = [(f, 0.0, f"{f:g} Hz") for f in np.arange(0.0, f_max + 0.1, 10.0 if f_max > 25.0 else 5.0)]
+        ticks += [(-0.1 * f_max, n, f"order {n:g}") for n in np.linspace(0, n_max, 3)[1:]]
+        places, texts = [(f, n) for f, n, _ in ticks], [text for *_, text in ticks]
+        marks = rr.Points2D(places, labels=texts, colors=[GREY], radii=rr.Radius.ui_points(2.0), show_labels=True)
         self._stream.log("/stabilisation/ticks", marks)
