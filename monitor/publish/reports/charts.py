@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
-from typing import ClassVar
 
 import numpy as np
 
@@ -62,8 +61,6 @@ class Axes:
     height: float
     """Height of the box, px."""
     log_y: bool = False
-    x_unit: ClassVar[str] = ""
-    """Stands beside the labels of the ticks along x."""
 
     def px(self, x: Array | float) -> Array:
         """Return horizontal places, 0 at the left to `WIDTH` at the right, of the shape of `x`."""
@@ -90,8 +87,6 @@ class Axes:
                 hidden = "more" if k % every else ""
                 words.append(text(_share(place), self.height + 15.0 + 14.0 * row, line, "middle", hidden))
         below = 15.0 + 14.0 * max((len(lines) for _, lines in at_x), default=1) if numbers else 0.0
-        if numbers and self.x_unit:
-            words.append(text("-6", self.height + below - 14.0, self.x_unit, "end"))
         if x_title:
             words.append(text("100%", self.height + below, x_title, "end"))
             below += 14.0

@@ -19,7 +19,7 @@ from monitor.publish.reports import period_notes as notes
 from monitor.publish.reports.page import document, table
 from monitor.publish.reports.period_data import PeriodResults, read_results, utc
 from monitor.publish.reports.period_notes import Decision, Quality
-from monitor.publish.reports.time_charts import TimeAxes, draw_envelope, panel, time_axes
+from monitor.publish.reports.time_charts import TIME, TimeAxes, draw_envelope, panel, time_axes
 
 _MAX_ROWS = 200
 """Largest number of rows of a table."""
@@ -184,7 +184,8 @@ def _damage(period: Period) -> str:
         marks += [axes.line(np.array(axes.x), np.full(2, y), kind) for y, kind in lines]
         seen, says = _sight(j, period)
         title = f"{_story(j, period)}: stiffness lost {since}, %; {says}"
-        out.append(axes.chart(title, *marks, *draw_envelope(axes, e, 100.0), kind="" if seen else " unseen"))
+        marks += draw_envelope(axes, e, 100.0)
+        out.append(axes.chart(title, *marks, x_title=TIME, kind="" if seen else " unseen"))
     how = _thresholds(period.thresholds) if judged else "Without a baseline this is no damage index."
     return "".join(out) + f"<p class='muted'>{how}</p>"
 
@@ -312,7 +313,7 @@ def _coverage_strip(period: Period) -> str:
             marks.append(axes.shade(span, kind))
         start = stop
     title = "windows: blue evaluated, orange skipped in part or whole, blank none"
-    return axes.chart(title, *marks)
+    return axes.chart(title, *marks, x_title=TIME)
 
 
 def _findings(period: Period) -> str:

@@ -9,6 +9,8 @@ from monitor.publish.reports.period_data import Curve, Envelope, Grid, utc
 
 HEIGHT = 110.0
 """Height of a curve, px."""
+TIME = "time, UTC"
+"""Title of the axis."""
 _STEPS_S = (1, 5, 15, 60, 300, 900, 1800, 3600, 10800, 21600, 43200)
 _STEPS_DAYS = (1, 2, 7, 14, 28, 91, 182, 364)
 
@@ -17,7 +19,6 @@ class TimeAxes(Axes):
     """Axes over time: x in s from 1970 UTC."""
 
     __slots__ = ()
-    x_unit = "UTC"
 
     def x_ticks(self) -> list[tuple[float, str]]:
         """Return at most nine round times; their labels say the time of day above the date."""
@@ -57,4 +58,4 @@ def panel(grid: Grid, curve: Curve | None, title: str) -> str:
         return ""
     e = curve.envelope()
     axes = time_axes(grid, float(e.low.min()), float(e.high.max()))
-    return axes.chart(title, *draw_envelope(axes, e))
+    return axes.chart(title, *draw_envelope(axes, e), x_title=TIME)

@@ -42,7 +42,7 @@ def window_line(result: WindowResult) -> dict[str, Any]:
 
     Examples
     --------
-    >>> from monitor.core import Alarm, Level
+    >>> from monitor.core import Alarm, Level, Skipped
     >>> alarm = Alarm(Level.NORMAL, (), "no baseline")
     >>> line = window_line(WindowResult(0, 400_000_000_000, 400.0, None, None, None, alarm, Skipped("too few poles")))
     >>> line["t_end_ns"], line["alarm"]["level"], line["skipped"], line["ddi"]
