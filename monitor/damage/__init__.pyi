@@ -1,7 +1,7 @@
 from . import alarm, damage_index
 from .alarm import AlarmSettings, AlarmState, StoryState, hold
 from .alternative_solutions import second_solutions
-from .assessment import Assessment, Course, Known, Loss, State, WindowFacts, assess, facts_of, follow
+from .assessment import Assessment, Course, Known, Loss, State, WindowFacts, assess, facts_of, follow, outdated, utc
 from .baseline import Baseline, learn_baseline
 from .baseline_file import load_baseline, save_baseline
 from .detectable_loss import smallest_detectable_loss
@@ -30,8 +30,10 @@ __all__ = [
     "learn_baseline",
     "load_baseline",
     "observe",
+    "outdated",
     "save_baseline",
     "second_solutions",
     "smallest_detectable_loss",
     "update",
+    "utc",
 ]

@@ -224,7 +224,12 @@ def _followed(losses: Sequence[Loss], window: WindowFacts) -> tuple[Loss, ...]:
 
 
 def assess(
-    course: Course, known: Known, findings: Sequence[Mapping[str, Any]] = (), *, whole: bool = False
+    course: Course,
+    known: Known,
+    findings: Sequence[Mapping[str, Any]] = (),
+    *,
+    standing: Mapping[int, Level] | None = None,
+    whole: bool = False,
 ) -> Assessment:
     """Decide the state.
 
@@ -236,6 +241,8 @@ def assess(
         Site and baseline.
     findings : sequence of mappings
         Results of diagnoses: `verdict`, `says`, `causes`, `alternatives`, `ddi_effect`, `from_ns`, `t_ns`.
+    standing : mapping, optional
+        Announced level by story before the first window: of alarms that a restart kept.
     whole : bool
         State of a whole recording, alarms that ended and misfits that passed included, in place of the present state.
 
@@ -246,6 +253,7 @@ def assess(
     """
     facts = [
         *_alarms(course, known, findings, whole),
+        *_kept(course, known, standing or {}),
         *_doubts(course, known, findings, whole),
         *_unjudged(course, known),
     ]
@@ -256,6 +264,26 @@ def assess(
     (state, headline), *others = facts
     sentences = [headline, *(sentence for _, sentence in others), *remarks]
     return Assessment(state, headline, tuple(dict.fromkeys(sentences))[1:])
+
+
+def outdated(assessment: Assessment, why: str, t_ns: int | None = None) -> Assessment:
+    """State what is left of an assessment when nothing new is known: an alarm or a doubt stands, `normal` does not.
+
+    Parameters
+    ----------
+    assessment : Assessment
+        The latest one.
+    why : str
+        Why nothing new is known.
+    t_ns : int, optional
+        Until when it was known, UTC, ns since 1970.
+    """
+    known = "" if t_ns is None else f", as of {utc(t_ns)} UTC"
+    latest = f"{assessment.headline.rstrip('.')}{known}"
+    if assessment.state.rank <= State.NOT_JUDGED.rank:
+        doubts = (_sentence(f"before: {latest[:1].lower()}{latest[1:]}"), *assessment.doubts)
+        return Assessment(State.NOT_JUDGED, _sentence(why), doubts)
+    return Assessment(assessment.state, _sentence(latest), (_sentence(why), *assessment.doubts))
 
 
 Fact = tuple[State, str]
@@ -275,6 +303,20 @@ def _alarms(course: Course, known: Known, findings: Sequence[Mapping[str, Any]],
         said = _overlapping(loss, findings)
         facts.append((State(loss.level.value), _sentence(says + (f"; diagnosis: {said}" if said else ""))))
     return facts
+
+
+def _kept(course: Course, known: Known, standing: Mapping[int, Level]) -> list[Fact]:
+    """State every alarm that stands without a loss in these windows: it was raised before them."""
+    said = {loss.story for loss in course.losses if loss.t_last_ns is None}
+    active = standing if course.last is None else course.last.active
+    return [
+        (
+            State(level.value),
+            _sentence(f"the {level.value} of {_name(story, known)} stands from before; no window since says its size"),
+        )
+        for story, level in sorted(active.items(), key=lambda item: -item[1].rank)
+        if story not in said
+    ]
 
 
 def _overlapping(loss: Loss, findings: Sequence[Mapping[str, Any]]) -> str:
@@ -349,18 +391,18 @@ def _levels(course: Course, known: Known) -> list[str]:
 
 def _unjudged(course: Course, known: Known) -> list[Fact]:
     """State why nothing, or not enough, can be said of damage."""
-    if not known.has_baseline:
-        return [(State.NOT_JUDGED, "No baseline to compare with; make one with 'calibrate'.")]
+    says = []
     if course.windows == 0:
-        return [(State.NOT_JUDGED, "No window of data yet.")]
-    if course.judged is None or not any(judged for _, judged in course.recent):
+        says.append("no window of data yet")
+    elif course.judged is None or not any(judged for _, judged in course.recent):
         reason = max(course.skip_reasons, key=lambda r: course.skip_reasons[r], default="")
         since = "" if course.judged is None else " for an hour"
-        return [(State.NOT_JUDGED, _sentence(f"no window could be judged{since}: {Skipped(reason).mend}"))]
-    unseen = _unseen(course.judged, known)
-    if unseen or course.judged.detectable is None:
-        return [(State.NOT_JUDGED, _sentence(_seen(course, known)))]
-    return []
+        says.append(f"no window could be judged{since}: {Skipped(reason).mend}")
+    if not known.has_baseline:
+        says.append("no baseline to compare with; make one with 'calibrate'")
+    elif not says and course.judged is not None and (_unseen(course.judged, known) or course.judged.detectable is None):
+        says.append(_seen(course, known))
+    return [(State.NOT_JUDGED, _sentence(sentence)) for sentence in says]
 
 
 def _unseen(window: WindowFacts, known: Known) -> list[int]:

@@ -52,6 +52,8 @@ def smallest_detectable_loss(reading: DamageReading, history: History, hop_s: fl
         Relative losses of stiffness (0.02 = 2 %); infinite where no loss can be confirmed: too few windows, or modes that say
         next to nothing of the story.
     """
+    if (history.t_ns.size - 1) * hop_s < settings.confirm_s:
+        return np.full(reading.ddi.size, np.inf)
     common = np.atleast_2d(reading.common_covariance)
     own = reading.ddi_covariance - common - reading.form_variance * np.eye(reading.ddi.size)
     own_std = np.exp(0.5 * history.ln_variance)

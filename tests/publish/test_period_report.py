@@ -210,6 +210,9 @@ def test_a_period_is_cut_out_and_reads_alike(months: Path, tmp_path: Path) -> No
     said = words(parsed(tmp_path / "r.html"))
     assert said.index("not judged") < said.index("Damage index"), "results that do not say what would have been seen"
     assert "Alarms None." in said
+    assert "not judged" in said and "not recorded in these results" in said, (
+        "lines of a version that noted no smallest loss"
+    )
 
 
 def test_windows_are_due_from_the_run_s_first_on_and_ends_count_to_the_nanosecond(tmp_path: Path, main: Cli) -> None:
