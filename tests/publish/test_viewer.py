@@ -269,6 +269,8 @@ def test_a_viewer_that_joins_late_sees_the_state_at_the_next_window() -> None:
         drawing.draw(T0 + k)
         drawing.send()
     assert sent.count("/state/lamp") == 3
+    drawing.take(Assessment(State.NOT_JUDGED, "No data since noon."))
+    assert sent.count("/state/lamp") == 4, "at once: where the source is silent no window follows"
 
 
 def test_the_block_size_does_not_matter(tmp_path: Path) -> None:

@@ -130,7 +130,7 @@ class ResultDrawing:
 
     def samples(self, samples: Samples) -> None:
         """Collect blocks until they are long enough to send."""
-        self._state.nothing_yet(samples.t_ns)
+        self._state.reached(samples.t_ns)
         self._spectra.samples(samples)
         if self._blocks:
             last = self._blocks[-1]

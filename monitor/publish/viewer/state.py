@@ -55,16 +55,24 @@ class StateDrawing:
         )
         self._stream.log("/state", configuration, static=True)
 
-    def nothing_yet(self, t_ns: int) -> None:
-        """Say, unless a state is known, from the first data on that there is none."""
+    def reached(self, t_ns: int) -> None:
+        """Take note that there are data up to a time, UTC in ns; without a state, say that there is none yet."""
+        self._t_ns = t_ns
         if self._present is None:
             self._present = _NOTHING_YET
             self.draw(t_ns)
             self._rows.send()
 
     def take(self, assessment: Assessment) -> None:
-        """Take a new state; it is drawn with the next window."""
+        """Take a new state.
+
+        Viewers that watch see it at once, since no window may follow, as where the source is silent; in a file it is drawn with
+        the next window.
+        """
         self._present = assessment
+        if self._live and self._t_ns is not None:
+            self.draw(self._t_ns)
+            self._rows.send()
 
     @property
     def changed(self) -> bool:
