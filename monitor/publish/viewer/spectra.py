@@ -18,9 +18,9 @@ LIVE_EVERY_S, FILE_EVERY_S = 60.0, 200.0
 _SEGMENT_S, _LONGEST_S = 20.0, 400.0
 """Length of a segment and longest span of the averaged data, s."""
 _SPAN_DB = 80.0
-"""Range of power shown for each channel, dB."""
+"""Range of power shown for each channel. [dB; judgement]"""
 _TICKS_DB = (70.0, 40.0, 10.0)
-"""Heights of the ticks of a channel above its lower end, dB."""
+"""Heights of the ticks of a channel above its lower end. [dB; judgement]"""
 _MOST_CHANNELS = 6
 MODEL = (235, 235, 235)
 

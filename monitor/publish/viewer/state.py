@@ -25,7 +25,7 @@ PLAIN: Colour = (200, 200, 200)
 _LOG_LEVELS = {State.WARNING: "WARN", State.ALARM: "CRITICAL"}
 _NOTHING_YET = Assessment(State.NOT_JUDGED, "Nothing yet: still loading, or no window of data so far.")
 LAMP = (100.0, 4.0)
-"""Width and height of the bar in the colour of the state, in units of its view."""
+"""Width and height of the bar in the colour of the state. [units of its view; judgement]"""
 
 
 class StateDrawing:

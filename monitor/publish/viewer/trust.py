@@ -11,12 +11,13 @@ from monitor.publish.viewer.scene import GREY, RED, SERIES, Clocks, Scene, utc
 from monitor.publish.viewer.state import PLAIN, event_text
 from monitor.signals import Health
 
-_VERDICTS = {
+VERDICTS = {
     "named": "Cause named",
     "ambiguous": "Cause ambiguous",
     "unexplained": "Misfit unexplained",
     "none": "No cause found",
 }
+"""Verdicts of a diagnosis as people read them."""
 
 
 class TrustDrawing:
@@ -67,7 +68,7 @@ class TrustDrawing:
     def finding(self, finding: dict[str, Any]) -> None:
         """Draw the finding of a diagnosis at the end of its data."""
         self._stream.set_time("time", timestamp=utc(finding["t_ns"]))
-        verdict = _VERDICTS.get(finding.get("verdict") or "", "Diagnosis failed")
+        verdict = VERDICTS.get(finding.get("verdict") or "", "Diagnosis failed")
         says = finding.get("says") or finding.get("error") or ""
         text = f"# {verdict}\n\n{says}\n\nAsked because: {finding.get('reason', '')}"
         if what := finding.get("separating_measurement"):
