@@ -11,9 +11,11 @@ import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import pytest
+import rerun as rr
 from rerun.chunk import RrdReader
 from scipy.signal import welch
 
@@ -31,6 +33,7 @@ from monitor.core.results import (
     StiffnessEstimate,
     WindowResult,
 )
+from monitor.damage import Assessment, State
 from monitor.model.model import Model
 from monitor.model.simulation import simulate
 from monitor.model.structures import ShearFrame
@@ -43,6 +46,7 @@ from monitor.publish.viewer.output import Output
 from monitor.publish.viewer.publisher import RerunPublisher
 from monitor.publish.viewer.scene import Scene, loss_colour, make_scene
 from monitor.publish.viewer.spectra import predict_power
+from monitor.publish.viewer.state import StateDrawing
 from monitor.publish.viewer.thinning import FULL_RATE_NS, FULL_RATE_WINDOWS, Thinning
 from monitor.signals.sensor_health import ChannelHealth, Health
 from tests.examples.beam import bridge
@@ -118,9 +122,11 @@ def test_a_file_holds_everything(tmp_path: Path) -> None:
     for k in range(12):
         view.samples(second(k, 37))  # neither whole seconds nor contiguous
     view.gap(Gap(T0 + 30 * 10**9, 2.0, "sequence jumped"))
-    levels = [Level.NORMAL, Level.NORMAL, Level.ADVISORY, Level.ALARM, Level.ALARM, Level.NORMAL]
-    for k, level in enumerate(levels):
-        view.window(window(k, level), "")
+    states = [State.NORMAL, State.NORMAL, State.ADVISORY, State.ALARM, State.ALARM, State.NORMAL]
+    for k, state in enumerate(states):
+        if k == 0 or state is not states[k - 1]:
+            view.state(Assessment(state, f"Story 2 is {state}."))
+        view.window(window(k), "")
     view.window(window(6, skipped="channel a3 was stuck"), "")
     assert not file.exists(), "named before it is complete"
     view.close(60.0)
@@ -139,16 +145,139 @@ def test_a_file_holds_everything(tmp_path: Path) -> None:
     std = 5.0 * 0.002  # four deviations of 0.001 in ln f
     np.testing.assert_allclose(found["/modes/frequency/1"][ends[0]], [5.0, 5 - 2 * std, 5 + 2 * std])
     np.testing.assert_allclose(found["/modes/damping/3"][ends[0]][0], 2.0)
-    assert np.isnan(found["/modes/frequency/2"][ends[0]]).all(), "a mode that was not found"
+    np.testing.assert_allclose(found["/modes/change/1"][ends[0]][0], 100 * (5.0 / 5.1 - 1.0))
+    assert np.isnan(found["/modes/frequency/1"][ends[6]]).all(), "a mode that was found before, and now is not"
+    assert not any(path.startswith("/modes/") and path.endswith("/2") for path in found), "a mode that was never found"
     assert np.isnan(found["/ddi/story_2"][ends[6]]).all(), "a skipped window leaves a hole"
     np.testing.assert_allclose(found["/stabilisation"][ends[0]], [[5, 10], [5, 20], [31, 20]])
-    assert "story 2" in found["/alarms"][ends[2]][0]
-    assert sorted(found["/alarms"]) == [ends[2], ends[3], ends[5]], "changes only"
-    assert len(found["/events"]) == 2
+    changes = [T0, ends[0], ends[2], ends[3], ends[5]]
+    assert sorted(found["/state"]) == changes, "changes only"
+    assert sorted(found["/events"]) == sorted([*changes[1:], ends[6], T0 + 30 * 10**9])
+    assert found["/events"][ends[3]] == ["2026-03-01 10:07:10 UTC  ALARM: Story 2 is alarm."]
     assert "channel a3 was stuck" in found["/status"][ends[6]][0]
     assert "| 2 (left columns) | 8.0 ± 2.0 |" in found["/status"][ends[0]][0]
-    assert {"/frame/stories", "/frame/modes", "/frame/modes/nodes", "/alarm_level"} <= set(found)
+    assert {"/frame/stories", "/frame/modes", "/frame/modes/nodes", "/state/lamp"} <= set(found)
     assert len(RrdReader(file).blueprints()) >= 1
+
+
+def told(file: Path) -> list[tuple[int, str, object]]:
+    """Time, text and colour of the states in the order in which a reader of the file meets them."""
+    texts, colours = [], {}
+    for chunk in RrdReader(file).stream():
+        if chunk.is_static or not chunk.entity_path.startswith("/state"):
+            continue
+        batch = chunk.to_record_batch()
+        times = batch["time"].cast("int64").to_pylist()
+        for name in batch.schema.names:
+            if name.endswith("TextDocument:text"):
+                texts += zip(times, (text[0] for text in batch[name].to_pylist() if text), strict=True)
+            elif name.endswith("LineStrips2D:colors"):
+                colours |= zip(times, batch[name].to_pylist(), strict=True)
+    return [(t_ns, text, colours[t_ns]) for t_ns, text in texts]
+
+
+def rgba(colour: tuple[int, int, int]) -> int:
+    red, green, blue = colour
+    return red << 24 | green << 16 | blue << 8 | 255
+
+
+@pytest.mark.parametrize("state", State)
+def test_each_state_is_shown_in_capitals_in_its_colour_with_headline_and_doubts(state: State, tmp_path: Path) -> None:
+    file = tmp_path / "live.rrd"
+    view = RerunPublisher(SCENE, file=file, serve=None, lossless=True)
+    view.samples(second(0))
+    view.state(Assessment(state, "The headline.", ("One doubt.", "Another.")))
+    view.window(window(0), "")
+    view.close(60.0)
+    assert view.failed is None
+    (begun, nothing, grey), (ended, text, colour) = told(file)
+    assert (begun, grey) == (T0, [rgba(rerun_scene.GREY)])
+    assert nothing.startswith("# NOT JUDGED\n") and "loading" in nothing
+    assert (ended, text) == (
+        window(0).t_end_ns,
+        f"# {state.words.upper()}\n### The headline.\n\n- One doubt.\n- Another.",
+    )
+    green, red = [rgba(rerun_scene.GREEN)], [rgba(rerun_scene.RED)]
+    assert ((colour == green), (colour == red)) == (state is State.NORMAL, state is State.ALARM)
+
+
+def test_a_file_that_is_still_loading_shows_no_state_of_its_beginning(tmp_path: Path) -> None:
+    """All that a reader meets before the last results says "not judged"."""
+    file = tmp_path / "live.rrd"
+    view = RerunPublisher(SCENE, file=file, serve=None, lossless=True)
+    view.samples(second(0))
+    for k in range(150):
+        view.state(Assessment(State.NORMAL if k < 140 else State.ALARM, f"No loss above {1 + k} %."))
+        view.window(window(k), "")
+    view.close(60.0)
+    order = [
+        (chunk.entity_path, int(t))
+        for chunk in RrdReader(file).stream()
+        if not chunk.is_static and chunk.timeline_names == ["time"]
+        for t in chunk.to_record_batch()["time"].cast("int64").to_pylist()
+    ]
+    state = [i for i, (path, t) in enumerate(order) if path == "/state" and t > T0]
+    assert len(state) > 150 and min(state) > max(i for i, (path, _) in enumerate(order) if path == "/ddi/story_1")
+
+
+def test_a_diagnosis_after_the_last_window_changes_the_state_that_is_shown(tmp_path: Path) -> None:
+    file = tmp_path / "live.rrd"
+    view = RerunPublisher(SCENE, file=file, serve=None, lossless=True)
+    view.state(Assessment(State.ADVISORY, "Story 2 lost 3 %."))
+    view.window(window(0), "")
+    view.finding({"t_ns": T0, "verdict": "named", "says": "Channels a1 and a3 are swapped.", "reason": "misfit"})
+    view.state(Assessment(State.DOUBTFUL, "Diagnosis 001: Channels a1 and a3 are swapped."))
+    view.close(60.0)
+    assert view.failed is None
+    t_ns, text, _ = told(file)[-1]
+    assert t_ns == window(0).t_end_ns and "# DOUBTFUL" in text and "swapped" in text
+    assert "Cause named" in read(file)["/verdict"][T0][0]
+
+
+@pytest.mark.parametrize(
+    ("has_baseline", "detectable", "colours"),
+    [
+        (True, (0.02, 0.02, 0.02), "green amber green"),
+        (True, (0.02, 0.02, np.inf), "green amber grey"),
+        (True, None, "grey grey grey"),
+        (False, None, "grey grey grey"),
+    ],
+)
+def test_a_story_is_green_only_where_a_loss_would_have_been_seen(
+    has_baseline: bool, detectable: tuple[float, ...] | None, colours: str, tmp_path: Path
+) -> None:
+    file = tmp_path / "live.rrd"
+    view = RerunPublisher(replace(SCENE, has_baseline=has_baseline), file=file, serve=None, lossless=True)
+    result = window(0)
+    assert result.damage is not None
+    damage = replace(result.damage, ddi=np.array([0.0, 0.05, 0.0]))
+    view.window(
+        replace(result, damage=damage, detectable_loss=None if detectable is None else np.array(detectable)), ""
+    )
+    view.close(60.0)
+    assert view.failed is None
+    (chunk,) = [c for c in RrdReader(file).stream() if c.entity_path == "/frame/stories/labels"]
+    batch = chunk.to_record_batch()
+    ((*drawn,),) = batch[next(n for n in batch.schema.names if n.endswith(":colors"))].to_pylist()
+    named = {"green": rerun_scene.GREEN, "amber": rerun_scene.AMBER, "grey": rerun_scene.GREY}
+    assert drawn == [rgba(named[colour]) for colour in colours.split()]
+
+
+def test_a_viewer_that_joins_late_sees_the_state_at_the_next_window() -> None:
+    class Stream:
+        def log(self, *args: object, **more: object) -> None: ...
+        def send_columns(self, path: str, indexes: object, columns: object) -> None:
+            sent.append(path)
+
+    sent: list[str] = []
+    drawing = StateDrawing(cast("rr.RecordingStream", Stream()), live=True)
+    drawing.take(Assessment(State.ALARM, "Story 2 lost 12 %."))
+    for k in range(3):
+        drawing.draw(T0 + k)
+        drawing.send()
+    assert sent.count("/state/lamp") == 3
+    drawing.take(Assessment(State.NOT_JUDGED, "No data since noon."))
+    assert sent.count("/state/lamp") == 4, "at once: where the source is silent no window follows"
 
 
 def test_the_block_size_does_not_matter(tmp_path: Path) -> None:

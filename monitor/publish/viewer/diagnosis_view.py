@@ -17,6 +17,7 @@ from monitor.publish.reports.comparison import Comparison, compare
 from monitor.publish.viewer.layout import ALL_TIME
 from monitor.publish.viewer.output import Output
 from monitor.publish.viewer.scene import GREY, Colour
+from monitor.publish.viewer.trust import VERDICTS
 
 _TIMELINE = "frequency_mHz"
 _MEASURED, _BEFORE, _AFTER = (235, 235, 235), (240, 154, 74), (90, 169, 240)
@@ -88,7 +89,7 @@ def _spectra(stream: rr.RecordingStream, c: Comparison) -> None:
 def _status(diagnosis: Diagnosis, content: Mapping[str, Any], segments: Segments, compared: Comparison) -> str:
     """Write the content of the report as Markdown."""
     gain = content["gain"]["log_score_per_sample"]
-    lines = [f"# {content['verdict'].upper()}", content["says"], ""]
+    lines = [f"# {VERDICTS[content['verdict']].upper()}", content["says"], ""]
     if content["separating_measurement"]:
         lines += [f"**To tell them apart:** {content['separating_measurement']}.", ""]
     if content["causes"]:
@@ -125,8 +126,8 @@ def _blueprint(c: Comparison) -> rrb.Blueprint:
     def tab(channel: str) -> rrb.Vertical:
         part = rr.escape_entity_path_part(channel)
         return rrb.Vertical(
-            plot(f"/spectra/{part}", f"{channel}: power, dB"),
-            plot(f"/ratios/{part}", f"{channel}: ratio, dB"),
+            plot(f"/spectra/{part}", f"{channel}: power, dB re 1 (m/s²)²/Hz, over mHz"),
+            plot(f"/ratios/{part}", f"{channel}: measured over simulated, dB, over mHz"),
             row_shares=[2, 1],
             name=channel,
         )
@@ -146,7 +147,7 @@ def _blueprint(c: Comparison) -> rrb.Blueprint:
             ),
             rrb.Vertical(
                 rrb.Horizontal(*columns) if len(columns) <= 3 else rrb.Tabs(*columns),
-                plot("/worst", "Worst misfit of a band, standard deviations"),
+                plot("/worst", "Worst misfit of a band, standard deviations, over mHz"),
                 row_shares=[3, 1],
             ),
             column_shares=[2, 3],

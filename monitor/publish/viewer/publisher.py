@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from drivers.base import ClockHealth
 from monitor.core import Gap, Samples, WindowResult
+from monitor.damage import Assessment
 from monitor.publish.base import Publisher
 from monitor.publish.viewer.queue import Worker
 from monitor.publish.viewer.scene import FILE_BLOCK_S, LIVE_BLOCK_S, Clocks, Scene
@@ -73,6 +74,10 @@ class RerunPublisher(Publisher):
     def health(self, health: Health) -> None:
         """Publish the sensors' health in a span."""
         self._worker.put(health)
+
+    def state(self, assessment: Assessment) -> None:
+        """Publish the present state of the structure."""
+        self._worker.put(assessment)
 
     def clocks(self, t_ns: int, clocks: Sequence[ClockHealth]) -> None:
         """Publish the state of the sensor nodes' clocks at a time."""

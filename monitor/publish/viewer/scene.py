@@ -1,4 +1,4 @@
-"""Description of a site for the viewer, its status text and its colours; pure functions."""
+"""Description of a site for the viewer, the text of its estimates and its colours; pure functions."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from drivers.base import ClockHealth
-from monitor.core import Array, Level, ModalEstimate, WindowResult
+from monitor.core import Array, ModalEstimate, WindowResult
 from monitor.damage import Baseline
 from monitor.model import Drawing, Model
 
@@ -225,16 +225,14 @@ def plus_minus(value: float, std: float, scale: float = 1.0, digits: int = 1) ->
 
 
 def status_markdown(scene: Scene, result: WindowResult) -> str:
-    """Describe the state after a window in Markdown; intervals are two standard deviations."""
+    """Describe the estimates of a window in Markdown; intervals are two standard deviations."""
     end = datetime.fromtimestamp(result.t_end_ns * 1e-9, UTC)
-    alarm, modes, damage = result.alarm, result.modes, result.damage
-    judged = result.skipped is None or alarm.level is not Level.NORMAL
-    lines = [f"# {alarm.level.value.upper() if judged else 'NOT JUDGED'}", alarm.reason, ""]
+    modes, damage, lines = result.modes, result.damage, []
     if result.skipped is not None:
         lines += [f"**No result for this window:** {result.skipped.reason}", ""]
     if damage is not None:
-        since = "since the baseline" if scene.has_baseline else "against the structure file (no baseline)"
-        lines += [f"Stiffness lost {since}, alarm from {100 * scene.alarm_loss:g} %", ""]
+        since = f"since the baseline, alarm from {100 * scene.alarm_loss:g} %"
+        lines += [f"Stiffness lost {since if scene.has_baseline else 'against the structure file (no baseline)'}", ""]
         lines += ["| story | loss, % (± 2σ) |", "|---|---|"]
         rows = zip(scene.story_names, damage.ddi, damage.ddi_std, strict=True)
         lines += [f"| {name.removeprefix('story ')} | {plus_minus(d, s, 100)} |" for name, d, s in rows] + [""]
