@@ -215,7 +215,10 @@ def as_version(data: bytes, version: int) -> bytes:
         course = tree["session"]["summary"].pop("course")
         assert not course["losses"]
         counts = {name: course[name] for name in ("windows", "skipped", "skip_reasons")}
-        tree["session"]["summary"] |= counts | {"alarms": []}
+        summary = tree["session"]["summary"]
+        means = [hz for _, (_, hz) in summary.pop("modes")]
+        del summary["other_modes"], summary["missing_modes"]
+        summary |= counts | {"alarms": [], "frequencies_hz": means or None, "n_frequencies": len(means)}
         text = json.dumps(tree, separators=(",", ":")).encode()
     if version < 2:
         text = re.sub(rb'"shifted":(\{[^}]*\})', rb'"first":\1,"second":\1,"total":\1', text)

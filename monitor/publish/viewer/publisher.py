@@ -122,10 +122,10 @@ class RerunPublisher(Publisher):
             output.abandon()
 
     def _until_first_result(self, take: Callable[[], Item | None]) -> list[Item]:
-        """Hold the samples before the first result, no more than the queue's size."""
+        """Hold what comes before the first result, no more than the queue's size."""
         held: list[Item] = []
         while len(held) < self._queue_size and (item := take()) is not None:
             held.append(item)
-            if not isinstance(item, Samples | Health):
+            if not isinstance(item, Samples | Health | Assessment):
                 break
         return held
