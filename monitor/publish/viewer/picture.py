@@ -241,7 +241,7 @@ class ResultDrawing:
             self._bounded(f"/ddi/story_{j + 1}", ddi, std, 100.0)
             top, foot = self._z[j], self._z[j + 1]
             seen = detectable is not None and detectable[j] < loss_at
-            judged = self._scene.has_baseline and (seen or (ddi is not None and ddi >= loss_at))
+            judged = self._scene.has_baseline and (seen or j + 1 in result.alarm.active)
             colours.append(loss_colour(ddi if judged else None, loss_at))
             places.append((-0.7, 0.0, (top + foot) / 2))
             known = "unknown" if ddi is None or std is None else plus_minus(ddi, std, 100) + " %"
