@@ -135,7 +135,10 @@ def _simulated(
         share = np.minimum(looks / (stretch * apart), 1.0)  # of the stretch that lies behind the loss
         wanted = np.minimum(wanted, loss / share[:, None])
     confirmed = np.maximum(wanted[:, 1:], wanted[:, :-1])  # still significant at the next look
-    return np.asarray(np.quantile(confirmed.min(axis=1), PROBABILITY, axis=0))
+    with np.errstate(
+        invalid="ignore"
+    ):  # no loss is seen in some trials: the quantile between infinities is not a number
+        return np.asarray(np.quantile(confirmed.min(axis=1), PROBABILITY, axis=0))
 
 
 def _needed(error: Array, covariance: Array, significance: float, model_form: float) -> Array:

@@ -20,7 +20,7 @@ from typing import Any
 from drivers.base import RecordingError, RecordingMissingError, SampleBlock, Source, SourceContext
 from drivers.recorder import unfit
 from monitor.config import configuration
-from monitor.core import BadConfigurationError, BadInputError, Gap, MissingInputError, WindowResult
+from monitor.core import BadConfigurationError, BadInputError, Gap, MissingInputError, WindowResult, name_stories
 from monitor.damage import Assessment, load_baseline, outdated, utc
 from monitor.pipeline import Result
 from monitor.publish import Publisher, current_alarm_line, episode_content, to_json
@@ -70,7 +70,7 @@ class Daemon(Publisher):
     BadInputError
         The baseline file is unusable.
     BadConfigurationError
-        The site file is invalid, or another daemon writes into the output folder.
+        The site file is invalid, the baseline is another structure's, or another daemon writes into the output folder.
     """
 
     def __init__(
@@ -274,7 +274,8 @@ class Daemon(Publisher):
         for request in outlet.take_requests():
             try:
                 self.session.alter_alarm(partial(apply, request=request, t_ns=self.session.now_ns))
-                says = f"{request.action} alarm of story {request.story}: {request.note}"
+                place = name_stories(f"story {request.story}", self.session.config.story_names)
+                says = f"{request.action} alarm of {place}: {request.note}"
                 ledger.append_entry(self.out / "results.jsonl", {"says": says, "causes": []}, {}, request.who)
                 self._history.request(self.session.now_ns, request.model_dump())
                 self._keeper.save_now(self.session)

@@ -11,7 +11,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from monitor.core import MissingInputError
+from monitor.core import MissingInputError, name_stories
 from monitor.damage import Assessment, State, outdated, utc
 
 HEALTHY, ALARM, TROUBLE, DOWN = 0, 10, 11, 12
@@ -133,7 +133,8 @@ def tell(status: dict[str, Any]) -> str:
         (" against the structure file", "; no baseline, so none can be raised") if without_baseline else ("", "")
     )
     rows.append(("loss", _pairs(result.get("ddi"), result.get("ddi_std"), "%" + reference, 100.0)))
-    rows.append(("alarm", _alarm(summary.get("alarm"), result) + remark))
+    names = (summary.get("known") or {}).get("names") or ()
+    rows.append(("alarm", name_stories(_alarm(summary.get("alarm"), result), names) + remark))
     rows.append(("recorder", _recorder(recorder, health)))
     found = summary.get("findings") or []
     rows.append(("findings", f"{len(found)}; latest: {found[-1]['says'] or found[-1]['reason']}" if found else "none"))

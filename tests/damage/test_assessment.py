@@ -143,6 +143,17 @@ def test_motion_far_from_the_baselines_asks_for_the_unit(factor: float, tells: s
     assert told.state is State.DOUBTFUL and tells in told.headline and "is the unit right" in told.headline
 
 
+@pytest.mark.parametrize(("rms_m_s2", "asks"), [(9.81, True), (9.0, False), (1 / 9.81, True), (0.12, False)])
+def test_g_for_m_s2_is_asked_about_while_it_lasts_and_in_a_recording_if_it_ever_was(
+    rms_m_s2: float, asks: bool
+) -> None:
+    """The calibration saw 0.5 to 2 m/s^2: 1 m/s^2 in a wrong unit is told from days twice as calm or stormy."""
+    odd = replace(WELL, rms_m_s2=rms_m_s2)
+    assert ("is the unit right" in said(WELL, odd).headline) == asks
+    assert ("is the unit right" in said(odd, WELL, whole=True).headline) == asks
+    assert said(odd, WELL).state is State.NORMAL
+
+
 def test_the_gravest_is_the_headline_and_the_rest_are_doubts() -> None:
     known = replace(KNOWN, baseline_doubts=("the baseline was written by an older version",))
     told = said(replace(LOST, active={2: Level.WARNING}, misfit=9.0, detectable=(None, 0.01, 0.01)), known=known)

@@ -11,6 +11,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
+from monitor.publish.reports.period_data import read_results
 from monitor.publish.reports.period_report import read_period, write_period
 from tests.conftest import Cli
 
@@ -145,6 +146,22 @@ def test_modes_are_three_curves_at_their_frequencies(page: ElementTree.Element) 
         labels = [float(t.text or "") for t in svg.iter("text") if re.fullmatch(r"\d+\.?\d*", t.text or "")]
         assert labels
         assert all(abs(v / f - 1) < 0.03 for v in labels)
+
+
+def test_modes_of_windows_that_are_not_judged_are_drawn_and_the_model_s_keep_their_numbers(tmp_path: Path) -> None:
+    """A model of four modes without the third, and torsion at 6.68 Hz; no window has a damage index."""
+    rows = []
+    for k in range(8):
+        other = {"frequency_hz": 6.68, "frequency_std_hz": 0.01, "damping_ratio": 0.01, "mode_shape": [], "track": -1}
+        figures = {"frequencies_hz": [1.23, 4.02, 7.6], "frequencies_std_hz": [0.01] * 3, "model_modes": [1, 2, 4]}
+        rows.append(
+            {**line_of(SKIPPED[0]), "window": k, "t_end_ns": T0 + (k + 1) * HOP, **figures, "other_modes": [other]}
+        )
+    json_lines(tmp_path / "results.jsonl", rows)
+    found = read_results(tmp_path, None, None, 5.0)
+    assert sum(found.judged) == 0 and sum(found.refused) == 8
+    curves = [(c.mode, c.latest, c.values) for c in found.common_modes()]
+    assert curves == [(1, 1.23, 8), (2, 4.02, 8), (None, 6.68, 8), (4, 7.6, 8)]
 
 
 def test_every_chart_has_three_ticks_and_its_unit_and_times_in_full(page: ElementTree.Element) -> None:

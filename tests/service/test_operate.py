@@ -163,9 +163,9 @@ def test_a_skipped_window_s_reason_has_its_class() -> None:
         "channel a1 is clipped (60 % of its samples)": "clipped_channel",
         "response too close to the noise (spectral flatness 0.97)": "noise",
         "every mode of the model lies beyond the band; check the units of masses and stiffness": "beyond_band",
-        "no stable pole for mode 2 of the model (frequency and shape)": "modes",
+        "mode 2 (5.67 Hz by the model): no stable pole near it": "modes",
         "no order shows every mode": "modes",
-        "model updating did not converge": "updating",
+        "model updating did not converge with mode 3 (5.67 Hz by the model, 6.68 Hz in the data)": "updating",
         "whatever comes": "other",
     }
     assert {reason: reason_class(reason) for reason in reasons} == reasons

@@ -337,12 +337,14 @@ class Effect(ReportFace, ABC):
         Raises
         ------
         EffectError
-            If the structure has no such story, floor or channel.
+            If the structure has no such story, floor or channel, or the story has no drift along which the effect could act.
         """
         kind, _, which = self.location.partition(" ")
         counts = {"story": (structure.n_stories, "stories"), "floor": (structure.n_dofs, "floors")}
         if kind in counts and self.index >= counts[kind][0]:
             raise EffectError("{}: {!r} does not exist; {} {}".format(self.name, self.location, *counts[kind]))
+        if kind == "story" and not self.is_stiffness_loss and not structure.single_springs()[self.index]:
+            raise EffectError(f"{self.name}: {self.location} is not a single spring, so it has no drift to act along")
         if kind == "channel":
             for name in which.split(","):
                 if name not in channels:

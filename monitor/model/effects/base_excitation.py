@@ -41,4 +41,5 @@ class BaseExcitation(Effect):
     @classmethod
     def sentence(cls, fitted: FittedSizes) -> str:
         """See `Effect.sentence`."""
-        return f"the ground moves: it causes {fitted.percent('share')} of the acceleration's variance"
+        share = f": it causes {fitted.percent('share')} of the acceleration's variance"
+        return f"the ground moves{fitted.sized('share', share)}"

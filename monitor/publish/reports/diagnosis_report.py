@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from monitor.core import Array, write_atomically
-from monitor.diagnosis import Diagnosis, headline, in_words, separating_measurement
+from monitor.core import Array, name_stories, write_atomically
+from monitor.diagnosis import Diagnosis, csd_error_in_words, in_words
 from monitor.inference import Segments
 from monitor.model import FORMS, Effect, interval, unit
 from monitor.publish.reports import charts
@@ -18,15 +18,15 @@ from monitor.publish.reports.charts import Axes
 from monitor.publish.reports.comparison import Comparison, LevelDependence, compare, level_dependence
 from monitor.publish.reports.page import document, table
 
-__all__ = ["headline", "in_words", "page", "separating_measurement", "write_report"]
-
 Content = Mapping[str, Any]
 
 _MAX_SHOWN = 12
 """Largest number of rows of the misfit's table, and of bars of a ranking."""
 
 
-def write_report(path: Path, diagnosis: Diagnosis, content: Content, segments: Segments) -> None:
+def write_report(
+    path: Path, diagnosis: Diagnosis, content: Content, segments: Segments, story_names: Sequence[str] = ()
+) -> None:
     """Write the page; the file appears under its name only when complete.
 
     Parameters
@@ -38,14 +38,17 @@ def write_report(path: Path, diagnosis: Diagnosis, content: Content, segments: S
         diagnosis.json.
     segments : Segments
         The segments that were diagnosed.
+    story_names : sequence of str
+        What people call each story.
     """
-    write_atomically(path, page(diagnosis, content, segments))
+    names = [escape(name) for name in story_names]
+    write_atomically(path, name_stories(page(diagnosis, content, segments), names))
 
 
 def page(diagnosis: Diagnosis, content: Content, segments: Segments) -> str:
     """Write the page, which is well-formed XML as well; parameters as of `write_report`."""
     compared, by_level = compare(diagnosis, segments), level_dependence(diagnosis)
-    verdict_text = headline(diagnosis, content)
+    verdict_text = content["says"]
     parts = [
         _head(verdict_text, content, compared, segments),
         _spectra(compared),
@@ -61,7 +64,7 @@ def page(diagnosis: Diagnosis, content: Content, segments: Segments) -> str:
 def _head(verdict_text: str, content: Content, compared: Comparison, segments: Segments) -> str:
     """Write the verdict, the separating measurement, the key figures and how to read the page."""
     verdict = content["verdict"]
-    badge = {"none": verdict_text.partition(":")[0].lower(), "named": "cause named"}.get(verdict, verdict)
+    badge = {"none": "explained", "named": "cause named"}.get(verdict, verdict)
     out = [f'<span class="verdict {verdict}">{badge}</span><h1>{escape(verdict_text)}</h1>']
     if content["separating_measurement"]:
         out.append(f"<p><b>To tell them apart:</b> {escape(content['separating_measurement'])}.</p>")
@@ -76,7 +79,7 @@ def _head(verdict_text: str, content: Content, compared: Comparison, segments: S
     if compared.extended:
         figures = [
             (f"{gain['gain']:+.4f} ({low:+.4f} to {high:+.4f})", "gain on held-out data, nats a sample, 95 % interval"),
-            (f"{100 * error['before']:.1f} → {100 * error['after']:.1f} %", "error of held-out cross-spectra"),
+            (_change(error["before"], error["after"]), "error of held-out cross-spectra"),
             *figures,
         ]
     out.append('<div class="figures">' + "".join(f"<div><b>{a}</b>{escape(b)}</div>" for a, b in figures) + "</div>")
@@ -88,6 +91,13 @@ def _head(verdict_text: str, content: Content, compared: Comparison, segments: S
         "deviations, about 95 %.</p>"
     )
     return "".join(out)
+
+
+def _change(before: float, after: float) -> str:
+    """Write a relative squared error of cross-spectra before and after."""
+    if max(before, after) <= 1.0:
+        return f"{100 * before:.1f} → {100 * after:.1f} %"
+    return f"{csd_error_in_words(before)} → {csd_error_in_words(after)}"
 
 
 def _spectra(c: Comparison) -> str:
@@ -216,6 +226,15 @@ def _parameters(diagnosis: Diagnosis, content: Content, hz: Array) -> str:
     """Tabulate the causes with their parameters, the alternatives and the causes found at calibration."""
     reference = diagnosis.posterior.prior
     out = []
+    if content["refit"]:
+        refit = [
+            (row["location"], row["parameter"], f"{row['drawn']:.5g}",
+             interval({"value": row["refitted"], "std": row["std"]}, 1.0, unit(row["parameter"])),
+             "" if row["tolerance"] is None else f"± {100 * row['tolerance']:.3g} %", row["says"])
+            for row in content["refit"]
+        ]  # fmt: skip
+        head = ["place", "parameter", "#drawn", "refitted", "#tolerance", "in words"]
+        out.append("<h2>What was refitted against the drawing</h2>" + table(head, refit))
     lists = (("Causes", content["causes"]), ("Already so at calibration", content["standing"]))
     for title, causes in lists:
         rows: list[Sequence[str]] = []
@@ -235,8 +254,7 @@ def _parameters(diagnosis: Diagnosis, content: Content, hz: Array) -> str:
     out += [_force_spectrum(effect, hz) for effect in reference.effects(reference.mean) if effect.colour_title]
     if content["alternatives"]:
         rivals = [
-            (a["effect"], a["location"], f"{100 * a['probability']:.0f} %",
-             in_words(a["effect"], a["location"], a["parameters"], reference))
+            (a["effect"], a["location"], f"{100 * a['probability']:.0f} %", a["says"])
             for a in content["alternatives"]
         ]  # fmt: skip
         out.append("<h2>Alternatives</h2>" + table(["effect", "place", "#probability", "in words"], rivals))

@@ -259,7 +259,8 @@ def _modes(period: Period) -> str:
     curves = period.results.common_modes()
     if not curves:
         return ""
-    panels = [panel(period.results.grid, c, f"mode {i}: frequency, Hz") for i, c in enumerate(curves, 1)]
+    names = [f"mode {c.mode}" if c.mode is not None else "another mode, not of the model" for c in curves]
+    panels = [panel(period.results.grid, c, f"{name}: frequency, Hz") for name, c in zip(names, curves, strict=True)]
     return (
         "<h2>Modes</h2>" + "".join(panels) + panel(period.results.grid, period.results.temperature, "temperature, degC")
     )

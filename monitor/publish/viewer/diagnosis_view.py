@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,8 +10,8 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from monitor.core import Array
-from monitor.diagnosis import Diagnosis, headline, in_words
+from monitor.core import Array, name_stories
+from monitor.diagnosis import Diagnosis, in_words
 from monitor.inference import Segments
 from monitor.publish.reports.comparison import Comparison, compare
 from monitor.publish.viewer.layout import ALL_TIME
@@ -27,7 +27,9 @@ _FULL = 12.0
 """Standard deviations at which the maps reach their full colour."""
 
 
-def write_view(path: Path, diagnosis: Diagnosis, content: Mapping[str, Any], segments: Segments) -> None:
+def write_view(
+    path: Path, diagnosis: Diagnosis, content: Mapping[str, Any], segments: Segments, story_names: Sequence[str] = ()
+) -> None:
     """Write the recording; the file appears under its name only when complete.
 
     Parameters
@@ -39,6 +41,8 @@ def write_view(path: Path, diagnosis: Diagnosis, content: Mapping[str, Any], seg
         diagnosis.json.
     segments : Segments
         The segments that were diagnosed.
+    story_names : sequence of str
+        What people call each story.
 
     Raises
     ------
@@ -49,7 +53,8 @@ def write_view(path: Path, diagnosis: Diagnosis, content: Mapping[str, Any], seg
     output = Output("diagnosis", path, None)
     try:
         output.stream.send_blueprint(_blueprint(compared))
-        status = rr.TextDocument(_status(diagnosis, content, segments, compared), media_type="text/markdown")
+        text = name_stories(_status(diagnosis, content, segments, compared), story_names)
+        status = rr.TextDocument(text, media_type="text/markdown")
         output.stream.log("/verdict", status, static=True)
         _spectra(output.stream, compared)
         for when, z in (("before", compared.z_before), ("after", compared.z_after)):
@@ -84,7 +89,7 @@ def _spectra(stream: rr.RecordingStream, c: Comparison) -> None:
 def _status(diagnosis: Diagnosis, content: Mapping[str, Any], segments: Segments, compared: Comparison) -> str:
     """Write the content of the report as Markdown."""
     gain = content["gain"]["log_score_per_sample"]
-    lines = [f"# {VERDICTS[content['verdict']].upper()}", headline(diagnosis, content), ""]
+    lines = [f"# {VERDICTS[content['verdict']].upper()}", content["says"], ""]
     if content["separating_measurement"]:
         lines += [f"**To tell them apart:** {content['separating_measurement']}.", ""]
     if content["causes"]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
@@ -9,6 +10,10 @@ from monitor.publish.viewer.scene import STABILISATION, Scene
 from monitor.publish.viewer.state import LAMP
 
 _DARK = (24, 26, 30)
+_DISTANCE_TO_WIDTH, _DISTANCE_TO_HEIGHT = 0.7, 0.95
+"""Distance of the eye over width and height of what it sees. [ratio; the viewer's angle of view]"""
+_MODES_IN_A_COLUMN = 3
+"""Most modes whose frequencies are drawn below each other. [count; judgement]"""
 ALL_TIME = rrb.TimeAxis(
     view_range=rr.TimeRange(start=rr.TimeRangeBoundary.infinite(), end=rr.TimeRangeBoundary.infinite())
 )
@@ -32,10 +37,11 @@ def blueprint(scene: Scene, page: int = 0) -> rrb.Blueprint:
 
 
 def _frame(scene: Scene) -> rrb.Spatial3DView:
-    """Make the 3D view of the frame."""
-    n = scene.n_stories
-    centre = 0.275 * n
-    eye = rrb.EyeControls3D(position=(centre, -1.1 - 0.5 * n, 0.75), look_target=(centre, 0.0, 0.42))
+    """Make the 3D view of the structure and its mode shapes, seen from the front."""
+    plan = scene.plan
+    centre, (width, _, height) = 0.5 * (plan.low + plan.high), plan.high - plan.low
+    away = max(_DISTANCE_TO_WIDTH * width, _DISTANCE_TO_HEIGHT * height)
+    eye = rrb.EyeControls3D(position=centre + away * np.array([0.0, -1.0, 0.15]), look_target=centre)
     return rrb.Spatial3DView(
         origin="/frame", name="Stiffness lost and mode shapes", eye_controls=eye,
         line_grid=rrb.LineGrid3D(visible=False), background=_DARK,
@@ -67,7 +73,8 @@ def _lamp() -> rrb.Spatial2DView:
 
 def _healthy(scene: Scene) -> rrb.Horizontal:
     """Make the page of health, with the present state at the left and the history at the right."""
-    modes = [_plot(f"/modes/frequency/{i}", f"Mode {i}, Hz", legend=False) for i in range(1, scene.n_stories + 1)]
+    n = scene.n_modes
+    modes = [_plot(f"/modes/frequency/{i}", f"Mode {i}, Hz", legend=False) for i in range(1, n + 1)]
     since = "since the baseline" if scene.has_baseline else "against the structure file"
     first = "the baseline" if scene.has_baseline else "the first window"
     left = rrb.Vertical(
@@ -87,7 +94,11 @@ def _healthy(scene: Scene) -> rrb.Horizontal:
             active_tab=0 if scene.has_baseline else 1,
         ),
         rrb.StateTimelineView(origin="/state", contents="/state", name="State over time", time_view=ALL_TIME),
-        rrb.Tabs(_plot("/modes/change", f"Frequencies: change since {first}, %"), *modes, active_tab=0),
+        rrb.Tabs(
+            _plot("/modes/change", f"Frequencies: change since {first}, %"),
+            rrb.Grid(*modes, grid_columns=1 if n <= _MODES_IN_A_COLUMN else 2, name="Frequencies, Hz"),
+            active_tab=0,
+        ),
         _events(),
         row_shares=[6, 2, 6, 3],
     )

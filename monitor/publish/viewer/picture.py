@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,6 @@ from monitor.publish.viewer.layout import blueprint
 from monitor.publish.viewer.mode_shapes import ModeShapes, label
 from monitor.publish.viewer.rows import Rows, Strips, ui_radius
 from monitor.publish.viewer.scene import (
-    COLUMNS,
     GREEN,
     GREY,
     LIVE_BLOCK_S,
@@ -60,12 +58,9 @@ class ResultDrawing:
             SpectraDrawing(scene, stream, self._rows, every_s),
             TrustDrawing(scene, stream, self._rows),
         )
-        heights = np.asarray(scene.story_heights_m, dtype=float)
-        self._z = np.append(np.cumsum(heights[::-1])[::-1], 0.0) / heights.sum()
-        """Shape (n + 1,): height of floor 1 (top) .. n and of the ground, the whole frame 1 high."""
-        self._shapes = ModeShapes(scene, stream, self._rows, self._z)
-        stories = list(pairwise(self._z.tolist()))
-        self._columns = Strips(np.array([(x, y, foot), (x, y, top)]) for top, foot in stories for x, y in COLUMNS)
+        self._shapes, self._plan = ModeShapes(scene, stream, self._rows), scene.plan
+        self._is_member = scene.drawing.stories >= 0
+        self._members = Strips(self._plan.points[scene.drawing.lines[self._is_member]])
         self._thin = Thinning() if thin else None
 
     def begin(self) -> None:
@@ -75,17 +70,22 @@ class ResultDrawing:
         self._state.begin()
         for i, channel in enumerate(self._scene.channels):
             self._style(self._stream_path(channel), [channel], i)
-        for i in range(self._scene.n_stories):
+        for i, name in enumerate(self._scene.story_names):
             for entity in ("ddi", "stiffness"):
-                self._style(f"/{entity}/story_{i + 1}", [f"story {i + 1}"] * 3, i)
+                self._style(f"/{entity}/story_{i + 1}", [name] * 3, i)
+        for i in range(self._scene.n_modes):
             for entity in ("frequency", "change", "damping"):
                 self._style(f"/modes/{entity}/{i + 1}", [f"mode {i + 1}"] * 3, i)
         threshold = rr.SeriesLines(names=["alarm"], colors=[RED], widths=[1.0])
         self._stream.log("/ddi/alarm_loss", threshold, static=True)
-        centres = [(0.3, 0.3, z) for z in self._z]
-        half = [(0.33, 0.33, 0.012)] * self._scene.n_stories + [(0.45, 0.45, 0.008)]
-        slabs = rr.Boxes3D(centers=centres, half_sizes=half, colors=[(150, 155, 165)], fill_mode="solid")
-        self._stream.log("/frame/floors", slabs, static=True)
+        drawing, points = self._scene.drawing, self._plan.points
+        others = rr.LineStrips3D(list(points[drawing.lines[~self._is_member]]), colors=[GREY], radii=[0.006])
+        self._stream.log("/frame/lines", others, static=True)
+        named = [(points[i], name) for i, name in enumerate(drawing.names) if name]
+        if named:
+            nodes = rr.Points3D([p for p, _ in named], labels=[n for _, n in named], colors=[GREY], radii=[0.012],
+                                show_labels=True)  # fmt: skip
+            self._stream.log("/frame/nodes", nodes, static=True)
 
     @staticmethod
     def _stream_path(channel: str) -> str:
@@ -198,7 +198,7 @@ class ResultDrawing:
             self._bounded(f"/modes/change/{k + 1}", change, change_std, 100.0)
         self._stiffness(result.stiffness)
         self._damage(result)
-        self._shapes.draw(result.modes)
+        self._shapes.draw(result.modes if modes else None)
         self._trust.misfit(None if result.stiffness is None else result.stiffness.misfit)
         self._spectra.window(result)
         if result.modes is not None:
@@ -236,19 +236,20 @@ class ResultDrawing:
             readings = list(zip(damage.ddi.tolist(), damage.ddi_std.tolist(), strict=True))
         if damage is not None and self._scene.has_baseline:
             self._rows.scalars("/ddi/alarm_loss", 100.0 * loss_at)
-        colours, places, labels = [], [], []
+        colours, labels = [], []
         for j, (ddi, std) in enumerate(readings):
             self._bounded(f"/ddi/story_{j + 1}", ddi, std, 100.0)
-            top, foot = self._z[j], self._z[j + 1]
             seen = detectable is not None and detectable[j] < loss_at
             judged = self._scene.has_baseline and (seen or j + 1 in result.alarm.active)
             colours.append(loss_colour(ddi if judged else None, loss_at))
-            places.append((-0.7, 0.0, (top + foot) / 2))
             known = "unknown" if ddi is None or std is None else plus_minus(ddi, std, 100) + " %"
-            labels.append(f"story {j + 1}: {known}")
+            is_quiet = ddi is None or std is None or abs(ddi) <= 2 * std
+            # Along a long structure there is room for the names of those stories only that changed.
+            labels.append(f"{j + 1}" if self._plan.is_long and is_quiet else f"{self._scene.story_names[j]}: {known}")
         of_stories = np.array(colours, dtype=np.uint8)
-        of_columns = np.repeat(of_stories, len(COLUMNS), axis=0)
-        self._rows.add("/frame/stories", rr.LineStrips3D, strips=self._columns, colors=of_columns, radii=[0.022])
+        of_members = of_stories[self._scene.drawing.stories[self._is_member]]
+        self._rows.add("/frame/stories", rr.LineStrips3D, strips=self._members, colors=of_members, radii=[0.02])
+        places = [(x, y, z) for x, y, z in self._plan.labels.tolist()]
         label(self._rows, "/frame/stories/labels", places, labels, of_stories)
 
     def _stabilisation(self, modes: ModalEstimate) -> None:
@@ -266,9 +267,11 @@ class ResultDrawing:
         self._rows.add("/stabilisation", rr.Transform3D, scale=[(width / f_max, -height / n_max, 1.0)])
         self._rows.add("/stabilisation", rr.Points2D, positions=poles[:, [1, 0]], colors=colours,
                        radii=ui_radius(2.5), draw_order=[2.0])  # fmt: skip
-        chosen = Strips(np.array([(f, 0.0), (f, n_max)]) for f in modes.frequencies_hz.tolist())
+        selected = [*modes.frequencies_hz.tolist(), *(mode.frequency_hz for mode in modes.others)]
+        chosen = Strips(np.array([(f, 0.0), (f, n_max)]) for f in selected)
+        of_model = [SERIES[k % len(SERIES)] for k in modes.model_mode.tolist()]
         self._rows.add("/stabilisation/modes", rr.LineStrips2D, strips=chosen,
-                       colors=[SERIES[k % len(SERIES)] for k in modes.model_mode.tolist()],
+                       colors=[*of_model, *[GREY] * len(modes.others)],
                        radii=ui_radius(0.8), draw_order=[1.0])  # fmt: skip
 
     def _stabilisation_axes(self, f_max: float, n_max: float) -> None:
