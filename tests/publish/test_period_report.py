@@ -198,6 +198,7 @@ def test_a_story_s_chart_says_its_name_and_from_which_loss_on_it_is_seen(tmp_pat
         "NOT SEEN: the modes say next to nothing of it",
     ]
     assert titles[0].startswith("pier: ")
+    assert "pier, latest" in words(page) and "deck, latest" not in words(page), "no figure of what is not seen"
     charts = [f.get("class") for f in page.iter("figure")][:3]
     assert charts == ["chart", "chart unseen", "chart unseen"]
     assert state_shown(page) == "verdict not_judged"

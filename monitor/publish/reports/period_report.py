@@ -150,7 +150,11 @@ def _head(period: Period) -> str:
     if period.quality is not None and period.quality.availability is not None:
         figures.insert(0, (f"{100 * period.quality.availability:.2f} %", "of the samples due came"))
     if r.ddi and period.known.has_baseline:
-        latest = [(f"{100 * c.latest:.2f} %", f"{_story(j, period)}, latest") for j, c in enumerate(r.ddi, 1)]
+        latest = [
+            (f"{100 * c.latest:.2f} %", f"{_story(j, period)}, latest")
+            for j, c in enumerate(r.ddi, 1)
+            if _sight(j, period)[0]
+        ]
         figures += latest if len(latest) <= 4 else [max(latest, key=lambda f: float(f[0].split()[0]))]
     boxes = "".join(f"<div><b>{a}</b>{escape(b)}</div>" for a, b in figures)
     return (

@@ -85,7 +85,7 @@ def _healthy(scene: Scene) -> rrb.Horizontal:
             rrb.TextDocumentView(origin="/status", name="Latest window"),
             rrb.TextDocumentView(origin="/verdict", name="Latest diagnosis"),
         ),
-        row_shares=[0.4, 2.8, 6, 4.6],
+        row_shares=[0.4, 3.4, 5.6, 4.4],
     )
     right = rrb.Vertical(
         rrb.Tabs(

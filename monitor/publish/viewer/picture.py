@@ -240,7 +240,7 @@ class ResultDrawing:
         for j, (ddi, std) in enumerate(readings):
             self._bounded(f"/ddi/story_{j + 1}", ddi, std, 100.0)
             seen = detectable is not None and detectable[j] < loss_at
-            judged = self._scene.has_baseline and (seen or (ddi is not None and ddi >= loss_at))
+            judged = self._scene.has_baseline and (seen or j + 1 in result.alarm.active)
             colours.append(loss_colour(ddi if judged else None, loss_at))
             known = "unknown" if ddi is None or std is None else plus_minus(ddi, std, 100) + " %"
             is_quiet = ddi is None or std is None or abs(ddi) <= 2 * std
