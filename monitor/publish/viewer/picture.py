@@ -215,7 +215,8 @@ class ResultDrawing:
         if self._level is not None or alarm.level is not Level.NORMAL:
             level, colour = _LEVELS[alarm.level]
             names = [self._scene.story_names[j - 1] for j in alarm.stories]
-            where = f" ({', '.join(names)})" if names else ""
+            unsaid = [name for name in names if name not in alarm.reason]
+            where = f", {', '.join(unsaid)}" if unsaid else ""
             text = f"{alarm.level.value}{where}: {alarm.reason}"
             self._stream.log("/alarms", rr.TextLog(text, level=level, color=colour))
         self._level = alarm.level
