@@ -117,7 +117,7 @@ def eliminate_backward(
             del kept[i]
         posterior = update_linearization(posterior, fit)
         if isinstance(posterior, CorrectedPosterior):
-            posterior = replace(posterior, doubt=np.zeros(0))  # it held for the former causes
+            posterior = replace(posterior, simulation_std=np.zeros(0))  # it held for the former causes
         fit = maximize_posterior(posterior, fit.x, fit.effects)
     if not any(e.nonlinear for e in fit.effects) and any(c.effect.nonlinear for c in accepted):
         posterior, fit, _ = fit_persistent_effects(posterior, fit)  # the simulated law was removed

@@ -228,7 +228,7 @@ def find_changed_effects(
     A fit's nuisances include these sizes, so such a change would leave no lack of fit.
     """
     known, out = posterior.prior, []
-    change = known.standing(np.abs(fitted.x[posterior.layout.structure] - known.mean))
+    change = known.persistent_parts(np.abs(fitted.x[posterior.layout.structure] - known.mean))
     for effect, far, std in zip(known.effects(fitted.x), change, known.standing_std, strict=True):
         deviations = far / std
         if deviations.max(initial=0.0) > settings.misfit:

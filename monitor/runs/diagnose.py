@@ -155,7 +155,7 @@ def learn_healthy_prior(segments: Segments, config: Configuration) -> Structural
         cause_is_kept = is_kept[len(known.model.effects) :][: len(causes)]
         kept = tuple(e for e, own in zip(causes, cause_is_kept, strict=True) if own)
         if kept == causes:
-            return learnt.with_daily_standing().with_known_lines()
+            return learnt.with_daily_persistent().with_known_lines()
         causes = kept  # the others are not significant next to these
 
 

@@ -34,7 +34,7 @@ class BilinearStiffness(Effect):
     )
     nonlinear: ClassVar[bool] = True
     amplitude_powers: ClassVar[tuple[float, ...]] = (0.0,)
-    form_doubt: ClassVar[tuple[float, ...]] = (0.015,)  # independently written simulators differ by 1 to 2 %
+    form_uncertainty: ClassVar[tuple[float, ...]] = (0.015,)  # independently written simulators differ by 1 to 2 %
 
     relative_drop: float
 

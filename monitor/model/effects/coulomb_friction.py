@@ -39,7 +39,9 @@ class CoulombFriction(Effect):
     conditional: ClassVar[bool] = True
     nonlinear: ClassVar[bool] = True
     amplitude_powers: ClassVar[tuple[float, ...]] = (-1.0,)
-    form_doubt: ClassVar[tuple[float, ...]] = (0.04,)  # real laws may creep, or have more static than sliding friction
+    form_uncertainty: ClassVar[tuple[float, ...]] = (
+        0.04,
+    )  # real laws may creep, or have more static than sliding friction
 
     friction_force_n: float
 

@@ -42,7 +42,7 @@ class CubicStiffness(Effect):
     amplitude_powers: ClassVar[tuple[float, ...]] = (2.0,)
     daily: ClassVar[tuple[float, ...]] = (0.2,)  # a persistent one is estimated by few simulations
     # Fits from different starts end that far apart, where the levels compensate for the difference.
-    form_doubt: ClassVar[tuple[float, ...]] = (0.1,)
+    form_uncertainty: ClassVar[tuple[float, ...]] = (0.1,)
 
     k3_n_per_m3: float
 

@@ -37,7 +37,10 @@ class GapContact(Effect):
     conditional: ClassVar[bool] = True
     nonlinear: ClassVar[bool] = True
     amplitude_powers: ClassVar[tuple[float, ...]] = (-1.0, 0.0)
-    form_doubt: ClassVar[tuple[float, ...]] = (0.05, 0.12)  # the stiffness of a contact while it closes is not known
+    form_uncertainty: ClassVar[tuple[float, ...]] = (
+        0.05,
+        0.12,
+    )  # the stiffness of a contact while it closes is not known
 
     gap_m: float
     """Drift at which the contact closes; negative for one that closes at negative drift."""
