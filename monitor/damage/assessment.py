@@ -474,6 +474,8 @@ def _seen(course: Course, known: Known) -> str:
     unseen = _unseen(window, known)
     blind = sorted({*unseen, *known.unwatched})
     losses = [loss for j, loss in enumerate(window.detectable, start=1) if j not in blind and loss is not None]
+    if all(loss is None for loss in window.detectable):
+        return "no loss would have been seen in any story"
     notes = [_why_unseen(j, window, known) for j in blind]
     if not losses:
         return "no loss would have been seen: " + "; ".join(notes)
