@@ -15,6 +15,7 @@ from drivers.mcap_source import McapSettings
 from drivers.zenoh_bus import ZenohSettings
 from drivers.zenoh_session import TlsSettings
 from monitor.config.configuration import Configuration, EffectTable, SensorTable
+from monitor.model.structures.drawing import LineTable, NodeTable
 from monitor.model.structures.tables import MatricesTable, ShearFrameTable
 from monitor.service.fleet import FleetSettings
 from monitor.service.outlets.metrics import MetricsSettings
@@ -42,6 +43,8 @@ def tables() -> dict[str, type[BaseModel]]:
         '`[structure]`, `kind = "matrices"`': MatricesTable,
         "`[[sensors]]`": SensorTable,
         "`[[effects]]`": EffectTable,
+        "`[[nodes]]`": NodeTable,
+        "`[[lines]]`": LineTable,
         **plain,
         '`[source]`, `kind = "mcap"`': McapSettings,
         '`[source]`, `kind = "can"`': CanSettings,

@@ -4,21 +4,26 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import partial
-from math import ceil, floor
+from math import ceil, floor, inf
+
+import numpy as np
 
 from drivers.base import ACCELERATION, TEMPERATURE, SampleBlock
 from monitor.config import Configuration
 from monitor.core import (
     Alarm,
     BadInputError,
+    DamageReading,
     Gap,
     Level,
     ModalEstimate,
     Samples,
     Skipped,
+    StiffnessEstimate,
     Temperature,
     Window,
     WindowResult,
+    name_stories,
 )
 from monitor.damage import Baseline, alarm, damage_index, smallest_detectable_loss
 from monitor.identification import expected_modes, identify, refine, sensor_correction, tracking
@@ -38,6 +43,10 @@ from monitor.signals import windows as window
 
 _SET_BACK_S = 0.25
 """Step back of the clock from which the windows' times follow the clock, s."""
+_LEAST_SHARE = 0.5
+"""Share of the lowest required modes that must be found for the model to be updated without a baseline. [ratio; judgement]"""
+_CHECK = "check floors, signs and units of the channels, and what 'check' says of the lags"
+"""What to do where not even the lowest mode is found. [words]"""
 
 Result = Samples | Gap | WindowResult | Health
 
@@ -190,46 +199,29 @@ class Pipeline:
         """Process one complete window: identification, updating, damage index, alarm."""
         c = self.config
 
-        def skip(reason: Skipped, found: ModalEstimate | None = None) -> WindowResult:
+        def skip(reason: Skipped, found: ModalEstimate | None = None, tracks: tuple[int, ...] = ()) -> WindowResult:
             """Skip the window, with the modes found in it."""
-            return self._skip(item.index, item.t_end_ns, item.window_s, reason, item.rms_m_s2, found)
+            return self._skip(item.index, item.t_end_ns, item.window_s, reason, item.rms_m_s2, found, tracks)
 
         skipped = window_quality.check(item.sums, item.rate_hz, cutoff_hz, c.channels, c.quality)
         begin_ns = item.t_end_ns - round(item.window_s * 1e9)
         skipped = skipped or sensor_health.check(self.state.health, begin_ns, item.t_end_ns, c.health)
         if skipped is not None:
             return skip(skipped)
-        wanted = (
-            expected_modes(self.reference_modes, cutoff_hz, c.selection)
-            if self.baseline is None
-            else self.baseline.model_mode
-        )
-        refiner = partial(refine, item, settings=c.refinement)
-        modes = identify(
-            item, self.past, self.reference_modes, self.shown, c.identification, c.selection, wanted, cutoff_hz, refiner
-        )
-        if self.acquisition and not isinstance(modes, Skipped):
-            modes = sensor_correction.correct_modes(modes, self.acquisition, self.context)
-        tracks = self._track_modes(None if isinstance(modes, Skipped) else modes, item)
-        if isinstance(modes, Skipped):
-            return skip(modes)
-        if not len(modes.deviations):
-            return skip(Skipped("the modes' uncertainty is not asked for, so nothing is judged"), modes)
-        identified = tuple(int(k) for k in modes.model_mode)
-        healthy = None if self.baseline is None else self.baseline.only(identified)
-        if healthy is not None and healthy.model_mode != identified:
-            return skip(Skipped("modes are not the baseline's"), modes)
+        modes = self._identify(item, cutoff_hz)
+        judged = modes if isinstance(modes, Skipped) else self._update(modes, item.t_end_ns)
+        if isinstance(judged, Skipped):
+            found = None if isinstance(modes, Skipped) else modes
+            return skip(judged, found, self._track_modes(found, item))
+        modes, stiffness, reading = judged
+        tracks = self._track_modes(modes, item)
         degc = self._window_temperature(item.t_end_ns)
-        stiffness, reading = damage_index.step(
-            modes, self.reference, healthy, self.sensors, c.updating, degc, self.prior_std
-        )
-        if not stiffness.converged:
-            return skip(Skipped("model updating did not converge"), modes)
         detectable = None
         if self.baseline is None:
             verdict = Alarm(Level.NORMAL, (), "no baseline: a difference from the structure file is no change")
         else:
             alarms, verdict = alarm.step(self.state.alarm, reading, item.t_end_ns, c.alarm)
+            verdict = replace(verdict, reason=name_stories(verdict.reason, c.story_names))
             self.state = replace(self.state, alarm=alarms)
             detectable = smallest_detectable_loss(reading, alarms.history, c.processing.hop_s, c.alarm)
         return WindowResult(
@@ -247,6 +239,89 @@ class Pipeline:
             detectable,
         )
 
+    def _identify(self, item: Window, cutoff_hz: float) -> ModalEstimate | Skipped:
+        """Identify the modes of a window, and remove the stated sensor effects from them."""
+        c = self.config
+        wanted = (
+            expected_modes(self.reference_modes, cutoff_hz, c.selection)
+            if self.baseline is None
+            else self.baseline.model_mode
+        )
+        refiner = partial(refine, item, settings=c.refinement)
+        modes = identify(
+            item, self.past, self.reference_modes, self.shown, c.identification, c.selection, wanted, cutoff_hz, refiner
+        )
+        if self.acquisition and not isinstance(modes, Skipped):
+            modes = sensor_correction.correct_modes(modes, self.acquisition, self.context)
+        return modes
+
+    def _update(
+        self, modes: ModalEstimate, t_end_ns: int
+    ) -> tuple[ModalEstimate, StiffnessEstimate, DamageReading] | Skipped:
+        """Update the stiffness to a window's modes and compare it with the baseline's.
+
+        With a baseline, a mode that is missing or that the model cannot follow may be the change itself, and the window is not
+        judged.  Without one the modes that the model can follow are enough.
+
+        Returns
+        -------
+        ModalEstimate
+            The modes that the stiffness was updated to.
+        StiffnessEstimate
+        DamageReading
+        """
+        c, baseline = self.config, self.baseline
+        missing = self._missing(modes)
+        if missing:
+            required = () if baseline is None else baseline.model_mode
+            fewer = min(required.index(mode) for mode in missing) if required else 0
+            mend = f"set [selection] required_modes = {fewer}, or calibrate anew" if fewer else _CHECK
+            return Skipped(f"{'; '.join(missing.values())}; {mend}")
+        if not len(modes.deviations):
+            return Skipped("the modes' uncertainty is not asked for, so nothing is judged")
+        identified = tuple(int(k) for k in modes.model_mode)
+        healthy = None if baseline is None else baseline.only(identified)
+        if healthy is not None and healthy.model_mode != identified:
+            return Skipped("modes are not the baseline's")
+        degc = self._window_temperature(t_end_ns)
+
+        def step(modes: ModalEstimate) -> tuple[StiffnessEstimate, DamageReading]:
+            """Update the stiffness to modes."""
+            return damage_index.step(modes, self.reference, healthy, self.sensors, c.updating, degc, self.prior_std)
+
+        stiffness, reading = step(modes)
+        while not stiffness.converged:
+            # Of the modes without each of which the updating converges, that is set aside whose absence leaves the least misfit.
+            less = [modes.set_aside(k, self._unfitting(k, modes)) for k in modes.model_mode.tolist()]
+            less = [] if baseline is not None else [fewer for fewer in less if not self._missing(fewer)]
+            fits = [step(fewer) for fewer in less]
+            left = [float(fit.mode_misfit.sum()) if fit.converged else inf for fit, _ in fits]
+            if min(left, default=inf) == inf:
+                worst = int(modes.model_mode[stiffness.mode_misfit.argmax()])
+                mend = f"calibrate with [selection] max_modes = {worst}, or a lower [processing] cutoff_hz"
+                return Skipped(f"{self._unfitting(worst, modes)}; {mend if worst else _CHECK}")
+            best = left.index(min(left))
+            modes, (stiffness, reading) = less[best], fits[best]
+        return modes, stiffness, reading
+
+    def _missing(self, modes: ModalEstimate) -> dict[int, str]:
+        """Return the missing modes (0 = lowest) without which a window is not judged, and why they are missing.
+
+        With a baseline these are its lowest `required_modes`; without one, half of the model's lowest are enough.
+        """
+        n = self.config.selection.required_modes
+        if self.baseline is not None:
+            return {mode: why for mode, why in modes.missing if mode in self.baseline.model_mode[:n]}
+        missing = {mode: why for mode, why in modes.missing if mode < n}
+        found = int(np.count_nonzero(modes.model_mode < n))
+        return missing if found < _LEAST_SHARE * (found + len(missing)) or not modes.model_mode.size else {}
+
+    def _unfitting(self, mode: int, modes: ModalEstimate) -> str:
+        """State that the model cannot follow the counterpart of its `mode` (0 = lowest)."""
+        measured_hz = modes.frequencies_hz[modes.model_mode.tolist().index(mode)]
+        there = f"{self.reference_modes.frequencies_hz[mode]:.3g} Hz by the model, {measured_hz:.3g} Hz in the data"
+        return f"model updating did not converge with mode {mode + 1} ({there}): another direction, or torsion?"
+
     def _track_modes(self, modes: ModalEstimate | None, item: Window) -> tuple[int, ...]:
         """Assign the modes of a window to tracks and return their numbers; a window without modes counts as a look too."""
         observed = tracking.observed(modes, item.window_s)
@@ -262,12 +337,14 @@ class Pipeline:
         skipped: Skipped,
         rms: float | None = None,
         modes: ModalEstimate | None = None,
+        tracks: tuple[int, ...] = (),
     ) -> WindowResult:
         """Return the result of a window without damage index: the alarm is unchanged."""
         alarms, verdict = alarm.hold(self.state.alarm, t_end_ns)
+        verdict = replace(verdict, reason=name_stories(verdict.reason, self.config.story_names))
         self.state = replace(self.state, alarm=alarms)
         degc = self._window_temperature(t_end_ns)
-        return WindowResult(index, t_end_ns, data_s, modes, None, None, verdict, skipped, rms, degc)
+        return WindowResult(index, t_end_ns, data_s, modes, None, None, verdict, skipped, rms, degc, tracks)
 
 
 def _convert_rate(state: WindowState, ratio: float) -> WindowState:

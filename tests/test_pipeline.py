@@ -17,11 +17,16 @@ from drivers.mcap_file import McapWriter, read_recordings
 from monitor.config import configuration
 from monitor.config.configuration import Configuration
 from monitor.core.errors import BadInputError, UserError
-from monitor.core.results import Gap, ModalEstimate, Samples, WindowResult
-from monitor.damage import learn_baseline
+from monitor.core.results import Alarm, Gap, Level, ModalEstimate, Samples, WindowResult
+from monitor.damage import alarm, learn_baseline
+from monitor.identification import SelectionSettings
+from monitor.model.model import Model
 from monitor.model.simulation import simulate
+from monitor.model.structures import MatrixStructure, ShearFrame
 from monitor.pipeline import Pipeline, Result
 from monitor.publish.results.lines import to_json, window_line
+from monitor.publish.results.summary import Summary
+from monitor.runs.calibrate import with_common_modes
 from monitor.runs.synthetic_recording import cut_into_blocks
 from tests.conftest import T0_NS, Cut
 from tests.damage.test_updating import HEALTHY, two_directions
@@ -282,6 +287,17 @@ def test_without_a_baseline_nothing_is_ever_announced(site: Configuration, recor
     assert {r.alarm.level.value for r in results} == {"normal"}
 
 
+def test_the_reason_of_an_alarm_names_its_story(
+    site: Configuration, record: np.ndarray, cut: Cut, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    named = site.structure.model_copy(update={"story_names": ("roof", "middle", "foot")})
+    shelved = Alarm(Level.NORMAL, (), "story 2 shelved: painters")
+    monkeypatch.setattr(alarm, "hold", lambda state, t_ns: (state, shelved))
+    results = windows(push(Pipeline(site.model_copy(update={"structure": named})), cut(np.zeros_like(record), RATE)))
+    assert results
+    assert {r.alarm.reason for r in results} == {"story 2 (middle) shelved: painters"}
+
+
 def directions(stiffness: np.ndarray) -> Configuration:
     structure = two_directions(stiffness).structure
     table = {
@@ -353,3 +369,152 @@ def test_modes_that_the_model_cannot_show_give_no_baseline() -> None:
             updating=config.updating,
             temperature=config.temperature,
         )
+
+
+STEEL = ShearFrame(np.full(5, 1000.0), np.full(5, 7.4e5), 0.005)
+"""Drawing of a planar frame: modes at 1.23, 3.60, 5.67, 7.28 and 8.31 Hz."""
+
+
+def planar(floors: tuple[int, ...]) -> Configuration:
+    drawn = {
+        "kind": "shear_frame",
+        "masses_kg": STEEL.masses_kg.tolist(),
+        "stiffness_n_per_m": STEEL.stiffness_n_per_m.tolist(),
+    }
+    processing = {"window_s": 150.0, "hop_s": 30.0, "rate_hz": 50.0, "cutoff_hz": 15.0}
+    return configured(drawn, floors, processing=processing)
+
+
+def with_torsion(rotation: float) -> Model:
+    """The frame with two rotations, of the floors 1 and 3, that its sensors off the axis see weakly; the lower at 6.7 Hz."""
+    mass, stiffness = STEEL.mass_matrix(), STEEL.stiffness_matrix()
+    twist = rotation * np.array([[1.0, -1.0], [-1.0, 2.0]])
+    eccentric = np.zeros((5, 2))
+    eccentric[0, 0] = eccentric[2, 1] = 0.02 * np.sqrt(stiffness[0, 0] * twist[0, 0])
+    arm = 0.3 * np.array([[1.0, 0.0], [0.5, 0.5], [0.0, 1.0], [0.0, 0.6], [0.0, 0.2]])
+    seen = np.block([[np.eye(5), -arm], [np.zeros((2, 5)), np.eye(2)]])
+    k = seen.T @ np.block([[stiffness, eccentric], [eccentric.T, twist]]) @ seen
+    m = seen.T @ np.block([[mass, np.zeros((5, 2))], [np.zeros((2, 5)), 1000.0 * np.eye(2)]]) @ seen
+    return Model(MatrixStructure.create(m, k, k[None], np.ones(1), 0.005))
+
+
+def by_modes(frequencies_hz: list[float], shapes: np.ndarray, site: Configuration, seed: int) -> list[WindowResult]:
+    """Windows of a structure of such modes, with shapes by channel, shape (c, m)."""
+    squares = np.diag((2.0 * np.pi * np.array(frequencies_hz)) ** 2)
+    truth = Model(MatrixStructure.create(np.eye(len(squares)), squares, squares[None], np.ones(1), 0.005))
+    motion = simulate(truth, duration_s=240.0, rate_hz=100.0, noise=0.0, seed=seed).floors @ shapes.T
+    motion += 0.05 * motion.std() * np.random.default_rng(seed).standard_normal(motion.shape)
+    blocks = cut_into_blocks(ACCELERATION, motion, site.channels, 100.0, 10**18, 1000)
+    return windows(push(Pipeline(site), blocks))
+
+
+TWIST = 0.25 * np.array([1.0, 0.95, 0.75, 0.5, 0.2])
+"""Shape of a torsion mode on the five floors."""
+
+
+def test_a_torsion_mode_stands_beside_the_planar_model_s_modes() -> None:
+    site, truth = planar((1, 2, 3, 4, 5)), with_torsion(4.65e6)
+    motion = simulate(truth, duration_s=240.0, rate_hz=100.0, noise=0.05, seed=1).floors[:, :5]
+    found = windows(push(Pipeline(site), cut_into_blocks(ACCELERATION, motion, site.channels, 100.0, 10**18, 1000)))
+    assert len(found) == 4
+    sway = truth.modes().frequencies_hz
+    torsion = sway[np.abs(sway - 6.7).argmin()]
+    for window in found:
+        assert window.skipped is None and window.modes is not None and window.stiffness is not None
+        assert window.modes.model_mode.tolist() == [0, 1, 2, 3, 4]
+        np.testing.assert_allclose(window.modes.frequencies_hz, np.delete(sway[:6], sway[:6] == torsion), rtol=0.01)
+        (other,) = [mode for mode in window.modes.others if mode.frequency_std_hz < 0.05]
+        assert abs(other.frequency_hz - torsion) < 4.0 * other.frequency_std_hz
+        line = window_line(window)
+        assert line["model_modes"] == [1, 2, 3, 4, 5] and len(line["mode_tracks"]) == 5
+        assert torsion == pytest.approx(line["other_modes"][0]["frequency_hz"], rel=0.01)
+
+
+def test_a_mode_of_another_shape_is_not_taken_for_the_nearest_of_the_model() -> None:
+    """In place of mode 3 (5.67 Hz) there is torsion at 5.3 Hz: no window is lost, and the reason says why mode 3 is missing."""
+    site = planar((1, 2, 3, 4, 5))
+    shapes = site.model().modes().shapes / np.abs(site.model().modes().shapes).max(axis=0)
+    shapes[:, 2] = TWIST
+    found = by_modes([1.2305, 3.6, 5.3, 7.3, 8.35], shapes, site, 1)
+    assert len(found) == 4
+    for window in found:
+        assert window.skipped is None and window.modes is not None and window.stiffness is not None
+        assert window.modes.model_mode.tolist() == [0, 1, 3, 4]
+        np.testing.assert_allclose(window.stiffness.stiffness_n_per_m, STEEL.stiffness_n_per_m, rtol=0.03)
+        ((mode, why),) = window.modes.missing
+        assert mode == 2 and "mode 3 (5.67 Hz by the model)" in why and "5.3" in why and "torsion?" in why
+    healthy = learn_baseline(
+        site.instrumented(),
+        [w.modes for w in found if w.modes is not None],
+        np.ones(4),
+        (),
+        updating=site.updating,
+        temperature=site.temperature,
+    )[0]
+    assert healthy.model_mode == (0, 1, 3, 4)
+
+
+def test_a_baseline_keeps_what_half_of_its_windows_show_of_the_lowest_modes_and_nine_in_ten_of_the_others() -> None:
+    def window(*model_modes: int) -> WindowResult:
+        shapes = np.ones((len(model_modes), 1), dtype=complex)
+        blocks = np.ones((2, len(model_modes), 4))
+        f, numbers = 1.0 + np.array(model_modes), np.array(model_modes)
+        modes = ModalEstimate(f, 0.01 * f, shapes, numbers, blocks, 0, 4, np.zeros((0, 4)))
+        return WindowResult(0, 0, 60.0, modes, None, None, Alarm(Level.NORMAL, (), ""), None)
+
+    healthy = [window(0, 1, 3), window(0, 1, 3), window(0, 3), window(0, 1, 2)]
+    kept = with_common_modes(healthy, required=2)
+    assert [w.modes.model_mode.tolist() for w in kept if w.modes is not None] == [[0, 1]] * 3
+    seldom = with_common_modes([window(0, 1), window(0), window(0)], required=2)
+    assert [w.modes.model_mode.tolist() for w in seldom if w.modes is not None] == [[0]] * 3
+
+
+def test_where_updating_fails_the_mode_that_the_model_cannot_follow_is_set_aside() -> None:
+    """One sensor tells no shapes: torsion at 6.68 Hz is taken for mode 3, and no shear frame has these five frequencies."""
+    site = planar((1,))
+    top = np.array([[1.0, 1.0, 0.7, 0.6, 0.4]])
+    found = by_modes([1.2305, 4.0154, 6.68, 7.6128, 9.661], top, site, 1)
+    for window in found:
+        assert window.skipped is None and window.modes is not None
+        assert window.modes.model_mode.tolist() == [0, 1, 3, 4]
+        assert min(abs(mode.frequency_hz - 6.68) for mode in window.modes.others) < 0.05
+        assert "did not converge with mode 3 (5.67 Hz by the model, 6.6" in window.modes.missing[0][1]
+
+
+def test_a_mode_of_the_baseline_that_is_missing_is_named_and_its_window_keeps_its_modes() -> None:
+    """Mode 3 of the healthy frame is gone, torsion is there: that may be the damage, so it is not judged, but nothing is lost."""
+    site = planar((1, 2, 3, 4, 5))
+    drawn = site.model().modes()
+    shapes = drawn.shapes / np.abs(drawn.shapes).max(axis=0)
+    judged = by_modes(drawn.frequencies_hz.tolist(), shapes, site, 2)
+    healthy = learn_baseline(
+        site.instrumented(),
+        [w.modes for w in judged if w.modes is not None],
+        np.ones(len(judged)),
+        (),
+        updating=site.updating,
+        temperature=site.temperature,
+    )[0]
+    without = shapes.copy()
+    without[:, 2] = TWIST
+    motion = [*drawn.frequencies_hz[:2], 5.3, *drawn.frequencies_hz[3:]]
+    summary = Summary()
+    for required, words in ((4, "set [selection] required_modes = 2"), (2, None)):
+        settings = site.model_copy(update={"selection": SelectionSettings(required_modes=required)})
+        squares = np.diag((2.0 * np.pi * np.array(motion)) ** 2)
+        truth = Model(MatrixStructure.create(np.eye(5), squares, squares[None], np.ones(1), 0.005))
+        values = simulate(truth, duration_s=190.0, rate_hz=100.0, noise=0.01, seed=3).floors @ without.T
+        blocks = cut_into_blocks(ACCELERATION, values, site.channels, 100.0, 10**18, 1000)
+        for window in windows(push(Pipeline(settings, healthy), blocks)):
+            assert window.modes is not None and window.modes.model_mode.tolist() == [0, 1, 3, 4]
+            assert len(window.mode_tracks) == 4 + len(window.modes.others)
+            assert (window.skipped is None) == (words is None)
+            if window.skipped is not None:
+                assert words is not None and words in window.skipped.reason
+                assert "mode 3 (5.67 Hz by the model)" in window.skipped.reason
+                summary.window(window, misfit=5.0)
+    content = summary.content(1.0, drawn.frequencies_hz.tolist())
+    assert content["skipped"] == content["windows"] == 2
+    assert content["model_modes"] == [1, 2, 4, 5]
+    np.testing.assert_allclose(content["frequencies_hz"], drawn.frequencies_hz[[0, 1, 3, 4]], rtol=0.01)
+    assert content["other_modes"][0]["frequency_hz"] == pytest.approx(5.3, rel=0.01)

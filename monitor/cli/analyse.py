@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -50,29 +50,57 @@ def replay(
 
 
 def calibrate(
-    recordings: Recordings,
     structure: Structure,
     out: Annotated[Path, typer.Option(metavar="B.json", help="Baseline file to write.")],
+    recordings: Annotated[
+        list[Path] | None, typer.Argument(metavar="REC.mcap...", help="Healthy recordings, in any order.")
+    ] = None,
+    rebase: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="OLD.json", help="Baseline of this structure whose drawing was changed; needs no recordings."
+        ),
+    ] = None,
     as_json: Json = False,
 ) -> None:
-    """Estimate the healthy baseline.  It holds the updated stiffness with its covariance, the modes and the remaining misfit."""
+    """Estimate the healthy baseline.  It holds the updated stiffness with its covariance, the modes and the remaining misfit.
+
+    With --rebase the healthy modes are those of another baseline of the same structure, and the changed drawing is updated to
+    them.
+    """
     from monitor.config import configuration
     from monitor.damage import save_baseline
+    from monitor.diagnosis import standing_causes
+    from monitor.model import interval
     from monitor.runs import calibrate as run
 
-    spare_inputs([out], [*recordings, structure])
+    recordings = recordings or []
+    if bool(recordings) == (rebase is not None):
+        raise typer.BadParameter("name either healthy recordings, or a baseline with --rebase")
+    spare_inputs([out], [*recordings, structure, rebase])
     settings = configuration.load(structure)
     demand_place(out)
-    baseline, fit = run.calibrate(recordings, settings, on_warning=warn, on_progress=progress("calibrate"))
+    if rebase is not None:
+        baseline, says = run.rebase(rebase, settings)
+        lines = [f"{rebase} with the drawing of {structure}:", *says]
+        content: dict[str, Any] = {"rebased": str(rebase), "says": list(says)}
+    else:
+        baseline, fit = run.calibrate(recordings, settings, on_warning=warn, on_progress=progress("calibrate"))
+        lines = [f"{baseline.windows} windows; the updating {'converged' if fit.converged else 'did NOT converge'}"]
+        content = {"converged": bool(fit.converged)}
     save_baseline(baseline, out)
     nominal_hz = settings.model().modes().frequencies_hz
-    lines = [f"{baseline.windows} windows; the updating {'converged' if fit.converged else 'did NOT converge'}"]
-    for i, (f, std) in enumerate(zip(baseline.frequencies_hz, baseline.frequencies_std_hz, strict=True), start=1):
-        lines.append(
-            f"mode {i}: {f:.4f} ± {2 * std:.4f} Hz; structure file {nominal_hz[baseline.model_mode[i - 1]]:.4f} Hz"
-        )
-    for j, k in enumerate(baseline.model.structure.stiffness_n_per_m, start=1):
-        lines.append(f"story {j}: {k:.1f} N/m; structure file {settings.structure.stiffness_n_per_m[j - 1]:.1f} N/m")
+    for k, f, std in zip(baseline.model_mode, baseline.frequencies_hz, baseline.frequencies_std_hz, strict=True):
+        lines.append(f"mode {k + 1}: {f:.4f} ± {2 * std:.4f} Hz; structure file {nominal_hz[k]:.4f} Hz")
+    relative_std = baseline.covariance.diagonal() ** 0.5
+    stiffness = baseline.model.structure.stiffness_n_per_m
+    for name, k, drawn, std in zip(
+        settings.story_names, stiffness, settings.structure.stiffness_n_per_m, relative_std, strict=False
+    ):
+        size = interval({"value": float(k), "std": float(k * std)}, 1.0, "N/m")
+        lines.append(f"{name}: {size}; structure file {drawn:.5g} N/m ({100.0 * (k / drawn - 1.0):+.1f} %)")
+    if baseline.reference is not None:
+        lines += [f"already so at calibration: {cause['says']}" for cause in standing_causes(baseline.reference)]
     if (law := baseline.temperature) is not None:
         slopes = ", ".join(f"{1e3 * a:+.2f}" for a in law.per_degc)
         lines.append(
@@ -83,11 +111,10 @@ def calibrate(
         lines.append(
             "no dependence on the temperature learned: too narrow a range, too short a record, or nothing showed"
         )
-    lines.append(f"baseline in {out}")
-    content = {
+    lines.append(f"baseline in {out}: what differs from the structure file here counts as healthy from now on")
+    content |= {
         "baseline": str(out),
         "windows": baseline.windows,
-        "converged": bool(fit.converged),
         "frequencies_hz": baseline.frequencies_hz.tolist(),
         "frequencies_std_hz": baseline.frequencies_std_hz.tolist(),
         "stiffness_n_per_m": baseline.model.structure.stiffness_n_per_m.tolist(),

@@ -37,6 +37,8 @@ def diagnose(
     healthy = None if baseline is None else load_baseline(baseline, settings.instrumented(), settings.updating)
     for path in (content, report, updated, extended, view):
         demand_place(path)
+    for doubt in () if healthy is None else healthy.doubts:
+        warn(doubt)
     found = job.diagnose(recordings, settings, healthy, warn, progress("diagnose"))
     text = structure.read_text(encoding="utf-8")
     write_atomically(content, json.dumps(found.content, indent=1, allow_nan=False) + "\n")
@@ -45,12 +47,16 @@ def diagnose(
     # Imported only now: Rerun starts threads, and no process should be forked while threads run.
     from monitor.publish import write_report, write_view
 
-    write_report(report, found.diagnosis, found.content, found.segments)
-    write_view(view, found.diagnosis, found.content, found.segments)
+    for write, path in ((write_report, report), (write_view, view)):
+        write(path, found.diagnosis, found.content, found.segments, settings.story_names)
     lines = [f"{found.diagnosis.verdict}: {found.content['says']}"]
+    lines += [f"  {100 * a['probability']:.0f} %: {a['says']}" for a in found.content["alternatives"]]
+    lines += [f"refitted: {row['says']}" for row in found.content["refit"]]
     at_calibration = [*found.content["standing"], *filter(None, [found.content["standing_misfit"]])]
     lines += [f"already so at calibration: {cause['says']}" for cause in at_calibration]
-    if found.diagnosis.verdict != "none":
+    if found.gain.withheld and found.diagnosis.verdict != "none":
+        lines.append(f"gain on held-out data: none, {found.gain.withheld}")
+    elif not found.gain.withheld:
         low, high = found.gain.ci95
         lines.append(f"gain on held-out data: {found.gain.value:.3g} nats a sample (95 %: {low:.3g} to {high:.3g})")
     lines.append(f"report in {report}")

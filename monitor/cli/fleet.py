@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import time
 from contextlib import suppress
-from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -13,9 +12,6 @@ import typer
 
 from monitor.cli.common import address
 from monitor.core import MissingInputError, demand_place, spare_inputs
-
-_ALARM, _TROUBLE = 10, 11
-"""Exit codes: an alarm is active; a monitor cannot be relied on."""
 
 
 def fleet(
@@ -33,7 +29,8 @@ def fleet(
 ) -> None:
     """Ask every monitor on a Zenoh network for its state.
 
-    Exit code of the last query: 0 all well, 10 an alarm is active, 11 a monitor is missing, silent or cannot judge.
+    Exit code of the last query: 0 all normal; 10 advisory, warning or alarm; 11 doubtful, not judged, or a part of a monitor
+    does not work.
     """
     from monitor.service import FleetView, text
     from monitor.service import fleet as fleet_status
@@ -55,7 +52,7 @@ def fleet(
             with suppress(KeyboardInterrupt):
                 while remaining is None or remaining > 0:
                     statuses = network.look()
-                    lines = json.dumps({"sites": [asdict(s) for s in statuses]}) if as_json else text(statuses)
+                    lines = json.dumps({"sites": [s.content for s in statuses]}) if as_json else text(statuses)
                     print(lines, flush=True)
                     if view is not None:
                         view.show(statuses)
@@ -65,12 +62,4 @@ def fleet(
         finally:
             if view is not None:
                 view.close()
-    states = {s.state for s in statuses}
-    code = (
-        0
-        if states <= {fleet_status.WELL}
-        else _TROUBLE
-        if states <= {fleet_status.WELL, fleet_status.TROUBLE}
-        else _ALARM
-    )
-    raise typer.Exit(code)
+    raise typer.Exit(fleet_status.code(statuses))

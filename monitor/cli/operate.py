@@ -22,10 +22,10 @@ def status(
     place: Annotated[Path, typer.Argument(metavar="SITE.toml|DIR", help="Site file, or the daemon's output folder.")],
     as_json: Json = False,
 ) -> None:
-    """Print the state of a daemon in ten lines.
+    """Print the state of a structure and of its daemon in ten lines.
 
-    Exit code 0: all well; 10: an alarm is active; 11: the daemon runs, but its source, its recorder or an output does not;
-    12: not running, or silent for a minute.
+    Exit code 0: normal, and the daemon works; 10: advisory, warning or alarm; 11: doubtful, not judged, or the source, the
+    recorder or an output does not work; 12: the daemon does not run, or is silent for a minute.
     """
     from monitor.service import status as reader
 

@@ -20,7 +20,19 @@ from monitor.core import BadConfigurationError, MissingInputError, Settings, par
 from monitor.damage import AlarmSettings, UpdatingSettings
 from monitor.diagnosis import DiagnosisSettings, WatchSettings
 from monitor.identification import RefinementSettings, SelectionSettings, SsiSettings, TrackSettings
-from monitor.model import FORMS, Effect, EffectError, InstrumentedModel, Model, StructureTable
+from monitor.model import (
+    FORMS,
+    Drawing,
+    Effect,
+    EffectError,
+    InstrumentedModel,
+    LineTable,
+    Model,
+    NodeTable,
+    ShearFrame,
+    StructureTable,
+    drawing_problems,
+)
 from monitor.signals import FrontEnd, HealthSettings, ProcessingSettings, QualitySettings, TemperatureSettings
 
 
@@ -92,6 +104,8 @@ class Configuration(Settings):
     structure: StructureTable
     sensors: tuple[SensorTable, ...] = Field(min_length=1)
     effects: tuple[EffectTable, ...] = ()
+    nodes: tuple[NodeTable, ...] = ()
+    lines: tuple[LineTable, ...] = ()
     processing: ProcessingSettings = ProcessingSettings()
     quality: QualitySettings = QualitySettings()
     health: HealthSettings = HealthSettings()
@@ -139,6 +153,7 @@ class Configuration(Settings):
             problems.append(f"processing: window_s and hop_s must be whole numbers of samples at {p.rate_hz:g} Hz")
         stories = len(self.structure.stiffness_n_per_m)
         problems += [f"alarm.unwatched: there is no story {j}" for j in self.alarm.unwatched if not 1 <= j <= stories]
+        problems += drawing_problems(self.nodes, self.lines, n, stories)
         if not problems:
             problems += self._model_problems()
         if problems:
@@ -189,6 +204,20 @@ class Configuration(Settings):
             for j in range(1, len(self.structure.stiffness_n_per_m) + 1)
         )
 
+    @property
+    def drawing(self) -> Drawing:
+        """The structure as it is drawn: by its ``[[nodes]]`` and ``[[lines]]``, else by what its kind tells of its form."""
+        return Drawing.of(self.nodes, self.lines) if self.nodes else self.structure.drawing()
+
+    @property
+    def size_words(self) -> str:
+        """What the model consists of, in words: ``3 stories``, or ``6 stiffnesses, 12 degrees of freedom``."""
+        stories, dofs = len(self.structure.stiffness_n_per_m), len(self.structure.masses_kg)
+        if isinstance(self.structure.structure(), ShearFrame):
+            return f"{stories} {'story' if stories == 1 else 'stories'}"
+        stiffnesses = "1 stiffness" if stories == 1 else f"{stories} stiffnesses"
+        return f"{stiffnesses}, {dofs} degree{'s' if dofs > 1 else ''} of freedom"
+
     def front_end(self) -> FrontEnd:
         """Create the front end that turns samples of the source into windows and segments."""
         return FrontEnd(
@@ -198,7 +227,17 @@ class Configuration(Settings):
     def instrumented(self) -> InstrumentedModel:
         """Build the nominal model with its sensors and the prior standard deviations of its parameters."""
         floors = tuple(s.floor for s in self.sensors)
-        return InstrumentedModel(self.model(), self.channels, floors, self.structure.prior_std())
+        drawn, samples = self.structure, self.processing
+        return InstrumentedModel(
+            self.model(),
+            self.channels,
+            floors,
+            drawn.prior_std(),
+            name=drawn.name,
+            kind=drawn.kind,
+            rate_hz=samples.rate_hz,
+            cutoff_hz=samples.cutoff_hz,
+        )
 
 
 def read_toml(path: Path) -> dict[str, Any]:

@@ -10,6 +10,7 @@ from .errors import (
 )
 from .files import demand_place, finish, partial, sha256, spare_inputs, write_atomically
 from .memory import keep_freed
+from .naming import name_stories, name_stories_in
 from .optimization import levenberg_marquardt
 from .parallel import parallel_map
 from .parse import parse_address, utc_ns
@@ -25,6 +26,7 @@ from .results import (
     LagSums,
     Level,
     ModalEstimate,
+    OtherMode,
     Samples,
     Skipped,
     StiffnessEstimate,
@@ -50,6 +52,7 @@ __all__ = [
     "MissingInputError",
     "ModalEstimate",
     "NoResourcesError",
+    "OtherMode",
     "Samples",
     "Settings",
     "Skipped",
@@ -64,6 +67,8 @@ __all__ = [
     "finish",
     "keep_freed",
     "levenberg_marquardt",
+    "name_stories",
+    "name_stories_in",
     "parallel_map",
     "parse_address",
     "partial",

@@ -125,6 +125,18 @@ class Window:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
+class OtherMode:
+    """Mode in the data that takes no part in the updating: the model has no counterpart for it."""
+
+    frequency_hz: float
+    frequency_std_hz: float
+    """Standard deviation; NaN where not known."""
+    damping_ratio: float
+    shape: ComplexArray
+    """Shape (c,); the largest component is 1."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
 class ModalEstimate:
     """Modes of one window, in the order of the model's modes (not by their present frequency), with their joint covariance."""
 
@@ -150,6 +162,10 @@ class ModalEstimate:
     the likelihood's information and well conditioned.  None: weigh by the deviations' variances."""
     refined: bool = False
     """True for the maximum-likelihood estimate, False for the subspace estimate."""
+    others: tuple[OtherMode, ...] = ()
+    """Modes in the data beside these, by frequency."""
+    missing: tuple[tuple[int, str], ...] = ()
+    """Number (0 = lowest) of each of the model's modes that was looked for and has no counterpart here, and why."""
 
     @property
     def frequencies_std_hz(self) -> Array:
@@ -180,6 +196,17 @@ class ModalEstimate:
             weight_factor=None if self.weight_factor is None else self.weight_factor[:, rows],
         )
 
+    def set_aside(self, model_mode: int, why: str) -> ModalEstimate:
+        """Move the counterpart of one of the model's modes to `others`, and note why the model's mode has none."""
+        row = self.model_mode.tolist().index(model_mode)
+        f, std, damping = self.frequencies_hz[row], self.frequencies_std_hz[row], self.damping_ratio[row]
+        aside = OtherMode(float(f), float(std), float(damping), self.shapes[row])
+        return replace(
+            self.only(frozenset(self.model_mode.tolist()) - {model_mode}),
+            others=tuple(sorted((*self.others, aside), key=lambda mode: mode.frequency_hz)),
+            missing=tuple(sorted((*self.missing, (model_mode, why)))),
+        )
+
 
 @dataclass(frozen=True, eq=False, slots=True)
 class StiffnessEstimate:
@@ -194,6 +221,9 @@ class StiffnessEstimate:
     misfit: float
     """Goodness of fit of the change since the baseline: squared misfit over its expectation; about 1 when stiffness explains the
     change, and 1 without a baseline."""
+    mode_misfit: Array = field(default_factory=lambda: np.zeros(0))
+    """Shape (m,): squared misfit of each mode's frequency and shape, over their variances; zeros where the updating could not
+    begin."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -269,7 +299,7 @@ class WindowResult:
     temperature: Temperature | None = None
     """Temperature of the window; None without a temperature channel, or where the newest reading is too old."""
     mode_tracks: tuple[int, ...] = ()
-    """Number of the track of each mode, from 0; -1 for a mode not observed often enough yet."""
+    """Number of the track of each mode, then of each of `modes.others`, from 0; -1 for a mode not observed often enough yet."""
     detectable_loss: Array | None = None
     """Shape (n,): smallest sudden loss of each story that would be seen (`damage.detectable_loss`), infinite where none would;
     None without a baseline."""

@@ -1,10 +1,11 @@
 from . import alarm, damage_index
 from .alarm import AlarmSettings, AlarmState, StoryState, hold
 from .alternative_solutions import second_solutions
-from .assessment import Assessment, Course, Known, Loss, State, WindowFacts, assess, facts_of, follow
-from .baseline import Baseline, learn_baseline
+from .assessment import Assessment, Course, Known, Loss, State, WindowFacts, assess, facts_of, follow, outdated, utc
+from .baseline import Baseline, learn_baseline, rebase_baseline
 from .baseline_file import load_baseline, save_baseline
 from .detectable_loss import smallest_detectable_loss
+from .origin import Origin
 from .updating import Observation, Update, UpdatingSettings, observe, update
 
 __all__ = [
@@ -16,6 +17,7 @@ __all__ = [
     "Known",
     "Loss",
     "Observation",
+    "Origin",
     "State",
     "StoryState",
     "Update",
@@ -30,8 +32,11 @@ __all__ = [
     "learn_baseline",
     "load_baseline",
     "observe",
+    "outdated",
+    "rebase_baseline",
     "save_baseline",
     "second_solutions",
     "smallest_detectable_loss",
     "update",
+    "utc",
 ]

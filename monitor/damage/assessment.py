@@ -21,9 +21,14 @@ from monitor.core import WHOLE, AlarmCondition, DamageReading, Level, Skipped, W
 from monitor.damage.detectable_loss import WITHIN_S
 from monitor.model import FORMS
 
-_UNIT_FACTOR = 10.0
-"""Motion so many times stronger, or weaker, than at calibration asks whether the unit is right. [ratio; definition: g and m/s^2
-differ by 9.8, m/s^2 and gal by 100]"""
+_UNIT_FACTOR = 4.9
+"""Motion so many times stronger, or weaker, than at calibration asks whether the unit is right. [ratio; definition: half of 9.81,
+by which g and m/s^2, the closest units in use, differ: the motion itself may be half as strong as at calibration]"""
+_MOST_UNSEEN = 0.3
+"""Loss of a story that green leaves unseen at most, however high a site sets its alarm. [ratio; judgement]"""
+_RISE_STDS = 4.0
+"""Least rise of a story's stiffness that asks whether the baseline is a healthy one. [standard deviations; judgement: what
+several stories and windows do not give by chance]"""
 
 
 class State(StrEnum):
@@ -87,6 +92,8 @@ class WindowFacts:
     """Goodness of fit of the change since the baseline; 1 is expected."""
     rms_m_s2: float | None = None
     """Level of motion, mean over channels."""
+    changes: tuple[tuple[float, float], ...] = ()
+    """Relative loss of stiffness, negative for a rise, and its standard deviation, of every story."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,6 +173,7 @@ def facts_of(result: WindowResult) -> WindowFacts:
         detectable,
         None if result.stiffness is None else result.stiffness.misfit,
         result.rms_m_s2,
+        () if damage is None else tuple(zip(damage.ddi.tolist(), damage.ddi_std.tolist(), strict=True)),
     )
 
 
@@ -188,7 +196,7 @@ def follow(course: Course, window: WindowFacts, misfit: float) -> Course:
         low, high = course.rms_range or (window.rms_m_s2, window.rms_m_s2)
         course = replace(course, rms_range=(min(low, window.rms_m_s2), max(high, window.rms_m_s2)))
     if window.skipped is not None:
-        reason = re.sub(r" \(.*", "", window.skipped)  # numbers in brackets differ between windows
+        reason = _without_numbers(window.skipped)
         reasons = {**course.skip_reasons, reason: course.skip_reasons.get(reason, 0) + 1}
         return replace(course, skipped=course.skipped + 1, skip_reasons=reasons)
     explained = window.misfit is None or window.misfit <= misfit
@@ -203,6 +211,11 @@ def follow(course: Course, window: WindowFacts, misfit: float) -> Course:
         misfit_since_ns=since_ns,
         unexplained=unexplained,
     )
+
+
+def _without_numbers(reason: str) -> str:
+    """Remove from a reason what stands in brackets: the numbers there differ between windows."""
+    return re.sub(r" \([^()]*\)", "", reason)
 
 
 def _followed(losses: Sequence[Loss], window: WindowFacts) -> tuple[Loss, ...]:
@@ -224,7 +237,12 @@ def _followed(losses: Sequence[Loss], window: WindowFacts) -> tuple[Loss, ...]:
 
 
 def assess(
-    course: Course, known: Known, findings: Sequence[Mapping[str, Any]] = (), *, whole: bool = False
+    course: Course,
+    known: Known,
+    findings: Sequence[Mapping[str, Any]] = (),
+    *,
+    standing: Mapping[int, Level] | None = None,
+    whole: bool = False,
 ) -> Assessment:
     """Decide the state.
 
@@ -236,6 +254,8 @@ def assess(
         Site and baseline.
     findings : sequence of mappings
         Results of diagnoses: `verdict`, `says`, `causes`, `alternatives`, `ddi_effect`, `from_ns`, `t_ns`.
+    standing : mapping, optional
+        Announced level by story before the first window: of alarms that a restart kept.
     whole : bool
         State of a whole recording, alarms that ended and misfits that passed included, in place of the present state.
 
@@ -246,8 +266,9 @@ def assess(
     """
     facts = [
         *_alarms(course, known, findings, whole),
+        *_kept(course, known, standing or {}),
         *_doubts(course, known, findings, whole),
-        *_unjudged(course, known),
+        *_unjudged(course, known, whole),
     ]
     remarks = _remarks(course, known, whole)
     if not facts:
@@ -256,6 +277,26 @@ def assess(
     (state, headline), *others = facts
     sentences = [headline, *(sentence for _, sentence in others), *remarks]
     return Assessment(state, headline, tuple(dict.fromkeys(sentences))[1:])
+
+
+def outdated(assessment: Assessment, why: str, t_ns: int | None = None) -> Assessment:
+    """State what is left of an assessment when nothing new is known: an alarm or a doubt stands, `normal` does not.
+
+    Parameters
+    ----------
+    assessment : Assessment
+        The latest one.
+    why : str
+        Why nothing new is known.
+    t_ns : int, optional
+        Until when it was known, UTC, ns since 1970.
+    """
+    known = "" if t_ns is None else f", as of {utc(t_ns)} UTC"
+    latest = f"{assessment.headline.rstrip('.')}{known}"
+    if assessment.state.rank <= State.NOT_JUDGED.rank:
+        doubts = (_sentence(f"before: {latest[:1].lower()}{latest[1:]}"), *assessment.doubts)
+        return Assessment(State.NOT_JUDGED, _sentence(why), doubts)
+    return Assessment(assessment.state, _sentence(latest), (_sentence(why), *assessment.doubts))
 
 
 Fact = tuple[State, str]
@@ -277,17 +318,32 @@ def _alarms(course: Course, known: Known, findings: Sequence[Mapping[str, Any]],
     return facts
 
 
+def _kept(course: Course, known: Known, standing: Mapping[int, Level]) -> list[Fact]:
+    """State every alarm that stands without a loss in these windows: it was raised before them."""
+    said = {loss.story for loss in course.losses if loss.t_last_ns is None}
+    active = standing if course.last is None else course.last.active
+    return [
+        (
+            State(level.value),
+            _sentence(f"the {level.value} of {_name(story, known)} stands from before; no window since says its size"),
+        )
+        for story, level in sorted(active.items(), key=lambda item: -item[1].rank)
+        if story not in said
+    ]
+
+
 def _overlapping(loss: Loss, findings: Sequence[Mapping[str, Any]]) -> str:
     """Return what the first diagnosis of an alarm's time said, without a full stop; empty without one."""
     for f in findings:
-        if (
-            loss.t_first_ns <= f["t_ns"]
-            and (loss.t_last_ns is None or f["from_ns"] <= loss.t_last_ns)
-            and f.get("says")
-        ):
+        if _overlap(loss, f) and f.get("says"):
             says = str(f["says"]).rstrip(".")
             return says[:1].lower() + says[1:]
     return ""
+
+
+def _overlap(loss: Loss, finding: Mapping[str, Any]) -> bool:
+    """Decide if a diagnosis used data of an alarm's time."""
+    return bool(loss.t_first_ns <= finding["t_ns"] and (loss.t_last_ns is None or finding["from_ns"] <= loss.t_last_ns))
 
 
 def _doubts(course: Course, known: Known, findings: Sequence[Mapping[str, Any]], whole: bool) -> list[Fact]:
@@ -303,7 +359,9 @@ def _doubts(course: Course, known: Known, findings: Sequence[Mapping[str, Any]],
                 f"a change of stiffness does not explain the modes (goodness of fit {misfit:.3g} where 1 is expected); "
                 "a sensor, a cable or another cause may"
             )
-        says += _levels(course, known)
+        says += _unalarmed(course, findings, known)
+        says += _risen(course, known)
+        says += _levels(course, known, whole)
     says += known.baseline_doubts
     return [(State.DOUBTFUL, _sentence(sentence)) for sentence in says]
 
@@ -313,29 +371,53 @@ def is_open(finding: Mapping[str, Any], known: Known) -> bool:
     if finding.get("verdict") not in {"named", "ambiguous", "unexplained"}:
         return False
     causes = finding.get("causes") or []
-    accepted = all((c["effect"], c["location"]) in known.accepted for c in causes)
-    losses = all(FORMS[c["effect"]].is_stiffness_loss for c in causes if c["effect"] in FORMS)
-    return finding["verdict"] != "named" or not (accepted or losses)
+    settled = ((c["effect"], c["location"]) in known.accepted or _is_loss(c) for c in causes)
+    return finding["verdict"] != "named" or not all(settled)
+
+
+def _is_loss(cause: Mapping[str, Any]) -> bool:
+    """Decide if a cause is a change of stiffness, which the alarms state."""
+    return cause["effect"] in FORMS and FORMS[cause["effect"]].is_stiffness_loss
+
+
+def _unalarmed(course: Course, findings: Sequence[Mapping[str, Any]], known: Known) -> list[str]:
+    """State the findings of a change of stiffness that no alarm of their time states."""
+    return [
+        f"diagnosis {f.get('id', '')}: {_proposal(f)}"
+        for f in findings
+        if f.get("verdict") == "named" and not is_open(f, known)
+        if any(_is_loss(c) and (c["effect"], c["location"]) not in known.accepted for c in f.get("causes") or [])
+        if not any(_overlap(loss, f) for loss in course.losses)
+    ]
+
+
+def _risen(course: Course, known: Known) -> list[str]:
+    """Ask about the baseline where a story is stiffer than at calibration by as much as an alarm's loss."""
+    changes = () if course.judged is None else course.judged.changes
+    return [
+        f"{_name(j, known)} is {-100 * change:.1f} ± {200 * std:.1f} % stiffer than at calibration: was it damaged then, or is "
+        "a sensor, a mass or the temperature another?"
+        for j, (change, std) in enumerate(changes, start=1)
+        if -change >= max(min(known.alarm_loss, _MOST_UNSEEN), _RISE_STDS * std)
+    ]
 
 
 def _proposal(finding: Mapping[str, Any]) -> str:
-    """State a finding, and the damage index that remains if its causes are taken out."""
+    """State a finding as what it is until a person accepts it."""
     says = str(finding.get("says") or finding["verdict"]).rstrip(".")
-    left = (finding.get("ddi_effect") or {}).get("with") or []
-    if finding["verdict"] != "named" or not left:
-        return f"{says} (not accepted yet)"
-    story = max(range(len(left)), key=lambda j: abs(left[j])) + 1
-    return (
-        f"{says} (a proposal until it is accepted; with it the largest change of stiffness is "
-        f"{-100 * left[story - 1]:+.1f} %, in story {story})"
-    )
+    return f"{says} ({'a proposal until it is accepted' if finding['verdict'] == 'named' else 'not accepted yet'})"
 
 
-def _levels(course: Course, known: Known) -> list[str]:
-    """Ask whether the unit is right where the motion is far stronger, or weaker, than at calibration."""
-    if course.rms_range is None or known.level_range_m_s2 is None:
+def _levels(course: Course, known: Known, whole: bool) -> list[str]:
+    """Ask whether the unit is right where the motion is far stronger, or weaker, than at calibration.
+
+    That is the motion of the latest window or, in a whole recording, of any.
+    """
+    latest = None if course.last is None else course.last.rms_m_s2
+    seen = course.rms_range if whole or latest is None else (latest, latest)
+    if seen is None or known.level_range_m_s2 is None:
         return []
-    (least, most), (low, high) = course.rms_range, known.level_range_m_s2
+    (least, most), (low, high) = seen, known.level_range_m_s2
     if most > _UNIT_FACTOR * high > 0.0:
         return [
             f"the motion is {most / high:.3g} times stronger than at calibration: is the unit right, or is it a storm?"
@@ -347,20 +429,30 @@ def _levels(course: Course, known: Known) -> list[str]:
     return []
 
 
-def _unjudged(course: Course, known: Known) -> list[Fact]:
+def _unjudged(course: Course, known: Known, whole: bool) -> list[Fact]:
     """State why nothing, or not enough, can be said of damage."""
-    if not known.has_baseline:
-        return [(State.NOT_JUDGED, "No baseline to compare with; make one with 'calibrate'.")]
+    says = []
     if course.windows == 0:
-        return [(State.NOT_JUDGED, "No window of data yet.")]
-    if course.judged is None or not any(judged for _, judged in course.recent):
+        says.append("no window of data yet")
+    elif course.judged is None or not any(judged for _, judged in course.recent):
         reason = max(course.skip_reasons, key=lambda r: course.skip_reasons[r], default="")
+        latest = course.last.skipped if course.last is not None else None
+        if latest is not None and _without_numbers(latest) == reason:
+            reason = latest
         since = "" if course.judged is None else " for an hour"
-        return [(State.NOT_JUDGED, _sentence(f"no window could be judged{since}: {Skipped(reason).mend}"))]
-    unseen = _unseen(course.judged, known)
-    if unseen or course.judged.detectable is None:
-        return [(State.NOT_JUDGED, _sentence(_seen(course, known)))]
-    return []
+        says.append(f"no window could be judged{since}: {Skipped(reason).mend}")
+    elif whole and course.last is not None:
+        silent_s = (course.last.t_end_ns - course.judged.t_end_ns) * 1e-9
+        if silent_s >= course.judged.window_s > 0.0:
+            says.append(f"the last {silent_s:.0f} s could not be judged: {Skipped(course.last.skipped or '').mend}")
+    if not known.has_baseline:
+        says.append("no baseline to compare with; make one with 'calibrate'")
+    elif not says and course.judged is not None:
+        detectable = course.judged.detectable
+        watched = {*range(1, len(detectable or ()) + 1)} - {*known.unwatched}
+        if _unseen(course.judged, known) or not watched:
+            says.append(_seen(course, known))
+    return [(State.NOT_JUDGED, _sentence(sentence)) for sentence in says]
 
 
 def _unseen(window: WindowFacts, known: Known) -> list[int]:
@@ -369,7 +461,8 @@ def _unseen(window: WindowFacts, known: Known) -> list[int]:
     return [
         j
         for j, loss in enumerate(detectable, start=1)
-        if j not in known.unwatched and (loss is None or loss >= known.alarm_loss or j in window.shelved)
+        if j not in known.unwatched
+        and (loss is None or loss >= min(known.alarm_loss, _MOST_UNSEEN) or j in window.shelved)
     ]
 
 
@@ -381,6 +474,8 @@ def _seen(course: Course, known: Known) -> str:
     unseen = _unseen(window, known)
     blind = sorted({*unseen, *known.unwatched})
     losses = [loss for j, loss in enumerate(window.detectable, start=1) if j not in blind and loss is not None]
+    if all(loss is None for loss in window.detectable):
+        return "no loss would have been seen in any story"
     notes = [_why_unseen(j, window, known) for j in blind]
     if not losses:
         return "no loss would have been seen: " + "; ".join(notes)

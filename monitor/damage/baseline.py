@@ -11,9 +11,10 @@ import numpy as np
 from monitor.core import Array, BadInputError, ModalEstimate, Temperature
 from monitor.damage import temperature_compensation
 from monitor.damage.observations import mean_observation
+from monitor.damage.origin import Origin
 from monitor.damage.temperature_compensation import Dependence
 from monitor.damage.updating import Observation, Update, UpdatingSettings, counterparts, observe, predict, update
-from monitor.model import InstrumentedModel, Model, StructuralPrior
+from monitor.model import InstrumentedModel, Model, StructuralPrior, inverse
 from monitor.signals import TemperatureSettings
 
 
@@ -53,7 +54,9 @@ class Baseline:
     span_ns: tuple[int, int] = (0, 0)
     """UTC of the first sample of the healthy data and of their end, ns."""
     reference: StructuralPrior | None = None
-    """Prior of a diagnosis; None where the healthy data were too short for one."""
+    """Prior of a diagnosis; None where the healthy data were too short for one, or the drawing was changed since."""
+    origin: Origin | None = None
+    """Whose the baseline is; None in files of older versions, which did not note it."""
     doubts: tuple[str, ...] = ()
     """Why it may not be this structure's; not in the file."""
 
@@ -127,32 +130,13 @@ def learn_baseline(
     if not windows:
         raise BadInputError("no healthy window could be identified: nothing to learn a baseline from")
     mean = mean_observation(windows, updating)
-    sensors = instrumented.sensor_matrix
-    fit = update(
-        instrumented.model,
-        sensors,
-        mean,
-        updating.model_copy(update={"penalty": "initial"}),
-        prior_std=instrumented.prior_std,
-        with_masses=True,
-    )
-    if fit.iterations == 0:
-        raise BadInputError(
-            "the structure file's model cannot be updated to the healthy modes: one of its modes stands still where the "
-            "healthy one moves most; check floors and directions of the channels"
-        )
-    mean = replace(mean, model_mode=counterparts(fit.model.modes(), sensors, mean))
-    predicted, _ = predict(fit.model, sensors, mean, with_masses=False)
-    z_covariance = mean.deviations.T @ mean.deviations
-    gain = fit.gain / fit.parameters[:, None]
+    fit = _fit(instrumented, mean, updating)
     f = np.mean([m.frequencies_hz for m in windows], axis=0)
+    z_covariance = mean.deviations.T @ mean.deviations
     baseline = Baseline(
-        model=fit.model,
-        covariance=gain @ z_covariance @ gain.T,
+        **_fitted(instrumented, mean, fit, z_covariance),
         z=mean.z,
         z_covariance=z_covariance,
-        misfit=mean.z - predicted,
-        model_mode=mean.model_mode,
         gauges=mean.gauges,
         log=mean.log,
         frequencies_hz=f,
@@ -167,11 +151,88 @@ def learn_baseline(
     )
     if all(t is None for t in temperatures):
         return baseline, fit
-    changes = _changes(baseline, mean, windows, temperatures, sensors, updating)
+    mean = replace(mean, model_mode=baseline.model_mode)
+    changes = _changes(baseline, mean, windows, temperatures, instrumented.sensor_matrix, updating)
     known = [float(t.lagged_degc[0]) for t in temperatures if t is not None]
     span_s = (span_ns[1] - span_ns[0]) * 1e-9
     dependence = temperature_compensation.learn(changes, span_s, temperature)
     return replace(baseline, reference_temperature_degc=float(np.mean(known)), temperature=dependence), fit
+
+
+def rebase_baseline(
+    baseline: Baseline, instrumented: InstrumentedModel, updating: UpdatingSettings
+) -> tuple[Baseline, Update]:
+    """Update a changed drawing of the same structure to the baseline's healthy modes.
+
+    The modes are kept, and so is the temperature dependence: a relative change that all stories have alike is the same in every
+    drawing.  `Baseline.reference`, which was fitted to spectra with the old drawing, is left out.
+
+    Parameters
+    ----------
+    instrumented : InstrumentedModel
+        The changed drawing, with as many masses, stiffnesses and sensors as the old one.
+
+    Returns
+    -------
+    Baseline
+    Update
+        Outcome of the updating to the healthy modes.
+
+    Raises
+    ------
+    BadInputError
+        If the drawing cannot be updated to the healthy modes.
+    """
+    healthy = Observation(
+        z=baseline.z,
+        weight=inverse(baseline.z_covariance),
+        deviations=np.zeros((1, baseline.z.size)),
+        model_mode=baseline.model_mode,
+        gauges=baseline.gauges,
+        log=baseline.log,
+    )
+    fit = _fit(instrumented, healthy, updating)
+    fitted = _fitted(instrumented, healthy, fit, baseline.z_covariance)
+    return replace(baseline, **fitted, reference=None, doubts=()), fit
+
+
+def _fit(instrumented: InstrumentedModel, healthy: Observation, updating: UpdatingSettings) -> Update:
+    """Update the drawing's stiffnesses and masses to the healthy modes.
+
+    Raises
+    ------
+    BadInputError
+        If that is not possible.
+    """
+    fit = update(
+        instrumented.model,
+        instrumented.sensor_matrix,
+        healthy,
+        updating.model_copy(update={"penalty": "initial"}),
+        prior_std=instrumented.prior_std,
+        with_masses=True,
+    )
+    if fit.iterations == 0:
+        raise BadInputError(
+            "the structure file's model cannot be updated to the healthy modes: one of its modes stands still where the "
+            "healthy one moves most; check floors and directions of the channels"
+        )
+    return fit
+
+
+def _fitted(instrumented: InstrumentedModel, healthy: Observation, fit: Update, z_covariance: Array) -> dict[str, Any]:
+    """Return the fields of `Baseline` that depend on the drawing."""
+    sensors = instrumented.sensor_matrix
+    healthy = replace(healthy, model_mode=counterparts(fit.model.modes(), sensors, healthy))
+    predicted, _ = predict(fit.model, sensors, healthy, with_masses=False)
+    gain = fit.gain / fit.parameters[:, None]
+    return {
+        "model": fit.model,
+        "covariance": gain @ z_covariance @ gain.T,
+        "misfit": healthy.z - predicted,
+        "model_mode": healthy.model_mode,
+        "origin": Origin.of(instrumented),
+    }
 
 
 def _changes(

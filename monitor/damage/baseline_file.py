@@ -3,16 +3,24 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 from pydantic import ConfigDict, Field, ValidationError
 
-from monitor.core import BadInputError, MissingInputError, Settings, settings_problems, write_atomically
+from monitor.core import (
+    BadConfigurationError,
+    BadInputError,
+    MissingInputError,
+    Settings,
+    settings_problems,
+    write_atomically,
+)
 from monitor.damage import temperature_compensation
 from monitor.damage.baseline import Baseline
+from monitor.damage.origin import Origin, far_values, number_differences, sensor_differences
 from monitor.damage.updating import UpdatingSettings
 from monitor.model import InstrumentedModel, Matrix, Positive, prior_file
 
@@ -68,6 +76,19 @@ class _Reference(_Strict):
     error: _StandingError | None = None
 
 
+class _Origin(_Strict):
+    """`Origin` in the file."""
+
+    name: str
+    kind: str
+    masses_kg: tuple[Positive, ...]
+    stiffness_n_per_m: tuple[Positive, ...]
+    fingerprint: str
+    unit: str
+    rate_hz: float | None
+    cutoff_hz: float | None
+
+
 class _Content(_Strict):
     """Content of the file: `Baseline`, with the parameters of its model instead of the model."""
 
@@ -94,6 +115,7 @@ class _Content(_Strict):
     temperature: _Temperature | None = None
     stiffness_correction_n_per_m: Matrix | None = None
     reference: _Reference | None = None
+    origin: _Origin | None = None
 
 
 def _plain(value: Any) -> Any:
@@ -111,17 +133,35 @@ def save_baseline(baseline: Baseline, path: Path) -> None:
         "temperature": temperature_compensation.to_plain(baseline.temperature),
         "stiffness_correction_n_per_m": _plain(baseline.model.correction),
         "reference": prior_file.to_plain(baseline.reference),
+        "origin": None if baseline.origin is None else asdict(baseline.origin),
     }
     content = {name: own[name] if name in own else _plain(getattr(baseline, name)) for name in _Content.model_fields}
     write_atomically(path, json.dumps(content, indent=1, allow_nan=False) + "\n")
 
 
-def load_baseline(path: Path, instrumented: InstrumentedModel, updating: UpdatingSettings) -> Baseline:
+def load_baseline(
+    path: Path, instrumented: InstrumentedModel, updating: UpdatingSettings, *, redrawn: bool = False
+) -> Baseline:
     """Read a baseline and check that it belongs to this structure.
+
+    Parameters
+    ----------
+    redrawn : bool
+        Accept a changed drawing of the same structure, for `rebase_baseline`.
+
+    Returns
+    -------
+    Baseline
+        With the reasons in `doubts` why it may not be this structure's.
 
     Raises
     ------
-    MissingInputError, BadInputError
+    MissingInputError
+        If the file cannot be read.
+    BadInputError
+        If the file is no baseline or damaged.
+    BadConfigurationError
+        If the baseline is another structure's.
     """
     try:
         text = path.read_text(encoding="utf-8")
@@ -133,6 +173,7 @@ def load_baseline(path: Path, instrumented: InstrumentedModel, updating: Updatin
         if (written := json.loads(text)["format"]) != FORMAT:
             raise BadInputError(f"{path}: baseline format {written!r}, expected {FORMAT}; calibrate anew")
         content = _Content.model_validate_json(text)
+        _demand_own(path, content, instrumented, updating, redrawn)
         loaded = _build(content, instrumented)
     except ValidationError as error:
         raise BadInputError(
@@ -140,10 +181,57 @@ def load_baseline(path: Path, instrumented: InstrumentedModel, updating: Updatin
         ) from error
     except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
         raise BadInputError(f"{path}: not a baseline file ({error!r}); make one with 'calibrate'") from error
-    problem = _mismatch(loaded, instrumented, updating)
-    if problem is not None:
-        raise BadInputError(f"{path}: {problem}; calibrate with this structure file")
-    return loaded
+    if (problem := _damage(loaded)) is not None:
+        raise BadInputError(f"{path}: the baseline's {problem} damaged; calibrate anew")
+    return replace(loaded, doubts=_doubts(path, loaded.origin, Origin.of(instrumented)))
+
+
+def _demand_own(
+    path: Path, c: _Content, instrumented: InstrumentedModel, updating: UpdatingSettings, redrawn: bool
+) -> None:
+    """Refuse a baseline of another structure, of other sensors or of other samples.
+
+    Raises
+    ------
+    BadConfigurationError
+        With the differences in words, and the remedy.
+    ValueError
+        If the content is damaged.
+    """
+    here, there = Origin.of(instrumented), None if c.origin is None else Origin(**c.origin.model_dump())
+    numbers = len(c.masses_kg), len(c.stiffness_n_per_m)
+    if there is not None and (len(there.masses_kg), len(there.stiffness_n_per_m)) != numbers:
+        raise ValueError("the numbers of masses and stiffnesses are not those of its origin")
+    says = number_differences(*numbers, instrumented) + sensor_differences(c.channels, c.floors, instrumented)
+    says += [] if there is None else there.sampling_differences(here)
+    if c.log != (updating.eigenvalue == "log") or bool(c.gauges) != updating.use_shapes:
+        says.append("it was learned with another [updating] eigenvalue or use_shapes")
+    mend = "name this structure's own baseline, or make it with 'calibrate'"
+    if not says and not redrawn:
+        if there is None:
+            says = far_values(c.masses_kg, c.stiffness_n_per_m, instrumented)
+        else:
+            says = there.drawing_differences(here)
+            mend += f"; if the structure is the same and only its drawing was changed, use 'calibrate --rebase {path}'"
+    if not says:
+        return
+    if there is not None and there.is_named_otherwise(here):
+        says.insert(0, f"it is of {there.name!r}, this is {here.name!r}")
+    raise BadConfigurationError(f"{path}: the baseline is not of this structure: {'; '.join(says)}. Remedy: {mend}")
+
+
+def _doubts(path: Path, there: Origin | None, here: Origin) -> tuple[str, ...]:
+    """Say why a baseline may not be this structure's."""
+    if there is None:
+        return (
+            f"the baseline {path.name} was written by an older version, which did not note whose it is; calibrate anew",
+        )
+    if there.is_named_otherwise(here):
+        return (
+            f"the baseline {path.name} is of {there.name!r}, and this is {here.name!r}, drawn alike: if it is the same "
+            "structure, 'calibrate --rebase' notes the new name",
+        )
+    return ()
 
 
 def _build(c: _Content, instrumented: InstrumentedModel) -> Baseline:
@@ -182,30 +270,24 @@ def _build(c: _Content, instrumented: InstrumentedModel) -> Baseline:
         recordings=c.recordings,
         span_ns=c.span_ns,
         reference=prior_file.from_plain(reference, model, instrumented.channels),
+        origin=None if c.origin is None else Origin(**c.origin.model_dump()),
     )
 
 
-def _mismatch(b: Baseline, instrumented: InstrumentedModel, updating: UpdatingSettings) -> str | None:
-    """Return the reason why a baseline does not belong to a structure file, or None if it does."""
-    drawn, structure = instrumented.model.structure, b.model.structure
-    n, p, m, c = drawn.n_dofs, drawn.n_stories, len(b.model_mode), len(b.channels)
-    if structure.masses_kg.shape != (n,) or structure.stiffness_n_per_m.shape != (p,):
-        return f"the baseline has {structure.stiffness_n_per_m.size} stories, the structure file {p}"
-    if (b.channels, b.floors) != (instrumented.channels, instrumented.floors):
-        return f"the baseline's channels are {', '.join(map(str, b.channels))} on floors {b.floors}, not the structure file's"
-    if b.log != (updating.eigenvalue == "log") or bool(b.gauges) != updating.use_shapes:
-        return "the baseline was learned with another [updating] eigenvalue or use_shapes"
+def _damage(b: Baseline) -> str | None:
+    """Name the part of a baseline that does not fit the others, with its verb; None if all fit."""
+    n, p, m, c = b.model.structure.n_dofs, b.model.structure.n_stories, len(b.model_mode), len(b.channels)
     n_data = m + len(b.gauges) * (c - 1)
     shapes = {"covariance": (p + n, p + n), "z": (n_data,), "z_covariance": (n_data, n_data), "misfit": (n_data,)}
     shapes |= {name: (m,) for name in ("frequencies_hz", "frequencies_std_hz", "damping_ratio")}
     for name, shape in shapes.items():
         if getattr(b, name).shape != shape:
-            return f"the baseline's {name} is damaged"
+            return f"{name} is"
     if (
         any(i >= n for i in b.model_mode)
         or len(set(b.model_mode)) != m
         or any(g >= c for g in b.gauges)
         or len(b.gauges) not in (0, m)
     ):
-        return "the baseline's modes are damaged"
+        return "modes are"
     return None

@@ -79,6 +79,7 @@ def step(
         converged=fit.converged,
         iterations=fit.iterations,
         misfit=misfit,
+        mode_misfit=_mode_misfit(fit.residual, observation),
     )
     covariance = widened * (fit.gain @ uncertain @ fit.gain.T) + fit.prior_left
     common = np.zeros_like(covariance) if baseline is None else fit.gain @ baseline.z_covariance @ fit.gain.T
@@ -103,6 +104,13 @@ def step(
 
 _as_built = lru_cache(maxsize=4)(Model.as_built)
 """`Model.as_built`, cached: one model object for all windows, so that updating reuses its modes."""
+
+
+def _mode_misfit(residual: Array, observation: Observation) -> Array:
+    """Compute the squared residual of each mode's frequency and shape, shape (m,), over their variances."""
+    m = len(observation.model_mode)
+    square = residual**2 / np.maximum((observation.deviations**2).sum(axis=0), 1e-300)
+    return np.asarray(square[:m] + square[m:].reshape(m, -1).sum(axis=1))
 
 
 def _misfit_of_change(fit: Update, observation: Observation, covariance: Array) -> float:

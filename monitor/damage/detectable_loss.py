@@ -52,6 +52,8 @@ def smallest_detectable_loss(reading: DamageReading, history: History, hop_s: fl
         Relative losses of stiffness (0.02 = 2 %); infinite where no loss can be confirmed: too few windows, or modes that say
         next to nothing of the story.
     """
+    if (history.t_ns.size - 1) * hop_s < settings.confirm_s:
+        return np.full(reading.ddi.size, np.inf)
     common = np.atleast_2d(reading.common_covariance)
     own = reading.ddi_covariance - common - reading.form_variance * np.eye(reading.ddi.size)
     own_std = np.exp(0.5 * history.ln_variance)
@@ -133,7 +135,10 @@ def _simulated(
         share = np.minimum(looks / (stretch * apart), 1.0)  # of the stretch that lies behind the loss
         wanted = np.minimum(wanted, loss / share[:, None])
     confirmed = np.maximum(wanted[:, 1:], wanted[:, :-1])  # still significant at the next look
-    return np.asarray(np.quantile(confirmed.min(axis=1), PROBABILITY, axis=0))
+    with np.errstate(
+        invalid="ignore"
+    ):  # no loss is seen in some trials: the quantile between infinities is not a number
+        return np.asarray(np.quantile(confirmed.min(axis=1), PROBABILITY, axis=0))
 
 
 def _needed(error: Array, covariance: Array, significance: float, model_form: float) -> Array:

@@ -1,17 +1,18 @@
 from . import healthy_prior, trigger
 from .cross_validation import HeldOutGain, heldout_gain, require_gain
 from .damage_index_effect import ddi_effect
-from .files import content, effects_text, model_from_plain, model_to_plain, structure_text
+from .drawing_refit import refit
+from .files import content, effects_text, model_from_plain, model_to_plain, standing_causes, structure_text
 from .fold_refit import fitted_model
 from .initial_fit import FAR
 from .lack_of_fit import residual_bands
 from .parameter_uncertainty import is_significant
 from .predictive_score import Score, score
-from .score_test import parameter_cost
+from .score_test import detectable_losses, parameter_cost
 from .settings import DiagnosisSettings
 from .stepwise_selection import Diagnosis, diagnose
 from .trigger import Request, WatchSettings
-from .wording import contradicted, headline, in_words, separating_measurement
+from .wording import contradicted, csd_error_in_words, in_words
 
 __all__ = [
     "FAR",
@@ -23,11 +24,12 @@ __all__ = [
     "WatchSettings",
     "content",
     "contradicted",
+    "csd_error_in_words",
     "ddi_effect",
+    "detectable_losses",
     "diagnose",
     "effects_text",
     "fitted_model",
-    "headline",
     "healthy_prior",
     "heldout_gain",
     "in_words",
@@ -35,10 +37,11 @@ __all__ = [
     "model_from_plain",
     "model_to_plain",
     "parameter_cost",
+    "refit",
     "require_gain",
     "residual_bands",
     "score",
-    "separating_measurement",
+    "standing_causes",
     "structure_text",
     "trigger",
 ]

@@ -24,6 +24,8 @@ def tied_candidates(candidates: list[RefittedCandidate], rival: float) -> list[R
         Log odds from which the best candidate is distinguished from another one, nats.
     """
     candidates = sorted(candidates, key=lambda p: -p.candidate.log_evidence)
+    if not candidates:
+        return []
     return [p for p, odds in zip(candidates, _log_odds(candidates), strict=True) if odds > -rival]
 
 

@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from monitor.core import Array, parallel_map
-from monitor.diagnosis.score_test import Candidate, fit_candidate, score_candidate
+from monitor.diagnosis.score_test import Candidate, best_first, fit_candidate, score_candidate
 from monitor.diagnosis.simulation_refit import RefittedCandidate, fit_persistent_effects
 from monitor.inference import CorrectedPosterior, MapEstimate, Posterior, linearize, maximize_posterior
 from monitor.model import Effect
@@ -105,7 +105,7 @@ def eliminate_backward(
         fitted = parallel_map(
             partial(fit_candidate, posterior, without, min_log_evidence=min_log_evidence), rivals[:_N_ALTERNATIVES]
         )
-        best = max(fitted, key=lambda c: c.log_evidence, default=None)
+        best = next(iter(best_first(fitted)), None)
         if best is not None and best.log_evidence > min_log_evidence:
             effects = (*best.fit.effects[:i], best.effect, *best.fit.effects[i:-1])
             fit = maximize_posterior(posterior, join_coordinates(best.fit.x[nuisances], effects), effects)
@@ -117,7 +117,7 @@ def eliminate_backward(
             del kept[i]
         posterior = update_linearization(posterior, fit)
         if isinstance(posterior, CorrectedPosterior):
-            posterior = replace(posterior, doubt=np.zeros(0))  # it held for the former causes
+            posterior = replace(posterior, simulation_std=np.zeros(0))  # it held for the former causes
         fit = maximize_posterior(posterior, fit.x, fit.effects)
     if not any(e.nonlinear for e in fit.effects) and any(c.effect.nonlinear for c in accepted):
         posterior, fit, _ = fit_persistent_effects(posterior, fit)  # the simulated law was removed

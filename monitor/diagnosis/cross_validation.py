@@ -58,6 +58,11 @@ class HeldOutGain:
         """Gain of the extended form, nats per sample instant."""
         return self.after - self.before
 
+    @property
+    def withheld(self) -> str:
+        """Why there is no gain, in words; empty where it was measured."""
+        return self.heldout.partition("none: ")[2]
+
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Blocks:
@@ -213,24 +218,25 @@ def _cut_blocks(segments: Segments) -> _Blocks:
 def require_gain(diagnosis: Diagnosis, gain: HeldOutGain) -> Diagnosis:
     """Withdraw the causes of a diagnosis that does not gain significantly on held-out data.
 
+    Of an ambiguous answer the most probable alternative must gain.  Where no data can be held out, the causes stay.
+
     A law that only loud blocks show gains in few of them, which a bootstrap of blocks cannot tell from none.  For a nonlinear
     law a large summed gain is therefore enough.  Where causes are stated beside something unexplained, which widens the
     interval too, the summed gain must not be a loss.
     """
-    confirmed_by_sum = any(cause.effect.nonlinear for cause in diagnosis.causes) and gain.nats > _LARGE_GAIN_NATS
-    match diagnosis.verdict:
-        case "named":
-            confirmed = gain.ci95[0] > 0.0 or confirmed_by_sum
-        case "unexplained":
-            confirmed = not diagnosis.causes or gain.value >= 0.0
-        case _:
-            return diagnosis
+    effects = diagnosis.final_fit.effects
+    confirmed_by_sum = any(effect.nonlinear for effect in effects) and gain.nats > _LARGE_GAIN_NATS
+    if diagnosis.verdict == "unexplained":
+        confirmed = not diagnosis.causes or gain.value >= 0.0
+    else:
+        confirmed = not effects or bool(gain.withheld) or gain.ci95[0] > 0.0 or confirmed_by_sum
     if confirmed:
         return diagnosis
     return replace(
         diagnosis,
         verdict="unexplained" if diagnosis.misfit else "none",
         causes=(),
+        alternatives=(),
         left_over=diagnosis.misfit,
         final_fit=diagnosis.null_fit,
     )

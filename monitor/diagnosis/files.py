@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -14,7 +14,7 @@ from monitor.core import Array
 from monitor.diagnosis.cross_validation import HeldOutGain
 from monitor.diagnosis.score_test import Candidate
 from monitor.diagnosis.stepwise_selection import Diagnosis
-from monitor.diagnosis.wording import contradicted, headline, in_words, separating_measurement
+from monitor.diagnosis.wording import contradicted, headline, in_words, law_family, separating_measurement
 from monitor.inference import ParameterLayout
 from monitor.model import FORMS, Effect, MatrixStructure, Model, StructuralPrior
 
@@ -23,7 +23,12 @@ _NOT_DETERMINED = 1e300
 
 
 def content(
-    diagnosis: Diagnosis, gain: HeldOutGain, known: Iterable[Effect], ddi_effect: Mapping[str, Any]
+    diagnosis: Diagnosis,
+    gain: HeldOutGain,
+    known: Iterable[Effect],
+    ddi_effect: Mapping[str, Any],
+    refit: Sequence[Mapping[str, Any]] = (),
+    detectable_loss: Sequence[float | None] = (),
 ) -> dict[str, Any]:
     """Collect the content of diagnosis.json.
 
@@ -37,20 +42,25 @@ def content(
         Effects that the structure file itself states, which are no finding of the calibration.
     ddi_effect : mapping
         See `monitor.diagnosis.damage_index_effect`.
+    refit : sequence of mappings
+        See `monitor.diagnosis.drawing_refit`; empty with a baseline.
+    detectable_loss : sequence of float or None
+        Smallest loss of each story that would have been found, see `monitor.diagnosis.score_test.detectable_losses`.
     """
     prior = diagnosis.posterior.prior
     causes = [_cause(c.effect, c.std, prior) for c in diagnosis.causes]
-    alternatives = [_alternative(c, share) for c, share in diagnosis.alternatives]
+    alternatives = [_alternative(c, share, prior) for c, share in diagnosis.alternatives]
     stated = {(e.name, e.location) for e in known}
     out: dict[str, Any] = {
         "verdict": diagnosis.verdict,
         "cause": causes[0] if diagnosis.verdict == "named" else None,
         "causes": causes,
         "alternatives": alternatives,
+        "family": law_family(alternatives) if alternatives else None,
         "separating_measurement": separating_measurement(alternatives),
         "misfit": [{"where": m.where, "size": _finite(m.size), "says": m.says} for m in diagnosis.misfit],
         "gain": _gain(gain),
-        "standing": [c for c in _standing(prior) if (c["effect"], c["location"]) not in stated],
+        "standing": [c for c in standing_causes(prior) if (c["effect"], c["location"]) not in stated],
         "standing_misfit": _standing_misfit(prior),
         "tried": [
             {"effect": c.effect.name, "location": c.effect.location, "log_evidence_over_none": _finite(c.log_evidence)}
@@ -58,8 +68,10 @@ def content(
         ],
         "left_over": [{"where": m.where, "size": _finite(m.size), "says": m.says} for m in diagnosis.left_over],
         "ddi_effect": dict(ddi_effect),
+        "refit": list(refit),
+        "detectable_loss": list(detectable_loss),
     }
-    return {**out, "says": headline(diagnosis, out)}
+    return {**out, "says": headline(diagnosis, gain, out)}
 
 
 def _cause(effect: Effect, std: Mapping[str, float], prior: StructuralPrior) -> dict[str, Any]:
@@ -69,16 +81,23 @@ def _cause(effect: Effect, std: Mapping[str, float], prior: StructuralPrior) -> 
     return {"effect": effect.name, "location": effect.location, "parameters": sizes, "says": says}
 
 
-def _alternative(candidate: Candidate, probability: float) -> dict[str, Any]:
-    """Describe a rival cause with its probability and its parameters."""
+def _alternative(candidate: Candidate, probability: float, prior: StructuralPrior) -> dict[str, Any]:
+    """Describe a rival cause with its probability, its parameters and a sentence."""
     effect = candidate.effect
     n = len(effect.parameters)
     variance = np.diag(candidate.fit.covariance)[candidate.fit.x.size - n :]
     sizes = _sizes(effect, np.sqrt(np.maximum(variance, 0.0)))
-    return {"effect": effect.name, "location": effect.location, "probability": probability, "parameters": sizes}
+    says = in_words(effect.name, effect.location, sizes, prior)
+    return {
+        "effect": effect.name,
+        "location": effect.location,
+        "probability": probability,
+        "parameters": sizes,
+        "says": says,
+    }
 
 
-def _standing(prior: StructuralPrior) -> list[dict[str, Any]]:
+def standing_causes(prior: StructuralPrior) -> list[dict[str, Any]]:
     """Describe the effects that calibration found, with the standard deviations of their parameters from the healthy data."""
     # Scaled by their own units: the precision of a law's size in N/m^3 is of the order of 1e-24, which would pass for zero.
     unit = np.maximum(np.diag(prior.precision), 1e-300) ** -0.5

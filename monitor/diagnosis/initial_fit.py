@@ -84,7 +84,7 @@ def fit_linearized(
     )
     posterior, null_fit = fit_ground_interpolation(posterior, null_fit)
     posterior = replace(posterior, conditions=linearize(posterior, null_fit.x, ()))
-    if not prior.n_standing:
+    if not prior.n_persistent:
         return fit_ambient_forces(posterior, null_fit)
     structure = np.concatenate([null_fit.x[linear], prior.mean[linear.stop :]])
     x = posterior.layout.with_structure(null_fit.x, structure)

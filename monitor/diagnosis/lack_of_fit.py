@@ -37,6 +37,8 @@ class LackOfFit:
     """Standard deviations."""
     says: str
     """Description in words."""
+    changes: bool = False
+    """Whether the difference changes within the recording."""
 
 
 def drift_bands(posterior: Posterior, fitted: MapEstimate) -> Array:
@@ -128,8 +130,8 @@ def _deviations(posterior: Posterior, fitted: MapEstimate) -> tuple[Array, Array
 def find_lack_of_fit(posterior: Posterior, fitted: MapEstimate, settings: DiagnosisSettings) -> tuple[LackOfFit, ...]:
     """List the bands in which the model is wrong, worst first."""
     z, drift, hz = _deviations(posterior, fitted)
-    late = _list_deviations(drift, hz, posterior, settings, ", more so late in the recording than early")
-    return tuple(sorted(_list_deviations(z, hz, posterior, settings, "") + late, key=lambda m: -m.size))
+    late = _list_deviations(drift, hz, posterior, settings, changes=True)
+    return tuple(sorted(_list_deviations(z, hz, posterior, settings) + late, key=lambda m: -m.size))
 
 
 def wrong_bins(posterior: Posterior, fitted: MapEstimate, settings: DiagnosisSettings) -> NDArray[np.bool_]:
@@ -226,7 +228,7 @@ def find_changed_effects(
     A fit's nuisances include these sizes, so such a change would leave no lack of fit.
     """
     known, out = posterior.prior, []
-    change = known.standing(np.abs(fitted.x[posterior.layout.structure] - known.mean))
+    change = known.persistent_parts(np.abs(fitted.x[posterior.layout.structure] - known.mean))
     for effect, far, std in zip(known.effects(fitted.x), change, known.standing_std, strict=True):
         deviations = far / std
         if deviations.max(initial=0.0) > settings.misfit:
@@ -239,9 +241,10 @@ def find_changed_effects(
 
 
 def _list_deviations(
-    z: Array, hz: Array, posterior: Posterior, settings: DiagnosisSettings, when: str
+    z: Array, hz: Array, posterior: Posterior, settings: DiagnosisSettings, *, changes: bool = False
 ) -> tuple[LackOfFit, ...]:
-    """Describe every entry of `z`, shape (n_bands, c, c), that exceeds the threshold; `when` ends each description."""
+    """Describe every entry of `z`, shape (n_bands, c, c), that exceeds the threshold; `changes` as in `LackOfFit`."""
+    when = ", more so late in the recording than early" if changes else ""
     names = [*posterior.context.channels, "ground"]
     out = []
     for band, i, j in np.argwhere(np.abs(z) > settings.misfit):
@@ -253,5 +256,5 @@ def _list_deviations(
         else:
             says = f"the {'real' if i > j else 'imaginary'} part of their coherence is not the model's"
             where += f"channels {names[i]} and {names[j]}"
-        out.append(LackOfFit(where, abs(size), says + when))
+        out.append(LackOfFit(where, abs(size), says + when, changes))
     return tuple(out)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import partial
@@ -13,6 +14,8 @@ from monitor.core import Array, parallel_map
 from monitor.diagnosis.initial_fit import COARSE, FAR, LONG, ROUGHLY
 from monitor.inference import MapEstimate, Posterior, Prediction, maximize_posterior
 from monitor.model import EFFECTS, Context, Effect, EffectError, inverse, locations
+
+_log = logging.getLogger(__name__)
 
 _MAX_STEPS_ROUGH = 5
 """Most iterations of a rough fit without a measured ground. [iterations; cost]"""
@@ -33,6 +36,8 @@ _MIN_START_FACTOR = 0.05
 """Smallest factor on an effect's start size at which it is first tried. [ratio; judgement]"""
 _MAX_START_FACTOR = 20.0
 """Largest such factor. [ratio; judgement]"""
+_ONE_SIDED_95 = 1.645
+"""Quantile of the standard normal distribution for a probability of 95 %. [standard deviations; definition]"""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -57,6 +62,17 @@ class Candidate:
         A rough fit is assumed to find half of the whole gain, or all but `_ROUGH_FIT_NATS`.
         """
         return self.log_evidence + max(self.delta_log_posterior, _ROUGH_FIT_NATS) > min_log_evidence
+
+
+def best_first(candidates: Iterable[Candidate]) -> list[Candidate]:
+    """Rank candidates by evidence, without those whose evidence is not finite: such a fit failed and explains nothing."""
+    finite = []
+    for c in candidates:
+        if np.isfinite(c.log_evidence):
+            finite.append(c)
+        else:
+            _log.info("%s at %s is left out: its evidence is %s", *c.key, c.log_evidence)
+    return sorted(finite, key=lambda c: -c.log_evidence)
 
 
 def candidate_starts(
@@ -155,7 +171,7 @@ def rank_by_score(posterior: Posterior, null_fit: MapEstimate, candidates: list[
         gains += [(gain - lost, effect) for gain, effect in _expected_gains(held, rest, candidates)]
         shaped = [e for e in candidates if e.parameters and not e.proportional]  # no score test gives their size
         gains += parallel_map(partial(_gain_from_prior, posterior, null_fit), shaped)
-    return sorted(gains, key=lambda item: -item[0])
+    return sorted((item for item in gains if np.isfinite(item[0])), key=lambda item: -item[0])
 
 
 def _expected_gains(
@@ -195,6 +211,40 @@ def _expected_gains(
         return out if scaled is None else [*out, (0.5 * score**2 / information, scaled)]
 
     return list(chain.from_iterable(parallel_map(predict_gain, candidates)))
+
+
+def detectable_losses(posterior: Posterior, null_fit: MapEstimate, margin: float) -> list[float | None]:
+    """Compute the smallest loss of each story that the search would find in 95 % of recordings like this one.
+
+    Parameters
+    ----------
+    posterior : Posterior
+    null_fit : MapEstimate
+        Fit without a further effect.
+    margin : float
+        Log evidence that a cause needs, nats.
+
+    Returns
+    -------
+    list of float or None
+        Relative loss of each story; None where no loss would be found.
+    """
+    (kind,) = (kind for kind in EFFECTS.values() if kind.is_stiffness_loss)
+    typical, context = posterior.conditions[posterior.n_classes // 2], posterior.context
+    starts = [kind.starts(place, context, typical)[0] for place in locations("story", context)]
+    prediction = posterior.predict(null_fit.x, null_fit.effects)
+    tangent = null_fit.jacobian
+    normal = inverse(tangent.T @ tangent + posterior.normal_prior(null_fit.x, null_fit.effects)[1])
+    stds = np.sqrt(2.0 * (margin + parameter_cost(posterior, 1))) + _ONE_SIDED_95
+
+    def loss(effect: Effect) -> float | None:
+        v = _whitened_slope(posterior, null_fit, prediction, effect)
+        along = tangent.T @ v
+        information = float(v @ v - along @ normal @ along)
+        size = stds * float(abs(effect.coordinates[0])) / np.sqrt(max(information, 1e-9))
+        return size if size < 1.0 else None
+
+    return [loss(effect) for effect in starts]
 
 
 def _whitened_slope(posterior: Posterior, null_fit: MapEstimate, prediction: Prediction, effect: Effect) -> Array:

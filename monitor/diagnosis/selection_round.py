@@ -11,7 +11,14 @@ from monitor.core import parallel_map
 from monitor.diagnosis.ambiguity import tied_candidates
 from monitor.diagnosis.backward_elimination import join_coordinates
 from monitor.diagnosis.parameter_uncertainty import is_significant
-from monitor.diagnosis.score_test import Candidate, best_of_each, candidate_starts, fit_candidate, rank_by_score
+from monitor.diagnosis.score_test import (
+    Candidate,
+    best_first,
+    best_of_each,
+    candidate_starts,
+    fit_candidate,
+    rank_by_score,
+)
 from monitor.diagnosis.settings import DiagnosisSettings
 from monitor.diagnosis.simulation_refit import RefittedCandidate, refit_by_simulation
 from monitor.inference import CorrectedPosterior, MapEstimate, MeasuredMoments, Moments, Posterior, measure_moments
@@ -66,9 +73,7 @@ def run_selection_round(
             posterior, fit, chosen[key], min_log_evidence=min_log_evidence, rough=rough_by_key.get(key)
         )
 
-    fitted = sorted(
-        filter(partial(_is_valid_cause, posterior), parallel_map(fit_chosen, chosen)), key=lambda c: -c.log_evidence
-    )
+    fitted = best_first(filter(partial(_is_valid_cause, posterior), parallel_map(fit_chosen, chosen)))
     return sorted(
         _simulate_contenders(posterior, fit, fitted, added, settings), key=lambda p: -p.candidate.log_evidence
     )
@@ -119,7 +124,7 @@ def _fit_roughly(posterior: Posterior, fit: MapEstimate, effects: list[Effect]) 
             found, fit=replace(found.fit, jacobian=np.zeros((0, found.fit.x.size)))
         )  # saves a megabyte that is not used
 
-    return sorted(parallel_map(rough, effects), key=lambda c: -c.log_evidence)
+    return best_first(parallel_map(rough, effects))
 
 
 def _shortlist_driven(
@@ -145,7 +150,10 @@ def _shortlist_driven(
 def _simulate_contenders(
     posterior: Posterior, fit: MapEstimate, candidates: list[Candidate], added: Moments, settings: DiagnosisSettings
 ) -> list[RefittedCandidate]:
-    """Simulate the nonlinear laws among the best candidates, and compare all candidates with the measured moments."""
+    """Simulate the nonlinear laws among the best candidates, and compare all candidates with the measured moments.
+
+    A law whose simulation diverges has no finite evidence, and is no candidate any more.
+    """
     # A response to measured ground motion is computed with the exact laws.
     if not candidates or candidates[0].log_evidence < settings.margin or posterior.observed.drive is not None:
         return [RefittedCandidate(c, posterior, added) for c in candidates]
@@ -157,6 +165,11 @@ def _simulate_contenders(
     measured = measure_moments(posterior.observed.segments.values, posterior, fit)
     nonlinear = [c for c in doubtful if c.effect.nonlinear]
     simulated = {p.candidate.key: p for p in parallel_map(partial(refit_by_simulation, posterior, fit), nonlinear)}
+    alive = {c.key for c in best_first(simulated[c.key].candidate if c.key in simulated else c for c in candidates)}
+    candidates = [c for c in candidates if c.key in alive]
+    simulated = {key: p for key, p in simulated.items() if key in alive}
+    if not simulated:
+        return [RefittedCandidate(c, posterior, added) for c in candidates]
     first = max((simulated[c.key].candidate if c.key in simulated else c).log_evidence for c in candidates)
     near = [
         p
@@ -192,7 +205,13 @@ def _compare_moments(
         What the causes accepted before add to the moments of a normal process.
     """
     refitted = [simulated.get(c.key, RefittedCandidate(c, posterior, before)) for c in candidates]
-    oriented = [_choose_orientation(p, before, measured) for p in refitted]
+    oriented = [
+        (p, likelihood)
+        for p, likelihood in (_choose_orientation(p, before, measured) for p in refitted)
+        if np.isfinite(p.candidate.log_evidence + likelihood)
+    ]
+    if not oriented:
+        return []
     first = max(oriented, key=lambda pair: pair[0].candidate.log_evidence)[1]
     return [_add_evidence(p, likelihood - first) for p, likelihood in oriented]
 

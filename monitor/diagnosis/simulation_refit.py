@@ -202,7 +202,7 @@ def _iterate_simulation(posterior: Posterior, fit: MapEstimate, rounds: Rounds) 
     loaded()
     slopes, spurious, known = _stored_slopes(posterior, fit), np.zeros((0, 0)), 0
     if len(slopes) and isinstance(posterior, CorrectedPosterior):
-        spurious, known = posterior.feigned, posterior.simulations
+        spurious, known = posterior.spurious_information, posterior.simulations
     linear = replace(posterior, offset=None)
     for count, sloped in rounds:
         linear = replace(linear, conditions=linearize(linear, fit.x, fit.effects))
@@ -222,13 +222,13 @@ def _iterate_simulation(posterior: Posterior, fit: MapEstimate, rounds: Rounds) 
         near = correct_posterior(linear, fit.x, fit.effects, offsets.mean(axis=0), slopes)
         if sloped:
             spurious = _spurious_information(near, fit, new) * count / known
-        near = replace(near, feigned=spurious, simulations=known)
+        near = replace(near, spurious_information=spurious, simulations=known)
         fit = maximize_posterior(near, fit.x, fit.effects, iterations=8)
     lost, simulation_std = _simulation_scatter(near, fit, offsets, free)
     if simulation_std.size:
         added_variance = np.diag(_widen_covariance(near, fit) - fit.covariance)[near.layout.effects]
         simulation_std = np.sqrt(simulation_std**2 + np.maximum(added_variance, 0.0))
-    return SimulatedFit(replace(near, lost=lost, doubt=simulation_std), fit, added, count)
+    return SimulatedFit(replace(near, lost=lost, simulation_std=simulation_std), fit, added, count)
 
 
 def refine_fit(posterior: Posterior, fit: MapEstimate) -> tuple[CorrectedPosterior, MapEstimate]:
@@ -237,7 +237,7 @@ def refine_fit(posterior: Posterior, fit: MapEstimate) -> tuple[CorrectedPosteri
     The last move of the sizes adds to their standard deviation.  Where the fit gets worse, the first fit is kept.
     """
     if (
-        isinstance(posterior, CorrectedPosterior) and posterior.doubt.size == fit.n_effect
+        isinstance(posterior, CorrectedPosterior) and posterior.simulation_std.size == fit.n_effect
     ):  # simulated finely already, with all its effects
         near, start = posterior, fit
     else:
@@ -252,12 +252,12 @@ def refine_fit(posterior: Posterior, fit: MapEstimate) -> tuple[CorrectedPosteri
     last = _iterate_simulation(near, start, rounds)
     sizes = last.fit.x[posterior.layout.effects]
     nonlinear = np.array([e.nonlinear for e in fit.effects for _ in e.parameters])
-    if (last.posterior.doubt > _UNCERTAIN_SIZE * np.abs(sizes))[nonlinear].any():
+    if (last.posterior.simulation_std > _UNCERTAIN_SIZE * np.abs(sizes))[nonlinear].any():
         last = _iterate_simulation(last.posterior, last.fit, ((_MAX_SIMULATIONS, False),))
     moved = np.abs(last.fit.x - start.x)[posterior.layout.effects]
     if last.fit.log_posterior + last.posterior.lost < start.log_posterior + near.lost:
-        return replace(near, doubt=np.hypot(last.posterior.doubt, moved)), start
-    return replace(last.posterior, doubt=np.hypot(last.posterior.doubt, _MOVE_STD * moved)), last.fit
+        return replace(near, simulation_std=np.hypot(last.posterior.simulation_std, moved)), start
+    return replace(last.posterior, simulation_std=np.hypot(last.posterior.simulation_std, _MOVE_STD * moved)), last.fit
 
 
 def _simulate_offset(posterior: Posterior, fit: MapEstimate, seed: int) -> tuple[ComplexArray, ComplexArray, Moments]:
@@ -274,7 +274,7 @@ def _simulate_offset(posterior: Posterior, fit: MapEstimate, seed: int) -> tuple
     simulated = simulate_spectra(
         posterior, fit.x, fit.effects, acting, simulate_exact(posterior, fit.x, fit.effects, acting)
     )
-    added = simulate_moments(simulated.bent, posterior, fit) - simulate_moments(simulated.straight, posterior, fit)
+    added = simulate_moments(simulated.exact, posterior, fit) - simulate_moments(simulated.linearized, posterior, fit)
     return simulated.controlled, simulated.free, added
 
 
@@ -333,10 +333,10 @@ def _spurious_information(posterior: CorrectedPosterior, fit: MapEstimate, slope
 def _spurious_share(posterior: Posterior, fit: MapEstimate) -> Array:
     """Compute the covariance times the spurious information, shape (n, n)."""
     whole = np.zeros_like(fit.covariance)
-    if isinstance(posterior, CorrectedPosterior) and posterior.feigned.any():
+    if isinstance(posterior, CorrectedPosterior) and posterior.spurious_information.any():
         sizes = [e.nonlinear for e in fit.effects for _ in e.parameters]
         nonlinear = posterior.layout.n_nuisance + np.flatnonzero(sizes)
-        whole[np.ix_(nonlinear, nonlinear)] = posterior.feigned
+        whole[np.ix_(nonlinear, nonlinear)] = posterior.spurious_information
     return np.asarray(fit.covariance @ whole)
 
 

@@ -317,10 +317,13 @@ def _refine(
         return posterior, fit, accepted, np.zeros(fit.n_effect)
     near, fit = refine_fit(posterior, fit)
     # With a better size of the law another cause may be no longer significant.
-    kept = [is_significant(e, std) for e, std in zip(fit.effects, coordinate_std(near, fit, near.doubt), strict=True)]
+    kept = [
+        is_significant(e, std)
+        for e, std in zip(fit.effects, coordinate_std(near, fit, near.simulation_std), strict=True)
+    ]
     if not any(kept):
-        return near, fit, accepted, near.doubt
-    return _keep_effects(near, fit, accepted, near.doubt, kept)
+        return near, fit, accepted, near.simulation_std
+    return _keep_effects(near, fit, accepted, near.simulation_std, kept)
 
 
 def _keep_effects(

@@ -5,8 +5,22 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
+from monitor.diagnosis.cross_validation import HeldOutGain
+from monitor.diagnosis.drawing_refit import refit_headline
 from monitor.diagnosis.stepwise_selection import Diagnosis
-from monitor.model import FORMS, FittedSizes, ModelDiscrepancy, ParameterEstimates, StructuralPrior
+from monitor.model import FORMS, FittedSizes, LawFamily, ModelDiscrepancy, ParameterEstimates, StructuralPrior
+
+_MAX_RIVALS = 2
+"""Rival causes that the headline states in full where there are more than one beyond them. [count; judgement]"""
+_PLURALS = {"story": "stories", "floor": "floors", "channel": "channels"}
+_FAMILIES: dict[LawFamily, str] = {
+    "hardening": "hardens with the level",
+    "softening": "softens with the level",
+    "asymmetric": "is softer one way than the other",
+    "dissipating": "dissipates more energy than the model does",
+}
 
 
 def in_words(effect_name: str, location: str, parameters: ParameterEstimates, reference: StructuralPrior) -> str:
@@ -24,7 +38,7 @@ def in_words(effect_name: str, location: str, parameters: ParameterEstimates, re
     KeyError
         If the effect is unknown or a parameter is missing.
     """
-    source = "at calibration" if reference.basis.shape[0] else "the structure file says"
+    source = "at calibration" if _has_baseline(reference) else "the structure file says"
     return FORMS[effect_name].sentence(FittedSizes(location, parameters, reference.model.structure, source))
 
 
@@ -57,32 +71,105 @@ def contradicted(error: ModelDiscrepancy) -> str:
     return f"at {where} Hz no known effect explains the healthy data either, so what is seen there counts less"
 
 
-def headline(diagnosis: Diagnosis, content: Mapping[str, Any]) -> str:
-    """State the verdict in one plain sentence.
+def law_family(alternatives: Sequence[Mapping[str, Any]]) -> LawFamily | None:
+    """Name the family of laws that all rival causes belong to; None where there is none.
+
+    Parameters
+    ----------
+    alternatives : sequence of mappings
+        With ``effect`` and ``parameters``, as in diagnosis.json.
+    """
+    families = [FORMS[a["effect"]].law_families(a["parameters"]) for a in alternatives]
+    return next((name for name in (families[0] if families else ()) if all(name in own for own in families)), None)
+
+
+def class_in_words(alternatives: Sequence[Mapping[str, Any]], reference: StructuralPrior) -> str:
+    """State what rival causes have in common in one sentence, without its full stop.
+
+    Parameters
+    ----------
+    alternatives : sequence of mappings
+        As in diagnosis.json, most probable first.
+    reference : StructuralPrior
+        The structure that "more" and "less" refer to.
+    """
+    effects = list(dict.fromkeys(a["effect"] for a in alternatives))
+    places = _one_of(alternatives)
+    if len(effects) == 1 and places and _agree_in_sign(alternatives):
+        return f"{in_words(effects[0], places, _mixture(alternatives), reference)}; which one cannot be told"
+    family = law_family(alternatives)
+    if family is not None and places:
+        laws = " or ".join(dict.fromkeys(FORMS[name].noun for name in effects))
+        return f"{places} {_FAMILIES[family]} ({laws})"
+    shown = alternatives[: _MAX_RIVALS if len(alternatives) > _MAX_RIVALS + 1 else None]
+    said = [in_words(a["effect"], a["location"], a["parameters"], reference) for a in shown]
+    more = len(alternatives) - len(said)
+    said += [f"one of {more} other causes is at work"] if more else []
+    return f"these data cannot tell whether {', or '.join(said)}"
+
+
+def _one_of(alternatives: Sequence[Mapping[str, Any]]) -> str:
+    """Write the places of rival causes as one: ``story 1``, ``one of floors 1, 4``; empty where they are of several kinds."""
+    places = sorted({a["location"] for a in alternatives})
+    kinds = {place.partition(" ")[0] for place in places}
+    if len(places) == 1:
+        return str(places[0])
+    if len(kinds) > 1 or not kinds <= set(_PLURALS) or any("," in place for place in places):
+        return ""
+    names = [place.partition(" ")[2] for place in places]
+    names.sort(key=lambda name: (len(name), name))  # so that floor 10 follows floor 9
+    return f"one of {_PLURALS[kinds.pop()]} {', '.join(names)}"
+
+
+def _agree_in_sign(alternatives: Sequence[Mapping[str, Any]]) -> bool:
+    """Decide if every parameter of rivals of one effect has the same sign, so that one sentence fits all."""
+    values = [[entry["value"] for entry in a["parameters"].values()] for a in alternatives]
+    return all(np.ptp(np.sign(column)) == 0.0 for column in zip(*values, strict=True))
+
+
+def _mixture(alternatives: Sequence[Mapping[str, Any]]) -> ParameterEstimates:
+    """Compute mean and standard deviation of each parameter over rivals of one effect, weighted by their probabilities."""
+    weight = np.array([a["probability"] for a in alternatives])
+    weight = weight / weight.sum()
+    out = {}
+    for name in alternatives[0]["parameters"]:
+        value, std = (np.array([a["parameters"][name][key] for a in alternatives]) for key in ("value", "std"))
+        mean = float(weight @ value)
+        spread = float(np.sqrt(weight @ (value - mean) ** 2))
+        out[name] = {"value": mean, "std": float(np.hypot(spread, (weight @ std)))}
+    return out
+
+
+def headline(diagnosis: Diagnosis, gain: HeldOutGain, content: Mapping[str, Any]) -> str:
+    """State the verdict in few plain sentences: what was refitted, what was found, and why a gain cannot be had.
 
     Parameters
     ----------
     diagnosis : Diagnosis
         Its prior is the structure that "more" and "less" refer to.
+    gain : HeldOutGain
+        Gain of its causes on held-out data.
     content : mapping
         diagnosis.json.
     """
+    parts = [refit_headline(content["refit"]), _verdict_in_words(diagnosis, gain, content)]
+    return " ".join(filter(None, parts))
+
+
+def _verdict_in_words(diagnosis: Diagnosis, gain: HeldOutGain, content: Mapping[str, Any]) -> str:
+    """State the verdict."""
     reference = diagnosis.posterior.prior
-    causes = [in_words(c["effect"], c["location"], c["parameters"], reference) for c in content["causes"]]
+    causes = "; and ".join(c["says"] for c in content["causes"])
     match content["verdict"]:
         case "none":
-            if content["standing_misfit"] is not None:
-                return "Nothing new: these data differ from the simulation no more than the healthy ones."
-            return "Nothing wrong: the simulation explains these data."
+            if not _has_baseline(reference):
+                return "The refitted model explains these data; without a baseline nothing is said of damage."
+            return f"Nothing new beside the healthy data{_smallest_loss(content['detectable_loss'])}."
         case "named":
-            return _sentence("; and ".join(causes))
+            return _sentence(causes + _without_causes(content)) + _why_no_gain(gain)
         case "ambiguous":
-            rivals = "; or ".join(
-                f"{in_words(a['effect'], a['location'], a['parameters'], reference)} ({100 * a['probability']:.0f} %)"
-                for a in content["alternatives"]
-            )
-            certain = "; and ".join(causes)
-            return _sentence((f"{certain}; besides, " if causes else "") + f"these data cannot tell which: {rivals}")
+            rivals = class_in_words(content["alternatives"], reference)
+            return _sentence((f"{causes}; besides, " if causes else "") + rivals) + _why_no_gain(gain)
     worst = ""
     if diagnosis.left_over:
         where = diagnosis.left_over[0].where
@@ -91,8 +178,63 @@ def headline(diagnosis: Diagnosis, content: Mapping[str, Any]) -> str:
             if where.startswith("f = ")
             else f" with what stood at calibration, {where},"
         )
-    stated = f" Besides, {'; and '.join(causes)}." if causes else ""
-    return f"Something is wrong{worst} that no known effect explains.{stated}"
+    changed = any(m.changes for m in diagnosis.left_over)
+    if not causes or not (changed or gain.withheld or gain.ci95[0] > 0.0):
+        return f"Something is wrong{worst} that no known effect explains."
+    why = ""
+    if gain.ci95[0] <= 0.0:
+        why = f" (no gain on held-out data: {gain.withheld or 'the motion changed within the recording'})"
+    return f"Something is wrong{worst} that no known effect explains. Besides, {causes}{why}."
+
+
+def _has_baseline(reference: StructuralPrior) -> bool:
+    """Decide if the reference is a baseline, whose model may be corrected, and not a drawing."""
+    return bool(reference.basis.shape[0])
+
+
+def _why_no_gain(gain: HeldOutGain) -> str:
+    """State why the interval of the held-out gain does not exclude zero; empty where it does."""
+    if gain.withheld:
+        return f" No gain on held-out data can be had: {gain.withheld}."
+    if gain.ci95[0] <= 0.0:
+        return (
+            f" Only loud stretches show it: their gain on held-out data is {gain.nats:.0f} nats, though the interval of "
+            "the mean gain includes zero."
+        )
+    return ""
+
+
+def _without_causes(content: Mapping[str, Any]) -> str:
+    """State what remains of a change of stiffness with the causes taken out; empty where a cause is such a change."""
+    left = content["ddi_effect"].get("with") or []
+    if not left or any(FORMS[c["effect"]].is_stiffness_loss for c in content["causes"]):
+        return ""
+    them = "it" if len(content["causes"]) == 1 else "them"
+    return f"; with {them} taken out no story changed by more than {100.0 * max(abs(v) for v in left):.1f} %"
+
+
+def _smallest_loss(detectable: Sequence[float | None]) -> str:
+    """State the smallest loss that a diagnosis would have found in any story; empty where it is not known."""
+    if not detectable:
+        return ""
+    unseen = [f"story {j}" for j, loss in enumerate(detectable, 1) if loss is None]
+    seen = [loss for loss in detectable if loss is not None]
+    notes = [f"no loss above {100.0 * max(seen):.2g} % in any {'other ' * bool(unseen)}story"] if seen else []
+    notes += [f"a loss in {', '.join(unseen)} would not have been found"] if unseen else []
+    return ": " + "; ".join(notes) + (" (smallest that would have been found)" if seen else "")
+
+
+def csd_error_in_words(error: float) -> str:
+    """State the relative squared error of cross-spectra: in percent, or beyond that as a multiple of the measured power.
+
+    Examples
+    --------
+    >>> csd_error_in_words(0.123), csd_error_in_words(4225.0)
+    ('12.3 %', '65 times the measured power, worse than no prediction')
+    """
+    if error <= 1.0:
+        return f"{100.0 * error:.1f} %"
+    return f"{np.sqrt(error):.3g} times the measured power, worse than no prediction"
 
 
 def _sentence(text: str) -> str:

@@ -33,16 +33,31 @@ def correct_modes(modes: ModalEstimate, effects: Sequence[Effect], context: Cont
     clock = float(np.prod([e.clock_factor for e in effects]))
     shapes, deviations = modes.shapes.copy(), modes.deviations.copy()
     factor = None if modes.weight_factor is None else modes.weight_factor.copy()
+
+    def back_at(hz: float) -> ComplexArray:
+        """Compute the inverse of the response at a frequency of the wrong clock."""
+        return np.asarray(np.linalg.inv(response(effects, hz * clock, context)))
+
     for i, hz in enumerate(modes.frequencies_hz):
-        back: ComplexArray = np.asarray(np.linalg.inv(response(effects, hz * clock, context)))
+        back = back_at(hz)
         true = back @ modes.shapes[i]
         largest = int(np.abs(true).argmax())
         shapes[i] = true / true[largest]
         for rows in (deviations, factor):
             if rows is not None:
                 rows[:, i, 2:] = _propagate(rows[:, i, 2:], back, true, largest)
+    others = []
+    for mode in modes.others:
+        true = back_at(mode.frequency_hz) @ mode.shape
+        f, std = clock * mode.frequency_hz, clock * mode.frequency_std_hz
+        others.append(replace(mode, frequency_hz=f, frequency_std_hz=std, shape=true / true[np.abs(true).argmax()]))
     return replace(
-        modes, frequencies_hz=clock * modes.frequencies_hz, shapes=shapes, deviations=deviations, weight_factor=factor
+        modes,
+        frequencies_hz=clock * modes.frequencies_hz,
+        shapes=shapes,
+        deviations=deviations,
+        weight_factor=factor,
+        others=tuple(others),
     )
 
 

@@ -14,7 +14,7 @@ from math import ceil, log
 import numpy as np
 from pydantic import Field
 
-from monitor.core import Array, ComplexArray, ModalEstimate, Settings, Skipped, Window
+from monitor.core import Array, ComplexArray, ModalEstimate, OtherMode, Settings, Skipped, Window
 from monitor.identification.ssi import PoleTable, Realisation, SsiSettings, realise, state_space
 from monitor.identification.ssi import poles as all_poles
 from monitor.identification.ssi_uncertainty import mode_deviations
@@ -54,7 +54,8 @@ class SelectionSettings(Settings):
     max_modes: int = Field(default=8, ge=1)
     """Number of the model's lowest modes to identify."""
     required_modes: int = Field(default=4, ge=1)
-    """Number of the lowest modes that must be found; higher modes are used where they are found."""
+    """Number of the baseline's lowest modes without which the damage index is not judged.  Higher modes, and without a baseline
+    all, are used where they are found."""
 
 
 def expected_modes(reference: Modes, highest_hz: float, select: SelectionSettings) -> tuple[int, ...]:
@@ -130,7 +131,8 @@ def identify(
     Returns
     -------
     ModalEstimate or Skipped
-        Skipped names the model's required modes that no stable pole matches.
+        The estimate may lack modes of the model, even all; it says why, and which modes are in the data beside those of the
+        model.  Skipped where there is no stable pole at all.
     """
     if wanted is None:
         wanted = expected_modes(reference, _BAND * window.rate_hz, select)
@@ -144,21 +146,32 @@ def identify(
     poles = all_poles(realisation, range(2, max_order + 1, 2), window.rate_hz, band_hz, damping)
     stable = _stable(poles, select, realisation.singular_values.size < max_order)
     in_band = int(np.count_nonzero(reference.frequencies_hz < cutoff * window.rate_hz))
-    modes = _match(poles, stable, reference.frequencies_hz[list(wanted)], shapes, select, in_band)
-    missing = [str(i + 1) for i, m in zip(wanted[: select.required_modes], modes, strict=False) if m is None]
-    if missing:
-        return Skipped(
-            f"no stable pole for mode {', '.join(missing)} of the model (frequency and shape; "
-            "check floors, signs and units of the channels, and what `check` says of the lags)"
-        )
-    wanted = tuple(i for i, m in zip(wanted, modes, strict=True) if m is not None)
+    frequencies = reference.frequencies_hz[list(wanted)]
+    modes, rest = _match(poles, stable, frequencies, shapes, select, in_band)
     clusters = [m for m in modes if m is not None]
     # Canonical correlations rank all modes alike, also those not wanted, which need room; by energy the strong ones come first.
     crowd = min(in_band, ssi.max_order // 2 - 2) if ssi.used(window.sums.head.shape[1]) in ("CVA", "UPC") else 0
-    chosen = _common_order(poles, clusters, 2 * max(len(clusters), crowd) + 4)
+    enough = 2 * max(len(clusters), crowd) + 4
+    chosen = _common_order(poles, clusters, enough)
     if chosen is None:
         return Skipped("no order shows every mode")
-    return _estimate(window, realisation, poles, stable, chosen, wanted, refiner, ssi, select)
+    beside = [
+        row
+        for cluster in _distinct(poles, clusters, rest, select)
+        for row in _common_order(poles, [cluster], enough) or []
+        if poles.frequency[row] < cutoff * window.rate_hz
+    ]
+    others = _other_modes(window, realisation, poles, beside, select, with_std=ssi.uncertainty)
+    missing = tuple(
+        (i, _why_missing(i, f, shape, others, select))
+        for i, f, shape, m in zip(wanted, frequencies.tolist(), shapes, modes, strict=True)
+        if m is None
+    )
+    if not clusters and not others:
+        return Skipped("; ".join(why for _, why in missing))
+    found = tuple(i for i, m in zip(wanted, modes, strict=True) if m is not None)
+    estimate = _estimate(window, realisation, poles, stable, chosen, found, refiner, ssi, select)
+    return replace(estimate, others=others, missing=missing)
 
 
 def _stable(poles: PoleTable, select: SelectionSettings, complete: bool) -> Array:
@@ -176,8 +189,8 @@ def _stable(poles: PoleTable, select: SelectionSettings, complete: bool) -> Arra
 
 def _match(
     poles: PoleTable, stable: Array, frequencies: Array, shapes: Array, select: SelectionSettings, in_band: int
-) -> list[list[int] | None]:
-    """Find for each of the model's modes the stable poles of its counterpart; None where there is none.
+) -> tuple[list[list[int] | None], list[list[int]]]:
+    """Find for each of the model's modes the stable poles of its counterpart, None where there is none, and the other modes'.
 
     A mode must be stable in the share `min_stable_share` of the orders with room for all modes in the band.  At least a third
     of all orders count as such.
@@ -215,10 +228,69 @@ def _match(
         select.min_model_mac,
     )
     found: list[list[int] | None] = [None] * len(frequencies)
+    rest = {j: np.flatnonzero(group == j).tolist() for j in range(cost.shape[1])}
     for i, j in zip(*linear_sum_assignment(cost), strict=True):
         if cost[i, j] < IMPOSSIBLE:
-            found[i] = np.flatnonzero(group == j).tolist()
-    return found
+            found[i] = rest.pop(int(j))
+    return found, list(rest.values())
+
+
+def _distinct(
+    poles: PoleTable, clusters: list[list[int]], rest: list[list[int]], select: SelectionSettings
+) -> list[list[int]]:
+    """Select from `rest`, by frequency, the modes that are no second finding of another one: its frequency and shape."""
+    kept: list[list[int]] = []
+    for cluster in sorted(rest, key=lambda c: (-len(c), c)):
+        middle = cluster[len(cluster) // 2]
+        known = [one[len(one) // 2] for one in (*clusters, *kept)]
+        near = np.abs(poles.frequency[known] / poles.frequency[middle] - 1.0) < 2.0 * select.stable_frequency
+        alike = np.abs(poles.shape[known] @ poles.shape[middle].conj()) ** 2 > select.min_model_mac
+        if not (near & alike).any():
+            kept.append(cluster)
+    return sorted(kept, key=lambda c: float(np.median(poles.frequency[c])))
+
+
+def _why_missing(
+    mode: int, frequency_hz: float, shape: Array, others: tuple[OtherMode, ...], select: SelectionSettings
+) -> str:
+    """State why a mode of the model, of shape (c,), has no counterpart beside `others`."""
+    says = f"mode {mode + 1} ({frequency_hz:.3g} Hz by the model): "
+    nearest = min(others, key=lambda other: abs(log(other.frequency_hz / frequency_hz)), default=None)
+    if nearest is None or abs(log(nearest.frequency_hz / frequency_hz)) > log(select.max_frequency_ratio):
+        return says + "no stable pole near it"
+    power = float(shape @ shape) * float(np.linalg.norm(nearest.shape)) ** 2
+    there = f"{nearest.frequency_hz:.3g} Hz, MAC {abs(nearest.shape @ shape) ** 2 / max(power, 1e-300):.2f}"
+    return says + f"no stable pole of its shape, but a mode of another one ({there}): another direction, or torsion?"
+
+
+def _other_modes(
+    window: Window,
+    realisation: Realisation,
+    poles: PoleTable,
+    rows: list[int],
+    select: SelectionSettings,
+    *,
+    with_std: bool,
+) -> tuple[OtherMode, ...]:
+    """Form the estimates of the modes, given by one pole each, that have no counterpart in the model.
+
+    A pole that is less certain than stable poles may differ is left out: forces that change split modes into such poles.
+    """
+    relative = dict.fromkeys(rows, float("nan"))
+    for space in sorted(set(poles.space[rows].tolist())) if with_std else ():
+        alike = [row for row in rows if poles.space[row] == space]
+        squares = (_deviations(window, realisation, poles, alike)[:, :, 0] ** 2).sum(axis=0)
+        relative |= dict(zip(alike, np.sqrt(squares).tolist(), strict=True))
+    return tuple(
+        OtherMode(
+            frequency_hz=float(poles.frequency[row]),
+            frequency_std_hz=float(poles.frequency[row]) * relative[row],
+            damping_ratio=float(poles.damping[row]),
+            shape=_normalize(poles.shape[[row]])[0],
+        )
+        for row in rows
+        if not relative[row] > select.stable_frequency
+    )
 
 
 def _common_order(poles: PoleTable, clusters: list[list[int]], enough: int) -> list[int] | None:
@@ -255,11 +327,11 @@ def _estimate(
         model_mode=np.array(wanted, dtype=np.int64),
         deviations=np.zeros((0, len(rows), 2 + 2 * poles.shape.shape[1])),
         first=window.first_block,
-        order=poles.orders[poles.space[rows[0]]],
+        order=poles.orders[poles.space[rows[0]]] if rows else 0,
         poles=np.stack([np.array(poles.orders, float)[poles.space], poles.frequency, poles.damping, stable], axis=1),
     )
-    better = estimate if refiner is None else refiner(estimate)
-    if better is not estimate or not ssi.uncertainty:
+    better = estimate if refiner is None or not rows else refiner(estimate)
+    if better is not estimate or not ssi.uncertainty or not rows:
         return better
     estimate = replace(estimate, deviations=_deviations(window, realisation, poles, rows))
     return _replace_split_modes(window, realisation, poles, rows, estimate, select)

@@ -138,7 +138,7 @@ class TrackedModes:
 
 
 def observed(modes: ModalEstimate | None, window_s: float) -> Observed:
-    """Convert a window's modal estimate to an observation; None stands for a window without modes.
+    """Convert a window's modes, then its other modes, to an observation; None stands for a window without modes.
 
     Examples
     --------
@@ -148,7 +148,15 @@ def observed(modes: ModalEstimate | None, window_s: float) -> Observed:
     """
     if modes is None:
         return Observed(np.zeros(0), np.zeros(0), np.zeros((0, 0), complex), window_s)
-    return Observed(modes.frequencies_hz, modes.frequencies_std_hz, modes.shapes, window_s)
+    if not modes.others:
+        return Observed(modes.frequencies_hz, modes.frequencies_std_hz, modes.shapes, window_s)
+    f, std, shapes = zip(*((o.frequency_hz, o.frequency_std_hz, o.shape) for o in modes.others), strict=True)
+    return Observed(
+        np.concatenate([modes.frequencies_hz, f]),
+        np.concatenate([modes.frequencies_std_hz, std]),
+        np.concatenate([modes.shapes, shapes]),
+        window_s,
+    )
 
 
 def step(state: TrackState, seen: Observed, t_ns: int, settings: TrackSettings) -> tuple[TrackState, TrackedModes]:

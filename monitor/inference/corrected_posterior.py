@@ -40,13 +40,13 @@ class CorrectedPosterior(AmbientPosterior):
     """Correction and its slopes by the coordinates, relative to the linearized spectra, shape (1 + p, classes, n_bins, c, c)."""
     by_motion: ComplexArray = field(default_factory=lambda: np.zeros(0, dtype=complex))
     """Slopes of the correction for a change of the motion instead of the law, shape (p, classes, n_bins, c, c)."""
-    feigned: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    spurious_information: Array = field(default_factory=lambda: np.zeros((0, 0)))
     """Spurious information on the coordinates from the random error of their slopes, shape (p, p)."""
     simulations: int = 0
     """Number of simulations of which the slopes are the mean."""
     lost: float = 0.0
     """Loss of log likelihood by the random error of the simulations, nats."""
-    doubt: Array = field(default_factory=lambda: np.zeros(0))
+    simulation_std: Array = field(default_factory=lambda: np.zeros(0))
     """Standard deviation of all effects' coordinates beyond that of their fit; empty where a single simulation was made."""
     drift: Array = field(default_factory=lambda: np.zeros((0, 0)))
     """RMS drift of the linearized model at the centre, shape (classes, n_stories), m."""

@@ -55,9 +55,9 @@ class SimulatedSpectra:
     """Exact spectra less the expected linearized spectra, with a control variate, shape (classes, n_bins, c, c)."""
     free: ComplexArray
     """Exact spectra less the expected linearized spectra, without a control variate, shape (classes, n_bins, c, c)."""
-    bent: ComplexArray
+    exact: ComplexArray
     """Transforms of the segments after all sensors under the exact laws, shape (n_segments, n_bins, c)."""
-    straight: ComplexArray
+    linearized: ComplexArray
     """Transforms of the segments after all sensors under the linearized laws, shape (n_segments, n_bins, c)."""
 
 
@@ -212,15 +212,15 @@ def simulate_spectra(
         return _compare_sensors(posterior, x, effects, acting, transforms)
     posterior, simulated, expected = _compare_at_simulated_motion(posterior, x, effects, transforms)
     noise, diagonal = _noise_density(posterior, x, everything), np.arange(len(posterior.context.channels))
-    out, bent, straight = np.empty_like(e.spectra), np.empty_like(transforms), np.empty_like(transforms)
+    out, exact, linearized = np.empty_like(e.spectra), np.empty_like(transforms), np.empty_like(transforms)
     for k, (members, y) in enumerate(zip(e.members, _linear_transforms(posterior, x, everything, acting), strict=True)):
         linear = _mean_products(y) * e.band.gain[:, None, None]
         linear[:, diagonal, diagonal] += noise[k] * e.band.gain[:, None]
         z = _apply_responses(transforms[members], everything, posterior, k)
         regression = _squared_regression(np.einsum("sfa,sfb->fab", z, y.conj()) / members.size, _mean_products(y))
         out[k] = simulated[k] - expected[k] - regression[:, None, None] * (linear - expected[k])
-        bent[members], straight[members] = z, y
-    return SimulatedSpectra(out, np.asarray(simulated - expected), bent, straight)
+        exact[members], linearized[members] = z, y
+    return SimulatedSpectra(out, np.asarray(simulated - expected), exact, linearized)
 
 
 def _compare_sensors(
@@ -231,14 +231,14 @@ def _compare_sensors(
     posterior, diagonal = posterior.of_model_alone(), np.arange(len(posterior.context.channels))
     out, sensors = class_means(posterior, x, effects, transforms), _nonlinear_sensors(everything)
     others = [effect for effect in everything if effect not in sensors]
-    bent, straight = np.empty_like(transforms), np.empty_like(transforms)
+    exact, linearized = np.empty_like(transforms), np.empty_like(transforms)
     for k, y in enumerate(_linear_transforms(posterior, x, everything, acting)):
         members = posterior.observed.members[k]
         out[k] -= _mean_products(y) * gain[:, None, None]
         # The expectation of the linearized sensors includes the distortion that clipping adds, as white noise.
         out[k][:, diagonal, diagonal] -= _added_noise_density(sensors, posterior, k) * gain[:, None]
-        bent[members], straight[members] = _apply_responses(transforms[members], others, posterior, k), y
-    return SimulatedSpectra(out, out, bent, straight)
+        exact[members], linearized[members] = _apply_responses(transforms[members], others, posterior, k), y
+    return SimulatedSpectra(out, out, exact, linearized)
 
 
 def _compare_at_simulated_motion(

@@ -152,6 +152,8 @@ def _kurtosis_between_modes(split: _Split, hz: Array) -> float:
 def _skewness(floors: ComplexArray, posterior: Posterior) -> tuple[Array, Array]:
     """Compute the mean skewness of the drifts over segments, and its standard deviation, shape (n_stories,) each.
 
+    A drift that no sensor moves with has the skewness 0 with an infinite standard deviation.
+
     Accelerations are integrated to drifts in the frequency domain.  The taper does not change the sign of the third moment.
     """
     band = posterior.observed.band
@@ -161,8 +163,10 @@ def _skewness(floors: ComplexArray, posterior: Posterior) -> tuple[Array, Array]
     full[:, :, band.first : band.first + band.n_bins] = drift.swapaxes(1, 2)
     d = irfft(full, n=length)
     second = np.einsum("sjt,sjt->sj", d, d) / length
-    third = np.einsum("sjt,sjt,sjt->sj", d, d, d) / length / second**1.5
-    return third.mean(axis=0), third.std(axis=0, ddof=1) / np.sqrt(third.shape[0])
+    seen = (second > 0.0).all(axis=0)  # no sensor moves with the others' drifts
+    third = np.einsum("sjt,sjt,sjt->sj", d, d, d) / length / np.where(seen, second, 1.0) ** 1.5
+    std = third.std(axis=0, ddof=1) / np.sqrt(third.shape[0])
+    return np.where(seen, third.mean(axis=0), 0.0), np.where(seen, std, np.inf)
 
 
 def _kurtosis(narrow: ComplexArray, level: Array) -> tuple[float, float]:

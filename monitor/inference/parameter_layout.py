@@ -52,7 +52,7 @@ class ParameterLayout:
     @classmethod
     def of(cls, prior: StructuralPrior, n_classes: int = 0) -> ParameterLayout:
         """Lay out the parameters of a structural prior and of a recording in `n_classes` classes."""
-        sizes = (*prior.sizes, prior.n_standing, prior.model.structure.n_dofs, n_classes)
+        sizes = (*prior.sizes, prior.n_persistent, prior.model.structure.n_dofs, n_classes)
         ends = list(accumulate(sizes, initial=0))
         slices = [slice(first, last) for first, last in pairwise(ends)]
         stiffness, masses, damping, channel_noise, correction, persistent, forces, levels = slices

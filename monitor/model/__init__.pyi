@@ -9,6 +9,7 @@ from .effects import (
     EffectError,
     FittedModel,
     FittedSizes,
+    LawFamily,
     LawKind,
     ParameterEstimates,
     System,
@@ -24,6 +25,7 @@ from .model import Model, Modes
 from .prior import ModelDiscrepancy, StructuralPrior, correction_basis, inverse, prior_from_drawing
 from .simulation import ExcitationKind, Motion, respond, respond_newmark, simulate
 from .structures import MatrixStructure, ShearFrame
+from .structures.drawing import Drawing, LineTable, NodeTable, drawing_problems
 from .structures.tables import Matrix, Positive, StructureTable
 
 __all__ = [
@@ -32,19 +34,23 @@ __all__ = [
     "FORMS",
     "Condition",
     "Context",
+    "Drawing",
     "Effect",
     "EffectError",
     "ExcitationKind",
     "FittedModel",
     "FittedSizes",
     "InstrumentedModel",
+    "LawFamily",
     "LawKind",
+    "LineTable",
     "Matrix",
     "MatrixStructure",
     "Model",
     "ModelDiscrepancy",
     "Modes",
     "Motion",
+    "NodeTable",
     "ParameterEstimates",
     "Positive",
     "ShearFrame",
@@ -52,6 +58,7 @@ __all__ = [
     "StructureTable",
     "System",
     "correction_basis",
+    "drawing_problems",
     "interval",
     "inverse",
     "loaded",

@@ -35,6 +35,14 @@ class InstrumentedModel:
     """Floor (degree of freedom, counted from 1) of each channel."""
     prior_std: Array
     """Relative standard deviations of the stiffnesses, then of the masses, shape (p + n,)."""
+    name: str = ""
+    """Name of the structure."""
+    kind: str = ""
+    """Kind of the structure, as in its file."""
+    rate_hz: float | None = None
+    """Sample rate after resampling; None where no samples are meant."""
+    cutoff_hz: float | None = None
+    """Cutoff of the lowpass before resampling."""
 
     @property
     def sensor_matrix(self) -> Array:

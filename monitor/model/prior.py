@@ -92,15 +92,15 @@ class StructuralPrior:
         s = self.model.structure
         n = s.n_dofs
         corrections = self.basis.shape[0]
-        channels = self.mean.size - s.stiffness_n_per_m.size - 2 * n - corrections - self.n_standing
+        channels = self.mean.size - s.stiffness_n_per_m.size - 2 * n - corrections - self.n_persistent
         return s.stiffness_n_per_m.size, n, n, channels, corrections
 
     @property
-    def n_standing(self) -> int:
+    def n_persistent(self) -> int:
         """Number of coordinates of the persistent effects."""
         return sum(len(e.parameters) for e in self.model.effects)
 
-    def standing(self, x: Array) -> list[Array]:
+    def persistent_parts(self, x: Array) -> list[Array]:
         """Split off the coordinates of every persistent effect from a vector of structural nuisances, shape (p,) each."""
         last, out = self.parts(x)[5], []
         for e in self.model.effects:
@@ -111,7 +111,7 @@ class StructuralPrior:
     @property
     def units(self) -> Array:
         """Units of the coordinates, shape (p,): one, and for a persistent effect's coordinates their own magnitude."""
-        return np.concatenate([np.ones(self.mean.size - self.n_standing), *[e.units for e in self.model.effects]])
+        return np.concatenate([np.ones(self.mean.size - self.n_persistent), *[e.units for e in self.model.effects]])
 
     @property
     def covariance(self) -> Array:
@@ -121,7 +121,7 @@ class StructuralPrior:
     @property
     def standing_std(self) -> list[Array]:
         """Standard deviations of every persistent effect's coordinates, shape (p,) each."""
-        return self.standing(np.sqrt(np.diag(self.covariance)))
+        return self.persistent_parts(np.sqrt(np.diag(self.covariance)))
 
     @property
     def channel_noises(self) -> slice:
@@ -136,7 +136,7 @@ class StructuralPrior:
 
     def effects(self, x: Array) -> tuple[Effect, ...]:
         """Return the persistent effects at a vector of structural nuisances, shape (p,)."""
-        return tuple(e.at(own) for e, own in zip(self.model.effects, self.standing(x), strict=True))
+        return tuple(e.at(own) for e, own in zip(self.model.effects, self.persistent_parts(x), strict=True))
 
     def with_unseen_scale(self, std: float) -> StructuralPrior:
         """Add uncertainty of the common scale of all masses and stiffnesses, which no output shows.
@@ -159,10 +159,10 @@ class StructuralPrior:
         k, m, d, *_ = self.sizes
         return self._loosen(k + m + d, ln_std)
 
-    def with_daily_standing(self) -> StructuralPrior:
+    def with_daily_persistent(self) -> StructuralPrior:
         """Add uncertainty of the persistent effects' sizes: their change from day to day, and the form of their laws."""
         std = np.concatenate([[], *[np.hypot(e.units * (e.daily or 0.0), e.form_std) for e in self.effects(self.mean)]])
-        return self._loosen(self.mean.size - self.n_standing, std) if std.any() else self
+        return self._loosen(self.mean.size - self.n_persistent, std) if std.any() else self
 
     def with_known_lines(self) -> StructuralPrior:
         """Note the line frequencies of the machines among the persistent effects.

@@ -49,7 +49,7 @@ class Publisher:
         """Take the sensors' health in a span of data."""
 
     def state(self, assessment: Assessment) -> None:
-        """Take the present state of the structure, each time that it changes; before the window that changes it."""
+        """Take the present state of the structure, each time that it changes; before what changes it."""
 
     def finding(self, finding: dict[str, Any]) -> None:
         """Take the finding of a diagnosis: the content of diagnosis.json with `id`, `t_ns`, `from_ns` and `reason`."""

@@ -13,15 +13,27 @@ from drivers.base import SampleBlock
 from drivers.mcap_file import recording_info
 from monitor.config import Configuration
 from monitor.core import BadInputError, WindowResult, sha256
-from monitor.damage import Baseline, Observation, Update, learn_baseline, second_solutions
-from monitor.diagnosis import contradicted
+from monitor.damage import (
+    Baseline,
+    Observation,
+    Origin,
+    Update,
+    learn_baseline,
+    load_baseline,
+    rebase_baseline,
+    second_solutions,
+)
+from monitor.diagnosis import contradicted, standing_causes
 from monitor.inference import Segments, gather
+from monitor.model import FORMS, StructuralPrior
 from monitor.pipeline import Pipeline
 from monitor.runs import diagnose
 from monitor.runs.recordings import OnProgress, OnWarning, Progress, file_names, push_block, read_blocks
 
 _COMMON_MODE_SHARE = 0.9
 """Share of the windows in which a mode must be identified to belong to the baseline."""
+_REQUIRED_MODE_SHARE = 0.5
+"""The same for the modes of `[selection] required_modes`: windows without them are left out. [ratio; judgement]"""
 _MAX_LEARNED_S = 40_000.0
 """Greatest length of the healthy data from which the reference of diagnoses is learned, s: 4000 segments of 20 s."""
 _SHORT_RECORDINGS_BYTES = 40_000_000
@@ -69,7 +81,9 @@ def calibrate(
         raise BadInputError(f"{file_names(paths)}: no window could be identified, the last because: {reasons[-1]}")
     if reasons:
         on_warning(f"{len(reasons)} of {len(good) + len(reasons)} windows were left out, the last: {reasons[-1]}")
-    good = _with_common_modes(good)
+    kept = with_common_modes(good, config.selection.required_modes)
+    _warn_of_missing_modes(good, kept, on_warning)
+    good = kept
     recordings = tuple({"file": p.name, "sha256": sha256(p)} for p in paths)
     windows = [r.modes for r in good if r.modes is not None]
     rms = np.array([r.rms_m_s2 for r in good])
@@ -91,9 +105,61 @@ def calibrate(
         on_warning("too short for a diagnosis to learn from; 'diagnose' will not take this baseline")
         return baseline, fit
     reference = diagnose.learn_healthy_prior(segments, config)
+    _warn_of_sensors(reference, config, on_warning)
     if reference.error is not None:
         on_warning(contradicted(reference.error))
     return replace(baseline, reference=reference), fit
+
+
+def rebase(path: Path, config: Configuration) -> tuple[Baseline, tuple[str, ...]]:
+    """Update a changed drawing to the healthy modes of a baseline's file, without recordings.
+
+    Parameters
+    ----------
+    path : Path
+        Baseline of the same structure, made with another drawing of it.
+
+    Returns
+    -------
+    Baseline
+        With the changed drawing's updated model.
+    tuple of str
+        What changed and what is left out.
+
+    Raises
+    ------
+    MissingInputError, BadInputError, BadConfigurationError
+        If the file is no baseline, or one of other sensors, samples or numbers of masses and stiffnesses.
+    """
+    instrumented = config.instrumented()
+    old, here = load_baseline(path, instrumented, config.updating, redrawn=True), Origin.of(instrumented)
+    if old.origin is None:
+        says = [f"{path.name} does not note whose it is: it is taken for this structure's on your word"]
+    else:
+        says = old.origin.drawing_differences(here)
+        if old.origin.is_named_otherwise(here):
+            says.insert(
+                0,
+                f"it was of {old.origin.name!r} and is of {here.name!r} now: right only if that is the same structure",
+            )
+        if old.origin.fingerprint == here.fingerprint:
+            says.append("masses, stiffnesses and matrices are drawn as before: all else is kept")
+            return replace(old, origin=here, doubts=()), tuple(says)
+    new, fit = rebase_baseline(old, instrumented, config.updating)
+    says.append(f"the updating to the healthy modes {'converged' if fit.converged else 'did NOT converge'}")
+    says.append(
+        f"the model's form leaves an error of {100 * new.model_form:.2g} % of a loss, {100 * old.model_form:.2g} % before"
+    )
+    if old.temperature is not None:
+        says.append(
+            "the dependence on the temperature is kept: a change that all stories have alike does not depend on the drawing"
+        )
+    if old.reference is not None:
+        says.append(
+            "left out: what diagnoses start from, which was fitted to spectra with the old drawing; 'diagnose' needs a baseline "
+            "calibrated anew from recordings"
+        )
+    return new, tuple(says)
 
 
 def _learned_share(paths: list[Path], config: Configuration) -> float:
@@ -130,12 +196,44 @@ def _gather_hourly(blocks: Iterator[SampleBlock], config: Configuration, share: 
         return None
 
 
-def _with_common_modes(windows: list[WindowResult]) -> list[WindowResult]:
-    """Select the modes identified in at least `_COMMON_MODE_SHARE` of the windows, and the windows with all these modes."""
-    seen = Counter(int(k) for w in windows if w.modes is not None for k in w.modes.model_mode)
-    common = frozenset(k for k, count in seen.items() if count >= _COMMON_MODE_SHARE * len(windows))
+def with_common_modes(windows: list[WindowResult], required: int) -> list[WindowResult]:
+    """Select the modes that the windows have in common, and the windows with all these modes.
+
+    The model's `required` lowest modes belong to them if `_REQUIRED_MODE_SHARE` of the windows have them, a higher one if
+    `_COMMON_MODE_SHARE` of the windows with these have it.
+    """
+    lowest = _modes_in(windows, _REQUIRED_MODE_SHARE, range(required))
+    windows = [w for w in windows if w.modes is not None and lowest <= set(w.modes.model_mode.tolist())]
+    common = lowest | _modes_in(windows, _COMMON_MODE_SHARE)
     kept = [replace(w, modes=w.modes.only(common)) for w in windows if w.modes is not None]
     return [w for w in kept if w.modes is not None and w.modes.model_mode.size == len(common)]
+
+
+def _modes_in(windows: list[WindowResult], share: float, among: range | None = None) -> frozenset[int]:
+    """List the model's modes (0 = lowest) that at least a share of the windows has."""
+    seen = Counter(int(k) for w in windows if w.modes is not None for k in w.modes.model_mode)
+    return frozenset(k for k, n in seen.items() if n >= share * len(windows) and (among is None or k in among))
+
+
+def _warn_of_missing_modes(windows: list[WindowResult], kept: list[WindowResult], on_warning: OnWarning) -> None:
+    """Warn of modes of the model that the baseline lacks, and of windows left out for lack of its modes."""
+    why = {mode: text for w in windows if w.modes is not None for mode, text in w.modes.missing}
+    has = {int(mode) for w in kept[:1] if w.modes is not None for mode in w.modes.model_mode}
+    for mode, text in sorted(why.items()):
+        if mode not in has:
+            on_warning(f"{text}; the baseline goes without this mode")
+    if len(kept) < len(windows):
+        on_warning(
+            f"{len(windows) - len(kept)} of {len(windows)} windows were left out: they lack a mode of the others"
+        )
+
+
+def _warn_of_sensors(reference: StructuralPrior, config: Configuration, on_warning: OnWarning) -> None:
+    """Warn of errors of the acquisition that the healthy data show and the structure file does not state."""
+    stated = {(effect.name, effect.location) for effect in config.model().effects}
+    for cause in standing_causes(reference):
+        if FORMS[cause["effect"]].family == "sensor" and (cause["effect"], cause["location"]) not in stated:
+            on_warning(f"{cause['says']}; the baseline takes that for healthy: mend it and calibrate anew")
 
 
 def _warn_of_ambiguities(baseline: Baseline, config: Configuration, last: WindowResult, on_warning: OnWarning) -> None:
@@ -143,7 +241,7 @@ def _warn_of_ambiguities(baseline: Baseline, config: Configuration, last: Window
     unidentified = last.damage.unidentified if last.damage is not None else ()
     if unidentified:
         on_warning(
-            f"the modes say next to nothing about story {', '.join(map(str, unidentified))}: damage there "
+            f"the modes say next to nothing about {', '.join(config.story_names[j - 1] for j in unidentified)}: damage there "
             "cannot be judged; more sensors or more modes would help"
         )
     if config.updating.use_shapes:

@@ -12,7 +12,7 @@ from scipy.linalg import block_diag
 
 from drivers.base import SampleBlock
 from monitor.config import Configuration
-from monitor.core import BadInputError
+from monitor.core import BadInputError, name_stories_in
 from monitor.damage import Baseline
 from monitor.diagnosis import (
     FAR,
@@ -21,12 +21,14 @@ from monitor.diagnosis import (
     Score,
     content,
     ddi_effect,
+    detectable_losses,
     fitted_model,
     healthy_prior,
     heldout_gain,
     is_significant,
     model_to_plain,
     parameter_cost,
+    refit,
     require_gain,
     score,
 )
@@ -94,8 +96,13 @@ def diagnose(
     degc = prior.reference_degc
     if degc is None and segments.temperature.size:
         degc = float(segments.temperature[:, 1].mean())
-    plain = content(confirmed, gain, config.model().effects, ddi_effect(confirmed))
+    rows = refit(confirmed, config.structure.tolerance(), config.story_names) if baseline is None else []
+    detectable: list[float | None] = []
+    if baseline is not None and confirmed.verdict == "none":
+        detectable = detectable_losses(confirmed.posterior, confirmed.null_fit, config.diagnosis.margin)
+    plain = content(confirmed, gain, config.model().effects, ddi_effect(confirmed), rows, detectable)
     plain |= {"model": model_to_plain(extended, degc), "since_calibration": baseline is not None}
+    plain = name_stories_in(plain, config.story_names)
     return Finding(confirmed, gain, plain, segments, updated, extended, degc)
 
 
@@ -148,7 +155,7 @@ def learn_healthy_prior(segments: Segments, config: Configuration) -> Structural
         cause_is_kept = is_kept[len(known.model.effects) :][: len(causes)]
         kept = tuple(e for e, own in zip(causes, cause_is_kept, strict=True) if own)
         if kept == causes:
-            return learnt.with_daily_standing().with_known_lines()
+            return learnt.with_daily_persistent().with_known_lines()
         causes = kept  # the others are not significant next to these
 
 
@@ -173,6 +180,8 @@ def _same_laws_in_other_stories(causes: tuple[Effect, ...], context: Context) ->
     for law in (e for e in causes if e.nonlinear and e.family == "structure" and e.location.startswith("story")):
         if all(p.weighty for p in law.parameters):
             for place in locations("story", context):
+                if not context.structure.single_springs()[int(place.removeprefix("story ")) - 1]:
+                    continue
                 other = replace(law, location=place)
                 size = law.coordinates * stiffness[other.index] / stiffness[law.index]
                 out.setdefault((law.name, place), other.at(size))

@@ -14,7 +14,7 @@ from typing import Any
 from drivers.base import SampleBlock
 from monitor.config import Configuration
 from monitor.core import Gap, Samples
-from monitor.damage import AlarmState, Assessment, Baseline, Known, Loss, assess
+from monitor.damage import AlarmState, Assessment, Baseline, Known, Loss, assess, hold
 from monitor.pipeline import Pipeline, PipelineState, Result
 from monitor.publish import Publisher, Quality, Summary, to_json, window_line
 from monitor.runs.online_diagnosis import FINDING_KEYS, OnlineDiagnosis, OnlineDiagnosisState
@@ -95,6 +95,11 @@ class Session:
         return self._assess(self._whole)
 
     @property
+    def present(self) -> Assessment:
+        """The present state of the structure."""
+        return self._assess(whole=False)
+
+    @property
     def state(self) -> SessionState:
         """State for a checkpoint."""
         summary, quality = copy.deepcopy((self._summary, self._quality))
@@ -165,7 +170,9 @@ class Session:
         }
 
     def _assess(self, whole: bool) -> Assessment:
-        return assess(self._summary.course, self._known, self.online_diagnosis.findings, whole=whole)
+        _, present = hold(self.pipeline.state.alarm, 0)
+        findings = self.online_diagnosis.findings
+        return assess(self._summary.course, self._known, findings, standing=present.active, whole=whole)
 
     @property
     def _known(self) -> Known:
@@ -184,13 +191,13 @@ class Session:
 
     def _publish_findings(self, findings: Iterable[dict[str, Any]]) -> None:
         for finding in findings:
+            self._publish_state()
             for publisher in self._publishers:
                 publisher.finding(finding)
-            self._publish_state()
 
     def _publish_state(self) -> None:
         """Publish the present state where it changed."""
-        present = self._assess(whole=False)
+        present = self.present
         if present != self._assessment:
             self._assessment = present
             for publisher in self._publishers:

@@ -30,12 +30,14 @@ def open_viewer(
     """
     scene = make_scene(
         config.site.name or config.structure.name or "structure",
-        config.structure,
+        config.drawing,
+        config.story_names,
         {sensor.channel: sensor.floor for sensor in config.sensors},
         config.model(),
         baseline,
         alarm_loss=config.alarm.alarm_loss,
         cutoff_hz=config.processing.cutoff_hz,
         misfit_threshold=config.watch.misfit,
+        max_modes=config.selection.max_modes,
     )
     return RerunPublisher(scene, file=file, serve=serve, lossless=lossless)

@@ -11,7 +11,7 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -20,8 +20,8 @@ from typing import Any
 from drivers.base import RecordingError, RecordingMissingError, SampleBlock, Source, SourceContext
 from drivers.recorder import unfit
 from monitor.config import configuration
-from monitor.core import BadConfigurationError, BadInputError, Gap, MissingInputError, WindowResult
-from monitor.damage import load_baseline
+from monitor.core import BadConfigurationError, BadInputError, Gap, MissingInputError, WindowResult, name_stories
+from monitor.damage import Assessment, load_baseline, outdated, utc
 from monitor.pipeline import Result
 from monitor.publish import Publisher, current_alarm_line, episode_content, to_json
 from monitor.runs import Progress, Session, duration_s, ledger, open_viewer
@@ -37,9 +37,6 @@ from monitor.signals import Health
 
 _log = logging.getLogger(__name__)
 
-_TICK_S = 0.2
-_QUIET_S = 10.0
-"""Interval between health lines while no data arrive; shortest interval between summaries."""
 _STOP_S, _DRAIN_S, _END_S = 1.5, 2.5, 4.5
 """Deadlines after the stop signal: for the source to close, for the queue to empty, and for everything else to end."""
 _DURABLE_S = 0.5
@@ -59,6 +56,12 @@ class Daemon(Publisher):
         Source to read in place of the one that the file names.
     outlets : sequence of Outlet, optional
         Outlets in addition to those that the file names; they are closed in reverse order.
+    clock : callable
+        Seconds of a clock that never goes back.
+    tick_s : float
+        Longest wait for a block before requests and deadlines are looked at, s.
+    quiet_s : float
+        Interval between health lines while no data arrive, and shortest interval between summaries, s.
 
     Raises
     ------
@@ -67,10 +70,20 @@ class Daemon(Publisher):
     BadInputError
         The baseline file is unusable.
     BadConfigurationError
-        The site file is invalid, or another daemon writes into the output folder.
+        The site file is invalid, the baseline is another structure's, or another daemon writes into the output folder.
     """
 
-    def __init__(self, path: Path, source: Source | None = None, outlets: Sequence[Outlet] = ()) -> None:
+    def __init__(
+        self,
+        path: Path,
+        source: Source | None = None,
+        outlets: Sequence[Outlet] = (),
+        *,
+        clock: Callable[[], float] = time.monotonic,
+        tick_s: float = 0.2,
+        quiet_s: float = 10.0,
+    ) -> None:
+        self._clock, self._tick_s, self._quiet_s = clock, tick_s, quiet_s
         self.settings = settings = configuration.load(path)
         folder = path.resolve().parent
         if source is None and settings.source is None:
@@ -81,7 +94,8 @@ class Daemon(Publisher):
         )
         self.out = folder / settings.output.dir
         self._vitals, self._progress = Vitals(self.out), Progress(lambda _: None)
-        self._begun_s = self._health_s = self._summary_s = self._sync_s = time.monotonic()
+        self._begun_s = self._health_s = self._summary_s = self._sync_s = self._data_s = self._clock()
+        self._said: Assessment | None = None
         self._path, self._stopping, self._reload_requested, self._end_s = path, False, False, float("inf")
         self._outlets: tuple[Outlet, ...] = (*make_outlets(path, settings), *outlets)
         try:
@@ -125,6 +139,7 @@ class Daemon(Publisher):
         previous = {number: signal.signal(number, self._request_stop) for number in (signal.SIGTERM, signal.SIGINT)}
         previous[signal.SIGHUP] = signal.signal(signal.SIGHUP, self._request_reload)
         try:
+            self._publish_state()
             self.reader.start()
             self._loop()
             if self.reader.ended:
@@ -145,10 +160,11 @@ class Daemon(Publisher):
 
     def window(self, result: WindowResult, line: str) -> None:
         """Write and publish the result of a window, unless a previous run did so."""
+        present = self._publish_state()
         self._history.episodes([episode_content(e) for e in self.session.episodes[-_LATEST:]])
         if result.index in self._keeper.written:
             return
-        self._history.window(json.loads(line))
+        self._history.window(json.loads(line) | {"state": present.state.value})
         self._lines.write(line)
         for outlet in self._outlets:
             outlet.window(result, line)
@@ -161,6 +177,12 @@ class Daemon(Publisher):
         for outlet in self._outlets:
             outlet.gap(gap)
 
+    def state(self, assessment: Assessment) -> None:
+        """Publish the present state of the structure."""
+        self._said = assessment
+        for outlet in self._outlets:
+            outlet.state(assessment)
+
     def health(self, health: Health | None) -> None:
         """Write and publish the sensors' health together with the daemon's own health."""
         span: dict[str, Any] | None = None
@@ -171,7 +193,8 @@ class Daemon(Publisher):
                 self._view.clocks(health.t_end_ns, self.reader.source.health().clocks)
         if self._keeper.resuming:
             return
-        self._health_s = time.monotonic()
+        self._publish_state()
+        self._health_s = self._clock()
         line = self._vitals.line(span, self.reader, self._recording.health(), self._outputs())
         self._health_lines.write(json.dumps(line, allow_nan=False))
         for outlet in self._outlets:
@@ -185,7 +208,7 @@ class Daemon(Publisher):
 
     def _request_stop(self, number: int, _: object) -> None:
         """Handle SIGTERM and SIGINT: stop within `_END_S`."""
-        self._stopping, self._end_s = True, time.monotonic() + _END_S
+        self._stopping, self._end_s = True, self._clock() + _END_S
         signal.signal(number, signal.SIG_DFL)  # a second signal ends the process at once
 
     def _request_reload(self, number: int, _: object) -> None:
@@ -195,10 +218,10 @@ class Daemon(Publisher):
     def _loop(self) -> None:
         """Evaluate blocks from the queue until it is closed and empty."""
         ready, stop_sent = False, False
-        watchdog_s, notified_s = systemd.watchdog_s(), time.monotonic()
+        watchdog_s, notified_s = systemd.watchdog_s(), self._clock()
         while not self.reader.queue.over:
-            item = self.reader.queue.take(_TICK_S)
-            now = time.monotonic()
+            item = self.reader.queue.take(self._tick_s)
+            now = self._clock()
             if self.reader.opened and not ready:
                 ready = True
                 print("READY", file=sys.stderr, flush=True)
@@ -214,7 +237,7 @@ class Daemon(Publisher):
             if self._stopping and not stop_sent:
                 stop_sent = True
                 systemd.notify("STOPPING=1")
-                self.reader.stop(max(0.0, self._end_s - (_END_S - _STOP_S) - time.monotonic()))
+                self.reader.stop(max(0.0, self._end_s - (_END_S - _STOP_S) - self._clock()))
 
     def _process(self, block: SampleBlock, arrived_s: float) -> None:
         """Evaluate a block, record it if it was accepted, then publish the results.
@@ -222,6 +245,7 @@ class Daemon(Publisher):
         In this order a replay of the recordings repeats the run exactly.
         """
         self._vitals.received(block)
+        self._data_s = self._clock()
         reason = unfit(block)
         if reason is not None:
             self._vitals.refuse(reason)
@@ -250,7 +274,8 @@ class Daemon(Publisher):
         for request in outlet.take_requests():
             try:
                 self.session.alter_alarm(partial(apply, request=request, t_ns=self.session.now_ns))
-                says = f"{request.action} alarm of story {request.story}: {request.note}"
+                place = name_stories(f"story {request.story}", self.session.config.story_names)
+                says = f"{request.action} alarm of {place}: {request.note}"
                 ledger.append_entry(self.out / "results.jsonl", {"says": says, "causes": []}, {}, request.who)
                 self._history.request(self.session.now_ns, request.model_dump())
                 self._keeper.save_now(self.session)
@@ -270,22 +295,40 @@ class Daemon(Publisher):
         # Requests are timed by the data's clock, so they wait for the first data.
         for outlet in self._outlets if self._progress.first is not None else ():
             self._apply_requests(outlet)
-        if now - self._health_s >= _QUIET_S:
+        if now - self._health_s >= self._quiet_s:
             self.health(None)
         if now - self._sync_s >= self.settings.recorder.flush_s:
             self._sync_s = now
             self._lines.flush()
             self._chores.do("sync", self._lines.sync)
-        if now - self._summary_s >= _QUIET_S:
+        if now - self._summary_s >= self._quiet_s:
             self._write_summary()
 
+    @property
+    def _present(self) -> Assessment:
+        """The present state of the structure: that of the session, outdated once no data have come for a window's length."""
+        present, silent_s = self.session.present, self._clock() - self._data_s
+        if silent_s < self.settings.processing.window_s or not self.session.windows:
+            return present
+        return outdated(present, f"no data since {utc(self.session.now_ns)} UTC")
+
+    def _publish_state(self) -> Assessment:
+        """Publish the present state where it is not what was published last, and return it."""
+        present = self._present
+        if present != self._said:
+            self.state(present)
+            if self._view is not None:
+                self._view.state(present)
+        return present
+
     def _write_summary(self) -> None:
-        self._summary_s = time.monotonic()
+        self._summary_s = self._clock()
         seconds = duration_s(self._progress.first, self._progress.last)
         content = self.session.content(seconds / max(self._summary_s - self._begun_s, 1e-9))
         v = self._vitals
         content |= {"refused_blocks": v.refused, "unprocessed_blocks": v.unprocessed, "latency_ms": v.latency()}
         content["alarm"] = current_alarm_line(self.session.pipeline.state.alarm)
+        content |= self._present.content
         self._chores.write(self.out / "summary.json", to_json(plain(content)) + "\n")
 
     def _outputs(self) -> list[tuple[str, Way]]:
@@ -296,7 +339,7 @@ class Daemon(Publisher):
 
     def _close(self) -> None:
         """Close everything before the deadline; what hangs does not use up the time of the others."""
-        self._end_s = min(self._end_s, time.monotonic() + _END_S)
+        self._end_s = min(self._end_s, self._clock() + _END_S)
         self.reader.stop(0.1)  # it has ended already, except after an error
         self._recording.close(self._share_s())
         self.session.online_diagnosis.close(self._share_s())
@@ -314,4 +357,4 @@ class Daemon(Publisher):
 
     def _share_s(self) -> float:
         """Return the time that the next part may take to close, s: half of the remaining time, so that the others have some."""
-        return max(0.0, self._end_s - time.monotonic()) / 2.0
+        return max(0.0, self._end_s - self._clock()) / 2.0

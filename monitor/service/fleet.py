@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,10 +20,12 @@ from drivers.base import SourceError
 from drivers.zenoh_session import Key, SessionSettings, leave, open_session
 from monitor.config import read_toml
 from monitor.core import BadConfigurationError, MissingInputError, Settings, settings_problems
+from monitor.damage import Assessment, State, outdated
+from monitor.service.status import ALARM, HEALTHY, TROUBLE, exit_code, read_assessment
 
 _MOST_BYTES = 1 << 20
 """Largest accepted answer of one monitor."""
-WELL, ALARM, TROUBLE = "normal", "alarm", "trouble"
+_MOST_TEXT = 500
 
 
 class FleetSettings(SessionSettings):
@@ -48,10 +50,14 @@ class SiteStatus:
     """State of one structure as its monitor reports it."""
 
     site: str
-    state: str
-    """``normal``, ``advisory``, ``warning``, ``alarm``, or ``trouble`` if ``normal`` cannot be relied on or is not known."""
-    says: str
-    """Reason of the state; empty if all is well."""
+    state: State
+    """As the monitor says it; not judged where it is silent or not there."""
+    headline: str
+    """The state in one sentence."""
+    doubts: tuple[str, ...] = ()
+    """What else holds, as sentences."""
+    troubles: tuple[str, ...] = ()
+    """What of the monitor does not work."""
     stories: tuple[int, ...] = ()
     """Stories with an alarm; 0 is the structure as a whole."""
     ddi: float | None = None
@@ -64,6 +70,16 @@ class SiteStatus:
     """End of the latest window, UTC, ns since 1970."""
     silent_s: float | None = None
     """Time since the monitor's latest health line."""
+
+    @property
+    def says(self) -> str:
+        """The headline, and what of the monitor does not work."""
+        return " ".join([self.headline, *(f"{trouble}." for trouble in self.troubles)])[:_MOST_TEXT]
+
+    @property
+    def content(self) -> dict[str, Any]:
+        """The keys that `fleet --json` prints."""
+        return {**asdict(self), "says": self.says}
 
 
 def load(path: Path) -> FleetSettings:
@@ -114,7 +130,7 @@ class Fleet:
         leave(self._session)
 
     def look(self) -> list[SiteStatus]:
-        """Query the state of every site that is alive, answers or is expected, sorted by name."""
+        """Query the state of every site that is alive, answers or is expected: the gravest first, then by name."""
         s = self._settings
         alive = {self._site(str(r.ok.key_expr)) for r in self._alive() if r.ok is not None}
         answers: dict[str, bytes] = {}
@@ -122,8 +138,9 @@ class Fleet:
             if reply.ok is not None and len(reply.ok.payload) <= _MOST_BYTES:
                 answers[self._site(str(reply.ok.key_expr))] = reply.ok.payload.to_bytes()
         now_ns = time.time_ns()
-        names = sorted({*s.sites, *alive, *answers})
-        return [status(name, answers.get(name), name in alive, now_ns, s.silent_s) for name in names]
+        names = {*s.sites, *alive, *answers}
+        found = [status(name, answers.get(name), name in alive, now_ns, s.silent_s) for name in names]
+        return sorted(found, key=lambda site: (-site.state.rank, site.site))
 
     def _alive(self) -> Iterable[zenoh.Reply]:
         """Query the liveliness tokens of the monitors."""
@@ -135,8 +152,14 @@ class Fleet:
         return key[len(self._settings.prefix) + 1 :].partition("/")[0]
 
 
+def code(statuses: Sequence[SiteStatus]) -> int:
+    """Return the exit code for all sites, as `monitor.service.status` does for one: no site at all is not well."""
+    codes = {exit_code(s.state, s.troubles) for s in statuses} or {TROUBLE}
+    return next(c for c in (ALARM, TROUBLE, HEALTHY) if c in codes)
+
+
 def status(site: str, answer: bytes | None, alive: bool, now_ns: int, silent_s: float) -> SiteStatus:
-    """Derive the state of a site from its monitor's answer; an answer of any content is accepted.
+    """Read the state of a site from its monitor's answer; an answer of any content is accepted.
 
     Parameters
     ----------
@@ -152,28 +175,31 @@ def status(site: str, answer: bytes | None, alive: bool, now_ns: int, silent_s: 
         Age of the latest health line beyond which the monitor counts as hung, s.
     """
     if answer is None:
-        says = "there, but does not answer" if alive else "not there"
-        return SiteStatus(site, TROUBLE, says)
+        says = "is there, but does not answer" if alive else "is not there"
+        return SiteStatus(site, State.NOT_JUDGED, f"The monitor {says}.")
     try:
         decoded = json.loads(answer)
         return _parse_status(site, decoded, now_ns, silent_s)
     except (ValueError, TypeError, AttributeError, KeyError, IndexError):
-        return SiteStatus(site, TROUBLE, "its answer cannot be understood")
+        return SiteStatus(site, State.NOT_JUDGED, "The monitor's answer cannot be understood.")
 
 
 def _parse_status(site: str, answer: Mapping[str, Any], now_ns: int, silent_s: float) -> SiteStatus:
     """Read a site's state from the decoded answer of its monitor."""
     result, alarm, health = answer.get("results") or {}, answer.get("alarm") or {}, answer.get("health") or {}
     quiet_s = (now_ns - int(health["wall_ns"])) * 1e-9 if health else None
-    level = str(alarm.get("level", WELL))
-    troubles = _troubles(result, health, quiet_s, silent_s)
+    said: Assessment = read_assessment(answer)
+    if quiet_s is not None and quiet_s > silent_s:
+        said = outdated(said, f"the monitor is silent for {quiet_s:.0f} s", result.get("t_end_ns"))
     losses = [(float(d), float(s)) for d, s in zip(result.get("ddi") or (), result.get("ddi_std") or (), strict=True)]
     ddi, ddi_std = max(losses, default=(None, None))
     frequencies = result.get("frequencies_hz") or [None]
     return SiteStatus(
         site=site,
-        state=TROUBLE if troubles and level == WELL else level,
-        says="; ".join([*([str(alarm.get("reason", ""))] if level != WELL else []), *troubles])[:500],
+        state=said.state,
+        headline=said.headline,
+        doubts=said.doubts,
+        troubles=tuple(_troubles(health)),
         stories=tuple(int(story) for story in alarm.get("active", {})),
         ddi=ddi,
         ddi_std=ddi_std,
@@ -183,17 +209,10 @@ def _parse_status(site: str, answer: Mapping[str, Any], now_ns: int, silent_s: f
     )
 
 
-def _troubles(
-    result: Mapping[str, Any], health: Mapping[str, Any], quiet_s: float | None, silent_s: float
-) -> list[str]:
-    """List what keeps a monitor from working: silence, no data, blocked outputs, a window that was not judged."""
+def _troubles(health: Mapping[str, Any]) -> list[str]:
+    """List what of a monitor does not work: no data, blocked outputs."""
     troubles = []
-    if quiet_s is not None and quiet_s > silent_s:
-        troubles.append(f"silent for {quiet_s:.0f} s")
     source = health.get("source", {})
     if source and not source.get("connected", True):
         troubles.append(f"no data: {source.get('detail') or source.get('error') or 'the source is away'}")
-    troubles += [f"{name}: {why}" for name, why in health.get("failed", {}).items() if why]
-    if result.get("skipped"):
-        troubles.append(f"nothing judged: {result['skipped']}")
-    return troubles
+    return troubles + [f"{name}: {why}" for name, why in health.get("failed", {}).items() if why]

@@ -24,7 +24,7 @@ def cells(status: SiteStatus) -> tuple[str, ...]:
     )
     mode = "" if status.frequency_hz is None else f"{status.frequency_hz:.4g} Hz"
     until = "" if status.t_end_ns is None else str(utc(status.t_end_ns).astype("datetime64[s]"))
-    return status.site, status.state, loss, mode, until, status.says
+    return status.site, status.state.words, loss, mode, until, status.says
 
 
 def text(statuses: Sequence[SiteStatus]) -> str:
@@ -65,7 +65,7 @@ class FleetView:
         stream.log("/table", rr.TextDocument("\n".join(lines), media_type="text/markdown"))
         for status in statuses:
             name = rr.escape_entity_path_part(status.site)
-            stream.log(f"/state/{name}", rr.StateChange(state=status.state))
+            stream.log(f"/state/{name}", rr.StateChange(state=status.state.words))
             if status.ddi is not None:
                 stream.log(f"/ddi/{name}", rr.Scalars(100.0 * status.ddi))
 

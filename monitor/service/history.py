@@ -21,15 +21,15 @@ from monitor.config import StateSettings
 
 _log = logging.getLogger(__name__)
 
-VERSION = 1
+VERSION = 2
 """Version of the schema, stored as the database's user_version; to be raised with an entry in `UPGRADES`."""
-UPGRADES: dict[int, str] = {}
+UPGRADES: dict[int, str] = {1: "ALTER TABLE windows ADD COLUMN state TEXT;"}
 """Version -> SQL that upgrades a database of that version to the next version."""
 _SCHEMA = """
 CREATE TABLE windows (
     id INTEGER PRIMARY KEY, t_end_ns INTEGER NOT NULL, window INTEGER NOT NULL, window_s REAL, level TEXT, skipped TEXT,
     temperature_degc REAL, misfit REAL, frequencies_hz TEXT, frequencies_std_hz TEXT, damping_ratio TEXT, damping_std TEXT,
-    ddi TEXT, ddi_std TEXT, loss_n_per_m TEXT, UNIQUE (t_end_ns, window));
+    ddi TEXT, ddi_std TEXT, loss_n_per_m TEXT, state TEXT, UNIQUE (t_end_ns, window));
 CREATE TABLE alarms (
     id INTEGER PRIMARY KEY, story INTEGER NOT NULL, t_first_ns INTEGER NOT NULL, t_last_ns INTEGER, level TEXT,
     ddi REAL, ddi_std REAL, loss_n_per_m REAL, UNIQUE (story, t_first_ns));
@@ -95,10 +95,9 @@ class History:
             self._thread.start()
 
     def window(self, line: Mapping[str, Any]) -> None:
-        """Store the result of a window, given as its line of results.jsonl."""
-        row = {
-            name: line.get(name) for name in ("t_end_ns", "window", "window_s", "skipped", "temperature_degc", "misfit")
-        }
+        """Store the result of a window, given as its line of results.jsonl, and with `state` the structure's."""
+        names = ("t_end_ns", "window", "window_s", "skipped", "temperature_degc", "misfit", "state")
+        row = {name: line.get(name) for name in names}
         lists = (
             "frequencies_hz",
             "frequencies_std_hz",

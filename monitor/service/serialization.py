@@ -47,6 +47,8 @@ def _with_course(tree: Any) -> Any:
         counts = {name: summary.pop(name) for name in ("windows", "skipped", "skip_reasons")}
         unknown = dict.fromkeys(("last", "judged", "misfit_since_ns", "unexplained", "rms_range"))
         summary["course"] = {**counts, "recent": [], "losses": losses, **unknown}
+        means, n = summary.pop("frequencies_hz") or [], summary.pop("n_frequencies")
+        summary |= {"modes": [[k, [n, hz]] for k, hz in enumerate(means, 1)], "other_modes": [], "missing_modes": []}
         findings = tree["session"]["watcher"]
         findings["found"] = [json.dumps({"ddi_effect": None} | json.loads(text)) for text in findings["found"]]
     return tree

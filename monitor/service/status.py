@@ -6,14 +6,17 @@ import fcntl
 import json
 import os
 import time
+from collections.abc import Collection, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from monitor.core import MissingInputError
+from monitor.core import MissingInputError, name_stories
+from monitor.damage import Assessment, State, outdated, utc
 
 HEALTHY, ALARM, TROUBLE, DOWN = 0, 10, 11, 12
-"""Exit codes: all well; an alarm is active; it runs, but a part does not work; it does not run, or is silent."""
+"""Exit codes: the state is normal and the monitor works; advisory, warning or alarm; doubtful, not judged or a part does not
+work; the monitor does not run, or is silent."""
 _SILENT_S = 60.0
 """Age of the latest health line beyond which a daemon counts as silent; one is written at least every 10 s."""
 _TAIL_BYTES = 1 << 20
@@ -60,28 +63,54 @@ def look(out: Path) -> dict[str, Any]:
     health = _last_line(out / "health.jsonl", _OF_HEALTH) or _last_line(out / "health.jsonl.1", _OF_HEALTH)
     age_s = None if health is None else (time.time_ns() - health["wall_ns"]) * 1e-9
     is_running = running(out)
-    status: dict[str, Any] = {
+    summary, result = _read(out / "summary.json"), _last_line(out / "results.jsonl", _OF_RESULT)
+    assessment, troubles = read_assessment(summary or {}), _troubles(health) if is_running else []
+    code, process = exit_code(assessment.state, troubles), "running"
+    if not is_running or age_s is None or age_s > _SILENT_S:
+        code, process = DOWN, "silent" if is_running else "not running"
+        says = "is silent" if is_running else "does not run"
+        since = "" if health is None else f" since {utc(health['wall_ns'])} UTC"
+        assessment = outdated(
+            assessment, f"the monitor {says}{since}", None if result is None else int(result["t_end_ns"])
+        )
+    return {
+        **assessment.content,
+        "monitor": process,
+        "exit_code": code,
+        "troubles": troubles,
         "dir": str(out),
         "running": is_running,
         "silent_s": age_s,
-        "summary": _read(out / "summary.json"),
+        "summary": summary,
         "health": health,
-        "result": _last_line(out / "results.jsonl", _OF_RESULT),
+        "result": result,
     }
-    troubles = _troubles(health) if is_running else []
-    if not is_running:
-        code, state = DOWN, "not running"
-    elif age_s is None or age_s > _SILENT_S:
-        code, state = DOWN, "silent"
-    elif _level(status) != "normal":
-        code, state = ALARM, _level(status)
-    else:
-        code, state = (TROUBLE, "trouble") if troubles else (HEALTHY, "healthy")
-    return {"state": state, "exit_code": code, "troubles": troubles, **status}
+
+
+def read_assessment(content: Mapping[str, Any]) -> Assessment:
+    """Read the state of the structure from a summary or an answer.
+
+    Where an older monitor does not say it, it is that of the alarm, or else `not_judged`.
+    """
+    try:
+        state = State(content["state"])
+        return Assessment(state, str(content["headline"]), tuple(map(str, content.get("doubts") or ())))
+    except (KeyError, ValueError):
+        alarm = content.get("alarm") or {}
+        if alarm.get("level", "normal") != "normal":
+            return Assessment(State(alarm["level"]), str(alarm.get("reason") or "An alarm stands."))
+        return Assessment(State.NOT_JUDGED, "The monitor has not said its state.")
+
+
+def exit_code(state: State, troubles: Collection[str]) -> int:
+    """Return the exit code for the state of a structure whose monitor runs, and for what does not work of the monitor."""
+    if state in {State.ADVISORY, State.WARNING, State.ALARM}:
+        return ALARM
+    return TROUBLE if troubles or state is not State.NORMAL else HEALTHY
 
 
 def tell(status: dict[str, Any]) -> str:
-    """Format the status of a daemon in ten lines."""
+    """Format the status of a daemon in ten lines, and one of doubts where there are any; the state stands first."""
     summary, health, result = (status[k] or {} for k in ("summary", "health", "result"))
     source, recorder, quality = (
         d or {} for d in (health.get("source"), health.get("recorder"), summary.get("quality"))
@@ -89,9 +118,11 @@ def tell(status: dict[str, Any]) -> str:
     up_s = health.get("uptime_s")
     last_line = "no health line" if status["silent_s"] is None else f"heard of {status['silent_s']:.0f} s ago"
     up = f", up {up_s / 3600:.1f} h" if status["running"] and up_s is not None else ""
-    rows = [
-        ("state", f"{status['state'].upper()} ({'running' if status['running'] else 'not running'}{up}; {last_line})")
-    ]
+    lost = "".join(f"; {n} lost on the way to {name}" for name, n in health.get("lost", {}).items())
+    blocked = "; ".join(status["troubles"]) or "nothing"
+    rows = [("state", f"{State(status['state']).words.upper()}: {status['headline']}")]
+    rows += [("doubts", " ".join(status["doubts"]))] if status["doubts"] else []
+    rows.append(("monitor", f"{status['monitor']}{up}, {last_line}; blocked: {blocked}{lost}"))
     connected = "connected" if source.get("connected") else f"NOT connected {source.get('error', '')}".rstrip()
     rows.append(("source", f"{connected}, lost {source.get('lost', 0)} times; {_delay(health)}"))
     rows.append(("quality", _quality(quality, health)))
@@ -102,19 +133,12 @@ def tell(status: dict[str, Any]) -> str:
         (" against the structure file", "; no baseline, so none can be raised") if without_baseline else ("", "")
     )
     rows.append(("loss", _pairs(result.get("ddi"), result.get("ddi_std"), "%" + reference, 100.0)))
-    rows.append(("alarm", _alarm(summary.get("alarm"), result) + remark))
+    names = (summary.get("known") or {}).get("names") or ()
+    rows.append(("alarm", name_stories(_alarm(summary.get("alarm"), result), names) + remark))
     rows.append(("recorder", _recorder(recorder, health)))
     found = summary.get("findings") or []
     rows.append(("findings", f"{len(found)}; latest: {found[-1]['says'] or found[-1]['reason']}" if found else "none"))
-    lost = "".join(f"; {n} lost on the way to {name}" for name, n in health.get("lost", {}).items())
-    rows.append(("blocked", ("; ".join(status["troubles"]) or "nothing") + lost))
     return "\n".join(f"{name:<9} {text}" for name, text in rows)
-
-
-def _level(status: dict[str, Any]) -> str:
-    """Return the level of the alarm, from the summary or else from the latest window."""
-    alarm = (status["summary"] or {}).get("alarm") or (status["result"] or {}).get("alarm") or {}
-    return str(alarm.get("level", "normal"))
 
 
 def _troubles(health: dict[str, Any] | None) -> list[str]:

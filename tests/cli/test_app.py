@@ -201,7 +201,7 @@ def test_a_planted_loss_of_a_tenth_is_found_in_its_story_alone(site: Site, calib
             assert line["alarm"]["level"] == "normal"
         assert line["alarm"]["stories"] in ([], [2])
     assert lines[-1]["alarm"]["level"] == "alarm"
-    assert "story 2" in done.stdout
+    assert "alarm: Story 2 lost" in done.stdout
 
 
 @pytest.mark.system
@@ -533,28 +533,146 @@ def test_a_corrupted_baseline_is_65(site: Site, calibrated: Done, case: str, tmp
     assert tree(tmp_path) == {}
 
 
+FOUR_STORIES = {
+    "masses_kg = [0.3253, 0.3514, 0.3129]": "masses_kg = [0.3253, 0.3514, 0.3129, 0.3129]",
+    "stiffness_n_per_m = [2909.4511, 1514.8507, 1897.6986]": "stiffness_n_per_m = [2909.4511, 1514.8507, 1897.6986, 1897.6986]",
+    "story_heights_m = [0.093, 0.093, 0.1]\n": "",
+}
+
+
 @pytest.mark.parametrize(
-    ("old", "new"),
+    ("changes", "words"),
     [
-        ('channel = "a3"', 'channel = "a4"'),
-        ('[[sensors]]\nchannel = "a3"\nfloor = 3\n', ""),
-        ('channel = "a1"\nfloor = 1', 'channel = "a1"\nfloor = 2'),
-        ("[alarm]", "[updating]\nuse_shapes = false\n[alarm]"),
-        ("[alarm]", '[updating]\neigenvalue = "linear"\n[alarm]'),
+        ({'channel = "a3"': 'channel = "a4"'}, ("channel a3 (floor 3) is there and not here", "a4 (floor 3) is here")),
+        ({'[[sensors]]\nchannel = "a3"\nfloor = 3\n': ""}, ("channel a3 (floor 3) is there and not here",)),
+        ({'channel = "a1"\nfloor = 1': 'channel = "a1"\nfloor = 2'}, ("channel a1 is on floor 1 there and on floor 2 here",)),
+        (FOUR_STORIES, ("3 masses and 3 stiffnesses there, 4 and 4 here",)),
+        ({"[processing]": "[processing]\nrate_hz = 90.0"}, ("rate_hz is 100.0 there and 90.0 here",)),
+        ({"[processing]": "[processing]\ncutoff_hz = 35.0"}, ("cutoff_hz is 40.0 there and 35.0 here",)),
+        ({"0.3514": "0.84"}, ("floor 2 weighs 0.3514 kg there and 0.84 kg here", "--rebase")),
+        ({"1514.8507": "1700"}, ("story 2 is drawn with 1515 N/m there and 1700 N/m here", "--rebase")),
+        ({"[alarm]": "[updating]\nuse_shapes = false\n[alarm]"}, ("use_shapes",)),
+        ({"[alarm]": '[updating]\neigenvalue = "linear"\n[alarm]'}, ("eigenvalue",)),
     ],
-    ids=["another channel", "fewer sensors", "another floor", "without shapes", "linear eigenvalues"],
-)
-def test_a_baseline_of_another_structure_or_vector_is_65(
-    site: Site, calibrated: Done, old: str, new: str, tmp_path: Path
+    ids=[
+        "another channel", "fewer sensors", "another floor", "more stories", "another rate", "another cutoff", "a heavier floor",
+        "a stiffer story", "without shapes", "linear eigenvalues",
+    ],
+)  # fmt: skip
+def test_a_baseline_of_another_structure_is_78_with_the_differences(
+    site: Site, calibrated: Done, changes: dict[str, str], words: tuple[str, ...], tmp_path: Path
 ) -> None:
-    """What the baseline's numbers mean must be what the structure file would measure."""
+    """What the baseline's numbers mean must be what the structure file would measure, in every command that takes a baseline."""
     assert_ok(calibrated)
-    other = site.folder / "other.toml"
-    assert old in site.watch.read_text()
-    other.write_text(site.watch.read_text().replace(old, new))
+    other, text = site.folder / "other.toml", site.watch.read_text()
+    for old, new in changes.items():
+        assert old in text
+        text = text.replace(old, new)
+    other.write_text(text)
     arguments = ("--structure", other, "--baseline", site.baseline, "--out", tmp_path / "out")
-    assert_refused(site.main("replay", site.healthy, *arguments), {65}, "baseline.json")
+    for command in ("replay", "diagnose", "reprocess"):
+        done = site.main(command, site.healthy, *arguments)
+        assert_refused(done, {78}, "baseline.json", *words)
+        assert ("--rebase" in done.stderr) == ("--rebase" in words)
     assert tree(tmp_path) == {}
+
+
+def test_check_and_the_daemon_refuse_another_structures_baseline(site: Site, calibrated: Done, tmp_path: Path) -> None:
+    assert_ok(calibrated)
+    other = tmp_path / "site.toml"
+    source = '[source]\nkind = "mcap"\nfiles = ["rec.mcap"]\n'
+    (tmp_path / "b.json").write_text(site.baseline.read_text())
+    other.write_text(site.watch.read_text().replace("0.3514", "0.84") + f'[site]\nbaseline = "b.json"\n{source}')
+    kept = tree(tmp_path)
+    for command in ("check", "run"):
+        assert_refused(site.main(command, other), {78}, "b.json", "floor 2 weighs 0.3514 kg there and 0.84 kg here")
+    assert tree(tmp_path) == kept
+
+
+def test_a_baseline_of_an_older_version_is_doubtful(site: Site, calibrated: Done, tmp_path: Path) -> None:
+    """It does not say whose it is: it is compared as far as it goes, and nothing reads as an all-clear."""
+    assert_ok(calibrated)
+    old = tmp_path / "old.json"
+    content = json.loads(site.baseline.read_text())
+    del content["origin"]
+    old.write_text(json.dumps(content))
+    arguments = ("--baseline", old, "--out", tmp_path / "out")
+    done = site.main("replay", site.healthy, "--structure", site.watch, *arguments)
+    assert_ok(done)
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert summary["state"] == "doubtful" and "which did not note whose it is" in summary["headline"]
+    other = tmp_path / "other.toml"
+    other.write_text(site.watch.read_text().replace("0.3514", "0.84"))
+    assert_refused(
+        site.main("replay", site.healthy, "--structure", other, *arguments), {78}, "old.json", "and 0.84 kg here"
+    )
+
+
+def test_a_changed_drawing_is_rebased_without_recordings(site: Site, calibrated: Done, tmp_path: Path) -> None:
+    """Masses 5 % larger make stiffnesses 5 % larger, since the healthy modes stay; the result belongs to the new drawing."""
+    assert_ok(calibrated)
+    drawn, new = tmp_path / "new.toml", tmp_path / "new.json"
+    text = site.watch.read_text()
+    for mass in (0.3253, 0.3514, 0.3129):
+        text = text.replace(str(mass), str(1.05 * mass))
+    drawn.write_text(text)
+    done = site.main("calibrate", "--rebase", site.baseline, "--structure", drawn, "--out", new)
+    assert_ok(done)
+    assert "floor 1 weighs 0.3253 kg there and 0.3416 kg here" in done.stdout and "left out" in done.stdout
+    before, after = (json.loads(path.read_text()) for path in (site.baseline, new))
+    for key in ("z", "z_covariance", "frequencies_hz", "level_range_m_s2", "recordings"):
+        assert after[key] == before[key]
+    assert after["reference"] is None and before["reference"] is not None
+    np.testing.assert_allclose(after["stiffness_n_per_m"], 1.05 * np.array(before["stiffness_n_per_m"]), rtol=0.01)
+    out = tmp_path / "out"
+    assert_ok(site.main("replay", site.healthy, "--structure", drawn, "--baseline", new, "--out", out))
+    assert {line["alarm"]["level"] for line in lines_of(out)} == {"normal"}
+    assert "baseline" not in json.loads((out / "summary.json").read_text())["headline"]
+
+
+def test_a_new_name_alone_is_a_doubt_that_rebasing_removes(site: Site, calibrated: Done, tmp_path: Path) -> None:
+    assert_ok(calibrated)
+    text = site.watch.read_text()
+    named = [tmp_path / f"{name}.toml" for name in ("north", "south")]
+    for path in named:
+        path.write_text(text.replace("[structure]", f'[structure]\nname = "{path.stem}"'))
+    north, south = tmp_path / "north.json", tmp_path / "south.json"
+    assert_ok(site.main("calibrate", "--rebase", site.baseline, "--structure", named[0], "--out", north))
+    for baseline, state in ((north, "doubtful"), (south, "normal")):
+        out = tmp_path / "out"
+        assert_ok(site.main("replay", site.healthy, "--structure", named[1], "--baseline", baseline, "--out", out))
+        summary = json.loads((out / "summary.json").read_text())
+        assert (summary["state"] == "doubtful") == (state == "doubtful"), summary["headline"]
+        assert ("is of 'north', and this is 'south'" in summary["headline"]) == (state == "doubtful")
+        if state == "doubtful":
+            assert_ok(site.main("calibrate", "--rebase", north, "--structure", named[1], "--out", south))
+            assert json.loads(south.read_text())["reference"] == json.loads(north.read_text())["reference"]
+
+
+@pytest.mark.parametrize("more", [[], ["REC", "--rebase", "BASE"]], ids=["neither", "both"])
+def test_calibrate_takes_recordings_or_a_baseline(
+    site: Site, calibrated: Done, more: list[str], tmp_path: Path
+) -> None:
+    names = {"REC": site.healthy, "BASE": site.baseline}
+    given = [names.get(word, word) for word in more]
+    done = site.main("calibrate", *given, "--structure", site.watch, "--out", tmp_path / "b.json")
+    assert_refused(done, {2}, "--rebase")
+
+
+@pytest.mark.parametrize("factor", [9.80665, 1 / 9.80665])
+def test_a_recording_in_another_unit_is_asked_about(
+    site: Site, calibrated: Done, factor: float, tmp_path: Path
+) -> None:
+    """g and m/s^2 differ by 9.8: that is told with a question, and never refused."""
+    assert_ok(calibrated)
+    recording = site.write("unit.mcap", factor * site.values(240))
+    out = tmp_path / "out"
+    done = site.main("replay", recording, "--structure", site.watch, "--baseline", site.baseline, "--out", out)
+    assert_ok(done)
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["state"] == "doubtful" and "is the unit right" in summary["headline"], summary["headline"]
+    words = "stronger" if factor > 1 else "weaker"
+    assert words in summary["headline"]
 
 
 # --- wrong usage ---

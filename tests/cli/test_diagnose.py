@@ -77,6 +77,30 @@ def test_the_extended_file_holds_the_cause_and_scores_better_on_new_data(site: S
     assert after["csd_error"] < before["csd_error"]
 
 
+def test_without_a_baseline_a_softer_story_is_the_headline_before_the_verdict(
+    site: Site, tmp_path: Path, frame_text: str
+) -> None:
+    """The refit takes up a loss of 20 %, so the verdict is `none`: the model explains the data, as refitted."""
+    site.structure, before = tmp_path / "open.toml", site.structure
+    site.structure.write_text(frame_text)
+    try:
+        soft = site.simulate(tmp_path / "soft.mcap", "--damage", "story2=0.2", "--seed", 63)
+    finally:
+        site.structure = before
+    out = tmp_path / "found"
+    done = site.main("diagnose", soft, "--structure", tmp_path / "open.toml", "--out", out)
+    assert_ok(done)
+    found = strict((out / "diagnosis.json").read_text())
+    assert isinstance(found, dict)
+    assert found["verdict"] == "none"
+    row = found["refit"][1]
+    assert (row["location"], row["beyond_tolerance"], row["tolerance"]) == ("story 2", True, None)
+    assert row["relative"] == pytest.approx(-0.2, abs=3.0 * row["relative_std"]) and row["relative_std"] < 0.1
+    assert found["says"].startswith("Story 2 is ") and "softer than drawn" in found["says"].partition(";")[0]
+    assert found["says"].endswith("without a baseline nothing is said of damage.")
+    assert "refitted: story 2 is" in done.stdout and "Nothing wrong" not in done.stdout
+
+
 def test_accepting_writes_the_file_and_the_ledger(site: Site, tmp_path: Path) -> None:
     out = tmp_path / "accepted.toml"
     finding = site.out / "diagnosis.json"

@@ -12,6 +12,7 @@ import pytest
 from monitor.config import configuration
 from monitor.config.configuration import Configuration
 from monitor.core.errors import BadConfigurationError, MissingInputError, UserError
+from tests.examples.beam import bridge
 
 Load = Callable[[str], Configuration]
 
@@ -279,3 +280,64 @@ def test_every_shipped_file_is_sound() -> None:
 
 def test_a_user_error_is_no_other_exception() -> None:
     assert issubclass(BadConfigurationError, UserError) and not issubclass(BadConfigurationError, ValueError)
+
+
+NODES = """
+[[nodes]]
+name = "ground"
+[[nodes]]
+z = 3.0
+dof_x = 1
+[[lines]]
+nodes = [1, 2]
+story = 1
+[[lines]]
+nodes = [1, 2]
+story = 2
+[[lines]]
+nodes = [2, 1]
+story = 3
+"""
+
+
+def test_a_structure_is_drawn_by_its_nodes_and_lines(load: Load, frame_text: str) -> None:
+    drawing = load(frame_text + NODES).drawing
+    np.testing.assert_array_equal(drawing.points, [[0, 0, 0], [0, 0, 3.0]])
+    np.testing.assert_array_equal(drawing.dofs, [[-1, -1, -1], [0, -1, -1]])
+    np.testing.assert_array_equal(drawing.lines, [[0, 1], [0, 1], [1, 0]])
+    assert (drawing.stories.tolist(), drawing.names) == ([0, 1, 2], ("ground", ""))
+
+
+def test_a_frame_without_nodes_is_drawn_by_its_heights(load: Load, frame_text: str) -> None:
+    drawing = load(frame_text).drawing
+    assert drawing.points.shape == (16, 3), "four columns, three floors and the ground"
+    np.testing.assert_array_equal(drawing.dofs[:, 0], np.repeat([0, 1, 2, -1], 4))
+    assert (drawing.dofs[:, 1:] == -1).all()
+    top = drawing.points[drawing.lines[drawing.stories == 0]][:, :, 2]
+    assert np.ptp(top, axis=1) == pytest.approx(0.093), "story 1 is the top one, as high as the file says"
+
+
+def test_a_drawing_that_does_not_fit_the_structure_is_refused(load: Load, frame_text: str) -> None:
+    wrong = NODES.replace("dof_x = 1", "dof_x = 4").replace("nodes = [2, 1]", "nodes = [2, 5]")
+    wrong = wrong.replace("story = 2", "story = 9")
+    assert_problem(
+        load,
+        frame_text + wrong,
+        "node 2 has dof_x = 4 of 3 degrees of freedom",
+        "line 3 ends at node 5 of 2",
+        "line 2 has story = 9 of 3",
+        "no line has story = 2, so its loss would not be drawn",
+    )
+
+
+def test_stories_are_called_by_their_names_in_both_kinds(load: Load, frame_text: str) -> None:
+    named = frame_text.replace("damping_ratio", 'story_names = ["roof", "middle", "foot"]\ndamping_ratio', 1)
+    assert load(named).story_names == ("story 1 (roof)", "story 2 (middle)", "story 3 (foot)")
+    assert load(frame_text).story_names == ("story 1", "story 2", "story 3")
+    assert_problem(load, named.replace('"roof", ', ""), "story_names has 2 values for 3 masses")
+
+
+def test_the_size_of_a_structure_is_counted_by_its_kind(load: Load, frame_text: str, tmp_path: Path) -> None:
+    assert load(frame_text).size_words == "3 stories"
+    bridge(tmp_path / "bridge.toml")
+    assert configuration.load(tmp_path / "bridge.toml").size_words == "6 stiffnesses, 12 degrees of freedom"

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.linalg import eigh
 
+from monitor.model.effects import EFFECTS, Condition, Context, EffectError
 from monitor.model.structures import MatrixStructure, ShearFrame, Structure
 
 
@@ -52,6 +53,35 @@ def test_matrices_are_symmetric_and_positive_definite(structure: Structure) -> N
         assert matrix.shape == (structure.n_dofs, structure.n_dofs)
         np.testing.assert_allclose(matrix, matrix.T, rtol=1e-12, atol=1e-12 * np.abs(matrix).max())
         assert np.linalg.eigvalsh(matrix)[0] > 0
+
+
+@every
+def test_a_single_spring_is_all_of_its_stiffness_derivative(structure: Structure) -> None:
+    """Laws along a drift are for these stories only: a bending element turns and bends, and has no drift."""
+    rows = structure.drift_matrix()
+    springs = [np.allclose(np.outer(d, d), s) for d, s in zip(rows, structure.stiffness_derivatives(), strict=True)]
+    assert structure.single_springs().tolist() == springs
+    for name, kind in EFFECTS.items():
+        if "story" in kind.places:
+            effect = kind.starts("story 1", _context(structure), _still(structure))[0]
+            if name == "stiffness_change" or springs[0]:
+                effect.check(structure, ("a",))
+            else:
+                with pytest.raises(EffectError, match="story 1 is not a single spring"):
+                    effect.check(structure, ("a",))
+
+
+def _context(structure: Structure) -> Context:
+    return Context(structure, ("a",), np.eye(1, structure.n_dofs), 100.0)
+
+
+def _still(structure: Structure) -> Condition:
+    p, n = structure.n_stories, structure.n_dofs
+    return Condition(np.ones(p), np.ones(p), np.ones(n), np.ones(1))
+
+
+def test_a_beam_has_no_single_springs() -> None:
+    assert not cantilever().single_springs().any()
 
 
 @every

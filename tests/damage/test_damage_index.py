@@ -217,7 +217,7 @@ def test_a_baseline_without_one_of_its_keys_is_refused_by_name(tmp_path) -> None
     )
     save_baseline(healthy, place)
     content = json.loads(place.read_text())
-    for key in content.keys() - {"temperature", "stiffness_correction_n_per_m", "reference"}:
+    for key in content.keys() - {"temperature", "stiffness_correction_n_per_m", "reference", "origin"}:
         place.write_text(json.dumps({name: value for name, value in content.items() if name != key}))
         with pytest.raises(BadInputError, match=key):
             load_baseline(place, config.instrumented(), config.updating)

@@ -14,6 +14,7 @@ from monitor.diagnosis.fold_refit import fitted_model
 from monitor.diagnosis.initial_fit import fit_linearized
 from monitor.diagnosis.lack_of_fit import LackOfFit
 from monitor.diagnosis.predictive_score import score
+from monitor.diagnosis.score_test import Candidate
 from monitor.diagnosis.settings import DiagnosisSettings
 from monitor.diagnosis.simulation_refit import refine_fit
 from monitor.diagnosis.stepwise_selection import Diagnosis
@@ -146,11 +147,23 @@ def test_a_cause_that_is_not_there_gains_nothing_and_is_not_named(clean: Segment
     assert require_gain(beside, replace(loss, after=1.0001)) is beside is require_gain(beside, nothing_held_out)
 
 
+def test_an_ambiguous_answer_needs_the_gain_of_its_best_alternative(clean: Segments) -> None:
+    found = explained_by(parse_effect("harmonic_excitation:floor 1:frequency_hz=7,force_n=0.001"), clean)
+    rivals = tuple((Candidate(e, found.final_fit, 9.0, 9.0), 1.0) for e in found.final_fit.effects)
+    ambiguous = replace(found, verdict="ambiguous", alternatives=rivals)
+    loss = HeldOutGain(1.0, 0.9988, (-0.0030, 0.0005), heldout="blocks")
+    withdrawn = require_gain(ambiguous, loss)
+    assert (withdrawn.verdict, withdrawn.alternatives, withdrawn.final_fit) == ("none", (), found.null_fit)
+    assert require_gain(replace(ambiguous, misfit=(LackOfFit("f = 1 Hz", 9.0, "more"),)), loss).verdict == "unexplained"
+    assert require_gain(ambiguous, replace(loss, ci95=(0.0005, 0.0030))) is ambiguous
+
+
 def test_too_short_a_recording_holds_nothing_out(clean: Segments) -> None:
     found = explained_by(parse_effect(DAMPER), clean)
     gain = heldout_gain(clean.part(np.arange(clean.t_s.size) < 3), found)
     assert (gain.value, gain.ci95) == (0.0, (0.0, 0.0))
-    assert "too short" in gain.heldout
+    assert "too short" in gain.withheld
+    assert require_gain(found, gain) is found  # the headline says why there is no gain
 
 
 def test_a_law_that_bends_is_judged_at_the_motion_that_it_makes() -> None:

@@ -2,16 +2,35 @@
 
 from __future__ import annotations
 
+import logging
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import cast
+
 import numpy as np
 import pytest
 
 from drivers.base import ACCELERATION
+from monitor.diagnosis import selection_round
+from monitor.diagnosis.ambiguity import tied_candidates
 from monitor.diagnosis.initial_fit import fit_linearized
-from monitor.diagnosis.score_test import best_of_each, candidate_starts, fit_candidate, rank_by_score
+from monitor.diagnosis.score_test import (
+    Candidate,
+    best_first,
+    best_of_each,
+    candidate_starts,
+    fit_candidate,
+    rank_by_score,
+)
+from monitor.diagnosis.settings import DiagnosisSettings
+from monitor.diagnosis.simulation_refit import RefittedCandidate
 from monitor.inference.cross_spectra import accelerance
+from monitor.inference.higher_moments import Moments, _skewness
+from monitor.inference.map_estimate import MapEstimate
 from monitor.inference.observed_spectra import classify
+from monitor.inference.posterior import Posterior
 from monitor.inference.segments import gather
-from monitor.model.effects import ChannelSwap, SensorGain
+from monitor.model.effects import ChannelSwap, CubicStiffness, SensorGain, StiffnessChange
 from monitor.model.prior import prior_from_drawing
 from monitor.model.simulation import simulate
 from monitor.runs.synthetic_recording import cut_into_blocks
@@ -53,6 +72,47 @@ def test_the_score_test_promises_what_a_gain_brings_where_noise_is_little(channe
     found = fit_candidate(problem, null, effect)
     assert found.effect.values()["gain"] == pytest.approx(0.98, abs=0.002)
     assert 0.5 * found.delta_log_posterior < promise < 2.0 * found.delta_log_posterior
+
+
+def candidate(evidence: float, location: str, nonlinear: bool = True) -> Candidate:
+    effect = CubicStiffness(location, 1e26) if nonlinear else StiffnessChange(location, -0.1)
+    return Candidate(effect, cast(MapEstimate, SimpleNamespace()), 50.0, evidence)
+
+
+def test_a_candidate_without_finite_evidence_is_never_ranked(caplog: pytest.LogCaptureFixture) -> None:
+    some = [candidate(v, f"story {i}") for i, v in enumerate((np.nan, 3.0, -np.inf, np.nan, 7.0, np.inf), start=1)]
+    for order in (some, some[::-1]):
+        with caplog.at_level(logging.INFO):
+            assert [c.effect.location for c in best_first(order)] == ["story 5", "story 2"]
+    assert "cubic_stiffness at story 1 is left out: its evidence is nan" in caplog.text
+
+
+def test_a_law_whose_simulation_diverges_is_no_candidate(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As happens where a drift law is given to a bending element: the others keep their ranks."""
+    observed = SimpleNamespace(drive=None, segments=SimpleNamespace(values=None))
+    posterior, fit = cast(Posterior, SimpleNamespace(observed=observed)), cast(MapEstimate, SimpleNamespace())
+    moments = Moments(np.zeros(3), np.zeros(3))
+
+    def diverges(p: Posterior, f: MapEstimate, c: Candidate, effort: str = "rough") -> RefittedCandidate:
+        return RefittedCandidate(replace(c, log_evidence=np.nan), p, moments)
+
+    monkeypatch.setattr(selection_round, "refit_by_simulation", diverges)
+    monkeypatch.setattr(selection_round, "measure_moments", lambda *a: None)
+    linear = [candidate(30.0, "story 2", nonlinear=False), candidate(29.0, "story 3", nonlinear=False)]
+    found = selection_round._simulate_contenders(
+        posterior, fit, [candidate(40.0, "story 1"), *linear], moments, DiagnosisSettings()
+    )
+    assert [p.candidate.key for p in found] == [c.key for c in linear]
+    assert tied_candidates([], 3.0) == [], "none may be left"
+
+
+def test_a_drift_that_no_sensor_moves_with_says_nothing_of_its_skewness() -> None:
+    transforms = np.random.default_rng(1).normal(size=(20, 30, 2)) + 0j
+    band = SimpleNamespace(hz=np.arange(1.0, 31.0), first=1, n_bins=30)
+    structure = SimpleNamespace(drift_matrix=lambda: np.array([[1.0, 0.0], [0.0, 0.0]]))
+    problem = SimpleNamespace(observed=SimpleNamespace(band=band), context=SimpleNamespace(structure=structure))
+    mean, std = _skewness(transforms, cast(Posterior, problem))
+    assert np.isfinite([mean[0], std[0]]).all() and (mean[1], std[1]) == (0.0, np.inf)
 
 
 def test_an_attached_mass_that_a_fit_lets_go_to_nothing_changes_no_response() -> None:

@@ -46,7 +46,7 @@ def posed(effect: Effect, seed: int = 5) -> tuple[Posterior, MapEstimate]:
 
 
 @pytest.fixture(scope="module")
-def bent() -> tuple[Posterior, MapEstimate]:
+def nonlinear() -> tuple[Posterior, MapEstimate]:
     return posed(parse_effect(CUBIC.format(STRONG)))
 
 
@@ -55,8 +55,8 @@ def whitened_rms(problem: Posterior, at: MapEstimate, change: np.ndarray) -> flo
     return float(np.sqrt((rows**2).mean()))
 
 
-def test_a_law_that_hardly_bends_has_no_offset(bent: tuple[Posterior, MapEstimate]) -> None:
-    problem, null = bent
+def test_a_law_that_hardly_bends_has_no_offset(nonlinear: tuple[Posterior, MapEstimate]) -> None:
+    problem, null = nonlinear
     sizes = []
     for size in (1e3, STRONG):
         at = replace(null, effects=(parse_effect(CUBIC.format(size)),))
@@ -66,8 +66,8 @@ def test_a_law_that_hardly_bends_has_no_offset(bent: tuple[Posterior, MapEstimat
     assert sizes[0] < 1e-3 < 0.1 < sizes[1]
 
 
-def test_classes_that_swing_more_than_the_model_says_are_heard(bent: tuple[Posterior, MapEstimate]) -> None:
-    problem, null = bent
+def test_classes_that_swing_more_than_the_model_says_are_measured(nonlinear: tuple[Posterior, MapEstimate]) -> None:
+    problem, null = nonlinear
     predicted = problem.scatter(null.x, ())
     plain = linearize(problem, null.x, (), predicted)
     factors = np.ones((problem.n_classes, 1, 1, 1))
@@ -78,8 +78,10 @@ def test_classes_that_swing_more_than_the_model_says_are_heard(bent: tuple[Poste
     assert louder[-1].floor_velocity_m_s == pytest.approx(2.0 * plain[-1].floor_velocity_m_s, rel=0.1)
 
 
-def test_a_correction_follows_its_slopes_and_leaves_other_effects_alone(bent: tuple[Posterior, MapEstimate]) -> None:
-    problem, null = bent
+def test_a_correction_follows_its_slopes_and_leaves_other_effects_alone(
+    nonlinear: tuple[Posterior, MapEstimate],
+) -> None:
+    problem, null = nonlinear
     law = parse_effect(CUBIC.format(STRONG))
     plain = problem.scatter(null.x, (law,))
     more = parse_effect(CUBIC.format(1.01 * STRONG))
@@ -96,8 +98,10 @@ def test_a_correction_follows_its_slopes_and_leaves_other_effects_alone(bent: tu
     assert made.part(problem.observed, other_way).scatter(x, (law,))[::-1] == pytest.approx(1.1 * plain)
 
 
-def test_the_scale_of_masses_and_stiffness_that_nothing_shows_stays_unseen(bent: tuple[Posterior, MapEstimate]) -> None:
-    problem, null = bent
+def test_the_scale_of_masses_and_stiffness_that_nothing_shows_stays_unseen(
+    nonlinear: tuple[Posterior, MapEstimate],
+) -> None:
+    problem, null = nonlinear
     law, rng = parse_effect(CUBIC.format(STRONG)), np.random.default_rng(0)
     plain = problem.scatter(null.x, (law,))
     made = correct_posterior(problem, null.x, (law,), 0.1 * plain, rng.uniform(0.1, 0.3) / STRONG * plain[None])
@@ -118,19 +122,19 @@ def test_a_law_that_cannot_stand_has_no_likelihood() -> None:
     assert np.linalg.eigvalsh(both[1]) == pytest.approx(-0.85 * np.ones((2, 3)))
 
 
-def test_simulation_mends_what_linearization_misses(bent: tuple[Posterior, MapEstimate]) -> None:
-    problem, null = bent
+def test_simulation_mends_what_linearization_misses(nonlinear: tuple[Posterior, MapEstimate]) -> None:
+    problem, null = nonlinear
     at = maximize_posterior(problem, null.x, (parse_effect(CUBIC.format(0.3 * STRONG)),))
     made, best = refine_fit(problem, at)
     n = problem.layout.n_nuisance
-    std = float(np.hypot(np.sqrt(best.covariance[n, n]), made.doubt[0]))
+    std = float(np.hypot(np.sqrt(best.covariance[n, n]), made.simulation_std[0]))
     assert abs(best.x[n] - STRONG) < 3.0 * std
     assert std < 0.15 * STRONG
 
 
-def test_a_correction_grows_with_the_motion(bent: tuple[Posterior, MapEstimate]) -> None:
+def test_a_correction_grows_with_the_motion(nonlinear: tuple[Posterior, MapEstimate]) -> None:
     """As a new simulation at another level says; a fit that takes it for constant is led away from the truth."""
-    problem, null = bent
+    problem, null = nonlinear
     law, levels = parse_effect(CUBIC.format(0.3 * STRONG)), problem.layout.levels
     x = np.append(null.x, law.coordinates)
     problem = replace(problem, conditions=linearize(problem, x, (law,)))

@@ -13,7 +13,7 @@ from drivers.base import SourceContext
 from monitor.config import configuration
 from monitor.config.configuration import Configuration, make_source
 from monitor.core.results import Alarm, Level, Skipped, WindowResult
-from monitor.diagnosis import in_words, separating_measurement
+from monitor.diagnosis.wording import in_words, separating_measurement
 from monitor.model import prior_from_drawing
 from monitor.model.effects import EFFECTS, Condition, Context, FittedSizes, parse_effect
 from monitor.runs.session import Session

@@ -19,6 +19,7 @@ from monitor.model.model import Model
 from monitor.model.simulation import simulate
 from monitor.model.structures import ShearFrame
 from monitor.pipeline import Pipeline
+from monitor.runs.calibrate import with_common_modes
 from monitor.runs.synthetic_recording import cut_into_blocks
 
 SHEAR = ShearFrame(np.array([0.3253, 0.3514, 0.3129]), np.array([2909.4511, 1514.8507, 1897.6986]), 0.01)
@@ -57,7 +58,8 @@ def results_of(model: Model, settings: Configuration, healthy: Baseline | None, 
 
 
 def learned(settings: Configuration, truth: Model, seed: int, duration_s: float) -> Baseline:
-    windows = [r for r in results_of(truth, settings, None, seed, duration_s) if r.skipped is None]
+    judged = [r for r in results_of(truth, settings, None, seed, duration_s) if r.skipped is None]
+    windows = with_common_modes(judged, settings.selection.required_modes)
     return learn_baseline(
         settings.instrumented(),
         [r.modes for r in windows],

@@ -11,6 +11,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
+from monitor.publish.reports.period_data import read_results
 from monitor.publish.reports.period_report import read_period, write_period
 from tests.conftest import Cli
 
@@ -116,7 +117,9 @@ def test_the_figures_of_the_run_are_said(page: ElementTree.Element) -> None:
 
 def test_curves_are_light_and_drawn_where_the_values_are(page: ElementTree.Element) -> None:
     """Every curve at most 2000 points, inside its frame, in the right place, broken where nothing was seen."""
-    for svg in page.iter("svg"):
+    boxes = [svg for svg in page.iter("svg") if svg.get("viewBox")]
+    assert len(boxes) == 9, "three stories, three modes, temperature, windows, goodness of fit"
+    for svg in boxes:
         _, _, width, height = (float(v) for v in svg.get("viewBox", "").split())
         for mark in (*svg.iter("polyline"), *svg.iter("polygon")):
             xy = points(mark)
@@ -126,8 +129,7 @@ def test_curves_are_light_and_drawn_where_the_values_are(page: ElementTree.Eleme
     line = [points(p) for p in lost.iter("polyline") if p.get("class") == "line after"]
     assert len(line) == 3, "broken where the channel was stuck and where the monitor was away"
     frame = next(r for r in lost.iter("rect") if r.get("class") == "frame")
-    left, width = float(frame.get("x", "")), float(frame.get("width", ""))
-    at = (np.concatenate(line)[:, 0] - left) / width
+    at = np.concatenate(line)[:, 0] / float(frame.get("width", ""))
     high = np.concatenate(line)[:, 1] < np.concatenate(line)[:, 1].min() + 10
     assert abs(at[high].min() - ALARM[0] / WINDOWS) < 0.002
     assert abs(at[high].max() - ALARM[-1] / WINDOWS) < 0.002
@@ -146,20 +148,95 @@ def test_modes_are_three_curves_at_their_frequencies(page: ElementTree.Element) 
         assert all(abs(v / f - 1) < 0.03 for v in labels)
 
 
+def test_modes_of_windows_that_are_not_judged_are_drawn_and_the_model_s_keep_their_numbers(tmp_path: Path) -> None:
+    """A model of four modes without the third, and torsion at 6.68 Hz; no window has a damage index."""
+    rows = []
+    for k in range(8):
+        other = {"frequency_hz": 6.68, "frequency_std_hz": 0.01, "damping_ratio": 0.01, "mode_shape": [], "track": -1}
+        figures = {"frequencies_hz": [1.23, 4.02, 7.6], "frequencies_std_hz": [0.01] * 3, "model_modes": [1, 2, 4]}
+        rows.append(
+            {**line_of(SKIPPED[0]), "window": k, "t_end_ns": T0 + (k + 1) * HOP, **figures, "other_modes": [other]}
+        )
+    json_lines(tmp_path / "results.jsonl", rows)
+    found = read_results(tmp_path, None, None, 5.0)
+    assert sum(found.judged) == 0 and sum(found.refused) == 8
+    curves = [(c.mode, c.latest, c.values) for c in found.common_modes()]
+    assert curves == [(1, 1.23, 8), (2, 4.02, 8), (None, 6.68, 8), (4, 7.6, 8)]
+
+
+def test_every_chart_has_three_ticks_and_its_unit_and_times_in_full(page: ElementTree.Element) -> None:
+    for svg in page.iter("svg"):
+        if (title := svg.get("aria-label")) is None or title.startswith("windows"):
+            continue
+        labels = [t for t in svg.iter("text") if t.get("text-anchor") == "end" and t.text != "time, UTC"]
+        assert len(labels) >= 3 and "time, UTC" in [t.text for t in svg.iter("text")], title
+        assert re.search(r", (%|Hz|degC)|goodness of fit", title), title
+        below = [t.text or "" for t in svg.iter("text") if t.get("text-anchor") == "middle"]
+        assert below and all(re.fullmatch(r"2026-\d\d-\d\d", t) for t in below)
+        assert 2 <= sum(t.get("class") != "more" for t in svg.iter("text") if t.get("text-anchor") == "middle") <= 4
+
+
+def seen(folder: Path, detectable: list[float | None] | None, known: dict[str, object]) -> ElementTree.Element:
+    """The page of twenty healthy windows."""
+    json_lines(folder / "results.jsonl", [{**line_of(k), "detectable_loss": detectable} for k in range(20)])
+    site = {"names": ["pier", "deck", "story 3"], "has_baseline": True, "alarm_loss": 0.1, "misfit": 5.0, **known}
+    (folder / "summary.json").write_text(json.dumps({"known": site, "thresholds": {"alarm_loss": 0.1}}))
+    write_period(folder / "r.html", read_period(folder, None, None))
+    return parsed(folder / "r.html")
+
+
+def state_shown(page: ElementTree.Element) -> str:
+    return next(e.get("class", "") for e in page.iter("span") if "verdict" in e.get("class", ""))
+
+
+def test_a_story_s_chart_says_its_name_and_from_which_loss_on_it_is_seen(tmp_path: Path) -> None:
+    page = seen(tmp_path, [0.012, 0.3, None], {})
+    titles = [s.get("aria-label", "") for s in page.iter("svg") if "stiffness lost" in s.get("aria-label", "")]
+    assert [t.partition("%; ")[2] for t in titles] == [
+        "a loss above 1.2 % would be seen",
+        "only a loss above 30 % would be seen",
+        "NOT SEEN: the modes say next to nothing of it",
+    ]
+    assert titles[0].startswith("pier: ")
+    assert "pier, latest" in words(page) and "deck, latest" not in words(page), "no figure of what is not seen"
+    charts = [f.get("class") for f in page.iter("figure")][:3]
+    assert charts == ["chart", "chart unseen", "chart unseen"]
+    assert state_shown(page) == "verdict not_judged"
+
+
+def test_green_is_only_where_every_story_would_have_been_seen(tmp_path: Path) -> None:
+    page = seen(tmp_path, [0.012, 0.02, 0.03], {})
+    assert state_shown(page) == "verdict normal"
+    assert "No loss above 3 % in any story." in words(page)
+    assert re.findall(r"\.verdict\.(\w+) \{ background: #2c7d46", (tmp_path / "r.html").read_text()) == ["normal"]
+
+
+def test_without_a_baseline_nothing_reads_as_an_all_clear(tmp_path: Path) -> None:
+    said = words(page := seen(tmp_path, None, {"has_baseline": False}))
+    assert state_shown(page) == "verdict not_judged"
+    assert "Without a baseline none can be raised." in said and "lost against the structure file, %; not judged" in said
+    assert "since the baseline" not in said and "0 alarms" not in said and "None." not in said
+
+
 def test_a_period_is_cut_out_and_reads_alike(months: Path, tmp_path: Path) -> None:
     period = read_period(months, T0 + 10 * DAY, T0 + 20 * DAY)
-    assert (period.results.windows, period.results.due, period.episodes, period.findings) == (1440, 1440, [], [])
+    assert (period.course.windows, period.results.due, period.course.losses, period.findings) == (1440, 1440, (), [])
     assert period.quality is not None
     assert period.quality.gaps == 10
     assert np.isclose(period.quality.availability, 0.990099, atol=1e-6)
     write_period(tmp_path / "r.html", period)
-    assert "no alarm" in words(parsed(tmp_path / "r.html"))
+    said = words(parsed(tmp_path / "r.html"))
+    assert said.index("not judged") < said.index("Damage index"), "results that do not say what would have been seen"
+    assert "Alarms None." in said
+    assert "not judged" in said and "not recorded in these results" in said, (
+        "lines of a version that noted no smallest loss"
+    )
 
 
 def test_windows_are_due_from_the_run_s_first_on_and_ends_count_to_the_nanosecond(tmp_path: Path, main: Cli) -> None:
     json_lines(tmp_path / "results.jsonl", [line_of(k) for k in range(10)])
     early = read_period(tmp_path, T0 - 365 * DAY, None)
-    assert (early.results.windows, early.results.due) == (10, 10)
+    assert (early.course.windows, early.results.due) == (10, 10)
     for end, windows in (("00:49:59.999999", 4), ("00:50:00.4", 5)):
         done = main("report", tmp_path, "--out", tmp_path / "r.html", "--to", f"2026-01-01T{end}", "--json")
         assert (json.loads(done.stdout)["windows"], done.returncode) == (windows, 0)

@@ -5,18 +5,22 @@ from __future__ import annotations
 import contextlib
 import logging
 import socket
+import tempfile
 import threading
 import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import pytest
+import rerun as rr
 from rerun.chunk import RrdReader
 from scipy.signal import welch
 
 from drivers.base import ClockHealth
+from monitor.config import Configuration, configuration
 from monitor.core.parse import parse_address
 from monitor.core.results import (
     Alarm,
@@ -29,24 +33,31 @@ from monitor.core.results import (
     StiffnessEstimate,
     WindowResult,
 )
+from monitor.damage import Assessment, State
 from monitor.model.model import Model
 from monitor.model.simulation import simulate
 from monitor.model.structures import ShearFrame
+from monitor.model.structures.drawing import Drawing
 from monitor.publish.viewer import picture
 from monitor.publish.viewer import scene as rerun_scene
+from monitor.publish.viewer.layout import _healthy
+from monitor.publish.viewer.mode_shapes import expand_shape
 from monitor.publish.viewer.output import Output
 from monitor.publish.viewer.publisher import RerunPublisher
-from monitor.publish.viewer.scene import Scene, loss_colour
+from monitor.publish.viewer.scene import Scene, loss_colour, make_scene
 from monitor.publish.viewer.spectra import predict_power
+from monitor.publish.viewer.state import StateDrawing
 from monitor.publish.viewer.thinning import FULL_RATE_NS, FULL_RATE_WINDOWS, Thinning
 from monitor.signals.sensor_health import ChannelHealth, Health
+from tests.examples.beam import bridge
 
 T0 = 1_772_359_200_000_000_000
 SCENE = Scene(
     name="test frame",
     channels=("a1", "a 2", "a3"),
     sensor_floor=(1, 2, 3),
-    story_heights_m=np.array([0.093, 0.093, 0.1]),
+    drawing=Drawing.of_frame(np.array([0.093, 0.093, 0.1])),
+    story_names=("story 1", "story 2 (left columns)", "story 3"),
     baseline_frequencies_hz=np.array([5.1, 14.4, 20.6]),
     has_baseline=True,
     alarm_loss=0.1,
@@ -111,9 +122,11 @@ def test_a_file_holds_everything(tmp_path: Path) -> None:
     for k in range(12):
         view.samples(second(k, 37))  # neither whole seconds nor contiguous
     view.gap(Gap(T0 + 30 * 10**9, 2.0, "sequence jumped"))
-    levels = [Level.NORMAL, Level.NORMAL, Level.ADVISORY, Level.ALARM, Level.ALARM, Level.NORMAL]
-    for k, level in enumerate(levels):
-        view.window(window(k, level), "")
+    states = [State.NORMAL, State.NORMAL, State.ADVISORY, State.ALARM, State.ALARM, State.NORMAL]
+    for k, state in enumerate(states):
+        if k == 0 or state is not states[k - 1]:
+            view.state(Assessment(state, f"Story 2 is {state}."))
+        view.window(window(k), "")
     view.window(window(6, skipped="channel a3 was stuck"), "")
     assert not file.exists(), "named before it is complete"
     view.close(60.0)
@@ -132,16 +145,139 @@ def test_a_file_holds_everything(tmp_path: Path) -> None:
     std = 5.0 * 0.002  # four deviations of 0.001 in ln f
     np.testing.assert_allclose(found["/modes/frequency/1"][ends[0]], [5.0, 5 - 2 * std, 5 + 2 * std])
     np.testing.assert_allclose(found["/modes/damping/3"][ends[0]][0], 2.0)
-    assert np.isnan(found["/modes/frequency/2"][ends[0]]).all(), "a mode that was not found"
+    np.testing.assert_allclose(found["/modes/change/1"][ends[0]][0], 100 * (5.0 / 5.1 - 1.0))
+    assert np.isnan(found["/modes/frequency/1"][ends[6]]).all(), "a mode that was found before, and now is not"
+    assert not any(path.startswith("/modes/") and path.endswith("/2") for path in found), "a mode that was never found"
     assert np.isnan(found["/ddi/story_2"][ends[6]]).all(), "a skipped window leaves a hole"
     np.testing.assert_allclose(found["/stabilisation"][ends[0]], [[5, 10], [5, 20], [31, 20]])
-    assert "story 2" in found["/alarms"][ends[2]][0]
-    assert sorted(found["/alarms"]) == [ends[2], ends[3], ends[5]], "changes only"
-    assert len(found["/events"]) == 2
+    changes = [T0, ends[0], ends[2], ends[3], ends[5]]
+    assert sorted(found["/state"]) == changes, "changes only"
+    assert sorted(found["/events"]) == sorted([*changes[1:], ends[6], T0 + 30 * 10**9])
+    assert found["/events"][ends[3]] == ["2026-03-01 10:07:10 UTC  ALARM: Story 2 is alarm."]
     assert "channel a3 was stuck" in found["/status"][ends[6]][0]
-    assert "| 2 | 8.0 ± 2.0 |" in found["/status"][ends[0]][0]
-    assert {"/frame/stories", "/frame/modes", "/frame/modes/floors", "/alarm_level"} <= set(found)
+    assert "| 2 (left columns) | 8.0 ± 2.0 |" in found["/status"][ends[0]][0]
+    assert {"/frame/stories", "/frame/modes", "/frame/modes/nodes", "/state/lamp"} <= set(found)
     assert len(RrdReader(file).blueprints()) >= 1
+
+
+def told(file: Path) -> list[tuple[int, str, object]]:
+    """Time, text and colour of the states in the order in which a reader of the file meets them."""
+    texts, colours = [], {}
+    for chunk in RrdReader(file).stream():
+        if chunk.is_static or not chunk.entity_path.startswith("/state"):
+            continue
+        batch = chunk.to_record_batch()
+        times = batch["time"].cast("int64").to_pylist()
+        for name in batch.schema.names:
+            if name.endswith("TextDocument:text"):
+                texts += zip(times, (text[0] for text in batch[name].to_pylist() if text), strict=True)
+            elif name.endswith("LineStrips2D:colors"):
+                colours |= zip(times, batch[name].to_pylist(), strict=True)
+    return [(t_ns, text, colours[t_ns]) for t_ns, text in texts]
+
+
+def rgba(colour: tuple[int, int, int]) -> int:
+    red, green, blue = colour
+    return red << 24 | green << 16 | blue << 8 | 255
+
+
+@pytest.mark.parametrize("state", State)
+def test_each_state_is_shown_in_capitals_in_its_colour_with_headline_and_doubts(state: State, tmp_path: Path) -> None:
+    file = tmp_path / "live.rrd"
+    view = RerunPublisher(SCENE, file=file, serve=None, lossless=True)
+    view.samples(second(0))
+    view.state(Assessment(state, "The headline.", ("One doubt.", "Another.")))
+    view.window(window(0), "")
+    view.close(60.0)
+    assert view.failed is None
+    (begun, nothing, grey), (ended, text, colour) = told(file)
+    assert (begun, grey) == (T0, [rgba(rerun_scene.GREY)])
+    assert nothing.startswith("# NOT JUDGED\n") and "loading" in nothing
+    assert (ended, text) == (
+        window(0).t_end_ns,
+        f"# {state.words.upper()}\n### The headline.\n\n- One doubt.\n- Another.",
+    )
+    green, red = [rgba(rerun_scene.GREEN)], [rgba(rerun_scene.RED)]
+    assert ((colour == green), (colour == red)) == (state is State.NORMAL, state is State.ALARM)
+
+
+def test_a_file_that_is_still_loading_shows_no_state_of_its_beginning(tmp_path: Path) -> None:
+    """All that a reader meets before the last results says "not judged"."""
+    file = tmp_path / "live.rrd"
+    view = RerunPublisher(SCENE, file=file, serve=None, lossless=True)
+    view.samples(second(0))
+    for k in range(150):
+        view.state(Assessment(State.NORMAL if k < 140 else State.ALARM, f"No loss above {1 + k} %."))
+        view.window(window(k), "")
+    view.close(60.0)
+    order = [
+        (chunk.entity_path, int(t))
+        for chunk in RrdReader(file).stream()
+        if not chunk.is_static and chunk.timeline_names == ["time"]
+        for t in chunk.to_record_batch()["time"].cast("int64").to_pylist()
+    ]
+    state = [i for i, (path, t) in enumerate(order) if path == "/state" and t > T0]
+    assert len(state) > 150 and min(state) > max(i for i, (path, _) in enumerate(order) if path == "/ddi/story_1")
+
+
+def test_a_diagnosis_after_the_last_window_changes_the_state_that_is_shown(tmp_path: Path) -> None:
+    file = tmp_path / "live.rrd"
+    view = RerunPublisher(SCENE, file=file, serve=None, lossless=True)
+    view.state(Assessment(State.ADVISORY, "Story 2 lost 3 %."))
+    view.window(window(0), "")
+    view.finding({"t_ns": T0, "verdict": "named", "says": "Channels a1 and a3 are swapped.", "reason": "misfit"})
+    view.state(Assessment(State.DOUBTFUL, "Diagnosis 001: Channels a1 and a3 are swapped."))
+    view.close(60.0)
+    assert view.failed is None
+    t_ns, text, _ = told(file)[-1]
+    assert t_ns == window(0).t_end_ns and "# DOUBTFUL" in text and "swapped" in text
+    assert "Cause named" in read(file)["/verdict"][T0][0]
+
+
+@pytest.mark.parametrize(
+    ("has_baseline", "detectable", "colours"),
+    [
+        (True, (0.02, 0.02, 0.02), "green amber green"),
+        (True, (0.02, 0.02, np.inf), "green amber grey"),
+        (True, None, "grey grey grey"),
+        (False, None, "grey grey grey"),
+    ],
+)
+def test_a_story_is_green_only_where_a_loss_would_have_been_seen(
+    has_baseline: bool, detectable: tuple[float, ...] | None, colours: str, tmp_path: Path
+) -> None:
+    file = tmp_path / "live.rrd"
+    view = RerunPublisher(replace(SCENE, has_baseline=has_baseline), file=file, serve=None, lossless=True)
+    result = window(0)
+    assert result.damage is not None
+    damage = replace(result.damage, ddi=np.array([0.0, 0.05, 0.0 if detectable == (0.02, 0.02, 0.02) else 0.4]))
+    view.window(
+        replace(result, damage=damage, detectable_loss=None if detectable is None else np.array(detectable)), ""
+    )
+    view.close(60.0)
+    assert view.failed is None
+    (chunk,) = [c for c in RrdReader(file).stream() if c.entity_path == "/frame/stories/labels"]
+    batch = chunk.to_record_batch()
+    ((*drawn,),) = batch[next(n for n in batch.schema.names if n.endswith(":colors"))].to_pylist()
+    named = {"green": rerun_scene.GREEN, "amber": rerun_scene.AMBER, "grey": rerun_scene.GREY}
+    assert drawn == [rgba(named[colour]) for colour in colours.split()]
+
+
+def test_a_viewer_that_joins_late_sees_the_state_at_the_next_window() -> None:
+    class Stream:
+        def log(self, *args: object, **more: object) -> None: ...
+        def send_columns(self, path: str, indexes: object, columns: object) -> None:
+            sent.append(path)
+
+    sent: list[str] = []
+    drawing = StateDrawing(cast("rr.RecordingStream", Stream()), live=True)
+    drawing.take(Assessment(State.ALARM, "Story 2 lost 12 %."))
+    for k in range(3):
+        drawing.draw(T0 + k)
+        drawing.send()
+    assert sent.count("/state/lamp") == 3
+    drawing.take(Assessment(State.NOT_JUDGED, "No data since noon."))
+    assert sent.count("/state/lamp") == 4, "at once: where the source is silent no window follows"
 
 
 def test_the_block_size_does_not_matter(tmp_path: Path) -> None:
@@ -381,13 +517,14 @@ def test_mode_shapes_move_on_a_timeline_of_their_own(tmp_path: Path) -> None:
     view.window(window(0), "")
     view.close(60.0)
     moving = [
-        c for c in RrdReader(file).stream() if c.timeline_names == ["phase"] and c.entity_path == "/frame/modes/floors"
+        c for c in RrdReader(file).stream() if c.timeline_names == ["phase"] and c.entity_path == "/frame/modes/nodes"
     ]
     column = next(n for n in moving[0].to_record_batch().schema.names if n.endswith(":positions"))
     steps = np.array([p for c in moving for p in c.to_record_batch()[column].to_pylist()])
     assert len(steps) == 24
     top = steps[:, 0, 0]
-    np.testing.assert_allclose(top - 1.15, 0.2 * np.cos(2 * np.pi * np.arange(24) / 24), atol=1e-5)
+    still = SCENE.plan.offset(0)[0]
+    np.testing.assert_allclose(top - still, 0.15 * np.cos(2 * np.pi * np.arange(24) / 24), atol=1e-5)
 
 
 def test_a_long_history_grows_slowly_and_keeps_what_matters() -> None:
@@ -403,3 +540,106 @@ def test_a_long_history_grows_slowly_and_keeps_what_matters() -> None:
     assert few.shape == (4, 2)
     assert np.all(np.diff(times) > 0)
     np.testing.assert_array_equal([few.min(axis=0), few.max(axis=0)], [values.min(axis=0), values.max(axis=0)])
+
+
+# --- any structure is drawn ---
+
+
+def chunk_rows(file: Path, path: str, component: str) -> list[np.ndarray]:
+    """Rows of a component of an entity on the timeline ``time``."""
+    out = []
+    for c in RrdReader(file).stream():
+        if c.entity_path == path and not c.is_static and c.timeline_names == ["time"]:
+            batch = c.to_record_batch()
+            names = [n for n in batch.schema.names if n.endswith(component)]
+            out += [np.array(row) for name in names for row in batch[name].to_pylist()]
+    return out
+
+
+def bridge_scene() -> tuple[Scene, Configuration]:
+    """A bridge of 30 m: 5 sensors, 12 degrees of freedom of which 7 are rotations, 6 elements."""
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "bridge.toml"
+        bridge(file)
+        config = configuration.load(file)
+    scene = make_scene(
+        "bridge", config.drawing, config.story_names, {s.channel: s.floor for s in config.sensors}, config.model(), None,
+        alarm_loss=0.1, cutoff_hz=40.0, misfit_threshold=5.0, max_modes=8,
+    )  # fmt: skip
+    return scene, config
+
+
+def bridge_window(config: Configuration) -> WindowResult:
+    """The first three modes as the five sensors show them, and no damage."""
+    modes = config.model().modes()
+    found = ModalEstimate(
+        frequencies_hz=modes.frequencies_hz[:3],
+        damping_ratio=np.full(3, 0.01),
+        shapes=modes.shapes[:5, :3].T.astype(complex),
+        model_mode=np.arange(3),
+        deviations=np.full((4, 3, 12), 0.001),
+        first=0,
+        order=20,
+        poles=np.zeros((0, 4)),
+    )
+    damage = DamageReading(np.zeros(6), np.eye(6) * 1e-4, np.zeros(6), np.zeros(6))
+    return replace(window(0), modes=found, stiffness=None, damage=damage)
+
+
+def test_a_bridge_is_drawn_as_a_bridge_and_its_rotations_are_no_sway(tmp_path: Path) -> None:
+    scene, config = bridge_scene()
+    assert scene.n_modes == 3, "those below the highest frequency, not as many as stiffnesses"
+    file = tmp_path / "live.rrd"
+    view = RerunPublisher(scene, file=file, serve=None, lossless=True)
+    view.window(bridge_window(config), "")
+    view.close(60.0)
+    assert view.failed is None
+    (members,) = chunk_rows(file, "/frame/stories", ":strips")
+    np.testing.assert_allclose(members[:, :, 0], [[i / 6, (i + 1) / 6] for i in range(6)], atol=1e-6)
+    assert not members[:, :, 1:].any(), "flat, from bearing to bearing"
+    (nodes,) = chunk_rows(file, "/frame/modes/nodes", ":positions")
+    assert nodes.shape == (15, 3), "five moving nodes a mode"
+    for k in range(3):
+        shape = nodes[5 * k : 5 * k + 5] - scene.plan.points[1:6] - scene.plan.offset(k)
+        sine = np.sin((k + 1) * np.pi * np.arange(1, 6) / 6)
+        np.testing.assert_allclose(np.abs(shape[:, 2]), 0.15 * np.abs(sine) / np.abs(sine).max(), atol=1e-3)
+        np.testing.assert_allclose(shape[:, :2], 0.0, atol=1e-6)
+
+
+def test_a_degree_of_freedom_without_sensor_moves_as_the_model_says() -> None:
+    modes = bridge_scene()[1].model().modes()
+    for k in range(3):
+        full = modes.shapes[:, k]
+        seen = np.array([0, 2, 3])
+        np.testing.assert_allclose(expand_shape(-3.0 * full[seen] + 0j, full, seen), -3.0 * full, rtol=1e-9)
+
+
+def test_without_nodes_matrices_are_a_list_of_their_stiffnesses(tmp_path: Path) -> None:
+    scene, config = bridge_scene()
+    listed = replace(scene, drawing=config.structure.drawing())
+    file = tmp_path / "live.rrd"
+    view = RerunPublisher(listed, file=file, serve=None, lossless=True)
+    view.window(bridge_window(config), "")
+    view.close(60.0)
+    assert view.failed is None
+    (bars,) = chunk_rows(file, "/frame/stories", ":strips")
+    assert np.all(np.diff(bars[:, 0, 2]) < 0) and np.ptp(bars[:, 0, 0]) == 0, "one below the other"
+    assert not chunk_rows(file, "/frame/modes/nodes", ":positions"), "no motion of a form that nobody knows"
+
+
+@pytest.mark.parametrize("n", [1, 3, 8])
+def test_every_mode_has_an_axis_of_its_own(n: int) -> None:
+    origins = _origins(_healthy(replace(SCENE, n_modes=n)))
+    assert [o for o in origins if o.startswith("/modes/frequency")] == [
+        f"/modes/frequency/{i}" for i in range(1, n + 1)
+    ]
+
+
+def _origins(view: object) -> list[str]:
+    """Origins of all views below one."""
+    found = [str(view.origin)] if getattr(view, "origin", None) else []
+    return found + [o for part in getattr(view, "contents", []) if not isinstance(part, str) for o in _origins(part)]
+
+
+def test_colours_do_not_repeat_within_a_dozen() -> None:
+    assert len(set(rerun_scene.SERIES)) == len(rerun_scene.SERIES) == 12

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import json
 import os
 import signal
@@ -11,7 +12,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -27,6 +28,7 @@ from drivers.recorder import unfit
 from monitor.config import configuration
 from monitor.core.errors import BadConfigurationError, BadInputError, MissingInputError
 from monitor.core.results import Gap, WindowResult
+from monitor.damage import Assessment, State
 from monitor.publish.results.lines import to_json
 from monitor.runs.session import Session
 from monitor.service import appended_lines
@@ -65,7 +67,7 @@ Step = SampleBlock | Exception | None
 class Scripted:
     """A source that gives what it was told to: blocks, errors, or nothing in time."""
 
-    def __init__(self, script: Sequence[Step], hold: threading.Event | None = None) -> None:
+    def __init__(self, script: Iterable[Step], hold: threading.Event | None = None) -> None:
         self._script: Iterator[Step] = iter(script)
         self._hold = hold
         self.opened = self.closed = self.given = 0
@@ -487,6 +489,39 @@ def test_a_source_that_hangs_does_not_keep_it_from_ending(site: Path, record: np
     Daemon(site, Hanging(cut(record, RATE), hold=released)).run()
     released.set()
     assert len(lines(site.parent / "out")) == 9
+
+
+def test_without_data_a_line_of_health_comes_at_the_stated_interval(site: Path) -> None:
+    """The daemon's clock is the test's: an hour of silence takes no time."""
+    seconds = itertools.count(0.0, 5.0)
+    Daemon(site, Scripted([None] * 1000), clock=lambda: next(seconds), tick_s=0.001, quiet_s=60.0).run()
+    told = health(site.parent / "out")
+    assert len(told) > 20 and all(line["t_ns"] is None for line in told)
+
+
+def test_a_state_is_outdated_once_no_data_have_come_for_a_window_s_length(
+    site: Path, record: np.ndarray, cut: Cut
+) -> None:
+    said: list[Assessment] = []
+    seconds = [0.0]
+
+    class States(Outlet):
+        def state(self, assessment: Assessment) -> None:
+            said.append(assessment)
+
+    def script() -> Iterator[Step]:
+        """The clock runs while the source is silent."""
+        yield from cut(record, RATE)
+        while not said[-1].headline.startswith("No data") and seconds[0] < 1e5:
+            seconds[0] += 5.0
+            yield None
+
+    Daemon(site, Scripted(script()), [States()], clock=lambda: seconds[0], tick_s=0.001).run()
+    assert said[0].headline == "No window of data yet."
+    assert said[-1].state is State.NOT_JUDGED and said[-1].headline.startswith("No data since 20")
+    assert any(doubt.startswith("Before: no baseline") for doubt in said[-1].doubts)
+    summary = json.loads((site.parent / "out" / "summary.json").read_text())
+    assert {key: summary[key] for key in said[-1].content} == said[-1].content
 
 
 def test_a_drivers_bug_is_not_swallowed(site: Path) -> None:

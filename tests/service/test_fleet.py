@@ -15,9 +15,10 @@ import tomlkit
 from deploy.compose import composed
 from drivers.zenoh_bus import PublisherSettings, ZenohPublisher
 from monitor.config import configuration
+from monitor.damage import State
 from monitor.model.simulation import simulate
 from monitor.service import fleet
-from monitor.service.fleet import ALARM, TROUBLE, WELL, SiteStatus, status
+from monitor.service.fleet import SiteStatus, code, status
 from monitor.service.fleet_view import text
 from tests.conftest import T0_NS, Cli, Cut
 from tests.support.live_rig import DEPLOY, Command, until
@@ -29,61 +30,93 @@ NOW_NS = 1_800_000_000_000_000_000
 HEALTH = {"wall_ns": NOW_NS - 10**9, "source": {"connected": True}, "failed": {}}
 RESULT = {"t_end_ns": 7, "ddi": [0.01, 0.2], "ddi_std": [0.01, 0.02], "frequencies_hz": [5.2, 16.0], "skipped": None}
 QUIET = {"level": "normal", "active": {}, "reason": ""}
+WELL: dict[str, Any] = {"state": "normal", "headline": "No loss above 2.3 % in any story.", "doubts": []}
+LOST: dict[str, Any] = {
+    "state": "warning",
+    "headline": "Story 2 lost 20.0 ± 4.0 % of its stiffness.",
+    "doubts": ["A doubt."],
+}
 
 
 def told(**answer: Any) -> SiteStatus:
-    whole = {"results": RESULT, "alarm": QUIET, "health": HEALTH, "gap": None, **answer}
+    whole: dict[str, Any] = {**WELL, "results": RESULT, "alarm": QUIET, "health": HEALTH, "gap": None, **answer}
     return status("a", json.dumps(whole).encode(), True, NOW_NS, 60.0)
 
 
 def test_a_site_that_is_well_says_its_largest_loss_and_first_mode() -> None:
-    assert told() == SiteStatus("a", WELL, "", (), 0.2, 0.02, 5.2, 7, 1.0)
+    wanted = SiteStatus("a", State.NORMAL, WELL["headline"], (), (), (), 0.2, 0.02, 5.2, 7, 1.0)
+    assert told() == wanted and wanted.content["says"] == WELL["headline"] and code([wanted]) == 0
 
 
 def test_an_alarm_is_said_with_its_stories() -> None:
-    found = told(alarm={"level": "alarm", "active": {"2": "alarm"}, "reason": "story 2 lost 20 %"})
-    assert (found.state, found.stories, found.says) == (ALARM, (2,), "story 2 lost 20 %")
+    found = told(**LOST, alarm={"level": "warning", "active": {"2": "warning"}, "reason": "story 2 lost 20 %"})
+    assert (found.state, found.stories, found.says) == (State.WARNING, (2,), LOST["headline"])
+    assert found.doubts == ("A doubt.",) and code([found, told()]) == 10
 
 
 @pytest.mark.parametrize(
     ("answer", "says"),
     [
-        ({"health": {**HEALTH, "wall_ns": NOW_NS - 90 * 10**9}}, "silent for 90 s"),
-        ({"health": {**HEALTH, "source": {"connected": False, "detail": "cable out"}}}, "no data: cable out"),
-        ({"health": {**HEALTH, "failed": {"recorder": "disk full"}}}, "recorder: disk full"),
-        ({"results": {**RESULT, "ddi": None, "ddi_std": None, "skipped": "a gap"}}, "nothing judged: a gap"),
+        ({"source": {"connected": False, "detail": "cable out"}}, "no data: cable out"),
+        ({"failed": {"recorder": "disk full"}}, "recorder: disk full"),
     ],
 )
-def test_what_cannot_be_relied_on_is_trouble(answer: dict[str, Any], says: str) -> None:
-    assert (told(**answer).state, told(**answer).says) == (TROUBLE, says)
+def test_what_does_not_work_of_a_monitor_is_no_all_clear(answer: dict[str, Any], says: str) -> None:
+    found = told(health={**HEALTH, **answer})
+    assert (found.state, found.says, code([found])) == (State.NORMAL, f"{WELL['headline']} {says}.", 11)
 
 
-def test_trouble_never_hides_an_alarm() -> None:
-    alarm = {"level": "warning", "active": {"1": "warning"}, "reason": "story 1"}
-    found = told(alarm=alarm, health={**HEALTH, "wall_ns": 0})
-    assert found.state == "warning" and "silent" in found.says
+def test_a_silent_monitor_judges_nothing_and_an_alarm_stands_with_its_time() -> None:
+    found = told(health={**HEALTH, "wall_ns": NOW_NS - 90 * 10**9})
+    assert (found.state, found.says) == (State.NOT_JUDGED, "The monitor is silent for 90 s.")
+    assert found.doubts == ("Before: no loss above 2.3 % in any story, as of 1970-01-01 00:00 UTC.",)
+    found = told(**LOST, health={**HEALTH, "wall_ns": NOW_NS - 90 * 10**9})
+    assert found.state is State.WARNING and found.says.endswith("stiffness, as of 1970-01-01 00:00 UTC.")
+    assert found.doubts[0] == "The monitor is silent for 90 s."
+
+
+@pytest.mark.parametrize("state", ["doubtful", "not_judged"])
+def test_what_is_not_judged_is_not_normal(state: str) -> None:
+    found = told(state=state, headline="No window could be judged.")
+    assert (found.state.value, code([told(), found])) == (state, 11)
+
+
+def test_an_older_monitor_that_says_no_state_is_not_judged_but_its_alarm_stands() -> None:
+    older: dict[str, Any] = {"results": RESULT, "health": HEALTH, "alarm": QUIET}
+    assert status("a", json.dumps(older).encode(), True, NOW_NS, 60.0).state is State.NOT_JUDGED
+    older["alarm"] = {"level": "alarm", "active": {"1": "alarm"}, "reason": "story 1 lost 12 %"}
+    found = status("a", json.dumps(older).encode(), True, NOW_NS, 60.0)
+    assert (found.state, found.says) == (State.ALARM, "story 1 lost 12 %")
+
+
+def test_no_site_at_all_is_no_all_clear() -> None:
+    assert code([]) == 11
 
 
 @pytest.mark.parametrize(
     "answer", [b"", b"[]", b'"x"', b"{", b'{"results": 3}', b'{"health": {"wall_ns": "x"}}', b"\xff"]
 )
-def test_an_answer_that_makes_no_sense_is_trouble(answer: bytes) -> None:
-    assert status("a", answer, True, NOW_NS, 60.0).says == "its answer cannot be understood"
+def test_an_answer_that_makes_no_sense_is_not_judged(answer: bytes) -> None:
+    found = status("a", answer, True, NOW_NS, 60.0)
+    assert (found.state, found.says) == (State.NOT_JUDGED, "The monitor's answer cannot be understood.")
 
 
 def test_a_young_monitor_has_said_nothing_yet() -> None:
-    assert told(results=None, alarm=None, health=None) == SiteStatus("a", WELL, "")
+    young = {"state": "not_judged", "headline": "No window of data yet.", "doubts": []}
+    found = told(**young, results=None, alarm=None, health=None)
+    assert found == SiteStatus("a", State.NOT_JUDGED, "No window of data yet.")
 
 
 def test_who_is_missing_is_told_from_who_hangs() -> None:
-    assert status("a", None, False, NOW_NS, 60.0).says == "not there"
-    assert status("a", None, True, NOW_NS, 60.0).says == "there, but does not answer"
+    assert status("a", None, False, NOW_NS, 60.0).says == "The monitor is not there."
+    assert status("a", None, True, NOW_NS, 60.0).says == "The monitor is there, but does not answer."
 
 
 def test_the_table_has_a_line_a_site() -> None:
     lines = text([told(), status("b", None, False, NOW_NS, 60.0)]).splitlines()
-    assert lines[1].split() == ["a", "normal", "20.0", "+-", "2.0", "%", "5.2", "Hz", "1970-01-01T00:00:00"]
-    assert lines[2].split() == ["b", "trouble", "not", "there"]
+    assert lines[1].split()[:9] == ["a", "normal", "20.0", "+-", "2.0", "%", "5.2", "Hz", "1970-01-01T00:00:00"]
+    assert lines[1].endswith(WELL["headline"])
+    assert lines[2].split() == ["b", "not", "judged", "The", "monitor", "is", "not", "there."]
 
 
 def test_a_hundred_services() -> None:
@@ -178,15 +211,18 @@ def overlooked(tmp_path: Path, count: int, frame_text: str, cut: Cut, main: Cli)
             assert (tmp_path / "fleet.rrd").stat().st_size > 1000
             assert list(found) == ["frame-0", *sorted(names)]
             for name in names:
-                assert found[name]["state"] == WELL, found[name]
+                assert found[name]["state"] == "not_judged", found[name]
+                assert (
+                    found[name]["headline"].startswith(("No baseline", "No data since")) and not found[name]["troubles"]
+                )
                 np.testing.assert_allclose(found[name]["frequency_hz"], first[name], rtol=0.03)
-            assert found["frame-0"]["says"] == "not there"
+            assert found["frame-0"]["says"] == "The monitor is not there."
             print(
                 f"{count} daemons: {max(d.rss_mb for d in daemons):.0f} MiB, {max(d.cpu_s for d in daemons):.1f} s each"
             )
             daemons[-1].kill()
-            until(lambda: look()[names[-1]]["says"] == "not there", "the one that died is missed")
-            assert all(look()[name]["state"] == WELL for name in names[:-1])
+            until(lambda: look()[names[-1]]["says"] == "The monitor is not there.", "the one that died is missed")
+            assert all(look()[name]["frequency_hz"] for name in names[:-1])
     finally:
         router.kill()
 

@@ -83,6 +83,21 @@ def test_what_is_put_in_comes_out_once(begin: Callable[[], History], place: Path
     assert rows(place, "SELECT verdict, causes FROM findings") == [("named", '["x"]')]
 
 
+def test_the_state_of_a_window_is_kept_also_in_a_database_that_knew_no_state(
+    begin: Callable[[], History], place: Path, tmp_path: Path
+) -> None:
+    with closing(sqlite3.connect(place)) as database:
+        database.executescript(history._SCHEMA.replace(" state TEXT,", "") + "PRAGMA user_version = 1;")
+        database.execute("INSERT INTO windows (t_end_ns, window) VALUES (?, 0)", (T0_NS,))
+        database.commit()
+    one = begin()
+    one.window(line(1, state="doubtful"))
+    one.close(10.0)
+    assert rows(place, "SELECT window, state FROM windows ORDER BY window") == [(0, None), (1, "doubtful")]
+    assert export(place, "windows", tmp_path / "w.parquet", ALL) == 2
+    assert pyarrow.parquet.read_table(tmp_path / "w.parquet")["state"].to_pylist() == [None, "doubtful"]
+
+
 def test_without_a_history_there_is_no_database(place: Path, tmp_path: Path) -> None:
     none = History(place, StateSettings(history=False), 10.0, 10.0)
     none.window(line(0))

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from monitor.core.results import Alarm, AlarmCondition, Level, Skipped, WindowResult
+from monitor.damage import Assessment, State
 from monitor.service.daemon_health import losses
 from monitor.service.outlets import notify
 from monitor.service.outlets.notices import Notice, NoticeSettings, Told, of_finding, of_health, of_window
@@ -24,6 +25,7 @@ from monitor.service.outlets.outbox import Outbox
 from tests.support.zenoh_router import free_port
 
 SETTINGS = NoticeSettings()
+WELL = Assessment(State.NORMAL, "No loss above 2.3 % in any story.")
 
 
 def window(t_s: float, skipped: str | None = None, shelved: tuple[int, ...] = (), **levels: Level) -> WindowResult:
@@ -45,7 +47,7 @@ def health(*, data: bool = True, recording: bool | None = True) -> dict[str, Any
 def titles(results: list[WindowResult], settings: NoticeSettings = SETTINGS, told: Told = Told()) -> list[str]:  # noqa: B008
     said = []
     for result in results:
-        told, notices = of_window(told, result, settings)
+        told, notices = of_window(told, result, WELL, settings)
         said += [notice.title for notice in notices]
     return said
 
@@ -73,7 +75,7 @@ def test_skipped_windows_change_nothing_until_they_last() -> None:
     course = [window(0, s2=Level.WARNING), *(window(t, skipped="gap in the data") for t in range(10, 3600, 10))]
     assert titles(course) == ["warning: story 2"]
     longer = [*course, window(3600, "gap in the data"), window(3610, "gap in the data"), window(3620, s2=Level.WARNING)]
-    assert titles(longer) == ["warning: story 2", "nothing can be said", "windows are judged again"]
+    assert titles(longer) == ["warning: story 2", "not judged", "judged again"]
     assert titles(course, told=Told(judged_ns=-round(1e13))) == ["warning: story 2"]
 
 
@@ -94,11 +96,57 @@ def test_source_and_recorder() -> None:
     assert said == [lost, ("recorder stopped", False), back, ("recorder goes on", True)]
 
 
+def told_of(course: list[tuple[WindowResult, Assessment]], told: Told = Told()) -> tuple[Told, list[Notice]]:  # noqa: B008
+    said: list[Notice] = []
+    for result, present in course:
+        told, notices = of_window(told, result, present, SETTINGS)
+        said += notices
+    return told, said
+
+
+DOUBTFUL = Assessment(State.DOUBTFUL, "Goodness of fit 31.", ("A doubt.",))
+UNSEEN = Assessment(State.NOT_JUDGED, "No loss would have been seen.")
+
+
+def test_a_doubt_is_told_once_it_has_lasted_a_window_s_length_and_so_is_its_end() -> None:
+    one = [(window(0), WELL), (window(10), DOUBTFUL), (window(20), WELL), (window(30), DOUBTFUL), (window(40), WELL)]
+    assert told_of(one)[1] == []
+    told, said = told_of([(window(10.0 * k), DOUBTFUL) for k in range(9)])
+    assert said == [Notice("doubtful", False, "doubtful", "Goodness of fit 31.\nA doubt.")]
+    back = [(window(100), WELL), (window(110), DOUBTFUL), *((window(t), WELL) for t in (120, 130, 140, 150))]
+    assert [n.title for n in told_of(back, told)[1]] == ["no longer doubtful: normal"]
+
+
+def test_an_alarm_speaks_for_the_doubts_beside_it() -> None:
+    lost = Assessment(State.WARNING, "Story 2 lost 5 %.", ("Goodness of fit 31.",))
+    told, said = told_of([(window(10.0 * k, s2=Level.WARNING), lost) for k in range(9)])
+    assert said == [Notice("alarm", False, "warning: story 2", "Story 2 lost 5 %.\nGoodness of fit 31.")]
+    assert [n.title for n in told_of([(window(90), WELL)], told)[1]] == ["cleared: story 2"]
+
+
+def test_that_nothing_would_have_been_seen_is_told_as_long_as_that_nothing_was_judged() -> None:
+    young = [(window(10.0 * k), UNSEEN) for k in range(300)]
+    assert told_of([*young, (window(3000), WELL)])[1] == []
+    course = [(window(10.0 * k), UNSEEN) for k in range(500)] + [(window(5000), WELL)]
+    assert told_of(course)[1] == [
+        Notice("blind", False, "not judged", UNSEEN.headline),
+        Notice("blind", True, "judged again", WELL.headline),
+    ]
+
+
 def test_findings() -> None:
     found = {"verdict": "named", "says": "story 2 lost 6 %"}
-    assert [n.text for n in of_finding(found, SETTINGS)] == ["story 2 lost 6 %"]
-    assert of_finding({"verdict": None, "says": ""}, SETTINGS) == []
-    assert of_finding(found, NoticeSettings(findings=False)) == []
+    assert [n.text for n in of_finding(Told(), found, WELL, SETTINGS)[1]] == ["story 2 lost 6 %"]
+    assert of_finding(Told(), {"verdict": None, "says": ""}, WELL, SETTINGS) == (Told(), [])
+    assert of_finding(Told(), found, WELL, NoticeSettings(findings=False)) == (Told(), [])
+
+
+def test_a_finding_that_makes_the_state_doubtful_is_one_message() -> None:
+    doubtful = Assessment(State.DOUBTFUL, "Diagnosis 001: channels a1 and a3 are swapped (a proposal until accepted).")
+    found = {"verdict": "named", "says": "channels a1 and a3 are swapped."}
+    told, (notice,) = of_finding(Told(), found, doubtful, SETTINGS)
+    assert notice.text == f"doubtful: {doubtful.headline}"
+    assert told_of([(window(10.0 * k), doubtful) for k in range(9)], told)[1] == []
 
 
 class Hook(http.server.ThreadingHTTPServer):

@@ -111,12 +111,14 @@ def test_status_tells_in_ten_lines(running: Running, main: Cli) -> None:
     until(lambda: (out / "summary.json").exists(), "a summary")
     for place in (running.site, out):
         done = main("status", place)
-        assert done.returncode == 0, done.stdout + done.stderr
+        assert done.returncode == 11, done.stdout + done.stderr
         rows = done.stdout.splitlines()
-        assert len(rows) <= 12 and rows[0].split()[-1] and "100.00 % available" in done.stdout
+        assert len(rows) <= 12 and rows[0].startswith("state     NOT JUDGED: No baseline to compare with")
+        assert "running, up" in rows[1] and "blocked: nothing" in rows[1] and "100.00 % available" in done.stdout
         assert "% against the structure file" in done.stdout and "no baseline, so none can be raised" in done.stdout
     found = json.loads(main("status", out, "--json").stdout)
-    assert found["running"] and found["exit_code"] == 0 and found["health"]["source"]["connected"]
+    assert found["running"] and found["exit_code"] == 11 and found["health"]["source"]["connected"]
+    assert (found["state"], found["monitor"], found["doubts"]) == ("not_judged", "running", [])
 
 
 def test_a_request_is_applied_and_noted(running: Running, main: Cli) -> None:
@@ -148,6 +150,7 @@ def test_metrics_are_there_and_few(running: Running) -> None:
     until(lambda: scrape().get("shm_windows_total", 0) > 0, "windows are counted")
     seen = scrape()
     assert seen["shm_source_connected"] == seen["shm_recorder_recording"] == 1
+    assert seen["shm_state|not_judged"] == 1 and sum(v for name, v in seen.items() if "shm_state|" in name) == 1
     assert seen["shm_latency_seconds_bucket|+Inf"] > 0 and seen["shm_samples_total"] > 0
     assert len(seen) < 150
 
@@ -160,9 +163,9 @@ def test_a_skipped_window_s_reason_has_its_class() -> None:
         "channel a1 is clipped (60 % of its samples)": "clipped_channel",
         "response too close to the noise (spectral flatness 0.97)": "noise",
         "every mode of the model lies beyond the band; check the units of masses and stiffness": "beyond_band",
-        "no stable pole for mode 2 of the model (frequency and shape)": "modes",
+        "mode 2 (5.67 Hz by the model): no stable pole near it": "modes",
         "no order shows every mode": "modes",
-        "model updating did not converge": "updating",
+        "model updating did not converge with mode 3 (5.67 Hz by the model, 6.68 Hz in the data)": "updating",
         "whatever comes": "other",
     }
     assert {reason: reason_class(reason) for reason in reasons} == reasons
@@ -194,6 +197,7 @@ def test_the_end_is_told(running: Running, main: Cli) -> None:
     assert running.process.wait(30.0) == 0
     done = main("status", running.site)
     assert done.returncode == 12 and "not running" in done.stdout
+    assert done.stdout.startswith("state     NOT JUDGED: The monitor does not run since 20")
     assert main("status", running.site.parent / "nothing").returncode == 66
     with pytest.raises(MissingInputError, match="no daemon has written"):
         look(running.site.parent)

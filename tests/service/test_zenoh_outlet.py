@@ -18,7 +18,7 @@ import zenoh
 
 from drivers.zenoh_session import SessionSettings, open_session
 from monitor.core.results import WHOLE, Alarm, AlarmCondition, DamageReading, Gap, Level, Skipped, WindowResult
-from monitor.damage import alarm
+from monitor.damage import Assessment, State, alarm
 from monitor.publish.results.lines import to_json, window_line
 from monitor.service.outlets.zenoh import ZenohOut, ZenohOutSettings
 from monitor.service.requests import MAX_REQUEST_BYTES, Request, apply
@@ -98,8 +98,15 @@ def test_results_as_in_the_file_and_alarms_when_they_change(out: ZenohOut, perso
 
 
 def test_the_state_is_the_latest_of_everything(out: ZenohOut, person: zenoh.Session) -> None:
+    seen, lost = listen(person), Assessment(State.ALARM, "Story 2 lost 12 %.", ("A doubt.",))
     until(lambda: ask(person, "state"), "the monitor is there")
-    assert ask(person, "state") == {"results": None, "alarm": None, "health": None, "gap": None, "finding": None}
+    nothing = dict.fromkeys(("results", "alarm", "health", "gap", "finding"))
+    state = {"state": "not_judged", "headline": "No window of data yet.", "doubts": []}
+    assert ask(person, "state") == state | nothing
+    out.state(lost)
+    until(lambda: seen, "the state is published")
+    assert [(key, json.loads(text)) for key, text in seen] == [("state", lost.content)]
+    assert ask(person, "state") == lost.content | nothing
     for k in range(3):
         result, line = window(k, Level.ALARM)
         out.window(result, line)

@@ -6,17 +6,21 @@ import json
 import signal
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 import pytest
 from PIL import Image
 
 from monitor.core.results import Level
+from monitor.publish.reports.diagnosis_report import write_report
 from monitor.publish.reports.period_report import read_period, write_period
 from monitor.publish.viewer.publisher import RerunPublisher
+from tests.publish.test_diagnosis_report import LOSS, searched
 from tests.publish.test_period_report import json_lines, line_of
 from tests.publish.test_viewer import SCENE, window
 from tests.support.debian import demand
@@ -31,15 +35,69 @@ def shot(page: str, picture: Path, seconds: float = 1.0) -> subprocess.Completed
     return subprocess.run(command, capture_output=True, text=True, timeout=240, check=False)
 
 
+def browser_tool() -> ModuleType:
+    spec = spec_from_file_location("browser", ROOT / "docs/browser.py")
+    assert spec is not None
+    assert spec.loader is not None
+    tool = module_from_spec(spec)
+    spec.loader.exec_module(tool)
+    return tool
+
+
 @pytest.fixture(scope="module", autouse=True)
 def _chromium() -> None:
     demand("chromium")
 
 
+def write_period_report(folder: Path) -> None:
+    """Windows with an alarm, its diagnosis, and every table."""
+    json_lines(folder / "results.jsonl", [line_of(k) for k in range(9_900, 10_150)])
+    (folder / "findings").mkdir()
+    t_ns = int(str(line_of(10_010)["t_end_ns"]))
+    finding = {"id": "001", "t_ns": t_ns, "from_ns": t_ns, "reason": "warning", "verdict": "named", "says": "Softer."}
+    json_lines(folder / "findings/001.json", [finding])
+    channel = {"rms_m_s2": 3.0, "spikes": 0, "stuck_s": 0.0, "clipped_samples": 0}
+    channels = {"accelerometer on the roof, north-east corner": channel}
+    quality = {"availability": 1.0, "gaps": 1, "lost_s": 0.2, "overlaps": 0, "channels": channels}
+    (folder / "summary.json").write_text(json.dumps({"alarms": [], "quality": quality}))
+    write_period(folder / "r.html", read_period(folder, None, None))
+
+
+def write_diagnosis_report(folder: Path) -> None:
+    case = searched((LOSS,), (LOSS, "added_mass:floor 3:mass_kg=0.01"), "named", causes=1)
+    write_report(folder / "r.html", case.diagnosis, case.content, case.segments)
+
+
+@pytest.mark.parametrize("write", [write_period_report, write_diagnosis_report])
+def test_a_report_is_read_on_a_telephone_without_scrolling_sideways(
+    write: Callable[[Path], None], tmp_path: Path
+) -> None:
+    """At 390 px nothing reaches beyond the edge, no text is below 11 px, and no labels of an axis overlap."""
+    write(tmp_path)
+    smallest = """Math.min(...[...document.querySelectorAll('body *')].map(e =>
+      parseFloat(getComputedStyle(e).fontSize) * (e.getScreenCTM ? e.getScreenCTM().d : 1)))"""
+    overlaps = """[...document.querySelectorAll('figure > svg')].flatMap(s => {
+      const boxes = [...s.querySelectorAll('text')].map(t => t.getBoundingClientRect()).filter(b => b.width > 0);
+      return boxes.flatMap((a, i) => boxes.slice(i + 1).filter(b => a.left < b.right - 1 && b.left < a.right - 1 &&
+        a.top < b.bottom - 3 && b.top < a.bottom - 3)); }).length"""
+    with browser_tool().browser(1140, 1000) as page:
+        for width in (390, 1280):
+            size = {"width": width, "height": 800, "deviceScaleFactor": 1, "mobile": width < 500}
+            page.call("Emulation.setDeviceMetricsOverride", **size)
+            page.call("Page.navigate", url=(tmp_path / "r.html").as_uri())
+            for _ in range(60):
+                page.wait(0.5)
+                if page.value("document.readyState") == "complete":
+                    break
+            assert page.value("document.documentElement.scrollWidth") <= width
+            assert page.value(smallest) >= 11.0
+            assert page.value("document.querySelectorAll('figure > svg').length") >= 5
+            assert page.value(overlaps) == 0, width
+        assert page.errors == []
+
+
 def test_the_period_report_draws(tmp_path: Path) -> None:
-    json_lines(tmp_path / "results.jsonl", [line_of(k) for k in range(9_900, 10_150)])
-    (tmp_path / "summary.json").write_text(json.dumps({"alarms": []}))
-    write_period(tmp_path / "r.html", read_period(tmp_path, None, None))
+    write_period_report(tmp_path)
     done = shot(str(tmp_path / "r.html"), tmp_path / "r.png")
     assert (done.returncode, done.stderr) == (0, "")
     picture = np.asarray(Image.open(tmp_path / "r.png").convert("RGB")).astype(int)
@@ -64,30 +122,26 @@ def test_an_error_of_a_page_is_told(tmp_path: Path) -> None:
 @pytest.mark.timeout(1800)
 def test_the_viewer_draws_in_a_browser(tmp_path: Path) -> None:
     """`view --web`: sound stories green, the lost one red, on the dark ground of the panel with the structure."""
-    spec = spec_from_file_location("browser", ROOT / "docs/browser.py")
-    assert spec is not None
-    assert spec.loader is not None
-    tool = module_from_spec(spec)
-    spec.loader.exec_module(tool)
     publisher = RerunPublisher(SCENE, file=tmp_path / "live.rrd", serve=None, lossless=True)
     for k in range(20):
         result = window(k, Level.ALARM)
         assert result.damage is not None
-        publisher.window(replace(result, damage=replace(result.damage, ddi=np.array([0.0, 0.15, 0.0]))), "")
+        damage = replace(result.damage, ddi=np.array([0.0, 0.15, 0.0]))
+        publisher.window(replace(result, damage=damage, detectable_loss=np.full(3, 0.02)), "")
     publisher.close(60.0)
     command = [sys.executable, "-m", "monitor", "view", str(tmp_path), "--web", "--port", "0"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=ROOT) as server:
         try:
             assert server.stdout is not None
             address = server.stdout.readline().strip()
-            with tool.browser(1600, 1000) as page:
+            with browser_tool().browser(1600, 1000) as page:
                 page.call("Page.navigate", url=f"{address}&renderer=webgl")
                 sound = lost = 0
                 for _ in range(60):  # software rendering on a busy machine takes minutes
                     page.wait(10.0)
                     (tmp_path / "web.png").write_bytes(page.picture())
                     picture = np.asarray(Image.open(tmp_path / "web.png").convert("RGB")).astype(int)
-                    red, green, blue = np.moveaxis(picture[:450, :640], 2, 0)
+                    red, green, blue = np.moveaxis(picture[300:660, :640], 2, 0)
                     sound = int(((green - red > 60) & (green - blue > 40)).sum())
                     lost = int(((red - green > 100) & (red - blue > 100)).sum())
                     if min(sound, lost) > 500:

@@ -68,7 +68,10 @@ def test_the_viewer_draws_the_demo(results: tuple[Path, str], tmp_path: Path) ->
     green = (picture[:, :, 1] > 140) & (picture[:, :, 0] < 120) & (picture[:, :, 2] < 160)
     assert red.sum() > 500, "the story that lost stiffness and the alarm are red"
     assert green.sum() > 500, "the sound stories are green"
-    frame = np.s_[: picture.shape[0] // 2, : picture.shape[1] * 2 // 5]  # the panel with the structure
+    height, width = red.shape
+    lamp = np.s_[: height // 10, : width * 2 // 5]  # the bar in the colour of the state
+    assert red[lamp].sum() > 5000 and green[lamp].sum() < 50, "the state is alarm"
+    frame = np.s_[height * 3 // 10 : height * 2 // 3, : width * 2 // 5]  # the panel with the structure
     assert red[frame].sum() > 500, "the story that lost stiffness is red where the frame stands"
     assert green[frame].sum() > 1000, "the sound stories are green there"
     # Twelve tiles of the window: each shows something, text or lines, on its dark ground.

@@ -37,7 +37,7 @@ from monitor.model.effects.harmonic_excitation import HarmonicExcitation
 from monitor.model.effects.joint_flexibility import JointFlexibility
 from monitor.model.effects.parameter import Parameter
 from monitor.model.effects.quadratic_damping import QuadraticDamping
-from monitor.model.effects.report_face import FittedSizes, ParameterEstimates, interval, unit
+from monitor.model.effects.report_face import FittedSizes, LawFamily, ParameterEstimates, interval, unit
 from monitor.model.effects.sensor_clipping import SensorClipping
 from monitor.model.effects.sensor_gain import SensorGain
 from monitor.model.effects.sensor_noise import SensorNoise
@@ -92,6 +92,7 @@ __all__ = [
     "FittedModel",
     "FittedSizes",
     "Law",
+    "LawFamily",
     "LawKind",
     "Line",
     "Parameter",

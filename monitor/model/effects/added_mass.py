@@ -59,6 +59,8 @@ class AddedMass(Effect):
         """See `Effect.sentence`."""
         if fitted.location == "frame":
             return AddedMassEverywhere.sentence(fitted)
+        if not fitted.is_sized("mass_kg"):
+            return f"{fitted.location} carries more mass than {fitted.source}, too little to be sized"
         share = fitted.share_of_floor_mass("mass_kg")
         return f"{fitted.location} carries {fitted.interval('mass_kg')} more than {fitted.source}{share}"
 
@@ -82,4 +84,6 @@ class AddedMassEverywhere(Effect):
     @classmethod
     def sentence(cls, fitted: FittedSizes) -> str:
         """See `Effect.sentence`."""
+        if not fitted.is_sized("relative"):
+            return f"all floors are heavier than {fitted.source}, by too little to be sized"
         return f"all floors are {fitted.percent('relative')} heavier than {fitted.source}"

@@ -83,6 +83,8 @@ class AttachedOscillator(Effect):
     @classmethod
     def sentence(cls, fitted: FittedSizes) -> str:
         """See `Effect.sentence`."""
-        mass = f"{fitted.interval('mass_kg')}{fitted.share_of_floor_mass('mass_kg')}"
-        swings = f"swings by itself at {fitted.interval('frequency_hz')} with {fitted.percent('damping_ratio')} damping"
-        return f"something of {mass} on {fitted.location} {swings}"
+        mass = f" of {fitted.interval('mass_kg')}{fitted.share_of_floor_mass('mass_kg')}"
+        mass = fitted.sized("mass_kg", mass, "")
+        damping = fitted.sized("damping_ratio", f" with {fitted.percent('damping_ratio')} damping", "")
+        light = fitted.sized("mass_kg", "", ", too light to be sized")
+        return f"something{mass} on {fitted.location} swings by itself at {fitted.interval('frequency_hz')}{damping}{light}"

@@ -212,7 +212,7 @@ class Effect(ReportFace, ABC):
     """Whether the effect is a change of stories' stiffness, which the damage index measures, and no other cause of its change."""
     colour_title: ClassVar[str] = ""
     """Title of the curve of `colour` that a report draws in place of the parameters that are `drawn`; empty for no curve."""
-    form_doubt: ClassVar[tuple[float, ...]] = ()
+    form_uncertainty: ClassVar[tuple[float, ...]] = ()
     """Relative standard deviation of each parameter that the law's form leaves open, whatever the data; empty for none."""
 
     location: str
@@ -261,8 +261,8 @@ class Effect(ReportFace, ABC):
 
     @property
     def form_std(self) -> Array:
-        """Standard deviation of the coordinates by `form_doubt`, shape (p,)."""
-        return np.asarray(np.abs(self.coordinates) * np.array(self.form_doubt or (0.0,) * len(self.parameters)))
+        """Standard deviation of the coordinates by `form_uncertainty`, shape (p,)."""
+        return np.asarray(np.abs(self.coordinates) * np.array(self.form_uncertainty or (0.0,) * len(self.parameters)))
 
     def form_std_in(self, fitted: FittedModel) -> Array:
         """Return the standard deviation of the coordinates that the model's form leaves open in a fit, shape (p,).
@@ -337,12 +337,14 @@ class Effect(ReportFace, ABC):
         Raises
         ------
         EffectError
-            If the structure has no such story, floor or channel.
+            If the structure has no such story, floor or channel, or the story has no drift along which the effect could act.
         """
         kind, _, which = self.location.partition(" ")
         counts = {"story": (structure.n_stories, "stories"), "floor": (structure.n_dofs, "floors")}
         if kind in counts and self.index >= counts[kind][0]:
             raise EffectError("{}: {!r} does not exist; {} {}".format(self.name, self.location, *counts[kind]))
+        if kind == "story" and not self.is_stiffness_loss and not structure.single_springs()[self.index]:
+            raise EffectError(f"{self.name}: {self.location} is not a single spring, so it has no drift to act along")
         if kind == "channel":
             for name in which.split(","):
                 if name not in channels:

@@ -23,7 +23,7 @@ class BaseExcitation(Effect):
 
     conditional: ClassVar[bool] = True
     # It is not known up to which frequency the ground's motion and the forces are white.
-    form_doubt: ClassVar[tuple[float, ...]] = (0.03,)
+    form_uncertainty: ClassVar[tuple[float, ...]] = (0.03,)
 
     share: float
     """Share of a channel's acceleration variance at the source's rate that the ground causes, mean over channels."""
@@ -41,4 +41,5 @@ class BaseExcitation(Effect):
     @classmethod
     def sentence(cls, fitted: FittedSizes) -> str:
         """See `Effect.sentence`."""
-        return f"the ground moves: it causes {fitted.percent('share')} of the acceleration's variance"
+        share = f": it causes {fitted.percent('share')} of the acceleration's variance"
+        return f"the ground moves{fitted.sized('share', share)}"

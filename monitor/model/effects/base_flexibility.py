@@ -57,4 +57,5 @@ class BaseFlexibility(Effect):
         lowest = fitted.structure.stiffness_n_per_m[-1]
         lost = 100.0 * lowest / (lowest + fitted.value("stiffness_n_per_m"))
         spring = fitted.interval("stiffness_n_per_m")
-        return f"the base gives way like a spring of {spring}, which takes {lost:.1f} % from the lowest story"
+        size = f" like a spring of {spring}, which takes {lost:.1f} % from the lowest story"
+        return f"the base gives way{fitted.sized('stiffness_n_per_m', size)}"

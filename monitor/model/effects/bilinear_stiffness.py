@@ -9,7 +9,7 @@ from monitor.core import Array
 from monitor.model.effects.base import Condition, Context, Effect, FittedModel, Law, LawKind, System, blurred_by_form
 from monitor.model.effects.gap_contact import mean_contact
 from monitor.model.effects.parameter import Parameter
-from monitor.model.effects.report_face import FittedSizes
+from monitor.model.effects.report_face import FittedSizes, LawFamily, ParameterEstimates
 from monitor.model.structures import Structure
 
 
@@ -28,12 +28,13 @@ class BilinearStiffness(Effect):
     signature: ClassVar[str] = (
         "half the frequency drop of an open crack, the same at every level, with a skewed drift and second harmonics"
     )
+    noun: ClassVar[str] = "a crack that opens"
     separating_measurement: ClassVar[str] = (
         "push the story both ways with a known force: an open crack is softer one way"
     )
     nonlinear: ClassVar[bool] = True
     amplitude_powers: ClassVar[tuple[float, ...]] = (0.0,)
-    form_doubt: ClassVar[tuple[float, ...]] = (0.015,)  # independently written simulators differ by 1 to 2 %
+    form_uncertainty: ClassVar[tuple[float, ...]] = (0.015,)  # independently written simulators differ by 1 to 2 %
 
     relative_drop: float
 
@@ -58,7 +59,13 @@ class BilinearStiffness(Effect):
         return (cls(location, 0.05),)
 
     @classmethod
+    def law_families(cls, parameters: ParameterEstimates) -> tuple[LawFamily, ...]:
+        """See `Effect.law_families`."""
+        return ("asymmetric",)
+
+    @classmethod
     def sentence(cls, fitted: FittedSizes) -> str:
         """See `Effect.sentence`."""
-        drop = fitted.percent("relative_drop")
-        return f"{fitted.location} is {drop} softer for positive drift than for negative"
+        drop = fitted.sized("relative_drop", f"{fitted.percent('relative_drop')} ", "")
+        small = fitted.sized("relative_drop", "", ", by too little to be sized")
+        return f"{fitted.location} is {drop}softer for positive drift than for negative{small}"

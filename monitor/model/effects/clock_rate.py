@@ -39,4 +39,6 @@ class ClockRate(Effect):
     def sentence(cls, fitted: FittedSizes) -> str:
         """See `Effect.sentence`."""
         trend = "faster" if fitted.value("relative") > 0 else "slower"
-        return f"the sampling clock runs {fitted.percent('relative')} {trend} than its nominal rate"
+        size = fitted.sized("relative", f"{fitted.percent('relative')} ", "")
+        small = fitted.sized("relative", "", ", by too little to be sized")
+        return f"the sampling clock runs {size}{trend} than its nominal rate{small}"

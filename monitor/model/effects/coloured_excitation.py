@@ -52,4 +52,5 @@ class ColouredExcitation(Effect):
     @classmethod
     def sentence(cls, fitted: FittedSizes) -> str:
         """See `Effect.sentence`."""
-        return f"the excitation is not white: its power falls off above {fitted.interval('corner_hz')}"
+        corner = fitted.sized("corner_hz", f"above {fitted.interval('corner_hz')}", "with the frequency")
+        return f"the excitation is not white: its power falls off {corner}"

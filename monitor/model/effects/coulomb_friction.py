@@ -10,7 +10,7 @@ import numpy as np
 
 from monitor.model.effects.base import Condition, Context, Effect, Law, LawKind, System
 from monitor.model.effects.parameter import Parameter
-from monitor.model.effects.report_face import FittedSizes
+from monitor.model.effects.report_face import FittedSizes, LawFamily, ParameterEstimates
 from monitor.model.structures import Structure
 
 _STICK_FACTOR = 8.0
@@ -32,13 +32,16 @@ class CoulombFriction(Effect):
     places: ClassVar[tuple[str, ...]] = ("story",)
     parameters: ClassVar[tuple[Parameter, ...]] = (Parameter("friction_force_n", 0.0, inf, absent=0.0),)
     signature: ClassVar[str] = "damping falls with the level, frequencies hardly move"
+    noun: ClassVar[str] = "dry friction"
     separating_measurement: ClassVar[str] = (
         "record at vibration levels a factor of three apart: friction loses weight as the level grows"
     )
     conditional: ClassVar[bool] = True
     nonlinear: ClassVar[bool] = True
     amplitude_powers: ClassVar[tuple[float, ...]] = (-1.0,)
-    form_doubt: ClassVar[tuple[float, ...]] = (0.04,)  # real laws may creep, or have more static than sliding friction
+    form_uncertainty: ClassVar[tuple[float, ...]] = (
+        0.04,
+    )  # real laws may creep, or have more static than sliding friction
 
     friction_force_n: float
 
@@ -64,6 +67,12 @@ class CoulombFriction(Effect):
         return (cls(location, 0.03 * float(context.structure.stiffness_n_per_m[j] * condition.drift_m[j])),)
 
     @classmethod
+    def law_families(cls, parameters: ParameterEstimates) -> tuple[LawFamily, ...]:
+        """See `Effect.law_families`."""
+        return ("dissipating",)
+
+    @classmethod
     def sentence(cls, fitted: FittedSizes) -> str:
         """See `Effect.sentence`."""
-        return f"{fitted.location} rubs: dry friction of {fitted.interval('friction_force_n')}"
+        size = f" of {fitted.interval('friction_force_n')}"
+        return f"{fitted.location} rubs: dry friction{fitted.sized('friction_force_n', size)}"

@@ -11,7 +11,7 @@ import numpy as np
 from monitor.core import Array
 from monitor.model.effects.base import Condition, Context, Effect, FittedModel, Law, LawKind, System
 from monitor.model.effects.parameter import Parameter
-from monitor.model.effects.report_face import FittedSizes
+from monitor.model.effects.report_face import FittedSizes, LawFamily, ParameterEstimates
 from monitor.model.structures import Structure
 
 _NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(40)
@@ -33,6 +33,7 @@ class CubicStiffness(Effect):
     places: ClassVar[tuple[str, ...]] = ("story",)
     parameters: ClassVar[tuple[Parameter, ...]] = (Parameter("k3_n_per_m3", -inf, inf, absent=0.0),)
     signature: ClassVar[str] = "frequencies rise (fall) with the level, damping does not, the drift is not skewed"
+    noun: ClassVar[str] = "a cubic spring"
     separating_measurement: ClassVar[str] = (
         "record at a vibration level two or three times as high, with a displacement sensor across the story"
     )
@@ -41,7 +42,7 @@ class CubicStiffness(Effect):
     amplitude_powers: ClassVar[tuple[float, ...]] = (2.0,)
     daily: ClassVar[tuple[float, ...]] = (0.2,)  # a persistent one is estimated by few simulations
     # Fits from different starts end that far apart, where the levels compensate for the difference.
-    form_doubt: ClassVar[tuple[float, ...]] = (0.1,)
+    form_uncertainty: ClassVar[tuple[float, ...]] = (0.1,)
 
     k3_n_per_m3: float
 
@@ -86,7 +87,13 @@ class CubicStiffness(Effect):
         return tuple(cls(location, size * k / (3.0 * s**2)) for size in (0.03, 0.1, -0.03, -0.08))
 
     @classmethod
+    def law_families(cls, parameters: ParameterEstimates) -> tuple[LawFamily, ...]:
+        """See `Effect.law_families`."""
+        return ("softening",) if parameters["k3_n_per_m3"]["value"] < 0 else ("hardening",)
+
+    @classmethod
     def sentence(cls, fitted: FittedSizes) -> str:
         """See `Effect.sentence`."""
         trend = "softens" if fitted.value("k3_n_per_m3") < 0 else "hardens"
-        return f"{fitted.location} {trend} as its drift grows: cubic stiffness {fitted.interval('k3_n_per_m3')}"
+        size = f": cubic stiffness {fitted.interval('k3_n_per_m3')}"
+        return f"{fitted.location} {trend} as its drift grows{fitted.sized('k3_n_per_m3', size)}"

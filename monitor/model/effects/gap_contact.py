@@ -8,7 +8,7 @@ from typing import ClassVar, Literal, Self
 
 from monitor.model.effects.base import Condition, Context, Effect, Law, LawKind, System
 from monitor.model.effects.parameter import Parameter
-from monitor.model.effects.report_face import FittedSizes
+from monitor.model.effects.report_face import FittedSizes, LawFamily, ParameterEstimates
 from monitor.model.structures import Structure
 
 
@@ -30,13 +30,17 @@ class GapContact(Effect):
     signature: ClassVar[str] = (
         "stiffer above a level only, the drift skewed, bursts of high frequency on two neighbours"
     )
+    noun: ClassVar[str] = "a stop"
     separating_measurement: ClassVar[str] = (
         "read the story's drift with a displacement sensor: a stop lets one sign go less far than the other"
     )
     conditional: ClassVar[bool] = True
     nonlinear: ClassVar[bool] = True
     amplitude_powers: ClassVar[tuple[float, ...]] = (-1.0, 0.0)
-    form_doubt: ClassVar[tuple[float, ...]] = (0.05, 0.12)  # the stiffness of a contact while it closes is not known
+    form_uncertainty: ClassVar[tuple[float, ...]] = (
+        0.05,
+        0.12,
+    )  # the stiffness of a contact while it closes is not known
 
     gap_m: float
     """Drift at which the contact closes; negative for one that closes at negative drift."""
@@ -66,12 +70,18 @@ class GapContact(Effect):
         return tuple(cls(location, gap * s, 0.5 * k) for gap in (1.2, 1.7, 2.2, -1.2, -1.7, -2.2))
 
     @classmethod
+    def law_families(cls, parameters: ParameterEstimates) -> tuple[LawFamily, ...]:
+        """See `Effect.law_families`."""
+        return ("hardening", "asymmetric")
+
+    @classmethod
     def sentence(cls, fitted: FittedSizes) -> str:
         """See `Effect.sentence`."""
         sign = "positive" if fitted.value("gap_m") > 0 else "negative"
-        gap = fitted.magnitude("gap_m", 1e3, "mm")
-        worth = fitted.interval("contact_stiffness_n_per_m")
-        return f"{fitted.location} meets a stop after {gap} of {sign} drift, worth {worth}"
+        gap = fitted.sized("gap_m", f"after {fitted.magnitude('gap_m', 1e3, 'mm')} of {sign}", f"at some {sign}")
+        worth = f", worth {fitted.interval('contact_stiffness_n_per_m')}"
+        worth = fitted.sized("contact_stiffness_n_per_m", worth, ", too soft to be sized")
+        return f"{fitted.location} meets a stop {gap} drift{worth}"
 
 
 def mean_contact(stiffness: float, contact: float, gap: float) -> float:

@@ -58,5 +58,5 @@ class GravitySoftening(Effect):
     @classmethod
     def sentence(cls, fitted: FittedSizes) -> str:
         """See `Effect.sentence`."""
-        times = f"{fitted.interval('factor')} times weight over height"
-        return f"weight softens the stories by {times} (theory: 1.2, clamped columns)"
+        times = f" by {fitted.interval('factor')} times weight over height (theory: 1.2, clamped columns)"
+        return f"weight softens the stories{fitted.sized('factor', times)}"

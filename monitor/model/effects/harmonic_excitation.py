@@ -69,5 +69,5 @@ class HarmonicExcitation(Effect):
     @classmethod
     def sentence(cls, fitted: FittedSizes) -> str:
         """See `Effect.sentence`."""
-        line = f"{fitted.interval('frequency_hz')} with {fitted.interval('force_n')}"
-        return f"a machine drives {fitted.location} at {line}"
+        force = fitted.sized("force_n", f" with {fitted.interval('force_n')}", ", too weakly to be sized")
+        return f"a machine drives {fitted.location} at {fitted.interval('frequency_hz')}{force}"

@@ -54,5 +54,5 @@ class JointFlexibility(Effect):
     @classmethod
     def sentence(cls, fitted: FittedSizes) -> str:
         """See `Effect.sentence`."""
-        ratio = fitted.interval("girder_to_column_ratio")
-        return f"the joints rotate: girders are {ratio} times as stiff as columns"
+        size = f": girders are {fitted.interval('girder_to_column_ratio')} times as stiff as columns"
+        return f"the joints rotate{fitted.sized('girder_to_column_ratio', size)}"

@@ -8,7 +8,7 @@ from typing import ClassVar, Literal, Self
 
 from monitor.model.effects.base import Condition, Context, Effect, Law, LawKind, System
 from monitor.model.effects.parameter import Parameter
-from monitor.model.effects.report_face import FittedSizes
+from monitor.model.effects.report_face import FittedSizes, LawFamily, ParameterEstimates
 from monitor.model.structures import Structure
 
 
@@ -24,6 +24,7 @@ class QuadraticDamping(Effect):
     places: ClassVar[tuple[str, ...]] = ("floor",)
     parameters: ClassVar[tuple[Parameter, ...]] = (Parameter("coefficient_n_s2_per_m2", 0.0, inf, absent=0.0),)
     signature: ClassVar[str] = "damping rises with the level, frequencies stay"
+    noun: ClassVar[str] = "a drag"
     separating_measurement: ClassVar[str] = (
         "record at vibration levels a factor of three apart: drag gains weight as the level grows"
     )
@@ -53,7 +54,12 @@ class QuadraticDamping(Effect):
         return (cls(location, 0.5 * own / (sqrt(8.0 / pi) * float(condition.floor_velocity_m_s[j]))),)
 
     @classmethod
+    def law_families(cls, parameters: ParameterEstimates) -> tuple[LawFamily, ...]:
+        """See `Effect.law_families`."""
+        return ("dissipating",)
+
+    @classmethod
     def sentence(cls, fitted: FittedSizes) -> str:
         """See `Effect.sentence`."""
-        drag = fitted.interval("coefficient_n_s2_per_m2")
-        return f"{fitted.location} feels a drag that grows as its velocity squared, {drag}"
+        drag = fitted.sized("coefficient_n_s2_per_m2", f", {fitted.interval('coefficient_n_s2_per_m2')}")
+        return f"{fitted.location} feels a drag that grows as its velocity squared{drag}"

@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import floor, isfinite, log10
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 from monitor.model.structures import Structure
 
 ParameterEstimates = Mapping[str, Mapping[str, float]]
 """Map of a parameter's name to its ``value`` and standard deviation ``std``, in the parameter's unit, as in diagnosis.json."""
+
+LawFamily = Literal["hardening", "softening", "asymmetric", "dissipating"]
+"""What laws may have in common that data cannot tell apart: how the force depends on the level or the sign of the motion."""
 
 _UNITS = (
     ("_n_s2_per_m2", "N s²/m²"),
@@ -27,6 +30,11 @@ _UNITS = (
     ("per_degc", "1/K"),
 )
 """Pairs of a parameter name's suffix and its unit; the first suffix that fits counts."""
+_SIZED_STDS = 2.0
+"""Smallest distance of a size from that of no effect at which a sentence states the size. [standard deviations; convention:
+two sigma]"""
+_MOST_PERCENT = 1000.0
+"""Largest percentage that is written as a number. [percent; judgement]"""
 
 
 def unit(parameter_name: str) -> str:
@@ -85,7 +93,7 @@ class FittedSizes:
     """Place and estimated parameters of one effect, with the structure that its sentence compares them with."""
 
     location: str
-    """As in diagnosis.json: ``story 2``, ``floor 1``, ``channel a2``, ``base``, ``frame``."""
+    """As in diagnosis.json: ``story 2``, ``floor 1``, ``channel a2``, ``base``, ``frame``; or as ``one of floors 1, 4``."""
     parameters: ParameterEstimates
     structure: Structure
     """The structure that "more" and "less" refer to."""
@@ -115,10 +123,25 @@ class FittedSizes:
 
     def percent(self, name: str, *, above: float = 0.0) -> str:
         """Write the absolute difference of a ratio from `above`, with its interval, in percent."""
+        if 100.0 * abs(self.value(name) - above) > _MOST_PERCENT:
+            return f"more than {_MOST_PERCENT:.0f} %"
         return self.magnitude(name, 100.0, "%", above=above)
 
+    def is_sized(self, name: str, *, above: float = 0.0) -> bool:
+        """Decide if a parameter differs from `above` by more than chance, so that a sentence may state its size."""
+        return abs(self.value(name) - above) >= _SIZED_STDS * self.std(name)
+
+    def sized(self, name: str, text: str, unsized: str = ", too little to be sized", *, above: float = 0.0) -> str:
+        """Return `text`, which states a parameter's size, where `is_sized`, and `unsized` elsewhere."""
+        return text if self.is_sized(name, above=above) else unsized
+
     def share_of_floor_mass(self, name: str) -> str:
-        """Write a mass as a share of the mass of the floor at `location`, in brackets and with a space before them."""
+        """Write a mass as a share of the mass of the floor at `location`, in brackets and with a space before them.
+
+        Empty where the location is not one floor.
+        """
+        if not self.location.startswith("floor "):
+            return ""
         share = 100.0 * self.value(name) / self.structure.masses_kg[int(self.place_name) - 1]
         return f" ({share:.1f} % of the floor's mass)"
 
@@ -131,6 +154,13 @@ class ReportFace:
     """Sign of the effect in the accelerations, in one sentence."""
     separating_measurement: ClassVar[str] = ""
     """Measurement that separates this effect from other causes; empty where no measurement is ever asked for."""
+    noun: ClassVar[str] = ""
+    """The effect as a thing, with its article, for an answer that holds for a family of laws: ``a stop``."""
+
+    @classmethod
+    def law_families(cls, parameters: ParameterEstimates) -> tuple[LawFamily, ...]:
+        """List the families of laws that the effect belongs to at these sizes; most effects belong to none."""
+        return ()
 
     @classmethod
     def sentence(cls, fitted: FittedSizes) -> str:
@@ -141,5 +171,5 @@ class ReportFace:
         KeyError
             If a parameter is missing.
         """
-        sizes = (f"{_without_unit(parameter)} {fitted.interval(parameter)}" for parameter in fitted.parameters)
+        sizes = (f"{_without_unit(p)} {fitted.interval(p)}" for p in fitted.parameters if fitted.is_sized(p))
         return ", ".join([f"{cls.name.replace('_', ' ')} at {fitted.location}", *sizes])

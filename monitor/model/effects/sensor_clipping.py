@@ -98,7 +98,8 @@ class SensorClipping(Effect):
     @classmethod
     def sentence(cls, fitted: FittedSizes) -> str:
         """See `Effect.sentence`."""
-        return f"{fitted.location} is cut off at ± {fitted.interval('limit_m_s2')}"
+        limit = fitted.sized("limit_m_s2", f" at ± {fitted.interval('limit_m_s2')}", "")
+        return f"{fitted.location} is cut off{limit}"
 
 
 def _channel_value(values: Array | NDArray[np.bool_], channel: int) -> float:

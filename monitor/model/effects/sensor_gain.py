@@ -48,7 +48,9 @@ class SensorGain(Effect):
     def sentence(cls, fitted: FittedSizes) -> str:
         """See `Effect.sentence`."""
         trend = "too much" if fitted.value("gain") > 1 else "too little"
-        return f"{fitted.location} reads {fitted.percent('gain', above=1.0)} {trend}"
+        size = fitted.sized("gain", f"{fitted.percent('gain', above=1.0)} ", "", above=1.0)
+        small = fitted.sized("gain", "", ", by too little to be sized", above=1.0)
+        return f"{fitted.location} reads {size}{trend}{small}"
 
 
 def on_channel(factor: complex | ComplexArray, channel: int, context: Context) -> ComplexArray:

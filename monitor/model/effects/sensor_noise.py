@@ -51,4 +51,6 @@ class SensorNoise(Effect):
     @classmethod
     def sentence(cls, fitted: FittedSizes) -> str:
         """See `Effect.sentence`."""
-        return f"{fitted.location} has {fitted.interval('rms_m_s2')} RMS of noise beyond what all channels have"
+        size = fitted.sized("rms_m_s2", f"{fitted.interval('rms_m_s2')} RMS of ", "")
+        small = fitted.sized("rms_m_s2", "")
+        return f"{fitted.location} has {size}noise beyond what all channels have{small}"

@@ -62,4 +62,6 @@ class StiffnessChange(Effect):
         """See `Effect.sentence`."""
         change = "softer" if fitted.value("relative") < 0 else "stiffer"
         subject = "all stories are" if fitted.location == "frame" else f"{fitted.location} is"
-        return f"{subject} {fitted.percent('relative')} {change} than {fitted.source}"
+        size = fitted.sized("relative", f"{fitted.percent('relative')} ", "")
+        small = fitted.sized("relative", "", ", by too little to be sized")
+        return f"{subject} {size}{change} than {fitted.source}{small}"

@@ -8,7 +8,7 @@ from typing import ClassVar, Literal, Self
 
 from monitor.model.effects.base import Condition, Context, Effect, System
 from monitor.model.effects.parameter import Parameter
-from monitor.model.effects.report_face import FittedSizes
+from monitor.model.effects.report_face import FittedSizes, LawFamily, ParameterEstimates
 
 
 @dataclass(frozen=True)
@@ -20,6 +20,7 @@ class StoryDamper(Effect):
     places: ClassVar[tuple[str, ...]] = ("story",)
     parameters: ClassVar[tuple[Parameter, ...]] = (Parameter("damping_n_s_per_m", 0.0, inf, absent=0.0),)
     signature: ClassVar[str] = "damping up in the modes that move this story, complex shapes, equal at every level"
+    noun: ClassVar[str] = "a viscous damper"
     separating_measurement: ClassVar[str] = (
         "record at vibration levels a factor of three apart: a viscous damper acts alike at all of them"
     )
@@ -36,6 +37,13 @@ class StoryDamper(Effect):
         return (cls(location, 0.1),)
 
     @classmethod
+    def law_families(cls, parameters: ParameterEstimates) -> tuple[LawFamily, ...]:
+        """See `Effect.law_families`."""
+        return ("dissipating",)
+
+    @classmethod
     def sentence(cls, fitted: FittedSizes) -> str:
         """See `Effect.sentence`."""
-        return f"{fitted.location} has {fitted.interval('damping_n_s_per_m')} more damping than {fitted.source}"
+        size = fitted.sized("damping_n_s_per_m", f"{fitted.interval('damping_n_s_per_m')} ", "")
+        small = fitted.sized("damping_n_s_per_m", "")
+        return f"{fitted.location} has {size}more damping than {fitted.source}{small}"

@@ -69,5 +69,7 @@ class TemperatureStiffness(Effect):
     def sentence(cls, fitted: FittedSizes) -> str:
         """See `Effect.sentence`."""
         trend = "loses" if fitted.value("per_degc") < 0 else "gains"
-        late = f", {fitted.interval('lag_s')} late" if fitted.value("lag_s") > 0 else ""
-        return f"the frame {trend} {fitted.percent('per_degc')} of its stiffness per K of warming{late}"
+        is_late = fitted.value("lag_s") > 0 and fitted.is_sized("lag_s")
+        late = f", {fitted.interval('lag_s')} late" if is_late else ""
+        size = f"{fitted.percent('per_degc')} of its stiffness per K of warming{late}"
+        return f"the frame {trend} {fitted.sized('per_degc', size, 'stiffness with warming, too little to be sized')}"

@@ -57,4 +57,6 @@ class TimeOffset(Effect):
     def sentence(cls, fitted: FittedSizes) -> str:
         """See `Effect.sentence`."""
         trend = "late" if fitted.value("seconds") > 0 else "early"
-        return f"{fitted.location} comes {fitted.magnitude('seconds', 1e3, 'ms')} {trend}"
+        size = fitted.sized("seconds", f"{fitted.magnitude('seconds', 1e3, 'ms')} ", "")
+        small = fitted.sized("seconds", "", ", by too little to be sized")
+        return f"{fitted.location} comes {size}{trend}{small}"

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from typing import Protocol, Self
 
+import numpy as np
+from numpy.typing import NDArray
+
 from monitor.core import Array
 
 
@@ -48,6 +51,9 @@ class Structure(Protocol):
 
     def drift_matrix(self) -> Array:
         """Return the matrix from displacements to the elongations of the stories' springs, shape (p, N): dK_j = d_j d_j^T."""
+
+    def single_springs(self) -> NDArray[np.bool_]:
+        """Tell which stories are a single spring (dK_j of rank one), whose drift is one motion, shape (p,)."""
 
     def mass_matrix(self) -> Array:
         """Assemble the mass matrix, shape (N, N), kg; symmetric, positive definite."""

@@ -6,8 +6,12 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from monitor.core import Array
+
+_SINGLE_SPRING = 1e-6
+"""Sum of the other eigenvalues of dK_j over the largest, below which dK_j is one spring. [ratio; rounding]"""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -87,6 +91,12 @@ class MatrixStructure:
         size = np.abs(rows)
         largest = (size > 0.999 * size.max(axis=1, keepdims=True)).argmax(axis=1)  # the first, where two are equal
         return np.asarray(rows * np.sign(np.take_along_axis(rows, largest[:, None], axis=1)))
+
+    def single_springs(self) -> NDArray[np.bool_]:
+        """See `Structure.single_springs`.  A bending element is none: it is bent in two ways, and rotations are no drift."""
+        values = np.abs(np.linalg.eigvalsh(self.slopes))
+        values.sort(axis=1)
+        return np.asarray(values[:, :-1].sum(axis=1) < _SINGLE_SPRING * values[:, -1])
 
     def mass_matrix(self) -> Array:
         """Assemble the mass matrix, shape (N, N), kg."""

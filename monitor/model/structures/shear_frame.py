@@ -7,6 +7,7 @@ from functools import cache
 from typing import Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from monitor.core import Array
 
@@ -72,6 +73,10 @@ class ShearFrame:
     def drift_matrix(self) -> Array:
         """Return the matrix from the floors' displacements to the stories' drifts, upper floor minus lower, shape (n, n)."""
         return _drift_matrix(self.n_stories)
+
+    def single_springs(self) -> NDArray[np.bool_]:
+        """See `Structure.single_springs`."""
+        return np.ones(self.n_stories, dtype=bool)
 
     def mass_matrix(self) -> Array:
         """Assemble the mass matrix, shape (n, n), kg."""

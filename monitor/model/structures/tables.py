@@ -9,6 +9,7 @@ from pydantic import Field, model_validator
 
 from monitor.core import Array, Settings
 from monitor.model.structures.base import Structure
+from monitor.model.structures.drawing import Drawing
 from monitor.model.structures.matrices import MatrixStructure
 from monitor.model.structures.shear_frame import ShearFrame
 
@@ -46,6 +47,10 @@ class _Drawing(Settings):
         """Make the structure as drawn."""
         raise NotImplementedError
 
+    def drawing(self) -> Drawing:
+        """Return what is drawn of the structure where its file has no ``[[nodes]]``."""
+        raise NotImplementedError
+
     def prior_std(self) -> Array:
         """Compute the relative standard deviations of stiffnesses, then masses, shape (p + N,)."""
 
@@ -61,6 +66,17 @@ class _Drawing(Settings):
                 spread(self.masses_range_kg, structure.masses_kg, 0.05),
             ]
         )
+
+    def tolerance(self) -> Array:
+        """Return the relative half widths of the stated ranges: stiffnesses, then masses, shape (p + N,); NaN for none."""
+        structure = self.structure()
+        stated = np.concatenate(
+            [
+                np.full(structure.stiffness_n_per_m.size, self.stiffness_range_n_per_m is not None),
+                np.full(structure.masses_kg.size, self.masses_range_kg is not None),
+            ]
+        )
+        return np.where(stated, 2.0 * self.prior_std(), np.nan)
 
     def correction(self) -> Array | None:
         """Return `stiffness_correction_n_per_m` as an array, shape (N, N), N/m; None where it is not given."""
@@ -96,7 +112,7 @@ class ShearFrameTable(_Drawing):
 
     @model_validator(mode="after")
     def _same_length(self) -> ShearFrameTable:
-        names = ("stiffness_n_per_m", "story_heights_m", "masses_range_kg", "stiffness_range_n_per_m")
+        names = ("stiffness_n_per_m", "story_heights_m", "story_names", "masses_range_kg", "stiffness_range_n_per_m")
         self._check_lengths(dict.fromkeys((*names, "modal_damping_ratio"), len(self.masses_kg)), "masses")
         self.correction()
         return self
@@ -105,6 +121,11 @@ class ShearFrameTable(_Drawing):
         """Make the structure as drawn."""
         heights = None if self.story_heights_m is None else np.array(self.story_heights_m)
         return ShearFrame(np.array(self.masses_kg), np.array(self.stiffness_n_per_m), self.damping_ratio, heights)
+
+    def drawing(self) -> Drawing:
+        """Draw the frame; all stories are equally high where it has no heights."""
+        heights = self.story_heights_m
+        return Drawing.of_frame(np.ones(len(self.masses_kg)) if heights is None else np.array(heights))
 
 
 class MatricesTable(_Drawing):
@@ -158,6 +179,10 @@ class MatricesTable(_Drawing):
             np.array(self.stiffness_n_per_m),
             self.damping_ratio,
         )
+
+    def drawing(self) -> Drawing:
+        """Draw a list of the stiffnesses: matrices tell no form."""
+        return Drawing.of_bars(len(self.stiffness_n_per_m))
 
 
 StructureTable = Annotated[ShearFrameTable | MatricesTable, Field(discriminator="kind")]

@@ -1,4 +1,7 @@
-"""Charts as inline SVG: a few marks on axes, coloured by the page's style sheet, so that they follow light, dark and print."""
+"""Charts as inline SVG: a few marks on axes, coloured by the page's style sheet, so that they follow light, dark and print.
+
+Marks lie in a box that the page stretches to its own width.  Texts keep their size: they stand beside it at shares of the width.
+"""
 
 from __future__ import annotations
 
@@ -12,10 +15,18 @@ from monitor.core import Array
 
 Range = tuple[float, float]
 
+WIDTH = 1000.0
+"""Width of a chart's box in its own units. [1; definition]"""
+_NARROW_PX, _LETTER_PX = 270.0, 6.5
+"""Width of a box on a page of 390 px, and of a letter of a tick's label. [px; measured]"""
+_LEAST_HEIGHT_PX = 40.0
+"""Height of a box from which it has ticks along y. [px; judgement]"""
 STYLE = """
-svg { display: block; width: 100%; height: auto; }
-svg text { font: 11px system-ui, sans-serif; fill: var(--muted); }
-svg .name { fill: var(--ink); font-weight: 600; }
+.chart { --left: 3.5rem; padding: 0 1.25rem 0 var(--left); } .heat { --left: 9.5rem; }
+.chart figcaption { margin: 0 0 .3rem calc(-1 * var(--left)); color: var(--ink); font-weight: 600; font-size: .8rem; }
+svg { display: block; width: 100%; overflow: visible; }
+svg * { vector-effect: non-scaling-stroke; }
+svg text { font: 12px system-ui, sans-serif; fill: var(--muted); }
 svg .frame { fill: none; stroke: var(--line); }
 svg .grid { stroke: var(--line); stroke-width: .5; }
 svg .line { fill: none; stroke-width: 1.4; stroke-linejoin: round; }
@@ -23,18 +34,22 @@ svg .measured { stroke: var(--ink); stroke-width: 1; }
 svg .before { stroke: var(--before); }
 svg .after { stroke: var(--after); }
 svg .dashed { stroke-dasharray: 5 3; }
-svg .bar, svg .dot { fill: var(--quiet); }
-svg .accepted, svg .dot { fill: var(--after); }
-svg .rival { fill: var(--before); }
+svg .dot { stroke: var(--after); stroke-width: 6; stroke-linecap: round; }
+svg .bar { fill: var(--quiet); } svg .accepted { fill: var(--after); } svg .rival { fill: var(--before); }
 svg .off { fill: var(--before); opacity: .16; }
 svg .still { fill: var(--bad); opacity: .25; }
 svg .band { fill: var(--after); opacity: .25; }
 svg .limit { stroke: var(--bad); }
-svg .good { fill: var(--good); opacity: .6; }
+svg .used { fill: var(--after); opacity: .6; }
 svg .chance { fill: var(--quiet); opacity: .25; }
 svg .known { fill: var(--muted); opacity: .13; }
+.unseen svg svg { opacity: .35; }
+.bars div { display: grid; grid-template-columns: 16rem 1fr; gap: .6rem; padding-right: 4rem; font-size: .8rem; }
+.bars span { text-align: right; color: var(--muted); } .bars .name { color: var(--ink); font-weight: 600; }
+@media screen and (max-width: 640px) { svg .more { display: none; }
+  .bars div { grid-template-columns: 1fr; gap: 0; } .bars span { text-align: left; } }
 """
-"""Uses the page's colours --ink, --muted, --line, --quiet, --before, --after, --good and --bad."""
+"""Uses the page's colours --ink, --muted, --line, --quiet, --before, --after and --bad."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,45 +58,52 @@ class Axes:
 
     x: Range
     y: Range
-    box: tuple[float, float, float, float]
-    """Left, top, width, height, px."""
+    height: float
+    """Height of the box, px."""
     log_y: bool = False
 
     def px(self, x: Array | float) -> Array:
-        """Return horizontal places in px, of the shape of `x`."""
-        left, _, width, _ = self.box
-        return np.asarray(left + (np.asarray(x, dtype=float) - self.x[0]) / (self.x[1] - self.x[0]) * width)
+        """Return horizontal places, 0 at the left to `WIDTH` at the right, of the shape of `x`."""
+        return np.asarray((np.asarray(x, dtype=float) - self.x[0]) / (self.x[1] - self.x[0]) * WIDTH)
 
     def py(self, y: Array | float) -> Array:
-        """Return vertical places in px, of the shape of `y`; values outside the range lie at its edge."""
-        _, top, _, height = self.box
+        """Return vertical places in px from the top, of the shape of `y`; values outside the range lie at its edge."""
         y, (low, high) = np.asarray(y, dtype=float), self.y
         if self.log_y:
             y, low, high = np.log(np.maximum(y, 1e-300)), np.log(low), np.log(high)
-        return np.asarray(top + (1.0 - np.clip((y - low) / (high - low), 0.0, 1.0)) * height)
+        return np.asarray((1.0 - np.clip((y - low) / (high - low), 0.0, 1.0)) * self.height)
 
-    def frame(self, title: str, x_title: str = "", *, numbers: bool = True) -> str:
-        """Draw the frame, the grid, the ticks and the titles."""
-        left, top, width, height = self.box
-        out = []
-        for value, label in self.x_ticks():
-            place = float(self.px(value))
-            out.append(f'<path class="grid" d="M{place:.1f} {top:g}v{height:g}"/>')
-            if numbers:
-                out.append(text(place, top + height + 14, label, "middle"))
-        for value in (decades(self.y) if self.log_y else ticks(self.y, 4)) if height > 40.0 else ():
-            place = float(self.py(value))
-            out.append(f'<path class="grid" d="M{left:g} {place:.1f}h{width:g}"/>')
-            out.append(text(left - 6, place + 4, f"{value:.6g}", "end"))
-        out.append(f'<rect class="frame" x="{left:g}" y="{top:g}" width="{width:g}" height="{height:g}"/>')
-        out.append(text(left, top - 6, title, "start", "name"))
+    def chart(self, title: str, *marks: str, x_title: str = "", numbers: bool = True, kind: str = "") -> str:
+        """Write the chart with its title, frame, grid and ticks; `numbers` tells whether the ticks along x have labels."""
+        at_x = [(float(self.px(value)), label.split("\n")) for value, label in self.x_ticks()]
+        at_y = [(float(self.py(value)), label) for value, label in self.y_ticks()]
+        grid = [f'<path class="grid" d="M{place:.1f} 0V{self.height:g}"/>' for place, _ in at_x]
+        grid += [f'<path class="grid" d="M0 {place:.1f}H{WIDTH:g}"/>' for place, _ in at_y]
+        words = [text("-6", place + 4.0, label, "end") for place, label in at_y]
+        longest = max((len(line) for _, lines in at_x for line in lines), default=0)
+        every = max(1, int(np.ceil(len(at_x) * longest * _LETTER_PX / _NARROW_PX)))  # label that a narrow page shows
+        for k, (place, lines) in enumerate(at_x if numbers else []):
+            for row, line in enumerate(lines):
+                hidden = "more" if k % every else ""
+                words.append(text(_share(place), self.height + 15.0 + 14.0 * row, line, "middle", hidden))
+        below = 15.0 + 14.0 * max((len(lines) for _, lines in at_x), default=1) if numbers else 0.0
         if x_title:
-            out.append(text(left + width, top + height + 28, x_title, "end"))
-        return "".join(out)
+            words.append(text("100%", self.height + below, x_title, "end"))
+            below += 14.0
+        frame = f'<rect class="frame" width="{WIDTH:g}" height="{self.height:g}"/>'
+        box = _stretched(self.height, *grid, *marks, frame)
+        drawing = svg(self.height + below, title, box, *words)
+        return f'<figure class="chart{kind}"><figcaption>{escape(title)}</figcaption>{drawing}</figure>'
 
     def x_ticks(self) -> list[tuple[float, str]]:
         """Return the values and the labels of the ticks along x."""
         return [(float(value), f"{value:.6g}") for value in ticks(self.x)]
+
+    def y_ticks(self) -> list[tuple[float, str]]:
+        """Return the values and the labels of the ticks along y; none on a strip."""
+        if self.height < _LEAST_HEIGHT_PX:
+            return []
+        return [(float(value), f"{value:.6g}") for value in (decades(self.y) if self.log_y else ticks(self.y, 4))]
 
     def band(self, x: Array, low: Array, high: Array, kind: str) -> str:
         """Draw the area between two lines; `x`, `low`, `high` of shape (n,), in the units of the axes."""
@@ -99,7 +121,7 @@ class Axes:
         for a, b, h in zip(self.px(x), y, half, strict=True):
             low, middle, high = self.py(b - h), self.py(b), self.py(b + h)
             out.append(f'<path class="line measured" d="M{a:.1f} {low:.1f}V{high:.1f}"/>')
-            out.append(f'<circle class="dot" cx="{a:.1f}" cy="{middle:.1f}" r="3"/>')
+            out.append(f'<path class="dot" d="M{a:.1f} {middle:.1f}h0"/>')  # the end of a line: round at any width
         return "".join(out)
 
     def shade(self, x: Range, kind: str, y: Range | None = None) -> str:
@@ -109,13 +131,24 @@ class Axes:
         return f'<rect class="{kind}" x="{a:.1f}" y="{high:.1f}" width="{b - a:.1f}" height="{low - high:.1f}"/>'
 
 
-def svg(width: float, height: float, label: str, *marks: str) -> str:
-    """Put marks into an SVG element.
+@dataclass(frozen=True, slots=True)
+class _Rows(Axes):
+    """Axes whose y counts rows, of `names` from the top."""
+
+    names: Sequence[str] = ()
+
+    def y_ticks(self) -> list[tuple[float, str]]:
+        """Return the middles and the names of the rows."""
+        return [(len(self.names) - 0.5 - i, name) for i, name in enumerate(self.names)]
+
+
+def svg(height: float, label: str, *marks: str) -> str:
+    """Put marks into an SVG element as wide as the page.
 
     Parameters
     ----------
-    width, height : float
-        Size of the drawing, px.
+    height : float
+        Height of the drawing, px.
     label : str
         What the drawing shows, in words, for readers who do not see it.
     *marks : str
@@ -123,37 +156,53 @@ def svg(width: float, height: float, label: str, *marks: str) -> str:
 
     Examples
     --------
-    >>> svg(20, 10, "a < b", '<path d="M0 0h5"/>')
-    '<svg viewBox="0 0 20 10" role="img" aria-label="a &lt; b"><path d="M0 0h5"/></svg>'
+    >>> svg(10, "a < b", '<path d="M0 0h5"/>')
+    '<svg height="10" role="img" aria-label="a &lt; b"><path d="M0 0h5"/></svg>'
     """
-    label = escape(label)
-    return f'<svg viewBox="0 0 {width:g} {height:g}" role="img" aria-label="{label}">{"".join(marks)}</svg>'
+    return f'<svg height="{height:g}" role="img" aria-label="{escape(label)}">{"".join(marks)}</svg>'
 
 
-def text(x: float, y: float, words: str, anchor: str = "start", kind: str = "") -> str:
-    """Write words at a place of the drawing, px.
+def _stretched(height: float, *marks: str) -> str:
+    """Put marks into a box that is stretched to the width of the page."""
+    size = f'viewBox="0 0 {WIDTH:g} {height:g}" preserveAspectRatio="none"'
+    return f'<svg {size} width="100%" height="{height:g}">{"".join(marks)}</svg>'
+
+
+def _share(place: float) -> str:
+    """Write a place in a box as a share of its width."""
+    return f"{100.0 * place / WIDTH:.2f}%"
+
+
+def text(x: str, y: float, words: str, anchor: str = "start", kind: str = "") -> str:
+    """Write words at a place: `x` as a share of the width or in px, `y` in px.
 
     Examples
     --------
-    >>> text(3, 4, "mode 1")
-    '<text x="3.0" y="4.0" text-anchor="start">mode 1</text>'
+    >>> text("50%", 4, "mode 1")
+    '<text x="50%" y="4.0" text-anchor="start">mode 1</text>'
     """
     kind = f' class="{kind}"' if kind else ""
-    return f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}"{kind}>{escape(words)}</text>'
+    return f'<text x="{x}" y="{y:.1f}" text-anchor="{anchor}"{kind}>{escape(words)}</text>'
 
 
 def ticks(span: Range, n: int = 8) -> Array:
-    """Return about `n` round numbers within a range, shape (k,).
+    """Return about `n` round numbers within a range and never fewer than three, shape (k,).
 
     Examples
     --------
     >>> ticks((0.0, 1.0), 4).tolist()
     [0.0, 0.5, 1.0]
+    >>> [round(f, 2) for f in ticks((4.71, 4.92), 4).tolist()]
+    [4.75, 4.8, 4.85, 4.9]
     """
     raw = (span[1] - span[0]) / n
     power = 10.0 ** np.floor(np.log10(raw))
-    step = power * min((m for m in (1.0, 2.0, 5.0, 10.0) if m * power >= raw * 0.999), default=10.0)
-    places = np.arange(np.ceil(span[0] / step - 1e-9), np.floor(span[1] / step + 1e-9) + 1.0)
+    coarsest = min((m for m in (1.0, 2.0, 5.0, 10.0) if m * power >= raw * 0.999), default=10.0)
+    for multiple in (10.0, 5.0, 2.0, 1.0, 0.5, 0.2, 0.1):
+        step = multiple * power
+        places = np.arange(np.ceil(span[0] / step - 1e-9), np.floor(span[1] / step + 1e-9) + 1.0)
+        if multiple <= coarsest and places.size >= 3:
+            break
     return np.asarray((places + 0.0) * step)  # never -0
 
 
@@ -169,39 +218,30 @@ def decades(span: Range) -> Array:
 
 def bars(names: Sequence[str], values: Sequence[float], kinds: Sequence[str], label: str) -> str:
     """Draw horizontal bars with their names and values; the axis reaches to ten at least."""
-    width, row, left, right = 1080.0, 20.0, 260.0, 70.0
-    low, high = min(0.0, *values), max(10.0, *values)
-    axes = Axes((low, high), (0.0, 1.0), (left, 0.0, width - left - right, row * len(names)))
+    axes = Axes((min(0.0, *values), max(10.0, *values)), (0.0, 1.0), 14.0)
     zero = float(axes.px(0.0))
-    out = []
-    for i, (name, value, kind) in enumerate(zip(names, values, kinds, strict=True)):
-        end, y = float(axes.px(value)), row * i + 3
-        out.append(text(left - 8, y + 11, name, "end", "name" if kind else ""))
-        out.append(
-            f'<rect class="bar {kind}" x="{min(zero, end):.1f}" y="{y:g}" width="{abs(end - zero):.1f}" height="14"/>'
-        )
-        out.append(text(max(end, zero) + 5, y + 11, f"{value:.1f}"))
-    return svg(width, row * len(names), label, *out)
+    rows = []
+    for name, value, kind in zip(names, values, kinds, strict=True):
+        end = float(axes.px(value))
+        span = f'x="{_share(min(zero, end))}" width="{_share(abs(end - zero))}" height="14"'
+        after = f'<svg x="{_share(max(end, zero))}">{text("5", 11.0, f"{value:.1f}")}</svg>'
+        drawing = svg(20.0, f"{name}: {value:.1f}", f'<rect class="bar {kind}" {span}/>', after)
+        style = ' class="name"' if kind else ""
+        rows.append(f"<div><span{style}>{escape(name)}</span>{drawing}</div>")
+    return f'<div class="bars" aria-label="{escape(label)}">{"".join(rows)}</div>'
 
 
-def heat(values: Array, x: Range, rows: Sequence[str], limit: float, title: str, label: str) -> str:
+def heat(values: Array, x: Range, rows: Sequence[str], limit: float, title: str) -> str:
     """Draw a map of signed values, shape (rows, columns): blue below zero, red above, full colour from +-`limit` on."""
-    width, row, left, top = 530.0, 16.0, 150.0, 20.0
-    height = row * len(rows)
-    axes = Axes(x, (0.0, 1.0), (left, top, width - left - 8, height))
+    row = 16.0
+    axes = _Rows(x, (0.0, float(len(rows))), row * len(rows), names=rows)
     edges = axes.px(np.linspace(*x, values.shape[1] + 1))
-    out = [text(left, top - 6, title, "start", "name")]
-    for i, name in enumerate(rows):
-        y = top + row * i
-        out.append(text(left - 6, y + 12, name, "end"))
+    out = []
+    for i in range(len(rows)):
         for value, a, b in zip(values[i], edges[:-1], edges[1:], strict=True):
             strength = min(abs(value) / limit, 1.0)
             if strength > 0.1:
                 kind = "var(--bad)" if value > 0 else "var(--after)"
-                box = f'x="{a:.1f}" y="{y:g}" width="{b - a:.1f}" height="{row:g}"'
+                box = f'x="{a:.1f}" y="{row * i:g}" width="{b - a:.1f}" height="{row:g}"'
                 out.append(f'<rect {box} fill="{kind}" fill-opacity="{strength:.2f}"/>')
-    for value in ticks(x):
-        out.append(text(float(axes.px(value)), top + height + 14, f"{value:g}", "middle"))
-    out.append(f'<rect class="frame" x="{left:g}" y="{top:g}" width="{width - left - 8:g}" height="{height:g}"/>')
-    out.append(text(width - 8, top + height + 28, "frequency, Hz", "end"))
-    return svg(width, top + height + 34, label, *out)
+    return axes.chart(title, *out, x_title="frequency, Hz", kind=" heat")

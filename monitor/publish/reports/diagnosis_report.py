@@ -9,16 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from monitor.core import Array, write_atomically
-from monitor.diagnosis import Diagnosis, headline, in_words, separating_measurement
+from monitor.core import Array, name_stories, write_atomically
+from monitor.diagnosis import Diagnosis, csd_error_in_words, in_words
 from monitor.inference import Segments
 from monitor.model import FORMS, Effect, interval, unit
 from monitor.publish.reports import charts
-from monitor.publish.reports.charts import Axes, svg
+from monitor.publish.reports.charts import Axes
 from monitor.publish.reports.comparison import Comparison, LevelDependence, compare, level_dependence
 from monitor.publish.reports.page import document, table
-
-__all__ = ["headline", "in_words", "page", "separating_measurement", "write_report"]
 
 Content = Mapping[str, Any]
 
@@ -26,7 +24,9 @@ _MAX_SHOWN = 12
 """Largest number of rows of the misfit's table, and of bars of a ranking."""
 
 
-def write_report(path: Path, diagnosis: Diagnosis, content: Content, segments: Segments) -> None:
+def write_report(
+    path: Path, diagnosis: Diagnosis, content: Content, segments: Segments, story_names: Sequence[str] = ()
+) -> None:
     """Write the page; the file appears under its name only when complete.
 
     Parameters
@@ -38,14 +38,17 @@ def write_report(path: Path, diagnosis: Diagnosis, content: Content, segments: S
         diagnosis.json.
     segments : Segments
         The segments that were diagnosed.
+    story_names : sequence of str
+        What people call each story.
     """
-    write_atomically(path, page(diagnosis, content, segments))
+    names = [escape(name) for name in story_names]
+    write_atomically(path, name_stories(page(diagnosis, content, segments), names))
 
 
 def page(diagnosis: Diagnosis, content: Content, segments: Segments) -> str:
     """Write the page, which is well-formed XML as well; parameters as of `write_report`."""
     compared, by_level = compare(diagnosis, segments), level_dependence(diagnosis)
-    verdict_text = headline(diagnosis, content)
+    verdict_text = content["says"]
     parts = [
         _head(verdict_text, content, compared, segments),
         _spectra(compared),
@@ -61,7 +64,7 @@ def page(diagnosis: Diagnosis, content: Content, segments: Segments) -> str:
 def _head(verdict_text: str, content: Content, compared: Comparison, segments: Segments) -> str:
     """Write the verdict, the separating measurement, the key figures and how to read the page."""
     verdict = content["verdict"]
-    badge = {"none": verdict_text.partition(":")[0].lower(), "named": "cause named"}.get(verdict, verdict)
+    badge = {"none": "explained", "named": "cause named"}.get(verdict, verdict)
     out = [f'<span class="verdict {verdict}">{badge}</span><h1>{escape(verdict_text)}</h1>']
     if content["separating_measurement"]:
         out.append(f"<p><b>To tell them apart:</b> {escape(content['separating_measurement'])}.</p>")
@@ -76,7 +79,7 @@ def _head(verdict_text: str, content: Content, compared: Comparison, segments: S
     if compared.extended:
         figures = [
             (f"{gain['gain']:+.4f} ({low:+.4f} to {high:+.4f})", "gain on held-out data, nats a sample, 95 % interval"),
-            (f"{100 * error['before']:.1f} → {100 * error['after']:.1f} %", "error of held-out cross-spectra"),
+            (_change(error["before"], error["after"]), "error of held-out cross-spectra"),
             *figures,
         ]
     out.append('<div class="figures">' + "".join(f"<div><b>{a}</b>{escape(b)}</div>" for a, b in figures) + "</div>")
@@ -90,6 +93,13 @@ def _head(verdict_text: str, content: Content, compared: Comparison, segments: S
     return "".join(out)
 
 
+def _change(before: float, after: float) -> str:
+    """Write a relative squared error of cross-spectra before and after."""
+    if max(before, after) <= 1.0:
+        return f"{100 * before:.1f} → {100 * after:.1f} %"
+    return f"{csd_error_in_words(before)} → {csd_error_in_words(after)}"
+
+
 def _spectra(c: Comparison) -> str:
     """Draw the measured and the modelled spectrum of every channel, and their ratio."""
     out = ["<h2>Measured against simulated</h2><p>"]
@@ -98,8 +108,7 @@ def _spectra(c: Comparison) -> str:
         out.append(f'<span class="key" style="color: var(--{kind})">━ {words}</span> &#160; ')
     out.append("</p>")
     for i, name in enumerate(c.channels):
-        drawing = _channel_chart(c, i, name)
-        out.append(f"<figure>{drawing}</figure>")
+        out.append(_channel_charts(c, i, name))
     out.append(
         "<p class='muted'>Ratio 1: the simulation is right; the grey strip is what chance allows. Shaded orange: "
         "bands with a misfit on this channel; shaded red: what is left after."
@@ -110,29 +119,30 @@ def _spectra(c: Comparison) -> str:
     return "".join(out)
 
 
-def _channel_chart(c: Comparison, i: int, name: str) -> str:
+def _channel_charts(c: Comparison, i: int, name: str) -> str:
     """Draw the spectra of channel i and their ratio, with the bands of misfit shaded."""
     x = (float(c.hz[0]), float(c.hz[-1]))
     power = np.concatenate([c.measured[i], c.before[i], c.after[i]])
-    upper = Axes(x, (float(power.min()) / 1.3, float(power.max()) * 1.6), (62, 22, 1010, 190), log_y=True)
+    upper = Axes(x, (float(power.min()) / 1.3, float(power.max()) * 1.6), 190.0, log_y=True)
     largest_log_ratio = float(np.abs(np.log(np.maximum(np.stack([c.ratio_before[i], c.ratio_after[i]]), 1e-3))).max())
     limit = float(np.clip(np.exp(1.1 * largest_log_ratio), 1.5, 20.0))
-    lower = Axes(x, (1.0 / limit, limit), (62, 244, 1010, 100), log_y=True)
-    marks = [axes.shade((low, high), "known") for low, high in c.doubtful_hz for axes in (upper, lower)]
+    lower = Axes(x, (1.0 / limit, limit), 100.0, log_y=True)
+    shades = [(low, high, "known") for low, high in c.doubtful_hz]
     n = 2 if c.extended else 1
     for z, kind in ((c.z_before, "off"), (c.z_after, "still"))[:n]:
         wrong = (np.abs(z) > c.limit)[:, i, :].any(axis=1) | (np.abs(z) > c.limit)[:, :, i].any(axis=1)
-        for middle in c.band_hz[wrong]:
-            span = (max(float(middle) - c.width_hz / 2, x[0]), min(float(middle) + c.width_hz / 2, x[1]))
-            marks += [upper.shade(span, kind), lower.shade(span, kind)]
-    marks.append(lower.shade(x, "chance", (1.0 / (1.0 + c.chance), 1.0 + c.chance)))
-    title = f"{name}: power spectral density, (m/s²)²/Hz"
-    marks += [upper.frame(title, numbers=False), lower.frame("measured / simulated", "frequency, Hz")]
+        shades += [(m - c.width_hz / 2, m + c.width_hz / 2, kind) for m in c.band_hz[wrong].tolist()]
+    above, below = [
+        [axes.shade((max(low, x[0]), min(high, x[1])), kind) for low, high, kind in shades] for axes in (upper, lower)
+    ]
+    below.append(lower.shade(x, "chance", (1.0 / (1.0 + c.chance), 1.0 + c.chance)))
     for values, kind in ((c.measured, "measured"), (c.before, "before dashed"), (c.after, "after"))[: n + 1]:
-        marks.append(upper.line(c.hz, values[i], kind))
+        above.append(upper.line(c.hz, values[i], kind))
     for values, kind in ((c.ratio_before, "before"), (c.ratio_after, "after"))[:n]:
-        marks.append(lower.line(c.ratio_hz, values[i], kind))
-    return svg(1080, 378, f"Measured and simulated spectrum of {name}, and their ratio", *marks)
+        below.append(lower.line(c.ratio_hz, values[i], kind))
+    return upper.chart(f"{name}: power spectral density, (m/s²)²/Hz", *above, numbers=False) + lower.chart(
+        f"{name}: measured / simulated, ratio of power", *below, x_title="frequency, Hz"
+    )
 
 
 def _misfit(c: Comparison, diagnosis: Diagnosis) -> str:
@@ -147,8 +157,8 @@ def _misfit(c: Comparison, diagnosis: Diagnosis) -> str:
     out = ["<h2>Where the misfit is</h2><div class='pair'>"]
     for when, z, _ in stages:
         values = np.array([z[:, i, j] for _, i, j in rows])
-        title = f"{when}: worst {np.abs(z).max():.1f} standard deviations"
-        out.append(f"<figure>{charts.heat(values, x, [r[0] for r in rows], 12.0, title, f'Misfit {when}')}</figure>")
+        title = f"Misfit {when}: worst {np.abs(z).max():.1f} standard deviations"
+        out.append(charts.heat(values, x, [r[0] for r in rows], 12.0, title))
     out.append(
         "</div><p class='muted'>Red: measured more than simulated, blue: less; full colour at 12 standard deviations, "
         f"chance up to {c.limit:g}. Power is counted given the channels above; the other rows compare how two channels "
@@ -175,15 +185,15 @@ def _modes_by_class(dependence: LevelDependence) -> str:
         ("damping, %", 100 * dependence.damping, 100 * dependence.damping_std, 100 * dependence.model_damping),
     )
     for mode in range(n):
-        marks = []
-        for column, (name, value, std, model) in enumerate(series):
+        pair = []
+        for name, value, std, model in series:
             y, half, curve = value[:, mode], 2.0 * std[:, mode], model[:, mode]
             low, high = min((y - half).min(), curve.min()), max((y + half).max(), curve.max())
             pad = 0.1 * (high - low) + 1e-9
-            axes = Axes(x, (float(low - pad), float(high + pad)), (62 + 540 * column, 22, 460, 120))
-            marks += [axes.frame(f"mode {mode + 1}: {name}", dependence.axis if mode == n - 1 else "")]
-            marks += [axes.line(dependence.at, curve, "after"), axes.dots(dependence.at, y, half)]
-        out.append(f"<figure>{svg(1080, 176, f'Mode {mode + 1} by class', *marks)}</figure>")
+            axes = Axes(x, (float(low - pad), float(high + pad)), 120.0)
+            marks = [axes.line(dependence.at, curve, "after"), axes.dots(dependence.at, y, half)]
+            pair.append(axes.chart(f"mode {mode + 1}: {name}", *marks, x_title=dependence.axis))
+        out.append(f"<div class='pair'>{''.join(pair)}</div>")
     note = "Points: each class fitted alone, with 95 % intervals. Line: what the model with its causes predicts."
     return f"<h2>How the modes move</h2>{''.join(out)}<p class='muted'>{note}</p>"
 
@@ -204,9 +214,7 @@ def _ranking(diagnosis: Diagnosis, content: Content) -> str:
         last = i == len(accepted)
         kinds = ["accepted" if c.key == winner else "rival" if last and c.key in rivals else "" for c in shown]
         names = [f"{c.effect.name}, {c.effect.location}" for c in shown]
-        out.append(
-            f"<figure>{charts.bars(names, [c.log_evidence for c in shown], kinds, 'Evidence of each cause')}</figure>"
-        )
+        out.append(charts.bars(names, [c.log_evidence for c in shown], kinds, "Evidence of each cause"))
     out.append(
         "<p class='muted'>Log evidence over the model without the cause, nats: 5 is odds of 150 to 1. "
         "Blue: accepted; orange: cannot be told apart; grey: not accepted.</p>"
@@ -218,6 +226,15 @@ def _parameters(diagnosis: Diagnosis, content: Content, hz: Array) -> str:
     """Tabulate the causes with their parameters, the alternatives and the causes found at calibration."""
     reference = diagnosis.posterior.prior
     out = []
+    if content["refit"]:
+        refit = [
+            (row["location"], row["parameter"], f"{row['drawn']:.5g}",
+             interval({"value": row["refitted"], "std": row["std"]}, 1.0, unit(row["parameter"])),
+             "" if row["tolerance"] is None else f"± {100 * row['tolerance']:.3g} %", row["says"])
+            for row in content["refit"]
+        ]  # fmt: skip
+        head = ["place", "parameter", "#drawn", "refitted", "#tolerance", "in words"]
+        out.append("<h2>What was refitted against the drawing</h2>" + table(head, refit))
     lists = (("Causes", content["causes"]), ("Already so at calibration", content["standing"]))
     for title, causes in lists:
         rows: list[Sequence[str]] = []
@@ -237,8 +254,7 @@ def _parameters(diagnosis: Diagnosis, content: Content, hz: Array) -> str:
     out += [_force_spectrum(effect, hz) for effect in reference.effects(reference.mean) if effect.colour_title]
     if content["alternatives"]:
         rivals = [
-            (a["effect"], a["location"], f"{100 * a['probability']:.0f} %",
-             in_words(a["effect"], a["location"], a["parameters"], reference))
+            (a["effect"], a["location"], f"{100 * a['probability']:.0f} %", a["says"])
             for a in content["alternatives"]
         ]  # fmt: skip
         out.append("<h2>Alternatives</h2>" + table(["effect", "place", "#probability", "in words"], rivals))
@@ -256,15 +272,9 @@ def _force_spectrum(effect: Effect, hz: Array) -> str:
     """Draw the power spectral density of an effect's forces; `hz` of shape (n_hz,)."""
     density = np.asarray(effect.colour(hz))
     axes = Axes(
-        (float(hz[0]), float(hz[-1])),
-        (float(density.min()) / 1.3, float(density.max()) * 1.3),
-        (62, 22, 1010, 120),
-        True,
+        (float(hz[0]), float(hz[-1])), (float(density.min()) / 1.3, float(density.max()) * 1.3), 120.0, log_y=True
     )
-    title = effect.colour_title
-    return (
-        f"<figure>{svg(1080, 176, title, axes.frame(title, 'frequency, Hz'), axes.line(hz, density, 'after'))}</figure>"
-    )
+    return axes.chart(effect.colour_title, axes.line(hz, density, "after"), x_title="frequency, Hz")
 
 
 def _signatures(causes: Sequence[Content]) -> str:

@@ -24,6 +24,8 @@ _MAX_MODES = 8
 """Largest number of modes that are drawn."""
 _SAME_MODE = 0.1
 """Relative difference of two frequencies below which they are one mode, where tracking has not identified the mode yet."""
+_SAME_OTHER_MODE = 0.02
+"""The same for modes that the model has no counterpart for, which may be close to others."""
 _HEAD, _TAIL_BYTES = 50, 1 << 17
 """Number of lines at the beginning and of bytes at the end of the file from which its extent is read."""
 _T_END = re.compile(rb'"t_end_ns": (\d+)')
@@ -72,6 +74,8 @@ class Curve:
         self._total, self._count = [0.0] * grid.n, [0] * grid.n
         self.values = 0
         self.latest = 0.0
+        self.mode: int | None = None
+        """Number of the model's mode whose frequency it is, 1 = lowest; None for any other quantity or mode."""
 
     def add(self, at: int, value: float, half: float = 0.0) -> None:
         """Add a value with its half-interval to bin `at`."""
@@ -130,14 +134,20 @@ class PeriodResults:
         t_ns = int(line["t_end_ns"])
         at = self.grid.at(t_ns)
         self.course = follow(self.course, facts_of_line(line), self.misfit_limit)
+        tracks = line.get("mode_tracks") or []
+        frequencies, stds = line["frequencies_hz"] or [], line["frequencies_std_hz"] or []
+        numbers = line.get("model_modes") or range(1, len(frequencies) + 1)
+        for i, (mode, f, std) in enumerate(zip(numbers, frequencies, stds, strict=True)):
+            curve = self._mode(tracks[i] if i < len(tracks) else -1, f)
+            curve.add(at, f, 2.0 * (std or 0.0))
+            curve.mode = mode
+        for other in line.get("other_modes") or []:
+            f, std = other["frequency_hz"], other["frequency_std_hz"]
+            self._mode(other["track"], f, _SAME_OTHER_MODE).add(at, f, 2.0 * (std or 0.0))
         if line["skipped"] is not None:
             self.refused[at] += 1
             return
         self.judged[at] += 1
-        tracks = line.get("mode_tracks") or []
-        frequencies, stds = line["frequencies_hz"] or [], line["frequencies_std_hz"] or []
-        for i, (f, std) in enumerate(zip(frequencies, stds, strict=True)):
-            self._mode(tracks[i] if i < len(tracks) else -1, f).add(at, f, 2.0 * (std or 0.0))
         if line["ddi"] is not None:
             self.ddi = self.ddi or [Curve(self.grid) for _ in line["ddi"]]
             for curve, value, std in zip(self.ddi, line["ddi"], line["ddi_std"], strict=False):
@@ -150,11 +160,11 @@ class PeriodResults:
                 curve.add(at, value)
         self.no_baseline = line["alarm"]["reason"].startswith("no baseline")
 
-    def _mode(self, track: int, frequency: float) -> Curve:
+    def _mode(self, track: int, frequency: float, apart: float = _SAME_MODE) -> Curve:
         """Find the curve that a frequency continues: the curve of its track, else the nearest one, else a new one."""
         if track in self._tracks:
             return self._tracks[track]
-        near = [c for c in self.modes if abs(frequency - c.latest) < _SAME_MODE * c.latest]
+        near = [c for c in self.modes if abs(frequency - c.latest) < apart * c.latest]
         curve = min(near, key=lambda c: abs(frequency - c.latest), default=None)
         if curve is None:
             curve = Curve(self.grid)
@@ -165,7 +175,7 @@ class PeriodResults:
 
     def common_modes(self) -> list[Curve]:
         """Return the curves of the modes that are identified most often, by ascending frequency."""
-        common = [c for c in self.modes if c.values >= 0.02 * sum(self.judged)]
+        common = [c for c in self.modes if c.values >= 0.02 * self.course.windows]
         most_frequent = sorted(common, key=lambda c: -c.values)[:_MAX_MODES]
         return sorted(most_frequent, key=lambda c: c.latest)
 

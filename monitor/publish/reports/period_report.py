@@ -14,25 +14,16 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from monitor.core import WHOLE, BadInputError, Level, Skipped, write_atomically
-from monitor.damage import Assessment, Course, Known, Loss, State, assess
+from monitor.damage import Assessment, Course, Known, Loss, assess
 from monitor.publish.reports import period_notes as notes
 from monitor.publish.reports.page import document, table
 from monitor.publish.reports.period_data import PeriodResults, read_results, utc
 from monitor.publish.reports.period_notes import Decision, Quality
-from monitor.publish.reports.time_charts import HEIGHT, TimeAxes, draw_envelope, figure, panel, time_axes
+from monitor.publish.reports.time_charts import TIME, TimeAxes, draw_envelope, panel, time_axes
 
 _MAX_ROWS = 200
 """Largest number of rows of a table."""
 _UNKNOWN = "–"
-_COLOURS = {
-    State.NORMAL: "none",
-    State.NOT_JUDGED: "unknown",
-    State.ADVISORY: "ambiguous",
-    State.DOUBTFUL: "ambiguous",
-    State.WARNING: "ambiguous",
-    State.ALARM: "",
-}
-"""Style of the state's badge: green is for `normal` alone."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -152,23 +143,26 @@ def _head(period: Period) -> str:
     """Write the verdict, the span and the key figures."""
     r, said = period.results, period.assessment
     doubts = "".join(f"<li>{escape(doubt)}</li>" for doubt in said.doubts)
-    figures = [
-        (f"{100 * sum(r.judged) / r.due:.1f} %", f"of {r.due} windows due were judged, one every {r.hop_s:g} s"),
-        (f"{len(period.course.losses)}", "alarm" if len(period.course.losses) == 1 else "alarms"),
-    ]
+    evaluated = f"of {r.due} windows due were evaluated, one every {r.hop_s:g} s"
+    figures = [(f"{100 * sum(r.judged) / r.due:.1f} %", evaluated)]
+    if period.known.has_baseline:
+        figures.append((f"{len(period.course.losses)}", "alarm" if len(period.course.losses) == 1 else "alarms"))
     if period.quality is not None and period.quality.availability is not None:
         figures.insert(0, (f"{100 * period.quality.availability:.2f} %", "of the samples due came"))
-    if r.ddi:
-        latest = [(f"{100 * c.latest:.2f} %", f"story {j}, latest") for j, c in enumerate(r.ddi, 1)]
+    if r.ddi and period.known.has_baseline:
+        latest = [
+            (f"{100 * c.latest:.2f} %", f"{_story(j, period)}, latest")
+            for j, c in enumerate(r.ddi, 1)
+            if _sight(j, period)[0]
+        ]
         figures += latest if len(latest) <= 4 else [max(latest, key=lambda f: float(f[0].split()[0]))]
     boxes = "".join(f"<div><b>{a}</b>{escape(b)}</div>" for a, b in figures)
     return (
-        f'<span class="verdict {_COLOURS[said.state]}">{said.state.words}</span><h1>{escape(said.headline)}</h1>'
+        f'<span class="verdict {said.state}">{said.state.words}</span><h1>{escape(said.headline)}</h1>'
         f'<ul class="doubts">{doubts}</ul><p class="muted">{escape(period.name)}, {_span(period)}</p>'
         f'<div class="figures">{boxes}</div>'
-        '<p class="muted">The damage index is the share of a story\'s stiffness lost since the baseline. Shaded: least '
-        "to greatest value in each step of time, with two standard deviations; line: their mean. Times are those of "
-        "the windows' ends, by the data.</p>"
+        '<p class="muted">Shaded: least to greatest value in each step of time, with two standard deviations; line: '
+        "their mean. Times are those of the windows' ends, by the data.</p>"
     )
 
 
@@ -176,11 +170,13 @@ def _damage(period: Period) -> str:
     """Draw the damage index of every story on one scale, with alarms and threshold."""
     if not period.results.ddi:
         return ""
-    limit, r = period.thresholds.get("alarm_loss"), period.results
+    judged, r = period.known.has_baseline, period.results
+    limit = period.thresholds.get("alarm_loss") if judged else None
     curves = [c.envelope() for c in r.ddi]
     low = 100 * min(0.0, *(float(e.low.min()) for e in curves))
     high = 100 * max(limit or 0.0, 0.001, *(float(e.high.max()) for e in curves))
-    out = ["<h2>Damage index</h2>"]
+    since = "since the baseline" if judged else "against the structure file"
+    out = [f"<h2>{'Damage index' if judged else 'Stiffness'}</h2>"]
     for j, e in enumerate(curves, 1):
         axes = time_axes(period.results.grid, low, high)
         marks = [
@@ -190,10 +186,30 @@ def _damage(period: Period) -> str:
         ]
         lines = [(0.0, "before dashed")] + ([(100 * limit, "limit dashed")] if limit is not None else [])
         marks += [axes.line(np.array(axes.x), np.full(2, y), kind) for y, kind in lines]
-        remark = "; the modes say next to nothing of it" if j in r.unidentified else ""
-        title = f"story {j}: stiffness lost, %{remark}"
-        out.append(figure(title, HEIGHT, axes.frame(title), *marks, *draw_envelope(axes, e, 100.0)))
-    return "".join(out) + f"<p class='muted'>{_thresholds(period.thresholds)}</p>"
+        seen, says = _sight(j, period)
+        title = f"{_story(j, period)}: stiffness lost {since}, %; {says}"
+        marks += draw_envelope(axes, e, 100.0)
+        out.append(axes.chart(title, *marks, x_title=TIME, kind="" if seen else " unseen"))
+    how = _thresholds(period.thresholds) if judged else "Without a baseline this is no damage index."
+    return "".join(out) + f"<p class='muted'>{how}</p>"
+
+
+def _sight(story: int, period: Period) -> tuple[bool, str]:
+    """Tell whether a loss of the alarm's size would have been seen in a story, and from which loss on it would."""
+    known, window = period.known, period.course.judged
+    if not known.has_baseline:
+        return True, "not judged"
+    detectable = None if window is None else window.detectable
+    if story in known.unwatched:
+        return False, "NOT WATCHED"
+    if detectable is None:
+        return False, "not known which loss would be seen"
+    loss = detectable[story - 1]
+    if loss is None or loss >= 1.0:
+        return False, "NOT SEEN: the modes say next to nothing of it"
+    if loss >= known.alarm_loss:
+        return False, f"only a loss above {100 * loss:.2g} % would be seen"
+    return True, f"a loss above {100 * loss:.2g} % would be seen"
 
 
 def _thresholds(thresholds: Mapping[str, float]) -> str:
@@ -217,7 +233,8 @@ def _clipped(axes: TimeAxes, from_ns: int, to_ns: int | None) -> tuple[float, fl
 def _alarms(period: Period) -> str:
     """Tabulate every alarm with the verdict of its diagnosis and the actions of the operators."""
     if not period.course.losses:
-        return "<h2>Alarms</h2><p>None.</p>"
+        none = "None." if period.known.has_baseline else "Without a baseline none can be raised."
+        return f"<h2>Alarms</h2><p>{none}</p>"
     rows = []
     for i, e in enumerate(period.course.losses[:_MAX_ROWS]):
         later = (n.t_first_ns for n in period.course.losses[i + 1 :] if n.story == e.story)
@@ -242,7 +259,8 @@ def _modes(period: Period) -> str:
     curves = period.results.common_modes()
     if not curves:
         return ""
-    panels = [panel(period.results.grid, c, f"mode {i}: frequency, Hz") for i, c in enumerate(curves, 1)]
+    names = [f"mode {c.mode}" if c.mode is not None else "another mode, not of the model" for c in curves]
+    panels = [panel(period.results.grid, c, f"{name}: frequency, Hz") for name, c in zip(names, curves, strict=True)]
     return (
         "<h2>Modes</h2>" + "".join(panels) + panel(period.results.grid, period.results.temperature, "temperature, degC")
     )
@@ -287,11 +305,11 @@ def _known(value: float | None) -> str:
 
 
 def _coverage_strip(period: Period) -> str:
-    """Draw where windows were judged, where they were skipped, and where there are none."""
+    """Draw where windows were evaluated, where they were skipped, and where there are none."""
     r = period.results
-    axes = time_axes(period.results.grid, 0.0, 1.0, 26.0)
+    axes = time_axes(r.grid, 0.0, 1.0, 26.0)
     width = (axes.x[1] - axes.x[0]) / r.grid.n
-    kinds = ["good" if j and not s else "off" if s else "" for j, s in zip(r.judged, r.refused, strict=True)]
+    kinds = ["used" if j and not s else "off" if s else "" for j, s in zip(r.judged, r.refused, strict=True)]
     marks, start = [], 0
     for kind, run in groupby(kinds):
         stop = start + len(list(run))
@@ -299,8 +317,8 @@ def _coverage_strip(period: Period) -> str:
             span = (axes.x[0] + start * width, axes.x[0] + stop * width)
             marks.append(axes.shade(span, kind))
         start = stop
-    title = "windows: green judged, orange skipped in part or whole, blank none"
-    return figure(title, 26.0, axes.frame(title), *marks)
+    title = "windows: blue evaluated, orange skipped in part or whole, blank none"
+    return axes.chart(title, *marks, x_title=TIME)
 
 
 def _findings(period: Period) -> str:

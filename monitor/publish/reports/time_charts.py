@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from monitor.publish.reports.charts import Axes, svg
+from monitor.publish.reports.charts import Axes
 from monitor.publish.reports.period_data import Curve, Envelope, Grid, utc
 
 HEIGHT = 110.0
 """Height of a curve, px."""
-_WIDTH, _LEFT = 1080.0, 62.0
+TIME = "time, UTC"
+"""Title of the axis."""
 _STEPS_S = (1, 5, 15, 60, 300, 900, 1800, 3600, 10800, 21600, 43200)
 _STEPS_DAYS = (1, 2, 7, 14, 28, 91, 182, 364)
 
@@ -20,26 +21,21 @@ class TimeAxes(Axes):
     __slots__ = ()
 
     def x_ticks(self) -> list[tuple[float, str]]:
-        """Return at most nine round times with their labels."""
+        """Return at most nine round times; their labels say the time of day above the date."""
         start, stop = self.x
         step = next((s for s in (*_STEPS_S, *(86400 * d for d in _STEPS_DAYS)) if (stop - start) / s <= 9), None)
         step = step or 86400 * 364 * int((stop - start) / (86400 * 364 * 9) + 1)
         places = np.arange(np.ceil(start / step), np.floor(stop / step) + 1) * step
         texts = [utc(1e9 * t) for t in places]
-        cut = slice(0, 10) if step >= 86400 else slice(11, 19) if step < 60 else slice(5, 16)
-        return [(float(t), text[cut].replace("T", " ")) for t, text in zip(places, texts, strict=True)]
+        end = 19 if step < 60 else 16
+        labels = [text[:10] if step >= 86400 else f"{text[11:end]}\n{text[:10]}" for text in texts]
+        return [(float(t), label) for t, label in zip(places, labels, strict=True)]
 
 
 def time_axes(grid: Grid, low: float, high: float, height: float = HEIGHT) -> TimeAxes:
     """Make axes over a grid's time, with a margin above and below the range of values."""
     margin = 0.06 * (high - low) or 0.01 * abs(high) or 1.0
-    box = (_LEFT, 22.0, _WIDTH - _LEFT - 36.0, height)
-    return TimeAxes((grid.from_ns * 1e-9, grid.to_ns * 1e-9), (low - margin, high + margin), box)
-
-
-def figure(label: str, height: float, *marks: str) -> str:
-    """Write a chart over time, `height` px high, with room for its ticks and title."""
-    return f"<figure>{svg(_WIDTH, height + 42.0, label, *marks)}</figure>"
+    return TimeAxes((grid.from_ns * 1e-9, grid.to_ns * 1e-9), (low - margin, high + margin), height)
 
 
 def draw_envelope(axes: Axes, e: Envelope, scale: float = 1.0) -> list[str]:
@@ -62,4 +58,4 @@ def panel(grid: Grid, curve: Curve | None, title: str) -> str:
         return ""
     e = curve.envelope()
     axes = time_axes(grid, float(e.low.min()), float(e.high.max()))
-    return figure(title, HEIGHT, axes.frame(title), *draw_envelope(axes, e))
+    return axes.chart(title, *draw_envelope(axes, e), x_title=TIME)

@@ -9,6 +9,15 @@ import pyarrow as pa
 
 _MANY = pa.list_(pa.float64())
 _NUMBERS = pa.list_(pa.int64())
+_OTHER_MODE = pa.struct(
+    [
+        ("frequency_hz", pa.float64()),
+        ("frequency_std_hz", pa.float64()),
+        ("damping_ratio", pa.float64()),
+        ("mode_shape", pa.list_(_MANY)),
+        ("track", pa.int64()),
+    ]
+)
 
 WINDOWS_SCHEMA = pa.schema(
     [
@@ -33,7 +42,9 @@ WINDOWS_SCHEMA = pa.schema(
         ("unidentified", _NUMBERS),
         ("detectable_loss", _MANY),
         ("rms_m_s2", pa.float64()),
+        ("model_modes", _NUMBERS),
         ("mode_tracks", _NUMBERS),
+        ("other_modes", pa.list_(_OTHER_MODE)),
         ("misfit", pa.float64()),
         ("temperature_degc", pa.float64()),
         ("temperature_effect", _MANY),

@@ -5,13 +5,13 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from monitor.core import WHOLE, Alarm, Level, WindowResult, finish, partial
+from monitor.core import WHOLE, Alarm, Level, OtherMode, WindowResult, finish, partial
 from monitor.damage import AlarmState, State, WindowFacts, hold
 
 
@@ -42,13 +42,14 @@ def window_line(result: WindowResult) -> dict[str, Any]:
 
     Examples
     --------
-    >>> from monitor.core import Alarm, Level
+    >>> from monitor.core import Alarm, Level, Skipped
     >>> alarm = Alarm(Level.NORMAL, (), "no baseline")
     >>> line = window_line(WindowResult(0, 400_000_000_000, 400.0, None, None, None, alarm, Skipped("too few poles")))
     >>> line["t_end_ns"], line["alarm"]["level"], line["skipped"], line["ddi"]
     (400000000000, 'normal', 'too few poles', None)
     """
     modes, stiffness, damage = result.modes, result.stiffness, result.damage
+    n_modes = 0 if modes is None else len(modes.frequencies_hz)
     shapes = None
     if modes is not None:
         shapes = _rounded(np.stack([modes.shapes.real, modes.shapes.imag], axis=-1))
@@ -72,7 +73,9 @@ def window_line(result: WindowResult) -> dict[str, Any]:
         "unidentified": damage and list(damage.unidentified),
         "detectable_loss": None if result.detectable_loss is None else _rounded(result.detectable_loss),
         "rms_m_s2": None if result.rms_m_s2 is None else _rounded(result.rms_m_s2),
-        "mode_tracks": list(result.mode_tracks),
+        "model_modes": modes and [int(k) + 1 for k in modes.model_mode],
+        "mode_tracks": list(result.mode_tracks[:n_modes]),
+        "other_modes": modes and _other_modes(modes.others, result.mode_tracks[n_modes:]),
         "misfit": stiffness and _rounded(stiffness.misfit),
         "temperature_degc": result.temperature and _rounded(result.temperature.lagged_degc[0]),
         "temperature_effect": None
@@ -85,6 +88,20 @@ def window_line(result: WindowResult) -> dict[str, Any]:
         },
         "skipped": result.skipped and result.skipped.reason,
     }
+
+
+def _other_modes(others: Sequence[OtherMode], tracks: Sequence[int]) -> list[dict[str, Any]]:
+    """Collect the values of the modes that the model has no counterpart for."""
+    return [
+        {
+            "frequency_hz": _rounded(mode.frequency_hz),
+            "frequency_std_hz": _rounded(mode.frequency_std_hz),
+            "damping_ratio": _rounded(mode.damping_ratio),
+            "mode_shape": _rounded(np.stack([mode.shape.real, mode.shape.imag], axis=-1)),
+            "track": track,
+        }
+        for mode, track in zip(others, tracks, strict=True)
+    ]
 
 
 def alarm_line(alarm: Alarm) -> dict[str, Any]:
@@ -162,6 +179,7 @@ def facts_of_line(line: Mapping[str, Any]) -> WindowFacts:
         None if detectable is None else tuple(detectable),
         line.get("misfit"),
         line.get("rms_m_s2"),
+        () if line["ddi"] is None else tuple(zip(line["ddi"], line["ddi_std"], strict=True)),
     )
 
 
@@ -176,17 +194,18 @@ def replay_text(summary: Mapping[str, Any]) -> str:
     """Describe a replay in words, from the content of its summary.json; the state stands last, where a terminal shows it."""
     pace = f"{summary['realtime_factor']:.0f} x real time" + (", diagnosis apart" if summary["alarms"] else "")
     text = [f"{summary['windows']} windows, {summary['skipped']} skipped, {pace}"]
-    if summary["frequencies_hz"] is not None:
-        pairs = zip(
-            summary["frequencies_hz"],
-            summary["structure_file_frequencies_hz"],
-            summary["frequency_misfit"],
-            strict=False,
+    drawn_hz = summary["structure_file_frequencies_hz"]
+    modes = summary["model_modes"] or []
+    for mode, measured, misfit in zip(
+        modes, summary["frequencies_hz"] or [], summary["frequency_misfit"] or [], strict=True
+    ):
+        text.append(
+            f"mode {mode}: {measured:.4g} Hz measured, {drawn_hz[mode - 1]:.4g} Hz by the structure file "
+            f"(the data lie {100 * misfit:+.1f} % off)"
         )
-        for i, (measured, drawn, misfit) in enumerate(pairs, start=1):
-            text.append(
-                f"mode {i}: {measured:.4g} Hz measured, {drawn:.4g} Hz by the structure file "
-                f"(the data lie {100 * misfit:+.1f} % off)"
-            )
+    for other in summary["other_modes"]:
+        where = f"in {other['windows']} of {summary['windows']} windows"
+        text.append(f"besides: {other['frequency_hz']:.4g} Hz measured {where}, no mode of the model")
+    text += summary["missing_modes"]
     state = State(summary["state"])
     return "\n".join([*text, f"{state.words}: {summary['headline']}", *(f"  {doubt}" for doubt in summary["doubts"])])

@@ -26,7 +26,9 @@ LINE_SCHEMA: dict[str, Any] = {
         "unidentified": _INTEGERS,
         "detectable_loss": {"type": ["array", "null"], "items": _NUMBER},
         "rms_m_s2": _NUMBER,
+        "model_modes": _INTEGERS,
         "mode_tracks": _INTEGERS,
+        "other_modes": {"type": ["array", "null"], "items": {"type": "object"}},
         "misfit": _NUMBER,
         "temperature_degc": _NUMBER,
         "alarm": {

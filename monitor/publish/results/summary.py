@@ -7,9 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from monitor.core import WHOLE, Gap, WindowResult
+from monitor.core import WHOLE, Gap, ModalEstimate, WindowResult
 from monitor.damage import Course, Loss, facts_of, follow
 from monitor.signals import Health
+
+_SAME_MODE = 0.02
+"""Relative difference of two frequencies below which they are one mode without counterpart in the model. [ratio; judgement]"""
+_COMMON_MODE = 0.1
+"""Least number of windows of a mode in the summary, over that of the mode found most often. [ratio; judgement]"""
 
 
 @dataclass(slots=True)
@@ -29,12 +34,14 @@ class Summary:
     """The windows, as far as the state depends on them, and the alarm episodes."""
     gaps: int = 0
     dropped_samples: int = 0
-    frequencies_hz: list[float] | None = None
-    """Mean natural frequencies, Hz; mode 0 = lowest."""
+    modes: dict[int, tuple[int, float]] = field(default_factory=dict)
+    """Number of windows and mean natural frequency, Hz, of each of the model's modes, 1 = lowest."""
+    other_modes: list[tuple[int, float]] = field(default_factory=list)
+    """The same of the modes that the model has no counterpart for."""
+    missing_modes: dict[int, str] = field(default_factory=dict)
+    """Why a mode of the model, 1 = lowest, was not found when this last happened."""
     temperature_range_degc: tuple[float, float] | None = None
     """Lowest and highest mean temperature of a window, degC."""
-    n_frequencies: int = 0
-    """Number of windows in the mean `frequencies_hz`."""
 
     def gap(self, gap: Gap) -> None:
         """Count a gap."""
@@ -47,17 +54,21 @@ class Summary:
             degc = float(result.temperature.lagged_degc[0])
             low, high = self.temperature_range_degc or (degc, degc)
             self.temperature_range_degc = min(low, degc), max(high, degc)
-        if result.skipped is None and result.modes is not None:
-            self._average(result.modes.frequencies_hz.tolist())
+        if result.modes is not None:
+            self._average(result.modes)
 
-    def _average(self, frequencies: list[float]) -> None:
-        """Update the running mean of the natural frequencies; a different number of modes restarts it."""
-        self.n_frequencies += 1
-        if self.frequencies_hz is None or len(self.frequencies_hz) != len(frequencies):
-            self.frequencies_hz, self.n_frequencies = frequencies, 1
-            return
-        share = 1.0 / self.n_frequencies
-        self.frequencies_hz = [a + share * (b - a) for a, b in zip(self.frequencies_hz, frequencies, strict=True)]
+    def _average(self, found: ModalEstimate) -> None:
+        """Update the running means of the natural frequencies."""
+        for mode, hz in zip((found.model_mode + 1).tolist(), found.frequencies_hz.tolist(), strict=True):
+            self.modes[mode] = _with_value(self.modes.get(mode, (0, 0.0)), hz)
+        for other in found.others:
+            means = enumerate(mean for _, mean in self.other_modes)
+            alike = [i for i, mean in means if abs(other.frequency_hz / mean - 1.0) < _SAME_MODE]
+            if alike:
+                self.other_modes[alike[0]] = _with_value(self.other_modes[alike[0]], other.frequency_hz)
+            else:
+                self.other_modes.append((1, other.frequency_hz))
+        self.missing_modes |= {mode + 1: why for mode, why in found.missing}
 
     def content(self, realtime_factor: float, model_frequencies_hz: list[float]) -> dict[str, Any]:
         """Return the counts for summary.json.
@@ -69,9 +80,9 @@ class Summary:
         model_frequencies_hz : list of float
             Natural frequencies of the structure file's model, Hz.
         """
-        misfit = None
-        if self.frequencies_hz is not None:
-            misfit = [f / g - 1.0 for f, g in zip(self.frequencies_hz, model_frequencies_hz, strict=False)]
+        most = max((n for n, _ in [*self.modes.values(), *self.other_modes]), default=0)
+        means = {mode: hz for mode, (n, hz) in sorted(self.modes.items()) if n >= _COMMON_MODE * most}
+        others = sorted((hz, n) for n, hz in self.other_modes if n >= _COMMON_MODE * most)
         return {
             "windows": self.course.windows,
             "skipped": self.course.skipped,
@@ -80,11 +91,20 @@ class Summary:
             "dropped_samples": self.dropped_samples,
             "gaps": self.gaps,
             "realtime_factor": round(realtime_factor, 1),
-            "frequencies_hz": self.frequencies_hz,
+            "frequencies_hz": list(means.values()) or None,
+            "model_modes": list(means) or None,
             "structure_file_frequencies_hz": model_frequencies_hz,
-            "frequency_misfit": misfit,
+            "frequency_misfit": [hz / model_frequencies_hz[mode - 1] - 1.0 for mode, hz in means.items()] or None,
+            "other_modes": [{"frequency_hz": hz, "windows": n} for hz, n in others],
+            "missing_modes": [why for mode, why in sorted(self.missing_modes.items()) if mode not in means],
             "temperature_range_degc": self.temperature_range_degc,
         }
+
+
+def _with_value(mean: tuple[int, float], value: float) -> tuple[int, float]:
+    """Update a count and its mean by a value."""
+    count, share = mean[0] + 1, 1.0 / (mean[0] + 1)
+    return count, mean[1] + share * (value - mean[1])
 
 
 def episode_content(loss: Loss) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,13 +10,14 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from monitor.core import Array
-from monitor.diagnosis import Diagnosis, headline, in_words
+from monitor.core import Array, name_stories
+from monitor.diagnosis import Diagnosis, in_words
 from monitor.inference import Segments
 from monitor.publish.reports.comparison import Comparison, compare
 from monitor.publish.viewer.layout import ALL_TIME
 from monitor.publish.viewer.output import Output
 from monitor.publish.viewer.scene import GREY, Colour
+from monitor.publish.viewer.trust import VERDICTS
 
 _TIMELINE = "frequency_mHz"
 _MEASURED, _BEFORE, _AFTER = (235, 235, 235), (240, 154, 74), (90, 169, 240)
@@ -26,7 +27,9 @@ _FULL = 12.0
 """Standard deviations at which the maps reach their full colour."""
 
 
-def write_view(path: Path, diagnosis: Diagnosis, content: Mapping[str, Any], segments: Segments) -> None:
+def write_view(
+    path: Path, diagnosis: Diagnosis, content: Mapping[str, Any], segments: Segments, story_names: Sequence[str] = ()
+) -> None:
     """Write the recording; the file appears under its name only when complete.
 
     Parameters
@@ -38,6 +41,8 @@ def write_view(path: Path, diagnosis: Diagnosis, content: Mapping[str, Any], seg
         diagnosis.json.
     segments : Segments
         The segments that were diagnosed.
+    story_names : sequence of str
+        What people call each story.
 
     Raises
     ------
@@ -48,7 +53,8 @@ def write_view(path: Path, diagnosis: Diagnosis, content: Mapping[str, Any], seg
     output = Output("diagnosis", path, None)
     try:
         output.stream.send_blueprint(_blueprint(compared))
-        status = rr.TextDocument(_status(diagnosis, content, segments, compared), media_type="text/markdown")
+        text = name_stories(_status(diagnosis, content, segments, compared), story_names)
+        status = rr.TextDocument(text, media_type="text/markdown")
         output.stream.log("/verdict", status, static=True)
         _spectra(output.stream, compared)
         for when, z in (("before", compared.z_before), ("after", compared.z_after)):
@@ -83,7 +89,7 @@ def _spectra(stream: rr.RecordingStream, c: Comparison) -> None:
 def _status(diagnosis: Diagnosis, content: Mapping[str, Any], segments: Segments, compared: Comparison) -> str:
     """Write the content of the report as Markdown."""
     gain = content["gain"]["log_score_per_sample"]
-    lines = [f"# {content['verdict'].upper()}", headline(diagnosis, content), ""]
+    lines = [f"# {VERDICTS[content['verdict']].upper()}", content["says"], ""]
     if content["separating_measurement"]:
         lines += [f"**To tell them apart:** {content['separating_measurement']}.", ""]
     if content["causes"]:
@@ -120,8 +126,8 @@ def _blueprint(c: Comparison) -> rrb.Blueprint:
     def tab(channel: str) -> rrb.Vertical:
         part = rr.escape_entity_path_part(channel)
         return rrb.Vertical(
-            plot(f"/spectra/{part}", f"{channel}: power, dB"),
-            plot(f"/ratios/{part}", f"{channel}: ratio, dB"),
+            plot(f"/spectra/{part}", f"{channel}: power, dB re 1 (m/s²)²/Hz, over mHz"),
+            plot(f"/ratios/{part}", f"{channel}: measured over simulated, dB, over mHz"),
             row_shares=[2, 1],
             name=channel,
         )
@@ -141,7 +147,7 @@ def _blueprint(c: Comparison) -> rrb.Blueprint:
             ),
             rrb.Vertical(
                 rrb.Horizontal(*columns) if len(columns) <= 3 else rrb.Tabs(*columns),
-                plot("/worst", "Worst misfit of a band, standard deviations"),
+                plot("/worst", "Worst misfit of a band, standard deviations, over mHz"),
                 row_shares=[3, 1],
             ),
             column_shares=[2, 3],

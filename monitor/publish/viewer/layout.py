@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
 from monitor.publish.viewer.scene import STABILISATION, Scene
+from monitor.publish.viewer.state import LAMP
 
 _DARK = (24, 26, 30)
+_DISTANCE_TO_WIDTH, _DISTANCE_TO_HEIGHT = 0.7, 0.95
+"""Distance of the eye over width and height of what it sees. [ratio; the viewer's angle of view]"""
+_MODES_IN_A_COLUMN = 3
+"""Most modes whose frequencies are drawn below each other. [count; judgement]"""
 ALL_TIME = rrb.TimeAxis(
     view_range=rr.TimeRange(start=rr.TimeRangeBoundary.infinite(), end=rr.TimeRangeBoundary.infinite())
 )
@@ -23,7 +29,7 @@ def _plot(origin: str, name: str, *, legend: bool = True) -> rrb.TimeSeriesView:
 def blueprint(scene: Scene, page: int = 0) -> rrb.Blueprint:
     """Make the layout with page 0 ("Is it healthy?"), 1 ("Can I trust it?") or 2 ("What does it do now?") in front."""
     return rrb.Blueprint(
-        rrb.Tabs(_healthy(scene), _trust(), _present_motion(scene), active_tab=page),
+        rrb.Tabs(_healthy(scene), _trust(scene), _present_motion(scene), active_tab=page),
         rrb.TimePanel(state="collapsed", timeline="time", play_state="following"),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
@@ -31,10 +37,11 @@ def blueprint(scene: Scene, page: int = 0) -> rrb.Blueprint:
 
 
 def _frame(scene: Scene) -> rrb.Spatial3DView:
-    """Make the 3D view of the frame."""
-    n = scene.n_stories
-    centre = 0.275 * n
-    eye = rrb.EyeControls3D(position=(centre, -1.1 - 0.5 * n, 0.75), look_target=(centre, 0.0, 0.42))
+    """Make the 3D view of the structure and its mode shapes, seen from the front."""
+    plan = scene.plan
+    centre, (width, _, height) = 0.5 * (plan.low + plan.high), plan.high - plan.low
+    away = max(_DISTANCE_TO_WIDTH * width, _DISTANCE_TO_HEIGHT * height)
+    eye = rrb.EyeControls3D(position=centre + away * np.array([0.0, -1.0, 0.15]), look_target=centre)
     return rrb.Spatial3DView(
         origin="/frame", name="Stiffness lost and mode shapes", eye_controls=eye,
         line_grid=rrb.LineGrid3D(visible=False), background=_DARK,
@@ -49,38 +56,61 @@ def _canvas(path: str, name: str) -> rrb.Spatial2DView:
 
 
 def _events() -> rrb.TextLogView:
-    """Make the log of alarms and events."""
-    columns = rrb.TextLogColumns(text_log_columns=["LogLevel", "Body"])
-    return rrb.TextLogView(origin="/", contents=["/alarms", "/events"], name="Alarms and events", columns=columns)
+    """Make the log of states and events, whose texts begin with their time."""
+    narrow = rrb.encodings.TimelineColumn("time", visible=False)
+    columns = rrb.TextLogColumns(timeline_columns=[narrow], text_log_columns=["LogLevel", "Body"])
+    return rrb.TextLogView(origin="/events", name="States and events", columns=columns)
+
+
+def _lamp() -> rrb.Spatial2DView:
+    """Make the bar in the colour of the state."""
+    width, height = LAMP
+    bounds = rrb.VisualBounds2D(x_range=[0.0, width], y_range=[-0.5 * height, 0.5 * height])
+    return rrb.Spatial2DView(
+        origin="/state/lamp", visual_bounds=bounds, background=_DARK, name="Colour of the state", titlebar=False
+    )
 
 
 def _healthy(scene: Scene) -> rrb.Horizontal:
     """Make the page of health, with the present state at the left and the history at the right."""
-    n = scene.n_stories
+    n = scene.n_modes
     modes = [_plot(f"/modes/frequency/{i}", f"Mode {i}, Hz", legend=False) for i in range(1, n + 1)]
     since = "since the baseline" if scene.has_baseline else "against the structure file"
-    status = rrb.TextDocumentView(origin="/status", name="Status")
-    left = rrb.Vertical(_frame(scene), status, row_shares=[1, 1])
+    first = "the baseline" if scene.has_baseline else "the first window"
+    left = rrb.Vertical(
+        _lamp(),
+        rrb.TextDocumentView(origin="/state", contents="/state", name="State"),
+        _frame(scene),
+        rrb.Tabs(
+            rrb.TextDocumentView(origin="/status", name="Latest window"),
+            rrb.TextDocumentView(origin="/verdict", name="Latest diagnosis"),
+        ),
+        row_shares=[0.4, 3.4, 5.6, 4.4],
+    )
     right = rrb.Vertical(
         rrb.Tabs(
             _plot("/ddi", f"Stiffness lost {since} (DDI), %"),
             _plot("/stiffness", "Stiffness, N/m"),
             active_tab=0 if scene.has_baseline else 1,
         ),
-        rrb.StateTimelineView(origin="/alarm_level", name="Alarm level", time_view=ALL_TIME),
-        rrb.Vertical(*modes) if n <= 3 else _plot("/modes/frequency", "Frequencies, Hz"),
+        rrb.StateTimelineView(origin="/state", contents="/state", name="State over time", time_view=ALL_TIME),
+        rrb.Tabs(
+            _plot("/modes/change", f"Frequencies: change since {first}, %"),
+            rrb.Grid(*modes, grid_columns=1 if n <= _MODES_IN_A_COLUMN else 2, name="Frequencies, Hz"),
+            active_tab=0,
+        ),
         _events(),
-        row_shares=[5, 2, 6, 3],
+        row_shares=[6, 2, 6, 3],
     )
     return rrb.Horizontal(left, right, column_shares=[2, 3], name="Is it healthy?")
 
 
-def _trust() -> rrb.Horizontal:
+def _trust(scene: Scene) -> rrb.Horizontal:
     """Make the page of trust, with the verdict and the fit at the left, and the sensors and clocks at the right."""
     left = rrb.Vertical(
-        rrb.TextDocumentView(origin="/verdict", name="Verdict"),
+        rrb.TextDocumentView(origin="/verdict", name="Latest diagnosis"),
         _canvas("/stabilisation", "Stabilisation diagram: order over frequency, Hz"),
-        _plot("/trust/misfit", "Goodness of fit: squared misfit over its expectation"),
+        _plot("/trust/misfit", f"Goodness of fit: 1 is expected, doubtful above {scene.misfit_threshold:g}"),
         row_shares=[2, 3, 2],
     )
     right = rrb.Vertical(
@@ -96,10 +126,10 @@ def _present_motion(scene: Scene) -> rrb.Horizontal:
     """Make the page of the present motion, with the streams, the spectra with the model's, and the mode shapes."""
     left = rrb.Vertical(
         _plot("/streams", "Acceleration, m/s²"),
-        _canvas("/spectra", "Power over frequency: measured, and the model's (white)"),
-        row_shares=[2, 3],
+        _canvas("/spectra", "Power spectral density, dB re 1 (m/s²)²/Hz: measured, and the model's (white)"),
+        row_shares=[1, 1],
     )
     shapes = _frame(scene)
     shapes.name = "Mode shapes: they move on the timeline 'phase'"
     right = rrb.Vertical(shapes, _plot("/modes/damping", "Damping, %"), row_shares=[3, 2])
-    return rrb.Horizontal(left, right, column_shares=[3, 2], name="What does it do now?")
+    return rrb.Horizontal(left, right, column_shares=[5, 4], name="What does it do now?")

@@ -1,4 +1,4 @@
-"""Drawing of the mode shapes beside the frame: still on the timeline ``time`` of the data, moving on the timeline ``phase``."""
+"""Drawing of the mode shapes beside the structure: still on the timeline ``time``, moving on the timeline ``phase``."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from monitor.core import Array, ModalEstimate
+from monitor.core import Array, ComplexArray, ModalEstimate
 from monitor.publish.viewer.rows import Rows, Strips
 from monitor.publish.viewer.scene import GREY, SERIES, Scene
 
@@ -15,8 +15,8 @@ Colours = NDArray[np.uint8]
 
 _FRAMES = 24
 """Number of steps of the animation."""
-_DEFLECTION = 0.2
-"""Largest deflection of a drawn mode shape, over the height of the frame."""
+_DEFLECTION = 0.15
+"""Largest deflection of a drawn mode shape, over the size of the structure. [ratio; judgement]"""
 
 
 def label(rows: Rows, path: str, places: list[tuple[float, float, float]], labels: list[str], colours: Colours) -> None:
@@ -24,18 +24,54 @@ def label(rows: Rows, path: str, places: list[tuple[float, float, float]], label
     rows.add(path, rr.Points3D, positions=places, labels=labels, colors=colours, radii=[0.0001], show_labels=[True])
 
 
+def expand_shape(shape: ComplexArray, model_shape: Array, sensors: Array) -> ComplexArray:
+    """Expand a measured mode shape to all degrees of freedom by the model's shape, which is fitted to the sensors.
+
+    Parameters
+    ----------
+    shape : ndarray, shape (c,)
+        Measured shape.
+    model_shape : ndarray, shape (N,)
+        The model's shape of the same mode.
+    sensors : ndarray, shape (c,)
+        Degree of freedom of each sensor, from 0.
+
+    Returns
+    -------
+    ndarray, shape (N,)
+
+    Examples
+    --------
+    >>> expand_shape(np.array([2.0 + 0j]), np.array([1.0, 0.5]), np.array([0])).real.tolist()
+    [2.0, 1.0]
+    """
+    at_sensors = model_shape[sensors]
+    size = float(at_sensors @ at_sensors)
+    out = model_shape * ((at_sensors @ shape) / size if size > 0.0 else 0.0 + 0.0j)
+    out[sensors] = shape
+    return np.asarray(out)
+
+
 class ModeShapes:
     """Drawing of the mode shapes into one recording, in the worker's thread."""
 
-    def __init__(self, scene: Scene, stream: rr.RecordingStream, to: Rows, heights: Array) -> None:
-        self._scene, self._stream, self._to = scene, stream, to
-        self._order = sorted(range(len(scene.sensor_floor)), key=scene.sensor_floor.__getitem__)
-        self._z = np.append(heights[[scene.sensor_floor[c] - 1 for c in self._order]], 0.0)
+    def __init__(self, scene: Scene, stream: rr.RecordingStream, to: Rows) -> None:
+        self._scene, self._stream, self._to, self._plan = scene, stream, to, scene.plan
+        self._sensors = np.array(scene.sensor_floor) - 1
+        dofs = scene.drawing.dofs
+        self._n_dofs = int(max(dofs.max(initial=-1), self._sensors.max())) + 1
+        self._model_shapes: Array | None = None
+        if scene.model is not None:
+            self._n_dofs = scene.model.structure.n_dofs
+            self._model_shapes = scene.model.modes().shapes[: self._n_dofs]
+        self._moving = np.flatnonzero((dofs >= 0).any(axis=1))
         self._latest: ModalEstimate | None = None
         self._shown = False
 
     def draw(self, modes: ModalEstimate | None) -> None:
-        """Draw the real parts of the mode shapes at their largest deflection, without the floors that have no sensor."""
+        """Draw the real parts of the mode shapes at their largest deflection."""
+        if not self._moving.size:
+            return
         if modes is None:
             if self._shown:
                 self._stream.log("/frame/modes", rr.Clear(recursive=True))
@@ -43,9 +79,9 @@ class ModeShapes:
             return
         self._latest, self._shown = modes, True
         self._draw_phase(self._to, modes, 1.0)
-        places = [(self._x(k), 0.0, -0.12) for k in modes.model_mode.tolist()]
+        numbers = modes.model_mode.tolist()
         labels = [f"{f:.2f} Hz" for f in modes.frequencies_hz.tolist()]
-        label(self._to, "/frame/modes/labels", places, labels, self._colours(modes))
+        label(self._to, "/frame/modes/labels", list(map(self._plan.mode_label, numbers)), labels, self._colours(modes))
 
     def animate(self) -> None:
         """Draw one period of the latest mode shapes, with the same number of steps for each mode."""
@@ -59,24 +95,28 @@ class ModeShapes:
 
     def _draw_phase(self, to: Rows, modes: ModalEstimate, turn: complex) -> None:
         """Draw the mode shapes turned in phase by the complex factor `turn`."""
-        strips, floors, z = Strips(), [], self._z
+        drawing, strips, dots = self._scene.drawing, Strips(), []
         for shape, k in zip(modes.shapes, modes.model_mode.tolist(), strict=True):
-            largest = max(float(np.abs(shape.real).max()), 1e-12)
-            deflection = np.append(np.real(shape[self._order] * turn), 0.0) * (_DEFLECTION / largest)
-            x = self._x(k)
-            floors.append(np.column_stack([x + deflection, np.zeros_like(z), z]))
-            strips += [np.array([(x, 0, 0), (x, 0, 1)]), floors[-1]]
+            rest = self._plan.points + self._plan.offset(k)
+            moved = rest + self._deflection(shape, k, turn)
+            strips += [*rest[drawing.lines], *moved[drawing.lines]]
+            dots.append(moved[self._moving])
         colours = self._colours(modes)
-        of_strips = np.stack([np.full_like(colours, GREY), colours], axis=1).reshape(-1, 3)
-        radii = [0.004, 0.014] * len(colours)
+        of_strips = np.repeat(np.stack([np.full_like(colours, GREY), colours], axis=1).reshape(-1, 3),
+                              len(drawing.lines), axis=0)  # fmt: skip
+        radii = np.tile(np.repeat([0.003, 0.01], len(drawing.lines)), len(colours))
         to.add("/frame/modes", rr.LineStrips3D, strips=strips, colors=of_strips, radii=radii)
-        of_floors = np.repeat(colours, len(z), axis=0)
-        to.add("/frame/modes/floors", rr.Points3D, positions=np.concatenate(floors), colors=of_floors, radii=[0.03])
+        of_dots = np.repeat(colours, self._moving.size, axis=0)
+        to.add("/frame/modes/nodes", rr.Points3D, positions=np.concatenate(dots), colors=of_dots, radii=[0.018])
 
-    @staticmethod
-    def _x(mode: int) -> float:
-        """Compute the place of a mode beside the frame."""
-        return 1.15 + 0.55 * mode
+    def _deflection(self, shape: ComplexArray, mode: int, turn: complex) -> Array:
+        """Compute the motion of the points, shape (n, 3): at most `_DEFLECTION` where `turn` is 1."""
+        model_shape = np.zeros(self._n_dofs) if self._model_shapes is None else self._model_shapes[:, mode]
+        whole = expand_shape(shape, model_shape, self._sensors)
+        dofs = self._scene.drawing.dofs
+        motion = np.where(dofs >= 0, whole[dofs], 0.0)
+        largest = max(float(np.linalg.norm(motion.real, axis=1).max()), 1e-12)
+        return np.asarray((motion * turn).real * (_DEFLECTION / largest))
 
     @staticmethod
     def _colours(modes: ModalEstimate) -> Colours:

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import rerun as rr
 
-from monitor.core import DamageReading, Gap, Level, ModalEstimate, Samples, StiffnessEstimate, WindowResult
+from monitor.core import Gap, ModalEstimate, Samples, StiffnessEstimate, WindowResult
+from monitor.damage import Assessment
 from monitor.publish.viewer.layout import blueprint
 from monitor.publish.viewer.mode_shapes import ModeShapes, label
 from monitor.publish.viewer.rows import Rows, Strips, ui_radius
 from monitor.publish.viewer.scene import (
-    AMBER,
-    COLUMNS,
     GREEN,
     GREY,
     LIVE_BLOCK_S,
@@ -31,18 +29,12 @@ from monitor.publish.viewer.scene import (
     utc,
 )
 from monitor.publish.viewer.spectra import FILE_EVERY_S, LIVE_EVERY_S, SpectraDrawing
+from monitor.publish.viewer.state import PLAIN, StateDrawing, event_text
 from monitor.publish.viewer.thinning import Thinning
 from monitor.publish.viewer.trust import TrustDrawing
 from monitor.signals import Health
 
-_LEVELS = {
-    Level.NORMAL: (rr.TextLogLevel.INFO, GREEN),
-    Level.ADVISORY: (rr.TextLogLevel.INFO, (220, 215, 100)),
-    Level.WARNING: (rr.TextLogLevel.WARN, AMBER),
-    Level.ALARM: (rr.TextLogLevel.CRITICAL, RED),
-}
-
-Item = Samples | WindowResult | Gap | Health | Clocks | dict[str, Any]
+Item = Samples | WindowResult | Gap | Health | Clocks | Assessment | dict[str, Any]
 """Items that can be drawn; a dict is a finding."""
 
 
@@ -53,7 +45,12 @@ class ResultDrawing:
         self._scene, self._stream, self._block_s = scene, stream, block_s
         self._rows, self._most, self._gathered = Rows(stream), max(1, round(block_s / LIVE_BLOCK_S)), 0
         self._blocks: list[Samples] = []
-        self._level: Level | None = None
+        self._state = StateDrawing(stream, live=block_s <= LIVE_BLOCK_S)
+        baseline_hz = scene.baseline_frequencies_hz
+        self._reference_hz = {} if baseline_hz is None else dict(enumerate(baseline_hz.tolist()))
+        """Frequency of each mode from which its change is counted: the baseline's, else the first one found."""
+        self._found: set[int] = set()
+        """Modes that were found at least once."""
         self._skipped: str | None = None
         self._extent = (1.0, 1.0)
         every_s = LIVE_EVERY_S if block_s <= LIVE_BLOCK_S else FILE_EVERY_S
@@ -61,34 +58,34 @@ class ResultDrawing:
             SpectraDrawing(scene, stream, self._rows, every_s),
             TrustDrawing(scene, stream, self._rows),
         )
-        heights = np.asarray(scene.story_heights_m, dtype=float)
-        self._z = np.append(np.cumsum(heights[::-1])[::-1], 0.0) / heights.sum()
-        """Shape (n + 1,): height of floor 1 (top) .. n and of the ground, the whole frame 1 high."""
-        self._shapes = ModeShapes(scene, stream, self._rows, self._z)
-        stories = list(pairwise(self._z.tolist()))
-        self._columns = Strips(np.array([(x, y, foot), (x, y, top)]) for top, foot in stories for x, y in COLUMNS)
+        self._shapes, self._plan = ModeShapes(scene, stream, self._rows), scene.plan
+        self._is_member = scene.drawing.stories >= 0
+        self._members = Strips(self._plan.points[scene.drawing.lines[self._is_member]])
         self._thin = Thinning() if thin else None
 
     def begin(self) -> None:
         """Draw the names, the colours and the static parts."""
         self._stream.send_blueprint(blueprint(self._scene))
         self._trust.begin()
+        self._state.begin()
         for i, channel in enumerate(self._scene.channels):
             self._style(self._stream_path(channel), [channel], i)
-        for i in range(self._scene.n_stories):
+        for i, name in enumerate(self._scene.story_names):
             for entity in ("ddi", "stiffness"):
-                self._style(f"/{entity}/story_{i + 1}", [f"story {i + 1}"] * 3, i)
-            for entity in ("frequency", "damping"):
+                self._style(f"/{entity}/story_{i + 1}", [name] * 3, i)
+        for i in range(self._scene.n_modes):
+            for entity in ("frequency", "change", "damping"):
                 self._style(f"/modes/{entity}/{i + 1}", [f"mode {i + 1}"] * 3, i)
         threshold = rr.SeriesLines(names=["alarm"], colors=[RED], widths=[1.0])
         self._stream.log("/ddi/alarm_loss", threshold, static=True)
-        words = [level.value for level in _LEVELS]
-        states = rr.StateConfiguration(values=words, labels=words, colors=[colour for _, colour in _LEVELS.values()])
-        self._stream.log("/alarm_level", states, static=True)
-        centres = [(0.3, 0.3, z) for z in self._z]
-        half = [(0.33, 0.33, 0.012)] * self._scene.n_stories + [(0.45, 0.45, 0.008)]
-        slabs = rr.Boxes3D(centers=centres, half_sizes=half, colors=[(150, 155, 165)], fill_mode="solid")
-        self._stream.log("/frame/floors", slabs, static=True)
+        drawing, points = self._scene.drawing, self._plan.points
+        others = rr.LineStrips3D(list(points[drawing.lines[~self._is_member]]), colors=[GREY], radii=[0.006])
+        self._stream.log("/frame/lines", others, static=True)
+        named = [(points[i], name) for i, name in enumerate(drawing.names) if name]
+        if named:
+            nodes = rr.Points3D([p for p, _ in named], labels=[n for _, n in named], colors=[GREY], radii=[0.012],
+                                show_labels=True)  # fmt: skip
+            self._stream.log("/frame/nodes", nodes, static=True)
 
     @staticmethod
     def _stream_path(channel: str) -> str:
@@ -107,7 +104,9 @@ class ResultDrawing:
 
     def draw(self, item: Item) -> None:
         """Draw an item from the queue."""
-        if isinstance(item, Samples):
+        if isinstance(item, Assessment):
+            self._state.take(item)
+        elif isinstance(item, Samples):
             self.samples(item)
         elif isinstance(item, Health):
             self._trust.health(item)
@@ -131,6 +130,7 @@ class ResultDrawing:
 
     def samples(self, samples: Samples) -> None:
         """Collect blocks until they are long enough to send."""
+        self._state.reached(samples.t_ns)
         self._spectra.samples(samples)
         if self._blocks:
             last = self._blocks[-1]
@@ -145,6 +145,7 @@ class ResultDrawing:
         """Send the remaining results, and the latest mode shapes as an animation."""
         self.flush()
         self._send()
+        self._state.finish()
         self._shapes.animate()
 
     def flush(self) -> None:
@@ -163,35 +164,41 @@ class ResultDrawing:
 
     def _send(self) -> None:
         self._rows.send()
+        self._state.send()
         self._gathered = 0
 
     def gap(self, gap: Gap) -> None:
         """Break the lines of the streams where samples are missing."""
         self.flush()
         self._set_time(gap.t_ns)
-        self._event(f"gap of {gap.duration_s:.3g} s: {gap.reason}", rr.TextLogLevel.WARN)
+        self._event(gap.t_ns, f"gap of {gap.duration_s:.3g} s: {gap.reason}", rr.TextLogLevel.WARN)
         for channel in self._scene.channels:
             self._stream.log(self._stream_path(channel), rr.Scalars(np.nan))
 
     def window(self, result: WindowResult) -> None:
         """Draw the result of one window at the window's end."""
-        if self._thin is not None and not self._thin.window(result):
+        if self._thin is not None and not self._thin.window(result, changed=self._state.changed):
             return
         self._set_time(result.t_end_ns)
         self._rows.text("/status", status_markdown(self._scene, result))
-        self._alarm(result)
+        self._state.draw(result.t_end_ns)
         reason = result.skipped.reason if result.skipped else None
         if reason != self._skipped:
-            self._event(f"no result: {reason}" if reason else "results again", rr.TextLogLevel.INFO)
+            text = f"no result: {reason}" if reason else "results again"
+            self._event(result.t_end_ns, text, rr.TextLogLevel.INFO)
             self._skipped = reason
         modes = {row[0]: row for row in mode_rows(result.modes)} if result.modes else {}
-        for k in range(self._scene.n_stories):
+        self._found |= modes.keys()
+        for k in sorted(self._found):
             _, f, fs, d, ds = modes.get(k, (k, *[None] * 4))
             self._bounded(f"/modes/frequency/{k + 1}", f, fs)
             self._bounded(f"/modes/damping/{k + 1}", d, ds, 100.0)
+            reference = self._reference_hz.setdefault(k, f or np.nan)
+            change, change_std = (None, None) if f is None or fs is None else (f / reference - 1.0, fs / reference)
+            self._bounded(f"/modes/change/{k + 1}", change, change_std, 100.0)
         self._stiffness(result.stiffness)
-        self._damage(result.damage)
-        self._shapes.draw(result.modes)
+        self._damage(result)
+        self._shapes.draw(result.modes if modes else None)
         self._trust.misfit(None if result.stiffness is None else result.stiffness.misfit)
         self._spectra.window(result)
         if result.modes is not None:
@@ -202,23 +209,8 @@ class ResultDrawing:
         self._stream.set_time("time", timestamp=utc(t_ns))
         self._rows.at(t_ns)
 
-    def _event(self, text: str, level: rr.TextLogLevel) -> None:
-        self._stream.log("/events", rr.TextLog(text, level=level))
-
-    def _alarm(self, result: WindowResult) -> None:
-        """Draw changes of the alarm's level only; a recording begins as normal."""
-        alarm = result.alarm
-        if result.skipped is not None and alarm.level is Level.NORMAL:
-            return  # not judged is not normal
-        if alarm.level is self._level:
-            return
-        if self._level is not None or alarm.level is not Level.NORMAL:
-            level, colour = _LEVELS[alarm.level]
-            where = f" (story {', '.join(map(str, alarm.stories))})" if alarm.stories else ""
-            text = f"{alarm.level.value}{where}: {alarm.reason}"
-            self._stream.log("/alarms", rr.TextLog(text, level=level, color=colour))
-        self._level = alarm.level
-        self._stream.log("/alarm_level", rr.StateChange(state=alarm.level.value))
+    def _event(self, t_ns: int, text: str, level: rr.TextLogLevel) -> None:
+        self._stream.log("/events", rr.TextLog(event_text(t_ns, text), level=level, color=PLAIN))
 
     def _bounded(self, path: str, value: float | None, std: float | None, scale: float = 1.0) -> None:
         """Draw one value with two standard deviations on either side, or an interruption where there is none."""
@@ -235,25 +227,29 @@ class ResultDrawing:
         for j, (value, std) in enumerate(zip(values, stds, strict=True)):
             self._bounded(f"/stiffness/story_{j + 1}", value, std)
 
-    def _damage(self, damage: DamageReading | None) -> None:
-        """Draw the damage index over time, and colour the frame by it."""
+    def _damage(self, result: WindowResult) -> None:
+        """Draw the damage index over time, and colour the frame by it: green only where a loss would have been seen."""
+        damage, detectable = result.damage, result.detectable_loss
         loss_at, n = self._scene.alarm_loss, self._scene.n_stories
         readings: list[tuple[float | None, float | None]] = [(None, None)] * n
         if damage is not None:
             readings = list(zip(damage.ddi.tolist(), damage.ddi_std.tolist(), strict=True))
-        if damage is not None:
+        if damage is not None and self._scene.has_baseline:
             self._rows.scalars("/ddi/alarm_loss", 100.0 * loss_at)
-        colours, places, labels = [], [], []
+        colours, labels = [], []
         for j, (ddi, std) in enumerate(readings):
             self._bounded(f"/ddi/story_{j + 1}", ddi, std, 100.0)
-            top, foot = self._z[j], self._z[j + 1]
-            colours.append(loss_colour(ddi, loss_at))
-            places.append((-0.45, 0.0, (top + foot) / 2))
+            seen = detectable is not None and detectable[j] < loss_at
+            judged = self._scene.has_baseline and (seen or j + 1 in result.alarm.active)
+            colours.append(loss_colour(ddi if judged else None, loss_at))
             known = "unknown" if ddi is None or std is None else plus_minus(ddi, std, 100) + " %"
-            labels.append(f"story {j + 1}: {known}")
+            is_quiet = ddi is None or std is None or abs(ddi) <= 2 * std
+            # Along a long structure there is room for the names of those stories only that changed.
+            labels.append(f"{j + 1}" if self._plan.is_long and is_quiet else f"{self._scene.story_names[j]}: {known}")
         of_stories = np.array(colours, dtype=np.uint8)
-        of_columns = np.repeat(of_stories, len(COLUMNS), axis=0)
-        self._rows.add("/frame/stories", rr.LineStrips3D, strips=self._columns, colors=of_columns, radii=[0.022])
+        of_members = of_stories[self._scene.drawing.stories[self._is_member]]
+        self._rows.add("/frame/stories", rr.LineStrips3D, strips=self._members, colors=of_members, radii=[0.02])
+        places = [(x, y, z) for x, y, z in self._plan.labels.tolist()]
         label(self._rows, "/frame/stories/labels", places, labels, of_stories)
 
     def _stabilisation(self, modes: ModalEstimate) -> None:
@@ -271,16 +267,19 @@ class ResultDrawing:
         self._rows.add("/stabilisation", rr.Transform3D, scale=[(width / f_max, -height / n_max, 1.0)])
         self._rows.add("/stabilisation", rr.Points2D, positions=poles[:, [1, 0]], colors=colours,
                        radii=ui_radius(2.5), draw_order=[2.0])  # fmt: skip
-        chosen = Strips(np.array([(f, 0.0), (f, n_max)]) for f in modes.frequencies_hz.tolist())
+        selected = [*modes.frequencies_hz.tolist(), *(mode.frequency_hz for mode in modes.others)]
+        chosen = Strips(np.array([(f, 0.0), (f, n_max)]) for f in selected)
+        of_model = [SERIES[k % len(SERIES)] for k in modes.model_mode.tolist()]
         self._rows.add("/stabilisation/modes", rr.LineStrips2D, strips=chosen,
-                       colors=[SERIES[k % len(SERIES)] for k in modes.model_mode.tolist()],
+                       colors=[*of_model, *[GREY] * len(modes.others)],
                        radii=ui_radius(0.8), draw_order=[1.0])  # fmt: skip
 
     def _stabilisation_axes(self, f_max: float, n_max: float) -> None:
         """Draw the axes again when they grow."""
         frame = rr.LineStrips2D([[(0, n_max), (0, 0), (f_max, 0)]], colors=[GREY], draw_order=0.0)
         self._stream.log("/stabilisation/axes", frame)
-        ticks = [(f, 0.0) for f in np.linspace(0, f_max, 6)] + [(-0.1 * f_max, n) for n in np.linspace(0, n_max, 3)[1:]]
-        texts = [f"{f:g} Hz" for f, _ in ticks[:6]] + [f"order {n:g}" for _, n in ticks[6:]]
-        marks = rr.Points2D(ticks, labels=texts, colors=[GREY], radii=rr.Radius.ui_points(2.0), show_labels=True)
+        ticks = [(f, 0.0, f"{f:g} Hz") for f in np.arange(0.0, f_max + 0.1, 10.0 if f_max > 25.0 else 5.0)]
+        ticks += [(-0.1 * f_max, n, f"order {n:g}") for n in np.linspace(0, n_max, 3)[1:]]
+        places, texts = [(f, n) for f, n, _ in ticks], [text for *_, text in ticks]
+        marks = rr.Points2D(places, labels=texts, colors=[GREY], radii=rr.Radius.ui_points(2.0), show_labels=True)
         self._stream.log("/stabilisation/ticks", marks)

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from drivers.base import ClockHealth
 from monitor.core import Gap, Samples, WindowResult
+from monitor.damage import Assessment
 from monitor.publish.base import Publisher
 from monitor.publish.viewer.queue import Worker
 from monitor.publish.viewer.scene import FILE_BLOCK_S, LIVE_BLOCK_S, Clocks, Scene
@@ -74,6 +75,10 @@ class RerunPublisher(Publisher):
         """Publish the sensors' health in a span."""
         self._worker.put(health)
 
+    def state(self, assessment: Assessment) -> None:
+        """Publish the present state of the structure."""
+        self._worker.put(assessment)
+
     def clocks(self, t_ns: int, clocks: Sequence[ClockHealth]) -> None:
         """Publish the state of the sensor nodes' clocks at a time."""
         self._worker.put(Clocks(t_ns, tuple(clocks)))
@@ -117,10 +122,10 @@ class RerunPublisher(Publisher):
             output.abandon()
 
     def _until_first_result(self, take: Callable[[], Item | None]) -> list[Item]:
-        """Hold the samples before the first result, no more than the queue's size."""
+        """Hold what comes before the first result, no more than the queue's size."""
         held: list[Item] = []
         while len(held) < self._queue_size and (item := take()) is not None:
             held.append(item)
-            if not isinstance(item, Samples | Health):
+            if not isinstance(item, Samples | Health | Assessment):
                 break
         return held

@@ -1,32 +1,95 @@
-"""Description of a site for the viewer, its status text and its colours; pure functions."""
+"""Description of a site for the viewer, the text of its estimates and its colours; pure functions."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
 from drivers.base import ClockHealth
-from monitor.core import Array, Level, ModalEstimate, WindowResult
+from monitor.core import Array, ModalEstimate, WindowResult
 from monitor.damage import Baseline
-from monitor.model import Model, StructureTable
+from monitor.model import Drawing, Model
 
 Colour = tuple[int, int, int]
 
 GREEN, AMBER, RED, GREY = (80, 190, 110), (240, 180, 50), (230, 70, 60), (130, 130, 130)
-SERIES: tuple[Colour, ...] = ((90, 170, 250), (250, 170, 70), (190, 130, 240), (90, 210, 190), (240, 120, 160))
+SERIES: tuple[Colour, ...] = (
+    (90, 170, 250), (250, 170, 70), (190, 130, 240), (90, 210, 190), (240, 120, 160), (220, 220, 90),
+    (120, 200, 90), (170, 190, 220), (200, 140, 90), (110, 120, 250), (240, 90, 90), (160, 220, 240),
+)  # fmt: skip
+"""Colours of lines: of stories, of modes and of channels."""
 LIVE_BLOCK_S, FILE_BLOCK_S = 1.0, 60.0
 """Shortest length of the blocks in which samples are sent, s, and number of results that are sent at a time.
 
 Both are small for viewers that watch, and large for a small file that is written fast.
 """
-COLUMNS = ((0.0, 0.0), (0.6, 0.0), (0.6, 0.6), (0.0, 0.6))
-"""Corners of the frame; it is drawn 1 high."""
+_MODE_GAP = 0.4
+"""Free space between drawn mode shapes, over the size of the structure. [ratio; judgement]"""
+_LONG = 0.5
+"""Height over length below which a structure is long. [ratio; judgement]"""
+_LABEL_STEP = 0.09
+"""Distance of two labels, over the size of the structure. [ratio; judgement]"""
+_LABEL_SHARE = 0.33
+"""Share of the view's width that the labels at the left take. [ratio; measured on pictures]"""
+_LABEL_ROWS = 3
+"""Rows over which the labels of a long structure are spread. [count; judgement]"""
 STABILISATION = (100.0, 55.0)
 """Width and height of the canvas of the stabilisation diagram."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Plan:
+    """Places in the view of a structure: it is drawn 1 large, its mode shapes beside it, or below it if it is long."""
+
+    points: Array
+    """Shape (n, 3)."""
+    labels: Array
+    """Place of the label of every story, shape (p, 3)."""
+    size: Array
+    """Extent of the structure along x, y and z, shape (3,)."""
+    is_long: bool
+    low: Array
+    """Lower corner of structure, labels and mode shapes, shape (3,)."""
+    high: Array
+    """Their upper corner."""
+
+    @classmethod
+    def of(cls, drawing: Drawing, n_stories: int, n_modes: int) -> Plan:
+        """Plan the view of a drawing: labels in a column at its left, or in rows above a long one."""
+        low, high = drawing.points.min(axis=0), drawing.points.max(axis=0)
+        scale = max(float((high - low).max()), 1e-12)
+        points, size = (drawing.points - low) / scale, (high - low) / scale
+        is_long = bool(size[2] < _LONG * size[0])
+        ends = [points[drawing.lines[drawing.stories == j]].reshape(-1, 3) for j in range(n_stories)]
+        labels = np.array([e.mean(axis=0) for e in ends])
+        length = float(n_modes * (size[2 if is_long else 0] + _MODE_GAP))  # of the mode shapes
+        if is_long:
+            labels[:, 2] = size[2] + _LABEL_STEP * (1 + np.arange(n_stories) % _LABEL_ROWS)
+            low, high = (-0.4, 0.0, -length - 0.15), (1.15, 0.0, size[2] + _LABEL_STEP * (1 + _LABEL_ROWS))
+        else:
+            room = _LABEL_SHARE / (1.0 - _LABEL_SHARE) * (size[0] + length + 0.15)
+            labels[:, 0] = -0.5 * room - 0.05
+            step = _LABEL_STEP * max(1.0, 1.3 * room)
+            for above, j in pairwise(np.argsort(-labels[:, 2], kind="stable")):
+                labels[j, 2] = min(labels[j, 2], labels[above, 2] - step)
+            low, high = (-room - 0.1, 0.0, -0.15), (size[0] + length + 0.15, 0.0, size[2] + 0.05)
+        return cls(points, labels, size, is_long, np.array(low), np.array(high))
+
+    def offset(self, mode: int) -> Array:
+        """Compute the place of a mode shape relative to the structure, shape (3,)."""
+        axis = np.array([0.0, 0.0, -1.0] if self.is_long else [1.0, 0.0, 0.0])
+        return (mode + 1) * axis * (self.size + _MODE_GAP)
+
+    def mode_label(self, mode: int) -> tuple[float, float, float]:
+        """Compute the place of a mode's label: below it, or at the left of a long structure."""
+        own = (-0.2, 0.0, 0.5 * self.size[2]) if self.is_long else (0.5 * self.size[0], 0.0, -0.1)
+        x, y, z = (self.offset(mode) + own).tolist()
+        return x, y, z
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -37,10 +100,11 @@ class Scene:
     channels: tuple[str, ...]
     sensor_floor: tuple[int, ...]
     """Floor of each channel, from 1 = top."""
-    story_heights_m: Array
-    """Shape (n,); story 1 = top.  Only their proportions are drawn."""
+    drawing: Drawing
+    story_names: tuple[str, ...]
+    """What people call each story."""
     baseline_frequencies_hz: Array | None
-    """Shape (m,); mode 0 = lowest."""
+    """Shape (m,); mode 0 = the model's lowest, NaN where the baseline lacks a mode."""
     has_baseline: bool
     alarm_loss: float
     """Relative stiffness loss that counts as an alarm."""
@@ -50,11 +114,19 @@ class Scene:
     """Highest frequency of the analysis, Hz."""
     misfit_threshold: float = 5.0
     """Goodness of fit from which a diagnosis is requested."""
+    n_modes: int = 3
+    """Number of the model's modes, the lowest ones, that are shown."""
 
     @property
     def n_stories(self) -> int:
-        """Number of stories, which is also the number of the model's modes."""
-        return len(self.story_heights_m)
+        """Number of stories."""
+        return len(self.story_names)
+
+    @property
+    def plan(self) -> Plan:
+        """Places of structure, labels and mode shapes."""
+        moves = bool((self.drawing.dofs >= 0).any())
+        return Plan.of(self.drawing, self.n_stories, self.n_modes if moves else 0)
 
 
 class Clocks(NamedTuple):
@@ -66,7 +138,8 @@ class Clocks(NamedTuple):
 
 def make_scene(
     name: str,
-    structure: StructureTable,
+    drawing: Drawing,
+    story_names: tuple[str, ...],
     sensor_floor: Mapping[str, int],
     model: Model,
     baseline: Baseline | None,
@@ -74,6 +147,7 @@ def make_scene(
     alarm_loss: float,
     cutoff_hz: float,
     misfit_threshold: float,
+    max_modes: int,
 ) -> Scene:
     """Describe a site to the viewer.
 
@@ -81,8 +155,10 @@ def make_scene(
     ----------
     name : str
         Name of the site.
-    structure : StructureTable
-        Its story heights set the proportions of the drawing; all stories are equally high where it has none.
+    drawing : Drawing
+        Points and lines of the structure.
+    story_names : tuple of str
+        What people call each story.
     sensor_floor : Mapping
         Floor of each channel by the channel's name, from 1 = top, in column order of the samples.
     model : Model
@@ -95,21 +171,31 @@ def make_scene(
         Highest frequency of the analysis, Hz.
     misfit_threshold : float
         Goodness of fit of the updated stiffness from which a diagnosis is requested.
+    max_modes : int
+        Most modes that are identified, the lowest ones below `cutoff_hz`.
     """
-    heights = structure.story_heights_m
-    n = max(len(structure.masses_kg), len(structure.stiffness_n_per_m))
+    below = int((model.modes().frequencies_hz <= cutoff_hz).sum())
     return Scene(
         name=name,
         channels=tuple(sensor_floor),
         sensor_floor=tuple(sensor_floor.values()),
-        story_heights_m=np.ones(n) if heights is None else np.array(heights),
-        baseline_frequencies_hz=None if baseline is None else baseline.frequencies_hz,
+        drawing=drawing,
+        story_names=story_names,
+        baseline_frequencies_hz=None if baseline is None else _by_model_mode(baseline),
         has_baseline=baseline is not None,
         alarm_loss=alarm_loss,
         model=model if baseline is None else baseline.model,
         cutoff_hz=cutoff_hz,
         misfit_threshold=misfit_threshold,
+        n_modes=max(1, min(below, max_modes)),
     )
+
+
+def _by_model_mode(baseline: Baseline) -> Array:
+    """Order the baseline's frequencies by number of the model's mode."""
+    out = np.full(max(baseline.model_mode, default=-1) + 1, np.nan)
+    out[list(baseline.model_mode)] = baseline.frequencies_hz
+    return out
 
 
 def loss_colour(loss: float | None, alarm_loss: float) -> Colour:
@@ -139,25 +225,26 @@ def plus_minus(value: float, std: float, scale: float = 1.0, digits: int = 1) ->
 
 
 def status_markdown(scene: Scene, result: WindowResult) -> str:
-    """Describe the state after a window in Markdown; intervals are two standard deviations."""
+    """Describe the estimates of a window in Markdown; intervals are two standard deviations."""
     end = datetime.fromtimestamp(result.t_end_ns * 1e-9, UTC)
-    alarm, modes, damage = result.alarm, result.modes, result.damage
-    judged = result.skipped is None or alarm.level is not Level.NORMAL
-    lines = [f"# {alarm.level.value.upper() if judged else 'NOT JUDGED'}", alarm.reason, ""]
+    modes, damage, lines = result.modes, result.damage, []
     if result.skipped is not None:
         lines += [f"**No result for this window:** {result.skipped.reason}", ""]
     if damage is not None:
-        since = "since the baseline" if scene.has_baseline else "against the structure file (no baseline)"
-        lines += [f"Stiffness lost {since}, alarm from {100 * scene.alarm_loss:g} %", ""]
+        since = f"since the baseline, alarm from {100 * scene.alarm_loss:g} %"
+        lines += [f"Stiffness lost {since if scene.has_baseline else 'against the structure file (no baseline)'}", ""]
         lines += ["| story | loss, % (± 2σ) |", "|---|---|"]
-        pairs = zip(damage.ddi, damage.ddi_std, strict=True)
-        lines += [f"| {j} | {plus_minus(d, s, 100)} |" for j, (d, s) in enumerate(pairs, 1)] + [""]
+        rows = zip(scene.story_names, damage.ddi, damage.ddi_std, strict=True)
+        lines += [f"| {name.removeprefix('story ')} | {plus_minus(d, s, 100)} |" for name, d, s in rows] + [""]
     if modes is not None:
         lines += ["| mode | frequency, Hz (± 2σ) | baseline, Hz | damping, % (± 2σ) |", "|---|---|---|---|"]
         for k, f, fs, d, ds in mode_rows(modes):
             base = scene.baseline_frequencies_hz
-            was = f"{base[k]:.3f}" if base is not None and k < len(base) else "-"
+            was = f"{base[k]:.3f}" if base is not None and k < len(base) and base[k] > 0 else "-"
             lines.append(f"| {k + 1} | {plus_minus(f, fs, digits=3)} | {was} | {plus_minus(d, ds, 100, 2)} |")
+        for other in modes.others:
+            f, fs, d = other.frequency_hz, other.frequency_std_hz, other.damping_ratio
+            lines.append(f"| not of the model | {plus_minus(f, fs, digits=3)} | - | {100 * d:.2f} |")
     lines += ["", f"{scene.name}, window of {result.window_s:g} s to {end:%Y-%m-%d %H:%M:%S} UTC"]
     return "\n".join(lines)
 

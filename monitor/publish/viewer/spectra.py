@@ -17,8 +17,10 @@ LIVE_EVERY_S, FILE_EVERY_S = 60.0, 200.0
 """Intervals at which spectra are drawn, s; spectra change slowly, and after 200 s half of the averaged data are new."""
 _SEGMENT_S, _LONGEST_S = 20.0, 400.0
 """Length of a segment and longest span of the averaged data, s."""
-_DECADES = 7.0
-"""Decades of power shown for each channel."""
+_SPAN_DB = 80.0
+"""Range of power shown for each channel. [dB; judgement]"""
+_TICKS_DB = (70.0, 40.0, 10.0)
+"""Heights of the ticks of a channel above its lower end. [dB; judgement]"""
 _MOST_CHANNELS = 6
 MODEL = (235, 235, 235)
 
@@ -58,7 +60,8 @@ class SpectraDrawing:
         self._scene, self._stream, self._to = scene, stream, to
         self._every_ns = round(every_s * 1e9)
         self._blocks: deque[Samples] = deque()
-        self._drawn_ns, self._axes = -self._every_ns, False
+        self._top_db: float | None = None
+        self._drawn_ns = -self._every_ns
 
     def samples(self, samples: Samples) -> None:
         """Keep the latest samples; samples before a gap or at another rate are discarded."""
@@ -86,39 +89,40 @@ class SpectraDrawing:
         width, height = STABILISATION
         scale = (width / self._scene.cutoff_hz, -height / lanes, 1.0)
         colours = [SERIES[c % len(SERIES)] for c in range(lanes)]
-        top = np.log10(power.max(axis=0) * 3.0)
-        lines = Strips(
-            _scale_to_lane(hz, p, t, lanes - 1 - c) for c, (p, t) in enumerate(zip(power.T, top, strict=True))
-        )
+        top_db = 10.0 * float(np.ceil(np.log10(max(power.max(), 1e-300)) + 0.5))  # alike for all, for comparison
+        lines = Strips(_scale_to_lane(hz, p, top_db, lanes - 1 - c) for c, p in enumerate(power.T))
         self._to.add("/spectra", rr.Transform3D, scale=[scale])
         self._to.add("/spectra/measured", rr.LineStrips2D, strips=lines, colors=colours, radii=ui_radius(0.7))
         if self._scene.model is not None:
             model = predict_power(self._scene, result, hz)[:, :lanes]
             model *= power.sum() / model.sum()
-            lines = Strips(
-                _scale_to_lane(hz, p, t, lanes - 1 - c) for c, (p, t) in enumerate(zip(model.T, top, strict=True))
-            )
+            lines = Strips(_scale_to_lane(hz, p, top_db, lanes - 1 - c) for c, p in enumerate(model.T))
             self._to.add("/spectra/model", rr.LineStrips2D, strips=lines, colors=[MODEL], radii=ui_radius(0.4))
-        if not self._axes:
-            self._axes = True
-            self._draw_axes(lanes)
+        if top_db != self._top_db:
+            self._top_db = top_db
+            self._draw_axes(lanes, top_db)
 
-    def _draw_axes(self, lanes: int) -> None:
-        """Draw a frame for each channel, the frequencies and the names of the channels."""
+    def _draw_axes(self, lanes: int, top_db: float) -> None:
+        """Draw a frame for each channel, the frequencies, the power and the names of the channels."""
         f_max = self._scene.cutoff_hz
-        frame = [[(0, c), (f_max, c)] for c in range(lanes + 1)]
+        frame = [[(0, c), (f_max, c)] for c in range(lanes + 1)] + [[(0, 0), (0, lanes)]]
         self._stream.log(
             "/spectra/axes", rr.LineStrips2D(frame, colors=[GREY], radii=rr.Radius.ui_points(0.3)), static=True
         )
-        places = [(f, 0.0) for f in np.linspace(0, f_max, 5)]
-        places += [(-0.09 * f_max, lanes - 0.5 - c) for c in range(lanes)]
-        labels = [f"{f:g} Hz" for f, _ in places[:5]] + list(self._scene.channels[:lanes])
-        marks = rr.Points2D(places, labels=labels, colors=[GREY], radii=rr.Radius.ui_points(1.5), show_labels=True)
-        self._stream.log("/spectra/ticks", marks, static=True)
+        marks: list[tuple[float, float, str]] = [(f, -0.04 * lanes, f"{f:g} Hz") for f in np.linspace(0, f_max, 5)]
+        for c, channel in enumerate(self._scene.channels[:lanes]):
+            foot = lanes - 1.0 - c
+            marks.append((0.9 * f_max, foot + 0.88, channel))
+            marks += [(-0.07 * f_max, foot + db / _SPAN_DB, f"{top_db - _SPAN_DB + db + 0.0:g} dB") for db in _TICKS_DB]
+        places, labels = [(x, y) for x, y, _ in marks], [label for _, _, label in marks]
+        self._stream.log(
+            "/spectra/ticks",
+            rr.Points2D(places, labels=labels, colors=[GREY], radii=rr.Radius.ui_points(0.5), show_labels=True),
+        )
 
 
 def _welch_power(values: Array, rate_hz: float) -> tuple[Array, Array]:
-    """Compute mean periodograms of half-overlapping tapered segments, up to a factor.
+    """Compute the one-sided power spectral density from half-overlapping tapered segments.
 
     Parameters
     ----------
@@ -129,17 +133,18 @@ def _welch_power(values: Array, rate_hz: float) -> tuple[Array, Array]:
     hz : ndarray, shape (n_hz,)
         Frequencies, Hz.
     power : ndarray, shape (n_hz, c)
+        (m/s^2)^2/Hz.
     """
     n = round(_SEGMENT_S * rate_hz)
     # Single precision is enough for a picture.
     segments = np.lib.stride_tricks.sliding_window_view(values.astype(np.float32), n, axis=0)[:: n // 2]
     spectra = np.fft.rfft((segments - segments.mean(axis=-1, keepdims=True)) * taper(n).astype(np.float32))
     return np.asarray(np.arange(n // 2 + 1) * (rate_hz / n), dtype=float), np.asarray(
-        (spectra.real**2 + spectra.imag**2).mean(axis=0).T
+        (spectra.real**2 + spectra.imag**2).mean(axis=0).T * (2.0 / rate_hz)
     )
 
 
-def _scale_to_lane(hz: Array, power: Array, top: float, lane: int) -> Array:
-    """Place the logarithm of a channel's power in its lane, which is 1 high and ends `_DECADES` below `top`; shape (n_hz, 2)."""
-    level = (np.log10(np.maximum(power, 1e-300)) - top) / _DECADES + 1.0
+def _scale_to_lane(hz: Array, power: Array, top_db: float, lane: int) -> Array:
+    """Place a channel's power in its lane, which is 1 high for `_SPAN_DB` and ends at `top_db`; shape (n_hz, 2)."""
+    level = (10.0 * np.log10(np.maximum(power, 1e-300)) - top_db) / _SPAN_DB + 1.0
     return np.column_stack([hz, lane + np.clip(level, 0.0, 1.0)])

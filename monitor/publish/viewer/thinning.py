@@ -28,11 +28,11 @@ class Thinning:
         self._seen = self._kept = 0
         self._state: object = None
 
-    def window(self, result: WindowResult) -> bool:
-        """Decide if a window is kept."""
+    def window(self, result: WindowResult, *, changed: bool = False) -> bool:
+        """Decide if a window is kept; one that changes the state of the structure always is."""
         state = (result.alarm.level, result.alarm.stories, result.skipped is None)
         stride = 1 << (self._kept // FULL_RATE_WINDOWS)
-        keep = self._seen % stride == 0 or state != self._state
+        keep = self._seen % stride == 0 or changed or state != self._state
         self._seen, self._state = self._seen + 1, state
         self._kept += keep
         return keep

@@ -8,7 +8,16 @@ import rerun as rr
 
 from monitor.publish.viewer.rows import Rows
 from monitor.publish.viewer.scene import GREY, RED, SERIES, Clocks, Scene, utc
+from monitor.publish.viewer.state import PLAIN, event_text
 from monitor.signals import Health
+
+VERDICTS = {
+    "named": "Cause named",
+    "ambiguous": "Cause ambiguous",
+    "unexplained": "Misfit unexplained",
+    "none": "No cause found",
+}
+"""Verdicts of a diagnosis as people read them."""
 
 
 class TrustDrawing:
@@ -59,13 +68,14 @@ class TrustDrawing:
     def finding(self, finding: dict[str, Any]) -> None:
         """Draw the finding of a diagnosis at the end of its data."""
         self._stream.set_time("time", timestamp=utc(finding["t_ns"]))
-        verdict = finding.get("verdict") or "failed"
+        verdict = VERDICTS.get(finding.get("verdict") or "", "Diagnosis failed")
         says = finding.get("says") or finding.get("error") or ""
         text = f"# {verdict}\n\n{says}\n\nAsked because: {finding.get('reason', '')}"
         if what := finding.get("separating_measurement"):
             text += f"\n\nTo tell the alternatives apart: {what}"
         self._verdict(text)
-        self._stream.log("/events", rr.TextLog(f"diagnosis: {verdict}: {says}", level=rr.TextLogLevel.INFO))
+        event = event_text(finding["t_ns"], f"diagnosis: {verdict.lower()}: {says}")
+        self._stream.log("/events", rr.TextLog(event, level=rr.TextLogLevel.INFO, color=PLAIN))
 
     def _verdict(self, text: str) -> None:
         """Draw the text of the verdict."""

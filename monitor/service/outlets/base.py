@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from monitor.damage import Assessment, State
 from monitor.publish import Publisher
 
 if TYPE_CHECKING:
@@ -15,7 +16,14 @@ class Outlet(Publisher):
     """Publish results to a network or to people, and collect the requests that operators make there.
 
     No method waits or raises; `failed` says why nothing gets out, `dropped` counts what was lost.
+
+    Attributes
+    ----------
+    present : Assessment
+        The present state of the structure.
     """
+
+    present = Assessment(State.NOT_JUDGED, "No window of data yet.")
 
     @property
     def failed(self) -> str | None:
@@ -26,6 +34,10 @@ class Outlet(Publisher):
     def dropped(self) -> int:
         """Number of messages lost since the start because too many waited."""
         return 0
+
+    def state(self, assessment: Assessment) -> None:
+        """Keep the present state of the structure."""
+        self.present = assessment
 
     def health_line(self, line: Mapping[str, Any]) -> None:
         """Take a line of health.jsonl: the sensors' health of a span, if one ended, and the daemon's own health."""

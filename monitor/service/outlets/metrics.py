@@ -20,6 +20,7 @@ from pydantic import field_validator, model_validator
 
 from monitor import __version__
 from monitor.core import WHOLE, Gap, Level, Settings, WindowResult, parse_address
+from monitor.damage import State
 from monitor.service.outlets.base import Outlet
 
 _log = logging.getLogger(__name__)
@@ -151,6 +152,10 @@ class Metrics(Collector, Outlet):
         build = GaugeMetricFamily("shm_build_info", "Versions and site.", labels=("version", "python", "site"))
         build.add_metric((__version__, platform.python_version(), self._site), 1)
         yield build
+        states = {state.value: float(state is self.present.state) for state in State}
+        yield _labelled(
+            GaugeMetricFamily, "shm_state", "State of the structure: 1 for the present one.", states, "state"
+        )
         yield CounterMetricFamily("shm_windows", "Windows.", self._windows)
         yield _labelled(CounterMetricFamily, "shm_windows_skipped", "Windows without a word.", self._skipped, "reason")
         yield CounterMetricFamily("shm_samples", "Samples taken, of each channel.", self._samples)

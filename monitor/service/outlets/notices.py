@@ -13,6 +13,7 @@ from typing import Any
 from pydantic import Field
 
 from monitor.core import WHOLE, AlarmCondition, Level, Settings, WindowResult
+from monitor.damage import Assessment, State
 
 _MOST_TEXT = 1000
 
@@ -25,7 +26,7 @@ class NoticeSettings(Settings):
     source_lost_s: float = Field(default=300.0, gt=0)
     """Time without data, by the clock, after which the source is announced as lost."""
     blind_s: float = Field(default=3600.0, gt=0)
-    """Time without a judged window, in data time, after which that is announced."""
+    """Time in which no window could be judged, or no loss would have been seen, in data time, after which that is announced."""
     findings: bool = True
     """Announce diagnoses."""
 
@@ -35,7 +36,7 @@ class Notice:
     """Message to people."""
 
     kind: str
-    """``alarm``, ``source``, ``recorder``, ``blind`` or ``finding``."""
+    """``alarm``, ``doubtful``, ``blind``, ``finding``, ``source`` or ``recorder``."""
     good: bool
     """True if the message announces the end of a trouble."""
     title: str
@@ -53,28 +54,89 @@ class Told:
     stopped: bool = False
     """True if the recorder was announced as stopped."""
     blind: bool = False
-    """True if it was announced that windows cannot be judged."""
+    """True if it was announced that nothing is judged."""
     judged_ns: int | None = None
-    """End of the latest judged window, or before any of the first window that was not judged; UTC, ns since 1970."""
+    """End of the latest window that was judged and would have shown a loss, or before any of the first that would not have;
+    UTC, ns since 1970."""
+    doubtful: bool = False
+    """True if it was announced that the state is doubtful."""
+    doubt_ns: int | None = None
+    """End of the first window of those since which the state is doubtful, or no longer, other than announced."""
 
 
-def of_window(told: Told, result: WindowResult, settings: NoticeSettings) -> tuple[Told, list[Notice]]:
-    """Derive the notices that a window calls for: alarms raised, escalated and cleared, and long times without a judged window.
+def of_window(
+    told: Told, result: WindowResult, present: Assessment, settings: NoticeSettings
+) -> tuple[Told, list[Notice]]:
+    """Derive the notices that a window calls for: alarms raised, escalated and cleared, doubts, and long times without a word.
+
+    An alarm is announced at once.  That nothing is judged is announced when it has lasted `blind_s`, and that the state is, or
+    no longer is, doubtful when it has lasted a window's length, so that a single window calls for neither.
+
+    Parameters
+    ----------
+    told : Told
+        State that was announced last.
+    result : WindowResult
+        The window.
+    present : Assessment
+        State of the structure with that window, whose sentences are the text of the notices.
+    settings : NoticeSettings
+        Selection of what is announced.
 
     Returns
     -------
     (Told, list of Notice)
         The announced state after the notices, and the notices.
     """
-    if result.skipped is not None:
-        since = result.t_end_ns if told.judged_ns is None else told.judged_ns
-        told = replace(told, judged_ns=since)
-        if told.blind or (result.t_end_ns - since) * 1e-9 < settings.blind_s:
-            return told, []
-        text = f"no window could be judged for {(result.t_end_ns - since) / 60e9:.0f} min: {result.skipped.reason}"
-        return replace(told, blind=True), [Notice("blind", False, "nothing can be said", text[:_MOST_TEXT])]
-    notices = [Notice("blind", True, "windows are judged again", "")] if told.blind else []
-    levels, least = dict(told.levels), max(settings.level.rank, Level.ADVISORY.rank)
+    told, notices = _blindness(told, result, present, settings)
+    if result.skipped is None:
+        told, of_doubts = _doubts(told, result, present)
+        told, of_alarms = _alarms(told, result, present, settings)
+        notices += of_doubts + of_alarms
+    return told, notices
+
+
+def _text(present: Assessment) -> str:
+    """Write the headline, then what else holds, a line each."""
+    return "\n".join([present.headline, *present.doubts])[:_MOST_TEXT]
+
+
+def _blindness(
+    told: Told, result: WindowResult, present: Assessment, settings: NoticeSettings
+) -> tuple[Told, list[Notice]]:
+    """Derive the notice that nothing has been judged for `blind_s`, or is judged again."""
+    if result.skipped is None and present.state is not State.NOT_JUDGED:
+        notices = [Notice("blind", True, "judged again", _text(present))] if told.blind else []
+        return replace(told, blind=False, judged_ns=result.t_end_ns), notices
+    since = result.t_end_ns if told.judged_ns is None else told.judged_ns
+    told = replace(told, judged_ns=since)
+    if told.blind or (result.t_end_ns - since) * 1e-9 < settings.blind_s:
+        return told, []
+    text = _text(present)
+    if result.skipped is not None and present.state is not State.NOT_JUDGED:
+        text = f"no window could be judged for {(result.t_end_ns - since) / 60e9:.0f} min: {result.skipped.mend}"
+    return replace(told, blind=True), [Notice("blind", False, State.NOT_JUDGED.words, text[:_MOST_TEXT])]
+
+
+def _doubts(told: Told, result: WindowResult, present: Assessment) -> tuple[Told, list[Notice]]:
+    """Derive the notice that the state has been doubtful, or no longer, for a window's length."""
+    doubtful = present.state is State.DOUBTFUL
+    if (
+        doubtful == told.doubtful or present.state.rank > State.DOUBTFUL.rank
+    ):  # beside an alarm doubts are its text only
+        return replace(told, doubt_ns=None), []
+    since = result.t_end_ns if told.doubt_ns is None else told.doubt_ns
+    if result.t_end_ns - since < result.window_s * 1e9:
+        return replace(told, doubt_ns=since), []
+    title = present.state.words if doubtful else f"no longer doubtful: {present.state.words}"
+    return replace(told, doubtful=doubtful, doubt_ns=None), [Notice("doubtful", not doubtful, title, _text(present))]
+
+
+def _alarms(
+    told: Told, result: WindowResult, present: Assessment, settings: NoticeSettings
+) -> tuple[Told, list[Notice]]:
+    """Derive the notices of alarms raised, escalated and cleared."""
+    notices, levels, least = [], dict(told.levels), max(settings.level.rank, Level.ADVISORY.rank)
     for story in sorted(levels.keys() | result.alarm.active.keys()):
         if result.alarm.conditions.get(story) is AlarmCondition.SHELVED:
             continue  # neither its rise nor its end is announced, as the operator asked
@@ -82,11 +144,11 @@ def of_window(told: Told, result: WindowResult, settings: NoticeSettings) -> tup
         place = "the whole structure" if story == WHOLE else f"story {story}"
         if now.rank > before.rank and now.rank >= least:
             levels[story] = now
-            notices.append(Notice("alarm", False, f"{now.value}: {place}", result.alarm.reason[:_MOST_TEXT]))
+            notices.append(Notice("alarm", False, f"{now.value}: {place}", _text(present)))
         elif now is Level.NORMAL and before is not Level.NORMAL:
             del levels[story]
-            notices.append(Notice("alarm", True, f"cleared: {place}", f"was {before.value}"))
-    return replace(told, levels=levels, blind=False, judged_ns=result.t_end_ns), notices
+            notices.append(Notice("alarm", True, f"cleared: {place}", f"was {before.value}; {_text(present)}"))
+    return replace(told, levels=levels), notices
 
 
 def of_health(
@@ -127,8 +189,16 @@ def of_health(
     return told, notices
 
 
-def of_finding(finding: Mapping[str, Any], settings: NoticeSettings) -> list[Notice]:
-    """Derive the notice of a finding; a diagnosis that failed is not announced."""
+def of_finding(
+    told: Told, finding: Mapping[str, Any], present: Assessment, settings: NoticeSettings
+) -> tuple[Told, list[Notice]]:
+    """Derive the notice of a finding; a diagnosis that failed is not announced.
+
+    Where the finding is what makes the state doubtful, its notice announces that too.
+    """
     if not settings.findings or finding["verdict"] is None:
-        return []
-    return [Notice("finding", False, f"diagnosis: {finding['verdict']}", str(finding["says"])[:_MOST_TEXT])]
+        return told, []
+    text = str(finding["says"])
+    if present.state is State.DOUBTFUL and text.rstrip(".") in present.headline:
+        told, text = replace(told, doubtful=True, doubt_ns=None), f"{present.state.words}: {_text(present)}"
+    return told, [Notice("finding", False, f"diagnosis: {finding['verdict']}", text[:_MOST_TEXT])]

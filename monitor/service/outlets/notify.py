@@ -127,7 +127,7 @@ class _Channel:
 
 
 class Notifier(Outlet):
-    """Send people a message when an alarm, the sensors' health or a finding changes.
+    """Send people a message when the state of the structure, the sensors' health or a finding changes.
 
     Parameters
     ----------
@@ -178,7 +178,10 @@ class Notifier(Outlet):
     def window(self, result: WindowResult, line: str) -> None:
         """Announce alarms that the window raises, escalates or clears, and long times without a judged window."""
         self._windows += 1
-        self._observe(lambda outbox: self._add_notices(outbox, *notices.of_window(outbox.told, result, self._settings)))
+        present = self.present
+        self._observe(
+            lambda outbox: self._add_notices(outbox, *notices.of_window(outbox.told, result, present, self._settings))
+        )
 
     def health_line(self, line: Mapping[str, Any]) -> None:
         """Announce changes of the source's and the recorder's state."""
@@ -191,8 +194,9 @@ class Notifier(Outlet):
 
     def finding(self, finding: Mapping[str, Any]) -> None:
         """Announce the finding of a diagnosis."""
+        present = self.present
         self._observe(
-            lambda outbox: self._add_notices(outbox, outbox.told, notices.of_finding(finding, self._settings))
+            lambda outbox: self._add_notices(outbox, *notices.of_finding(outbox.told, finding, present, self._settings))
         )
 
     def change(self, settings: NotifySettings, to: Addresses) -> None:

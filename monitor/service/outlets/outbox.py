@@ -9,6 +9,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 from monitor.core import Level, write_atomically
 from monitor.service.outlets.notices import Notice, Told
@@ -17,6 +18,7 @@ _log = logging.getLogger(__name__)
 
 VERSION = 1
 MOST_MESSAGES = 256
+_NO_TIMES: dict[str, Any] = {"judged_ns": None, "doubt_ns": None}
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,8 +75,8 @@ class Outbox:
         notices = list(notices)
         if not notices and told == self.told:
             return
-        # `judged_ns` changes with every window; its change alone is not worth a write.
-        must_save = bool(notices) or replace(told, judged_ns=None) != replace(self.told, judged_ns=None)
+        # Times change with every window; their change alone is not worth a write.
+        must_save = bool(notices) or replace(told, **_NO_TIMES) != replace(self.told, **_NO_TIMES)
         self.told = told
         for notice in notices:
             self._messages += [Message(self._next_id, when, notice, tuple(to))] if to else []
@@ -105,8 +107,8 @@ class Outbox:
 
     def _save(self) -> None:
         levels = {str(k): v.value for k, v in self.told.levels.items()}
-        # `judged_ns` is not stored: while the monitor is off there are no windows, so it means nothing after a restart.
-        told = {**asdict(self.told), "levels": levels, "judged_ns": None}
+        # Times are not stored: while the monitor is off there are no windows, so they mean nothing after a restart.
+        told = {**asdict(self.told), "levels": levels, **_NO_TIMES}
         head = {"version": VERSION, "next_id": self._next_id, "told": told}
         lines = [json.dumps(head), *(json.dumps(asdict(m)) for m in self._messages)]
         try:

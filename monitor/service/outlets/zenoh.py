@@ -23,6 +23,7 @@ from zenoh import ext
 
 from drivers.zenoh_session import Callbacks, Key, SessionSettings, leave, open_session
 from monitor.core import Gap, WindowResult, settings_problems
+from monitor.damage import Assessment
 from monitor.publish import alarm_line, to_json
 from monitor.service.outlets.base import Outlet
 from monitor.service.requests import MAX_REQUEST_BYTES, Request
@@ -30,7 +31,9 @@ from monitor.service.requests import MAX_REQUEST_BYTES, Request
 _log = logging.getLogger(__name__)
 _RETRY_S = (0.5, 30.0)
 _CACHES = {"results": 64, "alarm": 64, "health": 1, "gap": 64, "finding": 64}
-"""Key below the prefix -> number of values kept for subscribers that join late."""
+"""Key below the prefix -> number of values kept for subscribers that join late; `state` answers with the latest of each."""
+_STATE_CACHE = {"state": 64}
+"""The same of the state, whose keys the answer holds themselves."""
 
 
 class ZenohOutSettings(SessionSettings):
@@ -84,6 +87,11 @@ class ZenohOut(Outlet):
         if (alarm["level"], alarm["active"], alarm["conditions"]) != self._alarm:
             self._alarm = alarm["level"], alarm["active"], alarm["conditions"]
             self._put("alarm", to_json({"t_end_ns": result.t_end_ns, **alarm}))
+
+    def state(self, assessment: Assessment) -> None:
+        """Publish the present state of the structure."""
+        super().state(assessment)
+        self._put("state", to_json(assessment.content))
 
     def gap(self, gap: Gap) -> None:
         """Publish that samples are missing."""
@@ -142,7 +150,7 @@ class ZenohOut(Outlet):
         with ExitStack() as ending:
             ending.callback(callbacks.join)
             ending.callback(leave, session)
-            publishers = {name: self._publisher(session, name, kept) for name, kept in _CACHES.items()}
+            publishers = {name: self._publisher(session, name, kept) for name, kept in (_CACHES | _STATE_CACHE).items()}
             for entity in (
                 session.liveliness().declare_token(f"{self.prefix}/alive/monitor"),
                 session.declare_queryable(f"{self.prefix}/state", callbacks.of(self._on_state)),
@@ -176,11 +184,15 @@ class ZenohOut(Outlet):
             self._changed.wait_for(lambda: self._waiting or self._closed)
             return self._waiting.popleft() if self._waiting else None
 
-    def _on_state(self, query: zenoh.Query) -> None:
+    def answer(self) -> str:
+        """Write the answer to a query of the state: the state of the structure, and the latest of every other key."""
         with self._changed:
-            text = "{" + ", ".join(f'"{name}": {self._latest.get(name, "null")}' for name in _CACHES) + "}"
+            latest = [f'"{name}": {self._latest.get(name, "null")}' for name in _CACHES]
+            return ", ".join([to_json(self.present.content)[:-1], *latest]) + "}"
+
+    def _on_state(self, query: zenoh.Query) -> None:
         with query:
-            query.reply(f"{self.prefix}/state", text, encoding=zenoh.Encoding.APPLICATION_JSON)
+            query.reply(f"{self.prefix}/state", self.answer(), encoding=zenoh.Encoding.APPLICATION_JSON)
 
     def _on_request(self, query: zenoh.Query) -> None:
         refusal = self._queue_request(query.payload)

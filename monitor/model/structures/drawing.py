@@ -1,0 +1,119 @@
+"""Drawing of a structure: points, the degrees of freedom that move them, and the lines between them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from monitor.core import Array, Settings
+
+_FRAME_WIDTH = 0.4
+"""Width of a drawn frame over its height. [ratio; judgement]"""
+
+Dof = Annotated[int, Field(ge=1)] | None
+
+
+class NodeTable(Settings):
+    """``[[nodes]]``: one point of the structure's drawing; nodes are numbered from 1 in the file's order."""
+
+    name: str = ""
+    """Name that the drawing shows."""
+    x: float = Field(default=0.0, allow_inf_nan=False)
+    """Coordinate along the structure, m."""
+    y: float = Field(default=0.0, allow_inf_nan=False)
+    """Coordinate across, m."""
+    z: float = Field(default=0.0, allow_inf_nan=False)
+    """Coordinate upwards, m."""
+    dof_x: Dof = None
+    """Degree of freedom (floor), from 1, that moves the node along x; none: it does not move that way."""
+    dof_y: Dof = None
+    """The same along y."""
+    dof_z: Dof = None
+    """The same along z."""
+
+
+class LineTable(Settings):
+    """``[[lines]]``: one member of the structure's drawing."""
+
+    nodes: tuple[int, int]
+    """Numbers of the nodes at its ends, from 1."""
+    story: int | None = None
+    """Stiffness, from 1, whose loss colours it; grey by default."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Drawing:
+    """Points of a structure, the degrees of freedom that move them, and the lines between them."""
+
+    points: Array
+    """Shape (n, 3), m."""
+    dofs: NDArray[np.intp]
+    """Degree of freedom that moves each point along x, y and z, from 0, shape (n, 3); -1 for none."""
+    lines: NDArray[np.intp]
+    """Points at the ends of each line, from 0, shape (l, 2)."""
+    stories: NDArray[np.intp]
+    """Story of each line, from 0, shape (l,); -1 for none."""
+    names: tuple[str, ...] = ()
+    """Name of each point; empty for none."""
+
+    @classmethod
+    def of(cls, nodes: Sequence[NodeTable], lines: Sequence[LineTable]) -> Self:
+        """Make the drawing of the tables of a structure file."""
+        return cls(
+            np.array([(n.x, n.y, n.z) for n in nodes], dtype=float),
+            np.array([(n.dof_x or 0, n.dof_y or 0, n.dof_z or 0) for n in nodes], dtype=np.intp) - 1,
+            np.array([line.nodes for line in lines], dtype=np.intp) - 1,
+            np.array([line.story or 0 for line in lines], dtype=np.intp) - 1,
+            tuple(n.name for n in nodes),
+        )
+
+    @classmethod
+    def of_frame(cls, story_heights_m: Array) -> Self:
+        """Make the drawing of a frame with four columns a story.
+
+        Parameters
+        ----------
+        story_heights_m : ndarray, shape (n,)
+            Story 1 = top; only the proportions matter.
+        """
+        levels = np.append(np.cumsum(story_heights_m[::-1])[::-1], 0.0)  # of floor 1 (top) .. n, and of the ground
+        n, width = len(story_heights_m), _FRAME_WIDTH * levels[0]
+        points = np.array([(x, y, z) for z in levels for x, y in ((0, 0), (width, 0), (width, width), (0, width))])
+        dofs = np.full((len(points), 3), -1, dtype=np.intp)
+        dofs[: 4 * n, 0] = np.repeat(np.arange(n), 4)
+        columns = [(4 * j + c, 4 * j + 4 + c) for j in range(n) for c in range(4)]
+        edges = [(4 * i + c, 4 * i + (c + 1) % 4) for i in range(n + 1) for c in range(4)]
+        stories = np.append(np.repeat(np.arange(n), 4), np.full(len(edges), -1)).astype(np.intp)
+        return cls(points, dofs, np.array([*columns, *edges], dtype=np.intp), stories)
+
+    @classmethod
+    def of_bars(cls, n_stories: int) -> Self:
+        """Make a list of bars, one for each stiffness, of a structure whose form is not known; no motion is drawn of it."""
+        ends = [(x, 0.0, -0.5 * j) for j in range(n_stories) for x in (0.0, 1.0)]
+        index = np.arange(n_stories, dtype=np.intp)
+        none = np.full((2 * n_stories, 3), -1, dtype=np.intp)
+        return cls(np.array(ends), none, np.stack([2 * index, 2 * index + 1], axis=1), index)
+
+
+def drawing_problems(nodes: Sequence[NodeTable], lines: Sequence[LineTable], n_dofs: int, n_stories: int) -> list[str]:
+    """List what is wrong with the tables of a drawing of a structure; nothing where there are none."""
+    problems = []
+    for i, node in enumerate(nodes, start=1):
+        for axis in ("dof_x", "dof_y", "dof_z"):
+            if (dof := getattr(node, axis)) is not None and dof > n_dofs:
+                problems.append(f"nodes: node {i} has {axis} = {dof} of {n_dofs} degrees of freedom")
+    for i, line in enumerate(lines, start=1):
+        problems += [
+            f"lines: line {i} ends at node {k} of {len(nodes)}" for k in line.nodes if not 1 <= k <= len(nodes)
+        ]
+        if line.story is not None and not 1 <= line.story <= n_stories:
+            problems.append(f"lines: line {i} has story = {line.story} of {n_stories}")
+    missing = sorted({*range(1, n_stories + 1)} - {line.story for line in lines if line.story})
+    if missing and (nodes or lines):
+        problems.append(f"lines: no line has story = {', '.join(map(str, missing))}, so its loss would not be drawn")
+    return problems

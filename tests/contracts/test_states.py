@@ -1,0 +1,164 @@
+"""Every state of the structure reads the same, word and headline, wherever it is shown."""
+
+from __future__ import annotations
+
+import html
+import json
+import os
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from prometheus_client.core import Metric
+
+from monitor.config import configuration
+from monitor.core.results import (
+    Alarm,
+    AlarmCondition,
+    DamageReading,
+    Level,
+    ModalEstimate,
+    StiffnessEstimate,
+    WindowResult,
+)
+from monitor.damage import Known, State
+from monitor.publish.reports.period_report import page, read_period
+from monitor.publish.results.lines import replay_text, to_json
+from monitor.runs.session import Session
+from monitor.service import fleet
+from monitor.service.daemon_health import plain
+from monitor.service.fleet_view import text
+from monitor.service.outlets.base import Outlet
+from monitor.service.outlets.metrics import Metrics, MetricsSettings
+from monitor.service.outlets.notices import Notice, NoticeSettings, Told, of_window
+from monitor.service.outlets.zenoh import ZenohOut, ZenohOutSettings
+from monitor.service.restart import lock
+from monitor.service.status import look, tell
+from monitor.signals.sensor_health import ChannelHealth, Health
+from tests.conftest import CHANNELS, T0_NS
+
+WINDOW_S, HOP_S, COUNT = 20.0, 5.0, 6
+KNOWN = Known(("storey above", "middle storey", "storey below"), has_baseline=True, alarm_loss=0.1, misfit=5.0)
+EXIT = {State.NORMAL: 0, State.ADVISORY: 10, State.WARNING: 10, State.ALARM: 10}
+"""Exit codes of `status` and `fleet`; of the others 11."""
+
+
+def window(index: int, state: State) -> WindowResult:
+    """A window of three stories in that state: a loss of the middle story, a poor fit, or a story that is not seen."""
+    lost = {State.ADVISORY: 0.05, State.WARNING: 0.06, State.ALARM: 0.123}.get(state, 0.0)
+    active = {2: Level(state.value)} if lost else {}
+    alarm = Alarm(active.get(2, Level.NORMAL), tuple(active), "", active, dict.fromkeys(active, AlarmCondition.NORMAL))
+    hz, stiffness = np.array([4.6, 13.1, 17.9]), np.array([2900.0, 1500.0, 1900.0])
+    modes = ModalEstimate(
+        hz, 0.01 * np.ones(3), np.eye(3, dtype=complex), np.arange(3), np.zeros((0, 3, 8)), 0, 20, np.zeros((0, 4))
+    )
+    damage = DamageReading(np.array([0.0, lost, 0.0]), 1e-4 * np.eye(3), np.zeros(3), np.array([0.0, lost, 0.0]) * 1500)
+    fit = StiffnessEstimate(stiffness, np.eye(3), True, 5, 31.0 if state is State.DOUBTFUL else 1.1)
+    seen = np.array([0.021, 0.034, np.inf if state is State.NOT_JUDGED else 0.017])
+    t_ns = T0_NS + round((WINDOW_S + index * HOP_S) * 1e9)
+    return WindowResult(index, t_ns, WINDOW_S, modes, fit, damage, alarm, None, 0.01, None, (0, 1, 2), seen)
+
+
+class Lines(Outlet):
+    """Keeps the lines of results.jsonl, and the notices that people would get."""
+
+    def __init__(self) -> None:
+        self.lines: list[str] = []
+        self.told, self.notices = Told(), list[Notice]()
+
+    def window(self, result: WindowResult, line: str) -> None:
+        self.lines.append(line)
+        self.told, found = of_window(self.told, result, self.present, NoticeSettings(blind_s=WINDOW_S))
+        self.notices += found
+
+
+class Site(Session):
+    """A session that knows a baseline and needs none."""
+
+    _known = property(lambda self: KNOWN)  # type: ignore[assignment]
+
+
+@pytest.mark.parametrize("state", list(State))
+def test_a_state_reads_the_same_at_every_outlet(state: State, tmp_path: Path, frame_text: str) -> None:
+    structure = tmp_path / "frame.toml"
+    structure.write_text(frame_text)
+    lines, metrics = Lines(), Metrics("bench", MetricsSettings())
+    out = ZenohOut("bench", ZenohOutSettings(connect=("tcp/127.0.0.1:9",), connect_timeout_s=0.1))
+    site = Site(configuration.load(structure), None, (lines, metrics, out), None, tmp_path / "findings")
+    try:
+        for index in range(COUNT):
+            site._publish(window(index, state))
+        channels = tuple(ChannelHealth(name, 0.0, 0.01, 0.05, 0, 0.0, 0.0, 1e-6) for name in CHANNELS)
+        site._publish(Health(T0_NS, T0_NS + 10**10, 100.0, 1000, 1.0, 0, 0.0, 0, channels))
+        answer = out.answer()
+    finally:
+        out.close(0.0)
+    said = site.present
+    assert said.state is state
+    if state is State.NORMAL:
+        assert said.headline == "No loss above 3.4 % in any story."
+
+    (tmp_path / "results.jsonl").write_text("\n".join(lines.lines) + "\n")
+    summary = plain(site.content(1.0))
+    (tmp_path / "summary.json").write_text(to_json(summary))
+    assert {key: summary[key] for key in ("state", "headline", "doubts")} == said.content
+    assert f"{state.words}: {said.headline}" in replay_text(summary).splitlines()
+
+    report = html.unescape(page(read_period(tmp_path, None, None)))
+    assert f">{state.words}</span><h1>{said.headline}</h1>" in report
+
+    (tmp_path / "state").mkdir()
+    health = {"wall_ns": time.time_ns(), "source": {"connected": True}, "recorder": None, "failed": {}}
+    (tmp_path / "health.jsonl").write_text(json.dumps(health) + "\n")
+    held = lock(tmp_path / "state" / "lock", tmp_path)
+    running = look(tmp_path)
+    os.close(held)
+    assert {key: running[key] for key in said.content} == said.content
+    assert (running["monitor"], running["exit_code"]) == ("running", EXIT.get(state, 11))
+    assert tell(running).splitlines()[0] == f"state     {state.words.upper()}: {said.headline}"
+
+    gauges: list[Metric] = [family for family in metrics.collect() if family.name == "shm_state"]
+    assert [s.labels for s in gauges[0].samples if s.value] == [{"state": state.value}]
+
+    answered = json.loads(answer)
+    assert {key: answered[key] for key in said.content} == said.content
+    shown = fleet.status("bench", answer.encode(), True, time.time_ns(), 60.0)
+    assert (shown.state, shown.headline, shown.doubts) == (said.state, said.headline, said.doubts)
+    assert state.words in text([shown]) and said.headline in text([shown])
+    assert fleet.code([shown]) == EXIT.get(state, 11)
+
+    announced = [notice for notice in lines.notices if not notice.good]
+    assert [n.title.startswith(state.words) for n in announced] == [True] * (state is not State.NORMAL)
+    assert all(n.text.splitlines() == [said.headline, *said.doubts] for n in announced)
+
+
+def test_a_monitor_that_does_not_run_says_no_normal(tmp_path: Path) -> None:
+    (tmp_path / "state").mkdir()
+    for state, wanted in ((State.NORMAL, State.NOT_JUDGED), (State.ALARM, State.ALARM)):
+        content = {"state": state.value, "headline": "The latest headline.", "doubts": []}
+        (tmp_path / "summary.json").write_text(json.dumps(content))
+        (tmp_path / "results.jsonl").write_text(json.dumps({"t_end_ns": T0_NS, "skipped": None}) + "\n")
+        ended = look(tmp_path)
+        assert (ended["state"], ended["monitor"], ended["exit_code"]) == (wanted.value, "not running", 12)
+        rows = tell(ended)
+        assert "The monitor does not run." in rows and "he latest headline, as of 2026-01-01 00:00 UTC." in rows
+
+
+def test_an_alarm_that_a_restart_kept_stands_before_the_first_window(tmp_path: Path, frame_text: str) -> None:
+    structure = tmp_path / "frame.toml"
+    structure.write_text(frame_text)
+    site = Site(configuration.load(structure), None, (), None, tmp_path / "findings")
+
+    def kept(level: Level) -> None:
+        site.alter_alarm(
+            lambda alarm: replace(
+                alarm, stories=(alarm.stories[0], replace(alarm.stories[1], level=level), *alarm.stories[2:])
+            )
+        )
+
+    assert site.present.state is State.NOT_JUDGED
+    kept(Level.ALARM)
+    assert site.present.state is State.ALARM and "alarm of middle storey stands from before" in site.present.headline
+    assert "No window of data yet." in site.present.doubts

@@ -1,0 +1,171 @@
+"""The state: the gravest fact is the headline, green is said only where a loss would have been seen, the rest are doubts."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from monitor.core.results import WHOLE, Level
+from monitor.damage.assessment import Assessment, Course, Known, State, WindowFacts, assess, follow
+
+HOP_NS, WINDOW_S, T0 = 10 * 10**9, 400.0, 1_800_000_000 * 10**9
+KNOWN = Known(("story 1", "story 2 (left bearing)", "story 3"), True, 0.1, 5.0, (0.5, 2.0))
+WELL = WindowFacts(T0, WINDOW_S, None, detectable=(0.01, 0.012, 0.008), misfit=1.1, rms_m_s2=1.0)
+LOST = replace(WELL, active={2: Level.ALARM}, losses={2: (0.124, 0.007, 180.0)})
+SWAP = {
+    "id": 1, "verdict": "named", "from_ns": T0, "t_ns": T0 + 10**12,
+    "causes": [{"effect": "channel_swap", "location": "channel a1,a3"}],
+    "says": "Channels a1 and a3 are swapped; with it taken out no story changed by more than 0.2 %.",
+}  # fmt: skip
+
+
+def course(*windows: WindowFacts) -> Course:
+    out = Course()
+    for k, window in enumerate(windows):
+        out = follow(out, replace(window, t_end_ns=T0 + k * HOP_NS), KNOWN.misfit)
+    return out
+
+
+def said(
+    *windows: WindowFacts, known: Known = KNOWN, findings: tuple[Any, ...] = (), whole: bool = False
+) -> Assessment:
+    return assess(course(*windows), known, findings, whole=whole)
+
+
+def test_green_says_the_loss_that_would_have_been_seen() -> None:
+    assert said(*[WELL] * 5) == Assessment(State.NORMAL, "No loss above 1.2 % in any story.")
+
+
+@pytest.mark.parametrize(
+    ("detectable", "tells"), [(None, "is not seen"), (0.25, "only a loss above 25 %"), (0.1, "10 %")]
+)
+def test_a_story_in_which_no_alarm_would_be_raised_is_not_green(detectable: float | None, tells: str) -> None:
+    blind = said(replace(WELL, detectable=(0.01, detectable, 0.008)))
+    assert blind.state is State.NOT_JUDGED
+    assert (
+        tells in blind.headline
+        and "left bearing" in blind.headline
+        and "no loss above 1 % in any other" in blind.headline
+    )
+    assert said(replace(WELL, detectable=(None,) * 3)).headline.startswith("No loss would have been seen")
+
+
+def test_what_the_owner_knows_to_be_unseen_is_named_and_green() -> None:
+    known = replace(KNOWN, unwatched=(2,))
+    told = said(replace(WELL, detectable=(0.01, None, 0.008)), known=known)
+    assert told == Assessment(
+        State.NORMAL, "No loss above 1 % in any other story; story 2 (left bearing) is not watched."
+    )
+
+
+def test_without_a_baseline_nothing_is_judged() -> None:
+    told = said(replace(WELL, detectable=None), known=replace(KNOWN, has_baseline=False))
+    assert told.state is State.NOT_JUDGED and "baseline" in told.headline
+
+
+def test_an_hour_without_a_judged_window_is_not_judged() -> None:
+    gap = replace(WELL, skipped="gap in the data", detectable=None, misfit=None)
+    assert said(WELL, *[gap] * 100).state is State.NORMAL
+    late = said(WELL, *[gap] * 361)
+    assert late.state is State.NOT_JUDGED and late.headline.startswith("No window could be judged for an hour: gap")
+    assert said(gap).headline.startswith("No window could be judged: gap")
+    assert assess(Course(), KNOWN) == Assessment(State.NOT_JUDGED, "No window of data yet.")
+
+
+@pytest.mark.parametrize("level", [Level.ADVISORY, Level.WARNING, Level.ALARM])
+def test_an_alarm_names_story_and_size(level: Level) -> None:
+    told = said(WELL, replace(LOST, active={2: level}))
+    assert told.state.value == level.value
+    assert "left bearing" in told.headline and "12.4 ± 1.4 %" in told.headline
+    assert ("not confirmed" in told.headline) == (level is Level.ADVISORY)
+
+
+def test_a_loss_of_all_stories_alike_is_an_advisory() -> None:
+    told = said(replace(WELL, active={WHOLE: Level.ADVISORY}, losses={WHOLE: (0.06, 0.001, 100.0)}))
+    assert told.state is State.ADVISORY and "every story lost 6.0 % alike" in told.headline.lower()
+
+
+def test_an_alarm_that_ended_is_the_state_of_the_recording_and_a_doubt_of_the_present() -> None:
+    past = said(WELL, LOST, WELL)
+    assert past.state is State.NORMAL and "An earlier alarm of story 2" in past.doubts[0]
+    whole = said(WELL, LOST, WELL, whole=True)
+    assert whole.state is State.ALARM and "until 2027-01-15 08:00 UTC" in whole.headline
+
+
+def test_a_sensors_finding_stands_above_green() -> None:
+    told = said(*[WELL] * 3, findings=(SWAP,))
+    assert told.state is State.DOUBTFUL
+    assert "a1 and a3 are swapped" in told.headline and "a proposal until it is accepted" in told.headline
+    assert "no story changed by more than 0.2 %" in told.headline
+
+
+def test_a_finding_never_lowers_an_alarm() -> None:
+    told = said(WELL, LOST, findings=(SWAP,))
+    assert told.state is State.ALARM and any("swapped" in doubt for doubt in told.doubts)
+
+
+@pytest.mark.parametrize("accepted", [False, True])
+def test_an_accepted_finding_is_a_doubt_no_longer(accepted: bool) -> None:
+    known = replace(KNOWN, accepted=(("channel_swap", "channel a1,a3"),) if accepted else ())
+    assert said(WELL, known=known, findings=(SWAP,)).state is (State.NORMAL if accepted else State.DOUBTFUL)
+
+
+@pytest.mark.parametrize("verdict", ["ambiguous", "unexplained"])
+def test_an_unknown_cause_is_a_doubt(verdict: str) -> None:
+    finding = {**SWAP, "verdict": verdict, "causes": [], "says": "Something is wrong."}
+    assert said(WELL, findings=(finding,)).state is State.DOUBTFUL
+
+
+def test_a_finding_of_lost_stiffness_belongs_to_its_alarm() -> None:
+    loss = {
+        **SWAP,
+        "says": "Story 2 is 12 % softer.",
+        "causes": [{"effect": "stiffness_change", "location": "story 2"}],
+    }
+    told = said(WELL, LOST, findings=(loss,))
+    assert told.headline.endswith("; diagnosis: story 2 is 12 % softer.")
+    assert told.doubts == ()
+
+
+def test_a_misfit_is_a_doubt_now_and_of_a_recording_only_where_it_lasts() -> None:
+    bad = replace(WELL, misfit=31_869.0)
+    told = said(WELL, bad)
+    assert told.state is State.DOUBTFUL and "goodness of fit 3.19e+04" in told.headline
+    assert said(*[bad] * 3, WELL, whole=True).state is State.NORMAL
+    assert said(*[bad] * 41, WELL, whole=True).state is State.DOUBTFUL
+
+
+@pytest.mark.parametrize(("factor", "tells"), [(1e3, "times stronger"), (1e-3, "times weaker")])
+def test_motion_far_from_the_baselines_asks_for_the_unit(factor: float, tells: str) -> None:
+    told = said(replace(WELL, rms_m_s2=factor))
+    assert told.state is State.DOUBTFUL and tells in told.headline and "is the unit right" in told.headline
+
+
+@pytest.mark.parametrize(("rms_m_s2", "asks"), [(9.81, True), (9.0, False), (1 / 9.81, True), (0.12, False)])
+def test_g_for_m_s2_is_asked_about_while_it_lasts_and_in_a_recording_if_it_ever_was(
+    rms_m_s2: float, asks: bool
+) -> None:
+    """The calibration saw 0.5 to 2 m/s^2: 1 m/s^2 in a wrong unit is told from days twice as calm or stormy."""
+    odd = replace(WELL, rms_m_s2=rms_m_s2)
+    assert ("is the unit right" in said(WELL, odd).headline) == asks
+    assert ("is the unit right" in said(odd, WELL, whole=True).headline) == asks
+    assert said(odd, WELL).state is State.NORMAL
+
+
+def test_the_gravest_is_the_headline_and_the_rest_are_doubts() -> None:
+    known = replace(KNOWN, baseline_doubts=("the baseline was written by an older version",))
+    told = said(replace(LOST, active={2: Level.WARNING}, misfit=9.0, detectable=(None, 0.01, 0.01)), known=known)
+    assert told.state is State.WARNING
+    assert len(told.doubts) == 3
+    assert "goodness of fit" in told.doubts[0] and "older version" in told.doubts[1] and "not seen" in told.doubts[2]
+    assert [s.value for s in sorted(State, key=lambda s: -s.rank)] == [
+        "alarm", "warning", "doubtful", "advisory", "not_judged", "normal"
+    ]  # fmt: skip
+
+
+def test_skipped_windows_are_counted_beside_green() -> None:
+    gap = replace(WELL, skipped="gap in the data", detectable=None, misfit=None)
+    told = said(WELL, gap, WELL)
+    assert told.state is State.NORMAL and told.doubts[0].startswith("1 of 3 windows could not be judged (1: gap")

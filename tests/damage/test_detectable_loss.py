@@ -1,0 +1,76 @@
+"""The smallest detectable loss: it is seen as often as it says, and says less when less was seen."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from monitor.core.results import Array, DamageReading, Level
+from monitor.damage import alarm
+from monitor.damage.alarm import AlarmSettings, AlarmState
+from monitor.damage.detectable_loss import PROBABILITY, WITHIN_S, smallest_detectable_loss
+
+HOP_S, WINDOW_S, N = 10.0, 400.0, 40
+SETTINGS = AlarmSettings()
+STD = np.array([0.00108, 0.00137, 0.00152])
+
+
+def reading(
+    ddi: Array, std: Array = STD, common: Array = 0.3 * STD, unidentified: tuple[int, ...] = ()
+) -> DamageReading:
+    own, shared = np.diag(std**2), np.diag(common**2)
+    return DamageReading(ddi, own + shared, ddi, ddi, shared, unidentified=unidentified)
+
+
+def after(hours: float, std: Array = STD) -> AlarmState:
+    state = alarm.start(std.size, WINDOW_S)
+    for k in range(int(hours * 3600.0 / HOP_S)):
+        state, _ = alarm.step(state, reading(np.zeros(std.size), std, 0.3 * std), int(k * HOP_S * 1e9), SETTINGS)
+    return state
+
+
+def smallest(state: AlarmState, std: Array = STD, **more: tuple[int, ...]) -> Array:
+    return smallest_detectable_loss(reading(0.0 * std, std, 0.3 * std, **more), state.history, HOP_S, SETTINGS)
+
+
+def seen(loss: float, story: int, rng: np.random.Generator) -> bool:
+    """Whether the alarm itself warns of a sudden loss within the stated time; windows overlap, so their errors are correlated."""
+    healthy, looks = 8 * N, int(WITHIN_S / HOP_S)
+    increments = rng.standard_normal((healthy + looks, 3)) * STD * np.sqrt(N)
+    increments[healthy:, story] += loss
+    total = np.vstack([np.zeros(3), np.cumsum(increments, axis=0)])
+    state, off = alarm.start(3, WINDOW_S), rng.standard_normal(3) * 0.3 * STD
+    for i in range(N, len(total)):
+        damage = reading((total[i] - total[i - N]) / N + off, STD * np.exp(0.13 * rng.standard_normal()))
+        state, said = alarm.step(state, damage, int(i * HOP_S * 1e9), SETTINGS)
+        if i > healthy and said.active.get(story + 1, Level.NORMAL).rank >= Level.WARNING.rank:
+            return True
+    return False
+
+
+def power(trials: int, seed: int) -> float:
+    rng, loss = np.random.default_rng(seed), smallest(after(2.0))
+    return float(np.mean([seen(float(loss[k % 3]), k % 3, rng) for k in range(trials)]))
+
+
+def test_it_is_seen_about_as_often_as_stated() -> None:
+    assert power(30, 1) > 0.75, "by the binomial 1 % limit of 90 %"
+
+
+@pytest.mark.slow
+def test_of_500_such_losses_the_stated_share_is_seen() -> None:
+    assert abs(power(500, 2) - PROBABILITY) < 0.05
+
+
+def test_a_young_run_sees_less_and_one_window_confirms_nothing() -> None:
+    first, hour, day = (smallest(after(h)) for h in (HOP_S / 3600.0, 0.3, 2.0))
+    assert np.isinf(first).all()
+    assert (hour > 1.2 * day).all()
+
+
+def test_scale_follows_the_deviations_and_what_the_modes_do_not_see_is_never_seen() -> None:
+    small, large = smallest(after(2.0)), smallest(after(2.0, 3.0 * STD), 3.0 * STD)
+    assert large / small == pytest.approx(3.0 * np.ones(3), rel=0.1)
+    assert np.isinf(smallest(after(2.0), unidentified=(2,))).tolist() == [False, True, False]
+    again = smallest(after(2.0))
+    assert (again == small).all(), "the same state gives the same number"
