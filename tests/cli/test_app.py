@@ -825,6 +825,13 @@ def test_a_simulated_recording_says_what_it_holds(site: Site, tmp_path: Path) ->
     assert (metadata.metadata["seed"], metadata.metadata["excitation"]) == ("2", "ground")
 
 
+def test_modes_beyond_half_the_rate_are_warned_of(site: Site, tmp_path: Path) -> None:
+    """They would fold into the band, where a diagnosis takes them for something that is there."""
+    told = short(site, tmp_path / "s.mcap", "--rate", 40).stderr
+    assert "warning" in told and "fold into the band" in told and "--rate" in told
+    assert "fold" not in short(site, tmp_path / "t.mcap").stderr
+
+
 def test_a_start_between_two_seconds_is_kept(site: Site, tmp_path: Path) -> None:
     assert_ok(short(site, tmp_path / "s.mcap", "--start", "2026-01-01T00:00:00.25"))
     assert recording_info(tmp_path / "s.mcap").t_start_ns == T0_NS + 250_000_000
