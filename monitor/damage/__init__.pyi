@@ -1,7 +1,20 @@
 from . import alarm, damage_index
 from .alarm import AlarmSettings, AlarmState, StoryState, hold
 from .alternative_solutions import second_solutions
-from .assessment import Assessment, Course, Known, Loss, State, WindowFacts, assess, facts_of, follow, outdated, utc
+from .assessment import (
+    Assessment,
+    Course,
+    Known,
+    Loss,
+    State,
+    WindowFacts,
+    assess,
+    facts_of,
+    follow,
+    is_seen,
+    outdated,
+    utc,
+)
 from .baseline import Baseline, learn_baseline, rebase_baseline
 from .baseline_file import load_baseline, save_baseline
 from .detectable_loss import smallest_detectable_loss
@@ -29,6 +42,7 @@ __all__ = [
     "facts_of",
     "follow",
     "hold",
+    "is_seen",
     "learn_baseline",
     "load_baseline",
     "observe",

@@ -223,7 +223,8 @@ def _followed(losses: Sequence[Loss], window: WindowFacts) -> tuple[Loss, ...]:
     out = []
     for loss in losses:
         if loss.t_last_ns is None and loss.story not in window.active:
-            loss = replace(loss, t_last_ns=window.t_end_ns)
+            if loss.story not in window.shelved:  # a shelved alarm has not ended
+                loss = replace(loss, t_last_ns=window.t_end_ns)
         elif loss.t_last_ns is None and loss.story in window.losses:
             level, (ddi, std, stiffness) = window.active[loss.story], window.losses[loss.story]
             if level.rank >= loss.level.rank and ddi > 2.0 * std:
@@ -268,7 +269,8 @@ def assess(
         *_alarms(course, known, findings, whole),
         *_kept(course, known, standing or {}),
         *_doubts(course, known, findings, whole),
-        *_unjudged(course, known, whole),
+        *_alike(course, known),
+        *_unjudged(course, known),
     ]
     remarks = _remarks(course, known, whole)
     if not facts:
@@ -305,13 +307,16 @@ Fact = tuple[State, str]
 def _alarms(course: Course, known: Known, findings: Sequence[Mapping[str, Any]], whole: bool) -> list[Fact]:
     """State every alarm that stands or, in a whole recording, that stood."""
     facts = []
-    losses = [loss for loss in course.losses if whole or loss.t_last_ns is None]
+    shelved = () if course.last is None else course.last.shelved
+    losses = [loss for loss in course.losses if whole or (loss.t_last_ns is None and loss.story not in shelved)]
     for loss in sorted(losses, key=lambda item: (-item.level.rank, -item.ddi)):
+        now = None if course.judged is None or whole else course.judged.active.get(loss.story)
         if loss.story == WHOLE:
             says = f"every story lost {100 * loss.ddi:.1f} % alike (weather, mass, clock or stiffness)"
         else:
             says = f"{_name(loss.story, known)} lost {_percent(loss)} of its stiffness since the baseline"
             says += ", not confirmed yet" if loss.level is Level.ADVISORY else ""
+        says += f" at its highest, now {now.value}" if now is not None and now.rank < loss.level.rank else ""
         says += "" if loss.t_last_ns is None else f", until {utc(loss.t_last_ns)} UTC"
         said = _overlapping(loss, findings)
         facts.append((State(loss.level.value), _sentence(says + (f"; diagnosis: {said}" if said else ""))))
@@ -335,15 +340,18 @@ def _kept(course: Course, known: Known, standing: Mapping[int, Level]) -> list[F
 def _overlapping(loss: Loss, findings: Sequence[Mapping[str, Any]]) -> str:
     """Return what the first diagnosis of an alarm's time said, without a full stop; empty without one."""
     for f in findings:
-        if _overlap(loss, f) and f.get("says"):
+        if _concerns(f, loss) and f.get("says"):
             says = str(f["says"]).rstrip(".")
             return says[:1].lower() + says[1:]
     return ""
 
 
-def _overlap(loss: Loss, finding: Mapping[str, Any]) -> bool:
-    """Decide if a diagnosis used data of an alarm's time."""
-    return bool(loss.t_first_ns <= finding["t_ns"] and (loss.t_last_ns is None or finding["from_ns"] <= loss.t_last_ns))
+def _concerns(finding: Mapping[str, Any], loss: Loss) -> bool:
+    """Decide if a diagnosis used data of an alarm's time, and speaks of the alarm's story or of no story's stiffness."""
+    if not (loss.t_first_ns <= finding["t_ns"] and (loss.t_last_ns is None or finding["from_ns"] <= loss.t_last_ns)):
+        return False
+    places = {str(c["location"]) for c in finding.get("causes") or [] if _is_loss(c)}
+    return loss.story == WHOLE or not places or not places.isdisjoint({f"story {loss.story}", "frame"})
 
 
 def _doubts(course: Course, known: Known, findings: Sequence[Mapping[str, Any]], whole: bool) -> list[Fact]:
@@ -372,7 +380,7 @@ def is_open(finding: Mapping[str, Any], known: Known) -> bool:
         return False
     causes = finding.get("causes") or []
     settled = ((c["effect"], c["location"]) in known.accepted or _is_loss(c) for c in causes)
-    return finding["verdict"] != "named" or not all(settled)
+    return finding["verdict"] != "named" or not causes or not all(settled)
 
 
 def _is_loss(cause: Mapping[str, Any]) -> bool:
@@ -387,7 +395,7 @@ def _unalarmed(course: Course, findings: Sequence[Mapping[str, Any]], known: Kno
         for f in findings
         if f.get("verdict") == "named" and not is_open(f, known)
         if any(_is_loss(c) and (c["effect"], c["location"]) not in known.accepted for c in f.get("causes") or [])
-        if not any(_overlap(loss, f) for loss in course.losses)
+        if not any(_concerns(f, loss) for loss in course.losses)
     ]
 
 
@@ -429,11 +437,24 @@ def _levels(course: Course, known: Known, whole: bool) -> list[str]:
     return []
 
 
-def _unjudged(course: Course, known: Known, whole: bool) -> list[Fact]:
+def _alike(course: Course, known: Known) -> list[Fact]:
+    """State a loss that all stories have alike and no alarm says: the loss that would have been seen is that of one story."""
+    window = course.judged
+    if window is None or not known.has_baseline or window.active or len(window.changes) < 2:
+        return []
+    least, std = min(window.changes)
+    seen = [loss for loss in window.detectable or () if loss is not None]
+    if not seen or least < max(max(seen), _RISE_STDS * std):
+        return []
+    says = f"every story lost {100 * least:.1f} % alike, too little for an alarm (weather, mass, clock or stiffness)"
+    return [(State.NOT_JUDGED, _sentence(says))]
+
+
+def _unjudged(course: Course, known: Known) -> list[Fact]:
     """State why nothing, or not enough, can be said of damage."""
     says = []
-    if course.windows == 0:
-        says.append("no window of data yet")
+    if course.last is None:
+        says.append("no window of data yet" if course.windows == 0 else "no window since the monitor was upgraded")
     elif course.judged is None or not any(judged for _, judged in course.recent):
         reason = max(course.skip_reasons, key=lambda r: course.skip_reasons[r], default="")
         latest = course.last.skipped if course.last is not None else None
@@ -441,7 +462,7 @@ def _unjudged(course: Course, known: Known, whole: bool) -> list[Fact]:
             reason = latest
         since = "" if course.judged is None else " for an hour"
         says.append(f"no window could be judged{since}: {Skipped(reason).mend}")
-    elif whole and course.last is not None:
+    elif course.last is not None:
         silent_s = (course.last.t_end_ns - course.judged.t_end_ns) * 1e-9
         if silent_s >= course.judged.window_s > 0.0:
             says.append(f"the last {silent_s:.0f} s could not be judged: {Skipped(course.last.skipped or '').mend}")
@@ -457,13 +478,16 @@ def _unjudged(course: Course, known: Known, whole: bool) -> list[Fact]:
 
 def _unseen(window: WindowFacts, known: Known) -> list[int]:
     """List the watched stories in which a loss of the alarm's size would not have been seen."""
-    detectable = window.detectable or ()
     return [
         j
-        for j, loss in enumerate(detectable, start=1)
-        if j not in known.unwatched
-        and (loss is None or loss >= min(known.alarm_loss, _MOST_UNSEEN) or j in window.shelved)
+        for j, loss in enumerate(window.detectable or (), start=1)
+        if j not in known.unwatched and not ({j, WHOLE}.isdisjoint(window.shelved) and is_seen(loss, known.alarm_loss))
     ]
+
+
+def is_seen(detectable: float | None, alarm_loss: float) -> bool:
+    """Decide if a story's smallest detectable loss makes "no alarm" an all-clear; None where no loss would be seen."""
+    return detectable is not None and detectable < min(alarm_loss, _MOST_UNSEEN)
 
 
 def _seen(course: Course, known: Known) -> str:
@@ -490,6 +514,8 @@ def _why_unseen(story: int, window: WindowFacts, known: Known) -> str:
     """State that a story is not seen, and from which loss on it would be."""
     name = _name(story, known)
     loss = None if window.detectable is None else window.detectable[story - 1]
+    if WHOLE in window.shelved:
+        return f"the alarm of every story alike is shelved, so nothing is said of {name}"
     if story in window.shelved:
         return f"the alarm of {name} is shelved"
     if story in known.unwatched:
@@ -516,7 +542,9 @@ def _remarks(course: Course, known: Known, whole: bool) -> list[str]:
 
 
 def _name(story: int, known: Known) -> str:
-    return "every story" if story == WHOLE else known.names[story - 1]
+    if story == WHOLE:
+        return "every story"
+    return known.names[story - 1] if story <= len(known.names) else f"story {story}"
 
 
 def _percent(loss: Loss) -> str:

@@ -8,6 +8,7 @@ simulation of the errors of the windows.
 from __future__ import annotations
 
 from functools import lru_cache
+from math import ceil
 
 import numpy as np
 
@@ -66,6 +67,7 @@ def smallest_detectable_loss(reading: DamageReading, history: History, hop_s: fl
         _correlation(common),
         round(max(hop_s / window_s, 1.0 / _LOOKS_A_WINDOW), 6),
         int((_judged_s(history, hop_s) + 1e-6) // window_s),
+        round(settings.confirm_s / window_s, 6),
         settings.significance,
         max(settings.model_form, reading.model_form),
         settings.min_loss,
@@ -110,19 +112,22 @@ def _simulated(
     common_correlation: tuple[int, ...],
     hop: float,
     windows: int,
+    confirm: float,
     significance: float,
     model_form: float,
     min_loss: float,
 ) -> Array:
     """Simulate windows' errors and find the loss that is seen in a share `PROBABILITY` of trials, shape (n,).
 
-    `hop` is the time between looks and `windows` the length of the data after the loss, both in window lengths.
+    `hop` is the time between looks, `windows` the length of the data after the loss and `confirm` the on-delay, all in window
+    lengths.
     """
     own, common = _covariance(own_steps, own_correlation), _covariance(common_steps, common_correlation)
     n, rng = len(own), np.random.default_rng(0)
     apart, longest = max(1, round(1.0 / hop)), max(STRETCHES)  # looks in a window
     looks = np.arange(1, windows * apart + 1)
-    if looks.size < 2:  # nothing can be confirmed by one look
+    held = max(2, 1 + ceil(confirm * apart - 1e-9))  # looks in a row at which the loss must be significant
+    if looks.size < held:
         return np.full(n, np.inf)
     before = longest * apart  # increments of the healthy data before the loss
     increments = rng.standard_normal((_TRIALS, before + looks.size, n)) @ np.linalg.cholesky(own).T * np.sqrt(apart)
@@ -134,7 +139,7 @@ def _simulated(
         loss = np.maximum(_needed(error, own / stretch + common, significance, model_form), min_loss - error)
         share = np.minimum(looks / (stretch * apart), 1.0)  # of the stretch that lies behind the loss
         wanted = np.minimum(wanted, loss / share[:, None])
-    confirmed = np.maximum(wanted[:, 1:], wanted[:, :-1])  # still significant at the next look
+    confirmed = np.lib.stride_tricks.sliding_window_view(wanted, held, axis=1).max(axis=-1)
     with np.errstate(
         invalid="ignore"
     ):  # no loss is seen in some trials: the quantile between infinities is not a number

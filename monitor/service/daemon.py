@@ -94,7 +94,7 @@ class Daemon(Publisher):
         )
         self.out = folder / settings.output.dir
         self._vitals, self._progress = Vitals(self.out), Progress(lambda _: None)
-        self._begun_s = self._health_s = self._summary_s = self._sync_s = self._data_s = self._clock()
+        self._begun_s = self._health_s = self._summary_s = self._sync_s = self._clock()
         self._said: Assessment | None = None
         self._path, self._stopping, self._reload_requested, self._end_s = path, False, False, float("inf")
         self._outlets: tuple[Outlet, ...] = (*make_outlets(path, settings), *outlets)
@@ -118,6 +118,7 @@ class Daemon(Publisher):
         self._history = History(self.out / "state" / "history.db", settings.state, *spans)
         self._alarm: object = None
         known_ns = self._keeper.resume(self._new_session, self._history.window)
+        self._data_s = float("-inf")  # what a checkpoint knows is no present state
         if source is None:
             assert settings.source is not None
             source = configuration.make_source(settings.source, SourceContext(settings.channels, folder, known_ns))
@@ -160,6 +161,8 @@ class Daemon(Publisher):
 
     def window(self, result: WindowResult, line: str) -> None:
         """Write and publish the result of a window, unless a previous run did so."""
+        if not self._keeper.resuming:
+            self._data_s = self._clock()
         present = self._publish_state()
         self._history.episodes([episode_content(e) for e in self.session.episodes[-_LATEST:]])
         if result.index in self._keeper.written:
@@ -179,6 +182,8 @@ class Daemon(Publisher):
 
     def state(self, assessment: Assessment) -> None:
         """Publish the present state of the structure."""
+        if self._keeper.resuming:  # a past state is none to tell as the present one
+            return
         self._said = assessment
         for outlet in self._outlets:
             outlet.state(assessment)
@@ -245,7 +250,6 @@ class Daemon(Publisher):
         In this order a replay of the recordings repeats the run exactly.
         """
         self._vitals.received(block)
-        self._data_s = self._clock()
         reason = unfit(block)
         if reason is not None:
             self._vitals.refuse(reason)
@@ -306,9 +310,9 @@ class Daemon(Publisher):
 
     @property
     def _present(self) -> Assessment:
-        """The present state of the structure: that of the session, outdated once no data have come for a window's length."""
-        present, silent_s = self.session.present, self._clock() - self._data_s
-        if silent_s < self.settings.processing.window_s or not self.session.windows:
+        """The present state of the structure: that of the session, outdated once no window has come for a window's length."""
+        present, silent_s, p = self.session.present, self._clock() - self._data_s, self.settings.processing
+        if silent_s < p.window_s + p.hop_s or not self.session.windows:
             return present
         return outdated(present, f"no data since {utc(self.session.now_ns)} UTC")
 
@@ -334,7 +338,7 @@ class Daemon(Publisher):
     def _outputs(self) -> list[tuple[str, Way]]:
         """List every output with its name: outlets, viewer, checkpoint, history and files."""
         own: dict[str, Way | None] = {"viewer": self._view, "checkpoint": self._keeper, "history": self._history}
-        own |= {"results.jsonl": self._lines, "health.jsonl": self._health_lines}
+        own |= {"results.jsonl": self._lines, "health.jsonl": self._health_lines, "summary.json": self._chores}
         return [(n, way) for n, way in own.items() if way is not None] + [(type(o).__name__, o) for o in self._outlets]
 
     def _close(self) -> None:

@@ -180,7 +180,7 @@ def status(site: str, answer: bytes | None, alive: bool, now_ns: int, silent_s: 
     try:
         decoded = json.loads(answer)
         return _parse_status(site, decoded, now_ns, silent_s)
-    except (ValueError, TypeError, AttributeError, KeyError, IndexError):
+    except (ValueError, TypeError, AttributeError, KeyError, IndexError, OverflowError, OSError, RecursionError):
         return SiteStatus(site, State.NOT_JUDGED, "The monitor's answer cannot be understood.")
 
 
@@ -189,7 +189,9 @@ def _parse_status(site: str, answer: Mapping[str, Any], now_ns: int, silent_s: f
     result, alarm, health = answer.get("results") or {}, answer.get("alarm") or {}, answer.get("health") or {}
     quiet_s = (now_ns - int(health["wall_ns"])) * 1e-9 if health else None
     said: Assessment = read_assessment(answer)
-    if quiet_s is not None and quiet_s > silent_s:
+    if quiet_s is None:
+        said = outdated(said, "the monitor has sent no health line", result.get("t_end_ns"))
+    elif quiet_s > silent_s:
         said = outdated(said, f"the monitor is silent for {quiet_s:.0f} s", result.get("t_end_ns"))
     losses = [(float(d), float(s)) for d, s in zip(result.get("ddi") or (), result.get("ddi_std") or (), strict=True)]
     ddi, ddi_std = max(losses, default=(None, None))

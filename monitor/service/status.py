@@ -95,10 +95,11 @@ def read_assessment(content: Mapping[str, Any]) -> Assessment:
     try:
         state = State(content["state"])
         return Assessment(state, str(content["headline"]), tuple(map(str, content.get("doubts") or ())))
-    except (KeyError, ValueError):
-        alarm = content.get("alarm") or {}
-        if alarm.get("level", "normal") != "normal":
-            return Assessment(State(alarm["level"]), str(alarm.get("reason") or "An alarm stands."))
+    except (KeyError, ValueError, TypeError):
+        alarm = content.get("alarm")
+        level = alarm.get("level") if isinstance(alarm, dict) else None
+        if isinstance(alarm, dict) and level in {State.ADVISORY, State.WARNING, State.ALARM}:
+            return Assessment(State(level), str(alarm.get("reason") or "An alarm stands."))
         return Assessment(State.NOT_JUDGED, "The monitor has not said its state.")
 
 
@@ -137,7 +138,9 @@ def tell(status: dict[str, Any]) -> str:
     rows.append(("alarm", name_stories(_alarm(summary.get("alarm"), result), names) + remark))
     rows.append(("recorder", _recorder(recorder, health)))
     found = summary.get("findings") or []
-    rows.append(("findings", f"{len(found)}; latest: {found[-1]['says'] or found[-1]['reason']}" if found else "none"))
+    rows.append(
+        ("findings", f"{len(found)}; latest: {found[-1].get('says') or found[-1].get('reason')}" if found else "none")
+    )
     return "\n".join(f"{name:<9} {text}" for name, text in rows)
 
 
@@ -186,7 +189,7 @@ def _alarm(alarm: dict[str, Any] | None, result: dict[str, Any]) -> str:
     names = {"0": "the whole structure"}
     parts = [
         f"{names.get(j, f'story {j}')} {alarm['active'].get(j, 'normal')} ({condition})"
-        for j, condition in alarm["conditions"].items()
+        for j, condition in alarm.get("conditions", {}).items()
     ]
     return "; ".join([str(alarm["level"]), *parts])
 

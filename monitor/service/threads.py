@@ -263,6 +263,7 @@ class Chores:
 
     def __init__(self) -> None:
         self._jobs: dict[str, Callable[[], None]] = {}
+        self._errors: dict[Path, str] = {}
         self._changed = threading.Condition()
         self._closed = False
         self._thread = threading.Thread(target=self._work, name="chores", daemon=True)
@@ -275,8 +276,18 @@ class Chores:
             self._changed.notify_all()
 
     def write(self, path: Path, text: str) -> None:
-        """Queue the writing of a small file; a failure is only logged."""
-        self.do(str(path), partial(_write, path, text))
+        """Queue the writing of a small file; a failure shows in `failed` until the file is written."""
+        self.do(str(path), partial(self._write, path, text))
+
+    @property
+    def failed(self) -> str | None:
+        """Reason for which a file could not be written last; None if there is none."""
+        return next((f"{path}: {reason}" for path, reason in self._errors.copy().items()), None)
+
+    @property
+    def dropped(self) -> int:
+        """Number of lost jobs: none, since the latest job of a name stands for those before."""
+        return 0
 
     def close(self, timeout_s: float) -> None:
         """Do the queued jobs, for at most `timeout_s`."""
@@ -294,9 +305,10 @@ class Chores:
                 job = self._jobs.pop(next(iter(self._jobs)))
             job()
 
-
-def _write(path: Path, text: str) -> None:
-    try:
-        write_atomically(path, text)
-    except OSError as error:
-        _log.warning("%s: %s", path, error.strerror)
+    def _write(self, path: Path, text: str) -> None:
+        try:
+            write_atomically(path, text)
+            self._errors.pop(path, None)
+        except OSError as error:
+            self._errors[path] = str(error.strerror)
+            _log.warning("%s: %s", path, error.strerror)

@@ -65,13 +65,53 @@ def test_without_a_baseline_nothing_is_judged() -> None:
     assert told.state is State.NOT_JUDGED and "baseline" in told.headline
 
 
-def test_an_hour_without_a_judged_window_is_not_judged() -> None:
+def test_a_windows_length_without_a_judged_window_is_not_judged() -> None:
     gap = replace(WELL, skipped="gap in the data", detectable=None, misfit=None)
-    assert said(WELL, *[gap] * 100).state is State.NORMAL
-    late = said(WELL, *[gap] * 361)
-    assert late.state is State.NOT_JUDGED and late.headline.startswith("No window could be judged for an hour: gap")
+    assert said(WELL, *[gap] * 39).state is State.NORMAL
+    late = said(WELL, *[gap] * 40)
+    assert late.state is State.NOT_JUDGED and late.headline.startswith("The last 400 s could not be judged: gap")
+    assert said(WELL, *[gap] * 40, whole=True) == late, "live and replayed alike"
+    later = said(WELL, *[gap] * 361)
+    assert later.state is State.NOT_JUDGED and later.headline.startswith("No window could be judged for an hour: gap")
     assert said(gap).headline.startswith("No window could be judged: gap")
     assert assess(Course(), KNOWN) == Assessment(State.NOT_JUDGED, "No window of data yet.")
+    assert "upgraded" in assess(Course(windows=100, skipped=3), KNOWN).headline
+
+
+def test_a_loss_of_all_stories_alike_below_the_alarms_is_not_green() -> None:
+    alike = replace(WELL, changes=((0.045, 0.002), (0.047, 0.002), (0.046, 0.002)))
+    told = said(alike)
+    assert told.state is State.NOT_JUDGED and "Every story lost 4.5 % alike" in told.headline
+    assert said(replace(WELL, changes=((0.045, 0.002), (0.001, 0.002), (0.046, 0.002)))).state is State.NORMAL
+
+
+@pytest.mark.parametrize("story", [2, WHOLE])
+def test_a_shelved_alarm_is_neither_green_nor_ended(story: int) -> None:
+    raised = replace(WELL, active={story: Level.ADVISORY}, losses={story: (0.15, 0.01, 1.0)})
+    told = said(raised, replace(WELL, shelved=(story,)))
+    assert told.state is State.NOT_JUDGED and "shelved" in told.headline
+    assert not any("ended" in doubt for doubt in told.doubts)
+    assert course(raised, replace(WELL, shelved=(story,))).losses[0].t_last_ns is None
+
+
+def test_a_diagnosis_of_another_story_is_not_an_alarms() -> None:
+    other = {
+        **SWAP,
+        "says": "Story 1 is 20 % softer.",
+        "causes": [{"effect": "stiffness_change", "location": "story 1"}],
+    }
+    assert "diagnosis" not in said(WELL, LOST, findings=(other,)).headline
+    told = said(replace(LOST, active={2: Level.ADVISORY}), WELL, findings=(other,))
+    assert told.state is State.DOUBTFUL and "Story 1 is 20 % softer" in told.headline
+
+
+def test_an_alarm_that_fell_says_its_present_level() -> None:
+    told = said(LOST, replace(LOST, active={2: Level.ADVISORY}, losses={2: (0.05, 0.01, 80.0)}))
+    assert told.state is State.ALARM and "at its highest, now advisory" in told.headline
+
+
+def test_a_named_finding_without_causes_is_a_doubt() -> None:
+    assert said(WELL, findings=({**SWAP, "causes": []},)).state is State.DOUBTFUL
 
 
 @pytest.mark.parametrize("level", [Level.ADVISORY, Level.WARNING, Level.ALARM])

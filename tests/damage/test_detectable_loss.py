@@ -62,6 +62,15 @@ def test_of_500_such_losses_the_stated_share_is_seen() -> None:
     assert abs(power(500, 2) - PROBABILITY) < 0.05
 
 
+def test_a_longer_on_delay_sees_less() -> None:
+    state, damage = after(2.0), reading(0.0 * STD)
+    losses = [
+        smallest_detectable_loss(damage, state.history, HOP_S, SETTINGS.model_copy(update={"confirm_s": confirm_s}))
+        for confirm_s in (10.0, 1800.0, 3000.0, 3500.0)
+    ]
+    assert (losses[1] > losses[0]).all() and (losses[2] > losses[1]).all() and np.isinf(losses[3]).all()
+
+
 def test_a_young_run_sees_less_and_one_window_confirms_nothing() -> None:
     first, hour, day = (smallest(after(h)) for h in (HOP_S / 3600.0, 0.3, 2.0))
     assert np.isinf(first).all()

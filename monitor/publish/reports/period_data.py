@@ -133,7 +133,10 @@ class PeriodResults:
         """Add the values of one line of results.jsonl."""
         t_ns = int(line["t_end_ns"])
         at = self.grid.at(t_ns)
-        self.course = follow(self.course, facts_of_line(line), self.misfit_limit)
+        course = follow(self.course, facts_of_line(line), self.misfit_limit)
+        losses = [
+            float(v) for v in (*(line["ddi"] or ()), *(line["ddi_std"] or ()))
+        ]  # a line that cannot be read adds nothing
         tracks = line.get("mode_tracks") or []
         frequencies, stds = line["frequencies_hz"] or [], line["frequencies_std_hz"] or []
         numbers = line.get("model_modes") or range(1, len(frequencies) + 1)
@@ -144,11 +147,12 @@ class PeriodResults:
         for other in line.get("other_modes") or []:
             f, std = other["frequency_hz"], other["frequency_std_hz"]
             self._mode(other["track"], f, _SAME_OTHER_MODE).add(at, f, 2.0 * (std or 0.0))
+        self.course = course
         if line["skipped"] is not None:
             self.refused[at] += 1
             return
         self.judged[at] += 1
-        if line["ddi"] is not None:
+        if losses:
             self.ddi = self.ddi or [Curve(self.grid) for _ in line["ddi"]]
             for curve, value, std in zip(self.ddi, line["ddi"], line["ddi_std"], strict=False):
                 curve.add(at, value, 2.0 * std)
@@ -211,7 +215,7 @@ def read_results(folder: Path, from_ns: int | None, to_ns: int | None, misfit_li
         with path.open("rb") as file:
             for raw in _lines_between(file, start, stop):
                 try:
-                    results.add(json.loads(raw))
+                    results.add(json.loads(raw, parse_constant=_refuse))
                 except (ValueError, KeyError, TypeError, IndexError):
                     results.damaged += 1
     except OSError as error:
@@ -222,6 +226,17 @@ def read_results(folder: Path, from_ns: int | None, to_ns: int | None, misfit_li
         has = f"it has {utc(first_ns)} to {utc(last_ns)}"
         raise BadInputError(f"{path}: no window ends within the period; {has} UTC: change --from and --to")
     return results
+
+
+def _refuse(constant: str) -> float:
+    """Refuse a number that JSON does not have.
+
+    Raises
+    ------
+    ValueError
+        Always.
+    """
+    raise ValueError(f"{constant} is no number of JSON")
 
 
 def _lines_between(lines: Iterator[bytes], start: int, stop: int) -> Iterator[bytes]:

@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from monitor.core import WHOLE, BadInputError, Level, Skipped, write_atomically
-from monitor.damage import Assessment, Course, Known, Loss, assess
+from monitor.damage import Assessment, Course, Known, Loss, assess, is_seen
 from monitor.publish.reports import period_notes as notes
 from monitor.publish.reports.page import document, table
 from monitor.publish.reports.period_data import PeriodResults, read_results, utc
@@ -77,7 +77,8 @@ def read_period(folder: Path, from_ns: int | None, to_ns: int | None) -> Period:
     if not known.names:  # a run of an older version
         known = replace(known, names=tuple(f"story {j + 1}" for j in range(len(results.ddi))))
         known = replace(known, has_baseline=not results.no_baseline)
-    assessment = assess(course, known, findings, whole=True)
+    with _name_file_in_errors(folder / "results.jsonl"):
+        assessment = assess(course, known, findings, whole=True)
     name = folder.resolve().name
     return Period(name, results, quality, course, assessment, known, findings, decisions, thresholds)
 
@@ -131,7 +132,9 @@ def _span(period: Period) -> str:
 
 def _story(story: int, period: Period) -> str:
     """Write the name of a story."""
-    return "every story" if story == WHOLE else period.known.names[story - 1]
+    if story == WHOLE:
+        return "every story"
+    return period.known.names[story - 1] if story <= len(period.known.names) else f"story {story}"
 
 
 def _percent(value: float, std: float) -> str:
@@ -204,10 +207,10 @@ def _sight(story: int, period: Period) -> tuple[bool, str]:
         return False, "NOT WATCHED"
     if detectable is None:
         return False, "not known which loss would be seen"
-    loss = detectable[story - 1]
+    loss = detectable[story - 1] if story <= len(detectable) else None
     if loss is None or loss >= 1.0:
         return False, "NOT SEEN: the modes say next to nothing of it"
-    if loss >= known.alarm_loss:
+    if not is_seen(loss, known.alarm_loss):
         return False, f"only a loss above {100 * loss:.2g} % would be seen"
     return True, f"a loss above {100 * loss:.2g} % would be seen"
 

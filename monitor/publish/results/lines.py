@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from monitor.core import WHOLE, Alarm, Level, OtherMode, WindowResult, finish, partial
+from monitor.core import WHOLE, Alarm, AlarmCondition, Level, OtherMode, WindowResult, finish, partial
 from monitor.damage import AlarmState, State, WindowFacts, hold
 
 
@@ -85,6 +85,7 @@ def window_line(result: WindowResult) -> dict[str, Any]:
             "level": result.alarm.level.value,
             "stories": list(result.alarm.stories),
             "reason": result.alarm.reason,
+            "shelved": [j for j, c in result.alarm.conditions.items() if c is AlarmCondition.SHELVED],
         },
         "skipped": result.skipped and result.skipped.reason,
     }
@@ -175,7 +176,7 @@ def facts_of_line(line: Mapping[str, Any]) -> WindowFacts:
         line["skipped"],
         active,
         losses,
-        (),
+        tuple(line["alarm"].get("shelved", ())),
         None if detectable is None else tuple(detectable),
         line.get("misfit"),
         line.get("rms_m_s2"),

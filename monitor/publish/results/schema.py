@@ -33,7 +33,12 @@ LINE_SCHEMA: dict[str, Any] = {
         "temperature_degc": _NUMBER,
         "alarm": {
             "type": "object",
-            "properties": {"level": {"type": "string"}, "stories": _INTEGERS, "reason": {"type": "string"}},
+            "properties": {
+                "level": {"type": "string"},
+                "stories": _INTEGERS,
+                "reason": {"type": "string"},
+                "shelved": _INTEGERS,
+            },
         },
         "skipped": {"type": ["string", "null"]},
     },

@@ -8,7 +8,7 @@ import numpy as np
 import rerun as rr
 
 from monitor.core import Gap, ModalEstimate, Samples, StiffnessEstimate, WindowResult
-from monitor.damage import Assessment
+from monitor.damage import Assessment, is_seen
 from monitor.publish.viewer.layout import blueprint
 from monitor.publish.viewer.mode_shapes import ModeShapes, label
 from monitor.publish.viewer.rows import Rows, Strips, ui_radius
@@ -47,7 +47,9 @@ class ResultDrawing:
         self._blocks: list[Samples] = []
         self._state = StateDrawing(stream, live=block_s <= LIVE_BLOCK_S)
         baseline_hz = scene.baseline_frequencies_hz
-        self._reference_hz = {} if baseline_hz is None else dict(enumerate(baseline_hz.tolist()))
+        self._reference_hz = {
+            k: hz for k, hz in enumerate(() if baseline_hz is None else baseline_hz.tolist()) if hz > 0.0
+        }
         """Frequency of each mode from which its change is counted: the baseline's, else the first one found."""
         self._found: set[int] = set()
         """Modes that were found at least once."""
@@ -239,7 +241,7 @@ class ResultDrawing:
         colours, labels = [], []
         for j, (ddi, std) in enumerate(readings):
             self._bounded(f"/ddi/story_{j + 1}", ddi, std, 100.0)
-            seen = detectable is not None and detectable[j] < loss_at
+            seen = detectable is not None and is_seen(float(detectable[j]), loss_at)
             judged = self._scene.has_baseline and (seen or j + 1 in result.alarm.active)
             colours.append(loss_colour(ddi if judged else None, loss_at))
             known = "unknown" if ddi is None or std is None else plus_minus(ddi, std, 100) + " %"
