@@ -217,7 +217,7 @@ def _sight(story: int, period: Period) -> tuple[bool, str]:
 
 def _thresholds(thresholds: Mapping[str, float]) -> str:
     """Describe the thresholds in words."""
-    shades = "Shaded orange: advisory or warning; red: alarm."
+    shades = "Shaded from the first announcement on; orange: advisory or warning; red: what became an alarm."
     if not {"alarm_loss", "min_loss", "significance"} <= thresholds.keys():
         return f"{shades} The run did not note its thresholds."
     return (

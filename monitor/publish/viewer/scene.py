@@ -30,6 +30,10 @@ Both are small for viewers that watch, and large for a small file that is writte
 """
 _MODE_GAP = 0.4
 """Free space between drawn mode shapes, over the size of the structure. [ratio; judgement]"""
+_DEPTH_GAP = 0.25
+"""What is added for what stands behind, which is seen nearer to the middle, over the depth. [ratio; measured on pictures]"""
+_MARGIN = 0.2
+"""Free space at the right of the last mode shape's rest, over the size of the structure. [ratio; measured on pictures]"""
 _LONG = 0.5
 """Height over length below which a structure is long. [ratio; judgement]"""
 _LABEL_STEP = 0.09
@@ -40,6 +44,11 @@ _LABEL_ROWS = 3
 """Rows over which the labels of a long structure are spread. [count; judgement]"""
 STABILISATION = (100.0, 55.0)
 """Width and height of the canvas of the stabilisation diagram."""
+
+
+def _pitch(size: Array, *, is_long: bool) -> float:
+    """Compute the distance of neighbouring mode shapes."""
+    return float(size[2] + _MODE_GAP if is_long else size[0] + _MODE_GAP + _DEPTH_GAP * size[1])
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -67,23 +76,23 @@ class Plan:
         is_long = bool(size[2] < _LONG * size[0])
         ends = [points[drawing.lines[drawing.stories == j]].reshape(-1, 3) for j in range(n_stories)]
         labels = np.array([e.mean(axis=0) for e in ends])
-        length = float(n_modes * (size[2 if is_long else 0] + _MODE_GAP))  # of the mode shapes
+        length = n_modes * _pitch(size, is_long=is_long)  # of the mode shapes
         if is_long:
             labels[:, 2] = size[2] + _LABEL_STEP * (1 + np.arange(n_stories) % _LABEL_ROWS)
             low, high = (-0.4, 0.0, -length - 0.15), (1.15, 0.0, size[2] + _LABEL_STEP * (1 + _LABEL_ROWS))
         else:
-            room = _LABEL_SHARE / (1.0 - _LABEL_SHARE) * (size[0] + length + 0.15)
+            room = _LABEL_SHARE / (1.0 - _LABEL_SHARE) * (size[0] + length + _MARGIN)
             labels[:, 0] = -0.5 * room - 0.05
             step = _LABEL_STEP * max(1.0, 1.3 * room)
             for above, j in pairwise(np.argsort(-labels[:, 2], kind="stable")):
                 labels[j, 2] = min(labels[j, 2], labels[above, 2] - step)
-            low, high = (-room - 0.1, 0.0, -0.15), (size[0] + length + 0.15, 0.0, size[2] + 0.05)
+            low, high = (-room - 0.1, 0.0, -0.15), (size[0] + length + _MARGIN, 0.0, size[2] + 0.05)
         return cls(points, labels, size, is_long, np.array(low), np.array(high))
 
     def offset(self, mode: int) -> Array:
         """Compute the place of a mode shape relative to the structure, shape (3,)."""
         axis = np.array([0.0, 0.0, -1.0] if self.is_long else [1.0, 0.0, 0.0])
-        return (mode + 1) * axis * (self.size + _MODE_GAP)
+        return (mode + 1) * axis * _pitch(self.size, is_long=self.is_long)
 
     def mode_label(self, mode: int) -> tuple[float, float, float]:
         """Compute the place of a mode's label: below it, or at the left of a long structure."""
