@@ -189,9 +189,9 @@ def _parse_status(site: str, answer: Mapping[str, Any], now_ns: int, silent_s: f
     result, alarm, health = answer.get("results") or {}, answer.get("alarm") or {}, answer.get("health") or {}
     quiet_s = (now_ns - int(health["wall_ns"])) * 1e-9 if health else None
     said: Assessment = read_assessment(answer)
-    if quiet_s is None:
+    if quiet_s is None and said.state is State.NORMAL:
         said = outdated(said, "the monitor has sent no health line", result.get("t_end_ns"))
-    elif quiet_s > silent_s:
+    elif quiet_s is not None and quiet_s > silent_s:
         said = outdated(said, f"the monitor is silent for {quiet_s:.0f} s", result.get("t_end_ns"))
     losses = [(float(d), float(s)) for d, s in zip(result.get("ddi") or (), result.get("ddi_std") or (), strict=True)]
     ddi, ddi_std = max(losses, default=(None, None))

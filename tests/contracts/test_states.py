@@ -124,7 +124,10 @@ def test_a_state_reads_the_same_at_every_outlet(state: State, tmp_path: Path, fr
 
     answered = json.loads(answer)
     assert {key: answered[key] for key in said.content} == said.content
-    shown = fleet.status("bench", answer.encode(), True, time.time_ns(), 60.0)
+    health = {"wall_ns": time.time_ns(), "source": {"connected": True}, "recorder": None, "failed": {}}
+    shown = fleet.status("bench", json.dumps(answered | {"health": health}).encode(), True, time.time_ns(), 60.0)
+    silent = fleet.status("bench", answer.encode(), True, time.time_ns(), 60.0)
+    assert silent.state is (State.NOT_JUDGED if state is State.NORMAL else state), "no green without a word of health"
     assert (shown.state, shown.headline, shown.doubts) == (said.state, said.headline, said.doubts)
     assert state.words in text([shown]) and said.headline in text([shown])
     assert fleet.code([shown]) == EXIT.get(state, 11)
