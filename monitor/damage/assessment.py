@@ -9,7 +9,7 @@ alarm's threshold would have been seen in every story (`damage.detectable_loss`)
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from enum import StrEnum
@@ -318,8 +318,9 @@ def _alarms(course: Course, known: Known, findings: Sequence[Mapping[str, Any]],
             says += ", not confirmed yet" if loss.level is Level.ADVISORY else ""
         says += f" at its highest, now {now.value}" if now is not None and now.rank < loss.level.rank else ""
         says += "" if loss.t_last_ns is None else f", until {utc(loss.t_last_ns)} UTC"
-        said = _overlapping(loss, findings)
-        facts.append((State(loss.level.value), _sentence(says + (f"; diagnosis: {said}" if said else ""))))
+        said = (diagnosis_of(loss, findings) or "").rstrip(".")
+        diagnosis = f"; diagnosis: {said[:1].lower()}{said[1:]}" if said else ""
+        facts.append((State(loss.level.value), _sentence(says + diagnosis)))
     return facts
 
 
@@ -337,13 +338,9 @@ def _kept(course: Course, known: Known, standing: Mapping[int, Level]) -> list[F
     ]
 
 
-def _overlapping(loss: Loss, findings: Sequence[Mapping[str, Any]]) -> str:
-    """Return what the first diagnosis of an alarm's time said, without a full stop; empty without one."""
-    for f in findings:
-        if _concerns(f, loss) and f.get("says"):
-            says = str(f["says"]).rstrip(".")
-            return says[:1].lower() + says[1:]
-    return ""
+def diagnosis_of(loss: Loss, findings: Iterable[Mapping[str, Any]]) -> str | None:
+    """Return the sentence of the first diagnosis that concerns an alarm; None without one."""
+    return next((str(f["says"]) for f in findings if f.get("says") and _concerns(f, loss)), None)
 
 
 def _concerns(finding: Mapping[str, Any], loss: Loss) -> bool:

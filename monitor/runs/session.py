@@ -14,7 +14,7 @@ from typing import Any
 from drivers.base import SampleBlock
 from monitor.config import Configuration
 from monitor.core import Gap, Samples
-from monitor.damage import AlarmState, Assessment, Baseline, Known, Loss, assess, hold
+from monitor.damage import AlarmState, Assessment, Baseline, Known, Loss, assess, diagnosis_of, hold
 from monitor.pipeline import Pipeline, PipelineState, Result
 from monitor.publish import Publisher, Quality, Summary, to_json, window_line
 from monitor.runs.online_diagnosis import FINDING_KEYS, OnlineDiagnosis, OnlineDiagnosisState
@@ -158,8 +158,8 @@ class Session:
         self._summary.dropped_samples = self.dropped
         findings = self.online_diagnosis.findings
         summary = self._summary.content(realtime_factor, self._model_hz)
-        for alarm in summary["alarms"]:
-            alarm["verdict"] = _verdict(alarm, findings)
+        for alarm, loss in zip(summary["alarms"], self.episodes, strict=True):
+            alarm["verdict"] = diagnosis_of(loss, findings)
         return {
             **self.assessment.content,
             **summary,
@@ -222,12 +222,3 @@ class Session:
             for publisher in self._publishers:
                 publisher.window(result, line)
             self.online_diagnosis.window(result)
-
-
-def _verdict(alarm: dict[str, Any], findings: Iterable[dict[str, Any]]) -> str | None:
-    """Return the sentence of the first diagnosis whose data overlap the alarm's episode; None without one."""
-    for f in findings:
-        ended_before = alarm["t_last_ns"] is not None and f["from_ns"] > alarm["t_last_ns"]
-        if alarm["t_first_ns"] <= f["t_ns"] and not ended_before:
-            return f["says"] or None
-    return None

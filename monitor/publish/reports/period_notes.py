@@ -178,18 +178,6 @@ def read_decisions(folder: Path, health: HealthFile) -> list[Decision]:
     return out
 
 
-def overlapping_verdict(episode: Loss, findings: list[dict[str, Any]]) -> str | None:
-    """Return the sentence of the first diagnosis whose data overlap an alarm; None where there is none."""
-    overlapping = (
-        f["says"]
-        for f in findings
-        if f.get("says")
-        and episode.t_first_ns <= f["t_ns"]
-        and (episode.t_last_ns is None or f["from_ns"] <= episode.t_last_ns)
-    )
-    return next(overlapping, None)
-
-
 def requests_for(episode: Loss, decisions: list[Decision], following_ns: float) -> list[Decision]:
     """Select what operators requested of an alarm's story, from the alarm's beginning to the story's next alarm."""
     return [d for d in decisions if d.story == episode.story and episode.t_first_ns <= d.t_ns < following_ns]

@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from monitor.core import WHOLE, BadInputError, Level, Skipped, write_atomically
-from monitor.damage import Assessment, Course, Known, Loss, assess, is_seen
+from monitor.damage import Assessment, Course, Known, Loss, assess, diagnosis_of, is_seen
 from monitor.publish.reports import period_notes as notes
 from monitor.publish.reports.page import document, table
 from monitor.publish.reports.period_data import PeriodResults, read_results, utc
@@ -244,7 +244,7 @@ def _alarms(period: Period) -> str:
         asked = notes.requests_for(e, period.decisions, next(later, float("inf")))
         actions = "; ".join(f"{d.action} by {d.who}, {utc(d.t_ns)}" for d in asked) or "nobody yet"
         ended = "lasts" if e.t_last_ns is None else utc(e.t_last_ns)
-        verdict = notes.overlapping_verdict(e, period.findings) or "not diagnosed"
+        verdict = diagnosis_of(e, period.findings) or "not diagnosed"
         rows.append(
             (e.level, _story(e.story, period), utc(e.t_first_ns), ended, _percent(e.ddi, e.ddi_std), verdict, actions)
         )
