@@ -48,14 +48,15 @@ def simulate(
     if out is None and to is None:
         raise typer.BadParameter("name a recording to write (--out), a destination (--to), or both")
     spare_inputs([] if out is None else [out], [structure, dbc])
-    t0_ns, settings = time_ns("--start", start) or 0, configuration.load(structure)
-    highest_hz = float(settings.model().modes().frequencies_hz[-1])
-    if highest_hz > rate / 2.0:
-        warn(
-            f"{structure}: the highest mode, {highest_hz:.4g} Hz, lies beyond half of --rate; such modes fold into the band, "
-            f"since no filter comes before the samples: set --rate {2.0 * highest_hz:.0f} or more"
-        )
+    t0_ns = time_ns("--start", start) or 0
     with recording_for(out, to, dbc, speed) as file:
+        settings = configuration.load(structure)
+        highest_hz = float(settings.model().modes().frequencies_hz[-1])
+        if highest_hz > rate / 2.0:
+            warn(
+                f"{structure}: the highest mode, {highest_hz:.4g} Hz, lies beyond half of --rate; such modes fold into the "
+                f"band, since no filter comes before the samples: set --rate {2.0 * highest_hz:.0f} or more"
+            )
         synthetic_recording.write_simulated_recording(
             file,
             settings,
