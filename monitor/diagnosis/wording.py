@@ -166,7 +166,7 @@ def _verdict_in_words(diagnosis: Diagnosis, gain: HeldOutGain, content: Mapping[
                 return "The refitted model explains these data; without a baseline nothing is said of damage."
             return f"Nothing new beside the healthy data{_smallest_loss(content['detectable_loss'])}."
         case "named":
-            return _sentence(causes + _without_causes(content)) + _why_no_gain(gain)
+            return _sentence(causes + _without_causes(content, reference)) + _why_no_gain(gain)
         case "ambiguous":
             rivals = class_in_words(content["alternatives"], reference)
             return _sentence((f"{causes}; besides, " if causes else "") + rivals) + _why_no_gain(gain)
@@ -204,10 +204,11 @@ def _why_no_gain(gain: HeldOutGain) -> str:
     return ""
 
 
-def _without_causes(content: Mapping[str, Any]) -> str:
-    """State what remains of a change of stiffness with the causes taken out; empty where a cause is such a change."""
-    left = content["ddi_effect"].get("with") or []
-    if not left or any(FORMS[c["effect"]].is_stiffness_loss for c in content["causes"]):
+def _without_causes(content: Mapping[str, Any], reference: StructuralPrior) -> str:
+    """State what remains of a change since the baseline with a sensor's fault taken out; empty where none was found alone."""
+    left, effects = content["ddi_effect"].get("with") or [], [FORMS[c["effect"]] for c in content["causes"]]
+    is_sensors = any(effect.family == "sensor" for effect in effects)
+    if not left or not is_sensors or not _has_baseline(reference) or any(e.is_stiffness_loss for e in effects):
         return ""
     them = "it" if len(content["causes"]) == 1 else "them"
     return f"; with {them} taken out no story changed by more than {100.0 * max(abs(v) for v in left):.1f} %"
