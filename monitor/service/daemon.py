@@ -96,6 +96,7 @@ class Daemon(Publisher):
         self._vitals, self._progress = Vitals(self.out), Progress(lambda _: None)
         self._begun_s = self._health_s = self._summary_s = self._sync_s = self._clock()
         self._said: Assessment | None = None
+        self._data_s = float("-inf")  # no window has come yet: what a checkpoint knows is no present state
         self._path, self._stopping, self._reload_requested, self._end_s = path, False, False, float("inf")
         self._outlets: tuple[Outlet, ...] = (*make_outlets(path, settings), *outlets)
         try:
@@ -118,7 +119,6 @@ class Daemon(Publisher):
         self._history = History(self.out / "state" / "history.db", settings.state, *spans)
         self._alarm: object = None
         known_ns = self._keeper.resume(self._new_session, self._history.window)
-        self._data_s = float("-inf")  # what a checkpoint knows is no present state
         if source is None:
             assert settings.source is not None
             source = configuration.make_source(settings.source, SourceContext(settings.channels, folder, known_ns))

@@ -84,7 +84,7 @@ def lines(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """Rows of the dataset as lines of results.jsonl."""
     told = []
     for row in rows:
-        row["alarm"] = {key: row.pop(f"alarm_{key}") for key in ("level", "stories", "reason")}
+        row["alarm"] = {key: row.pop(f"alarm_{key}") for key in ("level", "stories", "reason", "shelved")}
         assert row.pop("t_end").value == row["t_end_ns"]
         told.append({k: v for k, v in row.items() if k != "stream"})
     return told

@@ -51,10 +51,11 @@ WINDOWS_SCHEMA = pa.schema(
         ("alarm_level", pa.string()),
         ("alarm_stories", _NUMBERS),
         ("alarm_reason", pa.string()),
+        ("alarm_shelved", _NUMBERS),
         ("skipped", pa.string()),
     ]
 )
-"""Columns of the table: the keys of a line of results.jsonl, with `alarm` as three columns, the stream's name, and the end of the
+"""Columns of the table: the keys of a line of results.jsonl, with `alarm` as four columns, the stream's name, and the end of the
 window as a timestamp.
 """
 
