@@ -8,6 +8,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -145,6 +146,7 @@ class Session:
     def reconfigure(self, config: Configuration) -> None:
         """Continue with other thresholds; the rest of the configuration must be equal (`monitor.service.reload`)."""
         self.config = self.pipeline.config = config
+        self.__dict__.pop("_known", None)  # it holds thresholds of the configuration
         self.online_diagnosis.settings = config.watch
 
     def content(self, realtime_factor: float) -> dict[str, Any]:
@@ -174,9 +176,9 @@ class Session:
         findings = self.online_diagnosis.findings
         return assess(self._summary.course, self._known, findings, standing=present.active, whole=whole)
 
-    @property
+    @cached_property
     def _known(self) -> Known:
-        """What the state depends on and no window changes."""
+        """Collect what the state depends on and no window changes; the model is built for it, so once."""
         c, b = self.config, self._baseline
         return Known(
             names=c.story_names,
