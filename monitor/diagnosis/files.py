@@ -121,7 +121,7 @@ def _sizes(effect: Effect, deviation: Array) -> dict[str, dict[str, float]]:
     """Convert standard deviations of an effect's coordinates, shape (p,), to values and standard deviations of its parameters."""
     out = {}
     for p, d in zip(effect.parameters, deviation.tolist(), strict=True):
-        value = float(getattr(effect, p.name))
+        value = float(effect.values()[p.name])
         slope = {"linear": 1.0, "log": abs(value), "inverse": value**2}[p.scale]
         out[p.name] = {"value": _finite(value), "std": _finite(d * slope)}
     return out

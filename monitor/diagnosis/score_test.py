@@ -13,7 +13,7 @@ import numpy as np
 from monitor.core import Array, parallel_map
 from monitor.diagnosis.initial_fit import COARSE, FAR, LONG, ROUGHLY
 from monitor.inference import MapEstimate, Posterior, Prediction, maximize_posterior
-from monitor.model import EFFECTS, Context, Effect, EffectError, inverse, locations
+from monitor.model import EFFECTS, Context, Effect, EffectError, Peak, inverse, locations
 
 _log = logging.getLogger(__name__)
 
@@ -101,9 +101,9 @@ def candidate_starts(
         if posterior.observed.drive is not None and (kind.family == "excitation" or kind.stationary_only):
             continue  # the input is measured; another one would only compensate for errors of the model's response
         for place in (p for k in kind.places for p in locations(k, posterior.context)):
-            if (name, place) not in skip:
+            if kind.repeatable or (name, place) not in skip:
                 out.extend(kind.starts(place, posterior.context, typical))
-                near = (kind.at_frequency(place, float(f), posterior.context, typical) for f in found)
+                near = (kind.at_peak(place, peak, posterior.context, typical) for peak in found)
                 out.extend(e for e in near if e is not None)
     return [e for e in out if _is_applicable(e, posterior.context)]
 
@@ -117,8 +117,8 @@ def _is_applicable(effect: Effect, context: Context) -> bool:
     return True
 
 
-def find_excess_peaks(posterior: Posterior, null_fit: MapEstimate, n: int = 3) -> Array:
-    """Find the frequencies at which the measured power exceeds the model's most, shape (n,), Hz.
+def find_excess_peaks(posterior: Posterior, null_fit: MapEstimate, n: int = 3) -> list[Peak]:
+    """Find the n peaks at which the measured power exceeds the model's most.
 
     The frequency of a spectral line is interpolated to a small part of a bin.
     """
@@ -127,13 +127,16 @@ def find_excess_peaks(posterior: Posterior, null_fit: MapEstimate, n: int = 3) -
     diagonal = np.cumsum([1, *(2 * np.arange(1, c) + 1)]) - 1
     excess = null_fit.residual.reshape(shape)[:, :, diagonal].sum(axis=(0, 2)).copy()
     prediction, band = posterior.predict(null_fit.x, null_fit.effects), posterior.observed.band
-    power = np.einsum("k,kfaa->f", posterior.observed.counts, prediction.data - prediction.spectra).real
+    spectra = np.tensordot(posterior.observed.counts, prediction.data - prediction.spectra, axes=1)
+    power = np.einsum("faa->f", spectra).real
     found = []
     for _ in range(n):
         i = int(excess.argmax())
-        found.append(band.hz[i] + band.bin_hz * _line_offset(power, i))
+        values, vectors = np.linalg.eigh(spectra[max(0, i - 1) : i + 2].sum(axis=0).real)
+        amplitude = vectors[:, -1] * np.sqrt(max(values[-1], 0.0) / posterior.observed.counts.sum())
+        found.append(Peak(float(band.hz[i] + band.bin_hz * _line_offset(power, i)), amplitude))
         excess[max(0, i - 4) : i + 5] = -np.inf
-    return np.array(found)
+    return found
 
 
 def _line_offset(power: Array, i: int) -> float:

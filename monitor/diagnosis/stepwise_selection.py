@@ -441,7 +441,7 @@ def _causes(
     ):
         std = {}
         for p, own in zip(effect.parameters, deviation.tolist(), strict=True):
-            value = getattr(effect, p.name)
+            value = effect.values()[p.name]
             std[p.name] = min(own * {"linear": 1.0, "log": value, "inverse": value**2}[p.scale], 1e300)
         out.append(Cause(effect, std))
     return tuple(out)

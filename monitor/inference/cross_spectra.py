@@ -100,6 +100,7 @@ def cross_spectra(
     fine = band.fine_hz
     answer = seen(system, effects, fine, clock, context, condition)
     force = excitation.force
+    mean_force, n_extra = float(force.mean()), answer.shape[2] - force.size - 1
     colour = force_colour(effects, fine * clock)
     share = sum(e.ground_share for e in effects)
     ground = excitation.ground_noise
@@ -109,7 +110,9 @@ def cross_spectra(
         shared = answer[:, :, : force.size] @ force_root(force, effects)
         answer = np.concatenate([shared, answer[:, :, force.size :]], axis=2)
         force = np.ones(force.size + 1)
-    density = np.column_stack([force * colour[:, None], np.full(fine.size, ground)])
+    density = np.column_stack(
+        [force * colour[:, None], np.full(fine.size, ground), np.outer(colour, np.full(n_extra, mean_force))]
+    )
     spectra = blurred_products(answer, density, _TAPS)
     for effect in effects:
         for line in effect.lines():
@@ -139,10 +142,12 @@ def seen(
 
     Returns
     -------
-    ndarray, shape (n_hz, c, n + 1)
-        For forces on the floors and, in the last column, a ground acceleration.
+    ndarray, shape (n_hz, c, n + 1 + n_extra)
+        For forces on the floors, then for a ground acceleration, then for a force on each extra mode.
     """
     answer = channel_response(system, clock * hz, context)
+    extra = extra_mode_response(effects, clock * hz, context)
+    answer = np.concatenate([answer, extra], axis=2) if extra.size else answer
     for effect in effects:
         response = effect.response(hz * clock, context, condition)
         if response is not None:
@@ -168,6 +173,21 @@ def channel_response(system: System, hz: Array, context: Context) -> ComplexArra
     right[:, n] = -system.mass.sum(axis=1)
     floors = accelerance(system.mass, system.damping, system.stiffness, 2.0 * np.pi * hz, right)
     return np.asarray(_at_sensors(floors, context.sensors))
+
+
+def extra_mode_response(effects: Sequence[Effect], hz: Array, context: Context) -> ComplexArray:
+    """Compute the frequency response of the true accelerations to a force on each extra mode, shape (n_hz, c, n_extra).
+
+    Parameters
+    ----------
+    hz : ndarray, shape (n_hz,), Hz
+    """
+    modes = [mode for effect in effects for mode in effect.extra_modes(context)]
+    out = np.empty((hz.size, len(context.channels), len(modes)), dtype=complex)
+    for i, mode in enumerate(modes):
+        f = mode.frequency_hz
+        out[:, :, i] = np.outer(hz**2 / (hz**2 - f**2 - 2.0j * mode.damping_ratio * f * hz), mode.shape)
+    return out
 
 
 def force_colour(effects: Sequence[Effect], hz: Array) -> Array:

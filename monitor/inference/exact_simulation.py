@@ -212,9 +212,10 @@ def simulate_spectra(
         return _compare_sensors(posterior, x, effects, acting, transforms)
     posterior, simulated, expected = _compare_at_simulated_motion(posterior, x, effects, transforms)
     noise, diagonal = _noise_density(posterior, x, everything), np.arange(len(posterior.context.channels))
+    beside = _extra_mode_spectra(posterior, x, everything)
     out, exact, linearized = np.empty_like(e.spectra), np.empty_like(transforms), np.empty_like(transforms)
     for k, (members, y) in enumerate(zip(e.members, _linear_transforms(posterior, x, everything, acting), strict=True)):
-        linear = _mean_products(y) * e.band.gain[:, None, None]
+        linear = _mean_products(y) * e.band.gain[:, None, None] + beside[k]
         linear[:, diagonal, diagonal] += noise[k] * e.band.gain[:, None]
         z = _apply_responses(transforms[members], everything, posterior, k)
         regression = _squared_regression(np.einsum("sfa,sfb->fab", z, y.conj()) / members.size, _mean_products(y))
@@ -256,8 +257,18 @@ def _compare_at_simulated_motion(
     simulated, diagonal = class_means(posterior, x, effects, transforms), np.arange(len(posterior.context.channels))
     noise = _noise_density(posterior, x, everything)[:, None, :] * posterior.observed.band.gain[:, None]
     simulated[:, :, diagonal, diagonal] += noise
+    simulated += _extra_mode_spectra(posterior, x, everything)
     posterior = replace(posterior, conditions=linearize(posterior, x, effects, simulated))
     return posterior, simulated, posterior.scatter(x, effects)
+
+
+def _extra_mode_spectra(posterior: Posterior, x: Array, effects: Sequence[Effect]) -> ComplexArray:
+    """Compute the expected spectra of the extra modes, which are not simulated, shape (classes, n_bins, c, c), (m/s^2)^2/Hz."""
+    without = [effect for effect in effects if not effect.extra_modes(posterior.context)]
+    if len(without) == len(effects):
+        return np.zeros_like(posterior.observed.spectra)
+    classes = range(posterior.n_classes)
+    return np.asarray(posterior.linear_spectra(x, effects, classes) - posterior.linear_spectra(x, without, classes))
 
 
 def _noise_density(posterior: Posterior, x: Array, effects: Sequence[Effect]) -> Array:

@@ -174,7 +174,10 @@ def _motion_roots(
     if posterior is None:
         return motion, motion
     clock = float(np.prod([effect.clock_factor for effect in effects]))
-    return motion, seen(system, effects, hz, clock, context, posterior.conditions[k])[:, :, :n] @ root
+    answer = seen(system, effects, hz, clock, context, posterior.conditions[k])
+    own = answer[:, :, n + 1 :] * np.sqrt(force.mean() * force_colour(effects, hz))[:, None, None]
+    still = np.zeros((*motion.shape[:2], own.shape[2]))  # no extra mode moves a story of the model
+    return np.concatenate([motion, still], axis=2), np.concatenate([answer[:, :, :n] @ root, own], axis=2)
 
 
 def _excess_degc(evidence: ObservedSpectra, k: int, reference_degc: float | None, lag_s: float) -> float:

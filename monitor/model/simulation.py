@@ -182,6 +182,7 @@ def simulate(
         _unmeasured_ground(model, forces, level[:, 0], true_rate_hz, context, effects_rng) if ground is None else ground
     )
     clean = respond(model, forces, true_ground, true_rate_hz, excess_degc) @ context.sensors.T
+    clean += _extra_motion(model, level[:, 0], true_rate_hz, context, effects_rng)
     rms = noise * float(np.sqrt((clean**2).mean(axis=0)).mean())
     samples = clean + rms * rng.standard_normal(clean.shape)
     if ground is not None:
@@ -189,6 +190,30 @@ def simulate(
     for effect in model.effects:
         samples = effect.measure(samples, true_rate_hz, context, effects_rng)
     return Motion(rate_hz, samples, ground)
+
+
+def _extra_motion(
+    model: Model, level: Array, rate_hz: float, context: Context, rng: np.random.Generator
+) -> Array | float:
+    """Simulate the channels' accelerations by extra modes, each under a force of its own of 1 N, shape (n_samples, c), m/s^2.
+
+    Parameters
+    ----------
+    level : ndarray, shape (n_samples,)
+        Level of the excitation.
+    """
+    out: Array | float = 0.0
+    for mode in (m for effect in model.effects for m in effect.extra_modes(context)):
+        force = level[:, None] * rng.standard_normal((level.size, 1))
+        for effect in model.effects:
+            if np.ndim(effect.colour(np.ones(1))):
+                force = effect.drive(force, rate_hz)
+        omega = 2.0 * np.pi * mode.frequency_hz
+        alone = System(np.eye(1), np.full((1, 1), 2.0 * mode.damping_ratio * omega), np.full((1, 1), omega**2))
+        from monitor.model.integration import march  # compiled code takes a while to load
+
+        out = out + march(alone, 1, (), force, rate_hz, step_hz=rate_hz) * mode.shape
+    return out
 
 
 def respond(

@@ -16,10 +16,12 @@ from monitor.model.effects.base import (
     Context,
     Effect,
     EffectError,
+    ExtraMode,
     FittedModel,
     Law,
     LawKind,
     Line,
+    Peak,
     System,
     locations,
 )
@@ -46,6 +48,7 @@ from monitor.model.effects.stiffness_change import StiffnessChange
 from monitor.model.effects.story_damper import StoryDamper
 from monitor.model.effects.temperature_stiffness import TemperatureStiffness
 from monitor.model.effects.time_offset import TimeOffset
+from monitor.model.effects.unmodelled_mode import UnmodelledMode
 
 EFFECTS: dict[str, type[Effect]] = {
     effect.name: effect
@@ -73,6 +76,7 @@ EFFECTS: dict[str, type[Effect]] = {
         ClockRate,
         SensorClipping,
         SensorNoise,
+        UnmodelledMode,
     )
 }
 """Catalogue of the effects that a diagnosis looks for."""
@@ -89,6 +93,7 @@ __all__ = [
     "Context",
     "Effect",
     "EffectError",
+    "ExtraMode",
     "FittedModel",
     "FittedSizes",
     "Law",
@@ -97,6 +102,7 @@ __all__ = [
     "Line",
     "Parameter",
     "ParameterEstimates",
+    "Peak",
     "System",
     "interval",
     "locations",

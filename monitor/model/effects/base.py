@@ -153,6 +153,25 @@ class Line:
     """Amplitude of the force."""
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class ExtraMode:
+    """Mode of the structure beside those of its matrices, driven by a random force of its own."""
+
+    frequency_hz: float
+    damping_ratio: float
+    shape: Array
+    """Acceleration of every channel by a unit force on the mode far above its frequency, shape (c,), 1/kg."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Peak:
+    """Frequency at which a recording's spectra show more power than a model's."""
+
+    hz: float
+    amplitude: Array
+    """Amplitude of the motion in excess, with its sign between channels, shape (c,), m/s^2/sqrt(Hz)."""
+
+
 class LawKind(IntEnum):
     """Kind of the function phi in `monitor.model.integration`, with its two parameters in brackets."""
 
@@ -199,6 +218,8 @@ class Effect(ReportFace, ABC):
     proportional: ClassVar[bool] = True
     """Whether twice the amplitude makes about twice the change, so that a score test can estimate the amplitude."""
 
+    repeatable: ClassVar[bool] = False
+    """Whether several of this effect may act at one place, as modes do."""
     order: ClassVar[int] = 1
     """Power of the amplitude with which the spectra change."""
     amplitude_powers: ClassVar[tuple[float, ...]] = ()
@@ -251,7 +272,8 @@ class Effect(ReportFace, ABC):
     @property
     def coordinates(self) -> Array:
         """Parameters in the coordinates of estimation, shape (p,)."""
-        return np.array([p.coordinate(getattr(self, p.name)) for p in self.parameters])
+        values = self.values()
+        return np.array([p.coordinate(values[p.name]) for p in self.parameters])
 
     @property
     def units(self) -> Array:
@@ -391,6 +413,10 @@ class Effect(ReportFace, ABC):
         """Return the harmonic forces of the effect."""
         return ()
 
+    def extra_modes(self, context: Context) -> tuple[ExtraMode, ...]:
+        """Return the modes of the structure that the effect adds to those of the matrices."""
+        return ()
+
     def response(self, hz: Array, context: Context, condition: Condition) -> ComplexArray | None:
         """Return the acquisition's frequency response to the true channels, shape (n_hz or 1, c, c); None for no change."""
         return None
@@ -443,8 +469,8 @@ class Effect(ReportFace, ABC):
         raise NotImplementedError
 
     @classmethod
-    def at_frequency(cls, location: str, hz: float, context: Context, condition: Condition) -> Effect | None:
-        """Return a small size of the effect at a frequency where the spectra show too much power.
+    def at_peak(cls, location: str, peak: Peak, context: Context, condition: Condition) -> Effect | None:
+        """Return a small size of the effect at a peak of the recording that the model lacks.
 
         The result is None where the effect has no frequency.
         """

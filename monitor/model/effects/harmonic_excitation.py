@@ -9,7 +9,7 @@ from typing import ClassVar, Literal, Self
 import numpy as np
 
 from monitor.core import Array
-from monitor.model.effects.base import Condition, Context, Effect, FittedModel, Line
+from monitor.model.effects.base import Condition, Context, Effect, FittedModel, Line, Peak
 from monitor.model.effects.parameter import Parameter
 from monitor.model.effects.report_face import FittedSizes
 
@@ -55,8 +55,13 @@ class HarmonicExcitation(Effect):
         return np.array([_FREQUENCY_STD_BINS * fitted.bin_hz / self.frequency_hz, 0.0])
 
     @classmethod
-    def at_frequency(cls, location: str, hz: float, context: Context, condition: Condition) -> Self:
-        """Make a weak harmonic force at a frequency, as that of a peak in the spectrum."""
+    def at_peak(cls, location: str, peak: Peak, context: Context, condition: Condition) -> Self:
+        """See `Effect.at_peak`."""
+        return cls._weak(location, peak.hz, context, condition)
+
+    @classmethod
+    def _weak(cls, location: str, hz: float, context: Context, condition: Condition) -> Self:
+        """Make a weak harmonic force at a frequency."""
         j = int(location.partition(" ")[2]) - 1
         return cls(location, hz, 0.1 * float(context.structure.masses_kg[j] * condition.channel_m_s2.mean()))
 
@@ -64,7 +69,7 @@ class HarmonicExcitation(Effect):
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
         """See `Effect.starts`."""
         grid = np.geomspace(6.0, 30.0, 8)
-        return tuple(cls.at_frequency(location, float(hz), context, condition) for hz in grid)
+        return tuple(cls._weak(location, float(hz), context, condition) for hz in grid)
 
     @classmethod
     def sentence(cls, fitted: FittedSizes) -> str:
