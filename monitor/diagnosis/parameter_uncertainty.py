@@ -40,6 +40,8 @@ def coordinate_std(posterior: Posterior, fit: MapEstimate, simulation_std: Array
 def is_significant(effect: Effect, deviation: Array) -> bool:
     """Decide if an effect's size differs significantly from that of no effect; an effect without a size always does.
 
+    Of several sizes, as the components of a mode's shape, one is enough.
+
     Parameters
     ----------
     effect : Effect
@@ -51,7 +53,7 @@ def is_significant(effect: Effect, deviation: Array) -> bool:
         for p, x, std in zip(effect.parameters, effect.coordinates, deviation, strict=True)
         if p.absent is not None
     ]
-    return all(significant)
+    return any(significant) or not significant
 
 
 def summarize_fit(posterior: Posterior, fit: MapEstimate) -> FittedModel:

@@ -27,6 +27,7 @@ from monitor.diagnosis.lack_of_fit import (
     unexplained_share,
     wrong_bins,
 )
+from monitor.diagnosis.missing_modes import find_missing_mode
 from monitor.diagnosis.parameter_uncertainty import coordinate_std, is_significant
 from monitor.diagnosis.score_test import Candidate, fit_candidate, parameter_cost
 from monitor.diagnosis.selection_round import run_selection_round
@@ -125,7 +126,7 @@ def diagnose(
     stage = _SearchState(posterior, null_fit, null_fit, (), moments, settings.margin)
     rounds: list[tuple[Candidate, ...]] = []
     alternatives: tuple[tuple[Candidate, float], ...] = ()
-    while len(stage.accepted) < settings.max_causes:
+    while _n_counted(stage.accepted) < settings.max_causes:
         stage, candidates, threshold = _search_once(stage, settings)
         rounds.append(tuple(p.candidate for p in candidates))
         if not candidates or candidates[0].candidate.log_evidence < threshold:
@@ -143,6 +144,9 @@ def diagnose(
             stage = replace(stage, posterior=tied[0].posterior, fit=tied[0].candidate.fit)
             break
         stage = _accept(stage, tied[0], settings)
+        if tied[0].candidate.effect.repeatable:  # where one mode is missing, others are
+            stage, at_peaks = _add_missing_modes(stage, settings)
+            rounds += at_peaks
     posterior, fit, accepted = eliminate_backward(
         stage.posterior, stage.fit, stage.accepted, rounds, settings.margin, settings.rival
     )
@@ -203,6 +207,32 @@ def _search_once(
         run_selection_round(posterior, fit, stage.moments, settings, min_gain),
         _acceptance_threshold(stage, settings),
     )
+
+
+def _n_counted(accepted: Sequence[Candidate]) -> int:
+    """Count the causes that the search is limited to; modes that the model lacks may be many."""
+    return sum(not c.effect.repeatable for c in accepted)
+
+
+def _add_missing_modes(
+    stage: _SearchState, settings: DiagnosisSettings
+) -> tuple[_SearchState, list[tuple[Candidate, ...]]]:
+    """Add modes that the model lacks, one a peak, until the highest peak left has another cause or none.
+
+    Returns
+    -------
+    stage : _SearchState
+    rounds : list of tuple of Candidate
+        For every mode the candidates among which it was accepted.
+    """
+    rounds: list[tuple[Candidate, ...]] = []
+    while True:
+        found = find_missing_mode(stage.posterior, stage.fit, settings, _acceptance_threshold(stage, settings))
+        if not found:
+            break
+        rounds.append(tuple(found))
+        stage = _accept(stage, RefittedCandidate(found[0], stage.posterior, stage.moments), settings)
+    return stage, rounds
 
 
 def _acceptance_threshold(stage: _SearchState, settings: DiagnosisSettings) -> float:
@@ -283,7 +313,7 @@ def _accept_beside_tie(
         The state with the further cause, and the candidates among which it was found.  None where there is no such cause, or
         where it is itself tied.
     """
-    if len(stage.accepted) + 2 > settings.max_causes:
+    if _n_counted(stage.accepted) + 2 > settings.max_causes:
         return None
     extended = _accept(stage, tied, settings)
     _, candidates, threshold = _search_once(extended, settings)

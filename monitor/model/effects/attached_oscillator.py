@@ -9,12 +9,14 @@ from typing import ClassVar, Literal, Self
 import numpy as np
 
 from monitor.core import Array
-from monitor.model.effects.base import Condition, Context, Effect, System
+from monitor.model.effects.base import Condition, Context, Effect, Peak, System
 from monitor.model.effects.parameter import Parameter
 from monitor.model.effects.report_face import FittedSizes
 
 _OSCILLATOR_DAMPING = 0.03
 """Damping ratio that is expected of what swings on a floor. [1; judgement: a few percent]"""
+_START_MASS = 0.03
+"""Start of the mass, over that of the floor. [ratio; judgement: what is hung on a floor is much lighter]"""
 _LN_DAMPING_STD = 0.8
 """Standard deviation of the logarithm of that ratio. [1; judgement: a factor of two]"""
 _MAX_OSCILLATOR_DAMPING = 0.5
@@ -77,8 +79,14 @@ class AttachedOscillator(Effect):
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
         """See `Effect.starts`."""
         j = int(location.partition(" ")[2]) - 1
-        mass = 0.03 * float(context.structure.masses_kg[j])
-        return tuple(cls(location, mass, float(hz), 0.03) for hz in np.geomspace(6.0, 25.0, 16))
+        mass = _START_MASS * float(context.structure.masses_kg[j])
+        return tuple(cls(location, mass, float(hz), _OSCILLATOR_DAMPING) for hz in np.geomspace(6.0, 25.0, 16))
+
+    @classmethod
+    def at_peak(cls, location: str, peak: Peak, context: Context, condition: Condition) -> Self:
+        """See `Effect.at_peak`."""
+        mass = _START_MASS * float(context.structure.masses_kg[int(location.partition(" ")[2]) - 1])
+        return cls(location, mass, peak.hz, _OSCILLATOR_DAMPING)
 
     @classmethod
     def sentence(cls, fitted: FittedSizes) -> str:

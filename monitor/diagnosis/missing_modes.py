@@ -1,0 +1,60 @@
+"""Modes that the model lacks, added peak by peak: a structure in space has three times as many as its model in a plane."""
+
+from __future__ import annotations
+
+from functools import partial
+
+from monitor.core import parallel_map
+from monitor.diagnosis.parameter_uncertainty import is_significant
+from monitor.diagnosis.score_test import Candidate, best_first, find_excess_peaks, fit_candidate
+from monitor.diagnosis.settings import DiagnosisSettings
+from monitor.inference import MapEstimate, Posterior
+from monitor.model import EFFECTS, Effect, locations
+
+
+def effects_at_peaks(posterior: Posterior, fit: MapEstimate, n: int) -> list[list[Effect]]:
+    """List, for each of the n highest peaks that the model lacks, the effects that have a peak, at their first sizes."""
+    typical, context = posterior.conditions[posterior.n_classes // 2], posterior.context
+    kinds = [kind for kind in EFFECTS.values() if not (kind.family == "sensor" or kind.nonlinear)]
+    places = [(kind, place) for kind in kinds for of in kind.places for place in locations(of, context)]
+    out = []
+    for peak in find_excess_peaks(posterior, fit, n):
+        near = (kind.at_peak(place, peak, context, typical) for kind, place in places)
+        out.append([effect for effect in near if effect is not None])
+    return out
+
+
+def find_missing_mode(
+    posterior: Posterior, fit: MapEstimate, settings: DiagnosisSettings, threshold: float
+) -> list[Candidate]:
+    """Find the cause of the highest peak that the model lacks, if the cause is a mode of the structure.
+
+    A mode is compared with a machine and with something that swings on a floor, at every floor.
+
+    Parameters
+    ----------
+    posterior : Posterior
+    fit : MapEstimate
+        With the causes found so far.
+    settings : DiagnosisSettings
+    threshold : float
+        Log evidence that the mode needs, nats.
+
+    Returns
+    -------
+    list of Candidate
+        The mode, then its rivals at the same peak; empty where no mode is the cause by the odds that tell a cause from its rivals.
+    """
+    (starts,) = effects_at_peaks(posterior, fit, 1)
+    rough = best_first(parallel_map(partial(fit_candidate, posterior, fit, quick=True), starts))
+    if not rough or not rough[0].effect.repeatable:
+        return []
+    near = [c for c in rough if c.may_reach(rough[0].log_evidence - settings.rival)]
+    found = best_first(parallel_map(lambda c: fit_candidate(posterior, fit, c.effect, rough=c), near))
+    best = found[0]
+    is_alone = len(found) == 1 or found[1].log_evidence < best.log_evidence - settings.rival
+    std = best.fit.covariance.diagonal()[posterior.layout.effects][-len(best.effect.parameters) :] ** 0.5
+    plausible = best.effect.is_plausible(posterior.observed.band.hz) and is_significant(best.effect, std)
+    if best.effect.repeatable and plausible and is_alone and best.log_evidence > threshold:
+        return found
+    return []
