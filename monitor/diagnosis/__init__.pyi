@@ -1,7 +1,7 @@
 from . import healthy_prior, trigger
 from .cross_validation import HeldOutGain, heldout_gain, require_gain
 from .damage_index_effect import ddi_effect
-from .drawing_refit import refit
+from .drawing_refit import other_optima, refit
 from .files import content, effects_text, model_from_plain, model_to_plain, standing_causes, structure_text
 from .fold_refit import fitted_model
 from .initial_fit import FAR
@@ -36,6 +36,7 @@ __all__ = [
     "is_significant",
     "model_from_plain",
     "model_to_plain",
+    "other_optima",
     "parameter_cost",
     "refit",
     "require_gain",

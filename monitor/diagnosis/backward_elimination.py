@@ -9,13 +9,16 @@ from functools import partial
 import numpy as np
 
 from monitor.core import Array, parallel_map
-from monitor.diagnosis.score_test import Candidate, best_first, fit_candidate, score_candidate
+from monitor.diagnosis.initial_fit import ROUGHLY
+from monitor.diagnosis.score_test import Candidate, best_first, fit_candidate, score_candidate, with_tone_evidence
 from monitor.diagnosis.simulation_refit import RefittedCandidate, fit_persistent_effects
 from monitor.inference import CorrectedPosterior, MapEstimate, Posterior, linearize, maximize_posterior
 from monitor.model import Effect
 
 _LOCAL_OPTIMUM_NATS = 3.0
 """Shortfall against the best fit of the same form from which a fit is repeated from another start. [nats; judgement]"""
+_CERTAIN = 10.0
+"""Log evidence of a mode, over that which a cause needs, from which rough fits are enough. [ratio; judgement]"""
 _N_ALTERNATIVES = 3
 """Causes of the same round that are tried in place of one. [count; cost]"""
 
@@ -94,6 +97,8 @@ def eliminate_backward(
         if len(fit.effects) == 1 or (cause is accepted[-1] and len(fit.effects) == len(kept) and not replaced):
             break  # no later cause is in the model
         nuisances, i = posterior.layout.nuisances, kept.index(cause)
+        if cause.effect.repeatable and _is_certain(posterior, fit, i, candidates, margin):
+            continue
         rest = (*fit.effects[:i], *fit.effects[i + 1 :])
         without = maximize_posterior(posterior, join_coordinates(fit.x[nuisances], rest), rest)
         min_gain = score_candidate(posterior, without, fit, len(cause.effect.parameters)).log_evidence
@@ -105,7 +110,7 @@ def eliminate_backward(
         fitted = parallel_map(
             partial(fit_candidate, posterior, without, min_log_evidence=min_log_evidence), rivals[:_N_ALTERNATIVES]
         )
-        best = next(iter(best_first(fitted)), None)
+        best = next(iter(best_first(with_tone_evidence(posterior, c) for c in fitted)), None)
         if best is not None and best.log_evidence > min_log_evidence:
             effects = (*best.fit.effects[:i], best.effect, *best.fit.effects[i:-1])
             fit = maximize_posterior(posterior, join_coordinates(best.fit.x[nuisances], effects), effects)
@@ -122,6 +127,29 @@ def eliminate_backward(
     if not any(e.nonlinear for e in fit.effects) and any(c.effect.nonlinear for c in accepted):
         posterior, fit, _ = fit_persistent_effects(posterior, fit)  # the simulated law was removed
     return posterior, fit, tuple(kept)
+
+
+def _is_certain(posterior: Posterior, fit: MapEstimate, i: int, candidates: Sequence[Candidate], margin: float) -> bool:
+    """Decide by rough fits alone if a cause is needed beyond doubt and no rival comes near it.
+
+    Modes that the model lacks may be many, and most are beyond doubt.
+
+    Parameters
+    ----------
+    i : int
+        Index of the cause among the fit's effects.
+    candidates : sequence of Candidate
+        The cause and its rivals.
+    """
+    rest = (*fit.effects[:i], *fit.effects[i + 1 :])
+    x = join_coordinates(fit.x[posterior.layout.nuisances], rest)
+    without = maximize_posterior(posterior, x, rest, iterations=ROUGHLY)
+    gain = score_candidate(posterior, without, fit, len(fit.effects[i].parameters)).log_evidence
+    if gain < _CERTAIN * margin:
+        return False
+    rivals = [c.effect for c in candidates if not c.effect.repeatable]
+    rough = best_first(parallel_map(partial(fit_candidate, posterior, without, quick=True), rivals))
+    return not rough or not rough[0].may_reach(gain)
 
 
 def fit_subset(

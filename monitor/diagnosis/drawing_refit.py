@@ -66,6 +66,25 @@ def refit(diagnosis: Diagnosis, tolerance: Array, story_names: Sequence[str]) ->
     return rows
 
 
+def other_optima(diagnosis: Diagnosis, story_names: Sequence[str]) -> list[dict[str, Any]]:
+    """Describe other stiffnesses that explain the recording as well as those of `refit`.
+
+    Returns
+    -------
+    list of dict
+        Key `other_optima` of diagnosis.json: the stiffnesses, and a sentence without its full stop on where they differ most.
+    """
+    stiffness = diagnosis.posterior.layout.stiffness
+    out = []
+    for fit in diagnosis.other_optima:
+        change = fit.x[stiffness] - diagnosis.final_fit.x[stiffness]
+        j = int(np.abs(change).argmax())
+        percent = 100.0 * float(np.expm1(abs(change[j])))
+        says = f"{story_names[j]} {percent:.2g} % {'stiffer' if change[j] > 0 else 'softer'} would explain the data as well"
+        out.append({"stiffness_n_per_m": np.exp(fit.x[stiffness]).tolist(), "says": says})
+    return out
+
+
 def _in_words(name: str, relative: dict[str, float], words: tuple[str, str]) -> str:
     """State the relative difference of a parameter from the drawing, without a full stop."""
     size, half = abs(relative["value"]), _INTERVAL_STDS * relative["std"]

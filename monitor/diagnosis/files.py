@@ -29,6 +29,7 @@ def content(
     ddi_effect: Mapping[str, Any],
     refit: Sequence[Mapping[str, Any]] = (),
     detectable_loss: Sequence[float | None] = (),
+    optima: Sequence[Mapping[str, Any]] = (),
 ) -> dict[str, Any]:
     """Collect the content of diagnosis.json.
 
@@ -46,6 +47,8 @@ def content(
         See `monitor.diagnosis.drawing_refit`; empty with a baseline.
     detectable_loss : sequence of float or None
         Smallest loss of each story that would have been found, see `monitor.diagnosis.score_test.detectable_losses`.
+    optima : sequence of mappings
+        See `monitor.diagnosis.drawing_refit.other_optima`; empty with a baseline.
     """
     prior = diagnosis.posterior.prior
     causes = [_cause(c.effect, c.std, prior) for c in diagnosis.causes]
@@ -69,6 +72,7 @@ def content(
         "left_over": [{"where": m.where, "size": _finite(m.size), "says": m.says} for m in diagnosis.left_over],
         "ddi_effect": dict(ddi_effect),
         "refit": list(refit),
+        "other_optima": list(optima),
         "detectable_loss": list(detectable_loss),
     }
     return {**out, "says": headline(diagnosis, gain, out)}
@@ -77,8 +81,23 @@ def content(
 def _cause(effect: Effect, std: Mapping[str, float], prior: StructuralPrior) -> dict[str, Any]:
     """Describe a cause with its parameters, their standard deviations and a sentence."""
     sizes = {name: {"value": _finite(v), "std": _finite(std[name])} for name, v in effect.values().items()}
-    says = in_words(effect.name, effect.location, sizes, prior)
-    return {"effect": effect.name, "location": effect.location, "parameters": sizes, "says": says}
+    return _described(effect, sizes, prior)
+
+
+def _described(effect: Effect, sizes: Mapping[str, Mapping[str, float]], prior: StructuralPrior) -> dict[str, Any]:
+    """Describe an effect; the shape of a mode stands apart from its parameters, its largest component 1."""
+    named = {p.name for p in type(effect).parameters}
+    out: dict[str, Any] = {
+        "effect": effect.name,
+        "location": effect.location,
+        "parameters": {name: size for name, size in sizes.items() if name in named},
+        "says": in_words(effect.name, effect.location, sizes, prior),
+    }
+    shape = [size for name, size in sizes.items() if name not in named]
+    if shape:
+        largest = max((size["value"] for size in shape), key=abs)
+        out["shape"] = [{"value": s["value"] / largest, "std": s["std"] / abs(largest)} for s in shape]
+    return out
 
 
 def _alternative(candidate: Candidate, probability: float, prior: StructuralPrior) -> dict[str, Any]:
@@ -87,14 +106,7 @@ def _alternative(candidate: Candidate, probability: float, prior: StructuralPrio
     n = len(effect.parameters)
     variance = np.diag(candidate.fit.covariance)[candidate.fit.x.size - n :]
     sizes = _sizes(effect, np.sqrt(np.maximum(variance, 0.0)))
-    says = in_words(effect.name, effect.location, sizes, prior)
-    return {
-        "effect": effect.name,
-        "location": effect.location,
-        "probability": probability,
-        "parameters": sizes,
-        "says": says,
-    }
+    return {**_described(effect, sizes, prior), "probability": probability}
 
 
 def standing_causes(prior: StructuralPrior) -> list[dict[str, Any]]:

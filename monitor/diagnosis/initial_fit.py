@@ -78,7 +78,7 @@ def fit_linearized(
     )
     posterior = make_posterior(observed, plain, context)
     null_fit = (
-        maximize_posterior(posterior, _first_guess(posterior))
+        maximize_posterior(posterior, first_guess(posterior))
         if observed.drive is None
         else _fit_from_heavy_damping(posterior)
     )
@@ -110,7 +110,7 @@ def _fit_from_heavy_damping(posterior: Posterior) -> MapEstimate:
 
     The phases of a driven response lead to the optimum only from nearby; heavy damping widens the peaks.
     """
-    known, x = posterior.prior, _first_guess(posterior)
+    known, x = posterior.prior, first_guess(posterior)
     modes = posterior.layout.damping
     mean, added_precision = known.mean.copy(), np.zeros(known.mean.size)
     mean[modes], added_precision[modes] = np.log(_FIRST_DAMPING), _HELD_DAMPING_PRECISION
@@ -150,7 +150,7 @@ def fit_exact_slopes(posterior: Posterior, fit: MapEstimate) -> tuple[Posterior,
     return posterior, fit
 
 
-def _first_guess(posterior: Posterior) -> Array:
+def first_guess(posterior: Posterior) -> Array:
     """Guess the forces and the levels of the classes as the start of a fit, shape (p,).
 
     With measured ground motion the forces are small, and the levels are those of the model's error as a share of the power.

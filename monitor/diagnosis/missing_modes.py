@@ -6,22 +6,22 @@ from functools import partial
 
 from monitor.core import parallel_map
 from monitor.diagnosis.parameter_uncertainty import is_significant
-from monitor.diagnosis.score_test import Candidate, best_first, find_excess_peaks, fit_candidate
+from monitor.diagnosis.score_test import Candidate, best_first, find_excess_peaks, fit_candidate, with_tone_evidence
 from monitor.diagnosis.settings import DiagnosisSettings
 from monitor.inference import MapEstimate, Posterior
-from monitor.model import EFFECTS, Effect, locations
+from monitor.model import EFFECTS, Effect, Peak, locations
 
 
-def effects_at_peaks(posterior: Posterior, fit: MapEstimate, n: int) -> list[list[Effect]]:
-    """List, for each of the n highest peaks that the model lacks, the effects that have a peak, at their first sizes."""
+def effects_at_peak(posterior: Posterior, peak: Peak) -> list[Effect]:
+    """List the effects that a peak which the model lacks may have as its cause, at their first sizes."""
     typical, context = posterior.conditions[posterior.n_classes // 2], posterior.context
-    kinds = [kind for kind in EFFECTS.values() if not (kind.family == "sensor" or kind.nonlinear)]
-    places = [(kind, place) for kind in kinds for of in kind.places for place in locations(of, context)]
-    out = []
-    for peak in find_excess_peaks(posterior, fit, n):
-        near = (kind.at_peak(place, peak, context, typical) for kind, place in places)
-        out.append([effect for effect in near if effect is not None])
-    return out
+    near = (
+        kind.at_peak(place, peak, context, typical)
+        for kind in EFFECTS.values()
+        for of in kind.places
+        for place in locations(of, context)
+    )
+    return [effect for effect in near if effect is not None]
 
 
 def find_missing_mode(
@@ -43,14 +43,16 @@ def find_missing_mode(
     Returns
     -------
     list of Candidate
-        The mode, then its rivals at the same peak; empty where no mode is the cause by the odds that tell a cause from its rivals.
+        The mode, then its rivals at the same peak; empty where no mode is the cause, or a rival may be.
     """
-    (starts,) = effects_at_peaks(posterior, fit, 1)
+    (peak,) = find_excess_peaks(posterior, fit, 1)
+    starts = effects_at_peak(posterior, peak)
     rough = best_first(parallel_map(partial(fit_candidate, posterior, fit, quick=True), starts))
     if not rough or not rough[0].effect.repeatable:
         return []
     near = [c for c in rough if c.may_reach(rough[0].log_evidence - settings.rival)]
-    found = best_first(parallel_map(lambda c: fit_candidate(posterior, fit, c.effect, rough=c), near))
+    fitted = parallel_map(lambda c: fit_candidate(posterior, fit, c.effect, rough=c), near)
+    found = best_first(with_tone_evidence(posterior, c) for c in fitted)
     best = found[0]
     is_alone = len(found) == 1 or found[1].log_evidence < best.log_evidence - settings.rival
     std = best.fit.covariance.diagonal()[posterior.layout.effects][-len(best.effect.parameters) :] ** 0.5

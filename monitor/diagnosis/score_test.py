@@ -12,7 +12,7 @@ import numpy as np
 
 from monitor.core import Array, parallel_map
 from monitor.diagnosis.initial_fit import COARSE, FAR, LONG, ROUGHLY
-from monitor.inference import MapEstimate, Posterior, Prediction, maximize_posterior
+from monitor.inference import MapEstimate, Posterior, Prediction, maximize_posterior, tone_log_odds
 from monitor.model import EFFECTS, Context, Effect, EffectError, Peak, inverse, locations
 
 _log = logging.getLogger(__name__)
@@ -394,6 +394,15 @@ def score_candidate(
     n_more = len(effect.parameters) if n_more is None else n_more
     gain = fitted.log_posterior - null_fit.log_posterior
     return Candidate(effect, fitted, gain, gain - parameter_cost(posterior, n_more))
+
+
+def with_tone_evidence(posterior: Posterior, candidate: Candidate) -> Candidate:
+    """Add to a machine's evidence what its steady amplitude tells, which a random motion of the same spectrum has not."""
+    lines = candidate.effect.lines()
+    if not lines or posterior.observed.drive is not None:
+        return candidate
+    odds = sum(tone_log_odds(posterior, candidate.fit, line) for line in lines)
+    return replace(candidate, log_evidence=candidate.log_evidence + odds)
 
 
 def parameter_cost(posterior: Posterior, n_more: int) -> float:

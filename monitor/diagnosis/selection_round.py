@@ -18,6 +18,7 @@ from monitor.diagnosis.score_test import (
     candidate_starts,
     fit_candidate,
     rank_by_score,
+    with_tone_evidence,
 )
 from monitor.diagnosis.settings import DiagnosisSettings
 from monitor.diagnosis.simulation_refit import RefittedCandidate, refit_by_simulation
@@ -69,9 +70,10 @@ def run_selection_round(
     rough_by_key = {c.key: c for c in rough}
 
     def fit_chosen(key: tuple[str, str]) -> Candidate:
-        return fit_candidate(
+        found = fit_candidate(
             posterior, fit, chosen[key], min_log_evidence=min_log_evidence, rough=rough_by_key.get(key)
         )
+        return with_tone_evidence(posterior, found)
 
     fitted = best_first(filter(partial(_is_valid_cause, posterior), parallel_map(fit_chosen, chosen)))
     return sorted(

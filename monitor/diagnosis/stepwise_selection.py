@@ -27,7 +27,8 @@ from monitor.diagnosis.lack_of_fit import (
     unexplained_share,
     wrong_bins,
 )
-from monitor.diagnosis.missing_modes import find_missing_mode
+from monitor.diagnosis.missing_modes import effects_at_peak, find_missing_mode
+from monitor.diagnosis.modal_start import fit_from_modes
 from monitor.diagnosis.parameter_uncertainty import coordinate_std, is_significant
 from monitor.diagnosis.score_test import Candidate, fit_candidate, parameter_cost
 from monitor.diagnosis.selection_round import run_selection_round
@@ -40,7 +41,7 @@ from monitor.diagnosis.simulation_refit import (
     refine_fit,
 )
 from monitor.inference import CorrectedPosterior, MapEstimate, Moments, ObservedSpectra, Posterior, maximize_posterior
-from monitor.model import Context, Effect, StructuralPrior
+from monitor.model import Context, Effect, Peak, StructuralPrior
 
 _N_GROUND_TESTS = 2
 """Candidates beside which the ground's motion between its samples is tested again. [count; cost]"""
@@ -84,6 +85,8 @@ class Diagnosis:
     """Settings of the diagnosis."""
     rounds: tuple[tuple[Candidate, ...], ...] = field(default=())
     """Candidates of every round of the search."""
+    other_optima: tuple[MapEstimate, ...] = field(default=())
+    """Fits of other stiffnesses that explain the recording as well."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -124,7 +127,8 @@ def diagnose(
     """
     posterior, null_fit, moments = fit_initial_model(observed, prior, context)
     stage = _SearchState(posterior, null_fit, null_fit, (), moments, settings.margin)
-    rounds: list[tuple[Candidate, ...]] = []
+    stage, optima = _start_from_modes(stage, settings)
+    rounds: list[tuple[Candidate, ...]] = [_rivals_of_mode(stage.posterior, c) for c in stage.accepted]
     alternatives: tuple[tuple[Candidate, float], ...] = ()
     while _n_counted(stage.accepted) < settings.max_causes:
         stage, candidates, threshold = _search_once(stage, settings)
@@ -175,6 +179,7 @@ def diagnose(
         final_fit=fit,
         settings=settings,
         rounds=tuple(rounds),
+        other_optima=optima,
     )
 
 
@@ -207,6 +212,48 @@ def _search_once(
         run_selection_round(posterior, fit, stage.moments, settings, min_gain),
         _acceptance_threshold(stage, settings),
     )
+
+
+def _start_from_modes(stage: _SearchState, settings: DiagnosisSettings) -> tuple[_SearchState, tuple[MapEstimate, ...]]:
+    """Fit from the recording's own modes, where the fit from the drawing leaves lack of fit.
+
+    A drawing may be so far off that a fit from it ends in a false optimum, and may lack modes that the recording has.  A baseline
+    is neither.
+
+    Returns
+    -------
+    stage : _SearchState
+        With the modes that the model lacks as accepted causes.
+    optima : tuple of MapEstimate
+        Fits of other stiffnesses that the data cannot tell from the one returned.
+    """
+    posterior, null_fit = stage.posterior, stage.fit
+    prior = posterior.prior
+    if posterior.observed.drive is not None or prior.n_persistent or prior.basis.size:
+        return stage, ()
+    if not find_lack_of_fit(posterior, null_fit, settings):
+        return stage, ()
+    found = fit_from_modes(posterior)
+    if not found or found[0][1] < null_fit.log_posterior + settings.margin:
+        return stage, ()
+    best, evidence = found[0]
+    others = tuple(fit for fit, own in found[1:] if own > evidence - settings.rival)
+    accepted = tuple(
+        Candidate(effect, best, best.log_posterior - null_fit.log_posterior, evidence - null_fit.log_posterior)
+        for effect in best.effects
+    )
+    if not accepted:
+        null_fit = best
+    return replace(
+        stage, posterior=update_linearization(posterior, best), fit=best, null_fit=null_fit, accepted=accepted
+    ), others
+
+
+def _rivals_of_mode(posterior: Posterior, mode: Candidate) -> tuple[Candidate, ...]:
+    """List the other effects that could cause the peak of a mode that the model lacks, not fitted."""
+    (own,) = mode.effect.extra_modes(posterior.context)
+    starts = effects_at_peak(posterior, Peak(own.frequency_hz, own.shape))
+    return (mode, *(replace(mode, effect=effect) for effect in starts if not effect.repeatable))
 
 
 def _n_counted(accepted: Sequence[Candidate]) -> int:

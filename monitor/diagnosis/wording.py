@@ -38,8 +38,13 @@ def in_words(effect_name: str, location: str, parameters: ParameterEstimates, re
     KeyError
         If the effect is unknown or a parameter is missing.
     """
+    return FORMS[effect_name].sentence(_sizes(location, parameters, reference))
+
+
+def _sizes(location: str, parameters: ParameterEstimates, reference: StructuralPrior) -> FittedSizes:
+    """Join place and parameters of an effect with the structure that its sentence compares them with."""
     source = "at calibration" if _has_baseline(reference) else "the structure file says"
-    return FORMS[effect_name].sentence(FittedSizes(location, parameters, reference.model.structure, source))
+    return FittedSizes(location, parameters, reference.model.structure, source)
 
 
 def separating_measurement(alternatives: Sequence[Mapping[str, Any]]) -> str | None:
@@ -152,14 +157,16 @@ def headline(diagnosis: Diagnosis, gain: HeldOutGain, content: Mapping[str, Any]
     content : mapping
         diagnosis.json.
     """
-    parts = [refit_headline(content["refit"]), _verdict_in_words(diagnosis, gain, content)]
+    optima = "; or ".join(o["says"] for o in content["other_optima"])
+    parts = [refit_headline(content["refit"]), _sentence(optima) if optima else ""]
+    parts += [_verdict_in_words(diagnosis, gain, content)]
     return " ".join(filter(None, parts))
 
 
 def _verdict_in_words(diagnosis: Diagnosis, gain: HeldOutGain, content: Mapping[str, Any]) -> str:
     """State the verdict."""
     reference = diagnosis.posterior.prior
-    causes = "; and ".join(c["says"] for c in content["causes"])
+    causes = _causes_in_words(content["causes"], reference)
     match content["verdict"]:
         case "none":
             if not _has_baseline(reference):
@@ -185,6 +192,14 @@ def _verdict_in_words(diagnosis: Diagnosis, gain: HeldOutGain, content: Mapping[
     if gain.ci95[0] <= 0.0:
         why = f" (no gain on held-out data: {gain.withheld or 'the motion changed within the recording'})"
     return f"Something is wrong{worst} that no known effect explains. Besides, {causes}{why}."
+
+
+def _causes_in_words(causes: Sequence[Mapping[str, Any]], reference: StructuralPrior) -> str:
+    """State all causes in one sentence, without its full stop; several modes that the model lacks are listed together."""
+    by_name: dict[str, list[FittedSizes]] = {}
+    for c in causes:
+        by_name.setdefault(c["effect"], []).append(_sizes(c["location"], c["parameters"], reference))
+    return "; and ".join(FORMS[name].sentence_of_several(fitted) for name, fitted in by_name.items())
 
 
 def _has_baseline(reference: StructuralPrior) -> bool:

@@ -6,7 +6,7 @@ from .excitation_fit import ExcitationStart, fit_excitation, forces_from_quiet_s
 from .force_levels import fit_levels, spectra_by_force
 from .forward_model import Prediction
 from .ground_response import Between, Drive
-from .higher_moments import MeasuredMoments, Moments, measure_moments, normal_moments, simulate_moments
+from .higher_moments import MeasuredMoments, Moments, measure_moments, normal_moments, simulate_moments, tone_log_odds
 from .linearization import linearize
 from .map_estimate import MapEstimate, maximize_posterior
 from .observed_spectra import ObservedSpectra, class_temperature, classify
@@ -51,5 +51,6 @@ __all__ = [
     "simulate_moments",
     "simulate_spectra",
     "spectra_by_force",
+    "tone_log_odds",
     "with_coordinates",
 ]

@@ -12,11 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import ifft, irfft, next_fast_len
+from scipy.linalg import eigh
 
 from monitor.core import Array, ComplexArray
 from monitor.inference.map_estimate import MapEstimate
 from monitor.inference.observed_spectra import relative_level
 from monitor.inference.posterior import Posterior
+from monitor.model import Line
 from monitor.signals import overlap_correlation, taper
 
 _MODE_BAND = 0.15
@@ -25,6 +27,10 @@ _MIN_KURTOSIS_STD = 0.03
 """Least standard deviation of the kurtosis that forces of changing level give all modes. [1; judgement]"""
 _MIN_BAND_WIDTH = 0.1
 """Least width of a band between modes, over its frequency. [ratio; judgement]"""
+_TONE_BINS = 2.0
+"""Half-width of the band in which a tone's kurtosis is measured. [bins; the taper's main lobe]"""
+_TONE_KURTOSIS = -1.5
+"""Excess kurtosis of a tone. [1; definition]"""
 _STUDENT_FREEDOM = 10.0
 """Of Student's distribution for the kurtosis. [degrees of freedom; judgement: blows and tones, which no law here makes,
 must not decide]"""
@@ -111,6 +117,43 @@ def simulate_moments(transforms: ComplexArray, posterior: Posterior, at: MapEsti
     split = _split_by_mode(transforms, posterior, at)
     tails = np.array([_kurtosis(narrow, split.level)[0] for narrow in split.modes])
     return Moments(_skewness(split.floors, posterior)[0], tails)
+
+
+def tone_log_odds(posterior: Posterior, at: MapEstimate, line: Line) -> float:
+    """Compute the log odds of a tone of steady amplitude against a random motion of the same spectrum, nats.
+
+    The kurtosis at the line's frequency is -1.5 for a tone and 0 for a random motion, however narrow its band.
+
+    Parameters
+    ----------
+    posterior : Posterior
+    at : MapEstimate
+        Fit with the line, which gives the share of the power that is the line's.
+    line : Line
+        The line; only its frequency is used.
+    """
+    band = posterior.observed.band
+    near = np.flatnonzero(np.abs(band.hz - line.frequency_hz) <= _TONE_BINS * band.bin_hz)
+    if not near.size:
+        return 0.0
+    others = tuple(e for e in at.effects if line not in e.lines())
+    counts = posterior.observed.counts / posterior.observed.counts.sum()
+    total, rest = (
+        np.einsum("k,kfab->ab", counts, posterior.scatter(x, effects)[:, near])
+        for x, effects in ((at.x, at.effects), (at.x[: posterior.layout.n_nuisance], others))
+    )
+    # Of all combinations of channels, the one in which the line stands out most.
+    share, direction = (a[..., -1] for a in eigh(total - rest, total))
+    c = total.shape[0]
+    transforms = posterior.observed.segments.values[:, :, :c]
+    kurtosis, std = _kurtosis(transforms[:, near] @ direction.conj(), relative_level(transforms))
+    std = float(np.hypot(std, _MIN_KURTOSIS_STD))
+
+    def log_likelihood(expected: float) -> float:
+        square = ((kurtosis - expected) / std) ** 2
+        return -0.5 * (_STUDENT_FREEDOM + 1.0) * float(np.log1p(square / _STUDENT_FREEDOM))
+
+    return log_likelihood(_TONE_KURTOSIS * float(share) ** 2) - log_likelihood(0.0)
 
 
 @dataclass(frozen=True, eq=False, slots=True)

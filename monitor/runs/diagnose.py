@@ -27,6 +27,7 @@ from monitor.diagnosis import (
     heldout_gain,
     is_significant,
     model_to_plain,
+    other_optima,
     parameter_cost,
     refit,
     require_gain,
@@ -100,7 +101,8 @@ def diagnose(
     detectable: list[float | None] = []
     if baseline is not None and confirmed.verdict == "none":
         detectable = detectable_losses(confirmed.posterior, confirmed.null_fit, config.diagnosis.margin)
-    plain = content(confirmed, gain, config.model().effects, ddi_effect(confirmed), rows, detectable)
+    optima = other_optima(confirmed, config.story_names) if baseline is None else []
+    plain = content(confirmed, gain, config.model().effects, ddi_effect(confirmed), rows, detectable, optima)
     plain |= {"model": model_to_plain(extended, degc), "since_calibration": baseline is not None}
     plain = name_stories_in(plain, config.story_names)
     return Finding(confirmed, gain, plain, segments, updated, extended, degc)

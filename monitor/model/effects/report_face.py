@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import floor, isfinite, log10
 from typing import ClassVar, Literal
@@ -173,3 +173,8 @@ class ReportFace:
         """
         sizes = (f"{_without_unit(p)} {fitted.interval(p)}" for p in fitted.parameters if fitted.is_sized(p))
         return ", ".join([f"{cls.name.replace('_', ' ')} at {fitted.location}", *sizes])
+
+    @classmethod
+    def sentence_of_several(cls, fitted: Sequence[FittedSizes]) -> str:
+        """Say in one sentence, without its full stop, where several of the effect are and how large."""
+        return "; and ".join(cls.sentence(one) for one in fitted)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import inf, isfinite
 from typing import ClassVar, Literal, Self
@@ -15,7 +15,7 @@ from monitor.model.effects.parameter import Parameter
 from monitor.model.effects.report_face import FittedSizes
 from monitor.model.structures import Structure
 
-_LN_DAMPING_STD = 0.8
+_MODE_DAMPING_LN_STD = 0.8
 """Standard deviation of the logarithm of the mode's damping ratio about the structure's. [1; judgement: a factor of two, as
 of an attached oscillator]"""
 _DAILY_FREQUENCY = 0.02
@@ -115,7 +115,7 @@ class UnmodelledMode(Effect):
     def known(self, context: Context, condition: Condition) -> tuple[Array, Array]:
         """See `Effect.known`.  The damping ratio is that of the structure, within a factor of two."""
         mean, precision = self.coordinates, np.zeros(len(self.parameters))
-        mean[1], precision[1] = np.log(context.structure.damping_ratio), _LN_DAMPING_STD**-2
+        mean[1], precision[1] = np.log(context.structure.damping_ratio), _MODE_DAMPING_LN_STD**-2
         return mean, precision
 
     def is_plausible(self, band_hz: Array) -> bool:
@@ -141,4 +141,15 @@ class UnmodelledMode(Effect):
         return (
             f"the structure has a mode at {fitted.interval('frequency_hz')}{damping} that the model lacks: "
             "torsion, the other direction or a local mode"
+        )
+
+    @classmethod
+    def sentence_of_several(cls, fitted: Sequence[FittedSizes]) -> str:
+        """See `Effect.sentence_of_several`."""
+        if len(fitted) < 2:
+            return super().sentence_of_several(fitted)
+        hz = sorted(one.value("frequency_hz") for one in fitted)
+        listed = ", ".join(f"{f:.4g}" for f in hz[:-1]) + f" and {hz[-1]:.4g}"
+        return (
+            f"the structure has modes at {listed} Hz that the model lacks: torsion, the other direction or local modes"
         )

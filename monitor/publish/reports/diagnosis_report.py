@@ -246,6 +246,12 @@ def _parameters(diagnosis: Diagnosis, content: Content, hz: Array) -> str:
                 value = interval(entry, 1.0, unit(name)) if name else ""
                 rows.append((c["effect"], c["location"], name, value, first))
                 first = ""
+            if "shape" in c:
+                components = ", ".join(
+                    f"{name} {part['value']:.2f}"
+                    for name, part in zip(diagnosis.posterior.context.channels, c["shape"], strict=True)
+                )
+                rows.append((c["effect"], c["location"], "shape", components, ""))
         if rows:
             out.append(f"<h2>{title}</h2>" + table(["effect", "place", "parameter", "value", "in words"], rows))
             out.append(_signatures(causes))
