@@ -13,7 +13,7 @@ from drivers.base import SampleBlock
 from monitor.config.configuration import Configuration
 from monitor.diagnosis.stepwise_selection import Diagnosis
 from monitor.inference.segments import gather
-from monitor.model.prior import StructuralPrior
+from monitor.model.prior import StructuralPrior, prior_from_drawing
 from monitor.runs import diagnose
 
 
@@ -29,6 +29,13 @@ def calibrate(drawing: str, blocks: Iterable[SampleBlock]) -> Baseline:
     """Learn the healthy structure."""
     config = Configuration.model_validate(tomllib.loads(drawing))
     return Baseline(config, diagnose.learn_healthy_prior(gather(blocks, config.front_end()), config))
+
+
+def uncalibrated(drawing: str) -> Baseline:
+    """The drawing alone, for a diagnosis without a baseline."""
+    config = Configuration.model_validate(tomllib.loads(drawing))
+    prior_std = config.instrumented().prior_std
+    return Baseline(config, prior_from_drawing(config.model(), prior_std, len(config.channels)))
 
 
 def answer(baseline: Baseline, blocks: Iterable[SampleBlock]) -> dict[str, Any]:
