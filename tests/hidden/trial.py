@@ -12,6 +12,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+from drivers.base import SampleBlock
 from tests.hidden import engine, judge, worlds
 from tests.hidden.building_trials import Tower
 from tests.hidden.truth import Truth
@@ -28,30 +29,37 @@ def calibrated(structure: Truth | Tower, seed: int) -> tuple[engine.Baseline, fl
     return baseline, time.perf_counter() - began
 
 
-def run(seed: int, name: str, size: float | None = None) -> dict[str, Any]:
-    """What came of trial `name` with this seed (and size), as plain data."""
-    world = worlds.of(name)
-    structure = world.structure(seed // TRIALS_A_TRUTH, name)
-    plan = world.draw(structure, name, seed, size)
-    if plan.kind == "uncalibrated":
+def _asked(structure: Truth | Tower, seed: int, kind: str, recording: list[SampleBlock]) -> dict[str, Any]:
+    """The engine's answer, with the seconds of calibration and diagnosis."""
+    if kind == "uncalibrated":
         baseline, calibration_s = engine.uncalibrated(structure.drawing()), 0.0
     else:
         baseline, calibration_s = calibrated(structure, seed // TRIALS_A_TRUTH)
     began = time.perf_counter()
-    recording, note = plan.recording(), plan.note
-    made = time.perf_counter()
+    answer = engine.answer(baseline, recording)
+    return {**answer, "seconds": {"calibrate": calibration_s, "diagnose": time.perf_counter() - began}}
+
+
+def run(seed: int, name: str, size: float | None = None) -> dict[str, Any]:
+    """What came of trial `name` with this seed (and size), as plain data."""
+    world = worlds.of(name)
+    structure = world.structure(seed // TRIALS_A_TRUTH, name)
+    began = time.perf_counter()
+    plan = world.draw(structure, name, seed, size)
+    recording, kind, note = plan.recording(), plan.kind, plan.note
+    seconds = {"calibrate": 0.0, "record": time.perf_counter() - began, "diagnose": 0.0}
     with tempfile.TemporaryDirectory() as folder:
         seal = Path(folder) / "sealed.json"
-        sealed = {"kind": plan.kind, "name": name, "hidden": [asdict(h) for h in plan.hidden], **plan.known}
-        seal.write_text(json.dumps(sealed))
-        del plan, sealed
+        hidden = [asdict(h) for h in plan.hidden]
+        seal.write_text(json.dumps({"kind": kind, "name": name, "hidden": hidden, **plan.known}))
+        del plan, hidden
         try:
-            answer = engine.answer(baseline, recording)
+            answer = _asked(structure, seed, kind, recording)
+            seconds |= answer.pop("seconds")
         except Exception as error:  # noqa: BLE001 - an outcome of its own; the next trials go on
             answer = {"verdict": "crashed", "causes": [], "alternatives": [], "error": traceback.format_exc(limit=-3)}
             print(repr(error), file=sys.stderr)
         sealed = json.loads(seal.read_text())
-    seconds = {"calibrate": calibration_s, "record": made - began, "diagnose": time.perf_counter() - made}
     return {
         "seed": seed,
         "standing": structure.summary() + (f"; {note}" if note else ""),
