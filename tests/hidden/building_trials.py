@@ -56,10 +56,18 @@ class Tower:
     """Of a channel's RMS."""
     own_noise: bool
     """Whether the noise is that share of each channel in each record, or stays that of the usual motion."""
+    band_set: bool
+    """Whether the structure file has the band that suits the structure: not where forces are to end within it."""
 
     def drawing(self) -> str:
-        """The structure file: a planar shear frame."""
-        return structure_file(self.drawn_masses, self.drawn_stories, self.building.heights, self.floors)
+        """The structure file: a planar shear frame, and the band that docs/choosing.md advises for a low first mode."""
+        b = self.building
+        text = structure_file(self.drawn_masses, self.drawn_stories, b.heights, self.floors)
+        hz = replace(b.planar(), masses=self.drawn_masses, stories=self.drawn_stories).hz()
+        if hz[0] >= 2.0 or not self.band_set:
+            return text
+        rate, cutoff = min(100, round(3.5 * hz[-1])), min(40.0, 1.4 * hz[-1])
+        return f"{text}\n[processing]\nrate_hz = {rate}\ncutoff_hz = {cutoff:.3g}\n"
 
     def summary(self) -> str:
         """What is particular about it."""
@@ -173,7 +181,7 @@ def draw_tower(seed: int, forces: str) -> Tower:
         b, ("laboratory" if laboratory else "building") + (", far" if far else ""), drawn_masses, drawn_stories,
         floors, levers[np.array(floors) - 1], float(rng.choice([100.0, 128.0, 200.0, 256.0, 512.0])), strength,
         draw_band(np.random.default_rng([seed, 204]), forces, b.planar().hz()), rng.uniform(0.02, 0.05),
-        bool(rng.random() < 0.5),
+        bool(rng.random() < 0.5), forces != "ends",
     )  # fmt: skip
 
 
