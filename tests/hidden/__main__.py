@@ -39,7 +39,9 @@ def _options() -> argparse.Namespace:
     )
     parser.add_argument("--clean", type=int, default=0, help="this many clean records more")
     parser.add_argument("--processes", type=int, choices=(1, 2), default=1)
-    parser.add_argument("--out", type=Path, help="append a JSON line a trial; trials that it has are not run again")
+    parser.add_argument(
+        "--out", type=Path, help="append a JSON line a trial; the trials that it holds are counted, and not run again"
+    )
     parser.add_argument(
         "--add", type=Path, nargs="*", default=[], help="count these files' trials too; N = 0 prints them"
     )

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import pytest
 
-from tests.hidden import judge, plans, tables, trial, worlds
+from tests.hidden import building_trials, judge, plans, tables, trial, worlds
+from tests.hidden.__main__ import main
 
 SEED = 4001 * trial.TRIALS_A_TRUTH
 """The sample shares one truth, so that one calibration does."""
@@ -134,6 +136,25 @@ def test_without_a_baseline_true_modes_alone_may_be_named() -> None:
     assert judge.outcome(truth, line) == "wrong"
     assert judge.false_causes(truth, line) == [("harmonic_excitation", "floor 1")]
     assert judge.outcome(truth, answer("none")) == "right"
+
+
+def test_a_campaign_is_resumed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[tuple[int, str]] = []
+
+    def run(seed: int, name: str) -> dict[str, Any]:
+        asked.append((seed, name))
+        seconds = {"calibrate": 0.0, "record": 0.0, "diagnose": 0.0}
+        rest = {"answer": answer("none"), "outcome": "right", "false": [], "sizes": [], "seconds": seconds}
+        return {"seed": seed, "standing": "", **sealed("clean"), "name": name, **rest}
+
+    monkeypatch.setattr(trial, "run", run)
+    for n in ("3", "5"):
+        monkeypatch.setattr(
+            "sys.argv", ["hidden", n, "--world", "building", "--seed", "9", "--out", str(tmp_path / "all.jsonl")]
+        )
+        main()
+    assert asked == worlds.rounds(5, 9, building_trials.NAMES)
+    assert len((tmp_path / "all.jsonl").read_text().splitlines()) == 5
 
 
 def test_sizes_are_judged_by_the_contract() -> None:
