@@ -9,6 +9,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from tests.hidden import building_trials as trials
+from tests.hidden import frame
 from tests.hidden.artefacts import ARTEFACTS
 from tests.hidden.building import TURN, Band, X, Y, forces, motion, point_answer, with_building, with_oscillator
 
@@ -82,6 +83,19 @@ def test_a_symmetrical_plan_seen_in_its_middle_sways_as_the_planar_frame() -> No
 
     assert off_planar(tower).max() < 0.005
     assert off_planar(_tower(eccentric=False, lever_m=0.1)).max() > 0.02
+
+
+def test_a_symmetrical_plan_moves_as_much_as_the_planar_frame() -> None:
+    tower = _tower(eccentric=False)
+    tower = replace(tower, building=replace(tower.building, rayleigh=True))
+    act, variance = tower.act(np.eye(3)[X]), 0.0
+    for j in np.flatnonzero(act.strength):
+        blow = np.zeros((1 << 14, act.strength.size))
+        blow[0, j] = act.strength[j]
+        variance = variance + (motion(act, blow) ** 2).sum(axis=0)
+    strength2 = act.strength[X::3] ** 2
+    planar = frame.motion(tower.building.planar(), strength2 / RATE_HZ, strength2)
+    assert np.sqrt(variance) == pytest.approx(planar.channel, rel=0.02)
 
 
 def test_torsion_is_seen_by_its_lever_arm() -> None:
