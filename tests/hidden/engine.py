@@ -24,6 +24,10 @@ class Baseline:
     config: Configuration
     reference: StructuralPrior
 
+    def persistent(self) -> list[str]:
+        """Effects that were there from the start, with their places."""
+        return [f"{effect.name} {effect.location}" for effect in self.reference.model.effects]
+
 
 def calibrate(drawing: str, blocks: Iterable[SampleBlock]) -> Baseline:
     """Learn the healthy structure."""
@@ -49,6 +53,7 @@ def answer(baseline: Baseline, blocks: Iterable[SampleBlock]) -> dict[str, Any]:
             {"effect": c.effect.name, "location": c.effect.location, "probability": float(p)} for c, p in d.alternatives
         ],
         "nats": (gain.after - gain.before) * segments.samples,
+        "persistent": baseline.persistent(),
         "left_over": [[m.where, round(float(m.size), 1)] for m in d.left_over[:3]],
     }
 
