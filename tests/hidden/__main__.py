@@ -1,4 +1,4 @@
-"""``python -m tests.hidden [N] [--seed S] [--effects a,b] [--clean N] [--out FILE] [--add FILE...]``"""
+"""``python -m tests.hidden [N] [--world planar|building] [--seed S] [--effects a,b] [--clean N] [--out FILE] [--add FILE...]``"""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import Any
 from threadpoolctl import threadpool_limits
 
 from tests.hidden import tables, trial
-from tests.hidden.plans import NAMES, rounds
+from tests.hidden.worlds import NAMES, WORLDS, rounds
 
 
 def _one(task: tuple[int, str]) -> dict[str, Any]:
@@ -31,19 +31,27 @@ def _results(tasks: list[tuple[int, str]], processes: int) -> Iterator[dict[str,
 
 def _options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="python -m tests.hidden", description="Hide effects and have them found.")
-    parser.add_argument("n", type=int, nargs="?", default=2 * len(NAMES), help="trials (default: two of every kind)")
+    parser.add_argument("n", type=int, nargs="?", help="trials (default: two rounds)")
+    parser.add_argument("--world", choices=WORLDS, default="planar", help="the simulator (default: planar)")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--effects", default="", help=f"only these, comma separated: {', '.join(dict.fromkeys(NAMES))}")
+    parser.add_argument(
+        "--effects", default="", help=f"only these, comma separated, of any world: {', '.join(dict.fromkeys(NAMES))}"
+    )
     parser.add_argument("--clean", type=int, default=0, help="this many clean records more")
     parser.add_argument("--processes", type=int, choices=(1, 2), default=1)
-    parser.add_argument("--out", type=Path, help="append a JSON line a trial")
+    parser.add_argument(
+        "--out", type=Path, help="append a JSON line a trial; the trials that it holds are counted, and not run again"
+    )
     parser.add_argument(
         "--add", type=Path, nargs="*", default=[], help="count these files' trials too; N = 0 prints them"
     )
     options = parser.parse_args()
-    unknown = set(filter(None, options.effects.split(","))) - set(NAMES)
-    if unknown:
-        parser.error(f"unknown: {', '.join(sorted(unknown))}")
+    only = set(filter(None, options.effects.split(",")))
+    if only - set(NAMES):
+        parser.error(f"unknown: {', '.join(sorted(only - set(NAMES)))}")
+    options.names = tuple(name for name in NAMES if name in only) or WORLDS[options.world].NAMES
+    if options.n is None:
+        options.n = 2 * len(options.names)
     return options
 
 
@@ -54,9 +62,12 @@ def _read(paths: Iterable[Path]) -> list[dict[str, Any]]:
 def main() -> None:
     """Run the trials, one line each, then the tables."""
     options = _options()
-    results = _read(options.add)
-    tasks = rounds(options.n, options.seed, tuple(filter(None, options.effects.split(","))))
-    tasks += rounds(options.clean, options.seed + 50_000, ("clean",))
+    own = options.out
+    results = _read(options.add) + _read([own] if own is not None and own.exists() and own not in options.add else [])
+    done = {(r["seed"], r["name"]) for r in results}
+    tasks = rounds(options.n, options.seed, options.names)
+    tasks += rounds(options.clean, options.seed + 50_000, ("clean" if options.world == "planar" else "clean3d",))
+    tasks = [task for task in tasks if task not in done]
     for result in _results(tasks, options.processes):
         results.append(result)
         print(tables.line(result), file=sys.stderr, flush=True)

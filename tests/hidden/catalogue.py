@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 
@@ -185,33 +186,36 @@ def base_excitation(s: Site) -> tuple[Hidden, Act]:
 
 
 def _channel(s: Site) -> int:
-    return int(s.rng.integers(3))
+    return int(s.rng.integers(s.act.gain.size))
+
+
+def _only(s: Site, j: int, value: float) -> np.ndarray:
+    return value * np.eye(s.act.gain.size)[j]
 
 
 def sensor_gain(s: Site) -> tuple[Hidden, Act]:
     j, gain = _channel(s), 1.0 + s.sign() * s.pick(0.02, 0.05, 0.1)
-    return Hidden("sensor_gain", f"channel {CHANNELS[j]}", {"gain": gain}), replace(
-        s.act, gain=np.where(np.arange(3) == j, gain, 1.0)
-    )
+    changed = s.act.gain + _only(s, j, gain - 1.0)
+    return Hidden("sensor_gain", f"channel a{j + 1}", {"gain": gain}), replace(s.act, gain=changed)
 
 
 def sensor_polarity(s: Site) -> tuple[Hidden, Act]:
     j = _channel(s)
-    return Hidden("sensor_polarity", f"channel {CHANNELS[j]}"), replace(s.act, gain=1.0 - 2.0 * np.eye(3)[j])
+    return Hidden("sensor_polarity", f"channel a{j + 1}"), replace(s.act, gain=s.act.gain - _only(s, j, 2.0))
 
 
 def channel_swap(s: Site) -> tuple[Hidden, Act]:
-    a, b = ((0, 1), (0, 2), (1, 2))[_channel(s)]
-    order = [0, 1, 2]
+    pairs = list(combinations(range(s.act.gain.size), 2))
+    a, b = pairs[int(s.rng.integers(len(pairs)))]
+    order = list(s.act.order)
     order[a], order[b] = b, a
-    return Hidden("channel_swap", f"channel {CHANNELS[a]},{CHANNELS[b]}"), replace(s.act, order=tuple(order))
+    return Hidden("channel_swap", f"channel a{a + 1},a{b + 1}"), replace(s.act, order=tuple(order))
 
 
 def time_offset(s: Site) -> tuple[Hidden, Act]:
     j, seconds = _channel(s), s.sign() * s.between(5e-4, 5e-3)
-    return Hidden("time_offset", f"channel {CHANNELS[j]}", {"seconds": seconds}), replace(
-        s.act, delay_s=seconds * np.eye(3)[j]
-    )
+    hidden = Hidden("time_offset", f"channel a{j + 1}", {"seconds": seconds})
+    return hidden, replace(s.act, delay_s=_only(s, j, seconds))
 
 
 def clock_rate(s: Site) -> tuple[Hidden, Act]:

@@ -13,7 +13,7 @@ from drivers.base import SampleBlock
 from monitor.config.configuration import Configuration
 from monitor.diagnosis.stepwise_selection import Diagnosis
 from monitor.inference.segments import gather
-from monitor.model.prior import StructuralPrior
+from monitor.model.prior import StructuralPrior, prior_from_drawing
 from monitor.runs import diagnose
 
 
@@ -24,11 +24,22 @@ class Baseline:
     config: Configuration
     reference: StructuralPrior
 
+    def persistent(self) -> list[str]:
+        """Effects that were there from the start, with their places."""
+        return [f"{effect.name} {effect.location}" for effect in self.reference.model.effects]
+
 
 def calibrate(drawing: str, blocks: Iterable[SampleBlock]) -> Baseline:
     """Learn the healthy structure."""
     config = Configuration.model_validate(tomllib.loads(drawing))
     return Baseline(config, diagnose.learn_healthy_prior(gather(blocks, config.front_end()), config))
+
+
+def uncalibrated(drawing: str) -> Baseline:
+    """The drawing alone, for a diagnosis without a baseline."""
+    config = Configuration.model_validate(tomllib.loads(drawing))
+    prior_std = config.instrumented().prior_std
+    return Baseline(config, prior_from_drawing(config.model(), prior_std, len(config.channels)))
 
 
 def answer(baseline: Baseline, blocks: Iterable[SampleBlock]) -> dict[str, Any]:
@@ -42,6 +53,7 @@ def answer(baseline: Baseline, blocks: Iterable[SampleBlock]) -> dict[str, Any]:
             {"effect": c.effect.name, "location": c.effect.location, "probability": float(p)} for c, p in d.alternatives
         ],
         "nats": (gain.after - gain.before) * segments.samples,
+        "persistent": baseline.persistent(),
         "left_over": [[m.where, round(float(m.size), 1)] for m in d.left_over[:3]],
     }
 

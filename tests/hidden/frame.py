@@ -76,6 +76,18 @@ def drifts(n: int) -> np.ndarray:
     return np.eye(n) - np.eye(n, k=1)
 
 
+def hung(
+    matrices: tuple[np.ndarray, np.ndarray, np.ndarray], dof: int, mass: float, stiffness: float, damping: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """M, C, K with a mass on a spring and a damper, hung on a degree of freedom."""
+    m, c, k = (np.pad(a, (0, 1)) for a in matrices)
+    link = np.zeros(len(m))
+    link[dof], link[-1] = -1.0, 1.0
+    m[-1, -1] = mass
+    bar = np.outer(link, link)
+    return m, c + damping * bar, k + stiffness * bar
+
+
 @dataclass(frozen=True, eq=False)
 class Motion:
     """RMS of a healthy frame's stationary response, level 1."""

@@ -5,8 +5,14 @@ from __future__ import annotations
 from typing import Any
 
 UNIFORM = frozenset({("stiffness_change", "frame"), ("added_mass", "frame"), ("clock_rate", "frame")})
-BASE = frozenset({("stiffness_change", "story 3"), ("base_flexibility", "base")})
 NONLINEAR = frozenset({"cubic_stiffness", "gap_contact", "bilinear_stiffness", "coulomb_friction", "quadratic_damping"})
+STRUCTURAL = NONLINEAR | {
+    "stiffness_change", "added_mass", "temperature_stiffness", "story_damper", "base_flexibility", "joint_flexibility",
+    "gravity_softening", "attached_oscillator", "unmodelled_mode",
+}  # fmt: skip
+"""What is said of the structure; the others are said of forces and sensors."""
+_NEAR = 0.02
+"""Of the frequency of a true mode."""
 _ABSENT = {("sensor_gain", "gain"): 1.0}
 _LEAST = {"lag_s": 600.0}
 """Sizes below which an error counts relative to this."""
@@ -19,12 +25,14 @@ def key(item: dict[str, Any]) -> Key:
     return item["effect"], item["location"]
 
 
-def tie(hidden: dict[str, Any], *, weather_unseen: bool) -> frozenset[Key]:
+def tie(sealed: dict[str, Any], hidden: dict[str, Any]) -> frozenset[Key]:
     """Answers that no data can tell from this one; empty where it must be named."""
+    weather_unseen = sealed["name"] == "warm_day"
     if key(hidden) in UNIFORM or (weather_unseen and hidden["effect"] == "temperature_stiffness"):
         return UNIFORM
+    base = frozenset({("stiffness_change", sealed.get("lowest", "story 3")), ("base_flexibility", "base")})
     loss = hidden["parameters"].get("relative", -1.0) < 0.0
-    return BASE if key(hidden) in BASE and loss else frozenset()
+    return base if key(hidden) in base and loss else frozenset()
 
 
 def outcome(sealed: dict[str, Any], answer: dict[str, Any]) -> str:
@@ -33,8 +41,13 @@ def outcome(sealed: dict[str, Any], answer: dict[str, Any]) -> str:
     ``among``: the truth is one of alternatives that the data could tell apart; ``certain``: a tie was named; ``part``: one of
     two; ``extra``: the truth and something more; ``place``: right effect, wrong place; ``wrong``: something else is
     named or listed; ``missed``: none; ``unexplained``; ``crashed``; ``close``: outside the catalogue, but the neighbour is named.
+    Beside an artefact only what is said of the structure counts.  Without a baseline a mode that the structure file lacks may be
+    named, and nothing else.
     """
-    verdict, kind = answer["verdict"], sealed["kind"]
+    kind = sealed["kind"]
+    if kind == "artefact":
+        answer, kind = _of_structure(answer), "single" if sealed["hidden"] else "clean"
+    verdict = answer["verdict"]
     found = [key(c) for c in answer["causes"]]
     offered = {key(a) for a in answer["alternatives"]}
     truth = [key(h) for h in sealed["hidden"]]
@@ -42,6 +55,8 @@ def outcome(sealed: dict[str, Any], answer: dict[str, Any]) -> str:
         return verdict
     if kind == "clean":
         return {"none": "right", "named": "wrong"}.get(verdict, verdict)
+    if kind == "uncalibrated":
+        return "wrong" if false_causes(sealed, answer) else "unexplained" if verdict == "unexplained" else "right"
     if kind == "outside":
         if verdict in ("named", "ambiguous") and set(found) | offered <= set(truth):
             return "close"
@@ -50,7 +65,7 @@ def outcome(sealed: dict[str, Any], answer: dict[str, Any]) -> str:
         return "missed"
     if verdict == "unexplained":
         return "unexplained"
-    ties = tie(sealed["hidden"][0], weather_unseen=sealed["name"] == "warm_day") if kind == "single" else frozenset()
+    ties = tie(sealed, sealed["hidden"][0]) if kind == "single" else frozenset()
     if verdict == "ambiguous":
         return _ambiguous(truth, found, offered, ties)
     if ties:
@@ -75,11 +90,33 @@ def _ambiguous(truth: list[Key], found: list[Key], offered: set[Key], ties: froz
     return "wrong"
 
 
+def _of_structure(answer: dict[str, Any]) -> dict[str, Any]:
+    """The part of an answer that is said of the structure."""
+    causes, alternatives = ([x for x in answer[k] if x["effect"] in STRUCTURAL] for k in ("causes", "alternatives"))
+    verdict = "ambiguous" if alternatives else "named" if causes else "none"
+    verdict = "crashed" if answer["verdict"] == "crashed" else verdict
+    return {**answer, "verdict": verdict, "causes": causes, "alternatives": alternatives}
+
+
+def _is_true_mode(sealed: dict[str, Any], cause: dict[str, Any]) -> bool:
+    """Whether this is a mode of the structure that its file lacks; alternatives state no frequency."""
+    if key(cause) != ("unmodelled_mode", "frame"):
+        return False
+    if "parameters" not in cause:
+        return bool(sealed["modes_hz"])
+    hz = cause["parameters"]["frequency_hz"]["value"]
+    return any(abs(hz / true - 1.0) <= _NEAR for true in sealed["modes_hz"])
+
+
 def false_causes(sealed: dict[str, Any], answer: dict[str, Any]) -> list[Key]:
-    """Causes that are stated and are not so (nor their ties)."""
+    """Causes that are stated and are not so (nor their ties); without a baseline those that are listed, too."""
+    if sealed["kind"] == "uncalibrated":
+        return [key(c) for c in answer["causes"] + answer["alternatives"] if not _is_true_mode(sealed, c)]
+    if sealed["kind"] == "artefact":
+        answer = _of_structure(answer)
     allowed = {key(h) for h in sealed["hidden"]}
     for h in sealed["hidden"]:
-        allowed |= tie(h, weather_unseen=sealed["name"] == "warm_day")
+        allowed |= tie(sealed, h)
     return [key(c) for c in answer["causes"] if key(c) not in allowed]
 
 

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
+from drivers.base import SampleBlock
 from tests.hidden import world
 from tests.hidden.catalogue import CATALOGUE, stiffness_change
 from tests.hidden.frame import drifts
-from tests.hidden.truth import CHANNELS, Hidden, Site, Truth, healthy
+from tests.hidden.truth import CHANNELS, RECORD_S, Hidden, Site, Truth, draw_truth, healthy
 from tests.hidden.world import Act
 
-RECORD_S = 1200.0
 TEMPERATURE_S = 7200.0
 FIRST = ("stiffness_change", "added_mass", "story_damper", "cubic_stiffness", "coulomb_friction")
 SECOND = (
@@ -27,10 +28,13 @@ class Plan:
     """One trial: what is hidden and how the recording is made."""
 
     kind: str
-    """``single``, ``pair``, ``clean`` or ``outside``."""
+    """``single``, ``pair``, ``clean``, ``outside``, ``uncalibrated`` or ``artefact``."""
     hidden: tuple[Hidden, ...]
-    act: Act
-    duration_s: float
+    recording: Callable[[], list[SampleBlock]]
+    known: dict[str, Any] = field(default_factory=dict)
+    """What the judge knows besides: ``lowest``, the lowest story; ``modes_hz``, true modes that the structure file lacks."""
+    note: str = ""
+    """What else is particular about this recording."""
 
 
 Outside = Callable[[Site], tuple[tuple[Hidden, ...], Act]]
@@ -92,6 +96,11 @@ NAMES = (*CATALOGUE, *OUTSIDE, *("pair",) * 5, *("clean",) * 4)
 """One round of trials."""
 
 
+def structure(seed: int, name: str) -> Truth:
+    """The frame of a seed, alike for every name."""
+    return draw_truth(seed)
+
+
 def draw(truth: Truth, name: str, seed: int, size: float | None = None) -> Plan:
     """The trial `name`; place, sign and size (its first one, unless it is given) from the seed."""
     duration_s = TEMPERATURE_S if name == "temperature" else RECORD_S
@@ -99,28 +108,22 @@ def draw(truth: Truth, name: str, seed: int, size: float | None = None) -> Plan:
     site = Site(
         truth, motion, act, np.random.default_rng([seed, 103]), duration_s, iter(() if size is None else (size,))
     )
+    kind, hidden, act = _drawn(site, name)
+    return Plan(kind, hidden, lambda: world.blocks(world.record(act, duration_s, seed), act.degc))
+
+
+def _drawn(site: Site, name: str) -> tuple[str, tuple[Hidden, ...], Act]:
     if name == "clean":
-        return Plan("clean", (), act, duration_s)
+        return "clean", (), site.act
     if name in OUTSIDE:
-        close, act = OUTSIDE[name](site)
-        return Plan("outside", close, act, duration_s)
+        return "outside", *OUTSIDE[name](site)
     if name != "pair":
         hidden, act = CATALOGUE[name](site)
-        return Plan("single", (hidden,), act, duration_s)
+        return "single", (hidden,), act
     first, second = str(site.rng.choice(FIRST)), str(site.rng.choice(SECOND))
     if first == "stiffness_change":  # of the lowest story is a base's tie
         one, act = stiffness_change(site, int(site.rng.integers(2)))
     else:
         one, act = CATALOGUE[first](site)
     other, act = CATALOGUE[second](replace(site, act=act))
-    return Plan("pair", (one, other), act, duration_s)
-
-
-def rounds(n: int, seed: int, only: tuple[str, ...] = ()) -> list[tuple[int, str]]:
-    """Seeds and names of `n` trials, every name as often as the others, in an order that the seed shuffles."""
-    names = [x for x in NAMES if not only or x in only]
-    out: list[tuple[int, str]] = []
-    while len(out) < n:
-        turn = np.random.default_rng([seed, len(out)]).permutation(len(names))
-        out += [(seed * 100_000 + len(out) + i, names[k]) for i, k in enumerate(turn)]
-    return out[:n]
+    return "pair", (one, other), act

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from tests.hidden.judge import key
-from tests.hidden.plans import NAMES
+from tests.hidden.worlds import NAMES
 
 OUTCOMES = (
     "right", "among", "extra", "part", "close", "place", "certain", "wrong", "missed", "unexplained", "ambiguous", "crashed",
@@ -26,7 +26,7 @@ def line(result: dict[str, Any]) -> str:
     return (
         f"{result['seed']} {result['outcome']:11s} {result['name']} [{hidden}] standing {result['standing']}"
         f" -> {answer['verdict']} [{found}]{' of ' + offered if offered else ''}"
-        f" ({seconds['record']} + {seconds['diagnose']} s)"
+        f" ({seconds['calibrate']} + {seconds['record']} + {seconds['diagnose']} s)"
     )
 
 
@@ -100,14 +100,14 @@ def _sizes(results: Sequence[dict[str, Any]]) -> str:
 
 def _summary(results: Sequence[dict[str, Any]]) -> str:
     rows = []
-    for kind in ("single", "pair", "outside", "clean"):
+    for kind in ("single", "pair", "outside", "clean", "uncalibrated", "artefact"):
         of = [r for r in results if r["kind"] == kind]
         if of:
             right = sum(r["outcome"] == "right" for r in of)
             false = sum(bool(r["false"]) and r["answer"]["verdict"] == "named" for r in of)
             listed = sum(bool(r["false"]) for r in of)
             rows.append(
-                f"{kind:8s} {len(of):4d} trials, right {right} ({right / len(of):.1%}), falsely named {false}"
+                f"{kind:12s} {len(of):4d} trials, right {right} ({right / len(of):.1%}), falsely named {false}"
                 f" ({false / len(of):.1%}), a false cause stated under any verdict {listed}"
             )
     sizes = [s for r in results for s in r["sizes"]]

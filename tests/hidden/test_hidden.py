@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import pytest
 
-from tests.hidden import judge, plans, tables, trial
+from tests.hidden import building_trials, judge, plans, tables, trial, worlds
+from tests.hidden.__main__ import main
 
 SEED = 4001 * trial.TRIALS_A_TRUTH
 """The sample shares one truth, so that one calibration does."""
@@ -39,7 +41,7 @@ def test_what_is_hidden_is_found() -> None:
 
 @pytest.mark.slow
 def test_the_whole() -> None:
-    results = [trial.run(seed, name) for seed, name in plans.rounds(3 * len(plans.NAMES), 7)]
+    results = [trial.run(seed, name) for seed, name in worlds.rounds(3 * len(plans.NAMES), 7, plans.NAMES)]
     print(tables.report(results))
     single = [r for r in results if r["kind"] == "single"]
     named = [r for r in results if r["answer"]["verdict"] == "named"]
@@ -54,7 +56,8 @@ def answer(verdict: str, *causes: tuple[str, str], among: tuple[tuple[str, str],
     def item(effect: str, location: str) -> dict[str, Any]:
         return {"effect": effect, "location": location, "parameters": {}, "probability": 0.5}
 
-    return {"verdict": verdict, "causes": [item(*c) for c in causes], "alternatives": [item(*a) for a in among]}
+    alternatives = [{k: v for k, v in item(*a).items() if k != "parameters"} for a in among]
+    return {"verdict": verdict, "causes": [item(*c) for c in causes], "alternatives": alternatives}
 
 
 def sealed(kind: str, *hidden: tuple[str, str]) -> dict[str, Any]:
@@ -90,6 +93,68 @@ LOSS_1, LOSS_2 = ("stiffness_change", "story 1"), ("stiffness_change", "story 2"
 )
 def test_the_judge(truth: dict[str, Any], said: dict[str, Any], outcome: str) -> None:
     assert judge.outcome(truth, said) == outcome
+
+
+NOISE, LOSS_5 = ("sensor_noise", "channel a1"), ("stiffness_change", "story 5")
+
+
+@pytest.mark.parametrize(
+    ("truth", "said", "outcome"),
+    [
+        (sealed("artefact"), answer("named", NOISE), "right"),
+        (sealed("artefact"), answer("unexplained"), "right"),
+        (sealed("artefact"), answer("unexplained", LOSS_1), "wrong"),
+        (sealed("artefact"), answer("ambiguous", among=(LOSS_1, NOISE)), "ambiguous"),
+        (sealed("artefact", LOSS_1), answer("unexplained", LOSS_1, NOISE), "right"),
+        (sealed("artefact", LOSS_1), answer("named", NOISE), "missed"),
+        (sealed("artefact", LOSS_1), answer("ambiguous", among=(LOSS_1, NOISE)), "among"),
+        (
+            {**sealed("artefact", LOSS_5), "lowest": "story 5"},
+            answer("ambiguous", NOISE, among=(LOSS_5, BASE)),
+            "right",
+        ),
+        ({**sealed("single", LOSS), "lowest": "story 5"}, answer("named", LOSS), "right"),
+    ],
+)
+def test_the_judge_hears_of_the_structure_alone_beside_an_artefact(
+    truth: dict[str, Any], said: dict[str, Any], outcome: str
+) -> None:
+    assert judge.outcome(truth, said) == outcome
+
+
+def test_without_a_baseline_true_modes_alone_may_be_named() -> None:
+    truth = {**sealed("uncalibrated"), "modes_hz": [3.0, 7.0]}
+    mode = ("unmodelled_mode", "frame")
+    said = answer("named", mode)
+
+    def judged(hz: float) -> str:
+        said["causes"][0]["parameters"] = {"frequency_hz": {"value": hz, "std": 0.01}}
+        return judge.outcome(truth, said)
+
+    assert (judged(3.05), judged(6.9), judged(3.2)) == ("right", "right", "wrong")
+    line = answer("ambiguous", among=(("harmonic_excitation", "floor 1"),))
+    assert judge.outcome(truth, line) == "wrong"
+    assert judge.false_causes(truth, line) == [("harmonic_excitation", "floor 1")]
+    assert judge.outcome(truth, answer("none")) == "right"
+
+
+def test_a_campaign_is_resumed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[tuple[int, str]] = []
+
+    def run(seed: int, name: str) -> dict[str, Any]:
+        asked.append((seed, name))
+        seconds = {"calibrate": 0.0, "record": 0.0, "diagnose": 0.0}
+        rest = {"answer": answer("none"), "outcome": "right", "false": [], "sizes": [], "seconds": seconds}
+        return {"seed": seed, "standing": "", **sealed("clean"), "name": name, **rest}
+
+    monkeypatch.setattr(trial, "run", run)
+    for n in ("3", "5"):
+        monkeypatch.setattr(
+            "sys.argv", ["hidden", n, "--world", "building", "--seed", "9", "--out", str(tmp_path / "all.jsonl")]
+        )
+        main()
+    assert asked == worlds.rounds(5, 9, building_trials.NAMES)
+    assert len((tmp_path / "all.jsonl").read_text().splitlines()) == 5
 
 
 def test_sizes_are_judged_by_the_contract() -> None:

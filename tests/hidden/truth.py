@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 
 import numpy as np
 
+from drivers.base import SampleBlock
 from tests.hidden import world
 from tests.hidden.frame import Frame, Motion, motion
 from tests.hidden.world import Act
@@ -33,14 +35,25 @@ class Truth:
 
     def drawing(self) -> str:
         """The structure file."""
-        lists = {
-            "masses_kg": self.drawn_masses,
-            "stiffness_n_per_m": self.drawn_stories,
-            "story_heights_m": self.frame.heights,
-        }
-        rows = "\n".join(f"{k} = [{', '.join(f'{x:.6g}' for x in v)}]" for k, v in lists.items())
-        sensors = "\n".join(f'[[sensors]]\nchannel = "{c}"\nfloor = {j + 1}' for j, c in enumerate(CHANNELS))
-        return f'[structure]\nkind = "shear_frame"\ndamping_ratio = 0.01\n{rows}\n\n{sensors}\n'
+        return structure_file(self.drawn_masses, self.drawn_stories, self.frame.heights, (1, 2, 3))
+
+    def healthy_recording(self, seed: int) -> list[SampleBlock]:
+        """20 healthy minutes with a thermometer."""
+        t = np.arange(RECORD_S)
+        degc = 20.0 + 0.3 * np.sin(2.0 * np.pi * t / 700.0)
+        return world.blocks(world.record(healthy(self, seed)[0], RECORD_S, seed), degc)
+
+    def summary(self) -> str:
+        """What is particular about it."""
+        return f"{self.standing}, damping {self.damping}, noise {self.noise}, wind {self.wind}"
+
+
+def structure_file(masses: np.ndarray, stories: np.ndarray, heights: np.ndarray, floors: Sequence[int]) -> str:
+    """A shear frame as drawn, with channels a1, a2, .. on `floors`."""
+    lists = {"masses_kg": masses, "stiffness_n_per_m": stories, "story_heights_m": heights}
+    rows = "\n".join(f"{k} = [{', '.join(f'{x:.6g}' for x in v)}]" for k, v in lists.items())
+    sensors = "\n".join(f'[[sensors]]\nchannel = "a{j + 1}"\nfloor = {floor}' for j, floor in enumerate(floors))
+    return f'[structure]\nkind = "shear_frame"\ndamping_ratio = 0.01\n{rows}\n\n{sensors}\n'
 
 
 @dataclass(frozen=True)
@@ -52,12 +65,18 @@ class Hidden:
     parameters: dict[str, float] = field(default_factory=dict)
 
 
+def log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
+    """A number between two."""
+    return float(np.exp(rng.uniform(np.log(low), np.log(high))))
+
+
 @dataclass(frozen=True, eq=False)
 class Site:
     """Everything a size may refer to: the truth and its healthy motion under this record's forces."""
 
     truth: Truth
-    motion: Motion
+    motion: Motion | None
+    """None for a building, whose forces are not white."""
     act: Act
     rng: np.random.Generator
     duration_s: float
@@ -88,10 +107,11 @@ class Site:
 
     def between(self, low: float, high: float) -> float:
         """Log-uniform."""
-        drawn = float(np.exp(self.rng.uniform(np.log(low), np.log(high))))
+        drawn = log_uniform(self.rng, low, high)
         return next(self.sizes, drawn)
 
 
+@lru_cache(maxsize=1)
 def draw_truth(seed: int) -> Truth:
     """A frame near the paper's; a quarter have flexible joints, a quarter a mass that the drawing misses.
 

@@ -7,7 +7,7 @@ Runge-Kutta at 4096 Hz with every law exact, forces white there and straight bet
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit
@@ -15,7 +15,8 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.signal import firwin, lfilter, upfirdn
 
 from drivers.base import ACCELERATION, TEMPERATURE, SampleBlock
-from tests.hidden.frame import Frame
+from tests.hidden.frame import Frame, hung
+from tests.hidden.sensors import Sensors, sensed
 
 RATE_HZ = 1024.0
 KNOT_HZ = 4096.0
@@ -31,7 +32,7 @@ CUBIC, CONTACT, FRICTION, DRAG = range(4)
 
 
 @dataclass(frozen=True, eq=False)
-class Act:
+class Act(Sensors):
     """What is at work in one recording beside the frame: matrices, laws, forces, sensors."""
 
     mass: np.ndarray
@@ -56,19 +57,8 @@ class Act:
     impacts: tuple[int, float, float] | None = None
     """(floor, N s, mean s between them)"""
     clock: float = 0.0
-    noise: np.ndarray = field(default_factory=lambda: np.zeros(3))
-    """RMS of each channel's own noise."""
-    noise_share: float = 0.0
-    """Of a channel's RMS, noise besides."""
     apart: bool = False
     """Whether every force, and the ground, has a level that wanders by itself."""
-    delay_s: np.ndarray = field(default_factory=lambda: np.zeros(3))
-    gain: np.ndarray = field(default_factory=lambda: np.ones(3))
-    gain_swing: np.ndarray = field(default_factory=lambda: np.zeros(3))
-    order: tuple[int, ...] = (0, 1, 2)
-    limit: np.ndarray = field(default_factory=lambda: np.full(3, np.inf))
-    dropouts: np.ndarray = field(default_factory=lambda: np.zeros(3))
-    """Mean number a minute."""
     degc: np.ndarray | None = None
     """Measured temperature, one value a second."""
 
@@ -78,32 +68,19 @@ def healthy(frame: Frame, strength: np.ndarray, noise: float) -> Act:
     return Act(*frame.modal(), strength=strength, noise=np.full(3, noise))
 
 
-def _noise(act: Act, clean: np.ndarray) -> np.ndarray:
-    return np.hypot(act.noise, act.noise_share * clean.std(axis=0))
-
-
 def record(act: Act, duration_s: float, seed: int) -> np.ndarray:
     """Samples of the channels at 1024 Hz, shape (n_samples, 3), m/s^2."""
     force_rng, noise_rng, other_rng = (np.random.default_rng([seed, i]) for i in range(3))
     clean = np.concatenate(list(_floors(act, duration_s, force_rng, other_rng)))
-    for j in np.flatnonzero(act.delay_s):
-        clean[:, j] = _delayed(clean[:, j], act.delay_s[j])
-    swing = np.sin(2.0 * np.pi * np.arange(len(clean))[:, None] / RATE_HZ / 240.0) * act.gain_swing
-    samples = (clean + _noise(act, clean) * noise_rng.standard_normal(clean.shape)) * act.gain * (1.0 + swing)
-    samples = np.clip(samples[:, act.order], -act.limit, act.limit)
-    for j in np.flatnonzero(act.dropouts):
-        for _ in range(noise_rng.poisson(act.dropouts[j] * duration_s / 60.0)):
-            at = noise_rng.integers(len(samples))
-            samples[at : at + round(RATE_HZ * noise_rng.uniform(0.1, 1.0)), j] = 0.0
-    return samples.astype(np.float32)
+    return sensed(act, clean, RATE_HZ, noise_rng).astype(np.float32)
 
 
-def blocks(samples: np.ndarray, degc: np.ndarray | None = None) -> list[SampleBlock]:
-    """A recording as a driver hands it over, 8 s a block."""
-    size, out = 8 * round(RATE_HZ), []
+def blocks(samples: np.ndarray, degc: np.ndarray | None = None, rate_hz: float = RATE_HZ) -> list[SampleBlock]:
+    """A recording of channels a1, a2, .. as a driver hands it over, 8 s a block."""
+    size, channels, out = 8 * round(rate_hz), tuple(f"a{j + 1}" for j in range(samples.shape[1])), []
     for at in range(0, len(samples), size):
-        t_ns, part = T0_NS + round(at / RATE_HZ * 1e9), samples[at : at + size]
-        out.append(SampleBlock(ACCELERATION, t_ns, at, RATE_HZ, ("a1", "a2", "a3"), "m/s^2", part))
+        t_ns, part = T0_NS + round(at / rate_hz * 1e9), samples[at : at + size]
+        out.append(SampleBlock(ACCELERATION, t_ns, at, rate_hz, channels, "m/s^2", part))
     if degc is not None:
         out.append(SampleBlock(TEMPERATURE, T0_NS, 0, 1.0, ("t1",), "degC", degc[:, None].astype(np.float32)))
     return out
@@ -190,23 +167,12 @@ def _blows(act: Act, duration_s: float, rng: np.random.Generator) -> np.ndarray 
     return out
 
 
-def _delayed(x: np.ndarray, seconds: float) -> np.ndarray:
-    """`x` later by a fraction of a sample and more, as a band-limited signal."""
-    spectrum = np.fft.rfft(x)
-    return np.fft.irfft(spectrum * np.exp(-2j * np.pi * np.fft.rfftfreq(x.size, 1.0 / RATE_HZ) * seconds), x.size)
-
-
 def with_dof(act: Act, floor: int, mass: float, stiffness: float, damping: float) -> Act:
     """A mass on a spring and a damper, hung on a floor."""
-    size = act.mass.shape[0]
-    link = np.zeros(size + 1)
-    link[floor], link[size] = -1.0, 1.0
-    m, c, k = (np.pad(a, (0, 1)) for a in (act.mass, act.damping, act.stiffness))
-    m[size, size] = mass
+    m, c, k = hung((act.mass, act.damping, act.stiffness), floor, mass, stiffness, damping)
     laws = tuple((kind, np.pad(direction, (0, 1)), a, b) for kind, direction, a, b in act.laws)
     moving = None if act.moving is None else np.pad(act.moving, (0, 1))
-    bar = np.outer(link, link)
-    return replace(act, mass=m, damping=c + damping * bar, stiffness=k + stiffness * bar, laws=laws, moving=moving)
+    return replace(act, mass=m, damping=c, stiffness=k, laws=laws, moving=moving)
 
 
 @njit(cache=True)
