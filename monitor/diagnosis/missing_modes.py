@@ -4,12 +4,17 @@ from __future__ import annotations
 
 from functools import partial
 
-from monitor.core import parallel_map
+import numpy as np
+
+from monitor.core import Array, parallel_map
 from monitor.diagnosis.parameter_uncertainty import is_significant
 from monitor.diagnosis.score_test import Candidate, best_first, find_excess_peaks, fit_candidate, with_tone_evidence
 from monitor.diagnosis.settings import DiagnosisSettings
 from monitor.inference import MapEstimate, Posterior
-from monitor.model import EFFECTS, Effect, Peak, locations
+from monitor.model import EFFECTS, Effect, ExtraMode, Peak, locations
+
+_SAME_SHAPE = 0.95
+"""Modal assurance criterion from which two shapes agree. [1; as between orders of the identification]"""
 
 
 def effects_at_peak(posterior: Posterior, peak: Peak) -> list[Effect]:
@@ -56,7 +61,44 @@ def find_missing_mode(
     best = found[0]
     is_alone = len(found) == 1 or found[1].log_evidence < best.log_evidence - settings.rival
     std = best.fit.covariance.diagonal()[posterior.layout.effects][-len(best.effect.parameters) :] ** 0.5
-    plausible = best.effect.is_plausible(posterior.observed.band.hz) and is_significant(best.effect, std)
+    plausible = (
+        best.effect.is_plausible(posterior.observed.band.hz)
+        and is_significant(best.effect, std)
+        and is_distinct(posterior, best.fit)
+    )
     if best.effect.repeatable and plausible and is_alone and best.log_evidence > threshold:
         return found
     return []
+
+
+def is_distinct(posterior: Posterior, fit: MapEstimate) -> bool:
+    """Decide if the modes that the last effect adds can be told from the other modes.
+
+    Two modes whose half-power bands overlap and whose shapes on the channels agree are one peak, whose form the forces' spectrum
+    may distort.
+    """
+    context, prior = posterior.context_at(fit.x), posterior.prior
+    *others, last = (*prior.effects(fit.x), *fit.effects)
+    own = last.extra_modes(context)
+    if not own:
+        return True
+    model = posterior.model(fit.x, others)
+    ratios, modes = np.exp(fit.x[posterior.layout.damping]), model.modes()
+    n = ratios.size
+    known = [
+        ExtraMode(f, r, context.sensors @ shape)
+        for f, r, shape in zip(modes.frequencies_hz[:n].tolist(), ratios.tolist(), modes.shapes[:n, :n].T, strict=True)
+    ]
+    known += [mode for effect in others for mode in effect.extra_modes(context)]
+    return not any(_overlap(a, b) and mac(a.shape, b.shape) > _SAME_SHAPE for a in own for b in known)
+
+
+def _overlap(a: ExtraMode, b: ExtraMode) -> bool:
+    """Decide if the half-power bands of two modes overlap."""
+    half_widths = a.damping_ratio * a.frequency_hz + b.damping_ratio * b.frequency_hz
+    return abs(a.frequency_hz - b.frequency_hz) < half_widths
+
+
+def mac(one: Array, other: Array) -> float:
+    """Compute the modal assurance criterion of two real shapes, shape (c,) each."""
+    return float((one @ other) ** 2 / ((one @ one) * (other @ other)))

@@ -10,6 +10,7 @@ from scipy.optimize import least_squares
 
 from monitor.core import Array, ComplexArray, LagSums, Skipped, Window, parallel_map
 from monitor.diagnosis.initial_fit import FAR, first_guess
+from monitor.diagnosis.missing_modes import mac
 from monitor.diagnosis.score_test import parameter_cost
 from monitor.identification import SelectionSettings, SsiSettings, identify
 from monitor.inference import MapEstimate, ObservedSpectra, Posterior, maximize_posterior
@@ -171,15 +172,10 @@ def _assignment_costs(posterior: Posterior, modes: tuple[IdentifiedMode, ...]) -
     out = np.full((n, len(modes)), np.inf)
     for j in range(n):
         for i, mode in enumerate(modes):
-            ratio, mac = np.log(mode.frequency_hz / drawn.frequencies_hz[j]), _mac(mode.shape, shapes[j])
-            if abs(ratio) < _MAX_LOG_RATIO and mac > _MIN_MAC:
-                out[j, i] = 0.5 * (ratio / ln_std) ** 2 + _MISSING_COST * (1.0 - mac)
+            ratio, alike = np.log(mode.frequency_hz / drawn.frequencies_hz[j]), mac(mode.shape, shapes[j])
+            if abs(ratio) < _MAX_LOG_RATIO and alike > _MIN_MAC:
+                out[j, i] = 0.5 * (ratio / ln_std) ** 2 + _MISSING_COST * (1.0 - alike)
     return out
-
-
-def _mac(one: Array, other: Array) -> float:
-    """Compute the modal assurance criterion of two real shapes, shape (c,) each."""
-    return float((one @ other) ** 2 / ((one @ one) * (other @ other)))
 
 
 def _best_assignments(costs: Array) -> list[tuple[int | None, ...]]:

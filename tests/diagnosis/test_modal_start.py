@@ -1,0 +1,123 @@
+"""A first fit from the recording's own modes: drawings that are far off, and modes that no model in a plane has."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from drivers.base import ACCELERATION
+from monitor.diagnosis.initial_fit import fit_linearized
+from monitor.diagnosis.lack_of_fit import find_lack_of_fit
+from monitor.diagnosis.modal_start import find_modal_starts, fit_from_modes, identify_modes
+from monitor.diagnosis.settings import DiagnosisSettings
+from monitor.diagnosis.stepwise_selection import Diagnosis, diagnose
+from monitor.inference import Posterior, tone_log_odds
+from monitor.inference.observed_spectra import ObservedSpectra, classify
+from monitor.inference.segments import gather
+from monitor.inference.starting_point import make_posterior
+from monitor.model.effects import Effect, parse_effect
+from monitor.model.model import Model
+from monitor.model.prior import StructuralPrior, prior_from_drawing
+from monitor.model.simulation import simulate
+from monitor.runs.synthetic_recording import cut_into_blocks
+from tests.diagnosis.test_simulation_refit import CONFIG
+
+RATE = 512.0
+"""Rate of the samples, Hz: forces that are linear between them are white up to a twelfth of it."""
+TORSION = tuple(
+    parse_effect(f"unmodelled_mode:frame:frequency_hz={hz},damping_ratio=0.012,shape_1={a},shape_2={b},shape_3={c}")
+    for hz, a, b, c in ((7.4, 1.0, 0.8, 0.45), (17.5, 0.9, -0.5, -1.1))
+)
+TRUTH = CONFIG.model()
+CONTEXT = CONFIG.instrumented().context(RATE)
+OFF = np.array([1.3, 0.75, 1.25])
+"""What the drawing says of the stiffnesses, over the truth."""
+
+
+@cache
+def spectra(*effects: Effect) -> ObservedSpectra:
+    """Averaged spectra of ten minutes of the true frame."""
+    model = Model(TRUTH.structure, effects)
+    motion = simulate(model, duration_s=600.0, rate_hz=RATE, noise=0.03, seed=5, context=CONTEXT)
+    return classify(
+        gather(cut_into_blocks(ACCELERATION, motion.floors, CONFIG.channels, RATE, 10**18, 128), CONFIG.front_end())
+    )
+
+
+def drawn(off: np.ndarray) -> StructuralPrior:
+    """What a drawing tells that is off by factors."""
+    structure = TRUTH.structure.with_stiffness(TRUTH.structure.stiffness_n_per_m * off)
+    return prior_from_drawing(Model(structure), np.r_[np.full(3, 0.2), np.full(3, 0.05)], 3)
+
+
+def posterior(off: np.ndarray, *effects: Effect) -> Posterior:
+    return make_posterior(spectra(*effects), drawn(off), CONTEXT)
+
+
+def relative_stiffness(x: np.ndarray) -> np.ndarray:
+    """Fitted stiffnesses over the true ones, the common scale of the masses, which no output shows, taken out."""
+    return np.exp(x[:3] - (x[3:6] - np.log(TRUTH.structure.masses_kg)).mean()) / TRUTH.structure.stiffness_n_per_m
+
+
+def test_averaged_spectra_show_every_mode_with_its_damping() -> None:
+    found = identify_modes(spectra(*TORSION), TRUTH.modes(), CONTEXT.sensors)
+    true = np.sort(np.r_[TRUTH.modes().frequencies_hz, 7.4, 17.5])
+    assert [m.frequency_hz for m in found] == pytest.approx(true, rel=0.01)
+    assert all(0.003 < m.damping_ratio < 0.03 for m in found)
+
+
+def test_a_drawing_that_is_30_percent_off_leads_to_the_true_stiffnesses() -> None:
+    starts = find_modal_starts(posterior(OFF))
+    assert relative_stiffness(starts[0].structure) == pytest.approx(np.ones(3), abs=0.05)
+    assert not starts[0].missing
+
+
+def test_modes_that_the_model_lacks_are_no_modes_of_the_model() -> None:
+    start = find_modal_starts(posterior(OFF, *TORSION))[0]
+    assert relative_stiffness(start.structure) == pytest.approx(np.ones(3), abs=0.05)
+    assert [e.values()["frequency_hz"] for e in start.missing] == pytest.approx([7.4, 17.5], rel=0.01)
+
+
+def test_the_spectra_are_fitted_from_there() -> None:
+    fit, evidence = fit_from_modes(posterior(OFF, *TORSION))[0]
+    assert relative_stiffness(fit.x) == pytest.approx(np.ones(3), abs=0.01)
+    assert evidence < fit.log_posterior
+    shape = np.array([fit.effects[0].values()[f"shape_{i}"] for i in (1, 2, 3)])
+    assert shape / shape[0] == pytest.approx(np.array([1.0, 0.8, 0.45]), abs=0.06)
+
+
+def diagnosed(off: np.ndarray, *effects: Effect) -> Diagnosis:
+    return diagnose(spectra(*effects), drawn(off), CONTEXT, DiagnosisSettings())
+
+
+@pytest.mark.engine
+def test_modes_that_the_model_lacks_are_named_as_such() -> None:
+    found = diagnosed(OFF, *TORSION)
+    assert found.verdict == "named"
+    assert [c.effect.name for c in found.causes] == ["unmodelled_mode"] * 2
+    for cause, true in zip(found.causes, TORSION, strict=True):
+        value, std = (d["frequency_hz"] for d in (cause.effect.values(), cause.std))
+        assert abs(value - true.values()["frequency_hz"]) < 3.0 * std
+
+
+@pytest.mark.engine
+def test_a_machine_is_no_mode_and_a_mode_no_machine() -> None:
+    machine = parse_effect("harmonic_excitation:floor 2:frequency_hz=17.5,force_n=0.6")
+    found = diagnosed(np.ones(3), machine)
+    assert [(c.effect.name, c.effect.location) for c in found.causes] == [("harmonic_excitation", "floor 2")]
+    assert tone_log_odds(found.posterior, found.final_fit, machine.lines()[0]) > 10.0
+    quiet = diagnosed(np.ones(3), TORSION[1])
+    assert [c.effect.name for c in quiet.causes] == ["unmodelled_mode"]
+
+
+@pytest.mark.engine
+def test_a_drawing_that_is_far_off_is_no_cause() -> None:
+    found = diagnosed(OFF)
+    assert found.verdict == "none" and not found.causes
+    assert not find_lack_of_fit(found.posterior, found.final_fit, found.settings)
+    assert relative_stiffness(found.final_fit.x) == pytest.approx(np.ones(3), abs=0.01)
+    assert fit_linearized(spectra(), drawn(np.ones(3)), CONTEXT)[1].log_likelihood == pytest.approx(
+        found.final_fit.log_likelihood, abs=3.0
+    )
