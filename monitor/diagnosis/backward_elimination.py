@@ -10,7 +10,15 @@ import numpy as np
 
 from monitor.core import Array, parallel_map
 from monitor.diagnosis.initial_fit import ROUGHLY
-from monitor.diagnosis.score_test import Candidate, best_first, fit_candidate, score_candidate, with_tone_evidence
+from monitor.diagnosis.missing_modes import effects_at_peak
+from monitor.diagnosis.score_test import (
+    Candidate,
+    best_first,
+    find_excess_peaks,
+    fit_candidate,
+    score_candidate,
+    with_tone_evidence,
+)
 from monitor.diagnosis.simulation_refit import RefittedCandidate, fit_persistent_effects
 from monitor.inference import CorrectedPosterior, MapEstimate, Posterior, linearize, maximize_posterior
 from monitor.model import Effect
@@ -94,22 +102,24 @@ def eliminate_backward(
     later = rounds[len(accepted)] if len(fit.effects) > len(accepted) else ()
     kept, replaced = list(accepted), False
     for cause, candidates in zip(accepted, rounds, strict=False):
-        if len(fit.effects) == 1 or (cause is accepted[-1] and len(fit.effects) == len(kept) and not replaced):
+        is_last = cause is accepted[-1] and len(fit.effects) == len(kept) and not replaced
+        if (len(fit.effects) == 1 or is_last) and not cause.effect.repeatable:
             break  # no later cause is in the model
         nuisances, i = posterior.layout.nuisances, kept.index(cause)
-        if cause.effect.repeatable and _is_certain(posterior, fit, i, candidates, margin):
-            continue
         rest = (*fit.effects[:i], *fit.effects[i + 1 :])
+        at_peak: list[Effect] = []
+        if cause.effect.repeatable:
+            certain, at_peak = _test_roughly(posterior, fit, i, margin)
+            if certain:
+                continue
         without = maximize_posterior(posterior, join_coordinates(fit.x[nuisances], rest), rest)
         min_gain = score_candidate(posterior, without, fit, len(cause.effect.parameters)).log_evidence
         excluded = {cause.key, *(c.key for c in later), *((e.name, e.location) for e in rest)}
         # A simulated correction holds for one law only, so a nonlinear cause neither replaces another nor is replaced.
         linear = [] if cause.effect.nonlinear else [c for c in candidates if not c.effect.nonlinear]
-        rivals = [c.effect for c in linear if c.key not in excluded]
+        rivals = at_peak or [c.effect for c in linear if c.key not in excluded][:_N_ALTERNATIVES]
         min_log_evidence = max(min_gain + lead, margin)
-        fitted = parallel_map(
-            partial(fit_candidate, posterior, without, min_log_evidence=min_log_evidence), rivals[:_N_ALTERNATIVES]
-        )
+        fitted = parallel_map(partial(fit_candidate, posterior, without, min_log_evidence=min_log_evidence), rivals)
         best = next(iter(best_first(with_tone_evidence(posterior, c) for c in fitted)), None)
         if best is not None and best.log_evidence > min_log_evidence:
             effects = (*best.fit.effects[:i], best.effect, *best.fit.effects[i:-1])
@@ -129,27 +139,30 @@ def eliminate_backward(
     return posterior, fit, tuple(kept)
 
 
-def _is_certain(posterior: Posterior, fit: MapEstimate, i: int, candidates: Sequence[Candidate], margin: float) -> bool:
-    """Decide by rough fits alone if a cause is needed beyond doubt and no rival comes near it.
-
-    Modes that the model lacks may be many, and most are beyond doubt.
+def _test_roughly(posterior: Posterior, fit: MapEstimate, i: int, margin: float) -> tuple[bool, list[Effect]]:
+    """Test a mode that the model lacks by rough fits, since such modes may be many and most are beyond doubt.
 
     Parameters
     ----------
     i : int
-        Index of the cause among the fit's effects.
-    candidates : sequence of Candidate
-        The cause and its rivals.
+        Index of the mode among the fit's effects.
+
+    Returns
+    -------
+    certain : bool
+        Whether the mode is needed beyond doubt and no other cause of its peak comes near it.
+    rivals : list of Effect
+        Other causes of the peak, roughly fitted, best first.
     """
     rest = (*fit.effects[:i], *fit.effects[i + 1 :])
     x = join_coordinates(fit.x[posterior.layout.nuisances], rest)
     without = maximize_posterior(posterior, x, rest, iterations=ROUGHLY)
     gain = score_candidate(posterior, without, fit, len(fit.effects[i].parameters)).log_evidence
-    if gain < _CERTAIN * margin:
-        return False
-    rivals = [c.effect for c in candidates if not c.effect.repeatable]
-    rough = best_first(parallel_map(partial(fit_candidate, posterior, without, quick=True), rivals))
-    return not rough or not rough[0].may_reach(gain)
+    (peak,) = find_excess_peaks(posterior, without, 1)
+    starts = [effect for effect in effects_at_peak(posterior, peak) if not effect.repeatable]
+    rough = best_first(parallel_map(partial(fit_candidate, posterior, without, quick=True), starts))
+    near = [c for c in rough if c.may_reach(gain)]
+    return gain > _CERTAIN * margin and not near, [c.effect for c in near[:_N_ALTERNATIVES]]
 
 
 def fit_subset(

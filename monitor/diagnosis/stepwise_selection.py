@@ -27,7 +27,7 @@ from monitor.diagnosis.lack_of_fit import (
     unexplained_share,
     wrong_bins,
 )
-from monitor.diagnosis.missing_modes import effects_at_peak, find_missing_mode
+from monitor.diagnosis.missing_modes import find_missing_mode
 from monitor.diagnosis.modal_start import fit_from_modes
 from monitor.diagnosis.parameter_uncertainty import coordinate_std, is_significant
 from monitor.diagnosis.score_test import Candidate, fit_candidate, parameter_cost
@@ -41,7 +41,7 @@ from monitor.diagnosis.simulation_refit import (
     refine_fit,
 )
 from monitor.inference import CorrectedPosterior, MapEstimate, Moments, ObservedSpectra, Posterior, maximize_posterior
-from monitor.model import Context, Effect, Peak, StructuralPrior
+from monitor.model import Context, Effect, StructuralPrior
 
 _N_GROUND_TESTS = 2
 """Candidates beside which the ground's motion between its samples is tested again. [count; cost]"""
@@ -128,7 +128,7 @@ def diagnose(
     posterior, null_fit, moments = fit_initial_model(observed, prior, context)
     stage = _SearchState(posterior, null_fit, null_fit, (), moments, settings.margin)
     stage, optima = _start_from_modes(stage, settings)
-    rounds: list[tuple[Candidate, ...]] = [_rivals_of_mode(stage.posterior, c) for c in stage.accepted]
+    rounds: list[tuple[Candidate, ...]] = [(c,) for c in stage.accepted]
     alternatives: tuple[tuple[Candidate, float], ...] = ()
     while _n_counted(stage.accepted) < settings.max_causes:
         stage, candidates, threshold = _search_once(stage, settings)
@@ -247,13 +247,6 @@ def _start_from_modes(stage: _SearchState, settings: DiagnosisSettings) -> tuple
     return replace(
         stage, posterior=update_linearization(posterior, best), fit=best, null_fit=null_fit, accepted=accepted
     ), others
-
-
-def _rivals_of_mode(posterior: Posterior, mode: Candidate) -> tuple[Candidate, ...]:
-    """List the other effects that could cause the peak of a mode that the model lacks, not fitted."""
-    (own,) = mode.effect.extra_modes(posterior.context)
-    starts = effects_at_peak(posterior, Peak(own.frequency_hz, own.shape))
-    return (mode, *(replace(mode, effect=effect) for effect in starts if not effect.repeatable))
 
 
 def _n_counted(accepted: Sequence[Candidate]) -> int:

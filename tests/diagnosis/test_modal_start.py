@@ -107,7 +107,8 @@ def test_a_machine_is_no_mode_and_a_mode_no_machine() -> None:
     machine = parse_effect("harmonic_excitation:floor 2:frequency_hz=17.5,force_n=0.6")
     found = diagnosed(np.ones(3), machine)
     assert [(c.effect.name, c.effect.location) for c in found.causes] == [("harmonic_excitation", "floor 2")]
-    assert tone_log_odds(found.posterior, found.final_fit, machine.lines()[0]) > 10.0
+    (line,) = found.final_fit.effects[0].lines()
+    assert tone_log_odds(found.posterior, found.final_fit, line) > 10.0
     quiet = diagnosed(np.ones(3), TORSION[1])
     assert [c.effect.name for c in quiet.causes] == ["unmodelled_mode"]
 
