@@ -1,4 +1,5 @@
 from . import healthy_prior, trigger
+from .clock_drift import clock_drift_in_words, correct_clock_drifts, state_clock_drifts
 from .cross_validation import HeldOutGain, heldout_gain, require_gain
 from .damage_index_effect import ddi_effect
 from .drawing_refit import refit
@@ -22,8 +23,10 @@ __all__ = [
     "Request",
     "Score",
     "WatchSettings",
+    "clock_drift_in_words",
     "content",
     "contradicted",
+    "correct_clock_drifts",
     "csd_error_in_words",
     "ddi_effect",
     "detectable_losses",
@@ -42,6 +45,7 @@ __all__ = [
     "residual_bands",
     "score",
     "standing_causes",
+    "state_clock_drifts",
     "structure_text",
     "trigger",
 ]

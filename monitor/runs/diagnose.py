@@ -20,6 +20,7 @@ from monitor.diagnosis import (
     HeldOutGain,
     Score,
     content,
+    correct_clock_drifts,
     ddi_effect,
     detectable_losses,
     fitted_model,
@@ -31,6 +32,7 @@ from monitor.diagnosis import (
     refit,
     require_gain,
     score,
+    state_clock_drifts,
 )
 from monitor.diagnosis import diagnose as diagnose_spectra
 from monitor.inference import Segments, classify, gather, maximize_posterior
@@ -119,15 +121,17 @@ def diagnose_segments(
     HeldOutGain
         Gain of the causes on held-out data; zero if they are withdrawn.
     """
+    segments, drifts = correct_clock_drifts(segments, config.diagnosis)
     found = diagnose_spectra(classify(segments), prior, _context(segments, config), config.diagnosis)
     gain = heldout_gain(segments, found)
     confirmed = require_gain(found, gain)
-    return confirmed, gain if confirmed is found else HeldOutGain()
+    return state_clock_drifts(confirmed, drifts), gain if confirmed is found else HeldOutGain()
 
 
 @_IGNORE_OVERFLOW
 def learn_healthy_prior(segments: Segments, config: Configuration) -> StructuralPrior:
     """Learn the reference of later diagnoses from healthy data, including the causes that are present from the start."""
+    segments, _ = correct_clock_drifts(segments, config.diagnosis)
     observed, context, known = classify(segments), _context(segments, config), _drawing_prior(config)
     if segments.temperature.size:
         known = replace(known, reference_degc=float(segments.temperature[:, 1].mean()))

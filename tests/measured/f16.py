@@ -1,6 +1,7 @@
 """Diagnose the F-16 ground vibration test, output only, against a model identified at its lowest level.
 
-``python -m tests.measured.f16 FOLDER [--out DIR]``: FOLDER holds F16_FM_Level1.mat, ..3, ..5, ..7 of the user's own download (docs/measured.md).
+``python -m tests.measured.f16 FOLDER [--out FILE.jsonl]``: FOLDER holds F16_FM_Level1.mat, ..3, ..5, ..7 of the user's own
+download (docs/measured.md).
 """
 
 from __future__ import annotations
@@ -28,8 +29,12 @@ PERIOD_N = 8192
 """Samples of a period of the multisine; the first period holds the transient."""
 BAND_HZ = (2.0, 14.5)
 """Band of the forces that the anti-alias filter passes."""
-FIRST_GUESS_HZ = (3.5, 5.2, 6.6, 7.32, 9.2, 16.0)
-"""Peaks of the frequency responses at level 1; the last mode stands for all beyond the band."""
+FIRST_GUESS_HZ = (1.0, 3.5, 5.2, 6.6, 7.32, 9.2, 17.0)
+"""Peaks of the frequency responses at level 1.  The first mode stands for the aircraft on its supports, the last one for all
+beyond the band."""
+GUESS_FACTOR = 1.3
+"""Factor by which a fitted frequency may differ from its guess."""
+DAMPING_RANGE = (1e-3, 0.1)
 CHANNELS = ("a1", "a2", "a3")
 JOINT = 1, 2
 """Wing's and payload's sensor, at the two sides of the mounting joint."""
@@ -95,14 +100,20 @@ def identify_modes(hz: Array, accelerance: Array) -> tuple[Array, Array, Array]:
     peak = [np.abs(accelerance[np.abs(hz - f).argmin()]) for f in FIRST_GUESS_HZ]
     shapes = np.array([np.sqrt(0.02 / p[0]) * p for p in peak]).T
     x = np.concatenate([np.log(FIRST_GUESS_HZ), np.full(m, np.log(0.02)), shapes.ravel()])
-    return modes(least_squares(residual, x, x_scale="jac", max_nfev=4000).x)
+    frequencies = np.log(FIRST_GUESS_HZ)
+    shape_limit = np.full(3 * m, np.inf)
+    lower, upper = (
+        np.concatenate([frequencies + sign * np.log(GUESS_FACTOR), np.full(m, np.log(z)), sign * shape_limit])
+        for sign, z in zip((-1.0, 1.0), DAMPING_RANGE, strict=True)
+    )
+    return modes(least_squares(residual, x, bounds=(lower, upper), x_scale="jac", max_nfev=4000).x)
 
 
 def structure_file(frequencies_hz: Array, damping: Array, shapes: Array) -> dict[str, Any]:
     """Build the content of a structure file from modes: the first three of m degrees of freedom are the sensors.
 
-    The other degrees of freedom complete the sensors' shapes to a basis, so that the model has exactly these modes.  Two stiffnesses
-    are watched: the joint between the sensors 2 and 3, and all else, which scales the whole matrix.
+    The other degrees of freedom complete the sensors' shapes to a basis, so that the model has exactly these modes.  Two
+    stiffnesses are watched: the joint between the sensors 2 and 3, and all else, which scales the whole matrix.
     """
     m = frequencies_hz.size
     unseen = np.linalg.svd(shapes)[2][3:]
