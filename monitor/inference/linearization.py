@@ -93,8 +93,8 @@ def linearize(
     return tuple(out)
 
 
-def forced_drift(posterior: Posterior, x: Array, effects: Sequence[Effect]) -> Array:
-    """Compute the RMS drift of the linearized model under forces of each class's level, taken as white.
+def forced_motion(posterior: Posterior, x: Array, effects: Sequence[Effect], laws: Sequence[Effect]) -> Array:
+    """Compute the RMS motion along laws of the linearized model, under forces of each class's level, taken as white.
 
     Parameters
     ----------
@@ -102,10 +102,12 @@ def forced_drift(posterior: Posterior, x: Array, effects: Sequence[Effect]) -> A
         Parameters of the model and of the excitation.
     effects : sequence of Effect
         Extra effects, beside the persistent ones.
+    laws : sequence of Effect
+        Effects of stories, whose motion is the story's drift, and of floors.
 
     Returns
     -------
-    ndarray, shape (classes, n_stories), m
+    ndarray, shape (classes, n_laws), m
     """
     everything = (*posterior.prior.effects(x), *effects)
     context, base = posterior.context_at(x), posterior.system(x, everything)
@@ -124,7 +126,7 @@ def forced_drift(posterior: Posterior, x: Array, effects: Sequence[Effect]) -> A
     poles, vectors = np.linalg.eig(np.array(states))
     back = np.linalg.inv(vectors)
     inner = back @ np.array(drives) @ back.conj().swapaxes(1, 2) / -(poles[:, :, None] + poles[:, None, :].conj())
-    rows = context.structure.drift_matrix() @ vectors[:, :n]
+    rows = np.array([law.direction(context.structure) for law in laws]) @ vectors[:, :n]
     return np.asarray(np.sqrt(0.5 * np.einsum("kra,kab,krb->kr", rows, inner, rows.conj()).real))
 
 
