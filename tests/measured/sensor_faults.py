@@ -9,7 +9,7 @@ import argparse
 import json
 import tomllib
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
@@ -309,15 +309,24 @@ def run(frame: str, healthy: int, fault: Fault) -> dict[str, Any]:
         "alternatives": [[c.effect.name, c.effect.location, float(p)] for c, p in found.alternatives],
         "left_over": [[m.where, round(float(m.size), 1), m.says] for m in found.left_over[:5]],
         "nats_a_sample": gain.after - gain.before,
-        "outcome": outcome(fault, size, found.verdict, causes),
+        "outcome": outcome(fault, size, found.verdict, causes, [m.where for m in found.left_over]),
         "seconds": round(perf_counter() - began, 1),
     }
 
 
-def outcome(fault: Fault, size: float | None, verdict: str, causes: list[dict[str, Any]]) -> str:
-    """Judge an answer: ``right``, ``right, and more``, ``size``, ``missed``, ``wrong``, or for no fault ``none`` or ``false``."""
+def outcome(
+    fault: Fault, size: float | None, verdict: str, causes: list[dict[str, Any]], wrong_places: Collection[str] = ()
+) -> str:
+    """Judge an answer: ``right``, ``right, and more``, ``size``, ``missed``, ``wrong``, or for no fault ``none`` or ``false``.
+
+    A drifting clock is no effect of the catalogue; it must be among the places of the lack of fit, `wrong_places`.
+    """
+    if fault.kind == "clean":
+        return "none" if verdict == "none" else "false"
     if fault.effect is None:
-        return "none" if verdict == "none" else "false" if fault.kind == "clean" else "said"
+        if f"clock of {fault.place}" not in wrong_places:
+            return "wrong" if causes else "missed"
+        return "right, and more" if causes else "right"
     own = [c for c in causes if (c["effect"], c["location"]) == (fault.effect, fault.place)]
     if not own:
         return "missed" if not causes else "wrong"

@@ -53,6 +53,9 @@ def test_an_answer_is_right_by_effect_place_and_size() -> None:
     assert outcome(fault, 1.05, "none", []) == "missed"
     clean = Fault("clean", "no fault", "", unchanged)
     assert [outcome(clean, None, verdict, []) for verdict in ("none", "unexplained")] == ["none", "false"]
+    clock = Fault("clock", "clock 0.1 % fast", "channel a2", unchanged)
+    assert outcome(clock, None, "unexplained", [], ["clock of channel a2"]) == "right"
+    assert outcome(clock, None, "unexplained", [gain(1.05, 0.001)], ["clock of channel a1"]) == "wrong"
     assert cause_text(gain(1.05, 0.001)) == "sensor_gain channel a2 1.05 ± 0.001"
 
 
