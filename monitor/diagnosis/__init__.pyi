@@ -1,4 +1,5 @@
 from . import healthy_prior, trigger
+from .clock_drift import ClockDrift, clock_drift_in_words, correct_clock_drifts, state_clock_drifts
 from .cross_validation import HeldOutGain, heldout_gain, require_gain
 from .damage_index_effect import ddi_effect
 from .drawing_refit import other_optima, refit
@@ -6,6 +7,7 @@ from .files import content, effects_text, model_from_plain, model_to_plain, stan
 from .fold_refit import fitted_model
 from .initial_fit import FAR
 from .lack_of_fit import residual_bands
+from .observed_causes import add_observed_causes
 from .parameter_uncertainty import is_significant
 from .predictive_score import Score, score
 from .score_test import detectable_losses, parameter_cost
@@ -16,14 +18,18 @@ from .wording import contradicted, csd_error_in_words, in_words
 
 __all__ = [
     "FAR",
+    "ClockDrift",
     "Diagnosis",
     "DiagnosisSettings",
     "HeldOutGain",
     "Request",
     "Score",
     "WatchSettings",
+    "add_observed_causes",
+    "clock_drift_in_words",
     "content",
     "contradicted",
+    "correct_clock_drifts",
     "csd_error_in_words",
     "ddi_effect",
     "detectable_losses",
@@ -43,6 +49,7 @@ __all__ = [
     "residual_bands",
     "score",
     "standing_causes",
+    "state_clock_drifts",
     "structure_text",
     "trigger",
 ]

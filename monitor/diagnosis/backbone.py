@@ -129,7 +129,7 @@ def find_level_dependence(found: Backbone | None) -> LackOfFit | None:
 
 
 def find_ratio_change(posterior: Posterior, fit: MapEstimate) -> LackOfFit | None:
-    """Test if the frequency ratios differ from those of the drawing.
+    """Test if the frequency ratios differ from those of the drawing, or of the baseline where there is one.
 
     Returns
     -------
@@ -138,7 +138,9 @@ def find_ratio_change(posterior: Posterior, fit: MapEstimate) -> LackOfFit | Non
     """
     if posterior.observed.drive is None or not fit.effects:
         return None
-    drawn = posterior.prior.model.modes().frequencies_hz
+    known = posterior.prior
+    at_reference = posterior.layout.with_structure(fit.x, known.mean)
+    drawn = posterior.model(at_reference, known.effects(known.mean)).modes().frequencies_hz
     found = posterior.model(fit.x, (*posterior.prior.effects(fit.x), *fit.effects)).modes().frequencies_hz[: drawn.size]
     drawn_ratios, ratios = drawn[1:] / drawn[0], found[1:] / found[0]
     change = ratios / drawn_ratios - 1.0
@@ -147,10 +149,11 @@ def find_ratio_change(posterior: Posterior, fit: MapEstimate) -> LackOfFit | Non
         return None
     texts = [" and ".join(f"f{i}/f1 {r:.2f}" for i, r in enumerate(x, start=2)) for x in (ratios, drawn_ratios)]
     where = f"f = {found[0]:.1f}-{found[-1]:.1f} Hz, all modes"
+    reference = "baseline" if known.basis.size else "drawing"
     return LackOfFit(
         where,
         float(np.max(np.abs(change) / std)),
-        f"frequency ratios: {texts[0]} explain the response, the drawing has {texts[1]}",
+        f"frequency ratios: {texts[0]} explain the response, the {reference} has {texts[1]}",
     )
 
 

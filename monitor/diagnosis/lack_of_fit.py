@@ -39,6 +39,8 @@ class LackOfFit:
     """Description in words."""
     changes: bool = False
     """Whether the difference changes within the recording."""
+    is_explained: bool = False
+    """Whether its cause is known, though no effect of the catalogue describes it."""
 
 
 def drift_bands(posterior: Posterior, fitted: MapEstimate) -> Array:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Literal, Self
 
 import numpy as np
 
@@ -60,6 +60,15 @@ class Cause:
     effect: Effect
     std: dict[str, float]
     """Standard deviation of each parameter."""
+
+    @classmethod
+    def of(cls, effect: Effect, deviation: Array) -> Self:
+        """Make a cause of an effect and the standard deviations of its coordinates, shape (p,)."""
+        std = {}
+        for p, own in zip(effect.parameters, deviation.tolist(), strict=True):
+            value = getattr(effect, p.name)
+            std[p.name] = min(own * {"linear": 1.0, "log": value, "inverse": value**2}[p.scale], 1e300)
+        return cls(effect, std)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -509,9 +518,13 @@ def _causes(
     for effect, deviation, _ in zip(
         fitted.effects, coordinate_std(posterior, fitted, simulation_std), accepted, strict=False
     ):
+<<<<<<< HEAD
         std = {}
         for p, own in zip(effect.parameters, deviation.tolist(), strict=True):
             value = effect.values()[p.name]
             std[p.name] = min(own * {"linear": 1.0, "log": value, "inverse": value**2}[p.scale], 1e300)
         out.append(Cause(effect, std))
+=======
+        out.append(Cause.of(effect, deviation))
+>>>>>>> measured
     return tuple(out)

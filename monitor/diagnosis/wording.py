@@ -177,9 +177,13 @@ def _verdict_in_words(diagnosis: Diagnosis, gain: HeldOutGain, content: Mapping[
         case "ambiguous":
             rivals = class_in_words(content["alternatives"], reference)
             return _sentence((f"{causes}; besides, " if causes else "") + rivals) + _why_no_gain(gain)
+    explained = "".join(f"{_sentence(m.says)} " for m in diagnosis.left_over if m.is_explained)
+    unexplained = [m for m in diagnosis.left_over if not m.is_explained]
+    if explained and not unexplained:
+        return (explained + (_sentence(f"besides, {causes}") if causes else "")).rstrip()
     worst = ""
-    if diagnosis.left_over:
-        where = diagnosis.left_over[0].where
+    if unexplained:
+        where = unexplained[0].where
         worst = (
             f" at {where.removeprefix('f = ')}"
             if where.startswith("f = ")
@@ -187,11 +191,11 @@ def _verdict_in_words(diagnosis: Diagnosis, gain: HeldOutGain, content: Mapping[
         )
     changed = any(m.changes for m in diagnosis.left_over)
     if not causes or not (changed or gain.withheld or gain.ci95[0] > 0.0):
-        return f"Something is wrong{worst} that no known effect explains."
+        return f"{explained}Something is wrong{worst} that no known effect explains."
     why = ""
     if gain.ci95[0] <= 0.0:
         why = f" (no gain on held-out data: {gain.withheld or 'the motion changed within the recording'})"
-    return f"Something is wrong{worst} that no known effect explains. Besides, {causes}{why}."
+    return f"{explained}Something is wrong{worst} that no known effect explains. Besides, {causes}{why}."
 
 
 def _causes_in_words(causes: Sequence[Mapping[str, Any]], reference: StructuralPrior) -> str:

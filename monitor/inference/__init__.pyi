@@ -9,7 +9,7 @@ from .ground_response import Between, Drive
 from .higher_moments import MeasuredMoments, Moments, measure_moments, normal_moments, simulate_moments, tone_log_odds
 from .linearization import linearize
 from .map_estimate import MapEstimate, maximize_posterior
-from .observed_spectra import ObservedSpectra, class_temperature, classify
+from .observed_spectra import ObservedSpectra, class_temperature, classify, information_weight
 from .parameter_layout import ParameterLayout
 from .posterior import Posterior, with_coordinates
 from .segments import Segments, gather
@@ -40,6 +40,7 @@ __all__ = [
     "forces_from_quiet_segments",
     "gather",
     "guess_levels",
+    "information_weight",
     "linearization_error",
     "linearize",
     "make_posterior",

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from monitor.core import Array, ComplexArray
 from monitor.inference.ambient_posterior import AmbientPosterior
-from monitor.inference.linearization import forced_drift
+from monitor.inference.linearization import forced_motion
 from monitor.inference.observed_spectra import ObservedSpectra
 from monitor.inference.posterior import Posterior
 from monitor.inference.wishart import definite, grown_by
@@ -48,8 +48,8 @@ class CorrectedPosterior(AmbientPosterior):
     """Loss of log likelihood by the random error of the simulations, nats."""
     simulation_std: Array = field(default_factory=lambda: np.zeros(0))
     """Standard deviation of all effects' coordinates beyond that of their fit; empty where a single simulation was made."""
-    drift: Array = field(default_factory=lambda: np.zeros((0, 0)))
-    """RMS drift of the linearized model at the centre, shape (classes, n_stories), m."""
+    motion: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    """RMS motion of the linearized model at the centre along each law whose action depends on its size, shape (classes, n), m."""
     ln_mass: float = 0.0
     """Mean logarithm of the masses at the centre."""
 
@@ -61,7 +61,7 @@ class CorrectedPosterior(AmbientPosterior):
             base=self.base[classes],
             relative=self.relative[:, classes],
             by_motion=self.by_motion[:, classes],
-            drift=self.drift[classes],
+            motion=self.motion[classes],
         )
 
     def scatter(self, x: Array, effects: Sequence[Effect], *, classes: Sequence[int] | None = None) -> ComplexArray:
@@ -86,12 +86,15 @@ class CorrectedPosterior(AmbientPosterior):
         scale = self._coordinate_scale(x, corrected)
         sizes = np.concatenate([[], *[e.coordinates for e in corrected]]) / scale
         relative = np.tensordot(np.append(1.0, sizes - self.centre), self.relative, axes=1)
-        if any(e.amplitude_powers for e in corrected):
+        moving = _dependent_on_motion(corrected)
+        if moving:
             centre = iter(np.split(self.centre * scale, np.cumsum([len(e.parameters) for e in corrected])))
             centred = [e.at(next(centre)) if e in corrected else e for e in effects]
             # The change of the motion that the size itself causes is part of the slope by the size.
-            growth = forced_drift(replace(self, offset=None), x, centred) / self.drift
-            grown = sizes * (np.hstack([_apparent_size_factor(e, growth) for e in corrected]) - 1.0)
+            growth = iter((forced_motion(replace(self, offset=None), x, centred, moving) / self.motion).T)
+            still = np.ones(self.n_classes)
+            factors = [_apparent_size_factor(e, next(growth) if e in moving else still) for e in corrected]
+            grown = sizes * (np.hstack(factors) - 1.0)
             relative = relative + np.einsum("kp,pkfab->kfab", grown, self.by_motion)
         return _bound_corrections(relative)
 
@@ -143,11 +146,19 @@ class CorrectedPosterior(AmbientPosterior):
         return _congruence(self.base, _smooth_over_frequency(_congruence(inverse, offsets), self.observed.band.hz))
 
 
+def _dependent_on_motion(laws: Sequence[Effect]) -> list[Effect]:
+    """Select the laws that act as ones of another size where the motion grows."""
+    return [e for e in laws if e.amplitude_powers]
+
+
 def _apparent_size_factor(effect: Effect, growth: Array) -> Array:
-    """Compute the factor on a law's parameters that acts as the growth of its story's drift does, shape (classes, p)."""
-    if not effect.amplitude_powers:
-        return np.ones((len(growth), len(effect.parameters)))
-    return np.asarray(growth[:, [effect.index]] ** np.array(effect.amplitude_powers))
+    """Compute the factor on a law's parameters that acts as the growth of the motion along it, shape (classes,), does.
+
+    Returns
+    -------
+    ndarray, shape (classes, p)
+    """
+    return np.asarray(growth[:, None] ** np.array(effect.amplitude_powers or (0.0,) * len(effect.parameters)))
 
 
 def _congruence(root: NDArray[Any], inner: NDArray[Any]) -> ComplexArray:
@@ -209,7 +220,7 @@ def correct_posterior(
     plain = {f.name: getattr(posterior, f.name) for f in fields(Posterior)}
     linear, hz = posterior.of_model_alone(), posterior.observed.band.hz
     acting = [e for e in effects if e.nonlinear]  # without the persistent effects
-    centre = np.concatenate([[], *[e.coordinates for e in acting]])
+    centre, moving = np.concatenate([[], *[e.coordinates for e in acting]]), _dependent_on_motion(acting)
 
     def relative_at(sizes: Array, offset: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
         parts = iter(np.split(sizes, np.cumsum([len(e.parameters) for e in acting])))
@@ -230,6 +241,6 @@ def correct_posterior(
         base=base,
         relative=np.array([at_centre, *by_size]),
         by_motion=_smooth_over_frequency(_congruence(np.linalg.inv(base), known), hz),
-        drift=forced_drift(linear, x, effects),
+        motion=forced_motion(linear, x, effects, moving) if moving else np.zeros((linear.n_classes, 0)),
         ln_mass=float(x[posterior.layout.masses].mean()),
     )

@@ -15,10 +15,9 @@ from monitor.inference.force_levels import ground_levels
 from monitor.inference.ground_response import motion_rms
 from monitor.inference.observed_spectra import ObservedSpectra, class_temperature
 from monitor.inference.posterior import Posterior
+from monitor.inference.segments import MIN_PILE
 from monitor.model import Condition, Context, Effect, System
 
-_MIN_PILE = 20
-"""Samples at the largest magnitude that show a clipped signal. [samples; judgement]"""
 _MAX_BINS = 1 << 16
 """Most frequencies at which the model's motion is summed. [count; cost]"""
 _SLOW_SHARE = 0.4
@@ -88,14 +87,14 @@ def linearize(
         rms = np.sqrt(variance)
         excess_degc = partial(_excess_degc, e, k, posterior.prior.reference_degc)
         m = len(drift)
-        piled, band_hz = e.piled >= _MIN_PILE, float(e.band.hz[-1])
+        piled, band_hz = e.piled >= MIN_PILE, float(e.band.hz[-1])
         parts = rms[:m], rms[m : 2 * m], rms[2 * m :]
         out.append(Condition(*parts, e.rms[k], excess_degc, e.peak, piled, beyond, band_hz, float(ground[k])))
     return tuple(out)
 
 
-def forced_drift(posterior: Posterior, x: Array, effects: Sequence[Effect]) -> Array:
-    """Compute the RMS drift of the linearized model under forces of each class's level, taken as white.
+def forced_motion(posterior: Posterior, x: Array, effects: Sequence[Effect], laws: Sequence[Effect]) -> Array:
+    """Compute the RMS motion along laws of the linearized model, under forces of each class's level, taken as white.
 
     Parameters
     ----------
@@ -103,10 +102,12 @@ def forced_drift(posterior: Posterior, x: Array, effects: Sequence[Effect]) -> A
         Parameters of the model and of the excitation.
     effects : sequence of Effect
         Extra effects, beside the persistent ones.
+    laws : sequence of Effect
+        Effects of stories, whose motion is the story's drift, and of floors.
 
     Returns
     -------
-    ndarray, shape (classes, n_stories), m
+    ndarray, shape (classes, n_laws), m
     """
     everything = (*posterior.prior.effects(x), *effects)
     context, base = posterior.context_at(x), posterior.system(x, everything)
@@ -125,7 +126,7 @@ def forced_drift(posterior: Posterior, x: Array, effects: Sequence[Effect]) -> A
     poles, vectors = np.linalg.eig(np.array(states))
     back = np.linalg.inv(vectors)
     inner = back @ np.array(drives) @ back.conj().swapaxes(1, 2) / -(poles[:, :, None] + poles[:, None, :].conj())
-    rows = context.structure.drift_matrix() @ vectors[:, :n]
+    rows = np.array([law.direction(context.structure) for law in laws]) @ vectors[:, :n]
     return np.asarray(np.sqrt(0.5 * np.einsum("kra,kab,krb->kr", rows, inner, rows.conj()).real))
 
 

@@ -71,7 +71,7 @@ _BIN_CORRELATION = (2.0 / 3.0) ** 2, (1.0 / 6.0) ** 2
 """Squared correlations of neighbouring bins, one and two apart. [1; definition: Hann taper]"""
 
 
-def _information_weight() -> float:
+def information_weight() -> float:
     """Compute the independent pieces of information in a segment and bin."""
     return 1.0 / ((1.0 + 2.0 * sum(_BIN_CORRELATION)) * (1.0 + 2.0 * overlap_correlation()))
 
@@ -99,7 +99,7 @@ def classify(segments: Segments) -> ObservedSpectra:
     return ObservedSpectra(
         spectra=spectra,
         counts=np.array([float(m.size) for m in members]),
-        weight=_information_weight(),
+        weight=information_weight(),
         rms=np.stack([np.sqrt((segments.rms[m] ** 2).mean(axis=0)) for m in members]),
         peak=segments.peak,
         piled=segments.piled,

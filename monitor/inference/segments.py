@@ -42,6 +42,10 @@ _LEAD_S = 60.0
 """Ground motion that is kept before them, whose response they still hold. [s; judgement]"""
 _GROUND_TEST_BLOCKS = 64
 """Blocks among which a measured ground is looked for. [count; cost]"""
+MIN_PILE = 20
+"""Samples at the largest magnitude that show a clipped signal. [samples; judgement]"""
+_MIN_RECORDING_SEGMENTS = 6
+"""Fewest segments of a diagnosis. [segments; judgement]"""
 _CLIPPED_TOLERANCE = 1e-6
 """Relative difference of magnitudes that rounding explains. [ratio; rounding]"""
 
@@ -58,6 +62,8 @@ class Segments:
     """RMS of every channel's source samples, shape (n_segments, c), m/s^2."""
     above: Array
     """Variance of the tapered source samples above the band, shape (n_segments, c), (m/s^2)^2."""
+    peaks: Array
+    """Largest magnitude of every channel's source samples in each segment, shape (n_segments, c), m/s^2."""
     peak: Array
     """Largest magnitude of every channel's source samples, shape (c,), m/s^2."""
     piled: NDArray[np.int64]
@@ -74,6 +80,12 @@ class Segments:
     samples: int
     """Number of sample instants after resampling that the segments cover, each counted once for all channels."""
 
+    def without_clipped(self) -> Segments:
+        """Leave out the segments in which a clipped channel reaches its limit, unless too few would remain for a diagnosis."""
+        cut = self.piled >= MIN_PILE
+        whole = np.asarray((self.peaks[:, cut] < self.peak[cut] * (1.0 - _CLIPPED_TOLERANCE)).all(axis=1))
+        return self if whole.all() or np.count_nonzero(whole) < _MIN_RECORDING_SEGMENTS else self.part(whole)
+
     def part(self, chosen: NDArray[np.bool_]) -> Segments:
         """Select segments by a mask, shape (n_segments,)."""
         share = float(chosen.mean()) if chosen.size else 0.0
@@ -83,6 +95,7 @@ class Segments:
             t_s=self.t_s[chosen],
             rms=self.rms[chosen],
             above=self.above[chosen],
+            peaks=self.peaks[chosen],
             drive=None if self.drive is None else self.drive.part(chosen),
             samples=round(self.samples * share),
         )
@@ -112,7 +125,7 @@ def gather(blocks: Iterable[SampleBlock], front_end: FrontEnd) -> Segments:
         elif block.topic == TEMPERATURE:
             step_ns = 1e9 / block.sample_rate_hz
             temperature += [(block.t_ns + round(i * step_ns), float(v)) for i, v in enumerate(block.samples[:, 0])]
-    if len(floors.segments) < 6:
+    if len(floors.segments) < _MIN_RECORDING_SEGMENTS:
         raise BadInputError(
             f"{floors.seconds:.0f} s of usable data without a gap; a diagnosis takes at least {floors.least_s:.0f} s"
         )
@@ -135,13 +148,14 @@ def gather(blocks: Iterable[SampleBlock], front_end: FrontEnd) -> Segments:
         located = _keep_strongest(runs, list(floors.segments), band, to_segments)
     drive, covered = located or (None, np.ones(len(floors.segments), dtype=bool))
     readings = np.array([((t - t0) * 1e-9, v) for t, v in temperature if np.isfinite(v)]).reshape(-1, 2)
-    transforms, rms, tapered = (np.stack(x) for x in zip(*floors.segments.values(), strict=True))
+    transforms, rms, tapered, peaks = (np.stack(x) for x in zip(*floors.segments.values(), strict=True))
     below = 2.0 * design.step_hz * (np.abs(transforms[:, 1 : last + 1]) ** 2 / gain[1:, None]).sum(axis=1)
     segments = Segments(
         values=transforms[:, first : last + 1],
         t_s=np.array([(t - t0) * 1e-9 for t in floors.segments]) + 0.5 / design.step_hz,
         rms=rms,
         above=np.maximum(tapered - below, 0.0),
+        peaks=peaks,
         peak=floors.peak,
         piled=floors.piled,
         drive=None,
@@ -194,8 +208,9 @@ class _Stream:
         self._done = 0
         self.design: SegmentDesign | None = None
         self.least_s = 3.5 * segment_s
-        self.segments: dict[int, tuple[ComplexArray, Array, Array]] = {}
-        """Transform, RMS and tapered variance of the source samples of every segment, by the time of its first sample, UTC ns."""
+        self.segments: dict[int, tuple[ComplexArray, Array, Array, Array]] = {}
+        """Transform, and RMS, tapered variance and largest magnitude of the source samples of every segment, by the time of its
+        first sample, UTC ns."""
         self.t0_ns = 0
         self.seconds = 0.0
         self.peak = np.zeros(1 if is_ground else len(front_end.channels))
@@ -264,7 +279,8 @@ class _Stream:
             if self._done:  # the first half segment contains the filter's transient
                 own = raw[:n_raw] - raw[:n_raw].mean(axis=0)
                 tapered = ((taper(len(own))[:, None] * own) ** 2).sum(axis=0)
-                self.segments[t_ns] = transform(self.design, rest[:n]), own.std(axis=0), tapered
+                peaks = np.abs(raw[:n_raw]).max(axis=0)
+                self.segments[t_ns] = transform(self.design, rest[:n]), own.std(axis=0), tapered, peaks
             rest, self._done = rest[n // 2 :], self._done + n // 2
             self._raw = [raw[n_raw // 2 :]]
         self._rest = rest

@@ -23,7 +23,7 @@ from monitor.damage import (
     rebase_baseline,
     second_solutions,
 )
-from monitor.diagnosis import contradicted, standing_causes
+from monitor.diagnosis import clock_drift_in_words, contradicted, correct_clock_drifts, standing_causes
 from monitor.inference import Segments, gather
 from monitor.model import FORMS, StructuralPrior
 from monitor.pipeline import Pipeline
@@ -104,6 +104,8 @@ def calibrate(
     if segments is None:
         on_warning("too short for a diagnosis to learn from; 'diagnose' will not take this baseline")
         return baseline, fit
+    for drift in correct_clock_drifts(segments, config.diagnosis)[1]:
+        on_warning(f"{clock_drift_in_words(drift, config.channels)}; mend it, or every diagnosis will say so")
     reference = diagnose.learn_healthy_prior(segments, config)
     _warn_of_sensors(reference, config, on_warning)
     if reference.error is not None:

@@ -16,10 +16,13 @@ from monitor.core import BadInputError, name_stories_in
 from monitor.damage import Baseline
 from monitor.diagnosis import (
     FAR,
+    ClockDrift,
     Diagnosis,
     HeldOutGain,
     Score,
+    add_observed_causes,
     content,
+    correct_clock_drifts,
     ddi_effect,
     detectable_losses,
     fitted_model,
@@ -32,6 +35,7 @@ from monitor.diagnosis import (
     refit,
     require_gain,
     score,
+    state_clock_drifts,
 )
 from monitor.diagnosis import diagnose as diagnose_spectra
 from monitor.inference import Segments, classify, gather, maximize_posterior
@@ -121,15 +125,17 @@ def diagnose_segments(
     HeldOutGain
         Gain of the causes on held-out data; zero if they are withdrawn.
     """
+    segments, drifts = _mended(segments, config)
     found = diagnose_spectra(classify(segments), prior, _context(segments, config), config.diagnosis)
     gain = heldout_gain(segments, found)
     confirmed = require_gain(found, gain)
-    return confirmed, gain if confirmed is found else HeldOutGain()
+    return state_clock_drifts(add_observed_causes(confirmed), drifts), gain if confirmed is found else HeldOutGain()
 
 
 @_IGNORE_OVERFLOW
 def learn_healthy_prior(segments: Segments, config: Configuration) -> StructuralPrior:
     """Learn the reference of later diagnoses from healthy data, including the causes that are present from the start."""
+    segments, _ = _mended(segments, config)
     observed, context, known = classify(segments), _context(segments, config), _drawing_prior(config)
     if segments.temperature.size:
         known = replace(known, reference_degc=float(segments.temperature[:, 1].mean()))
@@ -159,6 +165,12 @@ def learn_healthy_prior(segments: Segments, config: Configuration) -> Structural
         if kept == causes:
             return learnt.with_daily_persistent().with_known_lines()
         causes = kept  # the others are not significant next to these
+
+
+def _mended(segments: Segments, config: Configuration) -> tuple[Segments, tuple[ClockDrift, ...]]:
+    """Mend what the samples alone show to be wrong: drifting clocks, and, where the search cannot model them, clipped samples."""
+    whole = segments if segments.drive is None else segments.without_clipped()
+    return correct_clock_drifts(whole, config.diagnosis)
 
 
 def _site_effects(known: StructuralPrior, context: Context, condition: Condition) -> tuple[Effect, ...]:

@@ -30,9 +30,8 @@ RATE = 128.0
 FRAME = {"kind": "shear_frame", "masses_kg": [0.33, 0.35, 0.31], "stiffness_n_per_m": [2900.0, 1500.0, 1900.0]}
 CUBIC = "cubic_stiffness:story 2:k3_n_per_m3={:g}"
 STRONG = 1e8
-CONFIG = Configuration.model_validate(
-    {"structure": FRAME, "sensors": [{"channel": f"a{i}", "floor": i} for i in (1, 2, 3)]}
-)
+SENSORS = [{"channel": f"a{i}", "floor": i} for i in (1, 2, 3)]
+CONFIG = Configuration.model_validate({"structure": FRAME, "sensors": SENSORS})
 
 
 def posed(effect: Effect, seed: int = 5) -> tuple[Posterior, MapEstimate]:
@@ -157,3 +156,30 @@ def test_a_correction_grows_with_the_motion(nonlinear: tuple[Posterior, MapEstim
     assert whitened_rms(problem, at, made.scatter(louder, (law,)) - anew) < 0.3 * whitened_rms(
         problem, at, constant - anew
     )
+
+
+def test_a_law_on_a_floor_grows_with_the_motion_of_that_floor_where_stories_are_fewer() -> None:
+    frame = CONFIG.model().structure
+    watched = np.outer(frame.drift_matrix()[0], frame.drift_matrix()[0])
+    matrices = {
+        "kind": "matrices",
+        "mass_matrix": frame.mass_matrix().tolist(),
+        "stiffness_matrix": frame.stiffness_matrix().tolist(),
+        "stiffness_n_per_m": [2900.0],
+        "stiffness_derivatives": [watched.tolist()],
+    }
+    config = Configuration.model_validate({"structure": matrices, "sensors": SENSORS})
+    context = config.instrumented().context(RATE)
+    motion = simulate(config.model(), duration_s=200.0, rate_hz=RATE, noise=0.05, seed=5, context=context)
+    blocks = cut_into_blocks(ACCELERATION, motion.floors, config.channels, RATE, 10**18, 128)
+    known = prior_from_drawing(config.model(), np.full(4, 0.002), 3)
+    problem, null = fit_linearized(classify(gather(blocks, config.front_end())), known, context)
+    law = parse_effect("quadratic_damping:floor 3:coefficient_n_s2_per_m2=5")
+    x, plain = np.append(null.x, law.coordinates), problem.scatter(null.x, ())
+    made = correct_posterior(problem, x, (law,), 0.1 * plain, 0.02 * plain[None])
+    louder = x.copy()
+    louder[problem.layout.levels] += 0.1
+    here, there = made.beyond(x, (law,)), made.beyond(louder, (law,))
+    assert here is not None
+    assert there is not None
+    np.testing.assert_allclose(there - here, 5.0 * np.expm1(0.05) * made.by_motion[0], rtol=1e-3, atol=1e-9)

@@ -209,3 +209,15 @@ def test_within_the_tolerance_is_not_beyond_it_and_without_one_every_difference_
     assert heavy.startswith("Story 3 (hanger) is 5.00 ± 0.95 % softer")  # stiffnesses come first
     assert open_rows[1]["says"] == "story 2 is as drawn to within 1 %"
     assert refit_headline([]) == ""
+
+
+def test_a_clock_that_drifts_is_said_before_what_nothing_explains() -> None:
+    clock = LackOfFit("clock of channel a2", 9.0, "the delay of channel a2 grows", changes=True, is_explained=True)
+    other = LackOfFit("f = 3.0-4.0 Hz, channel a1", 7.0, "more power")
+    assert said("unexplained", BASELINE, left_over=[clock]) == "The delay of channel a2 grows."
+    assert said("unexplained", BASELINE, left_over=[clock], causes=[SWAP]) == (
+        "The delay of channel a2 grows. Besides, channels a1 and a3 are swapped."
+    )
+    assert said("unexplained", BASELINE, left_over=[clock, other]) == (
+        "The delay of channel a2 grows. Something is wrong at 3.0-4.0 Hz, channel a1 that no known effect explains."
+    )

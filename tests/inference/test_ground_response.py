@@ -14,11 +14,13 @@ from monitor.config.configuration import Configuration, load
 from monitor.core.results import Array
 from monitor.diagnosis.backbone import backbone, find_level_dependence, find_ratio_change
 from monitor.diagnosis.initial_fit import fit_linearized
+from monitor.diagnosis.lack_of_fit import LackOfFit
 from monitor.diagnosis.predictive_score import score
 from monitor.diagnosis.score_test import fit_candidate
 from monitor.diagnosis.settings import DiagnosisSettings
 from monitor.diagnosis.stepwise_selection import diagnose
 from monitor.inference.linearization import linearize
+from monitor.inference.map_estimate import MapEstimate
 from monitor.inference.observed_spectra import classify
 from monitor.inference.posterior import Posterior
 from monitor.inference.segments import Segments, gather
@@ -191,6 +193,7 @@ def test_the_measured_frame_is_no_shear_frame_and_softens_with_the_level() -> No
     told = find_ratio_change(problem, joints.fit)
     assert told is not None
     assert told.says.startswith("frequency ratios: f2/f1 3.0")
+    assert _beside_a_reference_with(joints.fit, problem) is None, "the reference has these ratios already"
     softer = find_level_dependence(backbone(problem, null))
     assert softer is not None
     assert "falls with the level, from 3.7" in softer.says
@@ -231,6 +234,19 @@ def test_drifts_follow_the_measured_ground() -> None:
     drift = np.fft.irfft(spectrum, n=len(floors), axis=0) @ CONTEXT.structure.drift_matrix().T
     (condition,) = linearize(problem, x, ())
     np.testing.assert_allclose(condition.drift_m, drift.std(axis=0), rtol=0.15)
+
+
+def _beside_a_reference_with(fit: MapEstimate, problem: Posterior) -> LackOfFit | None:
+    """The change of the ratios where the reference has the fit's structure and effects, and a gain is the only cause."""
+    known, gain = problem.prior, parse_effect("sensor_gain:channel a1:gain=1.05")
+    mean = np.concatenate([fit.x[problem.layout.structure], *[e.coordinates for e in fit.effects]])
+    precision = np.eye(mean.size)
+    reference = replace(known, model=replace(known.model, effects=fit.effects), mean=mean, precision=precision)
+    later = replace(problem, prior=reference)
+    x = problem.layout.with_structure(fit.x[problem.layout.nuisances], mean)
+    covariance = 1e-6 * np.eye(x.size + 1)
+    same = replace(fit, x=np.concatenate([x, gain.coordinates]), effects=(gain,), covariance=covariance)
+    return find_ratio_change(later, same)
 
 
 def _true_problem(segments: Segments) -> tuple[Posterior, Array]:

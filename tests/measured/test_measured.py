@@ -1,0 +1,77 @@
+"""The faults that are put into measured recordings, their judge, and the model identified from a download."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.linalg import eigh
+
+from monitor.config.configuration import Configuration
+from tests.measured import f16, sensor_faults
+from tests.measured.sensor_faults import Fault, cause_text, delayed, fast_clock, faults, outcome, unchanged
+
+RATE_HZ = 120.0
+T_S = np.arange(1200) / RATE_HZ
+
+
+def tone(t: np.ndarray) -> np.ndarray:
+    """Two tones that a lag or a clock moves exactly."""
+    return np.asarray(np.sin(2.0 * np.pi * 3.3 * t) + 0.5 * np.cos(2.0 * np.pi * 11.7 * t))
+
+
+@pytest.mark.parametrize(
+    ("moved", "read_at"),
+    [
+        (delayed(np.tile(tone(T_S)[:, None], 3), RATE_HZ, channel=1, seconds=2e-3), T_S - 2e-3),
+        (fast_clock(np.tile(tone(T_S)[:, None], 3), RATE_HZ, channel=1, relative=1e-3), T_S / 1.001),
+    ],
+)
+def test_a_lag_and_a_fast_clock_read_the_motion_of_other_times(moved: np.ndarray, read_at: np.ndarray) -> None:
+    inside = slice(60, -60)
+    np.testing.assert_allclose(moved[inside, 1], tone(read_at)[inside], atol=5e-3)
+    np.testing.assert_array_equal(moved[:, [0, 2]], np.tile(tone(T_S)[:, None], 2))
+
+
+def test_every_fault_changes_its_channels_and_no_other() -> None:
+    healthy = np.random.default_rng(1).standard_t(3.0, (1200, 3)) * [1.0, 2.0, 3.0]  # with peaks, as an earthquake
+    for fault in faults():
+        changed = np.flatnonzero((fault.act(healthy, RATE_HZ) != healthy).any(axis=0))
+        assert [sensor_faults.CHANNELS[j] for j in changed] == [c for c in fault.place[8:].split(",") if c]
+
+
+def gain(value: float, std: float, place: str = "channel a2") -> dict[str, object]:
+    return {"effect": "sensor_gain", "location": place, "parameters": {"gain": {"value": value, "std": std}}}
+
+
+def test_an_answer_is_right_by_effect_place_and_size() -> None:
+    fault = Fault("gain", "gain 1.05", "channel a2", unchanged, "sensor_gain", lambda _: 1.05)
+    assert outcome(fault, 1.05, "named", [gain(1.053, 0.0001)]) == "right"
+    assert outcome(fault, 1.05, "named", [gain(1.08, 0.02)]) == "right"
+    assert outcome(fault, 1.05, "named", [gain(1.06, 0.001)]) == "size"
+    assert outcome(fault, 1.05, "unexplained", [gain(1.05, 0.001), gain(1.1, 0.1, "channel a1")]) == "right, and more"
+    assert outcome(fault, 1.05, "named", [gain(1.05, 0.001, "channel a1")]) == "wrong"
+    assert outcome(fault, 1.05, "none", []) == "missed"
+    clean = Fault("clean", "no fault", "", unchanged)
+    assert [outcome(clean, None, verdict, []) for verdict in ("none", "unexplained")] == ["none", "false"]
+    clock = Fault("clock", "clock 0.1 % fast", "channel a2", unchanged)
+    assert outcome(clock, None, "unexplained", [], ["clock of channel a2"]) == "right"
+    assert outcome(clock, None, "unexplained", [gain(1.05, 0.001)], ["clock of channel a1"]) == "wrong"
+    assert cause_text(gain(1.05, 0.001)) == "sensor_gain channel a2 1.05 ± 0.001"
+
+
+def test_the_model_of_the_wing_has_the_modes_of_its_frequency_responses() -> None:
+    hz = np.arange(f16.BAND_HZ[0], f16.BAND_HZ[1], 400.0 / f16.PERIOD_N)
+    frequencies = np.array(f16.FIRST_GUESS_HZ) * [0.97, 1.01, 0.99, 1.02, 1.0, 0.99, 1.1]
+    shapes = np.array([[0.1, 0.02, 0.02, 0.01, 0.04, 0.02, 0.06], [0.01, 0.04, 0.03, 0.02, 0.08, 0.07, -0.05]])
+    shapes = np.vstack([shapes, shapes[1] * [0.8, 0.9, 0.85, 1.1, 0.95, 0.8, 0.2]])
+    r = hz[:, None] / frequencies
+    response = ((-(r**2) / (1.0 - r**2 + 0.02j * r)) * shapes[0]) @ shapes.T
+    found, damping, modes = f16.identify_modes(hz, response)
+    np.testing.assert_allclose(found[1:-1], frequencies[1:-1], rtol=1e-3)
+    np.testing.assert_allclose(damping[1:-1], 0.01, rtol=0.05)
+    content = f16.structure_file(found, damping, modes)
+    structure = Configuration.model_validate(content).model().structure
+    values, vectors = eigh(structure.stiffness_matrix(), structure.mass_matrix())
+    np.testing.assert_allclose(np.sqrt(values) / (2.0 * np.pi), found, rtol=1e-6)
+    sign = np.sign(vectors[1] * modes[1])
+    np.testing.assert_allclose(vectors[:3] * sign, modes, atol=1e-6)
