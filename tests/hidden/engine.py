@@ -42,6 +42,7 @@ def answer(baseline: Baseline, blocks: Iterable[SampleBlock]) -> dict[str, Any]:
             {"effect": c.effect.name, "location": c.effect.location, "probability": float(p)} for c, p in d.alternatives
         ],
         "nats": (gain.after - gain.before) * segments.samples,
+        "band_hz": [round(float(f), 2) for f in segments.band.hz[[0, -1]]],
         "left_over": [[m.where, round(float(m.size), 1)] for m in d.left_over[:3]],
     }
 
