@@ -14,8 +14,15 @@ from monitor.core import Array
 from monitor.diagnosis.cross_validation import HeldOutGain
 from monitor.diagnosis.score_test import Candidate
 from monitor.diagnosis.stepwise_selection import Diagnosis
-from monitor.diagnosis.wording import contradicted, headline, in_words, law_family, separating_measurement
-from monitor.inference import ParameterLayout
+from monitor.diagnosis.wording import (
+    band_in_words,
+    contradicted,
+    headline,
+    in_words,
+    law_family,
+    separating_measurement,
+)
+from monitor.inference import ParameterLayout, Segments
 from monitor.model import FORMS, Effect, MatrixStructure, Model, StructuralPrior
 
 _NOT_DETERMINED = 1e300
@@ -67,11 +74,18 @@ def content(
             for c in diagnosis.candidates
         ],
         "left_over": [{"where": m.where, "size": _finite(m.size), "says": m.says} for m in diagnosis.left_over],
+        "band": _band(diagnosis.posterior.observed.segments, prior),
         "ddi_effect": dict(ddi_effect),
         "refit": list(refit),
         "detectable_loss": list(detectable_loss),
     }
     return {**out, "says": headline(diagnosis, gain, out)}
+
+
+def _band(segments: Segments, prior: StructuralPrior) -> dict[str, Any]:
+    """Describe the band that was judged, within that of ``[processing]``."""
+    judged_hz, processing_hz = ([float(f) for f in band.hz[[0, -1]]] for band in (segments.band, segments.whole))
+    return {"judged_hz": judged_hz, "processing_hz": processing_hz, "says": band_in_words(segments, prior)}
 
 
 def _cause(effect: Effect, std: Mapping[str, float], prior: StructuralPrior) -> dict[str, Any]:

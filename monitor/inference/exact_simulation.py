@@ -106,7 +106,7 @@ def draw_forces(posterior: Posterior, x: Array, effects: Sequence[Effect], seed:
 
 def _limit_band(forces: Array, band: Band, rate_hz: float) -> Array:
     """Keep the frequencies of forces, shape (n_samples, n), N, at which the recording shows forces."""
-    forced = band.forced(np.fft.rfftfreq(len(forces), 1.0 / rate_hz))
+    forced = band.forced(np.asarray(np.fft.rfftfreq(len(forces), 1.0 / rate_hz), dtype=float))
     if forced.all():
         return forces
     return np.asarray(irfft(rfft(forces, axis=0) * forced[:, None], n=len(forces), axis=0))

@@ -2,10 +2,10 @@
 
 The decision is made from the recording alone, before any model is fitted, so all models are compared in the same band.
 
-A structure under forces on its floors has bounds on how steeply its power may fall.  With ``u = ln f``, the acceleration's power
-beyond the last mode at f1 falls as ``(1 - (f1/f)^2)^-2`` towards a constant, and below the first mode it falls as the fourth power of
-the frequency times the mirror image of that.  The power falls by ``2 m du`` with the order m of the fall.  A steeper fall, of every
-channel and for good, is no structure's: the forces end there, or a filter or the sensors' noise takes over.
+A structure under forces on its floors has bounds on how steeply its power may fall.  Beyond the last mode at f1 the power of the
+acceleration falls as ``(1 - (f1/f)^2)^-2`` towards a constant.  Below the first mode it falls as the fourth power of the frequency
+times the mirror image of that.  A fall of order m is one by ``2 m d(ln f)`` in ``ln S``, as of a filter with m poles.  A steeper fall,
+of every channel and for good, is no structure's: the forces end there, or a filter or the sensors' noise takes over.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.ndimage import maximum_filter1d, median_filter, minimum_filter1d
+from scipy.ndimage import median_filter
 
 from monitor.core import Array
 from monitor.signals import LEAKAGE_OFFSETS, overlap_correlation

@@ -80,6 +80,33 @@ class Segments:
     samples: int
     """Number of sample instants after resampling that the segments cover, each counted once for all channels."""
 
+    def within(self, range_hz: tuple[float, float] | None) -> Segments:
+        """Narrow the judged band to a range of frequencies, Hz; None narrows nothing.
+
+        Raises
+        ------
+        BadInputError
+            If hardly a frequency of the judged band lies in the range.
+        """
+        if range_hz is None:
+            return self
+        half = 0.5 * self.band.bin_hz
+        first, end = np.searchsorted(self.band.hz, [range_hz[0] - half, range_hz[1] + half])
+        if end - first < 2:
+            low, high = self.band.hz[[0, -1]]
+            raise BadInputError(
+                f"the recording can be judged from {low:.2f} to {high:.2f} Hz, and the baseline's from {range_hz[0]:.2f} to "
+                f"{range_hz[1]:.2f} Hz: nothing is common to both; calibrate with forces like these"
+            )
+        chosen = slice(int(first), int(end))
+        higher = (np.abs(self.values[:, end:]) ** 2 / self.band.gain[end:, None]).sum(axis=1)
+        return replace(
+            self,
+            values=self.values[:, chosen],
+            above=self.above + 2.0 * self.band.bin_hz * higher,
+            band=self.band.part(JudgedBand(chosen, self.band.forces_hz)),
+        )
+
     def part(self, chosen: NDArray[np.bool_]) -> Segments:
         """Select segments by a mask, shape (n_segments,)."""
         share = float(chosen.mean()) if chosen.size else 0.0
@@ -144,7 +171,9 @@ def gather(blocks: Iterable[SampleBlock], front_end: FrontEnd) -> Segments:
     readings = np.array([((t - t0) * 1e-9, v) for t, v in temperature if np.isfinite(v)]).reshape(-1, 2)
     transforms, rms, tapered = (np.stack(x) for x in zip(*floors.segments.values(), strict=True))
     periodograms = np.abs(transforms[:, : last + 1]) ** 2 / gain[:, None]
-    judged = find_judged_band(periodograms[:, first:], whole.hz) if located is None else JudgedBand(slice(0, whole.n_bins))
+    judged = (
+        find_judged_band(periodograms[:, first:], whole.hz) if located is None else JudgedBand(slice(0, whole.n_bins))
+    )
     band = whole.part(judged)
     below = 2.0 * design.step_hz * periodograms[:, 1 : band.first + band.n_bins].sum(axis=1)
     segments = Segments(

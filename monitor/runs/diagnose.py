@@ -62,6 +62,7 @@ class Finding:
     content: dict[str, Any]
     """Content of diagnosis.json."""
     segments: Segments
+    """Segments in the judged band."""
     updated: Model
     """Model of the old form, refitted."""
     extended: Model
@@ -103,6 +104,7 @@ def diagnose(
     plain = content(confirmed, gain, config.model().effects, ddi_effect(confirmed), rows, detectable)
     plain |= {"model": model_to_plain(extended, degc), "since_calibration": baseline is not None}
     plain = name_stories_in(plain, config.story_names)
+    segments = confirmed.posterior.observed.segments
     return Finding(confirmed, gain, plain, segments, updated, extended, degc)
 
 
@@ -110,7 +112,7 @@ def diagnose(
 def diagnose_segments(
     segments: Segments, prior: StructuralPrior, config: Configuration
 ) -> tuple[Diagnosis, HeldOutGain]:
-    """Diagnose segments of data, and test the causes on held-out data.
+    """Diagnose segments of data in the band that both they and the baseline can judge, and test the causes on held-out data.
 
     Returns
     -------
@@ -119,6 +121,7 @@ def diagnose_segments(
     HeldOutGain
         Gain of the causes on held-out data; zero if they are withdrawn.
     """
+    segments = segments.within(prior.judged_hz)
     found = diagnose_spectra(classify(segments), prior, _context(segments, config), config.diagnosis)
     gain = heldout_gain(segments, found)
     confirmed = require_gain(found, gain)

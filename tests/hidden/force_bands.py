@@ -88,7 +88,9 @@ def main() -> None:
                 out.write(json.dumps(result) + "\n")
             told = "; ".join(f"{c['effect']} {c['location']} {c['parameters']}" for c in answer["causes"])
             rivals = "; ".join(f"{a['effect']} {a['location']} {a['probability']:.2f}" for a in answer["alternatives"])
-            print(shape, effect, answer["verdict"], told, rivals, answer.get("band_hz"), answer["left_over"], flush=True)
+            print(
+                shape, effect, answer["verdict"], told, rivals, answer.get("band_hz"), answer["left_over"], flush=True
+            )
 
 
 if __name__ == "__main__":
