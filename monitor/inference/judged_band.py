@@ -2,10 +2,11 @@
 
 The decision is made from the recording alone, before any model is fitted, so all models are compared in the same band.
 
-A structure under forces on its floors has bounds on how steeply its power may fall.  Beyond the last mode at f1 the power of the
-acceleration falls as ``(1 - (f1/f)^2)^-2`` towards a constant.  Below the first mode it falls as the fourth power of the frequency
-times the mirror image of that.  A fall of order m is one by ``2 m d(ln f)`` in ``ln S``, as of a filter with m poles.  A steeper fall,
-of every channel and for good, is no structure's: the forces end there, or a filter or the sensors' noise takes over.
+A structure under forces on its floors has bounds on how steeply its power may fall.  Beyond the last mode at f1 the power of
+the acceleration falls as ``(1 - (f1/f)^2)^-2`` towards a constant.  Below the first mode it falls as the fourth power of the
+frequency times the mirror image of that.  A fall of order m is one by ``2 m d(ln f)`` in ``ln S``, as of a filter with m poles.
+A steeper fall, of every channel and for good, is no structure's: the forces end there, or a filter or the sensors' noise takes
+over.
 """
 
 from __future__ import annotations
@@ -18,20 +19,22 @@ from scipy.ndimage import median_filter
 from monitor.core import Array
 from monitor.signals import LEAKAGE_OFFSETS, overlap_correlation
 
-_LEAST_ORDER = 4.0
-"""Order of a fall of power that no structure has beyond its modes. [1; derived: an octave that lies wholly above the power
-beyond it can fall with an order of 1.3 by the tail of a mode and of 1 by a first-order colour of the forces]"""
-_ORDER_OF_INERTIA = 2.0
-"""Order with which the acceleration's power falls below the first mode in addition. [1; definition: the fourth power of the
-frequency]"""
+_LEAST_ORDER_ABOVE = 4.0
+"""Order of a fall towards high frequencies that is no structure's. [1; judgement: the tail of a mode falls with an order of
+1.3 at most where an octave before lies wholly above what is beyond, and a first-order colour of the forces adds 1]"""
+_LEAST_ORDER_BELOW = 8.0
+"""The same towards low frequencies. [1; judgement: there a mode falls with an order of 5.3 at most, and a colour adds 1]"""
+_NO_POWER = 1e-300
+"""Stands for the power of a dead channel, so that it has a logarithm. [(m/s^2)^2/Hz; rounding]"""
 _OCTAVE = float(np.log(2.0))
 """Range of frequencies, on the forces' side of a fall, that must lie wholly above what is beyond the fall. [1; definition: an
 octave]"""
 _FLAT = float(np.log(0.9))
 """Logarithm of the share of the forces' end up to which they are flat. [1; judgement: a multisine or a filter falls a little
 before its end, by less than the steepest part shows]"""
-_LINE_BINS = 9
-"""Bins over which the median is taken: the line of a machine is narrower than half of that. [bins; Hann taper]"""
+_LINE_BINS = 13
+"""Bins over which the median is taken: the line of a machine, up to six bins wide, is narrower than half of that. [bins; Hann
+taper]"""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -69,12 +72,12 @@ def find_judged_band(periodograms: Array, hz: Array) -> JudgedBand:
     JudgedBand
         All bins where the power falls no more steeply than a structure's may.
     """
-    power = periodograms.mean(axis=0)
+    power = np.maximum(periodograms.mean(axis=0), _NO_POWER)
     relative = np.median(periodograms.std(axis=0) / power)
     chance = float(relative * np.sqrt((1.0 + 2.0 * overlap_correlation()) / len(periodograms)))
     level, u = median_filter(np.log(power), size=(_LINE_BINS, 1), mode="nearest"), np.log(hz)
-    upper = _steepest_fall(u, level, chance, _LEAST_ORDER)
-    lower = _steepest_fall(-u[::-1], level[::-1], chance, _LEAST_ORDER + _ORDER_OF_INERTIA)
+    upper = _steepest_fall(u, level, chance, _LEAST_ORDER_ABOVE)
+    lower = _steepest_fall(-u[::-1], level[::-1], chance, _LEAST_ORDER_BELOW)
     leaked = 0.5 * float(np.abs(LEAKAGE_OFFSETS).max()) * (hz[1] - hz[0])
     low = -np.inf if lower is None else np.exp(-lower.judged) + leaked
     high = np.inf if upper is None else np.exp(upper.judged) - leaked
@@ -116,7 +119,7 @@ def _steepest_fall(u: Array, level: Array, chance: float, least_order: float) ->
     m, a = float(order[i, b]), int(whole[i])
     if m < least_order:
         return None
-    middle, plateau = 0.5 * (u[a] + u[b]), np.median(level[before[a] : a + 1], axis=0)
+    middle, plateau = 0.5 * (u[a] + u[b]), np.median(level[np.searchsorted(u, u[a] - _OCTAVE / 3.0) : a + 1], axis=0)
     fallen = float((plateau - 0.5 * (least[i] + most[b])).mean())
     lost = max(float(np.expm1(fallen)), 1.0)  # g = 1 / (1 + lost) at the middle
     half = middle - np.log(lost) / (2.0 * m)

@@ -3,9 +3,9 @@
     .venv/bin/python -m tests.measured.silverbox SNLS80mV.mat [--part multisine|arrow|all] [--cutoff 40 15]
 
 The user's own download of the data (nonlinearbenchmark.org) is read; it is no part of the repository.  The output voltage is
-taken for a displacement in m, differentiated twice in the frequency domain and stretched in time ten times, so that the circuit is
-a structure of 1 kg at 6.83 Hz.  Its forces end at 20 Hz (multisine) or fall from 18 Hz on (arrow).  Input and output together give
-k3 / k = 3.98 per square meter; nothing of the input is used here.
+taken for a displacement in m, differentiated twice in the frequency domain and stretched in time ten times, so that the
+circuit is a structure of 1 kg at 6.83 Hz.  Its forces end at 20 Hz (multisine) or fall from 18 Hz on (arrow).  Input and output
+together give k3 / k = 3.98 per square meter; nothing of the input is used here.
 
 References
 ----------
