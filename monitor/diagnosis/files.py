@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import tomlkit
+from scipy.special import logsumexp
 from tomlkit.items import AoT
 
 from monitor.core import Array
@@ -23,7 +24,7 @@ from monitor.diagnosis.wording import (
     separating_measurement,
 )
 from monitor.inference import ParameterLayout, Segments
-from monitor.model import FORMS, Effect, MatrixStructure, Model, StructuralPrior
+from monitor.model import FORMS, Effect, LawFamily, MatrixStructure, Model, StructuralPrior
 
 _NOT_DETERMINED = 1e300
 """Written in place of a standard deviation that is not determined. [1; definition: JSON has no infinity]"""
@@ -57,13 +58,15 @@ def content(
     prior = diagnosis.posterior.prior
     causes = [_cause(c.effect, c.std, prior) for c in diagnosis.causes]
     alternatives = [_alternative(c, share, prior) for c, share in diagnosis.alternatives]
+    family = law_family(alternatives)
     stated = {(e.name, e.location) for e in known}
     out: dict[str, Any] = {
         "verdict": diagnosis.verdict,
         "cause": causes[0] if diagnosis.verdict == "named" else None,
         "causes": causes,
         "alternatives": alternatives,
-        "family": law_family(alternatives) if alternatives else None,
+        "family": family,
+        "family_log_odds": None if family is None else _finite(_family_log_odds(diagnosis, family)),
         "separating_measurement": separating_measurement(alternatives),
         "misfit": [{"where": m.where, "size": _finite(m.size), "says": m.says} for m in diagnosis.misfit],
         "gain": _gain(gain),
@@ -80,6 +83,16 @@ def content(
         "detectable_loss": list(detectable_loss),
     }
     return {**out, "says": headline(diagnosis, gain, out)}
+
+
+def _family_log_odds(diagnosis: Diagnosis, family: LawFamily) -> float:
+    """Compute the log odds of the rivals, laws of one family, against all candidates of no such law and none, together."""
+
+    def belongs(effect: Effect) -> bool:
+        return family in type(effect).law_families({k: {"value": v, "std": 0.0} for k, v in effect.values().items()})
+
+    others = [c.log_evidence for c in (diagnosis.rounds or ((),))[-1] if not belongs(c.effect)]
+    return float(logsumexp([c.log_evidence for c, _ in diagnosis.alternatives]) - logsumexp([0.0, *others]))
 
 
 def _band(segments: Segments, prior: StructuralPrior) -> dict[str, Any]:

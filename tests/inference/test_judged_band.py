@@ -120,7 +120,7 @@ RATE_HZ, END_HZ = 200.0, 20.0
 @pytest.fixture(scope="module")
 def ended() -> Segments:
     """Segments of a recording without power beyond 20 Hz but a little noise."""
-    floors = simulate(CONFIG.model(), duration_s=300.0, rate_hz=RATE_HZ, seed=4).floors
+    floors = simulate(CONFIG.model(), duration_s=200.0, rate_hz=RATE_HZ, seed=4).floors
     spectrum = np.fft.rfft(floors, axis=0)
     spectrum[np.fft.rfftfreq(len(floors), 1.0 / RATE_HZ) > END_HZ] = 0.0
     samples = np.fft.irfft(spectrum, n=len(floors), axis=0)
