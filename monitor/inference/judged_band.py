@@ -6,17 +6,19 @@ A structure under forces on its floors has bounds on how steeply its power may f
 the acceleration falls as ``(1 - (f1/f)^2)^-2`` towards a constant.  Below the first mode it falls as the fourth power of the
 frequency times the mirror image of that.  A fall of order m is one by ``2 m d(ln f)`` in ``ln S``, as of a filter with m poles.
 A steeper fall, of every channel and for good, is no structure's: the forces end there, or a filter or the sensors' noise takes
-over.
+over.  The second eigenvalue of the cross-spectra is such a power too.  It shows forces on all floors nearly without the peaks of
+the modes, each of which moves in one direction only, and without what a single nonlinear law excites beyond the forces' end.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import median_filter
 
-from monitor.core import Array
+from monitor.core import Array, ComplexArray
 from monitor.signals import LEAKAGE_OFFSETS, overlap_correlation
 
 _LEAST_ORDER_ABOVE = 4.0
@@ -57,13 +59,13 @@ class _Fall:
     """Up to where the forces are flat: the power has fallen by less than chance."""
 
 
-def find_judged_band(periodograms: Array, hz: Array) -> JudgedBand:
+def find_judged_band(transforms: ComplexArray, hz: Array) -> JudgedBand:
     """Find the bins of a recording in which forces shake the structure.
 
     Parameters
     ----------
-    periodograms : ndarray, shape (n_segments, n_bins, c), (m/s^2)^2/Hz
-        Squared magnitudes of the segments' transforms.
+    transforms : ndarray, shape (n_segments, n_bins, c), m/s^2/sqrt(Hz)
+        The segments' transforms.
     hz : ndarray, shape (n_bins,), Hz
         Frequencies of the bins, ascending.
 
@@ -72,12 +74,17 @@ def find_judged_band(periodograms: Array, hz: Array) -> JudgedBand:
     JudgedBand
         All bins where the power falls no more steeply than a structure's may.
     """
-    power = np.maximum(periodograms.mean(axis=0), _NO_POWER)
-    relative = np.median(periodograms.std(axis=0) / power)
+    spectra = np.einsum("ska,skb->kab", transforms, transforms.conj()) / len(transforms)
+    second, power = np.linalg.eigvalsh(spectra)[:, -2:][:, :1], np.einsum("kaa->ka", spectra).real
+    periodograms = np.abs(transforms) ** 2
+    relative = np.median(periodograms.std(axis=0) / np.maximum(power, _NO_POWER))
     chance = float(relative * np.sqrt((1.0 + 2.0 * overlap_correlation()) / len(periodograms)))
-    level, u = median_filter(np.log(power), size=(_LINE_BINS, 1), mode="nearest"), np.log(hz)
-    upper = _steepest_fall(u, level, chance, _LEAST_ORDER_ABOVE)
-    lower = _steepest_fall(-u[::-1], level[::-1], chance, _LEAST_ORDER_BELOW)
+    levels = [
+        median_filter(np.log(np.maximum(p, _NO_POWER)), size=(_LINE_BINS, 1), mode="nearest") for p in (second, power)
+    ]
+    u = np.log(hz)
+    upper = _first(_steepest_fall(u, level, chance, _LEAST_ORDER_ABOVE) for level in levels)
+    lower = _first(_steepest_fall(-u[::-1], level[::-1], chance, _LEAST_ORDER_BELOW) for level in levels)
     leaked = 0.5 * float(np.abs(LEAKAGE_OFFSETS).max()) * (hz[1] - hz[0])
     low = -np.inf if lower is None else np.exp(-lower.judged) + leaked
     high = np.inf if upper is None else np.exp(upper.judged) - leaked
@@ -89,6 +96,11 @@ def find_judged_band(periodograms: Array, hz: Array) -> JudgedBand:
         np.inf if upper is None else float(np.exp(upper.half)),
     )
     return JudgedBand(slice(int(first), int(end)), forces)
+
+
+def _first(falls: Iterable[_Fall | None]) -> _Fall | None:
+    """Return the first fall that there is."""
+    return next((fall for fall in falls if fall is not None), None)
 
 
 def _steepest_fall(u: Array, level: Array, chance: float, least_order: float) -> _Fall | None:

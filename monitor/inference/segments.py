@@ -172,7 +172,9 @@ def gather(blocks: Iterable[SampleBlock], front_end: FrontEnd) -> Segments:
     transforms, rms, tapered = (np.stack(x) for x in zip(*floors.segments.values(), strict=True))
     periodograms = np.abs(transforms[:, : last + 1]) ** 2 / gain[:, None]
     judged = (
-        find_judged_band(periodograms[:, first:], whole.hz) if located is None else JudgedBand(slice(0, whole.n_bins))
+        find_judged_band(transforms[:, first : last + 1] / np.sqrt(whole.gain)[:, None], whole.hz)
+        if located is None
+        else JudgedBand(slice(0, whole.n_bins))
     )
     band = whole.part(judged)
     below = 2.0 * design.step_hz * periodograms[:, 1 : band.first + band.n_bins].sum(axis=1)

@@ -23,12 +23,13 @@ from monitor.model.simulation import simulate
 from monitor.runs.synthetic_recording import cut_into_blocks
 
 Array = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
 HZ = 2.0 + 0.05 * np.arange(681)
 N_SEGMENTS = 118
 
 
-def chain(n: int, first_hz: float, seed: int) -> tuple[Array, Array]:
-    """Powers of the floors' accelerations under white forces, and under a white ground motion, shape (n_bins, n)."""
+def chain(n: int, first_hz: float, seed: int) -> tuple[ComplexArray, ComplexArray]:
+    """Accelerations of the floors by white forces and by a white ground motion, shapes (n_bins, n, n) and (n_bins, n, 1)."""
     rng = np.random.default_rng(seed)
     mass, drift = np.diag(np.exp(0.2 * rng.standard_normal(n))), np.eye(n) - np.eye(n, k=1)
     stiffness = drift.T @ (np.exp(0.3 * rng.standard_normal(n))[:, None] * drift)
@@ -38,19 +39,30 @@ def chain(n: int, first_hz: float, seed: int) -> tuple[Array, Array]:
     damping = (carried * (0.02 * np.sqrt(values))) @ carried.T
     w = 2.0 * np.pi * HZ[:, None, None]
     answer = -(w**2) * np.linalg.inv(stiffness + 1j * w * damping - w**2 * mass)
-    forces = np.exp(rng.uniform(-0.5, 0.5, n))
-    return np.abs(answer) ** 2 @ forces, np.abs(1.0 - answer @ np.diag(mass)) ** 2
+    shaken = 1.0 - answer @ np.diag(mass)
+    return answer * np.exp(rng.uniform(-0.25, 0.25, n)), shaken[:, :, None]
 
 
-def drawn(power: Array, noise: float = 1e-3, seed: int = 0) -> Array:
-    """Periodograms of a random recording whose level wanders, with a floor of noise."""
+def drawn(root: ComplexArray, noise: float = 1e-3, seed: int = 0) -> ComplexArray:
+    """Transforms of a random recording whose level wanders, with a floor of noise; `root` of shape (n_bins, c, sources)."""
     rng = np.random.default_rng(seed)
+
+    def normal(n: int) -> ComplexArray:
+        shape = N_SEGMENTS, HZ.size, n
+        return (rng.standard_normal(shape) + 1j * rng.standard_normal(shape)) / np.sqrt(2.0)
+
+    power = (np.abs(root) ** 2).sum(axis=2)
     level = np.exp(0.35 * rng.standard_normal(N_SEGMENTS))[:, None, None]
-    return level * (power + noise * np.median(power[power > 0.0])) * rng.exponential(size=(N_SEGMENTS, *power.shape))
+    moved = np.einsum("kcj,skj->skc", root, level * normal(root.shape[2]))
+    return moved + np.sqrt(noise * np.median(power[power > 0.0])) * normal(root.shape[1])
 
 
-def is_whole(power: Array, noise: float = 1e-3) -> bool:
-    return find_judged_band(drawn(power, noise), HZ).judged == slice(0, HZ.size)
+def is_whole(root: ComplexArray, noise: float = 1e-3) -> bool:
+    return find_judged_band(drawn(root, noise), HZ).judged == slice(0, HZ.size)
+
+
+def where(condition: NDArray[np.bool_]) -> Array:
+    return condition[:, None, None].astype(float)
 
 
 @pytest.mark.parametrize("n", [1, 2, 3, 6])
@@ -58,27 +70,42 @@ def is_whole(power: Array, noise: float = 1e-3) -> bool:
 def test_what_a_structure_answers_to_forces_is_judged_in_the_whole_band(n: int, first_hz: float) -> None:
     forced, shaken = chain(n, first_hz, seed=n)
     assert is_whole(forced)
-    assert is_whole(forced / (1.0 + (HZ[:, None] / 6.0) ** 2)), "a first-order colour is a cause of its own"
-    assert is_whole(forced + shaken * forced.mean() / shaken.mean()), "and so is a ground motion"
+    assert is_whole(forced / np.sqrt(1.0 + (HZ[:, None, None] / 6.0) ** 2)), (
+        "a first-order colour is a cause of its own"
+    )
+    as_strong = np.sqrt((np.abs(forced) ** 2).mean() / (np.abs(shaken) ** 2).mean())
+    assert is_whole(np.concatenate([forced, as_strong * shaken], axis=2)), "and so is a ground motion"
 
 
 @pytest.mark.parametrize("end_hz", [12.0, 18.0, 25.0])
 def test_forces_that_end_are_found_to_end_there(end_hz: float) -> None:
-    found = find_judged_band(drawn(chain(3, 3.0, seed=1)[0] * (end_hz > HZ[:, None])), HZ)
+    found = find_judged_band(drawn(chain(3, 3.0, seed=1)[0] * where(end_hz > HZ)), HZ)
     assert found.forces_hz == (0.0, pytest.approx(end_hz, rel=0.01))
     assert 0.88 * end_hz < HZ[found.judged][-1] < 0.92 * end_hz
     assert HZ[found.judged][0] == HZ[0]
 
 
+def test_the_force_on_one_floor_is_found_to_end() -> None:
+    shaken_by_one = chain(3, 3.0, seed=1)[0][:, :, 1:2] * where(HZ < 18.0)
+    assert find_judged_band(drawn(shaken_by_one, noise=1e-6), HZ).forces_hz[1] == pytest.approx(18.0, rel=0.02)
+
+
+def test_what_a_nonlinear_law_excites_beyond_does_not_hide_the_end() -> None:
+    forced = chain(3, 5.4, seed=3)[0] * where(HZ < 18.0)
+    by_law = chain(3, 5.4, seed=3)[0][:, :, 1:2] * where(HZ > 18.0)
+    found = find_judged_band(drawn(np.concatenate([forced, by_law], axis=2)), HZ)
+    assert found.forces_hz[1] == pytest.approx(18.0, rel=0.02)
+
+
 def test_a_steep_filter_is_judged_where_it_passes_all() -> None:
-    passed = 1.0 / (1.0 + (HZ[:, None] / 18.0) ** 24)
-    found = find_judged_band(drawn(chain(3, 3.0, seed=1)[0] * passed), HZ)
+    passed = 1.0 / (1.0 + (HZ / 18.0) ** 24)
+    found = find_judged_band(drawn(chain(3, 3.0, seed=1)[0] * np.sqrt(passed)[:, None, None]), HZ)
     assert found.forces_hz[1] == pytest.approx(18.0, rel=0.05)
     assert passed[found.judged].min() > 0.9
 
 
 def test_forces_of_two_octaves_begin_and_end() -> None:
-    inside = ((HZ > 4.0) & (HZ < 16.0))[:, None]
+    inside = where((HZ > 4.0) & (HZ < 16.0))
     found = find_judged_band(drawn(chain(2, 6.0, seed=1)[0] * inside, noise=1e-4), HZ)
     assert found.forces_hz == (pytest.approx(4.0, rel=0.05), pytest.approx(16.0, rel=0.01))
     assert 4.0 < HZ[found.judged][0] < 4.7
@@ -86,15 +113,22 @@ def test_forces_of_two_octaves_begin_and_end() -> None:
 
 
 def test_a_machine_beyond_the_end_does_not_hide_it() -> None:
-    power = chain(3, 3.0, seed=1)[0] * (HZ[:, None] < 18.0)
-    power[np.abs(HZ - 30.0) < 0.11] = 10.0 * power.max()
-    assert find_judged_band(drawn(power), HZ).forces_hz[1] == pytest.approx(18.0, rel=0.01)
+    forced = chain(3, 3.0, seed=1)[0]
+    root = forced * where(HZ < 18.0)
+    root[np.abs(HZ - 30.0) < 0.11] = 10.0 * np.abs(forced).max()
+    assert find_judged_band(drawn(root), HZ).forces_hz[1] == pytest.approx(18.0, rel=0.01)
 
 
-def test_what_falls_in_some_channels_only_is_no_end_of_the_forces() -> None:
-    power = chain(3, 3.0, seed=1)[0]
-    power[HZ > 18.0, :2] = 0.0
-    assert is_whole(power)
+def test_a_channel_that_falls_alone_is_no_end_of_the_forces() -> None:
+    root = chain(3, 3.0, seed=1)[0]
+    root[HZ > 18.0, 1] = 0.0
+    assert is_whole(root)
+
+
+def test_a_dead_channel_is_no_end_of_the_forces() -> None:
+    transforms = drawn(chain(3, 3.0, seed=1)[0])
+    transforms[:, :, 2] = 0.0
+    assert find_judged_band(transforms, HZ).judged == slice(0, HZ.size)
 
 
 CONFIG = Configuration.model_validate(
