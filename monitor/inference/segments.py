@@ -171,11 +171,10 @@ def gather(blocks: Iterable[SampleBlock], front_end: FrontEnd) -> Segments:
     readings = np.array([((t - t0) * 1e-9, v) for t, v in temperature if np.isfinite(v)]).reshape(-1, 2)
     transforms, rms, tapered = (np.stack(x) for x in zip(*floors.segments.values(), strict=True))
     periodograms = np.abs(transforms[:, : last + 1]) ** 2 / gain[:, None]
-    judged = (
-        find_judged_band(transforms[:, first : last + 1] / np.sqrt(whole.gain)[:, None], whole.hz)
-        if located is None
-        else JudgedBand(slice(0, whole.n_bins))
-    )
+    judged = JudgedBand(slice(0, whole.n_bins))
+    if located is None:
+        unfiltered = np.asarray(transforms[:, first : last + 1] / np.sqrt(whole.gain)[:, None], dtype=complex)
+        judged = find_judged_band(unfiltered, whole.hz)
     band = whole.part(judged)
     below = 2.0 * design.step_hz * periodograms[:, 1 : band.first + band.n_bins].sum(axis=1)
     segments = Segments(

@@ -13,6 +13,7 @@ from scipy.linalg import eigh
 from drivers.base import ACCELERATION
 from monitor.config.configuration import Configuration
 from monitor.core import BadInputError
+from monitor.diagnosis.healthy_prior import learn_prior
 from monitor.inference.exact_simulation import draw_forces
 from monitor.inference.judged_band import find_judged_band
 from monitor.inference.observed_spectra import classify
@@ -20,6 +21,7 @@ from monitor.inference.segments import Segments, gather
 from monitor.inference.starting_point import make_posterior
 from monitor.model.prior import prior_from_drawing
 from monitor.model.simulation import simulate
+from monitor.runs.diagnose import diagnose_segments
 from monitor.runs.synthetic_recording import cut_into_blocks
 
 Array = NDArray[np.float64]
@@ -181,6 +183,18 @@ def test_a_band_is_narrowed_to_what_the_baseline_could_judge(ended: Segments) ->
     assert ended.within(None) is ended
     with pytest.raises(BadInputError, match="nothing is common to both"):
         ended.within((25.0, 36.0))
+
+
+@pytest.mark.engine
+def test_later_diagnoses_compare_where_the_healthy_recording_could_be_judged(ended: Segments) -> None:
+    known = prior_from_drawing(CONFIG.model(), np.full(4, 0.1), 2)
+    learnt, _ = learn_prior(classify(ended), known, CONFIG.instrumented().context(RATE_HZ), CONFIG.diagnosis)
+    assert learnt.judged_hz == pytest.approx(ended.band.hz[[0, -1]])
+    floors = simulate(CONFIG.model(), duration_s=200.0, rate_hz=RATE_HZ, seed=5, noise=0.01).floors
+    white = gather(cut_into_blocks(ACCELERATION, floors, CONFIG.channels, RATE_HZ, 10**18, 500), CONFIG.front_end())
+    assert white.band.n_bins == white.whole.n_bins
+    found, _ = diagnose_segments(white, learnt, CONFIG)
+    assert found.posterior.observed.band.hz[[0, -1]] == pytest.approx(ended.band.hz[[0, -1]])
 
 
 def test_simulated_forces_end_where_the_recordings_do(ended: Segments) -> None:

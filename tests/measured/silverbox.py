@@ -80,12 +80,13 @@ def main() -> None:
             found, gain = diagnose.diagnose_segments(segments, diagnose._drawing_prior(config), config)
         told = content(found, gain, (), {})
         print(f"cutoff {cutoff_hz:g} Hz: {told['verdict']}; {told['says']}")
-        print(f"  band {told.get('band')}")
-        print(f"  family {told['family']}; held-out gain {gain.nats:.0f} nats")
+        print(f"  band {told['band']}")
+        print(f"  family {told['family']}, log odds {told['family_log_odds']}; held-out gain {gain.nats:.0f} nats")
         for c in told["causes"] + told["alternatives"]:
             print(f"  {c['effect']} {c['location']} {c.get('probability', '')} {c['says']}")
-        for t in told["tried"][:6]:
-            print(f"    {t['effect']} {t['location']}: log evidence {t['log_evidence_over_none']:.1f}")
+        for k, candidates in enumerate(found.rounds, 1):
+            for c in candidates[:4]:
+                print(f"    round {k}: {c.effect.name} {c.effect.location}: log evidence {c.log_evidence:.1f}")
         for m in told["left_over"][:4]:
             print(f"    left over: {m['where']}: {m['size']:.1f}")
         stiffness = found.posterior.context_at(found.final_fit.x).structure.stiffness_n_per_m[0]
