@@ -34,7 +34,7 @@ octave]"""
 _FLAT = float(np.log(0.9))
 """Logarithm of the share of the forces' end up to which they are flat. [1; judgement: a multisine or a filter falls a little
 before its end, by less than the steepest part shows]"""
-_LINE_BINS = 13
+_MEDIAN_BINS = 13
 """Bins over which the median is taken: the line of a machine, up to six bins wide, is narrower than half of that. [bins; Hann
 taper]"""
 
@@ -80,7 +80,7 @@ def find_judged_band(transforms: ComplexArray, hz: Array) -> JudgedBand:
     relative = np.median(periodograms.std(axis=0) / np.maximum(power, _NO_POWER))
     chance = float(relative * np.sqrt((1.0 + 2.0 * overlap_correlation()) / len(periodograms)))
     levels = [
-        median_filter(np.log(np.maximum(p, _NO_POWER)), size=(_LINE_BINS, 1), mode="nearest") for p in (second, power)
+        median_filter(np.log(np.maximum(p, _NO_POWER)), size=(_MEDIAN_BINS, 1), mode="nearest") for p in (second, power)
     ]
     u = np.log(hz)
     upper = _first(_steepest_fall(u, level, chance, _LEAST_ORDER_ABOVE) for level in levels)
