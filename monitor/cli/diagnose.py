@@ -54,6 +54,7 @@ def diagnose(
     lines += [f"refitted: {row['says']}" for row in found.content["refit"]]
     at_calibration = [*found.content["standing"], *filter(None, [found.content["standing_misfit"]])]
     lines += [f"already so at calibration: {cause['says']}" for cause in at_calibration]
+    lines += found.content["band"]["says"]
     if found.gain.withheld and found.diagnosis.verdict != "none":
         lines.append(f"gain on held-out data: none, {found.gain.withheld}")
     elif not found.gain.withheld:
@@ -66,8 +67,9 @@ def diagnose(
 def evaluate(recordings: Recordings, structure: Structure) -> None:
     """Score how well a model predicts recordings, as JSON.  Only the level of the excitation and the noise are fitted.
 
-    log_score_per_sample: debiased Whittle log-likelihood in nats per sample instant, all channels together, in the band from
-    5 to 90 % of cutoff_hz.  csd_error: squared error of the mean cross-spectra over their own square.
+    log_score_per_sample: debiased Whittle log-likelihood in nats per sample instant, all channels together, in band_hz: 5 to
+    90 % of cutoff_hz, or the part of it in which the recording shows forces.  csd_error: squared error of the mean cross-spectra
+    over their own square.
     """
     from monitor.config import configuration
     from monitor.runs import diagnose as job
@@ -77,6 +79,7 @@ def evaluate(recordings: Recordings, structure: Structure) -> None:
         "log_score_per_sample": score.log_score_per_sample,
         "csd_error": score.csd_error,
         "samples": score.samples,
+        "band_hz": list(score.band_hz),
     }
     print(json.dumps(content, allow_nan=False))
 

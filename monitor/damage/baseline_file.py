@@ -74,6 +74,7 @@ class _Reference(_Strict):
     basis: tuple[Matrix, ...]
     reference_degc: float | None
     error: _StandingError | None = None
+    judged_hz: tuple[float, float] | None = None
 
 
 class _Origin(_Strict):

@@ -8,15 +8,23 @@ from typing import Any
 
 import numpy as np
 import tomlkit
+from scipy.special import logsumexp
 from tomlkit.items import AoT
 
 from monitor.core import Array
 from monitor.diagnosis.cross_validation import HeldOutGain
 from monitor.diagnosis.score_test import Candidate
 from monitor.diagnosis.stepwise_selection import Diagnosis
-from monitor.diagnosis.wording import contradicted, headline, in_words, law_family, separating_measurement
-from monitor.inference import ParameterLayout
-from monitor.model import FORMS, Effect, MatrixStructure, Model, StructuralPrior
+from monitor.diagnosis.wording import (
+    band_in_words,
+    contradicted,
+    headline,
+    in_words,
+    law_family,
+    separating_measurement,
+)
+from monitor.inference import ParameterLayout, Segments
+from monitor.model import FORMS, Effect, LawFamily, MatrixStructure, Model, StructuralPrior
 
 _NOT_DETERMINED = 1e300
 """Written in place of a standard deviation that is not determined. [1; definition: JSON has no infinity]"""
@@ -53,13 +61,15 @@ def content(
     prior = diagnosis.posterior.prior
     causes = [_cause(c.effect, c.std, prior) for c in diagnosis.causes]
     alternatives = [_alternative(c, share, prior) for c, share in diagnosis.alternatives]
+    family = law_family(alternatives)
     stated = {(e.name, e.location) for e in known}
     out: dict[str, Any] = {
         "verdict": diagnosis.verdict,
         "cause": causes[0] if diagnosis.verdict == "named" else None,
         "causes": causes,
         "alternatives": alternatives,
-        "family": law_family(alternatives) if alternatives else None,
+        "family": family,
+        "family_log_odds": None if family is None else _finite(_family_log_odds(diagnosis, family)),
         "separating_measurement": separating_measurement(alternatives),
         "misfit": [{"where": m.where, "size": _finite(m.size), "says": m.says} for m in diagnosis.misfit],
         "gain": _gain(gain),
@@ -70,12 +80,29 @@ def content(
             for c in diagnosis.candidates
         ],
         "left_over": [{"where": m.where, "size": _finite(m.size), "says": m.says} for m in diagnosis.left_over],
+        "band": _band(diagnosis.posterior.observed.segments, prior),
         "ddi_effect": dict(ddi_effect),
         "refit": list(refit),
         "other_optima": list(optima),
         "detectable_loss": list(detectable_loss),
     }
     return {**out, "says": headline(diagnosis, gain, out)}
+
+
+def _family_log_odds(diagnosis: Diagnosis, family: LawFamily) -> float:
+    """Compute the log odds of the rivals, laws of one family, against all candidates of no such law and none, together."""
+
+    def belongs(effect: Effect) -> bool:
+        return family in type(effect).law_families({k: {"value": v, "std": 0.0} for k, v in effect.values().items()})
+
+    others = [c.log_evidence for c in (diagnosis.rounds or ((),))[-1] if not belongs(c.effect)]
+    return float(logsumexp([c.log_evidence for c, _ in diagnosis.alternatives]) - logsumexp([0.0, *others]))
+
+
+def _band(segments: Segments, prior: StructuralPrior) -> dict[str, Any]:
+    """Describe the band that was judged, within that of ``[processing]``."""
+    judged_hz, processing_hz = ([float(f) for f in band.hz[[0, -1]]] for band in (segments.band, segments.whole))
+    return {"judged_hz": judged_hz, "processing_hz": processing_hz, "says": band_in_words(segments, prior)}
 
 
 def _cause(effect: Effect, std: Mapping[str, float], prior: StructuralPrior) -> dict[str, Any]:

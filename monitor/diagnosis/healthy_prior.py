@@ -33,7 +33,8 @@ def learn_prior(
     First the model form alone is fitted.  Then the stiffnesses are held, and persistent effects of the structure are held as well
     as they are known.  A symmetric correction of the stiffness matrix within the modes in the band takes up the remaining lack of
     fit, together with the mass ratios.  So the data determine every free direction, and the posterior is close to normal.  Bands
-    that contradict the model even so are kept, and count less from then on.
+    that contradict the model even so are kept, and count less from then on.  Where the healthy recording could judge a part of
+    its band only, later diagnoses compare in that part only: beyond it the modes are still the drawing's.
 
     Parameters
     ----------
@@ -70,7 +71,9 @@ def learn_prior(
         np.eye(basis.shape[0]) / _CORRECTION_STD**2,
         known.precision[sizes, sizes] + np.diag(held),
     )
-    wider = replace(known, mean=mean, precision=prior, basis=basis)
+    band = observed.band
+    judged_hz = None if band.n_bins == observed.segments.whole.n_bins else (float(band.hz[0]), float(band.hz[-1]))
+    wider = replace(known, mean=mean, precision=prior, basis=basis, judged_hz=judged_hz)
     posterior, fitted, _ = fit_initial_model(observed, wider, context)
     discrepancy, covariance = estimate_model_discrepancy(posterior, fitted, settings), fitted.covariance
     if discrepancy is not None:

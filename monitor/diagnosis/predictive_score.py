@@ -25,6 +25,8 @@ class Score:
     """Tempered log likelihood of every segment, shape (n_segments,)."""
     samples: int
     """Number of sample instants, at the rate of the processing."""
+    band_hz: tuple[float, float]
+    """Lowest and highest frequency of the band in which the recording can be judged."""
     measured: ComplexArray
     """Mean cross-spectra of the segments, shape (n_bins, c, c)."""
     modelled: ComplexArray
@@ -90,7 +92,8 @@ def score(
     if mean is not None:
         modelled = modelled + np.einsum("ska,skb->kab", mean[held], mean[held].conj()) / len(counted)
     nats = _segment_nats(residual, observed, scatter)[held]
-    return Score(nats, _sample_instants(segments, held), measured, modelled)
+    band_hz = float(segments.band.hz[0]), float(segments.band.hz[-1])
+    return Score(nats, _sample_instants(segments, held), band_hz, measured, modelled)
 
 
 def csd_error(measured: ComplexArray, modelled: ComplexArray) -> float:

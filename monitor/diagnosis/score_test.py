@@ -105,7 +105,7 @@ def candidate_starts(
                 out.extend(kind.starts(place, posterior.context, typical))
                 near = (kind.at_peak(place, peak, posterior.context, typical) for peak in found)
                 out.extend(e for e in near if e is not None)
-    return [e for e in out if _is_applicable(e, posterior.context)]
+    return [e for e in out if _is_applicable(e, posterior.context) and e.is_plausible(posterior.observed.band.hz)]
 
 
 def _is_applicable(effect: Effect, context: Context) -> bool:

@@ -66,7 +66,7 @@ class Cause:
         """Make a cause of an effect and the standard deviations of its coordinates, shape (p,)."""
         std = {}
         for p, own in zip(effect.parameters, deviation.tolist(), strict=True):
-            value = getattr(effect, p.name)
+            value = effect.values()[p.name]
             std[p.name] = min(own * {"linear": 1.0, "log": value, "inverse": value**2}[p.scale], 1e300)
         return cls(effect, std)
 
@@ -518,13 +518,5 @@ def _causes(
     for effect, deviation, _ in zip(
         fitted.effects, coordinate_std(posterior, fitted, simulation_std), accepted, strict=False
     ):
-<<<<<<< HEAD
-        std = {}
-        for p, own in zip(effect.parameters, deviation.tolist(), strict=True):
-            value = effect.values()[p.name]
-            std[p.name] = min(own * {"linear": 1.0, "log": value, "inverse": value**2}[p.scale], 1e300)
-        out.append(Cause(effect, std))
-=======
         out.append(Cause.of(effect, deviation))
->>>>>>> measured
     return tuple(out)

@@ -10,6 +10,7 @@ import numpy as np
 from monitor.diagnosis.cross_validation import HeldOutGain
 from monitor.diagnosis.drawing_refit import refit_headline
 from monitor.diagnosis.stepwise_selection import Diagnosis
+from monitor.inference import Segments
 from monitor.model import FORMS, FittedSizes, LawFamily, ModelDiscrepancy, ParameterEstimates, StructuralPrior
 
 _MAX_RIVALS = 2
@@ -74,6 +75,27 @@ def contradicted(error: ModelDiscrepancy) -> str:
     """State in words, without a full stop, the bands in which the healthy data contradicted the model at calibration."""
     where = ", ".join(f"{low:.1f}-{high:.1f}" for low, high in error.doubtful_hz())
     return f"at {where} Hz no known effect explains the healthy data either, so what is seen there counts less"
+
+
+def band_in_words(segments: Segments, prior: StructuralPrior) -> list[str]:
+    """State what part of the band of ``[processing]`` is not judged, and why, in sentences without their full stops."""
+    band, whole, known = segments.band, segments.whole, prior.judged_hz or (0.0, np.inf)
+    ends = (
+        ("below", float(band.hz[0]), float(whole.hz[0]), band.forces_hz[0], "begins", known[0]),
+        ("above", float(band.hz[-1]), float(whole.hz[-1]), band.forces_hz[1], "ends", known[1]),
+    )
+    out = []
+    for side, limit, farthest, forced, verb, healthy in ends:
+        if limit == farthest:
+            continue
+        why = (
+            "the recording that the baseline was learned from could not be judged there"
+            if abs(limit - healthy) < 0.5 * band.bin_hz
+            else f"the power of all channels {verb} at {forced:.1f} Hz, more steeply than a structure's can: the forces "
+            f"that shake it {verb.removesuffix('s')} there, or a filter or the sensors' noise takes over"
+        )
+        out.append(f"{side} {limit:.1f} Hz nothing is judged: {why}")
+    return out
 
 
 def law_family(alternatives: Sequence[Mapping[str, Any]]) -> LawFamily | None:

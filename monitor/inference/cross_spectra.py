@@ -11,10 +11,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import eigh
 from scipy.optimize import brentq
 
 from monitor.core import Array, ComplexArray, compiled
+from monitor.inference.judged_band import JudgedBand
 from monitor.model import Condition, Context, Effect, System
 from monitor.signals import LEAKAGE_OFFSETS, hann_amplitude, leakage
 
@@ -42,6 +44,18 @@ class Band:
     """Spacing of the bins, the reciprocal of the segments' length, Hz."""
     gain: Array
     """Power gain of the anti-alias filter at the bins, shape (n_bins,)."""
+    forces_hz: tuple[float, float] = (0.0, np.inf)
+    """Frequencies at which the recording shows that the forces begin and end, Hz."""
+
+    def part(self, judged: JudgedBand) -> Band:
+        """Return the bins that a recording can judge."""
+        chosen = judged.judged
+        n_bins = chosen.stop - chosen.start
+        return Band(self.first + chosen.start, n_bins, self.bin_hz, self.gain[chosen], judged.forces_hz)
+
+    def forced(self, hz: Array) -> NDArray[np.bool_]:
+        """Select the frequencies, shape (n_hz,), Hz, at which forces act."""
+        return np.asarray((hz >= self.forces_hz[0]) & (hz <= self.forces_hz[1]))
 
     @property
     def hz(self) -> Array:

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 
 from monitor.core import Array, ComplexArray
-from monitor.inference.cross_spectra import channel_response, extended, ground_density
+from monitor.inference.cross_spectra import Band, channel_response, extended, ground_density
 from monitor.inference.linearization import linearize
 from monitor.inference.posterior import Posterior
 from monitor.model import Context, Effect, LawKind, respond
@@ -65,7 +65,7 @@ def draw_forces(posterior: Posterior, x: Array, effects: Sequence[Effect], seed:
     """Draw random forces that have each segment's own level.
 
     The simulation begins with one segment in which the transient of the start from rest decays.  The recording's segments follow
-    one after the other.
+    one after the other.  The forces begin and end at the frequencies at which the recording's do.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def draw_forces(posterior: Posterior, x: Array, effects: Sequence[Effect], seed:
     middle, at_sample = (np.arange(n_segments) + 2) * half, np.arange((n_segments + 2) * half)
     rng = np.random.default_rng(seed)
     root = np.stack([np.interp(at_sample, middle, np.sqrt(density[:, j] * rate)) for j in range(n)], axis=1)
-    floors = root * rng.standard_normal(root.shape)
+    floors = _limit_band(root * rng.standard_normal(root.shape), e.band, rate)
     for effect in effects:
         floors = effect.drive(floors, rate)
     share = sum(effect.ground_share for effect in effects)
@@ -102,6 +102,14 @@ def draw_forces(posterior: Posterior, x: Array, effects: Sequence[Effect], seed:
     if nonlinear:
         noise = np.sqrt(posterior.noise(x) * rate) * rng.standard_normal((root.shape[0], len(context.channels)))
     return Forces(rate, floors, ground, noise, rng)
+
+
+def _limit_band(forces: Array, band: Band, rate_hz: float) -> Array:
+    """Keep the frequencies of forces, shape (n_samples, n), N, at which the recording shows forces."""
+    forced = band.forced(np.asarray(np.fft.rfftfreq(len(forces), 1.0 / rate_hz), dtype=float))
+    if forced.all():
+        return forces
+    return np.asarray(irfft(rfft(forces, axis=0) * forced[:, None], n=len(forces), axis=0))
 
 
 def _half_segment_samples(posterior: Posterior) -> int:

@@ -69,7 +69,7 @@ def linearize(
         step = max(step, e.band.hz[-1] / _MAX_BINS)  # a damping ratio that the fit moves to zero
         hz = np.arange(max(0.2 * lowest, step), e.band.hz[-1] * 1.2, step)
         motion, _ = _motion_roots(system, everything, hz, forces[k], rows, order, context)
-        variance = 2.0 * step * (np.abs(motion) ** 2).sum(axis=(0, 2))
+        variance = 2.0 * step * (np.abs(motion[e.band.forced(hz)]) ** 2).sum(axis=(0, 2))
         if isinstance(posterior, DrivenPosterior):
             drive = posterior.drive.part(e.members[k])
             driven = [motion_rms(drive, system, e.band, context, rows[order == o], o, 0.2 * lowest) for o in (0, 1)]

@@ -15,6 +15,7 @@ from monitor.core import Array, BadInputError, ComplexArray
 from monitor.inference import ground_response
 from monitor.inference.cross_spectra import Band
 from monitor.inference.ground_response import Drive
+from monitor.inference.judged_band import JudgedBand, find_judged_band
 from monitor.signals import (
     Conditioner,
     ConditionState,
@@ -61,7 +62,7 @@ class Segments:
     rms: Array
     """RMS of every channel's source samples, shape (n_segments, c), m/s^2."""
     above: Array
-    """Variance of the tapered source samples above the band, shape (n_segments, c), (m/s^2)^2."""
+    """Variance of the tapered source samples above the judged band, shape (n_segments, c), (m/s^2)^2."""
     peaks: Array
     """Largest magnitude of every channel's source samples in each segment, shape (n_segments, c), m/s^2."""
     peak: Array
@@ -73,6 +74,11 @@ class Segments:
     temperature: Array
     """Shape (n_readings, 2): s since the recording's first sample, degC; no rows where none was measured."""
     band: Band
+    """Band that the recording can judge, in which all models are compared with it."""
+    whole: Band
+    """Band of ``[processing]``, of which `band` is all or a part."""
+    power: Array
+    """Mean power of every channel in the whole band, two-sided, shape (n_whole, c), (m/s^2)^2/Hz."""
     rate_hz: float
     """Rate of the source's samples."""
     resampled_hz: float
@@ -85,6 +91,33 @@ class Segments:
         cut = self.piled >= MIN_PILE
         whole = np.asarray((self.peaks[:, cut] < self.peak[cut] * (1.0 - _CLIPPED_TOLERANCE)).all(axis=1))
         return self if whole.all() or np.count_nonzero(whole) < _MIN_RECORDING_SEGMENTS else self.part(whole)
+
+    def within(self, range_hz: tuple[float, float] | None) -> Segments:
+        """Narrow the judged band to a range of frequencies, Hz; None narrows nothing.
+
+        Raises
+        ------
+        BadInputError
+            If hardly a frequency of the judged band lies in the range.
+        """
+        if range_hz is None:
+            return self
+        half = 0.5 * self.band.bin_hz
+        first, end = np.searchsorted(self.band.hz, [range_hz[0] - half, range_hz[1] + half])
+        if end - first < 2:
+            low, high = self.band.hz[[0, -1]]
+            raise BadInputError(
+                f"the recording can be judged from {low:.2f} to {high:.2f} Hz, and the baseline's from {range_hz[0]:.2f} to "
+                f"{range_hz[1]:.2f} Hz: nothing is common to both; calibrate with forces like these"
+            )
+        chosen = slice(int(first), int(end))
+        higher = (np.abs(self.values[:, end:]) ** 2 / self.band.gain[end:, None]).sum(axis=1)
+        return replace(
+            self,
+            values=self.values[:, chosen],
+            above=self.above + 2.0 * self.band.bin_hz * higher,
+            band=self.band.part(JudgedBand(chosen, self.band.forces_hz)),
+        )
 
     def part(self, chosen: NDArray[np.bool_]) -> Segments:
         """Select segments by a mask, shape (n_segments,)."""
@@ -105,7 +138,8 @@ def gather(blocks: Iterable[SampleBlock], front_end: FrontEnd) -> Segments:
     """Condition a recording as in the pipeline and cut it into segments.
 
     Where the ground was measured, the segments are those of the three minutes with the largest ground motion, with the ground
-    motion from one minute before.
+    motion from one minute before.  Elsewhere the band is the part of the whole band that the recording can judge, see
+    `monitor.inference.judged_band`; where the ground was measured it is the whole band, since the forces are then known.
 
     Raises
     ------
@@ -135,7 +169,7 @@ def gather(blocks: Iterable[SampleBlock], front_end: FrontEnd) -> Segments:
     first = max(first, 4)
     t0 = floors.t0_ns
     gain = _filter_gain(conditioner, last + 1, design.step_hz)
-    band = Band(first, last - first + 1, design.step_hz, gain[first:])
+    whole = Band(first, last - first + 1, design.step_hz, gain[first:])
     runs = [(t, np.concatenate(values)[:, 0]) for t, values in ground.runs]
     located = None
     if runs:
@@ -145,13 +179,19 @@ def gather(blocks: Iterable[SampleBlock], front_end: FrontEnd) -> Segments:
             source_hz=conditioner.rate_in_hz,
             filtered=lambda hz: _filter_response(conditioner, hz),
         )
-        located = _keep_strongest(runs, list(floors.segments), band, to_segments)
+        located = _keep_strongest(runs, list(floors.segments), whole, to_segments)
     drive, covered = located or (None, np.ones(len(floors.segments), dtype=bool))
     readings = np.array([((t - t0) * 1e-9, v) for t, v in temperature if np.isfinite(v)]).reshape(-1, 2)
     transforms, rms, tapered, peaks = (np.stack(x) for x in zip(*floors.segments.values(), strict=True))
-    below = 2.0 * design.step_hz * (np.abs(transforms[:, 1 : last + 1]) ** 2 / gain[1:, None]).sum(axis=1)
+    periodograms = np.abs(transforms[:, : last + 1]) ** 2 / gain[:, None]
+    judged = JudgedBand(slice(0, whole.n_bins))
+    if located is None:
+        unfiltered = np.asarray(transforms[:, first : last + 1] / np.sqrt(whole.gain)[:, None], dtype=complex)
+        judged = find_judged_band(unfiltered, whole.hz)
+    band = whole.part(judged)
+    below = 2.0 * design.step_hz * periodograms[:, 1 : band.first + band.n_bins].sum(axis=1)
     segments = Segments(
-        values=transforms[:, first : last + 1],
+        values=transforms[:, band.first : band.first + band.n_bins],
         t_s=np.array([(t - t0) * 1e-9 for t in floors.segments]) + 0.5 / design.step_hz,
         rms=rms,
         above=np.maximum(tapered - below, 0.0),
@@ -161,6 +201,8 @@ def gather(blocks: Iterable[SampleBlock], front_end: FrontEnd) -> Segments:
         drive=None,
         temperature=readings,
         band=band,
+        whole=whole,
+        power=periodograms[:, first:].mean(axis=0),
         rate_hz=conditioner.rate_in_hz,
         resampled_hz=conditioner.rate_hz,
         samples=round(floors.seconds * conditioner.rate_hz),

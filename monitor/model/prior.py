@@ -85,6 +85,8 @@ class StructuralPrior:
     """Line frequencies of known machines.  Bins near them inform about the machines, not about the structure."""
     error: ModelDiscrepancy | None = None
     """Model error that healthy data show; None where nothing is known of it."""
+    judged_hz: tuple[float, float] | None = None
+    """Band that the healthy recording could judge, where that was not its whole band: nothing is known of the model outside."""
 
     @property
     def sizes(self) -> tuple[int, int, int, int, int]:

@@ -31,6 +31,7 @@ def to_plain(reference: StructuralPrior | None) -> dict[str, Any] | None:
         "basis": reference.basis.tolist(),
         "reference_degc": reference.reference_degc,
         "error": None if reference.error is None else _error_to_plain(reference.error),
+        "judged_hz": reference.judged_hz,
     }
 
 
@@ -69,6 +70,7 @@ def from_plain(content: dict[str, Any] | None, model: Model, channels: tuple[str
         basis=basis,
         reference_degc=None if degc is None else float(degc),
         error=None if content["error"] is None else _error_from_plain(content["error"], len(channels)),
+        judged_hz=None if content["judged_hz"] is None else tuple(content["judged_hz"]),
     ).with_known_lines()
 
 

@@ -67,6 +67,7 @@ class Finding:
     content: dict[str, Any]
     """Content of diagnosis.json."""
     segments: Segments
+    """Segments in the judged band."""
     updated: Model
     """Model of the old form, refitted."""
     extended: Model
@@ -109,6 +110,7 @@ def diagnose(
     plain = content(confirmed, gain, config.model().effects, ddi_effect(confirmed), rows, detectable, optima)
     plain |= {"model": model_to_plain(extended, degc), "since_calibration": baseline is not None}
     plain = name_stories_in(plain, config.story_names)
+    segments = confirmed.posterior.observed.segments
     return Finding(confirmed, gain, plain, segments, updated, extended, degc)
 
 
@@ -116,7 +118,7 @@ def diagnose(
 def diagnose_segments(
     segments: Segments, prior: StructuralPrior, config: Configuration
 ) -> tuple[Diagnosis, HeldOutGain]:
-    """Diagnose segments of data, and test the causes on held-out data.
+    """Diagnose segments of data in the band that both they and the baseline can judge, and test the causes on held-out data.
 
     Returns
     -------
@@ -126,6 +128,7 @@ def diagnose_segments(
         Gain of the causes on held-out data; zero if they are withdrawn.
     """
     segments, drifts = _mended(segments, config)
+    segments = segments.within(prior.judged_hz)
     found = diagnose_spectra(classify(segments), prior, _context(segments, config), config.diagnosis)
     gain = heldout_gain(segments, found)
     confirmed = require_gain(found, gain)
@@ -141,12 +144,13 @@ def learn_healthy_prior(segments: Segments, config: Configuration) -> Structural
         known = replace(known, reference_degc=float(segments.temperature[:, 1].mean()))
     found = diagnose_spectra(observed, known, context, config.diagnosis)
     most = config.diagnosis.max_causes
-    if found.verdict == "unexplained" or len(found.causes) >= most:  # further causes are possible
+    is_cut_off = sum(not c.effect.repeatable for c in found.causes) >= most
+    if found.verdict == "unexplained" or is_cut_off:  # further causes are possible
         condition = found.posterior.conditions[0]
         site = _site_effects(known, context, condition)
         ambient = _with_persistent_effects(known, site, context, condition)
         shaped = observed.drive is None and bool(site) and _gains_more_than_cost(ambient, found)
-        if shaped or len(found.rounds) >= most:  # otherwise the search ended by itself, and would again
+        if shaped or is_cut_off:  # otherwise the search ended by itself, and would again
             known = ambient if shaped else known
             more = config.diagnosis.model_copy(update={"max_causes": max(most, _MAX_INITIAL_CAUSES)})
             found = diagnose_spectra(observed, known, context, more)

@@ -71,7 +71,8 @@ def test_the_extended_file_holds_the_cause_and_scores_better_on_new_data(site: S
     assert configuration.load(updated).model().effects == ()
     new = site.simulate(tmp_path / "new.mcap", "--effect", "sensor_gain:channel a2:gain=1.3", "--seed", 62)
     before, after = (site.evaluate(new, path) for path in (updated, extended))
-    assert before.keys() == {"log_score_per_sample", "csd_error", "samples"}
+    assert before.keys() == {"log_score_per_sample", "csd_error", "samples", "band_hz"}
+    assert before["band_hz"] == after["band_hz"], "two scores on one recording may be subtracted"
     assert before["samples"] == after["samples"]
     assert after["log_score_per_sample"] > before["log_score_per_sample"]
     assert after["csd_error"] < before["csd_error"]

@@ -112,6 +112,36 @@ def test_rivals_are_listed_with_what_would_tell_them_apart(named: Diagnosis) -> 
     assert out["separating_measurement"]
 
 
+def test_rivals_of_one_family_have_its_odds_against_all_else(named: Diagnosis) -> None:
+    def candidate(effect: str, evidence: float) -> Candidate:
+        return Candidate(parse_effect(effect), named.final_fit, evidence, evidence)
+
+    cubic = candidate("cubic_stiffness:story 2:k3_n_per_m3=8e7", 20.0)
+    stop = candidate("gap_contact:story 2:gap_m=0.001,contact_stiffness_n_per_m=900", 20.0)
+    mass = candidate("added_mass:floor 1:mass_kg=0.01", 12.0)
+    found = replace(named, verdict="ambiguous", causes=(), alternatives=((cubic, 0.5), (stop, 0.5)))
+    out = plain(replace(found, rounds=((cubic, stop, mass),)))
+    assert out["family"] == "hardening"
+    assert out["family_log_odds"] == pytest.approx(np.log(2.0) + 8.0, abs=1e-3)
+    assert plain(named)["family_log_odds"] is None
+
+
+def test_the_band_is_all_of_processings_where_nothing_ends_in_it(named: Diagnosis) -> None:
+    band = plain(named)["band"]
+    assert band["judged_hz"] == band["processing_hz"]
+    assert band["says"] == []
+
+
+def test_what_is_not_judged_is_said_with_its_reason(named: Diagnosis) -> None:
+    e = named.posterior.observed
+    ended = replace(e.segments, band=replace(e.band, forces_hz=(0.0, 21.0))).within((3.0, 18.0))
+    prior = replace(named.posterior.prior, judged_hz=(3.0, 36.0))
+    posterior = replace(named.posterior, observed=replace(e, segments=ended), prior=prior)
+    below, above = plain(replace(named, posterior=posterior))["band"]["says"]
+    assert below.startswith("below 3.0 Hz nothing is judged: the recording that the baseline was learned from")
+    assert above.startswith("above 18.0 Hz nothing is judged: the power of all channels ends at 21.0 Hz")
+
+
 def test_what_is_not_determined_stays_finite(named: Diagnosis) -> None:
     cause = replace(named.causes[0], std={"damping_n_s_per_m": np.inf})
     assert np.isfinite(plain(replace(named, causes=(cause,)))["causes"][0]["parameters"]["damping_n_s_per_m"]["std"])
@@ -236,6 +266,11 @@ def test_a_reference_survives_the_baseline_file(damped: Segments) -> None:
     learnt, _ = learn_prior(classify(damped), known, context_of(site), site.diagnosis)
     again = from_plain(json.loads(json.dumps(to_plain(learnt), allow_nan=False)), site.model(), site.channels)
     assert again is not None and again.error is None
+    assert learnt.judged_hz is None, "the whole band was judged"
+    narrow = from_plain(
+        json.loads(json.dumps(to_plain(replace(learnt, judged_hz=(2.0, 18.5))))), site.model(), site.channels
+    )
+    assert narrow is not None and narrow.judged_hz == (2.0, 18.5)
     wrong = ModelDiscrepancy(np.array([2.0, 2.25]), np.full((2, 3, 3), 0.1 - 0.2j), np.array([0.0, 0.01]))
     doubted = from_plain(
         json.loads(json.dumps(to_plain(replace(learnt, error=wrong)), allow_nan=False)), site.model(), site.channels

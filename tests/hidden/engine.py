@@ -54,6 +54,7 @@ def answer(baseline: Baseline, blocks: Iterable[SampleBlock]) -> dict[str, Any]:
         ],
         "nats": (gain.after - gain.before) * segments.samples,
         "persistent": baseline.persistent(),
+        "band_hz": [round(float(f), 2) for f in segments.band.hz[[0, -1]]],
         "left_over": [[m.where, round(float(m.size), 1)] for m in d.left_over[:3]],
     }
 

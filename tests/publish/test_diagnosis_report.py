@@ -26,7 +26,7 @@ from monitor.model.prior import prior_from_drawing
 from monitor.model.simulation import simulate
 from monitor.publish.reports.charts import decades, ticks
 from monitor.publish.reports.comparison import compare, level_dependence
-from monitor.publish.reports.diagnosis_report import write_report
+from monitor.publish.reports.diagnosis_report import page, write_report
 from monitor.publish.viewer.diagnosis_view import write_view
 from monitor.runs.synthetic_recording import cut_into_blocks
 
@@ -157,6 +157,17 @@ def test_the_page_shows_where_the_misfit_was_and_that_the_cause_removes_it(cases
     assert np.abs(c.z_before).max() > c.limit > np.abs(c.z_after).max()
     before, after = (float((np.abs(r - 1.0) > c.chance).mean()) for r in (c.ratio_before, c.ratio_after))
     assert after < 0.08 < before  # chance leaves about one in twenty outside
+
+
+def test_what_is_not_judged_is_drawn_shaded_and_said_why() -> None:
+    segments, context = recorded()
+    narrow = replace(segments, band=replace(segments.band, forces_hz=(0.0, 22.0))).within((2.0, 20.0))
+    shown = {}
+    for name, part in (("whole", segments), ("narrow", narrow)):
+        found = diagnose(classify(part), REFERENCE, context, DiagnosisSettings(worth=1e9))
+        shown[name] = page(found, content_of(found, HeldOutGain(), (), {"without": [], "with": []}), part)
+    assert 'class="unjudged"' in shown["narrow"] and "above 20.0 Hz nothing is judged" in shown["narrow"]
+    assert 'class="unjudged"' not in shown["whole"] and "nothing is judged" not in shown["whole"]
 
 
 def test_the_limit_is_that_of_the_diagnosis(cases: dict[str, Case], tmp_path: Path) -> None:

@@ -46,8 +46,8 @@ class ColouredExcitation(Effect):
 
     @classmethod
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
-        """See `Effect.starts`."""
-        return tuple(cls(location, hz) for hz in (4.0, 8.0, 16.0))
+        """See `Effect.starts`.  A corner beyond the band bends the spectra too."""
+        return tuple(cls(location, hz) for hz in (4.0, 8.0, 16.0, 32.0))
 
     @classmethod
     def sentence(cls, fitted: FittedSizes) -> str:

@@ -42,6 +42,7 @@ svg .band { fill: var(--after); opacity: .25; }
 svg .limit { stroke: var(--bad); }
 svg .used { fill: var(--after); opacity: .6; }
 svg .chance { fill: var(--quiet); opacity: .25; }
+svg .unjudged { fill: var(--muted); opacity: .3; }
 svg .known { fill: var(--muted); opacity: .13; }
 .unseen svg svg { opacity: .35; }
 .bars div { display: grid; grid-template-columns: 16rem 1fr; gap: .6rem; padding-right: 4rem; font-size: .8rem; }

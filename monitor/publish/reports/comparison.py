@@ -29,6 +29,10 @@ class Comparison:
     """Shape (n_bins,), Hz."""
     measured: Array
     """Shape (c, n_bins), one-sided, (m/s^2)^2/Hz, mean over the segments."""
+    whole_hz: Array
+    """Frequencies of the whole band, of which `hz` is the judged part, shape (n_whole,), Hz."""
+    whole_measured: Array
+    """Measured spectra in the whole band, shape (c, n_whole), one-sided, (m/s^2)^2/Hz, mean over the segments."""
     before: Array
     """Power spectra of the old model form, refitted; shape (c, n_bins), (m/s^2)^2/Hz."""
     after: Array
@@ -126,6 +130,8 @@ def compare(diagnosis: Diagnosis, segments: Segments) -> Comparison:
         channels=problem.context.channels,
         hz=e.band.hz,
         measured=measured,
+        whole_hz=segments.whole.hz,
+        whole_measured=2.0 * segments.power.T,
         before=before,
         after=after,
         ratio_hz=averaged(e.band.hz),

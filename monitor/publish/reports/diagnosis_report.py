@@ -51,7 +51,7 @@ def page(diagnosis: Diagnosis, content: Content, segments: Segments) -> str:
     verdict_text = content["says"]
     parts = [
         _head(verdict_text, content, compared, segments),
-        _spectra(compared),
+        _spectra(compared, content),
         _misfit(compared, diagnosis),
         "" if by_level is None else _modes_by_class(by_level),
         _ranking(diagnosis, content),
@@ -100,7 +100,7 @@ def _change(before: float, after: float) -> str:
     return f"{csd_error_in_words(before)} → {csd_error_in_words(after)}"
 
 
-def _spectra(c: Comparison) -> str:
+def _spectra(c: Comparison, content: Content) -> str:
     """Draw the measured and the modelled spectrum of every channel, and their ratio."""
     out = ["<h2>Measured against simulated</h2><p>"]
     keys = [("ink", "measured"), ("before", "simulated, before"), ("after", "simulated, after")]
@@ -115,19 +115,21 @@ def _spectra(c: Comparison) -> str:
     )
     if c.doubtful_hz:
         out.append(" Shaded grey: there the healthy data contradict the model too, and what is seen counts less.")
+    out += [f" Shaded dark: {escape(words)}." for words in content["band"]["says"]]
     out.append("</p>")
     return "".join(out)
 
 
 def _channel_charts(c: Comparison, i: int, name: str) -> str:
     """Draw the spectra of channel i and their ratio, with the bands of misfit shaded."""
-    x = (float(c.hz[0]), float(c.hz[-1]))
-    power = np.concatenate([c.measured[i], c.before[i], c.after[i]])
+    x = (float(c.whole_hz[0]), float(c.whole_hz[-1]))
+    power = np.concatenate([c.whole_measured[i], c.before[i], c.after[i]])
     upper = Axes(x, (float(power.min()) / 1.3, float(power.max()) * 1.6), 190.0, log_y=True)
     largest_log_ratio = float(np.abs(np.log(np.maximum(np.stack([c.ratio_before[i], c.ratio_after[i]]), 1e-3))).max())
     limit = float(np.clip(np.exp(1.1 * largest_log_ratio), 1.5, 20.0))
     lower = Axes(x, (1.0 / limit, limit), 100.0, log_y=True)
     shades = [(low, high, "known") for low, high in c.doubtful_hz]
+    shades += [(low, high, "unjudged") for low, high in ((x[0], float(c.hz[0])), (float(c.hz[-1]), x[1])) if high > low]
     n = 2 if c.extended else 1
     for z, kind in ((c.z_before, "off"), (c.z_after, "still"))[:n]:
         wrong = (np.abs(z) > c.limit)[:, i, :].any(axis=1) | (np.abs(z) > c.limit)[:, :, i].any(axis=1)
@@ -135,8 +137,10 @@ def _channel_charts(c: Comparison, i: int, name: str) -> str:
     above, below = [
         [axes.shade((max(low, x[0]), min(high, x[1])), kind) for low, high, kind in shades] for axes in (upper, lower)
     ]
-    below.append(lower.shade(x, "chance", (1.0 / (1.0 + c.chance), 1.0 + c.chance)))
-    for values, kind in ((c.measured, "measured"), (c.before, "before dashed"), (c.after, "after"))[: n + 1]:
+    judged = (float(c.hz[0]), float(c.hz[-1]))
+    below.append(lower.shade(judged, "chance", (1.0 / (1.0 + c.chance), 1.0 + c.chance)))
+    above.append(upper.line(c.whole_hz, c.whole_measured[i], "measured"))
+    for values, kind in ((c.before, "before dashed"), (c.after, "after"))[:n]:
         above.append(upper.line(c.hz, values[i], kind))
     for values, kind in ((c.ratio_before, "before"), (c.ratio_after, "after"))[:n]:
         below.append(lower.line(c.ratio_hz, values[i], kind))
@@ -298,7 +302,7 @@ def _data(diagnosis: Diagnosis, content: Content, segments: Segments, c: Compari
         ("channels", ", ".join(c.channels) + f"; source at {segments.rate_hz:g} Hz"),
         ("segments", f"{segments.t_s.size} of {1.0 / e.band.bin_hz:g} s, Hann taper, half overlapping"),
         ("classes", f"{e.counts.size} of vibration level or temperature: " + ", ".join(f"{n:g}" for n in e.counts)),
-        ("band", f"{c.hz[0]:.2f} to {c.hz[-1]:.2f} Hz in steps of {e.band.bin_hz:g} Hz"),
+        ("band", "; ".join([f"{c.hz[0]:.2f} to {c.hz[-1]:.2f} Hz in steps of {e.band.bin_hz:g} Hz", *content["band"]["says"]])),
         ("ground motion", "measured, and used as input" if e.drive is not None else "not measured"),
         ("likelihood", "debiased Whittle likelihood of the classes' cross-spectra (complex Wishart), "
          f"tempered by {e.weight:.2f} for the correlation of neighbouring bins and segments"),

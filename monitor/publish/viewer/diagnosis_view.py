@@ -108,6 +108,7 @@ def _status(diagnosis: Diagnosis, content: Mapping[str, Any], segments: Segments
     lines += [
         "",
         f"{segments.t_s.size} segments, source at {segments.rate_hz:g} Hz; the time axis is frequency in mHz.",
+        *[f"{words.capitalize()}." for words in content["band"]["says"]],
     ]
     lines += [
         "",
