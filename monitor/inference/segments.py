@@ -21,6 +21,7 @@ from monitor.signals import (
     FrontEnd,
     SegmentDesign,
     alignment,
+    channel_faults,
     taper,
     transform,
 )
@@ -42,8 +43,28 @@ _LEAD_S = 60.0
 """Ground motion that is kept before them, whose response they still hold. [s; judgement]"""
 _GROUND_TEST_BLOCKS = 64
 """Blocks among which a measured ground is looked for. [count; cost]"""
+_MIN_SEGMENTS = 6
+"""Fewest segments of a diagnosis. [segments; judgement]"""
+MIN_PILED = 20
+"""Samples at the largest magnitude that show a clipped signal. [samples; judgement]"""
 _CLIPPED_TOLERANCE = 1e-6
 """Relative difference of magnitudes that rounding explains. [ratio; rounding]"""
+
+
+@dataclass(frozen=True, slots=True)
+class LeftOut:
+    """Data that are not compared with any model, because a sensor's fault rules them."""
+
+    kind: str
+    """Kind of the fault in words."""
+    channel: str
+    """Name of the channel, or of several."""
+    says: str
+    """Description in words."""
+    seconds: float = 0.0
+    """Length of the stretches at fault."""
+    hz: tuple[float, float] | None = None
+    """Frequencies that are left out; None where stretches of time are."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -73,6 +94,8 @@ class Segments:
     """Rate to which the samples were resampled before they were cut into segments."""
     samples: int
     """Number of sample instants after resampling that the segments cover, each counted once for all channels."""
+    left_out: tuple[LeftOut, ...] = ()
+    """What of the recording these segments leave out."""
 
     def part(self, chosen: NDArray[np.bool_]) -> Segments:
         """Select segments by a mask, shape (n_segments,)."""
@@ -91,7 +114,7 @@ class Segments:
 def gather(blocks: Iterable[SampleBlock], front_end: FrontEnd) -> Segments:
     """Condition a recording as in the pipeline and cut it into segments.
 
-    Where the ground was measured, the segments are those of the three minutes with the largest ground motion, with the ground
+    Segments that hold a brief fault of one sensor are left out.  Where the ground was measured, the segments are those of the three minutes with the largest ground motion, with the ground
     motion from one minute before.
 
     Raises
@@ -112,18 +135,25 @@ def gather(blocks: Iterable[SampleBlock], front_end: FrontEnd) -> Segments:
         elif block.topic == TEMPERATURE:
             step_ns = 1e9 / block.sample_rate_hz
             temperature += [(block.t_ns + round(i * step_ns), float(v)) for i, v in enumerate(block.samples[:, 0])]
-    if len(floors.segments) < 6:
+    if len(floors.segments) < _MIN_SEGMENTS:
         raise BadInputError(
             f"{floors.seconds:.0f} s of usable data without a gap; a diagnosis takes at least {floors.least_s:.0f} s"
         )
     assert floors.design is not None
+    left_out = floors.leave_out_faults()
+    if len(floors.segments) < _MIN_SEGMENTS:
+        reasons = "; ".join(item.says for item in left_out)
+        raise BadInputError(
+            f"{len(floors.segments)} segments of {1.0 / floors.design.step_hz:g} s hold no fault of a sensor; a diagnosis "
+            f"takes at least {_MIN_SEGMENTS} ({reasons})"
+        )
     design, conditioner = floors.design, floors.conditioner
     first, last = (round(x * conditioner.cutoff_hz / design.step_hz) for x in (_BAND_START, _BAND_END))
     first = max(first, 4)
     t0 = floors.t0_ns
     gain = _filter_gain(conditioner, last + 1, design.step_hz)
     band = Band(first, last - first + 1, design.step_hz, gain[first:])
-    runs = [(t, np.concatenate(values)[:, 0]) for t, values in ground.runs]
+    runs = [(t, values[:, 0]) for t, values in ground.joined_runs()]
     located = None
     if runs:
         to_segments = partial(
@@ -150,6 +180,7 @@ def gather(blocks: Iterable[SampleBlock], front_end: FrontEnd) -> Segments:
         rate_hz=conditioner.rate_in_hz,
         resampled_hz=conditioner.rate_hz,
         samples=round(floors.seconds * conditioner.rate_hz),
+        left_out=left_out,
     )
     return replace(segments.part(covered), drive=drive)
 
@@ -201,7 +232,11 @@ class _Stream:
         self.peak = np.zeros(1 if is_ground else len(front_end.channels))
         self.piled = np.zeros(self.peak.size, dtype=np.int64)
         self.runs: list[tuple[int, list[Array]]] = []
-        """Conditioned samples of every run without a gap, with the time of the run's first sample, UTC ns; of the ground only."""
+        """Conditioned samples of every run without a gap, with the time of the run's first sample, UTC ns."""
+        self.facts: list[list[channel_faults.RawFacts]] = []
+        """Properties of the source's samples in every cell of every run; of the floors only."""
+        self._cell: list[Array] = []
+        """Source samples of the next cell."""
         self._raw: list[Array] = []
         """Source samples of the next segment."""
 
@@ -214,8 +249,9 @@ class _Stream:
             if self._rest is None or piece.gap is not None:
                 self._begin_run(piece)
             self._state, values = self.conditioner.step_block(self._state, piece.values)
-            if self._is_ground:
-                self.runs[-1][1].append(values)
+            self.runs[-1][1].append(values)
+            if not self._is_ground:
+                self._describe_cells(piece.values)
             self.seconds += values.shape[0] / self.conditioner.rate_hz
             self._update_peak(np.abs(piece.values))
             self._raw.append(piece.values)
@@ -238,9 +274,51 @@ class _Stream:
         if self.design is None:
             self.design = self._design_segments()
             self.t0_ns = piece.t_ns
-        self._run_ns, self._done, self._raw = piece.t_ns, 0, []
-        if self._is_ground:
-            self.runs.append((piece.t_ns, []))
+        self._run_ns, self._done, self._raw, self._cell = piece.t_ns, 0, [], []
+        self.runs.append((piece.t_ns, []))
+        self.facts.append([])
+
+    def joined_runs(self) -> list[tuple[int, Array]]:
+        """Join the conditioned samples of every run, with the time of the run's first sample, UTC ns."""
+        return [(t_ns, np.concatenate(values)) for t_ns, values in self.runs]
+
+    def _describe_cells(self, samples: Array) -> None:
+        """Describe the source's samples in the cells that new samples complete, shape (n_samples, c)."""
+        facts, rest = self.facts[-1], np.concatenate([*self._cell, samples])
+        cell = channel_faults.CELL * self.conditioner.rate_in_hz / self.conditioner.rate_hz
+        while rest.shape[0] >= (n := round((len(facts) + 1) * cell) - round(len(facts) * cell)):
+            facts.append(channel_faults.RawFacts.of(rest[:n]))
+            rest = rest[n:]
+        self._cell = [rest]
+
+    def leave_out_faults(self) -> tuple[LeftOut, ...]:
+        """Drop the segments that hold a brief fault of one sensor, and return what is left out by kind and channel.
+
+        A channel that is clipped somewhere stays: its clipped samples spoil the neighbours' prediction too, but a model of the
+        sensor explains them.
+        """
+        design, names = self.design, self._front_end.channels
+        assert design is not None
+        runs = self.joined_runs()
+        found: dict[tuple[int, str], list[float]] = {}
+        for fault in channel_faults.find_faults([values for _, values in runs], self.facts):
+            if self.piled[fault.channel] >= MIN_PILED:
+                continue
+            begin, end = (runs[fault.run][0] + round(n / design.rate_hz * 1e9) for n in (fault.begin, fault.end))
+            length_ns = round(1e9 / design.step_hz)
+            for t_ns in [t for t in self.segments if t < end and t + length_ns > begin]:
+                del self.segments[t_ns]
+            found.setdefault((fault.channel, fault.kind), []).append((end - begin) * 1e-9)
+        return tuple(
+            LeftOut(
+                kind,
+                names[channel],
+                f"channel {names[channel]} has {_counted(len(lengths), kind)}, which no motion of the structure makes; "
+                f"the segments that hold {'it' if len(lengths) == 1 else 'them'} are not used",
+                seconds=sum(lengths),
+            )
+            for (channel, kind), lengths in sorted(found.items())
+        )
 
     def _design_segments(self) -> SegmentDesign:
         """Design segments on the pipeline's grid, or shorter ones where the ground is measured."""
@@ -268,6 +346,13 @@ class _Stream:
             rest, self._done = rest[n // 2 :], self._done + n // 2
             self._raw = [raw[n_raw // 2 :]]
         self._rest = rest
+
+
+def _counted(n: int, kind: str) -> str:
+    """Count faults of a kind in words."""
+    plural = {"noise burst": "bursts of noise", "offset step": "steps of the offset"}.get(kind, f"{kind}s")
+    single = {"noise burst": "a burst of noise", "offset step": "a step of the offset"}.get(kind, f"a {kind}")
+    return single if n == 1 else f"{n} {plural}"
 
 
 def _filter_gain(conditioner: Conditioner, n: int, step_hz: float) -> Array:

@@ -1,4 +1,4 @@
-from . import alignment, sensor_health, temperature, window_quality, windows
+from . import alignment, channel_faults, sensor_health, temperature, window_quality, windows
 from .front_end import FrontEnd
 from .resampling import Conditioner, ConditionState
 from .sensor_health import Health, HealthSettings, HealthState
@@ -24,6 +24,7 @@ __all__ = [
     "WindowGrid",
     "WindowState",
     "alignment",
+    "channel_faults",
     "hann_amplitude",
     "leakage",
     "overlap_correlation",
