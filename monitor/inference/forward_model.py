@@ -83,7 +83,8 @@ class ForwardModel(ABC):
     def widths(self) -> Array:
         """Compute the number of independent bins in each (coarse) bin, shape (bins,).
 
-        The number is zero about known machines' lines and in bins left out, and smaller where the model error is known.
+        The number is zero about known machines' lines, where a sensor's fault rules the spectrum, and in bins left out.  It is
+        smaller where the model error is known.
         """
         if self.smoothing is not None:
             return np.asarray(1.0 / (self.smoothing**2).sum(axis=1))
@@ -91,6 +92,8 @@ class ForwardModel(ABC):
         out = np.ones(band.n_bins)
         for line in self.prior.known_lines_hz:
             out[np.abs(band.hz - line) <= max(_LINE_BINS * band.bin_hz, _LINE_SHARE * line)] = 0.0
+        for low, high in (item.hz for item in self.observed.segments.left_out if item.hz is not None):
+            out[(band.hz >= low) & (band.hz <= high)] = 0.0
         if self.left_out is not None:
             out[self.left_out] = 0.0
         error = self.error

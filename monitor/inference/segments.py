@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain, islice
@@ -22,6 +22,8 @@ from monitor.signals import (
     SegmentDesign,
     alignment,
     channel_faults,
+    mains_hum,
+    sensor_drift,
     taper,
     transform,
 )
@@ -114,8 +116,8 @@ class Segments:
 def gather(blocks: Iterable[SampleBlock], front_end: FrontEnd) -> Segments:
     """Condition a recording as in the pipeline and cut it into segments.
 
-    Segments that hold a brief fault of one sensor are left out.  Where the ground was measured, the segments are those of the three minutes with the largest ground motion, with the ground
-    motion from one minute before.
+    Segments that hold a brief fault of one sensor are left out.  Where the ground was measured, the segments are those of the
+    three minutes with the largest ground motion, with the ground motion from one minute before.
 
     Raises
     ------
@@ -180,7 +182,7 @@ def gather(blocks: Iterable[SampleBlock], front_end: FrontEnd) -> Segments:
         rate_hz=conditioner.rate_in_hz,
         resampled_hz=conditioner.rate_hz,
         samples=round(floors.seconds * conditioner.rate_hz),
-        left_out=left_out,
+        left_out=(*left_out, *_drift(transforms, floors, first), *_hum(transforms, floors)),
     )
     return replace(segments.part(covered), drive=drive)
 
@@ -217,7 +219,7 @@ class _Stream:
     """Conditioning and segmentation of one topic's blocks."""
 
     def __init__(self, front_end: FrontEnd, segment_s: float, *, is_ground: bool) -> None:
-        self._front_end, self._segment_s, self._is_ground = front_end, segment_s, is_ground
+        self.front_end, self._segment_s, self._is_ground = front_end, segment_s, is_ground
         self._align = alignment.start()
         self._rest: Array | None = None
         self._state: ConditionState
@@ -243,8 +245,8 @@ class _Stream:
     def push(self, block: SampleBlock) -> None:
         """Condition a block's samples and cut the segments that they complete."""
         if self._is_ground and not self.runs:
-            self._front_end = replace(self._front_end, channels=block.channels[:1])
-        self._align, pieces = self._front_end.align(self._align, block)
+            self.front_end = replace(self.front_end, channels=block.channels[:1])
+        self._align, pieces = self.front_end.align(self._align, block)
         for piece in pieces:
             if self._rest is None or piece.gap is not None:
                 self._begin_run(piece)
@@ -268,7 +270,7 @@ class _Stream:
 
     def _begin_run(self, piece: alignment.Piece) -> None:
         """Begin a run of samples without a gap."""
-        self.conditioner = self._front_end.conditioner(piece.rate_hz)
+        self.conditioner = self.front_end.conditioner(piece.rate_hz)
         self._state = self.conditioner.start(self.peak.size)
         self._rest = np.zeros((0, self.peak.size))
         if self.design is None:
@@ -297,7 +299,7 @@ class _Stream:
         A channel that is clipped somewhere stays: its clipped samples spoil the neighbours' prediction too, but a model of the
         sensor explains them.
         """
-        design, names = self.design, self._front_end.channels
+        design, names = self.design, self.front_end.channels
         assert design is not None
         runs = self.joined_runs()
         found: dict[tuple[int, str], list[float]] = {}
@@ -323,11 +325,11 @@ class _Stream:
     def _design_segments(self) -> SegmentDesign:
         """Design segments on the pipeline's grid, or shorter ones where the ground is measured."""
         conditioner = self.conditioner
-        if self._segment_s < self._front_end.segment_s:
+        if self._segment_s < self.front_end.segment_s:
             n = 2 * round(0.5 * self._segment_s * conditioner.rate_hz)
             kept = round(conditioner.cutoff_hz * n / conditioner.rate_hz) + 1
             return SegmentDesign(conditioner.rate_hz, n, min(n // 2 + 1, kept))
-        return self._front_end.grid(conditioner).segments
+        return self.front_end.grid(conditioner).segments
 
     def _cut_segments(self, values: Array) -> None:
         """Cut and transform the segments that new conditioned samples complete, shape (n_samples, c)."""
@@ -346,6 +348,34 @@ class _Stream:
             rest, self._done = rest[n // 2 :], self._done + n // 2
             self._raw = [raw[n_raw // 2 :]]
         self._rest = rest
+
+
+def _drift(transforms: ComplexArray, floors: _Stream, first: int) -> Iterator[LeftOut]:
+    """Yield the frequencies that a channel's drift rules, in a band that begins with bin `first`."""
+    assert floors.design is not None
+    for drift in sensor_drift.find_drift(transforms, first):
+        name, low, high = (
+            floors.front_end.channels[drift.channel],
+            *floors.design.step_hz * np.array([first, drift.end]),
+        )
+        says = f"channel {name} drifts (power falling as f^-{drift.exponent:.1f}); {low:.2f} to {high:.2f} Hz are not compared"
+        yield LeftOut("drift", name, says, hz=(float(low), float(high)))
+
+
+def _hum(transforms: ComplexArray, floors: _Stream) -> Iterator[LeftOut]:
+    """Yield the frequencies that a hum of the mains rules."""
+    assert floors.design is not None
+    rate_hz, names = floors.conditioner.rate_in_hz, floors.front_end.channels
+    for hum in mains_hum.find_hum(transforms, floors.design.step_hz, rate_hz):
+        order = "" if hum.harmonic == 1 else f"{hum.harmonic} times "
+        alias = f" (an alias at {rate_hz:g} Hz)" if hum.is_aliased else ""
+        where = "all channels alike" if hum.channel is None else f"channel {names[hum.channel]} alone"
+        says = (
+            f"{where} hum{'' if hum.channel is None else 's'} at {hum.hz:.2f} Hz, {order}the mains' {hum.mains_hz:g} Hz{alias}; "
+            f"{hum.low_hz:.2f} to {hum.high_hz:.2f} Hz are not compared"
+        )
+        channel = ", ".join(names) if hum.channel is None else names[hum.channel]
+        yield LeftOut("mains hum", channel, says, hz=(hum.low_hz, hum.high_hz))
 
 
 def _counted(n: int, kind: str) -> str:

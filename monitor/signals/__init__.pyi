@@ -1,4 +1,4 @@
-from . import alignment, channel_faults, sensor_health, temperature, window_quality, windows
+from . import alignment, channel_faults, mains_hum, sensor_drift, sensor_health, temperature, window_quality, windows
 from .front_end import FrontEnd
 from .resampling import Conditioner, ConditionState
 from .sensor_health import Health, HealthSettings, HealthState
@@ -27,7 +27,9 @@ __all__ = [
     "channel_faults",
     "hann_amplitude",
     "leakage",
+    "mains_hum",
     "overlap_correlation",
+    "sensor_drift",
     "sensor_health",
     "taper",
     "temperature",

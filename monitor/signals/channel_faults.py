@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from statistics import NormalDist
 from typing import Literal
 
@@ -249,7 +250,7 @@ def _events(flags: NDArray[np.bool_], n_cells: Sequence[int], facts: Sequence[Se
     described = [own[: n + 2] for own, n in zip(facts, n_cells, strict=True)]
     starts = np.cumsum([0, *n_cells])
     for channel in range(flags.shape[1]):
-        own = [flags[a:b, channel] for a, b in zip(starts, starts[1:], strict=False)]
+        own = [flags[a:b, channel] for a, b in pairwise(starts)]
         usual = _Usual.of(channel, own, described)
         for run, flagged in enumerate(own):
             edges = np.flatnonzero(np.diff(np.concatenate([[False], flagged, [False]])))
@@ -269,11 +270,11 @@ class _Usual:
     @classmethod
     def of(cls, channel: int, flags: Sequence[NDArray[np.bool_]], facts: Sequence[Sequence[RawFacts]]) -> _Usual:
         """Read the limits of a channel off the cells that are not flagged."""
-        sound = [run[k + 1] for run, own in zip(facts, flags, strict=True) for k in np.flatnonzero(~own)]
+        sound = [run[k + 1] for run, own in zip(facts, flags, strict=True) for k in np.flatnonzero(~own).tolist()]
         moved = [
             abs(run[k + 2].mean[channel] - run[k].mean[channel])
             for run, own in zip(facts, flags, strict=True)
-            for k in np.flatnonzero(~own)
+            for k in np.flatnonzero(~own).tolist()
             if k + 2 < len(run)
         ]
         held, isolated = [f.held[channel] for f in sound], [f.isolated[channel] for f in sound]
