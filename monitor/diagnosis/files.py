@@ -15,7 +15,7 @@ from monitor.diagnosis.cross_validation import HeldOutGain
 from monitor.diagnosis.score_test import Candidate
 from monitor.diagnosis.stepwise_selection import Diagnosis
 from monitor.diagnosis.wording import contradicted, headline, in_words, law_family, separating_measurement
-from monitor.inference import ParameterLayout
+from monitor.inference import LeftOut, ParameterLayout
 from monitor.model import FORMS, Effect, MatrixStructure, Model, StructuralPrior
 
 _NOT_DETERMINED = 1e300
@@ -67,11 +67,18 @@ def content(
             for c in diagnosis.candidates
         ],
         "left_over": [{"where": m.where, "size": _finite(m.size), "says": m.says} for m in diagnosis.left_over],
+        "left_out": [_left_out(item) for item in diagnosis.posterior.observed.segments.left_out],
         "ddi_effect": dict(ddi_effect),
         "refit": list(refit),
         "detectable_loss": list(detectable_loss),
     }
     return {**out, "says": headline(diagnosis, gain, out)}
+
+
+def _left_out(item: LeftOut) -> dict[str, Any]:
+    """Describe data that were not compared because a sensor's fault rules them."""
+    hz = None if item.hz is None else [_finite(v) for v in item.hz]
+    return {"kind": item.kind, "channel": item.channel, "seconds": item.seconds, "hz": hz, "says": item.says}
 
 
 def _cause(effect: Effect, std: Mapping[str, float], prior: StructuralPrior) -> dict[str, Any]:

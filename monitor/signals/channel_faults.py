@@ -143,12 +143,12 @@ def _highpassed(run: Array) -> Array:
     from scipy.signal import lfilter  # takes most of a second to load
 
     decay = np.exp(-2.0 * np.pi * _HIGHPASS)
-    return np.asarray(lfilter([1.0, -1.0], [1.0, -decay], run - run[:1], axis=0))
+    return np.asarray(lfilter([1.0, -1.0], [1.0, -decay], run - run[:1], axis=0), dtype=np.float32)
 
 
 def _groups(runs: Sequence[Array]) -> list[list[int]]:
     """List for each channel itself and its neighbours, those with the largest correlation."""
-    power = np.asarray(sum(run.T @ run for run in runs))
+    power = np.asarray(sum(run.T @ run for run in runs), dtype=float)
     scale = np.sqrt(np.maximum(np.diag(power), np.finfo(float).tiny))
     correlation = np.abs(power / np.outer(scale, scale))
     moves = np.flatnonzero(np.diag(power) > 0.0)
@@ -206,7 +206,7 @@ def _regressors(runs: Sequence[Array], n_cells: Sequence[int]) -> Iterator[Array
         for first in range(1, n + 1, _CHUNK):
             cells = min(_CHUNK, n + 1 - first)
             begin, end = CELL * first, CELL * (first + cells)
-            past = [run[begin - lag : end - lag] for lag in range(_ORDER + 1)]
+            past = [run[begin - lag : end - lag].astype(float) for lag in range(_ORDER + 1)]
             yield np.concatenate(past, axis=1).reshape(cells, CELL, -1)
 
 

@@ -66,12 +66,7 @@ def find_hum(transforms: ComplexArray, step_hz: float, rate_hz: float) -> tuple[
     if transforms.shape[2] < 2:
         return ()
     found: dict[float, Hum] = {}
-    for mains_hz, harmonic, alias_hz in _candidates(rate_hz):
-        reach = harmonic * _TOLERANCE_HZ
-        first, last = (int(np.rint((alias_hz + side * reach) / step_hz)) for side in (-1, 1))
-        first, last = max(first, 1), min(last, transforms.shape[1] - 2)
-        if last < first:
-            continue
+    for mains_hz, harmonic, first, last in _candidates(rate_hz, step_hz, transforms.shape[1] - 2):
         power = (np.abs(transforms[:, first : last + 1]) ** 2).mean(axis=0)
         background = np.median(
             (np.abs(transforms[:, _around(first, last, transforms.shape[1])]) ** 2).mean(axis=0), axis=0
@@ -89,12 +84,21 @@ def find_hum(transforms: ComplexArray, step_hz: float, rate_hz: float) -> tuple[
     return tuple(found.values())
 
 
-def _candidates(rate_hz: float) -> Iterator[tuple[float, int, float]]:
-    """Yield the mains frequency, the harmonic and its frequency as seen at a rate, low harmonics first."""
+def harmonic_bins(rate_hz: float, step_hz: float, last_bin: int) -> list[tuple[float, int, int]]:
+    """List the mains frequency, the first and the last bin of every harmonic, or of its alias at the source's rate."""
+    return [(mains_hz, first, last) for mains_hz, _, first, last in _candidates(rate_hz, step_hz, last_bin)]
+
+
+def _candidates(rate_hz: float, step_hz: float, last_bin: int) -> Iterator[tuple[float, int, int, int]]:
+    """Yield the mains frequency, the harmonic, and its first and last bin as seen at a rate, low harmonics first."""
     for harmonic in range(1, _HARMONICS + 1):
         for mains_hz in _MAINS_HZ:
-            hz = harmonic * mains_hz
-            yield mains_hz, harmonic, abs(hz - rate_hz * round(hz / rate_hz))
+            alias_hz = abs(harmonic * mains_hz - rate_hz * round(harmonic * mains_hz / rate_hz))
+            reach = harmonic * _TOLERANCE_HZ
+            first, last = (int(np.rint((alias_hz + side * reach) / step_hz)) for side in (-1, 1))
+            first, last = max(first, 1), min(last, last_bin)
+            if first <= last:
+                yield mains_hz, harmonic, first, last
 
 
 def _around(first: int, last: int, n_bins: int) -> Array:
