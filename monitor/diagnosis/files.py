@@ -77,7 +77,7 @@ def content(
 
 def _left_out(item: LeftOut) -> dict[str, Any]:
     """Describe data that were not compared because a sensor's fault rules them."""
-    hz = None if item.hz is None else [_finite(v) for v in item.hz]
+    hz = [[low, high] for low, high in item.hz]
     return {"kind": item.kind, "channel": item.channel, "seconds": item.seconds, "hz": hz, "says": item.says}
 
 

@@ -92,8 +92,8 @@ class ForwardModel(ABC):
         out = np.ones(band.n_bins)
         for line in self.prior.known_lines_hz:
             out[np.abs(band.hz - line) <= max(_LINE_BINS * band.bin_hz, _LINE_SHARE * line)] = 0.0
-        for low, high in (item.hz for item in self.observed.segments.left_out if item.hz is not None):
-            out[(band.hz >= low) & (band.hz <= high)] = 0.0
+        for low, high in (ends for item in self.observed.segments.left_out for ends in item.hz):
+            out[(band.hz > low - 0.5 * band.bin_hz) & (band.hz < high + 0.5 * band.bin_hz)] = 0.0
         if self.left_out is not None:
             out[self.left_out] = 0.0
         error = self.error

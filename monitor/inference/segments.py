@@ -65,8 +65,8 @@ class LeftOut:
     """Description in words."""
     seconds: float = 0.0
     """Length of the stretches at fault."""
-    hz: tuple[float, float] | None = None
-    """Frequencies that are left out; None where stretches of time are."""
+    hz: tuple[tuple[float, float], ...] = ()
+    """Ranges of frequencies that are left out; none where stretches of time are."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -182,7 +182,7 @@ def gather(blocks: Iterable[SampleBlock], front_end: FrontEnd) -> Segments:
         rate_hz=conditioner.rate_in_hz,
         resampled_hz=conditioner.rate_hz,
         samples=round(floors.seconds * conditioner.rate_hz),
-        left_out=(*left_out, *_drift(transforms, floors, first), *_hum(transforms, floors)),
+        left_out=(*left_out, *_drift(transforms[:, : last + 1], floors, first), *_hum(transforms, floors)),
     )
     return replace(segments.part(covered), drive=drive)
 
@@ -355,12 +355,14 @@ def _drift(transforms: ComplexArray, floors: _Stream, first: int) -> Iterator[Le
     """Yield the frequencies that a channel's drift rules, in a band that begins with bin `first`."""
     assert floors.design is not None
     for drift in sensor_drift.find_drift(transforms, first):
-        name, low, high = (
-            floors.front_end.channels[drift.channel],
-            *floors.design.step_hz * np.array([first, drift.end]),
+        name, step_hz = floors.front_end.channels[drift.channel], floors.design.step_hz
+        edges = first + np.flatnonzero(np.diff(np.concatenate([[False], drift.ruled, [False]])))
+        ranges = [(step_hz * low, step_hz * (past - 1)) for low, past in edges.reshape(-1, 2).tolist()]
+        says = (
+            f"channel {name} drifts, its power falling as f^-{drift.exponent}; {step_hz * int(drift.ruled.sum()):.2f} Hz of the "
+            f"band, from {ranges[0][0]:.2f} to {ranges[-1][1]:.2f} Hz, are not compared"
         )
-        says = f"channel {name} drifts (power falling as f^-{drift.exponent:.1f}); {low:.2f} to {high:.2f} Hz are not compared"
-        yield LeftOut("drift", name, says, hz=(float(low), float(high)))
+        yield LeftOut("drift", name, says, hz=tuple(ranges))
 
 
 def _hum(transforms: ComplexArray, floors: _Stream) -> Iterator[LeftOut]:
@@ -376,7 +378,7 @@ def _hum(transforms: ComplexArray, floors: _Stream) -> Iterator[LeftOut]:
             f"{hum.low_hz:.2f} to {hum.high_hz:.2f} Hz are not compared"
         )
         channel = ", ".join(names) if hum.channel is None else names[hum.channel]
-        yield LeftOut("mains hum", channel, says, hz=(hum.low_hz, hum.high_hz))
+        yield LeftOut("mains hum", channel, says, hz=((hum.low_hz, hum.high_hz),))
 
 
 def _counted(n: int, kind: str) -> str:

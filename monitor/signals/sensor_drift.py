@@ -5,37 +5,44 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from monitor.core import Array, ComplexArray
 
 _FIRST_BIN = 2
 """Lowest bin that a constant offset does not reach. [bins; definition: Hann taper]"""
-_SMOOTHED_BINS = 20
-"""Bins over which a noise floor is averaged. [bins; judgement]"""
+_EXPONENTS = (1, 2, 3, 4)
+"""Exponents with which the power of a drift falls: flicker noise, a random walk, and their integrals. [1; definition]"""
+_FALSE_RATE = 0.01
+"""Probability that chance makes a drift in a recording. [1; convention]"""
+_JUDGED_BINS = 20
+"""Bins over which a model's error is judged together. [bins; the lack of fit's bands of 1 Hz at 20 s]"""
+_ROUNDS = 20
+"""Rounds of reweighted least squares. [count; cost]"""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, eq=False, slots=True)
 class Drift:
     """Drift of one channel."""
 
     channel: int
-    exponent: float
+    exponent: int
     """Exponent with which its power falls as the frequency rises; 2 for a random walk."""
-    end: int
-    """First bin that the drift does not rule."""
+    ruled: NDArray[np.bool_]
+    """Mask of the band's bins that the drift spoils."""
 
 
 def find_drift(transforms: ComplexArray, first: int) -> tuple[Drift, ...]:
     """Find the channels whose drift reaches into the compared band.
 
-    The part of a channel that no other channel shares is white noise below the band, or falls as a power of the frequency where
-    the sensor drifts.  The power law fitted there is continued into the band.  It rules the bins where it exceeds the random
-    error of the channel's spectrum.
+    Below the band, the part of a channel that no other channel shares is white noise, and where the sensor drifts also a power
+    law of the frequency.  The law is fitted there and continued into the band.  It spoils the bins where it exceeds the random
+    error with which a model is judged.
 
     Parameters
     ----------
     transforms : ndarray, shape (n_segments, n_bins, c)
-        From 0 Hz up, Hann taper.
+        From 0 Hz up to the band's end, Hann taper.
     first : int
         First bin of the band.
 
@@ -45,23 +52,46 @@ def find_drift(transforms: ComplexArray, first: int) -> tuple[Drift, ...]:
         None where too few bins or segments show a law.
     """
     n, n_bins, c = transforms.shape
-    if first < _FIRST_BIN + c or n <= 2 * c or n_bins <= first + _SMOOTHED_BINS:
+    if first < _FIRST_BIN + c or n <= 2 * c:
         return ()
     own, unshared = _spectra(transforms)
-    k, found = np.arange(n_bins), []
-    below = slice(_FIRST_BIN, first)
+    k, found = np.arange(_FIRST_BIN, n_bins), []
+    below = slice(0, first - _FIRST_BIN)
+    degrees = n - c + 1
     for channel in range(c):
-        alone = unshared[:, channel]
-        if not (alone[_FIRST_BIN:] > 0.0).all():
+        alone = unshared[_FIRST_BIN:first, channel]
+        if not (alone > 0.0).all():
             continue
-        slope, level = np.polyfit(np.log(k[below]), np.log(alone[below]), 1)
-        floor = np.convolve(alone[first:], np.ones(_SMOOTHED_BINS) / _SMOOTHED_BINS, mode="valid").min()
-        drift = np.exp(level + slope * np.log(k[first:])) - floor
-        ruled = drift > own[first:, channel] / np.sqrt(n)
-        if slope < 0.0 and ruled[0]:
-            length = int(np.argmin(ruled)) if not ruled.all() else ruled.size
-            found.append(Drift(channel, float(-slope), first + length))
+        white = _log_likelihood(alone, np.full(alone.size, alone.mean()), degrees)
+        laws = [_fit(alone, (k[below] / first) ** -float(s), degrees) for s in _EXPONENTS]
+        best = int(np.argmax([fit for fit, _ in laws]))
+        fit, size = laws[best]
+        drift = size * (k / first) ** -float(_EXPONENTS[best])
+        ruled = drift[first - _FIRST_BIN :] > own[first:, channel] / np.sqrt(n * _JUDGED_BINS)
+        if fit - white > np.log(c * len(_EXPONENTS) / _FALSE_RATE) and ruled.any():
+            found.append(Drift(channel, _EXPONENTS[best], ruled))
     return tuple(found)
+
+
+def _fit(power: Array, law: Array, degrees: int) -> tuple[float, float]:
+    """Fit white noise and a law of given form to a spectrum by maximum likelihood; return log likelihood and size of the law."""
+    columns = np.stack([np.ones(law.size), law], axis=1)
+    model = np.full(power.size, power.mean())
+    size = np.zeros(2)
+    for _ in range(_ROUNDS):  # the standard deviation of a power is in proportion to itself
+        weighted = columns / model[:, None]
+        size = np.linalg.lstsq(weighted, power / model, rcond=None)[0]
+        if size.min() < 0.0:  # neither noise nor law can be negative
+            kept = int(size.argmax())
+            one = weighted[:, kept]
+            size = np.where(np.arange(2) == kept, (one @ (power / model)) / (one @ one), 0.0)
+        model = np.maximum(columns @ size, np.finfo(float).tiny)
+    return _log_likelihood(power, model, degrees), float(size[1])
+
+
+def _log_likelihood(power: Array, model: Array, degrees: int) -> float:
+    """Compute the log likelihood of powers that are the means of `degrees` exponentially distributed ones, nats."""
+    return float(-degrees * (np.log(model) + power / model).sum())
 
 
 def _spectra(transforms: ComplexArray) -> tuple[Array, Array]:

@@ -242,9 +242,7 @@ def _channel_health(x: Array, rate_hz: float, channels: tuple[str, ...]) -> tupl
     found = find_span_faults(x, rate_hz)
     return tuple(
         ChannelHealth(*one, **asdict(faults))
-        for one, faults in zip(
-            zip(channels, *(values.tolist() for values in fields), strict=True), found, strict=True
-        )
+        for one, faults in zip(zip(channels, *(values.tolist() for values in fields), strict=True), found, strict=True)
     )
 
 

@@ -137,7 +137,7 @@ def _hums(x: Array, rate_hz: float) -> list[tuple[float, float] | tuple[None, No
 
 
 def _chance_of_line(spectra: ComplexArray) -> Array:
-    """Compute the probability that noise makes lines as strong, shape (c, n_bins), from (n_tapers, c, n_bins) (Thomson's F-test)."""
+    """Compute the probability that noise makes such lines (Thomson's F-test), shape (n_tapers, c, n_bins) to (c, n_bins)."""
     order = np.arange(1, _TAPERS + 1)
     sums = np.where(order % 2 == 1, 1.0 / order, 0.0)  # of the sine tapers' samples, up to a common factor
     line = np.tensordot(sums, spectra, axes=1) / (sums @ sums)
