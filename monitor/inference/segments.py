@@ -18,6 +18,7 @@ from monitor.inference.ground_response import Drive
 from monitor.signals import (
     Conditioner,
     ConditionState,
+    Drift,
     FrontEnd,
     SegmentDesign,
     alignment,
@@ -98,6 +99,8 @@ class Segments:
     """Number of sample instants after resampling that the segments cover, each counted once for all channels."""
     left_out: tuple[LeftOut, ...] = ()
     """What of the recording these segments leave out."""
+    drift: Array | None = None
+    """Power density of the channels' drift, shape (n_bins, c), (m/s^2)^2/Hz; None where no channel drifts."""
 
     def part(self, chosen: NDArray[np.bool_]) -> Segments:
         """Select segments by a mask, shape (n_segments,)."""
@@ -168,6 +171,7 @@ def gather(blocks: Iterable[SampleBlock], front_end: FrontEnd) -> Segments:
     drive, covered = located or (None, np.ones(len(floors.segments), dtype=bool))
     readings = np.array([((t - t0) * 1e-9, v) for t, v in temperature if np.isfinite(v)]).reshape(-1, 2)
     transforms, rms, tapered = (np.stack(x) for x in zip(*floors.segments.values(), strict=True))
+    drifts = sensor_drift.find_drift(transforms[:, : last + 1], first)
     below = 2.0 * design.step_hz * (np.abs(transforms[:, 1 : last + 1]) ** 2 / gain[1:, None]).sum(axis=1)
     segments = Segments(
         values=transforms[:, first : last + 1],
@@ -182,7 +186,12 @@ def gather(blocks: Iterable[SampleBlock], front_end: FrontEnd) -> Segments:
         rate_hz=conditioner.rate_in_hz,
         resampled_hz=conditioner.rate_hz,
         samples=round(floors.seconds * conditioner.rate_hz),
-        left_out=(*left_out, *_drift(transforms[:, : last + 1], floors, first), *_hum(transforms, floors)),
+        left_out=(
+            *left_out,
+            *(_left_out_of_drift(d, front_end.channels[d.channel], band) for d in drifts),
+            *_hum(transforms, floors),
+        ),
+        drift=sensor_drift.density(drifts, band.n_bins, len(front_end.channels)),
     )
     return replace(segments.part(covered), drive=drive)
 
@@ -351,18 +360,15 @@ class _Stream:
         self._rest = rest
 
 
-def _drift(transforms: ComplexArray, floors: _Stream, first: int) -> Iterator[LeftOut]:
-    """Yield the frequencies that a channel's drift rules, in a band that begins with bin `first`."""
-    assert floors.design is not None
-    for drift in sensor_drift.find_drift(transforms, first):
-        name, step_hz = floors.front_end.channels[drift.channel], floors.design.step_hz
-        edges = first + np.flatnonzero(np.diff(np.concatenate([[False], drift.ruled, [False]])))
-        ranges = [(step_hz * low, step_hz * (past - 1)) for low, past in edges.reshape(-1, 2).tolist()]
-        says = (
-            f"channel {name} drifts, its power falling as f^-{drift.exponent}; {step_hz * int(drift.ruled.sum()):.2f} Hz of the "
-            f"band, from {ranges[0][0]:.2f} to {ranges[-1][1]:.2f} Hz, are not compared"
-        )
-        yield LeftOut("drift", name, says, hz=tuple(ranges))
+def _left_out_of_drift(drift: Drift, name: str, band: Band) -> LeftOut:
+    """Describe what a channel's drift means for the comparison with a model."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], drift.ruled, [False]])))
+    ranges = tuple((float(band.hz[low]), float(band.hz[past - 1])) for low, past in edges.reshape(-1, 2).tolist())
+    says = f"channel {name} drifts, its power falling as f^-{drift.exponent}, which is taken for noise"
+    if ranges:
+        ruled_hz = band.bin_hz * int(drift.ruled.sum())
+        says += f"; {ruled_hz:.2f} Hz of the band, where it is most of the power, are not compared"
+    return LeftOut("drift", name, says, hz=ranges)
 
 
 def _hum(transforms: ComplexArray, floors: _Stream) -> Iterator[LeftOut]:

@@ -1,6 +1,7 @@
 from . import alignment, channel_faults, mains_hum, sensor_drift, sensor_health, temperature, window_quality, windows
 from .front_end import FrontEnd
 from .resampling import Conditioner, ConditionState
+from .sensor_drift import Drift
 from .sensor_health import Health, HealthSettings, HealthState
 from .settings import ProcessingSettings
 from .temperature import LAGS_S, TemperatureSettings
@@ -13,6 +14,7 @@ __all__ = [
     "LEAKAGE_OFFSETS",
     "ConditionState",
     "Conditioner",
+    "Drift",
     "FrontEnd",
     "Health",
     "HealthSettings",

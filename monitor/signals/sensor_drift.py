@@ -1,7 +1,8 @@
-"""Drift of a sensor: a slow wander that one channel has alone, and how far up its spectrum rules."""
+"""Drift of a sensor: a slow wander that one channel has alone, and its power density in the compared band."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,8 +16,6 @@ _EXPONENTS = (1, 2, 3, 4)
 """Exponents with which the power of a drift falls: flicker noise, a random walk, and their integrals. [1; definition]"""
 _FALSE_RATE = 0.01
 """Probability that chance makes a drift in a recording. [1; convention]"""
-_JUDGED_BINS = 20
-"""Bins over which a model's error is judged together. [bins; the lack of fit's bands of 1 Hz at 20 s]"""
 _ROUNDS = 20
 """Rounds of reweighted least squares. [count; cost]"""
 
@@ -28,16 +27,17 @@ class Drift:
     channel: int
     exponent: int
     """Exponent with which its power falls as the frequency rises; 2 for a random walk."""
+    density: Array
+    """Power density of the drift in the band's bins, shape (n_bins,), (m/s^2)^2/Hz."""
     ruled: NDArray[np.bool_]
-    """Mask of the band's bins that the drift spoils."""
+    """Mask of the band's bins in which the drift is more than half of the channel's power."""
 
 
 def find_drift(transforms: ComplexArray, first: int) -> tuple[Drift, ...]:
     """Find the channels whose drift reaches into the compared band.
 
     Below the band, the part of a channel that no other channel shares is white noise, and where the sensor drifts also a power
-    law of the frequency.  The law is fitted there and continued into the band.  It spoils the bins where it exceeds the random
-    error with which a model is judged.
+    law of the frequency.  The law is fitted there and continued into the band.
 
     Parameters
     ----------
@@ -55,22 +55,29 @@ def find_drift(transforms: ComplexArray, first: int) -> tuple[Drift, ...]:
     if first < _FIRST_BIN + c or n <= 2 * c:
         return ()
     own, unshared = _spectra(transforms)
-    k, found = np.arange(_FIRST_BIN, n_bins), []
-    below = slice(0, first - _FIRST_BIN)
-    degrees = n - c + 1
+    below, found, degrees = np.arange(_FIRST_BIN, first), [], n - c + 1
     for channel in range(c):
         alone = unshared[_FIRST_BIN:first, channel]
         if not (alone > 0.0).all():
             continue
         white = _log_likelihood(alone, np.full(alone.size, alone.mean()), degrees)
-        laws = [_fit(alone, (k[below] / first) ** -float(s), degrees) for s in _EXPONENTS]
+        laws = [_fit(alone, (below / first) ** -float(s), degrees) for s in _EXPONENTS]
         best = int(np.argmax([fit for fit, _ in laws]))
         fit, size = laws[best]
-        drift = size * (k / first) ** -float(_EXPONENTS[best])
-        ruled = drift[first - _FIRST_BIN :] > own[first:, channel] / np.sqrt(n * _JUDGED_BINS)
-        if fit - white > np.log(c * len(_EXPONENTS) / _FALSE_RATE) and ruled.any():
-            found.append(Drift(channel, _EXPONENTS[best], ruled))
+        if fit - white > np.log(c * len(_EXPONENTS) / _FALSE_RATE):
+            density = size * (np.arange(first, n_bins) / first) ** -float(_EXPONENTS[best])
+            found.append(Drift(channel, _EXPONENTS[best], density, density > 0.5 * own[first:, channel]))
     return tuple(found)
+
+
+def density(drifts: Sequence[Drift], n_bins: int, n_channels: int) -> Array | None:
+    """Collect the power density of all channels' drift in the band, shape (n_bins, c), (m/s^2)^2/Hz; None where none drifts."""
+    if not drifts:
+        return None
+    out = np.zeros((n_bins, n_channels))
+    for drift in drifts:
+        out[:, drift.channel] = drift.density
+    return out
 
 
 def _fit(power: Array, law: Array, degrees: int) -> tuple[float, float]:

@@ -53,9 +53,10 @@ def _resolution(row: Array) -> float:
         return 0.0
     steps = np.diff(values)
     least = float(steps.min())
-    rounding = 4.0 * _FLOAT32 * float(np.abs(values).max()) / least
-    off_grid = np.abs(steps / least - np.rint(steps / least)).max()
-    return least if off_grid <= min(rounding + 1e-6, 0.25) else 0.0
+    rounding = 2.0 * _FLOAT32 * float(np.abs(values).max()) / least
+    multiple = steps / least
+    off_grid = np.abs(multiple - np.rint(multiple)) / (1.0 + multiple)  # the least step is rounded too
+    return least if off_grid.max() <= min(rounding, 0.1) else 0.0
 
 
 def _wander(row: Array) -> tuple[float, float]:
@@ -82,7 +83,7 @@ def _wander(row: Array) -> tuple[float, float]:
     if chance < _FALSE_RATE and step * changes[at] > 0.0:
         return step, 0.0
     time = (np.arange(_BATCHES) - 0.5 * (_BATCHES - 1)) / _BATCHES
-    return 0.0, float(time @ level / (time @ time))
+    return 0.0, float(time @ (level - level[0]) / (time @ time))
 
 
 def _held(row: Array, resolution: float) -> int:
@@ -126,13 +127,14 @@ def _hums(x: Array, rate_hz: float) -> list[tuple[float, float] | tuple[None, No
     """
     c, n = x.shape
     out: list[tuple[float, float] | tuple[None, None]] = [(None, None)] * c
-    spectra = np.fft.rfft(_sine_tapers(n)[:, None] * (x - x.mean(axis=1, keepdims=True)), axis=2)
-    for mains_hz, first, last in mains_hum.harmonic_bins(rate_hz, rate_hz / n, n // 2):
+    n_fft = 2 * n  # a line between two bins would not be one
+    spectra = np.fft.rfft(_sine_tapers(n)[:, None] * (x - x.mean(axis=1, keepdims=True)), n_fft, axis=2)
+    for mains_hz, first, last in mains_hum.harmonic_bins(rate_hz, rate_hz / n_fft, n):
         chance = _chance_of_line(spectra[:, :, first : last + 1]) * c * (last + 1 - first)
         has = chance.min(axis=1) < _FALSE_RATE
         if c > 1 and has.sum() in (1, c):
             for i in np.flatnonzero(has).tolist():
-                out[i] = (first + int(chance[i].argmin())) * rate_hz / n, mains_hz
+                out[i] = (first + int(chance[i].argmin())) * rate_hz / n_fft, mains_hz
     return out
 
 
