@@ -248,6 +248,8 @@ class _Stream:
         """Properties of the source's samples in every cell of every run; of the floors only."""
         self._cell: list[Array] = []
         """Source samples of the next cell."""
+        self._before = np.zeros((0, self.peak.size))
+        """The two source samples before them."""
         self._raw: list[Array] = []
         """Source samples of the next segment."""
 
@@ -287,6 +289,7 @@ class _Stream:
             self.design = self._design_segments()
             self.t0_ns = piece.t_ns
         self._run_ns, self._done, self._raw, self._cell = piece.t_ns, 0, [], []
+        self._before = np.zeros((0, self.peak.size))
         self.runs.append((piece.t_ns, []))
         self.facts.append([])
 
@@ -299,8 +302,8 @@ class _Stream:
         facts, rest = self.facts[-1], np.concatenate([*self._cell, samples])
         cell = channel_faults.CELL * self.conditioner.rate_in_hz / self.conditioner.rate_hz
         while rest.shape[0] >= (n := round((len(facts) + 1) * cell) - round(len(facts) * cell)):
-            facts.append(channel_faults.RawFacts.of(rest[:n]))
-            rest = rest[n:]
+            facts.append(channel_faults.RawFacts.of(rest[:n], self._before))
+            self._before, rest = rest[max(0, n - 2) : n], rest[n:]
         self._cell = [rest]
 
     def leave_out_faults(self) -> tuple[LeftOut, ...]:

@@ -57,11 +57,11 @@ class RawFacts:
     """Sum of the squared steps from sample to sample, (m/s^2)^2."""
 
     @classmethod
-    def of(cls, samples: Array) -> RawFacts:
-        """Describe a cell's samples, shape (n, c), m/s^2."""
-        step = np.diff(samples, axis=0)
-        before, after = step[:-1], -step[1:]
-        isolated = np.maximum(np.minimum(before, after), np.minimum(-before, -after)).max(axis=0, initial=0.0)
+    def of(cls, samples: Array, before: Array) -> RawFacts:
+        """Describe a cell's samples, shape (n, c), m/s^2; `before` holds the two samples before them, if there are any."""
+        step = np.diff(np.concatenate([before, samples]), axis=0)
+        rise, fall = step[:-1], -step[1:]
+        isolated = np.maximum(np.minimum(rise, fall), np.minimum(-rise, -fall)).max(axis=0, initial=0.0)
         held = np.array([_longest(row) for row in (step == 0.0).T], dtype=float)
         return cls(samples.mean(axis=0), held, isolated, (step**2).sum(axis=0))
 
@@ -185,6 +185,10 @@ def _judge(
     if g < 2:
         return np.zeros(total), np.zeros(total, dtype=bool)
     power = np.concatenate([(z[:, :, :g] ** 2).sum(axis=1) for z in _regressors(runs, n_cells)])
+    moves = np.median(power, axis=0) > np.finfo(np.float32).eps * power.max(axis=0)
+    if not moves[0] or moves.sum() < 2:
+        return np.zeros(total), np.zeros(total, dtype=bool)
+    runs, power = [run[:, moves] for run in runs], power[:, moves]
     loud = (power / np.maximum(np.median(power, axis=0), np.finfo(float).tiny)).mean(axis=1)
     weight = 1.0 / np.maximum(loud, np.finfo(float).tiny)  # every cell counts alike, however strong the motion
     least = np.log(tests / _FALSE_RATE)

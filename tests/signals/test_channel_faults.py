@@ -37,7 +37,9 @@ def found(x: np.ndarray) -> tuple[Fault, ...]:
     design = Conditioner.design(RATE, 100.0, 40.0)
     values = design.step_block(design.start(x.shape[1]), x)[1]
     n = round(CELL * RATE / design.rate_hz)
-    return find_faults([values], [[RawFacts.of(x[a : a + n]) for a in range(0, len(x) - n + 1, n)]])
+    return find_faults(
+        [values], [[RawFacts.of(x[a : a + n], x[max(0, a - 2) : a]) for a in range(0, len(x) - n + 1, n)]]
+    )
 
 
 def spike(x: np.ndarray, rms: float, rng: np.random.Generator) -> None:
@@ -115,7 +117,7 @@ def test_what_all_channels_have_is_no_fault_of_one(floors: np.ndarray) -> None:
     assert found(floors[:, :1]) == ()
     still = floors.copy()
     still[10_000:10_600] = 0.0
-    assert found(still) == () or {f.first for f in found(still)} <= {50, 51, 52, 53}
+    assert {f.kind for f in found(still)} <= {"dropout"}
 
 
 def test_a_dead_channel_or_a_short_record_is_no_error(floors: np.ndarray) -> None:
@@ -125,8 +127,9 @@ def test_a_dead_channel_or_a_short_record_is_no_error(floors: np.ndarray) -> Non
     assert found(floors[:500]) == ()
 
 
-def test_many_channels_are_judged_by_a_few_neighbours(floors: np.ndarray) -> None:
-    rng = np.random.default_rng(2)
-    many = np.concatenate([floors + 0.05 * floors.std() * rng.standard_normal(floors.shape) for _ in range(4)], axis=1)
-    spike(many[:, 7], float(many[:, 7].std()), rng)
-    assert {(f.kind, f.channel) for f in found(many)} == {("spike", 7)}
+def test_many_channels_are_judged_by_a_few_neighbours() -> None:
+    tower = Model(ShearFrame(np.full(8, 0.3), np.full(8, 4000.0), 0.01))
+    many = np.asarray(simulate(tower, duration_s=120.0, rate_hz=RATE, noise=0.05, seed=1).floors)
+    assert found(many) == ()
+    spike(many[:, 5], float(many[:, 5].std()), np.random.default_rng(0))
+    assert {(f.kind, f.channel) for f in found(many)} == {("spike", 5)}
