@@ -145,6 +145,7 @@ def gather(blocks: Iterable[SampleBlock], front_end: FrontEnd) -> Segments:
             f"{floors.seconds:.0f} s of usable data without a gap; a diagnosis takes at least {floors.least_s:.0f} s"
         )
     assert floors.design is not None
+    n_all = len(floors.segments)
     left_out = floors.leave_out_faults()
     if len(floors.segments) < _MIN_SEGMENTS:
         reasons = "; ".join(item.says for item in left_out)
@@ -185,7 +186,7 @@ def gather(blocks: Iterable[SampleBlock], front_end: FrontEnd) -> Segments:
         band=band,
         rate_hz=conditioner.rate_in_hz,
         resampled_hz=conditioner.rate_hz,
-        samples=round(floors.seconds * conditioner.rate_hz),
+        samples=round(floors.seconds * conditioner.rate_hz * len(floors.segments) / n_all),
         left_out=(
             *left_out,
             *(_left_out_of_drift(d, front_end.channels[d.channel], band) for d in drifts),
