@@ -46,7 +46,7 @@ _LEAD_S = 60.0
 """Ground motion that is kept before them, whose response they still hold. [s; judgement]"""
 _GROUND_TEST_BLOCKS = 64
 """Blocks among which a measured ground is looked for. [count; cost]"""
-_MIN_SEGMENTS = 6
+_FEWEST_SEGMENTS = 6
 """Fewest segments of a diagnosis. [segments; judgement]"""
 MIN_PILED = 20
 """Samples at the largest magnitude that show a clipped signal. [samples; judgement]"""
@@ -140,18 +140,18 @@ def gather(blocks: Iterable[SampleBlock], front_end: FrontEnd) -> Segments:
         elif block.topic == TEMPERATURE:
             step_ns = 1e9 / block.sample_rate_hz
             temperature += [(block.t_ns + round(i * step_ns), float(v)) for i, v in enumerate(block.samples[:, 0])]
-    if len(floors.segments) < _MIN_SEGMENTS:
+    if len(floors.segments) < _FEWEST_SEGMENTS:
         raise BadInputError(
             f"{floors.seconds:.0f} s of usable data without a gap; a diagnosis takes at least {floors.least_s:.0f} s"
         )
     assert floors.design is not None
     n_all = len(floors.segments)
     left_out = floors.leave_out_faults()
-    if len(floors.segments) < _MIN_SEGMENTS:
+    if len(floors.segments) < _FEWEST_SEGMENTS:
         reasons = "; ".join(item.says for item in left_out)
         raise BadInputError(
             f"{len(floors.segments)} segments of {1.0 / floors.design.step_hz:g} s hold no fault of a sensor; a diagnosis "
-            f"takes at least {_MIN_SEGMENTS} ({reasons})"
+            f"takes at least {_FEWEST_SEGMENTS} ({reasons})"
         )
     design, conditioner = floors.design, floors.conditioner
     first, last = (round(x * conditioner.cutoff_hz / design.step_hz) for x in (_BAND_START, _BAND_END))

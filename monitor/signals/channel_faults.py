@@ -32,8 +32,8 @@ _MOST_NEIGHBOURS = 5
 _RIDGE = 1e-3
 """White noise that is assumed in each channel beside what it shows, over its power: the lowpass leaves none near the Nyquist
 frequency, and a prediction would rest on that. [ratio; judgement]"""
-_FALSE_RATE = 0.01
-"""Probability of a cell that is left out of a recording without faults. [1; convention]"""
+FALSE_RATE = 0.01
+"""Probability that chance makes a fault in a recording without one. [1; convention]"""
 _HIGHPASS = 0.02
 """Corner of the highpass that removes offsets and drift, over the rate. [ratio; the lower end of the compared band]"""
 _ROWS_A_COLUMN = 10
@@ -191,8 +191,8 @@ def _judge(
     runs, power = [run[:, moves] for run in runs], power[:, moves]
     loud = (power / np.maximum(np.median(power, axis=0), np.finfo(float).tiny)).mean(axis=1)
     weight = 1.0 / np.maximum(loud, np.finfo(float).tiny)  # every cell counts alike, however strong the motion
-    least = np.log(tests / _FALSE_RATE)
-    exceptional = NormalDist().inv_cdf(1.0 - _FALSE_RATE / tests)
+    least = np.log(tests / FALSE_RATE)
+    exceptional = NormalDist().inv_cdf(1.0 - FALSE_RATE / tests)
     at_fault = np.zeros(total, dtype=bool)
     for _ in range(2):  # once more without the cells that are found at fault
         innovations, without = _innovations(runs, n_cells, np.where(at_fault, 0.0, weight))
@@ -282,7 +282,7 @@ class _Usual:
             if k + 2 < len(run)
         ]
         held, isolated = [f.held[channel] for f in sound], [f.isolated[channel] for f in sound]
-        return cls(channel, *(float(np.quantile(x, 1.0 - _FALSE_RATE)) if x else 0.0 for x in (held, isolated, moved)))
+        return cls(channel, *(float(np.quantile(x, 1.0 - FALSE_RATE)) if x else 0.0 for x in (held, isolated, moved)))
 
     def kind(self, facts: Sequence[RawFacts], first: int, last: int) -> FaultKind:
         """Tell the kind of the fault in some cells of a run."""

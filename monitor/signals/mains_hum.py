@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from monitor.core import Array, ComplexArray
+from monitor.signals.channel_faults import FALSE_RATE
 from monitor.signals.welch import hann_amplitude
 
 _MAINS_HZ = (50.0, 60.0)
@@ -18,8 +19,6 @@ _HARMONICS = 6
 """Highest harmonic of the mains that is looked for: that of a six-pulse rectifier. [1; judgement]"""
 _BACKGROUND_BINS = 20
 """Bins on each side of a line, beyond its leakage, from which the background is taken. [bins; judgement]"""
-_FALSE_RATE = 0.01
-"""Probability that chance makes a line, and that a true one is rejected. [1; convention]"""
 _GAIN_STD = 0.02
 """Differences of the channels' gains beside which a hum of all channels is alike. [ratio; judgement: data sheets]"""
 
@@ -136,7 +135,7 @@ def _line(transforms: ComplexArray, k: int, tests: int) -> tuple[int | None, int
     own = np.diag(noise).real
     excess = np.diag(spectrum).real / own - 1.0
     i = int(excess.argmax())
-    if excess[i] <= 0.0 or _constancy(np.abs(at[:, i]) ** 2, own[i]) < np.log(tests / _FALSE_RATE):
+    if excess[i] <= 0.0 or _constancy(np.abs(at[:, i]) ** 2, own[i]) < np.log(tests / FALSE_RATE):
         return None
     amplitude = (spectrum - noise)[:, i] / np.sqrt(excess[i] * own[i])
     others = np.arange(c) != i
@@ -144,7 +143,7 @@ def _line(transforms: ComplexArray, k: int, tests: int) -> tuple[int | None, int
     def explains(expected: ComplexArray, variance: Array) -> bool:
         """Test an amplitude of the other channels against the measured one (chi-squared)."""
         distance = float((np.abs(amplitude - expected)[others] ** 2 / variance[others]).sum())
-        return bool(gammaincc(c - 1, distance) >= _FALSE_RATE)
+        return bool(gammaincc(c - 1, distance) >= FALSE_RATE)
 
     if explains(noise[:, i] / own[i] * amplitude[i], own / n):  # as the structure moves at this frequency
         return None

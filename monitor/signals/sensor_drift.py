@@ -9,13 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monitor.core import Array, ComplexArray
+from monitor.signals.channel_faults import FALSE_RATE
 
-_FIRST_BIN = 2
+_FIRST_DRIFT_BIN = 2
 """Lowest bin that a constant offset does not reach. [bins; definition: Hann taper]"""
 _EXPONENTS = (1, 2, 3, 4)
 """Exponents with which the power of a drift falls: flicker noise, a random walk, and their integrals. [1; definition]"""
-_FALSE_RATE = 0.01
-"""Probability that chance makes a drift in a recording. [1; convention]"""
 _ROUNDS = 20
 """Rounds of reweighted least squares. [count; cost]"""
 
@@ -52,19 +51,19 @@ def find_drift(transforms: ComplexArray, first: int) -> tuple[Drift, ...]:
         None where too few bins or segments show a law.
     """
     n, n_bins, c = transforms.shape
-    if first < _FIRST_BIN + c or n <= 2 * c:
+    if first < _FIRST_DRIFT_BIN + c or n <= 2 * c:
         return ()
     own, unshared = _spectra(transforms)
-    below, found, degrees = np.arange(_FIRST_BIN, first), [], n - c + 1
+    below, found, degrees = np.arange(_FIRST_DRIFT_BIN, first), [], n - c + 1
     for channel in range(c):
-        alone = unshared[_FIRST_BIN:first, channel]
+        alone = unshared[_FIRST_DRIFT_BIN:first, channel]
         if not (alone > 0.0).all():
             continue
         white = _log_likelihood(alone, np.full(alone.size, alone.mean()), degrees)
         laws = [_fit(alone, (below / first) ** -float(s), degrees) for s in _EXPONENTS]
         best = int(np.argmax([fit for fit, _ in laws]))
         fit, size = laws[best]
-        if fit - white > np.log(c * len(_EXPONENTS) / _FALSE_RATE):
+        if fit - white > np.log(c * len(_EXPONENTS) / FALSE_RATE):
             density = size * (np.arange(first, n_bins) / first) ** -float(_EXPONENTS[best])
             found.append(Drift(channel, _EXPONENTS[best], density, density > 0.5 * own[first:, channel]))
     return tuple(found)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from monitor.core import Array, ComplexArray
 from monitor.signals import mains_hum
 
-_FALSE_RATE = 1e-6
+_FALSE_RATE_A_SPAN = 1e-6
 """Probability that chance makes a step, a dropout or a hum in one channel of one span: less than one a month for three channels
 and spans of 10 s. [1; judgement]"""
 _BATCHES = 20
@@ -80,7 +80,7 @@ def _wander(row: Array) -> tuple[float, float]:
     scatter = float(rest.std(ddof=1)) * np.sqrt(1.0 + 1.0 / rest.size)
     chance = 2.0 * changes.size * stdtr(rest.size - 1, -abs(changes[at] - rest.mean()) / max(scatter, 1e-300))
     step = float(level[at + 1 :].mean() - level[: at + 1].mean())
-    if chance < _FALSE_RATE and step * changes[at] > 0.0:
+    if chance < _FALSE_RATE_A_SPAN and step * changes[at] > 0.0:
         return step, 0.0
     time = (np.arange(_BATCHES) - 0.5 * (_BATCHES - 1)) / _BATCHES
     return 0.0, float(time @ (level - level[0]) / (time @ time))
@@ -112,7 +112,7 @@ def _is_rare(lengths: NDArray[np.intp], n: int) -> NDArray[np.bool_]:
     for at in order[::-1].tolist():  # the longest is judged by those left
         total, runs = total - int(lengths[at]), runs - 1
         p = (total + 1.0) / (n - int(lengths[rare].sum()) - int(lengths[at]) + 2.0)
-        if n * p ** int(lengths[at]) >= _FALSE_RATE:
+        if n * p ** int(lengths[at]) >= _FALSE_RATE_A_SPAN:
             break
         rare[at] = True
     return rare
@@ -131,7 +131,7 @@ def _hums(x: Array, rate_hz: float) -> list[tuple[float, float] | tuple[None, No
     spectra = np.fft.rfft(_sine_tapers(n)[:, None] * (x - x.mean(axis=1, keepdims=True)), n_fft, axis=2)
     for mains_hz, first, last in mains_hum.harmonic_bins(rate_hz, rate_hz / n_fft, n):
         chance = _chance_of_line(spectra[:, :, first : last + 1]) * c * (last + 1 - first)
-        has = chance.min(axis=1) < _FALSE_RATE
+        has = chance.min(axis=1) < _FALSE_RATE_A_SPAN
         if c > 1 and has.sum() in (1, c):
             for i in np.flatnonzero(has).tolist():
                 out[i] = (first + int(chance[i].argmin())) * rate_hz / n_fft, mains_hz
