@@ -23,7 +23,7 @@ from monitor.diagnosis.wording import (
     law_family,
     separating_measurement,
 )
-from monitor.inference import ParameterLayout, Segments
+from monitor.inference import LeftOut, ParameterLayout, Segments
 from monitor.model import FORMS, Effect, LawFamily, MatrixStructure, Model, StructuralPrior
 
 _NOT_DETERMINED = 1e300
@@ -81,6 +81,7 @@ def content(
         ],
         "left_over": [{"where": m.where, "size": _finite(m.size), "says": m.says} for m in diagnosis.left_over],
         "band": _band(diagnosis.posterior.observed.segments, prior),
+        "left_out": [_left_out(item) for item in diagnosis.posterior.observed.segments.left_out],
         "ddi_effect": dict(ddi_effect),
         "refit": list(refit),
         "other_optima": list(optima),
@@ -103,6 +104,12 @@ def _band(segments: Segments, prior: StructuralPrior) -> dict[str, Any]:
     """Describe the band that was judged, within that of ``[processing]``."""
     judged_hz, processing_hz = ([float(f) for f in band.hz[[0, -1]]] for band in (segments.band, segments.whole))
     return {"judged_hz": judged_hz, "processing_hz": processing_hz, "says": band_in_words(segments, prior)}
+
+
+def _left_out(item: LeftOut) -> dict[str, Any]:
+    """Describe data that were not compared because a sensor's fault rules them."""
+    hz = [[low, high] for low, high in item.hz]
+    return {"kind": item.kind, "channel": item.channel, "seconds": item.seconds, "hz": hz, "says": item.says}
 
 
 def _cause(effect: Effect, std: Mapping[str, float], prior: StructuralPrior) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from .map_estimate import MapEstimate, maximize_posterior
 from .observed_spectra import ObservedSpectra, class_temperature, classify, information_weight
 from .parameter_layout import ParameterLayout
 from .posterior import Posterior, with_coordinates
-from .segments import Segments, gather
+from .segments import LeftOut, Segments, gather
 from .starting_point import FORCED, guess_levels, make_posterior
 
 __all__ = [
@@ -23,6 +23,7 @@ __all__ = [
     "Drive",
     "DrivenPosterior",
     "ExcitationStart",
+    "LeftOut",
     "MapEstimate",
     "MeasuredMoments",
     "Moments",

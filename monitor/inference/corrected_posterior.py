@@ -70,13 +70,13 @@ class CorrectedPosterior(AmbientPosterior):
         The correction is relative to the spectra, and so follows peaks that move or grow.  Where the motion grows, a law acts as
         one of another size.  Where all masses and stiffnesses grow, a law acts as one that is smaller in proportion.
         """
-        plain = replace(self, offset=None)
+        plain = replace(self.without_drift(), offset=None)
         linear = Posterior.scatter(plain, x, effects, classes=classes)
         relative = self.beyond(x, effects)
         if relative is None:
-            return linear
+            return self.add_drift(linear)
         # Too long a step gives NaN, since spectra that are not positive definite have no likelihood.
-        return grown_by(linear, relative if classes is None else relative[list(classes)])
+        return self.add_drift(grown_by(linear, relative if classes is None else relative[list(classes)]))
 
     def beyond(self, x: Array, effects: Sequence[Effect]) -> ComplexArray | None:
         """See `Posterior.beyond`."""

@@ -130,7 +130,7 @@ def fit_excitation(
         posterior = replace(posterior, conditions=linearize(posterior, x, ()), prior=known)
         x = _fit_levels(posterior, at_prior)
     if isinstance(posterior, AmbientPosterior) and any(e.nonlinear for e in model.effects):
-        linear = posterior.scatter(x, ())
+        linear = posterior.without_drift().scatter(x, ())
         beyond = _simulated_correction(posterior, x, linear) if near is None or near.beyond is None else near.beyond
         corrected = replace(posterior, offset=grown_by(linear, beyond) - linear)
         if np.isfinite(corrected.score(x, ())[0]):  # the motion under a far too strong law cannot be corrected

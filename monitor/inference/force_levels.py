@@ -38,7 +38,7 @@ def spectra_by_force(posterior: Posterior, x: Array, effects: Sequence[Effect]) 
     ndarray, shape (n + 1, classes, n_bins, c, c), (m/s^2)^2/Hz
     """
     layout, n = posterior.layout, posterior.context.structure.n_dofs
-    noiseless = _without_noise(posterior, x)
+    posterior, noiseless = posterior.without_drift(), _without_noise(posterior, x)
     # The simulated correction and the known model error are relative to the spectra of all forces together.
     linear = posterior.of_model_alone()
     calm = replace(linear, conditions=tuple(replace(c, ground=0.0) for c in posterior.conditions))

@@ -77,13 +77,18 @@ class ForwardModel(ABC):
         return self.prior.error
 
     def of_model_alone(self) -> Self:
-        """Return the forward model without the simulated correction and without the known model error."""
-        return replace(self, offset=None, prior=replace(self.prior, error=None))
+        """Return the forward model without the simulated correction, the known model error and the sensors' drift."""
+        return replace(self.without_drift(), offset=None, prior=replace(self.prior, error=None))
+
+    def without_drift(self) -> Self:
+        """Return the forward model without the drift of the sensors."""
+        return self if self.observed.drift is None else replace(self, observed=replace(self.observed, drift=None))
 
     def widths(self) -> Array:
         """Compute the number of independent bins in each (coarse) bin, shape (bins,).
 
-        The number is zero about known machines' lines and in bins left out, and smaller where the model error is known.
+        The number is zero about known machines' lines, where a sensor's fault rules the spectrum, and in bins left out.  It is
+        smaller where the model error is known.
         """
         if self.smoothing is not None:
             return np.asarray(1.0 / (self.smoothing**2).sum(axis=1))
@@ -91,6 +96,8 @@ class ForwardModel(ABC):
         out = np.ones(band.n_bins)
         for line in self.prior.known_lines_hz:
             out[np.abs(band.hz - line) <= max(_LINE_BINS * band.bin_hz, _LINE_SHARE * line)] = 0.0
+        for low, high in (ends for item in self.observed.segments.left_out for ends in item.hz):
+            out[(band.hz > low - 0.5 * band.bin_hz) & (band.hz < high + 0.5 * band.bin_hz)] = 0.0
         if self.left_out is not None:
             out[self.left_out] = 0.0
         error = self.error
@@ -142,7 +149,17 @@ class ForwardModel(ABC):
         """
         wanted = range(self.n_classes) if classes is None else classes
         spectra = self.linear_spectra(x, (*self.prior.effects(x), *effects), wanted)
-        return self._with_model_error(spectra if self.offset is None else spectra + self.offset[list(wanted)])
+        return self.add_drift(
+            self._with_model_error(spectra if self.offset is None else spectra + self.offset[list(wanted)])
+        )
+
+    def add_drift(self, spectra: ComplexArray) -> ComplexArray:
+        """Add the power of the sensors' drift to spectra, shape (classes, n_bins, c, c), (m/s^2)^2/Hz."""
+        if self.observed.drift is None:
+            return spectra
+        out, channel = spectra.copy(), np.arange(self.observed.drift.shape[1])
+        out[:, :, channel, channel] += self.observed.drift
+        return out
 
     @abstractmethod
     def linear_spectra(self, x: Array, effects: Sequence[Effect], classes: Sequence[int]) -> ComplexArray:

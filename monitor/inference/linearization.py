@@ -15,7 +15,7 @@ from monitor.inference.force_levels import ground_levels
 from monitor.inference.ground_response import motion_rms
 from monitor.inference.observed_spectra import ObservedSpectra, class_temperature
 from monitor.inference.posterior import Posterior
-from monitor.inference.segments import MIN_PILE
+from monitor.inference.segments import MIN_PILED
 from monitor.model import Condition, Context, Effect, System
 
 _MAX_BINS = 1 << 16
@@ -87,7 +87,7 @@ def linearize(
         rms = np.sqrt(variance)
         excess_degc = partial(_excess_degc, e, k, posterior.prior.reference_degc)
         m = len(drift)
-        piled, band_hz = e.piled >= MIN_PILE, float(e.band.hz[-1])
+        piled, band_hz = e.piled >= MIN_PILED, float(e.band.hz[-1])
         parts = rms[:m], rms[m : 2 * m], rms[2 * m :]
         out.append(Condition(*parts, e.rms[k], excess_degc, e.peak, piled, beyond, band_hz, float(ground[k])))
     return tuple(out)

@@ -59,6 +59,8 @@ class ObservedSpectra:
     """The channels' power of which a model's own error is a share, shape (n_bins, c); None without a measured ground."""
     drive: Drive | None
     """Measured ground motion, which `segments` no longer contain; None where it was not measured."""
+    drift: Array | None = None
+    """Power density of the channels' drift, shape (n_bins, c), (m/s^2)^2/Hz; None where no channel drifts."""
     by_temperature: bool = False
     """Whether the classes are of level and temperature, or of level only."""
 
@@ -113,6 +115,7 @@ def classify(segments: Segments) -> ObservedSpectra:
         level=relative,
         power=power,
         drive=segments.drive,
+        drift=segments.drift,
         by_temperature=by_temperature,
     )
 

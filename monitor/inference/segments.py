@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain, islice
@@ -19,9 +19,13 @@ from monitor.inference.judged_band import JudgedBand, find_judged_band
 from monitor.signals import (
     Conditioner,
     ConditionState,
+    Drift,
     FrontEnd,
     SegmentDesign,
     alignment,
+    channel_faults,
+    mains_hum,
+    sensor_drift,
     taper,
     transform,
 )
@@ -43,12 +47,28 @@ _LEAD_S = 60.0
 """Ground motion that is kept before them, whose response they still hold. [s; judgement]"""
 _GROUND_TEST_BLOCKS = 64
 """Blocks among which a measured ground is looked for. [count; cost]"""
-MIN_PILE = 20
-"""Samples at the largest magnitude that show a clipped signal. [samples; judgement]"""
-_MIN_RECORDING_SEGMENTS = 6
+_FEWEST_SEGMENTS = 6
 """Fewest segments of a diagnosis. [segments; judgement]"""
+MIN_PILED = 20
+"""Samples at the largest magnitude that show a clipped signal. [samples; judgement]"""
 _CLIPPED_TOLERANCE = 1e-6
 """Relative difference of magnitudes that rounding explains. [ratio; rounding]"""
+
+
+@dataclass(frozen=True, slots=True)
+class LeftOut:
+    """Data that are not compared with any model, because a sensor's fault rules them."""
+
+    kind: str
+    """Kind of the fault in words."""
+    channel: str
+    """Name of the channel, or of several."""
+    says: str
+    """Description in words."""
+    seconds: float = 0.0
+    """Length of the stretches at fault."""
+    hz: tuple[tuple[float, float], ...] = ()
+    """Ranges of frequencies that are left out; none where stretches of time are."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -85,12 +105,16 @@ class Segments:
     """Rate to which the samples were resampled before they were cut into segments."""
     samples: int
     """Number of sample instants after resampling that the segments cover, each counted once for all channels."""
+    left_out: tuple[LeftOut, ...] = ()
+    """What of the recording these segments leave out."""
+    drift: Array | None = None
+    """Power density of the channels' drift, shape (n_bins, c), (m/s^2)^2/Hz; None where no channel drifts."""
 
     def without_clipped(self) -> Segments:
         """Leave out the segments in which a clipped channel reaches its limit, unless too few would remain for a diagnosis."""
-        cut = self.piled >= MIN_PILE
+        cut = self.piled >= MIN_PILED
         whole = np.asarray((self.peaks[:, cut] < self.peak[cut] * (1.0 - _CLIPPED_TOLERANCE)).all(axis=1))
-        return self if whole.all() or np.count_nonzero(whole) < _MIN_RECORDING_SEGMENTS else self.part(whole)
+        return self if whole.all() or np.count_nonzero(whole) < _FEWEST_SEGMENTS else self.part(whole)
 
     def within(self, range_hz: tuple[float, float] | None) -> Segments:
         """Narrow the judged band to a range of frequencies, Hz; None narrows nothing.
@@ -116,6 +140,7 @@ class Segments:
             self,
             values=self.values[:, chosen],
             above=self.above + 2.0 * self.band.bin_hz * higher,
+            drift=None if self.drift is None else self.drift[chosen],
             band=self.band.part(JudgedBand(chosen, self.band.forces_hz)),
         )
 
@@ -137,8 +162,8 @@ class Segments:
 def gather(blocks: Iterable[SampleBlock], front_end: FrontEnd) -> Segments:
     """Condition a recording as in the pipeline and cut it into segments.
 
-    Where the ground was measured, the segments are those of the three minutes with the largest ground motion, with the ground
-    motion from one minute before.  Elsewhere the band is the part of the whole band that the recording can judge, see
+    Segments that hold a brief fault of one sensor are left out.  Where the ground was measured, the segments are those of the
+    three minutes with the largest ground motion, with the ground motion from one minute before.  Elsewhere the band is the part of the whole band that the recording can judge, see
     `monitor.inference.judged_band`; where the ground was measured it is the whole band, since the forces are then known.
 
     Raises
@@ -159,18 +184,26 @@ def gather(blocks: Iterable[SampleBlock], front_end: FrontEnd) -> Segments:
         elif block.topic == TEMPERATURE:
             step_ns = 1e9 / block.sample_rate_hz
             temperature += [(block.t_ns + round(i * step_ns), float(v)) for i, v in enumerate(block.samples[:, 0])]
-    if len(floors.segments) < _MIN_RECORDING_SEGMENTS:
+    if len(floors.segments) < _FEWEST_SEGMENTS:
         raise BadInputError(
             f"{floors.seconds:.0f} s of usable data without a gap; a diagnosis takes at least {floors.least_s:.0f} s"
         )
     assert floors.design is not None
+    n_all = len(floors.segments)
+    left_out = floors.leave_out_faults()
+    if len(floors.segments) < _FEWEST_SEGMENTS:
+        reasons = "; ".join(item.says for item in left_out)
+        raise BadInputError(
+            f"{len(floors.segments)} segments of {1.0 / floors.design.step_hz:g} s hold no fault of a sensor; a diagnosis "
+            f"takes at least {_FEWEST_SEGMENTS} ({reasons})"
+        )
     design, conditioner = floors.design, floors.conditioner
     first, last = (round(x * conditioner.cutoff_hz / design.step_hz) for x in (_BAND_START, _BAND_END))
     first = max(first, 4)
     t0 = floors.t0_ns
     gain = _filter_gain(conditioner, last + 1, design.step_hz)
     whole = Band(first, last - first + 1, design.step_hz, gain[first:])
-    runs = [(t, np.concatenate(values)[:, 0]) for t, values in ground.runs]
+    runs = [(t, values[:, 0]) for t, values in ground.joined_runs()]
     located = None
     if runs:
         to_segments = partial(
@@ -190,6 +223,8 @@ def gather(blocks: Iterable[SampleBlock], front_end: FrontEnd) -> Segments:
         judged = find_judged_band(unfiltered, whole.hz)
     band = whole.part(judged)
     below = 2.0 * design.step_hz * periodograms[:, 1 : band.first + band.n_bins].sum(axis=1)
+    drifts = sensor_drift.find_drift(transforms[:, : last + 1], first)
+    drift = sensor_drift.density(drifts, whole.n_bins, len(front_end.channels))
     segments = Segments(
         values=transforms[:, band.first : band.first + band.n_bins],
         t_s=np.array([(t - t0) * 1e-9 for t in floors.segments]) + 0.5 / design.step_hz,
@@ -205,7 +240,13 @@ def gather(blocks: Iterable[SampleBlock], front_end: FrontEnd) -> Segments:
         power=periodograms[:, first:].mean(axis=0),
         rate_hz=conditioner.rate_in_hz,
         resampled_hz=conditioner.rate_hz,
-        samples=round(floors.seconds * conditioner.rate_hz),
+        samples=round(floors.seconds * conditioner.rate_hz * len(floors.segments) / n_all),
+        left_out=(
+            *left_out,
+            *(_left_out_of_drift(d, front_end.channels[d.channel], whole) for d in drifts),
+            *_hum(transforms, floors),
+        ),
+        drift=None if drift is None else drift[judged.judged],
     )
     return replace(segments.part(covered), drive=drive)
 
@@ -242,7 +283,7 @@ class _Stream:
     """Conditioning and segmentation of one topic's blocks."""
 
     def __init__(self, front_end: FrontEnd, segment_s: float, *, is_ground: bool) -> None:
-        self._front_end, self._segment_s, self._is_ground = front_end, segment_s, is_ground
+        self.front_end, self._segment_s, self._is_ground = front_end, segment_s, is_ground
         self._align = alignment.start()
         self._rest: Array | None = None
         self._state: ConditionState
@@ -258,21 +299,29 @@ class _Stream:
         self.peak = np.zeros(1 if is_ground else len(front_end.channels))
         self.piled = np.zeros(self.peak.size, dtype=np.int64)
         self.runs: list[tuple[int, list[Array]]] = []
-        """Conditioned samples of every run without a gap, with the time of the run's first sample, UTC ns; of the ground only."""
+        """Conditioned samples of every run without a gap, with the time of the run's first sample, UTC ns."""
+        self.facts: list[list[channel_faults.RawFacts]] = []
+        """Properties of the source's samples in every cell of every run; of the floors only."""
+        self._cell: list[Array] = []
+        """Source samples of the next cell."""
+        self._before = np.zeros((0, self.peak.size))
+        """The two source samples before them."""
         self._raw: list[Array] = []
         """Source samples of the next segment."""
 
     def push(self, block: SampleBlock) -> None:
         """Condition a block's samples and cut the segments that they complete."""
         if self._is_ground and not self.runs:
-            self._front_end = replace(self._front_end, channels=block.channels[:1])
-        self._align, pieces = self._front_end.align(self._align, block)
+            self.front_end = replace(self.front_end, channels=block.channels[:1])
+        self._align, pieces = self.front_end.align(self._align, block)
         for piece in pieces:
             if self._rest is None or piece.gap is not None:
                 self._begin_run(piece)
             self._state, values = self.conditioner.step_block(self._state, piece.values)
-            if self._is_ground:
-                self.runs[-1][1].append(values)
+            # The floors' samples only tell faults of a sensor, for which half the memory is enough.
+            self.runs[-1][1].append(values if self._is_ground else values.astype(np.float32))
+            if not self._is_ground:
+                self._describe_cells(piece.values)
             self.seconds += values.shape[0] / self.conditioner.rate_hz
             self._update_peak(np.abs(piece.values))
             self._raw.append(piece.values)
@@ -289,24 +338,67 @@ class _Stream:
 
     def _begin_run(self, piece: alignment.Piece) -> None:
         """Begin a run of samples without a gap."""
-        self.conditioner = self._front_end.conditioner(piece.rate_hz)
+        self.conditioner = self.front_end.conditioner(piece.rate_hz)
         self._state = self.conditioner.start(self.peak.size)
         self._rest = np.zeros((0, self.peak.size))
         if self.design is None:
             self.design = self._design_segments()
             self.t0_ns = piece.t_ns
-        self._run_ns, self._done, self._raw = piece.t_ns, 0, []
-        if self._is_ground:
-            self.runs.append((piece.t_ns, []))
+        self._run_ns, self._done, self._raw, self._cell = piece.t_ns, 0, [], []
+        self._before = np.zeros((0, self.peak.size))
+        self.runs.append((piece.t_ns, []))
+        self.facts.append([])
+
+    def joined_runs(self) -> list[tuple[int, Array]]:
+        """Join the conditioned samples of every run, with the time of the run's first sample, UTC ns."""
+        return [(t_ns, np.concatenate(values)) for t_ns, values in self.runs]
+
+    def _describe_cells(self, samples: Array) -> None:
+        """Describe the source's samples in the cells that new samples complete, shape (n_samples, c)."""
+        facts, rest = self.facts[-1], np.concatenate([*self._cell, samples])
+        cell = channel_faults.CELL * self.conditioner.rate_in_hz / self.conditioner.rate_hz
+        while rest.shape[0] >= (n := round((len(facts) + 1) * cell) - round(len(facts) * cell)):
+            facts.append(channel_faults.RawFacts.of(rest[:n], self._before))
+            self._before, rest = rest[max(0, n - 2) : n], rest[n:]
+        self._cell = [rest]
+
+    def leave_out_faults(self) -> tuple[LeftOut, ...]:
+        """Drop the segments that hold a brief fault of one sensor, and return what is left out by kind and channel.
+
+        A channel that is clipped somewhere stays: its clipped samples spoil the neighbours' prediction too, but a model of the
+        sensor explains them.
+        """
+        design, names = self.design, self.front_end.channels
+        assert design is not None
+        runs = self.joined_runs()
+        found: dict[tuple[int, str], list[float]] = {}
+        for fault in channel_faults.find_faults([values for _, values in runs], self.facts):
+            if self.piled[fault.channel] >= MIN_PILED:
+                continue
+            begin, end = (runs[fault.run][0] + round(n / design.rate_hz * 1e9) for n in (fault.begin, fault.end))
+            length_ns = round(1e9 / design.step_hz)
+            for t_ns in [t for t in self.segments if t < end and t + length_ns > begin]:
+                del self.segments[t_ns]
+            found.setdefault((fault.channel, fault.kind), []).append((end - begin) * 1e-9)
+        return tuple(
+            LeftOut(
+                kind,
+                names[channel],
+                f"channel {names[channel]} has {_counted(len(lengths), kind)}, which no motion of the structure makes; "
+                f"the segments that hold {'it' if len(lengths) == 1 else 'them'} are not used",
+                seconds=sum(lengths),
+            )
+            for (channel, kind), lengths in sorted(found.items())
+        )
 
     def _design_segments(self) -> SegmentDesign:
         """Design segments on the pipeline's grid, or shorter ones where the ground is measured."""
         conditioner = self.conditioner
-        if self._segment_s < self._front_end.segment_s:
+        if self._segment_s < self.front_end.segment_s:
             n = 2 * round(0.5 * self._segment_s * conditioner.rate_hz)
             kept = round(conditioner.cutoff_hz * n / conditioner.rate_hz) + 1
             return SegmentDesign(conditioner.rate_hz, n, min(n // 2 + 1, kept))
-        return self._front_end.grid(conditioner).segments
+        return self.front_end.grid(conditioner).segments
 
     def _cut_segments(self, values: Array) -> None:
         """Cut and transform the segments that new conditioned samples complete, shape (n_samples, c)."""
@@ -326,6 +418,40 @@ class _Stream:
             rest, self._done = rest[n // 2 :], self._done + n // 2
             self._raw = [raw[n_raw // 2 :]]
         self._rest = rest
+
+
+def _left_out_of_drift(drift: Drift, name: str, band: Band) -> LeftOut:
+    """Describe what a channel's drift means for the comparison with a model."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], drift.ruled, [False]])))
+    ranges = tuple((float(band.hz[low]), float(band.hz[past - 1])) for low, past in edges.reshape(-1, 2).tolist())
+    says = f"channel {name} drifts, its power falling as f^-{drift.exponent}, which is taken for noise"
+    if ranges:
+        ruled_hz = band.bin_hz * int(drift.ruled.sum())
+        says += f"; {ruled_hz:.2f} Hz of the band, where it is most of the power, are not compared"
+    return LeftOut("drift", name, says, hz=ranges)
+
+
+def _hum(transforms: ComplexArray, floors: _Stream) -> Iterator[LeftOut]:
+    """Yield the frequencies that a hum of the mains rules."""
+    assert floors.design is not None
+    rate_hz, names = floors.conditioner.rate_in_hz, floors.front_end.channels
+    for hum in mains_hum.find_hum(transforms, floors.design.step_hz, rate_hz):
+        order = "" if hum.harmonic == 1 else f"{hum.harmonic} times "
+        alias = f" (an alias at {rate_hz:g} Hz)" if hum.is_aliased else ""
+        where = "all channels alike" if hum.channel is None else f"channel {names[hum.channel]} alone"
+        says = (
+            f"{where} hum{'' if hum.channel is None else 's'} at {hum.hz:.2f} Hz, {order}the mains' {hum.mains_hz:g} Hz{alias}; "
+            f"{hum.low_hz:.2f} to {hum.high_hz:.2f} Hz are not compared"
+        )
+        channel = ", ".join(names) if hum.channel is None else names[hum.channel]
+        yield LeftOut("mains hum", channel, says, hz=((hum.low_hz, hum.high_hz),))
+
+
+def _counted(n: int, kind: str) -> str:
+    """Count faults of a kind in words."""
+    plural = {"noise burst": "bursts of noise", "offset step": "steps of the offset"}.get(kind, f"{kind}s")
+    single = {"noise burst": "a burst of noise", "offset step": "a step of the offset"}.get(kind, f"a {kind}")
+    return single if n == 1 else f"{n} {plural}"
 
 
 def _filter_gain(conditioner: Conditioner, n: int, step_hz: float) -> Array:

@@ -54,9 +54,25 @@ def _with_course(tree: Any) -> Any:
     return tree
 
 
-VERSION = 3
+def _with_span_faults(tree: Any) -> Any:
+    """Upgrade from version 3, whose health of a channel had neither resolution nor steps, drift, dropouts and hum."""
+    if "session" in tree:
+        new = {
+            "resolution_m_s2": 0.0,
+            "step_m_s2": 0.0,
+            "drift_m_s2": 0.0,
+            "held_s": 0.0,
+            "hum_hz": None,
+            "mains_hz": None,
+        }
+        for span in tree["session"]["pipeline"]["health"]["spans"]:
+            span["channels"] = [channel | new for channel in span["channels"]]
+    return tree
+
+
+VERSION = 4
 """Version of the state; to be raised, with an entry in `UPGRADES`, when a field is added, removed or changes its meaning."""
-UPGRADES: dict[int, Callable[[Any], Any]] = {1: _without_doubled_sums, 2: _with_course}
+UPGRADES: dict[int, Callable[[Any], Any]] = {1: _without_doubled_sums, 2: _with_course, 3: _with_span_faults}
 """Version -> function that converts its plain value (`plain`) to that of the next version."""
 _DTYPES = ("<f8", "<c16", "<i8", "<f4", "|b1")
 _ARRAY = "@array"

@@ -1,6 +1,7 @@
-from . import alignment, sensor_health, temperature, window_quality, windows
+from . import alignment, channel_faults, mains_hum, sensor_drift, sensor_health, temperature, window_quality, windows
 from .front_end import FrontEnd
 from .resampling import Conditioner, ConditionState
+from .sensor_drift import Drift
 from .sensor_health import Health, HealthSettings, HealthState
 from .settings import ProcessingSettings
 from .temperature import LAGS_S, TemperatureSettings
@@ -13,6 +14,7 @@ __all__ = [
     "LEAKAGE_OFFSETS",
     "ConditionState",
     "Conditioner",
+    "Drift",
     "FrontEnd",
     "Health",
     "HealthSettings",
@@ -24,9 +26,12 @@ __all__ = [
     "WindowGrid",
     "WindowState",
     "alignment",
+    "channel_faults",
     "hann_amplitude",
     "leakage",
+    "mains_hum",
     "overlap_correlation",
+    "sensor_drift",
     "sensor_health",
     "taper",
     "temperature",

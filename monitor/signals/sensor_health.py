@@ -1,6 +1,7 @@
 """Health of the sensors and of the stream over spans of data time, and the check whether a window is usable.
 
-Reported for each channel: level, spikes, stuck and clipped samples, noise floor; for the stream: availability, gaps, overlaps.
+Reported for each channel: level, spikes, stuck and clipped samples, noise floor, resolution, steps of the offset, drift, dropouts
+and hum; for the stream: availability, gaps, overlaps.
 A window is skipped only where no estimate is possible.  A clipped or noisy channel is left to the diagnosis.
 
 References
@@ -11,7 +12,7 @@ SeisComP, scqc: quality parameters of waveforms.
 from __future__ import annotations
 
 from collections import defaultdict
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from typing import Protocol
 
@@ -19,6 +20,7 @@ import numpy as np
 from pydantic import Field
 
 from monitor.core import Array, Gap, Settings, Skipped
+from monitor.signals.span_faults import find_span_faults
 
 _MAX_SPAN_SAMPLES = 1 << 18
 """A span is cut shorter than this whatever the rate: it is kept in memory until it ends. [samples; cost]"""
@@ -64,6 +66,18 @@ class ChannelHealth:
     """Share of samples at the largest or least value, where samples pile up there."""
     noise_floor: float
     """Noise floor from the lowest tenth of the spectrum, m/s^2/sqrt(Hz)."""
+    resolution_m_s2: float = 0.0
+    """Step between the channel's values; 0 where it is too fine to be seen."""
+    step_m_s2: float = 0.0
+    """Step of the offset; 0 where there is none."""
+    drift_m_s2: float = 0.0
+    """Change of the mean over the span by its slope; 0 where there is a step."""
+    held_s: float = 0.0
+    """Time in which the channel held one value for longer than chance explains."""
+    hum_hz: float | None = None
+    """Frequency of a hum of the mains, as seen; None where there is none."""
+    mains_hz: float | None = None
+    """Frequency of the mains whose harmonic, or its alias, the hum is."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -225,7 +239,11 @@ def _channel_health(x: Array, rate_hz: float, channels: tuple[str, ...]) -> tupl
     n = x.shape[1]
     repeated, floor = 1.0 - moves / max(n - 1, 1), _noise_floor(centred, rate_hz)
     fields = mean, rms, peak, spikes.astype(int), repeated, clipped / n, floor
-    return tuple(ChannelHealth(*one) for one in zip(channels, *(values.tolist() for values in fields), strict=True))
+    found = find_span_faults(x, rate_hz)
+    return tuple(
+        ChannelHealth(*one, **asdict(faults))
+        for one, faults in zip(zip(channels, *(values.tolist() for values in fields), strict=True), found, strict=True)
+    )
 
 
 def _noise_floor(x: Array, rate_hz: float) -> Array:

@@ -261,6 +261,7 @@ def _parameters(diagnosis: Diagnosis, content: Content, hz: Array) -> str:
             out.append(_signatures(causes))
     if content["standing_misfit"] is not None:
         out.append(f"<p>Already so at calibration: {content['standing_misfit']['says']}.</p>")
+    out += [f"<p>Left out: {escape(item['says'])}.</p>" for item in content["left_out"]]
     out += [_force_spectrum(effect, hz) for effect in reference.effects(reference.mean) if effect.colour_title]
     if content["alternatives"]:
         rivals = [
