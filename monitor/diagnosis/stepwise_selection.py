@@ -164,6 +164,10 @@ def diagnose(
         stage.posterior, stage.fit, stage.accepted, rounds, settings.margin, settings.rival
     )
     posterior, fit, accepted, simulation_std = _refine(posterior, fit, accepted)
+    # Beside other causes an effect may have moved to a size that means another one.
+    band_hz, n = posterior.observed.band.hz, len(accepted)
+    plausible = [i >= n or e.nonlinear or e.is_plausible(band_hz) for i, e in enumerate(fit.effects)]
+    posterior, fit, accepted, simulation_std = _keep_effects(posterior, fit, accepted, simulation_std, plausible)
     misfit = find_lack_of_fit(posterior, stage.null_fit, settings)
     left_over = (*find_changed_effects(posterior, fit, settings), *find_lack_of_fit(posterior, fit, settings))
     share = unexplained_share(posterior, fit, stage.null_fit, misfit, left_over)

@@ -165,8 +165,8 @@ def gather(blocks: Iterable[SampleBlock], front_end: FrontEnd) -> Segments:
     Segments that hold a brief fault of one sensor are left out.  Where the ground was measured, the segments are those of the
     three minutes with the largest ground motion, with the ground motion from one minute before.
 
-    The band is the part of the whole band that the recording can judge, see `monitor.inference.judged_band`.  Where the ground was
-    measured it is the whole band, since the forces are then known.
+    The band is the part of the whole band that the recording can judge, see `monitor.inference.judged_band`.  Where the ground
+    was measured it is the whole band, since the forces are then known.
 
     Raises
     ------

@@ -18,6 +18,8 @@ from monitor.model.structures import Structure
 _MODE_DAMPING_LN_STD = 0.8
 """Standard deviation of the logarithm of the mode's damping ratio about the structure's. [1; judgement: a factor of two, as
 of an attached oscillator]"""
+_MAX_MODE_DAMPING = 0.15
+"""Damping ratio from which a peak is no mode of a structure. [1; as of the poles that identification accepts as modes]"""
 _DAILY_FREQUENCY = 0.02
 """Relative change of the mode's frequency from calibration that needs no cause. [ratio; judgement: a loss that the model
 describes moves this mode too, by up to half the lost share of a story's stiffness]"""
@@ -119,8 +121,8 @@ class UnmodelledMode(Effect):
         return mean, precision
 
     def is_plausible(self, band_hz: Array) -> bool:
-        """See `Effect.is_plausible`.  The natural frequency lies in the band."""
-        return bool(band_hz[0] <= self.frequency_hz <= band_hz[-1])
+        """See `Effect.is_plausible`.  The natural frequency lies in the band, and the damping ratio is below the limit."""
+        return bool(band_hz[0] <= self.frequency_hz <= band_hz[-1] and self.damping_ratio < _MAX_MODE_DAMPING)
 
     @classmethod
     def at_peak(cls, location: str, peak: Peak, context: Context, condition: Condition) -> Self:
