@@ -10,11 +10,12 @@ from monitor.core import Array, parallel_map
 from monitor.diagnosis.parameter_uncertainty import is_significant
 from monitor.diagnosis.score_test import Candidate, best_first, find_excess_peaks, fit_candidate, with_tone_evidence
 from monitor.diagnosis.settings import DiagnosisSettings
+from monitor.identification import SelectionSettings
 from monitor.inference import MapEstimate, Posterior
 from monitor.model import EFFECTS, Effect, ExtraMode, Peak, locations
 
-_SAME_SHAPE = 0.95
-"""Modal assurance criterion from which two shapes agree. [1; as between orders of the identification]"""
+MAX_DAMPING = SelectionSettings().max_damping_ratio
+"""Damping ratio from which a mode of the model has no peak any more. [1; as of the poles that identification accepts]"""
 
 
 def effects_at_peak(posterior: Posterior, peak: Peak) -> list[Effect]:
@@ -74,8 +75,8 @@ def find_missing_mode(
 def is_distinct(posterior: Posterior, fit: MapEstimate) -> bool:
     """Decide if the modes that the last effect adds can be told from the other modes.
 
-    Two modes whose half-power bands overlap and whose shapes on the channels agree are one peak, whose form the forces' spectrum
-    may distort.
+    Two modes whose half-power bands overlap are one peak.  Much else distorts a peak of the model: forces that are not white,
+    laws that depend on the level, crosstalk between channels.  Nor is a mode of the model exchanged for one that it lacks.
     """
     context, prior = posterior.context_at(fit.x), posterior.prior
     *others, last = (*prior.effects(fit.x), *fit.effects)
@@ -85,18 +86,16 @@ def is_distinct(posterior: Posterior, fit: MapEstimate) -> bool:
     model = posterior.model(fit.x, others)
     ratios, modes = np.exp(fit.x[posterior.layout.damping]), model.modes()
     n = ratios.size
-    known = [
-        ExtraMode(f, r, context.sensors @ shape)
-        for f, r, shape in zip(modes.frequencies_hz[:n].tolist(), ratios.tolist(), modes.shapes[:n, :n].T, strict=True)
-    ]
-    known += [mode for effect in others for mode in effect.extra_modes(context)]
-    return not any(_overlap(a, b) and mac(a.shape, b.shape) > _SAME_SHAPE for a in own for b in known)
+    if ratios.max() > MAX_DAMPING:
+        return False
+    known = list(zip(modes.frequencies_hz[:n].tolist(), ratios.tolist(), strict=True))
+    known += [(m.frequency_hz, m.damping_ratio) for effect in others for m in effect.extra_modes(context)]
+    return not any(_overlap(mode, hz, ratio) for mode in own for hz, ratio in known)
 
 
-def _overlap(a: ExtraMode, b: ExtraMode) -> bool:
+def _overlap(mode: ExtraMode, hz: float, damping_ratio: float) -> bool:
     """Decide if the half-power bands of two modes overlap."""
-    half_widths = a.damping_ratio * a.frequency_hz + b.damping_ratio * b.frequency_hz
-    return abs(a.frequency_hz - b.frequency_hz) < half_widths
+    return abs(mode.frequency_hz - hz) < mode.damping_ratio * mode.frequency_hz + damping_ratio * hz
 
 
 def mac(one: Array, other: Array) -> float:

@@ -105,7 +105,8 @@ def find_modal_starts(posterior: Posterior) -> tuple[ModalStart, ...]:
     """Find the stiffnesses and masses with which the model has as many of the recording's modes as it can, best first.
 
     Which of the recording's modes are the model's is not known: torsion may have the shapes of the modes that the model has.
-    So several assignments are tried.
+    So several assignments are tried.  A mode of the model is not exchanged for one that it lacks: where some mode of the model
+    has no counterpart, the model lacks none.
     """
     context, prior = posterior.context, posterior.prior
     modes = identify_modes(posterior.observed, prior.model.modes(), context.sensors)
@@ -222,7 +223,8 @@ def _fit_structure(
     for j, mode in pairs:
         damping[j] = np.log(mode.damping_ratio)
     assigned = {i for i in assignment if i is not None}
-    missing = tuple(_as_effect(posterior, mode) for i, mode in enumerate(modes) if i not in assigned)
+    others = [mode for i, mode in enumerate(modes) if i not in assigned and None not in assignment]
+    missing = tuple(_as_effect(posterior, mode) for mode in others)
     n_none = sum(i is None for i in assignment)
     return ModalStart(fit.x, float(fit.cost) + n_none * _MISSING_COST, damping, missing)
 

@@ -211,7 +211,14 @@ def _expected_gains(
             float(v @ residual - along @ normal @ nuisance_slope),
         )
         scaled = None if information < 1e-9 else _scale_amplitude(effect, score / information)
-        return out if scaled is None else [*out, (0.5 * score**2 / information, scaled)]
+        if scaled is None:
+            return out
+        gain = 0.5 * score**2 / information
+        if scaled.is_narrow and not driven:
+            # A peak may rise so far above the model's power that the gain is nowhere near quadratic.
+            moved = posterior.predict(null_fit.x, (*null_fit.effects, scaled))
+            gain = min(gain, posterior.log_likelihood(moved.spectra, levelled=True) - null_fit.log_likelihood)
+        return [*out, (gain, scaled)]
 
     return list(chain.from_iterable(parallel_map(predict_gain, candidates)))
 

@@ -222,10 +222,12 @@ def _verdict_in_words(diagnosis: Diagnosis, gain: HeldOutGain, content: Mapping[
 
 def _causes_in_words(causes: Sequence[Mapping[str, Any]], reference: StructuralPrior) -> str:
     """State all causes in one sentence, without its full stop; several modes that the model lacks are listed together."""
-    by_name: dict[str, list[FittedSizes]] = {}
-    for c in causes:
-        by_name.setdefault(c["effect"], []).append(_sizes(c["location"], c["parameters"], reference))
-    return "; and ".join(FORMS[name].sentence_of_several(fitted) for name, fitted in by_name.items())
+    several = [c for c in causes if FORMS[c["effect"]].repeatable]
+    said = [c["says"] for c in causes if len(several) < 2 or c not in several]
+    if len(several) > 1:
+        sizes = [_sizes(c["location"], c["parameters"], reference) for c in several]
+        said.append(FORMS[several[0]["effect"]].sentence_of_several(sizes))
+    return "; and ".join(said)
 
 
 def _has_baseline(reference: StructuralPrior) -> bool:

@@ -128,7 +128,14 @@ def said(
     verdict: str, reference: Any, gain: HeldOutGain = GAIN, left_over: Sequence[LackOfFit] = (), **more: Any
 ) -> str:
     diagnosis: Any = SimpleNamespace(posterior=SimpleNamespace(prior=reference), left_over=left_over)
-    blank = {"refit": [], "causes": [], "alternatives": [], "ddi_effect": {"with": []}, "detectable_loss": []}
+    blank = {
+        "refit": [],
+        "other_optima": [],
+        "causes": [],
+        "alternatives": [],
+        "ddi_effect": {"with": []},
+        "detectable_loss": [],
+    }
     return headline(diagnosis, gain, {**blank, "verdict": verdict, **more})
 
 

@@ -218,6 +218,8 @@ class Effect(ReportFace, ABC):
     proportional: ClassVar[bool] = True
     """Whether twice the amplitude makes about twice the change, so that a score test can estimate the amplitude."""
 
+    is_narrow: ClassVar[bool] = False
+    """Whether the effect adds power about one frequency alone."""
     repeatable: ClassVar[bool] = False
     """Whether several of this effect may act at one place, as modes do."""
     order: ClassVar[int] = 1

@@ -25,6 +25,7 @@ class HarmonicExcitation(Effect):
     name: ClassVar[str] = "harmonic_excitation"
     family: ClassVar[Literal["structure", "excitation", "sensor"]] = "excitation"
     order: ClassVar[int] = 2
+    is_narrow: ClassVar[bool] = True
     places: ClassVar[tuple[str, ...]] = ("floor",)
     parameters: ClassVar[tuple[Parameter, ...]] = (
         Parameter("frequency_hz", 0.0, inf, "log"),

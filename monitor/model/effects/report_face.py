@@ -176,5 +176,5 @@ class ReportFace:
 
     @classmethod
     def sentence_of_several(cls, fitted: Sequence[FittedSizes]) -> str:
-        """Say in one sentence, without its full stop, where several of the effect are and how large."""
+        """Say in one sentence, without its full stop, where several of a repeatable effect are and how large."""
         return "; and ".join(cls.sentence(one) for one in fitted)

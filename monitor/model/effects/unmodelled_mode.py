@@ -41,6 +41,7 @@ class UnmodelledMode(Effect):
     name: ClassVar[str] = "unmodelled_mode"
     family: ClassVar[Literal["structure", "excitation", "sensor"]] = "structure"
     order: ClassVar[int] = 2
+    is_narrow: ClassVar[bool] = True
     repeatable: ClassVar[bool] = True
     stationary_only: ClassVar[bool] = True
     places: ClassVar[tuple[str, ...]] = ("frame",)
@@ -148,8 +149,6 @@ class UnmodelledMode(Effect):
     @classmethod
     def sentence_of_several(cls, fitted: Sequence[FittedSizes]) -> str:
         """See `Effect.sentence_of_several`."""
-        if len(fitted) < 2:
-            return super().sentence_of_several(fitted)
         hz = sorted(one.value("frequency_hz") for one in fitted)
         listed = ", ".join(f"{f:.4g}" for f in hz[:-1]) + f" and {hz[-1]:.4g}"
         return (
