@@ -14,6 +14,8 @@ from monitor.identification import SelectionSettings
 from monitor.inference import MapEstimate, Posterior
 from monitor.model import EFFECTS, Effect, ExtraMode, Peak, locations
 
+_RESOLUTION_BINS = 2.0
+"""Distance of two peaks that the segments resolve. [bins; half-width of the taper's main lobe]"""
 MAX_DAMPING = SelectionSettings().max_damping_ratio
 """Damping ratio from which a mode of the model has no peak any more. [1; as of the poles that identification accepts]"""
 
@@ -72,30 +74,31 @@ def find_missing_mode(
     return []
 
 
-def is_distinct(posterior: Posterior, fit: MapEstimate) -> bool:
-    """Decide if the modes that the last effect adds can be told from the other modes.
+def is_distinct(posterior: Posterior, fit: MapEstimate, i: int = -1) -> bool:
+    """Decide if the mode that effect i of a fit adds can be told from the other modes; any other effect can.
 
     Two modes whose half-power bands overlap are one peak.  Much else distorts a peak of the model: forces that are not white,
     laws that depend on the level, crosstalk between channels.  Nor is a mode of the model exchanged for one that it lacks.
     """
-    context, prior = posterior.context_at(fit.x), posterior.prior
-    *others, last = (*prior.effects(fit.x), *fit.effects)
-    own = last.extra_modes(context)
+    context, effect = posterior.context_at(fit.x), fit.effects[i]
+    own = effect.extra_modes(context)
     if not own:
         return True
-    model = posterior.model(fit.x, others)
-    ratios, modes = np.exp(fit.x[posterior.layout.damping]), model.modes()
-    n = ratios.size
+    others = (*posterior.prior.effects(fit.x), *(e for e in fit.effects if e is not effect))
+    ratios = np.exp(fit.x[posterior.layout.damping])
     if ratios.max() > MAX_DAMPING:
         return False
-    known = list(zip(modes.frequencies_hz[:n].tolist(), ratios.tolist(), strict=True))
-    known += [(m.frequency_hz, m.damping_ratio) for effect in others for m in effect.extra_modes(context)]
-    return not any(_overlap(mode, hz, ratio) for mode in own for hz, ratio in known)
+    frequencies = posterior.model(fit.x, others).modes().frequencies_hz
+    known = list(zip(frequencies[: ratios.size].tolist(), ratios.tolist(), strict=True))
+    known += [(m.frequency_hz, m.damping_ratio) for other in others for m in other.extra_modes(context)]
+    resolution_hz = _RESOLUTION_BINS * posterior.observed.band.bin_hz
+    return not any(_overlap(mode, hz, ratio, resolution_hz) for mode in own for hz, ratio in known)
 
 
-def _overlap(mode: ExtraMode, hz: float, damping_ratio: float) -> bool:
-    """Decide if the half-power bands of two modes overlap."""
-    return abs(mode.frequency_hz - hz) < mode.damping_ratio * mode.frequency_hz + damping_ratio * hz
+def _overlap(mode: ExtraMode, hz: float, damping_ratio: float, resolution_hz: float) -> bool:
+    """Decide if the half-power bands of two modes overlap, as seen with a resolution in Hz."""
+    half_widths = mode.damping_ratio * mode.frequency_hz + damping_ratio * hz
+    return abs(mode.frequency_hz - hz) < half_widths + resolution_hz
 
 
 def mac(one: Array, other: Array) -> float:

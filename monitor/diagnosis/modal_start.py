@@ -10,7 +10,7 @@ from scipy.optimize import least_squares
 
 from monitor.core import Array, ComplexArray, LagSums, Skipped, Window, parallel_map
 from monitor.diagnosis.initial_fit import FAR, first_guess
-from monitor.diagnosis.missing_modes import mac
+from monitor.diagnosis.missing_modes import is_distinct, mac
 from monitor.diagnosis.score_test import parameter_cost
 from monitor.identification import SelectionSettings, SsiSettings, identify
 from monitor.inference import MapEstimate, ObservedSpectra, Posterior, maximize_posterior
@@ -131,6 +131,9 @@ def fit_from_modes(posterior: Posterior) -> tuple[tuple[MapEstimate, float], ...
 
     def fitted(start: ModalStart) -> tuple[MapEstimate, float]:
         fit = maximize_posterior(posterior, *_scaled_to_power(posterior, start), iterations=FAR)
+        kept = tuple(e for i, e in enumerate(fit.effects) if is_distinct(posterior, fit, i))
+        if kept != fit.effects:
+            fit = maximize_posterior(posterior, fit.x, kept, iterations=FAR)
         return fit, fit.log_posterior - parameter_cost(posterior, fit.n_effect)
 
     return tuple(sorted(parallel_map(fitted, find_modal_starts(posterior)), key=lambda pair: -pair[1]))

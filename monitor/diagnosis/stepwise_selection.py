@@ -27,7 +27,7 @@ from monitor.diagnosis.lack_of_fit import (
     unexplained_share,
     wrong_bins,
 )
-from monitor.diagnosis.missing_modes import find_missing_mode
+from monitor.diagnosis.missing_modes import find_missing_mode, is_distinct
 from monitor.diagnosis.modal_start import fit_from_modes
 from monitor.diagnosis.parameter_uncertainty import coordinate_std, is_significant
 from monitor.diagnosis.score_test import Candidate, fit_candidate, parameter_cost
@@ -166,7 +166,10 @@ def diagnose(
     posterior, fit, accepted, simulation_std = _refine(posterior, fit, accepted)
     # Beside other causes an effect may have moved to a size that means another one.
     band_hz, n = posterior.observed.band.hz, len(accepted)
-    plausible = [i >= n or e.nonlinear or e.is_plausible(band_hz) for i, e in enumerate(fit.effects)]
+    plausible = [
+        i >= n or e.nonlinear or (e.is_plausible(band_hz) and is_distinct(posterior, fit, i))
+        for i, e in enumerate(fit.effects)
+    ]
     posterior, fit, accepted, simulation_std = _keep_effects(posterior, fit, accepted, simulation_std, plausible)
     misfit = find_lack_of_fit(posterior, stage.null_fit, settings)
     left_over = (*find_changed_effects(posterior, fit, settings), *find_lack_of_fit(posterior, fit, settings))
@@ -250,6 +253,8 @@ def _start_from_modes(stage: _SearchState, settings: DiagnosisSettings) -> tuple
     if not found or found[0][1] < null_fit.log_posterior + settings.margin:
         return stage, ()
     best, evidence = found[0]
+    if best.effects and _explained_by_one(stage, evidence, settings):
+        return stage, ()
     others = tuple(fit for fit, own in found[1:] if own > evidence - settings.rival)
     accepted = tuple(
         Candidate(effect, best, best.log_posterior - null_fit.log_posterior, evidence - null_fit.log_posterior)
@@ -260,6 +265,17 @@ def _start_from_modes(stage: _SearchState, settings: DiagnosisSettings) -> tuple
     return replace(
         stage, posterior=update_linearization(posterior, best), fit=best, null_fit=null_fit, accepted=accepted
     ), others
+
+
+def _explained_by_one(stage: _SearchState, evidence: float, settings: DiagnosisSettings) -> bool:
+    """Decide if one other cause explains a recording as well as several modes that the model lacks, of log evidence `evidence`.
+
+    A law that depends on the level distorts the peaks of the model, and modes beside them imitate the distortion.
+    """
+    refitted, candidates, _ = _search_once(stage, settings)
+    if not candidates or candidates[0].candidate.effect.repeatable:
+        return False
+    return refitted.fit.log_posterior + candidates[0].candidate.log_evidence > evidence - settings.margin
 
 
 def _n_counted(accepted: Sequence[Candidate]) -> int:
