@@ -16,6 +16,7 @@ from monitor.diagnosis.score_test import (
     best_first,
     find_excess_peaks,
     fit_candidate,
+    refine_rough_fit,
     score_candidate,
     with_tone_evidence,
 )
@@ -119,7 +120,8 @@ def eliminate_backward(
         linear = [] if cause.effect.nonlinear else [c for c in candidates if not c.effect.nonlinear]
         rivals = at_peak or [c.effect for c in linear if c.key not in excluded][:_N_ALTERNATIVES]
         min_log_evidence = max(min_gain + lead, margin)
-        fitted = parallel_map(partial(fit_candidate, posterior, without, min_log_evidence=min_log_evidence), rivals)
+        fit_rival = refine_rough_fit if at_peak else partial(fit_candidate, min_log_evidence=min_log_evidence)
+        fitted = parallel_map(partial(fit_rival, posterior, without), rivals)
         best = next(iter(best_first(with_tone_evidence(posterior, c) for c in fitted)), None)
         if best is not None and best.log_evidence > min_log_evidence:
             effects = (*best.fit.effects[:i], best.effect, *best.fit.effects[i:-1])
@@ -152,7 +154,7 @@ def _test_roughly(posterior: Posterior, fit: MapEstimate, i: int, margin: float)
     certain : bool
         Whether the mode is needed beyond doubt and no other cause of its peak comes near it.
     rivals : list of Effect
-        Other causes of the peak, roughly fitted, best first.
+        The best other cause of the peak, roughly fitted; empty where none comes near the mode.
     """
     rest = (*fit.effects[:i], *fit.effects[i + 1 :])
     x = join_coordinates(fit.x[posterior.layout.nuisances], rest)
@@ -161,8 +163,8 @@ def _test_roughly(posterior: Posterior, fit: MapEstimate, i: int, margin: float)
     (peak,) = find_excess_peaks(posterior, without, 1)
     starts = [effect for effect in effects_at_peak(posterior, peak) if not effect.repeatable]
     rough = best_first(parallel_map(partial(fit_candidate, posterior, without, quick=True), starts))
-    near = [c for c in rough if c.may_reach(gain)]
-    return gain > _CERTAIN * margin and not near, [c.effect for c in near[:_N_ALTERNATIVES]]
+    near = [c.effect for c in rough[:1] if c.may_reach(gain)]
+    return gain > _CERTAIN * margin and not near, near
 
 
 def fit_subset(

@@ -8,7 +8,14 @@ import numpy as np
 
 from monitor.core import Array, parallel_map
 from monitor.diagnosis.parameter_uncertainty import is_significant
-from monitor.diagnosis.score_test import Candidate, best_first, find_excess_peaks, fit_candidate, with_tone_evidence
+from monitor.diagnosis.score_test import (
+    Candidate,
+    best_first,
+    find_excess_peaks,
+    fit_candidate,
+    refine_rough_fit,
+    with_tone_evidence,
+)
 from monitor.diagnosis.settings import DiagnosisSettings
 from monitor.identification import SelectionSettings
 from monitor.inference import MapEstimate, Posterior
@@ -59,7 +66,7 @@ def find_missing_mode(
     if not rough or not rough[0].effect.repeatable:
         return []
     near = [c for c in rough if c.may_reach(rough[0].log_evidence - settings.rival)]
-    fitted = parallel_map(lambda c: fit_candidate(posterior, fit, c.effect, rough=c), near)
+    fitted = parallel_map(lambda c: refine_rough_fit(posterior, fit, c.effect), near)
     found = best_first(with_tone_evidence(posterior, c) for c in fitted)
     best = found[0]
     is_alone = len(found) == 1 or found[1].log_evidence < best.log_evidence - settings.rival

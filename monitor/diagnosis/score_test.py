@@ -393,6 +393,12 @@ def fit_candidate(
     return found
 
 
+def refine_rough_fit(posterior: Posterior, null_fit: MapEstimate, effect: Effect) -> Candidate:
+    """Fit an effect that a rough fit brought near its size, together with the nuisances."""
+    fitted = maximize_posterior(posterior, null_fit.x, (*null_fit.effects, effect), iterations=LONG)
+    return score_candidate(posterior, null_fit, fitted)
+
+
 def score_candidate(
     posterior: Posterior, null_fit: MapEstimate, fitted: MapEstimate, n_more: int | None = None
 ) -> Candidate:

@@ -18,6 +18,9 @@ from monitor.model.structures import Structure
 _MODE_DAMPING_LN_STD = 0.8
 """Standard deviation of the logarithm of the mode's damping ratio about the structure's. [1; judgement: a factor of two, as
 of an attached oscillator]"""
+_BEYOND_BAND = 1.0 / 0.9
+"""Highest frequency of a mode, over the band's end. [ratio; the lowpass's cutoff, of which the band ends at 0.9: the foot of a
+peak beyond the band lies in it]"""
 _MAX_MODE_DAMPING = 0.15
 """Damping ratio from which a peak is no mode of a structure. [1; as of the poles that identification accepts as modes]"""
 _DAILY_FREQUENCY = 0.02
@@ -122,8 +125,9 @@ class UnmodelledMode(Effect):
         return mean, precision
 
     def is_plausible(self, band_hz: Array) -> bool:
-        """See `Effect.is_plausible`.  The natural frequency lies in the band, and the damping ratio is below the limit."""
-        return bool(band_hz[0] <= self.frequency_hz <= band_hz[-1] and self.damping_ratio < _MAX_MODE_DAMPING)
+        """See `Effect.is_plausible`.  The peak reaches into the band, and the damping ratio is below the limit."""
+        in_band = band_hz[0] <= self.frequency_hz <= _BEYOND_BAND * band_hz[-1]
+        return bool(in_band and self.damping_ratio < _MAX_MODE_DAMPING)
 
     @classmethod
     def at_peak(cls, location: str, peak: Peak, context: Context, condition: Condition) -> Self:
