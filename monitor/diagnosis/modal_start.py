@@ -26,7 +26,7 @@ _MAX_ORDER = 60
 _FREQUENCY_STD = 0.005
 """Standard deviation of the logarithm of a frequency that averaged spectra give. [1; bias of the taper: half a bin]"""
 _SHAPE_STD = 0.05
-"""Standard deviation of a shape's component, of largest one. [1; judgement]"""
+"""Standard deviation of a component of a shape whose largest component is 1. [1; judgement]"""
 _MISSING_COST = 8.0
 """Cost of a mode of the model that the recording does not show. [nats; judgement]"""
 _MIN_MAC = 0.3
