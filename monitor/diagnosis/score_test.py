@@ -368,7 +368,7 @@ def fit_candidate(
     """
     driven = posterior.observed.drive is not None
     # Driven motion is so informative that a cause changes the other slopes at once.
-    frozen = null_fit.jacobian[:, posterior.layout.nuisances] if quick and not driven else None
+    frozen = null_fit.jacobian if quick and not driven else None
     few, many = (ROUGHLY, FAR) if driven else (_MAX_STEPS_ROUGH, LONG)
     fitted = partial(
         maximize_posterior,

@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from monitor.core import Array, ComplexArray
-from monitor.inference.cross_spectra import Excitation, cross_spectra, extended
-from monitor.inference.posterior import Posterior, difference_operator
+from monitor.inference.cross_spectra import (
+    Excitation,
+    cross_spectra,
+    extended,
+    extra_mode_spectra,
+    line_spectra,
+    random_spectra,
+)
+from monitor.inference.posterior import Posterior, difference_operator, with_coordinates
 from monitor.model import Effect
 
 
@@ -24,16 +31,18 @@ class AmbientPosterior(Posterior):
         """
         base, context, layout = self.system(x, effects), self.context_at(x), self.layout
         noise, band = self.noise(x), self.observed.band
-
-        def spectra(k: int, force: Array, noise: Array) -> ComplexArray:
-            system = extended(base, effects, context, self.conditions[k])
-            return cross_spectra(system, effects, Excitation(force, noise), band, context, self.conditions[k])
-
-        if any(e.conditional or e.lines() for e in effects):
-            forces = self.forces(x)
-            return np.stack([spectra(k, forces[k], noise) for k in classes])
-        unit, level = spectra(classes[0], np.exp(x[layout.forces]), np.zeros(noise.size)), np.exp(x[layout.levels])
-        return np.stack([self._scale_to_level(unit, level[k], noise, effects) for k in classes])
+        if any(e.conditional for e in effects):
+            out = []
+            for k in classes:
+                system, condition = extended(base, effects, context, self.conditions[k]), self.conditions[k]
+                excitation = Excitation(self.forces(x)[k], noise)
+                out.append(cross_spectra(system, effects, excitation, band, context, condition))
+            return np.stack(out)
+        condition = self.conditions[classes[0]]
+        system, unforced = extended(base, effects, context, condition), np.zeros(noise.size)
+        unit = random_spectra(system, effects, Excitation(np.exp(x[layout.forces]), unforced), band, context, condition)
+        lines, level = line_spectra(system, effects, band, context, condition), np.exp(x[layout.levels])
+        return np.stack([self._scale_to_level(unit, level[k], noise, effects) + lines for k in classes])
 
     def _scale_to_level(
         self, unit: ComplexArray, level: float, noise: Array, effects: Sequence[Effect]
@@ -71,6 +80,32 @@ class AmbientPosterior(Posterior):
         own = x[self.layout.forces]
         return np.full(own.size, own.mean()), difference_operator(own.size)
 
+    def slopes_by_mode(
+        self, x: Array, effects: tuple[Effect, ...], spectra: ComplexArray, wanted: Iterable[int]
+    ) -> dict[int, ComplexArray]:
+        """See `Posterior.slopes_by_mode`.  The slope is that of the middle class, as of any nuisance."""
+        owners = self.owners(effects)
+        at_modes = [i for i in wanted if self.effects(x, effects)[owners[i]].extra_modes(self.context)]
+        if not at_modes:
+            return {}
+        everything, context, band = self.effects(x, effects), self.context_at(x), self.observed.band
+        middle, scale = self.n_classes // 2, self.relative_levels(x)[:, None, None, None]
+        force = float(self.forces(x)[middle].mean())
+        linear = self.linear_spectra(x, everything, [middle])
+
+        def part(effect: Effect) -> ComplexArray:
+            modes = effect.extra_modes(context)
+            return extra_mode_spectra(modes, everything, force, band, context, self.conditions[middle])
+
+        out = {}
+        for i in at_modes:
+            h, moved = self.nudged(x, i, effects)
+            after = self.effects(moved, with_coordinates(effects, moved[self.layout.n_nuisance :]))
+            change = part(after[owners[i]]) - part(everything[owners[i]])
+            whole = self.smooth(self.complete(linear + change, x, effects, [middle]))[0]
+            out[i] = np.asarray((whole - spectra[middle]) / h * scale)
+        return out
+
     def slopes(self, x: Array, effects: tuple[Effect, ...], spectra: ComplexArray) -> ComplexArray:
         """See `Posterior.slopes`."""
         layout, noise = self.layout, self.noise(x)
@@ -80,8 +115,9 @@ class AmbientPosterior(Posterior):
         by_noise = out[layout.channel_noise]
         by_noise[diagonal, :, :, diagonal, diagonal] = noise[:, None, None]
         out[layout.noise] = by_noise.sum(axis=0)
+        by_mode = self.slopes_by_mode(x, effects, spectra, range(layout.persistent.start, layout.persistent.stop))
         for i in (*range(layout.channel_noise.start), *range(layout.channel_noise.stop, layout.levels.start)):
-            out[i] = self.slope(x, i, effects, spectra)
+            out[i] = by_mode[i] if i in by_mode else self.slope(x, i, effects, spectra)
         for k, by_level in enumerate(out[layout.levels]):
             by_level[k] = out[layout.forces, k].sum(axis=0)  # all forces at once, but neither lines nor noise
         return out

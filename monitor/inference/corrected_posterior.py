@@ -64,19 +64,17 @@ class CorrectedPosterior(AmbientPosterior):
             motion=self.motion[classes],
         )
 
-    def scatter(self, x: Array, effects: Sequence[Effect], *, classes: Sequence[int] | None = None) -> ComplexArray:
-        """See `Posterior.scatter`.
+    def complete(
+        self, linear: ComplexArray, x: Array, effects: Sequence[Effect], classes: Sequence[int]
+    ) -> ComplexArray:
+        """See `ForwardModel.complete`.
 
         The correction is relative to the spectra, and so follows peaks that move or grow.  Where the motion grows, a law acts as
         one of another size.  Where all masses and stiffnesses grow, a law acts as one that is smaller in proportion.
         """
-        plain = replace(self.without_drift(), offset=None)
-        linear = Posterior.scatter(plain, x, effects, classes=classes)
-        relative = self.beyond(x, effects)
-        if relative is None:
-            return self.add_drift(linear)
+        plain, relative = self._with_model_error(linear), self.beyond(x, effects)
         # Too long a step gives NaN, since spectra that are not positive definite have no likelihood.
-        return self.add_drift(grown_by(linear, relative if classes is None else relative[list(classes)]))
+        return self.add_drift(plain if relative is None else grown_by(plain, relative[list(classes)]))
 
     def beyond(self, x: Array, effects: Sequence[Effect]) -> ComplexArray | None:
         """See `Posterior.beyond`."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +18,7 @@ from scipy.optimize import brentq
 
 from monitor.core import Array, ComplexArray, compiled
 from monitor.inference.judged_band import JudgedBand
-from monitor.model import Condition, Context, Effect, System
+from monitor.model import Condition, Context, Effect, ExtraMode, System
 from monitor.signals import LEAKAGE_OFFSETS, hann_amplitude, leakage
 
 _TAPS = leakage()
@@ -31,6 +32,8 @@ _LOWEST_HZ = 0.05
 """Frequency from which the ground's variance is integrated. [Hz; judgement]"""
 _LOG_STEPS = 4000
 """Steps of that integral. [count; cost]"""
+_N_RESPONSES = 24
+"""Frequency responses that are kept. [count; cost: those of the classes of a recording, and some moved ones]"""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -110,7 +113,20 @@ def cross_spectra(
     condition: Condition,
 ) -> ComplexArray:
     """Compute the expected cross-spectra of the segments, shape (n_bins, c, c), (m/s^2)^2/Hz, two-sided."""
-    clock = float(np.prod([e.clock_factor for e in effects]))
+    random = random_spectra(system, effects, excitation, band, context, condition)
+    return random + line_spectra(system, effects, band, context, condition)
+
+
+def random_spectra(
+    system: System,
+    effects: Sequence[Effect],
+    excitation: Excitation,
+    band: Band,
+    context: Context,
+    condition: Condition,
+) -> ComplexArray:
+    """Compute the part of the segments' cross-spectra that is random motion and noise, shape (n_bins, c, c), (m/s^2)^2/Hz."""
+    clock = _clock(effects)
     fine = band.fine_hz
     answer = seen(system, effects, fine, clock, context, condition)
     force = excitation.force
@@ -128,18 +144,54 @@ def cross_spectra(
         [force * colour[:, None], np.full(fine.size, ground), np.outer(colour, np.full(n_extra, mean_force))]
     )
     spectra = blurred_products(answer, density, _TAPS)
-    for effect in effects:
-        for line in effect.lines():
-            at = np.array([line.frequency_hz / clock])
-            y = seen(system, effects, at, clock, context, condition)[0, :, line.floor]
-            offset = (band.hz - at) / band.bin_hz
-            power = line.force_n**2 / 4.0 * (8.0 / 3.0) / band.bin_hz * hann_amplitude(offset) ** 2
-            spectra[:, : y.size, : y.size] += power[:, None, None] * np.outer(y, y.conj())
     extra = sum((e.noise_variance(context, condition) for e in effects), np.zeros(len(context.channels)))
     noise = excitation.noise + np.asarray(extra) / context.rate_hz
     diagonal = np.arange(noise.size)
     spectra[:, diagonal, diagonal] += noise
     return np.asarray(spectra * band.gain[:, None, None])
+
+
+def line_spectra(
+    system: System, effects: Sequence[Effect], band: Band, context: Context, condition: Condition
+) -> ComplexArray:
+    """Compute the part of the segments' cross-spectra that harmonic forces cause, shape (n_bins, c, c), (m/s^2)^2/Hz."""
+    c, clock = len(context.channels), _clock(effects)
+    spectra = np.zeros((band.n_bins, c, c), dtype=complex)
+    for line in (line for effect in effects for line in effect.lines()):
+        at = np.array([line.frequency_hz / clock])
+        y = seen(system, effects, at, clock, context, condition)[0, :, line.floor]
+        offset = (band.hz - at) / band.bin_hz
+        power = line.force_n**2 / 4.0 * (8.0 / 3.0) / band.bin_hz * hann_amplitude(offset) ** 2
+        spectra += power[:, None, None] * np.outer(y, y.conj())
+    return np.asarray(spectra * band.gain[:, None, None])
+
+
+def extra_mode_spectra(
+    modes: Sequence[ExtraMode],
+    effects: Sequence[Effect],
+    force: float,
+    band: Band,
+    context: Context,
+    condition: Condition,
+) -> ComplexArray:
+    """Compute the part of the segments' cross-spectra that extra modes cause, shape (n_bins, c, c), (m/s^2)^2/Hz.
+
+    Parameters
+    ----------
+    effects : sequence of Effect
+        All effects of the model.
+    force : float
+        Mean density of the floors' forces, which is that on every mode, N^2/Hz.
+    """
+    clock, fine = _clock(effects), band.fine_hz
+    answer = _recorded(extra_mode_response(modes, clock * fine, context), effects, clock * fine, context, condition)
+    density = np.outer(force_colour(effects, clock * fine), np.full(len(modes), force))
+    return np.asarray(blurred_products(answer, density, _TAPS) * band.gain[:, None, None])
+
+
+def _clock(effects: Sequence[Effect]) -> float:
+    """Compute the ratio of the true rate to the nominal one."""
+    return float(np.prod([e.clock_factor for e in effects]))
 
 
 def seen(
@@ -160,10 +212,18 @@ def seen(
         For forces on the floors, then for a ground acceleration, then for a force on each extra mode.
     """
     answer = channel_response(system, clock * hz, context)
-    extra = extra_mode_response(effects, clock * hz, context)
-    answer = np.concatenate([answer, extra], axis=2) if extra.size else answer
+    modes = [mode for effect in effects for mode in effect.extra_modes(context)]
+    if modes:
+        answer = np.concatenate([answer, extra_mode_response(modes, clock * hz, context)], axis=2)
+    return _recorded(answer, effects, clock * hz, context, condition)
+
+
+def _recorded(
+    answer: ComplexArray, effects: Sequence[Effect], hz: Array, context: Context, condition: Condition
+) -> ComplexArray:
+    """Apply the effects of the acquisition to the true accelerations at the sensors, shape (n_hz, c, columns)."""
     for effect in effects:
-        response = effect.response(hz * clock, context, condition)
+        response = effect.response(hz, context, condition)
         if response is not None:
             answer = response @ answer
     return answer
@@ -179,24 +239,39 @@ def channel_response(system: System, hz: Array, context: Context) -> ComplexArra
     Returns
     -------
     ndarray, shape (n_hz, c, n + 1)
-        For forces on the floors and, in the last column, a ground acceleration.
+        For forces on the floors and, in the last column, a ground acceleration.  It is shared, so not to be written to.
     """
-    n = context.structure.n_dofs
-    right = np.zeros((system.mass.shape[0], n + 1))
+    arrays = (system.mass, system.damping, system.stiffness, hz, context.sensors)
+    return _channel_response(context.structure.n_dofs, *(np.ascontiguousarray(a).tobytes() for a in arrays))
+
+
+@lru_cache(maxsize=_N_RESPONSES)
+def _channel_response(
+    n: int, mass_bytes: bytes, damping_bytes: bytes, stiffness_bytes: bytes, hz_bytes: bytes, sensor_bytes: bytes
+) -> ComplexArray:
+    """Compute `channel_response`; most slopes of a fit leave the system as it is."""
+    square = tuple(_array(of, (-1,)) for of in (mass_bytes, damping_bytes, stiffness_bytes))
+    size = round(np.sqrt(square[0].size))
+    mass, damping, stiffness = (a.reshape(size, size) for a in square)
+    right = np.zeros((size, n + 1))
     right[:n, :n] = np.eye(n)
-    right[:, n] = -system.mass.sum(axis=1)
-    floors = accelerance(system.mass, system.damping, system.stiffness, 2.0 * np.pi * hz, right)
-    return np.asarray(_at_sensors(floors, context.sensors))
+    right[:, n] = -mass.sum(axis=1)
+    floors = accelerance(mass, damping, stiffness, 2.0 * np.pi * _array(hz_bytes, (-1,)), right)
+    return np.asarray(_at_sensors(floors, _array(sensor_bytes, (-1, n))))
 
 
-def extra_mode_response(effects: Sequence[Effect], hz: Array, context: Context) -> ComplexArray:
-    """Compute the frequency response of the true accelerations to a force on each extra mode, shape (n_hz, c, n_extra).
+def _array(of: bytes, shape: tuple[int, ...]) -> Array:
+    """Make an array, shape `shape`, of its bytes."""
+    return np.frombuffer(of).copy().reshape(shape)
+
+
+def extra_mode_response(modes: Sequence[ExtraMode], hz: Array, context: Context) -> ComplexArray:
+    """Compute the frequency response of the true accelerations to a force on each extra mode, shape (n_hz, c, n_modes).
 
     Parameters
     ----------
     hz : ndarray, shape (n_hz,), Hz
     """
-    modes = [mode for effect in effects for mode in effect.extra_modes(context)]
     out = np.empty((hz.size, len(context.channels), len(modes)), dtype=complex)
     for i, mode in enumerate(modes):
         f = mode.frequency_hz

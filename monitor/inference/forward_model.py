@@ -148,10 +148,20 @@ class ForwardModel(ABC):
         ndarray, shape (classes, n_bins, c, c), (m/s^2)^2/Hz
         """
         wanted = range(self.n_classes) if classes is None else classes
-        spectra = self.linear_spectra(x, (*self.prior.effects(x), *effects), wanted)
-        return self.add_drift(
-            self._with_model_error(spectra if self.offset is None else spectra + self.offset[list(wanted)])
-        )
+        return self.complete(self.linear_spectra(x, (*self.prior.effects(x), *effects), wanted), x, effects, wanted)
+
+    def complete(
+        self, linear: ComplexArray, x: Array, effects: Sequence[Effect], classes: Sequence[int]
+    ) -> ComplexArray:
+        """Add the simulated correction, the known model error and the sensors' drift to the linearized laws' spectra.
+
+        Parameters
+        ----------
+        linear : ndarray, shape (n_wanted, n_bins, c, c), (m/s^2)^2/Hz
+            Spectra of the wanted classes.
+        """
+        spectra = linear if self.offset is None else linear + self.offset[list(classes)]
+        return self.add_drift(self._with_model_error(spectra))
 
     def add_drift(self, spectra: ComplexArray) -> ComplexArray:
         """Add the power of the sensors' drift to spectra, shape (classes, n_bins, c, c), (m/s^2)^2/Hz."""

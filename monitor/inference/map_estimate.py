@@ -78,8 +78,8 @@ def maximize_posterior(
         Largest number of steps.
     tolerance : float
         Gain of a step below which the fit has converged, nats.
-    frozen : ndarray, shape (rows, n_nuisance), optional
-        Whitened slopes of the nuisances that are not computed again: faster, for a ranking.
+    frozen : ndarray, shape (rows, n), optional
+        Whitened slopes of the first n parameters, all nuisances among them, that are not computed again: faster, for a ranking.
     """
     start = _evaluate(posterior, x, effects)
 
@@ -158,7 +158,7 @@ def _linearize(posterior: Posterior, at: _Point, last: _Slopes | None, frozen: A
     """Linearize the prediction at a point; beside no measured ground the slopes of `last` serve again."""
     here = at.prediction
     if last is None or here.left is not None:
-        first = 0 if frozen is None else posterior.layout.n_nuisance
+        first = 0 if frozen is None else frozen.shape[1]
         rows, residual, mean_residual = posterior.jacobian(at.x, at.effects, here, first=first)
         rows = rows if frozen is None else np.concatenate([frozen, rows], axis=1)
     else:

@@ -12,7 +12,7 @@ P. Whittle, Arkiv foer Matematik 2 (1953) 423-434; A. M. Sykulski et al., The de
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -158,14 +158,50 @@ class Posterior(ForwardModel):
         h, moved = self.nudged(x, i, effects)
         return np.asarray((self.smooth(self.scatter(moved, effects)) - spectra) / h)
 
-    def effect_slopes(self, x: Array, effects: tuple[Effect, ...], spectra: ComplexArray) -> ComplexArray:
-        """Differentiate the (smoothed) spectra by the extra effects' coordinates, shape (n_effect, classes, bins, c, c)."""
+    def effect_slopes(
+        self, x: Array, effects: tuple[Effect, ...], spectra: ComplexArray, first: int = 0
+    ) -> ComplexArray:
+        """Differentiate the (smoothed) spectra by the extra effects' coordinates, from the first wanted one on.
+
+        Returns
+        -------
+        ndarray, shape (n_wanted, classes, bins, c, c)
+        """
         n = self.layout.n_nuisance
-        out = np.empty((x.size - n, *spectra.shape), dtype=complex)
-        for j in range(len(out)):
-            h, moved = self.nudged(x, n + j, effects)
+        wanted = range(n + first, x.size)
+        by_mode = self.slopes_by_mode(x, effects, spectra, wanted)
+        out = np.empty((len(wanted), *spectra.shape), dtype=complex)
+        for j, i in enumerate(wanted):
+            if i in by_mode:
+                out[j] = by_mode[i]
+                continue
+            h, moved = self.nudged(x, i, effects)
             out[j] = (self.smooth(self.scatter(moved, with_coordinates(effects, moved[n:]))) - spectra) / h
         return out
+
+    def slopes_by_mode(
+        self, x: Array, effects: tuple[Effect, ...], spectra: ComplexArray, wanted: Iterable[int]
+    ) -> dict[int, ComplexArray]:
+        """Differentiate the (smoothed) spectra by those wanted coordinates that only change extra modes.
+
+        Returns
+        -------
+        dict of int to ndarray, shape (classes, bins, c, c)
+            The coordinates' slopes; empty where no shorter way than finite differences of the whole is known.
+        """
+        return {}
+
+    def effects(self, x: Array, effects: Sequence[Effect]) -> tuple[Effect, ...]:
+        """Return the persistent effects at a vector of parameters, and the extra ones."""
+        return (*self.prior.effects(x), *effects)
+
+    def owners(self, effects: Sequence[Effect]) -> dict[int, int]:
+        """Map every coordinate of an effect to the effect's index in `Posterior.effects`."""
+        before, first = self.prior.model.effects, self.layout.persistent.start
+        owners = [i for i, e in enumerate((*before, *effects)) for _ in e.parameters]
+        n_persistent = sum(len(e.parameters) for e in before)
+        extra = range(self.layout.n_nuisance, self.layout.n_nuisance + len(owners) - n_persistent)
+        return dict(zip((*range(first, first + n_persistent), *extra), owners, strict=True))
 
     @property
     def _by_class(self) -> list[int]:
@@ -201,7 +237,12 @@ class Posterior(ForwardModel):
         residual, mean_residual : ndarray
             Residuals of the rows of the spectra and of the means.
         """
-        slopes = (self.effect_slopes if first else self.slopes)(x, effects, prediction.spectra)
+        n = self.layout.n_nuisance
+        slopes = (
+            self.effect_slopes(x, effects, prediction.spectra, first - n)
+            if first
+            else self.slopes(x, effects, prediction.spectra)
+        )
         rows, residual = self.whitened(prediction.spectra, slopes, prediction.data)
         return np.ascontiguousarray(rows), residual, np.zeros(0)
 
