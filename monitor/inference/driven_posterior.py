@@ -20,7 +20,7 @@ from monitor.inference.forward_model import Prediction
 from monitor.inference.ground_response import Between, Drive
 from monitor.inference.observed_spectra import ObservedSpectra
 from monitor.inference.posterior import Posterior, difference_operator, with_coordinates
-from monitor.model import Effect, ModelDiscrepancy
+from monitor.model import Effect
 
 _WIND_STD = 0.15
 """Prior standard deviation of the logarithm of a floor's force that the recording's quiet segments tell. [1;
@@ -61,11 +61,6 @@ class DrivenPosterior(Posterior):
         """The channels' power of which the model's own error is a share, shape (n_bins, c), (m/s^2)^2/Hz."""
         assert self.observed.power is not None
         return self.observed.power
-
-    @property
-    def error(self) -> ModelDiscrepancy | None:
-        """None: the levels of the classes are the model's own error about the response."""
-        return None
 
     def part(self, observed: ObservedSpectra, classes: NDArray[np.intp]) -> Self:
         """See `Posterior.part`."""

@@ -5,8 +5,11 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+import time
 from collections.abc import Iterable, Iterator
 from concurrent.futures import ProcessPoolExecutor
+from itertools import groupby
+from multiprocessing import SimpleQueue
 from pathlib import Path
 from typing import Any
 
@@ -15,18 +18,45 @@ from threadpoolctl import threadpool_limits
 from tests.hidden import tables, trial
 from tests.hidden.worlds import NAMES, WORLDS, rounds
 
+_PAUSE_S = 0.5
+"""Between two looks at the results."""
+
+
+_found: SimpleQueue[dict[str, Any]]
+"""Where a process puts its results, trial by trial."""
+
 
 def _one(task: tuple[int, str]) -> dict[str, Any]:
     with threadpool_limits(limits=1):
         return trial.run(*task)
 
 
+def _begin(found: SimpleQueue[dict[str, Any]]) -> None:
+    global _found
+    _found = found
+
+
+def _some(tasks: list[tuple[int, str]]) -> None:
+    for task in tasks:
+        _found.put(_one(task))
+
+
 def _results(tasks: list[tuple[int, str]], processes: int) -> Iterator[dict[str, Any]]:
+    """Yield every result as soon as it is there; the trials of one truth share a process, which calibrates once."""
     if processes == 1:
         yield from map(_one, tasks)
         return
-    with ProcessPoolExecutor(processes) as pool:
-        yield from pool.map(_one, tasks, chunksize=trial.TRIALS_A_TRUTH)
+    by_truth = [list(some) for _, some in groupby(tasks, key=lambda task: task[0] // trial.TRIALS_A_TRUTH)]
+    found: SimpleQueue[dict[str, Any]] = SimpleQueue()
+    with ProcessPoolExecutor(processes, initializer=_begin, initargs=(found,)) as pool:
+        running = [pool.submit(_some, some) for some in by_truth]
+        while not (all(r.done() for r in running) and found.empty()):
+            if found.empty():
+                time.sleep(_PAUSE_S)
+            else:
+                yield found.get()
+        for r in running:
+            r.result()  # raises what a process failed with
 
 
 def _options() -> argparse.Namespace:
