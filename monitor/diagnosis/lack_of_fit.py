@@ -12,6 +12,7 @@ from monitor.core import Array
 from monitor.diagnosis.settings import DiagnosisSettings
 from monitor.inference import Band, MapEstimate, Posterior, fit_levels, spectra_by_force
 from monitor.model import ModelDiscrepancy
+from monitor.signals import overlap_correlation
 
 _TEST_BAND_HZ = 1.0
 """Width of the frequency bands in which lack of fit is tested. [Hz; judgement]"""
@@ -155,7 +156,7 @@ def scatter_between_segments(posterior: Posterior, fitted: MapEstimate) -> Array
             products = (segment[:, :, None] * segment[:, None, :].conj())[None]
             rows = of_class.whitened(model, model[None][:0], products)[1]
             own.append(_sum_in_bands(rows, 1, posterior)[0] / np.sqrt(e.counts[k]))
-    return np.maximum(np.std(own, axis=0, ddof=1) * np.sqrt(1.0 + 2.0 * overlap_correlation()), 1.0)
+    return np.asarray(np.maximum(np.std(own, axis=0, ddof=1) * np.sqrt(1.0 + 2.0 * overlap_correlation()), 1.0))
 
 
 def find_lack_of_fit(posterior: Posterior, fitted: MapEstimate, settings: DiagnosisSettings) -> tuple[LackOfFit, ...]:
