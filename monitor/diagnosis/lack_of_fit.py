@@ -210,6 +210,12 @@ def estimate_model_discrepancy(
     mean = whitened[: n * bins].reshape(n, bins, *whitened.shape[1:]).mean(axis=1)
     band = np.arange(n) * bins // per
     doubtful = size[band] > _LENIENT_SHARE * settings.misfit
+    dispersion = np.ones(n)
+    if e.drive is not None:  # of the healthy recording's error and of the next one's
+        dispersion = (
+            2.0 * np.einsum("baa->b", scatter_between_segments(posterior, fitted) ** 2)[band] / z.shape[1] - 1.0
+        )
+        doubtful |= dispersion > 1.0
     drift = np.where(late > settings.misfit, late, 0.0)[band] ** 2
     ratios, vectors = np.linalg.eigh(mean)
     bounded = np.clip(ratios, 1.0 / _MAX_CORRECTION, _MAX_CORRECTION)
@@ -218,7 +224,7 @@ def estimate_model_discrepancy(
     return ModelDiscrepancy(
         hz=e.band.hz[: n * bins].reshape(n, bins).mean(axis=1),
         relative=relative * doubtful[:, None, None],
-        variance=((1.0 + drift) / e.pieces(bins) + uncertainty**2) * doubtful,
+        variance=((dispersion + drift) / e.pieces(bins) + uncertainty**2) * doubtful,
     )
 
 

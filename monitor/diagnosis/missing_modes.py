@@ -2,29 +2,120 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
+from scipy.linalg import eigh
+from scipy.optimize import linear_sum_assignment
 
 from monitor.core import Array, parallel_map
+from monitor.diagnosis.initial_fit import FAR
 from monitor.diagnosis.parameter_uncertainty import is_significant
 from monitor.diagnosis.score_test import (
     Candidate,
     best_first,
     find_excess_peaks,
     fit_candidate,
+    parameter_cost,
     refine_rough_fit,
     with_tone_evidence,
 )
 from monitor.diagnosis.settings import DiagnosisSettings
 from monitor.identification import SelectionSettings
-from monitor.inference import MapEstimate, Posterior
+from monitor.inference import MapEstimate, Posterior, maximize_posterior
 from monitor.model import EFFECTS, Effect, ExtraMode, Peak, locations
 
 _RESOLUTION_BINS = 2.0
 """Distance of two peaks that the segments resolve. [bins; half-width of the taper's main lobe]"""
+_RELATIVE_STEP = 1e-5
+"""Finite difference of a coordinate, over its unit. [ratio; rounding]"""
 MAX_DAMPING = SelectionSettings().max_damping_ratio
 """Damping ratio from which a mode of the model has no peak any more. [1; as of the poles that identification accepts]"""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Resonance:
+    """Mode of a fitted model with all its effects."""
+
+    mode: ExtraMode
+    """Frequency, damping and shape on the channels."""
+    owner: int | None
+    """Index of the extra effect whose mode it is; None for a mode of the model before these effects."""
+
+
+def resonances(posterior: Posterior, x: Array, effects: Sequence[Effect]) -> list[Resonance]:
+    """List the modes of a fitted model: its own, coupled ones and others.
+
+    Of the modes of a coupled system one belongs to every mode of the uncoupled system: that with most of its motion in it.
+
+    Parameters
+    ----------
+    x : ndarray, shape (n_x,)
+    effects : sequence of Effect
+        Extra effects, beside the persistent ones.
+    """
+    everything, context = posterior.effects(x, effects), posterior.context_at(x)
+    n_before, condition = len(everything) - len(effects), posterior.conditions[posterior.n_classes // 2]
+    system = posterior.system(x, everything)
+    eigenvalues, shapes = eigh(system.stiffness, system.mass)
+    own, n = list[int | None]([None] * eigenvalues.size), eigenvalues.size
+    for i, effect in enumerate(everything):
+        moved = effect.extend(system, context, condition)
+        if len(moved.coupled) > len(system.coupled):
+            system, own = moved, [*own, i - n_before if i >= n_before else None]
+    uncoupled = np.eye(system.mass.shape[0])
+    uncoupled[:n, :n] = shapes
+    eigenvalues, shapes = eigh(system.stiffness, system.mass)
+    share = (
+        np.abs(uncoupled.T @ system.mass @ shapes) / np.sqrt(np.diag(uncoupled.T @ system.mass @ uncoupled))[:, None]
+    )
+    belongs = linear_sum_assignment(share, maximize=True)[1]
+    sensors, found = system.sensors(context.sensors), []
+    for i, k in enumerate(belongs):
+        omega, shape = float(np.sqrt(max(eigenvalues[k], 0.0))), shapes[:, k]
+        ratio = float(shape @ system.damping @ shape) / (2.0 * omega) if omega > 0.0 else np.inf
+        by_unit_force = (sensors @ shape) * (shape[i] if i >= n else 1.0)
+        found.append(Resonance(ExtraMode(omega / (2.0 * np.pi), ratio, by_unit_force), own[i]))
+    for i, effect in enumerate(everything):
+        owner = i - n_before if i >= n_before else None
+        found += [Resonance(mode, owner) for mode in effect.extra_modes(context)]
+    return found
+
+
+def as_seen(posterior: Posterior, fit: MapEstimate, i: int, std: Array) -> tuple[Effect, Array]:
+    """Return effect i of a fit as the recording shows it, with the standard deviations of its coordinates.
+
+    A coupled mode is stated by the frequency, damping and shape of the coupled system's mode.
+
+    Parameters
+    ----------
+    std : ndarray, shape (p,)
+        Standard deviations of the effect's own coordinates.
+    """
+    effects = fit.effects
+
+    def seen(effect: Effect) -> Effect:
+        found = resonances(posterior, fit.x, (*effects[:i], effect, *effects[i + 1 :]))
+        return effect.uncoupled(next(r.mode for r in found if r.owner == i))
+
+    if not posterior.effects(fit.x, effects)[len(posterior.prior.model.effects) + i].repeatable:
+        return effects[i], std
+    here = seen(effects[i])
+    if len(here.parameters) == len(effects[i].parameters):
+        return effects[i], std
+    first = fit.x.size - fit.n_effect + sum(len(e.parameters) for e in effects[:i])
+    these = slice(first, first + len(effects[i].parameters))
+    steps = _RELATIVE_STEP * effects[i].units
+    slopes = np.array(
+        [
+            (seen(effects[i].at(effects[i].coordinates + step)).coordinates - here.coordinates) / step.sum()
+            for step in np.diag(steps)
+        ]
+    )
+    covariance = slopes.T @ fit.covariance[these, these] @ slopes
+    return here, np.sqrt(np.maximum(np.diag(covariance), 0.0))
 
 
 def effects_at_peak(posterior: Posterior, peak: Peak) -> list[Effect]:
@@ -36,7 +127,8 @@ def effects_at_peak(posterior: Posterior, peak: Peak) -> list[Effect]:
         for of in kind.places
         for place in locations(of, context)
     )
-    return [effect for effect in near if effect is not None]
+    found = [effect for effect in near if effect is not None]
+    return found + [c for c in (effect.coupled(context) for effect in found) if c is not None]
 
 
 def find_missing_mode(
@@ -68,8 +160,8 @@ def find_missing_mode(
     near = [c for c in rough if c.may_reach(rough[0].log_evidence - settings.rival)]
     fitted = parallel_map(lambda c: refine_rough_fit(posterior, fit, c.effect), near)
     found = best_first(with_tone_evidence(posterior, c) for c in fitted)
-    best = found[0]
-    is_alone = len(found) == 1 or found[1].log_evidence < best.log_evidence - settings.rival
+    best, rivals = found[0], [c for c in found if not c.effect.repeatable]
+    is_alone = not rivals or rivals[0].log_evidence < best.log_evidence - settings.rival
     std = best.fit.covariance.diagonal()[posterior.layout.effects][-len(best.effect.parameters) :] ** 0.5
     plausible = (
         best.effect.is_plausible(posterior.observed.band.hz)
@@ -87,25 +179,32 @@ def is_distinct(posterior: Posterior, fit: MapEstimate, i: int = -1) -> bool:
     Two modes whose half-power bands overlap are one peak.  Much else distorts a peak of the model: forces that are not white,
     laws that depend on the level, crosstalk between channels.  Nor is a mode of the model exchanged for one that it lacks.
     """
-    context, effect = posterior.context_at(fit.x), fit.effects[i]
-    own = effect.extra_modes(context)
-    if not own:
+    i = range(len(fit.effects))[i]
+    if not fit.effects[i].repeatable:
         return True
-    others = (*posterior.prior.effects(fit.x), *(e for e in fit.effects if e is not effect))
-    ratios = np.exp(fit.x[posterior.layout.damping])
-    if ratios.max() > MAX_DAMPING:
+    if np.exp(fit.x[posterior.layout.damping]).max() > MAX_DAMPING:
         return False
-    frequencies = posterior.model(fit.x, others).modes().frequencies_hz
-    known = list(zip(frequencies[: ratios.size].tolist(), ratios.tolist(), strict=True))
-    known += [(m.frequency_hz, m.damping_ratio) for other in others for m in other.extra_modes(context)]
+    found = resonances(posterior, fit.x, fit.effects)
+    own, others = [r.mode for r in found if r.owner == i], [r.mode for r in found if r.owner != i]
     resolution_hz = _RESOLUTION_BINS * posterior.observed.band.bin_hz
-    return not any(_overlap(mode, hz, ratio, resolution_hz) for mode in own for hz, ratio in known)
+    return not any(_overlap(one, other, resolution_hz) for one in own for other in others)
 
 
-def _overlap(mode: ExtraMode, hz: float, damping_ratio: float, resolution_hz: float) -> bool:
+def couple_modes(posterior: Posterior, fit: MapEstimate) -> MapEstimate | None:
+    """Couple the modes that the model lacks to the floors; return None where that explains the spectra no better."""
+    pairs = [(effect, effect.coupled(posterior.context_at(fit.x))) for effect in fit.effects]
+    if all(coupled is None for _, coupled in pairs):
+        return None
+    effects = tuple(effect if coupled is None else coupled for effect, coupled in pairs)
+    found = maximize_posterior(posterior, fit.x, effects, iterations=FAR)
+    gain, more = found.log_posterior - fit.log_posterior, found.n_effect - fit.n_effect
+    return found if gain > parameter_cost(posterior, more) else None
+
+
+def _overlap(one: ExtraMode, other: ExtraMode, resolution_hz: float) -> bool:
     """Decide if the half-power bands of two modes overlap, as seen with a resolution in Hz."""
-    half_widths = mode.damping_ratio * mode.frequency_hz + damping_ratio * hz
-    return abs(mode.frequency_hz - hz) < half_widths + resolution_hz
+    half_widths = one.damping_ratio * one.frequency_hz + other.damping_ratio * other.frequency_hz
+    return abs(one.frequency_hz - other.frequency_hz) < half_widths + resolution_hz
 
 
 def mac(one: Array, other: Array) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import chain
 
 import numpy as np
@@ -10,7 +11,7 @@ from scipy.optimize import least_squares
 
 from monitor.core import Array, ComplexArray, LagSums, Skipped, Window, parallel_map
 from monitor.diagnosis.initial_fit import FAR, first_guess
-from monitor.diagnosis.missing_modes import is_distinct, mac
+from monitor.diagnosis.missing_modes import couple_modes, is_distinct, mac
 from monitor.diagnosis.score_test import parameter_cost
 from monitor.identification import SelectionSettings, SsiSettings, identify
 from monitor.inference import MapEstimate, ObservedSpectra, Posterior, maximize_posterior
@@ -129,14 +130,26 @@ def fit_from_modes(posterior: Posterior) -> tuple[tuple[MapEstimate, float], ...
         effects' parameters, nats.
     """
 
-    def fitted(start: ModalStart) -> tuple[MapEstimate, float]:
-        fit = maximize_posterior(posterior, *_scaled_to_power(posterior, start), iterations=FAR)
-        kept = tuple(e for i, e in enumerate(fit.effects) if is_distinct(posterior, fit, i))
-        if kept != fit.effects:
-            fit = maximize_posterior(posterior, fit.x, kept, iterations=FAR)
-        return fit, fit.log_posterior - parameter_cost(posterior, fit.n_effect)
+    def fitted(start: ModalStart) -> MapEstimate:
+        return maximize_posterior(posterior, *_scaled_to_power(posterior, start), iterations=FAR)
 
-    return tuple(sorted(parallel_map(fitted, find_modal_starts(posterior)), key=lambda pair: -pair[1]))
+    whole = parallel_map(fitted, find_modal_starts(posterior))
+    ranked = sorted(
+        zip(parallel_map(partial(_with_evidence, posterior), whole), whole, strict=True), key=lambda p: -p[0][1]
+    )
+    found = [pair for pair, _ in ranked]
+    if ranked and ranked[0][1].effects:  # also modes that are not distinct, since a coupling moves them apart
+        coupled = couple_modes(posterior, ranked[0][1])
+        found += [] if coupled is None else [_with_evidence(posterior, coupled)]
+    return tuple(sorted(found, key=lambda pair: -pair[1]))
+
+
+def _with_evidence(posterior: Posterior, fit: MapEstimate) -> tuple[MapEstimate, float]:
+    """Refit with those modes only that can be told from the model's; return the fit and its log evidence, nats."""
+    kept = tuple(e for i, e in enumerate(fit.effects) if is_distinct(posterior, fit, i))
+    if kept != fit.effects:
+        fit = maximize_posterior(posterior, fit.x, kept, iterations=FAR)
+    return fit, fit.log_posterior - parameter_cost(posterior, fit.n_effect)
 
 
 def _scaled_to_power(posterior: Posterior, start: ModalStart) -> tuple[Array, tuple[Effect, ...]]:

@@ -27,7 +27,7 @@ from monitor.diagnosis.lack_of_fit import (
     unexplained_share,
     wrong_bins,
 )
-from monitor.diagnosis.missing_modes import find_missing_mode, is_distinct
+from monitor.diagnosis.missing_modes import as_seen, couple_modes, find_missing_mode, is_distinct
 from monitor.diagnosis.modal_start import fit_from_modes
 from monitor.diagnosis.parameter_uncertainty import coordinate_std, is_significant
 from monitor.diagnosis.score_test import Candidate, fit_candidate, parameter_cost
@@ -301,6 +301,10 @@ def _add_missing_modes(
             break
         rounds.append(tuple(found))
         stage = _accept(stage, RefittedCandidate(found[0], stage.posterior, stage.moments), settings)
+    if find_lack_of_fit(stage.posterior, stage.fit, settings):
+        coupled = couple_modes(stage.posterior, stage.fit)
+        if coupled is not None:
+            stage = replace(stage, posterior=update_linearization(stage.posterior, coupled), fit=coupled)
     return stage, rounds
 
 
@@ -534,9 +538,5 @@ def _causes(
     posterior: Posterior, fitted: MapEstimate, accepted: Sequence[Candidate], simulation_std: Array
 ) -> tuple[Cause, ...]:
     """List the accepted effects with the standard deviations of their parameters."""
-    out = []
-    for effect, deviation, _ in zip(
-        fitted.effects, coordinate_std(posterior, fitted, simulation_std), accepted, strict=False
-    ):
-        out.append(Cause.of(effect, deviation))
-    return tuple(out)
+    std = coordinate_std(posterior, fitted, simulation_std)
+    return tuple(Cause.of(*as_seen(posterior, fitted, i, std[i])) for i in range(len(accepted)))

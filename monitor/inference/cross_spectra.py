@@ -140,9 +140,9 @@ def random_spectra(
         shared = answer[:, :, : force.size] @ force_root(force, effects)
         answer = np.concatenate([shared, answer[:, :, force.size :]], axis=2)
         force = np.ones(force.size + 1)
-    density = np.column_stack(
-        [force * colour[:, None], np.full(fine.size, ground), np.outer(colour, np.full(n_extra, mean_force))]
-    )
+    own = np.ones(n_extra)
+    own[: len(system.coupled)] = [mode.force_ratio for mode in system.coupled]
+    density = np.column_stack([force * colour[:, None], np.full(fine.size, ground), np.outer(colour, mean_force * own)])
     spectra = blurred_products(answer, density, _TAPS)
     extra = sum((e.noise_variance(context, condition) for e in effects), np.zeros(len(context.channels)))
     noise = excitation.noise + np.asarray(extra) / context.rate_hz
@@ -209,7 +209,7 @@ def seen(
     Returns
     -------
     ndarray, shape (n_hz, c, n + 1 + n_extra)
-        For forces on the floors, then for a ground acceleration, then for a force on each extra mode.
+        For forces on the floors, then for a ground acceleration, then for a force on each coupled and each extra mode.
     """
     answer = channel_response(system, clock * hz, context)
     modes = [mode for effect in effects for mode in effect.extra_modes(context)]
@@ -238,31 +238,30 @@ def channel_response(system: System, hz: Array, context: Context) -> ComplexArra
 
     Returns
     -------
-    ndarray, shape (n_hz, c, n + 1)
-        For forces on the floors and, in the last column, a ground acceleration.  It is shared, so not to be written to.
+    ndarray, shape (n_hz, c, n + 1 + n_coupled)
+        For forces on the floors, for a ground acceleration, then for a force on each coupled mode of the system.
     """
-    arrays = (system.mass, system.damping, system.stiffness, hz, context.sensors)
-    return _channel_response(context.structure.n_dofs, *(np.ascontiguousarray(a).tobytes() for a in arrays))
+    columns = np.zeros((system.mass.shape[0], context.structure.n_dofs + 1 + len(system.coupled)))
+    n = context.structure.n_dofs
+    columns[:n, :n] = np.eye(n)
+    columns[:, n] = -system.inertia
+    columns[[mode.index for mode in system.coupled], range(n + 1, columns.shape[1])] = 1.0
+    arrays = system.mass, system.damping, system.stiffness, hz, columns
+    floors = _floor_response(*(np.ascontiguousarray(a).tobytes() for a in arrays))
+    return np.asarray(_at_sensors(floors, system.sensors(context.sensors), n, context.sensors.sum(axis=1)))
 
 
 @lru_cache(maxsize=_N_RESPONSES)
-def _channel_response(
-    n: int, mass_bytes: bytes, damping_bytes: bytes, stiffness_bytes: bytes, hz_bytes: bytes, sensor_bytes: bytes
+def _floor_response(
+    mass_bytes: bytes, damping_bytes: bytes, stiffness_bytes: bytes, hz_bytes: bytes, column_bytes: bytes
 ) -> ComplexArray:
-    """Compute `channel_response`; most slopes of a fit leave the system as it is."""
-    square = tuple(_array(of, (-1,)) for of in (mass_bytes, damping_bytes, stiffness_bytes))
-    size = round(np.sqrt(square[0].size))
-    mass, damping, stiffness = (a.reshape(size, size) for a in square)
-    right = np.zeros((size, n + 1))
-    right[:n, :n] = np.eye(n)
-    right[:, n] = -mass.sum(axis=1)
-    floors = accelerance(mass, damping, stiffness, 2.0 * np.pi * _array(hz_bytes, (-1,)), right)
-    return np.asarray(_at_sensors(floors, _array(sensor_bytes, (-1, n))))
-
-
-def _array(of: bytes, shape: tuple[int, ...]) -> Array:
-    """Make an array, shape `shape`, of its bytes."""
-    return np.frombuffer(of).copy().reshape(shape)
+    """Compute `accelerance` of arrays given by their bytes: most slopes of a fit leave the system as it is."""
+    mass, damping, stiffness, hz, columns = (
+        np.frombuffer(of).copy() for of in (mass_bytes, damping_bytes, stiffness_bytes, hz_bytes, column_bytes)
+    )
+    size = round(np.sqrt(mass.size))
+    mass, damping, stiffness = (a.reshape(size, size) for a in (mass, damping, stiffness))
+    return np.asarray(accelerance(mass, damping, stiffness, 2.0 * np.pi * hz, columns.reshape(size, -1)))
 
 
 def extra_mode_response(modes: Sequence[ExtraMode], hz: Array, context: Context) -> ComplexArray:
@@ -346,7 +345,7 @@ def variances(
     answer = channel_response(system, hz, context)
     n, weight = force.size, 2.0 * hz * np.gradient(np.log(hz))
     by_force = _powers(answer[:, :, :n], force_root(force, effects)) * force_colour(effects, hz)[:, None]
-    by_ground = _powers(answer[:, :, n:], np.eye(1))
+    by_ground = _powers(answer[:, :, n : n + 1], np.eye(1))
     return weight @ by_force, weight @ by_ground, (weight * (hz > band_hz)) @ by_force
 
 
@@ -411,23 +410,28 @@ def accelerance(mass: Array, damping: Array, stiffness: Array, omega: Array, rig
 
 
 @compiled(error_model="numpy")
-def _at_sensors(floors: ComplexArray, sensors: Array) -> ComplexArray:
+def _at_sensors(floors: ComplexArray, sensors: Array, ground: int, shares: Array) -> ComplexArray:
     """Compute the sensors' absolute acceleration, shape (n_omega, c, columns).
 
-    The last column of `floors`, shape (n_omega, n, columns), is relative to the ground.
+    Parameters
+    ----------
+    floors : ndarray, shape (n_omega, N, columns)
+        Accelerations of the degrees of freedom, relative to the ground in column `ground`.
+    sensors : ndarray, shape (c, N)
+    shares : ndarray, shape (c,)
+        Of the ground's own acceleration in every channel.
     """
     n_omega, _, columns = floors.shape
-    c, n = sensors.shape
+    c, size = sensors.shape
     out = np.zeros((n_omega, c, columns), dtype=np.complex128)
-    for s in range(c):
-        for i in range(n):
-            share = sensors[s, i]
-            if share == 0.0:  # most entries are zero
-                continue
-            for k in range(n_omega):
-                for j in range(columns):
-                    out[k, s, j] += share * floors[k, i, j]
-                out[k, s, columns - 1] += share
+    for k in range(n_omega):
+        for s in range(c):
+            for i in range(size):
+                share = sensors[s, i]
+                if share != 0.0:  # most entries are zero
+                    for j in range(columns):
+                        out[k, s, j] += share * floors[k, i, j]
+            out[k, s, ground] += shares[s]
     return out
 
 

@@ -211,7 +211,7 @@ class DrivenPosterior(Posterior):
         """See `Posterior.mean_rows`."""
         assert prediction.left is not None
         e = self.observed
-        weight = e.weight * e.counts / [m.size for m in e.members]
+        weight = (e.weight * e.counts / [m.size for m in e.members])[:, None] * self.widths()
         rows = ground_response.mean_rows(
             prediction.spectra, np.concatenate([slopes, prediction.left[None]]), e.members, weight
         )

@@ -12,7 +12,7 @@ from monitor.core import Array, ComplexArray
 from monitor.inference.cross_spectra import Band, channel_response, extended, ground_density
 from monitor.inference.linearization import linearize
 from monitor.inference.posterior import Posterior
-from monitor.model import Context, Effect, LawKind, respond
+from monitor.model import Context, Effect, LawKind, channel_motion, own_forces, with_own_forces
 from monitor.signals import taper
 
 _STEPS_A_PERIOD = 14
@@ -38,6 +38,8 @@ class Forces:
     rate_hz: float
     floors: Array
     """Forces on the floors, shape (n_samples, n), N."""
+    own: Array
+    """Forces on the coupled modes, shape (n_samples, n_coupled), N."""
     ground: Array | None
     """Ground acceleration, shape (n_samples,), m/s^2; None for ground at rest."""
     noise: Array | None
@@ -91,6 +93,8 @@ def draw_forces(posterior: Posterior, x: Array, effects: Sequence[Effect], seed:
     floors = _limit_band(root * rng.standard_normal(root.shape), e.band, rate)
     for effect in effects:
         floors = effect.drive(floors, rate)
+    model = posterior.model(x, effects)
+    own = _limit_band(own_forces(model, np.sqrt((root**2).mean(axis=1)), rate, rng), e.band, rate)
     share = sum(effect.ground_share for effect in effects)
     ground = None
     if share > 0.0:
@@ -101,7 +105,7 @@ def draw_forces(posterior: Posterior, x: Array, effects: Sequence[Effect], seed:
     noise = None
     if nonlinear:
         noise = np.sqrt(posterior.noise(x) * rate) * rng.standard_normal((root.shape[0], len(context.channels)))
-    return Forces(rate, floors, ground, noise, rng)
+    return Forces(rate, floors, own, ground, noise, rng)
 
 
 def _limit_band(forces: Array, band: Band, rate_hz: float) -> Array:
@@ -144,8 +148,8 @@ def simulate_exact(posterior: Posterior, x: Array, effects: Sequence[Effect], ac
     model, finer = posterior.model(x, everything), 1
     if any(law.kind == LawKind.FRICTION for effect in everything for law in effect.laws(model.structure)):
         finer = _FRICTION_STEPS  # friction changes within a short time where a velocity changes sign
-    moved = respond(model, acting.floors, acting.ground, acting.rate_hz, step_hz=finer * acting.rate_hz)
-    channels = moved @ context.sensors.T
+    forces = with_own_forces(model, acting.floors, acting.own)
+    channels = channel_motion(model, forces, acting.ground, acting.rate_hz, context, step_hz=finer * acting.rate_hz)
     if acting.noise is not None:
         channels = channels + acting.noise
     for effect in _nonlinear_sensors(everything):
@@ -293,15 +297,14 @@ def _linear_transforms(
     context, base = posterior.context_at(x), posterior.system(x, effects)
     nonlinear = _nonlinear_sensors(effects)
     hz = np.arange(_kept_frequencies(posterior)) * acting.rate_hz / len(acting.floors)
-    sources = acting.floors if acting.ground is None else np.column_stack([acting.floors, acting.ground])
+    ground = np.zeros(len(acting.floors)) if acting.ground is None else acting.ground
+    sources = np.column_stack([acting.floors, ground, acting.own])
     driven, interpolation = _kept_spectrum(sources, posterior), np.sinc(hz / acting.rate_hz)[:, None] ** 2
     noise = 0.0 if acting.noise is None else _kept_spectrum(acting.noise, posterior)
     for k, members in enumerate(posterior.observed.members):
         system = extended(base, effects, context, posterior.conditions[k])
-        answer = channel_response(system, hz, context)[:, :, : driven.shape[1]]
-        at_once = channel_response(system, np.array([_INERTIA_FREQUENCY * acting.rate_hz]), context)[
-            0, :, : driven.shape[1]
-        ]
+        answer = channel_response(system, hz, context)
+        at_once = channel_response(system, np.array([_INERTIA_FREQUENCY * acting.rate_hz]), context)[0]
         # Forces are linear in time between samples, which adds motion far above the band.  Sampling folds this motion into the
         # band.  At its frequencies only the inertia of the floors responds.
         folded = (driven * (1.0 - interpolation)) @ at_once.T

@@ -208,7 +208,7 @@ def _apply_sensor_effects(
 
 def _relative_response(system: System, hz: Array, context: Context) -> ComplexArray:
     """Compute the floors' acceleration relative to the ground, over the ground's acceleration, shape (n_hz, n)."""
-    right = -system.mass.sum(axis=1)[:, None]
+    right = -system.inertia[:, None]
     floors = accelerance(system.mass, system.damping, system.stiffness, 2.0 * np.pi * hz, right)
     return np.asarray(floors[:, : context.structure.n_dofs, 0])
 
@@ -236,7 +236,7 @@ def exact_response(
     from monitor.model import march  # compiled code takes a while to load
 
     laws = [law for effect in effects for law in effect.laws(context.structure)]
-    n, inertia = context.structure.n_dofs, system.mass.sum(axis=1)
+    n, inertia = context.structure.n_dofs, system.inertia
     lowest = _TILT_FREQUENCY * float(np.sqrt(eigh(system.stiffness, system.mass, eigvals_only=True).min()))
     clock = float(np.prod([e.clock_factor for e in effects]))
     out = np.empty((drive.run.size, band.n_bins, len(context.channels)), dtype=complex)
@@ -343,7 +343,7 @@ def mean_rows(
         Changes of the means.
     members : sequence of ndarray
         Segments of every class.
-    weight : ndarray, shape (classes,)
+    weight : ndarray, shape (classes, n_bins)
         Independent pieces of information in a segment and bin.
 
     Returns
@@ -353,7 +353,7 @@ def mean_rows(
     of = np.empty(stacked.shape[1], dtype=np.intp)
     for k, m in enumerate(members):
         of[m] = k
-    scale = np.sqrt(_MEAN_ROWS * weight)[:, None, None, None]
+    scale = np.sqrt(_MEAN_ROWS * weight)[:, :, None, None]
     whiteners = np.asarray(scale * np.linalg.inv(np.linalg.cholesky(spectra)), dtype=np.complex128)
     return np.asarray(_whitened_means(whiteners, of, stacked).reshape(len(stacked), -1).T)
 

@@ -119,7 +119,9 @@ def forced_motion(posterior: Posterior, x: Array, effects: Sequence[Effect], law
         inverse = np.linalg.inv(system.mass)
         states.append(system.state_matrix())
         drive = np.zeros((2 * size, 2 * size))
-        root = inverse[:, :n] @ force_root(force, everything)
+        ratios = np.array([mode.force_ratio for mode in system.coupled])
+        own = inverse[:, [mode.index for mode in system.coupled]] * np.sqrt(force.mean() * ratios)
+        root = np.hstack([inverse[:, :n] @ force_root(force, everything), own])
         drive[size:, size:] = root @ root.T
         drives.append(drive)
     # Lyapunov's equation of all classes at once: in the coordinates of the eigenvectors its solution is a division.
@@ -163,22 +165,24 @@ def _motion_roots(
     channels : ndarray, shape (n_hz, c, columns)
         The same of the channels; `motion` itself without a posterior.
     """
-    n = force.size
-    size = system.mass.shape[0]
-    right = np.zeros((size, n + 1))
-    right[:n, :n] = np.eye(n)
-    right[:, n] = -system.mass.sum(axis=1)
+    n, own = force.size, [mode.index for mode in system.coupled]
+    own_root = np.sqrt(force.mean() * np.array([mode.force_ratio for mode in system.coupled]))
     w = 2.0 * np.pi * hz
-    root = np.sqrt(force_colour(effects, hz))[:, None, None] * force_root(force, effects)
-    floors = accelerance(system.mass, system.damping, system.stiffness, w, right)[:, :n, :n] @ root
+    colour = np.sqrt(force_colour(effects, hz))[:, None, None]
+    root = colour * force_root(force, effects)
+    right = np.eye(system.mass.shape[0])[:, [*range(n), *own]]
+    floors = accelerance(system.mass, system.damping, system.stiffness, w, right)[:, :n]
+    floors = np.concatenate([floors[:, :, :n] @ root, colour * own_root * floors[:, :, n:]], axis=2)
     motion = (rows @ floors) * w[:, None, None] ** (order - 2.0)[:, None] * (-1j) ** (2 - order)[:, None]
     if posterior is None:
         return motion, motion
     clock = float(np.prod([effect.clock_factor for effect in effects]))
     answer = seen(system, effects, hz, clock, context, posterior.conditions[k])
-    own = answer[:, :, n + 1 :] * np.sqrt(force.mean() * force_colour(effects, hz))[:, None, None]
-    still = np.zeros((*motion.shape[:2], own.shape[2]))  # no extra mode moves a story of the model
-    return np.concatenate([motion, still], axis=2), np.concatenate([answer[:, :, :n] @ root, own], axis=2)
+    n_extra = answer.shape[2] - n - 1 - len(own)
+    own_root = np.concatenate([own_root, np.full(n_extra, np.sqrt(force.mean()))])
+    channels = np.concatenate([answer[:, :, :n] @ root, colour * own_root * answer[:, :, n + 1 :]], axis=2)
+    still = np.zeros((*motion.shape[:2], channels.shape[2] - motion.shape[2]))  # an extra mode moves no story
+    return np.concatenate([motion, still], axis=2), channels
 
 
 def _excess_degc(evidence: ObservedSpectra, k: int, reference_degc: float | None, lag_s: float) -> float:

@@ -26,7 +26,16 @@ from .instrumented import InstrumentedModel
 from .integration import loaded, march
 from .model import Model, Modes
 from .prior import ModelDiscrepancy, StructuralPrior, correction_basis, inverse, prior_from_drawing
-from .simulation import ExcitationKind, Motion, respond, respond_newmark, simulate
+from .simulation import (
+    ExcitationKind,
+    Motion,
+    channel_motion,
+    own_forces,
+    respond,
+    respond_newmark,
+    simulate,
+    with_own_forces,
+)
 from .structures import MatrixStructure, ShearFrame
 from .structures.drawing import Drawing, LineTable, NodeTable, drawing_problems
 from .structures.tables import Matrix, Positive, StructureTable
@@ -63,6 +72,7 @@ __all__ = [
     "StructuralPrior",
     "StructureTable",
     "System",
+    "channel_motion",
     "correction_basis",
     "drawing_problems",
     "interval",
@@ -70,6 +80,7 @@ __all__ = [
     "loaded",
     "locations",
     "march",
+    "own_forces",
     "parse_effect",
     "prior_file",
     "prior_from_drawing",
@@ -78,4 +89,5 @@ __all__ = [
     "simulate",
     "story_damage",
     "unit",
+    "with_own_forces",
 ]

@@ -48,6 +48,8 @@ def march(
     rate_hz: float,
     factor: Array | None = None,
     step_hz: float = STEP_HZ,
+    *,
+    appended: bool = False,
 ) -> Array:
     """Integrate the accelerations of the structure's degrees of freedom, from rest before the first sample.
 
@@ -67,10 +69,12 @@ def march(
         Factor on the stiffness of the structure's degrees of freedom.
     step_hz : float
         Least rate of the integration steps.
+    appended : bool
+        Whether the accelerations of the degrees of freedom that effects add are wanted too.
 
     Returns
     -------
-    ndarray, shape (n_samples, n), m/s^2
+    ndarray, shape (n_samples, n), or (n_samples, N) with the appended ones, m/s^2
 
     Notes
     -----
@@ -89,7 +93,8 @@ def march(
     if factor is not None:
         acting, sensing = np.vstack([acting, np.eye(n)]), np.vstack([acting, system.stiffness[:n, :n]])
         kinds, parameters = kinds + n * [_TEMPERATURE_LAW], np.vstack([parameters, np.zeros((n, 2))])
-    inverse_mass = np.linalg.inv(system.mass)[:n]
+    rows = size if appended else n
+    inverse_mass = np.linalg.inv(system.mass)[:rows]
     moved = _march(
         decay,
         constant - ahead,
@@ -98,7 +103,7 @@ def march(
         drive[:, :n] @ acting.T,
         sensing @ shapes[:n],
         sensing @ shapes[size : size + n],
-        poles * shapes[size : size + n],
+        poles * shapes[size : size + rows],
         inverse_mass[:, :n] @ acting.T,
         np.array(kinds, dtype=np.int64),
         parameters,

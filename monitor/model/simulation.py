@@ -44,7 +44,7 @@ def linear_system(model: Model) -> System:
     return system
 
 
-def respond_exactly(model: Model, forces: Array, rate_hz: float) -> Array:
+def respond_exactly(model: Model, forces: Array, rate_hz: float, *, appended: bool = False) -> Array:
     """Simulate the floors' accelerations exactly, under forces that are linear in time between samples.
 
     Nonlinear laws are left out.
@@ -55,15 +55,17 @@ def respond_exactly(model: Model, forces: Array, rate_hz: float) -> Array:
         More columns act on the degrees of freedom that effects append.
     rate_hz : float
         Rate of the samples.
+    appended : bool
+        Whether the accelerations of the degrees of freedom that effects append are wanted too.
 
     Returns
     -------
-    ndarray, shape (n_samples, n), m/s^2
+    ndarray, shape (n_samples, n) or more, m/s^2
         Relative to the ground; at rest before the first sample.
     """
     from monitor.model.integration import march  # compiled code takes a while to load
 
-    return march(linear_system(model), model.structure.n_dofs, (), forces, rate_hz, step_hz=rate_hz)
+    return march(linear_system(model), model.structure.n_dofs, (), forces, rate_hz, step_hz=rate_hz, appended=appended)
 
 
 def respond_newmark(model: Model, forces: Array, rate_hz: float) -> Array:
@@ -181,7 +183,8 @@ def simulate(
     true_ground = (
         _unmeasured_ground(model, forces, level[:, 0], true_rate_hz, context, effects_rng) if ground is None else ground
     )
-    clean = respond(model, forces, true_ground, true_rate_hz, excess_degc) @ context.sensors.T
+    own = own_forces(model, level[:, 0], true_rate_hz, effects_rng)
+    clean = channel_motion(model, with_own_forces(model, forces, own), true_ground, true_rate_hz, context, excess_degc)
     clean += _extra_motion(model, level[:, 0], true_rate_hz, context, effects_rng)
     rms = noise * float(np.sqrt((clean**2).mean(axis=0)).mean())
     samples = clean + rms * rng.standard_normal(clean.shape)
@@ -190,6 +193,54 @@ def simulate(
     for effect in model.effects:
         samples = effect.measure(samples, true_rate_hz, context, effects_rng)
     return Motion(rate_hz, samples, ground)
+
+
+def own_forces(model: Model, level: Array, rate_hz: float, rng: np.random.Generator) -> Array:
+    """Draw the random forces of the coupled modes, of 1 N times the root of their force ratios, shape (n_samples, n_coupled), N.
+
+    Parameters
+    ----------
+    level : ndarray, shape (n_samples,)
+        Level of the excitation.
+    """
+    ratios = np.array([mode.force_ratio for mode in linear_system(model).coupled])
+    drawn = level[:, None] * rng.standard_normal((level.size, ratios.size)) * np.sqrt(ratios)
+    return _coloured(model, drawn, rate_hz)
+
+
+def _coloured(model: Model, forces: Array, rate_hz: float) -> Array:
+    """Apply the colour of the floors' forces to other forces, shape (n_samples, columns), N."""
+    for effect in model.effects:
+        if forces.size and np.ndim(effect.colour(np.ones(1))):
+            forces = np.column_stack([effect.drive(column[:, None], rate_hz) for column in forces.T])
+    return forces
+
+
+def with_own_forces(model: Model, forces: Array, own: Array) -> Array:
+    """Put the coupled modes' own forces beside those on the floors, each at its degree of freedom, shape (n_samples, N), N."""
+    system = linear_system(model)
+    if not system.coupled:
+        return forces
+    out = np.pad(forces, ((0, 0), (0, system.mass.shape[0] - forces.shape[1])))
+    out[:, [mode.index for mode in system.coupled]] = own
+    return out
+
+
+def channel_motion(
+    model: Model,
+    forces: Array,
+    ground: Array | None,
+    rate_hz: float,
+    context: Context,
+    excess_degc: Array | None = None,
+    step_hz: float | None = None,
+) -> Array:
+    """Simulate the channels' true accelerations, shape (n_samples, c), m/s^2; the parameters are those of `respond`."""
+    system = linear_system(model)
+    if not system.coupled:
+        return respond(model, forces, ground, rate_hz, excess_degc, step_hz) @ context.sensors.T
+    moved = respond(model, forces, ground, rate_hz, excess_degc, step_hz, appended=True)
+    return np.asarray(moved @ system.sensors(context.sensors).T)
 
 
 def _extra_motion(
@@ -204,10 +255,7 @@ def _extra_motion(
     """
     out: Array | float = 0.0
     for mode in (m for effect in model.effects for m in effect.extra_modes(context)):
-        force = level[:, None] * rng.standard_normal((level.size, 1))
-        for effect in model.effects:
-            if np.ndim(effect.colour(np.ones(1))):
-                force = effect.drive(force, rate_hz)
+        force = _coloured(model, level[:, None] * rng.standard_normal((level.size, 1)), rate_hz)
         omega = 2.0 * np.pi * mode.frequency_hz
         alone = System(np.eye(1), np.full((1, 1), 2.0 * mode.damping_ratio * omega), np.full((1, 1), omega**2))
         from monitor.model.integration import march  # compiled code takes a while to load
@@ -223,6 +271,8 @@ def respond(
     rate_hz: float,
     excess_degc: Array | None = None,
     step_hz: float | None = None,
+    *,
+    appended: bool = False,
 ) -> Array:
     """Simulate the floors' absolute accelerations with all linear and nonlinear laws of the model.
 
@@ -236,10 +286,13 @@ def respond(
         Temperature above the reference, K.
     step_hz : float, optional
         Least rate of the integration steps with nonlinear laws; `monitor.model.integration.STEP_HZ` by default.
+    appended : bool
+        Whether the accelerations of the degrees of freedom that effects append are wanted too; those of coupled modes are
+        relative to the ground.
 
     Returns
     -------
-    ndarray, shape (n_samples, n), m/s^2
+    ndarray, shape (n_samples, n) or more, m/s^2
     """
     if ground is not None:
         forces = _with_inertia(model, forces, ground)
@@ -251,15 +304,20 @@ def respond(
 
         factor = np.prod(changing, axis=0) if changing else None
         step_hz = STEP_HZ if step_hz is None else step_hz
-        floors = march(linear_system(model), model.structure.n_dofs, laws, forces, rate_hz, factor, step_hz)
+        system, n = linear_system(model), model.structure.n_dofs
+        floors = march(system, n, laws, forces, rate_hz, factor, step_hz, appended=appended)
     else:
-        floors = respond_exactly(model, forces, rate_hz)
-    return floors if ground is None else floors + ground[:, None]
+        floors = respond_exactly(model, forces, rate_hz, appended=appended)
+    if ground is None:
+        return floors
+    rides = np.ones(floors.shape[1])
+    rides[[mode.index for mode in linear_system(model).coupled if appended]] = 0.0
+    return np.asarray(floors + ground[:, None] * rides)
 
 
 def _with_inertia(model: Model, forces: Array, ground: Array) -> Array:
     """Add the inertia forces of the ground's acceleration to the forces, shape (n_samples, N), N."""
-    inertia = linear_system(model).mass.sum(axis=1)
+    inertia = linear_system(model).inertia
     padded = np.pad(forces, ((0, 0), (0, inertia.size - forces.shape[1])))
     return np.asarray(padded - ground[:, None] * inertia)
 

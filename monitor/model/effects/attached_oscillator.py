@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import inf, pi
 from typing import ClassVar, Literal, Self
 
@@ -59,10 +59,11 @@ class AttachedOscillator(Effect):
         omega = 2.0 * pi * self.frequency_hz
         mass, damping, stiffness = (np.pad(m, (0, 1)) for m in (system.mass, system.damping, system.stiffness))
         mass[size, size] = self.mass_kg
-        return System(
-            mass,
-            np.asarray(damping + 2.0 * self.damping_ratio * omega * self.mass_kg * joint),
-            np.asarray(stiffness + omega**2 * self.mass_kg * joint),
+        return replace(
+            system,
+            mass=mass,
+            damping=np.asarray(damping + 2.0 * self.damping_ratio * omega * self.mass_kg * joint),
+            stiffness=np.asarray(stiffness + omega**2 * self.mass_kg * joint),
         )
 
     def known(self, context: Context, condition: Condition) -> tuple[Array, Array]:

@@ -92,6 +92,18 @@ class FittedModel:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
+class CoupledMode:
+    """Appended degree of freedom that is a mode of the structure, driven by a random force of its own."""
+
+    index: int
+    """Of its degree of freedom in the system."""
+    shape: Array
+    """Acceleration of every channel over that of the degree of freedom, shape (c,)."""
+    force_ratio: float
+    """Density of its own force over the floors' mean."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
 class System:
     """Linear system: the structure's degrees of freedom first, then those that effects add."""
 
@@ -101,6 +113,22 @@ class System:
     """Shape (N, N), N s/m."""
     stiffness: Array
     """Shape (N, N), N/m."""
+    coupled: tuple[CoupledMode, ...] = ()
+    """Modes among the appended degrees of freedom; the others are masses that ride on the structure."""
+
+    @property
+    def inertia(self) -> Array:
+        """Force on every degree of freedom by a ground that accelerates at -1 m/s^2, shape (N,), kg."""
+        rides = np.ones(self.mass.shape[0])
+        rides[[mode.index for mode in self.coupled]] = 0.0
+        return np.asarray(self.mass @ rides)
+
+    def sensors(self, of_structure: Array) -> Array:
+        """Extend the sensors' weights on the structure's degrees of freedom, shape (c, n), to all, shape (c, N)."""
+        out = np.pad(of_structure, ((0, 0), (0, self.mass.shape[0] - of_structure.shape[1])))
+        for mode in self.coupled:
+            out[:, mode.index] = mode.shape
+        return out
 
     def plus(self, *, damping: Array | float = 0.0, stiffness: Array | float = 0.0) -> System:
         """Add terms to the matrices of the structure's degrees of freedom.
@@ -418,6 +446,14 @@ class Effect(ReportFace, ABC):
     def extra_modes(self, context: Context) -> tuple[ExtraMode, ...]:
         """Return the modes of the structure that the effect adds to those of the matrices."""
         return ()
+
+    def coupled(self, context: Context) -> Effect | None:
+        """Return the effect with a coupling to the floors, which is zero at first; None where it has none to add."""
+        return None
+
+    def uncoupled(self, resonance: ExtraMode) -> Effect:
+        """Return a coupled effect as one without coupling that has the given frequency, damping and shape; any other as it is."""
+        return self
 
     def response(self, hz: Array, context: Context, condition: Condition) -> ComplexArray | None:
         """Return the acquisition's frequency response to the true channels, shape (n_hz or 1, c, c); None for no change."""

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from math import inf, isfinite
+from math import inf, isfinite, pi
 from typing import ClassVar, Literal, Self
 
 import numpy as np
 
 from monitor.core import Array
-from monitor.model.effects.base import Condition, Context, Effect, EffectError, ExtraMode, Peak
+from monitor.model.effects.base import Condition, Context, CoupledMode, Effect, EffectError, ExtraMode, Peak, System
 from monitor.model.effects.parameter import Parameter
 from monitor.model.effects.report_face import FittedSizes
 from monitor.model.structures import Structure
@@ -28,7 +28,16 @@ _DAILY_FREQUENCY = 0.02
 describes moves this mode too, by up to half the lost share of a story's stiffness]"""
 _DAILY_DAMPING = 0.3
 """The same of its damping ratio. [ratio; judgement]"""
-_SHAPE = "shape_"
+_COUPLING_STD = 0.2
+"""Prior standard deviation of a coupling with a floor. [1; judgement: eccentricities of up to a tenth of the plan's width]"""
+_LN_FORCE_STD = 2.0
+"""Prior standard deviation of the logarithm of the density of the mode's own force, over the floors'. [1; judgement]"""
+_DAILY_COUPLED_SHAPE = 0.05
+"""Relative change of a coupled mode's shape from calibration that needs no cause; its force is a parameter of its own. [ratio;
+judgement: as of the damping of the model's own modes]"""
+_DAILY_COUPLING = 0.01
+"""Change of a coupling from calibration that needs no cause. [1; judgement: a twentieth of the largest usual one]"""
+_SHAPE, _COUPLING = "shape_", "coupling_"
 _START = 0.1
 """Start of the shape's largest component, over the reciprocal of the mean floor mass. [ratio; judgement]"""
 
@@ -39,6 +48,10 @@ class UnmodelledMode(Effect):
 
     The channels move by ``shape h(f) g`` in addition to the model's motion, where h is the accelerance of an oscillator of one
     kilogram and g a random force of the floors' mean force density.
+
+    A mode of torsion of an eccentric building is coupled to the floors.  It is a degree of freedom q of the floors' mean mass m,
+    with the stiffness ``-coupling_j w^2 sqrt(m m_j)`` between q and floor j.  The channels move by ``m shape`` times the
+    acceleration of q, and the density of g is `force_ratio` times the floors'.
     """
 
     name: ClassVar[str] = "unmodelled_mode"
@@ -52,7 +65,8 @@ class UnmodelledMode(Effect):
         Parameter("frequency_hz", 0.0, inf, "log"),
         Parameter("damping_ratio", 0.0, 1.0, "log"),
     )
-    """Parameters of the class; an instance adds one for every channel, `shape_1` and so on."""
+    """Parameters of the class; an instance adds one for every channel, `shape_1` and so on, and a coupled one `force_ratio` and
+    one for every floor, `coupling_1` and so on."""
     signature: ClassVar[str] = (
         "one peak more, as wide as the structure's own, of another shape, with normal kurtosis; the model's modes stay"
     )
@@ -64,46 +78,110 @@ class UnmodelledMode(Effect):
     damping_ratio: float
     shape: tuple[float, ...] = ()
     """Acceleration of every channel by a unit force on the mode, 1/kg; empty: alike on all channels, over the total mass."""
+    force_ratio: float = 1.0
+    """Density of the mode's own force over the floors' mean."""
+    coupling: tuple[float, ...] = ()
+    """Coupling with every floor; empty for none."""
 
     def __post_init__(self) -> None:
-        """Add a parameter for each channel to those of the class, and its change from day to day."""
-        of_channels = tuple(Parameter(f"{_SHAPE}{i + 1}", -inf, inf, absent=0.0) for i in range(len(self.shape)))
-        object.__setattr__(self, "parameters", (*type(self).parameters, *of_channels))
-        # The forces on the mode, which scale the shape, change from day to day.
-        object.__setattr__(self, "daily", (_DAILY_FREQUENCY, _DAILY_DAMPING, *(1.0,) * len(self.shape)))
+        """Add the parameters of the shape and of the coupling to those of the class, and their changes from day to day."""
+        nothing = None if self.coupling else 0.0  # the size of a coupled mode is in its coupling too
+        of_channels = tuple(Parameter(f"{_SHAPE}{i + 1}", -inf, inf, absent=nothing) for i in range(len(self.shape)))
+        of_floors = tuple(Parameter(f"{_COUPLING}{j + 1}", -inf, inf) for j in range(len(self.coupling)))
+        # The forces on the mode change from day to day.  They scale the shape where the mode is not coupled.
+        daily = (_DAILY_FREQUENCY, _DAILY_DAMPING, *(_DAILY_COUPLED_SHAPE if of_floors else 1.0,) * len(self.shape))
+        if of_floors:
+            of_floors = (Parameter("force_ratio", 0.0, inf, "log"), *of_floors)
+            daily = (*daily, 1.0, *(_DAILY_COUPLING,) * len(self.coupling))
+        object.__setattr__(self, "parameters", (*type(self).parameters, *of_channels, *of_floors))
+        object.__setattr__(self, "daily", daily)
 
     @classmethod
     def create(cls, location: str, parameters: Mapping[str, float]) -> Effect:
-        """See `Effect.create`.  The shape, `shape_1` and so on, may be left out."""
-        shape = {name: value for name, value in parameters.items() if name.startswith(_SHAPE)}
-        wanted = {f"{_SHAPE}{i + 1}" for i in range(len(shape))}
-        if set(shape) != wanted:
-            raise EffectError(f"{cls.name}: needs {', '.join(sorted(wanted))}, one for every channel")
-        for name, value in shape.items():
-            if not isfinite(value):
-                raise EffectError(f"{cls.name}: {name} = {value:g} must be finite")
-        bare = super().create(location, {name: value for name, value in parameters.items() if name not in shape})
-        return cls(location, **bare.values(), shape=tuple(shape[f"{_SHAPE}{i + 1}"] for i in range(len(shape))))
+        """See `Effect.create`.  The shape, `shape_1` and so on, and the coupling may be left out."""
+        listed = {}
+        for prefix, what in ((_SHAPE, "channel"), (_COUPLING, "floor")):
+            own = {name: value for name, value in parameters.items() if name.startswith(prefix)}
+            wanted = [f"{prefix}{i + 1}" for i in range(len(own))]
+            if set(own) != set(wanted):
+                raise EffectError(f"{cls.name}: needs {', '.join(wanted)}, one for every {what}")
+            for name, value in own.items():
+                if not isfinite(value):
+                    raise EffectError(f"{cls.name}: {name} = {value:g} must be finite")
+            listed[prefix] = tuple(own[name] for name in wanted)
+        force_ratio = parameters.get("force_ratio", 1.0) if listed[_COUPLING] else 1.0
+        if not (isfinite(force_ratio) and force_ratio > 0.0):
+            raise EffectError(f"{cls.name}: force_ratio = {force_ratio:g} must be finite, above 0")
+        more = (_SHAPE, _COUPLING, *(["force_ratio"] if listed[_COUPLING] else []))
+        bare = super().create(location, {n: value for n, value in parameters.items() if not n.startswith(tuple(more))})
+        hz, ratio = bare.values().values()
+        return cls(location, hz, ratio, listed[_SHAPE], force_ratio, listed[_COUPLING])
 
     def values(self) -> dict[str, float]:
         """See `Effect.values`."""
         own = {"frequency_hz": self.frequency_hz, "damping_ratio": self.damping_ratio}
-        return own | {f"{_SHAPE}{i + 1}": component for i, component in enumerate(self.shape)}
+        own |= {f"{_SHAPE}{i + 1}": component for i, component in enumerate(self.shape)}
+        if self.coupling:
+            own["force_ratio"] = self.force_ratio
+        return own | {f"{_COUPLING}{j + 1}": component for j, component in enumerate(self.coupling)}
 
     @property
     def units(self) -> Array:
         """See `Effect.units`.  All components of the shape have the unit of the largest."""
         out = np.ones(len(self.parameters))
-        out[2:] = max(np.abs(self.shape), default=1.0) or 1.0
+        out[self._of_shape] = max(np.abs(self.shape), default=1.0) or 1.0
         return out
+
+    @property
+    def _of_shape(self) -> slice:
+        """Slice of the shape's coordinates."""
+        return slice(2, 2 + len(self.shape))
 
     def at(self, coordinates: Array) -> Self:
         """See `Effect.at`."""
-        hz, ratio, *shape = (p.value(float(x)) for p, x in zip(self.parameters, coordinates, strict=True))
-        return replace(self, frequency_hz=hz, damping_ratio=ratio, shape=tuple(shape))
+        values = [p.value(float(x)) for p, x in zip(self.parameters, coordinates, strict=True)]
+        hz, ratio, *rest = values
+        shape, rest = rest[: len(self.shape)], rest[len(self.shape) :]
+        force_ratio, *coupling = rest or [1.0]
+        return replace(
+            self,
+            frequency_hz=hz,
+            damping_ratio=ratio,
+            shape=tuple(shape),
+            force_ratio=force_ratio,
+            coupling=tuple(coupling),
+        )
+
+    def coupled(self, context: Context) -> Self | None:
+        """See `Effect.coupled`."""
+        if self.coupling:
+            return None
+        shape = tuple(self._shape_on(context).tolist())
+        return replace(self, shape=shape, coupling=(0.0,) * context.structure.n_dofs)
+
+    def uncoupled(self, resonance: ExtraMode) -> Self:
+        """See `Effect.uncoupled`."""
+        return type(self)(
+            self.location, resonance.frequency_hz, resonance.damping_ratio, tuple(resonance.shape.tolist())
+        )
+
+    def extend(self, system: System, context: Context, condition: Condition) -> System:
+        """See `Effect.extend`.  Only a coupled mode is a degree of freedom of the system."""
+        if not self.coupling:
+            return system
+        own, size = context.structure.masses_kg, system.mass.shape[0]
+        mean, omega = float(own.mean()), 2.0 * pi * self.frequency_hz
+        mass, damping, stiffness = (np.pad(m, (0, 1)) for m in (system.mass, system.damping, system.stiffness))
+        mass[size, size], damping[size, size] = mean, 2.0 * self.damping_ratio * omega * mean
+        stiffness[size, size] = mean * omega**2
+        stiffness[: own.size, size] = stiffness[size, : own.size] = -(omega**2) * np.sqrt(mean * own) * self.coupling
+        mode = CoupledMode(size, mean * np.array(self.shape), self.force_ratio)
+        return replace(system, mass=mass, damping=damping, stiffness=stiffness, coupled=(*system.coupled, mode))
 
     def extra_modes(self, context: Context) -> tuple[ExtraMode, ...]:
         """See `Effect.extra_modes`."""
+        if self.coupling:
+            return ()
         return (ExtraMode(self.frequency_hz, self.damping_ratio, self._shape_on(context)),)
 
     def _shape_on(self, context: Context) -> Array:
@@ -122,6 +200,10 @@ class UnmodelledMode(Effect):
         """See `Effect.known`.  The damping ratio is that of the structure, within a factor of two."""
         mean, precision = self.coordinates, np.zeros(len(self.parameters))
         mean[1], precision[1] = np.log(context.structure.damping_ratio), _MODE_DAMPING_LN_STD**-2
+        if self.coupling:
+            first = self._of_shape.stop
+            mean[first:], precision[first:] = 0.0, _COUPLING_STD**-2
+            precision[first] = _LN_FORCE_STD**-2
         return mean, precision
 
     def is_plausible(self, band_hz: Array) -> bool:
