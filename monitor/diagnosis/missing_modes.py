@@ -166,7 +166,7 @@ def find_missing_mode(
     plausible = (
         best.effect.is_plausible(posterior.observed.band.hz)
         and is_significant(best.effect, std)
-        and is_distinct(posterior, best.fit)
+        and is_credible(posterior, best.fit)
     )
     if best.effect.repeatable and plausible and is_alone and best.log_evidence > threshold:
         return found
@@ -190,15 +190,37 @@ def is_distinct(posterior: Posterior, fit: MapEstimate, i: int = -1) -> bool:
     return not any(_overlap(one, other, resolution_hz) for one in own for other in others)
 
 
+def is_credible(posterior: Posterior, fit: MapEstimate, i: int = -1) -> bool:
+    """Decide if the mode that effect i of a fit adds may be there; any other effect may.
+
+    A mode that cannot be told from one of the model's is credible in a structure that has other modes which its model lacks.  It
+    explains the recording, but is not stated.
+    """
+    i = range(len(fit.effects))[i]
+    others = (*posterior.prior.effects(fit.x), *fit.effects[:i], *fit.effects[i + 1 :])
+    return any(e.repeatable for e in others) or is_distinct(posterior, fit, i)
+
+
 def couple_modes(posterior: Posterior, fit: MapEstimate) -> MapEstimate | None:
     """Couple the modes that the model lacks to the floors; return None where that explains the spectra no better."""
-    pairs = [(effect, effect.coupled(posterior.context_at(fit.x))) for effect in fit.effects]
-    if all(coupled is None for _, coupled in pairs):
+    context = posterior.context_at(fit.x)
+    coupled = [effect.coupled(context) for effect in fit.effects]
+    if all(effect is None for effect in coupled):
         return None
-    effects = tuple(effect if coupled is None else coupled for effect, coupled in pairs)
+    effects = tuple(old if new is None else new for old, new in zip(fit.effects, coupled, strict=True))
     found = maximize_posterior(posterior, fit.x, effects, iterations=FAR)
+    kept, last = [], posterior.layout.n_nuisance
+    for old, now in zip(fit.effects, found.effects, strict=True):
+        last += len(now.parameters)
+        more = len(now.parameters) - len(old.parameters)
+        own = slice(last - more, last)  # the gain by the coupling is about that of a normal posterior
+        size = found.x[own] - posterior.normal_prior(found.x, found.effects)[0][own]
+        gain = 0.5 * float(size @ np.linalg.solve(found.covariance[own, own], size)) if more else 0.0
+        kept.append(old if gain < parameter_cost(posterior, more) else now)
+    if any(a is not b for a, b in zip(kept, found.effects, strict=True)):
+        found = maximize_posterior(posterior, found.x, tuple(kept), iterations=FAR)
     gain, more = found.log_posterior - fit.log_posterior, found.n_effect - fit.n_effect
-    return found if gain > parameter_cost(posterior, more) else None
+    return found if more and gain > parameter_cost(posterior, more) else None
 
 
 def _overlap(one: ExtraMode, other: ExtraMode, resolution_hz: float) -> bool:

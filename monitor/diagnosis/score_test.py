@@ -271,8 +271,10 @@ def _whitened_slope(posterior: Posterior, null_fit: MapEstimate, prediction: Pre
 
 
 def _far_from_prior(posterior: Posterior, null_fit: MapEstimate) -> bool:
-    """Decide if a fit without measured ground motion went far from its prior."""
-    return posterior.observed.drive is None and null_fit.log_prior < _MIN_LOG_PRIOR
+    """Decide if a fit without measured ground motion went far from the structure's prior."""
+    known = posterior.prior
+    far = null_fit.x[posterior.layout.structure] - known.mean
+    return posterior.observed.drive is None and -0.5 * float(far @ known.precision @ far) < _MIN_LOG_PRIOR
 
 
 def _fit_at_prior(posterior: Posterior, null_fit: MapEstimate, *more: Effect) -> tuple[Posterior, MapEstimate]:

@@ -27,7 +27,7 @@ from monitor.diagnosis.lack_of_fit import (
     unexplained_share,
     wrong_bins,
 )
-from monitor.diagnosis.missing_modes import as_seen, couple_modes, find_missing_mode, is_distinct
+from monitor.diagnosis.missing_modes import as_seen, couple_modes, find_missing_mode, is_credible, is_distinct
 from monitor.diagnosis.modal_start import fit_from_modes
 from monitor.diagnosis.parameter_uncertainty import coordinate_std, is_significant
 from monitor.diagnosis.score_test import Candidate, fit_candidate, parameter_cost
@@ -138,6 +138,9 @@ def diagnose(
     stage = _SearchState(posterior, null_fit, null_fit, (), moments, settings.margin)
     stage, optima = _start_from_modes(stage, settings)
     rounds: list[tuple[Candidate, ...]] = [(c,) for c in stage.accepted]
+    if stage.accepted:  # where one mode is missing, others are
+        stage, at_peaks = _add_missing_modes(stage, settings)
+        rounds += at_peaks
     alternatives: tuple[tuple[Candidate, float], ...] = ()
     while _n_counted(stage.accepted) < settings.max_causes:
         stage, candidates, threshold = _search_once(stage, settings)
@@ -157,7 +160,7 @@ def diagnose(
             stage = replace(stage, posterior=tied[0].posterior, fit=tied[0].candidate.fit)
             break
         stage = _accept(stage, tied[0], settings)
-        if tied[0].candidate.effect.repeatable:  # where one mode is missing, others are
+        if tied[0].candidate.effect.repeatable:
             stage, at_peaks = _add_missing_modes(stage, settings)
             rounds += at_peaks
     posterior, fit, accepted = eliminate_backward(
@@ -167,14 +170,15 @@ def diagnose(
     # Beside other causes an effect may have moved to a size that means another one.
     band_hz, n = posterior.observed.band.hz, len(accepted)
     plausible = [
-        i >= n or e.nonlinear or (e.is_plausible(band_hz) and is_distinct(posterior, fit, i))
+        i >= n or e.nonlinear or (e.is_plausible(band_hz) and is_credible(posterior, fit, i))
         for i, e in enumerate(fit.effects)
     ]
     posterior, fit, accepted, simulation_std = _keep_effects(posterior, fit, accepted, simulation_std, plausible)
     misfit = find_lack_of_fit(posterior, stage.null_fit, settings)
     left_over = (*find_changed_effects(posterior, fit, settings), *find_lack_of_fit(posterior, fit, settings))
     share = unexplained_share(posterior, fit, stage.null_fit, misfit, left_over)
-    verdict = _verdict(share, left_over, accepted, bool(alternatives), settings)
+    stated = [c for i, c in enumerate(accepted) if is_distinct(posterior, fit, i)]
+    verdict = _verdict(share, left_over, stated, bool(alternatives), settings)
     if verdict == "unexplained":
         posterior, fit, accepted, simulation_std = _keep_confirmed_elsewhere(
             posterior, fit, accepted, simulation_std, settings
@@ -537,6 +541,7 @@ def _has_nonlinear(fit: MapEstimate) -> bool:
 def _causes(
     posterior: Posterior, fitted: MapEstimate, accepted: Sequence[Candidate], simulation_std: Array
 ) -> tuple[Cause, ...]:
-    """List the accepted effects with the standard deviations of their parameters."""
+    """List the accepted effects with the standard deviations of their parameters, as far as they can be told from others."""
     std = coordinate_std(posterior, fitted, simulation_std)
-    return tuple(Cause.of(*as_seen(posterior, fitted, i, std[i])) for i in range(len(accepted)))
+    stated = (i for i in range(len(accepted)) if is_distinct(posterior, fitted, i))
+    return tuple(Cause.of(*as_seen(posterior, fitted, i, std[i])) for i in stated)

@@ -57,7 +57,7 @@ def run(seed: int, name: str, size: float | None = None) -> dict[str, Any]:
             answer = _asked(structure, seed, kind, recording)
             seconds |= answer.pop("seconds")
         except Exception as error:  # noqa: BLE001 - an outcome of its own; the next trials go on
-            answer = {"verdict": "crashed", "causes": [], "alternatives": [], "error": traceback.format_exc(limit=-3)}
+            answer = {"verdict": "crashed", "causes": [], "alternatives": [], "error": traceback.format_exc(limit=-8)}
             print(repr(error), file=sys.stderr)
         sealed = json.loads(seal.read_text())
     return {
