@@ -25,6 +25,9 @@ _MAX_STEPS_AMBIENT = 12
 _MAX_STEPS_DRIVEN = 25
 """The same where the ground motion is measured. [iterations; cost]"""
 
+_MIN_DAMPING = 1e-9
+"""Least damping ratio of a fitted model. [1; rounding]"""
+
 
 def refit_forms(part: ObservedSpectra, whole: Diagnosis) -> list[tuple[Model, ExcitationStart]]:
     """Fit the old model form and the extended one to a part of a recording.
@@ -82,4 +85,5 @@ def fitted_model(posterior: Posterior, fit: MapEstimate) -> Model:
     model, damping = posterior.model(fit.x, effects), posterior.system(fit.x, effects).damping
     modes = model.modes()
     modal = np.einsum("ai,ab,bi->i", modes.shapes, damping, modes.shapes)
-    return replace(model, modal_damping=modal / (2.0 * np.sqrt(np.maximum(modes.eigenvalues, 1e-12))))
+    ratios = modal / (2.0 * np.sqrt(np.maximum(modes.eigenvalues, 1e-12)))
+    return replace(model, modal_damping=np.maximum(ratios, _MIN_DAMPING))  # rounding may leave less than nothing

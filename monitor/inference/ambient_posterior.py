@@ -106,18 +106,20 @@ class AmbientPosterior(Posterior):
             out[i] = np.asarray((whole - spectra[middle]) / h * scale)
         return out
 
-    def slopes(self, x: Array, effects: tuple[Effect, ...], spectra: ComplexArray) -> ComplexArray:
+    def slopes(self, x: Array, effects: tuple[Effect, ...], spectra: ComplexArray, first: int = 0) -> ComplexArray:
         """See `Posterior.slopes`."""
         layout, noise = self.layout, self.noise(x)
         diagonal = np.arange(noise.size)
         out = np.zeros((x.size, *spectra.shape), dtype=complex)
         out[layout.effects] = self.effect_slopes(x, effects, spectra)
-        by_noise = out[layout.channel_noise]
+        by_noise = np.zeros((noise.size, *spectra.shape), dtype=complex)
         by_noise[diagonal, :, :, diagonal, diagonal] = noise[:, None, None]
-        out[layout.noise] = by_noise.sum(axis=0)
-        by_mode = self.slopes_by_mode(x, effects, spectra, range(layout.persistent.start, layout.persistent.stop))
-        for i in (*range(layout.channel_noise.start), *range(layout.channel_noise.stop, layout.levels.start)):
+        out[layout.channel_noise], out[layout.noise] = by_noise, by_noise.sum(axis=0)
+        others = (*range(layout.channel_noise.start), *range(layout.channel_noise.stop, layout.levels.start))
+        wanted = [i for i in others if i >= min(first, layout.forces.start)]  # the levels' slopes are the forces' sum
+        by_mode = self.slopes_by_mode(x, effects, spectra, [i for i in wanted if i in self.owners(effects)])
+        for i in wanted:
             out[i] = by_mode[i] if i in by_mode else self.slope(x, i, effects, spectra)
         for k, by_level in enumerate(out[layout.levels]):
             by_level[k] = out[layout.forces, k].sum(axis=0)  # all forces at once, but neither lines nor noise
-        return out
+        return out[first:]

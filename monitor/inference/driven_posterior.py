@@ -133,7 +133,7 @@ class DrivenPosterior(Posterior):
             return self.wind, np.eye(own.size) / _WIND_STD**2
         return own, difference_operator(own.size)
 
-    def slopes(self, x: Array, effects: tuple[Effect, ...], spectra: ComplexArray) -> ComplexArray:
+    def slopes(self, x: Array, effects: tuple[Effect, ...], spectra: ComplexArray, first: int = 0) -> ComplexArray:
         """See `Posterior.slopes`."""
         layout = self.layout
         out = np.zeros((x.size, *spectra.shape), dtype=complex)
@@ -144,7 +144,7 @@ class DrivenPosterior(Posterior):
             out[i] = self.slope(x, i, effects, spectra)
         for k, by_level in enumerate(out[layout.levels]):
             by_level[k] = self.smooth(np.exp(x[layout.levels][k]) * _diagonal(self.power))
-        return out
+        return out[first:]
 
     def mean_slopes(
         self, x: Array, effects: tuple[Effect, ...], mean: ComplexArray, wanted: Iterable[int]

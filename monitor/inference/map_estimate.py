@@ -79,7 +79,7 @@ def maximize_posterior(
     tolerance : float
         Gain of a step below which the fit has converged, nats.
     frozen : ndarray, shape (rows, n), optional
-        Whitened slopes of the first n parameters, all nuisances among them, that are not computed again: faster, for a ranking.
+        Whitened slopes of the first n parameters that are not computed again: faster, for a ranking, or where these do not move.
     """
     start = _evaluate(posterior, x, effects)
 

@@ -131,8 +131,8 @@ class Posterior(ForwardModel):
         return ll, -0.5 * float((x - mean) @ precision @ (x - mean))
 
     @abstractmethod
-    def slopes(self, x: Array, effects: tuple[Effect, ...], spectra: ComplexArray) -> ComplexArray:
-        """Differentiate the (smoothed) spectra by all parameters, shape (p, classes, bins, c, c).
+    def slopes(self, x: Array, effects: tuple[Effect, ...], spectra: ComplexArray, first: int = 0) -> ComplexArray:
+        """Differentiate the (smoothed) spectra by the parameters from `first` on, shape (n_wanted, classes, bins, c, c).
 
         Parameters
         ----------
@@ -239,9 +239,9 @@ class Posterior(ForwardModel):
         """
         n = self.layout.n_nuisance
         slopes = (
-            self.effect_slopes(x, effects, prediction.spectra, first - n)
-            if first
-            else self.slopes(x, effects, prediction.spectra)
+            self.slopes(x, effects, prediction.spectra, first)
+            if first < n
+            else self.effect_slopes(x, effects, prediction.spectra, first - n)
         )
         rows, residual = self.whitened(prediction.spectra, slopes, prediction.data)
         return np.ascontiguousarray(rows), residual, np.zeros(0)
