@@ -201,6 +201,16 @@ def is_credible(posterior: Posterior, fit: MapEstimate, i: int = -1) -> bool:
     return any(e.repeatable for e in others) or is_distinct(posterior, fit, i)
 
 
+def is_stated(posterior: Posterior, fit: MapEstimate, i: int) -> bool:
+    """Decide if effect i of a fit is stated: any effect but a mode that is no news, or that cannot be told from another.
+
+    Which modes of a structure in space a recording shows depends on the forces.  So where modes were missing at calibration, a
+    further one is no news.
+    """
+    known = any(e.repeatable for e in posterior.prior.model.effects)
+    return not (known and fit.effects[i].repeatable) and is_distinct(posterior, fit, i)
+
+
 def couple_modes(posterior: Posterior, fit: MapEstimate) -> MapEstimate | None:
     """Couple the modes that the model lacks to the floors; return None where that explains the spectra no better."""
     context = posterior.context_at(fit.x)

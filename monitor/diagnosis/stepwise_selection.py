@@ -27,7 +27,7 @@ from monitor.diagnosis.lack_of_fit import (
     unexplained_share,
     wrong_bins,
 )
-from monitor.diagnosis.missing_modes import as_seen, couple_modes, find_missing_mode, is_credible, is_distinct
+from monitor.diagnosis.missing_modes import as_seen, couple_modes, find_missing_mode, is_credible, is_stated
 from monitor.diagnosis.modal_start import fit_from_modes
 from monitor.diagnosis.parameter_uncertainty import coordinate_std, is_significant
 from monitor.diagnosis.score_test import Candidate, fit_candidate, parameter_cost
@@ -177,7 +177,7 @@ def diagnose(
     misfit = find_lack_of_fit(posterior, stage.null_fit, settings)
     left_over = (*find_changed_effects(posterior, fit, settings), *find_lack_of_fit(posterior, fit, settings))
     share = unexplained_share(posterior, fit, stage.null_fit, misfit, left_over)
-    stated = [c for i, c in enumerate(accepted) if is_distinct(posterior, fit, i)]
+    stated = [c for i, c in enumerate(accepted) if is_stated(posterior, fit, i)]
     verdict = _verdict(share, left_over, stated, bool(alternatives), settings)
     if verdict == "unexplained":
         posterior, fit, accepted, simulation_std = _keep_confirmed_elsewhere(
@@ -543,5 +543,5 @@ def _causes(
 ) -> tuple[Cause, ...]:
     """List the accepted effects with the standard deviations of their parameters, as far as they can be told from others."""
     std = coordinate_std(posterior, fitted, simulation_std)
-    stated = (i for i in range(len(accepted)) if is_distinct(posterior, fitted, i))
+    stated = (i for i in range(len(accepted)) if is_stated(posterior, fitted, i))
     return tuple(Cause.of(*as_seen(posterior, fitted, i, std[i])) for i in stated)
