@@ -1,0 +1,119 @@
+"""Modes that the model lacks and that are coupled to its floors, as torsion of an eccentric building is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from monitor.diagnosis.lack_of_fit import find_lack_of_fit
+from monitor.diagnosis.missing_modes import couple_modes, is_credible, is_distinct, resonances
+from monitor.inference import Posterior, maximize_posterior
+from monitor.inference.cross_spectra import Band, Excitation, cross_spectra, extended
+from monitor.model.effects import Condition, parse_effect
+from monitor.model.effects.base import System
+from monitor.model.model import Model
+from monitor.model.simulation import simulate
+from tests.diagnosis.test_modal_start import CONTEXT, RATE, TORSION, TRUTH, diagnosed, posterior
+
+COUPLED = parse_effect(
+    "unmodelled_mode:frame:frequency_hz=9.0,damping_ratio=0.012,shape_1=1.0,shape_2=0.8,shape_3=0.45,"
+    "force_ratio=0.6,coupling_1=0.1,coupling_2=0.12,coupling_3=0.08"
+)
+UNCOUPLED = parse_effect(
+    "unmodelled_mode:frame:frequency_hz=9.0,damping_ratio=0.012,shape_1=1.0,shape_2=0.8,shape_3=0.45"
+)
+REST = Condition(np.zeros(3), np.zeros(3), np.zeros(3), np.zeros(3))
+
+
+def coupled_system() -> System:
+    mass, stiffness = TRUTH.structural_matrices()
+    return extended(System(mass, TRUTH.damping_matrix(), stiffness), (COUPLED,), CONTEXT, REST)
+
+
+def test_simulation_and_spectra_agree() -> None:
+    motion = simulate(Model(TRUTH.structure, (COUPLED,)), duration_s=1200.0, rate_hz=RATE, seed=3, context=CONTEXT)
+    n, bins = round(10.0 * RATE), slice(20, 250)  # 2 to 25 Hz
+    parts = motion.floors[: len(motion.floors) // n * n].reshape(-1, n, 3) * np.hanning(n)[:, None]
+    x = np.fft.rfft(parts, axis=1)[:, bins] / np.sqrt(RATE * 0.375 * n)
+    measured = np.einsum("sfa,sfb->fab", x, x.conj()) / len(x)
+    band = Band(20, 230, 0.1, np.ones(230))
+    expected = cross_spectra(
+        coupled_system(), (COUPLED,), Excitation(np.full(3, 1.0 / RATE), np.zeros(3)), band, CONTEXT, REST
+    )
+    whitened = np.linalg.solve(np.linalg.cholesky(expected), measured)
+    power = (
+        np.einsum("faa->f", np.linalg.solve(np.linalg.cholesky(expected), whitened.conj().swapaxes(1, 2))).real / 3.0
+    )
+    assert power.reshape(-1, 23).mean(axis=1) == pytest.approx(np.ones(10), abs=0.06)
+
+
+def test_the_coupled_system_has_one_mode_more_and_its_frequencies_move_apart() -> None:
+    system = coupled_system()
+    hz = np.sqrt(np.linalg.eigvals(np.linalg.solve(system.mass, system.stiffness)).real) / (2.0 * np.pi)
+    at = posterior(np.ones(3))
+    fit = maximize_posterior(at, _start(at), (COUPLED,), iterations=0)
+    found = resonances(at, fit.x, fit.effects)
+    assert len(found) == 4 and [r.owner for r in found].count(0) == 1
+    assert np.sort([r.mode.frequency_hz for r in found]) == pytest.approx(np.sort(hz), rel=0.02)
+    (own,) = [r.mode for r in found if r.owner == 0]
+    assert own.frequency_hz != pytest.approx(9.0, abs=0.02)
+
+
+def _start(at: Posterior) -> np.ndarray:
+    layout = at.layout
+    return np.concatenate([at.prior.mean, np.zeros(layout.n_nuisance - at.prior.mean.size)])
+
+
+def test_slopes_of_extra_modes_are_those_of_the_whole_spectra() -> None:
+    at = posterior(np.ones(3), *TORSION)
+    x = np.concatenate([_start(at), *[e.coordinates for e in TORSION]])
+    spectra = at.scatter(x, TORSION)
+    by_mode = at.slopes_by_mode(x, TORSION, spectra, range(at.layout.n_nuisance, x.size))
+    assert len(by_mode) == 10
+    for i, slope in by_mode.items():
+        h, moved = at.nudged(x, i, TORSION)
+        n = at.layout.n_nuisance
+        effects = (TORSION[0].at(moved[n : n + 5]), TORSION[1].at(moved[n + 5 :]))
+        whole = (at.scatter(moved, effects) - spectra) / h
+        assert np.abs(slope - whole).max() < 1e-5 * np.abs(whole).max()
+
+
+def test_a_machine_s_line_does_not_scale_with_the_level_of_the_forces() -> None:
+    at = posterior(np.ones(3))
+    machine = (parse_effect("harmonic_excitation:floor 2:frequency_hz=17.5,force_n=0.6"),)
+    x = np.concatenate([_start(at), machine[0].coordinates])
+    x[at.layout.levels] = np.linspace(-1.0, 1.0, at.n_classes)
+    with_line, without = at.scatter(x, machine), at.scatter(x[: at.layout.n_nuisance], ())
+    line = with_line - without
+    assert np.abs(line[0]).max() > 0.0
+    assert line == pytest.approx(np.broadcast_to(line[0], line.shape), rel=1e-9, abs=1e-12 * np.abs(with_line).max())
+
+
+@pytest.mark.engine
+def test_a_coupling_is_found_and_stated_as_the_mode_that_is_seen() -> None:
+    found = diagnosed(np.ones(3), COUPLED)
+    assert found.verdict == "named" and [c.effect.name for c in found.causes] == ["unmodelled_mode"]
+    (own,) = [
+        r.mode for r in resonances(posterior(np.ones(3)), _start(posterior(np.ones(3))), (COUPLED,)) if r.owner == 0
+    ]
+    (cause,) = found.causes
+    assert abs(cause.effect.values()["frequency_hz"] - own.frequency_hz) < 3.0 * cause.std["frequency_hz"]
+    assert "coupling_1" not in cause.effect.values()
+    assert not find_lack_of_fit(found.posterior, found.final_fit, found.settings)
+
+
+@pytest.mark.engine
+def test_what_is_not_coupled_stays_uncoupled() -> None:
+    found = diagnosed(np.ones(3), *TORSION)
+    assert couple_modes(found.posterior, found.final_fit) is None
+
+
+def test_a_mode_beside_one_of_the_model_is_credible_only_where_others_are_missing() -> None:
+    at, near = posterior(np.ones(3)), float(TRUTH.modes().frequencies_hz[0]) + 0.05
+    beside = replace(UNCOUPLED, frequency_hz=near)
+    alone = maximize_posterior(at, _start(at), (beside,), iterations=0)
+    both = maximize_posterior(at, _start(at), (TORSION[1], beside), iterations=0)
+    assert not is_distinct(at, alone) and not is_credible(at, alone)
+    assert not is_distinct(at, both) and is_credible(at, both)
