@@ -114,7 +114,7 @@ def eliminate_backward(
             if certain:
                 continue
         without = maximize_posterior(posterior, join_coordinates(fit.x[nuisances], rest), rest)
-        min_gain = score_candidate(posterior, without, fit, len(cause.effect.parameters)).log_evidence
+        min_gain = score_candidate(posterior, without, fit, i).log_evidence
         excluded = {cause.key, *(c.key for c in later), *((e.name, e.location) for e in rest)}
         # A simulated correction holds for one law only, so a nonlinear cause neither replaces another nor is replaced.
         linear = [] if cause.effect.nonlinear else [c for c in candidates if not c.effect.nonlinear]
@@ -159,7 +159,7 @@ def _test_roughly(posterior: Posterior, fit: MapEstimate, i: int, margin: float)
     rest = (*fit.effects[:i], *fit.effects[i + 1 :])
     x = join_coordinates(fit.x[posterior.layout.nuisances], rest)
     without = maximize_posterior(posterior, x, rest, iterations=ROUGHLY)
-    gain = score_candidate(posterior, without, fit, len(fit.effects[i].parameters)).log_evidence
+    gain = score_candidate(posterior, without, fit, i).log_evidence
     (peak,) = find_excess_peaks(posterior, without, 1)
     starts = [effect for effect in effects_at_peak(posterior, peak) if not effect.repeatable]
     rough = best_first(parallel_map(partial(fit_candidate, posterior, without, quick=True), starts))

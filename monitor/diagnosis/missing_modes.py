@@ -16,9 +16,9 @@ from monitor.diagnosis.parameter_uncertainty import is_significant
 from monitor.diagnosis.score_test import (
     Candidate,
     best_first,
+    evidence_cost,
     find_excess_peaks,
     fit_candidate,
-    parameter_cost,
     refine_rough_fit,
     with_tone_evidence,
 )
@@ -160,17 +160,22 @@ def find_missing_mode(
     near = [c for c in rough if c.may_reach(rough[0].log_evidence - settings.rival)]
     fitted = parallel_map(lambda c: refine_rough_fit(posterior, fit, c.effect), near)
     found = best_first(with_tone_evidence(posterior, c) for c in fitted)
-    best, rivals = found[0], [c for c in found if not c.effect.repeatable]
-    is_alone = not rivals or rivals[0].log_evidence < best.log_evidence - settings.rival
+    if not any(c.effect.repeatable for c in found):
+        return []
+    best = next(c for c in found if c.effect.repeatable)
+    rivals = [c for c in found if not c.effect.repeatable]
+    lead = -settings.rival if lacks_modes(posterior, fit) else settings.rival
+    is_alone = not rivals or rivals[0].log_evidence < best.log_evidence - lead
     std = best.fit.covariance.diagonal()[posterior.layout.effects][-len(best.effect.parameters) :] ** 0.5
-    plausible = (
-        best.effect.is_plausible(posterior.observed.band.hz)
-        and is_significant(best.effect, std)
-        and is_credible(posterior, best.fit)
-    )
-    if best.effect.repeatable and plausible and is_alone and best.log_evidence > threshold:
-        return found
+    plausible = best.effect.is_plausible(posterior.observed.band.hz) and is_significant(best.effect, std)
+    if plausible and is_alone and best.log_evidence > threshold:
+        return [best, *(c for c in found if c is not best)]
     return []
+
+
+def lacks_modes(posterior: Posterior, fit: MapEstimate) -> bool:
+    """Decide if the model of a fit has modes that its structure lacks, so that a further peak which ties is one more of them."""
+    return any(e.repeatable for e in posterior.effects(fit.x, fit.effects))
 
 
 def is_distinct(posterior: Posterior, fit: MapEstimate, i: int = -1) -> bool:
@@ -188,17 +193,6 @@ def is_distinct(posterior: Posterior, fit: MapEstimate, i: int = -1) -> bool:
     own, others = [r.mode for r in found if r.owner == i], [r.mode for r in found if r.owner != i]
     resolution_hz = _RESOLUTION_BINS * posterior.observed.band.bin_hz
     return not any(_overlap(one, other, resolution_hz) for one in own for other in others)
-
-
-def is_credible(posterior: Posterior, fit: MapEstimate, i: int = -1) -> bool:
-    """Decide if the mode that effect i of a fit adds may be there; any other effect may.
-
-    A mode that cannot be told from one of the model's is credible in a structure that has other modes which its model lacks.  It
-    explains the recording, but is not stated.
-    """
-    i = range(len(fit.effects))[i]
-    others = (*posterior.prior.effects(fit.x), *fit.effects[:i], *fit.effects[i + 1 :])
-    return any(e.repeatable for e in others) or is_distinct(posterior, fit, i)
 
 
 def is_stated(posterior: Posterior, fit: MapEstimate, i: int) -> bool:
@@ -222,15 +216,21 @@ def couple_modes(posterior: Posterior, fit: MapEstimate) -> MapEstimate | None:
     kept, last = [], posterior.layout.n_nuisance
     for old, now in zip(fit.effects, found.effects, strict=True):
         last += len(now.parameters)
-        more = len(now.parameters) - len(old.parameters)
-        own = slice(last - more, last)  # the gain by the coupling is about that of a normal posterior
-        size = found.x[own] - posterior.normal_prior(found.x, found.effects)[0][own]
-        gain = 0.5 * float(size @ np.linalg.solve(found.covariance[own, own], size)) if more else 0.0
-        kept.append(old if gain < parameter_cost(posterior, more) else now)
+        own, std = slice(last - len(now.parameters) + len(old.parameters), last), now.pattern_std[len(old.parameters) :]
+        size, covariance = found.x[own] / std, found.covariance[own, own] / np.outer(std, std)
+        # Odds of the coupling against none, of a normal posterior (J. Dickey, Annals of Mathematical Statistics 42 (1971) 204).
+        odds = (
+            0.5 * float(size @ np.linalg.solve(covariance, size) + np.linalg.slogdet(covariance)[1])
+            if std.size
+            else 1.0
+        )
+        kept.append(now if odds > 0.0 else old)
     if any(a is not b for a, b in zip(kept, found.effects, strict=True)):
         found = maximize_posterior(posterior, found.x, tuple(kept), iterations=FAR)
-    gain, more = found.log_posterior - fit.log_posterior, found.n_effect - fit.n_effect
-    return found if more and gain > parameter_cost(posterior, more) else None
+    before, after = (
+        f.log_posterior - sum(evidence_cost(posterior, f, i) for i in range(len(f.effects))) for f in (fit, found)
+    )
+    return found if found.n_effect > fit.n_effect and after > before else None
 
 
 def _overlap(one: ExtraMode, other: ExtraMode, resolution_hz: float) -> bool:

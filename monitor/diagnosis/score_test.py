@@ -30,6 +30,8 @@ _ROUGH_FIT_NATS = 3.0
 """Gain that a rough fit may miss. [nats; judgement]"""
 _HELD_STRUCTURE_PRECISION = 1e8
 """Precision that holds the structure while an effect's size is found. [1; rounding]"""
+_LEAST_VARIANCE = 1e-12
+"""Least variance of a pattern's coordinate, over that of its prior. [ratio; rounding]"""
 _RELATIVE_DIFFERENCE = 0.01
 """Share of an effect's first size over which its slope is taken. [ratio; judgement]"""
 _MIN_START_FACTOR = 0.05
@@ -402,14 +404,10 @@ def refine_rough_fit(posterior: Posterior, null_fit: MapEstimate, effect: Effect
     return score_candidate(posterior, null_fit, fitted)
 
 
-def score_candidate(
-    posterior: Posterior, null_fit: MapEstimate, fitted: MapEstimate, n_more: int | None = None
-) -> Candidate:
-    """Compute the gain of a fit by its last effect, or by `n_more` parameters, as a candidate."""
-    effect = fitted.effects[-1]
-    n_more = len(effect.parameters) if n_more is None else n_more
+def score_candidate(posterior: Posterior, null_fit: MapEstimate, fitted: MapEstimate, i: int = -1) -> Candidate:
+    """Compute the gain of a fit by its effect i, as a candidate."""
     gain = fitted.log_posterior - null_fit.log_posterior
-    return Candidate(effect, fitted, gain, gain - parameter_cost(posterior, n_more))
+    return Candidate(fitted.effects[i], fitted, gain, gain - evidence_cost(posterior, fitted, i))
 
 
 def with_tone_evidence(posterior: Posterior, candidate: Candidate) -> Candidate:
@@ -419,6 +417,24 @@ def with_tone_evidence(posterior: Posterior, candidate: Candidate) -> Candidate:
         return candidate
     odds = sum(tone_log_odds(posterior, candidate.fit, line) for line in lines)
     return replace(candidate, log_evidence=candidate.log_evidence + odds)
+
+
+def evidence_cost(posterior: Posterior, fit: MapEstimate, i: int = -1) -> float:
+    """Compute what the parameters of effect i of a fit cost in log evidence, nats.
+
+    A parameter of unknown order costs half the logarithm of the information (G. Schwarz, Annals of Statistics 6 (1978) 461).
+    What forms a pattern, as the components of a mode's shape, costs what the data narrow its prior by (Laplace's approximation):
+    a weak mode's shape, of which the data tell little, costs little.
+    """
+    i = range(len(fit.effects))[i]
+    std = fit.effects[i].pattern_std
+    first = fit.x.size - fit.n_effect + sum(len(e.parameters) for e in fit.effects[:i])
+    known = np.flatnonzero(np.isfinite(std))
+    cost = parameter_cost(posterior, std.size - known.size)
+    if known.size == 0:
+        return cost
+    covariance = fit.covariance[np.ix_(first + known, first + known)] / np.outer(std[known], std[known])
+    return cost - 0.5 * float(np.log(np.clip(np.linalg.eigvalsh(covariance), _LEAST_VARIANCE, 1.0)).sum())
 
 
 def parameter_cost(posterior: Posterior, n_more: int) -> float:

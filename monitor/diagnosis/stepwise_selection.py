@@ -27,10 +27,10 @@ from monitor.diagnosis.lack_of_fit import (
     unexplained_share,
     wrong_bins,
 )
-from monitor.diagnosis.missing_modes import as_seen, couple_modes, find_missing_mode, is_credible, is_stated
+from monitor.diagnosis.missing_modes import as_seen, couple_modes, find_missing_mode, is_stated, lacks_modes
 from monitor.diagnosis.modal_start import fit_from_modes
 from monitor.diagnosis.parameter_uncertainty import coordinate_std, is_significant
-from monitor.diagnosis.score_test import Candidate, fit_candidate, parameter_cost
+from monitor.diagnosis.score_test import Candidate, evidence_cost, fit_candidate
 from monitor.diagnosis.selection_round import run_selection_round
 from monitor.diagnosis.settings import DiagnosisSettings
 from monitor.diagnosis.simulation_refit import (
@@ -148,6 +148,8 @@ def diagnose(
         if not candidates or candidates[0].candidate.log_evidence < threshold:
             break
         tied = tied_candidates(candidates, settings.rival)
+        if lacks_modes(stage.posterior, stage.fit):
+            tied = [p for p in tied if p.candidate.effect.repeatable] or tied
         if len(tied) > 1:
             tied = _look_ahead(tied, settings)
         beside = _accept_beside_tie(stage, tied[0], settings) if len(tied) > 1 else None
@@ -169,10 +171,7 @@ def diagnose(
     posterior, fit, accepted, simulation_std = _refine(posterior, fit, accepted)
     # Beside other causes an effect may have moved to a size that means another one.
     band_hz, n = posterior.observed.band.hz, len(accepted)
-    plausible = [
-        i >= n or e.nonlinear or (e.is_plausible(band_hz) and is_credible(posterior, fit, i))
-        for i, e in enumerate(fit.effects)
-    ]
+    plausible = [i >= n or e.nonlinear or e.is_plausible(band_hz) for i, e in enumerate(fit.effects)]
     posterior, fit, accepted, simulation_std = _keep_effects(posterior, fit, accepted, simulation_std, plausible)
     misfit = find_lack_of_fit(posterior, stage.null_fit, settings)
     left_over = (*find_changed_effects(posterior, fit, settings), *find_lack_of_fit(posterior, fit, settings))
@@ -471,7 +470,7 @@ def _keep_confirmed_elsewhere(
         others = (*fit.effects[:i], *fit.effects[i + 1 :])
         without = maximize_posterior(elsewhere, join_coordinates(whole.x[posterior.layout.nuisances], others), others)
         gain = whole.log_posterior - without.log_posterior
-        return gain - parameter_cost(elsewhere, len(fit.effects[i].parameters)) > settings.margin
+        return gain - evidence_cost(elsewhere, whole, i) > settings.margin
 
     return _keep_effects(posterior, fit, accepted, simulation_std, parallel_map(is_confirmed, range(len(fit.effects))))
 

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from monitor.diagnosis.lack_of_fit import find_lack_of_fit
-from monitor.diagnosis.missing_modes import couple_modes, is_credible, is_distinct, resonances
+from monitor.diagnosis.missing_modes import couple_modes, is_stated, resonances
+from monitor.diagnosis.score_test import evidence_cost
 from monitor.inference import Posterior, maximize_posterior
 from monitor.inference.cross_spectra import Band, Excitation, cross_spectra, extended
 from monitor.model.effects import Condition, parse_effect
@@ -110,10 +111,14 @@ def test_what_is_not_coupled_stays_uncoupled() -> None:
     assert couple_modes(found.posterior, found.final_fit) is None
 
 
-def test_a_mode_beside_one_of_the_model_is_credible_only_where_others_are_missing() -> None:
+def test_a_mode_that_cannot_be_told_from_one_of_the_model_is_not_stated() -> None:
     at, near = posterior(np.ones(3)), float(TRUTH.modes().frequencies_hz[0]) + 0.05
-    beside = replace(UNCOUPLED, frequency_hz=near)
-    alone = maximize_posterior(at, _start(at), (beside,), iterations=0)
-    both = maximize_posterior(at, _start(at), (TORSION[1], beside), iterations=0)
-    assert not is_distinct(at, alone) and not is_credible(at, alone)
-    assert not is_distinct(at, both) and is_credible(at, both)
+    both = maximize_posterior(at, _start(at), (TORSION[1], replace(UNCOUPLED, frequency_hz=near)), iterations=0)
+    assert is_stated(at, both, 0) and not is_stated(at, both, 1)
+
+
+def test_a_weak_mode_s_shape_costs_less_than_a_strong_one_s() -> None:
+    at = posterior(np.ones(3), TORSION[0])
+    strong = maximize_posterior(at, _start(at), TORSION[:1], iterations=2)
+    loose = replace(strong, covariance=1e4 * strong.covariance)
+    assert evidence_cost(at, loose) < evidence_cost(at, strong)

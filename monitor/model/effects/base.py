@@ -316,6 +316,11 @@ class Effect(ReportFace, ABC):
         """Standard deviation of the coordinates by `form_uncertainty`, shape (p,)."""
         return np.asarray(np.abs(self.coordinates) * np.array(self.form_uncertainty or (0.0,) * len(self.parameters)))
 
+    @property
+    def pattern_std(self) -> Array:
+        """Prior standard deviation of coordinates that form a pattern, shape (p,); NaN for those of unknown order."""
+        return np.full(len(self.parameters), np.nan)
+
     def form_std_in(self, fitted: FittedModel) -> Array:
         """Return the standard deviation of the coordinates that the model's form leaves open in a fit, shape (p,).
 

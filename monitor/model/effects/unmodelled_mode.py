@@ -133,6 +133,18 @@ class UnmodelledMode(Effect):
         return out
 
     @property
+    def pattern_std(self) -> Array:
+        """See `Effect.pattern_std`.  The shape's components are of the order of their RMS; the largest stands for the size."""
+        out = np.full(len(self.parameters), np.nan)
+        if self.shape:
+            out[self._of_shape] = np.sqrt(np.mean(np.square(self.shape)))
+            out[2 + int(np.abs(self.shape).argmax())] = np.nan
+        if self.coupling:
+            out[self._of_shape.stop :] = _COUPLING_STD
+            out[self._of_shape.stop] = _LN_FORCE_STD
+        return out
+
+    @property
     def _of_shape(self) -> slice:
         """Slice of the shape's coordinates."""
         return slice(2, 2 + len(self.shape))
