@@ -161,7 +161,7 @@ def _test_roughly(posterior: Posterior, fit: MapEstimate, i: int, margin: float)
     without = maximize_posterior(posterior, x, rest, iterations=ROUGHLY)
     gain = score_candidate(posterior, without, fit, i).log_evidence
     (peak,) = find_excess_peaks(posterior, without, 1)
-    starts = [effect for effect in effects_at_peak(posterior, peak) if not effect.repeatable]
+    starts = [effect for effect in effects_at_peak(posterior, without, peak) if not effect.repeatable]
     rough = best_first(parallel_map(partial(fit_candidate, posterior, without, quick=True), starts))
     near = [c.effect for c in rough[:1] if c.may_reach(gain)]
     return gain > _CERTAIN * margin and not near, near

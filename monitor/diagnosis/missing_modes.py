@@ -24,11 +24,13 @@ from monitor.diagnosis.score_test import (
 )
 from monitor.diagnosis.settings import DiagnosisSettings
 from monitor.identification import SelectionSettings
-from monitor.inference import MapEstimate, Posterior, maximize_posterior
+from monitor.inference import MapEstimate, Posterior, extra_mode_spectra, maximize_posterior
 from monitor.model import EFFECTS, Effect, ExtraMode, Peak, locations
 
 _RESOLUTION_BINS = 2.0
 """Distance of two peaks that the segments resolve. [bins; half-width of the taper's main lobe]"""
+_PEAK_BINS = 3.0
+"""Bins about a peak whose power `Peak.amplitude` sums. [count; definition]"""
 _RELATIVE_STEP = 1e-5
 """Finite difference of a coordinate, over its unit. [ratio; rounding]"""
 MAX_DAMPING = SelectionSettings().max_damping_ratio
@@ -118,7 +120,7 @@ def as_seen(posterior: Posterior, fit: MapEstimate, i: int, std: Array) -> tuple
     return here, np.sqrt(np.maximum(np.diag(covariance), 0.0))
 
 
-def effects_at_peak(posterior: Posterior, peak: Peak) -> list[Effect]:
+def effects_at_peak(posterior: Posterior, fit: MapEstimate, peak: Peak) -> list[Effect]:
     """List the effects that a peak which the model lacks may have as its cause, at their first sizes."""
     typical, context = posterior.conditions[posterior.n_classes // 2], posterior.context
     near = (
@@ -127,8 +129,25 @@ def effects_at_peak(posterior: Posterior, peak: Peak) -> list[Effect]:
         for of in kind.places
         for place in locations(of, context)
     )
-    found = [effect for effect in near if effect is not None]
+    found = [_scaled_to_peak(posterior, fit, effect, peak) for effect in near if effect is not None]
     return found + [c for c in (effect.coupled(context) for effect in found) if c is not None]
+
+
+def _scaled_to_peak(posterior: Posterior, fit: MapEstimate, effect: Effect, peak: Peak) -> Effect:
+    """Scale the shape of a mode so that its power at a peak is the power that the model lacks there; leave other effects."""
+    modes, context, middle = (
+        effect.extra_modes(posterior.context),
+        posterior.context_at(fit.x),
+        posterior.n_classes // 2,
+    )
+    if not modes:
+        return effect
+    everything, band, counts = posterior.effects(fit.x, fit.effects), posterior.observed.band, posterior.observed.counts
+    level = float(counts @ posterior.forces(fit.x).mean(axis=1) / counts.sum())
+    spectra = extra_mode_spectra(modes, everything, level, band, context, posterior.conditions[middle])
+    own = float(np.einsum("aa->", spectra[int(np.abs(band.hz - peak.hz).argmin())]).real)
+    factor = np.sqrt(float(peak.amplitude @ peak.amplitude) / _PEAK_BINS / own)
+    return effect.at(np.r_[effect.coordinates[:2], factor * effect.coordinates[2:]]) if factor > 0.0 else effect
 
 
 def find_missing_mode(
@@ -153,9 +172,9 @@ def find_missing_mode(
         The mode, then its rivals at the same peak; empty where no mode is the cause, or a rival may be.
     """
     (peak,) = find_excess_peaks(posterior, fit, 1)
-    starts = effects_at_peak(posterior, peak)
+    starts = effects_at_peak(posterior, fit, peak)
     rough = best_first(parallel_map(partial(fit_candidate, posterior, fit, quick=True), starts))
-    if not rough or not rough[0].effect.repeatable:
+    if not rough or not (rough[0].effect.repeatable or lacks_modes(posterior, fit)):
         return []
     near = [c for c in rough if c.may_reach(rough[0].log_evidence - settings.rival)]
     fitted = parallel_map(lambda c: refine_rough_fit(posterior, fit, c.effect), near)

@@ -10,7 +10,7 @@ import numpy as np
 from monitor.core import parallel_map
 from monitor.diagnosis.ambiguity import tied_candidates
 from monitor.diagnosis.backward_elimination import join_coordinates
-from monitor.diagnosis.missing_modes import is_distinct
+from monitor.diagnosis.missing_modes import is_distinct, lacks_modes
 from monitor.diagnosis.parameter_uncertainty import is_significant
 from monitor.diagnosis.score_test import (
     Candidate,
@@ -75,8 +75,8 @@ def run_selection_round(
             posterior, fit, chosen[key], min_log_evidence=min_log_evidence, rough=rough_by_key.get(key)
         )
         found = with_tone_evidence(posterior, found)
-        # A mode beside one of the model imitates much else that distorts a peak, so it yields to any rival.
-        yields = 0.0 if is_distinct(posterior, found.fit) else settings.rival
+        # A mode beside one of the model imitates much else that distorts a peak, so the first one yields to any rival.
+        yields = 0.0 if lacks_modes(posterior, fit) or is_distinct(posterior, found.fit) else settings.rival
         return replace(found, log_evidence=found.log_evidence - yields)
 
     fitted = best_first(filter(partial(_is_valid_cause, posterior), parallel_map(fit_chosen, chosen)))

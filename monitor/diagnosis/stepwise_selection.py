@@ -149,7 +149,7 @@ def diagnose(
             break
         tied = tied_candidates(candidates, settings.rival)
         if lacks_modes(stage.posterior, stage.fit):
-            tied = [p for p in tied if p.candidate.effect.repeatable] or tied
+            tied = _prefer_mode(stage, tied, settings)
         if len(tied) > 1:
             tied = _look_ahead(tied, settings)
         beside = _accept_beside_tie(stage, tied[0], settings) if len(tied) > 1 else None
@@ -279,6 +279,17 @@ def _explained_by_one(stage: _SearchState, evidence: float, settings: DiagnosisS
     if not candidates or candidates[0].candidate.effect.repeatable:
         return False
     return refitted.fit.log_posterior + candidates[0].candidate.log_evidence > evidence - settings.margin
+
+
+def _prefer_mode(
+    stage: _SearchState, tied: list[RefittedCandidate], settings: DiagnosisSettings
+) -> list[RefittedCandidate]:
+    """Return the mode, where the model lacks modes already and one more ties with the best causes; else these."""
+    modes = [p for p in tied if p.candidate.effect.repeatable]
+    if not modes and tied[0].candidate.effect.is_narrow:
+        found = find_missing_mode(stage.posterior, stage.fit, settings, _acceptance_threshold(stage, settings))
+        modes = [RefittedCandidate(c, stage.posterior, stage.moments) for c in found[:1]]
+    return modes[:1] or tied
 
 
 def _n_counted(accepted: Sequence[Candidate]) -> int:

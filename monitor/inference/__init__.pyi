@@ -1,5 +1,5 @@
 from .corrected_posterior import CorrectedPosterior, correct_posterior
-from .cross_spectra import Band
+from .cross_spectra import Band, extra_mode_spectra
 from .driven_posterior import DrivenPosterior
 from .exact_simulation import draw_forces, linearization_error, simulate_exact, simulate_spectra
 from .excitation_fit import ExcitationStart, fit_excitation, forces_from_quiet_segments, nearest_classes
@@ -36,6 +36,7 @@ __all__ = [
     "classify",
     "correct_posterior",
     "draw_forces",
+    "extra_mode_spectra",
     "fit_excitation",
     "fit_levels",
     "forces_from_quiet_segments",

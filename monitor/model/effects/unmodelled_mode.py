@@ -134,8 +134,13 @@ class UnmodelledMode(Effect):
 
     @property
     def pattern_std(self) -> Array:
-        """See `Effect.pattern_std`.  The shape's components are of the order of their RMS; the largest stands for the size."""
+        """See `Effect.pattern_std`.
+
+        The damping ratio is about the structure's.  The shape's components are of the order of their RMS; the largest stands for
+        the size.
+        """
         out = np.full(len(self.parameters), np.nan)
+        out[1] = _MODE_DAMPING_LN_STD
         if self.shape:
             out[self._of_shape] = np.sqrt(np.mean(np.square(self.shape)))
             out[2 + int(np.abs(self.shape).argmax())] = np.nan
