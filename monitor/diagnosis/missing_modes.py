@@ -215,13 +215,26 @@ def is_distinct(posterior: Posterior, fit: MapEstimate, i: int = -1) -> bool:
 
 
 def is_stated(posterior: Posterior, fit: MapEstimate, i: int) -> bool:
-    """Decide if effect i of a fit is stated: any effect but a mode that is no news, or that cannot be told from another.
+    """Decide if effect i of a fit is stated: any effect but a mode that is no news, or what cannot be told from another mode.
 
     Which modes of a structure in space a recording shows depends on the forces.  So where modes were missing at calibration, a
-    further one is no news.
+    further one is no news.  What swings on a floor at the frequency of such a mode is not told from a change of the mode.
     """
-    known = any(e.repeatable for e in posterior.prior.model.effects)
-    return not (known and fit.effects[i].repeatable) and is_distinct(posterior, fit, i)
+    effect, before = fit.effects[i], posterior.prior.effects(fit.x)
+    if effect.repeatable:
+        return not any(e.repeatable for e in before) and is_distinct(posterior, fit, i)
+    own = _as_mode(effect)
+    resolution_hz = _RESOLUTION_BINS * posterior.observed.band.bin_hz
+    lacking = (_as_mode(e) for e in (*before, *fit.effects) if e.repeatable)
+    return own is None or not any(mode is not None and _overlap(own, mode, resolution_hz) for mode in lacking)
+
+
+def _as_mode(effect: Effect) -> ExtraMode | None:
+    """Return the frequency and the damping of an effect that has both, with no shape; None for any other."""
+    values = effect.values()
+    if not {"frequency_hz", "damping_ratio"} <= values.keys():
+        return None
+    return ExtraMode(values["frequency_hz"], values["damping_ratio"], np.zeros(0))
 
 
 def couple_modes(posterior: Posterior, fit: MapEstimate) -> MapEstimate | None:
