@@ -186,7 +186,11 @@ def find_missing_mode(
     lead = -settings.rival if lacks_modes(posterior, fit) else settings.rival
     is_alone = not rivals or rivals[0].log_evidence < best.log_evidence - lead
     std = best.fit.covariance.diagonal()[posterior.layout.effects][-len(best.effect.parameters) :] ** 0.5
-    plausible = best.effect.is_plausible(posterior.observed.band.hz) and is_significant(best.effect, std)
+    plausible = (
+        best.effect.is_plausible(posterior.observed.band.hz)
+        and is_significant(best.effect, std)
+        and is_credible(posterior, best.fit)
+    )
     if plausible and is_alone and best.log_evidence > threshold:
         return [best, *(c for c in found if c is not best)]
     return []
@@ -212,6 +216,17 @@ def is_distinct(posterior: Posterior, fit: MapEstimate, i: int = -1) -> bool:
     own, others = [r.mode for r in found if r.owner == i], [r.mode for r in found if r.owner != i]
     resolution_hz = _RESOLUTION_BINS * posterior.observed.band.bin_hz
     return not any(_overlap(one, other, resolution_hz) for one in own for other in others)
+
+
+def is_credible(posterior: Posterior, fit: MapEstimate, i: int = -1) -> bool:
+    """Decide if the mode that effect i of a fit adds may be there; any other effect may.
+
+    A mode that cannot be told from one of the model's imitates much else that distorts a peak, as crosstalk does.  It is credible
+    in a structure that has other modes which its model lacks, and then explains the recording without being stated.
+    """
+    i = range(len(fit.effects))[i]
+    others = (*posterior.prior.effects(fit.x), *fit.effects[:i], *fit.effects[i + 1 :])
+    return any(e.repeatable for e in others) or is_distinct(posterior, fit, i)
 
 
 def is_stated(posterior: Posterior, fit: MapEstimate, i: int) -> bool:

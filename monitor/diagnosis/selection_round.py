@@ -10,7 +10,7 @@ import numpy as np
 from monitor.core import parallel_map
 from monitor.diagnosis.ambiguity import tied_candidates
 from monitor.diagnosis.backward_elimination import join_coordinates
-from monitor.diagnosis.missing_modes import is_distinct, lacks_modes
+from monitor.diagnosis.missing_modes import is_credible
 from monitor.diagnosis.parameter_uncertainty import is_significant
 from monitor.diagnosis.score_test import (
     Candidate,
@@ -74,10 +74,7 @@ def run_selection_round(
         found = fit_candidate(
             posterior, fit, chosen[key], min_log_evidence=min_log_evidence, rough=rough_by_key.get(key)
         )
-        found = with_tone_evidence(posterior, found)
-        # A mode beside one of the model imitates much else that distorts a peak, so the first one yields to any rival.
-        yields = 0.0 if lacks_modes(posterior, fit) or is_distinct(posterior, found.fit) else settings.rival
-        return replace(found, log_evidence=found.log_evidence - yields)
+        return with_tone_evidence(posterior, found)
 
     fitted = best_first(filter(partial(_is_valid_cause, posterior), parallel_map(fit_chosen, chosen)))
     return sorted(
@@ -91,7 +88,7 @@ def _is_valid_cause(posterior: Posterior, candidate: Candidate) -> bool:
     An oscillator must move within the band and must not be damped at once, since a heavy mass that hardly moves acts as a damper.
     """
     effect = candidate.effect
-    if not effect.is_plausible(posterior.observed.band.hz):
+    if not (effect.is_plausible(posterior.observed.band.hz) and is_credible(posterior, candidate.fit)):
         return False
     std = np.sqrt(np.maximum(np.diag(candidate.fit.covariance)[posterior.layout.effects], 0.0))
     return effect.nonlinear or is_significant(effect, std[std.size - len(effect.parameters) :])

@@ -27,7 +27,14 @@ from monitor.diagnosis.lack_of_fit import (
     unexplained_share,
     wrong_bins,
 )
-from monitor.diagnosis.missing_modes import as_seen, couple_modes, find_missing_mode, is_stated, lacks_modes
+from monitor.diagnosis.missing_modes import (
+    as_seen,
+    couple_modes,
+    find_missing_mode,
+    is_credible,
+    is_stated,
+    lacks_modes,
+)
 from monitor.diagnosis.modal_start import fit_from_modes
 from monitor.diagnosis.parameter_uncertainty import coordinate_std, is_significant
 from monitor.diagnosis.score_test import Candidate, evidence_cost, fit_candidate
@@ -171,7 +178,10 @@ def diagnose(
     posterior, fit, accepted, simulation_std = _refine(posterior, fit, accepted)
     # Beside other causes an effect may have moved to a size that means another one.
     band_hz, n = posterior.observed.band.hz, len(accepted)
-    plausible = [i >= n or e.nonlinear or e.is_plausible(band_hz) for i, e in enumerate(fit.effects)]
+    plausible = [
+        i >= n or e.nonlinear or (e.is_plausible(band_hz) and is_credible(posterior, fit, i))
+        for i, e in enumerate(fit.effects)
+    ]
     posterior, fit, accepted, simulation_std = _keep_effects(posterior, fit, accepted, simulation_std, plausible)
     misfit = find_lack_of_fit(posterior, stage.null_fit, settings)
     left_over = (*find_changed_effects(posterior, fit, settings), *find_lack_of_fit(posterior, fit, settings))

@@ -129,7 +129,9 @@ def forced_motion(posterior: Posterior, x: Array, effects: Sequence[Effect], law
     back = np.linalg.inv(vectors)
     inner = back @ np.array(drives) @ back.conj().swapaxes(1, 2) / -(poles[:, :, None] + poles[:, None, :].conj())
     rows = np.array([law.direction(context.structure) for law in laws]) @ vectors[:, :n]
-    return np.asarray(np.sqrt(0.5 * np.einsum("kra,kab,krb->kr", rows, inner, rows.conj()).real))
+    variance = 0.5 * np.einsum("kra,kab,krb->kr", rows, inner, rows.conj()).real
+    # Too strong a coupling makes the system unstable: it has no stationary motion, and the spectra no likelihood.
+    return np.asarray(np.sqrt(np.where(variance >= 0.0, variance, np.nan)))
 
 
 def _power_above_band(posterior: Posterior, x: Array, effects: Sequence[Effect]) -> float:
