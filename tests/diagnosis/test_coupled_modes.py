@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from monitor.diagnosis.lack_of_fit import find_lack_of_fit
-from monitor.diagnosis.missing_modes import couple_modes, is_stated, resonances
+from monitor.diagnosis.missing_modes import as_seen, couple_modes, is_stated, resonances
 from monitor.diagnosis.score_test import evidence_cost
 from monitor.inference import Posterior, maximize_posterior
 from monitor.inference.cross_spectra import Band, Excitation, cross_spectra, extended
-from monitor.model.effects import Condition, parse_effect
+from monitor.model.effects import Condition, EffectError, parse_effect
 from monitor.model.effects.base import System
 from monitor.model.model import Model
 from monitor.model.simulation import simulate
@@ -122,3 +122,28 @@ def test_a_weak_mode_s_shape_costs_less_than_a_strong_one_s() -> None:
     strong = maximize_posterior(at, _start(at), TORSION[:1], iterations=2)
     loose = replace(strong, covariance=1e4 * strong.covariance)
     assert evidence_cost(at, loose) < evidence_cost(at, strong)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "says"),
+    [
+        ("coupling_1=0.1,coupling_2=0.1,coupling_3=0.1", "needs its shape"),
+        ("shape_1=1.0,shape_2=1.0,shape_3=1.0,coupling_1=0.1", "1 couplings for 3 floors"),
+        ("shape_1=1.0,shape_2=1.0,shape_3=1.0,coupling_1=5.0,coupling_2=5.0,coupling_3=5.0", "unstable"),
+    ],
+)
+def test_a_coupling_that_no_structure_has_is_refused(parameters: str, says: str) -> None:
+    effect = parse_effect(f"unmodelled_mode:frame:frequency_hz=9.0,damping_ratio=0.012,{parameters}")
+    with pytest.raises(EffectError, match=says):
+        effect.check(TRUTH.structure, CONTEXT.channels)
+
+
+def test_the_standard_deviation_of_what_is_seen_follows_from_the_coupled_mode_s() -> None:
+    at = posterior(np.ones(3))
+    fit = maximize_posterior(at, _start(at), (COUPLED,), iterations=0)
+    own = fit.coordinates_of(0)
+    covariance = np.zeros_like(fit.covariance)
+    covariance[own.start, own.start] = 1e-6
+    effect, std = as_seen(at, replace(fit, covariance=covariance), 0, np.zeros(9))
+    assert len(effect.parameters) == 5
+    assert 0.0 < std[0] < 1e-3, "part of the motion of the mode that is seen is the frame's"

@@ -186,14 +186,21 @@ class UnmodelledMode(Effect):
         """See `Effect.extend`.  Only a coupled mode is a degree of freedom of the system."""
         if not self.coupling:
             return system
-        own, size = context.structure.masses_kg, system.mass.shape[0]
-        mean, omega = float(own.mean()), 2.0 * pi * self.frequency_hz
+        mean, size = float(context.structure.masses_kg.mean()), system.mass.shape[0]
+        own, link = self._springs(context.structure)
         mass, damping, stiffness = (np.pad(m, (0, 1)) for m in (system.mass, system.damping, system.stiffness))
-        mass[size, size], damping[size, size] = mean, 2.0 * self.damping_ratio * omega * mean
-        stiffness[size, size] = mean * omega**2
-        stiffness[: own.size, size] = stiffness[size, : own.size] = -(omega**2) * np.sqrt(mean * own) * self.coupling
+        mass[size, size], damping[size, size] = mean, 2.0 * self.damping_ratio * np.sqrt(own * mean)
+        stiffness[size, size] = own
+        stiffness[: link.size, size] = stiffness[size, : link.size] = link
         mode = CoupledMode(size, mean * np.array(self.shape), self.force_ratio)
         return replace(system, mass=mass, damping=damping, stiffness=stiffness, coupled=(*system.coupled, mode))
+
+    def _springs(self, structure: Structure) -> tuple[float, Array]:
+        """Return the stiffness of a coupled mode's degree of freedom, N/m, and that between it and every floor, shape (n,)."""
+        masses = structure.masses_kg
+        squared = (2.0 * pi * self.frequency_hz) ** 2
+        mean = float(masses.mean())
+        return mean * squared, -squared * np.sqrt(mean * masses) * self.coupling
 
     def extra_modes(self, context: Context) -> tuple[ExtraMode, ...]:
         """See `Effect.extra_modes`."""
@@ -212,6 +219,16 @@ class UnmodelledMode(Effect):
         super().check(structure, channels)
         if self.shape and len(self.shape) != len(channels):
             raise EffectError(f"{self.name}: {len(self.shape)} components of the shape for {len(channels)} channels")
+        if self.coupling and not self.shape:
+            raise EffectError(
+                f"{self.name}: a coupled mode needs its shape, {_SHAPE}1 and so on, one for every channel"
+            )
+        if self.coupling and len(self.coupling) != structure.n_dofs:
+            raise EffectError(f"{self.name}: {len(self.coupling)} couplings for {structure.n_dofs} floors")
+        if self.coupling:
+            own, link = self._springs(structure)
+            if own <= link @ np.linalg.solve(structure.stiffness_matrix(), link):
+                raise EffectError(f"{self.name}: the coupling is so strong that the structure is unstable")
 
     def known(self, context: Context, condition: Condition) -> tuple[Array, Array]:
         """See `Effect.known`.  The damping ratio is that of the structure, within a factor of two."""
