@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from monitor.core import Array
 from monitor.diagnosis.settings import DiagnosisSettings
-from monitor.inference import Band, MapEstimate, Posterior, fit_levels, spectra_by_force
+from monitor.inference import Band, MapEstimate, Posterior, Prediction, fit_levels, spectra_by_force
 from monitor.model import ModelDiscrepancy
 from monitor.signals import overlap_correlation
 
@@ -56,9 +56,8 @@ def drift_bands(posterior: Posterior, fitted: MapEstimate) -> Array:
         Standard deviations, arranged as by `residual_bands`.
     """
     e = posterior.observed
-    mean = posterior.mean(fitted.x, fitted.effects)
-    x = e.segments.values if mean is None else e.segments.values - mean
-    predicted = posterior.scatter(fitted.x, fitted.effects)
+    prediction = posterior.predict(fitted.x, fitted.effects)
+    predicted, x = prediction.spectra, e.segments.values if prediction.left is None else prediction.left
     parts = spectra_by_force(posterior, fitted.x, fitted.effects)
     signal = parts.sum(axis=0)
     late = e.t_s > np.median(e.t_s)
@@ -74,7 +73,7 @@ def drift_bands(posterior: Posterior, fitted: MapEstimate) -> Array:
                 model[k] = np.tensordot(fit_levels(parts[:, k], noise, data[k]), parts[:, k], axes=1) + noise
         halved = replace(posterior, observed=replace(e, counts=counts))
         z.append(_sum_in_bands(halved.whitened(model, model[None], data)[1], posterior.n_classes, posterior)[0])
-    return np.asarray((z[0] - z[1]) / np.sqrt(2.0))
+    return np.asarray((z[0] - z[1]) / np.sqrt(2.0) / _scatter_between_segments(posterior, prediction))
 
 
 def residual_bands(posterior: Posterior, fitted: MapEstimate) -> tuple[Array, Array]:
@@ -84,11 +83,15 @@ def residual_bands(posterior: Posterior, fitted: MapEstimate) -> tuple[Array, Ar
     -------
     z : ndarray, shape (n_bands, c, c)
         Standard deviations.  The diagonal is too much (positive) or too little power in the whitened channels; below the diagonal
-        is the real and above it the imaginary part of their coherence.
+        is the real and above it the imaginary part of their coherence.  Beside a measured ground the unit is their scatter
+        between segments.
     hz : ndarray, shape (n_bands,)
         Middles of the bands, Hz.
     """
-    return _sum_in_bands(fitted.residual, posterior.n_classes, posterior)
+    z, hz = _sum_in_bands(fitted.residual, posterior.n_classes, posterior)
+    if posterior.observed.drive is None:
+        return z, hz
+    return z / _scatter_between_segments(posterior, posterior.predict(fitted.x, fitted.effects)), hz
 
 
 def _sum_in_bands(residual: Array, n_classes: int, posterior: Posterior) -> tuple[Array, Array]:
@@ -127,14 +130,10 @@ def _deviations(posterior: Posterior, fitted: MapEstimate) -> tuple[Array, Array
     A simulation has as much random error as the recording.
     """
     z, hz = residual_bands(posterior, fitted)
-    drift = drift_bands(posterior, fitted)
-    if posterior.observed.drive is not None:
-        scatter = scatter_between_segments(posterior, fitted)
-        z, drift = z / scatter, drift / scatter
-    return z if posterior.offset is None else z / np.sqrt(2.0), drift, hz
+    return z if posterior.offset is None else z / np.sqrt(2.0), drift_bands(posterior, fitted), hz
 
 
-def scatter_between_segments(posterior: Posterior, fitted: MapEstimate) -> Array:
+def _scatter_between_segments(posterior: Posterior, prediction: Prediction) -> Array:
     """Compute by how much the misfit scatters more between segments than that of a stationary process, in every band.
 
     The model's error about the response to an earthquake is not stationary: a few strong segments cause most of it, so a band has
@@ -143,12 +142,12 @@ def scatter_between_segments(posterior: Posterior, fitted: MapEstimate) -> Array
 
     Returns
     -------
-    ndarray, shape (n_bands, c, c)
-        Ratios of standard deviations, at least 1, arranged as by `residual_bands`.
+    ndarray, shape (n_bands, c, c) or (1,)
+        Ratios of standard deviations, at least 1, arranged as by `residual_bands`; 1 without a measured ground.
     """
-    e, prediction = posterior.observed, posterior.predict(fitted.x, fitted.effects)
-    x = e.segments.values if prediction.left is None else prediction.left
-    own = []
+    if prediction.left is None:
+        return np.ones(1)
+    e, x, own = posterior.observed, prediction.left, []
     for k, members in enumerate(e.members):
         of_class = replace(posterior, observed=replace(e, counts=e.counts[k : k + 1]))
         model = prediction.spectra[k : k + 1]
@@ -210,12 +209,10 @@ def estimate_model_discrepancy(
     mean = whitened[: n * bins].reshape(n, bins, *whitened.shape[1:]).mean(axis=1)
     band = np.arange(n) * bins // per
     doubtful = size[band] > _LENIENT_SHARE * settings.misfit
-    dispersion = np.ones(n)
-    if e.drive is not None:  # of the healthy recording's error and of the next one's
-        dispersion = (
-            2.0 * np.einsum("baa->b", scatter_between_segments(posterior, fitted) ** 2)[band] / z.shape[1] - 1.0
-        )
-        doubtful |= dispersion > 1.0
+    own = np.broadcast_to(_scatter_between_segments(posterior, prediction), z.shape)
+    # Of the healthy recording's error and of the next one's.
+    dispersion = 2.0 * np.einsum("baa->b", own**2)[band] / z.shape[1] - 1.0
+    doubtful |= dispersion > 1.0
     drift = np.where(late > settings.misfit, late, 0.0)[band] ** 2
     ratios, vectors = np.linalg.eigh(mean)
     bounded = np.clip(ratios, 1.0 / _MAX_CORRECTION, _MAX_CORRECTION)
@@ -253,11 +250,8 @@ def unexplained_share(
         return sum(m.size**2 for m in left_over) / max(sum(m.size**2 for m in misfit), 1.0)
     prediction, null_prediction = posterior.predict(at.x, at.effects), posterior.predict(null_fit.x, null_fit.effects)
     residual = posterior.whitened(prediction.spectra, prediction.spectra[None][:0], null_prediction.data)[1]
-    wrong = float(
-        np.abs(
-            _sum_in_bands(residual, posterior.n_classes, posterior)[0] / scatter_between_segments(posterior, at)
-        ).sum()
-    )
+    z = _sum_in_bands(residual, posterior.n_classes, posterior)[0]
+    wrong = float(np.abs(z / _scatter_between_segments(posterior, prediction)).sum())
     return sum(m.size for m in left_over) / max(wrong, 1.0)
 
 

@@ -16,9 +16,9 @@ from monitor.diagnosis.parameter_uncertainty import is_significant
 from monitor.diagnosis.score_test import (
     Candidate,
     best_first,
-    evidence_cost,
     find_excess_peaks,
     fit_candidate,
+    log_evidence,
     refine_rough_fit,
     with_tone_evidence,
 )
@@ -61,8 +61,8 @@ def resonances(posterior: Posterior, x: Array, effects: Sequence[Effect]) -> lis
     everything, context = posterior.effects(x, effects), posterior.context_at(x)
     n_before, condition = len(everything) - len(effects), posterior.conditions[posterior.n_classes // 2]
     system = posterior.system(x, everything)
-    eigenvalues, shapes = eigh(system.stiffness, system.mass)
-    own, n = list[int | None]([None] * eigenvalues.size), eigenvalues.size
+    shapes, n = eigh(system.stiffness, system.mass)[1], system.mass.shape[0]
+    own: list[int | None] = [None] * n
     for i, effect in enumerate(everything):
         moved = effect.extend(system, context, condition)
         if len(moved.coupled) > len(system.coupled):
@@ -102,20 +102,13 @@ def as_seen(posterior: Posterior, fit: MapEstimate, i: int, std: Array) -> tuple
         found = resonances(posterior, fit.x, (*effects[:i], effect, *effects[i + 1 :]))
         return effect.uncoupled(next(r.mode for r in found if r.owner == i))
 
-    if not posterior.effects(fit.x, effects)[len(posterior.prior.model.effects) + i].repeatable:
-        return effects[i], std
-    here = seen(effects[i])
-    if len(here.parameters) == len(effects[i].parameters):
-        return effects[i], std
-    first = fit.x.size - fit.n_effect + sum(len(e.parameters) for e in effects[:i])
-    these = slice(first, first + len(effects[i].parameters))
-    steps = _RELATIVE_STEP * effects[i].units
-    slopes = np.array(
-        [
-            (seen(effects[i].at(effects[i].coordinates + step)).coordinates - here.coordinates) / step.sum()
-            for step in np.diag(steps)
-        ]
-    )
+    effect, these = effects[i], fit.coordinates_of(i)
+    if not effect.repeatable or effect.coupled(posterior.context) is not None:  # it is seen as it is
+        return effect, std
+    here = seen(effect)
+    steps = np.diag(_RELATIVE_STEP * effect.units)
+    moved = [seen(effect.at(effect.coordinates + step)).coordinates - here.coordinates for step in steps]
+    slopes = np.array(moved) / steps.sum(axis=1)[:, None]
     covariance = slopes.T @ fit.covariance[these, these] @ slopes
     return here, np.sqrt(np.maximum(np.diag(covariance), 0.0))
 
@@ -135,13 +128,10 @@ def effects_at_peak(posterior: Posterior, fit: MapEstimate, peak: Peak) -> list[
 
 def _scaled_to_peak(posterior: Posterior, fit: MapEstimate, effect: Effect, peak: Peak) -> Effect:
     """Scale the shape of a mode so that its power at a peak is the power that the model lacks there; leave other effects."""
-    modes, context, middle = (
-        effect.extra_modes(posterior.context),
-        posterior.context_at(fit.x),
-        posterior.n_classes // 2,
-    )
+    modes = effect.extra_modes(posterior.context)
     if not modes:
         return effect
+    context, middle = posterior.context_at(fit.x), posterior.n_classes // 2
     everything, band, counts = posterior.effects(fit.x, fit.effects), posterior.observed.band, posterior.observed.counts
     level = float(counts @ posterior.forces(fit.x).mean(axis=1) / counts.sum())
     spectra = extra_mode_spectra(modes, everything, level, band, context, posterior.conditions[middle])
@@ -260,24 +250,18 @@ def couple_modes(posterior: Posterior, fit: MapEstimate) -> MapEstimate | None:
         return None
     effects = tuple(old if new is None else new for old, new in zip(fit.effects, coupled, strict=True))
     found = maximize_posterior(posterior, fit.x, effects, iterations=FAR)
-    kept, last = [], posterior.layout.n_nuisance
-    for old, now in zip(fit.effects, found.effects, strict=True):
-        last += len(now.parameters)
-        own, std = slice(last - len(now.parameters) + len(old.parameters), last), now.pattern_std[len(old.parameters) :]
+    kept = []
+    for i, (old, now) in enumerate(zip(fit.effects, found.effects, strict=True)):
+        n, own = len(old.parameters), found.coordinates_of(i)
+        std, own = now.pattern_std[n:], slice(own.start + n, own.stop)
         size, covariance = found.x[own] / std, found.covariance[own, own] / np.outer(std, std)
         # Odds of the coupling against none, of a normal posterior (J. Dickey, Annals of Mathematical Statistics 42 (1971) 204).
-        odds = (
-            0.5 * float(size @ np.linalg.solve(covariance, size) + np.linalg.slogdet(covariance)[1])
-            if std.size
-            else 1.0
-        )
-        kept.append(now if odds > 0.0 else old)
+        odds = 0.5 * float(size @ np.linalg.solve(covariance, size) + np.linalg.slogdet(covariance)[1])
+        kept.append(now if odds > 0.0 or not std.size else old)
     if any(a is not b for a, b in zip(kept, found.effects, strict=True)):
         found = maximize_posterior(posterior, found.x, tuple(kept), iterations=FAR)
-    before, after = (
-        f.log_posterior - sum(evidence_cost(posterior, f, i) for i in range(len(f.effects))) for f in (fit, found)
-    )
-    return found if found.n_effect > fit.n_effect and after > before else None
+    is_better = log_evidence(posterior, found) > log_evidence(posterior, fit)
+    return found if found.n_effect > fit.n_effect and is_better else None
 
 
 def _overlap(one: ExtraMode, other: ExtraMode, resolution_hz: float) -> bool:

@@ -12,7 +12,7 @@ from scipy.optimize import least_squares
 from monitor.core import Array, ComplexArray, LagSums, Skipped, Window, parallel_map
 from monitor.diagnosis.initial_fit import FAR, first_guess
 from monitor.diagnosis.missing_modes import couple_modes, is_distinct, mac
-from monitor.diagnosis.score_test import evidence_cost
+from monitor.diagnosis.score_test import log_evidence
 from monitor.identification import SelectionSettings, SsiSettings, identify
 from monitor.inference import MapEstimate, ObservedSpectra, Posterior, maximize_posterior
 from monitor.model import EFFECTS, Effect, Modes, Peak
@@ -149,7 +149,7 @@ def _with_evidence(posterior: Posterior, fit: MapEstimate) -> tuple[MapEstimate,
     kept = tuple(e for i, e in enumerate(fit.effects) if is_distinct(posterior, fit, i))
     if kept != fit.effects:
         fit = maximize_posterior(posterior, fit.x, kept, iterations=FAR)
-    return fit, fit.log_posterior - sum(evidence_cost(posterior, fit, i) for i in range(len(fit.effects)))
+    return fit, log_evidence(posterior, fit)
 
 
 def _scaled_to_power(posterior: Posterior, start: ModalStart) -> tuple[Array, tuple[Effect, ...]]:

@@ -419,6 +419,11 @@ def with_tone_evidence(posterior: Posterior, candidate: Candidate) -> Candidate:
     return replace(candidate, log_evidence=candidate.log_evidence + odds)
 
 
+def log_evidence(posterior: Posterior, fit: MapEstimate) -> float:
+    """Compute the log evidence of a fit: its log posterior less the costs of its effects' parameters, nats."""
+    return fit.log_posterior - sum(evidence_cost(posterior, fit, i) for i in range(len(fit.effects)))
+
+
 def evidence_cost(posterior: Posterior, fit: MapEstimate, i: int = -1) -> float:
     """Compute what the parameters of effect i of a fit cost in log evidence, nats.
 
@@ -428,12 +433,12 @@ def evidence_cost(posterior: Posterior, fit: MapEstimate, i: int = -1) -> float:
     """
     i = range(len(fit.effects))[i]
     std = fit.effects[i].pattern_std
-    first = fit.x.size - fit.n_effect + sum(len(e.parameters) for e in fit.effects[:i])
     known = np.flatnonzero(np.isfinite(std))
     cost = parameter_cost(posterior, std.size - known.size)
     if known.size == 0:
         return cost
-    covariance = fit.covariance[np.ix_(first + known, first + known)] / np.outer(std[known], std[known])
+    own = fit.coordinates_of(i).start + known
+    covariance = fit.covariance[np.ix_(own, own)] / np.outer(std[known], std[known])
     return cost - 0.5 * float(np.log(np.clip(np.linalg.eigvalsh(covariance), _LEAST_VARIANCE, 1.0)).sum())
 
 

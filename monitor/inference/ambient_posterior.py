@@ -32,11 +32,10 @@ class AmbientPosterior(Posterior):
         base, context, layout = self.system(x, effects), self.context_at(x), self.layout
         noise, band = self.noise(x), self.observed.band
         if any(e.conditional for e in effects):
-            out = []
+            forces, out = self.forces(x), []
             for k in classes:
                 system, condition = extended(base, effects, context, self.conditions[k]), self.conditions[k]
-                excitation = Excitation(self.forces(x)[k], noise)
-                out.append(cross_spectra(system, effects, excitation, band, context, condition))
+                out.append(cross_spectra(system, effects, Excitation(forces[k], noise), band, context, condition))
             return np.stack(out)
         condition = self.conditions[classes[0]]
         system, unforced = extended(base, effects, context, condition), np.zeros(noise.size)
@@ -84,11 +83,11 @@ class AmbientPosterior(Posterior):
         self, x: Array, effects: tuple[Effect, ...], spectra: ComplexArray, wanted: Iterable[int]
     ) -> dict[int, ComplexArray]:
         """See `Posterior.slopes_by_mode`.  The slope is that of the middle class, as of any nuisance."""
-        owners = self.owners(effects)
-        at_modes = [i for i in wanted if self.effects(x, effects)[owners[i]].extra_modes(self.context)]
+        owners, everything = self.owners(effects), self.effects(x, effects)
+        at_modes = [i for i in wanted if everything[owners[i]].extra_modes(self.context)]
         if not at_modes:
             return {}
-        everything, context, band = self.effects(x, effects), self.context_at(x), self.observed.band
+        context, band = self.context_at(x), self.observed.band
         middle, scale = self.n_classes // 2, self.relative_levels(x)[:, None, None, None]
         force = float(self.forces(x)[middle].mean())
         linear = self.linear_spectra(x, everything, [middle])
@@ -117,7 +116,8 @@ class AmbientPosterior(Posterior):
         out[layout.channel_noise], out[layout.noise] = by_noise, by_noise.sum(axis=0)
         others = (*range(layout.channel_noise.start), *range(layout.channel_noise.stop, layout.levels.start))
         wanted = [i for i in others if i >= min(first, layout.forces.start)]  # the levels' slopes are the forces' sum
-        by_mode = self.slopes_by_mode(x, effects, spectra, [i for i in wanted if i in self.owners(effects)])
+        persistent = range(layout.persistent.start, layout.persistent.stop)
+        by_mode = self.slopes_by_mode(x, effects, spectra, [i for i in wanted if i in persistent])
         for i in wanted:
             out[i] = by_mode[i] if i in by_mode else self.slope(x, i, effects, spectra)
         for k, by_level in enumerate(out[layout.levels]):

@@ -51,6 +51,11 @@ class MapEstimate:
         """Log posterior density of the fit up to a constant, nats."""
         return self.log_likelihood + self.log_prior
 
+    def coordinates_of(self, i: int) -> slice:
+        """Return the slice of the coordinates of extra effect i in `x`."""
+        first = self.x.size - self.n_effect + sum(len(e.parameters) for e in self.effects[:i])
+        return slice(first, first + len(self.effects[i].parameters))
+
     @property
     def n_effect(self) -> int:
         """Number of coordinates of the extra effects."""
