@@ -52,11 +52,25 @@ class HeldOutGain:
     """Relative squared error of the extended form's cross-spectra."""
     heldout: str = "none: nothing was added to the model"
     """Which data were held out."""
+    samples: float = 0.0
+    """Sample instants of the held-out data."""
+    calibration_nats: float = 0.0
+    """Log density of what calibration learned at the extended form's fit, less that at the old form's, nats; zero without
+    a baseline."""
 
     @property
     def value(self) -> float:
         """Gain of the extended form, nats per sample instant."""
         return self.after - self.before
+
+    @property
+    def is_significant(self) -> bool:
+        """Decide if the extended form predicts the held-out data and the calibration better than the old form.
+
+        What calibration learned is data too.  An old form that explains a recording as well, but only by a change of what
+        calibration learned, is the worse one by the density that it loses there.
+        """
+        return self.ci95[0] * self.samples + self.calibration_nats > 0.0
 
     @property
     def withheld(self) -> str:
@@ -126,7 +140,16 @@ def heldout_gain(segments: Segments, diagnosis: Diagnosis) -> HeldOutGain:
             nats[i] += np.bincount(of_held, form_score.nats, blocks.n)
             spectra[i] += np.count_nonzero(held) * np.stack([form_score.measured, form_score.modelled])
         samples += np.bincount(of_held, minlength=blocks.n) * (scores[0].samples / np.count_nonzero(held))
-    return _summarize_scores(nats, samples, spectra, blocks)
+    return replace(_summarize_scores(nats, samples, spectra, blocks), calibration_nats=_calibration_nats(diagnosis))
+
+
+def _calibration_nats(diagnosis: Diagnosis) -> float:
+    """Compute the log density of what calibration learned at the final fit, less that at the old form's; see `HeldOutGain`."""
+    posterior = diagnosis.posterior
+    prior, structure = posterior.prior, posterior.layout.structure
+    if not prior.basis.size:
+        return 0.0
+    return prior.log_density(diagnosis.final_fit.x[structure]) - prior.log_density(diagnosis.null_fit.x[structure])
 
 
 def _score_fold(
@@ -164,6 +187,7 @@ def _summarize_scores(nats: Array, samples: Array, spectra: ComplexArray, blocks
         nats=float((nats[1] - nats[0]).sum()),
         csd_error_before=csd_error(*spectra[0]),
         csd_error_after=csd_error(*spectra[1]),
+        samples=float(total),
         heldout=f"{blocks.n} contiguous blocks of {blocks.length_s:.0f} s, every {_ORDINAL[blocks.folds]} by a fit to "
         "the others",
     )
@@ -229,13 +253,14 @@ def require_gain(diagnosis: Diagnosis, gain: HeldOutGain) -> Diagnosis:
     if diagnosis.verdict == "unexplained":
         confirmed = not diagnosis.causes or gain.value >= 0.0
     else:
-        confirmed = not effects or bool(gain.withheld) or gain.ci95[0] > 0.0 or confirmed_by_sum
+        confirmed = not effects or bool(gain.withheld) or gain.is_significant or confirmed_by_sum
     if confirmed:
         return diagnosis
     return replace(
         diagnosis,
         verdict="unexplained" if diagnosis.misfit else "none",
         causes=(),
+        also_fitted=(),
         alternatives=(),
         left_over=diagnosis.misfit,
         final_fit=diagnosis.null_fit,

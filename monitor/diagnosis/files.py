@@ -70,6 +70,7 @@ def content(
         "alternatives": alternatives,
         "family": family,
         "family_log_odds": None if family is None else _finite(_family_log_odds(diagnosis, family)),
+        "also_fitted": [_cause(c.effect, c.std, prior) for c in diagnosis.also_fitted],
         "separating_measurement": separating_measurement(alternatives),
         "misfit": [{"where": m.where, "size": _finite(m.size), "says": m.says} for m in diagnosis.misfit],
         "gain": _gain(gain),

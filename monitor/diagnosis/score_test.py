@@ -174,7 +174,7 @@ def rank_by_score(posterior: Posterior, null_fit: MapEstimate, candidates: list[
         held, rest = _fit_at_prior(posterior, null_fit)
         lost = null_fit.log_posterior - rest.log_posterior
         gains += [(gain - lost, effect) for gain, effect in _expected_gains(held, rest, candidates)]
-        shaped = [e for e in candidates if e.parameters and not e.proportional]  # no score test gives their size
+        shaped = [e for e in candidates if not e.proportional]  # no score test gives their size
         gains += parallel_map(partial(_gain_from_prior, posterior, null_fit), shaped)
     return sorted((item for item in gains if np.isfinite(item[0])), key=lambda item: -item[0])
 
@@ -274,9 +274,8 @@ def _whitened_slope(posterior: Posterior, null_fit: MapEstimate, prediction: Pre
 
 def _far_from_prior(posterior: Posterior, null_fit: MapEstimate) -> bool:
     """Decide if a fit without measured ground motion went far from the structure's prior."""
-    known = posterior.prior
-    far = null_fit.x[posterior.layout.structure] - known.mean
-    return posterior.observed.drive is None and -0.5 * float(far @ known.precision @ far) < _MIN_LOG_PRIOR
+    learnt = posterior.prior.log_density(null_fit.x[posterior.layout.structure])
+    return posterior.observed.drive is None and learnt < _MIN_LOG_PRIOR
 
 
 def _fit_at_prior(posterior: Posterior, null_fit: MapEstimate, *more: Effect) -> tuple[Posterior, MapEstimate]:

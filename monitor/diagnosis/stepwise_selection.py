@@ -103,6 +103,8 @@ class Diagnosis:
     """Candidates of every round of the search."""
     other_optima: tuple[MapEstimate, ...] = field(default=())
     """Fits of other stiffnesses that explain the recording as well."""
+    also_fitted: tuple[Cause, ...] = field(default=())
+    """Effects of the final fit that are no causes, as they cannot be told from modes that were missing at calibration."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -196,9 +198,11 @@ def diagnose(
     # A response shows more than the misfit in bands: the frequency ratios and their dependence on the level.
     findings = (find_ratio_change(posterior, fit), find_level_dependence(backbone(posterior, stage.null_fit)))
     still = find_level_dependence(backbone(posterior, fit))
+    causes, also_fitted = _causes(posterior, fit, accepted, simulation_std)
     return Diagnosis(
         verdict=verdict,
-        causes=_causes(posterior, fit, accepted, simulation_std),
+        causes=causes,
+        also_fitted=also_fitted,
         alternatives=alternatives,
         misfit=(*[m for m in findings if m is not None], *misfit),
         left_over=left_over if still is None else (*left_over, still),
@@ -560,8 +564,10 @@ def _has_nonlinear(fit: MapEstimate) -> bool:
 
 def _causes(
     posterior: Posterior, fitted: MapEstimate, accepted: Sequence[Candidate], simulation_std: Array
-) -> tuple[Cause, ...]:
-    """List the accepted effects with the standard deviations of their parameters, as far as they can be told from others."""
+) -> tuple[tuple[Cause, ...], tuple[Cause, ...]]:
+    """List the accepted effects with the standard deviations of their parameters: those that are stated, then the others."""
     std = coordinate_std(posterior, fitted, simulation_std)
-    stated = (i for i in range(len(accepted)) if is_stated(posterior, fitted, i))
-    return tuple(Cause.of(*as_seen(posterior, fitted, i, std[i])) for i in stated)
+    found: tuple[list[Cause], list[Cause]] = [], []
+    for i in range(len(accepted)):
+        found[not is_stated(posterior, fitted, i)].append(Cause.of(*as_seen(posterior, fitted, i, std[i])))
+    return tuple(found[0]), tuple(found[1])

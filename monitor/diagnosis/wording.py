@@ -181,7 +181,7 @@ def headline(diagnosis: Diagnosis, gain: HeldOutGain, content: Mapping[str, Any]
     """
     optima = "; or ".join(o["says"] for o in content["other_optima"])
     parts = [refit_headline(content["refit"]), _sentence(optima) if optima else ""]
-    parts += [_verdict_in_words(diagnosis, gain, content)]
+    parts += [_verdict_in_words(diagnosis, gain, content), _also_fitted_in_words(content, diagnosis.posterior.prior)]
     return " ".join(filter(None, parts))
 
 
@@ -212,10 +212,10 @@ def _verdict_in_words(diagnosis: Diagnosis, gain: HeldOutGain, content: Mapping[
             else f" with what stood at calibration, {where},"
         )
     changed = any(m.changes for m in diagnosis.left_over)
-    if not causes or not (changed or gain.withheld or gain.ci95[0] > 0.0):
+    if not causes or not (changed or gain.withheld or gain.is_significant):
         return f"{explained}Something is wrong{worst} that no known effect explains."
     why = ""
-    if gain.ci95[0] <= 0.0:
+    if not gain.is_significant:
         why = f" (no gain on held-out data: {gain.withheld or 'the motion changed within the recording'})"
     return f"{explained}Something is wrong{worst} that no known effect explains. Besides, {causes}{why}."
 
@@ -230,6 +230,14 @@ def _causes_in_words(causes: Sequence[Mapping[str, Any]], reference: StructuralP
     return "; and ".join(said)
 
 
+def _also_fitted_in_words(content: Mapping[str, Any], reference: StructuralPrior) -> str:
+    """State what was fitted beside the causes and why it is none; empty where there is nothing."""
+    if not content["also_fitted"]:
+        return ""
+    said = _causes_in_words(content["also_fitted"], reference)
+    return _sentence(f"also fitted, but not told from modes that the model lacks or has already: {said}")
+
+
 def _has_baseline(reference: StructuralPrior) -> bool:
     """Decide if the reference is a baseline, whose model may be corrected, and not a drawing."""
     return bool(reference.basis.shape[0])
@@ -239,6 +247,11 @@ def _why_no_gain(gain: HeldOutGain) -> str:
     """State why the interval of the held-out gain does not exclude zero; empty where it does."""
     if gain.withheld:
         return f" No gain on held-out data can be had: {gain.withheld}."
+    if gain.is_significant and gain.ci95[0] <= 0.0:
+        return (
+            " The gain on held-out data is not significant alone; but without a cause what calibration learned would have "
+            f"to have changed (log odds of {gain.calibration_nats:.0f} against that)."
+        )
     if gain.ci95[0] <= 0.0:
         return (
             f" Only loud stretches show it: their gain on held-out data is {gain.nats:.0f} nats, though the interval of "

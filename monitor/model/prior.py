@@ -97,6 +97,11 @@ class StructuralPrior:
         channels = self.mean.size - s.stiffness_n_per_m.size - 2 * n - corrections - self.n_persistent
         return s.stiffness_n_per_m.size, n, n, channels, corrections
 
+    def log_density(self, x: Array) -> float:
+        """Compute the log density of coordinates, shape (p,), relative to that of the mean, nats."""
+        far = x - self.mean
+        return -0.5 * float(far @ self.precision @ far)
+
     @property
     def n_persistent(self) -> int:
         """Number of coordinates of the persistent effects."""

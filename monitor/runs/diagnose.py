@@ -99,6 +99,7 @@ def diagnose(
     prior = _drawing_prior(config) if baseline is None or baseline.reference is None else baseline.reference
     confirmed, gain = diagnose_segments(segments, prior, config)
     updated, extended = (fitted_model(confirmed.posterior, fit) for fit in (confirmed.null_fit, confirmed.final_fit))
+    extended = updated if confirmed.verdict == "none" else extended
     degc = prior.reference_degc
     if degc is None and segments.temperature.size:
         degc = float(segments.temperature[:, 1].mean())
@@ -132,7 +133,8 @@ def diagnose_segments(
     found = diagnose_spectra(classify(segments), prior, _context(segments, config), config.diagnosis)
     gain = heldout_gain(segments, found)
     confirmed = require_gain(found, gain)
-    return state_clock_drifts(add_observed_causes(confirmed), drifts), gain if confirmed is found else HeldOutGain()
+    states_gain = confirmed is found and confirmed.verdict != "none"
+    return state_clock_drifts(add_observed_causes(confirmed), drifts), gain if states_gain else HeldOutGain()
 
 
 @_IGNORE_OVERFLOW

@@ -152,6 +152,18 @@ def test_the_page_of_each_verdict_is_whole(cases: dict[str, Case], tmp_path: Pat
             assert len(y) > 20 and np.isfinite(y).all() and np.ptp(y) > 0.0
 
 
+def test_what_was_fitted_without_being_stated_is_said(cases: dict[str, Case], tmp_path: Path) -> None:
+    best = cases["none"].diagnosis.candidates[0]
+    also = (Cause(best.effect, dict.fromkeys(best.effect.values(), 0.001)),)
+    diagnosis = replace(cases["none"].diagnosis, also_fitted=also, final_fit=best.fit)
+    case = Case(diagnosis, cases["none"].segments)
+    write_report(tmp_path / "page.html", case.diagnosis, case.content, case.segments)
+    text = "\n".join(parsed(tmp_path / "page.html").itertext())
+    (own,) = case.content["also_fitted"]
+    assert case.content["causes"] == [] and own["effect"] == "added_mass" and own["says"] in case.content["says"]
+    assert "Also fitted, no news" in text and "nats a sample" not in text
+
+
 def test_the_page_shows_where_the_misfit_was_and_that_the_cause_removes_it(cases: dict[str, Case]) -> None:
     c = compare(cases["named"].diagnosis, cases["named"].segments)
     assert np.abs(c.z_before).max() > c.limit > np.abs(c.z_after).max()

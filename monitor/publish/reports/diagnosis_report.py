@@ -76,7 +76,7 @@ def _head(verdict_text: str, content: Content, compared: Comparison, segments: S
          f"bands with a misfit beyond {compared.limit:g} standard deviations"),
         (_minutes(segments), f"of data, {len(compared.channels)} channels"),
     ]  # fmt: skip
-    if compared.extended:
+    if compared.extended and verdict != "none":
         figures = [
             (f"{gain['gain']:+.4f} ({low:+.4f} to {high:+.4f})", "gain on held-out data, nats a sample, 95 % interval"),
             (_change(error["before"], error["after"]), "error of held-out cross-spectra"),
@@ -239,7 +239,11 @@ def _parameters(diagnosis: Diagnosis, content: Content, hz: Array) -> str:
         ]  # fmt: skip
         head = ["place", "parameter", "#drawn", "refitted", "#tolerance", "in words"]
         out.append("<h2>What was refitted against the drawing</h2>" + table(head, refit))
-    lists = (("Causes", content["causes"]), ("Already so at calibration", content["standing"]))
+    lists = (
+        ("Causes", content["causes"]),
+        ("Also fitted, no news", content["also_fitted"]),
+        ("Already so at calibration", content["standing"]),
+    )
     for title, causes in lists:
         rows: list[Sequence[str]] = []
         for c in causes:
