@@ -9,7 +9,7 @@ import pytest
 
 from drivers.base import ACCELERATION
 from monitor.config.configuration import Configuration
-from monitor.diagnosis.cross_validation import HeldOutGain, heldout_gain, require_gain
+from monitor.diagnosis.cross_validation import HeldOutGain, _calibration_nats, heldout_gain, require_gain
 from monitor.diagnosis.fold_refit import fitted_model
 from monitor.diagnosis.initial_fit import fit_linearized
 from monitor.diagnosis.lack_of_fit import LackOfFit
@@ -145,6 +145,21 @@ def test_a_cause_that_is_not_there_gains_nothing_and_is_not_named(clean: Segment
     loss, nothing_held_out = replace(gain, before=1.0, after=0.9999), HeldOutGain()
     assert require_gain(beside, loss).causes == ()
     assert require_gain(beside, replace(loss, after=1.0001)) is beside is require_gain(beside, nothing_held_out)
+
+
+def test_what_the_old_form_would_change_of_the_calibration_counts(clean: Segments) -> None:
+    found = explained_by(parse_effect("sensor_gain:channel a2:gain=1.02"), clean)
+    assert heldout_gain(clean, found).calibration_nats == 0.0  # a drawing is no data
+    learnt = replace(found.posterior.prior, basis=np.zeros((1, 3, 3)))
+    far = found.null_fit.x.copy()
+    far[0] += 5.0 * learnt.units[0]
+    moved = replace(found, posterior=replace(found.posterior, prior=learnt), null_fit=replace(found.null_fit, x=far))
+    nats = _calibration_nats(moved)
+    assert nats == pytest.approx(
+        learnt.log_density(found.final_fit.x[: learnt.mean.size]) - learnt.log_density(far[: learnt.mean.size])
+    )
+    none_held_out = HeldOutGain(1.0, 1.0001, (-0.0002, 0.0004), samples=1e4)
+    assert not none_held_out.is_significant and replace(none_held_out, calibration_nats=41.0).is_significant
 
 
 def test_an_ambiguous_answer_needs_the_gain_of_its_best_alternative(clean: Segments) -> None:

@@ -23,17 +23,19 @@ from monitor.diagnosis.score_test import (
     rank_by_score,
 )
 from monitor.diagnosis.settings import DiagnosisSettings
-from monitor.diagnosis.simulation_refit import RefittedCandidate
+from monitor.diagnosis.simulation_refit import RefittedCandidate, fit_initial_model
 from monitor.inference.cross_spectra import accelerance
 from monitor.inference.higher_moments import Moments, _skewness
 from monitor.inference.map_estimate import MapEstimate
-from monitor.inference.observed_spectra import classify
+from monitor.inference.observed_spectra import ObservedSpectra, classify
 from monitor.inference.posterior import Posterior
 from monitor.inference.segments import gather
-from monitor.model.effects import ChannelSwap, CubicStiffness, SensorGain, StiffnessChange
+from monitor.model.effects import ChannelSwap, CubicStiffness, Effect, SensorGain, StiffnessChange
 from monitor.model.prior import prior_from_drawing
 from monitor.model.simulation import simulate
+from monitor.runs.diagnose import learn_healthy_prior
 from monitor.runs.synthetic_recording import cut_into_blocks
+from tests.diagnosis.test_modal_start import TORSION
 from tests.diagnosis.test_simulation_refit import CONFIG, RATE
 
 pytestmark = pytest.mark.engine
@@ -49,6 +51,25 @@ def test_a_swap_is_ranked_first_though_the_plain_model_was_dragged_far_to_excuse
     (gain, first), (second, _) = best_of_each(rank_by_score(problem, null, candidate_starts(problem, null)))[:2]
     assert isinstance(first, ChannelSwap)
     assert first.location == "channel a2,a3"
+    assert gain > 2.0 * second
+
+
+def test_a_reversed_channel_is_ranked_first_beside_modes_that_are_forced_otherwise_than_at_calibration() -> None:
+    context = CONFIG.instrumented().context(RATE)
+
+    def recorded(torsion: tuple[Effect, ...], sign: float) -> ObservedSpectra:
+        model = replace(CONFIG.model(), effects=torsion)
+        motion = simulate(model, duration_s=600.0, rate_hz=RATE, noise=0.03, seed=7, context=context)
+        samples = motion.floors * np.array([sign, 1.0, 1.0])
+        blocks = cut_into_blocks(ACCELERATION, samples, CONFIG.channels, RATE, 10**18, 128)
+        return classify(gather(blocks, CONFIG.front_end()))
+
+    weak = tuple(e.at(np.r_[e.coordinates[:2], 0.3 * e.coordinates[2:]]) for e in TORSION)
+    learnt = learn_healthy_prior(recorded(TORSION, 1.0).segments, CONFIG)
+    problem, null, _ = fit_initial_model(recorded(weak, -1.0), learnt, context)
+    assert learnt.n_persistent and learnt.log_density(null.x[: learnt.mean.size]) < -20.0
+    (gain, first), (second, _) = best_of_each(rank_by_score(problem, null, candidate_starts(problem, null)))[:2]
+    assert (first.name, first.location) == ("sensor_polarity", "channel a1")
     assert gain > 2.0 * second
 
 
