@@ -133,6 +133,7 @@ def said(
         "other_optima": [],
         "causes": [],
         "alternatives": [],
+        "also_fitted": [],
         "ddi_effect": {"with": []},
         "detectable_loss": [],
     }
