@@ -15,9 +15,13 @@ ACCELERATION = "/acceleration"
 """Topic of the floors' accelerations; channel names as in the structure file."""
 GROUND = "/acceleration/ground"
 """Topic of the measured base motion."""
+FORCE = "/force"
+"""Topic of measured forces on the structure; channel names as in ``[[inputs]]`` of the structure file."""
 TEMPERATURE = "/temperature"
 """Topic of the temperature channels."""
-UNITS = ("m/s^2", "degC")
+UNIT_OF = {ACCELERATION: "m/s^2", GROUND: "m/s^2", FORCE: "N", TEMPERATURE: "degC"}
+"""Unit of each topic."""
+UNITS = tuple(dict.fromkeys(UNIT_OF.values()))
 """Units that a block may carry."""
 
 

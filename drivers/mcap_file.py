@@ -12,7 +12,7 @@ from typing import TypeVar
 from mcap.records import Channel
 
 from drivers import codec
-from drivers.base import ACCELERATION, GROUND, TEMPERATURE, RecordingError, SampleBlock
+from drivers.base import ACCELERATION, UNIT_OF, RecordingError, SampleBlock
 from drivers.mcap_index import read_index
 from drivers.mcap_records import McapFile, Message, Segment
 from drivers.mcap_writer import AS_ARRIVED, LIBRARY, ORDER, McapWriter
@@ -21,7 +21,6 @@ from drivers.ros2_imu import IMU_SCHEMAS, ImuJoiner, ImuSample, decode_imu, spli
 
 __all__ = ["McapWriter", "RecordingInfo", "read_recordings", "recording_info", "scan_messages"]
 
-_UNIT_OF = {ACCELERATION: "m/s^2", GROUND: "m/s^2", TEMPERATURE: "degC"}
 _MAX_INT = 1 << 62
 _Item = SampleBlock | ImuSample
 _Result = TypeVar("_Result")
@@ -44,7 +43,7 @@ class RecordingInfo:
 
 def read_recordings(
     paths: Iterable[Path],
-    topics: Sequence[str] = (ACCELERATION, GROUND, TEMPERATURE),
+    topics: Sequence[str] = tuple(UNIT_OF),
     *,
     topic_map: Mapping[str, str] | None = None,
     on_warning: OnWarning = lambda _: None,
@@ -257,8 +256,8 @@ def _require_plausible(block: SampleBlock) -> None:
     """Raise ValueError for values that only damage or a foreign writer explains; later arithmetic is in 64-bit integers."""
     if not (0 <= block.t_ns < _MAX_INT and block.sequence < _MAX_INT and 1e-3 <= block.sample_rate_hz <= 1e7):
         raise ValueError(f"time {block.t_ns} ns, sequence {block.sequence} or {block.sample_rate_hz} Hz is absurd")
-    if block.unit != _UNIT_OF.get(block.topic, block.unit):
-        raise ValueError(f"unit {block.unit!r} where {_UNIT_OF[block.topic]!r} is needed")
+    if block.unit != UNIT_OF.get(block.topic, block.unit):
+        raise ValueError(f"unit {block.unit!r} where {UNIT_OF[block.topic]!r} is needed")
 
 
 def _merge_in_time_order(surveys: list[_Survey], longest_s: float) -> Iterator[_Item]:

@@ -14,7 +14,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 from drivers import codec
-from drivers.base import ACCELERATION, GROUND, TEMPERATURE, RecordingError, SampleBlock
+from drivers.base import UNIT_OF, RecordingError, SampleBlock
 from drivers.disk import sync_folder
 from drivers.mcap_file import scan_messages
 from drivers.mcap_writer import McapWriter
@@ -23,7 +23,6 @@ from drivers.recorder_settings import RecorderSettings as RecorderSettings
 _log = logging.getLogger(__name__)
 
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
-_UNIT_OF = {ACCELERATION: "m/s^2", GROUND: "m/s^2", TEMPERATURE: "degC"}
 _MB, _GB = 1 << 20, 1 << 30
 _NAME = re.compile(r"\d{8}T\d{6}\.\d{6}Z-\d{4}\.mcap")
 _MAX_UNFLUSHED_BYTES = 8 * _MB
@@ -56,8 +55,8 @@ def unfit(block: SampleBlock) -> str | None:
     """Return the reason why a recording cannot hold a block, or None if it can."""
     if not (0 <= block.t_ns < _MAX_INT and block.sequence < _MAX_INT and 1e-3 <= block.sample_rate_hz <= 1e7):
         return f"time {block.t_ns} ns, sequence {block.sequence} or {block.sample_rate_hz:g} Hz is absurd"
-    if block.unit != _UNIT_OF.get(block.topic):
-        return f"topic {block.topic!r} in {block.unit!r}; known: {', '.join(_UNIT_OF)}"
+    if block.unit != UNIT_OF.get(block.topic):
+        return f"topic {block.topic!r} in {block.unit!r}; known: {', '.join(UNIT_OF)}"
     if not block.channels or block.samples.nbytes > _MAX_BLOCK_BYTES:
         return f"a block of {len(block.channels)} channels and {block.samples.nbytes} bytes"
     return None

@@ -16,8 +16,10 @@ from zenoh import ext
 from drivers import codec
 from drivers.base import (
     ACCELERATION,
+    FORCE,
     GROUND,
     TEMPERATURE,
+    UNIT_OF,
     EndOfStream,
     SampleBlock,
     SourceContext,
@@ -29,7 +31,6 @@ from drivers.reorder import Reorder
 from drivers.zenoh_session import Callbacks, Key, SessionSettings, leave, open_session, where
 
 ENCODING = f"application/protobuf;{codec.SCHEMA_NAME}"
-_UNITS = {ACCELERATION: "m/s^2", GROUND: "m/s^2", TEMPERATURE: "degC"}
 _QUERY_PERIOD: Any = timedelta(seconds=10)
 """Interval at which publishers are queried for missed blocks.  Heartbeats would stop the stream for good: with a direct peer
 as publisher and a slow reader, the subscriber's handling of a heartbeat deadlocks in Zenoh 1.10."""
@@ -50,11 +51,18 @@ class StreamSettings(SessionSettings):
     """Key of the temperatures, degC."""
     ground_key: Key | None = None
     """Key of the measured base motion."""
+    force_key: Key | None = None
+    """Key of the measured forces, N."""
 
     @property
     def topics(self) -> dict[str, str]:
         """Key of each topic that is carried."""
-        keys = {ACCELERATION: self.key, GROUND: self.ground_key, TEMPERATURE: self.temperature_key}
+        keys = {
+            ACCELERATION: self.key,
+            GROUND: self.ground_key,
+            FORCE: self.force_key,
+            TEMPERATURE: self.temperature_key,
+        }
         return {topic: key for topic, key in keys.items() if key is not None}
 
 
@@ -186,7 +194,7 @@ class ZenohSource:
             and block.sample_rate_hz <= limits.max_rate_hz
             and 0 <= block.t_ns < _LIMIT
             and block.sequence < _LIMIT
-            and block.unit == _UNITS[topic]
+            and block.unit == UNIT_OF[topic]
         ):
             raise ValueError(f"{topic}: a block beyond the limits of the settings")
         return block

@@ -16,7 +16,7 @@ def simulate(
     structure: Structure,
     out: Annotated[Path | None, typer.Option(metavar="REC.mcap", help="Recording to write; or give --to.")] = None,
     duration: Annotated[float, typer.Option(min=0.01, max=1e8, help="Length in s.")] = 1200.0,
-    excitation: Annotated[str, typer.Option(help="ambient, impulse or ground.")] = "ambient",
+    excitation: Annotated[str, typer.Option(help="ambient, impulse, ground or force.")] = "ambient",
     noise: Annotated[
         float, typer.Option(min=0.0, max=1e3, help="Sensor noise, fraction of the mean RMS acceleration.")
     ] = 0.05,

@@ -45,6 +45,23 @@ class SensorTable(Settings):
     """Floor (degree of freedom) on which the sensor is mounted; 1 is the top floor."""
 
 
+class InputTable(Settings):
+    """``[[inputs]]``: one measured force on the structure, as of a shaker or a hammer."""
+
+    channel: str = Field(min_length=1)
+    """Name of the channel on the topic ``/force``, N."""
+    floor: int = Field(ge=1)
+    """Floor (degree of freedom) on which the force acts; 1 is the top floor."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _node_is_floor(cls, table: Any) -> Any:
+        """Take ``node`` for ``floor``: a structure given by its matrices has nodes."""
+        if isinstance(table, dict) and "node" in table and "floor" not in table:
+            return {**{k: v for k, v in table.items() if k != "node"}, "floor": table["node"]}
+        return table
+
+
 class EffectTable(Settings):
     """``[[effects]]``: one effect that extends the structure."""
 
@@ -103,6 +120,7 @@ class Configuration(Settings):
 
     structure: StructureTable
     sensors: tuple[SensorTable, ...] = Field(min_length=1)
+    inputs: tuple[InputTable, ...] = ()
     effects: tuple[EffectTable, ...] = ()
     nodes: tuple[NodeTable, ...] = ()
     lines: tuple[LineTable, ...] = ()
@@ -136,6 +154,9 @@ class Configuration(Settings):
         names = [s.channel for s in self.sensors]
         problems += [f"sensors: channel {c!r} stands twice" for c in sorted({c for c in names if names.count(c) > 1})]
         problems += [f"sensors: {s.channel!r} is on floor {s.floor} of {n}" for s in self.sensors if s.floor > n]
+        forced = [i.channel for i in self.inputs]
+        problems += [f"inputs: channel {c!r} stands twice" for c in sorted({c for c in forced if forced.count(c) > 1})]
+        problems += [f"inputs: {i.channel!r} acts on floor {i.floor} of {n}" for i in self.inputs if i.floor > n]
         references = self.identification.reference_channels
         problems += [f"identification: no channel {c!r}" for c in references if c not in names]
         for table in self.effects:
@@ -221,7 +242,11 @@ class Configuration(Settings):
     def front_end(self) -> FrontEnd:
         """Create the front end that turns samples of the source into windows and segments."""
         return FrontEnd(
-            self.channels, self.processing, self.refinement.segment_s, n_lags=2 * self.identification.block_rows
+            self.channels,
+            self.processing,
+            self.refinement.segment_s,
+            n_lags=2 * self.identification.block_rows,
+            forces=tuple((i.channel, i.floor) for i in self.inputs),
         )
 
     def instrumented(self) -> InstrumentedModel:

@@ -1,4 +1,4 @@
-"""Plain findings from a response to measured ground motion: frequency ratios, and the first mode's dependence on amplitude."""
+"""Plain findings from a response to measured inputs: frequency ratios, and the first mode's dependence on amplitude."""
 
 from __future__ import annotations
 
@@ -41,30 +41,33 @@ class Backbone:
 def backbone(posterior: Posterior, fit: MapEstimate) -> Backbone | None:
     """Estimate the first mode's frequency in every segment.
 
-    In each segment ``y'' + 2 zeta w y' + w^2 y = -gamma g`` is solved by least squares in the frequency domain.  Here y is the
-    floors' motion relative to the ground in the first mode, and g is the ground acceleration.
+    In each segment ``y'' + 2 zeta w y' + w^2 y = gamma u`` is solved by least squares in the frequency domain.  Here y is the
+    floors' motion relative to the ground in the first mode, and u is the force of all inputs on that mode.
 
     Returns
     -------
     Backbone or None
-        None where too few segments show the mode, or where no ground motion was measured.
+        None where too few segments show the mode, or where no input was measured.
     """
     e, mean = posterior.observed, posterior.mean(fit.x, fit.effects)
     if e.drive is None or mean is None:
         return None
     effects = (*posterior.prior.effects(fit.x), *fit.effects)
-    mass, shape = posterior.system(fit.x, effects).mass, posterior.model(fit.x, effects).modes().shapes[:, 0].real
+    system, shape = posterior.system(fit.x, effects), posterior.model(fit.x, effects).modes().shapes[:, 0].real
+    mass = system.mass
     first = float(posterior.model(fit.x, effects).modes().frequencies_hz[0])
     sensors = posterior.context.sensors
     # Maps the channels to the first mode's coordinate, which is the top floor's motion in that mode.
     to_mode = np.linalg.pinv(sensors).T @ mass @ shape * shape[0]
     in_band = (e.band.hz > _FIRST_MODE_BAND[0] * first) & (e.band.hz < _FIRST_MODE_BAND[1] * first)
-    ground, w = e.drive.ground(e.band)[:, in_band], 2.0 * np.pi * e.band.hz[in_band]
-    rigid = to_mode @ sensors.sum(axis=1)
+    w = 2.0 * np.pi * e.band.hz[in_band]
+    inputs = e.drive.measured(e.band)[:, in_band]
+    rigid = to_mode @ sensors.sum(axis=1) * (inputs @ e.drive.rides)
+    forced = inputs @ (shape @ e.drive.forces(system)[: shape.size])
     rows = []
-    for measured, predicted, g in zip(e.segments.values[:, in_band], mean[:, in_band], ground, strict=True):
-        hz, amplitude, unexplained = _fit_oscillator(measured @ to_mode - rigid * g, g, w)
-        model_hz, _, model_unexplained = _fit_oscillator(predicted @ to_mode - rigid * g, g, w)
+    for measured, predicted, r, u in zip(e.segments.values[:, in_band], mean[:, in_band], rigid, forced, strict=True):
+        hz, amplitude, unexplained = _fit_oscillator(measured @ to_mode - r, u, w)
+        model_hz, _, model_unexplained = _fit_oscillator(predicted @ to_mode - r, u, w)
         if max(unexplained, model_unexplained) < _MAX_LEFT_POWER:
             rows.append((amplitude * np.sqrt(2.0 * e.band.bin_hz), hz, model_hz))
     if len(rows) < _MIN_SEGMENTS:
@@ -73,15 +76,15 @@ def backbone(posterior: Posterior, fit: MapEstimate) -> Backbone | None:
     return Backbone(*columns)
 
 
-def _fit_oscillator(y: ComplexArray, ground: ComplexArray, w: Array) -> tuple[float, float, float]:
+def _fit_oscillator(y: ComplexArray, force: ComplexArray, w: Array) -> tuple[float, float, float]:
     """Fit an oscillator's equation of motion to a mode's acceleration.
 
     Parameters
     ----------
     y : ndarray of complex, shape (n_bins,)
         Acceleration relative to the ground.
-    ground : ndarray of complex, shape (n_bins,)
-        Acceleration of the ground.
+    force : ndarray of complex, shape (n_bins,)
+        Force on the mode, of any unit.
     w : ndarray, shape (n_bins,)
         Circular frequency, rad/s.
 
@@ -90,7 +93,7 @@ def _fit_oscillator(y: ComplexArray, ground: ComplexArray, w: Array) -> tuple[fl
     tuple of float
         Frequency in Hz, root of the summed power of the displacement, and share of the power that the fit leaves unexplained.
     """
-    a = np.column_stack([y / -(w**2), y / (1j * w), ground])
+    a = np.column_stack([y / -(w**2), y / (1j * w), force])
     parts, target = np.concatenate([a.real, a.imag]), -np.concatenate([y.real, y.imag])
     x, *_ = np.linalg.lstsq(parts, target, rcond=None)
     omega = float(np.sqrt(max(x[0], 0.0)))
@@ -134,9 +137,9 @@ def find_ratio_change(posterior: Posterior, fit: MapEstimate) -> LackOfFit | Non
     Returns
     -------
     LackOfFit or None
-        None where the fitted model keeps the ratios, has no extra effects, or no ground motion was measured.
+        None where the fitted model keeps the ratios, has one mode or no extra effects, or no input was measured.
     """
-    if posterior.observed.drive is None or not fit.effects:
+    if posterior.observed.drive is None or not fit.effects or posterior.context.structure.n_dofs < 2:
         return None
     known = posterior.prior
     at_reference = posterior.layout.with_structure(fit.x, known.mean)

@@ -12,7 +12,7 @@ from monitor.core import Array, ComplexArray
 from monitor.diagnosis.lack_of_fit import LackOfFit
 from monitor.diagnosis.settings import DiagnosisSettings
 from monitor.diagnosis.stepwise_selection import Diagnosis
-from monitor.inference import Segments, information_weight
+from monitor.inference import Drive, Segments, information_weight
 
 _STEPS_A_CYCLE = 4
 """Trial rates by which the latest segment's phase at the highest frequency moves a cycle. [count; definition: two would
@@ -22,7 +22,7 @@ _RESOLUTION = 1e-3
 _DIAGONAL_ROUNDING = 1e-12
 """Least eigenvalue of the other channels' coherence matrix. [1; rounding]"""
 _MIN_STREAMS = 3
-"""Fewest channels, the ground included, among which one clock can be told from the others'. [count; definition]"""
+"""Fewest channels, the inputs included, among which one clock can be told from the others'. [count; definition]"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +30,7 @@ class ClockDrift:
     """Drift of one channel's clock against those of the others."""
 
     channel: int
-    """Index of the channel; the number of channels for the measured ground."""
+    """Index of the channel; from the number of channels on, of a measured input."""
     relative: float
     """Rate of the clock over that of the others, less one."""
     std: float
@@ -104,7 +104,7 @@ def correct_clock_drifts(segments: Segments, settings: DiagnosisSettings) -> tup
     Speech, and Signal Processing 24 (1976) 320 (the likelihood of a delay from the coherence).
     """
     drifts: list[ClockDrift] = []
-    streams = segments.values.shape[2] + (segments.drive is not None)
+    streams = segments.values.shape[2] + (0 if segments.drive is None else len(segments.drive.inputs))
     n, bins = segments.values.shape[:2]
     least = settings.margin + 0.5 * np.log(n * bins * information_weight())
     while n > streams >= _MIN_STREAMS + len(drifts):
@@ -124,12 +124,12 @@ def state_clock_drifts(diagnosis: Diagnosis, drifts: tuple[ClockDrift, ...]) -> 
     """Add the drifts to what is wrong beside the causes, which the verdict then says."""
     if not drifts:
         return diagnosis
-    channels = diagnosis.posterior.context.channels
+    channels, drive = diagnosis.posterior.context.channels, diagnosis.posterior.observed.drive
     said = tuple(
         LackOfFit(
-            where=f"clock of channel {[*channels, 'ground'][d.channel]}",
+            where=f"clock of {_named(d, channels, drive)}",
             size=abs(d.relative) / d.std,
-            says=clock_drift_in_words(d, channels),
+            says=clock_drift_in_words(d, channels, drive),
             changes=True,
             is_explained=True,
         )
@@ -143,19 +143,28 @@ def state_clock_drifts(diagnosis: Diagnosis, drifts: tuple[ClockDrift, ...]) -> 
     )
 
 
-def clock_drift_in_words(drift: ClockDrift, channels: Sequence[str]) -> str:
-    """State a drift of one of `channels`, or of the ground's, in words."""
-    of = f"channel {channels[drift.channel]}" if drift.channel < len(channels) else "the ground"
+def clock_drift_in_words(drift: ClockDrift, channels: Sequence[str], drive: Drive | None = None) -> str:
+    """State a drift of one of `channels`, or of a measured input's, in words."""
+    of = _named(drift, channels, drive)
     grows, fast = ("grows", "fast") if drift.relative > 0.0 else ("falls", "slow")
     size = abs(drift.relative)
     return f"the delay of {of} {grows} by {1e3 * size:.2g} ms a second: its clock runs {100.0 * size:.2g} % {fast}"
+
+
+def _named(drift: ClockDrift, channels: Sequence[str], drive: Drive | None) -> str:
+    """Name the channel or the input whose clock drifts."""
+    inputs = () if drive is None else drive.inputs
+    return [
+        *(f"channel {name}" for name in channels),
+        *("the ground" if one.floor is None else f"force {one.name}" for one in inputs),
+    ][drift.channel]
 
 
 def _estimate_drifts(segments: Segments) -> list[ClockDrift]:
     """Estimate the rate of each channel's clock as if those of the others were right."""
     streams = segments.values
     if segments.drive is not None:
-        streams = np.concatenate([streams, segments.drive.ground(segments.band)[:, :, None]], axis=2)
+        streams = np.concatenate([streams, segments.drive.measured(segments.band)], axis=2)
     hz, c = segments.band.hz, streams.shape[2]
     step = 1.0 / (_STEPS_A_CYCLE * hz[-1] * np.ptp(segments.t_s))
     # A faster drift would move half a cycle within one segment, which is then incoherent in itself.
@@ -190,7 +199,7 @@ def _refine(profile: _Profile, near: float, step: float) -> tuple[float, float]:
 
 
 def _turned(segments: Segments, drift: ClockDrift) -> Segments:
-    """Turn a channel's phase back to the others' clock; for the ground, all channels' to the ground's."""
+    """Turn a channel's phase back to the others' clock; for an input, all channels' to the input's."""
     values = segments.values.copy()
     phase = 2.0 * np.pi * segments.band.hz * segments.t_s[:, None] * drift.relative
     if drift.channel < values.shape[2]:

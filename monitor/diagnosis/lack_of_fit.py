@@ -280,7 +280,7 @@ def _list_deviations(
 ) -> tuple[LackOfFit, ...]:
     """Describe every entry of `z`, shape (n_bands, c, c), that exceeds the threshold; `changes` as in `LackOfFit`."""
     when = ", more so late in the recording than early" if changes else ""
-    names = [*posterior.context.channels, "ground"]
+    names = posterior.context.channels
     out = []
     for band, i, j in np.argwhere(np.abs(z) > settings.misfit):
         size = float(z[band, i, j])

@@ -173,9 +173,11 @@ def rank_by_score(posterior: Posterior, null_fit: MapEstimate, candidates: list[
     if _far_from_prior(posterior, null_fit):
         held, rest = _fit_at_prior(posterior, null_fit)
         lost = null_fit.log_posterior - rest.log_posterior
-        gains += [(gain - lost, effect) for gain, effect in _expected_gains(held, rest, candidates)]
-        shaped = [e for e in candidates if not e.proportional]  # no score test gives their size
-        gains += parallel_map(partial(_gain_from_prior, posterior, null_fit), shaped)
+        at_prior = [(gain - lost, effect) for gain, effect in _expected_gains(held, rest, candidates)]
+        # No score test tells what a law that is not proportional to its size, or has none, may gain once the structure is free.
+        shaped = [e for e in candidates if e.parameters and not e.proportional]
+        sizeless = {e.name: e for _, e in sorted(at_prior, key=lambda item: item[0]) if not e.parameters}
+        gains += at_prior + parallel_map(partial(_gain_from_prior, posterior, null_fit), [*shaped, *sizeless.values()])
     return sorted((item for item in gains if np.isfinite(item[0])), key=lambda item: -item[0])
 
 

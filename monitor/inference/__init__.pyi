@@ -5,8 +5,8 @@ from .exact_simulation import draw_forces, linearization_error, simulate_exact, 
 from .excitation_fit import ExcitationStart, fit_excitation, forces_from_quiet_segments, nearest_classes
 from .force_levels import fit_levels, spectra_by_force
 from .forward_model import Prediction
-from .ground_response import Between, Drive
 from .higher_moments import MeasuredMoments, Moments, measure_moments, normal_moments, simulate_moments, tone_log_odds
+from .input_response import Between, Drive
 from .linearization import linearize
 from .map_estimate import MapEstimate, maximize_posterior
 from .observed_spectra import ObservedSpectra, class_temperature, classify, information_weight

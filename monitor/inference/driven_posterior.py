@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monitor.core import Array, ComplexArray, parallel_map
-from monitor.inference import ground_response
+from monitor.inference import input_response
 from monitor.inference.cross_spectra import Excitation, cross_spectra, extended
 from monitor.inference.forward_model import Prediction
-from monitor.inference.ground_response import Between, Drive
+from monitor.inference.input_response import Between, Drive
 from monitor.inference.observed_spectra import ObservedSpectra
 from monitor.inference.posterior import Posterior, difference_operator, with_coordinates
 from monitor.model import Effect
@@ -74,12 +74,12 @@ class DrivenPosterior(Posterior):
         """See `ForwardModel.predict`."""
         spectra, mean = self.smooth(self.scatter(x, effects)), self.mean(x, effects)
         left = self.observed.segments.values - mean
-        return Prediction(spectra, self.smooth(ground_response.products(left, self.observed.members)), left)
+        return Prediction(spectra, self.smooth(input_response.products(left, self.observed.members)), left)
 
     def spectra(self, x: Array, effects: Sequence[Effect]) -> ComplexArray:
         """See `ForwardModel.spectra`."""
         mean = self.mean(x, effects)
-        return np.asarray(self.scatter(x, effects) + ground_response.products(mean, self.observed.members))
+        return np.asarray(self.scatter(x, effects) + input_response.products(mean, self.observed.members))
 
     def mean(self, x: Array, effects: Sequence[Effect], *, exact: bool = True) -> ComplexArray:
         """See `ForwardModel.mean`."""
@@ -89,25 +89,26 @@ class DrivenPosterior(Posterior):
         laws = [effect for effect in effects if effect.nonlinear and effect.family == "structure"]
         if laws and exact:
             system = extended(base, [f for f in effects if f not in laws], context, self.conditions[0])
-            return ground_response.exact_response(drive, system, effects, band, context, self.conditions[0])
+            return input_response.exact_response(drive, system, effects, band, context, self.conditions[0])
         out = np.zeros_like(self.observed.segments.values)
         if not any(effect.conditional for effect in effects):
             system = extended(base, effects, context, self.conditions[0])
-            out[:] = ground_response.response(drive, system, effects, band, context, self.conditions[0])
+            out[:] = input_response.response(drive, system, effects, band, context, self.conditions[0])
             return out
         for members, condition in zip(self.observed.members, self.conditions, strict=True):
             system = extended(base, effects, context, condition)
-            out[members] = ground_response.response(drive.part(members), system, effects, band, context, condition)
+            out[members] = input_response.response(drive.part(members), system, effects, band, context, condition)
         return out
 
     def linear_spectra(self, x: Array, effects: Sequence[Effect], classes: Sequence[int]) -> ComplexArray:
-        """See `ForwardModel.linear_spectra`.  The common noise is also that of the ground's sensor, and acts as ground motion."""
+        """See `ForwardModel.linear_spectra`.  The common noise is also that of a ground's sensor, and acts as ground motion."""
         base, context, layout = self.system(x, effects), self.context_at(x), self.layout
         forces, level, noise = self.forces(x), np.exp(x[layout.levels]), self.noise(x)
         out = []
         for k in classes:
             system = extended(base, effects, context, self.conditions[k])
-            excitation = Excitation(forces[k], noise, float(np.exp(x[layout.noise])))
+            ground_noise = float(np.exp(x[layout.noise])) if self.drive.has_ground else 0.0
+            excitation = Excitation(forces[k], noise, ground_noise)
             about = cross_spectra(system, effects, excitation, self.observed.band, context, self.conditions[k])
             out.append(about + level[k] * _diagonal(self.power))
         return np.stack(out)
@@ -212,7 +213,7 @@ class DrivenPosterior(Posterior):
         assert prediction.left is not None
         e = self.observed
         weight = (e.weight * e.counts / [m.size for m in e.members])[:, None] * self.widths()
-        rows = ground_response.mean_rows(
+        rows = input_response.mean_rows(
             prediction.spectra, np.concatenate([slopes, prediction.left[None]]), e.members, weight
         )
         return rows[:, :-1], rows[:, -1]

@@ -14,7 +14,7 @@ from monitor.inference.ambient_posterior import AmbientPosterior
 from monitor.inference.corrected_posterior import relative_to
 from monitor.inference.driven_posterior import DrivenPosterior
 from monitor.inference.exact_simulation import draw_forces, simulate_exact, simulate_spectra
-from monitor.inference.ground_response import Between
+from monitor.inference.input_response import Between
 from monitor.inference.linearization import linearize
 from monitor.inference.observed_spectra import ObservedSpectra, classify
 from monitor.inference.parameter_layout import ParameterLayout

@@ -12,7 +12,7 @@ from monitor.core import Array, ComplexArray
 from monitor.inference.cross_spectra import accelerance, extended, force_colour, force_root, seen, variances
 from monitor.inference.driven_posterior import DrivenPosterior
 from monitor.inference.force_levels import ground_levels
-from monitor.inference.ground_response import motion_rms
+from monitor.inference.input_response import motion_rms
 from monitor.inference.observed_spectra import ObservedSpectra, class_temperature
 from monitor.inference.posterior import Posterior
 from monitor.inference.segments import MIN_PILED

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from monitor.core import Array, ComplexArray
-from monitor.inference import ground_response
+from monitor.inference import input_response
 from monitor.inference.cross_spectra import Band
-from monitor.inference.ground_response import Drive
+from monitor.inference.input_response import Drive
 from monitor.inference.segments import Segments
 from monitor.signals import overlap_correlation
 
@@ -97,7 +97,7 @@ def classify(segments: Segments) -> ObservedSpectra:
     relative = np.ones(level.size)
     for m in members:
         relative[m] = level[m] / level[m].mean()
-    power = None if segments.drive is None else ground_response.smooth_power(x, segments.band.bin_hz)
+    power = None if segments.drive is None else input_response.smooth_power(x, segments.band.bin_hz)
     return ObservedSpectra(
         spectra=spectra,
         counts=np.array([float(m.size) for m in members]),

@@ -10,11 +10,11 @@ from itertools import chain, islice
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.base import ACCELERATION, GROUND, TEMPERATURE, SampleBlock
+from drivers.base import ACCELERATION, FORCE, GROUND, TEMPERATURE, SampleBlock
 from monitor.core import Array, BadInputError, ComplexArray
-from monitor.inference import ground_response
+from monitor.inference import input_response
 from monitor.inference.cross_spectra import Band
-from monitor.inference.ground_response import Drive
+from monitor.inference.input_response import Drive, Input
 from monitor.inference.judged_band import JudgedBand, find_judged_band
 from monitor.signals import (
     Conditioner,
@@ -31,22 +31,22 @@ from monitor.signals import (
 )
 
 Runs = Sequence[tuple[int, Array]]
-"""UTC of the first sample in ns, and samples in m/s^2, of every run of ground motion without a gap."""
+"""UTC of the first sample in ns, and samples in m/s^2 or N, shape (n, k), of every run of the inputs without a gap."""
 Located = tuple[Drive, NDArray[np.bool_]]
-"""Ground motion, and mask of the segments that it covers, shape (n_segments,)."""
+"""Inputs, and mask of the segments that they cover, shape (n_segments,)."""
 _BAND_START = 0.05
 """Lowest frequency of the band, over the cutoff. [ratio; judgement]"""
 _BAND_END = 0.9
 """Highest frequency of the band, over the cutoff. [ratio; ripple of the lowpass]"""
 _DRIVEN_SEGMENT_S = 5.0
-"""Length of a segment where the ground is measured. [s; judgement: a measured input needs no resolution, and short
+"""Length of a segment where the inputs are measured. [s; judgement: a measured input needs no resolution, and short
 segments follow its level]"""
 _DRIVEN_SEGMENTS = 72
 """Most segments of such a recording: a known input tells so much that more would only take time. [segments; cost]"""
 _LEAD_S = 60.0
-"""Ground motion that is kept before them, whose response they still hold. [s; judgement]"""
-_GROUND_TEST_BLOCKS = 64
-"""Blocks among which a measured ground is looked for. [count; cost]"""
+"""Stretch of the inputs that is kept before them, whose response they still hold. [s; judgement]"""
+_INPUT_TEST_BLOCKS = 64
+"""Blocks among which measured inputs are looked for. [count; cost]"""
 _FEWEST_SEGMENTS = 6
 """Fewest segments of a diagnosis. [segments; judgement]"""
 MIN_PILED = 20
@@ -90,7 +90,7 @@ class Segments:
     piled: NDArray[np.int64]
     """Number of each channel's samples that share its largest magnitude, shape (c,)."""
     drive: Drive | None
-    """Measured ground motion; None where it was not measured."""
+    """Measured inputs, a ground motion or forces; None where none was measured."""
     temperature: Array
     """Shape (n_readings, 2): s since the recording's first sample, degC; no rows where none was measured."""
     band: Band
@@ -162,27 +162,32 @@ class Segments:
 def gather(blocks: Iterable[SampleBlock], front_end: FrontEnd) -> Segments:
     """Condition a recording as in the pipeline and cut it into segments.
 
-    Segments that hold a brief fault of one sensor are left out.  Where the ground was measured, the segments are those of the
-    three minutes with the largest ground motion, with the ground motion from one minute before.
+    Segments that hold a brief fault of one sensor are left out.  Where inputs were measured, the segments are those of the
+    three minutes with the largest inputs, with the inputs from one minute before.
 
-    The band is the part of the whole band that the recording can judge, see `monitor.inference.judged_band`.  Where the ground
-    was measured it is the whole band, since the forces are then known.
+    The band is the part of the whole band that the recording can judge, see `monitor.inference.judged_band`: where the floors'
+    motion or, where they were measured, the inputs show that forces act.
 
     Raises
     ------
     BadInputError
-        If there are fewer than six segments: 70 s of usable data, 18 s where the ground was measured.
+        If there are fewer than six segments: 70 s of usable data, 18 s where inputs were measured.
     """
     blocks = iter(blocks)
-    head = list(islice(blocks, _GROUND_TEST_BLOCKS))
-    segment_s = _DRIVEN_SEGMENT_S if any(b.topic == GROUND for b in head) else front_end.segment_s
-    floors, ground = (_Stream(front_end, segment_s, is_ground=is_ground) for is_ground in (False, True))
+    head = list(islice(blocks, _INPUT_TEST_BLOCKS))
+    known = {GROUND, FORCE} if front_end.forces else {GROUND}
+    segment_s = _DRIVEN_SEGMENT_S if any(b.topic in known for b in head) else front_end.segment_s
+    floors = _Stream(front_end, segment_s)
+    inputs: dict[str, _Stream] = {}
     temperature: list[tuple[int, float]] = []
     for block in chain(head, blocks):
         if block.topic == ACCELERATION:
             floors.push(block)
-        elif block.topic == GROUND:
-            ground.push(block)
+        elif block.topic in known:
+            if block.topic not in inputs:
+                names = tuple(name for name, _ in front_end.forces) if block.topic == FORCE else block.channels[:1]
+                inputs[block.topic] = _Stream(replace(front_end, channels=names), segment_s, is_input=True)
+            inputs[block.topic].push(block)
         elif block.topic == TEMPERATURE:
             step_ns = 1e9 / block.sample_rate_hz
             temperature += [(block.t_ns + round(i * step_ns), float(v)) for i, v in enumerate(block.samples[:, 0])]
@@ -205,11 +210,12 @@ def gather(blocks: Iterable[SampleBlock], front_end: FrontEnd) -> Segments:
     t0 = floors.t0_ns
     gain = _filter_gain(conditioner, last + 1, design.step_hz)
     whole = Band(first, last - first + 1, design.step_hz, gain[first:])
-    runs = [(t, values[:, 0]) for t, values in ground.joined_runs()]
+    runs = input_response.joined([stream.joined_runs() for stream in inputs.values()], design.rate_hz) if inputs else []
     located = None
     if runs:
         to_segments = partial(
-            ground_response.locate,
+            input_response.locate,
+            tuple(chain.from_iterable(_inputs(topic, front_end) for topic in inputs)),
             design=design,
             source_hz=conditioner.rate_in_hz,
             filtered=lambda hz: _filter_response(conditioner, hz),
@@ -219,10 +225,9 @@ def gather(blocks: Iterable[SampleBlock], front_end: FrontEnd) -> Segments:
     readings = np.array([((t - t0) * 1e-9, v) for t, v in temperature if np.isfinite(v)]).reshape(-1, 2)
     transforms, rms, tapered, peaks = (np.stack(x) for x in zip(*floors.segments.values(), strict=True))
     periodograms = np.abs(transforms[:, : last + 1]) ** 2 / gain[:, None]
-    judged = JudgedBand(slice(0, whole.n_bins))
-    if located is None:
-        unfiltered = np.asarray(transforms[:, first : last + 1] / np.sqrt(whole.gain)[:, None], dtype=complex)
-        judged = find_judged_band(unfiltered, whole.hz)
+    # What shakes the structure is known where inputs were measured, and has to be found in the response elsewhere.
+    shown = transforms[:, first : last + 1] if drive is None else drive.measured(whole)
+    judged = find_judged_band(np.asarray(shown / np.sqrt(whole.gain)[:, None], dtype=complex), whole.hz)
     band = whole.part(judged)
     below = 2.0 * design.step_hz * periodograms[:, 1 : band.first + band.n_bins].sum(axis=1)
     drifts = sensor_drift.find_drift(transforms[:, : last + 1], first)
@@ -253,25 +258,29 @@ def gather(blocks: Iterable[SampleBlock], front_end: FrontEnd) -> Segments:
     return replace(segments.part(covered), drive=drive)
 
 
+def _inputs(topic: str, front_end: FrontEnd) -> list[Input]:
+    """List the inputs that a topic carries."""
+    return [Input(*force) for force in front_end.forces] if topic == FORCE else [Input("ground")]
+
+
 def _keep_strongest(
     runs: Runs, t_ns: Sequence[int], band: Band, locate: Callable[[Runs, Sequence[int]], Located | None]
 ) -> Located | None:
-    """Locate segments as `ground_response.locate` does, but keep at most `_DRIVEN_SEGMENTS` consecutive ones.
+    """Locate segments as `input_response.locate` does, but keep at most `_DRIVEN_SEGMENTS` consecutive ones.
 
-    The kept segments are those with the largest ground motion.
+    The kept segments are those with the largest inputs.
     """
     located = locate(runs, t_ns)
     if located is None or located[0].first.size <= _DRIVEN_SEGMENTS:
         return located
     drive, covered = located
-    power = (np.abs(drive.ground(band)) ** 2).sum(axis=1)
-    first = int(np.convolve(power, np.ones(_DRIVEN_SEGMENTS), mode="valid").argmax())
+    first = int(np.convolve(drive.power(band), np.ones(_DRIVEN_SEGMENTS), mode="valid").argmax())
     chosen = np.flatnonzero(covered)[first : first + _DRIVEN_SEGMENTS]
     rate_hz, times = drive.design.rate_hz, [t_ns[i] for i in chosen]
     cut = []
     for begin, samples in runs:
         ends_s = np.array([times[0] - begin, times[-1] - begin]) * 1e-9 + [-_LEAD_S, drive.design.n / rate_hz]
-        low, high = np.clip(np.rint(ends_s * rate_hz).astype(int), 0, samples.size)
+        low, high = np.clip(np.rint(ends_s * rate_hz).astype(int), 0, len(samples))
         if high > low:
             cut.append((begin + round(low / rate_hz * 1e9), samples[low:high]))
     located = locate(cut, times)
@@ -284,8 +293,8 @@ def _keep_strongest(
 class _Stream:
     """Conditioning and segmentation of one topic's blocks."""
 
-    def __init__(self, front_end: FrontEnd, segment_s: float, *, is_ground: bool) -> None:
-        self.front_end, self._segment_s, self._is_ground = front_end, segment_s, is_ground
+    def __init__(self, front_end: FrontEnd, segment_s: float, *, is_input: bool = False) -> None:
+        self.front_end, self._segment_s, self._is_input = front_end, segment_s, is_input
         self._align = alignment.start()
         self._rest: Array | None = None
         self._state: ConditionState
@@ -298,7 +307,7 @@ class _Stream:
         first sample, UTC ns."""
         self.t0_ns = 0
         self.seconds = 0.0
-        self.peak = np.zeros(1 if is_ground else len(front_end.channels))
+        self.peak = np.zeros(len(front_end.channels))
         self.piled = np.zeros(self.peak.size, dtype=np.int64)
         self.runs: list[tuple[int, list[Array]]] = []
         """Conditioned samples of every run without a gap, with the time of the run's first sample, UTC ns."""
@@ -313,17 +322,16 @@ class _Stream:
 
     def push(self, block: SampleBlock) -> None:
         """Condition a block's samples and cut the segments that they complete."""
-        if self._is_ground and not self.runs:
-            self.front_end = replace(self.front_end, channels=block.channels[:1])
         self._align, pieces = self.front_end.align(self._align, block)
         for piece in pieces:
             if self._rest is None or piece.gap is not None:
                 self._begin_run(piece)
             self._state, values = self.conditioner.step_block(self._state, piece.values)
             # The floors' samples only tell faults of a sensor, for which half the memory is enough.
-            self.runs[-1][1].append(values if self._is_ground else values.astype(np.float32))
-            if not self._is_ground:
-                self._describe_cells(piece.values)
+            self.runs[-1][1].append(values if self._is_input else values.astype(np.float32))
+            if self._is_input:
+                continue
+            self._describe_cells(piece.values)
             self.seconds += values.shape[0] / self.conditioner.rate_hz
             self._update_peak(np.abs(piece.values))
             self._raw.append(piece.values)
@@ -394,7 +402,7 @@ class _Stream:
         )
 
     def _design_segments(self) -> SegmentDesign:
-        """Design segments on the pipeline's grid, or shorter ones where the ground is measured."""
+        """Design segments on the pipeline's grid, or shorter ones where inputs are measured."""
         conditioner = self.conditioner
         if self._segment_s < self.front_end.segment_s:
             n = 2 * round(0.5 * self._segment_s * conditioner.rate_hz)

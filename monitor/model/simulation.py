@@ -7,6 +7,7 @@ steps is for `reproduce` alone: it lengthens periods to ``f_N = atan(pi f dt) / 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -17,7 +18,9 @@ from monitor.core import Array
 from monitor.model.effects import Condition, Context, System
 from monitor.model.model import Model
 
-ExcitationKind = Literal["ambient", "impulse", "ground"]
+ExcitationKind = Literal["ambient", "impulse", "ground", "force"]
+_MEASURED_N = 10.0
+"""RMS of a measured force, as a shaker's, beside ambient forces of 1 N. [N; definition]"""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -29,6 +32,8 @@ class Motion:
     """Absolute accelerations, shape (n_samples, c), m/s^2; one channel a floor unless sensors were named."""
     ground: Array | None
     """Measured ground acceleration, shape (n_samples,), m/s^2; None where it was not measured."""
+    force: Array | None = None
+    """Measured forces, shape (n_samples, k), N; None where none was measured."""
 
 
 def linear_system(model: Model) -> System:
@@ -129,16 +134,17 @@ def simulate(
     seed: int = 0,
     context: Context | None = None,
     excess_degc: Array | None = None,
+    forced: Sequence[int] = (),
 ) -> Motion:
-    """Simulate a recording of a model under random forces, hammer blows or ground motion.
+    """Simulate a recording of a model under random forces, hammer blows, ground motion or measured forces.
 
     Parameters
     ----------
     duration_s, rate_hz : float
         Length of the recording and nominal rate of its samples.
-    excitation : {"ambient", "impulse", "ground"}
+    excitation : {"ambient", "impulse", "ground", "force"}
         Independent white forces of 1 N on every floor; a hammer blow on the middle floor every 10 s; a white ground
-        acceleration of 0.5 m/s^2, measured.
+        acceleration of 0.5 m/s^2, measured; measured white forces of 10 N beside the ambient ones.
     noise : float
         Sensor noise, white at `rate_hz`, as a fraction of the mean over channels of the acceleration's RMS, the same
         on every channel.  The sensor effects act on the noise as on the motion.
@@ -150,6 +156,8 @@ def simulate(
         Names and places of the sensors; by default one a floor, a1 to an.
     excess_degc : ndarray, shape (n_samples,), optional
         Temperature above the reference, K; none by default.
+    forced : sequence of int, optional
+        Floor on which each measured force acts, counted from 1.
 
     Returns
     -------
@@ -159,10 +167,12 @@ def simulate(
     Raises
     ------
     ValueError
-        If an effect shapes the forces or moves the ground, and `excitation` is the ground.
+        If an effect shapes the forces or moves the ground, and `excitation` is the ground; or if a measured force has no floor.
     """
     if excitation == "ground" and any(e.ground_share or np.ndim(e.colour(np.ones(1))) for e in model.effects):
         raise ValueError("effects of the excitation need --excitation ambient or impulse")
+    if excitation == "force" and not forced:
+        raise ValueError("--excitation force needs [[inputs]] in the structure file: a channel and its floor")
     n = model.structure.n_dofs
     if context is None:
         context = Context(model.structure, tuple(f"a{j + 1}" for j in range(n)), np.eye(n), rate_hz)
@@ -171,8 +181,8 @@ def simulate(
     n_samples = round(duration_s * rate_hz)
     true_rate_hz = rate_hz * float(np.prod([e.clock_factor for e in model.effects]))
     level = level_wander(n_samples, rate_hz, level_spread, rng)[:, None]
-    forces, ground = np.zeros((n_samples, n)), None
-    if excitation == "ambient":
+    forces, ground, measured = np.zeros((n_samples, n)), None, None
+    if excitation in ("ambient", "force"):
         forces = level * rng.standard_normal((n_samples, n))
     elif excitation == "impulse":
         forces[:: max(1, round(10.0 * rate_hz)), n // 2] = rate_hz  # 1 N s within one sample
@@ -180,6 +190,9 @@ def simulate(
         ground = 0.5 * level[:, 0] * rng.standard_normal(n_samples)
     for effect in model.effects:
         forces = effect.drive(forces, true_rate_hz)
+    if excitation == "force":
+        measured = _MEASURED_N * level * rng.standard_normal((n_samples, len(forced)))
+        forces = forces + measured @ np.eye(n)[np.array(forced) - 1]
     true_ground = (
         _unmeasured_ground(model, forces, level[:, 0], true_rate_hz, context, effects_rng) if ground is None else ground
     )
@@ -192,7 +205,7 @@ def simulate(
         ground = ground + rms * rng.standard_normal(n_samples)
     for effect in model.effects:
         samples = effect.measure(samples, true_rate_hz, context, effects_rng)
-    return Motion(rate_hz, samples, ground)
+    return Motion(rate_hz, samples, ground, measured)
 
 
 def own_forces(model: Model, level: Array, rate_hz: float, rng: np.random.Generator) -> Array:

@@ -105,7 +105,9 @@ def calibrate(
         on_warning("too short for a diagnosis to learn from; 'diagnose' will not take this baseline")
         return baseline, fit
     for drift in correct_clock_drifts(segments, config.diagnosis)[1]:
-        on_warning(f"{clock_drift_in_words(drift, config.channels)}; mend it, or every diagnosis will say so")
+        on_warning(
+            f"{clock_drift_in_words(drift, config.channels, segments.drive)}; mend it, or every diagnosis will say so"
+        )
     reference = diagnose.learn_healthy_prior(segments, config)
     _warn_of_sensors(reference, config, on_warning)
     if reference.error is not None:

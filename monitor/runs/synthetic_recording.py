@@ -13,7 +13,7 @@ from typing import cast, get_args
 
 import numpy as np
 
-from drivers.base import ACCELERATION, GROUND, TEMPERATURE, SampleBlock
+from drivers.base import ACCELERATION, FORCE, GROUND, TEMPERATURE, SampleBlock
 from drivers.mcap_file import McapWriter
 from monitor.config import Configuration
 from monitor.core import Array, BadConfigurationError, MissingInputError
@@ -206,6 +206,7 @@ def write_simulated_recording(
             seed=seed,
             context=config.instrumented().context(rate_hz),
             excess_degc=None if weather is None else weather.degc(n_samples, rate_hz) - weather.reference_degc,
+            forced=[i.floor for i in config.inputs],
         )
     except ValueError as error:  # includes EffectError
         raise BadConfigurationError(str(error)) from error
@@ -219,7 +220,7 @@ def write_simulated_recording(
     }
     if weather is not None:
         metadata["reference_degc"] = repr(weather.reference_degc)
-    _write_blocks(out, _sample_blocks(motion, config.channels, weather, t0_ns), {"simulated": metadata})
+    _write_blocks(out, _sample_blocks(motion, config, weather, t0_ns), {"simulated": metadata})
 
 
 def _require_stable(truth: Model, channels: tuple[str, ...]) -> Model:
@@ -239,14 +240,17 @@ def _require_stable(truth: Model, channels: tuple[str, ...]) -> Model:
 
 
 def _sample_blocks(
-    motion: Motion, channels: tuple[str, ...], weather: TemperatureCycle | None, t0_ns: int
+    motion: Motion, config: Configuration, weather: TemperatureCycle | None, t0_ns: int
 ) -> Iterator[SampleBlock]:
-    """Cut the accelerations, the base motion and the temperature into blocks of one second, in time order."""
+    """Cut the accelerations, the inputs and the temperature into blocks of one second, in time order."""
     rate_hz, n_samples = motion.rate_hz, len(motion.floors)
     block_n = max(1, round(rate_hz))
-    streams = [cut_into_blocks(ACCELERATION, motion.floors, channels, rate_hz, t0_ns, block_n)]
+    streams = [cut_into_blocks(ACCELERATION, motion.floors, config.channels, rate_hz, t0_ns, block_n)]
     if motion.ground is not None:
         streams.append(cut_into_blocks(GROUND, motion.ground[:, None], ("ground",), rate_hz, t0_ns, block_n))
+    if motion.force is not None:
+        names = tuple(i.channel for i in config.inputs)
+        streams.append(cut_into_blocks(FORCE, motion.force, names, rate_hz, t0_ns, block_n, unit="N"))
     if weather is not None:
         degc = weather.degc(int((n_samples - 1) / rate_hz * _TEMPERATURE_HZ) + 1, _TEMPERATURE_HZ)
         streams.append(cut_into_blocks(TEMPERATURE, degc[:, None], ("air",), _TEMPERATURE_HZ, t0_ns, 1, unit="degC"))

@@ -7,7 +7,7 @@ from math import ceil
 
 import numpy as np
 
-from drivers.base import SampleBlock
+from drivers.base import UNIT_OF, SampleBlock
 from monitor.core import Array, BadInputError, Gap
 
 _MAX_CLOCK_OFFSET_S = 1.0
@@ -62,7 +62,7 @@ class Piece:
 
     t_ns: int
     values: Array
-    """Shape (n_samples, c), m/s^2, float64."""
+    """Shape (n_samples, c), in the unit of the topic, float64."""
     gap: Gap | None
     rate_hz: float
     shift_ns: int = 0
@@ -70,12 +70,12 @@ class Piece:
 
 
 def select(block: SampleBlock, channels: tuple[str, ...]) -> Array:
-    """Select the structure's channels of a block, shape (n_samples, c), m/s^2.
+    """Select the structure's channels of a block, shape (n_samples, c), in the unit of its topic.
 
     Raises
     ------
     BadInputError
-        If a channel is missing, the unit is not m/s^2, or a number is absurd.
+        If a channel is missing, the unit is not that of the topic, or a number is absurd.
     """
     if len(block.channels) > _MAX_CHANNELS:
         raise BadInputError(f"{block.topic}: {len(block.channels)} channels, {_MAX_CHANNELS} are the most")
@@ -89,8 +89,9 @@ def select(block: SampleBlock, channels: tuple[str, ...]) -> Array:
             f"{block.topic}: channel {', '.join(missing)} of the structure file is not in the data, which has "
             f"{', '.join(block.channels)}; name the channels alike"
         )
-    if block.unit != "m/s^2":
-        raise BadInputError(f"{block.topic}: unit {block.unit!r}, expected 'm/s^2'")
+    unit = UNIT_OF.get(block.topic, "m/s^2")
+    if block.unit != unit:
+        raise BadInputError(f"{block.topic}: unit {block.unit!r}, expected {unit!r}")
     columns = [block.channels.index(name) for name in channels]
     with np.errstate(invalid="ignore"):  # a signalling NaN is a missing sample like any other
         if block.channels == channels:

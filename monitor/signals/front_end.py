@@ -39,6 +39,8 @@ class FrontEnd:
     """Length of the tapered segments for spectra, s."""
     n_lags: int
     """Lags of the covariances that identification needs, in samples after resampling."""
+    forces: tuple[tuple[str, int], ...] = ()
+    """Channel of each measured force, and the degree of freedom on which it acts, counted from 1."""
 
     @property
     def step_s(self) -> float:
@@ -73,7 +75,7 @@ class FrontEnd:
         Raises
         ------
         BadInputError
-            If a channel is missing or the unit is not m/s^2.
+            If a channel is missing or the unit is not that of the topic.
         """
         return alignment.step(state, block, self.channels)
 

@@ -1,11 +1,12 @@
-"""Diagnosis of the Silverbox, a measured circuit that behaves as a mass on a hardening spring, from its output alone.
+"""Diagnosis of the Silverbox, a measured circuit that behaves as a mass on a hardening spring.
 
-    .venv/bin/python -m tests.measured.silverbox SNLS80mV.mat [--part multisine|arrow|all] [--cutoff 40 15]
+    .venv/bin/python -m tests.measured.silverbox SNLS80mV.mat [--part multisine|arrow|all] [--cutoff 40 15] [--input]
 
 The user's own download of the data (nonlinearbenchmark.org) is read; it is no part of the repository.  The output voltage is
 taken for a displacement in m, differentiated twice in the frequency domain and stretched in time ten times, so that the
 circuit is a structure of 1 kg at 6.83 Hz.  Its forces end at 20 Hz (multisine) or fall from 18 Hz on (arrow).  Input and output
-together give k3 / k = 3.98 per square meter; nothing of the input is used here.
+together give k3 / k = 3.98 per square meter.  With ``--input`` the input voltage is the measured force, in N by the static
+compliance of the quietest samples; then the output of the arrow is predicted from its input and the extended structure.
 
 References
 ----------
@@ -21,12 +22,14 @@ from pathlib import Path
 
 import numpy as np
 from scipy.io import loadmat
+from scipy.signal import resample_poly
 from threadpoolctl import threadpool_limits
 
-from drivers.base import ACCELERATION
+from drivers.base import ACCELERATION, FORCE, SampleBlock
 from monitor.config.configuration import Configuration
-from monitor.diagnosis import content
+from monitor.diagnosis import content, fitted_model
 from monitor.inference.segments import gather
+from monitor.model import Model
 from monitor.runs import diagnose
 from monitor.runs.synthetic_recording import cut_into_blocks
 
@@ -37,9 +40,15 @@ PARTS = {"arrow": slice(0, 40_000), "multisine": slice(41_000, None), "all": sli
 RATIO = 3.98
 """k3 / k from input and output. [1/m^2]"""
 DRAWN_HZ = 6.8
+FINER = 16
+"""Steps of the integration for a sample."""
 
 
-def drawing(cutoff_hz: float) -> Configuration:
+QUIET = slice(4_000, 12_000)
+"""Samples of the arrow at a low level."""
+
+
+def drawing(cutoff_hz: float, *, with_input: bool) -> Configuration:
     """Make the structure file: one mass on one spring."""
     stiffness = (2.0 * np.pi * DRAWN_HZ) ** 2
     text = f"""
@@ -54,14 +63,55 @@ def drawing(cutoff_hz: float) -> Configuration:
     [processing]
     cutoff_hz = {cutoff_hz}
     """
+    text += (
+        """
+    [[inputs]]
+    channel = "f1"
+    floor = 1
+    """
+        * with_input
+    )
     return Configuration.model_validate(tomllib.loads(text))
 
 
-def acceleration(path: Path, part: str) -> np.ndarray:
-    """Differentiate the output twice, shape (n_samples, 1), m/s^2."""
-    y = loadmat(path)["V2"].ravel().astype(float)
+def voltages(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Read input and output without their means, shape (n_samples,) each, V."""
+    content = loadmat(path)
+    return tuple(content[name].ravel().astype(float) - content[name].mean() for name in ("V1", "V2"))
+
+
+def acceleration(y: np.ndarray) -> np.ndarray:
+    """Differentiate the output twice, shape (n_samples,), m/s^2."""
     omega = 2.0 * np.pi * np.fft.rfftfreq(y.size, 1.0 / RATE_HZ)
-    return np.fft.irfft(-(omega**2) * np.fft.rfft(y - y.mean()), n=y.size)[PARTS[part], None]
+    return np.fft.irfft(-(omega**2) * np.fft.rfft(y), n=y.size)
+
+
+def newton_per_volt(u: np.ndarray, y: np.ndarray) -> float:
+    """Fit 1 kg y'' + c y' + k y = a u to quiet samples below 10 Hz; return a."""
+    hz = np.fft.rfftfreq(y[QUIET].size, 1.0 / RATE_HZ)
+    taper = np.hanning(y[QUIET].size)
+    low = (hz > 1.0) & (hz < 10.0)
+    forced, moved, pulled = (np.fft.rfft(taper * x[QUIET])[low] for x in (u, y, acceleration(y)))
+    a = np.column_stack([forced, -moved, -2j * np.pi * hz[low] * moved])
+    x, *_ = np.linalg.lstsq(np.concatenate([a.real, a.imag]), np.r_[pulled.real, pulled.imag], rcond=None)
+    return float(x[0])
+
+
+def predicted(force: np.ndarray, model: Model) -> np.ndarray:
+    """Integrate the displacement of the extended structure under a force, shape (n_samples,), m."""
+    structure = model.structure
+    mass, k = float(structure.masses_kg[0]), float(structure.stiffness_n_per_m[0])
+    k3 = sum(e.values().get("k3_n_per_m3", 0.0) for e in model.effects)
+    c = 2.0 * float(model.modal_damping[0]) * np.sqrt(k * mass)
+    c += sum(e.values().get("damping_n_s_per_m", 0.0) for e in model.effects)
+    fine = resample_poly(force, FINER, 1)
+    h, x, v = 1.0 / (FINER * RATE_HZ), 0.0, 0.0
+    out = np.empty(fine.size)
+    for i, f in enumerate(fine):  # leapfrog, damping at the half step
+        out[i] = x
+        v = ((1.0 - 0.5 * h * c / mass) * v + h / mass * (f - k * x - k3 * x**3)) / (1.0 + 0.5 * h * c / mass)
+        x += h * v
+    return out[::FINER]
 
 
 def main() -> None:
@@ -70,12 +120,18 @@ def main() -> None:
     parser.add_argument("file", type=Path)
     parser.add_argument("--part", choices=PARTS, default="multisine")
     parser.add_argument("--cutoff", type=float, nargs="+", default=[40.0, 15.0], help="[processing] cutoff_hz")
+    parser.add_argument("--input", action="store_true", help="use the input as a measured force")
     options = parser.parse_args()
-    samples = acceleration(options.file, options.part)
+    u, y = voltages(options.file)
+    part, force = PARTS[options.part], newton_per_volt(u, y) * u
     for cutoff_hz in options.cutoff:
-        config = drawing(cutoff_hz)
-        blocks = cut_into_blocks(ACCELERATION, samples, config.channels, RATE_HZ, 10**18, 512)
-        segments = gather(blocks, config.front_end())
+        config = drawing(cutoff_hz, with_input=options.input)
+        blocks: list[SampleBlock] = [
+            *cut_into_blocks(ACCELERATION, acceleration(y)[part, None], config.channels, RATE_HZ, 10**18, 512)
+        ]
+        if options.input:
+            blocks += cut_into_blocks(FORCE, force[part, None], ("f1",), RATE_HZ, 10**18, 512, unit="N")
+        segments = gather(sorted(blocks, key=lambda b: b.t_ns), config.front_end())
         with threadpool_limits(limits=1):
             found, gain = diagnose.diagnose_segments(segments, diagnose._drawing_prior(config), config)
         told = content(found, gain, (), {})
@@ -94,7 +150,12 @@ def main() -> None:
             k3 = c["parameters"].get("k3_n_per_m3")
             if k3 is not None:
                 value, std = k3["value"] / stiffness, k3["std"] / stiffness
-                print(f"  k3 / k = {value:.2f} +- {std:.2f} per m^2; true {RATIO}")
+                print(f"  k3 / k = {value:.3f} +- {std:.3f} per m^2; true {RATIO}")
+        if options.input:
+            arrow = PARTS["arrow"]
+            for name, fit in (("updated", found.null_fit), ("extended", found.final_fit)):
+                error = predicted(force[arrow], fitted_model(found.posterior, fit)) - y[arrow]
+                print(f"  arrow predicted by the {name} structure: RMSE {1e3 * np.sqrt(np.mean(error**2)):.2f} mV")
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Response to a measured ground motion: the deterministic output of a known input.
+"""Response to known inputs, a measured ground motion and measured forces: the deterministic output.
 
 The residual of a segment is due to forces, noise and the model's own error (output error identification).
 
@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Literal
 
 import numpy as np
@@ -24,16 +25,16 @@ from monitor.model import Condition, Context, Effect, System
 from monitor.signals import SegmentDesign, taper
 
 Between = Literal["smooth", "straight", "held"]
-"""Motion of the ground between its samples: smooth as after a sensor's filter, or straight or held as in a simulation."""
+"""Course of the inputs between their samples: smooth as after a sensor's filter, or straight or held as in a simulation."""
 
 _IMAGES = (0, -1, 1)
 """Images of the spectrum that sampling folds into the band. [count; definition]"""
 _PAD_S = 40.0
 """Zeros after a run, in which its last motion dies out before it wraps around. [s; judgement]"""
 _MAX_MISALIGNMENT = 0.02
-"""Largest difference of the instants of the ground and of the floors. [samples; judgement]"""
-_GROUND_OVERSAMPLING = 4
-"""Samples of the ground for one of the recording, as steps of nonlinear laws. [ratio; accuracy of the integration]"""
+"""Largest difference of the instants of the inputs and of the floors. [samples; judgement]"""
+_OVERSAMPLING = 4
+"""Samples of the inputs for one of the recording, as steps of nonlinear laws. [ratio; accuracy of the integration]"""
 _MIN_STEP_HZ = 1000.0
 """Least rate of these steps. [Hz; accuracy of the integration]"""
 _TILT_FREQUENCY = 0.2 / (2.0 * np.pi)
@@ -52,11 +53,27 @@ _MEAN_ROWS = 2.0
 
 
 @dataclass(frozen=True, eq=False, slots=True)
+class Input:
+    """Measured input of the structure: a force on a degree of freedom, or the acceleration of the ground.
+
+    Examples
+    --------
+    >>> Input("f1", 2), Input("ground")
+    (Input(name='f1', floor=2), Input(name='ground', floor=None))
+    """
+
+    name: str
+    """Name of the channel."""
+    floor: int | None = None
+    """Degree of freedom on which the force acts, counted from 1; None for the ground, whose acceleration moves all floors."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
 class Run:
-    """Run of ground motion without a gap, in the frequency domain."""
+    """Run of the inputs without a gap, in the frequency domain."""
 
     spectrum: ComplexArray
-    """Unscaled transform of the conditioned samples with zeros after them, m/s^2, shape (n // 2 + 1,)."""
+    """Unscaled transform of the conditioned samples with zeros after them, m/s^2 or N, shape (n // 2 + 1, k)."""
     n: int
     """Number of samples, zeros included."""
     length: int
@@ -67,8 +84,10 @@ class Run:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Drive:
-    """Whole measured ground motion, with the places of the recording's segments in it."""
+    """All measured inputs, with the places of the recording's segments in them."""
 
+    inputs: tuple[Input, ...]
+    """The k inputs, in the order of the columns."""
     runs: tuple[Run, ...]
     run: NDArray[np.intp]
     """Index of every segment's run, shape (n_segments,)."""
@@ -79,8 +98,28 @@ class Drive:
     """Rate of the source's samples, Hz."""
     between: Between = "smooth"
 
+    @property
+    def has_ground(self) -> bool:
+        """Whether the ground's motion is among the inputs."""
+        return any(one.floor is None for one in self.inputs)
+
+    def forces(self, system: System) -> Array:
+        """Compute the forces on the degrees of freedom by a unit of each input, shape (N, k), kg or 1."""
+        out = np.zeros((system.mass.shape[0], len(self.inputs)))
+        for i, one in enumerate(self.inputs):
+            if one.floor is None:
+                out[:, i] = -system.inertia
+            else:
+                out[one.floor - 1, i] = 1.0
+        return out
+
+    @property
+    def rides(self) -> Array:
+        """Acceleration of every floor at rest relative to the ground, by a unit of each input, shape (k,)."""
+        return np.array([float(one.floor is None) for one in self.inputs])
+
     def images(self, hz: Array) -> Iterator[tuple[float, Array | ComplexArray]]:
-        """Yield the aliases of frequencies `hz`, shape (n_hz,): distance in Hz, and factor on the ground's motion, (n_hz,)."""
+        """Yield the aliases of frequencies `hz`, shape (n_hz,): distance in Hz, and factor on the inputs, (n_hz,)."""
         if self.between == "smooth":
             yield 0.0, np.ones(hz.size)
             return
@@ -100,19 +139,25 @@ class Drive:
         hz = np.arange(run.n // 2 + 1) * (self.design.rate_hz / run.n)
         return np.asarray(hz[: np.searchsorted(hz, 1.1 * band.hz[-1])])
 
-    def ground(self, band: Band) -> ComplexArray:
-        """Transform the ground's own motion in every segment, shape (n_segments, n_bins)."""
-        out = np.empty((self.run.size, band.n_bins), dtype=complex)
-        for members, samples in self.moved(np.ones((run.n // 2 + 1, 1), dtype=complex) for run in self.runs):
-            out[members] = _tapered_transforms(self.design, samples)[:, band.first : band.first + band.n_bins, 0]
+    def measured(self, band: Band) -> ComplexArray:
+        """Transform the inputs themselves in every segment, shape (n_segments, n_bins, k)."""
+        k = len(self.inputs)
+        out = np.empty((self.run.size, band.n_bins, k), dtype=complex)
+        for members, samples in self.moved(np.broadcast_to(np.eye(k), (run.n // 2 + 1, k, k)) for run in self.runs):
+            out[members] = _tapered_transforms(self.design, samples)[:, band.first : band.first + band.n_bins]
         return out
 
+    def power(self, band: Band) -> Array:
+        """Compute the power of the inputs in every segment, each over its mean, summed, shape (n_segments,)."""
+        power = (np.abs(self.measured(band)) ** 2).sum(axis=1)
+        return np.asarray((power / np.maximum(power.mean(axis=0), np.finfo(float).tiny)).sum(axis=1))
+
     def moved(self, answers: Iterable[ComplexArray]) -> Iterator[tuple[NDArray[np.intp], Array]]:
-        """Yield the segments of every run and their samples, for given frequency responses to the ground motion.
+        """Yield the segments of every run and their samples, for given frequency responses to the inputs.
 
         Parameters
         ----------
-        answers : iterable of ndarray, shape (n_hz, columns)
+        answers : iterable of ndarray, shape (n_hz, columns, k)
             Frequency response of each run.
 
         Yields
@@ -122,25 +167,58 @@ class Drive:
         samples : ndarray, shape (n_members, n, columns)
         """
         for i, (run, answer) in enumerate(zip(self.runs, answers, strict=True)):
-            samples = irfft(answer.T * run.spectrum[: len(answer)], n=run.n)
+            moved = np.einsum("fck,fk->cf", answer, run.spectrum[: len(answer)])
+            samples = irfft(moved, n=run.n)
             members = np.flatnonzero(self.run == i)
             windows = np.lib.stride_tricks.sliding_window_view(samples, self.design.n, axis=1)
             yield members, np.moveaxis(windows[:, self.first[members]], 0, -1)
 
 
+def joined(streams: Sequence[Sequence[tuple[int, Array]]], rate_hz: float) -> list[tuple[int, Array]]:
+    """Join the runs of several inputs in the stretches in which all of them are there.
+
+    Parameters
+    ----------
+    streams : sequence of sequences of (int, ndarray)
+        For every stream of inputs its runs: UTC of the first sample in ns, and conditioned samples, shape (n, columns).
+    rate_hz : float
+        Rate of the conditioned samples.
+
+    Returns
+    -------
+    list of (int, ndarray)
+        Runs with the columns of all streams.
+    """
+    out = list(streams[0])
+    for runs in streams[1:]:
+        both = []
+        for (t, samples), (u, others) in product(out, runs):
+            shift = (u - t) * 1e-9 * rate_hz
+            first, second = max(0, round(shift)), max(0, -round(shift))
+            n = min(len(samples) - first, len(others) - second)
+            if abs(shift - round(shift)) < _MAX_MISALIGNMENT and n > 0:
+                columns = np.column_stack([samples[first : first + n], others[second : second + n]])
+                both.append((t + round(first / rate_hz * 1e9), columns))
+        out = both
+    return out
+
+
 def locate(
+    inputs: tuple[Input, ...],
     runs: Sequence[tuple[int, Array]],
     segments_t_ns: Sequence[int],
     design: SegmentDesign,
     source_hz: float,
     filtered: Callable[[Array], ComplexArray],
 ) -> tuple[Drive, NDArray[np.bool_]] | None:
-    """Locate segments in the runs of ground motion.
+    """Locate segments in the runs of the inputs.
 
     Parameters
     ----------
+    inputs : tuple of Input
+        The k inputs.
     runs : sequence of (int, ndarray)
-        UTC of the first sample in ns and conditioned samples, m/s^2, of every run.
+        UTC of the first sample in ns and conditioned samples, m/s^2 or N, shape (n, k), of every run.
     segments_t_ns : sequence of int
         UTC of the first sample of every segment, ns.
     source_hz : float
@@ -151,13 +229,13 @@ def locate(
     Returns
     -------
     (Drive, ndarray of bool, shape (n_segments,)) or None
-        The ground motion, and the segments that a run covers; None where too few segments are covered.
+        The inputs, and the segments that a run covers; None where too few segments are covered.
     """
     which, first, covered = [], [], np.ones(len(segments_t_ns), dtype=bool)
     for s, t_ns in enumerate(segments_t_ns):
         for i, (begin, samples) in enumerate(runs):
             at = (t_ns - begin) * 1e-9 * design.rate_hz
-            if abs(at - round(at)) < _MAX_MISALIGNMENT and 0 <= round(at) <= samples.size - design.n:
+            if abs(at - round(at)) < _MAX_MISALIGNMENT and 0 <= round(at) <= len(samples) - design.n:
                 which.append(i)
                 first.append(round(at))
                 break
@@ -167,12 +245,11 @@ def locate(
         return None
     transformed = []
     for _, samples in runs:
-        n = next_fast_len(round(samples.size + _PAD_S * design.rate_hz), real=True)
+        n = next_fast_len(round(len(samples) + _PAD_S * design.rate_hz), real=True)
         hz = np.arange(n // 2 + 1) * (design.rate_hz / n)
-        transformed.append(Run(np.asarray(rfft(samples, n=n)), n, samples.size, filtered(hz)))
-    return Drive(
-        tuple(transformed), np.array(which, dtype=np.intp), np.array(first, dtype=np.intp), design, source_hz
-    ), covered
+        transformed.append(Run(np.asarray(rfft(samples, n=n, axis=0)), n, len(samples), filtered(hz)))
+    run, begins = np.array(which, dtype=np.intp), np.array(first, dtype=np.intp)
+    return Drive(inputs, tuple(transformed), run, begins, design, source_hz), covered
 
 
 def response(
@@ -184,10 +261,11 @@ def response(
 
     def answer(run: Run) -> ComplexArray:
         hz = drive.hz(run, band)
-        floors = np.zeros((hz.size, context.structure.n_dofs), dtype=complex)
+        floors = np.zeros((hz.size, context.structure.n_dofs, len(drive.inputs)), dtype=complex)
         for distance_hz, factor in drive.images(hz):
-            floors += factor[:, None] * (_relative_response(system, clock * (hz + distance_hz), context) + 1.0)
-        channels = np.asarray(floors @ context.sensors.T, dtype=np.complex128)
+            relative = _relative_response(drive, system, clock * (hz + distance_hz), context)
+            floors += factor[:, None, None] * (relative + drive.rides)
+        channels = np.asarray(context.sensors @ floors, dtype=np.complex128)
         return _apply_sensor_effects(channels, effects, clock * hz, context, condition)
 
     for members, samples in drive.moved(answer(run) for run in drive.runs):
@@ -198,19 +276,18 @@ def response(
 def _apply_sensor_effects(
     channels: ComplexArray, effects: Sequence[Effect], hz: Array, context: Context, condition: Condition
 ) -> ComplexArray:
-    """Apply the effects' frequency responses to the true accelerations at the sensors, shape (n_hz, c)."""
+    """Apply the effects' frequency responses to the true accelerations at the sensors, shape (n_hz, c, columns)."""
     for effect in effects:
         response = effect.response(hz, context, condition)
         if response is not None:
-            channels = np.asarray((response @ channels[:, :, None])[:, :, 0])
-    return channels
+            channels = response @ channels
+    return np.asarray(channels, dtype=np.complex128)
 
 
-def _relative_response(system: System, hz: Array, context: Context) -> ComplexArray:
-    """Compute the floors' acceleration relative to the ground, over the ground's acceleration, shape (n_hz, n)."""
-    right = -system.inertia[:, None]
-    floors = accelerance(system.mass, system.damping, system.stiffness, 2.0 * np.pi * hz, right)
-    return np.asarray(floors[:, : context.structure.n_dofs, 0])
+def _relative_response(drive: Drive, system: System, hz: Array, context: Context) -> ComplexArray:
+    """Compute the floors' acceleration relative to the ground by a unit of each input, shape (n_hz, n, k)."""
+    floors = accelerance(system.mass, system.damping, system.stiffness, 2.0 * np.pi * hz, drive.forces(system))
+    return np.asarray(floors[:, : context.structure.n_dofs])
 
 
 def _tapered_transforms(design: SegmentDesign, samples: Array) -> ComplexArray:
@@ -236,29 +313,28 @@ def exact_response(
     from monitor.model import march  # compiled code takes a while to load
 
     laws = [law for effect in effects for law in effect.laws(context.structure)]
-    n, inertia = context.structure.n_dofs, system.inertia
+    n = context.structure.n_dofs
     lowest = _TILT_FREQUENCY * float(np.sqrt(eigh(system.stiffness, system.mass, eigvals_only=True).min()))
     clock = float(np.prod([e.clock_factor for e in effects]))
     out = np.empty((drive.run.size, band.n_bins, len(context.channels)), dtype=complex)
     for i, run in enumerate(drive.runs):
         hz = np.asarray(np.arange(run.n // 2 + 1) * (drive.design.rate_hz / run.n), dtype=np.float64)
-        finer = drive.design.rate_hz * _GROUND_OVERSAMPLING
-        # The true ground motion, before the filter, acts on the laws; frequencies that the filter removes are lost.
+        finer = drive.design.rate_hz * _OVERSAMPLING
+        # The true inputs, before the filter, act on the laws; frequencies that the filter removes are lost.
         kept = np.abs(run.passed) > _MIN_FILTER_GAIN
-        moved = next(drive.images(hz))[1] * run.spectrum * np.where(kept, 1.0 / np.where(kept, run.passed, 1.0), 0.0)
-        # Forces are linear in time between samples, which is a lowpass; slow tilt of the sensors is no motion.
-        shape = 1.0 / np.sinc(hz / finer) ** 2 / (1.0 + (lowest / np.maximum(hz, 1e-9)) ** _HIGHPASS_ORDER)
-        ground = (
-            irfft(shape * moved, n=run.n * _GROUND_OVERSAMPLING)[: run.length * _GROUND_OVERSAMPLING]
-            * _GROUND_OVERSAMPLING
-        )
-        floors = march(system, n, laws, -ground[:, None] * inertia, finer * clock, None, _MIN_STEP_HZ)
-        floors = np.pad(floors[::_GROUND_OVERSAMPLING], ((0, run.n - run.length), (0, 0)))
-        absolute = np.asarray((rfft(floors, axis=0) + moved[:, None]) * run.passed[:, None]) @ context.sensors.T
-        samples = irfft(
-            _apply_sensor_effects(np.asarray(absolute, dtype=complex), effects, hz * clock, context, condition).T,
-            n=run.n,
-        )
+        unfiltered = np.where(kept, 1.0 / np.where(kept, run.passed, 1.0), 0.0)
+        true = (next(drive.images(hz))[1] * unfiltered)[:, None] * run.spectrum
+        # Forces are linear in time between samples, which is a lowpass; slow tilt of the ground's sensor is no motion.
+        tilt = (lowest / np.maximum(hz, 1e-9)) ** _HIGHPASS_ORDER
+        shape = 1.0 / np.sinc(hz / finer)[:, None] ** 2 / (1.0 + tilt[:, None] * drive.rides)
+        acting = irfft(shape * true, n=run.n * _OVERSAMPLING, axis=0) * _OVERSAMPLING
+        forces = acting[: run.length * _OVERSAMPLING] @ drive.forces(system).T
+        floors = march(system, n, laws, forces, finer * clock, None, _MIN_STEP_HZ)
+        floors = np.pad(floors[::_OVERSAMPLING], ((0, run.n - run.length), (0, 0)))
+        absolute: ComplexArray = (rfft(floors, axis=0) + (true @ drive.rides)[:, None]) * run.passed[:, None]
+        channels = np.asarray((absolute @ context.sensors.T)[:, :, None]).astype(np.complex128)
+        recorded = _apply_sensor_effects(channels, effects, hz * clock, context, condition)
+        samples = irfft(recorded[:, :, 0].T, n=run.n)
         members = np.flatnonzero(drive.run == i)
         windows = np.lib.stride_tricks.sliding_window_view(samples, drive.design.n, axis=1)
         transforms = _tapered_transforms(drive.design, np.moveaxis(windows[:, drive.first[members]], 0, -1))
@@ -288,13 +364,8 @@ def motion_rms(
     def answer(run: Run) -> ComplexArray:
         hz = drive.hz(run, band)
         w = 2.0 * np.pi * np.maximum(hz, lowest_hz)
-        relative = (
-            _relative_response(system, w / (2.0 * np.pi), context)
-            @ rows.T
-            / (-(w**2))[:, None]
-            * (1j * w[:, None]) ** order
-        )
-        return np.asarray(relative * (hz >= lowest_hz)[:, None])
+        of_acceleration = (1j * w) ** order / -(w**2) * (hz >= lowest_hz)
+        return of_acceleration[:, None, None] * (rows @ _relative_response(drive, system, w / (2.0 * np.pi), context))
 
     power, n = np.zeros(len(rows)), 0
     for _, samples in drive.moved(answer(run) for run in drive.runs):
