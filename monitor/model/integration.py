@@ -7,7 +7,7 @@ and at its predicted end (the exponential trapezoidal rule).  Steps are shorter 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import ceil, exp
+from math import atanh, ceil, exp, tanh
 
 import numpy as np
 
@@ -18,6 +18,7 @@ STEP_HZ = 4096.0
 """Least rate of steps. [Hz; accuracy of the integration]"""
 
 _CUBIC, _CONTACT, _FRICTION = int(LawKind.CUBIC), int(LawKind.CONTACT), int(LawKind.FRICTION)
+_SLIP = int(LawKind.SLIP)
 _TEMPERATURE_LAW = -1
 """Kind of law of a story whose stiffness follows the temperature. [index; definition]"""
 
@@ -37,7 +38,24 @@ def phi(kind: int, p0: float, p1: float, d: float, v: float) -> float:
         return p1 * (d - p0) if closed else 0.0
     if kind == _FRICTION:
         return p0 * (1.0 - 2.0 / (1.0 + exp(2.0 * v / p1)))  # tanh, at a third of its time
+    if kind == _SLIP:
+        return p0 * (slipped(0.0, d / p1) - d / p1)  # from rest
     return p0 * v * abs(v)
+
+
+@compiled(error_model="numpy")
+def slipped(z: float, moved: float) -> float:
+    """Move a hysteretic element from the force z, over its largest, by a drift, over that at slip; return the new force.
+
+    Unloaded, the force follows the drift.  Loaded, the solution of ``dz = (1 - z^2) dd`` is a hyperbolic tangent.
+    """
+    way, sign = abs(moved), 1.0 if moved > 0.0 else -1.0
+    along = sign * z
+    if along < 0.0:
+        if way <= -along:
+            return z + moved
+        way, along = way + along, 0.0
+    return sign * tanh(atanh(min(along, 1.0 - 1e-15)) + way)
 
 
 def march(
@@ -151,6 +169,9 @@ def _march(
     floors = np.empty((forces.shape[0], n))
     predicted, pending, change, force = np.zeros((4, m), dtype=np.complex128)
     law_force, force_change, d, v = np.zeros((4, q))
+    held, before = np.zeros(
+        (2, q)
+    )  # force of each hysteretic law over its largest, and the displacement, at the step's start
     both, carried = np.empty((2, m, q), dtype=np.complex128)
     last = np.empty((m, q), dtype=np.complex128)
     for p in range(m):
@@ -184,12 +205,17 @@ def _march(
                     v[j] += speed[j, p].real * state.real - speed[j, p].imag * state.imag
                 predicted[p] = state
             for j in range(q):
-                force_change[j] = -_force(kinds[j], parameters[j], stiffness_excess, d[j], v[j]) - law_force[j]
+                own = _force(kinds[j], parameters[j], stiffness_excess, d[j], v[j], held[j], before[j])
+                force_change[j] = -own - law_force[j]
             for j in range(q):
                 for i in range(q):
                     d[j] += own_drift[j, i] * force_change[i]
                     v[j] += own_speed[j, i] * force_change[i]
-                law_force[j] = -_force(kinds[j], parameters[j], stiffness_excess, d[j], v[j])
+                own = _force(kinds[j], parameters[j], stiffness_excess, d[j], v[j], held[j], before[j])
+                law_force[j] = -own
+                if kinds[j] == _SLIP:
+                    held[j] = own / parameters[j, 0] + d[j] / parameters[j, 1]
+                    before[j] = d[j]
         for i in range(n):
             total = 0.0
             for j in range(q):
@@ -201,6 +227,18 @@ def _march(
 
 
 @compiled(error_model="numpy")
-def _force(kind: int, parameters: Array, stiffness_excess: float, d: float, v: float) -> float:
-    """Evaluate the force of a law, or that of the stiffness that temperature adds."""
-    return stiffness_excess * d if kind == _TEMPERATURE_LAW else phi(kind, parameters[0], parameters[1], d, v)
+def _force(
+    kind: int, parameters: Array, stiffness_excess: float, d: float, v: float, held: float, before: float
+) -> float:
+    """Evaluate the force of a law, or that of the stiffness that temperature adds.
+
+    Parameters
+    ----------
+    held, before : float
+        Force of a hysteretic law over its largest, and displacement, at the start of the step.
+    """
+    if kind == _TEMPERATURE_LAW:
+        return stiffness_excess * d
+    if kind == _SLIP:
+        return float(parameters[0] * (slipped(held, (d - before) / parameters[1]) - d / parameters[1]))
+    return float(phi(kind, parameters[0], parameters[1], d, v))

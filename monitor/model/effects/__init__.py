@@ -36,6 +36,7 @@ from monitor.model.effects.cubic_stiffness import CubicStiffness
 from monitor.model.effects.gap_contact import GapContact
 from monitor.model.effects.gravity_softening import GravitySoftening
 from monitor.model.effects.harmonic_excitation import HarmonicExcitation
+from monitor.model.effects.hysteretic_slip import HystereticSlip
 from monitor.model.effects.joint_flexibility import JointFlexibility
 from monitor.model.effects.parameter import Parameter
 from monitor.model.effects.quadratic_damping import QuadraticDamping
@@ -77,6 +78,7 @@ EFFECTS: dict[str, type[Effect]] = {
         SensorClipping,
         SensorNoise,
         UnmodelledMode,
+        HystereticSlip,
     )
 }
 """Catalogue of the effects that a diagnosis looks for."""

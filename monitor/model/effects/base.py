@@ -211,6 +211,8 @@ class LawKind(IntEnum):
     """(force, velocity that regularizes the sign of the velocity)"""
     QUADRATIC = 3
     """(coefficient, unused)"""
+    SLIP = 4
+    """(force at which the element slips, drift at which it would slip without rounding); its force depends on the past"""
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -1,0 +1,156 @@
+"""Hysteretic slip: a joint that slips, so that its story is softer and dissipates more the more it moves."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from math import inf
+from typing import ClassVar, Literal, Self
+
+import numpy as np
+
+from monitor.core import Array
+from monitor.model.effects.base import Condition, Context, Effect, Law, LawKind, System
+from monitor.model.effects.parameter import Parameter
+from monitor.model.effects.report_face import FittedSizes, LawFamily, ParameterEstimates
+from monitor.model.structures import Structure
+
+_LOG10_DRIFTS = np.linspace(-3.0, 3.0, 121)
+"""Decades of the RMS drift over the drift at which the element slips, of the table of the linearized element. [1; accuracy
+of the interpolation: 1e-3]"""
+_CYCLE_STEPS = 400
+"""Steps of half a cycle. [count; accuracy of the integral]"""
+_AMPLITUDES = 64
+"""Amplitudes over which the mean is taken. [count; accuracy of the integral]"""
+
+
+@dataclass(frozen=True)
+class HystereticSlip(Effect):
+    """Hysteretic slip: story force (1 - r) k d + F z, with a share r of the story's stiffness k that slips at a force F.
+
+    The element is that of Bouc and Wen with a sharpness of 2: ``dz = dd / dy (1 - z^2)`` where it is loaded, and
+    ``dz = dd / dy`` where it is unloaded, with dy = F / (r k).  So the story has the stiffness k at small drift.  The element is
+    linearized as the mean over the amplitudes of a narrow-band drift (Rayleigh's distribution, weighted by the squared
+    amplitude) of the secant stiffness of its steady cycles and of the energy that they dissipate.
+
+    References
+    ----------
+    Y. Wen, Method for random vibration of hysteretic systems, Journal of the Engineering Mechanics Division 102 (1976) 249.
+    """
+
+    name: ClassVar[str] = "hysteretic_slip"
+    family: ClassVar[Literal["structure", "excitation", "sensor"]] = "structure"
+    places: ClassVar[tuple[str, ...]] = ("story",)
+    parameters: ClassVar[tuple[Parameter, ...]] = (
+        Parameter("force_n", 0.0, inf, absent=0.0),
+        Parameter("relative", 0.0, 1.0, absent=0.0),
+    )
+    signature: ClassVar[str] = "frequencies fall and damping rises with the level, the drift is not skewed"
+    noun: ClassVar[str] = "a joint that slips"
+    separating_measurement: ClassVar[str] = (
+        "record at vibration levels a factor of three apart, with a measured force or ground motion"
+    )
+    conditional: ClassVar[bool] = True
+    nonlinear: ClassVar[bool] = True
+    amplitude_powers: ClassVar[tuple[float, ...]] = (-1.0, 0.0)
+
+    force_n: float
+    """Force of the element at which it slips."""
+    relative: float
+    """Share of the story's stiffness at small drift that slips away."""
+
+    @property
+    def is_softening(self) -> bool:
+        """See `Effect.is_softening`."""
+        return True
+
+    def extend(self, system: System, context: Context, condition: Condition) -> System:
+        """See `Effect.extend`."""
+        if self.force_n == 0.0 or self.relative == 0.0:
+            return system
+        own = self.relative * float(context.structure.stiffness_n_per_m[self.index])
+        drift = float(condition.drift_m[self.index])
+        secant, loss = linearized_element(drift * own / self.force_n)
+        damping = own * loss * drift / float(condition.drift_velocity_m_s[self.index])
+        pattern = self.pattern(context.structure)
+        return system.plus(stiffness=own * (secant - 1.0) * pattern, damping=damping * pattern)
+
+    def laws(self, structure: Structure) -> tuple[Law, ...]:
+        """See `Effect.laws`."""
+        if self.force_n == 0.0 or self.relative == 0.0:
+            return ()
+        slip_m = self.force_n / (self.relative * float(structure.stiffness_n_per_m[self.index]))
+        return (Law(LawKind.SLIP, self.direction(structure), (self.force_n, slip_m)),)
+
+    @classmethod
+    def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
+        """See `Effect.starts`."""
+        j = int(location.partition(" ")[2]) - 1
+        k, s = float(context.structure.stiffness_n_per_m[j]), float(condition.drift_m[j])
+        return tuple(cls(location, 0.1 * k * s * slip, 0.1) for slip in (0.5, 2.0))
+
+    @classmethod
+    def law_families(cls, parameters: ParameterEstimates) -> tuple[LawFamily, ...]:
+        """See `Effect.law_families`."""
+        return ("softening", "dissipating")
+
+    @classmethod
+    def sentence(cls, fitted: FittedSizes) -> str:
+        """See `Effect.sentence`."""
+        share = fitted.sized("relative", f"{fitted.percent('relative')} of its stiffness", "a part of its stiffness")
+        force = fitted.sized("force_n", f" of {fitted.interval('force_n')}", "")
+        return f"a joint of {fitted.location} slips: {share} gives way at a force{force}"
+
+
+def linearized_element(drift: float) -> tuple[float, float]:
+    """Compute the mean secant stiffness and the mean loss of an element of unit stiffness that slips at unit drift.
+
+    Parameters
+    ----------
+    drift : float
+        RMS drift, over that at which the element slips.
+
+    Returns
+    -------
+    secant : float
+        Stiffness over that at small drift.
+    loss : float
+        Energy dissipated in a cycle, over pi times the squared amplitude and the stiffness at small drift.
+
+    Examples
+    --------
+    >>> [round(x, 3) for x in linearized_element(0.001)]
+    [1.0, 0.0]
+    """
+    log10, (secant, loss) = float(np.log10(max(drift, 1e-300))), _table()
+    return float(np.interp(log10, _LOG10_DRIFTS, secant)), float(np.interp(log10, _LOG10_DRIFTS, loss))
+
+
+@cache
+def _table() -> tuple[Array, Array]:
+    """Compute `linearized_element` at the drifts of `_LOG10_DRIFTS`, shape (n,) each."""
+    nodes, weights = np.polynomial.laguerre.laggauss(_AMPLITUDES)
+    weights = (
+        weights * nodes
+    )  # of the squared amplitude over twice the variance, and once more of the amplitude's square
+    amplitudes = np.sqrt(2.0 * nodes) * 10.0 ** _LOG10_DRIFTS[:, None]
+    secant, loss = _steady_cycle(amplitudes)
+    return secant @ weights / weights.sum(), loss @ weights / weights.sum()
+
+
+def _steady_cycle(amplitude: Array) -> tuple[Array, Array]:
+    """Compute secant stiffness and loss of steady cycles, of the shape of the amplitudes over the drift at slip."""
+    low, high = np.zeros(amplitude.shape), np.ones(amplitude.shape)
+    for _ in range(60):  # bisection of the force at the turning points
+        middle = 0.5 * (low + high)
+        beyond = middle > np.tanh(np.maximum(2.0 * amplitude - middle, 0.0))
+        low, high = np.where(beyond, low, middle), np.where(beyond, middle, high)
+    turn = 0.5 * (low + high)
+    angle = (np.arange(_CYCLE_STEPS) + 0.5) * np.pi / _CYCLE_STEPS
+    secant, loss = np.zeros((2, *amplitude.shape))
+    for phase in angle:
+        path = amplitude * (1.0 - np.cos(phase)) - turn
+        z = np.where(path < 0.0, path, np.tanh(np.maximum(path, 0.0)))
+        secant -= 2.0 / _CYCLE_STEPS * z * np.cos(phase) / amplitude
+        loss += 2.0 / _CYCLE_STEPS * z * np.sin(phase) / amplitude
+    return secant, loss
