@@ -14,7 +14,7 @@ from drivers.can_open import CanSettings
 from drivers.mcap_source import McapSettings
 from drivers.zenoh_bus import ZenohSettings
 from drivers.zenoh_session import TlsSettings
-from monitor.config.configuration import Configuration, EffectTable, SensorTable
+from monitor.config.configuration import Configuration, EffectTable, InputTable, SensorTable
 from monitor.model.structures.drawing import LineTable, NodeTable
 from monitor.model.structures.tables import MatricesTable, ShearFrameTable
 from monitor.service.fleet import FleetSettings
@@ -42,6 +42,7 @@ def tables() -> dict[str, type[BaseModel]]:
         '`[structure]`, `kind = "shear_frame"`': ShearFrameTable,
         '`[structure]`, `kind = "matrices"`': MatricesTable,
         "`[[sensors]]`": SensorTable,
+        "`[[inputs]]`": InputTable,
         "`[[effects]]`": EffectTable,
         "`[[nodes]]`": NodeTable,
         "`[[lines]]`": LineTable,

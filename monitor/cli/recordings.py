@@ -86,6 +86,9 @@ def import_(
         list[str], typer.Option(metavar="NAME=FILE[:COLUMN]", help="A channel; of one file, NAME=COLUMN.")
     ] = [],  # noqa: B006
     ground: Annotated[str | None, typer.Option(metavar="FILE[:COLUMN]", help="Measured base motion.")] = None,
+    force: Annotated[
+        list[str], typer.Option(metavar="NAME=FILE[:COLUMN]", help="A measured force in N, as [[inputs]] names it.")
+    ] = [],  # noqa: B006
     start: Annotated[str | None, typer.Option(help="UTC of the first sample, ISO 8601.")] = None,
     dbc: Annotated[Path | None, typer.Option(metavar="FILE.dbc", help="Layout of the frames of a CAN log.")] = None,
     as_json: Json = False,
@@ -94,21 +97,14 @@ def import_(
     from monitor.runs import import_files
 
     spare_inputs([out], [*files, dbc])
-    channels = {}
-    for item in channel:
-        name, separator, place = item.partition("=")
-        if not separator or not name or not place:
-            raise typer.BadParameter(f"--channel: {item!r} is not NAME=FILE[:COLUMN]")
-        if name in channels:
-            raise typer.BadParameter(f"--channel: {name!r} stands twice")
-        channels[name] = place
     info = import_files(
         files,
         out,
         rate_hz=rate,
         unit=unit,
-        channels=channels or None,
+        channels=_places("--channel", channel) or None,
         ground=ground,
+        forces=_places("--force", force),
         start_ns=time_ns("--start", start),
         dbc=dbc,
         on_warning=warn,
@@ -117,3 +113,16 @@ def import_(
     text = f"{info.duration_s:.2f} s at {info.sample_rate_hz:g} Hz in {out}: {names}"
     content = {"duration_s": info.duration_s, "sample_rate_hz": info.sample_rate_hz, "channels": dict(info.channels)}
     say(text, {"recording": str(out), **content}, as_json)
+
+
+def _places(option: str, items: list[str]) -> dict[str, str]:
+    """Parse NAME=FILE[:COLUMN] of an option that may stand several times."""
+    out: dict[str, str] = {}
+    for item in items:
+        name, separator, place = item.partition("=")
+        if not separator or not name or not place:
+            raise typer.BadParameter(f"{option}: {item!r} is not NAME=FILE[:COLUMN]")
+        if name in out:
+            raise typer.BadParameter(f"{option}: {name!r} stands twice")
+        out[name] = place
+    return out

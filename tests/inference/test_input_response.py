@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.base import ACCELERATION, GROUND
+from drivers.base import ACCELERATION, FORCE, GROUND, SampleBlock
 from drivers.mcap_file import read_recordings
 from monitor.config.configuration import Configuration, load
+from monitor.core import BadInputError
 from monitor.core.results import Array
 from monitor.diagnosis.backbone import backbone, find_level_dependence, find_ratio_change
 from monitor.diagnosis.initial_fit import fit_linearized
@@ -24,6 +25,7 @@ from monitor.inference.map_estimate import MapEstimate
 from monitor.inference.observed_spectra import classify
 from monitor.inference.posterior import Posterior
 from monitor.inference.segments import Segments, gather
+from monitor.inference.starting_point import make_posterior
 from monitor.model.effects import parse_effect
 from monitor.model.model import Model
 from monitor.model.prior import prior_from_drawing
@@ -254,3 +256,91 @@ def _true_problem(segments: Segments) -> tuple[Posterior, Array]:
     known = prior_from_drawing(settings().model(), np.full(6, 1e-6), 3)
     problem, null = fit_linearized(classify(segments), known, CONTEXT)
     return problem, null.x
+
+
+FORCED = Configuration.model_validate(
+    {
+        "structure": STRUCTURE,
+        "sensors": [{"channel": f"a{i}", "floor": i} for i in (1, 2, 3)],
+        "inputs": [{"channel": "shaker", "floor": 2}],
+    }
+)
+
+
+def pushed(*effects: str, seed: int, ground: bool = False, late_s: int = 0) -> list[SampleBlock]:
+    """A frame that a measured force on floor 2 shakes, on a ground that moves as well if wanted."""
+    rate_hz, n = 256.0, round(120.0 * 256.0)
+    model = Model(FORCED.model().structure, tuple(parse_effect(e) for e in effects))
+    rng = np.random.default_rng(seed)
+    force, moved = 3.0 * rng.standard_normal(n), 0.5 * rng.standard_normal(n)
+    forces = 0.1 * rng.standard_normal((n, 3))
+    forces[:, 1] += force
+    floors = respond(model, forces, moved if ground else None, rate_hz)
+    floors += 0.01 * floors.std(axis=0) * rng.standard_normal(floors.shape)
+    blocks = list(cut_into_blocks(ACCELERATION, floors, FORCED.channels, rate_hz, T0_NS, 256))
+    blocks += list(cut_into_blocks(FORCE, force[:, None], ("shaker",), rate_hz, T0_NS, 256, unit="N"))[late_s:]
+    if ground:
+        blocks += cut_into_blocks(GROUND, moved[:, None], ("g",), rate_hz, T0_NS, 256)
+    return sorted(blocks, key=lambda block: block.t_ns)
+
+
+def unexplained_share(segments: Segments, config: Configuration) -> float:
+    """Share of the floors' power that the response of the drawn model to the known inputs leaves."""
+    known = prior_from_drawing(config.model(), np.full(6, 1e-3), 3)
+    problem = make_posterior(classify(segments), known, config.instrumented().context(segments.rate_hz))
+    x = np.zeros(problem.layout.n_nuisance)
+    x[problem.layout.structure] = known.mean
+    left = segments.values - problem.mean(x, ())
+    return float((np.abs(left) ** 2).sum() / (np.abs(segments.values) ** 2).sum())
+
+
+@pytest.mark.parametrize("ground", [False, True])
+def test_the_response_to_a_measured_force_is_known(ground: bool) -> None:
+    blocks = pushed(seed=3, ground=ground, late_s=7 * ground)
+    segments = gather(blocks, FORCED.front_end())
+    assert segments.drive is not None
+    assert {(one.name, one.floor) for one in segments.drive.inputs} == {("shaker", 2)} | (
+        {("ground", None)} if ground else set()
+    )
+    # What is left are the forces that were not measured, a thirtieth of the amplitude, and the course between the samples.
+    assert unexplained_share(segments, FORCED) < 0.02
+    elsewhere = FORCED.model_copy(update={"inputs": (FORCED.inputs[0].model_copy(update={"floor": 1}),)})
+    assert unexplained_share(gather(blocks, elsewhere.front_end()), elsewhere) > 0.2
+
+
+def test_a_force_tells_the_masses_which_no_output_shows() -> None:
+    known = prior_from_drawing(FORCED.model(), np.full(6, 0.1), 3)
+    _, fit = fit_linearized(
+        classify(
+            gather(
+                pushed("added_mass:frame:relative=0.08", "stiffness_change:frame:relative=0.08", seed=4),
+                FORCED.front_end(),
+            )
+        ),
+        known,
+        FORCED.instrumented().context(256.0),
+    )
+    np.testing.assert_allclose(np.exp(fit.x[:6] - known.mean[:6]), 1.08, atol=0.01)
+
+
+def test_a_force_that_the_structure_file_does_not_name_is_no_input() -> None:
+    unnamed = FORCED.model_copy(update={"inputs": ()})
+    assert gather(pushed(seed=3), unnamed.front_end()).drive is None
+    other = FORCED.model_copy(update={"inputs": (FORCED.inputs[0].model_copy(update={"channel": "hammer"}),)})
+    with pytest.raises(
+        BadInputError, match=r"/force: channel hammer of the structure file is not in the data, which has shaker"
+    ):
+        gather(pushed(seed=3), other.front_end())
+
+
+def test_where_the_inputs_end_inside_the_band_nothing_beyond_is_judged() -> None:
+    rate_hz, n = 256.0, round(120.0 * 256.0)
+    hz = np.fft.rfftfreq(n, 1.0 / rate_hz)
+    force = np.fft.irfft(np.fft.rfft(np.random.default_rng(5).standard_normal(n)) * (hz < 15.0), n=n)
+    floors = respond(FORCED.model(), np.column_stack([0 * force, force, 0 * force]), None, rate_hz)
+    blocks = [
+        *cut_into_blocks(ACCELERATION, floors, FORCED.channels, rate_hz, T0_NS, 256),
+        *cut_into_blocks(FORCE, force[:, None], ("shaker",), rate_hz, T0_NS, 256, unit="N"),
+    ]
+    segments = gather(sorted(blocks, key=lambda block: block.t_ns), FORCED.front_end())
+    assert segments.whole.hz[-1] > 30.0 and 12.0 < segments.band.hz[-1] < 15.0

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.base import ACCELERATION, GROUND
+from drivers.base import ACCELERATION, FORCE, GROUND
 from drivers.mcap_file import RecordingInfo, read_recordings
 from monitor.core.errors import BadInputError, MissingInputError
 from monitor.runs.importers import import_files
@@ -181,6 +181,15 @@ def test_channels_and_ground_are_picked_and_renamed(tmp_path: Path) -> None:
     np.testing.assert_array_equal(samples(tmp_path / "a.mcap", GROUND)[:, 0], np.arange(250))
     rest, _, _ = convert(tmp_path / "a.csv", content, ground="a:table")
     assert rest.channels[ACCELERATION] == ("low", "top")
+
+
+def test_a_measured_force_is_no_channel_and_has_its_own_unit(tmp_path: Path) -> None:
+    content = "time,low,hammer [kN],note [V]\n" + rows("{t},{a},{k},{b}\n")
+    info, _, _ = convert(tmp_path / "a.csv", content, channels={"a1": "low"}, forces={"f1": "hammer"})
+    assert info.channels == {ACCELERATION: ("a1",), FORCE: ("f1",)}
+    np.testing.assert_allclose(samples(tmp_path / "a.mcap", FORCE)[:, 0], 1e3 * np.arange(250))
+    with pytest.raises(BadInputError, match="'note' has unit 'V'; known for force: n, kn, lbf"):
+        convert(tmp_path / "a.csv", content, channels={"a1": "low"}, forces={"f1": "note"})
 
 
 def test_files_with_clocks_are_joined_where_they_overlap(tmp_path: Path) -> None:

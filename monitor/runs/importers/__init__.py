@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.base import ACCELERATION, GROUND, RecordingError, SampleBlock
+from drivers.base import ACCELERATION, FORCE, GROUND, UNIT_OF, RecordingError, SampleBlock
 from drivers.mcap_file import McapWriter, RecordingInfo, recording_info
 from drivers.mcap_records import MAGIC
 from monitor.core import BadInputError, MissingInputError
@@ -29,6 +29,7 @@ def import_files(
     unit: str = "m/s^2",
     channels: dict[str, str] | None = None,
     ground: str | None = None,
+    forces: dict[str, str] | None = None,
     start_ns: int | None = None,
     dbc: Path | None = None,
     on_warning: OnWarning = lambda _: None,
@@ -50,6 +51,8 @@ def import_files(
         single file, or the stems of several files.
     ground
         "FILE" or "FILE:COLUMN" of the base motion.
+    forces
+        Name of a measured force -> "FILE" or "FILE:COLUMN".
     start_ns
         UTC of the first sample, ns since 1970; by default the time stated in a file, or 1970.
     dbc
@@ -80,22 +83,28 @@ def import_files(
         raise BadInputError(f"--unit {unit!r}: known for acceleration: {', '.join(UNITS)}")
     try:
         if any(map(can_log.is_log, files)):
-            can_log.check_options(files, dbc, channels, ground, start_ns)
+            can_log.check_options(files, dbc, channels or forces, ground, start_ns)
             assert dbc is not None
             return can_log.import_log(files[0], out, dbc=dbc, rate_hz=rate_hz, on_warning=on_warning)
         if dbc is not None:
             raise BadInputError(f"{dbc}: --dbc is for CAN logs; {files[0]} is none by its name")
         tables, clock = join_tables([_load_table(path, on_warning) for path in files], on_warning)
-        chosen, base = _choose_columns(tables, channels, ground)
+        pushed = {name: _find_column(tables, reference) for name, reference in (forces or {}).items()}
+        chosen, base = _choose_columns(tables, channels, ground, list(pushed.values()))
         rate, numbers = _timing(tables, clock, rate_hz, on_warning)
         start_ns = _start_ns(tables, on_warning) if start_ns is None else start_ns
         # The time of the last sample must fit 64-bit nanoseconds, which a damaged counter violates.
         if not 1e-3 <= rate <= 1e7 or start_ns + numbers[-1] * 1e9 / rate > 4e18:
             raise BadInputError(f"{files[0]}: {rate} Hz and {numbers[-1]} samples in all are absurd")
         samples = np.column_stack([table.acceleration(column, unit) for table, column in chosen.values()])
-        motion = None if base is None else base[0].acceleration(base[1], unit)[:, None]
         _warn_of_missing(samples, numbers, rate, on_warning)
-        _write(out, tuple(chosen), samples, motion, rate, numbers, start_ns)
+        streams = {ACCELERATION: (tuple(chosen), samples)}
+        if base is not None:
+            streams[GROUND] = (("ground",), base[0].acceleration(base[1], unit)[:, None])
+        if pushed:
+            columns = [table.force(column) for table, column in pushed.values()]
+            streams[FORCE] = (tuple(pushed), np.column_stack(columns))
+        _write(out, streams, rate, numbers, start_ns)
         return recording_info(out)
     except OSError as error:
         raise MissingInputError(f"{out}: cannot be written: {error.strerror or error}") from error
@@ -169,15 +178,17 @@ _Column = tuple[Table, str]
 
 
 def _choose_columns(
-    tables: list[Table], channels: dict[str, str] | None, ground: str | None
+    tables: list[Table], channels: dict[str, str] | None, ground: str | None, forces: list[_Column]
 ) -> tuple[dict[str, _Column], _Column | None]:
-    """Choose the column of each channel, by the channel's name, and the column of the base motion."""
+    """Choose the column of each channel, by the channel's name, and the column of the base motion; no force is a channel."""
     base = _find_column(tables, ground) if ground else None
     if channels:
         return {name: _find_column(tables, reference) for name, reference in channels.items()}, base
-    rest = [(table, column) for table in tables for column in table.default if (table, column) != base]
-    if base is not None and len(tables) > 1:
-        rest = [pair for pair in rest if pair[0] is not base[0]]
+    rest = [(table, column) for table in tables for column in table.default]
+    inputs = forces if base is None else [base, *forces]
+    rest = [pair for pair in rest if pair not in inputs]
+    if len(tables) > 1:
+        rest = [pair for pair in rest if all(pair[0] is not table for table, _ in inputs)]
     names = [column if len(tables) == 1 else table.names[0] for table, column in rest]
     if len(set(names)) != len(names):
         raise BadInputError(
@@ -251,15 +262,9 @@ def _start_ns(tables: list[Table], on_warning: OnWarning) -> int:
 
 
 def _write(
-    out: Path,
-    names: tuple[str, ...],
-    samples: Array,
-    motion: Array | None,
-    rate: float,
-    numbers: Ticks,
-    start_ns: int,
+    out: Path, streams: dict[str, tuple[tuple[str, ...], Array]], rate: float, numbers: Ticks, start_ns: int
 ) -> None:
-    """Write the samples, shape (n, c), in blocks of at most one second; a lost sample ends a block."""
+    """Write channels and samples, shape (n, c), of each topic in blocks of at most one second; a lost sample ends a block."""
     limit = max(1, round(rate))
     breaks = np.flatnonzero(np.diff(numbers) != 1) + 1
     with McapWriter(out) as writer:
@@ -267,9 +272,8 @@ def _write(
             for first in range(0, len(run), limit):
                 rows = run[first : first + limit]
                 number = int(numbers[rows[0]])
-                for topic, channels, values in (ACCELERATION, names, samples), (GROUND, ("ground",), motion):
-                    if values is not None:
-                        t_ns = start_ns + round(number * 1e9 / rate)
-                        with np.errstate(over="ignore"):  # beyond float32: infinite, as the pipeline expects
-                            block = values[rows].astype(np.float32)
-                        writer.write(SampleBlock(topic, t_ns, number, rate, channels, "m/s^2", block))
+                t_ns = start_ns + round(number * 1e9 / rate)
+                for topic, (channels, values) in streams.items():
+                    with np.errstate(over="ignore"):  # beyond float32: infinite, as the pipeline expects
+                        block = values[rows].astype(np.float32)
+                    writer.write(SampleBlock(topic, t_ns, number, rate, channels, UNIT_OF[topic], block))

@@ -16,6 +16,7 @@ Ticks = NDArray[np.int64]
 OnWarning = Callable[[str], None]
 
 UNITS = {"m/s^2": 1.0, "m/s2": 1.0, "m/s²": 1.0, "m/s/s": 1.0, "ms-2": 1.0, "ms^-2": 1.0, "g": 9.80665}
+FORCE_UNITS = {"n": 1.0, "kn": 1e3, "lbf": 4.4482216152605}
 UNITS |= {"mg": 9.80665e-3, "gal": 1e-2, "cm/s^2": 1e-2, "cm/s2": 1e-2, "mm/s^2": 1e-3, "mm/s2": 1e-3}
 
 
@@ -70,6 +71,24 @@ class Table:
                 f"{self.path}: column {column!r} has unit {self.units[at] or unit!r}; "
                 f"known for acceleration: {', '.join(UNITS)}"
             )
+        scaled: Array = self.values[:, at] * factor
+        return scaled
+
+    def force(self, column: str) -> Array:
+        """Convert a column to N, shape (n_samples,); a column without a unit is in N.
+
+        Raises
+        ------
+        BadInputError
+            If there is no such column, or its unit is no unit of force.
+        """
+        if column not in self.columns:
+            raise BadInputError(f"{self.path}: no column {column!r}; it has {', '.join(self.columns)}")
+        at = self.columns.index(column)
+        factor = FORCE_UNITS.get(self.units[at].strip().casefold() or "n")
+        if factor is None:
+            known = ", ".join(FORCE_UNITS)
+            raise BadInputError(f"{self.path}: column {column!r} has unit {self.units[at]!r}; known for force: {known}")
         scaled: Array = self.values[:, at] * factor
         return scaled
 
