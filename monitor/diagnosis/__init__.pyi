@@ -13,6 +13,7 @@ from .predictive_score import Score, score
 from .score_test import detectable_losses, parameter_cost
 from .settings import DiagnosisSettings
 from .stepwise_selection import Diagnosis, diagnose
+from .story_forces import StoryLaw, story_laws
 from .trigger import Request, WatchSettings
 from .wording import contradicted, csd_error_in_words, in_words
 
@@ -24,6 +25,7 @@ __all__ = [
     "HeldOutGain",
     "Request",
     "Score",
+    "StoryLaw",
     "WatchSettings",
     "add_observed_causes",
     "clock_drift_in_words",
@@ -50,6 +52,7 @@ __all__ = [
     "score",
     "standing_causes",
     "state_clock_drifts",
+    "story_laws",
     "structure_text",
     "trigger",
 ]

@@ -102,6 +102,12 @@ def _fit_oscillator(y: ComplexArray, force: ComplexArray, w: Array) -> tuple[flo
     return omega / (2.0 * np.pi), size, unexplained
 
 
+def median_with_std(values: Array) -> tuple[float, float]:
+    """Compute the median of values, shape (n,), and the standard deviation of the median, from their scatter."""
+    middle = float(np.median(values))
+    return middle, _MEDIAN_STD_FACTOR * float(np.median(np.abs(values - middle))) / np.sqrt(values.size)
+
+
 def find_level_dependence(found: Backbone | None) -> LackOfFit | None:
     """Test if the first frequency depends on the amplitude more than the model's does; return None where it does not.
 
@@ -112,14 +118,9 @@ def find_level_dependence(found: Backbone | None) -> LackOfFit | None:
     third = max(2, found.hz.size // 3)
     low, high = slice(0, third), slice(-third, None)
     difference = found.hz - found.model_hz
-    change = float(np.median(difference[high]) - np.median(difference[low]))
     # Medians and their scatter, since the frequency is uncertain in a segment in which a strong motion begins or ends.
-    std = float(
-        np.hypot(
-            *[_MEDIAN_STD_FACTOR * np.median(np.abs(x - np.median(x))) for x in (difference[low], difference[high])]
-        )
-    )
-    std = std / np.sqrt(third) + 1e-9
+    (quiet, quiet_std), (loud, loud_std) = (median_with_std(difference[part]) for part in (low, high))
+    change, std = loud - quiet, float(np.hypot(quiet_std, loud_std)) + 1e-9
     if abs(change) < _MIN_RELATIVE_CHANGE * found.hz.mean() or abs(change) < _MIN_CHANGE_STDS * std:
         return None
     ends = [[float(np.median(x[s])) for x in (found.amplitude_m, found.hz, found.model_hz)] for s in (low, high)]

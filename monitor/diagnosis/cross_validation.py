@@ -52,11 +52,9 @@ class HeldOutGain:
     """Relative squared error of the extended form's cross-spectra."""
     heldout: str = "none: nothing was added to the model"
     """Which data were held out."""
-    samples: float = 0.0
-    """Sample instants of the held-out data."""
-    calibration_nats: float = 0.0
-    """Log density of what calibration learned at the extended form's fit, less that at the old form's, nats; zero without
-    a baseline."""
+    calibration: float = 0.0
+    """Log density of what calibration learned at the extended form's fit, less that at the old form's, nats per sample
+    instant; zero without a baseline."""
 
     @property
     def value(self) -> float:
@@ -70,7 +68,7 @@ class HeldOutGain:
         What calibration learned is data too.  An old form that explains a recording as well, but only by a change of what
         calibration learned, is the worse one by the density that it loses there.
         """
-        return self.ci95[0] * self.samples + self.calibration_nats > 0.0
+        return self.ci95[0] + self.calibration > 0.0
 
     @property
     def withheld(self) -> str:
@@ -140,7 +138,8 @@ def heldout_gain(segments: Segments, diagnosis: Diagnosis) -> HeldOutGain:
             nats[i] += np.bincount(of_held, form_score.nats, blocks.n)
             spectra[i] += np.count_nonzero(held) * np.stack([form_score.measured, form_score.modelled])
         samples += np.bincount(of_held, minlength=blocks.n) * (scores[0].samples / np.count_nonzero(held))
-    return replace(_summarize_scores(nats, samples, spectra, blocks), calibration_nats=_calibration_nats(diagnosis))
+    gain = _summarize_scores(nats, samples, spectra, blocks)
+    return replace(gain, calibration=_calibration_nats(diagnosis) / float(samples.sum()))
 
 
 def _calibration_nats(diagnosis: Diagnosis) -> float:
@@ -187,7 +186,6 @@ def _summarize_scores(nats: Array, samples: Array, spectra: ComplexArray, blocks
         nats=float((nats[1] - nats[0]).sum()),
         csd_error_before=csd_error(*spectra[0]),
         csd_error_after=csd_error(*spectra[1]),
-        samples=float(total),
         heldout=f"{blocks.n} contiguous blocks of {blocks.length_s:.0f} s, every {_ORDINAL[blocks.folds]} by a fit to "
         "the others",
     )

@@ -15,6 +15,7 @@ from monitor.core import Array
 from monitor.diagnosis.cross_validation import HeldOutGain
 from monitor.diagnosis.score_test import Candidate
 from monitor.diagnosis.stepwise_selection import Diagnosis
+from monitor.diagnosis.story_forces import StoryLaw, story_laws
 from monitor.diagnosis.wording import (
     band_in_words,
     contradicted,
@@ -83,6 +84,7 @@ def content(
         "left_over": [{"where": m.where, "size": _finite(m.size), "says": m.says} for m in diagnosis.left_over],
         "band": _band(diagnosis.posterior.observed.segments, prior),
         "left_out": [_left_out(item) for item in diagnosis.posterior.observed.segments.left_out],
+        "story_laws": [_story_law(law) for law in story_laws(diagnosis)],
         "ddi_effect": dict(ddi_effect),
         "refit": list(refit),
         "other_optima": list(optima),
@@ -105,6 +107,18 @@ def _band(segments: Segments, prior: StructuralPrior) -> dict[str, Any]:
     """Describe the band that was judged, within that of ``[processing]``."""
     judged_hz, processing_hz = ([float(f) for f in band.hz[[0, -1]]] for band in (segments.band, segments.whole))
     return {"judged_hz": judged_hz, "processing_hz": processing_hz, "says": band_in_words(segments, prior)}
+
+
+def _story_law(law: StoryLaw) -> dict[str, Any]:
+    """Describe the law of a story as the data show it, at small and at large drifts."""
+    numbers = {
+        name: [_finite(float(v)) for v in getattr(law, name)]
+        for name in (
+            *("drift_m", "stiffness_n_per_m", "stiffness_std", "loss", "loss_std"),
+            *("model_stiffness_n_per_m", "model_loss"),
+        )
+    }
+    return {"location": f"story {law.story}", **numbers, "says": law.says}
 
 
 def _left_out(item: LeftOut) -> dict[str, Any]:

@@ -250,7 +250,7 @@ def _why_no_gain(gain: HeldOutGain) -> str:
     if gain.is_significant and gain.ci95[0] <= 0.0:
         return (
             " The gain on held-out data is not significant alone; but without a cause what calibration learned would have "
-            f"to have changed (log odds of {gain.calibration_nats:.0f} against that)."
+            "to have changed."
         )
     if gain.ci95[0] <= 0.0:
         return (

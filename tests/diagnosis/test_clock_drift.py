@@ -83,6 +83,6 @@ def test_a_ground_whose_clock_drifts_is_told_from_floors_that_do() -> None:
     corrected, (drift,) = correct_clock_drifts(segments(floors, slow), CONFIG.diagnosis)
     assert drift.channel == 3 and drift.relative == pytest.approx(-1e-3, rel=0.02)
     assert correct_clock_drifts(corrected, CONFIG.diagnosis)[1] == ()
-    assert clock_drift_in_words(drift, ("a1", "a2", "a3")) == (
+    assert clock_drift_in_words(drift, ("a1", "a2", "a3"), corrected.drive) == (
         "the delay of the ground falls by 1 ms a second: its clock runs 0.1 % slow"
     )

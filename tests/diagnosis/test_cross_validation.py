@@ -149,7 +149,7 @@ def test_a_cause_that_is_not_there_gains_nothing_and_is_not_named(clean: Segment
 
 def test_what_the_old_form_would_change_of_the_calibration_counts(clean: Segments) -> None:
     found = explained_by(parse_effect("sensor_gain:channel a2:gain=1.02"), clean)
-    assert heldout_gain(clean, found).calibration_nats == 0.0  # a drawing is no data
+    assert heldout_gain(clean, found).calibration == 0.0  # a drawing is no data
     learnt = replace(found.posterior.prior, basis=np.zeros((1, 3, 3)))
     far = found.null_fit.x.copy()
     far[0] += 5.0 * learnt.units[0]
@@ -158,8 +158,8 @@ def test_what_the_old_form_would_change_of_the_calibration_counts(clean: Segment
     assert nats == pytest.approx(
         learnt.log_density(found.final_fit.x[: learnt.mean.size]) - learnt.log_density(far[: learnt.mean.size])
     )
-    none_held_out = HeldOutGain(1.0, 1.0001, (-0.0002, 0.0004), samples=1e4)
-    assert not none_held_out.is_significant and replace(none_held_out, calibration_nats=41.0).is_significant
+    none_held_out = HeldOutGain(1.0, 1.0001, (-0.0002, 0.0004))
+    assert not none_held_out.is_significant and replace(none_held_out, calibration=41.0 / 1e4).is_significant
 
 
 def test_an_ambiguous_answer_needs_the_gain_of_its_best_alternative(clean: Segments) -> None:

@@ -176,6 +176,9 @@ def test_a_cause_without_a_gain_says_why_or_stays_out_of_the_headline() -> None:
     assert "interval of the mean gain includes zero" in said(
         "named", BASELINE, replace(NO_GAIN, nats=30.0), causes=[LOSS]
     )
+    assert "what calibration learned would have to have changed" in said(
+        "named", BASELINE, replace(NO_GAIN, calibration=0.02), causes=[LOSS]
+    )
     steady, late = (LackOfFit("f = 1 Hz", 9.0, "more", changes=changes) for changes in (False, True))
     assert "softer" not in said("unexplained", BASELINE, NO_GAIN, [steady], causes=[LOSS])
     assert "softer" in said("unexplained", BASELINE, GAIN, [steady], causes=[LOSS])

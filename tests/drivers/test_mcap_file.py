@@ -17,7 +17,7 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
 from drivers import codec
-from drivers.base import ACCELERATION, GROUND, TEMPERATURE, RecordingError, RecordingMissingError, SampleBlock
+from drivers.base import ACCELERATION, GROUND, TEMPERATURE, UNIT_OF, RecordingError, RecordingMissingError, SampleBlock
 from drivers.mcap_file import McapWriter, read_recordings, recording_info, scan_messages
 from tests.drivers.test_codec import blocks, same
 
@@ -62,7 +62,7 @@ def seconds(read: list[SampleBlock]) -> list[int]:
 @given(written=blocks())
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=50)
 def test_any_block_written_is_read_back(tmp_path: Path, written: SampleBlock) -> None:
-    topic = ACCELERATION if written.unit == "m/s^2" else TEMPERATURE
+    topic = next(name for name, unit in UNIT_OF.items() if unit == written.unit)
     path = tmp_path / "a.mcap"
     with McapWriter(path) as writer:
         writer.write(SampleBlock(topic, *(getattr(written, name) for name in written.__slots__[1:])))

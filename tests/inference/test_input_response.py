@@ -272,7 +272,8 @@ def pushed(*effects: str, seed: int, ground: bool = False, late_s: int = 0) -> l
     rate_hz, n = 256.0, round(120.0 * 256.0)
     model = Model(FORCED.model().structure, tuple(parse_effect(e) for e in effects))
     rng = np.random.default_rng(seed)
-    force, moved = 3.0 * rng.standard_normal(n), 0.5 * rng.standard_normal(n)
+    level = level_wander(n, rate_hz, 0.5, rng)
+    force, moved = 3.0 * level * rng.standard_normal(n), 0.5 * level * rng.standard_normal(n)
     forces = 0.1 * rng.standard_normal((n, 3))
     forces[:, 1] += force
     floors = respond(model, forces, moved if ground else None, rate_hz)

@@ -1,7 +1,8 @@
-"""Diagnose the F-16 ground vibration test, output only, against a model identified at its lowest level.
+"""Diagnose the F-16 ground vibration test against a model identified at its lowest level.
 
-``python -m tests.measured.f16 FOLDER [--out FILE.jsonl]``: FOLDER holds F16_FM_Level1.mat, ..3, ..5, ..7 of the user's own
-download (docs/measured.md).
+``python -m tests.measured.f16 FOLDER [--force] [--levels 3 5 7] [--out FILE.jsonl]``: FOLDER holds F16_FM_Level1.mat,
+..3, ..5, ..7 of the user's own
+download (docs/measured.md).  With ``--force`` the shaker's force is a known input, else the accelerations alone are used.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from scipy.io import loadmat
 from scipy.optimize import least_squares
 from threadpoolctl import threadpool_limits
 
-from drivers.base import ACCELERATION, SampleBlock
+from drivers.base import ACCELERATION, FORCE, SampleBlock
 from monitor.config.configuration import Configuration
 from monitor.inference.segments import gather
 from monitor.runs.diagnose import diagnose_segments, learn_healthy_prior
@@ -50,14 +51,16 @@ class Test:
     """Shape (n, 3), m/s^2."""
     rate_hz: float
 
-    def blocks(self) -> list[SampleBlock]:
-        """Make blocks of the accelerations without the first period."""
-        samples = self.accelerations[PERIOD_N:].astype(np.float32)
+    def blocks(self, *, with_force: bool) -> list[SampleBlock]:
+        """Make blocks of the accelerations, and of the force if wanted, without the first period."""
+        streams = [(ACCELERATION, CHANNELS, "m/s^2", self.accelerations)]
+        streams += [(FORCE, ("f1",), "N", self.force[:, None])] * with_force
         out = []
-        for at in range(0, len(samples), PERIOD_N):
+        for at in range(0, len(self.force) - PERIOD_N, PERIOD_N):
             t_ns = round(at / self.rate_hz * 1e9)
-            part = samples[at : at + PERIOD_N]
-            out.append(SampleBlock(ACCELERATION, t_ns, at, self.rate_hz, CHANNELS, "m/s^2", part))
+            for topic, channels, unit, samples in streams:
+                part = samples[PERIOD_N + at : 2 * PERIOD_N + at].astype(np.float32)
+                out.append(SampleBlock(topic, t_ns, at, self.rate_hz, channels, unit, part))
         return out
 
     def accelerance(self) -> tuple[Array, Array]:
@@ -137,6 +140,7 @@ def structure_file(frequencies_hz: Array, damping: Array, shapes: Array) -> dict
             "modal_damping_ratio": damping.tolist(),
         },
         "sensors": [{"channel": name, "floor": i} for i, name in enumerate(CHANNELS, start=1)],
+        "inputs": [{"channel": "f1", "floor": 1}],
         "processing": {"rate_hz": 50.0, "cutoff_hz": 16.0, "window_s": 100.0},
     }
 
@@ -145,6 +149,8 @@ def main() -> None:
     """Identify, calibrate and diagnose; print what is said of every level."""
     parser = argparse.ArgumentParser(prog="python -m tests.measured.f16", description=__doc__)
     parser.add_argument("folder", type=Path)
+    parser.add_argument("--force", action="store_true", help="use the force as a known input")
+    parser.add_argument("--levels", type=int, nargs="+", choices=LEVELS[1:], default=LEVELS[1:])
     parser.add_argument("--out", type=Path, help="append a JSON line a level")
     options = parser.parse_args()
     tests = {level: read(options.folder / f"F16_FM_Level{level}.mat") for level in LEVELS}
@@ -154,12 +160,13 @@ def main() -> None:
         print(f"mode {f:6.2f} Hz, damping {100 * z:5.2f} %, shape {shape / np.abs(shape).max()}")
     config = Configuration.model_validate(structure_file(frequencies_hz, damping, shapes))
     with threadpool_limits(limits=1):
-        prior = learn_healthy_prior(gather(tests[1].blocks(), config.front_end()), config)
+        prior = learn_healthy_prior(gather(tests[1].blocks(with_force=options.force), config.front_end()), config)
         standing = [(e.name, e.location, e.values()) for e in prior.effects(prior.mean)]
         print("standing at level 1:", standing, flush=True)
-        for level in LEVELS[1:]:
+        for level in options.levels:
             began = perf_counter()
-            found, gain = diagnose_segments(gather(tests[level].blocks(), config.front_end()), prior, config)
+            blocks = tests[level].blocks(with_force=options.force)
+            found, gain = diagnose_segments(gather(blocks, config.front_end()), prior, config)
             result = {
                 "level": level,
                 "verdict": found.verdict,

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from monitor.core import Array, name_stories, write_atomically
-from monitor.diagnosis import Diagnosis, csd_error_in_words, in_words
+from monitor.diagnosis import Diagnosis, StoryLaw, csd_error_in_words, in_words, story_laws
 from monitor.inference import Segments
 from monitor.model import FORMS, Effect, interval, unit
 from monitor.publish.reports import charts
@@ -54,6 +54,7 @@ def page(diagnosis: Diagnosis, content: Content, segments: Segments) -> str:
         _spectra(compared, content),
         _misfit(compared, diagnosis),
         "" if by_level is None else _modes_by_class(by_level),
+        _story_laws(story_laws(diagnosis), extended=compared.extended),
         _ranking(diagnosis, content),
         _parameters(diagnosis, content, compared.hz),
         _data(diagnosis, content, segments, compared),
@@ -200,6 +201,46 @@ def _modes_by_class(dependence: LevelDependence) -> str:
         out.append(f"<div class='pair'>{''.join(pair)}</div>")
     note = "Points: each class fitted alone, with 95 % intervals. Line: what the model with its causes predicts."
     return f"<h2>How the modes move</h2>{''.join(out)}<p class='muted'>{note}</p>"
+
+
+def _story_laws(laws: Sequence[StoryLaw], *, extended: bool) -> str:
+    """Draw the force of every story against its drift, and tabulate how its stiffness and its loss change with the level."""
+    if not laws:
+        return ""
+    out, rows = [], []
+    for law in laws:
+        loops = [(law.measured, "measured"), (law.before, "before dashed"), (law.after, "after")][
+            : 3 if extended else 2
+        ]
+        x, y = (
+            1.05 * max(float(np.abs(getattr(loop, name)).max()) for loop, _ in loops) for name in ("drift_m", "force_n")
+        )
+        axes = Axes((-1e3 * x, 1e3 * x), (-y, y), 220.0)
+        marks = [axes.line(1e3 * loop.drift_m, loop.force_n, kind) for loop, kind in loops]
+        out.append(axes.chart(f"story {law.story}: force, N", *marks, x_title="drift, mm"))
+        for i, level in enumerate(("small", "large")):
+            rows.append((
+                f"story {law.story}", level, f"{1e3 * law.drift_m[i]:.3g}",
+                f"{law.stiffness_n_per_m[i]:.5g} ± {2.0 * law.stiffness_std[i]:.2g}", f"{law.model_stiffness_n_per_m[i]:.5g}",
+                f"{100.0 * law.loss[i]:.2g} ± {200.0 * law.loss_std[i]:.1g}", f"{100.0 * law.model_loss[i]:.2g}",
+                escape(law.says) if i else "",
+            ))  # fmt: skip
+    head = [
+        "story",
+        "drifts",
+        "#RMS, mm",
+        "#stiffness, N/m",
+        "#of the model",
+        "#loss factor, %",
+        "#of the model",
+        "in words",
+    ]
+    note = (
+        "Force of a story: masses above it times their measured accelerations, less the measured forces. Drawn: the "
+        "segment with the largest drift, in the band that is judged. Black: measured; the model's as in the spectra "
+        "above. The table compares the third of the segments with the smallest drifts with that with the largest."
+    )
+    return f"<h2>Story forces, from the data</h2>{''.join(out)}{table(head, rows)}<p class='muted'>{note}</p>"
 
 
 def _ranking(diagnosis: Diagnosis, content: Content) -> str:

@@ -1,0 +1,188 @@
+"""Story forces straight from the data, where the inputs are known: the law of each story, whatever effect describes it.
+
+The force of a story is what moves the floors above it: their masses times their measured accelerations, less the measured
+forces on them.  Its drift is the difference of two floors' accelerations, integrated twice in the band that is judged.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from monitor.core import Array, ComplexArray
+from monitor.diagnosis.backbone import median_with_std
+from monitor.diagnosis.stepwise_selection import Diagnosis
+from monitor.inference import MapEstimate, Posterior
+from monitor.signals import taper
+
+_LEAST_SEGMENTS = 6
+"""Fewest segments whose thirds are compared. [segments; definition: two in each third]"""
+_STATED_STDS = 3.0
+"""Change with the level, beyond the model's, from which it is stated. [standard deviations; convention: three sigma]"""
+_FINER = 8
+"""Points of a loop for a sample. [ratio; to draw smooth curves]"""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Loop:
+    """Force of a story against its drift in the middle of a segment."""
+
+    drift_m: Array
+    """Shape (n,), m."""
+    force_n: Array
+    """Shape (n,), N."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class StoryLaw:
+    """Law of one story as the data show it, beside those of the model before and after the causes.
+
+    Arrays of two hold the third of the segments with the smallest drifts, then that with the largest.
+    """
+
+    story: int
+    """From 1."""
+    drift_m: Array
+    """RMS drift, shape (2,), m."""
+    stiffness_n_per_m: Array
+    """Secant stiffness, shape (2,), N/m."""
+    stiffness_std: Array
+    """Standard deviations, shape (2,)."""
+    loss: Array
+    """Loss factor: dissipated energy in a cycle over 2 pi times the largest elastic energy, shape (2,)."""
+    loss_std: Array
+    """Standard deviations, shape (2,)."""
+    model_stiffness_n_per_m: Array
+    """The same of the model with its causes, shape (2,), N/m."""
+    model_loss: Array
+    """The same of the model with its causes, shape (2,)."""
+    measured: Loop
+    """Loop in the segment with the largest drift."""
+    before: Loop
+    """Loop of the model without causes."""
+    after: Loop
+    """Loop of the model with the causes."""
+
+    @property
+    def says(self) -> str:
+        """State in words, without a full stop, how the story's law changes with the level beyond what the model says."""
+        (k, stiffer), (model_k, model_stiffer) = self.stiffness_n_per_m, self.model_stiffness_n_per_m
+        (eta, lossier), (model_eta, model_lossier) = self.loss, self.model_loss
+        found = []
+        beyond = (stiffer - k) - (model_stiffer - model_k)
+        if abs(beyond) > _STATED_STDS * float(np.hypot(*self.stiffness_std)):
+            trend = "hardens" if beyond > 0.0 else "softens"
+            found.append(f"{trend} by {100.0 * abs(beyond) / k:.1f} % more than the model")
+        gained = (lossier - eta) - (model_lossier - model_eta)
+        if abs(gained) > _STATED_STDS * float(np.hypot(*self.loss_std)):
+            more = "more" if gained > 0.0 else "less"
+            found.append(f"its loss factor grows by {100.0 * abs(gained):.1f} % {more} than the model's")
+        low, high = 1e3 * self.drift_m
+        span = f"from {low:.2g} to {high:.2g} mm of RMS drift story {self.story}"
+        return f"{span} {' and '.join(found)}" if found else f"{span} changes with the level as the model does"
+
+
+def story_laws(diagnosis: Diagnosis) -> tuple[StoryLaw, ...]:
+    """Compare the law of every story with the model's before and after the causes.
+
+    Returns
+    -------
+    tuple of StoryLaw
+        Empty where no input was measured, a floor has no sensor, or the stories are no single springs.
+
+    References
+    ----------
+    S. Masri, T. Caughey, A nonparametric identification technique for nonlinear dynamic problems, Journal of Applied Mechanics 46
+    (1979) 433 (restoring forces from measured accelerations).
+    """
+    posterior, fit = diagnosis.posterior, diagnosis.final_fit
+    drive, context = posterior.observed.drive, posterior.context
+    drifts, n = context.structure.drift_matrix(), context.structure.n_dofs
+    whole = drive is not None and drifts.shape == (n, n) == context.sensors.shape
+    if not whole or posterior.observed.segments.t_s.size < _LEAST_SEGMENTS:
+        return ()
+    measured = _forces_and_drifts(posterior, fit, posterior.observed.segments.values)
+    null = diagnosis.null_fit
+    before = _forces_and_drifts(posterior, null, posterior.mean(null.x, null.effects))
+    after = _forces_and_drifts(posterior, fit, posterior.mean(fit.x, fit.effects))
+    return tuple(_law(j, posterior, measured, before, after) for j in range(n))
+
+
+_Series = tuple[ComplexArray, ComplexArray]
+"""Transforms of the stories' forces, N/sqrt(Hz), and of their drifts, m/sqrt(Hz), shape (n_segments, n_bins, n) each."""
+
+
+def _forces_and_drifts(posterior: Posterior, fit: MapEstimate, channels: ComplexArray | None) -> _Series:
+    """Compute forces and drifts from the channels' transforms, shape (n_segments, n_bins, c), with the masses of a fit."""
+    e, context, drive = posterior.observed, posterior.context_at(fit.x), posterior.observed.drive
+    assert channels is not None
+    assert drive is not None
+    effects = (*posterior.prior.effects(fit.x), *fit.effects)
+    n, hz = context.structure.n_dofs, e.band.hz
+    true = np.asarray(channels, dtype=np.complex128)
+    for effect in reversed(effects):
+        response = effect.response(hz, context, posterior.conditions[0])
+        if response is not None:
+            true = np.asarray(np.linalg.solve(response, true[..., None])[..., 0], dtype=np.complex128)
+    floors = true @ np.linalg.inv(context.sensors).T
+    inputs = drive.measured(e.band)
+    system = posterior.system(fit.x, effects)
+    mass, pushed = system.mass[:n, :n], drive.forces(system)[:n] * (1.0 - drive.rides)
+    drifts = context.structure.drift_matrix()
+    acting = inputs @ pushed.T - floors @ mass.T
+    relative = floors - (inputs @ drive.rides)[..., None]
+    displaced = relative / -((2.0 * np.pi * hz[:, None]) ** 2)
+    return np.asarray(acting @ np.linalg.inv(drifts)), np.asarray(displaced @ drifts.T)
+
+
+def _law(j: int, posterior: Posterior, measured: _Series, before: _Series, after: _Series) -> StoryLaw:
+    """Describe the law of the story of index j."""
+    power = (np.abs(measured[1][:, :, j]) ** 2).sum(axis=1)
+    order, third = np.argsort(power), max(2, power.size // 3)
+    groups = order[:third], order[-third:]
+    seen, model = (_secants(series, after[1], j) for series in (measured, after))
+    (k, k_std), (eta, eta_std), (model_k, _), (model_eta, _) = (
+        np.array([median_with_std(values[group]) for group in groups]).T
+        for values in (seen.real, seen.imag / seen.real, model.real, model.imag / model.real)
+    )
+    bin_hz, largest = posterior.observed.band.bin_hz, int(order[-1])
+    return StoryLaw(
+        story=j + 1,
+        drift_m=np.sqrt([2.0 * bin_hz * float(power[group].mean()) for group in groups]),
+        stiffness_n_per_m=k,
+        stiffness_std=k_std,
+        loss=eta,
+        loss_std=eta_std,
+        model_stiffness_n_per_m=model_k,
+        model_loss=model_eta,
+        measured=_loop(posterior, measured, largest, j),
+        before=_loop(posterior, before, largest, j),
+        after=_loop(posterior, after, largest, j),
+    )
+
+
+def _secants(series: _Series, instrument: ComplexArray, j: int) -> ComplexArray:
+    """Regress the force of story j on its drift in every segment, shape (n_segments,), N/m.
+
+    The noise of the sensors, integrated twice, would make every story seem softer the less it moves.  So the regression is by an
+    instrumental variable: the drift that the model predicts, which has no noise.
+    """
+    force, drift = (part[:, :, j] for part in series)
+    known = instrument[:, :, j].conj()
+    return np.asarray((force * known).sum(axis=1) / (drift * known).sum(axis=1))
+
+
+def _loop(posterior: Posterior, series: _Series, segment: int, j: int) -> Loop:
+    """Transform force and drift of story j back to time, in the middle half of a segment."""
+    e = posterior.observed
+    assert e.drive is not None
+    n = e.drive.design.n
+    middle = slice(_FINER * n // 4, 3 * _FINER * n // 4)
+    window = np.interp(np.arange(_FINER * n) / _FINER, np.arange(n), taper(n))[middle]
+    out = []
+    for part in series:
+        spectrum = np.zeros(_FINER * n // 2 + 1, dtype=complex)
+        spectrum[e.band.first : e.band.first + e.band.n_bins] = part[segment, :, j] * np.sqrt(e.drive.design.rate_hz)
+        out.append(np.fft.irfft(spectrum)[middle] * _FINER / window)
+    return Loop(out[1], out[0])

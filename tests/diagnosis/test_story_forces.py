@@ -1,0 +1,66 @@
+"""The law of every story straight from the data, where the input is known."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from monitor.diagnosis.simulation_refit import fit_initial_model
+from monitor.diagnosis.story_forces import StoryLaw, story_laws
+from monitor.inference.observed_spectra import classify
+from monitor.inference.segments import Segments, gather
+from monitor.model.prior import prior_from_drawing
+from tests.inference.test_input_response import FORCED, pushed
+
+pytestmark = pytest.mark.engine
+
+
+def laws(segments: Segments) -> tuple[StoryLaw, ...]:
+    """Laws beside a model that was fitted without any cause."""
+    known = prior_from_drawing(FORCED.model(), np.full(6, 0.1), 3)
+    context = FORCED.instrumented().context(segments.rate_hz)
+    posterior, fit, _ = fit_initial_model(classify(segments), known, context)
+    diagnosis: Any = SimpleNamespace(posterior=posterior, final_fit=fit, null_fit=fit)
+    return story_laws(diagnosis)
+
+
+@pytest.mark.parametrize("ground", [False, True])
+def test_a_linear_frame_has_the_stiffness_of_its_model_at_every_level(ground: bool) -> None:
+    for law, k in zip(
+        laws(gather(pushed(seed=8, ground=ground), FORCED.front_end())), (2900.0, 1500.0, 1900.0), strict=True
+    ):
+        assert law.says.endswith("changes with the level as the model does")
+        np.testing.assert_allclose(law.stiffness_n_per_m, k, rtol=0.03)
+        np.testing.assert_allclose(law.stiffness_n_per_m, law.model_stiffness_n_per_m, rtol=0.02)
+        assert law.drift_m[1] > law.drift_m[0] > 0.0 and (law.stiffness_std > 0.0).all()
+
+
+def test_the_loop_has_the_story_s_force_and_drift() -> None:
+    law = laws(gather(pushed(seed=8), FORCED.front_end()))[1]
+    for loop in (law.measured, law.before, law.after):
+        k = float(loop.force_n @ loop.drift_m / (loop.drift_m @ loop.drift_m))
+        assert k == pytest.approx(1500.0, rel=0.03)
+    rms = float(np.sqrt(np.mean(law.measured.drift_m**2)))
+    assert law.drift_m[0] < rms < 2.0 * law.drift_m[1]
+    np.testing.assert_allclose(law.measured.force_n, law.after.force_n, atol=0.2 * np.abs(law.after.force_n).max())
+
+
+@pytest.mark.parametrize(
+    ("effect", "story", "words"),
+    [
+        ("cubic_stiffness:story 2:k3_n_per_m3=4e6", 2, "hardens by"),
+        ("hysteretic_slip:story 3:force_n=2,relative=0.25", 3, "softens by"),
+    ],
+)
+def test_the_law_that_is_missing_is_seen_in_its_story_alone(effect: str, story: int, words: str) -> None:
+    found = laws(gather(pushed(effect, seed=9), FORCED.front_end()))
+    assert [law.story for law in found if words in law.says] == [story], [law.says for law in found]
+
+
+def test_without_a_known_input_or_with_a_floor_without_a_sensor_nothing_is_said() -> None:
+    unnamed = FORCED.model_copy(update={"inputs": ()})
+    segments = gather(pushed(seed=8), unnamed.front_end())
+    assert segments.drive is None and laws(segments) == ()
