@@ -102,6 +102,8 @@ def candidate_starts(
     for name, kind in EFFECTS.items():
         if posterior.observed.drive is not None and (kind.family == "excitation" or kind.stationary_only):
             continue  # the input is measured; another one would only compensate for errors of the model's response
+        if posterior.observed.drive is None and kind.driven_only:
+            continue
         for place in (p for k in kind.places for p in locations(k, posterior.context)):
             if kind.repeatable or (name, place) not in skip:
                 out.extend(kind.starts(place, posterior.context, typical))

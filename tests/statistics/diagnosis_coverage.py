@@ -161,7 +161,7 @@ def fit_given(
     context = drawing.instrumented().context(segments.rate_hz)
     posterior, null_fit, _ = fit_initial_model(classify(segments), prior, context)
     found = fit_candidate(posterior, null_fit, effect)
-    return "given", _causes(posterior, found.fit, [found], np.zeros(found.fit.n_effect))
+    return "given", _causes(posterior, found.fit, [found], np.zeros(found.fit.n_effect))[0]
 
 
 def diagnose_site(number: int, seed: int, kinds: tuple[str, ...], *, given: bool = False) -> Iterator[dict[str, Any]]:
