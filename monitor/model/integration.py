@@ -169,9 +169,8 @@ def _march(
     floors = np.empty((forces.shape[0], n))
     predicted, pending, change, force = np.zeros((4, m), dtype=np.complex128)
     law_force, force_change, d, v = np.zeros((4, q))
-    held, before = np.zeros(
-        (2, q)
-    )  # force of each hysteretic law over its largest, and the displacement, at the step's start
+    # Force of each hysteretic law over its largest, and displacement, at the start of the step.
+    held, before = np.zeros((2, q))
     both, carried = np.empty((2, m, q), dtype=np.complex128)
     last = np.empty((m, q), dtype=np.complex128)
     for p in range(m):

@@ -162,7 +162,8 @@ def simulate(
     Returns
     -------
     Motion
-        Accelerations of the channels, shape (n_samples, c), and of a measured ground, shape (n_samples,), m/s^2.
+        Accelerations of the channels, shape (n_samples, c), and of a measured ground, shape (n_samples,), m/s^2;
+        measured forces, shape (n_samples, k), N.
 
     Raises
     ------

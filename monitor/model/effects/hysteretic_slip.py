@@ -132,9 +132,8 @@ def linearized_element(drift: float) -> tuple[float, float]:
 def _table() -> tuple[Array, Array]:
     """Compute `linearized_element` at the drifts of `_LOG10_DRIFTS`, shape (n,) each."""
     nodes, weights = np.polynomial.laguerre.laggauss(_AMPLITUDES)
-    weights = (
-        weights * nodes
-    )  # of the squared amplitude over twice the variance, and once more of the amplitude's square
+    # The nodes are the squared amplitudes over twice the variance; every amplitude counts by its square.
+    weights = weights * nodes
     amplitudes = np.sqrt(2.0 * nodes) * 10.0 ** _LOG10_DRIFTS[:, None]
     secant, loss = _steady_cycle(amplitudes)
     return secant @ weights / weights.sum(), loss @ weights / weights.sum()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -62,17 +62,7 @@ class Table:
         BadInputError
             If there is no such column, or its unit is no unit of acceleration.
         """
-        if column not in self.columns:
-            raise BadInputError(f"{self.path}: no column {column!r}; it has {', '.join(self.columns)}")
-        at = self.columns.index(column)
-        factor = unit_factor(self.units[at] or unit)
-        if factor is None:
-            raise BadInputError(
-                f"{self.path}: column {column!r} has unit {self.units[at] or unit!r}; "
-                f"known for acceleration: {', '.join(UNITS)}"
-            )
-        scaled: Array = self.values[:, at] * factor
-        return scaled
+        return self._converted(column, unit, unit_factor, "acceleration", UNITS)
 
     def force(self, column: str) -> Array:
         """Convert a column to N, shape (n_samples,); a column without a unit is in N.
@@ -82,13 +72,21 @@ class Table:
         BadInputError
             If there is no such column, or its unit is no unit of force.
         """
+        return self._converted(column, "N", lambda unit: FORCE_UNITS.get(unit.strip().casefold()), "force", FORCE_UNITS)
+
+    def _converted(
+        self, column: str, unit: str, factor_of: Callable[[str], float | None], quantity: str, known: Iterable[str]
+    ) -> Array:
+        """Convert a column to the SI unit of a quantity, shape (n_samples,); `unit` is that of a column without one."""
         if column not in self.columns:
             raise BadInputError(f"{self.path}: no column {column!r}; it has {', '.join(self.columns)}")
         at = self.columns.index(column)
-        factor = FORCE_UNITS.get(self.units[at].strip().casefold() or "n")
+        stated = self.units[at] or unit
+        factor = factor_of(stated)
         if factor is None:
-            known = ", ".join(FORCE_UNITS)
-            raise BadInputError(f"{self.path}: column {column!r} has unit {self.units[at]!r}; known for force: {known}")
+            raise BadInputError(
+                f"{self.path}: column {column!r} has unit {stated!r}; known for {quantity}: {', '.join(known)}"
+            )
         scaled: Array = self.values[:, at] * factor
         return scaled
 
