@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from monitor.core import Array
+from monitor.diagnosis.initial_fit import fit_exact_slopes
 from monitor.diagnosis.stepwise_selection import Diagnosis
 from monitor.inference import (
     Drive,
@@ -66,6 +67,8 @@ def refit_forms(part: ObservedSpectra, whole: Diagnosis) -> list[tuple[Model, Ex
         fit = maximize_posterior(
             own, x, effects, iterations=_MAX_STEPS_DRIVEN if part.drive is not None else _MAX_STEPS_AMBIENT
         )
+        if part.drive is not None and any(e.nonlinear for e in effects):
+            own, fit = fit_exact_slopes(own, fit)
         return fitted_model(own, fit), ExcitationStart.at(
             own, fit.x, own.beyond(fit.x, fit.effects) if shared else None
         )

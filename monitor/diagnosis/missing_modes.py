@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 from scipy.linalg import eigh
@@ -163,7 +162,7 @@ def find_missing_mode(
     """
     (peak,) = find_excess_peaks(posterior, fit, 1)
     starts = effects_at_peak(posterior, fit, peak)
-    rough = best_first(parallel_map(partial(fit_candidate, posterior, fit, quick=True), starts))
+    rough = best_first(parallel_map(lambda e: fit_candidate(posterior, fit, e, quick=True).without_slopes(), starts))
     if not rough or not (rough[0].effect.repeatable or lacks_modes(posterior, fit)):
         return []
     near = [c for c in rough if c.may_reach(rough[0].log_evidence - settings.rival)]

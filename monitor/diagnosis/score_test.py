@@ -11,9 +11,9 @@ from itertools import chain
 import numpy as np
 
 from monitor.core import Array, parallel_map
-from monitor.diagnosis.initial_fit import COARSE, FAR, LONG, ROUGHLY
+from monitor.diagnosis.initial_fit import COARSE, FAR, LONG, ROUGHLY, fit_exact_slopes
 from monitor.inference import MapEstimate, Posterior, Prediction, maximize_posterior, tone_log_odds
-from monitor.model import EFFECTS, Context, Effect, EffectError, Peak, inverse, locations
+from monitor.model import EFFECTS, Context, Effect, EffectError, Peak, System, inverse, locations
 
 _log = logging.getLogger(__name__)
 
@@ -38,6 +38,8 @@ _MIN_START_FACTOR = 0.05
 """Smallest factor on an effect's start size at which it is first tried. [ratio; judgement]"""
 _MAX_START_FACTOR = 20.0
 """Largest such factor. [ratio; judgement]"""
+_MAX_SECANT_CHANGE = 0.9
+"""Share of a story's stiffness that a law may take away where a fit starts. [ratio; judgement: the rest is positive]"""
 _ONE_SIDED_95 = 1.645
 """Quantile of the standard normal distribution for a probability of 95 %. [standard deviations; definition]"""
 
@@ -57,6 +59,10 @@ class Candidate:
     def key(self) -> tuple[str, str]:
         """Name and place of the effect."""
         return self.effect.name, self.effect.location
+
+    def without_slopes(self) -> Candidate:
+        """Return the candidate with a fit from which no further search can start."""
+        return replace(self, fit=self.fit.without_slopes())
 
     def may_reach(self, min_log_evidence: float) -> bool:
         """Decide if a better fit may reach an evidence.
@@ -203,7 +209,8 @@ def _expected_gains(
         if effect.proportional and not driven:
             out, v = [], _whitened_slope(posterior, null_fit, prediction, effect)
         else:
-            moved = posterior.predict(null_fit.x, (*null_fit.effects, effect))
+            start = start_beside(posterior, null_fit.x, effect)
+            moved = posterior.predict(start, (*null_fit.effects, effect))
             # Gain at the start size with refitted levels, for starts that happen to lie near the truth.
             whole = posterior.log_likelihood(moved.spectra, moved.data, levelled=True) - null_fit.log_likelihood
             out = [(whole, effect)]
@@ -384,6 +391,8 @@ def fit_candidate(
         iterations=few if quick else many,
         tolerance=COARSE if driven else _AMBIENT_TOLERANCE_NATS,
     )
+    if driven and effect.nonlinear:
+        return _fit_driven_law(posterior, null_fit, effect, None if rough is None else rough.fit, quick=quick)
     found = score_candidate(posterior, null_fit, fitted(null_fit.x, (*null_fit.effects, effect), frozen=frozen))
     if not quick and _far_from_prior(posterior, null_fit):
         near = _fit_at_prior(posterior, null_fit, effect)[1]
@@ -399,6 +408,51 @@ def fit_candidate(
         repeated = score_candidate(posterior, null_fit, fitted(rough.fit.x, rough.fit.effects))
         found = max(found, repeated, key=lambda c: c.log_evidence)
     return found
+
+
+def _fit_driven_law(
+    posterior: Posterior, null_fit: MapEstimate, effect: Effect, rough: MapEstimate | None, *, quick: bool
+) -> Candidate:
+    """Fit a nonlinear law together with the nuisances where the motion follows from a measured input.
+
+    The slopes are those of the exact laws.  With those of the linearized laws most fits of softening laws end at once.
+
+    Parameters
+    ----------
+    rough : MapEstimate or None
+        A rough fit of the same law, from which the fit starts.
+    quick : bool
+        Fit roughly, for a ranking.
+    """
+    if rough is None:
+        x, effects = start_beside(posterior, null_fit.x, effect), (*null_fit.effects, effect)
+    else:
+        x, effects = rough.x, rough.effects
+    exact = posterior.with_exact_slopes(x, effects)
+    fit = maximize_posterior(exact, x, effects, iterations=ROUGHLY if quick else FAR, tolerance=COARSE)
+    if not quick:
+        fit = fit_exact_slopes(exact, fit)[1]
+    return score_candidate(posterior, null_fit, fit)
+
+
+def start_beside(posterior: Posterior, x: Array, effect: Effect) -> Array:
+    """Return the parameters with which a fit beside an effect starts, shape (p,).
+
+    The fit without the effect has the stories' secant stiffness at the recording's level.  Where the motion follows from a
+    measured input, a frequency off by a percent is far from any fit.  So a nonlinear law starts beside the stiffness
+    with which it has that secant.
+    """
+    if posterior.observed.drive is None or not effect.nonlinear:
+        return x
+    context, layout = posterior.context_at(x), posterior.layout
+    n, k = context.structure.n_dofs, context.structure.stiffness_n_per_m
+    nothing = System(np.zeros((n, n)), np.zeros((n, n)), np.zeros((n, n)))
+    change = effect.extend(nothing, context, posterior.conditions[posterior.n_classes // 2]).stiffness
+    springs = np.stack([np.outer(row, row).ravel() for row in context.structure.drift_matrix()], axis=1)
+    added = np.linalg.lstsq(springs, change.ravel(), rcond=None)[0] / k
+    out = x.copy()
+    out[layout.stiffness] -= np.log1p(np.clip(added, -_MAX_SECANT_CHANGE, None))
+    return out
 
 
 def refine_rough_fit(posterior: Posterior, null_fit: MapEstimate, effect: Effect) -> Candidate:

@@ -61,13 +61,13 @@ def run_selection_round(
     # A persistent effect may have changed, so it is tried again; a nonlinear one is not, as one law a place is simulated.
     persistent = [e for e in posterior.prior.effects(fit.x) if e.nonlinear or not e.parameters]
     excluded = [(e.name, e.location) for e in (*persistent, *fit.effects)]
-    ranked = [
-        item
-        for item in best_of_each(rank_by_score(posterior, fit, candidate_starts(posterior, fit, excluded)))
-        if item[0] > min_gain
-    ]
-    choose = _shortlist_ambient if posterior.observed.drive is None else _shortlist_driven
-    chosen, rough, min_log_evidence = choose(posterior, fit, ranked, settings)
+    starts = rank_by_score(posterior, fit, candidate_starts(posterior, fit, excluded))
+    ranked = [item for item in best_of_each(starts) if item[0] > min_gain]
+    if posterior.observed.drive is None:
+        chosen, rough, min_log_evidence = _shortlist_ambient(posterior, fit, ranked, settings)
+    else:
+        chosen, rough = _shortlist_driven(posterior, fit, ranked, [effect for _, effect in starts])
+        min_log_evidence = -np.inf
     rough_by_key = {c.key: c for c in rough}
 
     def fit_chosen(key: tuple[str, str]) -> Candidate:
@@ -122,20 +122,18 @@ def _fit_roughly(posterior: Posterior, fit: MapEstimate, effects: list[Effect]) 
     """Fit effects roughly, best first."""
 
     def rough(effect: Effect) -> Candidate:
-        found = fit_candidate(posterior, fit, effect, quick=True)
-        return replace(
-            found, fit=replace(found.fit, jacobian=np.zeros((0, found.fit.x.size)))
-        )  # saves a megabyte that is not used
+        return fit_candidate(posterior, fit, effect, quick=True).without_slopes()
 
     return best_first(parallel_map(rough, effects))
 
 
 def _shortlist_driven(
-    posterior: Posterior, fit: MapEstimate, ranked: list[tuple[float, Effect]], _: DiagnosisSettings
-) -> tuple[dict[tuple[str, str], Effect], list[Candidate], float]:
+    posterior: Posterior, fit: MapEstimate, ranked: list[tuple[float, Effect]], starts: list[Effect]
+) -> tuple[dict[tuple[str, str], Effect], list[Candidate]]:
     """Choose as `_shortlist_ambient` where the ground is measured: the best few of all kinds, and the best kind at every place.
 
-    A response separates kinds so clearly that few need a closer look, but its score test predicts too much gain for most.
+    A response separates kinds so clearly that few need a closer look, but its score test predicts too much gain for most.  For
+    nonlinear laws it does not even tell which start leads to the law's best fit, so the second best is fitted roughly too.
     """
     kinds = list(dict.fromkeys(effect.name for _, effect in ranked))
     first = {name: next(e for _, e in ranked if e.name == name) for name in kinds[:_N_KINDS]}
@@ -144,10 +142,16 @@ def _shortlist_driven(
         for i, (_, e) in enumerate(ranked)
         if i < _N_BEST_SCORES or e.name in kinds[:_N_KINDS_EVERYWHERE] or e is first.get(e.name)
     ]
-    rough = _fit_roughly(posterior, fit, near)
-    chosen = {c.key: c.effect for c in rough[:_N_FULL_FITS]}
+    laws = {e.name for e in near if e.nonlinear}
+    others = [(0.0, e) for e in starts if e.name in laws and e not in [first for _, first in ranked]]
+    more = [e for _, e in best_of_each(others)]
+    best: dict[tuple[str, str], Candidate] = {}
+    for candidate in _fit_roughly(posterior, fit, near + more):
+        best.setdefault(candidate.key, candidate)
+    rough = list(best.values())
     same = [e for _, e in ranked if rough and e.name == rough[0].effect.name]
-    return {(e.name, e.location): e for e in same} | chosen, rough, -np.inf
+    found = [c.effect for i, c in enumerate(rough) if i < _N_FULL_FITS or c.effect.name == rough[0].effect.name]
+    return {(e.name, e.location): e for e in (*same, *found)}, rough
 
 
 def _simulate_contenders(

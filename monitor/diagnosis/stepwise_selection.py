@@ -153,7 +153,7 @@ def diagnose(
     alternatives: tuple[tuple[Candidate, float], ...] = ()
     while _n_counted(stage.accepted) < settings.max_causes:
         stage, candidates, threshold = _search_once(stage, settings)
-        rounds.append(tuple(p.candidate for p in candidates))
+        rounds.append(tuple(p.candidate.without_slopes() for p in candidates))
         if not candidates or candidates[0].candidate.log_evidence < threshold:
             break
         tied = tied_candidates(candidates, settings.rival)
@@ -164,7 +164,7 @@ def diagnose(
         beside = _accept_beside_tie(stage, tied[0], settings) if len(tied) > 1 else None
         if beside is not None:  # the tie comes up again in the last round
             stage, candidates = beside
-            rounds[-1] = tuple(p.candidate for p in candidates)
+            rounds[-1] = tuple(p.candidate.without_slopes() for p in candidates)
             continue
         if len(tied) > 1:
             alternatives = tuple(zip((p.candidate for p in tied), probabilities(tied).tolist(), strict=True))
@@ -307,8 +307,11 @@ def _prefer_mode(
 
 
 def _n_counted(accepted: Sequence[Candidate]) -> int:
-    """Count the causes that the search is limited to; modes that the model lacks may be many."""
-    return sum(not c.effect.repeatable for c in accepted)
+    """Count the causes that the search is limited to.
+
+    Modes that the model lacks may be many, and every channel may have a fault.
+    """
+    return sum(not (c.effect.repeatable or c.effect.family == "sensor") for c in accepted)
 
 
 def _add_missing_modes(
@@ -327,7 +330,7 @@ def _add_missing_modes(
         found = find_missing_mode(stage.posterior, stage.fit, settings, _acceptance_threshold(stage, settings))
         if not found:
             break
-        rounds.append(tuple(found))
+        rounds.append(tuple(c.without_slopes() for c in found))
         stage = _accept(stage, RefittedCandidate(found[0], stage.posterior, stage.moments), settings)
     if find_lack_of_fit(stage.posterior, stage.fit, settings):
         coupled = couple_modes(stage.posterior, stage.fit)

@@ -9,9 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from monitor.core import Array, ComplexArray
-from monitor.diagnosis.backbone import median_with_std
 from monitor.diagnosis.stepwise_selection import Diagnosis
 from monitor.inference import MapEstimate, Posterior
 from monitor.signals import taper
@@ -70,8 +70,8 @@ class StoryLaw:
         (k, stiffer), (model_k, model_stiffer) = self.stiffness_n_per_m, self.model_stiffness_n_per_m
         (eta, lossier), (model_eta, model_lossier) = self.loss, self.model_loss
         found = []
-        beyond = (stiffer - k) - (model_stiffer - model_k)
-        if abs(beyond) > _STATED_STDS * float(np.hypot(*self.stiffness_std)):
+        beyond, visible = (stiffer - k) - (model_stiffer - model_k), _STATED_STDS * float(np.hypot(*self.stiffness_std))
+        if abs(beyond) > visible:
             trend = "hardens" if beyond > 0.0 else "softens"
             found.append(f"{trend} by {100.0 * abs(beyond) / k:.1f} % more than the model")
         gained = (lossier - eta) - (model_lossier - model_eta)
@@ -80,7 +80,11 @@ class StoryLaw:
             found.append(f"its loss factor grows by {100.0 * abs(gained):.1f} % {more} than the model's")
         low, high = 1e3 * self.drift_m
         span = f"from {low:.2g} to {high:.2g} mm of RMS drift story {self.story}"
-        return f"{span} {' and '.join(found)}" if found else f"{span} changes with the level as the model does"
+        if found:
+            return f"{span} {' and '.join(found)}"
+        return (
+            f"{span} changes with the level as the model does, to within {100.0 * visible / k:.2g} % of its stiffness"
+        )
 
 
 def story_laws(diagnosis: Diagnosis) -> tuple[StoryLaw, ...]:
@@ -141,10 +145,8 @@ def _law(j: int, posterior: Posterior, measured: _Series, before: _Series, after
     power = (np.abs(measured[1][:, :, j]) ** 2).sum(axis=1)
     order, third = np.argsort(power), max(2, power.size // 3)
     groups = order[:third], order[-third:]
-    seen, model = (_secants(series, after[1], j) for series in (measured, after))
-    (k, k_std), (eta, eta_std), (model_k, _), (model_eta, _) = (
-        np.array([median_with_std(values[group]) for group in groups]).T
-        for values in (seen.real, seen.imag / seen.real, model.real, model.imag / model.real)
+    (k, k_std, eta, eta_std), (model_k, _, model_eta, _) = (
+        np.array([_secant(series, after[1], j, group) for group in groups]).T for series in (measured, after)
     )
     bin_hz, largest = posterior.observed.band.bin_hz, int(order[-1])
     return StoryLaw(
@@ -162,15 +164,28 @@ def _law(j: int, posterior: Posterior, measured: _Series, before: _Series, after
     )
 
 
-def _secants(series: _Series, instrument: ComplexArray, j: int) -> ComplexArray:
-    """Regress the force of story j on its drift in every segment, shape (n_segments,), N/m.
+def _secant(
+    series: _Series, instrument: ComplexArray, j: int, group: NDArray[np.intp]
+) -> tuple[float, float, float, float]:
+    """Regress the force of story j on its drift over a group of segments.
 
     The noise of the sensors, integrated twice, would make every story seem softer the less it moves.  So the regression is by an
-    instrumental variable: the drift that the model predicts, which has no noise.
+    instrumental variable: the drift that the model predicts, which has no noise.  The standard deviations are by the
+    jackknife over the segments.
+
+    Returns
+    -------
+    stiffness, its standard deviation : float, N/m
+    loss factor, its standard deviation : float
     """
-    force, drift = (part[:, :, j] for part in series)
-    known = instrument[:, :, j].conj()
-    return np.asarray((force * known).sum(axis=1) / (drift * known).sum(axis=1))
+    force, drift = (part[group, :, j] for part in series)
+    known = instrument[group, :, j].conj()
+    products = np.stack([(force * known).sum(axis=1), (drift * known).sum(axis=1)])
+    others = products.sum(axis=1, keepdims=True) - products
+    left_out, whole = others[0] / others[1], complex(np.divide(*products.sum(axis=1)))
+    spread = np.sqrt(group.size - 1.0)
+    loss = left_out.imag / left_out.real
+    return whole.real, spread * float(left_out.real.std()), whole.imag / whole.real, spread * float(loss.std())
 
 
 def _loop(posterior: Posterior, series: _Series, segment: int, j: int) -> Loop:

@@ -68,3 +68,14 @@ def test_a_story_keeps_its_stiffness_at_small_drift_and_loses_the_share_beyond()
     natural = np.sqrt(1000.0) / (2.0 * np.pi)
     assert hz[0] == pytest.approx(natural, rel=2e-3)
     assert np.sqrt(0.7) * natural < hz[1] < 0.93 * natural
+
+
+def test_on_the_frame_every_story_slips_at_one_drift_and_the_forces_follow_the_stiffnesses() -> None:
+    structure = ShearFrame(np.array([1.0, 1.0, 1.0]), np.array([1000.0, 2000.0, 3000.0]), 0.02)
+    (effect,) = (parse_effect("hysteretic_slip:frame:force_n=4,relative=0.1"),)
+    laws = effect.laws(structure)
+    np.testing.assert_allclose([law.parameters[0] for law in laws], [2.0, 4.0, 6.0])
+    np.testing.assert_allclose([law.parameters[1] for law in laws], 0.02)
+    np.testing.assert_array_equal([law.direction for law in laws], structure.drift_matrix())
+    (alone,) = parse_effect("hysteretic_slip:story 2:force_n=4,relative=0.1").laws(structure)
+    assert alone.parameters == (pytest.approx(4.0), pytest.approx(0.02))

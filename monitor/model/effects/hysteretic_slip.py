@@ -24,9 +24,25 @@ _AMPLITUDES = 64
 """Amplitudes over which the mean is taken. [count; accuracy of the integral]"""
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class Element:
+    """Element of a story that slips."""
+
+    story: int
+    """Index of the story, from 0."""
+    direction: Array
+    """Row that picks the story's drift out of the floors' motion, shape (n,)."""
+    force_n: float
+    """Force at which the element slips, N."""
+    slip_m: float
+    """Drift at which it would slip without rounding, m."""
+
+
 @dataclass(frozen=True)
 class HystereticSlip(Effect):
     """Hysteretic slip: story force (1 - r) k d + F z, with a share r of the story's stiffness k that slips at a force F.
+
+    On the frame every story slips at the same drift, as where all joints are of one make; F is then the mean over stories.
 
     The element is that of Bouc and Wen with a sharpness of 2: ``dz = dd / dy (1 - z^2)`` where it is loaded, and
     ``dz = dd / dy`` where it is unloaded, with dy = F / (r k).  So the story has the stiffness k at small drift.  The element is
@@ -40,7 +56,7 @@ class HystereticSlip(Effect):
 
     name: ClassVar[str] = "hysteretic_slip"
     family: ClassVar[Literal["structure", "excitation", "sensor"]] = "structure"
-    places: ClassVar[tuple[str, ...]] = ("story",)
+    places: ClassVar[tuple[str, ...]] = ("story", "frame")
     parameters: ClassVar[tuple[Parameter, ...]] = (
         Parameter("force_n", 0.0, inf, absent=0.0),
         Parameter("relative", 0.0, 1.0, absent=0.0),
@@ -68,27 +84,32 @@ class HystereticSlip(Effect):
 
     def extend(self, system: System, context: Context, condition: Condition) -> System:
         """See `Effect.extend`."""
-        if self.force_n == 0.0 or self.relative == 0.0:
-            return system
-        own = self.relative * float(context.structure.stiffness_n_per_m[self.index])
-        drift = float(condition.drift_m[self.index])
-        secant, loss = linearized_element(drift * own / self.force_n)
-        damping = own * loss * drift / float(condition.drift_velocity_m_s[self.index])
-        pattern = self.pattern(context.structure)
-        return system.plus(stiffness=own * (secant - 1.0) * pattern, damping=damping * pattern)
+        for e in self.elements(context.structure):
+            drift = float(condition.drift_m[e.story])
+            secant, loss = linearized_element(drift / e.slip_m)
+            stiffness, pattern = e.force_n / e.slip_m, np.outer(e.direction, e.direction)
+            damping = stiffness * loss * drift / float(condition.drift_velocity_m_s[e.story])
+            system = system.plus(stiffness=stiffness * (secant - 1.0) * pattern, damping=damping * pattern)
+        return system
 
     def laws(self, structure: Structure) -> tuple[Law, ...]:
         """See `Effect.laws`."""
+        return tuple(Law(LawKind.SLIP, e.direction, (e.force_n, e.slip_m)) for e in self.elements(structure))
+
+    def elements(self, structure: Structure) -> tuple[Element, ...]:
+        """Return the elements that slip: that of the story, or one in each story of the frame; none without a size."""
         if self.force_n == 0.0 or self.relative == 0.0:
             return ()
-        slip_m = self.force_n / (self.relative * float(structure.stiffness_n_per_m[self.index]))
-        return (Law(LawKind.SLIP, self.direction(structure), (self.force_n, slip_m)),)
+        k, rows = structure.stiffness_n_per_m, structure.drift_matrix()
+        stories = range(structure.n_stories) if self.location == "frame" else (self.index,)
+        slip_m = self.force_n / (self.relative * float(k[list(stories)].mean()))
+        return tuple(Element(j, rows[j], self.relative * float(k[j]) * slip_m, slip_m) for j in stories)
 
     @classmethod
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
         """See `Effect.starts`."""
-        j = int(location.partition(" ")[2]) - 1
-        k, s = float(context.structure.stiffness_n_per_m[j]), float(condition.drift_m[j])
+        stories = slice(None) if location == "frame" else slice(cls(location, 0.0, 0.0).index, None)
+        k, s = (float(x[stories][0]) for x in (context.structure.stiffness_n_per_m, condition.drift_m))
         return tuple(cls(location, 0.1 * k * s * slip, 0.1) for slip in (0.5, 2.0))
 
     @classmethod
@@ -99,9 +120,12 @@ class HystereticSlip(Effect):
     @classmethod
     def sentence(cls, fitted: FittedSizes) -> str:
         """See `Effect.sentence`."""
-        share = fitted.sized("relative", f"{fitted.percent('relative')} of its stiffness", "a part of its stiffness")
+        share = fitted.sized("relative", f"{fitted.percent('relative')} of the stiffness", "a part of the stiffness")
         force = fitted.sized("force_n", f" of {fitted.interval('force_n')}", "")
-        return f"a joint of {fitted.location} slips: {share} gives way at a force{force}"
+        subject = (
+            "the joints of all stories slip" if fitted.location == "frame" else f"a joint of {fitted.location} slips"
+        )
+        return f"{subject}: {share} gives way at a force{force}"
 
 
 def linearized_element(drift: float) -> tuple[float, float]:

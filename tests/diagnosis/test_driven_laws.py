@@ -1,0 +1,45 @@
+"""Laws that soften, under a measured force: found, sized, and told from what resembles them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from threadpoolctl import threadpool_limits
+
+from monitor.diagnosis.score_test import start_beside
+from monitor.diagnosis.simulation_refit import fit_initial_model
+from monitor.inference.observed_spectra import classify
+from monitor.inference.segments import gather
+from monitor.model.effects import parse_effect
+from monitor.model.prior import prior_from_drawing
+from monitor.runs.diagnose import diagnose_segments
+from tests.inference.test_input_response import FORCED, pushed
+
+pytestmark = pytest.mark.engine
+
+
+@pytest.mark.parametrize(("place", "force_n", "relative"), [("frame", 2.0, 0.06), ("story 3", 1.0, 0.12)])
+def test_slip_is_named_at_its_place_with_its_size(place: str, force_n: float, relative: float) -> None:
+    hidden = f"hysteretic_slip:{place}:force_n={force_n},relative={relative}"
+    segments = gather(pushed(hidden, seed=21), FORCED.front_end())
+    with threadpool_limits(limits=1):
+        found, gain = diagnose_segments(segments, prior_from_drawing(FORCED.model(), np.full(6, 0.1), 3), FORCED)
+    assert [(c.effect.name, c.effect.location) for c in found.causes] == [("hysteretic_slip", place)], found.causes
+    assert found.verdict == "named" and gain.is_significant and gain.csd_error_after < gain.csd_error_before
+    (cause,) = found.causes
+    assert cause.effect.values()["relative"] == pytest.approx(relative, rel=0.15)
+    assert cause.effect.values()["force_n"] == pytest.approx(force_n, rel=0.25)
+
+
+def test_a_law_starts_beside_the_stiffness_with_which_the_stories_keep_their_secant() -> None:
+    segments = gather(pushed(seed=22), FORCED.front_end())
+    context = FORCED.instrumented().context(segments.rate_hz)
+    known = prior_from_drawing(FORCED.model(), np.full(6, 0.1), 3)
+    posterior, fit, _ = fit_initial_model(classify(segments), known, context)
+    effect = parse_effect("hysteretic_slip:frame:force_n=1,relative=0.3")
+    x = start_beside(posterior, fit.x, effect)
+    middle = posterior.conditions[posterior.n_classes // 2]
+    wanted = posterior.system(fit.x, ()).stiffness
+    beside = effect.extend(posterior.system(x, ()), posterior.context_at(fit.x), middle).stiffness
+    assert np.abs(posterior.system(x, ()).stiffness / wanted - 1.0).max() > 0.01
+    np.testing.assert_allclose(beside, wanted, rtol=0.02, atol=1e-6 * np.abs(wanted).max())
