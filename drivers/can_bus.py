@@ -133,7 +133,7 @@ class CanSource:
             n_received += 1
             if (is_silent or n_received % 64 == 0) and monotonic() >= deadline:
                 # A short timeout of the caller must not give small blocks: frames stay pending up to `_patience_s`.
-                if not (self._failed or self._pending and monotonic() - self._since >= self._patience_s()):
+                if not (self._failed or (self._pending and monotonic() - self._since >= self._patience_s())):
                     return False
                 break
         self._process_frames()

@@ -90,7 +90,7 @@ def open_bus(settings: CanSettings, ids: tuple[tuple[int, bool], ...]) -> can.Bu
     options: dict[str, Any] = {**({"fd": True} if settings.fd else {}), **settings.options}
     try:
         if settings.interface == "socketcand":
-            bus: can.BusABC = SocketcandBus(channel=str(settings.channel), **options)
+            bus: can.BusABC = SocketcandBus(channel=str(settings.channel), **options)  # type: ignore[no-untyped-call]
         else:
             bus = can.Bus(interface=settings.interface, channel=settings.channel, **options)
         # Filters in python-can itself would save nothing and would suppress error frames.

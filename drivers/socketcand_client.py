@@ -1,4 +1,4 @@
-"""Client of a socketcand server: python-can's, which takes a malformed message for the loss of the bus, read message by message."""
+"""Client of a socketcand server that goes on after a malformed message, which python-can's takes for the loss of the bus."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import socket
 import can
 from can.interfaces.socketcand import socketcand
 
-_LONGEST = 512
+_LONGEST_MESSAGE = 512
 """Greatest length of a message. [bytes; judgement: a frame of 64 bytes takes 160]"""
 
 
@@ -32,17 +32,17 @@ class SocketcandBus(socketcand.SocketCanDaemonBus):
             If the connection failed.
         """
         if b">" not in self._unread:
-            peer: socket.socket = self._SocketCanDaemonBus__socket
+            peer: socket.socket = self._SocketCanDaemonBus__socket  # type: ignore[attr-defined]
             if not select.select([peer], [], [], timeout)[0]:
                 return None, False
             data = peer.recv(1 << 16)
             if not data:
                 raise can.CanOperationError("the server closed the connection")
-            if self._SocketCanDaemonBus__tcp_tune:
+            if self._SocketCanDaemonBus__tcp_tune:  # type: ignore[attr-defined]
                 peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_QUICKACK, 1)
             self._unread += data
         text, end, rest = self._unread.partition(b">")
-        if not end and len(text) <= _LONGEST:
+        if not end and len(text) <= _LONGEST_MESSAGE:
             return None, False
         self._unread = rest
         try:

@@ -283,7 +283,7 @@ def test_a_flood_of_malformed_datagrams_leaves_the_good_frames(
 ) -> None:
     reader, send = group
     found = []
-    for k, message in enumerate(accel(np.arange(256))):
+    for message in accel(np.arange(256)):
         for _ in range(100):
             send(b"flood")
         send(datagram(message))

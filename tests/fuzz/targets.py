@@ -19,7 +19,6 @@ import shutil
 import socket
 import struct
 import tempfile
-from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
