@@ -163,7 +163,7 @@ def _zip_members(path: Path, raw: bytes) -> list[str]:
         raise BadInputError(
             f"{path}: would unpack to {size >> 20} MiB; at most {_MAX_UNZIPPED >> 20} MiB are read: cut it into several files"
         )
-    return [member.filename for member in members if not member.is_dir()]
+    return [member.filename for member in members if not member.filename.endswith("/")]
 
 
 def _unzip(path: Path, raw: bytes, members: list[str]) -> bytes:
