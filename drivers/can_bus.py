@@ -13,7 +13,7 @@ import numpy as np
 
 from drivers import frames
 from drivers.base import ACCELERATION, EndOfStream, SampleBlock, SourceContext, SourceError, SourceHealth
-from drivers.can_open import PARSE_ERRORS, CanSettings, hung_up, open_bus, open_log
+from drivers.can_open import PARSE_ERRORS, CanSettings, is_malformed, open_bus, open_log
 from drivers.nodes import Joiner, Node, Rows
 
 _BUS_OFF = 0x40
@@ -48,6 +48,7 @@ class CanSource:
         self._failed = ""
         self._ended = False
         self._pending, self._since = 0, 0.0
+        self._off_since: float | None = None
         self._ready: deque[SampleBlock] = deque()
         self._counts = dict.fromkeys(("frames", "foreign", "undecodable", "error_frames", "overruns", "bus_off"), 0)
         self._samples = 0
@@ -55,7 +56,7 @@ class CanSource:
     def open(self) -> None:
         """Connect to the bus, or open the log file."""
         self.close()
-        self._failed = ""
+        self._failed, self._off_since = "", None
         if self._settings.interface == "log":
             if self._ended:
                 return
@@ -127,29 +128,51 @@ class CanSource:
     def _receive(self, bus: can.BusABC, deadline: float) -> bool:
         """Receive frames until they fill a block; False if the deadline passes first."""
         n_received = 0
-        try:
-            while self._pending < self._batch:
-                message = bus.recv(max(0.0, min(_WAIT_S, deadline - monotonic())))
-                n_received += 1
-                if message is not None:
-                    self._accept_frame(message)
-                elif hung_up(bus):
-                    self._failed = "the server closed the connection"
-                if self._failed:
-                    break
-                if (message is None or n_received % 64 == 0) and monotonic() >= deadline:
-                    # A short timeout of the caller must not give small blocks: frames stay pending up to `_patience_s`.
-                    if not self._pending or monotonic() - self._since < self._patience_s():
-                        return False
-                    break
-        except (can.CanError, OSError, ValueError) as error:
-            self._failed = str(error).splitlines()[0] if str(error) else type(error).__name__
+        while self._pending < self._batch and not self._failed:
+            is_silent = not self._receive_frame(bus, max(0.0, min(_WAIT_S, deadline - monotonic())))
+            n_received += 1
+            if (is_silent or n_received % 64 == 0) and monotonic() >= deadline:
+                # A short timeout of the caller must not give small blocks: frames stay pending up to `_patience_s`.
+                if not (self._failed or (self._pending and monotonic() - self._since >= self._patience_s())):
+                    return False
+                break
         self._process_frames()
         return bool(self._ready or self._failed) or monotonic() < deadline
 
+    def _receive_frame(self, bus: can.BusABC, timeout_s: float) -> bool:
+        """Receive one frame or malformed message; False if there is none, or the bus failed."""
+        try:
+            message = bus.recv(timeout_s)
+        except PARSE_ERRORS as error:
+            if is_malformed(error, self._settings.interface):
+                self._counts["undecodable"] += 1
+                return True
+            self._failed = str(error).splitlines()[0] if str(error) else type(error).__name__
+            return False
+        if message is not None:
+            self._accept_frame(message)
+        if self._is_off(bus, message):
+            self._counts["bus_off"] += 1
+            self._failed = "bus off"
+        return message is not None
+
+    def _is_off(self, bus: can.BusABC, message: can.Message | None) -> bool:
+        """Test whether the controller is off the bus, after `message` or, if that is None, silence.
+
+        Anyone may forge an error frame that says so: it is believed if the controller says so too, which few interfaces of
+        python-can can tell, or if no frame follows for the time of two blocks: a controller that is off receives nothing.
+        """
+        if message is not None:
+            return message.is_error_frame and bus.state is can.BusState.ERROR
+        return self._off_since is not None and monotonic() - self._off_since >= self._two_blocks_s()
+
+    def _two_blocks_s(self) -> float:
+        """Return the length of two blocks, s."""
+        return 2.0 * self._settings.block_samples / self._settings.sample_rate_hz
+
     def _patience_s(self) -> float:
         """Return the longest wait for a whole block, s: two block lengths, at most 0.25 s."""
-        return min(0.25, 2.0 * self._settings.block_samples / self._settings.sample_rate_hz)
+        return min(0.25, self._two_blocks_s())
 
     def _read_log(self) -> None:
         """Read frames from the log until they fill a block or the log ends."""
@@ -160,25 +183,25 @@ class CanSource:
                 if message is None:
                     self._ended = True
                     break
-                self._accept_frame(message, fatal=False)
+                self._accept_frame(message)
         except PARSE_ERRORS as error:
             self._counts["undecodable"] += 1
             self._joiner.detail = f"the log is damaged: {error or type(error).__name__}"
             self._ended = True
         self._process_frames(everything=self._ended)
 
-    def _accept_frame(self, message: can.Message, *, fatal: bool = True) -> None:
-        """Count a frame and pass it to its node; with `fatal`, bus off is a failure of the source."""
-        if message.is_error_frame:
-            self._counts["error_frames"] += 1
-            kind = message.arbitration_id
-            if kind & _CONTROLLER and len(message.data) > 1 and message.data[1] & _OVERRUN:
-                self._counts["overruns"] += 1
-            if kind & _BUS_OFF:
-                self._counts["bus_off"] += 1
-                self._failed = "bus off" if fatal else ""
+    def _accept_frame(self, message: can.Message) -> None:
+        """Count a frame, and pass it to its node."""
+        kind = message.arbitration_id
+        # Over udp_multicast a sender states the type of each field.
+        if not isinstance(kind, int):
+            self._counts["undecodable"] += 1
             return
-        node = self._by_id.get((message.arbitration_id, message.is_extended_id))
+        if message.is_error_frame:
+            self._accept_error_frame(kind, message.data)
+            return
+        self._off_since = None
+        node = self._by_id.get((kind, bool(message.is_extended_id)))
         if node is None:
             self._counts["foreign"] += 1
             return
@@ -193,6 +216,16 @@ class CanSource:
         self._counts["frames"] += 1
         node.frames.append(bytes(data[:n]))
         node.times.append(message.timestamp)
+
+    def _accept_error_frame(self, kind: int, data: bytearray) -> None:
+        """Count an error frame; `kind` are the bits of Linux, which socketcan, socketcand and gs_usb carry."""
+        self._counts["error_frames"] += 1
+        if kind & _CONTROLLER and len(data) > 1 and data[1] & _OVERRUN:
+            self._counts["overruns"] += 1
+        if kind & _BUS_OFF and self._log is not None:
+            self._counts["bus_off"] += 1
+        elif kind & _BUS_OFF and self._off_since is None:
+            self._off_since = monotonic()
 
     def _process_frames(self, *, everything: bool = False) -> None:
         """Decode the pending frames to blocks."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import os
 import socket
 import struct
 import zlib
@@ -17,6 +18,7 @@ from can.io.player import MESSAGE_READERS
 from pydantic import BaseModel, ConfigDict, Field
 
 from drivers.base import SourceError
+from drivers.socketcand_client import SocketcandBus
 
 PARSE_ERRORS = (
     OSError,
@@ -32,6 +34,10 @@ PARSE_ERRORS = (
     can.io.blf.BLFParseError,
 )
 """Errors that python-can's readers raise on a damaged log."""
+_NETWORK_INTERFACES = ("udp_multicast", "socketcand")
+"""Interfaces that parse what any sender of the network wrote; their error names the error of parsing as its cause."""
+_SERIAL_INTERFACES = ("slcan", "serial", "robotell", "seeedstudio")
+"""Interfaces that parse what an adapter wrote on a serial line; they raise the bare error of parsing."""
 LOG_SUFFIXES = (".blf", ".asc", ".log", ".trc", ".mf4")
 
 
@@ -83,16 +89,20 @@ def open_bus(settings: CanSettings, ids: tuple[tuple[int, bool], ...]) -> can.Bu
     masks: list[Any] = [{"can_id": i, "can_mask": 0x1FFFFFFF if ext else 0x7FF, "extended": ext} for i, ext in ids]
     options: dict[str, Any] = {**({"fd": True} if settings.fd else {}), **settings.options}
     try:
-        bus = can.Bus(interface=settings.interface, channel=settings.channel, **options)
+        if settings.interface == "socketcand":
+            bus: can.BusABC = SocketcandBus(channel=str(settings.channel), **options)  # type: ignore[no-untyped-call]
+        else:
+            bus = can.Bus(interface=settings.interface, channel=settings.channel, **options)
         # Filters in python-can itself would save nothing and would suppress error frames.
         if type(bus)._apply_filters is not can.BusABC._apply_filters:
             bus.set_filters(masks)
     except (can.CanError, OSError, ValueError, TypeError, ImportError) as error:
         raise SourceError(f"{settings.interface} {settings.channel}: {error}") from error
-    opened = getattr(bus, "socket", None)
-    if isinstance(opened, socket.socket):
-        with contextlib.suppress(OSError):
-            opened.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, settings.receive_buffer_bytes)
+    with (
+        contextlib.suppress(OSError, NotImplementedError, can.CanError),
+        socket.socket(fileno=os.dup(bus.fileno())) as opened,
+    ):
+        opened.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, settings.receive_buffer_bytes)
     return bus
 
 
@@ -103,7 +113,7 @@ def _require_server(host: object, port: object) -> None:
     """
     if not (isinstance(host, str) and isinstance(port, int)):
         raise SourceError("socketcand needs options = {host = ..., port = ...}")
-    # python-can's client also warns of every frame that is split over two packets.
+    # python-can also warns of every malformed message.
     logging.getLogger("can.interfaces.socketcand").setLevel(logging.CRITICAL)
     try:
         with socket.create_connection((host, port), timeout=2.0) as probe:
@@ -146,12 +156,9 @@ def open_log(path: Path) -> tuple[IO[Any], Iterator[can.Message]]:
         raise SourceError(f"{path}: is no CAN log: {error or type(error).__name__}") from error
 
 
-def hung_up(bus: can.BusABC) -> bool:
-    """Test whether the server has closed the connection, which python-can's socketcand client does not notice."""
-    peer = getattr(bus, "_SocketCanDaemonBus__socket", None)
-    if peer is None:
-        return False
-    try:
-        return not peer.recv(1, socket.MSG_PEEK | socket.MSG_DONTWAIT)
-    except BlockingIOError:
-        return False
+def is_malformed(error: Exception, interface: str) -> bool:
+    """Test whether an error of `recv` tells of one message that cannot be parsed, rather than of a bus that failed."""
+    if interface in _SERIAL_INTERFACES and not isinstance(error, (OSError, can.CanError)):
+        return True
+    cause = error.__cause__ if isinstance(error, can.CanError) else None
+    return interface in _NETWORK_INTERFACES and cause is not None and not isinstance(cause, OSError)

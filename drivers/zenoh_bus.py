@@ -191,7 +191,7 @@ class ZenohSource:
             0 < len(block.channels) <= limits.max_channels
             and len(set(block.channels)) == len(block.channels)
             and block.n_samples > 0
-            and block.sample_rate_hz <= limits.max_rate_hz
+            and 1e-3 <= block.sample_rate_hz <= limits.max_rate_hz
             and 0 <= block.t_ns < _LIMIT
             and block.sequence < _LIMIT
             and block.unit == UNIT_OF[topic]

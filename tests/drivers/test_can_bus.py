@@ -3,14 +3,17 @@
 import itertools
 import socket
 import struct
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import can
+import msgpack
 import numpy as np
 import pytest
 from can.interfaces.socketcan import socketcan
+from can.interfaces.udp_multicast.utils import pack_message
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
@@ -20,6 +23,7 @@ from drivers.base import EndOfStream, SampleBlock, SourceContext, SourceError
 from drivers.can_bus import CanSource
 from drivers.frames import FrameError
 from drivers.registry import source_type
+from drivers.socketcand_server import frame_text
 
 DEPLOY = Path(__file__).parents[2] / "deploy"
 CHANNELS = ("a1", "a2", "a3")
@@ -58,6 +62,8 @@ Feed = Callable[[list[can.Message]], None]
 
 class Feeder:
     """A bus that gives what it is told to, and fails as it is told to."""
+
+    state = can.BusState.ACTIVE
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.items: list[can.Message | Exception] = []
@@ -178,7 +184,7 @@ def test_a_lost_bus_is_reopened_and_leaves_a_gap_of_its_length(
 ) -> None:
     reader = source()
     reader.open()
-    feeder.items = [*accel(np.arange(8000)), trouble, *accel(np.arange(8000, 8100))]
+    feeder.items = [*accel(np.arange(8000)), trouble]  # and then silence
     before = []
     with pytest.raises(SourceError, match=reason):
         while True:
@@ -192,6 +198,160 @@ def test_a_lost_bus_is_reopened_and_leaves_a_gap_of_its_length(
     assert indices(after) == list(range(8001 + away, 10000 + away))
     assert after[0].t_ns == round(T0) * 10**9 + round((8001 + away) / RATE * 1e9)
     assert reader.health().counts["samples"] == 8000 + 1999
+
+
+def test_bus_off_is_not_believed_while_frames_come(feeder: Feeder) -> None:
+    forged = can.Message(is_error_frame=True, arbitration_id=0x40, data=bytes(8))
+    feeder.items = [m for good in accel(np.arange(3000)) for m in (good, forged)]
+    feeder.items.append(can.Message(arbitration_id=0x123, is_extended_id=False))
+    reader = source()
+    reader.open()
+    assert indices(drain(reader, feeder)) == list(range(3000))
+    assert drain(reader, feeder) == [] and reader.health().connected
+    assert (reader.health().counts["bus_off"], reader.health().counts["error_frames"]) == (0, 3000)
+
+
+def test_bus_off_is_believed_at_once_if_the_controller_says_so(feeder: Feeder) -> None:
+    feeder.items = [
+        *accel(np.arange(50)),
+        can.Message(is_error_frame=True, arbitration_id=2),
+        *accel(np.arange(50, 60)),
+    ]
+    feeder.state = can.BusState.ERROR
+    reader = source()
+    reader.open()
+    found = []
+    with pytest.raises(SourceError, match="bus off"):
+        while True:
+            found.append(reader.read(0.2))
+    assert indices([b for b in found if b]) == list(range(50)) and reader.health().counts["bus_off"] == 1
+
+
+@pytest.fixture
+def group() -> Iterator[tuple[CanSource, Callable[[bytes], object]]]:
+    """A source on udp_multicast, and what sends it a datagram over loopback."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("", 0))
+        port = free.getsockname()[1]
+    reader = source(interface="udp_multicast", channel="239.74.163.2", options={"port": port})
+    try:
+        reader.open()
+    except SourceError as error:
+        pytest.skip(f"no multicast here: {error}")
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        yield reader, lambda data: sender.sendto(data, ("127.0.0.1", port))
+    reader.close()
+
+
+def datagram(message: can.Message, **forged: object) -> bytes:
+    """A frame as udp_multicast sends it, with forged fields."""
+    fields = msgpack.unpackb(pack_message(message)) | forged
+    return bytes(msgpack.packb(fields))
+
+
+def test_malformed_datagrams_are_counted_and_close_nothing(
+    group: tuple[CanSource, Callable[[bytes], object]],
+) -> None:
+    reader, send = group
+    good = accel(np.arange(600))
+    forged: list[dict[str, object]] = [
+        {"arbitration_id": 256.5},
+        {"is_extended_id": [1]},
+        {"arbitration_id": 64.0, "is_error_frame": True},
+        {"data": 1 << 40},
+        {"data": "text"},
+        {"dlc": -1},
+        {"unknown": 1},
+        {"check": False},
+    ]
+    found, n_bad = [], 0
+    for k, message in enumerate(good):
+        for bad in (b"x", b"", bytes([0xC1]), datagram(message, **forged[k % len(forged)])):
+            send(bad)
+            n_bad += 1
+        send(datagram(message))
+        if k % 20 == 19 and (block := reader.read(0.0)) is not None:
+            found.append(block)
+    found += drain(reader)
+    counts = reader.health().counts
+    assert indices(found) == list(range(600)) and counts["lost_samples"] == 0 and reader.health().connected
+    assert counts["undecodable"] + counts["foreign"] == n_bad and counts["foreign"] == 75  # of an extended identifier
+
+
+def test_a_flood_of_malformed_datagrams_leaves_the_good_frames(
+    group: tuple[CanSource, Callable[[bytes], object]],
+) -> None:
+    reader, send = group
+    found = []
+    for message in accel(np.arange(256)):
+        for _ in range(100):
+            send(b"flood")
+        send(datagram(message))
+        if (block := reader.read(0.001)) is not None:
+            found.append(block)
+    found += drain(reader)
+    assert indices(found) == list(range(256)) and reader.health().counts["undecodable"] == 25_600
+
+
+def test_malformed_messages_of_a_socketcand_server_are_counted_and_close_nothing() -> None:
+    bad = [
+        b"< frame zz 1 00 >", b"< frame 100 >", b"< error >", b"< frame 100 1.0 0 >", b"\xff\xfe >", b">", b"< hi >",
+        b"< frame " + bytes(900) + b">",
+    ]  # fmt: skip
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        options = {"host": "127.0.0.1", "port": server.getsockname()[1]}
+        reader = source(interface="socketcand", channel="can0", options=options)
+        opening = threading.Thread(target=reader.open)
+        opening.start()
+        with server.accept()[0] as probe:
+            probe.sendall(b"< hi >")
+        peer, _ = server.accept()
+        with peer:
+            peer.settimeout(10.0)
+            peer.sendall(b"< hi >")
+            for asked in (b"< open can0 >", b"< rawmode >"):
+                assert peer.recv(100) == asked
+                peer.sendall(b"< ok >")
+            opening.join()
+            for k, message in enumerate(accel(np.arange(400))):
+                peer.sendall(bad[k % len(bad)] + frame_text(256, False, message.timestamp, message.data))
+            found = drain(reader)
+            peer.sendall(
+                b"< error 20000040 1.0 >" + frame_text(256, False, T0 + 400 / RATE, accel(np.array([400]))[0].data)
+            )
+            found += drain(reader)
+            assert reader.health().connected
+        with pytest.raises(SourceError, match="closed the connection"):
+            drain(reader)
+    reader.close()
+    counts = reader.health().counts
+    assert indices(found) == list(range(401))
+    assert (counts["undecodable"], counts["bus_off"], counts["error_frames"]) == (400, 0, 1)
+
+
+@pytest.mark.parametrize(
+    ("interface", "error", "told"),
+    [
+        ("slcan", IndexError("string index out of range"), True),
+        ("slcan", ValueError("invalid literal"), True),
+        ("serial", struct.error("unpack requires 4 bytes"), True),
+        ("serial", can.CanOperationError("could not read from serial"), False),
+        ("socketcan", ValueError("filedescriptor out of range in select()"), False),
+        ("slcan", OSError("cable out"), False),
+    ],
+)
+def test_an_adapter_s_broken_line_is_no_broken_adapter(
+    feeder: Feeder, interface: str, error: Exception, told: bool
+) -> None:
+    good = accel(np.arange(256))
+    feeder.items = [*good[:100], error, *good[100:]]
+    reader = source(interface=interface)
+    reader.open()
+    if told:
+        assert indices(drain(reader, feeder)) == list(range(256)) and reader.health().counts["undecodable"] == 1
+    else:
+        with pytest.raises(SourceError, match=str(error)[:10]):
+            drain(reader, feeder)
 
 
 @pytest.mark.parametrize("bad", [float("nan"), -1.0, 1e300, float("inf")])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import random
 import signal
+import struct
 import subprocess
 import sys
 import threading
@@ -432,3 +433,11 @@ def test_a_recording_sent_again_is_a_restart() -> None:
     numbers, counts = _through([*[block(i) for i in range(300)], *again])
     assert numbers == [*range(300), *range(300)]
     assert counts["restarts"] == 1
+
+
+@pytest.mark.parametrize("rate", [float("nan"), float("inf"), -float("inf"), 0.0, -5.0, 1e-320, 1e300])
+def test_an_absurd_rate_is_refused(rate: float) -> None:
+    source = ZenohSource(ZenohSettings(key="shm/a/b", connect=("tcp/127.0.0.1:1",)), SourceContext(("a1",)))
+    good = SampleBlock("/acceleration", 0, 0, 100.0, ("a1",), "m/s^2", np.zeros((1, 1), np.float32))
+    source._accept("/acceleration", codec.encode(good).replace(struct.pack("<d", 100.0), struct.pack("<d", rate)))
+    assert not source._ready and source.health().counts["undecodable"] == 1

@@ -19,7 +19,6 @@ import shutil
 import socket
 import struct
 import tempfile
-from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -29,7 +28,8 @@ from typing import Any, cast
 import can
 import numpy as np
 import zenoh
-from can.interfaces.socketcand.socketcand import SocketCanDaemonBus
+from can.interfaces.udp_multicast.bus import UdpMulticastBus
+from can.interfaces.udp_multicast.utils import pack_message
 from pydantic import ValidationError
 
 from drivers import codec, frames
@@ -48,6 +48,7 @@ from drivers.can_open import CanSettings
 from drivers.mcap_file import McapWriter, read_recordings
 from drivers.recorder import recorded, recover, unfit
 from drivers.ros2_imu import decode_imu
+from drivers.socketcand_client import SocketcandBus
 from drivers.socketcand_server import frame_text
 from drivers.zenoh_bus import ZenohSettings, ZenohSource
 from monitor.config import configuration
@@ -249,9 +250,10 @@ def _new_can_source() -> CanSource:
     return CanSource(settings, SourceContext(CHANNELS, ROOT))
 
 
-def _read_all(bus: Any) -> None:
+def _read_all(bus: Any, interface: str = "virtual") -> None:
     source = copy.deepcopy(_new_can_source())  # reading the DBC takes longer than all the rest
     source._bus = bus
+    source._settings = source._settings.model_copy(update={"interface": interface})
     with contextlib.suppress(SourceError):
         for _ in range(200):
             got = source.read(0.0)
@@ -268,6 +270,8 @@ def _read_all(bus: Any) -> None:
 
 class _Frames:
     """A bus that gives what it was given; 22 bytes a frame."""
+
+    state = can.BusState.ACTIVE
 
     def __init__(self, data: bytes) -> None:
         self._data = data
@@ -312,20 +316,51 @@ def _can_seeds() -> list[bytes]:
 
 def _socketcand(data: bytes) -> None:
     ours, theirs = socket.socketpair()
-    bus = SocketCanDaemonBus.__new__(SocketCanDaemonBus)
-    prefix = "_SocketCanDaemonBus__"
-    for name, value in (("socket", ours), ("tcp_tune", False), ("message_buffer", deque()), ("receive_buffer", "")):
-        setattr(bus, prefix + name, value)
+    bus = SocketcandBus.__new__(SocketcandBus)
+    for name, value in (("socket", ours), ("tcp_tune", False)):
+        setattr(bus, "_SocketCanDaemonBus__" + name, value)
     bus.channel, bus._filters, bus._is_shutdown, bus._periodic_tasks = "x", None, False, []
     with theirs:
         theirs.sendall(data[:60_000])
         theirs.shutdown(socket.SHUT_WR)
-        _read_all(bus)
+        _read_all(bus, "socketcand")
 
 
 def _socketcand_seeds() -> list[bytes]:
     texts = [frame_text(256, False, t, data) for t, data in _frames_of(40)]
     return [b"".join(texts), b"< error 40 1.5 >" + b"".join(texts[:5]), b"< frame 100 1 >< frame zz 1 00 >" + texts[0]]
+
+
+class _Datagrams:
+    """What takes the place of a udp_multicast socket: datagrams that each begin with their length."""
+
+    def __init__(self, data: bytes) -> None:
+        self._data = data
+
+    def recv(self, timeout: float | None = None) -> tuple[bytes, object, float] | None:
+        size, self._data = int.from_bytes(self._data[:2], "big"), self._data[2:]
+        one, self._data = self._data[:size], self._data[size:]
+        return (one, None, 1.7e9) if size else None
+
+    def shutdown(self) -> None:
+        pass
+
+
+def _udp_multicast(data: bytes) -> None:
+    bus = UdpMulticastBus.__new__(UdpMulticastBus)
+    bus._multicast, bus._can_protocol = cast(Any, _Datagrams(data)), can.CanProtocol.CAN_FD
+    bus.channel_info, bus._filters, bus._is_shutdown, bus._periodic_tasks = "x", None, False, []
+    _read_all(bus, "udp_multicast")
+
+
+def _udp_multicast_seeds() -> list[bytes]:
+    def stream(messages: list[can.Message]) -> bytes:
+        packed = [pack_message(message) for message in messages]
+        return b"".join(len(one).to_bytes(2, "big") + one for one in packed)
+
+    good = [can.Message(timestamp=t, arbitration_id=256, is_extended_id=False, data=row) for t, row in _frames_of(20)]
+    off = can.Message(is_error_frame=True, arbitration_id=0x40, data=bytes(8))
+    return [stream(good), stream([good[0], off, *good[1:]])]
 
 
 def _can_log(data: bytes) -> None:
@@ -573,6 +608,7 @@ TARGETS: dict[str, Target] = {
     "request": Target(_json_request, _request_seeds, 0.14),
     "can": Target(_can_frames, _can_seeds, 0.06, 4000),
     "socketcand": Target(_socketcand, _socketcand_seeds, 0.06, 4000),
+    "udp_multicast": Target(_udp_multicast, _udp_multicast_seeds, 0.02, 8000),
     "can_log": Target(_can_log, _can_log_seeds, 0.02, 4000),
     "zenoh": Target(_zenoh, _zenoh_seeds, 0.08),
     "request_file": Target(_request_file, _request_seeds, 0.03),

@@ -351,3 +351,18 @@ def test_the_comment_mark_of_numpys_header_is_no_part_of_a_name(tmp_path: Path) 
     info, values, _ = convert(tmp_path / "a.csv", "# t,a1,a2\n" + rows)
     assert (info.channels[ACCELERATION], info.sample_rate_hz) == (("a1", "a2"), 100.0)
     np.testing.assert_allclose(values[:, 0], np.arange(300))
+
+
+def test_an_archive_that_would_fill_the_memory_is_refused_before_it_is_unpacked(tmp_path: Path) -> None:
+    path = tmp_path / "zeros.npz"
+    with (
+        zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive,
+        archive.open("samples.npy", "w", force_zip64=True) as member,
+    ):
+        member.write(b"\x93NUMPY")
+    raw = bytearray(path.read_bytes())
+    at = raw.index(b"PK\1\2") + 24  # the size that the directory states
+    raw[at : at + 4] = (3 << 30).to_bytes(4, "little")
+    path.write_bytes(raw)
+    with pytest.raises(BadInputError, match=r"zeros\.npz: would unpack to 3072 MiB; at most 2048 MiB .* cut it"):
+        import_files([path], tmp_path / "out.mcap")

@@ -151,12 +151,19 @@ def _require_samples(table: Table) -> Table:
 
 
 def _zip_members(path: Path, raw: bytes) -> list[str]:
-    """List the names of the files in a zip archive."""
+    """List the names of the files in a zip archive; raise BadInputError if it is damaged or states too much to unpack."""
     try:
         with zipfile.ZipFile(io.BytesIO(raw)) as archive:
-            return [name for name in archive.namelist() if not name.endswith("/")]
+            members = archive.infolist()
     except (zipfile.BadZipFile, ValueError, NotImplementedError) as error:
         raise BadInputError(f"{path}: damaged zip archive: {error}") from error
+    # zipfile unpacks no more of a member than the archive states, whatever is packed.
+    size = sum(member.file_size for member in members)
+    if size > _MAX_UNZIPPED:
+        raise BadInputError(
+            f"{path}: would unpack to {size >> 20} MiB; at most {_MAX_UNZIPPED >> 20} MiB are read: cut it into several files"
+        )
+    return [member.filename for member in members if not member.filename.endswith("/")]
 
 
 def _unzip(path: Path, raw: bytes, members: list[str]) -> bytes:
