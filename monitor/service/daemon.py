@@ -20,7 +20,7 @@ from typing import Any
 from drivers.base import RecordingError, RecordingMissingError, SampleBlock, Source, SourceContext
 from drivers.recorder import unfit
 from monitor.config import configuration
-from monitor.core import BadConfigurationError, BadInputError, Gap, MissingInputError, WindowResult, name_stories
+from monitor.core import BadConfigurationError, BadInputError, Gap, MissingInputError, WindowResult
 from monitor.damage import Assessment, load_baseline, outdated, utc
 from monitor.pipeline import Result
 from monitor.publish import Publisher, current_alarm_line, episode_content, to_json
@@ -31,7 +31,7 @@ from monitor.service.daemon_health import Vitals, Way, plain
 from monitor.service.history import History
 from monitor.service.outlets import Outlet, make_outlets
 from monitor.service.reload import reread
-from monitor.service.requests import apply
+from monitor.service.request_handler import RequestHandler
 from monitor.service.threads import Chores, Reader, Recording
 from monitor.signals import Health
 
@@ -117,6 +117,9 @@ class Daemon(Publisher):
         spans = settings.processing.hop_s, settings.health.span_s
         self._chores = Chores()
         self._history = History(self.out / "state" / "history.db", settings.state, *spans)
+        self._requests = RequestHandler(
+            self._outlets, self.out / ledger.LEDGER, self._chores, self._keeper, self._history, clock
+        )
         self._alarm: object = None
         known_ns = self._keeper.resume(self._new_session, self._history.window)
         if source is None:
@@ -143,6 +146,7 @@ class Daemon(Publisher):
             self._publish_state()
             self.reader.start()
             self._loop()
+            self._requests.finish(self.session, _DURABLE_S)
             if self.reader.ended:
                 self.session.finish(lambda: self._stopping)
                 self._keeper.forget()
@@ -201,6 +205,7 @@ class Daemon(Publisher):
         self._publish_state()
         self._health_s = self._clock()
         line = self._vitals.line(span, self.reader, self._recording.health(), self._outputs())
+        line["ledger_head"] = self._requests.head
         self._health_lines.write(json.dumps(line, allow_nan=False))
         for outlet in self._outlets:
             outlet.health_line(line)
@@ -273,19 +278,6 @@ class Daemon(Publisher):
             self._alarm = alarms[-1]
             self._recording.flush(_DURABLE_S)
 
-    def _apply_requests(self, outlet: Outlet) -> None:
-        """Apply the operators' requests that an outlet received, and record them in the ledger."""
-        for request in outlet.take_requests():
-            try:
-                self.session.alter_alarm(partial(apply, request=request, t_ns=self.session.now_ns))
-                place = name_stories(f"story {request.story}", self.session.config.story_names)
-                says = f"{request.action} alarm of {place}: {request.note}"
-                ledger.append_entry(self.out / "results.jsonl", {"says": says, "causes": []}, {}, request.who)
-                self._history.request(self.session.now_ns, request.model_dump())
-                self._keeper.save_now(self.session)
-            except (ValueError, MissingInputError) as error:
-                _log.warning("request of %s: %s", request.who, error)
-
     def _reload(self) -> None:
         """Read the site file again and continue with its present thresholds."""
         self._reload_requested = False
@@ -296,9 +288,7 @@ class Daemon(Publisher):
         """Reload settings, apply requests, and write health, results and the summary when they are due."""
         if self._reload_requested:
             self._reload()
-        # Requests are timed by the data's clock, so they wait for the first data.
-        for outlet in self._outlets if self._progress.first is not None else ():
-            self._apply_requests(outlet)
+        self._requests.step(self.session, timed=self._progress.first is not None)
         if now - self._health_s >= self._quiet_s:
             self.health(None)
         if now - self._sync_s >= self.settings.recorder.flush_s:
@@ -338,6 +328,7 @@ class Daemon(Publisher):
     def _outputs(self) -> list[tuple[str, Way]]:
         """List every output with its name: outlets, viewer, checkpoint, history and files."""
         own: dict[str, Way | None] = {"viewer": self._view, "checkpoint": self._keeper, "history": self._history}
+        own |= {"ledger.jsonl": self._requests}
         own |= {"results.jsonl": self._lines, "health.jsonl": self._health_lines, "summary.json": self._chores}
         return [(n, way) for n, way in own.items() if way is not None] + [(type(o).__name__, o) for o in self._outlets]
 
@@ -346,6 +337,7 @@ class Daemon(Publisher):
         self._end_s = min(self._end_s, self._clock() + _END_S)
         self.reader.stop(0.1)  # it has ended already, except after an error
         self._recording.close(self._share_s())
+        self._requests.close()
         self.session.online_diagnosis.close(self._share_s())
         self.health(None)
         self._write_summary()

@@ -38,7 +38,6 @@ _KEYED = (
     "temperature",
 )
 """Tables of the site file on which the results depend, besides the structure.  Limits of alarm, quality and watch may change."""
-_LONGEST_WAIT_S = 0.5
 _MOST_LINES_BYTES = 64 << 20
 
 
@@ -151,6 +150,11 @@ class Checkpointer:
         self.save(session)  # so that a run that ends before its first regular checkpoint is resumed too
         return 0
 
+    @property
+    def busy(self) -> bool:
+        """Whether a checkpoint is being written."""
+        return self._busy
+
     def took(self, session: Session, block: SampleBlock) -> None:
         """Count a block whose results were published, and write a checkpoint if one is due."""
         every_s = self._config.state.checkpoint_s
@@ -166,12 +170,6 @@ class Checkpointer:
             return
         self._busy, self._seconds, self._stories = True, 0.0, session.pipeline.state.alarm.stories
         self._recording.then(partial(self._write, session.state, self._lines.size))
-
-    def save_now(self, session: Session) -> None:
-        """Write a checkpoint and wait until it is on the disk, for a limited time."""
-        self._recording.flush(_LONGEST_WAIT_S)
-        self.save(session)
-        self._recording.flush(_LONGEST_WAIT_S)
 
     def forget(self) -> None:
         """Remove the checkpoint after the end of the stream, so that the next run begins anew."""
