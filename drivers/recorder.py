@@ -70,8 +70,8 @@ class Recorder:
 
     The log times of the messages increase strictly in the order of arrival, also from one run to the next.  When the clock was
     set back (a minute of data came more than a minute late), a file begins whose log times begin anew; its name and its
-    channels count such restarts.  Reading the files therefore gives the blocks in the order of arrival.  A disk error pauses recording and raises nothing; recording is
-    attempted again after `flush_s`.
+    channels count such restarts.  Reading the files therefore gives the blocks in the order of arrival.  A disk error pauses
+    recording and raises nothing; recording is attempted again after `flush_s`.
 
     Parameters
     ----------

@@ -126,6 +126,7 @@ class Daemon(Publisher):
             assert settings.source is not None
             source = configuration.make_source(settings.source, SourceContext(settings.channels, folder, known_ns))
         self.reader = Reader(source)
+        self._bounds = configuration.make_bounds(settings.source)
 
     def _new_session(self) -> Session:
         """Begin a new session and make it the current one."""
@@ -256,6 +257,8 @@ class Daemon(Publisher):
         """
         self._vitals.received(block)
         reason = unfit(block)
+        if reason is None and self._bounds is not None:
+            reason = self._bounds.refusal(block)
         if reason is not None:
             self._vitals.refuse(reason)
             return
