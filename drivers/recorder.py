@@ -97,6 +97,7 @@ class Recorder:
         self._has_flushed = False
         """True if the present file has data on the disk."""
         self._detail = ""
+        self._keep_bytes = settings.keep_gb * _GB
         self._received = self._lost = self._files = self._removed = 0
         folder.mkdir(parents=True, exist_ok=True)
         recover(folder)
@@ -148,6 +149,10 @@ class Recorder:
             self._flush(self._writer)
         except OSError as error:
             self._pause(f"cannot write: {error.strerror or error}")
+
+    def limit(self, most_bytes: int) -> None:
+        """Bound all recordings to `most_bytes`, where that is less than `keep_gb`; may be called from any thread."""
+        self._keep_bytes = min(self._settings.keep_gb * _GB, most_bytes)
 
     def health(self) -> RecorderHealth:
         """Return the counts so far; may be called from any thread."""
@@ -214,12 +219,12 @@ class Recorder:
             self._pause("too little free space")
 
     def _remove_oldest(self, current: int) -> None:
-        """Remove the oldest files until all fit into `keep_gb`; `current` is the size of the open file, bytes."""
+        """Remove the oldest files until all fit into the limit; `current` is the size of the open file, bytes."""
         paths = _recordings(self._folder)
         sizes = [path.stat().st_size for path in paths]
         total = current + sum(sizes)
         for path, size in zip(paths, sizes, strict=True):
-            if total <= self._settings.keep_gb * _GB:
+            if total <= self._keep_bytes:
                 return
             path.unlink()
             self._removed += 1

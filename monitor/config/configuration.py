@@ -87,6 +87,11 @@ class OutputSettings(Settings):
 
     dir: str = "out"
     """Folder of everything that the daemon writes."""
+    keep_gb: float | None = Field(default=None, gt=0)
+    """Greatest disk space of the whole folder, in GiB: beyond it the oldest recordings go, then the oldest closed months of
+    results.  By default the recordings alone are bounded, by `[recorder] keep_gb`."""
+    pack_months: bool = False
+    """Pack the results of each closed month into ``results-YYYY-MM.jsonl.zst``."""
     serve: str | None = None
     """HOST:PORT of the server that Rerun viewers may join."""
     zenoh: dict[str, Any] | None = None

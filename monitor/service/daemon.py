@@ -32,6 +32,7 @@ from monitor.service.history import History
 from monitor.service.outlets import Outlet, make_outlets
 from monitor.service.reload import reread
 from monitor.service.request_handler import RequestHandler
+from monitor.service.storage import ResultsFile, Storage
 from monitor.service.threads import Chores, Reader, Recording
 from monitor.signals import Health
 
@@ -41,6 +42,8 @@ _STOP_S, _DRAIN_S, _END_S = 1.5, 2.5, 4.5
 """Deadlines after the stop signal: for the source to close, for the queue to empty, and for everything else to end."""
 _DURABLE_S = 0.5
 """Longest wait for the disk before a change of an alarm is announced."""
+_TIDY_S = 60.0
+"""Interval at which closed months are packed and the budget of the folder is looked after."""
 _LATEST = 50
 _HEALTH_FILE_BYTES = 16 << 20
 
@@ -95,6 +98,7 @@ class Daemon(Publisher):
         self.out = folder / settings.output.dir
         self._vitals, self._progress = Vitals(self.out), Progress(lambda _: None)
         self._begun_s = self._health_s = self._summary_s = self._sync_s = self._clock()
+        self._tidied_s = float("-inf")
         self._said: Assessment | None = None
         self._data_s = float("-inf")  # no window has come yet: what a checkpoint knows is no present state
         self._path, self._stopping, self._reload_requested, self._end_s = path, False, False, float("inf")
@@ -102,7 +106,7 @@ class Daemon(Publisher):
         try:
             (self.out / "state").mkdir(parents=True, exist_ok=True)
             self._lock = restart.lock(self.out / "state" / "lock", self.out)
-            self._lines = AppendedLines(self.out / "results.jsonl")
+            self._lines = ResultsFile(self.out / "results.jsonl", by_month=settings.output.pack_months)
             self._health_lines = AppendedLines(self.out / "health.jsonl", _HEALTH_FILE_BYTES)
             self._recording = Recording(self.out / "recordings", settings.recorder)
             self._keeper = restart.Checkpointer(self.out, settings, healthy_path, self._recording, self._lines)
@@ -115,7 +119,7 @@ class Daemon(Publisher):
         findings = self.out / "findings" / f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}"
         self._begin = partial(Session, settings, healthy, publishers, (path, healthy_path), findings)
         spans = settings.processing.hop_s, settings.health.span_s
-        self._chores = Chores()
+        self._chores, self._storage = Chores(), Storage(self.out, settings.output, self._recording)
         self._history = History(self.out / "state" / "history.db", settings.state, *spans)
         self._requests = RequestHandler(
             self._outlets, self.out / ledger.LEDGER, self._chores, self._keeper, self._history, clock
@@ -173,7 +177,7 @@ class Daemon(Publisher):
         if result.index in self._keeper.written:
             return
         self._history.window(json.loads(line) | {"state": present.state.value})
-        self._lines.write(line)
+        self._lines.write_window(line, result.t_end_ns)
         for outlet in self._outlets:
             outlet.window(result, line)
 
@@ -298,6 +302,9 @@ class Daemon(Publisher):
             self._sync_s = now
             self._lines.flush()
             self._chores.do("sync", self._lines.sync)
+        if now - self._tidied_s >= _TIDY_S:
+            self._tidied_s = now
+            self._chores.do("storage", self._storage.tidy)
         if now - self._summary_s >= self._quiet_s:
             self._write_summary()
 
@@ -331,7 +338,7 @@ class Daemon(Publisher):
     def _outputs(self) -> list[tuple[str, Way]]:
         """List every output with its name: outlets, viewer, checkpoint, history and files."""
         own: dict[str, Way | None] = {"viewer": self._view, "checkpoint": self._keeper, "history": self._history}
-        own |= {"ledger.jsonl": self._requests}
+        own |= {"ledger.jsonl": self._requests, "storage": self._storage}
         own |= {"results.jsonl": self._lines, "health.jsonl": self._health_lines, "summary.json": self._chores}
         return [(n, way) for n, way in own.items() if way is not None] + [(type(o).__name__, o) for o in self._outlets]
 

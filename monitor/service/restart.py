@@ -49,7 +49,7 @@ class Saved:
     stamp_ns: int
     """Log time of the latest block that the state includes, ns; later blocks are read from the recordings."""
     results_bytes: int
-    """Length of results.jsonl in bytes."""
+    """Position at the end of results.jsonl: its length in bytes, or a position of `ResultsFile`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,7 +169,7 @@ class Checkpointer:
         if self._due:
             return
         self._busy, self._seconds, self._stories = True, 0.0, session.pipeline.state.alarm.stories
-        self._recording.then(partial(self._write, session.state, self._lines.size))
+        self._recording.then(partial(self._write, session.state, self._lines.position))
 
     def forget(self) -> None:
         """Remove the checkpoint after the end of the stream, so that the next run begins anew."""
@@ -212,13 +212,10 @@ class Checkpointer:
         if not restored:
             session.restore(saved.session)
 
-    def _lines_since(self, offset: int) -> list[dict[str, Any]]:
-        """Read the windows' lines of results.jsonl from a byte offset on; other lines are skipped."""
-        with (self._out / "results.jsonl").open("rb") as file:
-            file.seek(offset)
-            texts = file.read(_MOST_LINES_BYTES).split(b"\n")
+    def _lines_since(self, position: int) -> list[dict[str, Any]]:
+        """Read the windows' lines of results.jsonl after a position; other lines are skipped."""
         found = []
-        for text in texts:
+        for text in self._lines.lines_after(position, _MOST_LINES_BYTES):
             try:
                 line = json.loads(text)
             except ValueError:
