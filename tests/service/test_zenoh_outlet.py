@@ -7,11 +7,10 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 import pytest
@@ -24,6 +23,7 @@ from monitor.publish.results.lines import to_json, window_line
 from monitor.service.outlets.zenoh import ZenohOut, ZenohOutSettings
 from monitor.service.requests import MAX_REQUEST_BYTES, Answer, Request, apply
 from tests.drivers.test_zenoh_bus import until
+from tests.support.answering import Monitor
 from tests.support.zenoh_router import Router, free_port
 
 T0_NS = 1_767_225_600_000_000_000
@@ -70,33 +70,6 @@ def ask(session: zenoh.Session, key: str, payload: str | bytes | None = None) ->
         if reply.ok is not None:
             return json.loads(reply.ok.payload.to_bytes())
     return None
-
-
-class Monitor:
-    """A main loop that takes the requests of an outlet and answers them."""
-
-    def __init__(self, out: ZenohOut, refuse: str = "") -> None:
-        self._out, self._refuse = out, refuse
-        self.applied: list[Request] = []
-        self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._run)
-
-    def __enter__(self) -> Self:
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._ended.set()
-        self._thread.join()
-
-    def _run(self) -> None:
-        while not self._ended.wait(0.01):
-            if self._refuse:
-                self._out.refuse_requests(self._refuse)
-                continue
-            requests = self._out.take_requests()
-            self.applied += requests
-            self._out.answer_requests([Answer()] * len(requests))
 
 
 def listen(session: zenoh.Session) -> list[tuple[str, str]]:
