@@ -13,10 +13,11 @@ from drivers.base import SampleBlock
 _log = logging.getLogger(__name__)
 
 _BURST_S = 600.0
-"""Length of data that may come at once, as from a sensor's cache after a broken link, s."""
+"""Length of data that may come at once, as from a sensor's cache after a broken link. [s; judgement]"""
 _SANE_NS = 1_735_689_600_000_000_000
-"""2025-01-01: a clock of this machine before it was never set, ns."""
+"""2025-01-01: a clock of this machine before it was never set. [ns; judgement]"""
 _SAY_EVERY_S = 60.0
+"""Shortest time between two lines of the log about refused blocks. [s; judgement]"""
 
 
 class LiveSettings(BaseModel):

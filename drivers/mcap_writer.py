@@ -23,8 +23,9 @@ ORDER, AS_ARRIVED = "order", "as arrived"
 CLOCK = "clock"
 """Key of the channel metadata that counts how often the clock had been set back when a live recording began."""
 _CLOCK_NS = 1 << 62
-"""Bound of log times, ns."""
+"""Bound of log times. [ns; definition]"""
 _MOST_DIGITS = 9
+"""Most digits of the count of clocks in a file from elsewhere. [1; judgement]"""
 
 
 def arrival(log_time_ns: int, clock: int) -> int:

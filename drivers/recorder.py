@@ -34,7 +34,7 @@ _MIN_FLUSH_S = 1.0
 """Shortest time between two flushes that the length of the data causes, s."""
 _MAX_INT = 1 << 62
 _PATIENCE_S = 60.0
-"""Length of late data after which the clock was set back rather than blocks delayed, s."""
+"""Length of late data after which the clock was set back rather than blocks delayed. [s; judgement]"""
 
 
 @dataclass(frozen=True, slots=True)

@@ -43,7 +43,7 @@ _STOP_S, _DRAIN_S, _END_S = 1.5, 2.5, 4.5
 _DURABLE_S = 0.5
 """Longest wait for the disk before a change of an alarm is announced."""
 _TIDY_S = 60.0
-"""Interval at which closed months are packed and the budget of the folder is looked after."""
+"""Interval at which closed months are packed and the budget of the folder is looked after. [s; judgement]"""
 _LATEST = 50
 _HEALTH_FILE_BYTES = 16 << 20
 
@@ -290,6 +290,7 @@ class Daemon(Publisher):
         self._reload_requested = False
         self.settings = reread(self._path, self.settings, self._outlets, self.out)
         self.session.reconfigure(self.settings)
+        self._requests.read_head()
 
     def _do_periodic_work(self, now: float) -> None:
         """Reload settings, apply requests, and write health, results and the summary when they are due."""

@@ -30,7 +30,7 @@ UPGRADES: dict[int, str] = {
 }
 """Version -> SQL that upgrades a database of that version to the next version."""
 _SCHEMA_VERSION = 2
-"""Version that `_SCHEMA` makes; a new database is then upgraded like an old one."""
+"""Version that `_SCHEMA` makes; a new database is then upgraded like an old one. [1; definition]"""
 _SCHEMA = """
 CREATE TABLE windows (
     id INTEGER PRIMARY KEY, t_end_ns INTEGER NOT NULL, window INTEGER NOT NULL, window_s REAL, level TEXT, skipped TEXT,
@@ -56,7 +56,7 @@ _NORMAL = {"windows": "level = 'normal'", "health": "gaps = 0 AND availability >
 _ONE_IN = 60
 _MOST_QUEUED = 20_000
 _MOST_GAPS = 100_000
-"""Most rows of gaps, some 10 MB; the oldest go first."""
+"""Most rows of gaps; the oldest go first. [1; cost: some 10 MB]"""
 _COMMIT_S, _RETRY_S, _LIMIT_EVERY, _LIMIT_ROWS = 1.0, 10.0, 1000, 5000
 
 Row = dict[str, Any]

@@ -25,7 +25,8 @@ from monitor.service.threads import Chores
 _log = logging.getLogger(__name__)
 
 _WAIT_S = 2.0
-"""Time from which a disk counts as one that does not answer.  A request in the ledger is then answered without a checkpoint."""
+"""Time from which a disk counts as one that does not answer.  A request in the ledger is then answered without a checkpoint.
+[s; judgement]"""
 
 
 class Keeper(Protocol):
@@ -77,8 +78,8 @@ class RequestHandler:
         self._outlets, self._place, self._chores = outlets, place, chores
         self._keeper, self._history, self._clock = keeper, history, clock
         self._batch: _Batch | None = None
-        self.head = ledger_chain.read_head(place)
         self._error = ""
+        self.read_head()
 
     @property
     def failed(self) -> str | None:
@@ -87,6 +88,10 @@ class RequestHandler:
         if batch is not None and not batch.written.is_set() and self._clock() - batch.begun_s > _WAIT_S:
             return f"{self._place}: the disk does not answer"
         return self._error or None
+
+    def read_head(self) -> None:
+        """Read the ledger's head, after something else has written there."""
+        self.head = ledger_chain.read_head(self._place)
 
     def step(self, session: Session, *, timed: bool) -> None:
         """Do what can be done now for the present batch, or begin the next one; waits for nothing.

@@ -14,11 +14,11 @@ from monitor.damage import alarm
 
 MAX_REQUEST_BYTES = 4096
 _BURST = 10.0
-"""Requests that one asker may make at once."""
+"""Requests that one asker may make at once. [1; judgement: more than a person does in a minute]"""
 _PER_S = 10.0 / 60.0
-"""Requests a second that one asker may make for long."""
+"""Requests a second that one asker may make for long. [1/s; judgement: ten a minute]"""
 _MOST_ASKERS = 8
-"""Most askers at a time: names are what the askers say, and must not multiply the rate without end."""
+"""Most askers at a time: names are what the askers say, and must not multiply the rate without end. [1; judgement]"""
 
 
 class Request(Settings):

@@ -16,10 +16,13 @@ from monitor.service.threads import Recording
 _log = logging.getLogger(__name__)
 
 _GB = 1 << 30
+"""One GiB. [bytes; definition]"""
 _TAIL_BYTES = 1 << 20
+"""Length of the end of a file in which its last line begins. [bytes; cost]"""
 _MONTH_BYTES = 1 << 48
-"""Bound of the length of a month's results, bytes: a position is a month's number times this, plus a length."""
+"""Bound of the length of a month's results: a position is a month's number times this, plus a length. [bytes; definition]"""
 _T_END = re.compile(rb'"t_end_ns": (\d+)')
+"""End of a window in its line. [1; definition]"""
 
 
 class ResultsFile(AppendedLines):

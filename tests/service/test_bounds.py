@@ -12,10 +12,11 @@ import numpy as np
 import pytest
 
 from drivers.base import SampleBlock
+from monitor.service import restart
 from monitor.service.daemon import Daemon
 from monitor.service.status import look, tell
-from tests.conftest import T0_NS, Cut
-from tests.service.test_daemon import RATE, Scripted, lines, site  # noqa: F401
+from tests.conftest import T0_NS, Cli, Cut
+from tests.service.test_daemon import RATE, Scripted, lines, own, replayed, site  # noqa: F401
 
 ZENOH = 'kind = "zenoh"\nkey = "a/b"\nmode = "peer"\nlisten = ["tcp/127.0.0.1:0"]'
 
@@ -76,3 +77,26 @@ def test_blocks_of_another_century_are_set_aside_and_the_rest_goes_on(
     assert look(out)["health"]["refused"]["blocks"] == 5
     assert len(lines(out)) == 9 and all(line["skipped"] is None for line in lines(out))
     assert not [path for path in (out / "recordings").iterdir() if path.name.startswith("2100")]
+
+
+def test_a_restart_after_blocks_of_another_century_is_a_replay_of_all_recordings(
+    site: Path,  # noqa: F811
+    record: np.ndarray,
+    cut: Cut,
+    main: Cli,
+) -> None:
+    """Without bounds the stream jumps there and back; recordings are named by the right time again, and keep their order."""
+    blocks = cut(np.tile(record, (5, 1)), RATE, [128])
+    forged = [replace(b, t_ns=4_102_444_800 * 10**9 + k * 10**9) for k, b in enumerate(blocks[:5])]
+    arrived = [*blocks[:60], *forged, *blocks[60:]]
+    with pytest.MonkeyPatch.context() as killed:
+        killed.setattr(restart.Checkpointer, "forget", lambda _: None)
+        Daemon(site, Scripted(arrived[:240])).run()
+    Daemon(site, Scripted(arrived[240:])).run()
+    out = site.parent / "out"
+    names = sorted(path.name for path in (out / "recordings").glob("*.mcap"))
+    assert [name[:4] for name in names if "-c1" in name] == ["2026", "2026"]
+    found = lines(out)
+    assert [line["window"] for line in found] == sorted({line["window"] for line in found})
+    assert sum(line["skipped"] is None for line in found[-20:]) > 10
+    assert replayed(main, site, own(out), site.parent / "again") == (out / "results.jsonl").read_bytes()

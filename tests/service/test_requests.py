@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -105,6 +106,30 @@ def test_an_answer_comes_after_the_ledger_and_what_changes_nothing_is_not_writte
     assert len(ledger_of(site)) == 41 and verify(site.parent / "out" / "ledger.jsonl") == 41
     assert len(saves) == idle + 1, "one checkpoint a batch that changes something"
     assert daemon.session.pipeline.state.alarm.stories[1].shelved is not None
+
+
+def test_what_was_accepted_outlasts_a_kill_at_that_moment(site: Path, record: np.ndarray, cut: Cut) -> None:  # noqa: F811
+    """A copy of the folder at the moment of the answer is what a kill would leave."""
+    out, left = site.parent / "out", site.parent / "left"
+
+    class Copying(Desk):
+        def answer_requests(self, answers: Sequence[Answer]) -> None:
+            super().answer_requests(answers)
+            for part in ("state", "recordings"):
+                shutil.copytree(out / part, left / part)
+            for name in ("ledger.jsonl", "results.jsonl"):
+                shutil.copy(out / name, left / name)
+
+    desk, blocks = Copying([SHELVE]), cut(record, RATE)
+    left.mkdir()
+    Daemon(site, Answered(blocks[:5], desk), [desk]).run()
+    assert [answer.refusal for answer in desk.answers] == [None]
+    site.write_text(site.read_text().replace('dir = "out"', 'dir = "left"'))
+    daemon = Daemon(site, Scripted(blocks[5:8]))
+    shelved = daemon.session.pipeline.state.alarm.stories[1].shelved
+    daemon.run()
+    assert shelved is not None and "while the disk is full (Ada)" in shelved.reason
+    assert (left / "ledger.jsonl").read_text().count("Ada") == 1
 
 
 def test_one_asker_has_ten_requests_at_once_and_ten_a_minute() -> None:
