@@ -29,6 +29,11 @@ _WAIT_S = 2.0
 [s; judgement]"""
 
 
+_TOLD_S = 60.0
+"""Time for which a refused write to the ledger is told: only the next request shows whether it can be written again.
+[s; judgement]"""
+
+
 class Keeper(Protocol):
     """Writer of checkpoints, as far as requests need it."""
 
@@ -78,16 +83,16 @@ class RequestHandler:
         self._outlets, self._place, self._chores = outlets, place, chores
         self._keeper, self._history, self._clock = keeper, history, clock
         self._batch: _Batch | None = None
-        self._error = ""
+        self._error, self._failed_s = "", 0.0
         self.read_head()
 
     @property
     def failed(self) -> str | None:
-        """Why the ledger could not be written last, or is not at present; None if all is well."""
+        """Why the ledger is not written at present, or could not be within the last minute; None if all is well."""
         batch = self._batch
         if batch is not None and not batch.written.is_set() and self._clock() - batch.begun_s > _WAIT_S:
             return f"{self._place}: the disk does not answer"
-        return self._error or None
+        return self._error if self._error and self._clock() - self._failed_s < _TOLD_S else None
 
     def read_head(self) -> None:
         """Read the ledger's head, after something else has written there."""
@@ -171,7 +176,7 @@ class RequestHandler:
 
     def _apply(self, session: Session, batch: _Batch) -> None:
         """Change the alarms as a written batch asks; refuse what could not be written."""
-        batch.applied, self._error = True, batch.error
+        batch.applied, self._error, self._failed_s = True, batch.error, self._clock()
         if batch.error:
             _log.error("requests are refused: %s", batch.error)
         for item in batch.items:

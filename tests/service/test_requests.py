@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -83,6 +84,10 @@ def test_what_the_ledger_cannot_take_is_refused_and_changes_nothing(site: Path, 
     assert daemon.session.pipeline.state.alarm.stories[1].shelved is None
     health = look(site.parent / "out")["health"]
     assert "ledger.jsonl" in health["failed"]["ledger.jsonl"] and health["ledger_head"] is None
+    handler = daemon._requests
+    assert handler.failed is not None
+    handler._clock = lambda: time.monotonic() + 61.0
+    assert handler.failed is None, "a trouble of long ago is none of the present"
 
 
 def test_an_answer_comes_after_the_ledger_and_what_changes_nothing_is_not_written(
