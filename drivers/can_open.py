@@ -10,14 +10,15 @@ import struct
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import IO, Annotated, Any, Literal, cast
+from typing import IO, Annotated, Any, Literal, Self, cast
 
 import can
 from can.io.generic import TextIOMessageReader
 from can.io.player import MESSAGE_READERS
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field, model_validator
 
 from drivers.base import SourceError
+from drivers.live import LiveSettings
 from drivers.socketcand_client import SocketcandBus
 
 PARSE_ERRORS = (
@@ -41,10 +42,8 @@ _SERIAL_INTERFACES = ("slcan", "serial", "robotell", "seeedstudio")
 LOG_SUFFIXES = (".blf", ".asc", ".log", ".trc", ".mf4")
 
 
-class CanSettings(BaseModel):
+class CanSettings(LiveSettings):
     """Table ``[source]`` with ``kind = "can"``."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     kind: Literal["can"] = "can"
     interface: str = Field(min_length=1)
@@ -67,6 +66,12 @@ class CanSettings(BaseModel):
     """Unit in which the signal `counter` counts, for frames of several samples."""
     realign: bool = False
     """Shift nodes whose counters differ, by whole samples, instead of refusing them."""
+
+    @model_validator(mode="after")
+    def _is_live(self) -> Self:
+        if self.interface == "log" and (self.max_pace is not None or self.max_ahead_s is not None):
+            raise ValueError("max_pace and max_ahead_s bound a live bus; leave them out for a log")
+        return self
 
 
 def open_bus(settings: CanSettings, ids: tuple[tuple[int, bool], ...]) -> can.BusABC:

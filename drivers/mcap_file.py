@@ -15,7 +15,7 @@ from drivers import codec
 from drivers.base import ACCELERATION, UNIT_OF, RecordingError, SampleBlock
 from drivers.mcap_index import read_index
 from drivers.mcap_records import McapFile, Message, Segment
-from drivers.mcap_writer import AS_ARRIVED, LIBRARY, ORDER, McapWriter
+from drivers.mcap_writer import AS_ARRIVED, LIBRARY, ORDER, McapWriter, arrival, clock_of
 from drivers.merged import merged
 from drivers.ros2_imu import IMU_SCHEMAS, ImuJoiner, ImuSample, decode_imu, split_target
 
@@ -155,7 +155,8 @@ class _Survey:
                 return False
         except ValueError:  # reading the file through gives an error message with the place
             return False
-        self.segments = index.chunks
+        clock = max(clock_of(channel.metadata) for channel in index.channels.values())
+        self.segments = [(arrival(start_ns, clock), segment) for start_ns, segment in index.chunks]
         return True
 
     def load(self, segment: Segment) -> list[tuple[int, _Item]]:
@@ -225,8 +226,7 @@ class _Survey:
         """Read the time by which a message is ordered, ns, without decoding its samples."""
         if channel.topic in self._axes:
             return self._decode(message, channel)[0], None
-        t_ns = codec.time_ns(message.data)
-        return message.log_time if channel.metadata.get(ORDER) == AS_ARRIVED else t_ns, None
+        return _order_ns(message, channel, codec.time_ns(message.data)), None
 
     def _decode(self, message: Message, channel: Channel) -> tuple[int, _Item]:
         """Decode a message; return the time by which it is ordered, ns, and its content."""
@@ -236,7 +236,7 @@ class _Survey:
             return sample.t_ns, sample
         block = codec.decode(message.data, topic)
         _require_plausible(block)
-        return message.log_time if channel.metadata.get(ORDER) == AS_ARRIVED else block.t_ns, block
+        return _order_ns(message, channel, block.t_ns), block
 
     def _content_text(self) -> str:
         """Describe, for an error message, a file without a wanted message."""
@@ -250,6 +250,13 @@ class _Survey:
             f"it holds {held or 'no topics'}. Name ROS 2 Imu topics in a topic map, or import other data "
             "with shm-monitor import"
         )
+
+
+def _order_ns(message: Message, channel: Channel, t_ns: int) -> int:
+    """Return the time by which a block is ordered, ns: that of its arrival in a live recording, else its own, `t_ns`."""
+    if channel.metadata.get(ORDER) != AS_ARRIVED:
+        return t_ns
+    return arrival(message.log_time, clock_of(channel.metadata))
 
 
 def _require_plausible(block: SampleBlock) -> None:

@@ -20,6 +20,36 @@ LIBRARY = "shm-monitor"
 """Library name in the file's header; it says that a chunk's log times are the times by which its blocks are ordered."""
 ORDER, AS_ARRIVED = "order", "as arrived"
 """Key and value of the channel metadata that mark a live recording."""
+CLOCK = "clock"
+"""Key of the channel metadata that counts how often the clock had been set back when a live recording began."""
+_CLOCK_NS = 1 << 62
+"""Bound of log times. [ns; definition]"""
+_MOST_DIGITS = 9
+"""Most digits of the count of clocks in a file from elsewhere. [1; judgement]"""
+
+
+def arrival(log_time_ns: int, clock: int) -> int:
+    """Compute the place of a block in the order of arrival.
+
+    Parameters
+    ----------
+    log_time_ns : int
+        Log time of the block, ns.
+    clock : int
+        Number of times that the clock had been set back.
+
+    Examples
+    --------
+    >>> arrival(5, 0), arrival(5, 1) > arrival(10**18, 0)
+    (5, True)
+    """
+    return clock * _CLOCK_NS + log_time_ns
+
+
+def clock_of(metadata: Mapping[str, str]) -> int:
+    """Read from a channel's metadata how often the clock had been set back; 0 where nothing, or nonsense, says so."""
+    text = metadata.get(CLOCK, "")
+    return int(text) if text.isascii() and text.isdigit() and len(text) <= _MOST_DIGITS else 0
 
 
 class McapWriter:
@@ -35,6 +65,8 @@ class McapWriter:
         MCAP metadata records, name -> keys and values.
     as_arrived
         Live recording: readers order the blocks by their log times, not by the times of their samples.
+    clock
+        Number of times that the clock of a live recording was set back; readers order by it before log times.
 
     Raises
     ------
@@ -43,7 +75,12 @@ class McapWriter:
     """
 
     def __init__(
-        self, path: Path, metadata: Mapping[str, Mapping[str, str]] | None = None, *, as_arrived: bool = False
+        self,
+        path: Path,
+        metadata: Mapping[str, Mapping[str, str]] | None = None,
+        *,
+        as_arrived: bool = False,
+        clock: int = 0,
     ) -> None:
         """Create the `.part` file."""
         self.path = Path(path)
@@ -54,6 +91,8 @@ class McapWriter:
             self._file, chunk_size=_CHUNK_BYTES, compression=CompressionType.ZSTD, enable_data_crcs=True
         )
         self._tags = {ORDER: AS_ARRIVED} if as_arrived else {}
+        if clock:
+            self._tags[CLOCK] = str(clock)
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
         self._writer.start(profile="", library=LIBRARY)

@@ -14,17 +14,18 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 from drivers import codec
-from drivers.base import UNIT_OF, RecordingError, SampleBlock
+from drivers.base import ACCELERATION, UNIT_OF, RecordingError, SampleBlock
 from drivers.disk import sync_folder
 from drivers.mcap_file import scan_messages
-from drivers.mcap_writer import McapWriter
+from drivers.mcap_writer import McapWriter, arrival
 from drivers.recorder_settings import RecorderSettings as RecorderSettings
 
 _log = logging.getLogger(__name__)
 
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _MB, _GB = 1 << 20, 1 << 30
-_NAME = re.compile(r"\d{8}T\d{6}\.\d{6}Z-\d{4}\.mcap")
+_NAME = re.compile(r"\d{8}T\d{6}\.\d{6}Z-\d{4}(?:-c(\d{1,9}))?\.mcap")
+"""Name of a recording: UTC of its first block, a number, and how often the clock had been set back if it had been."""
 _MAX_UNFLUSHED_BYTES = 8 * _MB
 _MAX_BLOCK_BYTES = 64 * _MB
 _FLUSH_SHARE = 0.8
@@ -32,6 +33,8 @@ _FLUSH_SHARE = 0.8
 _MIN_FLUSH_S = 1.0
 """Shortest time between two flushes that the length of the data causes, s."""
 _MAX_INT = 1 << 62
+_PATIENCE_S = 60.0
+"""Length of late data after which the clock was set back rather than blocks delayed. [s; judgement]"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,9 +68,10 @@ def unfit(block: SampleBlock) -> str | None:
 class Recorder:
     """Recorder of blocks to files that are named by the time of their first block, so that names sort by time.
 
-    The log times of the messages increase strictly in the order of arrival, also from one run to the next.  Reading the
-    files therefore gives the blocks in the order of arrival.  A disk error pauses recording and raises nothing; recording is
-    attempted again after `flush_s`.
+    The log times of the messages increase strictly in the order of arrival, also from one run to the next.  When the clock was
+    set back (a minute of data came more than a minute late), a file begins whose log times begin anew; its name and its
+    channels count such restarts.  Reading the files therefore gives the blocks in the order of arrival.  A disk error pauses
+    recording and raises nothing; recording is attempted again after `flush_s`.
 
     Parameters
     ----------
@@ -93,15 +97,27 @@ class Recorder:
         self._has_flushed = False
         """True if the present file has data on the disk."""
         self._detail = ""
+        self._keep_bytes = settings.keep_gb * _GB
         self._received = self._lost = self._files = self._removed = 0
         folder.mkdir(parents=True, exist_ok=True)
         recover(folder)
-        self.stamp_ns = max((stamp for stamp, _ in _messages(_recordings(folder)[-1:])), default=0)
+        latest = _recordings(folder)[-1:]
+        self._clocks = _clock(latest[0]) if latest else 0
+        """Number of times that the clock was set back."""
+        self._log_ns = max((log_ns for log_ns, _ in _messages(latest)), default=0)
         """Log time of the latest block, ns."""
+        self._late_s = 0.0
+        """Length of the latest data, all of which came late, s."""
+
+    @property
+    def stamp_ns(self) -> int:
+        """Place of the latest block in the order of arrival: its log time, ns, while the clock was never set back."""
+        return arrival(self._log_ns, self._clocks)
 
     def write(self, block: SampleBlock) -> None:
         """Record a block that is not `unfit`."""
-        self.stamp_ns = max(self.stamp_ns + 1, block.t_ns)
+        self._follow_clock(block)
+        self._log_ns = max(self._log_ns + 1, block.t_ns)
         self._received += 1
         try:
             if self._writer is None and not self._begin_file():
@@ -110,7 +126,7 @@ class Recorder:
             assert self._writer is not None
             self._unflushed_blocks += 1
             self._unflushed_bytes += block.samples.nbytes
-            self._writer.write(block, self.stamp_ns)
+            self._writer.write(block, self._log_ns)
             self.tick()
         except OSError as error:
             self._pause(f"cannot write: {error.strerror or error}")
@@ -119,7 +135,7 @@ class Recorder:
         """Flush if a flush is due; call from time to time while no block arrives."""
         if self._writer is None or not self._unflushed_blocks:
             return
-        waited_s, data_s = self._clock() - self._flushed_s, (self.stamp_ns - self._flushed_ns) * 1e-9
+        waited_s, data_s = self._clock() - self._flushed_s, (self._log_ns - self._flushed_ns) * 1e-9
         flush_s = _FLUSH_SHARE * self._settings.flush_s
         due = waited_s >= flush_s or (data_s >= flush_s and waited_s >= min(_MIN_FLUSH_S, flush_s))
         if due or self._unflushed_bytes >= _MAX_UNFLUSHED_BYTES:
@@ -133,6 +149,10 @@ class Recorder:
             self._flush(self._writer)
         except OSError as error:
             self._pause(f"cannot write: {error.strerror or error}")
+
+    def limit(self, most_bytes: int) -> None:
+        """Bound all recordings to `most_bytes`, where that is less than `keep_gb`; may be called from any thread."""
+        self._keep_bytes = min(self._settings.keep_gb * _GB, most_bytes)
 
     def health(self) -> RecorderHealth:
         """Return the counts so far; may be called from any thread."""
@@ -150,6 +170,19 @@ class Recorder:
         except OSError as error:
             self._detail = f"cannot write: {error.strerror or error}"
 
+    def _follow_clock(self, block: SampleBlock) -> None:
+        """Begin log times anew, in a new file, once the clock is believed to have been set back."""
+        if block.topic != ACCELERATION:
+            return
+        is_late = block.t_ns < self._log_ns - _PATIENCE_S * 1e9
+        self._late_s = self._late_s + block.n_samples / block.sample_rate_hz if is_late else 0.0
+        if self._late_s < _PATIENCE_S:
+            return
+        _log.warning("the clock of the data was set back; recordings are named by it from here on")
+        self.flush()
+        self.close()
+        self._clocks, self._log_ns, self._late_s = self._clocks + 1, 0, 0.0
+
     def _begin_file(self) -> bool:
         """Begin a new file; False while recording is paused."""
         if self._clock() < self._retry_s:
@@ -158,8 +191,10 @@ class Recorder:
         if free < self._settings.min_free_gb * _GB:
             self._pause(f"only {free / _GB:.2f} GiB free")
             return False
-        self._writer = McapWriter(_new_name(self._folder, self.stamp_ns), as_arrived=True)
-        self._begun_ns = self._flushed_ns = self.stamp_ns
+        self._writer = McapWriter(
+            _new_name(self._folder, self._log_ns, self._clocks), as_arrived=True, clock=self._clocks
+        )
+        self._begun_ns = self._flushed_ns = self._log_ns
         self._flushed_s = self._clock()
         self._files += 1
         self._has_flushed = False
@@ -170,11 +205,11 @@ class Recorder:
         """Flush the file, remove old files, and finish the file if it is full or disk space is short."""
         writer.flush()
         self._has_flushed = True
-        self._flushed_ns, self._flushed_s = self.stamp_ns, self._clock()
+        self._flushed_ns, self._flushed_s = self._log_ns, self._clock()
         self._unflushed_blocks = self._unflushed_bytes = 0
         size, s = writer.part_path.stat().st_size, self._settings
         self._remove_oldest(size)
-        full = size >= s.file_mb * _MB or self.stamp_ns - self._begun_ns >= s.file_s * 1e9
+        full = size >= s.file_mb * _MB or self._log_ns - self._begun_ns >= s.file_s * 1e9
         short = shutil.disk_usage(self._folder).free < s.min_free_gb * _GB
         if full or short:
             self._writer = None
@@ -184,12 +219,12 @@ class Recorder:
             self._pause("too little free space")
 
     def _remove_oldest(self, current: int) -> None:
-        """Remove the oldest files until all fit into `keep_gb`; `current` is the size of the open file, bytes."""
+        """Remove the oldest files until all fit into the limit; `current` is the size of the open file, bytes."""
         paths = _recordings(self._folder)
         sizes = [path.stat().st_size for path in paths]
         total = current + sum(sizes)
         for path, size in zip(paths, sizes, strict=True):
-            if total <= self._settings.keep_gb * _GB:
+            if total <= self._keep_bytes:
                 return
             path.unlink()
             self._removed += 1
@@ -227,21 +262,23 @@ def recover(folder: Path) -> None:
 
 
 def recorded(folder: Path, after_ns: int) -> Iterator[tuple[int, SampleBlock]]:
-    """Read the recorded blocks with a log time after `after_ns`, in the order of arrival, each with its log time, ns.
+    """Read the recorded blocks after a place in the order of arrival, each with its place (`Recorder.stamp_ns`).
 
     Damaged blocks and files are logged and left out.
     """
     paths = _recordings(folder)
-    later = [_begun_ns(path) for path in paths[1:]]
-    for stamp_ns, (topic, data) in _messages(
-        [p for p, end in zip(paths, [*later, _MAX_INT], strict=False) if end > after_ns]
-    ):
-        if stamp_ns <= after_ns:
+    ends = [*(arrival(_begun_ns(path), _clock(path)) for path in paths[1:]), None]
+    for path, end in zip(paths, ends, strict=True) if paths else ():
+        if end is not None and end <= after_ns:
             continue
-        try:
-            yield stamp_ns, codec.decode(data, topic)
-        except ValueError as error:
-            _log.warning("recorded at %d ns: %s; left out", stamp_ns, error)
+        for log_ns, (topic, data) in _messages([path]):
+            stamp_ns = arrival(log_ns, _clock(path))
+            if stamp_ns <= after_ns:
+                continue
+            try:
+                yield stamp_ns, codec.decode(data, topic)
+            except ValueError as error:
+                _log.warning("%s, recorded at %d ns: %s; left out", path, log_ns, error)
 
 
 def _messages(paths: Sequence[Path]) -> Iterator[tuple[int, tuple[str, bytes]]]:
@@ -255,8 +292,15 @@ def _messages(paths: Sequence[Path]) -> Iterator[tuple[int, tuple[str, bytes]]]:
 
 
 def _recordings(folder: Path) -> list[Path]:
-    """List the recordings in a folder in the order of their times."""
-    return sorted(path for path in folder.iterdir() if _NAME.fullmatch(path.name))
+    """List the recordings in a folder in the order of their arrival."""
+    paths = (path for path in folder.iterdir() if _NAME.fullmatch(path.name))
+    return sorted(paths, key=lambda path: (_clock(path), path.name))
+
+
+def _clock(path: Path) -> int:
+    """Read from a recording's name how often the clock had been set back."""
+    found = _NAME.fullmatch(path.name)
+    return int(found[1] or 0) if found else 0
 
 
 def _begun_ns(path: Path) -> int:
@@ -265,9 +309,9 @@ def _begun_ns(path: Path) -> int:
     return (begun - _EPOCH) // timedelta(microseconds=1) * 1000
 
 
-def _new_name(folder: Path, t_ns: int) -> Path:
-    """Choose an unused name by UTC to the microsecond."""
+def _new_name(folder: Path, t_ns: int, clock: int) -> Path:
+    """Choose an unused name by UTC to the microsecond, and by how often the clock was set back."""
     seconds, rest = divmod(t_ns, 1_000_000_000)
     time_text = f"{datetime.fromtimestamp(seconds, UTC):%Y%m%dT%H%M%S}.{rest // 1000:06d}Z"
-    numbered = (folder / f"{time_text}-{number:04d}.mcap" for number in range(1, 10_000))
+    numbered = (folder / f"{time_text}-{number:04d}{f'-c{clock}' if clock else ''}.mcap" for number in range(1, 10_000))
     return next(p for p in numbered if not p.exists() and not p.with_name(p.name + ".part").exists())

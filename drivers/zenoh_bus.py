@@ -27,6 +27,7 @@ from drivers.base import (
     SourceHealth,
 )
 from drivers.inbox import Inbox
+from drivers.live import LiveSettings
 from drivers.reorder import Reorder
 from drivers.zenoh_session import Callbacks, Key, SessionSettings, leave, open_session, where
 
@@ -76,7 +77,7 @@ def _received_key(key: str) -> str:
     return f"{key}/received"
 
 
-class ZenohSettings(StreamSettings):
+class ZenohSettings(StreamSettings, LiveSettings):
     """Table ``[source]`` with ``kind = "zenoh"``."""
 
     kind: Literal["zenoh"] = "zenoh"

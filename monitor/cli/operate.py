@@ -16,10 +16,14 @@ if TYPE_CHECKING:
     from monitor.service import Request
 
 _WAIT_S = 5.0
+_APPLIED = "applied; what it changed is noted in ledger.jsonl"
 
 
 def status(
     place: Annotated[Path, typer.Argument(metavar="SITE.toml|DIR", help="Site file, or the daemon's output folder.")],
+    verify: Annotated[
+        bool, typer.Option("--verify", help="Check the chain of hashes of ledger.jsonl first; 65: it is broken.")
+    ] = False,
     as_json: Json = False,
 ) -> None:
     """Print the state of a structure and of its daemon in ten lines.
@@ -29,8 +33,13 @@ def status(
     """
     from monitor.service import status as reader
 
-    found = reader.look(_folder(place))
-    say(reader.tell(found), found, as_json)
+    folder = _folder(place)
+    found = reader.look(folder)
+    text = reader.tell(found)
+    if verify:
+        found["ledger_lines"] = reader.verify_ledger(folder)
+        text += f"\nledger    {found['ledger_lines']} lines, the chain is whole; head {found['ledger_head'] or 'none'}"
+    say(text, found, as_json)
     raise typer.Exit(found["exit_code"])
 
 
@@ -71,10 +80,11 @@ def ack(
         request = Request.model_validate(fields)
     except ValidationError as error:
         raise WrongUsageError("; ".join(settings_problems(error))) from error
-    applied, outcome = None, ""
+    applied, outcome = False, ""
     if settings.output.zenoh is not None:
-        outcome = _send_over_zenoh(file, settings, request.model_dump_json())
-    if not outcome:
+        applied = _send_over_zenoh(file, settings, request.model_dump_json())
+        outcome = _APPLIED
+    if not applied:
         applied, outcome = _send_by_file(file.resolve().parent / settings.output.dir, request)
     say(outcome, {"applied": applied, "says": outcome}, as_json)
 
@@ -108,8 +118,8 @@ def _folder(place: Path) -> Path:
     return place if place.is_dir() else place.resolve().parent / configuration.load(place).output.dir
 
 
-def _send_over_zenoh(file: Path, settings: Configuration, request: str) -> str:
-    """Send a request over Zenoh and return the outcome in words; empty if no daemon answers.
+def _send_over_zenoh(file: Path, settings: Configuration, request: str) -> bool:
+    """Send a request over Zenoh; return whether the daemon applied it, False if none answers.
 
     Raises
     ------
@@ -131,13 +141,13 @@ def _send_over_zenoh(file: Path, settings: Configuration, request: str) -> str:
         answer = ask(joining, file.resolve().parent, key_prefix(settings.site_name, joining), request, _WAIT_S)
     except SourceError as error:
         warn(f"{error}; leaving the request in the daemon's folder")
-        return ""
+        return False
     if answer is None:
         warn("nobody answers over Zenoh; leaving the request in the daemon's folder")
-        return ""
+        return False
     if not answer.get("accepted"):
         raise WrongUsageError(f"refused: {answer.get('reason')}")
-    return "accepted; it is applied with the next data"
+    return True
 
 
 def _send_by_file(out: Path, request: Request) -> tuple[bool, str]:
@@ -154,7 +164,10 @@ def _send_by_file(out: Path, request: Request) -> tuple[bool, str]:
     while place.exists() and reader.running(out) and time.monotonic() < deadline:
         time.sleep(0.1)
     if not place.exists():
-        return True, "applied, and noted in ledger.jsonl"
+        return True, _APPLIED
     if reader.running(out):
-        return False, "left for the daemon; it is applied with the next data"
+        return (
+            False,
+            "left for the daemon, which applies it when data come and ledger.jsonl can be written: ask 'status'",
+        )
     return False, "the daemon does not run; it is applied with the first data of its next run"

@@ -28,12 +28,12 @@ def report(
 
     A window belongs to the period in which it ends.
     """
-    from monitor.publish import read_period, write_period
+    from monitor.publish import closed_files, read_period, write_period
 
     from_ns, to_ns = time_ns("--from", start), time_ns("--to", end)
     if from_ns is not None and to_ns is not None and from_ns >= to_ns:
         raise typer.BadParameter("--from is not before --to")
-    spare_inputs([out], [folder / name for name in _INPUTS])
+    spare_inputs([out], [*(folder / name for name in _INPUTS), *closed_files(folder)])
     period = read_period(folder, from_ns, to_ns)
     demand_place(out)
     write_period(out, period)

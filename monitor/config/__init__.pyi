@@ -1,6 +1,14 @@
 from . import configuration, security_check
-from .configuration import Configuration, read_toml
+from .configuration import Configuration, OutputSettings, read_toml
 from .log_settings import LogSettings
 from .state_settings import StateSettings
 
-__all__ = ["Configuration", "LogSettings", "StateSettings", "configuration", "read_toml", "security_check"]
+__all__ = [
+    "Configuration",
+    "LogSettings",
+    "OutputSettings",
+    "StateSettings",
+    "configuration",
+    "read_toml",
+    "security_check",
+]

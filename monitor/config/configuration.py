@@ -11,6 +11,7 @@ import numpy as np
 from pydantic import Field, ValidationError, field_validator, model_validator
 
 from drivers.base import Source, SourceContext, SourceError
+from drivers.live import LiveBounds, LiveSettings
 from drivers.recorder_settings import RecorderSettings
 from drivers.registry import UnknownSourceError, source_type
 from monitor.config.log_settings import LogSettings
@@ -86,6 +87,11 @@ class OutputSettings(Settings):
 
     dir: str = "out"
     """Folder of everything that the daemon writes."""
+    keep_gb: float | None = Field(default=None, gt=0)
+    """Greatest disk space of the whole folder, in GiB: beyond it the oldest recordings go, then the oldest closed months of
+    results.  By default the recordings alone are bounded, by `[recorder] keep_gb`."""
+    pack_months: bool = False
+    """Pack the results of each closed month into ``results-YYYY-MM.jsonl.zst``."""
     serve: str | None = None
     """HOST:PORT of the server that Rerun viewers may join."""
     zenoh: dict[str, Any] | None = None
@@ -337,3 +343,11 @@ def make_source(table: Mapping[str, Any], context: SourceContext) -> Source:
         raise BadConfigurationError("\n".join(settings_problems(error, "source"))) from error
     except (OSError, ValueError, SourceError) as error:
         raise BadConfigurationError(f"source: {error}") from error
+
+
+def make_bounds(table: Mapping[str, Any] | None) -> LiveBounds | None:
+    """Create the bounds of a valid ``[source]`` table on its data; None where it sets none, or the source is not live."""
+    if table is None or table.keys().isdisjoint(LiveSettings.model_fields):
+        return None
+    settings = source_type(str(table["kind"])).Settings.model_validate(table)
+    return LiveBounds(settings) if isinstance(settings, LiveSettings) else None

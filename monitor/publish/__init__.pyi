@@ -2,6 +2,7 @@ from .base import Publisher
 from .reports.diagnosis_report import write_report
 from .reports.period_report import read_period, write_period
 from .results.arrow_table import WINDOWS_SCHEMA, windows_table
+from .results.files import closed_files, month_file, pack_month, read_lines
 from .results.lines import LinesFile, alarm_line, current_alarm_line, replay_text, to_json, window_line
 from .results.schema import LINE_SCHEMA
 from .results.summary import Quality, Summary, episode_content
@@ -20,9 +21,13 @@ __all__ = [
     "RerunPublisher",
     "Summary",
     "alarm_line",
+    "closed_files",
     "current_alarm_line",
     "episode_content",
     "make_scene",
+    "month_file",
+    "pack_month",
+    "read_lines",
     "read_period",
     "replay_text",
     "to_json",

@@ -1,4 +1,4 @@
-from . import calibrate, demo, diagnose, ledger, paper_tables, replay, synthetic_recording
+from . import calibrate, demo, diagnose, ledger, ledger_chain, paper_tables, replay, synthetic_recording
 from .archive.inventory import expand_patterns
 from .archive.jobs import WINDOWS
 from .archive.reprocess import reprocess
@@ -20,6 +20,7 @@ __all__ = [
     "expand_patterns",
     "import_files",
     "ledger",
+    "ledger_chain",
     "open_viewer",
     "paper_tables",
     "replay",

@@ -14,6 +14,7 @@ from monitor.config import Configuration
 from monitor.core import BadInputError, MissingInputError, sha256
 from monitor.diagnosis import effects_text, model_from_plain, structure_text
 from monitor.model import FORMS, Effect, EffectError
+from monitor.runs.ledger_chain import append_lines
 
 LEDGER = "ledger.jsonl"
 
@@ -111,22 +112,20 @@ def append_entry(out: Path, finding: Mapping[str, Any], files: Mapping[str, Path
     MissingInputError
         If the ledger cannot be written.
     """
-    line = {
+    ledger = out.resolve().parent / LEDGER
+    append_lines(ledger, [entry(finding, files, who)])
+    return ledger
+
+
+def entry(finding: Mapping[str, Any], files: Mapping[str, Path | None], who: str | None) -> dict[str, Any]:
+    """Build the content of a line of the ledger (parameters as of `append_entry`), with the present time."""
+    return {
         "when": datetime.now(UTC).isoformat(timespec="seconds"),
         "who": who or _user(),
         "what": finding["says"],
         "causes": finding["causes"],
         "files": {role: {"file": str(p), "sha256": sha256(p)} for role, p in files.items() if p is not None},
     }
-    ledger = out.resolve().parent / LEDGER
-    try:
-        with ledger.open("a", encoding="utf-8") as file:
-            file.write(json.dumps(line, allow_nan=False) + "\n")
-            file.flush()
-            os.fsync(file.fileno())
-    except OSError as error:
-        raise MissingInputError(f"{ledger}: cannot be written: {error.strerror}") from error
-    return ledger
 
 
 def _user() -> str:

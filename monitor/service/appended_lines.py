@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 _log = logging.getLogger(__name__)
@@ -50,6 +51,17 @@ class AppendedLines:
         """Size of the file in bytes."""
         return os.fstat(self._handle).st_size
 
+    @property
+    def position(self) -> int:
+        """Position at the end of the file, for `lines_after`."""
+        return self.size
+
+    def lines_after(self, position: int, most_bytes: int) -> Iterator[bytes]:
+        """Read the lines after a position, at most `most_bytes`."""
+        with self._path.open("rb") as file:
+            file.seek(position)
+            yield from file.read(most_bytes).split(b"\n")
+
     def write(self, line: str) -> None:
         """Append one line; a failing disk does not raise, `failed` then holds the reason."""
         data = line.encode() + b"\n"
@@ -69,11 +81,26 @@ class AppendedLines:
                 self._pending = self._pending[os.write(self._handle, self._pending) :]
             self.failed, self._losing = "", False
             if self._most_bytes is not None and os.fstat(self._handle).st_size > self._most_bytes:
-                os.replace(self._path, self._path.with_name(self._path.name + ".1"))
-                os.close(self._handle)
-                self._open()
+                self.roll(self._path.with_name(self._path.name + ".1"))
         except OSError as error:
             self.failed = f"{self._path}: {error.strerror or error}"
+
+    def roll(self, place: Path) -> None:
+        """Rename the file to `place` and begin a new one.
+
+        Raises
+        ------
+        OSError
+            The disk does not allow it.
+        """
+        os.replace(self._path, place)
+        before = self._handle
+        try:
+            self._open()
+        except OSError:
+            os.replace(place, self._path)
+            raise
+        os.close(before)
 
     def sync(self) -> None:
         """Force the written lines onto the disk (fsync), so that they survive a power cut."""

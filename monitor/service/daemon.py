@@ -20,7 +20,7 @@ from typing import Any
 from drivers.base import RecordingError, RecordingMissingError, SampleBlock, Source, SourceContext
 from drivers.recorder import unfit
 from monitor.config import configuration
-from monitor.core import BadConfigurationError, BadInputError, Gap, MissingInputError, WindowResult, name_stories
+from monitor.core import BadConfigurationError, BadInputError, Gap, MissingInputError, WindowResult
 from monitor.damage import Assessment, load_baseline, outdated, utc
 from monitor.pipeline import Result
 from monitor.publish import Publisher, current_alarm_line, episode_content, to_json
@@ -31,7 +31,8 @@ from monitor.service.daemon_health import Vitals, Way, plain
 from monitor.service.history import History
 from monitor.service.outlets import Outlet, make_outlets
 from monitor.service.reload import reread
-from monitor.service.requests import apply
+from monitor.service.request_handler import RequestHandler
+from monitor.service.storage import ResultsFile, Storage
 from monitor.service.threads import Chores, Reader, Recording
 from monitor.signals import Health
 
@@ -41,6 +42,8 @@ _STOP_S, _DRAIN_S, _END_S = 1.5, 2.5, 4.5
 """Deadlines after the stop signal: for the source to close, for the queue to empty, and for everything else to end."""
 _DURABLE_S = 0.5
 """Longest wait for the disk before a change of an alarm is announced."""
+_TIDY_S = 60.0
+"""Interval at which closed months are packed and the budget of the folder is looked after. [s; judgement]"""
 _LATEST = 50
 _HEALTH_FILE_BYTES = 16 << 20
 
@@ -95,6 +98,7 @@ class Daemon(Publisher):
         self.out = folder / settings.output.dir
         self._vitals, self._progress = Vitals(self.out), Progress(lambda _: None)
         self._begun_s = self._health_s = self._summary_s = self._sync_s = self._clock()
+        self._tidied_s = float("-inf")
         self._said: Assessment | None = None
         self._data_s = float("-inf")  # no window has come yet: what a checkpoint knows is no present state
         self._path, self._stopping, self._reload_requested, self._end_s = path, False, False, float("inf")
@@ -102,7 +106,7 @@ class Daemon(Publisher):
         try:
             (self.out / "state").mkdir(parents=True, exist_ok=True)
             self._lock = restart.lock(self.out / "state" / "lock", self.out)
-            self._lines = AppendedLines(self.out / "results.jsonl")
+            self._lines = ResultsFile(self.out / "results.jsonl", by_month=settings.output.pack_months)
             self._health_lines = AppendedLines(self.out / "health.jsonl", _HEALTH_FILE_BYTES)
             self._recording = Recording(self.out / "recordings", settings.recorder)
             self._keeper = restart.Checkpointer(self.out, settings, healthy_path, self._recording, self._lines)
@@ -115,14 +119,18 @@ class Daemon(Publisher):
         findings = self.out / "findings" / f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}"
         self._begin = partial(Session, settings, healthy, publishers, (path, healthy_path), findings)
         spans = settings.processing.hop_s, settings.health.span_s
-        self._chores = Chores()
+        self._chores, self._storage = Chores(), Storage(self.out, settings.output, self._recording)
         self._history = History(self.out / "state" / "history.db", settings.state, *spans)
+        self._requests = RequestHandler(
+            self._outlets, self.out / ledger.LEDGER, self._chores, self._keeper, self._history, clock
+        )
         self._alarm: object = None
         known_ns = self._keeper.resume(self._new_session, self._history.window)
         if source is None:
             assert settings.source is not None
             source = configuration.make_source(settings.source, SourceContext(settings.channels, folder, known_ns))
         self.reader = Reader(source)
+        self._bounds = configuration.make_bounds(settings.source)
 
     def _new_session(self) -> Session:
         """Begin a new session and make it the current one."""
@@ -143,6 +151,7 @@ class Daemon(Publisher):
             self._publish_state()
             self.reader.start()
             self._loop()
+            self._requests.finish(self.session, _DURABLE_S)
             if self.reader.ended:
                 self.session.finish(lambda: self._stopping)
                 self._keeper.forget()
@@ -168,7 +177,7 @@ class Daemon(Publisher):
         if result.index in self._keeper.written:
             return
         self._history.window(json.loads(line) | {"state": present.state.value})
-        self._lines.write(line)
+        self._lines.write_window(line, result.t_end_ns)
         for outlet in self._outlets:
             outlet.window(result, line)
 
@@ -201,6 +210,7 @@ class Daemon(Publisher):
         self._publish_state()
         self._health_s = self._clock()
         line = self._vitals.line(span, self.reader, self._recording.health(), self._outputs())
+        line["ledger_head"] = self._requests.head
         self._health_lines.write(json.dumps(line, allow_nan=False))
         for outlet in self._outlets:
             outlet.health_line(line)
@@ -251,6 +261,8 @@ class Daemon(Publisher):
         """
         self._vitals.received(block)
         reason = unfit(block)
+        if reason is None and self._bounds is not None:
+            reason = self._bounds.refusal(block)
         if reason is not None:
             self._vitals.refuse(reason)
             return
@@ -273,38 +285,27 @@ class Daemon(Publisher):
             self._alarm = alarms[-1]
             self._recording.flush(_DURABLE_S)
 
-    def _apply_requests(self, outlet: Outlet) -> None:
-        """Apply the operators' requests that an outlet received, and record them in the ledger."""
-        for request in outlet.take_requests():
-            try:
-                self.session.alter_alarm(partial(apply, request=request, t_ns=self.session.now_ns))
-                place = name_stories(f"story {request.story}", self.session.config.story_names)
-                says = f"{request.action} alarm of {place}: {request.note}"
-                ledger.append_entry(self.out / "results.jsonl", {"says": says, "causes": []}, {}, request.who)
-                self._history.request(self.session.now_ns, request.model_dump())
-                self._keeper.save_now(self.session)
-            except (ValueError, MissingInputError) as error:
-                _log.warning("request of %s: %s", request.who, error)
-
     def _reload(self) -> None:
         """Read the site file again and continue with its present thresholds."""
         self._reload_requested = False
         self.settings = reread(self._path, self.settings, self._outlets, self.out)
         self.session.reconfigure(self.settings)
+        self._requests.read_head()
 
     def _do_periodic_work(self, now: float) -> None:
         """Reload settings, apply requests, and write health, results and the summary when they are due."""
         if self._reload_requested:
             self._reload()
-        # Requests are timed by the data's clock, so they wait for the first data.
-        for outlet in self._outlets if self._progress.first is not None else ():
-            self._apply_requests(outlet)
+        self._requests.step(self.session, timed=self._progress.first is not None)
         if now - self._health_s >= self._quiet_s:
             self.health(None)
         if now - self._sync_s >= self.settings.recorder.flush_s:
             self._sync_s = now
             self._lines.flush()
             self._chores.do("sync", self._lines.sync)
+        if now - self._tidied_s >= _TIDY_S:
+            self._tidied_s = now
+            self._chores.do("storage", self._storage.tidy)
         if now - self._summary_s >= self._quiet_s:
             self._write_summary()
 
@@ -338,6 +339,7 @@ class Daemon(Publisher):
     def _outputs(self) -> list[tuple[str, Way]]:
         """List every output with its name: outlets, viewer, checkpoint, history and files."""
         own: dict[str, Way | None] = {"viewer": self._view, "checkpoint": self._keeper, "history": self._history}
+        own |= {"ledger.jsonl": self._requests, "storage": self._storage}
         own |= {"results.jsonl": self._lines, "health.jsonl": self._health_lines, "summary.json": self._chores}
         return [(n, way) for n, way in own.items() if way is not None] + [(type(o).__name__, o) for o in self._outlets]
 
@@ -346,6 +348,7 @@ class Daemon(Publisher):
         self._end_s = min(self._end_s, self._clock() + _END_S)
         self.reader.stop(0.1)  # it has ended already, except after an error
         self._recording.close(self._share_s())
+        self._requests.close()
         self.session.online_diagnosis.close(self._share_s())
         self.health(None)
         self._write_summary()

@@ -1,6 +1,7 @@
 """Health of the daemon itself, as lines of health.jsonl.
 
-This is the only module that compares the wall clock with the time of the data.
+This is the only module of the monitor that compares the wall clock with the time of the data; a live source may bound its data by
+the clock (`drivers.live`).
 """
 
 from __future__ import annotations

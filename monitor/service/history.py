@@ -21,10 +21,16 @@ from monitor.config import StateSettings
 
 _log = logging.getLogger(__name__)
 
-VERSION = 2
+VERSION = 3
 """Version of the schema, stored as the database's user_version; to be raised with an entry in `UPGRADES`."""
-UPGRADES: dict[int, str] = {1: "ALTER TABLE windows ADD COLUMN state TEXT;"}
+UPGRADES: dict[int, str] = {
+    1: "ALTER TABLE windows ADD COLUMN state TEXT;",
+    2: "ALTER TABLE gaps ADD COLUMN number INTEGER NOT NULL DEFAULT 1; ALTER TABLE gaps ADD COLUMN lost_s REAL; "
+    "UPDATE gaps SET lost_s = duration_s;",
+}
 """Version -> SQL that upgrades a database of that version to the next version."""
+_SCHEMA_VERSION = 2
+"""Version that `_SCHEMA` makes; a new database is then upgraded like an old one. [1; definition]"""
 _SCHEMA = """
 CREATE TABLE windows (
     id INTEGER PRIMARY KEY, t_end_ns INTEGER NOT NULL, window INTEGER NOT NULL, window_s REAL, level TEXT, skipped TEXT,
@@ -49,6 +55,8 @@ _UPDATED = {"alarms": "(story, t_first_ns)", "findings": "(t_ns, from_ns)"}
 _NORMAL = {"windows": "level = 'normal'", "health": "gaps = 0 AND availability >= 1.0"}
 _ONE_IN = 60
 _MOST_QUEUED = 20_000
+_MOST_GAPS = 100_000
+"""Most rows of gaps; the oldest go first. [1; cost: some 10 MB]"""
 _COMMIT_S, _RETRY_S, _LIMIT_EVERY, _LIMIT_ROWS = 1.0, 10.0, 1000, 5000
 
 Row = dict[str, Any]
@@ -67,7 +75,7 @@ class History:
         Ages up to which rows are kept.
     hop_s, span_s : float
         Time from one window to the next, and from one health span to the next, s.  Age is counted in rows, which a wrong
-        clock cannot falsify.
+        clock cannot falsify.  Gaps at most `hop_s` apart are one row.
 
     Attributes
     ----------
@@ -82,6 +90,8 @@ class History:
         day = 86_400.0
         full = {"windows": settings.windows_days * day / hop_s, "health": settings.health_days * day / span_s}
         per_day = {"windows": day / hop_s, "health": day / span_s}
+        self._neighbour_ns = round(hop_s * 1e9)
+        """Time between two gaps up to which they are one row: no window moves on between them."""
         self._keep = {t: (int(full[t]), int(settings.keep_days * per_day[t])) for t in full}
         self._rows: deque[tuple[str, Row]] = deque()
         self._wake = threading.Event()
@@ -127,8 +137,12 @@ class History:
         self._put("findings", {name: finding[name] for name in names} | {"causes": _text(finding["causes"])})
 
     def gap(self, t_ns: int, duration_s: float, reason: str) -> None:
-        """Store a gap in the data that begins at `t_ns` (UTC, ns since 1970) and lasts `duration_s`."""
-        self._put("gaps", {"t_ns": t_ns, "duration_s": duration_s, "reason": reason})
+        """Store a gap in the data that begins at `t_ns` (UTC, ns since 1970) and lasts `duration_s`.
+
+        A row holds neighbouring gaps: from the first one's beginning to the last one's end, their number, the time lost in all,
+        and the first one's reason.
+        """
+        self._put("gaps", {"t_ns": t_ns, "duration_s": duration_s, "reason": reason, "lost_s": duration_s})
 
     def health(self, span: Mapping[str, Any]) -> None:
         """Store the sensors' health in a span of data."""
@@ -190,7 +204,8 @@ class History:
         batch = list(self._rows)
         with database:
             for table, row in batch:
-                database.execute(_statement(table, tuple(row)), tuple(row.values()))
+                if table != "gaps" or not merge_gap(database, row, self._neighbour_ns):
+                    database.execute(_statement(table, tuple(row)), tuple(row.values()))
         for _ in batch:
             self._rows.popleft()
         self._inserted += len(batch)
@@ -199,6 +214,8 @@ class History:
             for table, (full, most) in self._keep.items():
                 with database:
                     limit(database, table, full, most)
+            with database:
+                database.execute("DELETE FROM gaps WHERE id <= (SELECT max(id) FROM gaps) - ?", (_MOST_GAPS,))
 
 
 def open_database(path: Path) -> sqlite3.Connection:
@@ -218,7 +235,7 @@ def open_database(path: Path) -> sqlite3.Connection:
             raise sqlite3.DatabaseError(f"written by a newer program (version {version}, this one knows {VERSION})")
         while version < VERSION:
             script = _SCHEMA if version == 0 else UPGRADES[version]
-            version = VERSION if version == 0 else version + 1
+            version = _SCHEMA_VERSION if version == 0 else version + 1
             database.executescript(f"BEGIN; {script} PRAGMA user_version = {version}; COMMIT;")
     except BaseException:
         database.close()
@@ -242,6 +259,32 @@ def set_aside(path: Path, reason: str) -> bool:
             path.with_name(path.name + end).unlink(missing_ok=True)
         return True
     return False
+
+
+def merge_gap(database: sqlite3.Connection, gap: Row, neighbour_ns: int) -> bool:
+    """Merge a gap into the row before it in time, if that holds it already or ends at most `neighbour_ns` before it.
+
+    Returns
+    -------
+    bool
+        False if there is no such row.
+    """
+    before = database.execute(
+        "SELECT id, t_ns, duration_s FROM gaps WHERE t_ns <= ? ORDER BY t_ns DESC LIMIT 1", (gap["t_ns"],)
+    ).fetchone()
+    if before is None:
+        return False
+    row, t_ns, duration_s = before
+    end_ns = t_ns + round(duration_s * 1e9)
+    begun_ns, lasts_s = gap["t_ns"], (gap["t_ns"] - t_ns) * 1e-9 + gap["duration_s"]
+    if begun_ns > end_ns + neighbour_ns:
+        return False
+    if lasts_s > duration_s + 1e-9:  # else a restart tells it once more
+        database.execute(
+            "UPDATE gaps SET duration_s = ?, number = number + 1, lost_s = lost_s + ? WHERE id = ?",
+            (lasts_s, gap["duration_s"], row),
+        )
+    return True
 
 
 def limit(database: sqlite3.Connection, table: str, full: int, most: int) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 from monitor.config import Configuration, configuration
 from monitor.core import BadConfigurationError, UserError
 from monitor.runs import ledger
-from monitor.service.outlets import Outlet, change_outlets
+from monitor.service.outlets import Outlet, change_outlets, make_outlets
 
 _log = logging.getLogger(__name__)
 
@@ -36,10 +36,11 @@ def reread(path: Path, running: Configuration, outlets: Sequence[Outlet], out: P
     try:
         new = changed(path, running)
         if new != running:
-            change_outlets(path, new, outlets)
+            make_outlets(path, new, dry=True)  # so that nothing of the change fails once the ledger has it
             ledger.append_entry(
                 out / "results.jsonl", {"says": "settings read again", "causes": []}, {"site": path}, None
             )
+            change_outlets(path, new, outlets)
     except UserError as error:
         _log.error("not reloaded, all goes on as before: %s", error)
         return running

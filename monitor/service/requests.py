@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
+from time import monotonic
 from typing import Literal
 
 from pydantic import Field, model_validator
@@ -10,6 +13,12 @@ from monitor.core import Settings
 from monitor.damage import alarm
 
 MAX_REQUEST_BYTES = 4096
+_BURST = 10.0
+"""Requests that one asker may make at once. [1; judgement: more than a person does in a minute]"""
+_PER_S = 10.0 / 60.0
+"""Requests a second that one asker may make for long. [1/s; judgement: ten a minute]"""
+_MOST_ASKERS = 8
+"""Most askers at a time: names are what the askers say, and must not multiply the rate without end. [1; judgement]"""
 
 
 class Request(Settings):
@@ -37,6 +46,53 @@ class Request(Settings):
         if self.action == "shelve" and not (self.note.strip() and self.seconds > 0):
             raise ValueError("shelving needs a note and seconds")
         return self
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """Answer to a request."""
+
+    refusal: str | None = None
+    """Reason why it was not applied; None if it was, or if everything was already as it asks."""
+    again: bool = False
+    """Whether the same request may be accepted later."""
+
+
+class RateLimit:
+    """Limit on the rate of requests: a token bucket for each asker.
+
+    Parameters
+    ----------
+    clock : callable
+        Seconds of a clock that never goes back.
+
+    Examples
+    --------
+    >>> limit = RateLimit(clock=lambda: 0.0)
+    >>> [limit.refusal("Ann") is None for _ in range(11)]
+    [True, True, True, True, True, True, True, True, True, True, False]
+    >>> limit.refusal("Bob") is None
+    True
+    """
+
+    def __init__(self, clock: Callable[[], float] = monotonic) -> None:
+        self._clock = clock
+        self._full_s: dict[str, float] = {}
+        """Asker -> time at which the bucket is full again."""
+
+    def refusal(self, who: str) -> str | None:
+        """Take a token for a request of `who`; return the reason if there is none, else None."""
+        now = self._clock()
+        for asker, full_s in list(self._full_s.items()):
+            if full_s <= now:
+                del self._full_s[asker]
+        if who not in self._full_s and len(self._full_s) >= _MOST_ASKERS:
+            return f"too many askers at a time; {_MOST_ASKERS} are the most within a minute"
+        full_s = max(self._full_s.get(who, now), now) + 1.0 / _PER_S
+        if full_s - now > _BURST / _PER_S + 1e-9:
+            return f"too many requests of {who}; {_BURST:.0f} at once and {60.0 * _PER_S:.0f} a minute are the most"
+        self._full_s[who] = full_s
+        return None
 
 
 def apply(state: alarm.AlarmState, request: Request, t_ns: int) -> alarm.AlarmState:

@@ -38,7 +38,6 @@ _KEYED = (
     "temperature",
 )
 """Tables of the site file on which the results depend, besides the structure.  Limits of alarm, quality and watch may change."""
-_LONGEST_WAIT_S = 0.5
 _MOST_LINES_BYTES = 64 << 20
 
 
@@ -50,7 +49,7 @@ class Saved:
     stamp_ns: int
     """Log time of the latest block that the state includes, ns; later blocks are read from the recordings."""
     results_bytes: int
-    """Length of results.jsonl in bytes."""
+    """Position at the end of results.jsonl: its length in bytes, or a position of `ResultsFile`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,6 +150,11 @@ class Checkpointer:
         self.save(session)  # so that a run that ends before its first regular checkpoint is resumed too
         return 0
 
+    @property
+    def busy(self) -> bool:
+        """Whether a checkpoint is being written."""
+        return self._busy
+
     def took(self, session: Session, block: SampleBlock) -> None:
         """Count a block whose results were published, and write a checkpoint if one is due."""
         every_s = self._config.state.checkpoint_s
@@ -165,13 +169,7 @@ class Checkpointer:
         if self._due:
             return
         self._busy, self._seconds, self._stories = True, 0.0, session.pipeline.state.alarm.stories
-        self._recording.then(partial(self._write, session.state, self._lines.size))
-
-    def save_now(self, session: Session) -> None:
-        """Write a checkpoint and wait until it is on the disk, for a limited time."""
-        self._recording.flush(_LONGEST_WAIT_S)
-        self.save(session)
-        self._recording.flush(_LONGEST_WAIT_S)
+        self._recording.then(partial(self._write, session.state, self._lines.position))
 
     def forget(self) -> None:
         """Remove the checkpoint after the end of the stream, so that the next run begins anew."""
@@ -214,13 +212,10 @@ class Checkpointer:
         if not restored:
             session.restore(saved.session)
 
-    def _lines_since(self, offset: int) -> list[dict[str, Any]]:
-        """Read the windows' lines of results.jsonl from a byte offset on; other lines are skipped."""
-        with (self._out / "results.jsonl").open("rb") as file:
-            file.seek(offset)
-            texts = file.read(_MOST_LINES_BYTES).split(b"\n")
+    def _lines_since(self, position: int) -> list[dict[str, Any]]:
+        """Read the windows' lines of results.jsonl after a position; other lines are skipped."""
         found = []
-        for text in texts:
+        for text in self._lines.lines_after(position, _MOST_LINES_BYTES):
             try:
                 line = json.loads(text)
             except ValueError:

@@ -13,6 +13,7 @@ from typing import Any
 
 from monitor.core import MissingInputError, name_stories
 from monitor.damage import Assessment, State, outdated, utc
+from monitor.runs import ledger, ledger_chain
 
 HEALTHY, ALARM, TROUBLE, DOWN = 0, 10, 11, 12
 """Exit codes: the state is normal and the monitor works; advisory, warning or alarm; doubtful, not judged or a part does not
@@ -84,7 +85,23 @@ def look(out: Path) -> dict[str, Any]:
         "summary": summary,
         "health": health,
         "result": result,
+        "ledger_head": ledger_chain.read_head(out / ledger.LEDGER),
     }
+
+
+def verify_ledger(out: Path) -> int:
+    """Check the chain of the ledger in a daemon's output folder, and return its number of lines.
+
+    Raises
+    ------
+    BadInputError
+        The chain is broken, or lacks the line that the daemon named last.
+    MissingInputError
+        The ledger cannot be read.
+    """
+    health = _last_line(out / "health.jsonl", _OF_HEALTH) or {}
+    head = health.get("ledger_head")
+    return ledger_chain.verify(out / ledger.LEDGER, [head] if isinstance(head, str) else [])
 
 
 def read_assessment(content: Mapping[str, Any]) -> Assessment:

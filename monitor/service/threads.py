@@ -217,6 +217,11 @@ class Recording:
         """Return the health of the recorder; None if nothing is to be recorded."""
         return None if self._recorder is None else self._recorder.health()
 
+    def limit(self, most_bytes: int) -> None:
+        """Bound the recordings to `most_bytes` where that is less than their own limit."""
+        if self._recorder is not None:
+            self._recorder.limit(most_bytes)
+
     def write(self, block: SampleBlock) -> None:
         """Queue a block for recording."""
         if self._recorder is not None:

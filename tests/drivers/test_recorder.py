@@ -223,3 +223,57 @@ def test_two_runs_of_the_same_data_do_not_overwrite_each_other(tmp_path: Path, c
         recorder.write(blocks(cut)[0])
         recorder.close()
     assert len(list(tmp_path.glob("*.mcap"))) == 2
+
+
+def test_blocks_of_another_century_misname_no_later_recording_over_a_restart(
+    tmp_path: Path, cut: Cut, clock: Clock
+) -> None:
+    """Names and log times begin anew when the clock was set back, and reading still gives the order of arrival."""
+    far = 4_102_444_800 * 10**9  # 2100-01-01
+    parts = blocks(cut, 400.0)
+    forged = [replace(b, t_ns=far + k * 10**9, sequence=k) for k, b in enumerate(parts[:5])]
+    arrived = [*parts[:20], *forged, *parts[20:50]]
+    recorder = make(tmp_path, clock, flush_s=2.0, file_s=30.0)
+    for block in arrived:
+        clock.now += 1.0
+        recorder.write(block)
+    recorder.close()
+    later = parts[50:]
+    recorder = make(tmp_path, clock, flush_s=2.0, file_s=30.0)
+    places = [recorder.stamp_ns]
+    for block in later:
+        clock.now += 1.0
+        recorder.write(block)
+        places.append(recorder.stamp_ns)
+    recorder.close()
+    assert places == sorted(set(places))
+    assert_recorded(tmp_path, [*arrived, *later])
+    again = list(module.recorded(tmp_path, places[0]))
+    assert len(again) == len(later) and all(same(a, b) for (_, a), b in zip(again, later, strict=True))
+    assert [place for place, _ in again] == places[1:]
+    names = [path.name for path in tmp_path.glob("*.mcap") if path.name.startswith("2100")]
+    wrong = sum(len(list(scan_messages(tmp_path / name))) for name in names)
+    assert wrong <= 5 + 30 + 60 + 1, "a minute of data tells a clock that was set back from blocks that were delayed"
+    right = [path.name for path in tmp_path.glob("*.mcap") if "-c1" in path.name]
+    assert len(right) >= 8 and all(name < "2100" for name in right)
+    assert make(tmp_path, clock).stamp_ns == places[-1]
+
+
+def test_late_blocks_now_and_then_begin_no_file(tmp_path: Path, cut: Cut, clock: Clock) -> None:
+    far, parts = 4_102_444_800 * 10**9, blocks(cut, 300.0)
+    recorder = make(tmp_path, clock, flush_s=2.0)
+    for k, block in enumerate(parts):
+        clock.now += 1.0
+        recorder.write(replace(block, t_ns=far + k * 10**9) if k % 5 == 0 else block)
+    recorder.close()
+    assert recorder.health().files == 1
+
+
+def test_the_oldest_to_arrive_goes_first_whatever_its_name(tmp_path: Path, cut: Cut, clock: Clock) -> None:
+    far, parts = 4_102_444_800 * 10**9, blocks(cut, 300.0)
+    recorder = make(tmp_path, clock, flush_s=1.0, file_s=20.0, keep_gb=50e3 / 2**30)
+    for block in [replace(parts[0], t_ns=far), *parts]:
+        clock.now += 1.0
+        recorder.write(block)
+    recorder.close()
+    assert not [path for path in tmp_path.iterdir() if path.name.startswith("2100")]

@@ -59,7 +59,7 @@ from monitor.runs.session import Session
 from monitor.service import serialization
 from monitor.service.outlets.inbox import Inbox
 from monitor.service.outlets.outbox import Outbox
-from monitor.service.requests import Request, apply
+from monitor.service.requests import Answer, Request, apply
 from monitor.service.restart import Saved
 from tests.support.frame_text import THREE_STORIES
 
@@ -220,8 +220,9 @@ def _request_file(data: bytes) -> None:
     folder.mkdir(exist_ok=True)
     (folder / "1.json").write_bytes(data)
     box = Inbox(folder)
-    for request in box.take_requests():
-        assert isinstance(request, Request)
+    requests = box.take_requests()
+    assert all(isinstance(request, Request) for request in requests)
+    box.answer_requests([Answer()] * len(requests))
     box.close(0.0)
     assert not list(folder.iterdir())
 

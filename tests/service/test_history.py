@@ -83,6 +83,37 @@ def test_what_is_put_in_comes_out_once(begin: Callable[[], History], place: Path
     assert rows(place, "SELECT verdict, causes FROM findings") == [("named", '["x"]')]
 
 
+def test_neighbouring_gaps_are_one_row_and_a_restart_tells_none_twice(
+    begin: Callable[[], History], place: Path
+) -> None:
+    """A sender of scraps with gaps between them gives one row, not one a scrap; far gaps stay rows of their own."""
+    for _ in range(2):
+        one = begin()
+        for k in range(5000):
+            one.gap(T0_NS + k * 50_000_000, 0.04, "8 samples missing")
+        one.gap(T0_NS + 5000 * 50_000_000 + HOP_NS + 1, 1.0, "another")
+        one.gap(T0_NS - 10**12, 2.0, "the clock was set back")
+        one.close(10.0)
+    found = rows(place, "SELECT t_ns, duration_s, reason, number, lost_s FROM gaps ORDER BY t_ns")
+    assert found == [
+        (T0_NS - 10**12, 2.0, "the clock was set back", 1, 2.0),
+        (T0_NS, pytest.approx(249.99), "8 samples missing", 5000, pytest.approx(200.0)),
+        (T0_NS + 5000 * 50_000_000 + HOP_NS + 1, 1.0, "another", 1, 1.0),
+    ]
+
+
+def test_the_number_of_gaps_is_bounded(
+    begin: Callable[[], History], place: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(history, "_MOST_GAPS", 100)
+    one = begin()
+    for k in range(2000):
+        one.gap(T0_NS + k * 2 * HOP_NS, 1.0, "gap")
+    one.close(10.0)
+    found = rows(place, "SELECT t_ns FROM gaps ORDER BY t_ns")
+    assert 100 <= len(found) <= 1100 and found[-1] == (T0_NS + 1999 * 2 * HOP_NS,)
+
+
 def test_the_state_of_a_window_is_kept_also_in_a_database_that_knew_no_state(
     begin: Callable[[], History], place: Path, tmp_path: Path
 ) -> None:

@@ -296,6 +296,12 @@ def test_mail(tmp_path: Path) -> None:
     assert b"alarm: story 2" in letters[0].content
 
 
+def test_a_heartbeat_carries_the_head_of_the_ledger() -> None:
+    assert notify._with_head("http://a.test/beat", None) == "http://a.test/beat"
+    assert notify._with_head("http://a.test/beat", "ab12") == "http://a.test/beat?ledger=ab12"
+    assert notify._with_head("http://a.test/b?status=up#x", "ab12") == "http://a.test/b?status=up&ledger=ab12#x"
+
+
 def test_the_heart_beats_while_windows_come_and_no_longer(tmp_path: Path, hook: Hook) -> None:
     beat = Addresses((), f"http://127.0.0.1:{hook.server_port}/beat")
     one = Notifier("lab", NotifySettings(heartbeat_s=0.05), beat, tmp_path / "outbox.jsonl")

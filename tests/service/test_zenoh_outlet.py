@@ -21,8 +21,9 @@ from monitor.core.results import WHOLE, Alarm, AlarmCondition, DamageReading, Ga
 from monitor.damage import Assessment, State, alarm
 from monitor.publish.results.lines import to_json, window_line
 from monitor.service.outlets.zenoh import ZenohOut, ZenohOutSettings
-from monitor.service.requests import MAX_REQUEST_BYTES, Request, apply
+from monitor.service.requests import MAX_REQUEST_BYTES, Answer, Request, apply
 from tests.drivers.test_zenoh_bus import until
+from tests.support.answering import Monitor
 from tests.support.zenoh_router import Router, free_port
 
 T0_NS = 1_767_225_600_000_000_000
@@ -139,10 +140,12 @@ def test_requests_reach_the_alarms(out: ZenohOut, person: zenoh.Session) -> None
         {"action": "acknowledge", "story": 2, "who": "Ann"},
         {"action": "shelve", "story": 1, "who": "Bob", "note": "crane at work", "seconds": 3600},
     ]
-    for wish in wishes:
-        assert ask(person, "ack", json.dumps(wish)) == {"accepted": True, "reason": None}
     state = _alarmed()
-    for request in out.take_requests():
+    with Monitor(out) as monitor:
+        for wish in wishes:
+            assert ask(person, "ack", json.dumps(wish)) == {"accepted": True, "reason": None}
+            assert len(monitor.applied) == 1 + wishes.index(wish), "it is answered after it was applied"
+    for request in monitor.applied:
         state = apply(state, request, T0_NS)
     assert state.stories[1].acknowledged_by == "Ann"
     assert not state.stories[1].unacknowledged
@@ -166,8 +169,33 @@ def test_unfit_requests_are_refused_with_the_reason(out: ZenohOut, person: zenoh
         assert not answer["accepted"]
         assert says in answer["reason"]
     assert not ask(person, "ack")["accepted"]
-    assert [ask(person, "ack", json.dumps(good))["accepted"] for _ in range(4)] == [True, True, True, False]
-    assert len(out.take_requests()) == 3
+    answers: list[Any] = []
+    for _ in range(3):
+        person.get(f"{SITE}/ack", handler=answers.append, payload=json.dumps(good))
+    until(lambda: len(out._requests) == 3, "three wait")
+    assert ask(person, "ack", json.dumps(good)) == {"accepted": False, "reason": "too many requests wait"}
+    assert len(out.take_requests()) == 3 and not answers
+    out.answer_requests([Answer(), Answer("the disk is full", again=True), Answer()])
+    until(lambda: len(answers) == 3, "each is answered")
+    found = [json.loads(reply.ok.payload.to_bytes()) for reply in answers]
+    assert [answer["reason"] for answer in found if not answer["accepted"]] == ["the disk is full"]
+
+
+def test_a_flood_of_requests_is_refused_at_once(out: ZenohOut, person: zenoh.Session) -> None:
+    until(lambda: ask(person, "state"), "the monitor is there")
+    wish = json.dumps({"action": "acknowledge", "story": 2, "who": "Mallory"})
+    with Monitor(out) as monitor:
+        answers = [ask(person, "ack", wish) for _ in range(200)]
+        assert [answer["accepted"] for answer in answers[:12]] == [True] * 10 + [False] * 2
+        assert "too many requests of Mallory" in answers[-1]["reason"] and len(monitor.applied) < 20
+        assert ask(person, "ack", wish.replace("Mallory", "Ann"))["accepted"]
+
+
+def test_a_request_before_the_first_data_is_refused(out: ZenohOut, person: zenoh.Session) -> None:
+    until(lambda: ask(person, "state"), "the monitor is there")
+    with Monitor(out, refuse="no data have come yet"):
+        answer = ask(person, "ack", json.dumps({"action": "acknowledge", "story": 2, "who": "Ann"}))
+    assert answer == {"accepted": False, "reason": "no data have come yet"}
 
 
 def test_a_request_for_a_story_that_is_not_there_is_an_error() -> None:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from monitor.core import Array, BadInputError, MissingInputError
 from monitor.damage import Course, follow
+from monitor.publish.results.files import RESULTS, closed_files, read_all_lines, read_lines
 from monitor.publish.results.lines import facts_of_line
 
 MAX_BINS = 1000
@@ -185,7 +186,7 @@ class PeriodResults:
 
 
 def read_results(folder: Path, from_ns: int | None, to_ns: int | None, misfit_limit: float) -> PeriodResults:
-    """Read results.jsonl of a folder; windows belong to the period in which they end.
+    """Read results.jsonl of a folder, and its closed months; windows belong to the period in which they end.
 
     Parameters
     ----------
@@ -201,23 +202,22 @@ def read_results(folder: Path, from_ns: int | None, to_ns: int | None, misfit_li
     MissingInputError
         The file does not exist.
     BadInputError
-        No window ends in the period, or the file holds no results.
+        No window ends in the period, the files hold no results, or a packed month is damaged.
     """
-    path = folder / "results.jsonl"
+    path = folder / RESULTS
     try:
-        first_ns, last_ns, hop_s = _extent(path)
+        first_ns, last_ns, hop_s = _extent(folder)
         begun_ns = first_ns - round(hop_s * 1e9)
         start = begun_ns if from_ns is None else from_ns
         stop = last_ns if to_ns is None else to_ns
         length_s = (stop - start) * 1e-9
         grid = Grid(start, max(stop, start + 1), int(np.clip(length_s / hop_s, 1, MAX_BINS)))
         results = PeriodResults(grid, hop_s, begun_ns, misfit_limit, judged=[0] * grid.n, refused=[0] * grid.n)
-        with path.open("rb") as file:
-            for raw in _lines_between(file, start, stop):
-                try:
-                    results.add(json.loads(raw, parse_constant=_refuse))
-                except (ValueError, KeyError, TypeError, IndexError):
-                    results.damaged += 1
+        for raw in _lines_between(read_all_lines(folder), start, stop):
+            try:
+                results.add(json.loads(raw, parse_constant=_refuse))
+            except (ValueError, KeyError, TypeError, IndexError):
+                results.damaged += 1
     except OSError as error:
         raise MissingInputError(
             f"{path}: {error.strerror}; give the folder that 'replay --out' or [output] dir names"
@@ -247,16 +247,21 @@ def _lines_between(lines: Iterator[bytes], start: int, stop: int) -> Iterator[by
             yield raw
 
 
-def _extent(path: Path) -> tuple[int, int, float]:
+def _extent(folder: Path) -> tuple[int, int, float]:
     """Read the ends of the first and the last window, UTC in ns, and the hop in s."""
+    path = folder / RESULTS
     with path.open("rb") as file:
-        head = [int(found[1]) for _, raw in zip(range(_HEAD), file, strict=False) if (found := _T_END.search(raw))]
         file.seek(max(0, path.stat().st_size - _TAIL_BYTES))
-        tail = [int(t) for t in _T_END.findall(file.read())]
+        tail = _T_END.findall(file.read())
+    for closed in reversed(closed_files(folder)):
+        if not tail:
+            tail = [found[1] for raw in read_lines(closed) if (found := _T_END.search(raw))][-1:]
+    lines = read_all_lines(folder)
+    head = [int(found[1]) for _, raw in zip(range(_HEAD), lines, strict=False) if (found := _T_END.search(raw))]
     if not head or not tail:
         raise BadInputError(f"{path}: no results in it; was the recording shorter than a window?")
     steps = [b - a for a, b in pairwise(head) if b > a]
-    return head[0], max(tail[-1], head[0]), min(steps, default=10_000_000_000) * 1e-9
+    return head[0], max(int(tail[-1]), head[0]), min(steps, default=10_000_000_000) * 1e-9
 
 
 def utc(t_ns: float) -> str:

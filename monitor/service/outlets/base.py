@@ -9,7 +9,7 @@ from monitor.damage import Assessment, State
 from monitor.publish import Publisher
 
 if TYPE_CHECKING:
-    from monitor.service.requests import Request
+    from monitor.service.requests import Answer, Request
 
 
 class Outlet(Publisher):
@@ -43,8 +43,14 @@ class Outlet(Publisher):
         """Take a line of health.jsonl: the sensors' health of a span, if one ended, and the daemon's own health."""
 
     def take_requests(self) -> Sequence[Request]:
-        """Return the operators' requests since the last call; requests returned before count as applied."""
+        """Return the operators' requests that wait; each is answered by `answer_requests` before the next call."""
         return ()
+
+    def answer_requests(self, answers: Sequence[Answer]) -> None:
+        """Pass on the answers to the requests that `take_requests` returned last, in their order."""
+
+    def refuse_requests(self, reason: str) -> None:
+        """Refuse the requests that wait, where the asker waits for an answer; others stay until they can be applied."""
 
     def close(self, timeout_s: float) -> None:
         """Publish the messages that still wait, for at most `timeout_s`."""

@@ -8,14 +8,14 @@ import os
 import secrets
 import stat
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from pydantic import ValidationError
 
 from monitor.core import finish, partial, settings_problems
 from monitor.service.outlets.base import Outlet
-from monitor.service.requests import MAX_REQUEST_BYTES, Request
+from monitor.service.requests import MAX_REQUEST_BYTES, Answer, RateLimit, Request
 
 _log = logging.getLogger(__name__)
 _EVERY_S = 0.5
@@ -26,33 +26,29 @@ class Inbox(Outlet):
     """Read the operators' requests from a folder, at most twice a second.
 
     A file is removed only after its request was applied, so that a request interrupted by a power cut is applied again.
-    Applying a request twice has the same effect as once, because every request states the wanted result.  A request whose file
-    cannot be removed is applied once in a run.
+    Applying a request twice has the same effect as once, because every request states the wanted result.  A request that
+    cannot be applied yet, or exceeds the rate of its asker, waits.  One whose file cannot be removed is applied once in a run.
 
     Parameters
     ----------
     folder : Path
         Folder of the requests; it is created if it does not exist.
+    clock : callable
+        Seconds of a clock that never goes back.
     """
 
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
+    def __init__(self, folder: Path, clock: Callable[[], float] = time.monotonic) -> None:
+        self._folder, self._clock = folder, clock
         self._polled_s = float("-inf")
-        self._done: list[Path] = []
+        self._limit = RateLimit(clock)
+        self._taken: list[Path] = []
         self._stuck: set[Path] = set()
         with contextlib.suppress(OSError):  # created here, so that the daemon's user owns it, whoever asks first
             folder.mkdir(parents=True, exist_ok=True)
 
     def take_requests(self) -> Sequence[Request]:
-        """Return the requests since the last call; requests returned before count as applied."""
-        for path in self._done:
-            try:
-                path.unlink(missing_ok=True)
-            except OSError as error:
-                self._stuck.add(path)
-                _log.error("%s was applied and cannot be removed: %s; remove it", path, error.strerror or error)
-        self._done = []
-        now = time.monotonic()
+        """Return the requests that wait; files that are none are removed."""
+        now = self._clock()
         if now - self._polled_s < _EVERY_S:
             return ()
         self._polled_s = now
@@ -61,13 +57,30 @@ class Inbox(Outlet):
         except OSError:
             return ()
         self._stuck &= files
-        self._done = sorted(files - self._stuck)[:_MOST]
-        return [request for path in self._done if (request := _read(path)) is not None]
+        requests, self._taken = [], []
+        for path in sorted(files - self._stuck)[:_MOST]:
+            request = _read(path)
+            if request is None:
+                self._remove(path)
+            elif self._limit.refusal(request.who) is None:
+                self._taken.append(path)
+                requests.append(request)
+        return requests
 
-    def close(self, timeout_s: float) -> None:
-        """Remove the files of applied requests; later requests are left for the next run."""
-        self._polled_s = float("inf")
-        self.take_requests()
+    def answer_requests(self, answers: Sequence[Answer]) -> None:
+        """Remove the files of the requests, but for those that may be applied later."""
+        for path, answer in zip(self._taken, answers, strict=True):
+            if not answer.again:
+                self._remove(path)
+        self._taken = []
+
+    def _remove(self, path: Path) -> None:
+        """Remove a file; one that stays is not read again."""
+        try:
+            path.unlink(missing_ok=True)
+        except OSError as error:
+            self._stuck.add(path)
+            _log.error("%s was dealt with and cannot be removed: %s; remove it", path, error.strerror or error)
 
 
 def leave_request(folder: Path, request: Request) -> Path:

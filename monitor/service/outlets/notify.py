@@ -45,7 +45,8 @@ class NotifySettings(NoticeSettings):
     url_file: Path | None = None
     """File with one such URL a line; relative to the site file."""
     heartbeat_url: str | None = None
-    """URL that is fetched every `heartbeat_s` while windows are produced; ``${NAME}`` as in `urls`."""
+    """URL that is fetched every `heartbeat_s` while windows are produced, with the ledger's head as ``ledger=HASH`` in its query;
+    ``${NAME}`` as in `urls`."""
     heartbeat_s: float = Field(default=300.0, gt=0)
     """Shortest time from one heartbeat to the next."""
     most_per_hour: int = Field(default=60, ge=1)
@@ -126,6 +127,12 @@ class _Channel:
         return "" if self.service is None else str(self.service.service_name)
 
 
+def _with_head(url: str, head: str | None) -> str:
+    """Add the ledger's head to the query of a heartbeat's URL, so that whoever hears it can later tell a changed ledger."""
+    bare, mark, fragment = url.partition("#")
+    return url if head is None else f"{bare}{'&' if '?' in bare else '?'}ledger={head}{mark}{fragment}"
+
+
 class Notifier(Outlet):
     """Send people a message when the state of the structure, the sensors' health or a finding changes.
 
@@ -159,6 +166,7 @@ class Notifier(Outlet):
         self._outbox: Outbox | None = None
         self._observations: deque[Callable[[Outbox], None]] = deque(maxlen=_MOST_OBSERVATIONS)
         self._data_s = clock()
+        self._ledger_head: str | None = None
         self._heartbeat_sent_s, self._windows, self._heartbeat_windows = float("-inf"), 0, 0
         self._changed = threading.Condition()
         self._closed = False
@@ -185,7 +193,7 @@ class Notifier(Outlet):
 
     def health_line(self, line: Mapping[str, Any]) -> None:
         """Announce changes of the source's and the recorder's state."""
-        now = self._clock()
+        now, self._ledger_head = self._clock(), line.get("ledger_head")
         self._data_s = self._data_s if line["stream"] is None else now
         silent_s = now - self._data_s
         self._observe(
@@ -307,7 +315,9 @@ class Notifier(Outlet):
             return
         self._heartbeat_sent_s, self._heartbeat_windows = now, self._windows
         try:
-            with urllib.request.urlopen(url, timeout=_TIMEOUT_S) as answer:  # http(s) only: see `addresses`
+            with urllib.request.urlopen(
+                _with_head(url, self._ledger_head), timeout=_TIMEOUT_S
+            ) as answer:  # http(s) only: see `addresses`
                 answer.read(1024)
         except (OSError, ValueError) as error:
             _log.warning("heartbeat not heard: %s", type(error).__name__)

@@ -12,7 +12,7 @@ import re
 import threading
 import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -26,7 +26,7 @@ from monitor.core import Gap, WindowResult, settings_problems
 from monitor.damage import Assessment
 from monitor.publish import alarm_line, to_json
 from monitor.service.outlets.base import Outlet
-from monitor.service.requests import MAX_REQUEST_BYTES, Request
+from monitor.service.requests import MAX_REQUEST_BYTES, Answer, RateLimit, Request
 
 _log = logging.getLogger(__name__)
 _RETRY_S = (0.5, 30.0)
@@ -72,7 +72,10 @@ class ZenohOut(Outlet):
         self.prefix = key_prefix(site, settings)
         self._settings, self._folder = settings, folder
         self._waiting: deque[tuple[str, str]] = deque(maxlen=queue_size)
-        self._requests: deque[Request] = deque()
+        self._requests: deque[tuple[Request, zenoh.Query]] = deque()
+        self._taken: list[zenoh.Query] = []
+        self._answers: deque[tuple[zenoh.Query, str | None]] = deque()
+        self._limit = RateLimit()
         self._latest: dict[str, str] = {}
         self._alarm: tuple[Any, ...] = ()
         self._changed = threading.Condition()
@@ -107,11 +110,23 @@ class ZenohOut(Outlet):
         self._put("finding", to_json({key: finding[key] for key in keys}))
 
     def take_requests(self) -> list[Request]:
-        """Return the operators' requests since the last call, oldest first; called by the thread that owns the alarms."""
+        """Return the operators' requests that wait, oldest first; called by the thread that owns the alarms."""
         with self._changed:
-            requests = list(self._requests)
+            waiting = list(self._requests)
             self._requests.clear()
-        return requests
+        self._taken = [query for _, query in waiting]
+        return [request for request, _ in waiting]
+
+    def answer_requests(self, answers: Sequence[Answer]) -> None:
+        """Have the answers sent to the askers."""
+        with self._changed:
+            self._answers.extend(zip(self._taken, (answer.refusal for answer in answers), strict=True))
+            self._changed.notify_all()
+        self._taken = []
+
+    def refuse_requests(self, reason: str) -> None:
+        """Refuse the requests that wait."""
+        self.answer_requests([Answer(reason)] * len(self.take_requests()))
 
     def close(self, timeout_s: float = 5.0) -> None:
         """Publish the messages that wait and leave the network, for at most `timeout_s`."""
@@ -159,8 +174,14 @@ class ZenohOut(Outlet):
                 ending.callback(entity.undeclare)
             self.failed = None
             while (queued := self._take()) is not None:
-                name, text = queued
-                publishers[name].put(text)
+                place, text = queued
+                if isinstance(place, str):
+                    publishers[place].put(text)
+                else:
+                    self._reply(place, text)
+            with self._changed:  # a query that is let go ends without an answer
+                self._requests.clear()
+                self._taken.clear()
             # This query ends after everything that was published before it.
             for _ in session.get(f"{self.prefix}/closing", timeout=1.0):
                 pass
@@ -178,10 +199,13 @@ class ZenohOut(Outlet):
             publisher_detection=True,
         )
 
-    def _take(self) -> tuple[str, str] | None:
-        """Wait for the next queued message: key and text; None if the outlet is closed and the queue empty."""
+    def _take(self) -> tuple[str | zenoh.Query, str] | None:
+        """Wait for what is to be sent next: key or query, and text; None if the outlet is closed and nothing waits."""
         with self._changed:
-            self._changed.wait_for(lambda: self._waiting or self._closed)
+            self._changed.wait_for(lambda: self._waiting or self._answers or self._closed)
+            if self._answers:
+                query, refusal = self._answers.popleft()
+                return query, _answer_text(refusal)
             return self._waiting.popleft() if self._waiting else None
 
     def answer(self) -> str:
@@ -195,13 +219,21 @@ class ZenohOut(Outlet):
             query.reply(f"{self.prefix}/state", self.answer(), encoding=zenoh.Encoding.APPLICATION_JSON)
 
     def _on_request(self, query: zenoh.Query) -> None:
-        refusal = self._queue_request(query.payload)
-        answer = to_json({"accepted": refusal is None, "reason": refusal})
-        with query:
-            query.reply(f"{self.prefix}/ack", answer, encoding=zenoh.Encoding.APPLICATION_JSON)
+        refusal = self._queue_request(query)
+        if refusal is not None:
+            self._reply(query, _answer_text(refusal))
 
-    def _queue_request(self, payload: zenoh.ZBytes | None) -> str | None:
-        """Queue a request; return the reason if it is refused, else None."""
+    def _reply(self, query: zenoh.Query, text: str) -> None:
+        """Answer a request; an asker who has gone meanwhile is no failure of the network."""
+        try:
+            with query:
+                query.reply(f"{self.prefix}/ack", text, encoding=zenoh.Encoding.APPLICATION_JSON)
+        except zenoh.ZError as error:
+            _log.warning("an answer to a request cannot be sent: %s", error)
+
+    def _queue_request(self, query: zenoh.Query) -> str | None:
+        """Queue a request, which is answered once it was applied; return the reason if it is refused at once, else None."""
+        payload = query.payload
         if payload is None or len(payload) > MAX_REQUEST_BYTES:
             return f"a request is a JSON object of at most {MAX_REQUEST_BYTES} bytes"
         try:
@@ -211,8 +243,14 @@ class ZenohOut(Outlet):
         with self._changed:
             if len(self._requests) >= self._settings.max_requests:
                 return "too many requests wait"
-            self._requests.append(request)
-        return None
+            refusal = self._limit.refusal(request.who)
+            if refusal is None:
+                self._requests.append((request, query))
+        return refusal
+
+
+def _answer_text(refusal: str | None) -> str:
+    return to_json({"accepted": refusal is None, "reason": refusal})
 
 
 def key_prefix(site: str, settings: ZenohOutSettings) -> str:

@@ -1,0 +1,168 @@
+"""What the output folder may hold: closed months of results are packed, and one budget bounds all files together."""
+
+from __future__ import annotations
+
+import logging
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+from monitor.config import OutputSettings
+from monitor.core import BadInputError
+from monitor.publish import closed_files, month_file, pack_month, read_lines
+from monitor.service.appended_lines import AppendedLines
+from monitor.service.threads import Recording
+
+_log = logging.getLogger(__name__)
+
+_GB = 1 << 30
+"""One GiB. [bytes; definition]"""
+_TAIL_BYTES = 1 << 20
+"""Length of the end of a file in which its last line begins. [bytes; cost]"""
+_MONTH_BYTES = 1 << 48
+"""Bound of the length of a month's results: a position is a month's number times this, plus a length. [bytes; definition]"""
+_T_END = re.compile(rb'"t_end_ns": (\d+)')
+"""End of a window in its line. [1; definition]"""
+
+
+class ResultsFile(AppendedLines):
+    """File results.jsonl, from which each closed month may go into a file of its own.
+
+    Parameters
+    ----------
+    path : Path
+        The file results.jsonl.
+    by_month : bool
+        Whether the first window of another month begins a new file.
+
+    Raises
+    ------
+    OSError
+        The file cannot be opened.
+    """
+
+    def __init__(self, path: Path, *, by_month: bool) -> None:
+        super().__init__(path)
+        self._by_month = by_month
+        with path.open("rb") as file:
+            file.seek(max(0, self.size - _TAIL_BYTES))
+            ends = _T_END.findall(file.read())
+        self._last_ns = int(ends[-1]) if ends else None
+
+    @property
+    def position(self) -> int:
+        """Position at the end of the file: the month that it holds, and its length in bytes."""
+        return self._month * _MONTH_BYTES + self.size
+
+    def lines_after(self, position: int, most_bytes: int) -> Iterator[bytes]:
+        """Read the lines after a position, also where its month was closed since; at most `most_bytes` of the present file."""
+        month, offset = divmod(position, _MONTH_BYTES)
+        if month in {0, self._month}:
+            yield from super().lines_after(offset, most_bytes)
+            return
+        for path in closed_files(self._path.parent):
+            if _month_of(path) >= month:
+                yield from _lines_from(path, offset if _month_of(path) == month else 0)
+        yield from super().lines_after(0, most_bytes)
+
+    @property
+    def _month(self) -> int:
+        """Number of the month that the file holds; 0 where months are not told apart, or without a line."""
+        if not self._by_month or self._last_ns is None:
+            return 0
+        return _month_of(month_file(self._path.parent, self._last_ns))
+
+    def write_window(self, line: str, t_end_ns: int) -> None:
+        """Append the line of a window that ends at `t_end_ns` (UTC, ns since 1970)."""
+        if self._by_month and self._last_ns is not None and not self.failed:
+            closed = month_file(self._path.parent, self._last_ns)
+            if closed != month_file(self._path.parent, t_end_ns) and not closed.exists():
+                try:
+                    self.roll(closed)
+                except OSError as error:  # the next window tries again
+                    _log.warning("%s: not closed: %s", closed, error.strerror or error)
+        self._last_ns = t_end_ns
+        self.write(line)
+
+
+def _month_of(path: Path) -> int:
+    """Read the number of a closed month from its file's name: 202601 for January 2026."""
+    year, month = path.name.removeprefix("results-").partition(".")[0].split("-")
+    return 100 * int(year) + int(month)
+
+
+def _lines_from(path: Path, offset: int) -> Iterator[bytes]:
+    """Read the lines of a closed month that begin at a byte offset or after it; a file that cannot be read has none."""
+    begin = 0
+    try:
+        for line in read_lines(path):
+            if begin >= offset:
+                yield line
+            begin += len(line)
+    except (OSError, BadInputError) as error:
+        _log.warning("%s: %s; windows at the turn of the month may be written twice", path, error)
+
+
+class Storage:
+    """Keeper of the budget of the output folder.
+
+    What is beyond the budget goes in this order: the oldest recordings, all but the one being written; then the oldest closed
+    months of results.  Nothing else is removed: if that does not suffice, `failed` says so.
+
+    Parameters
+    ----------
+    out : Path
+        Output folder.
+    settings : OutputSettings
+        Budget, and whether months are packed.
+    recording : Recording
+        Recorder, to which the rest of the budget is given.
+
+    Attributes
+    ----------
+    failed : str or None
+        Why the folder exceeds the budget, or a month could not be packed; None if all is well.
+    """
+
+    dropped = 0  # what goes for the budget is named in the log, and counts as removed, not as lost
+
+    def __init__(self, out: Path, settings: OutputSettings, recording: Recording) -> None:
+        self._out, self._settings, self._recording = out, settings, recording
+        self.failed: str | None = None
+
+    def tidy(self) -> None:
+        """Pack closed months, and remove what is beyond the budget (in a thread that may wait for the disk)."""
+        try:
+            for path in closed_files(self._out):
+                if path.suffix == ".jsonl" and self._settings.pack_months:
+                    pack_month(path)
+            self.failed = None if self._settings.keep_gb is None else self._limit(round(self._settings.keep_gb * _GB))
+        except OSError as error:
+            self.failed = f"{self._out}: {error.strerror or error}"
+        except BadInputError as error:
+            self.failed = str(error)
+
+    def _limit(self, most_bytes: int) -> str | None:
+        """Remove closed months beyond the budget and give its rest to the recorder; return what is wrong."""
+        used = self._used_bytes()
+        for path in closed_files(self._out):
+            if used <= most_bytes:
+                break
+            used -= path.stat().st_size
+            path.unlink()
+            _log.warning("%s: removed, for the output folder may hold %g GiB", path, self._settings.keep_gb)
+        self._recording.limit(max(0, most_bytes - used))
+        if used <= most_bytes:
+            return None
+        return f"{self._out}: {used / _GB:.2f} GiB without recordings, keep_gb = {self._settings.keep_gb:g}; raise it"
+
+    def _used_bytes(self) -> int:
+        """Add up the sizes of all files but the recordings, bytes."""
+        total = 0
+        for path in self._out.rglob("*"):
+            if (self._out / "recordings") not in path.parents:
+                try:
+                    total += path.stat().st_size if path.is_file() else 0
+                except FileNotFoundError:  # removed meanwhile
+                    continue
+        return total
