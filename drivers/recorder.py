@@ -93,6 +93,8 @@ class Recorder:
         self._has_flushed = False
         """True if the present file has data on the disk."""
         self._detail = ""
+        self._short_of_room = False
+        """True while recording is paused for too little free space."""
         self._received = self._lost = self._files = self._removed = 0
         folder.mkdir(parents=True, exist_ok=True)
         recover(folder)
@@ -155,15 +157,19 @@ class Recorder:
         if self._clock() < self._retry_s:
             return False
         free = shutil.disk_usage(self._folder).free
-        if free < self._settings.min_free_gb * _GB:
+        least = self._settings.min_free_gb * _GB
+        if self._short_of_room:  # a file fits, so that recording does not stop again at once
+            least += self._settings.file_mb * _MB
+        if free < least:
             self._pause(f"only {free / _GB:.2f} GiB free")
+            self._short_of_room = True
             return False
+        self._short_of_room = False
         self._writer = McapWriter(_new_name(self._folder, self.stamp_ns), as_arrived=True)
         self._begun_ns = self._flushed_ns = self.stamp_ns
         self._flushed_s = self._clock()
         self._files += 1
         self._has_flushed = False
-        self._detail = ""
         return True
 
     def _flush(self, writer: McapWriter) -> None:
@@ -182,6 +188,9 @@ class Recorder:
             sync_folder(self._folder)
         if short:
             self._pause("too little free space")
+            self._short_of_room = True
+        else:
+            self._detail = ""  # only now: it records where what it writes reaches the disk
 
     def _remove_oldest(self, current: int) -> None:
         """Remove the oldest files until all fit into `keep_gb`; `current` is the size of the open file, bytes."""

@@ -182,11 +182,11 @@ class Notifier(Outlet):
             self._set_workers(self._outbox)
 
     def close(self, timeout_s: float) -> None:
-        """Try once more to deliver the messages that wait; the others stay on the disk."""
+        """Deliver the messages that wait, but to addresses that take nothing; the others stay on the disk."""
         end_s, workers = time.monotonic() + timeout_s, self._workers.values()
         self._heartbeat.stop()
         for worker in workers:
-            worker.close()
+            worker.stop() if worker.failed else worker.close()
         for worker in workers:
             worker.join(max(0.0, end_s - (1.0 - _CLOSING_SHARE) * timeout_s - time.monotonic()))
             worker.stop()
