@@ -7,7 +7,7 @@ WARM := .venv/.compiled
 # What `make test` leaves to `make test-all`; each test that is not slow is in one of the two.
 HEAVY := (engine or system or docs) and not representative
 
-.PHONY: demo test test-all test-heavy test-slow lint format lock benchmark docs clean
+.PHONY: demo test test-all test-heavy test-slow lint format lock audit benchmark docs clean
 
 demo: $(STAMP)
 	$(BIN)/shm-monitor demo
@@ -47,6 +47,12 @@ docs: $(STAMP)
 lock: $(STAMP)
 	$(BIN)/pip install uv
 	$(BIN)/uv pip compile --quiet --upgrade --generate-hashes --no-annotate --no-header --python-version 3.11 requirements.in -o requirements.txt
+
+# The pinned packages against published faults, by a tool in an environment of its own; needs the network.
+audit:
+	$(PYTHON) -m venv out/audit
+	out/audit/bin/pip install --quiet --disable-pip-version-check pip-audit
+	out/audit/bin/pip-audit --disable-pip --require-hashes -r requirements.txt
 
 # Compiled functions are kept on the disk: made once, here, and not by several tests at the same time.
 $(WARM): $(STAMP) $(shell grep -rl "^@compiled" monitor)

@@ -98,6 +98,8 @@ class Recorder:
         """True if the present file has data on the disk."""
         self._detail = ""
         self._keep_bytes = settings.keep_gb * _GB
+        self._short_of_room = False
+        """True while recording is paused for too little free space."""
         self._received = self._lost = self._files = self._removed = 0
         folder.mkdir(parents=True, exist_ok=True)
         recover(folder)
@@ -188,9 +190,14 @@ class Recorder:
         if self._clock() < self._retry_s:
             return False
         free = shutil.disk_usage(self._folder).free
-        if free < self._settings.min_free_gb * _GB:
+        least = self._settings.min_free_gb * _GB
+        if self._short_of_room:  # a file fits, so that recording does not stop again at once
+            least += self._settings.file_mb * _MB
+        if free < least:
             self._pause(f"only {free / _GB:.2f} GiB free")
+            self._short_of_room = True
             return False
+        self._short_of_room = False
         self._writer = McapWriter(
             _new_name(self._folder, self._log_ns, self._clocks), as_arrived=True, clock=self._clocks
         )
@@ -198,7 +205,6 @@ class Recorder:
         self._flushed_s = self._clock()
         self._files += 1
         self._has_flushed = False
-        self._detail = ""
         return True
 
     def _flush(self, writer: McapWriter) -> None:
@@ -217,6 +223,9 @@ class Recorder:
             sync_folder(self._folder)
         if short:
             self._pause("too little free space")
+            self._short_of_room = True
+        else:
+            self._detail = ""  # only now: it records where what it writes reaches the disk
 
     def _remove_oldest(self, current: int) -> None:
         """Remove the oldest files until all fit into the limit; `current` is the size of the open file, bytes."""

@@ -18,6 +18,6 @@ class RecorderSettings(BaseModel):
     keep_gb: float = Field(default=20.0, gt=0)
     """Greatest disk space of all recordings, in GiB; beyond it the oldest files are removed."""
     min_free_gb: float = Field(default=0.2, ge=0)
-    """Free disk space below which recording pauses, in GiB; no file is removed to gain space."""
+    """Free disk space below which recording pauses, in GiB, until a file of `file_mb` fits too; no file is removed for it."""
     flush_s: float = Field(default=10.0, gt=0)
     """Length of data that a power cut may lose."""

@@ -6,11 +6,13 @@ import json
 import logging
 import re
 import sys
+import threading
 from datetime import UTC, datetime
 from typing import Literal
 
 from monitor.config import LogSettings
 
+_log = logging.getLogger(__name__)
 _PLAIN = re.compile(r"[^\s\"=\\\x00-\x1f\x7f-\x9f]+")
 _MOST_TEXT = 4000
 
@@ -54,5 +56,13 @@ def begin(settings: LogSettings, site: str) -> None:
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(LineFormatter(settings.format, site))
     logging.basicConfig(handlers=[handler], level=settings.level.upper(), force=True)
+    threading.excepthook = _log_thread_end
     for name in ("apprise", "urllib3", "requests"):
         logging.getLogger(name).setLevel(logging.CRITICAL + 1)
+
+
+def _log_thread_end(ended: threading.ExceptHookArgs) -> None:
+    """Log the error that ended a thread, which Python would print in many lines."""
+    if ended.exc_value is not None and not isinstance(ended.exc_value, SystemExit):
+        name = "" if ended.thread is None else ended.thread.name
+        _log.error("thread %s ended", name, exc_info=ended.exc_value)

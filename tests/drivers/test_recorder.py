@@ -277,3 +277,33 @@ def test_the_oldest_to_arrive_goes_first_whatever_its_name(tmp_path: Path, cut: 
         recorder.write(block)
     recorder.close()
     assert not [path for path in tmp_path.iterdir() if path.name.startswith("2100")]
+
+
+@pytest.mark.parametrize("cause", ["free space", "full disk"])
+def test_a_disk_at_its_limit_is_one_stop_and_one_return(
+    tmp_path: Path, cut: Cut, clock: Clock, monkeypatch: pytest.MonkeyPatch, cause: str
+) -> None:
+    """Who is told of each change must not be told for ever."""
+    k, flush = 0, McapWriter.flush
+
+    class Usage:
+        @property
+        def free(self) -> int:
+            at_limit = (1 << 30) + (-1 if k % 5 else 1) * (1 << 20)  # other programs write and delete
+            return at_limit if cause == "free space" and 20 <= k < 60 else 2 << 30
+
+    def failing(writer: McapWriter) -> None:
+        if cause == "full disk" and 20 <= k < 60:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        flush(writer)
+
+    monkeypatch.setattr(module.shutil, "disk_usage", lambda _: Usage())
+    monkeypatch.setattr(McapWriter, "flush", failing)
+    recorder, told = make(tmp_path, clock, flush_s=2.0, min_free_gb=1.0), [True]
+    for k, block in enumerate(blocks(cut, 90.0)):  # noqa: B007 - read above
+        clock.now += 1.0
+        recorder.write(block)
+        if recorder.health().recording != told[-1]:
+            told.append(recorder.health().recording)
+    recorder.close()
+    assert told == [True, False, True]

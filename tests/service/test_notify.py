@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import ast
+import contextlib
 import http.server
 import json
 import logging
+import re
+import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -18,7 +22,7 @@ import pytest
 from monitor.core.results import Alarm, AlarmCondition, Level, Skipped, WindowResult
 from monitor.damage import Assessment, State
 from monitor.service.daemon_health import losses
-from monitor.service.outlets import notify
+from monitor.service.outlets import delivery_workers, notices
 from monitor.service.outlets.notices import Notice, NoticeSettings, Told, of_finding, of_health, of_window
 from monitor.service.outlets.notify import Addresses, Notifier, NotifySettings, addresses
 from monitor.service.outlets.outbox import Outbox
@@ -155,6 +159,7 @@ class Hook(http.server.ThreadingHTTPServer):
     def __init__(self) -> None:
         self.status = 200
         self.got: list[dict[str, Any]] = []
+        self.paths: list[str] = []
         self.tries = self.beats = 0
         super().__init__(("127.0.0.1", 0), _Handler)
         threading.Thread(target=self.serve_forever, args=(0.02,), daemon=True).start()
@@ -181,6 +186,7 @@ class _Handler(http.server.BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         self.server.beats += 1
+        self.server.paths.append(self.path)
         self.send_response(self.server.status)
         self.end_headers()
 
@@ -197,7 +203,7 @@ def hook() -> Iterator[Hook]:
 
 @pytest.fixture(autouse=True)
 def _quick(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(notify, "_RETRY_S", (0.05, 0.2))
+    monkeypatch.setattr(delivery_workers, "_RESEND_S", (0.05, 0.2))
 
 
 def until(is_so: Callable[[], object], what: str, timeout_s: float = 30.0) -> None:
@@ -297,9 +303,9 @@ def test_mail(tmp_path: Path) -> None:
 
 
 def test_a_heartbeat_carries_the_head_of_the_ledger() -> None:
-    assert notify._with_head("http://a.test/beat", None) == "http://a.test/beat"
-    assert notify._with_head("http://a.test/beat", "ab12") == "http://a.test/beat?ledger=ab12"
-    assert notify._with_head("http://a.test/b?status=up#x", "ab12") == "http://a.test/b?status=up&ledger=ab12#x"
+    assert delivery_workers._with_head("http://a.test/beat", None) == "http://a.test/beat"
+    assert delivery_workers._with_head("http://a.test/beat", "ab12") == "http://a.test/beat?ledger=ab12"
+    assert delivery_workers._with_head("http://a.test/b?status=up#x", "ab12") == "http://a.test/b?status=up&ledger=ab12#x"
 
 
 def test_the_heart_beats_while_windows_come_and_no_longer(tmp_path: Path, hook: Hook) -> None:
@@ -372,6 +378,7 @@ def test_the_outbox_is_bounded_and_survives_damage_and_a_full_disk(
     notifier._outbox = box
     assert losses([("Notifier", notifier)]) == {"Notifier": 15}
     assert len([r for r in caplog.records if "given up" in r.getMessage()]) == 15
+    box.save()
     again = Outbox(place, most=10)
     assert again.told.levels == {24: Level.WARNING}
     first = again.first("a")
@@ -385,11 +392,183 @@ def test_the_outbox_is_bounded_and_survives_damage_and_a_full_disk(
     with monkeypatch.context() as patch:
         patch.setattr("monitor.service.outlets.outbox.write_atomically", full)
         again.add(Told(), [Notice("alarm", True, "kept", "")], ["a"])
+        again.save()
         assert again.failed is not None and "space" in again.failed
     again.add(Told(lost=True), [], ["a"])
+    again.save()
     assert again.failed is None and len(Outbox(place)) == 10
     for damage in (b"", b"{", b'{"version": 9}\n', b"[]\n", b"\xff\xfe", np.random.default_rng(1).bytes(300)):
         place.write_bytes(damage)
         fresh = Outbox(place)
         assert len(fresh) == 0 and fresh.told == Told()
         assert fresh.failed and not place.exists()
+
+
+class Drip:
+    """Takes every request and answers with one byte of a header now and then, for ever."""
+
+    def __init__(self, pause_s: float = 0.05) -> None:
+        self.calls = 0
+        self._pause_s = pause_s
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self._closed = threading.Event()
+        threading.Thread(target=self._accept, daemon=True).start()
+
+    @property
+    def address(self) -> str:
+        return f"127.0.0.1:{self._listener.getsockname()[1]}"
+
+    def close(self) -> None:
+        self._closed.set()
+        self._listener.close()
+
+    def _accept(self) -> None:
+        with contextlib.suppress(OSError):
+            while True:
+                connection, _ = self._listener.accept()
+                self.calls += 1
+                threading.Thread(target=self._answer, args=(connection,), daemon=True).start()
+
+    def _answer(self, connection: socket.socket) -> None:
+        with contextlib.suppress(OSError), connection:
+            connection.sendall(b"HTTP/1.1 200 OK\r\nX-Long: ")
+            while not self._closed.wait(self._pause_s):
+                connection.sendall(b"a")
+
+
+@pytest.fixture
+def drip() -> Iterator[Drip]:
+    server = Drip()
+    yield server
+    server.close()
+
+
+def test_an_address_that_drips_holds_up_no_other_and_is_told_of(
+    tmp_path: Path, hook: Hook, drip: Drip, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(delivery_workers, "_DEADLINE_S", 1.5)
+    one = notifier(tmp_path / "outbox.jsonl", f"json://{drip.address}/hush-hush", hook.url)
+    for level in (Level.ADVISORY, Level.WARNING, Level.ALARM):
+        one.window(window(0, s2=level), "")
+    until(lambda: len(hook.got) == 3, "the other has all")
+    until(lambda: drip.calls >= 2, "the attempt ended, and there is another")
+    assert re.fullmatch(r"delivery to address 1 \(json\) has taken \d+ s", str(one.failed))
+    begun = time.monotonic()
+    one.close(1.0)
+    assert time.monotonic() - begun < 5.0
+    until(lambda: not any(t.name.startswith("notify") for t in threading.enumerate()), "its worker ends")
+    assert len(Outbox(tmp_path / "outbox.jsonl")) == 3 and one.dropped == 0
+
+
+def test_a_heartbeat_that_drips_holds_up_no_message(
+    tmp_path: Path, hook: Hook, drip: Drip, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(delivery_workers, "_DEADLINE_S", 1.0)
+    to = Addresses((hook.url,), f"http://{drip.address}/hush-hush")
+    one = Notifier("lab", NotifySettings(heartbeat_s=0.05), to, tmp_path / "outbox.jsonl")
+    one.window(window(0), "")
+    until(lambda: drip.calls, "a beat")
+    one.window(window(10, s2=Level.ALARM), "")
+    until(lambda: hook.got, "delivered")
+    until(lambda: one.failed, "told")
+    assert re.fullmatch(r"heartbeat not heard for \d+ s", str(one.failed))
+    one.close(1.0)
+
+
+@pytest.mark.parametrize("says", [True, False])
+def test_the_heartbeat_says_whether_messages_get_out(tmp_path: Path, hook: Hook, says: bool) -> None:
+    beat = f"http://127.0.0.1:{hook.server_port}/"
+    blocked = f"{beat}blocked" if says else None
+    to = Addresses(("json://127.0.0.1:9/away",), f"{beat}well", blocked)
+    one = Notifier("lab", NotifySettings(heartbeat_s=0.05), to, tmp_path / "outbox.jsonl")
+    one.window(window(0), "")
+    until(lambda: "/well" in hook.paths, "all is well")
+    one.window(window(10, s2=Level.ALARM), "")
+    until(lambda: one.failed, "not delivered")
+    time.sleep(0.5)  # a beat of before may be on its way
+    hook.paths.clear()
+    for count in range(3):
+        one.window(window(20.0 + count, s2=Level.ALARM), "")
+        if says:
+            until(lambda n=count: len(hook.paths) > n, "a beat")
+    time.sleep(0.0 if says else 0.5)
+    assert set(hook.paths) == ({"/blocked"} if says else set())
+    one.change(NotifySettings(heartbeat_s=0.05), Addresses((), f"{beat}well", blocked))
+    hook.paths.clear()
+    one.window(window(30, s2=Level.ALARM), "")
+    until(lambda: "/well" in hook.paths, "well again")
+    one.close(5.0)
+
+
+def test_alarms_go_before_housekeeping(tmp_path: Path, hook: Hook) -> None:
+    hook.status = 503
+    one = notifier(tmp_path / "outbox.jsonl", hook.url)
+    one.health_line(health(recording=False))
+    until(lambda: hook.tries, "tried")
+    one.health_line(health())
+    one.window(window(0, s2=Level.ALARM), "")
+    one.window(window(10), "")
+    hook.status = 200
+    until(lambda: len(hook.got) == 4, "all have come")
+    one.close(5.0)
+    wanted = ["alarm: story 2", "cleared: story 2", "recorder stopped", "recorder goes on"]
+    assert hook.titles == [f"[lab] {title}" for title in wanted]
+
+
+def test_housekeeping_leaves_half_of_the_hour_s_messages_to_alarms(tmp_path: Path, hook: Hook) -> None:
+    one = notifier(tmp_path / "outbox.jsonl", hook.url, most_per_hour=4)
+    for k in range(6):
+        one.health_line(health(recording=k % 2 == 1))
+    until(lambda: len(hook.got) == 2, "half")
+    for level in (Level.ADVISORY, Level.WARNING, Level.ALARM):
+        one.window(window(0, s2=level), "")
+    until(lambda: len(hook.got) == 4, "the other half")
+    one.close(5.0)
+    assert hook.titles[2:] == ["[lab] advisory: story 2", "[lab] warning: story 2"]
+    assert len(Outbox(tmp_path / "outbox.jsonl")) == 5
+
+
+def test_a_full_outbox_gives_up_housekeeping_first_and_counts_it(tmp_path: Path) -> None:
+    box = Outbox(tmp_path / "outbox.jsonl", most=4)
+    for k in range(4):
+        box.add(Told(), [Notice("alarm", False, f"a{k}", ""), Notice("recorder", False, f"r{k}", "")], ["a"])
+    assert box.dropped == 4
+    box.save()
+    again, titles = Outbox(tmp_path / "outbox.jsonl"), []
+    while (message := again.first("a")) is not None:
+        titles.append(message.notice.title)
+        again.delivered(message, "a")
+    assert titles == ["a0", "a1", "a2", "a3"]
+
+
+def test_every_kind_of_notice_has_its_place(tmp_path: Path) -> None:
+    made = {node.args[0].value for node in ast.walk(ast.parse(Path(str(notices.__file__)).read_text()))
+            if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "Notice"
+            and isinstance(node.args[0], ast.Constant)}  # fmt: skip
+    assert made == {*notices.URGENT, *notices.HOUSEKEEPING}
+    later = Notice("of a later version", False, "", "")
+    assert all(Notice(kind, False, "", "").rank < later.rank for kind in made)
+
+
+def test_what_changes_while_an_address_hangs_is_told_or_counted(
+    tmp_path: Path, drip: Drip, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(delivery_workers, "_DEADLINE_S", 60.0)
+    one = notifier(tmp_path / "outbox.jsonl", f"json://{drip.address}/x")
+    for k in range(300):  # more than wait
+        one.window(window(2.0 * k, s2=Level.ALARM), "")
+        one.window(window(2.0 * k + 1.0), "")
+    assert one.dropped == 600 - 256
+    one.close(0.2)
+    assert len(Outbox(tmp_path / "outbox.jsonl")) == 256
+
+
+def test_a_disk_that_hangs_holds_up_no_message(tmp_path: Path, hook: Hook, monkeypatch: pytest.MonkeyPatch) -> None:
+    answers = threading.Event()
+    monkeypatch.setattr("monitor.service.outlets.outbox.write_atomically", lambda *_: answers.wait(60.0))
+    one = notifier(tmp_path / "outbox.jsonl", hook.url)
+    for level in (Level.ADVISORY, Level.WARNING, Level.ALARM):
+        one.window(window(0, s2=level), "")
+    until(lambda: len(hook.got) == 3, "delivered")
+    answers.set()
+    one.close(5.0)

@@ -9,6 +9,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 import urllib.request
 from collections.abc import Callable, Iterator, Sequence
@@ -19,9 +20,10 @@ import numpy as np
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
-from monitor.config import configuration, security_check
+from monitor.config import LogSettings, configuration, security_check
 from monitor.core.errors import BadConfigurationError, MissingInputError
 from monitor.model.simulation import simulate
+from monitor.service import logs
 from monitor.service.logs import LineFormatter
 from monitor.service.outlets import inbox
 from monitor.service.outlets.inbox import Inbox
@@ -354,6 +356,19 @@ def test_an_event_is_one_line_whatever_it_holds(style: str) -> None:
     row = formatter.format(record)
     assert row.isprintable() and len(row) < 6000
     assert "site=bench" in row if style == "text" else json.loads(row)["message"].startswith("two\nlines")
+
+
+def test_the_end_of_a_thread_is_one_line(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
+    root = logging.getLogger()
+    monkeypatch.setattr(root, "handlers", [])
+    monkeypatch.setattr(root, "level", root.level)
+    monkeypatch.setattr(threading, "excepthook", threading.excepthook)
+    logs.begin(LogSettings(), "bench")
+    thread = threading.Thread(target=Path("/nowhere/two\nlines").read_text, name="t")
+    thread.start()
+    thread.join()
+    row = capfd.readouterr().err
+    assert row.count("\n") == 1 and "thread t ended" in row and "FileNotFoundError" in row
 
 
 def test_open_doors_are_named(tmp_path: Path, frame_text: str, main: Cli) -> None:

@@ -48,6 +48,8 @@ def test_the_unit_locks_the_service_in(name: str) -> None:
     assert found["StartLimitIntervalSec"] == "0"  # never give up
     assert found["ProtectSystem"] == "strict" and found["NoNewPrivileges"] == "true"
     assert found["User"] != "root" and found["CapabilityBoundingSet"] == "" and found["MemoryMax"]
+    assert int(found["LimitNOFILE"]) >= 1024 and int(found["TasksMax"]) >= 128
+    assert found["KillMode"] == "mixed"  # SIGTERM for the monitor alone, which ends its own processes
     assert found["OOMPolicy"] == "continue"  # a diagnosis that takes too much is no end of the monitor
     commands = [shlex.split(found[key])[1] for key in ("ExecStartPre", "ExecStart")]
     assert commands == ["check", "run"]
@@ -71,6 +73,7 @@ def test_the_container_file_is_of_known_form() -> None:
     text = re.sub(r"\\\n", " ", (DEPLOY / "Containerfile").read_text())
     rows = [row.split(None, 1) for row in text.splitlines() if row and not row.startswith("#")]
     known = {
+        "ARG",
         "FROM",
         "WORKDIR",
         "COPY",
@@ -94,6 +97,19 @@ def test_the_container_file_is_of_known_form() -> None:
     assert any(name == "RUN" and "--require-hashes" in rest for name, rest in rows)
     health = next(rest for name, rest in rows if name == "HEALTHCHECK")
     assert "shm-monitor status" in health
+
+
+def test_images_are_named_by_version_and_containers_have_limits() -> None:
+    """A digest can be put in the place of each version; it is known only where there is a registry."""
+    text = (DEPLOY / "Containerfile").read_text()
+    assert re.findall(r"^FROM (\S+)", text, re.MULTILINE) == ["${PYTHON_IMAGE}"] * 2
+    assert re.search(r"^ARG PYTHON_IMAGE=\S+:3\.\d+-\S+$", text, re.MULTILINE)
+    compose = (DEPLOY / "compose.yaml").read_text()
+    pinned = re.search(r"^eclipse-zenoh==(\S+)", (DEPLOY.parent / "requirements.txt").read_text(), re.MULTILINE)
+    assert pinned is not None and f"${{ZENOH_IMAGE:-eclipse/zenoh:{pinned[1]}}}" in compose
+    monitor, router = compose.split("\nservices:\n")[0], compose.partition("  router:\n")[2].partition("  frame-1:")[0]
+    for part in (monitor, router):
+        assert all(f"{limit}: " in part for limit in ("mem_limit", "pids_limit", "ulimits")), part
 
 
 def test_the_site_file_is_sound_and_opens_no_door(tmp_path: Path, main: Cli) -> None:

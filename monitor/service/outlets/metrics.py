@@ -8,12 +8,13 @@ from __future__ import annotations
 import logging
 import platform
 import re
+import ssl
 import threading
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, cast
 
-from prometheus_client import CollectorRegistry, start_http_server
+from prometheus_client import CollectorRegistry, make_wsgi_app
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, HistogramMetricFamily, Metric
 from prometheus_client.registry import Collector
 from pydantic import field_validator, model_validator
@@ -22,6 +23,7 @@ from monitor import __version__
 from monitor.core import WHOLE, Gap, Level, Settings, WindowResult, parse_address
 from monitor.damage import State
 from monitor.service.outlets.base import Outlet
+from monitor.service.outlets.http_server import HttpServer
 
 _log = logging.getLogger(__name__)
 _MOST_LABELS = 256
@@ -96,7 +98,7 @@ class Metrics(Collector, Outlet):
     def __init__(self, site: str, settings: MetricsSettings, folder: Path = Path()) -> None:
         self.port: int | None = None
         self._site, self._settings, self._folder = site, settings, folder
-        self._server: Any = None
+        self._server: HttpServer | None = None
         self._lock = threading.Lock()
         self._health: Mapping[str, Any] = {}
         self._result: WindowResult | None = None
@@ -140,8 +142,7 @@ class Metrics(Collector, Outlet):
     def close(self, timeout_s: float) -> None:
         """Stop listening."""
         if self._server is not None:
-            self._server.shutdown()
-            self._server.server_close()
+            self._server.close(timeout_s)
 
     def collect(self) -> Iterator[Metric]:
         """Build all metrics from the present state."""
@@ -173,21 +174,34 @@ class Metrics(Collector, Outlet):
         s = self._settings
         registry = CollectorRegistry(auto_describe=False)
         registry.register(self)
-        host, port = s.address
-        tls: dict[str, Any] = {
-            name: str(self._folder / path)
-            for name, path in (("certfile", s.certificate), ("keyfile", s.private_key), ("client_cafile", s.client_ca))
-            if path is not None
-        }
         try:
-            self._server, _ = start_http_server(
-                port, host, registry, client_auth_required=s.client_ca is not None, **tls
-            )
-            self.port, self.failed = self._server.server_port, None
+            self._server = HttpServer(*s.address, make_wsgi_app(registry), self._tls())
+            self.port, self.failed = self._server.port, None
         except (OSError, ValueError) as error:
             if self.failed is None:
                 _log.error("no metrics at %s for now: %s", s.listen, error)
             self.failed = f"{s.listen}: {error}"
+
+    def _tls(self) -> ssl.SSLContext | None:
+        """Load the certificates; None without one.
+
+        Raises
+        ------
+        OSError
+            A file is missing or not what it should be; the message names the files.
+        """
+        s = self._settings
+        if s.certificate is None or s.private_key is None:
+            return None
+        names = [str(path) for path in (s.certificate, s.private_key, s.client_ca) if path is not None]
+        try:
+            client_ca = None if s.client_ca is None else str(self._folder / s.client_ca)
+            context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH, cafile=client_ca)
+            context.verify_mode = ssl.CERT_NONE if client_ca is None else ssl.CERT_REQUIRED
+            context.load_cert_chain(self._folder / s.certificate, self._folder / s.private_key)
+        except OSError as error:
+            raise OSError(f"{', '.join(names)}: {error.strerror or error}") from error
+        return context
 
 
 def reason_class(reason: str) -> str:

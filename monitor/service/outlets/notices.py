@@ -17,6 +17,11 @@ from monitor.damage import Assessment, State
 
 _MOST_TEXT = 1000
 
+URGENT = ("alarm", "doubtful", "finding")
+"""Kinds of notices on the state of the structure, the most urgent first."""
+HOUSEKEEPING = ("blind", "source", "recorder")
+"""Kinds of notices on the monitor itself, the most urgent first; they wait for every urgent one."""
+
 
 class NoticeSettings(Settings):
     """Settings of ``[notify]`` that select what is announced, without the addresses."""
@@ -36,11 +41,22 @@ class Notice:
     """Message to people."""
 
     kind: str
-    """``alarm``, ``doubtful``, ``blind``, ``finding``, ``source`` or ``recorder``."""
+    """One of `URGENT` or `HOUSEKEEPING`."""
     good: bool
     """True if the message announces the end of a trouble."""
     title: str
     text: str
+
+    @property
+    def rank(self) -> int:
+        """Place of the kind in the order of delivery, 0 for the most urgent."""
+        kinds = (*URGENT, *HOUSEKEEPING)
+        return kinds.index(self.kind) if self.kind in kinds else len(kinds)  # the file of a later version has others
+
+    @property
+    def urgent(self) -> bool:
+        """True if the notice is on the state of the structure."""
+        return self.kind in URGENT
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,39 +1,37 @@
 """Notifications to people through apprise (e-mail, webhooks, chat ...), and a heartbeat to an external supervisor.
 
-Observations arrive on the monitor's thread.  A separate thread derives messages from them, stores the messages on the disk and
-delivers them.  An undelivered message is tried again without end, after 1, 2, 4 .. 300 s, and survives restarts.  A message
-that was delivered just before a power cut, so that its delivery was not recorded, is sent again with the same number.
+Messages are derived on the monitor's thread, in memory.  One thread stores them on the disk, and one for each address delivers
+them, so that neither a disk nor an address that hangs holds up another.  An undelivered message is tried again without end,
+after 1, 2, 4 .. 300 s, and survives restarts.  A message that was delivered just before a power cut, so that its delivery was
+not recorded, or by an address that did not confirm it in time, is sent again with the same number.
 """
 
 from __future__ import annotations
 
-import hashlib
 import logging
 import os
 import re
 import threading
 import time
-from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pydantic import Field
 
 from monitor.core import WindowResult
 from monitor.service.outlets import notices
 from monitor.service.outlets.base import Outlet
+from monitor.service.outlets.delivery_workers import AddressWorker, HeartbeatWorker
 from monitor.service.outlets.notices import NoticeSettings
-from monitor.service.outlets.outbox import Message, Outbox
-
-if TYPE_CHECKING:
-    import apprise
+from monitor.service.outlets.outbox import Outbox
 
 _log = logging.getLogger(__name__)
-_RETRY_S = (1.0, 300.0)
-_TIMEOUT_S = 10.0
-_MOST_OBSERVATIONS = 256
+_RETRY_SAVE_S = 10.0
+"""Pause before the outbox is written again where the disk did not accept it. [s; judgement]"""
+_CLOSING_SHARE = 0.8
+"""Share of the time for closing in which messages are still delivered; the rest is for storing them. [1; judgement]"""
 _VARIABLE = re.compile(r"\$\{(\w+)\}")
 
 
@@ -45,12 +43,14 @@ class NotifySettings(NoticeSettings):
     url_file: Path | None = None
     """File with one such URL a line; relative to the site file."""
     heartbeat_url: str | None = None
-    """URL that is fetched every `heartbeat_s` while windows are produced, with the ledger's head as ``ledger=HASH`` in its query;
-    ``${NAME}`` as in `urls`."""
+    """URL that is fetched every `heartbeat_s` while windows are produced and messages get out, with the ledger's head as
+    ``ledger=HASH`` in its query; ``${NAME}`` as in `urls`."""
+    heartbeat_blocked_url: str | None = None
+    """URL that is fetched in place of `heartbeat_url` while an address takes no messages; without it none is fetched then."""
     heartbeat_s: float = Field(default=300.0, gt=0)
     """Shortest time from one heartbeat to the next."""
     most_per_hour: int = Field(default=60, ge=1)
-    """Largest number of messages to one address in an hour; further messages wait."""
+    """Largest number of messages to one address in an hour, half of them kept for alarms, doubts and findings; more wait."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,6 +59,7 @@ class Addresses:
 
     urls: tuple[str, ...] = field(default=(), repr=False)
     heartbeat_url: str | None = field(default=None, repr=False)
+    heartbeat_blocked_url: str | None = field(default=None, repr=False)
 
 
 def addresses(settings: NotifySettings, folder: Path) -> Addresses:
@@ -92,45 +93,24 @@ def addresses(settings: NotifySettings, folder: Path) -> Addresses:
         return "" if missing else _VARIABLE.sub(lambda match: os.environ[match[1]], text)
 
     urls = [(place, expanded(place, url)) for place, url in named]
-    problems += [f"{place}: no URL that apprise knows" for place, url in urls if url and _service(url) is None]
-    heartbeat = None if settings.heartbeat_url is None else expanded("heartbeat_url", settings.heartbeat_url)
-    if heartbeat and not heartbeat.startswith(("http://", "https://")):
-        problems.append("heartbeat_url: no http:// or https:// URL")
+    problems += [f"{place}: no URL that apprise knows" for place, url in urls if url and not _known(url)]
+    beats: list[str | None] = []
+    for place in ("heartbeat_url", "heartbeat_blocked_url"):
+        text = getattr(settings, place)
+        beats.append(None if text is None else expanded(place, text))
+        if beats[-1] and not beats[-1].startswith(("http://", "https://")):
+            problems.append(f"{place}: no http:// or https:// URL")
     if problems:
         raise ValueError("\n".join(problems))
-    return Addresses(tuple(dict.fromkeys(url for _, url in urls)), heartbeat)
+    return Addresses(tuple(dict.fromkeys(url for _, url in urls)), *beats)
 
 
-def _service(url: str) -> apprise.NotifyBase | None:
-    """Create apprise's service for a URL; None if apprise does not know it."""
+def _known(url: str) -> bool:
+    """Return whether apprise knows the service of a URL."""
     import apprise
 
     logging.getLogger("apprise").setLevel(logging.CRITICAL + 1)  # it logs addresses, which hold secrets
-    asset = apprise.AppriseAsset(async_mode=False, app_id="shm-monitor", app_desc="structural health monitor")
-    service = apprise.Apprise.instantiate(url, asset=asset, suppress_exceptions=True)
-    return service if isinstance(service, apprise.NotifyBase) else None
-
-
-class _Channel:
-    """Delivery to one address: its service, its retries and its recent messages."""
-
-    def __init__(self, url: str) -> None:
-        self.service = _service(url)
-        self.key = hashlib.sha256(url.encode()).hexdigest()[:12]
-        self.due_s = self.wait_s = 0.0
-        self.failed = False
-        self.sent_s: deque[float] = deque()
-
-    @property
-    def name(self) -> str:
-        """Kind of the service, without any part of the address."""
-        return "" if self.service is None else str(self.service.service_name)
-
-
-def _with_head(url: str, head: str | None) -> str:
-    """Add the ledger's head to the query of a heartbeat's URL, so that whoever hears it can later tell a changed ledger."""
-    bare, mark, fragment = url.partition("#")
-    return url if head is None else f"{bare}{'&' if '?' in bare else '?'}ledger={head}{mark}{fragment}"
+    return isinstance(apprise.Apprise.instantiate(url, suppress_exceptions=True), apprise.NotifyBase)
 
 
 class Notifier(Outlet):
@@ -160,23 +140,19 @@ class Notifier(Outlet):
     ) -> None:
         self._site, self._place, self._clock = site, place, clock
         self._settings, self._to = settings, to
-        self._channels: list[_Channel] = []
-        self._channels_outdated = True
-        self._error: str | None = None
+        self._workers: dict[str, AddressWorker] = {}
+        self._heartbeat = HeartbeatWorker(lambda: any(w.failed for w in self._workers.values()), clock)
         self._outbox: Outbox | None = None
-        self._observations: deque[Callable[[Outbox], None]] = deque(maxlen=_MOST_OBSERVATIONS)
         self._data_s = clock()
-        self._ledger_head: str | None = None
-        self._heartbeat_sent_s, self._windows, self._heartbeat_windows = float("-inf"), 0, 0
-        self._changed = threading.Condition()
-        self._closed = False
-        self._thread: threading.Thread | None = None
+        self._closed = threading.Event()
+        self._storing = threading.Thread(target=self._store, name="outbox", daemon=True)
 
     @property
     def failed(self) -> str | None:
-        """Services that cannot be reached, or why messages cannot be stored; None if all is well."""
-        blocked = [f"{channel.name} not delivered" for channel in self._channels if channel.failed]
-        return self._error or (self._outbox and self._outbox.failed) or "; ".join(blocked) or None
+        """Addresses that cannot be reached, or why messages cannot be stored; None if all is well."""
+        stored = None if self._outbox is None else self._outbox.failed
+        reasons = [stored, self._heartbeat.failed, *(worker.failed for worker in self._workers.values())]
+        return "; ".join(reason for reason in reasons if reason) or None
 
     @property
     def dropped(self) -> int:
@@ -185,141 +161,81 @@ class Notifier(Outlet):
 
     def window(self, result: WindowResult, line: str) -> None:
         """Announce alarms that the window raises, escalates or clears, and long times without a judged window."""
-        self._windows += 1
-        present = self.present
-        self._observe(
-            lambda outbox: self._add_notices(outbox, *notices.of_window(outbox.told, result, present, self._settings))
-        )
+        outbox = self._begun()
+        self._heartbeat.window()
+        self._add(outbox, *notices.of_window(outbox.told, result, self.present, self._settings))
 
     def health_line(self, line: Mapping[str, Any]) -> None:
         """Announce changes of the source's and the recorder's state."""
-        now, self._ledger_head = self._clock(), line.get("ledger_head")
+        outbox, now = self._begun(), self._clock()
+        self._heartbeat.vouch(line.get("ledger_head"))
         self._data_s = self._data_s if line["stream"] is None else now
-        silent_s = now - self._data_s
-        self._observe(
-            lambda outbox: self._add_notices(outbox, *notices.of_health(outbox.told, line, silent_s, self._settings))
-        )
+        self._add(outbox, *notices.of_health(outbox.told, line, now - self._data_s, self._settings))
 
     def finding(self, finding: Mapping[str, Any]) -> None:
         """Announce the finding of a diagnosis."""
-        present = self.present
-        self._observe(
-            lambda outbox: self._add_notices(outbox, *notices.of_finding(outbox.told, finding, present, self._settings))
-        )
+        outbox = self._begun()
+        self._add(outbox, *notices.of_finding(outbox.told, finding, self.present, self._settings))
 
     def change(self, settings: NotifySettings, to: Addresses) -> None:
         """Replace settings and addresses; messages that wait for a removed address are dropped."""
-        with self._changed:
-            self._settings, self._to, self._channels_outdated = settings, to, True
-            self._changed.notify_all()
+        self._settings, self._to = settings, to
+        if self._outbox is not None:
+            self._set_workers(self._outbox)
 
     def close(self, timeout_s: float) -> None:
-        """Try once more to deliver the messages that wait; the others stay on the disk."""
-        with self._changed:
-            self._closed = True
-            self._changed.notify_all()
-        if self._thread is not None:
-            self._thread.join(timeout_s)
+        """Deliver the messages that wait, but to addresses that take nothing; the others stay on the disk."""
+        end_s, workers = time.monotonic() + timeout_s, self._workers.values()
+        self._heartbeat.stop()
+        for worker in workers:
+            worker.stop() if worker.failed else worker.close()
+        for worker in workers:
+            worker.join(max(0.0, end_s - (1.0 - _CLOSING_SHARE) * timeout_s - time.monotonic()))
+            worker.stop()
+        if self._outbox is not None:
+            self._closed.set()
+            with self._outbox.changed:
+                self._outbox.changed.notify_all()
+            self._storing.join(max(0.0, end_s - time.monotonic()))
 
-    def _observe(self, observation: Callable[[Outbox], None]) -> None:
-        with self._changed:
-            self._observations.append(observation)
-            # Not started earlier, so that a daemon that may not use the folder does not touch it.
-            if self._thread is None:
-                self._thread = threading.Thread(target=self._run, name="notify", daemon=True)
-                self._thread.start()
-            self._changed.notify_all()
+    def _begun(self) -> Outbox:
+        """Return the outbox; the first call reads it and starts the threads.
 
-    def _add_notices(self, outbox: Outbox, told: notices.Told, found: Sequence[notices.Notice]) -> None:
+        Not earlier, so that a daemon that may not use the folder does not touch it.
+        """
+        if self._outbox is None:
+            self._outbox = Outbox(self._place)
+            self._set_workers(self._outbox)
+            self._storing.start()
+        return self._outbox
+
+    def _set_workers(self, outbox: Outbox) -> None:
+        """Start workers for new addresses and stop those of removed ones."""
+        before, workers = dict(self._workers), dict[str, AddressWorker]()
+        for number, url in enumerate(self._to.urls, start=1):
+            most = self._settings.most_per_hour
+            worker = before.pop(url, None) or AddressWorker(url, number, outbox, self._site, most, self._clock)
+            worker.number, worker.most_per_hour = number, most
+            workers[url] = worker
+        self._workers = workers  # at once: the heartbeat's thread reads it
+        for removed in before.values():
+            removed.stop()
+        outbox.only(worker.key for worker in self._workers.values())
+        self._heartbeat.change(self._to.heartbeat_url, self._to.heartbeat_blocked_url, self._settings.heartbeat_s)
+
+    def _add(self, outbox: Outbox, told: notices.Told, found: Sequence[notices.Notice]) -> None:
         """Log notices and queue them for every address."""
         for notice in found:
             _log.warning("%s%s", notice.title, f": {notice.text}" if notice.text else "")
-        outbox.add(told, found, [channel.key for channel in self._channels])
+        outbox.add(told, found, [worker.key for worker in self._workers.values()])
 
-    def _run(self) -> None:
-        """Process observations and deliver messages until closed (the thread's work)."""
-        outbox = self._outbox = Outbox(self._place)
-        while True:
-            with self._changed:
-                self._changed.wait_for(
-                    lambda: self._observations or self._channels_outdated or self._closed, self._pause(outbox)
-                )
-                observations, closed = list(self._observations), self._closed
-                self._observations.clear()
-            try:
-                if self._channels_outdated:
-                    self._channels_outdated = False
-                    self._channels = [_Channel(url) for url in self._to.urls]
-                    outbox.only(channel.key for channel in self._channels)
-                for observation in observations:
-                    observation(outbox)
-                for channel in self._channels:
-                    self._deliver(outbox, channel, closed=closed)
-                self._send_heartbeat()
-                self._error = None
-            except Exception as error:  # noqa: BLE001 - a failing notification never stops the monitor
-                if self._error is None:
-                    _log.error("notifications: %s", type(error).__name__)  # its text may hold an address
-                self._error = type(error).__name__
-            if closed:
-                return
-
-    def _pause(self, outbox: Outbox) -> float:
-        """Return the time until the next retry is due, s; at most 10 s."""
-        waits = [channel.due_s - self._clock() for channel in self._channels if outbox.first(channel.key)]
-        return max(0.05, min([10.0, *waits]))
-
-    def _deliver(self, outbox: Outbox, channel: _Channel, *, closed: bool) -> None:
-        """Deliver the messages that wait for an address, until one fails or the limit of messages per hour is reached."""
-        while (message := outbox.first(channel.key)) is not None and (closed or self._clock() >= channel.due_s):
-            now = self._clock()
-            while channel.sent_s and now - channel.sent_s[0] >= 3600.0:
-                channel.sent_s.popleft()
-            if len(channel.sent_s) >= self._settings.most_per_hour:
-                channel.due_s = channel.sent_s[0] + 3600.0
-                return
-            if not self._send(channel, message):
-                channel.wait_s = min(max(_RETRY_S[0], 2.0 * channel.wait_s), _RETRY_S[1])
-                channel.due_s = now + channel.wait_s
-                if not channel.failed:
-                    _log.error("notifications: %s takes nothing; %d wait", channel.name, len(outbox))
-                channel.failed = True
-                return
-            channel.sent_s.append(now)
-            channel.due_s = channel.wait_s = 0.0
-            channel.failed = False
-            outbox.delivered(message, channel.key)
-
-    def _send(self, channel: _Channel, message: Message) -> bool:
-        """Send a message to one address; return whether it was delivered."""
-        notice = message.notice
-        body = f"{notice.text or notice.title}\n{message.when}, site {self._site}, message {message.id}"
-        kind = "success" if notice.good else "warning"
-        if channel.service is None:
-            return False
-        try:
-            return bool(channel.service.notify(body=body, title=f"[{self._site}] {notice.title}", notify_type=kind))
-        except Exception:  # noqa: BLE001 - a service may raise anything; the error is not logged, as it may hold an address
-            return False
-
-    def _send_heartbeat(self) -> None:
-        """Fetch the heartbeat's URL if it is due and windows were produced since the last time."""
-        import urllib.request  # imported here because it loads TLS, which only a heartbeat needs
-
-        url, now = self._to.heartbeat_url, self._clock()
-        if (
-            url is None
-            or self._windows == self._heartbeat_windows
-            or now - self._heartbeat_sent_s < self._settings.heartbeat_s
-        ):
-            return
-        self._heartbeat_sent_s, self._heartbeat_windows = now, self._windows
-        try:
-            with urllib.request.urlopen(
-                _with_head(url, self._ledger_head), timeout=_TIMEOUT_S
-            ) as answer:  # http(s) only: see `addresses`
-                answer.read(1024)
-        except (OSError, ValueError) as error:
-            _log.warning("heartbeat not heard: %s", type(error).__name__)
-            self._heartbeat_sent_s = now - self._settings.heartbeat_s + min(60.0, self._settings.heartbeat_s)
-            self._heartbeat_windows = -1
+    def _store(self) -> None:
+        """Write the outbox after each change until closed (the thread's work)."""
+        outbox = self._outbox
+        assert outbox is not None
+        while not self._closed.is_set():
+            outbox.wait_for_change(self._closed.is_set)
+            outbox.save()
+            if outbox.failed:
+                self._closed.wait(_RETRY_SAVE_S)
+        outbox.save()

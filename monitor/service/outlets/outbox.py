@@ -1,11 +1,12 @@
-"""Outbox of messages: stored on the disk until every address has received them, in order and in bounded number."""
+"""Outbox of messages: stored on the disk until every address has received them, by urgency and in bounded number."""
 
 from __future__ import annotations
 
 import contextlib
 import json
 import logging
-from collections.abc import Iterable, Sequence
+import threading
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -37,18 +38,21 @@ class Message:
 class Outbox:
     """Messages to deliver and the state that was announced last, in one file that is replaced as a whole with every change.
 
-    The announced state and the messages change together, so that no crash can make them inconsistent.  A file that cannot be
-    read is renamed.  If the disk does not accept the file, the messages stay in memory and `failed` says so.
+    The announced state and the messages change together, so that no crash can make them inconsistent.  Changes are made in
+    memory, by any thread, and never wait for the disk; `save` writes them.  A file that cannot be read is renamed.  If the disk
+    does not accept the file, the messages stay in memory and `failed` says so.
 
     Parameters
     ----------
     path : Path
         File of the outbox.
     most : int
-        Largest number of waiting messages; beyond it the oldest are given up and counted in `dropped`.
+        Largest number of waiting messages; beyond it the oldest of the least urgent are given up and counted in `dropped`.
 
     Attributes
     ----------
+    changed : Condition
+        Its lock guards the messages; it is notified of each change.
     told : Told
         State that was announced last.
     dropped : int
@@ -61,6 +65,8 @@ class Outbox:
         self._path, self._most = path, most
         self._messages: list[Message] = []
         self._next_id = 1
+        self._unsaved = False
+        self.changed = threading.Condition()
         self.told = Told()
         self.dropped = 0
         self.failed: str | None = None
@@ -75,47 +81,75 @@ class Outbox:
         notices = list(notices)
         if not notices and told == self.told:
             return
-        # Times change with every window; their change alone is not worth a write.
-        must_save = bool(notices) or replace(told, **_NO_TIMES) != replace(self.told, **_NO_TIMES)
-        self.told = told
-        for notice in notices:
-            self._messages += [Message(self._next_id, when, notice, tuple(to))] if to else []
-            self._next_id += 1
-        excess = max(0, len(self._messages) - self._most)
-        if excess:
-            _log.error("%s: %d messages wait; the oldest %d are given up", self._path, len(self._messages), excess)
-        self.dropped += excess
-        del self._messages[:excess]
-        if must_save:
-            self._save()
+        with self.changed:
+            # Times change with every window; their change alone is not worth a write.
+            self._unsaved |= bool(notices) or replace(told, **_NO_TIMES) != replace(self.told, **_NO_TIMES)
+            self.told = told
+            for notice in notices:
+                self._messages += [Message(self._next_id, when, notice, tuple(to))] if to else []
+                self._next_id += 1
+            self._give_up()
+            self.changed.notify_all()
 
-    def first(self, key: str) -> Message | None:
-        """Return the oldest message that the address `key` has not received; None if there is none."""
-        return next((m for m in self._messages if key in m.to), None)
+    def first(self, key: str, *, urgent: bool = False) -> Message | None:
+        """Return the most urgent message, among those the oldest, that the address `key` has not received; None if there is none.
+
+        With `urgent` only messages on the state of the structure count.
+        """
+        with self.changed:
+            waiting = (m for m in self._messages if key in m.to and (m.notice.urgent or not urgent))
+            return min(waiting, key=lambda m: (m.notice.rank, m.id), default=None)
 
     def delivered(self, message: Message, key: str) -> None:
         """Record that the address `key` has received a message."""
-        changed = (replace(m, to=tuple(k for k in m.to if k != key)) if m is message else m for m in self._messages)
-        self._messages = [m for m in changed if m.to]
-        self._save()
+        with self.changed:
+            self._keep(replace(m, to=tuple(k for k in m.to if m.id != message.id or k != key)) for m in self._messages)
 
     def only(self, keys: Iterable[str]) -> None:
         """Keep only messages to the addresses with these keys, because the other addresses were removed."""
         known = set(keys)
-        kept = (replace(m, to=tuple(k for k in m.to if k in known)) for m in self._messages)
-        self._messages = [m for m in kept if m.to]
+        with self.changed:
+            self._keep(replace(m, to=tuple(k for k in m.to if k in known)) for m in self._messages)
 
-    def _save(self) -> None:
-        levels = {str(k): v.value for k, v in self.told.levels.items()}
-        # Times are not stored: while the monitor is off there are no windows, so they mean nothing after a restart.
-        told = {**asdict(self.told), "levels": levels, **_NO_TIMES}
-        head = {"version": VERSION, "next_id": self._next_id, "told": told}
-        lines = [json.dumps(head), *(json.dumps(asdict(m)) for m in self._messages)]
+    def wait_for_change(self, stopped: Callable[[], bool]) -> None:
+        """Wait for a change that is not on the disk, or until `stopped` returns True when `changed` is notified."""
+        with self.changed:
+            self.changed.wait_for(lambda: self._unsaved or stopped())
+
+    def save(self) -> None:
+        """Write the present messages if the file holds others; one thread at a time may call this."""
+        with self.changed:
+            if not self._unsaved:
+                return
+            self._unsaved = False
+            levels = {str(k): v.value for k, v in self.told.levels.items()}
+            # Times are not stored: while the monitor is off there are no windows, so they mean nothing after a restart.
+            told = {**asdict(self.told), "levels": levels, **_NO_TIMES}
+            head = {"version": VERSION, "next_id": self._next_id, "told": told}
+            lines = [json.dumps(head), *(json.dumps(asdict(m)) for m in self._messages)]
         try:
             write_atomically(self._path, "\n".join(lines) + "\n")
             self.failed = None
         except OSError as error:
             self.failed = f"{self._path}: {error.strerror or error}"
+            self._unsaved = True
+
+    def _keep(self, messages: Iterable[Message]) -> None:
+        """Replace the messages by those of `messages` that still have an address to go to."""
+        kept = [m for m in messages if m.to]
+        self._unsaved |= kept != self._messages
+        self._messages = kept
+        self.changed.notify_all()
+
+    def _give_up(self) -> None:
+        """Remove and count the messages beyond the limit: of the least urgent kind, the oldest."""
+        excess = len(self._messages) - self._most
+        if excess <= 0:
+            return
+        gone = {m.id for m in sorted(self._messages, key=lambda m: (-m.notice.rank, m.id))[:excess]}
+        self._messages = [m for m in self._messages if m.id not in gone]
+        self.dropped += excess
+        _log.error("%s: %d messages wait; %d are given up", self._path, len(self._messages) + excess, excess)
 
     def _load(self) -> None:
         try:
@@ -127,7 +161,8 @@ class Outbox:
             messages = [
                 Message(int(m["id"]), str(m["when"]), Notice(**m["notice"]), tuple(map(str, m["to"]))) for m in lines
             ]
-            self._next_id, self.told, self._messages = int(head["next_id"]), told, messages[-self._most :]
+            self._next_id, self.told, self._messages = int(head["next_id"]), told, messages
+            self._give_up()
         except FileNotFoundError:
             return
         except OSError as error:

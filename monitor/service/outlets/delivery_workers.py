@@ -1,0 +1,287 @@
+"""Workers that deliver messages and the heartbeat: a thread for each address, so that none waits for another.
+
+A delivery runs in a process (`monitor.service.outlets.delivery`), which is ended at its deadline.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import logging
+import re
+import subprocess
+import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from monitor.service.outlets.outbox import Message, Outbox
+
+_log = logging.getLogger(__name__)
+
+_PROGRAM = Path(__file__).with_name("delivery.py")
+_DEADLINE_S = 30.0
+"""Longest time of one delivery in all. [s; judgement: a slow mail server takes seconds]"""
+_RESEND_S = (1.0, 300.0)
+"""First and longest pause before a message is tried again. [s; judgement]"""
+_LOOK_S = 10.0
+"""Longest pause of a worker for which something waits. [s; judgement]"""
+_HOUR_S = 3600.0
+"""Time over which `most_per_hour` counts. [s; definition]"""
+_UNHEARD_S = 60.0
+"""Longest pause before a heartbeat that was not heard is tried again. [s; judgement]"""
+
+
+class _Process:
+    """Process of a worker's present delivery, at most one at a time."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._running: subprocess.Popen[bytes] | None = None
+        self._stopped = False
+
+    def deliver(self, job: Mapping[str, Any]) -> bool:
+        """Do a job; return whether it was done within `_DEADLINE_S`."""
+        command = [sys.executable, "-P", str(_PROGRAM)]  # -P: the modules beside the program hide no library
+        try:
+            with self._lock:
+                if self._stopped:
+                    return False
+                self._running = process = subprocess.Popen(
+                    command,
+                    stdin=subprocess.PIPE,
+                    stdout=subprocess.DEVNULL,
+                    stderr=subprocess.DEVNULL,
+                    start_new_session=True,  # a signal from the keyboard is the daemon's
+                )
+        except OSError:  # no room for a process: as an address that does not answer
+            return False
+        try:
+            process.communicate(json.dumps({**job, "deadline_s": _DEADLINE_S}).encode(), _DEADLINE_S)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+        return process.returncode == 0
+
+    def stop(self) -> None:
+        """End the present delivery and allow no other."""
+        with self._lock:
+            self._stopped = True
+            if self._running is not None:
+                self._running.kill()
+
+
+class AddressWorker:
+    """Delivery of messages to one address, the most urgent first, each tried again until it is delivered.
+
+    Parameters
+    ----------
+    url : str
+        apprise URL; it holds secrets and is neither logged nor shown.
+    number : int
+        Place in the list of addresses, which names the address to people.
+    outbox : Outbox
+        Messages to deliver.
+    site : str
+        Name of the site, given in each message.
+    most_per_hour : int
+        Largest number of messages in an hour; half of them are kept for urgent ones.
+    clock : callable
+        Monotonic clock, s.
+    """
+
+    def __init__(
+        self, url: str, number: int, outbox: Outbox, site: str, most_per_hour: int, clock: Callable[[], float]
+    ) -> None:
+        self._url, self._outbox, self._site, self._clock = url, outbox, site, clock
+        self.key = hashlib.sha256(url.encode()).hexdigest()[:12]
+        self.number, self.most_per_hour = number, most_per_hour
+        self._tried_id = 0
+        self._due_s = self._wait_s = 0.0
+        self._failing_since_s: float | None = None
+        self._sent_s: deque[float] = deque()
+        self._closing = False
+        self._process = _Process()
+        self._thread = threading.Thread(target=self._work, name=f"notify {number}", daemon=True)
+        self._thread.start()
+
+    @property
+    def failed(self) -> str | None:
+        """Since when a delivery has been going on, once an attempt has failed; None if all is well."""
+        since_s = self._failing_since_s
+        return None if since_s is None else f"delivery to {self._name} has taken {self._clock() - since_s:.0f} s"
+
+    def close(self) -> None:
+        """Try once what waits, then end; `stop` ends at once."""
+        with self._outbox.changed:
+            self._closing = True
+            self._due_s = 0.0
+            self._outbox.changed.notify_all()
+
+    def join(self, timeout_s: float) -> None:
+        """Wait for the end for at most `timeout_s`."""
+        self._thread.join(timeout_s)
+
+    def stop(self) -> None:
+        """End the present delivery, then the worker; what waits stays in the outbox."""
+        self.close()
+        self._process.stop()
+
+    @property
+    def _name(self) -> str:
+        """Number and kind of the address, without any other part of it."""
+        scheme = re.match(r"(\w+)://", self._url)
+        return f"address {self.number}" + (f" ({scheme[1]})" if scheme else "")
+
+    def _work(self) -> None:
+        """Deliver messages until closed (the thread's work)."""
+        while (message := self._next()) is not None:
+            began_s = self._clock()
+            if self._process.deliver(self._job(message)):
+                self._sent_s.append(began_s)
+                self._due_s = self._wait_s = 0.0
+                self._failing_since_s = None
+                self._outbox.delivered(message, self.key)
+            elif self._closing:
+                return
+            else:
+                self._failed(message, began_s)
+
+    def _next(self) -> Message | None:
+        """Wait for the next message that is due; None if the worker is to end."""
+        with self._outbox.changed:
+            while True:
+                message, due_s = self._first()
+                wait_s = due_s - self._clock()
+                if message is not None and wait_s <= 0.0:
+                    return message
+                if self._closing:
+                    return None
+                self._outbox.changed.wait(min(wait_s, _LOOK_S) if message is not None else None)
+
+    def _first(self) -> tuple[Message | None, float]:
+        """Return the next message, None if none waits, and when it is due."""
+        now = self._clock()
+        while self._sent_s and now - self._sent_s[0] >= _HOUR_S:
+            self._sent_s.popleft()
+        message = self._outbox.first(self.key)
+        if message is None:
+            return None, now
+        most = self.most_per_hour if message.notice.urgent else -(-self.most_per_hour // 2)
+        if len(self._sent_s) >= most:
+            return message, self._sent_s[-most] + _HOUR_S
+        # A message that is more urgent than the one that was refused is tried at once.
+        return message, self._due_s if message.id == self._tried_id else now
+
+    def _failed(self, message: Message, began_s: float) -> None:
+        """Note a failed attempt, and when the next is due."""
+        first_attempt = message.id != self._tried_id
+        self._wait_s = _RESEND_S[0] if first_attempt else min(max(_RESEND_S[0], 2.0 * self._wait_s), _RESEND_S[1])
+        self._tried_id, self._due_s = message.id, self._clock() + self._wait_s
+        if self._failing_since_s is None:
+            self._failing_since_s = began_s
+            _log.error("notifications: %s takes nothing; %d messages wait", self._name, len(self._outbox))
+
+    def _job(self, message: Message) -> dict[str, Any]:
+        """Describe a delivery for the process."""
+        notice = message.notice
+        return {
+            "url": self._url,
+            "title": f"[{self._site}] {notice.title}",
+            "body": f"{notice.text or notice.title}\n{message.when}, site {self._site}, message {message.id}",
+            "type": "success" if notice.good else "warning",
+        }
+
+
+def _with_head(url: str, head: str | None) -> str:
+    """Add the ledger's head to the query of a heartbeat's URL, so that whoever hears it can later tell a changed ledger."""
+    bare, mark, fragment = url.partition("#")
+    return url if head is None else f"{bare}{'&' if '?' in bare else '?'}ledger={head}{mark}{fragment}"
+
+
+class HeartbeatWorker:
+    """Heartbeat to an external supervisor while windows are produced.
+
+    Parameters
+    ----------
+    blocked : callable
+        Returns whether an address takes no messages.
+    clock : callable
+        Monotonic clock, s.
+    """
+
+    def __init__(self, blocked: Callable[[], bool], clock: Callable[[], float] = time.monotonic) -> None:
+        self._blocked, self._clock = blocked, clock
+        self._url: str | None = None
+        self._blocked_url: str | None = None
+        self._every_s = 0.0
+        self._head: str | None = None
+        self._due_s = float("-inf")
+        self._windows = self._windows_sent = 0
+        self._failing_since_s: float | None = None
+        self._stopped = False
+        self._changed = threading.Condition()
+        self._process = _Process()
+        self._thread: threading.Thread | None = None
+
+    @property
+    def failed(self) -> str | None:
+        """Since when the heartbeat has not been heard; None if it was heard or there is none."""
+        since_s = self._failing_since_s
+        return None if since_s is None else f"heartbeat not heard for {self._clock() - since_s:.0f} s"
+
+    def change(self, url: str | None, blocked_url: str | None, every_s: float) -> None:
+        """Set the URL, the one to fetch in its place while messages do not get out, and the interval, s."""
+        with self._changed:
+            self._url, self._blocked_url, self._every_s = url, blocked_url, every_s
+            self._failing_since_s = None
+            self._changed.notify_all()
+        if url is not None and self._thread is None:
+            self._thread = threading.Thread(target=self._work, name="heartbeat", daemon=True)
+            self._thread.start()
+
+    def window(self) -> None:
+        """Note that a window was produced."""
+        with self._changed:
+            self._windows += 1
+            self._changed.notify_all()
+
+    def vouch(self, head: str | None) -> None:
+        """Set the ledger's head that heartbeats carry."""
+        self._head = head
+
+    def stop(self) -> None:
+        """End the worker and the present attempt."""
+        with self._changed:
+            self._stopped = True
+            self._changed.notify_all()
+        self._process.stop()
+
+    def _work(self) -> None:
+        """Send heartbeats until stopped (the thread's work)."""
+        while (url := self._next()) is not None:
+            began_s = self._clock()
+            if self._process.deliver({"url": url}):
+                self._due_s, self._failing_since_s = began_s + self._every_s, None
+                continue
+            if self._failing_since_s is None and not self._stopped:
+                self._failing_since_s = began_s
+                _log.warning("heartbeat not heard")
+            self._due_s, self._windows_sent = began_s + min(_UNHEARD_S, self._every_s), -1
+
+    def _next(self) -> str | None:
+        """Wait for the next heartbeat that is due and return its URL; None if the worker is to end."""
+        with self._changed:
+            while not self._stopped:
+                url = self._blocked_url if self._blocked() else self._url
+                wait_s = self._due_s - self._clock()
+                if url is None or self._windows == self._windows_sent:
+                    wait_s = _LOOK_S
+                elif wait_s <= 0.0:
+                    self._windows_sent = self._windows
+                    return _with_head(url, self._head)
+                self._changed.wait(min(wait_s, _LOOK_S))
+            return None

@@ -1,0 +1,169 @@
+"""HTTP server in one thread: connections, requests and their time are bounded, so that readers cost the monitor little."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import socket
+import ssl
+import threading
+from collections.abc import Callable, Iterable
+from typing import Any
+
+_log = logging.getLogger(__name__)
+
+_MAX_CONNECTIONS = 8
+"""Largest number of open connections. [1; judgement: one or two readers, and some that hang]"""
+_MAX_PER_S = 20
+"""Largest number of connections accepted in a second. [1/s; cost: an answer takes some ms of the interpreter]"""
+_CONNECTION_S = 5.0
+"""Longest time of a connection, from its start to the last byte of its answer. [s; judgement]"""
+_MAX_HEAD_BYTES = 8192
+"""Largest size of the head of a request. [B; judgement]"""
+_REST_S = 1.0
+"""Pause where the system has no room for a connection. [s; judgement]"""
+
+WsgiApplication = Callable[[dict[str, Any], Callable[[str, list[tuple[str, str]]], object]], Iterable[bytes]]
+
+
+class HttpServer:
+    """Answer GET requests, one a connection, from a WSGI application.
+
+    A connection beyond the largest number replaces the oldest, so that readers that hang do not shut out others.
+
+    Parameters
+    ----------
+    host : str
+        Name or address to listen at.
+    port : int
+        Port; 0 for any.
+    application : WSGI application
+        Called in the server's thread; it gets the method, the path, the query and the accept headers.
+    tls : SSLContext, optional
+        With it the server speaks TLS.
+
+    Attributes
+    ----------
+    port : int
+        Port at which it listens.
+
+    Raises
+    ------
+    OSError
+        The port cannot be opened.
+    """
+
+    def __init__(self, host: str, port: int, application: WsgiApplication, tls: ssl.SSLContext | None = None) -> None:
+        family, *_, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)[0]
+        self._listener = socket.create_server(address[:2], family=family, backlog=_MAX_CONNECTIONS)
+        self._listener.setblocking(False)
+        self.port = int(self._listener.getsockname()[1])
+        self._application, self._tls = application, tls
+        self._loop = asyncio.new_event_loop()
+        self._loop.set_exception_handler(lambda _, context: _log.error("http: %s", context["message"]))
+        self._serving: dict[asyncio.Task[None], None] = {}
+        self._running = self._loop.create_task(self._run())
+        self._thread = threading.Thread(target=self._work, name="http", daemon=True)
+        self._thread.start()
+
+    def close(self, timeout_s: float) -> None:
+        """Stop listening and close all connections."""
+        with contextlib.suppress(RuntimeError):  # the loop has ended before
+            self._loop.call_soon_threadsafe(self._running.cancel)
+        self._thread.join(timeout_s)
+
+    def _work(self) -> None:
+        """Serve until closed (the thread's work)."""
+        try:
+            with contextlib.suppress(asyncio.CancelledError):
+                self._loop.run_until_complete(self._running)
+        finally:
+            self._listener.close()
+            self._loop.close()
+
+    async def _run(self) -> None:
+        """Serve until cancelled, then close what is open."""
+        try:
+            await self._accept()
+        finally:
+            for task in self._serving:
+                task.cancel()
+            await asyncio.gather(*self._serving, return_exceptions=True)
+
+    async def _accept(self) -> None:
+        """Accept connections, no faster than `_MAX_PER_S`."""
+        refused = False
+        while True:
+            try:
+                connection, _ = await self._loop.sock_accept(self._listener)
+            except OSError as error:
+                if not refused:
+                    _log.error("http: no connection can be accepted: %s", error.strerror or error)
+                refused = True
+                await asyncio.sleep(_REST_S)
+                continue
+            refused = False
+            if len(self._serving) >= _MAX_CONNECTIONS:
+                next(iter(self._serving)).cancel()
+            task = self._loop.create_task(self._serve(connection))
+            self._serving[task] = None
+            task.add_done_callback(lambda done: self._serving.pop(done, None))
+            await asyncio.sleep(1.0 / _MAX_PER_S)
+
+    async def _serve(self, connection: socket.socket) -> None:
+        """Answer one request, or close the connection where it does not come or its answer is not taken in time."""
+        with contextlib.closing(connection):
+            try:
+                async with asyncio.timeout(_CONNECTION_S):
+                    await self._answer(connection)
+            except (OSError, EOFError, ValueError, asyncio.LimitOverrunError) as error:
+                _log.debug("http: a connection was closed: %s", error or type(error).__name__)
+            except Exception:  # noqa: BLE001 - a request that cannot be answered is no end of the server
+                _log.exception("http: a request failed")
+
+    async def _answer(self, connection: socket.socket) -> None:
+        """Read a request and write its answer.
+
+        Raises
+        ------
+        OSError, EOFError, LimitOverrunError
+            The connection failed, or the request is not complete or too long.
+        ValueError
+            It is no request.
+        """
+        reader = asyncio.StreamReader(limit=_MAX_HEAD_BYTES)
+        protocol = asyncio.StreamReaderProtocol(reader)
+        limits = {"ssl_handshake_timeout": _CONNECTION_S, "ssl_shutdown_timeout": _CONNECTION_S} if self._tls else {}
+        transport, _ = await self._loop.connect_accepted_socket(lambda: protocol, connection, ssl=self._tls, **limits)
+        writer = asyncio.StreamWriter(transport, protocol, reader, self._loop)
+        try:
+            writer.write(self._response(await reader.readuntil(b"\r\n\r\n")))
+            writer.close()
+            await writer.wait_closed()
+        finally:
+            transport.abort()
+
+    def _response(self, head: bytes) -> bytes:
+        """Write the response to a request.
+
+        Raises
+        ------
+        ValueError
+            The head is not that of a request.
+        """
+        first, *rows = head.decode("latin-1").split("\r\n")
+        method, target, _version = first.split(" ")
+        path, _, query = target.partition("?")
+        environment: dict[str, Any] = {"REQUEST_METHOD": method, "PATH_INFO": path, "QUERY_STRING": query}
+        for name, _, value in (row.partition(":") for row in rows):
+            if name.lower() in {"accept", "accept-encoding"}:
+                environment[f"HTTP_{name.upper().replace('-', '_')}"] = value.strip()
+        started: list[str] = []
+
+        def start(status: str, headers: list[tuple[str, str]]) -> None:
+            started.extend([f"HTTP/1.1 {status}", *(f"{name}: {value}" for name, value in headers)])
+
+        body = b"".join(self._application(environment, start))
+        lines = [*started, f"Content-Length: {len(body)}", "Connection: close", "", ""]
+        return "\r\n".join(lines).encode("latin-1") + body

@@ -1,0 +1,226 @@
+"""A listening port is a promise: whoever reaches it costs a bounded number of connections, threads and seconds."""
+
+from __future__ import annotations
+
+import datetime
+import ipaddress
+import logging
+import os
+import socket
+import ssl
+import threading
+import time
+import urllib.error
+import urllib.request
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.x509.oid import NameOID
+
+from monitor.service.outlets import http_server
+from monitor.service.outlets.http_server import HttpServer
+from monitor.service.outlets.metrics import Metrics, MetricsSettings
+
+PAGE = b"x" * 1000
+HEALTH: dict[str, Any] = {
+    "stream": None,
+    "source": {"connected": True, "lost": 0, "counts": {}, "clocks": []},
+    "recorder": None,
+    "refused": {"blocks": 0},
+    "queue": 0,
+    "delay_s": 0.0,
+    "latency_ms": {"max": 0.0, "windows": {"<= 5": 0, "> 5": 0}},
+    "failed": {},
+    "channels": [],
+}
+
+
+def application(environment: dict[str, Any], start: Callable[[str, list[tuple[str, str]]], object]) -> Iterable[bytes]:
+    if environment["PATH_INFO"] == "/bad":
+        raise RuntimeError("two\nlines")
+    start("200 OK", [("Content-Type", "text/plain")])
+    return [PAGE * (20_000 if environment["PATH_INFO"] == "/long" else 1)]
+
+
+@pytest.fixture
+def server() -> Iterator[HttpServer]:
+    one = HttpServer("127.0.0.1", 0, application)
+    yield one
+    one.close(5.0)
+    assert not any(t.name == "http" for t in threading.enumerate())
+
+
+def connect(port: int, text: bytes = b"") -> socket.socket:
+    connection = socket.create_connection(("127.0.0.1", port), 10.0)
+    connection.sendall(text)
+    return connection
+
+
+def fetch(port: int, path: str = "/metrics", scheme: str = "http", **options: Any) -> bytes:
+    with urllib.request.urlopen(f"{scheme}://127.0.0.1:{port}{path}", timeout=10.0, **options) as answer:
+        return bytes(answer.read())
+
+
+def closed(connection: socket.socket) -> bool:
+    """Whether the other side ends the connection within its timeout, whatever it says before."""
+    try:
+        while connection.recv(65536):
+            pass
+    except ConnectionResetError:
+        return True
+    except TimeoutError:
+        return False
+    return True
+
+
+def test_it_answers(server: HttpServer) -> None:
+    assert fetch(server.port) == PAGE
+    with connect(server.port, b"GET / HTTP/1.1\r\nHost: x\r\n\r\n") as one:
+        assert closed(one)
+
+
+def test_hundreds_of_half_requests_cost_no_thread_and_shut_out_nobody(server: HttpServer) -> None:
+    handles, threads = len(os.listdir("/proc/self/fd")), threading.active_count()
+    held: list[socket.socket] = []
+    try:
+        for _ in range(60):  # beyond what is open the system lets them wait
+            one = socket.socket()
+            one.setblocking(False)
+            one.connect_ex(("127.0.0.1", server.port))
+            held.append(one)
+        for one in held[:8]:
+            one.setblocking(True)
+            one.sendall(b"GET /metrics HTTP/1.1\r\n")
+        assert fetch(server.port) == PAGE
+        assert threading.active_count() == threads
+        ours = len(os.listdir("/proc/self/fd")) - handles - len(held)
+        assert ours <= http_server._MAX_CONNECTIONS + 1
+    finally:
+        for one in held:
+            one.close()
+
+
+@pytest.mark.parametrize("how", ["silent", "drips", "reads slowly"])
+def test_a_connection_has_one_time_limit_in_all(server: HttpServer, how: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(http_server, "_CONNECTION_S", 0.5)
+    ended = threading.Event()
+    with connect(server.port, b"GET /long HTTP/1.1\r\n\r\n" if how == "reads slowly" else b"GET ") as one:
+
+        def drip() -> None:
+            while not ended.wait(0.02):
+                try:
+                    one.recv(100) if how == "reads slowly" else one.sendall(b"a")
+                except OSError:
+                    return
+
+        thread = threading.Thread(target=drip)
+        if how != "silent":
+            thread.start()
+        deadline = time.monotonic() + 10.0
+        while server._serving or time.monotonic() < deadline - 9.8:
+            assert time.monotonic() < deadline, "still open"
+            time.sleep(0.02)
+        ended.set()
+        if how != "silent":
+            thread.join(10.0)
+        assert closed(one)
+
+
+def test_what_is_no_request_is_closed_and_an_error_is_one_line(
+    server: HttpServer, caplog: pytest.LogCaptureFixture, capfd: pytest.CaptureFixture[str]
+) -> None:
+    caplog.set_level(logging.INFO)
+    for text in (b"\r\n\r\n", b"\x00\xff\r\n\r\n", b"GET\r\n\r\n", b"a b c d\r\n\r\n", b"x" * 20_000, b"\x16\x03\x01"):
+        with connect(server.port, text) as one:
+            one.shutdown(socket.SHUT_WR)
+            assert closed(one)
+    assert not caplog.records
+    with connect(server.port, b"GET /bad HTTP/1.1\r\n\r\n") as one:
+        assert closed(one)
+    assert fetch(server.port) == PAGE
+    assert [record.getMessage() for record in caplog.records] == ["http: a request failed"]
+    assert capfd.readouterr().err == ""
+
+
+def test_requests_are_taken_no_faster_than_they_may_cost(server: HttpServer, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(http_server, "_MAX_PER_S", 10)
+    begun = time.monotonic()
+    for _ in range(6):
+        fetch(server.port)
+    assert time.monotonic() - begun > 0.35
+
+
+def test_no_room_for_a_connection_is_one_line_and_passes(
+    server: HttpServer, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr(http_server, "_REST_S", 0.05)
+    accept, failures = server._loop.sock_accept, iter([True, True, True])
+
+    async def failing(listener: socket.socket) -> Any:
+        if next(failures, False):
+            raise OSError(24, "Too many open files")
+        return await accept(listener)
+
+    monkeypatch.setattr(server._loop, "sock_accept", failing)
+    assert fetch(server.port) == PAGE  # the accept that waited already
+    assert fetch(server.port) == PAGE
+    assert [r.getMessage() for r in caplog.records] == ["http: no connection can be accepted: Too many open files"]
+
+
+def certificates(folder: Path) -> None:
+    """An authority, and what it signs for the server and for a reader."""
+    now = datetime.datetime.now(datetime.UTC)
+    names = {who: x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, who)]) for who in ("ca", "server", "reader")}
+    keys = {who: ec.generate_private_key(ec.SECP256R1()) for who in names}
+    for who, key in keys.items():
+        made = (
+            x509.CertificateBuilder()
+            .subject_name(names[who])
+            .issuer_name(names["ca"])
+            .public_key(key.public_key())
+            .serial_number(x509.random_serial_number())
+            .not_valid_before(now - datetime.timedelta(days=1))
+            .not_valid_after(now + datetime.timedelta(days=1))
+            .add_extension(x509.BasicConstraints(ca=who == "ca", path_length=None), critical=True)
+            .add_extension(x509.SubjectAlternativeName([x509.IPAddress(ipaddress.ip_address("127.0.0.1"))]), False)
+            .sign(keys["ca"], hashes.SHA256())
+        )
+        (folder / f"{who}.pem").write_bytes(made.public_bytes(serialization.Encoding.PEM))
+        form = serialization.PrivateFormat.PKCS8
+        text = key.private_bytes(serialization.Encoding.PEM, form, serialization.NoEncryption())
+        (folder / f"{who}.key").write_bytes(text)
+
+
+def test_metrics_over_tls_for_those_who_show_a_certificate(tmp_path: Path) -> None:
+    certificates(tmp_path)
+    settings = MetricsSettings(
+        listen="127.0.0.1:0", certificate=Path("server.pem"), private_key=Path("server.key"), client_ca=Path("ca.pem")
+    )
+    metrics = Metrics("bench", settings, tmp_path)
+    metrics.health_line(HEALTH)
+    assert metrics.port is not None and metrics.failed is None
+    try:
+        with connect(metrics.port):  # no handshake comes
+            context = ssl.create_default_context(cafile=str(tmp_path / "ca.pem"))
+            with pytest.raises((OSError, urllib.error.URLError)):
+                fetch(metrics.port, scheme="https", context=context)
+            context.load_cert_chain(tmp_path / "reader.pem", tmp_path / "reader.key")
+            assert b"shm_source_connected 1.0" in fetch(metrics.port, scheme="https", context=context)
+    finally:
+        metrics.close(5.0)
+
+
+def test_a_port_that_cannot_be_opened_or_a_certificate_that_is_missing_is_told(tmp_path: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        metrics = Metrics("bench", MetricsSettings(listen=f"127.0.0.1:{taken.getsockname()[1]}"))
+        metrics.health_line(HEALTH)
+        assert metrics.failed is not None and "in use" in metrics.failed
+    settings = MetricsSettings(listen="127.0.0.1:0", certificate=Path("none.pem"), private_key=Path("none.key"))
+    metrics = Metrics("bench", settings, tmp_path)
+    metrics.health_line(HEALTH)
+    assert metrics.failed is not None and "none.pem, none.key: No such file" in metrics.failed

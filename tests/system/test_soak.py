@@ -1,0 +1,259 @@
+"""A daemon in narrow limits, with everything that may hang or flood at once: it goes on judging, stays as it is, and ends.
+
+Less than a minute, with compiled functions on the disk (a cold cache is not part of it).  Handles are limited everywhere; tasks
+and memory, as the units limit them, where a control group can be made, and processes where root may start an unprivileged user's.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import resource
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from tests.service.test_daemon import SITE
+from tests.service.test_http_server import fetch
+from tests.service.test_notify import Drip, Hook, until
+from tests.support.zenoh_router import free_port
+from tests.system.test_service_faults import lines
+
+pytestmark = pytest.mark.system
+
+ROOT = Path(__file__).parents[2]
+USER = 64123
+"""Unprivileged user id, where the test runs as root: root has no limit of processes."""
+PACE_S = 0.05
+"""Pause between two blocks of half a second of data."""
+SOAK_S = 45.0
+TABLES = """
+serve = "127.0.0.1:{viewer}"
+[output.metrics]
+listen = "127.0.0.1:{metrics}"
+[notify]
+urls = ["json://{drip}/a", "{hook}", "json://{drip}/b"]
+heartbeat_url = "http://{drip}/beat"
+heartbeat_s = 1.0
+blind_s = 1.0
+"""
+
+
+@dataclass(frozen=True)
+class Sample:
+    """What the process holds."""
+
+    threads: int
+    handles: int
+    children: int
+    memory_mb: float
+    windows: int
+
+
+def sample(pid: int, out: Path) -> Sample:
+    rows = dict(row.split(":", 1) for row in Path(f"/proc/{pid}/status").read_text().splitlines())
+    children = Path(f"/proc/{pid}/task").glob("*/children")
+    return Sample(
+        int(rows["Threads"]),
+        len(os.listdir(f"/proc/{pid}/fd")),
+        sum(len(path.read_text().split()) for path in children),
+        int(rows["VmRSS"].split()[0]) / 1024,
+        len(lines(out)),
+    )
+
+
+def _user() -> int | None:
+    """The unprivileged user, where this is root and the interpreter is one that the user may run."""
+    if os.getuid() != 0:
+        return None
+    with contextlib.suppress(PermissionError):
+        return USER if subprocess.run([sys.executable, "-c", ""], user=USER, check=False).returncode == 0 else None
+    return None
+
+
+@pytest.fixture
+def folder() -> Iterator[Path]:
+    """A folder that the unprivileged user can reach and owns."""
+    made = Path(tempfile.mkdtemp(prefix="shm-soak-"))
+    made.chmod(0o755)
+    yield made
+    shutil.rmtree(made)
+
+
+@pytest.fixture
+def groups() -> Iterator[list[Path]]:
+    """Control groups (version 1) with limits as in deploy/shm-monitor.service; none where they cannot be made."""
+    made = []
+    for controller, file, most in (("pids", "pids.max", 256), ("memory", "memory.limit_in_bytes", 1536 << 20)):
+        group = Path(f"/sys/fs/cgroup/{controller}/shm-soak-{os.getpid()}")
+        with contextlib.suppress(OSError):
+            group.mkdir()
+            made.append(group)
+            (group / file).write_text(str(most))
+    yield made
+    for group in made:
+        until(lambda g=group: not (g / "cgroup.procs").read_text(), "all have left")
+        group.rmdir()
+
+
+def limit(groups: list[Path], user: int | None) -> None:
+    """Enter the control groups and take the limits of systemd's defaults, in the daemon's process."""
+    for group in groups:
+        (group / "cgroup.procs").write_text("0")
+    resource.setrlimit(resource.RLIMIT_NOFILE, (1024, 1024))
+    if user is not None:
+        resource.setrlimit(resource.RLIMIT_NPROC, (256, 256))
+        os.setgroups([])
+        os.setgid(user)
+        os.setuid(user)
+
+
+def hold(port: int, count: int, text: bytes, held: list[socket.socket]) -> None:
+    """Connect so many times and say no more than `text`."""
+    for _ in range(count):
+        one = socket.socket()
+        one.setblocking(False)
+        held.append(one)
+        one.connect_ex(("127.0.0.1", port))
+    time.sleep(0.2)
+    for one in held[-count:]:
+        with contextlib.suppress(OSError):
+            one.sendall(text)
+
+
+class Attack:
+    """Threads that repeat a request until the end, whatever becomes of it."""
+
+    def __init__(self) -> None:
+        self.answers = 0
+        self._ended = threading.Event()
+        self._threads: list[threading.Thread] = []
+
+    def repeat(self, act: Callable[[], None], pause_s: float) -> None:
+        def work() -> None:
+            while not self._ended.wait(pause_s):
+                with contextlib.suppress(OSError):
+                    act()
+                    self.answers += 1
+
+        self._threads.append(threading.Thread(target=work))
+        self._threads[-1].start()
+
+    def end(self) -> None:
+        self._ended.set()
+        for thread in self._threads:
+            thread.join(30.0)
+
+
+def read_slowly(port: int) -> None:
+    """Take a byte of the answer now and then, for longer than the server waits."""
+    with socket.create_connection(("127.0.0.1", port), 10.0) as one:
+        one.sendall(b"GET /metrics HTTP/1.1\r\n\r\n")
+        for _ in range(100):
+            one.recv(1)
+            time.sleep(0.1)
+
+
+@contextlib.contextmanager
+def daemon(folder: Path, groups: list[Path], user: int | None) -> Iterator[subprocess.Popen[bytes]]:
+    """A daemon of the site in the folder, with limits; killed at the end if it has not ended."""
+    files = [folder / name for name in ("site.toml", "stream.npy", "position")]
+    own = {} if user is None else {"NUMBA_CACHE_DIR": str(folder / "cache"), "HOME": str(folder)}
+    with (folder / "log").open("wb") as log:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "tests.support.live_site", *map(str, files), str(PACE_S), "0"],
+            stdout=log,
+            stderr=log,
+            cwd=ROOT,
+            env={**os.environ, **own},
+            preexec_fn=partial(limit, groups, user),
+        )
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.wait()
+
+
+class Ports(NamedTuple):
+    metrics: int
+    viewer: int
+
+
+def soak(
+    process: subprocess.Popen[bytes], folder: Path, ports: Ports, hook: Hook, attack: Attack, held: list[socket.socket]
+) -> None:
+    """Attack the daemon, look at it for a while, and end it."""
+    out = folder / "out"
+    until(lambda: process.poll() is not None or len(lines(out)) >= 5, "windows", 150.0)
+    assert process.poll() is None, (folder / "log").read_text()
+    hold(ports.metrics, 200, b"GET /metrics HTTP/1.1\r\n", held)
+    hold(ports.viewer, 100, b"PRI * HTTP/2.0\r\n", held)
+    for _ in range(2):
+        attack.repeat(lambda: read_slowly(ports.metrics), 0.0)
+        attack.repeat(lambda: fetch(ports.metrics) and None, 0.0)
+    until(lambda: hook.got, "the address that is well has its message")
+    time.sleep(10.0)  # until all that is made once has been made
+    seen = [sample(process.pid, out)]
+    end_s = time.monotonic() + SOAK_S
+    while time.monotonic() < end_s:
+        time.sleep(5.0)
+        seen.append(sample(process.pid, out))
+    assert process.poll() is None, (folder / "log").read_text()
+    judged = np.diff([s.windows for s in seen])
+    assert judged.min() > 0, judged
+    assert max(s.children for s in seen) <= 4, seen
+    assert np.ptp([s.threads for s in seen]) <= 4, seen
+    assert np.ptp([s.handles for s in seen]) <= 40, seen
+    assert seen[-1].memory_mb - seen[0].memory_mb < 64.0, seen
+    assert attack.answers > SOAK_S  # readers are served beside those that hang
+    failed = lines(out, "health.jsonl")[-1]["failed"]
+    assert failed.keys() == {"Notifier"} and "delivery to address 1 (json) has taken" in failed["Notifier"], failed
+    process.send_signal(signal.SIGTERM)
+    assert process.wait(5.0) == 0
+
+
+def test_it_goes_on_judging_stays_as_it_is_and_ends(
+    folder: Path, groups: list[Path], frame_text: str, record: np.ndarray
+) -> None:
+    user = _user()
+    if user is not None:
+        os.chown(folder, user, user)
+    site, out, (metrics, viewer) = folder / "site.toml", folder / "out", (free_port(), free_port())
+    drip, hook, attack, held = Drip(0.2), Hook(), Attack(), list[socket.socket]()
+    tables = TABLES.format(viewer=viewer, metrics=metrics, drip=drip.address, hook=hook.url)
+    site.write_text(SITE.replace('dir = "out"\n', f'dir = "out"{tables}', 1) + frame_text)
+    np.save(folder / "stream.npy", record.astype(np.float32))
+    if user is not None:  # who cannot write beside the modules compiles into a cache of its own, before
+        with daemon(folder, groups, user) as first:
+            until(lambda: first.poll() is not None or len(lines(out)) >= 5, "compiled", 150.0)
+        shutil.rmtree(out)
+        (folder / "position").unlink()
+    with daemon(folder, groups, user) as process:
+        try:
+            soak(process, folder, Ports(metrics, viewer), hook, attack, held)
+        finally:
+            attack.end()
+            for one in held:
+                one.close()
+            drip.close()
+            hook.shutdown()
+            hook.server_close()
+    found = lines(out)
+    assert [line["window"] for line in found] == list(range(len(found)))
+    assert all(line["skipped"] is None for line in found)
+    said = (folder / "log").read_text().splitlines()
+    assert all(row.startswith("time=") for row in said if row != "READY"), said
