@@ -1,4 +1,5 @@
 from .blas import single_blas_thread
+from .busy import Busy
 from .compilation import compiled
 from .errors import (
     BadConfigurationError,
@@ -44,6 +45,7 @@ __all__ = [
     "Array",
     "BadConfigurationError",
     "BadInputError",
+    "Busy",
     "ComplexArray",
     "DamageReading",
     "Gap",

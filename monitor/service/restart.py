@@ -7,6 +7,7 @@ import fcntl
 import json
 import logging
 import os
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
@@ -16,7 +17,7 @@ from typing import Any
 from drivers.base import ACCELERATION, SampleBlock
 from drivers.recorder import recorded
 from monitor.config import Configuration
-from monitor.core import BadConfigurationError, BadInputError, sha256, write_atomically
+from monitor.core import BadConfigurationError, BadInputError, MissingInputError, sha256, write_atomically
 from monitor.damage import StoryState
 from monitor.runs import Session, SessionState, ledger
 from monitor.service import serialization
@@ -40,6 +41,10 @@ _KEYED = (
 """Tables of the site file on which the results depend, besides the structure.  Limits of alarm, quality and watch may change."""
 _LONGEST_WAIT_S = 0.5
 _MOST_LINES_BYTES = 64 << 20
+_LOCK_MODE = 0o600
+_LOCK_WAIT_S, _LOCK_POLL_S = 1.0, 0.02
+"""Time for which the lock is asked for, and pause between two attempts: `status`, run by the owner or root, holds it for
+microseconds.  [s; judgement]"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,7 +170,8 @@ class Checkpointer:
         if self._due:
             return
         self._busy, self._seconds, self._stories = True, 0.0, session.pipeline.state.alarm.stories
-        self._recording.then(partial(self._write, session.state, self._lines.size))
+        if not self._recording.then(partial(self._write, session.state, self._lines.size)):
+            self._busy, self._due = False, True
 
     def save_now(self, session: Session) -> None:
         """Write a checkpoint and wait until it is on the disk, for a limited time."""
@@ -185,6 +191,8 @@ class Checkpointer:
         """Write the alarms and the checkpoint (in the recorder's thread)."""
         try:
             self._lines.sync()
+            if self._lines.failed:
+                raise OSError(self._lines.failed)
             serialization.save(self._alarms, self._alarm_key, KeptAlarms(state.pipeline.alarm.stories))
             if self._config.state.checkpoint_s:
                 serialization.save(self._place, self._key, Saved(state, stamp_ns, results_bytes))
@@ -231,7 +239,9 @@ class Checkpointer:
 
 
 def lock(path: Path, out: Path) -> int:
-    """Lock the output folder `out` by a file; the lock ends with the process.
+    """Lock the output folder `out` by a file, whose folder is created; the lock ends with the process.
+
+    Only its owner may open the file, so that nobody who may merely read the folder can hold the lock.
 
     Returns
     -------
@@ -240,16 +250,29 @@ def lock(path: Path, out: Path) -> int:
 
     Raises
     ------
+    MissingInputError
+        The folder cannot be written.
     BadConfigurationError
         Another daemon holds the lock.
     """
-    handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
     try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError as error:
-        os.close(handle)
-        raise BadConfigurationError(f"{out}: another daemon writes here; name another dir under [output]") from error
-    return handle
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, _LOCK_MODE)
+        os.fchmod(handle, _LOCK_MODE)  # earlier versions let everybody read it
+    except OSError as error:
+        raise MissingInputError(f"{out}: cannot be written: {error.strerror}") from error
+    deadline = time.monotonic() + _LOCK_WAIT_S
+    while True:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            if time.monotonic() >= deadline:
+                os.close(handle)
+                says = f"{out}: another daemon writes here; name another dir under [output]"
+                raise BadConfigurationError(says) from error
+            time.sleep(_LOCK_POLL_S)
+        else:
+            return handle
 
 
 def note_baseline(out: Path, site: Path, healthy: Path | None) -> None:

@@ -145,13 +145,13 @@ def tell(status: dict[str, Any]) -> str:
 
 
 def _troubles(health: dict[str, Any] | None) -> list[str]:
-    """List what does not work: the source, the recorder, outputs."""
+    """List what does not work: the source, the recorder, outputs; each once."""
     if health is None:
         return []
-    troubles = [] if health["source"]["connected"] else [f"source: {health['source']['error'] or 'not connected'}"]
-    recorder = health["recorder"]
-    troubles += [f"recorder: {recorder['detail']}"] if recorder is not None and not recorder["recording"] else []
-    return troubles + [f"{name}: {why}" for name, why in health["failed"].items()]
+    source, recorder = health["source"], health["recorder"]
+    troubles = {} if source["connected"] else {"source": source["error"] or "not connected"}
+    troubles |= {} if recorder is None or recorder["recording"] else {"recorder": recorder["detail"]}
+    return [f"{name}: {why}" for name, why in (troubles | health["failed"]).items()]
 
 
 def _delay(health: dict[str, Any]) -> str:
