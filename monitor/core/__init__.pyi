@@ -9,12 +9,12 @@ from .errors import (
     UserError,
     WrongUsageError,
 )
-from .files import demand_place, finish, partial, sha256, spare_inputs, write_atomically
+from .files import demand_place, finish, partial, set_aside, sha256, spare_inputs, write_atomically
 from .memory import keep_freed
 from .naming import name_stories, name_stories_in
 from .optimization import levenberg_marquardt
 from .parallel import parallel_map
-from .parse import parse_address, utc_ns
+from .parse import parse_address, parse_json, utc_ns
 from .results import (
     GAP,
     WHOLE,
@@ -73,7 +73,9 @@ __all__ = [
     "name_stories_in",
     "parallel_map",
     "parse_address",
+    "parse_json",
     "partial",
+    "set_aside",
     "settings_problems",
     "sha256",
     "single_blas_thread",

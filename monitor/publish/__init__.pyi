@@ -2,7 +2,16 @@ from .base import Publisher
 from .reports.diagnosis_report import write_report
 from .reports.period_report import read_period, write_period
 from .results.arrow_table import WINDOWS_SCHEMA, windows_table
-from .results.lines import LinesFile, alarm_line, current_alarm_line, replay_text, to_json, window_line
+from .results.lines import (
+    LinesFile,
+    alarm_line,
+    current_alarm_line,
+    facts_of_line,
+    read_line,
+    replay_text,
+    to_json,
+    window_line,
+)
 from .results.schema import LINE_SCHEMA
 from .results.summary import Quality, Summary, episode_content
 from .viewer.diagnosis_view import write_view
@@ -22,7 +31,9 @@ __all__ = [
     "alarm_line",
     "current_alarm_line",
     "episode_content",
+    "facts_of_line",
     "make_scene",
+    "read_line",
     "read_period",
     "replay_text",
     "to_json",

@@ -12,7 +12,8 @@ from monitor.core import Busy
 
 _log = logging.getLogger(__name__)
 
-_TAIL_BYTES = 1 << 20
+_PIECE_BYTES = 1 << 20
+"""Length of the pieces in which the end of the last complete line is looked for, backwards. [bytes; cost]"""
 _MOST_PENDING_BYTES = 16 << 20
 
 
@@ -116,9 +117,17 @@ class AppendedLines:
     def _open(self) -> None:
         """Open the file and remove an incomplete last line."""
         self._handle = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o644)
-        size = os.fstat(self._handle).st_size
-        tail = os.pread(self._handle, _TAIL_BYTES, max(0, size - _TAIL_BYTES))
-        size += tail.rfind(b"\n") + 1 - len(tail)
+        size = end = os.fstat(self._handle).st_size
+        while end > 0:
+            begin = max(0, end - _PIECE_BYTES)
+            newline = os.pread(self._handle, end - begin, begin).rfind(b"\n")
+            if newline >= 0:
+                end = begin + newline + 1
+                break
+            end = begin
+        if end < size:
+            _log.warning("%s: an incomplete last line of %d bytes is removed", self._path, size - end)
+        size = end
         os.ftruncate(self._handle, size)
         with self._lock:
             self.size = size + len(self._pending)

@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import json
 import logging
-import os
 import sqlite3
 import threading
 from collections import deque
@@ -19,6 +18,7 @@ from typing import Any
 
 from monitor.config import StateSettings
 from monitor.core import Busy
+from monitor.core import set_aside as rename_aside
 
 _log = logging.getLogger(__name__)
 
@@ -239,11 +239,9 @@ def is_damage(error: Exception) -> bool:
 
 def set_aside(path: Path, reason: str) -> bool:
     """Rename a database that cannot be used; return whether the disk allowed it."""
-    numbered = (path.with_name(f"{path.name}.damaged-{n}") for n in range(1, 10_000))
-    place = next(p for p in numbered if not p.exists())
-    _log.error("%s: %s; set aside as %s, a new one is begun", path, reason, place.name)
     with contextlib.suppress(OSError):
-        os.replace(path, place)
+        place = rename_aside(path)
+        _log.error("%s: %s; set aside as %s, a new one is begun", path, reason, place.name)
         for end in ("-wal", "-shm"):
             path.with_name(path.name + end).unlink(missing_ok=True)
         return True

@@ -17,8 +17,17 @@ from typing import Any
 from drivers.base import ACCELERATION, SampleBlock
 from drivers.recorder import recorded
 from monitor.config import Configuration
-from monitor.core import BadConfigurationError, BadInputError, MissingInputError, sha256, write_atomically
-from monitor.damage import StoryState
+from monitor.core import (
+    BadConfigurationError,
+    BadInputError,
+    MissingInputError,
+    parse_json,
+    set_aside,
+    sha256,
+    write_atomically,
+)
+from monitor.damage import StoryState, WindowFacts
+from monitor.publish import facts_of_line, read_line
 from monitor.runs import Session, SessionState, ledger
 from monitor.service import serialization
 from monitor.service.appended_lines import AppendedLines
@@ -86,8 +95,8 @@ class Checkpointer:
 
     Attributes
     ----------
-    written : set of int
-        Indices of windows whose lines a previous run wrote after its last checkpoint; they are not published again.
+    written : dict of int to WindowFacts
+        Windows whose lines a previous run wrote after its last checkpoint, by their indices; they are not published again.
     resuming : bool
         True while blocks are read from the recordings, not from the source.
     failed : str or None
@@ -109,7 +118,7 @@ class Checkpointer:
         self._place, self._alarms = out / "state" / "checkpoint", out / "state" / "alarms"
         self._seconds, self._due, self._busy = 0.0, False, False
         self._stories: tuple[StoryState, ...] | None = None
-        self.written: set[int] = set()
+        self.written: dict[int, WindowFacts] = {}
         self.resuming = False
         self.failed: str | None = None
 
@@ -136,9 +145,10 @@ class Checkpointer:
         saved = serialization.load(self._place, self._key, Saved) if self._config.state.checkpoint_s else None
         session = begin()
         if saved is not None:
-            for line in self._lines_since(saved.results_bytes):
-                self.written.add(line["window"])
+            for line, facts in self._lines_since(saved.results_bytes):
+                self.written[line["window"]] = facts
                 known(line)
+            session.stated = dict(self.written)
             self.resuming = True
             try:
                 self._catch_up(session, saved)
@@ -222,19 +232,22 @@ class Checkpointer:
         if not restored:
             session.restore(saved.session)
 
-    def _lines_since(self, offset: int) -> list[dict[str, Any]]:
-        """Read the windows' lines of results.jsonl from a byte offset on; other lines are skipped."""
-        with (self._out / "results.jsonl").open("rb") as file:
+    def _lines_since(self, offset: int) -> list[tuple[dict[str, Any], WindowFacts]]:
+        """Read the windows' lines of results.jsonl from a byte offset on; damaged ones are left out, with a message."""
+        path = self._out / "results.jsonl"
+        with path.open("rb") as file:
             file.seek(offset)
             texts = file.read(_MOST_LINES_BYTES).split(b"\n")
-        found = []
-        for text in texts:
+        found, damaged = [], 0
+        for text in filter(None, texts):
             try:
-                line = json.loads(text)
-            except ValueError:
-                continue
-            if isinstance(line, dict) and {"window", "t_end_ns", "alarm"} <= line.keys():
-                found.append(line)
+                line = {"window": None} | read_line(text)
+                if line["window"] is not None:
+                    found.append((line, facts_of_line(line)))
+            except (ValueError, KeyError, TypeError, IndexError):
+                damaged += 1
+        if damaged:
+            _log.warning("%s: %d lines after byte %d are damaged and left out", path, damaged, offset)
         return found
 
 
@@ -280,9 +293,12 @@ def note_baseline(out: Path, site: Path, healthy: Path | None) -> None:
     place = out / "state" / "baseline.json"
     present = {"baseline_sha256": None if healthy is None else sha256(healthy)}
     try:
-        previous = json.loads(place.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        previous = parse_json(place.read_bytes())
+    except FileNotFoundError:
         previous = None
+    except ValueError as error:
+        previous = None
+        _log.warning("%s: %s; set aside as %s", place, error, set_aside(place).name)
     if previous == present:
         return
     if previous is not None:

@@ -33,11 +33,15 @@ from monitor.model.simulation import simulate
 from monitor.runs.session import Session
 from monitor.service import serialization
 from monitor.service.appended_lines import AppendedLines
+from monitor.service.daemon import Daemon
 from monitor.service.daemon_health import plain
 from monitor.service.restart import Checkpointer, Saved
 from monitor.service.threads import Recording
 from tests.conftest import T0_NS, Cli, Cut
+from tests.service.test_daemon import SITE as BARE_SITE
+from tests.service.test_daemon import Scripted
 from tests.support.live_site import RATE, SIZE, forked, given
+from tests.system.test_service_faults import run_until
 
 pytestmark = pytest.mark.system
 
@@ -323,6 +327,31 @@ def test_a_recording_as_source_goes_on_and_nothing_shows(
     told, wanted = (plain(json.loads((p / "summary.json").read_text())) for p in (out, folder / "again"))
     assert told["alarms"] and told["alarms"] == wanted["alarms"] and told["quality"] == wanted["quality"]
     assert not (out / "state" / "checkpoint").exists()  # the recording is over: the next one begins anew
+
+
+def test_the_summary_counts_what_the_results_say_where_a_power_cut_lost_samples(
+    tmp_path: Path, frame_text: str, record: np.ndarray, cut: Cut
+) -> None:
+    """The lines of five windows are on the disk, the samples from which they were made are not."""
+    site, out = tmp_path / "site.toml", tmp_path / "out"
+    site.write_text(BARE_SITE + frame_text)
+    blocks = cut(record, RATE)
+    run_until(site, blocks[: len(blocks) * 2 // 3], 4)
+    kept = {path: path.read_bytes() for path in [*out.glob("state/checkpoint"), *out.glob("recordings/*.mcap")]}
+    run_until(site, blocks[len(blocks) * 2 // 3 :], 9)
+    for path in [*out.glob("state/checkpoint*"), *out.glob("recordings/*")]:
+        path.unlink()
+    for path, data in kept.items():
+        path.write_bytes(data)
+    later = [replace(b, t_ns=b.t_ns + 60 * 10**9, sequence=b.sequence + len(record)) for b in blocks]
+    Daemon(site, Scripted(later)).run()
+    found = [json.loads(line) for line in (out / "results.jsonl").read_text().splitlines()]
+    told = json.loads((out / "summary.json").read_text())
+    assert [line["window"] for line in found] == list(range(len(found))) and len(found) > 12
+    assert all(line["skipped"] is None for line in found[:9])
+    assert told["windows"] == len(found)
+    assert told["skipped"] == sum(line["skipped"] is not None for line in found) > 0
+    assert sum(told["skip_reasons"].values()) == told["skipped"]
 
 
 @pytest.mark.parametrize("checkpoint_s", [0.0, 20.0])

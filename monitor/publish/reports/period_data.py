@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -16,7 +15,7 @@ from numpy.typing import NDArray
 
 from monitor.core import Array, BadInputError, MissingInputError
 from monitor.damage import Course, follow
-from monitor.publish.results.lines import facts_of_line
+from monitor.publish.results.lines import facts_of_line, read_line
 
 MAX_BINS = 1000
 """Largest number of bins of a curve, which is drawn as the two sides of its envelope: 2000 points."""
@@ -28,7 +27,7 @@ _SAME_OTHER_MODE = 0.02
 """The same for modes that the model has no counterpart for, which may be close to others."""
 _HEAD, _TAIL_BYTES = 50, 1 << 17
 """Number of lines at the beginning and of bytes at the end of the file from which its extent is read."""
-_T_END = re.compile(rb'"t_end_ns": (\d+)')
+_T_END = re.compile(rb'"t_end_ns": (\d{1,18}|[1-8]\d{18})\b')
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -215,7 +214,7 @@ def read_results(folder: Path, from_ns: int | None, to_ns: int | None, misfit_li
         with path.open("rb") as file:
             for raw in _lines_between(file, start, stop):
                 try:
-                    results.add(json.loads(raw, parse_constant=_refuse))
+                    results.add(read_line(raw))
                 except (ValueError, KeyError, TypeError, IndexError):
                     results.damaged += 1
     except OSError as error:
@@ -228,22 +227,11 @@ def read_results(folder: Path, from_ns: int | None, to_ns: int | None, misfit_li
     return results
 
 
-def _refuse(constant: str) -> float:
-    """Refuse a number that JSON does not have.
-
-    Raises
-    ------
-    ValueError
-        Always.
-    """
-    raise ValueError(f"{constant} is no number of JSON")
-
-
 def _lines_between(lines: Iterator[bytes], start: int, stop: int) -> Iterator[bytes]:
-    """Select the complete lines whose windows end in ``(start, stop]``, UTC in ns."""
+    """Select the complete lines whose windows end in ``(start, stop]``, UTC in ns, and those that do not say when."""
     for raw in lines:
         found = _T_END.search(raw)
-        if found is not None and start < int(found[1]) <= stop and raw.endswith(b"\n"):
+        if raw.endswith(b"\n") and (found is None or start < int(found[1]) <= stop):
             yield raw
 
 
@@ -253,6 +241,9 @@ def _extent(path: Path) -> tuple[int, int, float]:
         head = [int(found[1]) for _, raw in zip(range(_HEAD), file, strict=False) if (found := _T_END.search(raw))]
         file.seek(max(0, path.stat().st_size - _TAIL_BYTES))
         tail = [int(t) for t in _T_END.findall(file.read())]
+        if not tail:  # a damaged line is longer than that
+            file.seek(0)
+            tail = [int(found[1]) for raw in file if (found := _T_END.search(raw))]
     if not head or not tail:
         raise BadInputError(f"{path}: no results in it; was the recording shorter than a window?")
     steps = [b - a for a, b in pairwise(head) if b > a]
