@@ -52,6 +52,7 @@ for command in (
     diagnose.evaluate,
     diagnose.accept,
     run.run,
+    run.warm,
     emulate.emulate,
     report.report,
     operate.status,

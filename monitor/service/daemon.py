@@ -10,6 +10,7 @@ import logging
 import os
 import signal
 import sys
+import threading
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
@@ -25,7 +26,7 @@ from monitor.core import BadConfigurationError, BadInputError, Gap, MissingInput
 from monitor.damage import Assessment, Baseline, load_baseline, outdated, utc
 from monitor.pipeline import Result
 from monitor.publish import Publisher, current_alarm_line, episode_content, to_json
-from monitor.runs import Progress, Session, duration_s, ledger, open_viewer
+from monitor.runs import Progress, Session, duration_s, ledger, open_viewer, warm_up
 from monitor.service import restart, systemd
 from monitor.service.appended_lines import AppendedLines
 from monitor.service.daemon_health import Vitals, Way, failures, plain
@@ -113,6 +114,7 @@ class Daemon(Publisher):
             self._outlets: tuple[Outlet, ...] = (*make_outlets(path, settings), *outlets)
             for outlet in self._outlets:
                 undo.callback(outlet.close, _END_S)
+            self._warm_up(healthy)
             known_ns = self._keeper.resume(self._new_session, self._history.window)
             if source is None:
                 assert settings.source is not None
@@ -151,6 +153,21 @@ class Daemon(Publisher):
         spans = settings.processing.hop_s, settings.health.span_s
         self._history = History(self.out / "state" / "history.db", settings.state, *spans)
         undo.callback(self._history.close, _END_S)
+
+    def _warm_up(self, healthy: Baseline | None) -> None:
+        """Compile what a window needs, so that no window waits for it; meanwhile lines of health say that the daemon starts."""
+
+        def work() -> None:
+            try:
+                warm_up(self.settings, healthy)
+            except Exception:  # noqa: BLE001 - what is not compiled now is compiled when it is needed
+                _log.warning("not all is compiled before the first window", exc_info=True)
+
+        thread = threading.Thread(target=work, name="warm-up", daemon=True)
+        thread.start()
+        while thread.is_alive():
+            thread.join(self._quiet_s)
+            self._tell_start()
 
     def _new_session(self) -> Session:
         """Begin a new session and make it the current one."""
