@@ -7,7 +7,7 @@ from .importers import import_files
 from .recordings import Progress, duration_s
 from .session import Session, SessionState
 from .viewer import open_viewer
-from .warm_up import warm_up
+from .warming import warm_up
 
 __all__ = [
     "WINDOWS",

@@ -8,6 +8,7 @@ import os
 import time
 from collections.abc import Callable, Collection, Mapping
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -70,7 +71,10 @@ def look(out: Path) -> dict[str, Any]:
     age_s = None if health is None else _age_s(health)
     is_heard, is_locked = age_s is not None and age_s <= _SILENT_S, running(out)
     is_running = is_heard if is_locked is None else is_locked
-    summary, result = _read(out / "summary.json"), _last_line(out / "results.jsonl", read_line)
+    summary, result = (
+        _read(out / "summary.json"),
+        _last_line(out / "results.jsonl", partial(read_line, defaults={"alarm": {}})),
+    )
     assessment, troubles = read_assessment(summary or {}), _troubles(health) if is_running else []
     code, process = exit_code(assessment.state, troubles), "running"
     if not (is_running and is_heard):

@@ -174,8 +174,15 @@ class LinesFile:
         partial(self._path).unlink(missing_ok=True)
 
 
-def read_line(text: str | bytes) -> dict[str, Any]:
+def read_line(text: str | bytes, defaults: Mapping[str, Any] | None = None) -> dict[str, Any]:
     """Read a line of results.jsonl, which may be damaged.
+
+    Parameters
+    ----------
+    text : str or bytes
+        The line.
+    defaults : mapping, optional
+        Values of keys that the line may lack.
 
     Raises
     ------
@@ -190,6 +197,8 @@ def read_line(text: str | bytes) -> dict[str, Any]:
     ValueError: it is not as `LINE_SCHEMA` says
     """
     line = parse_json(text)
+    if isinstance(line, dict):
+        line = {**(defaults or {}), **line}
     if not _fits(line, LINE_SCHEMA):
         raise ValueError("it is not as `LINE_SCHEMA` says")
     return dict(line)

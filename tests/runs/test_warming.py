@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from monitor.config import configuration
-from monitor.runs.warm_up import warm_up
+from monitor.runs.warming import warm_up
 from monitor.service import daemon as daemon_module
 from monitor.service.daemon import Daemon
 from tests.conftest import Cli
