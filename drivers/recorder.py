@@ -254,8 +254,16 @@ class Recorder:
 def recover(folder: Path) -> None:
     """Give the files that a crash left unfinished their final names.
 
-    The whole blocks of each file can be read.  A file without blocks is removed, a damaged one gets the suffix `.damaged`.
+    The whole blocks of each file can be read.  A file without blocks is removed; a damaged one, and one whose name is no time,
+    get the suffix `.damaged`.
     """
+    for path in _recordings(folder):
+        try:
+            _begun_ns(path)
+        except ValueError:
+            place = path.with_suffix(".damaged")
+            os.replace(path, place)
+            _log.warning("%s: its name is no time; set aside as %s", path, place.name)
     for part in sorted(folder.glob("*.mcap.part")):
         name = part.with_suffix("")
         try:

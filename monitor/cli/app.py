@@ -7,7 +7,9 @@ one command, load nothing that the others need.
 from __future__ import annotations
 
 import logging
+import os
 import sys
+import threading
 from typing import Annotated
 
 import typer
@@ -50,6 +52,7 @@ for command in (
     diagnose.evaluate,
     diagnose.accept,
     run.run,
+    run.warm,
     emulate.emulate,
     report.report,
     operate.status,
@@ -78,6 +81,19 @@ def _main(version: Annotated[bool, typer.Option("--version", help="Print the ver
 
 def main() -> None:
     """Run the command line; report an error of the user as one message and its exit code."""
+    try:
+        _call()
+    except SystemExit as end:
+        if any(thread.daemon for thread in threading.enumerate()) and isinstance(end.code, int):
+            # A thread that still waits for a disk or a network aborts the process if it returns while the interpreter ends.
+            sys.stdout.flush()
+            sys.stderr.flush()
+            os._exit(end.code)
+        raise
+
+
+def _call() -> None:
+    """Call the command that the arguments name; always raises SystemExit, except after an unexpected error."""
     logging.basicConfig(format="%(levelname)s %(name)s: %(message)s", level=logging.WARNING)
     keep_freed()
     leave_unread(app)

@@ -1,4 +1,4 @@
-"""Command `run`."""
+"""Commands `run` and `warm`."""
 
 from __future__ import annotations
 
@@ -21,3 +21,25 @@ def run(
     settings = configuration.load(file)
     logs.begin(settings.log, settings.site_name)
     Daemon(file).run()
+
+
+def warm(
+    file: Annotated[
+        Path | None, typer.Argument(metavar="SITE.toml", help="Site file; a small frame by default.")
+    ] = None,
+) -> None:
+    """Compile what windows need and keep it on the disk, so that a daemon starts within seconds.
+
+    Run it as the daemon's user, with its NUMBA_CACHE_DIR, after an installation.  A daemon does the same before READY.
+    """
+    from monitor.config import configuration
+    from monitor.damage import load_baseline
+    from monitor.runs import warm_up
+
+    if file is None:
+        warm_up()
+        return
+    settings = configuration.load(file)
+    name = settings.site.baseline
+    path = None if name is None else file.resolve().parent / name
+    warm_up(settings, None if path is None else load_baseline(path, settings.instrumented(), settings.updating))

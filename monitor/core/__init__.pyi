@@ -1,4 +1,5 @@
 from .blas import single_blas_thread
+from .busy import Busy
 from .compilation import compiled
 from .errors import (
     BadConfigurationError,
@@ -8,12 +9,12 @@ from .errors import (
     UserError,
     WrongUsageError,
 )
-from .files import demand_place, finish, partial, sha256, spare_inputs, write_atomically
+from .files import demand_place, finish, partial, set_aside, sha256, spare_inputs, write_atomically
 from .memory import keep_freed
 from .naming import name_stories, name_stories_in
 from .optimization import levenberg_marquardt
 from .parallel import parallel_map
-from .parse import parse_address, utc_ns
+from .parse import parse_address, parse_json, utc_ns
 from .results import (
     GAP,
     WHOLE,
@@ -44,6 +45,7 @@ __all__ = [
     "Array",
     "BadConfigurationError",
     "BadInputError",
+    "Busy",
     "ComplexArray",
     "DamageReading",
     "Gap",
@@ -71,7 +73,9 @@ __all__ = [
     "name_stories_in",
     "parallel_map",
     "parse_address",
+    "parse_json",
     "partial",
+    "set_aside",
     "settings_problems",
     "sha256",
     "single_blas_thread",

@@ -6,6 +6,7 @@ import hashlib
 import os
 from collections.abc import Iterable
 from errno import EISDIR
+from itertools import count
 from pathlib import Path
 
 from monitor.core.errors import MissingInputError, WrongUsageError
@@ -58,6 +59,14 @@ def demand_place(path: Path) -> None:
 def finish(path: Path) -> None:
     """Rename the partial file of `path` to its final name."""
     os.replace(partial(path), path)
+
+
+def set_aside(path: Path) -> Path:
+    """Rename a damaged file to the first of NAME.damaged-1, NAME.damaged-2 .. that is free, and return its new path."""
+    numbered = (path.with_name(f"{path.name}.damaged-{n}") for n in count(1))
+    place = next(p for p in numbered if not p.exists())
+    os.replace(path, place)
+    return place
 
 
 def write_atomically(path: Path, text: str) -> None:

@@ -1,8 +1,10 @@
-"""Parsing of user input: HOST:PORT and times."""
+"""Parsing of text from outside: HOST:PORT, times and JSON."""
 
 from __future__ import annotations
 
+import json
 from datetime import UTC, datetime, timedelta
+from typing import Any
 
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
@@ -50,3 +52,27 @@ def utc_ns(text: str) -> int:
     if not -(1 << 63) <= t_ns < 1 << 63:
         raise ValueError(f"{text!r} lies beyond the years 1678 to 2261")
     return t_ns
+
+
+def parse_json(text: str | bytes) -> Any:
+    """Parse strict JSON of any origin.
+
+    Raises
+    ------
+    ValueError
+        If the text is no JSON, holds NaN or an infinity, or is nested too deeply.
+
+    Examples
+    --------
+    >>> parse_json('{"a": [1, null]}')
+    {'a': [1, None]}
+    """
+    try:
+        return json.loads(text, parse_constant=_refuse)
+    except RecursionError as error:
+        raise ValueError("it is nested too deeply") from error
+
+
+def _refuse(constant: str) -> float:
+    """Refuse a number that JSON does not have."""
+    raise ValueError(f"{constant} is no number of JSON")

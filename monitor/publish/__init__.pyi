@@ -3,7 +3,16 @@ from .reports.diagnosis_report import write_report
 from .reports.period_report import read_period, write_period
 from .results.arrow_table import WINDOWS_SCHEMA, windows_table
 from .results.files import closed_files, month_file, pack_month, read_lines
-from .results.lines import LinesFile, alarm_line, current_alarm_line, replay_text, to_json, window_line
+from .results.lines import (
+    LinesFile,
+    alarm_line,
+    current_alarm_line,
+    facts_of_line,
+    read_line,
+    replay_text,
+    to_json,
+    window_line,
+)
 from .results.schema import LINE_SCHEMA
 from .results.summary import Quality, Summary, episode_content
 from .viewer.diagnosis_view import write_view
@@ -24,9 +33,11 @@ __all__ = [
     "closed_files",
     "current_alarm_line",
     "episode_content",
+    "facts_of_line",
     "make_scene",
     "month_file",
     "pack_month",
+    "read_line",
     "read_lines",
     "read_period",
     "replay_text",

@@ -7,6 +7,7 @@ from .importers import import_files
 from .recordings import Progress, duration_s
 from .session import Session, SessionState
 from .viewer import open_viewer
+from .warming import warm_up
 
 __all__ = [
     "WINDOWS",
@@ -27,4 +28,5 @@ __all__ = [
     "reprocess",
     "send_all",
     "synthetic_recording",
+    "warm_up",
 ]

@@ -25,7 +25,7 @@ from threadpoolctl import threadpool_limits
 from drivers.base import SampleBlock
 from drivers.mcap_file import McapWriter
 from monitor.config import configuration
-from monitor.core import UserError, demand_place, write_atomically
+from monitor.core import UserError, demand_place, parse_json, write_atomically
 from monitor.damage import load_baseline
 from monitor.diagnosis import Request
 from monitor.runs.recordings import OnWarning
@@ -174,7 +174,7 @@ class DiagnosisQueue:
         """Read the result of a job, keep it as a finding's file, and return the finding."""
         finding = {**job.request_keys, "verdict": None, "says": "", "causes": []}
         try:
-            finding |= json.loads(job.result.read_text(encoding="utf-8"))
+            finding |= parse_json(job.result.read_bytes())
         except (OSError, ValueError):
             finding["error"] = error or _last_line(job.recording.with_suffix(".log"))
         place = self._folder / f"{finding['id']}.json"

@@ -15,7 +15,18 @@ from typing import Any
 from drivers.base import SampleBlock
 from monitor.config import Configuration
 from monitor.core import Gap, Samples
-from monitor.damage import AlarmState, Assessment, Baseline, Known, Loss, assess, diagnosis_of, hold
+from monitor.damage import (
+    AlarmState,
+    Assessment,
+    Baseline,
+    Known,
+    Loss,
+    WindowFacts,
+    assess,
+    diagnosis_of,
+    follow,
+    hold,
+)
 from monitor.pipeline import Pipeline, PipelineState, Result
 from monitor.publish import Publisher, Quality, Summary, to_json, window_line
 from monitor.runs.online_diagnosis import FINDING_KEYS, OnlineDiagnosis, OnlineDiagnosisState
@@ -69,6 +80,8 @@ class Session:
         self._model_hz = config.model().modes().frequencies_hz.tolist()
         self._baseline, self._whole = baseline, whole
         self._assessment: Assessment | None = None
+        self.stated: dict[int, WindowFacts] = {}
+        """What an earlier run wrote of windows that are still to come again, by their indices; the summary counts it."""
 
     @property
     def windows(self) -> int:
@@ -218,7 +231,10 @@ class Session:
             for publisher in self._publishers:
                 publisher.health(result)
         else:
-            self._summary.window(result, self.config.watch.misfit)
+            misfit = self.config.watch.misfit
+            for index in sorted(i for i in self.stated if i < result.index):  # their samples were lost with that run
+                self._summary.course = follow(self._summary.course, self.stated.pop(index), misfit)
+            self._summary.window(result, misfit, self.stated.pop(result.index, None))
             self._publish_state()
             line = to_json(window_line(result))
             for publisher in self._publishers:

@@ -1,16 +1,25 @@
-"""Append-only files of lines: each line is written to the disk at once, and a full disk delays lines without losing them."""
+"""Append-only files of lines: a full disk or one that hangs delays lines without losing them."""
 
 from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Iterator
+import threading
+from collections.abc import Callable, Iterator
 from pathlib import Path
+
+from monitor.core import Busy
 
 _log = logging.getLogger(__name__)
 
-_TAIL_BYTES = 1 << 20
+_PIECE_BYTES = 1 << 20
+"""Length of the pieces in which the end of the last complete line is looked for, backwards. [bytes; cost]"""
 _MOST_PENDING_BYTES = 16 << 20
+
+
+def at_once(flush: Callable[[], None]) -> None:
+    """Write the lines that wait in the thread that appends them."""
+    flush()
 
 
 class AppendedLines:
@@ -25,13 +34,16 @@ class AppendedLines:
         File to append to.
     most_bytes : int, optional
         Size limit.  A larger file is renamed to NAME.1 and replaces the previous NAME.1.
+    run : callable, optional
+        Calls the function that it is given, which writes the lines that wait: at once by default, else in another thread, so
+        that `write` waits for no disk.
 
     Attributes
     ----------
     dropped : int
         Number of lines lost because too many waited.
-    failed : str
-        Why lines wait; empty if none do.
+    size : int
+        Size of the file when all lines so far are written, bytes.
 
     Raises
     ------
@@ -39,17 +51,27 @@ class AppendedLines:
         The file cannot be opened.
     """
 
-    def __init__(self, path: Path, most_bytes: int | None = None) -> None:
-        self._path, self._most_bytes = path, most_bytes
+    def __init__(
+        self,
+        path: Path,
+        most_bytes: int | None = None,
+        run: Callable[[Callable[[], None]], None] = at_once,
+    ) -> None:
+        self._path, self._most_bytes, self._run = path, most_bytes, run
         self._pending = b""
+        self._lock = threading.Lock()
+        """Held while lines are queued or taken; no holder waits for a disk."""
+        self._writing = threading.Lock()
+        """Held by the thread that writes."""
+        self._busy, self._syncing = Busy(), Busy()
         self.dropped, self._losing = 0, False
-        self.failed = ""
+        self._failure = ""
         self._open()
 
     @property
-    def size(self) -> int:
-        """Size of the file in bytes."""
-        return os.fstat(self._handle).st_size
+    def failed(self) -> str:
+        """Why lines wait; empty if none do."""
+        return self._busy.overdue or self._syncing.overdue or self._failure
 
     @property
     def position(self) -> int:
@@ -65,25 +87,44 @@ class AppendedLines:
     def write(self, line: str) -> None:
         """Append one line; a failing disk does not raise, `failed` then holds the reason."""
         data = line.encode() + b"\n"
-        if len(self._pending) + len(data) > _MOST_PENDING_BYTES:
-            if not self._losing:
-                _log.error("%s: no room for more lines to wait; lines are lost from here on", self._path)
-            self._losing = True
-            self.dropped += 1
-        else:
-            self._pending += data
-        self.flush()
+        with self._lock:
+            is_room = len(self._pending) + len(data) <= _MOST_PENDING_BYTES
+            if is_room:
+                self._pending += data
+                self.size += len(data)
+            else:
+                self.dropped += 1
+        if not is_room and not self._losing:
+            _log.error("%s: no room for more lines to wait; lines are lost from here on", self._path)
+        self._losing = self._losing or not is_room
+        self._run(self.flush)
 
     def flush(self) -> None:
-        """Try again to write the lines that wait."""
+        """Write the lines that wait, as far as the disk takes them."""
+        with self._writing, self._busy:
+            try:
+                while data := self._pending:
+                    n_written = os.write(self._handle, data)
+                    with self._lock:
+                        self._pending = self._pending[n_written:]
+                self._failure, self._losing = "", False
+                if self._most_bytes is not None and os.fstat(self._handle).st_size > self._most_bytes:
+                    self.roll(self._path.with_name(self._path.name + ".1"))
+            except OSError as error:
+                self._failure = f"{self._path}: {error.strerror or error}"
+
+    def try_roll(self, place: Path) -> bool:
+        """Rename the file to `place` and begin a new one, if no line waits and the disk allows it; return whether it was done."""
+        if self._pending or not self._writing.acquire(blocking=False):
+            return False
         try:
-            while self._pending:
-                self._pending = self._pending[os.write(self._handle, self._pending) :]
-            self.failed, self._losing = "", False
-            if self._most_bytes is not None and os.fstat(self._handle).st_size > self._most_bytes:
-                self.roll(self._path.with_name(self._path.name + ".1"))
+            self.roll(place)
         except OSError as error:
-            self.failed = f"{self._path}: {error.strerror or error}"
+            _log.warning("%s: not closed: %s", place, error.strerror or error)
+            return False
+        finally:
+            self._writing.release()
+        return True
 
     def roll(self, place: Path) -> None:
         """Rename the file to `place` and begin a new one.
@@ -103,21 +144,34 @@ class AppendedLines:
         os.close(before)
 
     def sync(self) -> None:
-        """Force the written lines onto the disk (fsync), so that they survive a power cut."""
-        try:
-            os.fsync(self._handle)
-        except OSError as error:
-            self.failed = f"{self._path}: {error.strerror or error}"
+        """Write the lines that wait and force them onto the disk (fsync), so that they survive a power cut."""
+        self.flush()
+        with self._syncing:
+            try:
+                os.fsync(self._handle)
+            except OSError as error:
+                self._failure = f"{self._path}: {error.strerror or error}"
 
     def close(self) -> None:
         """Write the lines that wait and close the file."""
-        self.flush()
         self.sync()
-        os.close(self._handle)
+        with self._writing:
+            os.close(self._handle)
 
     def _open(self) -> None:
         """Open the file and remove an incomplete last line."""
         self._handle = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o644)
-        size = os.fstat(self._handle).st_size
-        tail = os.pread(self._handle, _TAIL_BYTES, max(0, size - _TAIL_BYTES))
-        os.ftruncate(self._handle, size - len(tail) + tail.rfind(b"\n") + 1)
+        size = end = os.fstat(self._handle).st_size
+        while end > 0:
+            begin = max(0, end - _PIECE_BYTES)
+            newline = os.pread(self._handle, end - begin, begin).rfind(b"\n")
+            if newline >= 0:
+                end = begin + newline + 1
+                break
+            end = begin
+        if end < size:
+            _log.warning("%s: an incomplete last line of %d bytes is removed", self._path, size - end)
+        size = end
+        os.ftruncate(self._handle, size)
+        with self._lock:
+            self.size = size + len(self._pending)

@@ -10,8 +10,10 @@ import logging
 import os
 import signal
 import sys
+import threading
 import time
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -21,13 +23,13 @@ from drivers.base import RecordingError, RecordingMissingError, SampleBlock, Sou
 from drivers.recorder import unfit
 from monitor.config import configuration
 from monitor.core import BadConfigurationError, BadInputError, Gap, MissingInputError, WindowResult
-from monitor.damage import Assessment, load_baseline, outdated, utc
+from monitor.damage import Assessment, Baseline, load_baseline, outdated, utc
 from monitor.pipeline import Result
 from monitor.publish import Publisher, current_alarm_line, episode_content, to_json
-from monitor.runs import Progress, Session, duration_s, ledger, open_viewer
+from monitor.runs import Progress, Session, duration_s, ledger, open_viewer, warm_up
 from monitor.service import restart, systemd
 from monitor.service.appended_lines import AppendedLines
-from monitor.service.daemon_health import Vitals, Way, plain
+from monitor.service.daemon_health import Vitals, Way, failures, plain
 from monitor.service.history import History
 from monitor.service.outlets import Outlet, make_outlets
 from monitor.service.reload import reread
@@ -44,6 +46,8 @@ _DURABLE_S = 0.5
 """Longest wait for the disk before a change of an alarm is announced."""
 _TIDY_S = 60.0
 """Interval at which closed months are packed and the budget of the folder is looked after. [s; judgement]"""
+_CHECK_S = 1.0
+"""Interval at which the outputs are asked whether they fail, so that a line of health tells a failure soon. [s; judgement]"""
 _LATEST = 50
 _HEALTH_FILE_BYTES = 16 << 20
 
@@ -95,42 +99,85 @@ class Daemon(Publisher):
         healthy = (
             None if healthy_path is None else load_baseline(healthy_path, settings.instrumented(), settings.updating)
         )
+        make_outlets(path, settings, dry=True)
         self.out = folder / settings.output.dir
         self._vitals, self._progress = Vitals(self.out), Progress(lambda _: None)
-        self._begun_s = self._health_s = self._summary_s = self._sync_s = self._clock()
+        self._begun_s = self._health_s = self._summary_s = self._sync_s = self._checked_s = self._clock()
         self._tidied_s = float("-inf")
+        self._failed: set[str] = set()
         self._said: Assessment | None = None
         self._data_s = float("-inf")  # no window has come yet: what a checkpoint knows is no present state
         self._path, self._stopping, self._reload_requested, self._end_s = path, False, False, float("inf")
-        self._outlets: tuple[Outlet, ...] = (*make_outlets(path, settings), *outlets)
+        self._alarm: object = None
+        with ExitStack() as undo:
+            self._lock = restart.lock(
+                self.out / "state" / "lock", self.out
+            )  # before anything of this daemon can be seen from outside
+            undo.callback(os.close, self._lock)
+            self._open_parts(undo, healthy_path, healthy)
+            self._outlets: tuple[Outlet, ...] = (*make_outlets(path, settings), *outlets)
+            for outlet in self._outlets:
+                undo.callback(outlet.close, _END_S)
+            self._requests = RequestHandler(
+                self._outlets, self.out / ledger.LEDGER, self._chores, self._keeper, self._history, clock
+            )
+            self._warm_up(healthy)
+            known_ns = self._keeper.resume(self._new_session, self._history.window)
+            if source is None:
+                assert settings.source is not None
+                source = configuration.make_source(settings.source, SourceContext(settings.channels, folder, known_ns))
+            self.reader = Reader(source)
+            self._bounds = configuration.make_bounds(settings.source)
+            undo.pop_all()
+
+    def _open_parts(self, undo: ExitStack, healthy_path: Path | None, healthy: Baseline | None) -> None:
+        """Open the files, the viewer and the threads behind them; `undo` closes them again."""
+        settings = self.settings
+        # Lines are written by a thread that waits for no fsync, so that health.jsonl can say that the others wait for one.
+        self._chores, self._line_writer = Chores(), Chores("lines")
+        undo.callback(self._chores.close, _END_S)
+        undo.callback(self._line_writer.close, _END_S)
+        later = self._line_writer.do
         try:
-            (self.out / "state").mkdir(parents=True, exist_ok=True)
-            self._lock = restart.lock(self.out / "state" / "lock", self.out)
-            self._lines = ResultsFile(self.out / "results.jsonl", by_month=settings.output.pack_months)
-            self._health_lines = AppendedLines(self.out / "health.jsonl", _HEALTH_FILE_BYTES)
+            results, by_month = self.out / "results.jsonl", settings.output.pack_months
+            self._lines = ResultsFile(results, by_month=by_month, run=partial(later, "results.jsonl"))
+            undo.callback(self._lines.close)
+            health = self.out / "health.jsonl"
+            self._health_lines = AppendedLines(health, _HEALTH_FILE_BYTES, partial(later, "health.jsonl"))
+            undo.callback(self._health_lines.close)
+            self._tell_start()
             self._recording = Recording(self.out / "recordings", settings.recorder)
+            undo.callback(self._recording.close, _END_S)
+            self._storage = Storage(self.out, settings.output, self._recording)
             self._keeper = restart.Checkpointer(self.out, settings, healthy_path, self._recording, self._lines)
-            restart.note_baseline(self.out, path, healthy_path)
+            restart.note_baseline(self.out, self._path, healthy_path)
         except OSError as error:
             raise MissingInputError(f"{self.out}: cannot be written: {error.strerror}") from error
         serve = settings.output.address
         self._view = None if serve is None else open_viewer(settings, healthy, file=None, serve=serve, lossless=False)
+        if self._view is not None:
+            undo.callback(self._view.close, _END_S)
         publishers = (self,) if self._view is None else (self, self._view)
         findings = self.out / "findings" / f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}"
-        self._begin = partial(Session, settings, healthy, publishers, (path, healthy_path), findings)
+        self._begin = partial(Session, settings, healthy, publishers, (self._path, healthy_path), findings)
         spans = settings.processing.hop_s, settings.health.span_s
-        self._chores, self._storage = Chores(), Storage(self.out, settings.output, self._recording)
         self._history = History(self.out / "state" / "history.db", settings.state, *spans)
-        self._requests = RequestHandler(
-            self._outlets, self.out / ledger.LEDGER, self._chores, self._keeper, self._history, clock
-        )
-        self._alarm: object = None
-        known_ns = self._keeper.resume(self._new_session, self._history.window)
-        if source is None:
-            assert settings.source is not None
-            source = configuration.make_source(settings.source, SourceContext(settings.channels, folder, known_ns))
-        self.reader = Reader(source)
-        self._bounds = configuration.make_bounds(settings.source)
+        undo.callback(self._history.close, _END_S)
+
+    def _warm_up(self, healthy: Baseline | None) -> None:
+        """Compile what a window needs, so that no window waits for it; meanwhile lines of health say that the daemon starts."""
+
+        def work() -> None:
+            try:
+                warm_up(self.settings, healthy)
+            except Exception:  # noqa: BLE001 - what is not compiled now is compiled when it is needed
+                _log.warning("not all is compiled before the first window", exc_info=True)
+
+        thread = threading.Thread(target=work, name="warm-up", daemon=True)
+        thread.start()
+        while thread.is_alive():
+            thread.join(self._quiet_s)
+            self._tell_start()
 
     def _new_session(self) -> Session:
         """Begin a new session and make it the current one."""
@@ -206,11 +253,16 @@ class Daemon(Publisher):
             if self._view is not None:
                 self._view.clocks(health.t_end_ns, self.reader.source.health().clocks)
         if self._keeper.resuming:
+            if self._clock() - self._health_s >= self._quiet_s:
+                self._tell_start()
             return
         self._publish_state()
-        self._health_s = self._clock()
+        self._health_s = self._checked_s = self._clock()
         line = self._vitals.line(span, self.reader, self._recording.health(), self._outputs())
         line["ledger_head"] = self._requests.head
+        for name in line["failed"].keys() - self._failed:
+            _log.warning("blocked: %s: %s", name, line["failed"][name])
+        self._failed = set(line["failed"])
         self._health_lines.write(json.dumps(line, allow_nan=False))
         for outlet in self._outlets:
             outlet.health_line(line)
@@ -220,6 +272,11 @@ class Daemon(Publisher):
         self._history.finding(finding)
         for outlet in self._outlets:
             outlet.finding(finding)
+
+    def _tell_start(self) -> None:
+        """Write a line of health that says that the daemon is starting."""
+        self._health_s = self._clock()
+        self._health_lines.write(json.dumps(self._vitals.line(None, None, None, ()), allow_nan=False))
 
     def _request_stop(self, number: int, _: object) -> None:
         """Handle SIGTERM and SIGINT: stop within `_END_S`."""
@@ -241,6 +298,7 @@ class Daemon(Publisher):
                 ready = True
                 print("READY", file=sys.stderr, flush=True)
                 systemd.notify("READY=1")
+                self.health(None)
             if watchdog_s is not None and now - notified_s >= watchdog_s:
                 notified_s = now
                 systemd.notify("WATCHDOG=1")
@@ -297,17 +355,23 @@ class Daemon(Publisher):
         if self._reload_requested:
             self._reload()
         self._requests.step(self.session, timed=self._progress.first is not None)
-        if now - self._health_s >= self._quiet_s:
+        if now - self._health_s >= self._quiet_s or self._failures_changed(now):
             self.health(None)
         if now - self._sync_s >= self.settings.recorder.flush_s:
             self._sync_s = now
-            self._lines.flush()
             self._chores.do("sync", self._lines.sync)
         if now - self._tidied_s >= _TIDY_S:
             self._tidied_s = now
             self._chores.do("storage", self._storage.tidy)
         if now - self._summary_s >= self._quiet_s:
             self._write_summary()
+
+    def _failures_changed(self, now: float) -> bool:
+        """Return whether other outputs fail than the latest line of health says; they are asked every `_CHECK_S`."""
+        if now - self._checked_s < _CHECK_S:
+            return False
+        self._checked_s = now
+        return failures(self._outputs()).keys() != self._failed
 
     @property
     def _present(self) -> Assessment:
@@ -337,8 +401,9 @@ class Daemon(Publisher):
         self._chores.write(self.out / "summary.json", to_json(plain(content)) + "\n")
 
     def _outputs(self) -> list[tuple[str, Way]]:
-        """List every output with its name: outlets, viewer, checkpoint, history and files."""
-        own: dict[str, Way | None] = {"viewer": self._view, "checkpoint": self._keeper, "history": self._history}
+        """List every part beside the main thread with its name: source, recorder, outlets, viewer, checkpoint, history, files."""
+        own: dict[str, Way | None] = {"source": self.reader, "recorder": self._recording, "viewer": self._view}
+        own |= {"checkpoint": self._keeper, "history": self._history}
         own |= {"ledger.jsonl": self._requests, "storage": self._storage}
         own |= {"results.jsonl": self._lines, "health.jsonl": self._health_lines, "summary.json": self._chores}
         return [(n, way) for n, way in own.items() if way is not None] + [(type(o).__name__, o) for o in self._outlets]
@@ -353,6 +418,7 @@ class Daemon(Publisher):
         self.health(None)
         self._write_summary()
         self._history.close(self._share_s())
+        self._line_writer.close(self._share_s())
         for lines in (self._lines, self._health_lines):
             self._chores.do(f"close {id(lines)}", lines.close)
         for outlet in reversed(self._outlets):

@@ -17,8 +17,9 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, Protocol
 
-from drivers.base import ACCELERATION, SampleBlock
+from drivers.base import ACCELERATION, SampleBlock, SourceHealth
 from drivers.recorder import RecorderHealth
+from monitor.service.boot import boot_time
 from monitor.service.threads import Reader
 
 LATENCY_MS = (5, 10, 20, 50, 100, 200, 500, 1000)
@@ -90,7 +91,7 @@ class Vitals:
     def line(
         self,
         span: Mapping[str, Any] | None,
-        reader: Reader,
+        reader: Reader | None,
         recorder: RecorderHealth | None,
         ways: Iterable[tuple[str, Way]],
     ) -> dict[str, Any]:
@@ -100,31 +101,34 @@ class Vitals:
         ----------
         span : mapping or None
             Sensors' health (`Health`) as plain values; None if no data arrived.
-        reader : Reader
-            Reader of the source.
+        reader : Reader or None
+            Reader of the source; None while the daemon starts.
         recorder : RecorderHealth or None
             Health of the recorder; None if nothing is recorded.
         ways : iterable of (str, Way)
             Outputs of the daemon with their names.
         """
         ways = list(ways)
-        source = reader.source.health()
+        source = SourceHealth(False, {}) if reader is None else reader.source.health()
+        boot_id, boot_s = boot_time()
         stream = dict(span or {})
         channels = stream.pop("channels", [])
         own: dict[str, Any] = plain(
             {
                 "wall_ns": time.time_ns(),
+                "boot_id": boot_id,
+                "boot_s": boot_s,
                 "source": {
                     "connected": source.connected,
                     "detail": source.detail,
                     "counts": dict(source.counts),
                     "clocks": source.clocks,
-                    "lost": reader.lost,
-                    "error": reader.error,
+                    "lost": 0 if reader is None else reader.lost,
+                    "error": "the monitor is starting" if reader is None else reader.error,
                 },
                 "delay_s": self._delay_s,
                 "refused": {"blocks": self.refused, "latest": self.refusal},
-                "queue": len(reader.queue),
+                "queue": 0 if reader is None else len(reader.queue),
                 "uptime_s": time.monotonic() - self._begun_s,
                 "disk_free_bytes": _free_bytes(self._out),
                 "latency_ms": self.latency(),

@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import json
 import logging
-import os
 import sqlite3
 import threading
 from collections import deque
@@ -18,6 +17,8 @@ from pathlib import Path
 from typing import Any
 
 from monitor.config import StateSettings
+from monitor.core import Busy
+from monitor.core import set_aside as rename_aside
 
 _log = logging.getLogger(__name__)
 
@@ -81,8 +82,6 @@ class History:
     ----------
     dropped : int
         Number of rows lost because too many waited.
-    failed : str or None
-        Why rows wait; None if none do.
     """
 
     def __init__(self, path: Path, settings: StateSettings, hop_s: float, span_s: float) -> None:
@@ -99,10 +98,16 @@ class History:
         self._stored_alarms: dict[tuple[int | None, int], Row] = {}
         self._inserted = 0
         self.dropped, self._losing = 0, False
-        self.failed: str | None = None
+        self._failure: str | None = None
+        self._busy = Busy()
         self._thread = threading.Thread(target=self._work, name="history", daemon=True)
         if self._enabled:
             self._thread.start()
+
+    @property
+    def failed(self) -> str | None:
+        """Why rows wait; None if none do."""
+        return self._busy.overdue or self._failure
 
     def window(self, line: Mapping[str, Any]) -> None:
         """Store the result of a window, given as its line of results.jsonl, and with `state` the structure's."""
@@ -175,9 +180,10 @@ class History:
             self._closing.wait(_COMMIT_S)  # collect many rows for one transaction
             self._wake.clear()
             try:
-                database = open_database(self._path) if database is None else database
-                self._write(database)
-                self.failed, self._losing = None, False
+                with self._busy:
+                    database = open_database(self._path) if database is None else database
+                    self._write(database)
+                self._failure, self._losing = None, False
             except (sqlite3.Error, OSError) as error:
                 self._note_failure(str(error))
                 if database is not None:
@@ -194,10 +200,10 @@ class History:
             database.close()
 
     def _note_failure(self, reason: str) -> None:
-        """Set `failed`, and log the reason if it is a new one."""
-        if self.failed != reason:
+        """Keep the reason of a failure, and log it if it is a new one."""
+        if self._failure != reason:
             _log.warning("%s: %s; %d rows wait", self._path, reason, len(self._rows))
-        self.failed = reason
+        self._failure = reason
 
     def _write(self, database: sqlite3.Connection) -> None:
         """Write all queued rows in one transaction; now and then remove old rows."""
@@ -250,11 +256,9 @@ def is_damage(error: Exception) -> bool:
 
 def set_aside(path: Path, reason: str) -> bool:
     """Rename a database that cannot be used; return whether the disk allowed it."""
-    numbered = (path.with_name(f"{path.name}.damaged-{n}") for n in range(1, 10_000))
-    place = next(p for p in numbered if not p.exists())
-    _log.error("%s: %s; set aside as %s, a new one is begun", path, reason, place.name)
     with contextlib.suppress(OSError):
-        os.replace(path, place)
+        place = rename_aside(path)
+        _log.error("%s: %s; set aside as %s, a new one is begun", path, reason, place.name)
         for end in ("-wal", "-shm"):
             path.with_name(path.name + end).unlink(missing_ok=True)
         return True

@@ -7,6 +7,7 @@ import fcntl
 import json
 import logging
 import os
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
@@ -16,8 +17,17 @@ from typing import Any
 from drivers.base import ACCELERATION, SampleBlock
 from drivers.recorder import recorded
 from monitor.config import Configuration
-from monitor.core import BadConfigurationError, BadInputError, sha256, write_atomically
-from monitor.damage import StoryState
+from monitor.core import (
+    BadConfigurationError,
+    BadInputError,
+    MissingInputError,
+    parse_json,
+    set_aside,
+    sha256,
+    write_atomically,
+)
+from monitor.damage import StoryState, WindowFacts
+from monitor.publish import facts_of_line, read_line
 from monitor.runs import Session, SessionState, ledger
 from monitor.service import serialization
 from monitor.service.appended_lines import AppendedLines
@@ -39,6 +49,10 @@ _KEYED = (
 )
 """Tables of the site file on which the results depend, besides the structure.  Limits of alarm, quality and watch may change."""
 _MOST_LINES_BYTES = 64 << 20
+_LOCK_MODE = 0o600
+_LOCK_WAIT_S, _LOCK_POLL_S = 1.0, 0.02
+"""Time for which the lock is asked for, and pause between two attempts: `status`, run by the owner or root, holds it for
+microseconds.  [s; judgement]"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,8 +94,8 @@ class Checkpointer:
 
     Attributes
     ----------
-    written : set of int
-        Indices of windows whose lines a previous run wrote after its last checkpoint; they are not published again.
+    written : dict of int to WindowFacts
+        Windows whose lines a previous run wrote after its last checkpoint, by their indices; they are not published again.
     resuming : bool
         True while blocks are read from the recordings, not from the source.
     failed : str or None
@@ -103,7 +117,7 @@ class Checkpointer:
         self._place, self._alarms = out / "state" / "checkpoint", out / "state" / "alarms"
         self._seconds, self._due, self._busy = 0.0, False, False
         self._stories: tuple[StoryState, ...] | None = None
-        self.written: set[int] = set()
+        self.written: dict[int, WindowFacts] = {}
         self.resuming = False
         self.failed: str | None = None
 
@@ -130,9 +144,10 @@ class Checkpointer:
         saved = serialization.load(self._place, self._key, Saved) if self._config.state.checkpoint_s else None
         session = begin()
         if saved is not None:
-            for line in self._lines_since(saved.results_bytes):
-                self.written.add(line["window"])
+            for line, facts in self._lines_since(saved.results_bytes):
+                self.written[line["window"]] = facts
                 known(line)
+            session.stated = dict(self.written)
             self.resuming = True
             try:
                 self._catch_up(session, saved)
@@ -169,7 +184,8 @@ class Checkpointer:
         if self._due:
             return
         self._busy, self._seconds, self._stories = True, 0.0, session.pipeline.state.alarm.stories
-        self._recording.then(partial(self._write, session.state, self._lines.position))
+        if not self._recording.then(partial(self._write, session.state, self._lines.position)):
+            self._busy, self._due = False, True
 
     def forget(self) -> None:
         """Remove the checkpoint after the end of the stream, so that the next run begins anew."""
@@ -183,6 +199,8 @@ class Checkpointer:
         """Write the alarms and the checkpoint (in the recorder's thread)."""
         try:
             self._lines.sync()
+            if self._lines.failed:
+                raise OSError(self._lines.failed)
             serialization.save(self._alarms, self._alarm_key, KeptAlarms(state.pipeline.alarm.stories))
             if self._config.state.checkpoint_s:
                 serialization.save(self._place, self._key, Saved(state, stamp_ns, results_bytes))
@@ -212,21 +230,25 @@ class Checkpointer:
         if not restored:
             session.restore(saved.session)
 
-    def _lines_since(self, position: int) -> list[dict[str, Any]]:
-        """Read the windows' lines of results.jsonl after a position; other lines are skipped."""
-        found = []
-        for text in self._lines.lines_after(position, _MOST_LINES_BYTES):
+    def _lines_since(self, position: int) -> list[tuple[dict[str, Any], WindowFacts]]:
+        """Read the windows' lines of results.jsonl after a position; damaged ones are left out, with a message."""
+        found, damaged = [], 0
+        for text in filter(bytes.strip, self._lines.lines_after(position, _MOST_LINES_BYTES)):
             try:
-                line = json.loads(text)
-            except ValueError:
-                continue
-            if isinstance(line, dict) and {"window", "t_end_ns", "alarm"} <= line.keys():
-                found.append(line)
+                line = {"window": None} | read_line(text)
+                if line["window"] is not None:
+                    found.append((line, facts_of_line(line)))
+            except (ValueError, KeyError, TypeError, IndexError):
+                damaged += 1
+        if damaged:
+            _log.warning("%s: %d damaged lines are left out", self._out / "results.jsonl", damaged)
         return found
 
 
 def lock(path: Path, out: Path) -> int:
-    """Lock the output folder `out` by a file; the lock ends with the process.
+    """Lock the output folder `out` by a file, whose folder is created; the lock ends with the process.
+
+    Only its owner may open the file, so that nobody who may merely read the folder can hold the lock.
 
     Returns
     -------
@@ -235,16 +257,29 @@ def lock(path: Path, out: Path) -> int:
 
     Raises
     ------
+    MissingInputError
+        The folder cannot be written.
     BadConfigurationError
         Another daemon holds the lock.
     """
-    handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
     try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError as error:
-        os.close(handle)
-        raise BadConfigurationError(f"{out}: another daemon writes here; name another dir under [output]") from error
-    return handle
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, _LOCK_MODE)
+        os.fchmod(handle, _LOCK_MODE)  # earlier versions let everybody read it
+    except OSError as error:
+        raise MissingInputError(f"{out}: cannot be written: {error.strerror}") from error
+    deadline = time.monotonic() + _LOCK_WAIT_S
+    while True:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            if time.monotonic() >= deadline:
+                os.close(handle)
+                says = f"{out}: another daemon writes here; name another dir under [output]"
+                raise BadConfigurationError(says) from error
+            time.sleep(_LOCK_POLL_S)
+        else:
+            return handle
 
 
 def note_baseline(out: Path, site: Path, healthy: Path | None) -> None:
@@ -252,9 +287,12 @@ def note_baseline(out: Path, site: Path, healthy: Path | None) -> None:
     place = out / "state" / "baseline.json"
     present = {"baseline_sha256": None if healthy is None else sha256(healthy)}
     try:
-        previous = json.loads(place.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        previous = parse_json(place.read_bytes())
+    except FileNotFoundError:
         previous = None
+    except ValueError as error:
+        previous = None
+        _log.warning("%s: %s; set aside as %s", place, error, set_aside(place).name)
     if previous == present:
         return
     if previous is not None:

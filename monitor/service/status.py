@@ -6,29 +6,36 @@ import fcntl
 import json
 import os
 import time
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from monitor.core import MissingInputError, name_stories
+from monitor.core import MissingInputError, name_stories, parse_json
 from monitor.damage import Assessment, State, outdated, utc
+from monitor.publish import read_line
 from monitor.runs import ledger, ledger_chain
+from monitor.service.boot import boot_time
 
 HEALTHY, ALARM, TROUBLE, DOWN = 0, 10, 11, 12
 """Exit codes: the state is normal and the monitor works; advisory, warning or alarm; doubtful, not judged or a part does not
 work; the monitor does not run, or is silent."""
 _SILENT_S = 60.0
 """Age of the latest health line beyond which a daemon counts as silent; one is written at least every 10 s."""
+_AHEAD_S = 5.0
+"""Greatest lead of a health line on the wall clock that counts as a small correction of that clock. [s; judgement]"""
 _TAIL_BYTES = 1 << 20
-_OF_HEALTH, _OF_RESULT = {"wall_ns", "source", "recorder", "failed"}, {"t_end_ns", "skipped"}
-"""Keys that every health line, and every line of results, has; a line without them is skipped."""
+_DAMAGED = (TypeError, ValueError, KeyError, AttributeError, IndexError, OverflowError, OSError)
+"""Errors that a value of a wrong type, in a damaged file, may cause. [none; definition]"""
 
 
-def running(out: Path) -> bool:
-    """Return whether a running daemon holds the lock of the output folder."""
+def running(out: Path) -> bool | None:
+    """Return whether a running daemon holds the lock of the output folder; None for a user who may not know."""
     try:
         handle = os.open(out / "state" / "lock", os.O_RDONLY | os.O_CLOEXEC)
+    except PermissionError:
+        return None
     except OSError:
         return False
     try:
@@ -61,13 +68,17 @@ def look(out: Path) -> dict[str, Any]:
         There is no such folder, or no daemon has ever written there.
     """
     demand_state(out)
-    health = _last_line(out / "health.jsonl", _OF_HEALTH) or _last_line(out / "health.jsonl.1", _OF_HEALTH)
-    age_s = None if health is None else (time.time_ns() - health["wall_ns"]) * 1e-9
-    is_running = running(out)
-    summary, result = _read(out / "summary.json"), _last_line(out / "results.jsonl", _OF_RESULT)
+    health = _last_line(out / "health.jsonl", _read_health) or _last_line(out / "health.jsonl.1", _read_health)
+    age_s = None if health is None else _age_s(health)
+    is_heard, is_locked = age_s is not None and age_s <= _SILENT_S, running(out)
+    is_running = is_heard if is_locked is None else is_locked
+    summary, result = (
+        _read(out / "summary.json"),
+        _last_line(out / "results.jsonl", partial(read_line, defaults={"alarm": {}})),
+    )
     assessment, troubles = read_assessment(summary or {}), _troubles(health) if is_running else []
     code, process = exit_code(assessment.state, troubles), "running"
-    if not is_running or age_s is None or age_s > _SILENT_S:
+    if not (is_running and is_heard):
         code, process = DOWN, "silent" if is_running else "not running"
         says = "is silent" if is_running else "does not run"
         since = "" if health is None else f" since {utc(health['wall_ns'])} UTC"
@@ -99,9 +110,8 @@ def verify_ledger(out: Path) -> int:
     MissingInputError
         The ledger cannot be read.
     """
-    health = _last_line(out / "health.jsonl", _OF_HEALTH) or {}
-    head = health.get("ledger_head")
-    return ledger_chain.verify(out / ledger.LEDGER, [head] if isinstance(head, str) else [])
+    health = _last_line(out / "health.jsonl", _read_named_head, last=None)  # lines of a start name none
+    return ledger_chain.verify(out / ledger.LEDGER, [] if health is None else [health["ledger_head"]])
 
 
 def read_assessment(content: Mapping[str, Any]) -> Assessment:
@@ -114,7 +124,7 @@ def read_assessment(content: Mapping[str, Any]) -> Assessment:
         return Assessment(state, str(content["headline"]), tuple(map(str, content.get("doubts") or ())))
     except (KeyError, ValueError, TypeError):
         alarm = content.get("alarm")
-        level = alarm.get("level") if isinstance(alarm, dict) else None
+        level = str(alarm.get("level")) if isinstance(alarm, dict) else None
         if isinstance(alarm, dict) and level in {State.ADVISORY, State.WARNING, State.ALARM}:
             return Assessment(State(level), str(alarm.get("reason") or "An alarm stands."))
         return Assessment(State.NOT_JUDGED, "The monitor has not said its state.")
@@ -133,42 +143,81 @@ def tell(status: dict[str, Any]) -> str:
     source, recorder, quality = (
         d or {} for d in (health.get("source"), health.get("recorder"), summary.get("quality"))
     )
-    up_s = health.get("uptime_s")
-    last_line = "no health line" if status["silent_s"] is None else f"heard of {status['silent_s']:.0f} s ago"
-    up = f", up {up_s / 3600:.1f} h" if status["running"] and up_s is not None else ""
-    lost = "".join(f"; {n} lost on the way to {name}" for name, n in health.get("lost", {}).items())
-    blocked = "; ".join(status["troubles"]) or "nothing"
-    rows = [("state", f"{State(status['state']).words.upper()}: {status['headline']}")]
-    rows += [("doubts", " ".join(status["doubts"]))] if status["doubts"] else []
-    rows.append(("monitor", f"{status['monitor']}{up}, {last_line}; blocked: {blocked}{lost}"))
-    connected = "connected" if source.get("connected") else f"NOT connected {source.get('error', '')}".rstrip()
-    rows.append(("source", f"{connected}, lost {source.get('lost', 0)} times; {_delay(health)}"))
-    rows.append(("quality", _quality(quality, health)))
-    rows.append(("windows", f"{summary.get('windows', 0)}, {summary.get('skipped', 0)} skipped; {_latest(result)}"))
-    rows.append(("modes", _pairs(result.get("frequencies_hz"), result.get("frequencies_std_hz"), "Hz", 1.0)))
-    without_baseline = str((result.get("alarm") or {}).get("reason")).startswith("no baseline")
-    reference, remark = (
-        (" against the structure file", "; no baseline, so none can be raised") if without_baseline else ("", "")
-    )
-    rows.append(("loss", _pairs(result.get("ddi"), result.get("ddi_std"), "%" + reference, 100.0)))
-    names = (summary.get("known") or {}).get("names") or ()
-    rows.append(("alarm", name_stories(_alarm(summary.get("alarm"), result), names) + remark))
-    rows.append(("recorder", _recorder(recorder, health)))
-    found = summary.get("findings") or []
-    rows.append(
-        ("findings", f"{len(found)}; latest: {found[-1].get('says') or found[-1].get('reason')}" if found else "none")
-    )
+    makers: dict[str, Callable[[], str]] = {
+        "state": lambda: f"{State(status['state']).words.upper()}: {status['headline']}",
+        "doubts": lambda: " ".join(status["doubts"]),
+        "monitor": lambda: _monitor(status, health),
+        "source": lambda: _source(source, health),
+        "quality": lambda: _quality(quality, health),
+        "windows": lambda: f"{summary.get('windows', 0)}, {summary.get('skipped', 0)} skipped; {_latest(result)}",
+        "modes": lambda: _pairs(result.get("frequencies_hz"), result.get("frequencies_std_hz"), "Hz", 1.0),
+        "loss": lambda: _pairs(result.get("ddi"), result.get("ddi_std"), "%" + _reference(result)[0], 100.0),
+        "alarm": lambda: name_stories(_alarm(summary.get("alarm"), result), _names(summary)) + _reference(result)[1],
+        "recorder": lambda: _recorder(recorder, health),
+        "findings": lambda: _findings(summary.get("findings") or []),
+    }
+    rows = [(name, _readable(make)) for name, make in makers.items() if name != "doubts" or status["doubts"]]
     return "\n".join(f"{name:<9} {text}" for name, text in rows)
 
 
+def _readable(make: Callable[[], str]) -> str:
+    """Make the text of a row, or say that what it is made of is damaged."""
+    try:
+        return make()
+    except _DAMAGED:
+        return "cannot be read: the file is damaged"
+
+
+def _monitor(status: dict[str, Any], health: dict[str, Any]) -> str:
+    up_s = health.get("uptime_s")
+    last_line = "not heard of" if status["silent_s"] is None else f"heard of {status['silent_s']:.0f} s ago"
+    up = f", up {up_s / 3600:.1f} h" if status["running"] and up_s is not None else ""
+    lost = "".join(f"; {n} lost on the way to {name}" for name, n in health.get("lost", {}).items())
+    return f"{status['monitor']}{up}, {last_line}; blocked: {'; '.join(status['troubles']) or 'nothing'}{lost}"
+
+
+def _source(source: dict[str, Any], health: dict[str, Any]) -> str:
+    connected = "connected" if source.get("connected") else f"NOT connected {source.get('error', '')}".rstrip()
+    return f"{connected}, lost {source.get('lost', 0)} times; {_delay(health)}"
+
+
+def _reference(result: dict[str, Any]) -> tuple[str, str]:
+    """Say what losses refer to without a baseline, and what that means for alarms; empty texts with one."""
+    if not str((result.get("alarm") or {}).get("reason")).startswith("no baseline"):
+        return "", ""
+    return " against the structure file", "; no baseline, so none can be raised"
+
+
+def _names(summary: dict[str, Any]) -> list[str]:
+    return list((summary.get("known") or {}).get("names") or ())
+
+
+def _findings(found: list[dict[str, Any]]) -> str:
+    return f"{len(found)}; latest: {found[-1].get('says') or found[-1].get('reason')}" if found else "none"
+
+
+def _age_s(health: dict[str, Any]) -> float | None:
+    """Return the time since a health line was written, s; None if it is not known.
+
+    Within one run of the machine the clock that nobody sets tells the age.  A line of an earlier run is at least as old as this
+    one, whatever the wall clock says; without either a line that lies ahead of the wall clock is of no known age.
+    """
+    boot_id, boot_s = boot_time()
+    wall_s = (time.time_ns() - health["wall_ns"]) * 1e-9
+    if "boot_s" not in health:  # an earlier version's
+        return wall_s if wall_s >= -_AHEAD_S else None
+    age_s = boot_s - health["boot_s"] if health["boot_id"] == boot_id else max(wall_s, boot_s)
+    return age_s if age_s >= 0.0 else None
+
+
 def _troubles(health: dict[str, Any] | None) -> list[str]:
-    """List what does not work: the source, the recorder, outputs."""
+    """List what does not work: the source, the recorder, outputs; each once."""
     if health is None:
         return []
-    troubles = [] if health["source"]["connected"] else [f"source: {health['source']['error'] or 'not connected'}"]
-    recorder = health["recorder"]
-    troubles += [f"recorder: {recorder['detail']}"] if recorder is not None and not recorder["recording"] else []
-    return troubles + [f"{name}: {why}" for name, why in health["failed"].items()]
+    source, recorder = health["source"], health["recorder"]
+    troubles = {} if source.get("connected") else {"source": source.get("error") or "not connected"}
+    troubles |= {} if recorder is None or recorder.get("recording") else {"recorder": recorder.get("detail")}
+    return [f"{name}: {why}" for name, why in (troubles | health["failed"]).items()]
 
 
 def _delay(health: dict[str, Any]) -> str:
@@ -225,14 +274,44 @@ def _utc(t_ns: int) -> str:
 
 def _read(path: Path) -> dict[str, Any] | None:
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        return _read_object(path.read_bytes())
     except (OSError, ValueError):
         return None
-    return content if isinstance(content, dict) else None
 
 
-def _last_line(path: Path, keys: set[str]) -> dict[str, Any] | None:
-    """Read the last complete line that has these keys; None if it is not one of the last two lines."""
+def _read_object(text: bytes) -> dict[str, Any]:
+    """Read a JSON object that can be written again; raise ValueError if it is none."""
+    content = parse_json(text)
+    json.dumps(content, allow_nan=False)  # 1e999 is read as an infinity
+    if not isinstance(content, dict):
+        raise ValueError("it is no JSON object")
+    return content
+
+
+def _read_health(text: bytes) -> dict[str, Any]:
+    """Read a line of health.jsonl; raise ValueError if it is none."""
+    line = _read_object(text)
+    kinds = {"wall_ns": int, "source": dict, "recorder": dict | None, "failed": dict}
+    if (
+        not all(isinstance(line.get(key, ""), kind) for key, kind in kinds.items())
+        or not 0 <= line["wall_ns"] < 1 << 62
+    ):
+        raise ValueError("it is no line of health")
+    if "boot_s" in line and not (isinstance(line["boot_s"], float | int) and isinstance(line.get("boot_id"), str)):
+        raise ValueError("its time since the start of the machine is none")
+    return line
+
+
+def _read_named_head(text: bytes) -> dict[str, Any]:
+    """Read a line of health.jsonl that names the ledger's head; raise ValueError if it is none."""
+    line = _read_health(text)
+    if not isinstance(line.get("ledger_head"), str):
+        raise ValueError("it names no head of the ledger")
+    return line
+
+
+def _last_line(path: Path, read: Callable[[bytes], dict[str, Any]], *, last: int | None = 2) -> dict[str, Any] | None:
+    """Read the last complete line that can be read; None if it is not one of the `last` lines (None: of the file's end)."""
     try:
         with path.open("rb") as file:
             size = file.seek(0, os.SEEK_END)
@@ -240,11 +319,9 @@ def _last_line(path: Path, keys: set[str]) -> dict[str, Any] | None:
             rows = file.read().split(b"\n")[:-1]
     except OSError:
         return None
-    for row in reversed(rows[-2:]):
+    for row in reversed(rows if last is None else rows[-last:]):
         try:
-            content = json.loads(row)
+            return read(row)
         except ValueError:
             continue
-        if isinstance(content, dict) and keys <= content.keys():
-            return content
     return None

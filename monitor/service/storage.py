@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import logging
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from monitor.config import OutputSettings
 from monitor.core import BadInputError
 from monitor.publish import closed_files, month_file, pack_month, read_lines
-from monitor.service.appended_lines import AppendedLines
+from monitor.service.appended_lines import AppendedLines, at_once
 from monitor.service.threads import Recording
 
 _log = logging.getLogger(__name__)
@@ -34,6 +34,8 @@ class ResultsFile(AppendedLines):
         The file results.jsonl.
     by_month : bool
         Whether the first window of another month begins a new file.
+    run : callable, optional
+        As of `AppendedLines`.
 
     Raises
     ------
@@ -41,8 +43,8 @@ class ResultsFile(AppendedLines):
         The file cannot be opened.
     """
 
-    def __init__(self, path: Path, *, by_month: bool) -> None:
-        super().__init__(path)
+    def __init__(self, path: Path, *, by_month: bool, run: Callable[[Callable[[], None]], None] = at_once) -> None:
+        super().__init__(path, run=run)
         self._by_month = by_month
         with path.open("rb") as file:
             file.seek(max(0, self.size - _TAIL_BYTES))
@@ -74,15 +76,19 @@ class ResultsFile(AppendedLines):
 
     def write_window(self, line: str, t_end_ns: int) -> None:
         """Append the line of a window that ends at `t_end_ns` (UTC, ns since 1970)."""
-        if self._by_month and self._last_ns is not None and not self.failed:
-            closed = month_file(self._path.parent, self._last_ns)
-            if closed != month_file(self._path.parent, t_end_ns) and not closed.exists():
-                try:
-                    self.roll(closed)
-                except OSError as error:  # the next window tries again
-                    _log.warning("%s: not closed: %s", closed, error.strerror or error)
-        self._last_ns = t_end_ns
+        if self._last_ns is None or not self._by_month or self._begin_month(self._last_ns, t_end_ns):
+            self._last_ns = t_end_ns
         self.write(line)
+
+    def _begin_month(self, last_ns: int, t_end_ns: int) -> bool:
+        """Close the file's month where another begins; return whether the file now holds the month of `t_end_ns`.
+
+        While lines wait for the disk the month stays open, and the next window tries again: nothing here waits.
+        """
+        closed = month_file(self._path.parent, last_ns)
+        if closed == month_file(self._path.parent, t_end_ns) or closed.exists():
+            return True
+        return self.try_roll(closed)
 
 
 def _month_of(path: Path) -> int:

@@ -8,13 +8,14 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Generic, TypeVar
 
 from drivers.base import EndOfStream, SampleBlock, Source, SourceError
 from drivers.recorder import Recorder, RecorderHealth, RecorderSettings
-from monitor.core import write_atomically
+from monitor.core import Busy, write_atomically
 
 _log = logging.getLogger(__name__)
 
@@ -27,7 +28,7 @@ T = TypeVar("T")
 
 
 class BlockQueue(Generic[T]):
-    """Bounded queue of blocks and other items, in order; when it is full, `put` waits, so that nothing is lost.
+    """Bounded queue of blocks and other items, in order; when it is full, `put` waits, and `offer` refuses.
 
     Parameters
     ----------
@@ -49,9 +50,15 @@ class BlockQueue(Generic[T]):
         arrived_s = time.monotonic()
         with self._changed:
             self._changed.wait_for(lambda: self._closed or self._unbounded or self._has_room(_size(block)))
-            self._items.append((block, arrived_s))
-            self._bytes += _size(block)
-            self._changed.notify_all()
+            self._append(block, arrived_s)
+
+    def offer(self, block: T) -> bool:
+        """Append a block if there is room for it; return whether there was."""
+        with self._changed:
+            if not self._has_room(_size(block)):
+                return False
+            self._append(block, time.monotonic())
+            return True
 
     def take(self, timeout_s: float) -> tuple[T, float] | None:
         """Remove and return the next block and its time of arrival (monotonic clock, s).
@@ -87,6 +94,11 @@ class BlockQueue(Generic[T]):
 
     def __len__(self) -> int:
         return len(self._items)
+
+    def _append(self, block: T, arrived_s: float) -> None:
+        self._items.append((block, arrived_s))
+        self._bytes += _size(block)
+        self._changed.notify_all()
 
     def _has_room(self, size: int) -> bool:
         fits = len(self._items) < self._most_blocks and self._bytes + size <= self._most_bytes
@@ -131,8 +143,19 @@ class Reader:
         self.lost = 0
         self.error = ""
         self._received = 0
+        self._busy = Busy()
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._work, name="reader", daemon=True)
+
+    @property
+    def failed(self) -> str | None:
+        """Words that say that the source's driver does not answer; None while it does, whether there are data or not."""
+        return self._busy.overdue
+
+    @property
+    def dropped(self) -> int:
+        """Number of lost blocks: none, since the source waits while the queue is full."""
+        return 0
 
     def start(self) -> None:
         """Start reading."""
@@ -184,7 +207,8 @@ class Reader:
         self.opened = True
         self.error = ""
         while not self._stop.is_set():
-            block = self.source.read(_POLL_S)
+            with self._busy:
+                block = self.source.read(_POLL_S)
             if block is not None:
                 self._received += 1
                 self.queue.put(block)
@@ -197,7 +221,8 @@ Job = Callable[[int], None]
 class Recording:
     """Recorder in a separate thread, behind a queue that holds minutes of data, so that a slow disk delays nothing.
 
-    If the recorder is not `enabled` in its settings, nothing is recorded but jobs are still done.
+    While the queue is full, as when a disk hangs, blocks and jobs are refused; lost blocks are counted.  If the recorder is not
+    `enabled` in its settings, nothing is recorded but jobs are still done.
 
     Parameters
     ----------
@@ -205,17 +230,33 @@ class Recording:
         Folder of the recordings.
     settings : RecorderSettings
         Settings of the recorder.
+
+    Attributes
+    ----------
+    dropped : int
+        Number of blocks lost because too many waited.
     """
 
     def __init__(self, folder: Path, settings: RecorderSettings) -> None:
         self._recorder = Recorder(folder, settings) if settings.enabled else None
         self._queue: BlockQueue[SampleBlock | Job] = BlockQueue(4096, 64 << 20)
+        self._busy = Busy()
+        self.dropped, self._losing = 0, False
         self._thread = threading.Thread(target=self._work, name="recorder", daemon=True)
         self._thread.start()
 
     def health(self) -> RecorderHealth | None:
         """Return the health of the recorder; None if nothing is to be recorded."""
-        return None if self._recorder is None else self._recorder.health()
+        if self._recorder is None:
+            return None
+        health, overdue = self._recorder.health(), self.failed
+        health = replace(health, lost_blocks=health.lost_blocks + self.dropped)
+        return health if overdue is None else replace(health, recording=False, detail=overdue)
+
+    @property
+    def failed(self) -> str | None:
+        """Words that say that the recorder does not answer; None while it does, whether it records or pauses."""
+        return self._busy.overdue
 
     def limit(self, most_bytes: int) -> None:
         """Bound the recordings to `most_bytes` where that is less than their own limit."""
@@ -223,19 +264,26 @@ class Recording:
             self._recorder.limit(most_bytes)
 
     def write(self, block: SampleBlock) -> None:
-        """Queue a block for recording."""
-        if self._recorder is not None:
-            self._queue.put(block)
+        """Queue a block for recording, or count it as lost if the queue is full."""
+        if self._recorder is None:
+            return
+        taken = self._queue.offer(block)
+        if not taken and not self._losing:
+            _log.error("recorder: %d blocks wait; blocks are lost from here on", len(self._queue))
+        self._losing = not taken
+        self.dropped += self._losing
 
-    def then(self, job: Job) -> None:
-        """Call `job` in the recorder's thread once all blocks queued so far are on the disk."""
-        self._queue.put(job)
+    def then(self, job: Job) -> bool:
+        """Call `job` in the recorder's thread when all blocks so far are on the disk; return False if the queue is full."""
+        return self._queue.offer(job)
 
     def flush(self, timeout_s: float) -> bool:
-        """Wait until all blocks queued so far are on the disk; return False if `timeout_s` was too short."""
+        """Wait until all blocks queued so far are on the disk; return False if they are not after `timeout_s`.
+
+        A recorder that does not answer is not waited for.
+        """
         done = threading.Event()
-        self.then(lambda _: done.set())
-        return done.wait(timeout_s)
+        return self.failed is None and self.then(lambda _: done.set()) and done.wait(timeout_s)
 
     def close(self, timeout_s: float) -> None:
         """Write the queued blocks and finish the file, for at most `timeout_s`."""
@@ -243,35 +291,46 @@ class Recording:
         self._thread.join(timeout_s)
 
     def _work(self) -> None:
-        recorder = self._recorder
+        """Record blocks and do jobs until the queue is closed and empty (the thread's work)."""
         while not self._queue.over:
             item = self._queue.take(1.0)
-            if item is None:
-                if recorder is not None:
-                    recorder.tick()
-            elif isinstance(item[0], SampleBlock):
-                assert recorder is not None
-                recorder.write(item[0])
-            else:
-                if recorder is not None:
-                    recorder.flush()
-                item[0](0 if recorder is None else recorder.stamp_ns)
-        if recorder is not None:
-            recorder.close()
+            with self._busy:
+                self._do(None if item is None else item[0])
+        if self._recorder is not None:
+            self._recorder.close()
+
+    def _do(self, item: SampleBlock | Job | None) -> None:
+        """Record a block, or do a job; None gives the recorder time to flush."""
+        recorder = self._recorder
+        if isinstance(item, SampleBlock):
+            assert recorder is not None
+            recorder.write(item)
+        elif item is not None:
+            if recorder is not None:
+                recorder.flush()
+            item(0 if recorder is None else recorder.stamp_ns)
+        elif recorder is not None:
+            recorder.tick()
 
 
 class Chores:
     """Worker for small jobs that may wait for the disk, in a separate thread so that no other thread waits.
 
     Of waiting jobs with the same name only the latest is done.
+
+    Parameters
+    ----------
+    name : str
+        Name of the thread.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, name: str = "chores") -> None:
         self._jobs: dict[str, Callable[[], None]] = {}
         self._errors: dict[Path, str] = {}
         self._changed = threading.Condition()
         self._closed = False
-        self._thread = threading.Thread(target=self._work, name="chores", daemon=True)
+        self._busy = Busy()
+        self._thread = threading.Thread(target=self._work, name=name, daemon=True)
         self._thread.start()
 
     def do(self, name: str, job: Callable[[], None]) -> None:
@@ -286,8 +345,8 @@ class Chores:
 
     @property
     def failed(self) -> str | None:
-        """Reason for which a file could not be written last; None if there is none."""
-        return next((f"{path}: {reason}" for path, reason in self._errors.copy().items()), None)
+        """Reason for which a file could not be written last, or for which none is written; None if there is none."""
+        return self._busy.overdue or next((f"{path}: {reason}" for path, reason in self._errors.copy().items()), None)
 
     @property
     def dropped(self) -> int:
@@ -308,7 +367,8 @@ class Chores:
                 if not self._jobs:
                     return
                 job = self._jobs.pop(next(iter(self._jobs)))
-            job()
+            with self._busy:
+                job()
 
     def _write(self, path: Path, text: str) -> None:
         try:

@@ -305,7 +305,9 @@ def test_mail(tmp_path: Path) -> None:
 def test_a_heartbeat_carries_the_head_of_the_ledger() -> None:
     assert delivery_workers._with_head("http://a.test/beat", None) == "http://a.test/beat"
     assert delivery_workers._with_head("http://a.test/beat", "ab12") == "http://a.test/beat?ledger=ab12"
-    assert delivery_workers._with_head("http://a.test/b?status=up#x", "ab12") == "http://a.test/b?status=up&ledger=ab12#x"
+    assert (
+        delivery_workers._with_head("http://a.test/b?status=up#x", "ab12") == "http://a.test/b?status=up&ledger=ab12#x"
+    )
 
 
 def test_the_heart_beats_while_windows_come_and_no_longer(tmp_path: Path, hook: Hook) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -17,7 +16,7 @@ from numpy.typing import NDArray
 from monitor.core import Array, BadInputError, MissingInputError
 from monitor.damage import Course, follow
 from monitor.publish.results.files import RESULTS, closed_files, read_all_lines, read_lines
-from monitor.publish.results.lines import facts_of_line
+from monitor.publish.results.lines import facts_of_line, read_line
 
 MAX_BINS = 1000
 """Largest number of bins of a curve, which is drawn as the two sides of its envelope: 2000 points."""
@@ -29,7 +28,7 @@ _SAME_OTHER_MODE = 0.02
 """The same for modes that the model has no counterpart for, which may be close to others."""
 _HEAD, _TAIL_BYTES = 50, 1 << 17
 """Number of lines at the beginning and of bytes at the end of the file from which its extent is read."""
-_T_END = re.compile(rb'"t_end_ns": (\d+)')
+_T_END = re.compile(rb'"t_end_ns": (\d{1,18}|[1-8]\d{18})\b')
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -215,7 +214,7 @@ def read_results(folder: Path, from_ns: int | None, to_ns: int | None, misfit_li
         results = PeriodResults(grid, hop_s, begun_ns, misfit_limit, judged=[0] * grid.n, refused=[0] * grid.n)
         for raw in _lines_between(read_all_lines(folder), start, stop):
             try:
-                results.add(json.loads(raw, parse_constant=_refuse))
+                results.add(read_line(raw))
             except (ValueError, KeyError, TypeError, IndexError):
                 results.damaged += 1
     except OSError as error:
@@ -228,22 +227,11 @@ def read_results(folder: Path, from_ns: int | None, to_ns: int | None, misfit_li
     return results
 
 
-def _refuse(constant: str) -> float:
-    """Refuse a number that JSON does not have.
-
-    Raises
-    ------
-    ValueError
-        Always.
-    """
-    raise ValueError(f"{constant} is no number of JSON")
-
-
 def _lines_between(lines: Iterator[bytes], start: int, stop: int) -> Iterator[bytes]:
-    """Select the complete lines whose windows end in ``(start, stop]``, UTC in ns."""
+    """Select the complete lines whose windows end in ``(start, stop]``, UTC in ns, and those that do not say when."""
     for raw in lines:
         found = _T_END.search(raw)
-        if found is not None and start < int(found[1]) <= stop and raw.endswith(b"\n"):
+        if raw.endswith(b"\n") and (found is None or start < int(found[1]) <= stop):
             yield raw
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -11,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from monitor.core import utc_ns
+from monitor.core import parse_json, utc_ns
 from monitor.damage import Loss
 from monitor.publish.reports.period_data import utc
 
@@ -142,7 +141,7 @@ class HealthFile:
 def read_summary(folder: Path) -> dict[str, Any]:
     """Read summary.json; return an empty dict where it cannot be read."""
     try:
-        content = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+        content = parse_json((folder / "summary.json").read_bytes())
     except (OSError, ValueError):
         return {}
     return content if isinstance(content, dict) else {}
@@ -197,7 +196,7 @@ def _read_json_objects(path: Path, *, whole: bool = False) -> Iterator[dict[str,
         return
     for part in [text] if whole else text.splitlines():
         try:
-            value = json.loads(part)
+            value = parse_json(part)
         except ValueError:
             continue
         if isinstance(value, dict):

@@ -7,12 +7,24 @@ import math
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import NoneType
 from typing import Any
 
 import numpy as np
 
-from monitor.core import WHOLE, Alarm, AlarmCondition, Level, OtherMode, WindowResult, finish, partial
+from monitor.core import WHOLE, Alarm, AlarmCondition, Level, OtherMode, WindowResult, finish, parse_json, partial
 from monitor.damage import AlarmState, State, WindowFacts, hold
+from monitor.publish.results.schema import LINE_SCHEMA
+
+_KINDS: dict[str, type] = {
+    "array": list,
+    "boolean": bool,
+    "null": NoneType,
+    "number": float,
+    "object": dict,
+    "string": str,
+}
+"""Type of JSON schema -> type of its values, but for integers. [none; definition]"""
 
 
 def _rounded(values: Any) -> Any:
@@ -160,6 +172,58 @@ class LinesFile:
         """Close the unfinished file and remove it."""
         self._file.close()
         partial(self._path).unlink(missing_ok=True)
+
+
+def read_line(text: str | bytes, defaults: Mapping[str, Any] | None = None) -> dict[str, Any]:
+    """Read a line of results.jsonl, which may be damaged.
+
+    Parameters
+    ----------
+    text : str or bytes
+        The line.
+    defaults : mapping, optional
+        Values of keys that the line may lack.
+
+    Raises
+    ------
+    ValueError
+        It is no line of results.
+
+    Examples
+    --------
+    >>> read_line('{"t_end_ns": [1], "alarm": {}, "skipped": null}')
+    Traceback (most recent call last):
+    ...
+    ValueError: it is not as `LINE_SCHEMA` says
+    """
+    line = parse_json(text)
+    if isinstance(line, dict):
+        line = {**(defaults or {}), **line}
+    if not _fits(line, LINE_SCHEMA):
+        raise ValueError("it is not as `LINE_SCHEMA` says")
+    return dict(line)
+
+
+def _fits(value: Any, schema: Mapping[str, Any]) -> bool:
+    """Return whether a value has the types of a JSON schema, its numbers are finite, and its integers fit into 64 bits."""
+    kinds = schema.get("type", [])
+    if not any(_is_of(value, kind) for kind in ([kinds] if isinstance(kinds, str) else kinds)):
+        return not kinds
+    if isinstance(value, dict):
+        parts = schema.get("properties", {})
+        return set(schema.get("required", ())) <= value.keys() and all(
+            _fits(v, parts.get(k, {})) for k, v in value.items()
+        )
+    return not isinstance(value, list) or all(_fits(v, schema.get("items", {})) for v in value)
+
+
+def _is_of(value: Any, kind: str) -> bool:
+    """Return whether a value is of a type of JSON schema."""
+    if isinstance(value, int) and not isinstance(value, bool):
+        return kind in {"integer", "number"} and -(1 << 63) <= value < 1 << 63
+    if isinstance(value, float) and not math.isfinite(value):
+        return False
+    return isinstance(value, _KINDS.get(kind, ()))
 
 
 def facts_of_line(line: Mapping[str, Any]) -> WindowFacts:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-_NUMBERS = {"type": ["array", "null"], "items": {"type": "number"}}
 _NUMBER = {"type": ["number", "null"]}
+_NUMBERS = {"type": ["array", "null"], "items": _NUMBER}
 _INTEGERS = {"type": ["array", "null"], "items": {"type": "integer"}}
 _LISTS = (
     "frequencies_hz", "frequencies_std_hz", "damping_ratio", "damping_std", "stiffness_n_per_m", "stiffness_std",

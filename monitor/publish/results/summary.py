@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from monitor.core import WHOLE, Gap, ModalEstimate, WindowResult
-from monitor.damage import Course, Loss, facts_of, follow
+from monitor.damage import Course, Loss, WindowFacts, facts_of, follow
 from monitor.signals import Health
 
 _SAME_MODE = 0.02
@@ -47,9 +47,23 @@ class Summary:
         """Count a gap."""
         self.gaps += 1
 
-    def window(self, result: WindowResult, misfit: float) -> None:
-        """Count a window; `misfit` is the goodness of fit from which stiffness explains too little."""
-        self.course = follow(self.course, facts_of(result), misfit)
+    def window(self, result: WindowResult, misfit: float, stated: WindowFacts | None = None) -> None:
+        """Count a window.
+
+        Parameters
+        ----------
+        result : WindowResult
+            Result of the window.
+        misfit : float
+            Goodness of fit from which stiffness explains too little.
+        stated : WindowFacts, optional
+            What an earlier run wrote of this window; it counts where it says otherwise of whether the window was judged, as
+            when samples of the window were lost with that run.
+        """
+        facts = facts_of(result)
+        if stated is not None and stated.skipped != facts.skipped:
+            facts = stated
+        self.course = follow(self.course, facts, misfit)
         if result.temperature is not None:
             degc = float(result.temperature.lagged_degc[0])
             low, high = self.temperature_range_degc or (degc, degc)

@@ -9,6 +9,8 @@ from collections import deque
 from collections.abc import Callable
 from typing import Generic, TypeVar
 
+from monitor.core import Busy
+
 T = TypeVar("T")
 
 _log = logging.getLogger(__name__)
@@ -17,7 +19,8 @@ _log = logging.getLogger(__name__)
 class Worker(Generic[T]):
     """Daemon thread that handles items in order.
 
-    Its first exception is logged once and ends the work: `failed` holds the reason, and later items are ignored.
+    Its first exception is logged once and ends the work: `failed` holds the reason, and later items are ignored.  While the
+    thread is with one item for long, `failed` says that it does not answer.
 
     Parameters
     ----------
@@ -33,7 +36,8 @@ class Worker(Generic[T]):
 
     def __init__(self, name: str, run: Callable[[Callable[[], T | None]], None], size: int, lossless: bool) -> None:
         self.dropped = 0
-        self.failed: str | None = None
+        self._failure: str | None = None
+        self._busy = Busy()
         self.cancelled = False
         self._run, self._size, self._lossless = run, size, lossless
         self._items: deque[T] = deque()
@@ -64,23 +68,30 @@ class Worker(Generic[T]):
                 self._items.clear()
             self._changed.notify_all()
         self._thread.join(max(0.0, deadline - time.monotonic()))
-        if self._thread.is_alive() and self.failed is None:
+        if self._thread.is_alive() and self._failure is None:
             self._fail(f"not finished within {timeout_s:g} s")
+
+    @property
+    def failed(self) -> str | None:
+        """Reason for which the work has ended or does not go on; None if it does."""
+        return self._failure or self._busy.overdue
 
     @property
     def _over(self) -> bool:
         """Whether the queue takes no more items."""
-        return self._closed or self.failed is not None
+        return self._closed or self._failure is not None
 
     def _take(self) -> T | None:
         """Wait for the next item; return None when the queue is closed and empty."""
+        self._busy.end()
         with self._changed:
             self._changed.wait_for(lambda: bool(self._items) or self._over)
-            if not self._items or self.failed is not None:
+            if not self._items or self._failure is not None:
                 return None
             item = self._items.popleft()
             self._changed.notify_all()
-            return item
+        self._busy.begin()
+        return item
 
     def _work(self) -> None:
         """Run the work and record its first exception."""
@@ -92,8 +103,9 @@ class Worker(Generic[T]):
     def _fail(self, reason: str) -> None:
         """Record the reason of a failure, end the work and log it."""
         with self._changed:
-            self.failed = reason
+            self._failure = reason
             self.cancelled = True
             self._items.clear()
             self._changed.notify_all()
+        self._busy.end()
         _log.error("the Rerun view is off from here on: %s", reason)

@@ -22,7 +22,7 @@ import pyarrow.parquet as pq
 from dask.callbacks import Callback
 
 from monitor.config import configuration as config
-from monitor.core import MissingInputError, spare_inputs, write_atomically
+from monitor.core import MissingInputError, parse_json, spare_inputs, write_atomically
 from monitor.damage import load_baseline
 from monitor.runs.archive.inventory import Run, Survey, file_version, fingerprint, group_into_runs
 from monitor.runs.archive.jobs import (
@@ -181,7 +181,7 @@ def _survey_recordings(
     """Survey each recording once, and keep the surveys in ``surveys.json``; return surveys and failures."""
     kept_in = out / _SURVEYS
     try:
-        kept: dict[str, Any] = json.loads(kept_in.read_text(encoding="utf-8"))
+        kept: dict[str, Any] = parse_json(kept_in.read_bytes())
     except (OSError, ValueError):
         kept = {}
     surveys, failed, new = [], [], []

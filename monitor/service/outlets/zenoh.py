@@ -22,7 +22,7 @@ from pydantic import Field, ValidationError
 from zenoh import ext
 
 from drivers.zenoh_session import Callbacks, Key, SessionSettings, leave, open_session
-from monitor.core import Gap, WindowResult, settings_problems
+from monitor.core import Busy, Gap, WindowResult, settings_problems
 from monitor.damage import Assessment
 from monitor.publish import alarm_line, to_json
 from monitor.service.outlets.base import Outlet
@@ -65,7 +65,6 @@ class ZenohOut(Outlet):
     While the network fails, `failed` gives the reason, which is logged once; joining is tried again without end.
     """
 
-    failed: str | None = None
     dropped: int = 0
 
     def __init__(self, site: str, settings: ZenohOutSettings, folder: Path = Path(), *, queue_size: int = 256) -> None:
@@ -80,8 +79,15 @@ class ZenohOut(Outlet):
         self._alarm: tuple[Any, ...] = ()
         self._changed = threading.Condition()
         self._closed = False
+        self._failure: str | None = None
+        self._busy = Busy()
         self._thread = threading.Thread(target=self._run, name="zenoh-out", daemon=True)
         self._thread.start()
+
+    @property
+    def failed(self) -> str | None:
+        """Reason for which nothing can be published at present; None if everything is published."""
+        return self._busy.overdue or self._failure
 
     def window(self, result: WindowResult, line: str) -> None:
         """Publish a window's line of results.jsonl, and its alarm if that changed."""
@@ -150,9 +156,9 @@ class ZenohOut(Outlet):
             try:
                 self._publish()
             except Exception as error:  # noqa: BLE001 - no failure of the network may reach the monitor
-                if self.failed is None:
+                if self._failure is None:
                     _log.error("nothing is published over Zenoh for now: %s", error)
-                self.failed = f"{type(error).__name__}: {error}"
+                self._failure = f"{type(error).__name__}: {error}"
             if self._closed:
                 return
             pause = _RETRY_S[0] if time.monotonic() - begun > _RETRY_S[1] else min(2 * pause, _RETRY_S[1])
@@ -172,13 +178,14 @@ class ZenohOut(Outlet):
                 session.declare_queryable(f"{self.prefix}/ack", callbacks.of(self._on_request)),
             ):
                 ending.callback(entity.undeclare)
-            self.failed = None
+            self._failure = None
             while (queued := self._take()) is not None:
                 place, text = queued
-                if isinstance(place, str):
-                    publishers[place].put(text)
-                else:
-                    self._reply(place, text)
+                with self._busy:
+                    if isinstance(place, str):
+                        publishers[place].put(text)
+                    else:
+                        self._reply(place, text)
             with self._changed:  # a query that is let go ends without an answer
                 self._requests.clear()
                 self._taken.clear()

@@ -1,0 +1,54 @@
+"""Compilation of the functions that a window needs, before the first window needs them."""
+
+from __future__ import annotations
+
+from drivers.base import ACCELERATION
+from monitor.config import Configuration
+from monitor.core import WindowResult
+from monitor.damage import Baseline
+from monitor.model import simulate
+from monitor.pipeline import Pipeline
+from monitor.runs.synthetic_recording import cut_into_blocks
+
+_NOISE = 0.03
+"""Noise of the simulated sensors over the RMS of the motion, so that no channel counts as dead. [ratio; judgement]"""
+_RATIO = 1.25
+"""Rate of the simulated samples over that of the windows; not whole, so that samples are interpolated. [ratio; judgement]"""
+_FRAME = {
+    "structure": {
+        "kind": "shear_frame",
+        "masses_kg": [0.3253, 0.3514, 0.3129],
+        "stiffness_n_per_m": [2909.4511, 1514.8507, 1897.6986],
+        "damping_ratio": 0.01,
+    },
+    "sensors": [{"channel": f"a{floor}", "floor": floor} for floor in (1, 2, 3)],
+}
+"""Structure for a machine whose site file does not exist yet. [SI; the three-story frame of the README]"""
+
+
+def warm_up(config: Configuration | None = None, baseline: Baseline | None = None) -> int:
+    """Push simulated samples through pipelines of a site's settings, and return the number of windows judged.
+
+    What a window needs is compiled by that, with and without refinement, or loaded where an earlier process compiled it
+    (`monitor.core.compiled`): half a minute of one processor the first time, about a second later.
+
+    Parameters
+    ----------
+    config : Configuration, optional
+        Settings of the site; those of a small frame by default.
+    baseline : Baseline, optional
+        Healthy reference of the site; the functions that alarms need are compiled only with one.
+    """
+    config = Configuration.model_validate(_FRAME) if config is None else config
+    p = config.processing
+    rate_hz = _RATIO * p.rate_hz
+    model = Pipeline(config, baseline).reference
+    motion = simulate(model, duration_s=p.window_s + 2.0 * p.hop_s, rate_hz=rate_hz, noise=_NOISE)
+    blocks = list(cut_into_blocks(ACCELERATION, motion.floors, config.channels, rate_hz, 0, round(rate_hz)))
+    judged = 0
+    for is_refined in {config.refinement.enabled, False}:
+        refinement = config.refinement.model_copy(update={"enabled": is_refined})
+        pipeline = Pipeline(config.model_copy(update={"refinement": refinement}), baseline)
+        results = [result for block in blocks for result in pipeline.push(block)]
+        judged += sum(isinstance(r, WindowResult) and r.skipped is None for r in results)
+    return judged

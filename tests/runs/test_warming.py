@@ -1,0 +1,104 @@
+"""What a window needs is compiled before the daemon is READY."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import threading
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from monitor.config import configuration
+from monitor.runs.warming import warm_up
+from monitor.service import daemon as daemon_module
+from monitor.service.daemon import Daemon
+from tests.conftest import Cli
+from tests.service.test_daemon import SITE, Scripted, health
+
+ROOT = Path(__file__).parents[2]
+RECORDINGS = ROOT / "recordings"
+COUNT = """
+import gc, json, sys
+from pathlib import Path
+from numba.core.dispatcher import Dispatcher
+from drivers.mcap_file import read_recordings
+from monitor.config import configuration
+from monitor.damage import load_baseline
+from monitor.runs import Session, warm_up
+
+def compiled():
+    found = [item for item in gc.get_objects() if isinstance(item, Dispatcher)]
+    return {f"{d.py_func.__module__}.{d.__name__}": len(d.signatures) for d in found if d.signatures}
+
+structure, recording, baseline, folder = sys.argv[1:]
+settings = configuration.load(Path(structure))
+known = load_baseline(Path(baseline), settings.instrumented(), settings.updating) if baseline else None
+warm_up(settings, known)
+warm = compiled()
+session = Session(settings, known, (), None, Path(folder))
+for block in read_recordings([Path(recording)]):
+    session.push(block)
+print(json.dumps([warm, compiled(), session.windows]))
+"""
+
+
+@pytest.mark.parametrize("with_baseline", [False, True])
+def test_no_window_compiles_anything(main: Cli, tmp_path: Path, with_baseline: bool) -> None:
+    """In a process of its own: here other tests have compiled everything already."""
+    structure, baseline = RECORDINGS / "frame.toml", ""
+    if with_baseline:
+        baseline = str(tmp_path / "baseline.json")
+        done = main("calibrate", RECORDINGS / "frame-healthy.mcap", "--structure", structure, "--out", baseline)
+        assert done.returncode == 0, done.stderr
+    arguments = [str(structure), str(RECORDINGS / "frame-after.mcap"), baseline, str(tmp_path)]
+    done = subprocess.run(
+        [sys.executable, "-c", COUNT, *arguments], capture_output=True, text=True, cwd=ROOT, check=True
+    )
+    warm, after, windows = json.loads(done.stdout)
+    assert windows > 0 and len(warm) > 10
+    assert after == warm
+
+
+def test_a_window_of_each_kind_is_judged() -> None:
+    """With and without refinement; without a site file those of a small frame."""
+    assert warm_up() == 6
+    assert warm_up(configuration.load(RECORDINGS / "frame.toml")) >= 2
+
+
+def test_the_daemon_compiles_before_it_is_ready_and_says_meanwhile_that_it_starts(
+    tmp_path: Path, frame_text: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    site = tmp_path / "site.toml"
+    site.write_text(SITE + frame_text)
+    told = threading.Event()
+    said: list[str] = []
+
+    def slow(*_: Any) -> int:
+        told.wait(60.0)
+        said.append(capsys.readouterr().err)
+        return 0
+
+    class Lines(Daemon):
+        def _tell_start(self) -> None:
+            super()._tell_start()
+            if len(health(tmp_path / "out")) >= 3:
+                told.set()
+
+    monkeypatch.setattr(daemon_module, "warm_up", slow)
+    Lines(site, Scripted([None] * 50), quiet_s=0.05).run()
+    assert told.is_set() and said == [""] and capsys.readouterr().err == "READY\n"
+    first = health(tmp_path / "out")[0]
+    assert first["source"]["error"] == "the monitor is starting" and not first["source"]["connected"]
+
+
+def test_a_start_goes_on_where_something_cannot_be_compiled(
+    tmp_path: Path, frame_text: str, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    site = tmp_path / "site.toml"
+    site.write_text(SITE + frame_text)
+    monkeypatch.setattr(daemon_module, "warm_up", lambda *_: 1 / 0)
+    Daemon(site, Scripted([])).run()
+    assert "not all is compiled" in caplog.text

@@ -1,0 +1,255 @@
+"""Damaged files in the output folder: each is set aside or left out with a message, and nothing fails to start or to answer."""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.base import SampleBlock
+from monitor.publish.reports.period_report import read_period
+from monitor.publish.results.lines import read_line
+from monitor.service import status
+from monitor.service.daemon import Daemon
+from monitor.service.restart import lock
+from monitor.service.status import DOWN, HEALTHY, TROUBLE, look, tell
+from tests.conftest import Cli, Cut
+from tests.service.test_daemon import SITE, Scripted, lines, summary
+from tests.support.live_site import RATE
+from tests.system.test_service_faults import run_until
+
+S = 10**9
+DEEP = "[" * 100_000
+
+
+@pytest.fixture
+def site(tmp_path: Path, frame_text: str) -> Path:
+    path = tmp_path / "site.toml"
+    path.write_text(SITE + frame_text)
+    return path
+
+
+@pytest.fixture
+def stopped(site: Path, record: np.ndarray, cut: Cut) -> Path:
+    """The output folder of a daemon that was told to end after nine windows."""
+    run_until(site, cut(record, RATE), 9)
+    return site.parent / "out"
+
+
+def following(blocks: list[SampleBlock], record: np.ndarray) -> list[SampleBlock]:
+    return [replace(b, t_ns=b.t_ns + 60 * S, sequence=b.sequence + len(record)) for b in blocks]
+
+
+@pytest.mark.parametrize("text", [DEEP, '{"baseline_sha256": ', "\xff", "NaN"])
+def test_a_damaged_note_of_the_baseline_is_set_aside(
+    site: Path, stopped: Path, text: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    place = stopped / "state" / "baseline.json"
+    place.write_bytes(text.encode("latin-1"))
+    Daemon(site, Scripted([])).run()
+    assert json.loads(place.read_text()) == {"baseline_sha256": None}
+    assert (stopped / "state" / "baseline.json.damaged-1").read_bytes() == text.encode("latin-1")
+    assert "baseline.json.damaged-1" in caplog.text
+
+
+def without(line: dict[str, Any], key: str) -> dict[str, Any]:
+    return {k: v for k, v in line.items() if k != key}
+
+
+@pytest.mark.parametrize(
+    "damaged",
+    [
+        DEEP,
+        '{"window": ' + DEEP,
+        {"window": [1]},
+        {"window": 1e300},
+        {"window": 1 << 70},
+        {"t_end_ns": "today"},
+        {"misfit": {"a": 1}},
+        {"alarm": None},
+        {"alarm": {}},
+        {"alarm": {"level": 3}},
+        {"ddi": [{}]},
+        [1, 2],
+    ],
+    ids=lambda damaged: str(damaged)[:24],
+)
+def test_damaged_lines_after_the_checkpoint_are_left_out(
+    site: Path, stopped: Path, record: np.ndarray, cut: Cut, damaged: object, caplog: pytest.LogCaptureFixture
+) -> None:
+    file = stopped / "results.jsonl"
+    good = lines(stopped)[-1]
+    text = damaged if isinstance(damaged, str) else json.dumps(good | damaged if isinstance(damaged, dict) else damaged)
+    with file.open("a") as out:
+        out.write(text + "\n")
+    caplog.set_level(logging.WARNING)
+    Daemon(site, Scripted(following(cut(record, RATE), record))).run()
+    assert "results.jsonl: 1 lines after byte" in caplog.text
+    assert "not resumed" not in caplog.text and "Traceback" not in caplog.text
+    found = [json.loads(row) for row in file.read_text().splitlines() if row != text]
+    assert [line["window"] for line in found] == list(range(21))
+    assert summary(stopped)["windows"] == 21
+
+
+def test_a_recording_whose_name_is_no_time_is_set_aside(
+    site: Path, stopped: Path, record: np.ndarray, cut: Cut, caplog: pytest.LogCaptureFixture
+) -> None:
+    place = stopped / "recordings" / "20231314T000000.000000Z-0001.mcap"
+    place.write_bytes(next((stopped / "recordings").glob("*.mcap")).read_bytes())
+    Daemon(site, Scripted(following(cut(record, RATE), record))).run()
+    assert [line["window"] for line in lines(stopped)] == list(range(21))
+    assert not place.exists() and place.with_suffix(".damaged").exists()
+    assert "its name is no time" in caplog.text and "not resumed" not in caplog.text
+
+
+def test_a_last_line_without_end_is_removed_however_long(
+    site: Path, stopped: Path, record: np.ndarray, cut: Cut, caplog: pytest.LogCaptureFixture
+) -> None:
+    with (stopped / "results.jsonl").open("a") as out:
+        out.write("x" * 3_000_000)
+    Daemon(site, Scripted(following(cut(record, RATE), record))).run()
+    assert [line["window"] for line in lines(stopped)] == list(range(21))
+    assert "incomplete last line of 3000000 bytes" in caplog.text
+
+
+@pytest.mark.parametrize("text", [DEEP * 3, '{"t_end_ns": ' + "9" * 300_000, "x" * 300_000 + "\n" + DEEP])
+def test_a_report_reads_the_good_lines_and_counts_the_others(stopped: Path, main: Cli, text: str) -> None:
+    with (stopped / "results.jsonl").open("a") as out:
+        out.write(text + "\n")
+    period = read_period(stopped, None, None)
+    assert sum(period.results.judged) == 9 and period.results.damaged == text.count("\n") + 1
+    done = main("report", stopped, "--out", stopped.parent / "report.html")
+    assert done.returncode == 0 and f"unreadable lines left out: {period.results.damaged}" in done.stderr
+
+
+WRONG = [DEEP, "[1]", '{"a": 1e999}', "\xff\xfe"]
+WRONG_PARTS = [[1], "text", 3, None, {"a": {}}, [{}], 1 << 80]
+
+
+@pytest.mark.parametrize("name", ["health.jsonl", "results.jsonl", "summary.json"])
+@pytest.mark.parametrize("text", WRONG, ids=[text[:9] for text in WRONG])
+def test_the_status_of_damaged_files_is_an_answer(stopped: Path, name: str, text: str, main: Cli) -> None:
+    (stopped / name).write_bytes((text + "\n").encode("latin-1") * 3)
+    for options in ([], ["--json"]):
+        done = main("status", stopped, *options)
+        assert done.returncode == DOWN and done.stderr == "", done.stderr
+
+
+@pytest.mark.parametrize("name", ["health.jsonl", "results.jsonl", "summary.json"])
+def test_the_status_of_files_with_wrong_types_is_an_answer(stopped: Path, name: str) -> None:
+    """Every key in turn has every wrong type."""
+    whole = (stopped / name).read_text()
+    content = json.loads(whole if name == "summary.json" else whole.splitlines()[-1])
+    for key in content:
+        for wrong in WRONG_PARTS:
+            (stopped / name).write_text(json.dumps(content | {key: wrong}) + "\n")
+            found = look(stopped)
+            assert found["exit_code"] == DOWN and len(tell(found).splitlines()) >= 10
+            json.dumps(found, allow_nan=False)
+
+
+# --- the clock of the status ------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def locked(stopped: Path) -> Iterator[Path]:
+    """The folder of a daemon that holds its lock and says nothing more."""
+    handle = lock(stopped / "state" / "lock", stopped)
+    yield stopped
+    os.close(handle)
+
+
+def put_last(out: Path, **values: Any) -> None:
+    line = json.loads((out / "health.jsonl").read_text().splitlines()[-1])
+    line |= {"source": {"connected": True}, "failed": {}, **values}
+    (out / "health.jsonl").write_text(json.dumps({k: v for k, v in line.items() if v is not None}) + "\n")
+
+
+DAY_NS = 86_400 * S
+
+
+@pytest.mark.parametrize("ahead_ns", [0, DAY_NS, -DAY_NS])
+def test_the_wall_clock_alone_makes_no_daemon_silent(locked: Path, ahead_ns: int) -> None:
+    put_last(locked, wall_ns=time.time_ns() + ahead_ns)
+    found = look(locked)
+    assert found["monitor"] == "running" and found["exit_code"] in {HEALTHY, TROUBLE}
+    assert 0.0 <= found["silent_s"] < 60.0
+
+
+@pytest.mark.parametrize("ahead_ns", [0, DAY_NS, -DAY_NS])
+def test_the_wall_clock_alone_makes_no_hung_daemon_healthy(
+    locked: Path, ahead_ns: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    put_last(locked, wall_ns=time.time_ns() + ahead_ns)
+    boot_id, boot_s = status.boot_time()
+    monkeypatch.setattr(status, "boot_time", lambda: (boot_id, boot_s + 90.0))
+    found = look(locked)
+    assert (found["monitor"], found["exit_code"]) == ("silent", DOWN) and found["silent_s"] >= 90.0
+    assert "is silent since" in found["headline"]
+
+
+def test_a_line_from_before_the_machine_was_started_is_old(locked: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    put_last(locked, wall_ns=time.time_ns() + DAY_NS)
+    monkeypatch.setattr(status, "boot_time", lambda: ("another start", 300.0))
+    found = look(locked)
+    assert found["exit_code"] == DOWN and found["silent_s"] == 300.0
+
+
+def test_a_line_of_an_earlier_version_that_lies_ahead_has_no_known_age(locked: Path) -> None:
+    put_last(locked, wall_ns=time.time_ns() + DAY_NS, boot_s=None, boot_id=None)
+    found = look(locked)
+    assert found["exit_code"] == DOWN and found["silent_s"] is None and "not heard of" in tell(found)
+    put_last(locked, wall_ns=time.time_ns() - S, boot_s=None, boot_id=None)
+    assert look(locked)["monitor"] == "running"
+
+
+def test_who_may_not_open_the_lock_goes_by_the_age_of_the_latest_line(
+    stopped: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Tests may run as root, who may open everything: the refusal is the test's."""
+    really = os.open
+
+    def refuse(path: Any, *arguments: Any) -> int:
+        if Path(path).name == "lock":
+            raise PermissionError(13, os.strerror(13))
+        return really(path, *arguments)
+
+    monkeypatch.setattr(os, "open", refuse)
+    put_last(stopped)
+    assert look(stopped)["monitor"] == "running"
+    boot_id, boot_s = status.boot_time()
+    monkeypatch.setattr(status, "boot_time", lambda: (boot_id, boot_s + 90.0))
+    assert look(stopped)["monitor"] == "not running"
+
+
+def test_a_daemon_that_starts_after_a_long_pause_is_not_silent(
+    site: Path, stopped: Path, record: np.ndarray, cut: Cut
+) -> None:
+    """Its first line stands in the file before it begins to resume, and says that it starts."""
+    put_last(stopped, boot_id="an earlier start", wall_ns=1)
+    seen: list[dict[str, Any]] = []
+
+    class Looking(Scripted):
+        def open(self) -> None:
+            seen.append(look(stopped))
+            super().open()
+
+    Daemon(site, Looking(following(cut(record, RATE), record))).run()
+    assert seen[0]["monitor"] == "running" and seen[0]["exit_code"] == TROUBLE
+    assert "source: the monitor is starting" in seen[0]["troubles"]
+
+
+def test_a_damaged_line_is_refused_and_a_good_one_is_read(stopped: Path) -> None:
+    row = (stopped / "results.jsonl").read_text().splitlines()[0]
+    assert read_line(row) == json.loads(row)
+    for key in ("t_end_ns", "alarm", "skipped"):
+        with pytest.raises(ValueError, match="LINE_SCHEMA"):
+            read_line(json.dumps(without(json.loads(row), key)))

@@ -1,0 +1,175 @@
+"""Parts of a running daemon that do not answer: a disk that hangs for longer than its queue lasts, an outlet that is stuck."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.base import SampleBlock
+from monitor.core import Busy
+from monitor.core.results import WindowResult
+from monitor.service.daemon import Daemon
+from monitor.service.outlets.base import Outlet
+from monitor.service.outlets.metrics import Metrics, MetricsSettings
+from monitor.service.status import look
+from tests.conftest import Cut
+from tests.service.test_daemon import SITE, Scripted
+from tests.support.live_site import RATE
+from tests.system.test_service_faults import lines, until
+
+pytestmark = pytest.mark.system
+
+WINDOWS = 69
+"""Of six minutes of data."""
+
+
+@pytest.fixture
+def site(tmp_path: Path, frame_text: str) -> Path:
+    path = tmp_path / "site.toml"
+    path.write_text(SITE.replace("min_free_gb = 0.0", "min_free_gb = 0.0\nflush_s = 1.0") + frame_text)
+    return path
+
+
+class Told(Outlet):
+    """Keeps what it is told; calls `first` at the first window."""
+
+    def __init__(self, first: Callable[[], None]) -> None:
+        self._first = first
+        self.windows = 0
+        self.line: Mapping[str, Any] = {}
+
+    def window(self, result: WindowResult, line: str) -> None:
+        self.windows += 1
+        if self.windows == 1:
+            self._first()
+
+    def health_line(self, line: Mapping[str, Any]) -> None:
+        self.line = line
+
+    @property
+    def failed_parts(self) -> Mapping[str, str]:
+        return dict(self.line.get("failed", {}))
+
+
+class Ending(Scripted):
+    """Gives its blocks, then nothing; once `enough` is true it asks the daemon to end."""
+
+    def __init__(self, blocks: list[SampleBlock], enough: Callable[[], object]) -> None:
+        super().__init__(blocks, hold=threading.Event())
+        self._enough = enough
+        self.asked_s: float | None = None
+
+    def read(self, timeout_s: float) -> SampleBlock | None:
+        block = super().read(timeout_s)
+        if block is None and self.asked_s is None and self._enough():
+            self.asked_s = time.monotonic()
+            os.kill(os.getpid(), signal.SIGTERM)
+        return block
+
+
+def failed_outputs(metrics: Metrics) -> set[str]:
+    """Names in `shm_output_failed`."""
+    samples = [s for family in metrics.collect() for s in family.samples]
+    return {s.labels["output"] for s in samples if s.name == "shm_output_failed"}
+
+
+@contextmanager
+def hanging(monkeypatch: pytest.MonkeyPatch, folder: Path, names: tuple[str, ...]) -> Iterator[threading.Event]:
+    """Let calls of the disk below `folder` wait while the event that is given is clear; at the end it is set.
+
+    It is set after a minute besides, so that a monitor that waits for the disk fails its test and does not hang in it.
+    """
+    answers = threading.Event()
+    answers.set()
+
+    def behind(call: Callable[..., Any]) -> Callable[..., Any]:
+        def wait(handle: int, *arguments: Any) -> Any:
+            if not answers.is_set() and os.readlink(f"/proc/self/fd/{handle}").startswith(str(folder)):
+                answers.wait()
+            return call(handle, *arguments)
+
+        return wait
+
+    for name in names:
+        monkeypatch.setattr(os, name, behind(getattr(os, name)))
+    last = threading.Timer(60.0, answers.set)
+    last.start()
+    try:
+        yield answers
+    finally:
+        last.cancel()
+        answers.set()
+
+
+@pytest.mark.parametrize("names", [("fsync",), ("fsync", "write")], ids=["fsync", "fsync and write"])
+def test_a_disk_that_hangs_longer_than_the_queue_lasts_stops_nothing_and_is_told(
+    site: Path, record: np.ndarray, cut: Cut, monkeypatch: pytest.MonkeyPatch, names: tuple[str, ...]
+) -> None:
+    """The disk hangs from the first window on; 5400 blocks follow, and the recorder's queue holds 4096."""
+    out = site.parent / "out"
+    blocks = cut(np.tile(record, (6, 1)), RATE, [8])
+    with hanging(monkeypatch, out, names) as answers:
+        told, metrics = Told(answers.clear), Metrics("bench", MetricsSettings(listen="127.0.0.1:0"))
+
+        def is_told() -> bool:
+            """In health and metrics, and in the status as far as the disk takes what it reads."""
+            said = "write" in names or any(
+                trouble.startswith("recorder: does not answer") for trouble in look(out)["troubles"]
+            )
+            return said and "recorder" in told.failed_parts and "recorder" in failed_outputs(metrics)
+
+        source = Ending(blocks, lambda: told.windows == WINDOWS and is_told())
+        Daemon(site, source, [told, metrics]).run()
+        ended_s = time.monotonic()
+        assert not answers.is_set() and len(blocks) == 5760 and told.windows == WINDOWS
+        assert source.asked_s is not None and ended_s - source.asked_s < 7.0  # 5 s are promised
+        assert told.failed_parts["recorder"].startswith("does not answer for ")
+        recorder = told.line["recorder"]
+        assert not recorder["recording"] and recorder["lost_blocks"] > 0
+    until(lambda: len(lines(out)) == WINDOWS, "results are there")
+
+
+def test_an_outlet_that_does_not_answer_is_told_once_and_so_is_its_return(site: Path) -> None:
+    """A line of health comes when the outlet stops to answer and when it answers again, however long the usual interval."""
+    seconds = [0.0]
+    busy = Busy(lambda: seconds[0])
+
+    class Stuck(Outlet):
+        @property
+        def failed(self) -> str | None:
+            return busy.overdue
+
+    told: list[Mapping[str, str]] = []
+
+    class Lines(Outlet):
+        def health_line(self, line: Mapping[str, Any]) -> None:
+            told.append(line["failed"])
+
+    def script() -> Iterator[None]:
+        busy.begin()
+        for k in range(40):
+            if k == 20:
+                busy.end()
+            seconds[0] += 1.0
+            until(lambda: looked[0] > seconds[0], "the main loop looks")
+            yield None
+
+    looked = [0.0]
+
+    def clock() -> float:
+        looked[0] = seconds[0] + 0.5
+        return seconds[0]
+
+    Daemon(site, Scripted(script()), [Stuck(), Lines()], clock=clock, tick_s=0.001, quiet_s=1e6).run()
+    ready, failed, again, last = told
+    assert ready == again == last == {} and failed.keys() == {"Stuck"}
+    assert failed["Stuck"] in {f"does not answer for {k} s" for k in (5, 6, 7)}

@@ -1,0 +1,117 @@
+"""How a daemon starts and ends as a process: the lock before everything else, and every exit code as promised."""
+
+from __future__ import annotations
+
+import os
+import signal
+import stat
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from monitor.service.restart import lock
+from monitor.service.status import running
+from tests.conftest import Cut
+from tests.service.test_daemon import SITE, write
+from tests.support.live_site import RATE
+from tests.support.zenoh_router import free_port
+
+pytestmark = pytest.mark.system
+
+ROOT = Path(__file__).parents[2]
+
+
+def make_site(folder: Path, frame_text: str, zenoh: str) -> Path:
+    path = folder / "site.toml"
+    path.write_text(SITE.replace("\n[recorder]", f"\n[output.zenoh]\n{zenoh}\n\n[recorder]") + frame_text)
+    return path
+
+
+@pytest.fixture
+def site(tmp_path: Path, frame_text: str) -> Path:
+    """A site that publishes as a peer: an outlet that had begun would still be joining when a start fails."""
+    return make_site(tmp_path, frame_text, f'mode = "peer"\nlisten = ["tcp/127.0.0.1:{free_port()}"]')
+
+
+def start(site: Path) -> subprocess.Popen[str]:
+    command = [sys.executable, "-m", "monitor", "run", str(site)]
+    return subprocess.Popen(command, stderr=subprocess.PIPE, text=True, cwd=ROOT)
+
+
+@pytest.fixture
+def held(site: Path) -> Iterator[Path]:
+    """The output folder, locked by another daemon."""
+    out = site.parent / "out"
+    handle = lock(out / "state" / "lock", out)
+    yield out
+    os.close(handle)
+
+
+def test_a_second_daemon_ends_with_78_and_leaves_no_trace(site: Path, held: Path) -> None:
+    before = sorted(held.rglob("*"))
+    process = start(site)
+    _, said = process.communicate(timeout=60.0)
+    assert process.returncode == 78, said
+    assert said == f"error: bad configuration\n{held}: another daemon writes here; name another dir under [output]\n"
+    assert sorted(held.rglob("*")) == before
+
+
+@pytest.mark.parametrize("taken", ["out", "out/state", "out/recordings"])
+def test_a_folder_that_cannot_be_written_ends_it_with_66(site: Path, taken: str) -> None:
+    """A file stands where a folder is to be, first before the lock and then after it."""
+    (site.parent / taken).parent.mkdir(exist_ok=True)
+    (site.parent / taken).write_text("")
+    process = start(site)
+    _, said = process.communicate(timeout=60.0)
+    assert process.returncode == 66, said
+    assert said.count("\n") == 1 and f"{site.parent / 'out'}: cannot be written: " in said
+
+
+def test_a_source_that_is_missing_ends_it_with_66(site: Path) -> None:
+    process = start(site)
+    _, said = process.communicate(timeout=60.0)
+    assert process.returncode == 66 and "rec.mcap" in said, said
+
+
+def test_sigterm_while_an_outlet_is_joining_ends_it_with_0(
+    tmp_path: Path, frame_text: str, record: np.ndarray, cut: Cut
+) -> None:
+    """The router is away, and the outlet still waits for it when the daemon has ended."""
+    client = f'mode = "client"\nconnect = ["tcp/127.0.0.1:{free_port()}"]\nconnect_timeout_s = 6.0'
+    site = make_site(tmp_path, frame_text, client)
+    write(site.parent / "rec.mcap", cut(record, RATE))
+    site.write_text(site.read_text().replace('files = ["rec.mcap"]', 'files = ["rec.mcap"]\nspeed = 1.0'))
+    process = start(site)
+    assert process.stderr is not None
+    while (line := process.stderr.readline()) != "READY\n":
+        assert line, "it ended"
+    process.send_signal(signal.SIGTERM)
+    asked_s = time.monotonic()
+    _, said = process.communicate(timeout=60.0)
+    assert process.returncode == 0, said
+    assert time.monotonic() - asked_s < 7.0  # 5 s are promised
+
+
+def test_the_lock_can_be_opened_by_its_owner_alone(site: Path, held: Path) -> None:
+    path = held / "state" / "lock"
+    path.chmod(0o644)  # as an earlier version made it
+    with pytest.raises(Exception, match="another daemon"):
+        lock(path, held)
+    assert stat.S_IMODE(path.stat().st_mode) == 0o600
+    assert running(held)
+
+
+def test_a_look_at_the_status_keeps_no_daemon_from_starting(tmp_path: Path) -> None:
+    """Who may open the lock, as root, and holds it for a moment, is waited for."""
+    path = tmp_path / "state" / "lock"
+    os.close(lock(path, tmp_path))
+    hold = "import fcntl, sys, time; f = open(sys.argv[1]); fcntl.flock(f, fcntl.LOCK_SH); print(flush=True); time.sleep(0.3)"
+    with subprocess.Popen([sys.executable, "-c", hold, str(path)], stdout=subprocess.PIPE) as reader:
+        assert reader.stdout is not None
+        reader.stdout.readline()
+        os.close(lock(path, tmp_path))
