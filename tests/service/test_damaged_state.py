@@ -92,7 +92,7 @@ def test_damaged_lines_after_the_checkpoint_are_left_out(
         out.write(text + "\n")
     caplog.set_level(logging.WARNING)
     Daemon(site, Scripted(following(cut(record, RATE), record))).run()
-    assert "results.jsonl: 1 lines after byte" in caplog.text
+    assert "results.jsonl: 1 damaged lines are left out" in caplog.text
     assert "not resumed" not in caplog.text and "Traceback" not in caplog.text
     found = [json.loads(row) for row in file.read_text().splitlines() if row != text]
     assert [line["window"] for line in found] == list(range(21))

@@ -241,9 +241,9 @@ def _extent(folder: Path) -> tuple[int, int, float]:
     with path.open("rb") as file:
         file.seek(max(0, path.stat().st_size - _TAIL_BYTES))
         tail = _T_END.findall(file.read())
-    for closed in reversed(closed_files(folder)):
-        if not tail:
-            tail = [found[1] for raw in read_lines(closed) if (found := _T_END.search(raw))][-1:]
+    for file_lines in map(read_lines, (path, *reversed(closed_files(folder)))):
+        if not tail:  # the present month has no window yet, or a damaged line is longer than that
+            tail = [found[1] for raw in file_lines if (found := _T_END.search(raw))][-1:]
     lines = read_all_lines(folder)
     head = [int(found[1]) for _, raw in zip(range(_HEAD), lines, strict=False) if (found := _T_END.search(raw))]
     if not head or not tail:
