@@ -89,7 +89,7 @@ def cli() -> Cli:
 @pytest.fixture(scope="session")
 def main() -> Cli:
     """Runs a command within this process: far faster, and an exception that escapes fails the test."""
-    from monitor.cli.app import main as entry
+    from monitor.cli.app import call as entry
 
     def run(*arguments: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
         out, err, argv = io.StringIO(), io.StringIO(), sys.argv

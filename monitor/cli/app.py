@@ -82,7 +82,7 @@ def _main(version: Annotated[bool, typer.Option("--version", help="Print the ver
 def main() -> None:
     """Run the command line; report an error of the user as one message and its exit code."""
     try:
-        _call()
+        call()
     except SystemExit as end:
         if any(thread.daemon for thread in threading.enumerate()) and isinstance(end.code, int):
             # A thread that still waits for a disk or a network aborts the process if it returns while the interpreter ends.
@@ -92,7 +92,7 @@ def main() -> None:
         raise
 
 
-def _call() -> None:
+def call() -> None:
     """Call the command that the arguments name; always raises SystemExit, except after an unexpected error."""
     logging.basicConfig(format="%(levelname)s %(name)s: %(message)s", level=logging.WARNING)
     keep_freed()

@@ -28,7 +28,7 @@ def warm(
         Path | None, typer.Argument(metavar="SITE.toml", help="Site file; a small frame by default.")
     ] = None,
 ) -> None:
-    """Compile what windows need and keep it on the disk, so that a daemon starts within seconds.
+    """Compile what windows need, so that no start waits for it.
 
     Run it as the daemon's user, with its NUMBA_CACHE_DIR, after an installation.  A daemon does the same before READY.
     """
