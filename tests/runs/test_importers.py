@@ -2,6 +2,7 @@
 
 import io
 import random
+import tracemalloc
 import zipfile
 from pathlib import Path
 
@@ -11,7 +12,7 @@ import pytest
 from drivers.base import ACCELERATION, FORCE, GROUND
 from drivers.mcap_file import RecordingInfo, read_recordings
 from monitor.core.errors import BadInputError, MissingInputError
-from monitor.runs.importers import import_files
+from monitor.runs.importers import csv_table, import_files
 
 DATA = Path(__file__).parents[1] / "data"
 WHEN_NS = 1_767_323_045 * 10**9
@@ -366,3 +367,19 @@ def test_an_archive_that_would_fill_the_memory_is_refused_before_it_is_unpacked(
     path.write_bytes(raw)
     with pytest.raises(BadInputError, match=r"zeros\.npz: would unpack to 3072 MiB; at most 2048 MiB .* cut it"):
         import_files([path], tmp_path / "out.mcap")
+
+
+def test_a_table_takes_a_few_times_its_size_of_memory(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    path = tmp_path / "long.csv"
+    np.savetxt(path, rng.standard_normal((60_000, 4)), fmt="%.6f", delimiter=",", header="a1,a2,a3,a4")
+    raw = path.read_bytes()
+    tracemalloc.start()
+    try:
+        cells = csv_table.cut_into_cells(path, csv_table.decode_text(path, raw), lambda _: None)
+        table = csv_table.to_table(cells, lambda _: None)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert table.values.shape == (60_000, 4)
+    assert peak < 12 * len(raw), f"{peak / len(raw):.1f} bytes a byte"

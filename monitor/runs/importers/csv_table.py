@@ -20,6 +20,8 @@ _DATE_FORMATS = ("ISO", "%d.%m.%Y %H:%M:%S", "%Y/%m/%d %H:%M:%S", "%m/%d/%Y %H:%
 _HEADER = re.compile(r"(.*?)\s*(?:[\[(]([^\])]*)[\])])?\s*")
 _TIME = re.compile(r"(t(_[mun]?s)?|time.*|zeit.*|date.*|datum.*|sampletimefine|elapsed.*)", re.IGNORECASE)
 _COUNTER = re.compile(r"(|#|index|sample|samples|counter|packetcounter|nr\.?|no\.?|n)", re.IGNORECASE)
+_CHUNK_LINES = 1 << 16
+"""Rows that are converted to numbers together. [count; cost: their cells take 10 MB]"""
 _TICKS = {"s": 10**9, "sec": 10**9, "ms": 10**6, "us": 1000, "µs": 1000, "ns": 1, "min": 60 * 10**9}
 
 
@@ -32,10 +34,21 @@ class Cells:
     """Lines before the rows."""
     header: tuple[str, ...]
     """Column names with units; empty without a header row."""
-    rows: list[list[str]]
-    """Cells of each row of data."""
+    lines: list[str]
+    """Rows of data, one a line; cut into cells column by column, since the cells of all rows take five times the memory."""
+    delimiter: str | None
+    """Mark between cells; None for white space."""
     first_line: int
     """Line number of the first row, counted from 1."""
+
+    @property
+    def first_row(self) -> list[str]:
+        """Cells of the first row of data."""
+        return _split(self.lines[0], self.delimiter)
+
+    def column(self, at: int) -> list[str]:
+        """Return the cells of a column, from the first row on."""
+        return [_split(line, self.delimiter)[at] for line in self.lines]
 
     def numbers(self, column: int) -> Array:
         """Convert one column to numbers, shape (n_rows,); an empty cell is a missing sample (NaN).
@@ -45,14 +58,18 @@ class Cells:
         BadInputError
             If a cell is no number; the message gives its line.
         """
-        cells = [row[column] or "nan" for row in self.rows]
-        try:
-            return np.array([cell.replace(",", ".") for cell in cells], dtype=np.float64)
-        except ValueError:
-            bad = next((at for at, cell in enumerate(cells) if not _NUMBER.fullmatch(cell)), 0)
-            raise BadInputError(
-                f"{self.path}: line {self.first_line + bad}: {cells[bad][:40]!r} in column {column + 1} is no number"
-            ) from None
+        out = np.empty(len(self.lines))
+        for begin in range(0, len(self.lines), _CHUNK_LINES):
+            rows = self.lines[begin : begin + _CHUNK_LINES]
+            cells = [_split(line, self.delimiter)[column] or "nan" for line in rows]
+            try:
+                out[begin : begin + len(rows)] = np.array([cell.replace(",", ".") for cell in cells], dtype=np.float64)
+            except ValueError:
+                bad = next((at for at, cell in enumerate(cells) if not _NUMBER.fullmatch(cell)), 0)
+                raise BadInputError(
+                    f"{self.path}: line {self.first_line + begin + bad}: {cells[bad][:40]!r} in column {column + 1} is no number"
+                ) from None
+        return out
 
 
 def decode_text(path: Path, raw: bytes) -> str:
@@ -92,14 +109,17 @@ def cut_into_cells(path: Path, text: str, on_warning: OnWarning) -> Cells:
     tail = [line for line in lines[-101:] if line.strip()][:-1] or lines
     delimiter = next((mark for mark in "\t;," if sum(mark in line for line in tail) * 2 > len(tail)), None)
     try:
-        rows = [_split(line, delimiter) for line in lines]
+        widths = [len(_split(line, delimiter)) for line in lines]
+        tail_widths = Counter(
+            n for n, line in zip(widths[-101:], lines[-101:], strict=True) if any(_split(line, delimiter))
+        )
+        width = tail_widths.most_common(1)[0][0] if tail_widths else 0
+        first = next((at for at, n in enumerate(widths) if n == width and _is_data(_split(lines[at], delimiter))), None)
+        if first is None:
+            raise BadInputError(f"{path}: no rows of numbers found; is it a CSV table?")
+        rows = [_split(line, delimiter) for line in lines[:first]]
     except csv.Error as error:
         raise BadInputError(f"{path}: {error}") from error
-    tail_widths = Counter(len(row) for row in rows[-101:] if any(row))
-    width = tail_widths.most_common(1)[0][0] if tail_widths else 0
-    first = next((at for at, row in enumerate(rows) if len(row) == width and _is_data(row)), None)
-    if first is None:
-        raise BadInputError(f"{path}: no rows of numbers found; is it a CSV table?")
     head = next((at for at in range(first - 1, -1, -1) if any(rows[at])), None)
     header: list[str] = []
     # Some loggers end the header with a delimiter, but not the rows.
@@ -109,14 +129,15 @@ def cut_into_cells(path: Path, text: str, on_warning: OnWarning) -> Cells:
         if any(map(_NUMBER.fullmatch, header)) and not any(map(_TIME.fullmatch, header)):
             bad = next((cell for cell in header if not _NUMBER.fullmatch(cell)), header[0])
             raise BadInputError(f"{path}: line {head + 1}: {bad[:40]!r} is no number")
-    body = rows[first:]
-    if len(body) > 1 and len(body[-1]) < width:
+    preamble, body = tuple(lines[:first]), lines[first:]
+    if len(body) > 1 and widths[-1] < width:
         on_warning(f"{path}: line {len(lines)} is cut short and left out")
         body.pop()
-    for at, row in enumerate(body):
-        if len(row) != width:
-            raise BadInputError(f"{path}: line {first + at + 1}: {len(row)} cells where {width} are expected")
-    return Cells(path, tuple(lines[:first]), tuple(header), body, first + 1)
+        widths.pop()
+    for at, n in enumerate(widths[first:], first + 1):
+        if n != width:
+            raise BadInputError(f"{path}: line {at}: {n} cells where {width} are expected")
+    return Cells(path, preamble, tuple(header), body, delimiter, first + 1)
 
 
 def to_table(cells: Cells, on_warning: OnWarning) -> Table:
@@ -127,11 +148,12 @@ def to_table(cells: Cells, on_warning: OnWarning) -> Table:
     BadInputError
         If a cell is no number or no time.
     """
-    width = len(cells.rows[0])
+    first_row = cells.first_row
+    width = len(first_row)
     parts = [_HEADER.fullmatch(name) for name in cells.header]
     names = [part[1] if part else "" for part in parts] or [f"column{at + 1}" for at in range(width)]
     units = [(part[2] or "") if part else "" for part in parts] or [""] * width
-    dated = [at for at in range(width) if _DATE.fullmatch(cells.rows[0][at])]
+    dated = [at for at in range(width) if _DATE.fullmatch(first_row[at])]
     clock = next(iter(dated or [at for at in range(width) if _TIME.fullmatch(names[at])]), None)
     time_ns = start_ns = None
     if clock in dated and clock is not None:
@@ -199,7 +221,7 @@ def _tick_column(cells: Cells, column: int, name: str, unit: str) -> Ticks:
 
 def _date_column(cells: Cells, column: int) -> Ticks:
     """Convert a column of dates to UTC, ns since 1970, shape (n_rows,)."""
-    texts = [row[column] for row in cells.rows]
+    texts = cells.column(column)
     # One date format for the whole file, so that month and day are never exchanged within it.
     for form in _DATE_FORMATS:
         times = [_parse_date(text, form) for text in texts[:1]]
