@@ -23,7 +23,8 @@ class DiagnosisSettings(Settings):
     favourites: int = Field(default=3, ge=0)
     """Number of the best candidates by the score test that are fitted fully in any case."""
     max_causes: int = Field(default=3, ge=1)
-    """Largest number of causes that may act together, without sensors' faults and modes that the model lacks."""
+    """Largest number of causes that may act together, without modes that the model lacks, and beside a measured input without
+    sensors' faults."""
     linearization: float = Field(default=0.05, ge=0, lt=1)
     """Relative error that the gain of a linearized law may have: rivals within it are simulated."""
     aftermath: float = Field(default=0.005, ge=0, lt=1)

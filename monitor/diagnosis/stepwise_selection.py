@@ -151,7 +151,7 @@ def diagnose(
         stage, at_peaks = _add_missing_modes(stage, settings)
         rounds += at_peaks
     alternatives: tuple[tuple[Candidate, float], ...] = ()
-    while _n_counted(stage.accepted) < settings.max_causes:
+    while _n_counted(stage) < settings.max_causes:
         stage, candidates, threshold = _search_once(stage, settings)
         rounds.append(tuple(p.candidate.without_slopes() for p in candidates))
         if not candidates or candidates[0].candidate.log_evidence < threshold:
@@ -306,12 +306,14 @@ def _prefer_mode(
     return modes[:1] or tied
 
 
-def _n_counted(accepted: Sequence[Candidate]) -> int:
-    """Count the causes that the search is limited to.
+def _n_counted(stage: _SearchState) -> int:
+    """Count the accepted causes that the search is limited to.
 
-    Modes that the model lacks may be many, and every channel may have a fault.
+    Modes that the model lacks may be many.  So may sensors' faults where an input was measured, which separates them
+    from all else; without one, several of them imitate crosstalk.
     """
-    return sum(not (c.effect.repeatable or c.effect.family == "sensor") for c in accepted)
+    driven = stage.posterior.observed.drive is not None
+    return sum(not (c.effect.repeatable or (driven and c.effect.family == "sensor")) for c in stage.accepted)
 
 
 def _add_missing_modes(
@@ -417,7 +419,7 @@ def _accept_beside_tie(
         The state with the further cause, and the candidates among which it was found.  None where there is no such cause, or
         where it is itself tied.
     """
-    if _n_counted(stage.accepted) + 2 > settings.max_causes:
+    if _n_counted(stage) + 2 > settings.max_causes:
         return None
     extended = _accept(stage, tied, settings)
     _, candidates, threshold = _search_once(extended, settings)

@@ -18,7 +18,7 @@ from tests.inference.test_input_response import FORCED, pushed
 pytestmark = pytest.mark.engine
 
 
-@pytest.mark.parametrize(("place", "force_n", "relative"), [("frame", 2.0, 0.06), ("story 3", 1.0, 0.12)])
+@pytest.mark.parametrize(("place", "force_n", "relative"), [("frame", 0.6, 0.06), ("story 3", 1.0, 0.12)])
 def test_slip_is_named_at_its_place_with_its_size(place: str, force_n: float, relative: float) -> None:
     hidden = f"hysteretic_slip:{place}:force_n={force_n},relative={relative}"
     segments = gather(pushed(hidden, seed=21), FORCED.front_end())
@@ -41,6 +41,6 @@ def test_a_law_starts_beside_the_stiffness_with_which_the_stories_keep_their_sec
     x = start_beside(posterior, fit.x, effect)
     middle = posterior.conditions[posterior.n_classes // 2]
     wanted = posterior.system(fit.x, ()).stiffness
-    beside = effect.extend(posterior.system(x, ()), posterior.context_at(fit.x), middle).stiffness
-    assert np.abs(posterior.system(x, ()).stiffness / wanted - 1.0).max() > 0.01
-    np.testing.assert_allclose(beside, wanted, rtol=0.02, atol=1e-6 * np.abs(wanted).max())
+    beside = effect.extend(posterior.system(x, ()), posterior.context_at(x), middle).stiffness
+    assert (posterior.system(x, ()).stiffness.diagonal() > 1.01 * wanted.diagonal()).all()
+    np.testing.assert_allclose(beside, wanted, rtol=0.03, atol=1e-6 * np.abs(wanted).max())
