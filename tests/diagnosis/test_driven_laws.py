@@ -37,7 +37,7 @@ def test_a_law_starts_beside_the_stiffness_with_which_the_stories_keep_their_sec
     context = FORCED.instrumented().context(segments.rate_hz)
     known = prior_from_drawing(FORCED.model(), np.full(6, 0.1), 3)
     posterior, fit, _ = fit_initial_model(classify(segments), known, context)
-    effect = parse_effect("hysteretic_slip:frame:force_n=1,relative=0.3")
+    effect = parse_effect("hysteretic_slip:frame:force_n=0.3,relative=0.1")
     x = start_beside(posterior, fit.x, effect)
     middle = posterior.conditions[posterior.n_classes // 2]
     wanted = posterior.system(fit.x, ()).stiffness
