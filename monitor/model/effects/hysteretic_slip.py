@@ -108,8 +108,8 @@ class HystereticSlip(Effect):
     @classmethod
     def starts(cls, location: str, context: Context, condition: Condition) -> tuple[Self, ...]:
         """See `Effect.starts`."""
-        stories = slice(None) if location == "frame" else slice(cls(location, 0.0, 0.0).index, None)
-        k, s = (float(x[stories][0]) for x in (context.structure.stiffness_n_per_m, condition.drift_m))
+        j = 0 if location == "frame" else cls(location, 0.0, 0.0).index  # the stories of a frame are of one order
+        k, s = float(context.structure.stiffness_n_per_m[j]), float(condition.drift_m[j])
         return tuple(cls(location, 0.1 * k * s * slip, 0.1) for slip in (0.5, 2.0))
 
     @classmethod
