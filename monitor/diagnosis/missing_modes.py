@@ -162,7 +162,7 @@ def find_missing_mode(
     """
     (peak,) = find_excess_peaks(posterior, fit, 1)
     starts = effects_at_peak(posterior, fit, peak)
-    rough = best_first(parallel_map(lambda e: fit_candidate(posterior, fit, e, quick=True).without_slopes(), starts))
+    rough = best_first(parallel_map(lambda e: fit_candidate(posterior, fit, e, quick=True), starts))
     if not rough or not (rough[0].effect.repeatable or lacks_modes(posterior, fit)):
         return []
     near = [c for c in rough if c.may_reach(rough[0].log_evidence - settings.rival)]
@@ -248,7 +248,7 @@ def couple_modes(posterior: Posterior, fit: MapEstimate) -> MapEstimate | None:
     if all(effect is None for effect in coupled):
         return None
     effects = tuple(old if new is None else new for old, new in zip(fit.effects, coupled, strict=True))
-    found = maximize_posterior(posterior, fit.x, effects, iterations=FAR)
+    found = _better_orientation(posterior, maximize_posterior(posterior, fit.x, effects, iterations=FAR))
     kept = []
     for i, (old, now) in enumerate(zip(fit.effects, found.effects, strict=True)):
         n, own = len(old.parameters), found.coordinates_of(i)
@@ -261,6 +261,16 @@ def couple_modes(posterior: Posterior, fit: MapEstimate) -> MapEstimate | None:
         found = maximize_posterior(posterior, found.x, tuple(kept), iterations=FAR)
     is_better = log_evidence(posterior, found) > log_evidence(posterior, fit)
     return found if found.n_effect > fit.n_effect and is_better else None
+
+
+def _better_orientation(posterior: Posterior, found: MapEstimate) -> MapEstimate:
+    """Return the better of a fit of couplings and of one that starts with every coupling reversed.
+
+    A mode has the same peak whether its own motion adds to that of the floors or opposes it.  So both orientations have a
+    best fit, and which of the two a fit from no coupling reaches is a matter of rounding.
+    """
+    other = tuple(e.reversed_coupling() for e in found.effects)
+    return max(found, maximize_posterior(posterior, found.x, other, iterations=FAR), key=lambda fit: fit.log_posterior)
 
 
 def _overlap(one: ExtraMode, other: ExtraMode, resolution_hz: float) -> bool:

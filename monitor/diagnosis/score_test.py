@@ -199,7 +199,7 @@ def _expected_gains(
     prediction = posterior.predict(null_fit.x, null_fit.effects)
     mean, precision = posterior.normal_prior(null_fit.x, null_fit.effects)
     tangent = null_fit.jacobian
-    normal = inverse(tangent.T @ tangent + precision)
+    normal = inverse(null_fit.information + precision)
     residual = np.concatenate([null_fit.residual, null_fit.mean_residual])
     # The nuisances' slope is that of the posterior, since a pull away from their prior is evidence of an effect.
     nuisance_slope = tangent.T @ residual - precision @ (null_fit.x - mean)
@@ -257,7 +257,7 @@ def detectable_losses(posterior: Posterior, null_fit: MapEstimate, margin: float
     starts = [kind.starts(place, context, typical)[0] for place in locations("story", context)]
     prediction = posterior.predict(null_fit.x, null_fit.effects)
     tangent = null_fit.jacobian
-    normal = inverse(tangent.T @ tangent + posterior.normal_prior(null_fit.x, null_fit.effects)[1])
+    normal = inverse(null_fit.information + posterior.normal_prior(null_fit.x, null_fit.effects)[1])
     stds = np.sqrt(2.0 * (margin + parameter_cost(posterior, 1))) + _ONE_SIDED_95
 
     def loss(effect: Effect) -> float | None:
@@ -296,7 +296,7 @@ def _fit_at_prior(posterior: Posterior, null_fit: MapEstimate, *more: Effect) ->
         posterior, prior=replace(known, precision=known.precision + np.diag(_HELD_STRUCTURE_PRECISION / known.units**2))
     )
     x = posterior.layout.with_structure(null_fit.x, known.mean)
-    unused = null_fit.jacobian[:, posterior.layout.structure]  # slopes of what does not move
+    unused = null_fit.first_slopes(posterior.layout.structure.stop)  # of what does not move
     return held, maximize_posterior(held, x, (*null_fit.effects, *more), iterations=_MAX_STEPS_HELD, frozen=unused)
 
 
@@ -375,7 +375,7 @@ def fit_candidate(
     effect : Effect
         The effect at its start size.
     quick : bool
-        Fit roughly, for a ranking.
+        Fit roughly, for a ranking; no further search can start from such a fit.
     min_log_evidence : float
         Evidence below which a candidate does not matter, so that its fit is not repeated from the prior, nats.
     rough : Candidate, optional
@@ -383,13 +383,14 @@ def fit_candidate(
     """
     driven = posterior.observed.drive is not None
     # Driven motion is so informative that a cause changes the other slopes at once.
-    frozen = null_fit.jacobian if quick and not driven else None
+    frozen = null_fit.first_slopes(null_fit.x.size) if quick and not driven else None
     few, many = (ROUGHLY, FAR) if driven else (_MAX_STEPS_ROUGH, LONG)
     fitted = partial(
         maximize_posterior,
         posterior,
         iterations=few if quick else many,
         tolerance=COARSE if driven else _AMBIENT_TOLERANCE_NATS,
+        keep_slopes=not quick,
     )
     if driven and effect.nonlinear:
         return _fit_driven_law(posterior, null_fit, effect, None if rough is None else rough.fit, quick=quick)
@@ -429,7 +430,8 @@ def _fit_driven_law(
     else:
         x, effects = rough.x, rough.effects
     exact = posterior.with_exact_slopes(x, effects)
-    fit = maximize_posterior(exact, x, effects, iterations=ROUGHLY if quick else FAR, tolerance=COARSE)
+    steps = ROUGHLY if quick else FAR
+    fit = maximize_posterior(exact, x, effects, iterations=steps, tolerance=COARSE, keep_slopes=not quick)
     if not quick:
         fit = fit_exact_slopes(exact, fit)[1]
     return score_candidate(posterior, null_fit, fit)

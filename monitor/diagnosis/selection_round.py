@@ -122,7 +122,7 @@ def _fit_roughly(posterior: Posterior, fit: MapEstimate, effects: list[Effect]) 
     """Fit effects roughly, best first."""
 
     def rough(effect: Effect) -> Candidate:
-        return fit_candidate(posterior, fit, effect, quick=True).without_slopes()
+        return fit_candidate(posterior, fit, effect, quick=True)
 
     return best_first(parallel_map(rough, effects))
 

@@ -45,6 +45,8 @@ class MapEstimate:
     """Whitened and weighted residual of the spectra's rows."""
     mean_residual: Array
     """Whitened and weighted residual of the means' rows."""
+    information: Array
+    """Fisher information of the data, without the prior, shape (p, p): ``jacobian.T @ jacobian``."""
 
     @property
     def log_posterior(self) -> float:
@@ -65,6 +67,20 @@ class MapEstimate:
         """Number of coordinates of the extra effects."""
         return sum(len(e.parameters) for e in self.effects)
 
+    def first_slopes(self, n: int) -> FirstSlopes:
+        """Return the slopes by the first n parameters."""
+        return FirstSlopes(np.ascontiguousarray(self.jacobian[:, :n]), self.information[:n, :n])
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class FirstSlopes:
+    """Whitened slopes of the first n parameters."""
+
+    rows: Array
+    """Shape (rows, n)."""
+    information: Array
+    """Their Fisher information, shape (n, n)."""
+
 
 def maximize_posterior(
     posterior: Posterior,
@@ -73,7 +89,8 @@ def maximize_posterior(
     *,
     iterations: int = 12,
     tolerance: float = 0.02,
-    frozen: Array | None = None,
+    frozen: FirstSlopes | None = None,
+    keep_slopes: bool = True,
 ) -> MapEstimate:
     """Find the most probable parameters near `x` by Fisher scoring with Levenberg-Marquardt steps.
 
@@ -87,8 +104,10 @@ def maximize_posterior(
         Largest number of steps.
     tolerance : float
         Gain of a step below which the fit has converged, nats.
-    frozen : ndarray, shape (rows, n), optional
-        Whitened slopes of the first n parameters that are not computed again: faster, for a ranking, or where these do not move.
+    frozen : FirstSlopes, optional
+        Slopes of the first n parameters that are not computed again: faster, for a ranking, or where these do not move.
+    keep_slopes : bool
+        Whether the fit has its Jacobian, from which another search can start.
     """
     start = _evaluate(posterior, x, effects)
 
@@ -106,6 +125,7 @@ def maximize_posterior(
     )
     found = search.point
     slopes = search.linearization or _no_slopes(start.x.size)
+    blocks = slopes.blocks if keep_slopes else (np.zeros((0, start.x.size)),)
     return MapEstimate(
         found.x,
         found.effects,
@@ -113,9 +133,10 @@ def maximize_posterior(
         found.log_prior,
         inverse(slopes.normal),
         search.converged,
-        slopes.rows,
+        blocks[0] if len(blocks) == 1 else np.concatenate(blocks, axis=1),
         slopes.residual,
         slopes.mean_residual,
+        slopes.information,
     )
 
 
@@ -139,10 +160,12 @@ class _Point:
 class _Slopes:
     """The log posterior near a point to second order, by Fisher information."""
 
-    rows: Array
-    """As `MapEstimate.jacobian`."""
+    blocks: tuple[Array, ...]
+    """Columns of `MapEstimate.jacobian` in blocks, which are not joined before the end: with many channels they are large."""
     residual: Array
     mean_residual: Array
+    information: Array
+    """As `MapEstimate.information`."""
     normal: Array
     """Fisher information and the prior's precision, shape (p, p)."""
     gradient: Array
@@ -151,7 +174,8 @@ class _Slopes:
 
 def _no_slopes(n: int) -> _Slopes:
     """Stand for the slopes at a point from which no step was taken."""
-    return _Slopes(np.zeros((0, n)), np.zeros(0), np.zeros(0), np.eye(n), np.zeros(n))
+    nothing = np.zeros((n, n))
+    return _Slopes((np.zeros((0, n)),), np.zeros(0), np.zeros(0), nothing, np.eye(n), np.zeros(n))
 
 
 def _evaluate(posterior: Posterior, x: Array, effects: tuple[Effect, ...]) -> _Point:
@@ -163,19 +187,24 @@ def _evaluate(posterior: Posterior, x: Array, effects: tuple[Effect, ...]) -> _P
     return _Point(x, effects, prediction, posterior.log_likelihood(prediction.spectra, prediction.data), log_prior)
 
 
-def _linearize(posterior: Posterior, at: _Point, last: _Slopes | None, frozen: Array | None) -> _Slopes:
+def _linearize(posterior: Posterior, at: _Point, last: _Slopes | None, frozen: FirstSlopes | None) -> _Slopes:
     """Linearize the prediction at a point; beside no measured ground the slopes of `last` serve again."""
     here = at.prediction
     if last is None or here.left is not None:
-        first = 0 if frozen is None else frozen.shape[1]
-        rows, residual, mean_residual = posterior.jacobian(at.x, at.effects, here, first=first)
-        rows = rows if frozen is None else np.concatenate([frozen, rows], axis=1)
+        first = 0 if frozen is None else frozen.rows.shape[1]
+        own, residual, mean_residual = posterior.jacobian(at.x, at.effects, here, first=first)
+        information = own.T @ own
+        blocks: tuple[Array, ...] = (own,)
+        if frozen is not None:
+            across = frozen.rows.T @ own
+            blocks, information = (frozen.rows, own), np.block([[frozen.information, across], [across.T, information]])
     else:
-        rows, mean_residual = last.rows, last.mean_residual
+        blocks, mean_residual, information = last.blocks, last.mean_residual, last.information
         residual = posterior.whitened(here.spectra, here.spectra[None][:0], here.data)[1]
     mean, precision = posterior.normal_prior(at.x, at.effects)
-    gradient = rows.T @ np.concatenate([residual, mean_residual]) - precision @ (at.x - mean)
-    return _Slopes(rows, residual, mean_residual, rows.T @ rows + precision, gradient)
+    both = np.concatenate([residual, mean_residual])
+    gradient = np.concatenate([rows.T @ both for rows in blocks]) - precision @ (at.x - mean)
+    return _Slopes(blocks, residual, mean_residual, information, information + precision, gradient)
 
 
 def _take_bounded_step(posterior: Posterior, x: Array, step: Array, effects: Sequence[Effect]) -> Array:

@@ -244,7 +244,7 @@ class Posterior(ForwardModel):
             else self.effect_slopes(x, effects, prediction.spectra, first - n)
         )
         rows, residual = self.whitened(prediction.spectra, slopes, prediction.data)
-        return np.ascontiguousarray(rows), residual, np.zeros(0)
+        return rows, residual, np.zeros(0)
 
     def whitened(
         self, spectra: ComplexArray, slopes: ComplexArray, data: ComplexArray | None = None
@@ -266,9 +266,7 @@ class Posterior(ForwardModel):
         """
         data = self.data() if data is None else data
         root = np.sqrt(self.observed.weight * self.observed.counts[:, None] * self.widths())
-        stacked = np.concatenate([slopes, (data - spectra)[None]])
-        rows = whiten(spectra, stacked, root)
-        return rows[:, :-1], rows[:, -1]
+        return whiten(spectra, slopes, root), whiten(spectra, (data - spectra)[None], root)[:, 0]
 
     def nudged(self, x: Array, i: int, effects: Sequence[Effect]) -> tuple[float, Array]:
         """Return the finite difference for coordinate i, and the parameter vector changed by it, shape (p,)."""

@@ -17,7 +17,7 @@ RIVAL = 4.6
 
 def judged(evidence: float, chance: float = 0.0) -> RefittedCandidate:
     none = np.zeros(0)
-    fit = MapEstimate(none, (), 0.0, 0.0, np.zeros((0, 0)), True, np.zeros((0, 0)), none, none)
+    fit = MapEstimate(none, (), 0.0, 0.0, np.zeros((0, 0)), True, np.zeros((0, 0)), none, none, np.zeros((0, 0)))
     effect = StiffnessChange("story 1", -0.02) if chance == 0.0 else BilinearStiffness("story 1", 0.04)
     return RefittedCandidate(
         Candidate(effect, fit, evidence, evidence),

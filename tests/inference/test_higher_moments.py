@@ -113,7 +113,9 @@ def test_a_law_that_is_turned_round_lends_its_new_skewness_to_what_follows() -> 
     mirror = stop.mirrored()
     assert mirror is not None
     x, none_at_all = stop.coordinates, np.zeros(0)
-    fitted = MapEstimate(x, (stop,), 0.0, 0.0, np.zeros((2, 2)), True, np.zeros((0, 2)), none_at_all, none_at_all)
+    fitted = MapEstimate(
+        x, (stop,), 0.0, 0.0, np.zeros((2, 2)), True, np.zeros((0, 2)), none_at_all, none_at_all, np.zeros((2, 2))
+    )
     before, made = Moments(np.zeros(3), np.zeros(3)), Moments(np.array([0.3, 0.0, 0.0]), np.array([0.1, 0.0, 0.0]))
     std = Moments(np.full(3, 0.05), np.full(3, 0.05))
     polished = RefittedCandidate(Candidate(stop, fitted, 50.0, 50.0), AmbientPosterior.__new__(AmbientPosterior), made)

@@ -460,6 +460,10 @@ class Effect(ReportFace, ABC):
         """Return the effect with a coupling to the floors, which is zero at first; None where it has none to add."""
         return None
 
+    def reversed_coupling(self) -> Effect:
+        """Return a coupled effect with the signs of its coupling reversed; any other as it is."""
+        return self
+
     def uncoupled(self, resonance: ExtraMode) -> Effect:
         """Return a coupled effect as one without coupling that has the given frequency, damping and shape; any other as it is."""
         return self

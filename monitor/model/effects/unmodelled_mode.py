@@ -176,6 +176,10 @@ class UnmodelledMode(Effect):
         shape = tuple(self._shape_on(context).tolist())
         return replace(self, shape=shape, coupling=(0.0,) * context.structure.n_dofs)
 
+    def reversed_coupling(self) -> Self:
+        """See `Effect.reversed_coupling`."""
+        return replace(self, coupling=tuple(-coupling for coupling in self.coupling))
+
     def uncoupled(self, resonance: ExtraMode) -> Self:
         """See `Effect.uncoupled`."""
         return type(self)(
