@@ -50,6 +50,8 @@ class HeldOutGain:
     """Relative squared error of the old form's cross-spectra, see `csd_error`."""
     csd_error_after: float = 0.0
     """Relative squared error of the extended form's cross-spectra."""
+    csd_error_rises: bool = False
+    """Whether the extended form's error is the larger one in every part of the recording that was held out."""
     heldout: str = "none: nothing was added to the model"
     """Which data were held out."""
     calibration: float = 0.0
@@ -131,12 +133,12 @@ def heldout_gain(segments: Segments, diagnosis: Diagnosis) -> HeldOutGain:
         return HeldOutGain(heldout="none: the recording is too short to hold any of it out")
     folds = parallel_map(lambda held: _score_fold(segments, diagnosis, held, blocks.others(held)), parts)
     nats, samples = np.zeros((2, blocks.n)), np.zeros(blocks.n)
-    spectra = np.zeros((2, 2, *segments.values.shape[1:], segments.values.shape[2]), dtype=complex)
-    for held, scores in zip(parts, folds, strict=True):
+    spectra = np.zeros((len(folds), 2, 2, *segments.values.shape[1:], segments.values.shape[2]), dtype=complex)
+    for of_fold, held, scores in zip(spectra, parts, folds, strict=True):
         of_held = blocks.of_segment[held]
         for i, form_score in enumerate(scores):
             nats[i] += np.bincount(of_held, form_score.nats, blocks.n)
-            spectra[i] += np.count_nonzero(held) * np.stack([form_score.measured, form_score.modelled])
+            of_fold[i] = np.count_nonzero(held) * np.stack([form_score.measured, form_score.modelled])
         samples += np.bincount(of_held, minlength=blocks.n) * (scores[0].samples / np.count_nonzero(held))
     gain = _summarize_scores(nats, samples, spectra, blocks)
     return replace(gain, calibration=_calibration_nats(diagnosis) / float(samples.sum()))
@@ -174,18 +176,19 @@ def _summarize_scores(nats: Array, samples: Array, spectra: ComplexArray, blocks
         Log likelihood of the old and of the extended form.
     samples : ndarray, shape (n_blocks,)
         Sample instants.
-    spectra : ndarray of complex, shape (2, 2, n_bins, c, c)
-        For the old and the extended form, measured and modelled cross-spectra.
+    spectra : ndarray of complex, shape (n_folds, 2, 2, n_bins, c, c)
+        For every part held out, and the old and the extended form, measured and modelled cross-spectra.
     """
-    total = samples.sum()
+    total, whole = samples.sum(), spectra.sum(axis=0)
     ci95 = _bootstrap_interval(nats[1] - nats[0], samples)
     return HeldOutGain(
         before=float(nats[0].sum() / total),
         after=float(nats[1].sum() / total),
         ci95=ci95,
         nats=float((nats[1] - nats[0]).sum()),
-        csd_error_before=csd_error(*spectra[0]),
-        csd_error_after=csd_error(*spectra[1]),
+        csd_error_before=csd_error(*whole[0]),
+        csd_error_after=csd_error(*whole[1]),
+        csd_error_rises=all(csd_error(*after) > csd_error(*before) for before, after in spectra),
         heldout=f"{blocks.n} contiguous blocks of {blocks.length_s:.0f} s, every {_ORDINAL[blocks.folds]} by a fit to "
         "the others",
     )

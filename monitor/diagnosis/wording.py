@@ -195,10 +195,10 @@ def _verdict_in_words(diagnosis: Diagnosis, gain: HeldOutGain, content: Mapping[
                 return "The refitted model explains these data; without a baseline nothing is said of damage."
             return f"Nothing new beside the healthy data{_smallest_loss(content['detectable_loss'])}."
         case "named":
-            return _sentence(causes + _without_causes(content, reference)) + _why_no_gain(gain)
+            return _sentence(causes + _without_causes(content, reference)) + _limits_of_gain(gain)
         case "ambiguous":
             rivals = class_in_words(content["alternatives"], reference)
-            return _sentence((f"{causes}; besides, " if causes else "") + rivals) + _why_no_gain(gain)
+            return _sentence((f"{causes}; besides, " if causes else "") + rivals) + _limits_of_gain(gain)
     explained = "".join(f"{_sentence(m.says)} " for m in diagnosis.left_over if m.is_explained)
     unexplained = [m for m in diagnosis.left_over if not m.is_explained]
     if explained and not unexplained:
@@ -243,8 +243,8 @@ def _has_baseline(reference: StructuralPrior) -> bool:
     return bool(reference.basis.shape[0])
 
 
-def _why_no_gain(gain: HeldOutGain) -> str:
-    """State why the interval of the held-out gain does not exclude zero; empty where it does."""
+def _limits_of_gain(gain: HeldOutGain) -> str:
+    """State why the interval of the held-out gain does not exclude zero, or what the extended model predicts worse."""
     if gain.withheld:
         return f" No gain on held-out data can be had: {gain.withheld}."
     if gain.is_significant and gain.ci95[0] <= 0.0:
@@ -256,6 +256,12 @@ def _why_no_gain(gain: HeldOutGain) -> str:
         return (
             f" Only loud stretches show it: their gain on held-out data is {gain.nats:.0f} nats, though the interval of "
             "the mean gain includes zero."
+        )
+    if gain.csd_error_rises:
+        errors = f"{csd_error_in_words(gain.csd_error_before)} -> {csd_error_in_words(gain.csd_error_after)}"
+        return (
+            f" Held-out data are more probable with this, but the error of their cross-spectra is larger ({errors}): the "
+            "form of what was added is not yet right."
         )
     return ""
 

@@ -179,6 +179,8 @@ def test_a_cause_without_a_gain_says_why_or_stays_out_of_the_headline() -> None:
     assert "what calibration learned would have to have changed" in said(
         "named", BASELINE, replace(NO_GAIN, calibration=0.02), causes=[LOSS]
     )
+    rises = replace(GAIN, csd_error_before=0.01, csd_error_after=0.07, csd_error_rises=True)
+    assert "cross-spectra is larger (1.0 % -> 7.0 %)" in said("named", BASELINE, rises, causes=[LOSS])
     steady, late = (LackOfFit("f = 1 Hz", 9.0, "more", changes=changes) for changes in (False, True))
     assert "softer" not in said("unexplained", BASELINE, NO_GAIN, [steady], causes=[LOSS])
     assert "softer" in said("unexplained", BASELINE, GAIN, [steady], causes=[LOSS])
