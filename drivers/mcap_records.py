@@ -27,6 +27,8 @@ from drivers.base import RecordingError, RecordingMissingError
 MAGIC = b"\x89MCAP0\r\n"
 MAX_RECORD_BYTES = 1 << 28
 """Largest chunk (packed or unpacked) or message that is loaded, bytes; only a damaged length field asks for more."""
+_MOST_MESSAGES = 1 << 20
+"""Largest number of messages in a chunk: each takes some 200 bytes of memory, whatever it holds. [1; cost: 200 MB]"""
 _RUN_BYTES = 1 << 18
 _HEAD = struct.Struct("<BQ")
 _CHUNK = struct.Struct("<QQQII")
@@ -259,6 +261,8 @@ class McapFile:
                 channel_id, _, log_time, _ = fields(content, start)
                 if channel_id not in channels:
                     raise ValueError(f"a message of channel {channel_id}, which the file does not define")
+                if len(messages) == _MOST_MESSAGES:
+                    raise ValueError(f"more than {_MOST_MESSAGES} messages in a chunk")
                 messages.append(Message(channel_id, log_time, content[start + fields_size : position]))
             elif opcode == Opcode.CHANNEL:
                 channel = Channel.read(stream(content[start:position]))
