@@ -247,7 +247,8 @@ class McapFile:
             raise self._damage_error(segment.offset, f"{kind}{error}") from error
 
     def _messages(self, content: bytes) -> list[Message]:
-        messages, position, end = [], 0, len(content)
+        messages: list[Message] = []
+        position, end = 0, len(content)
         head, fields, channels, is_message = _HEAD.unpack_from, _MESSAGE.unpack_from, self.channels, int(Opcode.MESSAGE)
         head_size, fields_size = _HEAD.size, _MESSAGE.size  # looked up once, because this loop is long
         while position < end:

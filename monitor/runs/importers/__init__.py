@@ -20,7 +20,7 @@ __all__ = ["import_files"]
 _UNPACKED_BYTES = 1 << 28
 """Most that any archive may unpack to, however small it is. [bytes; as a chunk of an MCAP file, `drivers.mcap_records`]"""
 _UNPACKED_RATIO = 16
-"""Most that a larger archive may unpack to, over its own size. [ratio; judgement: readings in digits pack to a half or a fifth]"""
+"""Most that a larger archive may unpack to, over its own size. [ratio; judgement: digits pack to a half or a fifth]"""
 _MOST_UNPACKED_BYTES = 1 << 31
 """Most that an archive of any size may unpack to. [bytes; judgement]"""
 _LINE_BYTES = 57
