@@ -253,7 +253,9 @@ class Daemon(Publisher):
         if health is not None:
             span = plain(health)
             self._history.health(span)
-            if self._view is not None:
+            if (
+                self._view is not None and not self._keeper.resuming
+            ):  # the source is not open yet, and its clocks are the present ones
                 self._view.clocks(health.t_end_ns, self.reader.source.health().clocks)
         if self._keeper.resuming:
             if self._clock() - self._health_s >= self._quiet_s:
