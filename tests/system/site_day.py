@@ -2,7 +2,8 @@
 
     .venv/bin/python -m tests.system.site_day [DATA_HOURS] [PACE] [SEED]
 
-Samples come over Zenoh at `PACE` times real time, with NaN bursts, gaps, steps of the clock, repeated and malformed messages.
+Samples come over Zenoh at `PACE` times real time (they wait while a daemon starts), with NaN bursts, gaps, steps of the clock,
+repeated and malformed messages.
 Meanwhile the folder is flooded with requests, viewers and metrics readers hang, addresses of messages hang, drip and fail, the
 disk fills and (for root, who may mount one) hangs, the daemon is killed, ended and told to read its settings again.  At the end
 the recordings are replayed, and what the daemon wrote is compared with the replay.
@@ -43,6 +44,7 @@ from tests.service.test_notify import Drip, Hook
 from tests.support.faulty_disk import Disk, faulty_disk, is_possible
 from tests.support.frame_text import THREE_STORIES
 from tests.support.zenoh_router import free_port
+from tests.system.test_service_faults import until
 
 ROOT = Path(__file__).parents[2]
 RATE, SIZE = 128.0, 256
@@ -143,6 +145,9 @@ class Stream(threading.Thread):
         self._floors, self._pace, self._draw = floors, pace, random.Random(seed)
         self._endpoint, self._end_s = f"tcp/127.0.0.1:{bus}", hours * 3600.0
         self.data_s = 0.0
+        self.going = threading.Event()
+        """Cleared while a daemon starts: its seconds would be hours of the data."""
+        self.going.set()
         self.failed: BaseException | None = None
 
     def run(self) -> None:
@@ -162,11 +167,12 @@ class Stream(threading.Thread):
             self.failed = error
 
     def _publish(self, session: zenoh.Session) -> None:
-        draw, number, offset_ns, begun_s = self._draw, 0, 0, time.monotonic()
+        draw, number, offset_ns, due_s = self._draw, 0, 0, time.monotonic()
+        publisher = session.declare_publisher(KEY, congestion_control=zenoh.CongestionControl.BLOCK)
         while self.data_s < self._end_s:
-            late_s = self.data_s / self._pace - (time.monotonic() - begun_s)
-            if late_s > 0.0:
-                time.sleep(late_s)
+            self.going.wait()
+            due_s = max(due_s + BLOCK_S / self._pace, time.monotonic() - 1.0)
+            time.sleep(max(0.0, due_s - time.monotonic()))
             rows = np.arange(number * SIZE, (number + 1) * SIZE) % len(self._floors)
             values = self._floors[rows].astype(np.float32)
             t_ns = T0_NS + round(number * BLOCK_S * 1e9) + offset_ns
@@ -181,14 +187,14 @@ class Stream(threading.Thread):
                 case 2:
                     offset_ns += draw.choice([-3, 3]) * 10**9
                 case 3:
-                    session.put(KEY, codec.encode(block))
+                    publisher.put(codec.encode(block))
                 case 4 | 5:
-                    session.put(KEY, draw.randbytes(draw.randrange(200)))
+                    publisher.put(draw.randbytes(draw.randrange(200)))
                 case 6:
-                    session.put(KEY, codec.encode(replace(block, sample_rate_hz=1e9)))
+                    publisher.put(codec.encode(replace(block, sample_rate_hz=1e9)))
                 case 7:
-                    session.put(KEY, bytes(2 << 20))
-            session.put(KEY, codec.encode(block))
+                    publisher.put(bytes(2 << 20))
+            publisher.put(codec.encode(block))
 
 
 class Floods:
@@ -264,8 +270,8 @@ class Day:
                 (self._folder / "backing").mkdir()
                 self._disk = undo.enter_context(faulty_disk(self._folder / "backing", self._out))
             undo.callback(self._kill)
-            self._start()
             stream = Stream(floors, self._bus, self._hours, self._pace, self._seed)
+            self._start(stream)
             stream.start()
             floods = Floods(self._out, self._metrics, viewer, self._seed)
             undo.callback(floods.close)
@@ -302,11 +308,15 @@ class Day:
         done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stderr
 
-    def _start(self) -> None:
+    def _start(self, stream: Stream) -> None:
+        stream.going.clear()
         with (self._folder / "log").open("ab") as log:
             command = [sys.executable, "-m", "monitor", "run", str(self._folder / "site.toml")]
             self._process = subprocess.Popen(command, stdout=log, stderr=log, cwd=ROOT)
         self.report.lives += 1
+        until(lambda: (self._folder / "log").read_text().count("READY\n") == self.report.lives, "it has started")
+        time.sleep(5.0)  # the node, too, is connected again
+        stream.going.set()
 
     def _kill(self) -> None:
         assert self._process is not None
@@ -324,19 +334,18 @@ class Day:
     def _live(self, stream: Stream) -> None:
         """Look at the daemon and do something to it now and then, until the stream is over; the last third is left to itself."""
         deeds = self._deeds()
-        begun_s = due_s = time.monotonic()
-        wall_s = self._hours * 3600.0 / self._pace
+        due_s = time.monotonic()
         while stream.is_alive():
             time.sleep(1.0)
             self._note(self.report.lives - 1)
             now = time.monotonic()
-            if now - begun_s < 2.0 / 3.0 * wall_s and now >= due_s + 10.0:
+            if stream.data_s < 2400.0 * self._hours and now >= due_s + 10.0:
                 name = next(deeds)
                 before_s = stream.data_s
-                self._do(name)
+                self._do(name, stream)
                 self.report.counts[name] = self.report.counts.get(name, 0) + 1
                 if name in {"kill", "end", "fill"}:
-                    self.report.troubles.append((before_s - 10.0 * self._pace, stream.data_s + 10.0 * self._pace))
+                    self.report.troubles.append((before_s - 3.0 * self._pace, stream.data_s + 8.0 * self._pace))
                 due_s = time.monotonic()
 
     def _deeds(self) -> Iterator[str]:
@@ -345,16 +354,16 @@ class Day:
             self._draw.shuffle(names)
             yield from names
 
-    def _do(self, name: str) -> None:
+    def _do(self, name: str, stream: Stream) -> None:
         assert self._process is not None
         assert self._process.poll() is None, (self._folder / "log").read_text()[-2000:]
         disk = self._disk
         if name == "kill":
             self._kill()
-            self._start()
+            self._start(stream)
         elif name == "end":
             self._end()
-            self._start()
+            self._start(stream)
         elif name == "reload":
             site = self._folder / "site.toml"
             seconds = self._draw.randrange(60, 90)
