@@ -35,7 +35,6 @@ from monitor.service.threads import Chores
 from tests.conftest import Cli
 from tests.support.live_site import RATE
 from tests.support.zenoh_router import free_port
-from tests.system.test_service_faults import until
 
 DEPLOY = Path(__file__).parents[2] / "deploy"
 SITE = """
