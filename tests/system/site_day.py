@@ -438,7 +438,7 @@ def live_through(folder: Path, hours: float, pace: float, seed: int) -> Report:
 
 def main() -> None:
     """Print what came of a day."""
-    hours, pace, seed = (*map(float, sys.argv[1:]), *(24.0, 60.0, 1.0)[len(sys.argv) - 1 :])
+    hours, pace, seed = (*map(float, sys.argv[1:]), *(24.0, 15.0, 1.0)[len(sys.argv) - 1 :])
     with tempfile.TemporaryDirectory() as folder:
         report = live_through(Path(folder), hours, pace, int(seed))
     own = report.samples
