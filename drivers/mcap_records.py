@@ -27,6 +27,8 @@ from drivers.base import RecordingError, RecordingMissingError
 MAGIC = b"\x89MCAP0\r\n"
 MAX_RECORD_BYTES = 1 << 28
 """Largest chunk (packed or unpacked) or message that is loaded, bytes; only a damaged length field asks for more."""
+_MOST_MESSAGES = 1 << 20
+"""Largest number of messages in a chunk: each takes some 200 bytes of memory, whatever it holds. [1; cost: 200 MB]"""
 _RUN_BYTES = 1 << 18
 _HEAD = struct.Struct("<BQ")
 _CHUNK = struct.Struct("<QQQII")
@@ -245,7 +247,8 @@ class McapFile:
             raise self._damage_error(segment.offset, f"{kind}{error}") from error
 
     def _messages(self, content: bytes) -> list[Message]:
-        messages, position, end = [], 0, len(content)
+        messages: list[Message] = []
+        position, end = 0, len(content)
         head, fields, channels, is_message = _HEAD.unpack_from, _MESSAGE.unpack_from, self.channels, int(Opcode.MESSAGE)
         head_size, fields_size = _HEAD.size, _MESSAGE.size  # looked up once, because this loop is long
         while position < end:
@@ -259,6 +262,8 @@ class McapFile:
                 channel_id, _, log_time, _ = fields(content, start)
                 if channel_id not in channels:
                     raise ValueError(f"a message of channel {channel_id}, which the file does not define")
+                if len(messages) == _MOST_MESSAGES:
+                    raise ValueError(f"more than {_MOST_MESSAGES} messages in a chunk")
                 messages.append(Message(channel_id, log_time, content[start + fields_size : position]))
             elif opcode == Opcode.CHANNEL:
                 channel = Channel.read(stream(content[start:position]))

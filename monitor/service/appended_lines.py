@@ -118,7 +118,8 @@ class AppendedLines:
         if self._pending or not self._writing.acquire(blocking=False):
             return False
         try:
-            self.roll(place)
+            with self._busy:
+                self.roll(place)
         except OSError as error:
             _log.warning("%s: not closed: %s", place, error.strerror or error)
             return False

@@ -32,7 +32,7 @@ from monitor.service.appended_lines import AppendedLines
 from monitor.service.daemon_health import Vitals, Way, failures, plain
 from monitor.service.history import History
 from monitor.service.outlets import Outlet, make_outlets
-from monitor.service.reload import reread
+from monitor.service.reload import Reloaded, reread
 from monitor.service.request_handler import RequestHandler
 from monitor.service.storage import ResultsFile, Storage
 from monitor.service.threads import Chores, Reader, Recording
@@ -107,7 +107,9 @@ class Daemon(Publisher):
         self._failed: set[str] = set()
         self._said: Assessment | None = None
         self._data_s = float("-inf")  # no window has come yet: what a checkpoint knows is no present state
-        self._path, self._stopping, self._reload_requested, self._end_s = path, False, False, float("inf")
+        self._path, self._stopping, self._end_s = path, False, float("inf")
+        self._reload_requested = self._rereading = False
+        self._reloaded: Reloaded | None = None
         self._alarm: object = None
         with ExitStack() as undo:
             self._lock = restart.lock(
@@ -196,6 +198,7 @@ class Daemon(Publisher):
         previous[signal.SIGHUP] = signal.signal(signal.SIGHUP, self._request_reload)
         try:
             self._publish_state()
+            self._vitals.look_at_disk()
             self.reader.start()
             self._loop()
             self._requests.finish(self.session, _DURABLE_S)
@@ -250,7 +253,9 @@ class Daemon(Publisher):
         if health is not None:
             span = plain(health)
             self._history.health(span)
-            if self._view is not None:
+            if (
+                self._view is not None and not self._keeper.resuming
+            ):  # the source is not open yet, and its clocks are the present ones
                 self._view.clocks(health.t_end_ns, self.reader.source.health().clocks)
         if self._keeper.resuming:
             if self._clock() - self._health_s >= self._quiet_s:
@@ -258,6 +263,7 @@ class Daemon(Publisher):
             return
         self._publish_state()
         self._health_s = self._checked_s = self._clock()
+        self._line_writer.do("free space", self._vitals.look_at_disk)
         line = self._vitals.line(span, self.reader, self._recording.health(), self._outputs())
         line["ledger_head"] = self._requests.head
         for name in line["failed"].keys() - self._failed:
@@ -343,17 +349,30 @@ class Daemon(Publisher):
             self._alarm = alarms[-1]
             self._recording.flush(_DURABLE_S)
 
+    def _reread(self) -> None:
+        """Read the site file again (in a thread that may wait for the disk)."""
+        try:
+            self._reloaded = reread(self._path, self.settings, self._outlets, self.out)
+            self._requests.read_head()
+        finally:
+            self._rereading = False
+
     def _reload(self) -> None:
-        """Read the site file again and continue with its present thresholds."""
-        self._reload_requested = False
-        self.settings = reread(self._path, self.settings, self._outlets, self.out)
-        self.session.reconfigure(self.settings)
-        self._requests.read_head()
+        """Have the site file read again where that was asked for, and continue with its thresholds once it has been read."""
+        if self._rereading:
+            return
+        if (reloaded := self._reloaded) is not None:
+            self._reloaded = None
+            reloaded.apply()
+            self.settings = reloaded.settings
+            self.session.reconfigure(self.settings)
+        elif self._reload_requested:
+            self._reload_requested, self._rereading = False, True
+            self._chores.do("reload", self._reread)
 
     def _do_periodic_work(self, now: float) -> None:
         """Reload settings, apply requests, and write health, results and the summary when they are due."""
-        if self._reload_requested:
-            self._reload()
+        self._reload()
         self._requests.step(self.session, timed=self._progress.first is not None)
         if now - self._health_s >= self._quiet_s or self._failures_changed(now):
             self.health(None)

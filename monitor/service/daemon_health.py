@@ -52,6 +52,7 @@ class Vitals:
 
     def __init__(self, out: Path) -> None:
         self._out, self._begun_s = out, time.monotonic()
+        self._free_bytes: int | None = None
         self.refused = 0
         """Number of blocks that neither the recorder nor the pipeline could accept."""
         self.refusal = ""
@@ -62,6 +63,13 @@ class Vitals:
         self._latest_ms = self._most_ms = 0.0
         self._recent_ms: deque[float] = deque(maxlen=_RECENT)
         self._delay_s: float | None = None
+
+    def look_at_disk(self) -> None:
+        """Measure the free space of the disk, for the next line (in a thread that may wait for the disk)."""
+        try:
+            self._free_bytes = shutil.disk_usage(self._out).free
+        except OSError:
+            self._free_bytes = None
 
     def refuse(self, reason: str) -> None:
         """Count a refused block."""
@@ -130,7 +138,7 @@ class Vitals:
                 "refused": {"blocks": self.refused, "latest": self.refusal},
                 "queue": 0 if reader is None else len(reader.queue),
                 "uptime_s": time.monotonic() - self._begun_s,
-                "disk_free_bytes": _free_bytes(self._out),
+                "disk_free_bytes": self._free_bytes,
                 "latency_ms": self.latency(),
                 "recorder": recorder,
                 "failed": failures(ways),
@@ -148,14 +156,6 @@ def failures(ways: Iterable[tuple[str, Way]]) -> dict[str, str]:
 def losses(ways: Iterable[tuple[str, Way]]) -> dict[str, int]:
     """Return the number of lost items for each output that lost any since the start."""
     return {name: way.dropped for name, way in ways if way.dropped}
-
-
-def _free_bytes(place: Path) -> int | None:
-    """Return the free space of the disk, bytes; None if it is not known."""
-    try:
-        return shutil.disk_usage(place).free
-    except OSError:
-        return None
 
 
 @lru_cache

@@ -170,7 +170,7 @@ def status(site: str, answer: bytes | None, alive: bool, now_ns: int, silent_s: 
     alive : bool
         True if the monitor holds its liveliness token.
     now_ns : int
-        Present time, UTC, ns since 1970.
+        Present time, UTC, ns since 1970; it counts only for a monitor that does not say how long it has been silent.
     silent_s : float
         Age of the latest health line beyond which the monitor counts as hung, s.
     """
@@ -187,7 +187,10 @@ def status(site: str, answer: bytes | None, alive: bool, now_ns: int, silent_s: 
 def _parse_status(site: str, answer: Mapping[str, Any], now_ns: int, silent_s: float) -> SiteStatus:
     """Read a site's state from the decoded answer of its monitor."""
     result, alarm, health = answer.get("results") or {}, answer.get("alarm") or {}, answer.get("health") or {}
-    quiet_s = (now_ns - int(health["wall_ns"])) * 1e-9 if health else None
+    age_s = answer.get("silent_s")  # by the monitor's own clock; an earlier version does not say it
+    quiet_s = ((now_ns - int(health["wall_ns"])) * 1e-9 if age_s is None else float(age_s)) if health else None
+    if age_s is not None and not float(age_s) >= 0.0:
+        raise ValueError("an age that is none")
     said: Assessment = read_assessment(answer)
     if quiet_s is None and said.state is State.NORMAL:
         said = outdated(said, "the monitor has sent no health line", result.get("t_end_ns"))

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from monitor.config import Configuration, configuration
 from monitor.core import BadConfigurationError, UserError
 from monitor.runs import ledger
-from monitor.service.outlets import Outlet, change_outlets, make_outlets
+from monitor.service.outlets import Outlet, make_outlets, prepare_change
 
 _log = logging.getLogger(__name__)
 
@@ -19,33 +20,48 @@ _FIXED_WATCH_KEYS = ("longest_s", "time_limit_s")
 """Keys of ``[watch]`` that may not change: since the start data are kept for the one, and diagnoses run under the other."""
 
 
-def reread(path: Path, running: Configuration, outlets: Sequence[Outlet], out: Path) -> Configuration:
-    """Read the site file again and return the configuration to continue with; an unusable file does not raise.
+@dataclass(frozen=True, slots=True)
+class Reloaded:
+    """Site file that was read again."""
+
+    settings: Configuration
+    """Settings to continue with."""
+    apply: Callable[[], None]
+    """Gives the running outlets their new settings; it waits for no disk."""
+
+
+def reread(path: Path, running: Configuration, outlets: Sequence[Outlet], out: Path) -> Reloaded | None:
+    """Read the site file again, with what it names, and record a change in the ledger (in a thread that may wait for the disk).
 
     Parameters
     ----------
     path : Path
         Site file.
     running : Configuration
-        Present configuration, which is returned if the file cannot be used.
+        Present configuration.
     outlets : sequence of Outlet
         Outlets that receive the new settings.
     out : Path
         Output folder, in whose ledger a change is recorded.
+
+    Returns
+    -------
+    Reloaded or None
+        None if the file cannot be used, with the reason logged: all goes on as before.
     """
     try:
         new = changed(path, running)
+        apply = prepare_change(path, new, outlets)  # so that nothing of the change fails once the ledger has it
         if new != running:
-            make_outlets(path, new, dry=True)  # so that nothing of the change fails once the ledger has it
+            make_outlets(path, new, dry=True)
             ledger.append_entry(
                 out / "results.jsonl", {"says": "settings read again", "causes": []}, {"site": path}, None
             )
-            change_outlets(path, new, outlets)
     except UserError as error:
         _log.error("not reloaded, all goes on as before: %s", error)
-        return running
+        return None
     _log.warning("reloaded %s", path)
-    return new
+    return Reloaded(new, apply)
 
 
 def changed(path: Path, running: Configuration) -> Configuration:

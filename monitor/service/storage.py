@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -46,6 +47,8 @@ class ResultsFile(AppendedLines):
     def __init__(self, path: Path, *, by_month: bool, run: Callable[[Callable[[], None]], None] = at_once) -> None:
         super().__init__(path, run=run)
         self._by_month = by_month
+        self._to_close: tuple[Path, int] | None = None
+        """Name for the month that is to be closed, and the end of a window after it (ns); None if none is."""
         with path.open("rb") as file:
             file.seek(max(0, self.size - _TAIL_BYTES))
             ends = _T_END.findall(file.read())
@@ -81,14 +84,25 @@ class ResultsFile(AppendedLines):
         self.write(line)
 
     def _begin_month(self, last_ns: int, t_end_ns: int) -> bool:
-        """Close the file's month where another begins; return whether the file now holds the month of `t_end_ns`.
+        """Have the file's month closed where another begins; return whether the file now holds the month of `t_end_ns`.
 
-        While lines wait for the disk the month stays open, and the next window tries again: nothing here waits.
+        The file is renamed by the thread that writes, after the lines that wait: until it is, windows go into the file that was.
         """
         closed = month_file(self._path.parent, last_ns)
-        if closed == month_file(self._path.parent, t_end_ns) or closed.exists():
+        if closed == month_file(self._path.parent, t_end_ns):
             return True
-        return self.try_roll(closed)
+        self._to_close = closed, t_end_ns
+        self._run(self.flush)
+        return self._to_close is None
+
+    def flush(self) -> None:
+        """Write the lines that wait, and close the month if it is to be closed."""
+        super().flush()
+        if (turn := self._to_close) is None:
+            return
+        closed, t_end_ns = turn
+        if os.path.lexists(closed) or self.try_roll(closed):
+            self._last_ns, self._to_close = t_end_ns, None
 
 
 def _month_of(path: Path) -> int:

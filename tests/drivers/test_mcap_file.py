@@ -16,7 +16,7 @@ from hypothesis import HealthCheck, given, settings
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
-from drivers import codec
+from drivers import codec, mcap_records
 from drivers.base import ACCELERATION, GROUND, TEMPERATURE, UNIT_OF, RecordingError, RecordingMissingError, SampleBlock
 from drivers.mcap_file import McapWriter, read_recordings, recording_info, scan_messages
 from tests.drivers.test_codec import blocks, same
@@ -329,3 +329,21 @@ def test_all_conformance_files_give_the_expected_messages(tmp_path: Path) -> Non
         assert list(scan_messages(path)) == expected, name
         messages += len(expected)
     assert messages > 1000
+
+
+def test_a_chunk_of_empty_messages_is_refused_before_they_fill_the_memory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(mcap_records, "_MOST_MESSAGES", 100)
+    path = tmp_path / "empty.mcap"
+    for count in (100, 101):
+        with path.open("wb") as file:
+            writer = Writer(file, chunk_size=1 << 20)
+            writer.start()
+            channel = writer.register_channel("/other", "json", 0)
+            for k in range(count):
+                writer.add_message(channel, k, b"", k)
+            writer.finish()
+        says = r"no block of" if count == 100 else r"more than 100 messages in a chunk"
+        with pytest.raises(RecordingError, match=says):
+            list(read_recordings([path]))

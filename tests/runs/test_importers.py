@@ -365,7 +365,7 @@ def test_an_archive_that_would_fill_the_memory_is_refused_before_it_is_unpacked(
     at = raw.index(b"PK\1\2") + 24  # the size that the directory states
     raw[at : at + 4] = (3 << 30).to_bytes(4, "little")
     path.write_bytes(raw)
-    with pytest.raises(BadInputError, match=r"zeros\.npz: would unpack to 3072 MiB; at most 2048 MiB .* cut it"):
+    with pytest.raises(BadInputError, match=r"zeros\.npz: would unpack to 3072 MiB or more; at most 256 MiB .* cut it"):
         import_files([path], tmp_path / "out.mcap")
 
 
@@ -383,3 +383,37 @@ def test_a_table_takes_a_few_times_its_size_of_memory(tmp_path: Path) -> None:
         tracemalloc.stop()
     assert table.values.shape == (60_000, 4)
     assert peak < 12 * len(raw), f"{peak / len(raw):.1f} bytes a byte"
+
+
+@pytest.mark.parametrize("line", [b"0,0\n", b"0.123456,0.223456,0.323456\n"], ids=["short lines", "readings"])
+def test_a_small_zip_of_a_large_table_is_refused_by_what_the_table_would_take(tmp_path: Path, line: bytes) -> None:
+    """The lines of the first one take 15 times the memory of their characters: 20 MB of them are too many."""
+    path = tmp_path / "small.zip"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive, archive.open("a.csv", "w") as member:
+        for _ in range(20 if len(line) == 4 else 260):
+            member.write(line * ((1 << 20) // len(line) + 1))
+    with pytest.raises(BadInputError, match=r"small\.zip: would unpack to \d+ MiB or more; at most 256 MiB"):
+        import_files([path], tmp_path / "out.mcap", rate_hz=100.0)
+
+
+def test_an_archive_of_small_numbers_is_refused_by_what_its_readings_take(tmp_path: Path) -> None:
+    path = tmp_path / "bytes.npz"
+    np.savez_compressed(path, samples=np.zeros((1 << 25) + 1, np.int8))
+    with pytest.raises(BadInputError, match=r"its arrays take more than 256 MiB"):
+        import_files([path], tmp_path / "out.mcap", rate_hz=100.0)
+
+
+def test_a_table_of_many_columns_is_cut_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    cuts = 0
+    split = csv_table._split
+
+    def counted(line: str, delimiter: str | None) -> list[str]:
+        nonlocal cuts
+        cuts += 1
+        return split(line, delimiter)
+
+    monkeypatch.setattr(csv_table, "_split", counted)
+    content = ",".join(f"a{k}" for k in range(300)) + "\n" + ("0.5," * 299 + "1\n") * 200
+    info, _, _ = convert(tmp_path / "wide.csv", content, rate_hz=100.0)
+    assert len(info.channels[ACCELERATION]) == 300
+    assert cuts < 5 * 200

@@ -66,6 +66,16 @@ def test_what_does_not_work_of_a_monitor_is_no_all_clear(answer: dict[str, Any],
     assert (found.state, found.says, code([found])) == (State.NORMAL, f"{WELL['headline']} {says}.", 11)
 
 
+@pytest.mark.parametrize("wall_ns", [NOW_NS - 86_400 * 10**9, NOW_NS + 86_400 * 10**9])
+def test_a_wrong_clock_hides_no_silence_and_makes_none(wall_ns: int) -> None:
+    """The monitor's clock or this machine's is a day off; how long it has been silent the monitor counts itself."""
+    health = {**HEALTH, "wall_ns": wall_ns}
+    well, hung = told(health=health, silent_s=3.0), told(health=health, silent_s=90.0)
+    assert (well.state, well.silent_s) == (State.NORMAL, 3.0)
+    assert (hung.state, hung.says) == (State.NOT_JUDGED, "The monitor is silent for 90 s.")
+    assert told(health=health, silent_s=float("nan")).state is State.NOT_JUDGED
+
+
 def test_a_silent_monitor_judges_nothing_and_an_alarm_stands_with_its_time() -> None:
     found = told(health={**HEALTH, "wall_ns": NOW_NS - 90 * 10**9})
     assert (found.state, found.says) == (State.NOT_JUDGED, "The monitor is silent for 90 s.")

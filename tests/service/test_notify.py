@@ -574,3 +574,21 @@ def test_a_disk_that_hangs_holds_up_no_message(tmp_path: Path, hook: Hook, monke
     until(lambda: len(hook.got) == 3, "delivered")
     answers.set()
     one.close(5.0)
+
+
+def test_an_address_and_a_disk_that_do_not_answer_are_told_within_ten_seconds(
+    tmp_path: Path, drip: Drip, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of the clock that the notifier is given; a delivery itself has 30 s."""
+    answers, now = threading.Event(), [100.0]
+    monkeypatch.setattr("monitor.service.outlets.outbox.write_atomically", lambda *_: answers.wait(60.0))
+    to = Addresses((f"json://{drip.address}/x",))
+    one = Notifier("lab", NotifySettings(), to, tmp_path / "outbox.jsonl", lambda: now[0])
+    one.window(window(0, s2=Level.ALARM), "")
+    until(lambda: drip.calls, "a delivery has begun")
+    assert one.failed is None
+    now[0] += 6.0
+    assert one.failed == "does not answer for 6 s; address 1 (json) does not answer for 6 s"
+    answers.set()
+    until(lambda: one.failed == "address 1 (json) does not answer for 6 s", "the disk answers")
+    one.close(0.2)

@@ -31,6 +31,7 @@ from monitor.service.outlets.metrics import reason_class
 from monitor.service.reload import changed
 from monitor.service.requests import Answer, Request
 from monitor.service.status import look
+from monitor.service.threads import Chores
 from tests.conftest import Cli
 from tests.support.live_site import RATE
 from tests.support.zenoh_router import free_port
@@ -272,6 +273,36 @@ def test_files_that_are_no_requests_are_removed_unread(tmp_path: Path, caplog: p
     box.close(1.0)
     assert sorted(p.name for p in folder.iterdir()) == ["5.txt"] and secret.exists()
     assert caplog.text.count("no request") == 4
+
+
+def test_a_folder_that_does_not_answer_holds_up_nobody(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither a look at it nor the removal of what was answered; then each request is taken once."""
+    answers, names, unlink = threading.Event(), os.listdir, Path.unlink
+    folder, worker = tmp_path / "requests", Chores("requests")
+    box = Inbox(folder, worker=worker)
+
+    def listed(place: Path) -> list[str]:
+        answers.wait(60.0)
+        return names(place)
+
+    def removed(path: Path, missing_ok: bool = False) -> None:
+        answers.wait(60.0)
+        unlink(path, missing_ok)
+
+    monkeypatch.setattr(os, "listdir", listed)
+    monkeypatch.setattr(Path, "unlink", removed)
+    inbox.leave_request(folder, Request(action="reset", story=1, who="ann"))
+    begun_s = time.monotonic()
+    assert list(box.take_requests()) == []
+    answers.set()
+    found: list[Request] = []
+    until(lambda: found.extend(box.take_requests()) or found, "taken")
+    answers.clear()
+    box.answer_requests([Answer()] * len(found))
+    assert list(box.take_requests()) == [] and time.monotonic() - begun_s < 30.0
+    answers.set()
+    box.close(10.0)
+    assert len(found) == 1 and not names(folder)
 
 
 def test_a_request_that_cannot_be_removed_is_applied_once(

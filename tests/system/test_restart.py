@@ -44,6 +44,7 @@ from tests.conftest import T0_NS, Cli, Cut
 from tests.service.test_daemon import SITE as BARE_SITE
 from tests.service.test_daemon import Scripted
 from tests.support.live_site import RATE, SIZE, forked, given
+from tests.support.zenoh_router import free_port
 from tests.system.test_service_faults import run_until
 
 pytestmark = pytest.mark.system
@@ -361,6 +362,22 @@ def test_the_summary_counts_what_the_results_say_where_a_power_cut_lost_samples(
     assert told["windows"] == len(found)
     assert told["skipped"] == sum(line["skipped"] is not None for line in found) > 0
     assert sum(told["skip_reasons"].values()) == told["skipped"]
+
+
+def test_a_daemon_that_serves_a_view_is_resumed_too(
+    tmp_path: Path, frame_text: str, record: np.ndarray, cut: Cut, caplog: pytest.LogCaptureFixture
+) -> None:
+    """The view is fed while the recordings are caught up with, before there is a source."""
+    site, out = tmp_path / "site.toml", tmp_path / "out"
+    site.write_text(BARE_SITE.replace('dir = "out"', f'dir = "out"\nserve = "127.0.0.1:{free_port()}"') + frame_text)
+    blocks = cut(record, RATE)
+    run_until(site, blocks[: len(blocks) * 2 // 3], 4)
+    kept = (out / "state" / "checkpoint").read_bytes()
+    run_until(site, blocks[len(blocks) * 2 // 3 :], 9)
+    (out / "state" / "checkpoint").write_bytes(kept)  # as if the power had gone before the last one
+    session = run_until(site, [], 9).session
+    assert "not resumed" not in caplog.text
+    assert session.windows == len(lines(out)) >= 9
 
 
 @pytest.mark.parametrize("checkpoint_s", [0.0, 20.0])

@@ -20,6 +20,7 @@ from tests.conftest import Cut
 from tests.service.test_daemon import SITE, write
 from tests.support.live_site import RATE
 from tests.support.zenoh_router import free_port
+from tests.system.test_service_faults import until
 
 pytestmark = pytest.mark.system
 
@@ -38,9 +39,9 @@ def site(tmp_path: Path, frame_text: str) -> Path:
     return make_site(tmp_path, frame_text, f'mode = "peer"\nlisten = ["tcp/127.0.0.1:{free_port()}"]')
 
 
-def start(site: Path) -> subprocess.Popen[str]:
+def start(site: Path, **environment: str) -> subprocess.Popen[str]:
     command = [sys.executable, "-m", "monitor", "run", str(site)]
-    return subprocess.Popen(command, stderr=subprocess.PIPE, text=True, cwd=ROOT)
+    return subprocess.Popen(command, stderr=subprocess.PIPE, text=True, cwd=ROOT, env={**os.environ, **environment})
 
 
 @pytest.fixture
@@ -115,3 +116,19 @@ def test_a_look_at_the_status_keeps_no_daemon_from_starting(tmp_path: Path) -> N
         assert reader.stdout is not None
         reader.stdout.readline()
         os.close(lock(path, tmp_path))
+
+
+@pytest.mark.parametrize("after_s", [0.0, 3.0])
+def test_sigterm_while_it_compiles_ends_it_at_once(
+    site: Path, record: np.ndarray, cut: Cut, tmp_path: Path, after_s: float
+) -> None:
+    """With nothing compiled on the disk; `after_s` from the first line of health on, which says that it starts."""
+    write(site.parent / "rec.mcap", cut(record, RATE))
+    process, health = start(site, NUMBA_CACHE_DIR=str(tmp_path / "cache")), site.parent / "out" / "health.jsonl"
+    until(lambda: health.exists() and health.stat().st_size, "it starts")
+    time.sleep(after_s)
+    begun_s = time.monotonic()
+    process.terminate()
+    _, said = process.communicate(timeout=60.0)
+    assert time.monotonic() - begun_s < 5.0
+    assert process.returncode == -signal.SIGTERM and "READY" not in said and "Traceback" not in said

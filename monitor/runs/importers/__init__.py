@@ -17,8 +17,16 @@ from monitor.runs.importers import can_log, csv_table, npz, xsens_dot
 from monitor.runs.importers.table import UNITS, Array, OnWarning, Table, Ticks, join_tables, sample_numbers, unit_factor
 
 __all__ = ["import_files"]
-_MAX_UNZIPPED = 1 << 31
-"""Bytes of an unzipped table at most (2 GiB), so that a small archive cannot fill the memory."""
+_UNPACKED_BYTES = 1 << 28
+"""Most that any archive may unpack to, however small it is. [bytes; as a chunk of an MCAP file, `drivers.mcap_records`]"""
+_UNPACKED_RATIO = 16
+"""Most that a larger archive may unpack to, over its own size. [ratio; judgement: digits pack to a half or a fifth]"""
+_MOST_UNPACKED_BYTES = 1 << 31
+"""Most that an archive of any size may unpack to. [bytes; judgement]"""
+_LINE_BYTES = 57
+"""Memory that a line of text takes besides its characters, which counts as unpacked. [bytes; measured: CPython 3.11]"""
+_PIECE_BYTES = 1 << 20
+"""Length of the pieces in which an archive is unpacked and counted. [bytes; cost]"""
 
 
 def import_files(
@@ -136,7 +144,7 @@ def _load_table(path: Path, on_warning: OnWarning) -> Table:
     if raw.startswith(b"PK\x03\x04"):
         members = _zip_members(path, raw)
         if all(name.endswith(".npy") for name in members):
-            return _require_samples(npz.to_table(path, raw))
+            return _require_samples(npz.to_table(path, raw, _most_unpacked(raw)))
         raw = _unzip(path, raw, members)
     cells = csv_table.cut_into_cells(path, csv_table.decode_text(path, raw), on_warning)
     dialect = xsens_dot if xsens_dot.is_xsens(cells) else csv_table
@@ -158,11 +166,7 @@ def _zip_members(path: Path, raw: bytes) -> list[str]:
     except (zipfile.BadZipFile, ValueError, NotImplementedError) as error:
         raise BadInputError(f"{path}: damaged zip archive: {error}") from error
     # zipfile unpacks no more of a member than the archive states, whatever is packed.
-    size = sum(member.file_size for member in members)
-    if size > _MAX_UNZIPPED:
-        raise BadInputError(
-            f"{path}: would unpack to {size >> 20} MiB; at most {_MAX_UNZIPPED >> 20} MiB are read: cut it into several files"
-        )
+    _demand_room(path, sum(member.file_size for member in members), _most_unpacked(raw))
     return [member.filename for member in members if not member.filename.endswith("/")]
 
 
@@ -171,14 +175,30 @@ def _unzip(path: Path, raw: bytes, members: list[str]) -> bytes:
     tables = [name for name in members if ".csv" in name.lower()] or members
     if len(tables) != 1:
         raise BadInputError(f"{path}: holds {len(tables)} tables; unpack it and name one: {', '.join(tables)}")
+    data, counted = bytearray(), 0
     try:
         with zipfile.ZipFile(io.BytesIO(raw)) as archive, archive.open(tables[0]) as member:
-            data = member.read(_MAX_UNZIPPED + 1)  # independent of the size that the archive states
+            while piece := member.read(_PIECE_BYTES):
+                data += piece
+                counted += len(piece) + _LINE_BYTES * piece.count(b"\n")
+                _demand_room(path, counted, _most_unpacked(raw))
     except (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, NotImplementedError, ValueError) as error:
         raise BadInputError(f"{path}: damaged or encrypted zip archive: {error}") from error
-    if len(data) > _MAX_UNZIPPED:
-        raise BadInputError(f"{path}: {tables[0]} is larger than {_MAX_UNZIPPED >> 20} MiB; cut it")
-    return data
+    return bytes(data)
+
+
+def _most_unpacked(raw: bytes) -> int:
+    """Return what an archive may unpack to, bytes."""
+    return min(_MOST_UNPACKED_BYTES, max(_UNPACKED_BYTES, _UNPACKED_RATIO * len(raw)))
+
+
+def _demand_room(path: Path, size: int, most: int) -> None:
+    """Raise BadInputError if an archive unpacks to more bytes than it may."""
+    if size > most:
+        raise BadInputError(
+            f"{path}: would unpack to {size >> 20} MiB or more; at most {most >> 20} MiB are read: cut it into several files, or "
+            "unpack it and import what it holds"
+        )
 
 
 _Column = tuple[Table, str]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import re
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -20,8 +21,8 @@ _DATE_FORMATS = ("ISO", "%d.%m.%Y %H:%M:%S", "%Y/%m/%d %H:%M:%S", "%m/%d/%Y %H:%
 _HEADER = re.compile(r"(.*?)\s*(?:[\[(]([^\])]*)[\])])?\s*")
 _TIME = re.compile(r"(t(_[mun]?s)?|time.*|zeit.*|date.*|datum.*|sampletimefine|elapsed.*)", re.IGNORECASE)
 _COUNTER = re.compile(r"(|#|index|sample|samples|counter|packetcounter|nr\.?|no\.?|n)", re.IGNORECASE)
-_CHUNK_LINES = 1 << 16
-"""Rows that are converted to numbers together. [count; cost: their cells take 10 MB]"""
+_CHUNK_CELLS = 1 << 15
+"""Cells of the rows that are converted to numbers together. [count; cost: they take 3 MB]"""
 _TICKS = {"s": 10**9, "sec": 10**9, "ms": 10**6, "us": 1000, "µs": 1000, "ns": 1, "min": 60 * 10**9}
 
 
@@ -35,7 +36,7 @@ class Cells:
     header: tuple[str, ...]
     """Column names with units; empty without a header row."""
     lines: list[str]
-    """Rows of data, one a line; cut into cells column by column, since the cells of all rows take five times the memory."""
+    """Rows of data, one a line; cut into cells some at a time, since the cells of all rows take five times the memory."""
     delimiter: str | None
     """Mark between cells; None for white space."""
     first_line: int
@@ -51,24 +52,31 @@ class Cells:
         return [_split(line, self.delimiter)[at] for line in self.lines]
 
     def numbers(self, column: int) -> Array:
-        """Convert one column to numbers, shape (n_rows,); an empty cell is a missing sample (NaN).
+        """Convert one column to numbers, shape (n_rows,) (errors as `table`)."""
+        return self.table([column])[:, 0]
+
+    def table(self, columns: Sequence[int]) -> Array:
+        """Convert columns to numbers, shape (n_rows, n_columns); an empty cell is a missing sample (NaN).
 
         Raises
         ------
         BadInputError
             If a cell is no number; the message gives its line.
         """
-        out = np.empty(len(self.lines))
-        for begin in range(0, len(self.lines), _CHUNK_LINES):
-            rows = self.lines[begin : begin + _CHUNK_LINES]
-            cells = [_split(line, self.delimiter)[column] or "nan" for line in rows]
-            try:
-                out[begin : begin + len(rows)] = np.array([cell.replace(",", ".") for cell in cells], dtype=np.float64)
-            except ValueError:
-                bad = next((at for at, cell in enumerate(cells) if not _NUMBER.fullmatch(cell)), 0)
-                raise BadInputError(
-                    f"{self.path}: line {self.first_line + begin + bad}: {cells[bad][:40]!r} in column {column + 1} is no number"
-                ) from None
+        out = np.empty((len(self.lines), len(columns)))
+        step = max(1, _CHUNK_CELLS // len(self.first_row))
+        for begin in range(0, len(self.lines), step):
+            rows = [_split(line, self.delimiter) for line in self.lines[begin : begin + step]]
+            for at, column in enumerate(columns):
+                cells = [(row[column] or "nan").replace(",", ".") for row in rows]
+                try:
+                    out[begin : begin + len(rows), at] = np.array(cells, dtype=np.float64)
+                except ValueError:
+                    bad = next((k for k, cell in enumerate(cells) if not _NUMBER.fullmatch(cell)), 0)
+                    raise BadInputError(
+                        f"{self.path}: line {self.first_line + begin + bad}: {rows[bad][column][:40]!r} in column {column + 1} "
+                        "is no number"
+                    ) from None
         return out
 
 
@@ -181,7 +189,7 @@ def to_table(cells: Cells, on_warning: OnWarning) -> Table:
         path=cells.path,
         columns=columns,
         units=tuple(units[at] for at in kept),
-        values=np.column_stack([cells.numbers(at) for at in kept]),
+        values=cells.table(kept),
         default=default,
         time_ns=time_ns,
         start_ns=start_ns,

@@ -15,11 +15,13 @@ from monitor.runs.importers.table import Table
 
 _RATE = ("rate_hz", "fs", "sample_rate_hz")
 _TIME = ("t", "time")
+_VALUE_BYTES = 8
+"""Size of a reading in a table, whatever the type of the array. [bytes; definition: float64]"""
 _RESERVED = {"samples", "channels", "unit", *_RATE, *_TIME}
 
 
-def to_table(path: Path, raw: bytes) -> Table:
-    """Convert the arrays of an archive to a table; pickled objects are never loaded.
+def to_table(path: Path, raw: bytes, most_bytes: int) -> Table:
+    """Convert the arrays of an archive to a table of at most `most_bytes`; pickled objects are never loaded.
 
     Raises
     ------
@@ -28,7 +30,12 @@ def to_table(path: Path, raw: bytes) -> Table:
     """
     try:
         with np.load(io.BytesIO(raw), allow_pickle=False) as archive:
-            arrays = {name: archive[name] for name in archive.files}
+            arrays, held = dict[str, NDArray[np.generic]](), 0
+            for name in archive.files:
+                arrays[name] = array = archive[name]
+                held += max(array.nbytes, _VALUE_BYTES * array.size)
+                if held > most_bytes:
+                    raise ValueError(f"its arrays take more than {most_bytes >> 20} MiB; cut it into several files")
         return _build(path, arrays)
     except (OSError, ValueError, TypeError, KeyError, EOFError, MemoryError, NotImplementedError) as error:
         raise BadInputError(f"{path}: cannot be used as NPZ: {error}") from error

@@ -32,7 +32,7 @@ def to_table(cells: Cells, on_warning: OnWarning) -> Table:
     columns = tuple(name for name in cells.header if name.startswith("Acc_"))
     if not columns:
         raise BadInputError(f"{cells.path}: no Acc_ column; export the free or calibrated acceleration")
-    values = np.column_stack([cells.numbers(cells.header.index(name)) for name in columns])
+    values = cells.table([cells.header.index(name) for name in columns])
     micros = cells.numbers(cells.header.index("SampleTimeFine"))
     counter = cells.numbers(cells.header.index("PacketCounter"))
     if not ((np.abs(micros) < 1e15).all() and (np.abs(counter) < 1e15).all()):

@@ -16,6 +16,7 @@ from monitor.core import BadConfigurationError, settings_problems
 from monitor.service.outlets.base import Outlet as Outlet
 from monitor.service.outlets.inbox import Inbox
 from monitor.service.outlets.notify import Addresses, Notifier, NotifySettings, addresses
+from monitor.service.threads import Chores
 
 
 def make_outlets(path: Path, config: Configuration, *, dry: bool = False) -> tuple[Outlet, ...]:
@@ -48,24 +49,32 @@ def make_outlets(path: Path, config: Configuration, *, dry: bool = False) -> tup
     if dry:
         return ()
     optional = tuple(make(name) for make in makers if make is not None)
-    return Inbox(state / "requests"), *optional, Notifier(name, settings, to, state / "outbox.jsonl")
+    return (
+        Inbox(state / "requests", worker=Chores("requests")),
+        *optional,
+        Notifier(name, settings, to, state / "outbox.jsonl"),
+    )
 
 
-def change_outlets(path: Path, config: Configuration, outlets: Sequence[Outlet]) -> None:
-    """Apply the settings of a reloaded site file to those running outlets that support it.
+def prepare_change(path: Path, config: Configuration, outlets: Sequence[Outlet]) -> Callable[[], None]:
+    """Read what a reloaded site file names, and return the function that gives its settings to the outlets that support it.
 
     Raises
     ------
     BadConfigurationError
-        The settings are invalid; the message lists one problem a line.  Nothing has changed then.
+        The settings are invalid; the message lists one problem a line.
     """
     problems: list[str] = []
     settings, to = _notify(config, path.resolve().parent, problems)
     if problems:
         raise BadConfigurationError("\n".join(f"{path}: {problem}" for problem in problems))
-    for outlet in outlets:
-        if isinstance(outlet, Notifier):
-            outlet.change(settings, to)
+
+    def apply() -> None:
+        for outlet in outlets:
+            if isinstance(outlet, Notifier):
+                outlet.change(settings, to)
+
+    return apply
 
 
 def _notify(config: Configuration, folder: Path, problems: list[str]) -> tuple[NotifySettings, Addresses]:

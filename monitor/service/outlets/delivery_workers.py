@@ -18,6 +18,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from monitor.core import Busy
 from monitor.service.outlets.outbox import Message, Outbox
 
 _log = logging.getLogger(__name__)
@@ -104,15 +105,23 @@ class AddressWorker:
         self._failing_since_s: float | None = None
         self._sent_s: deque[float] = deque()
         self._closing = False
+        self._busy = Busy(clock)
         self._process = _Process()
         self._thread = threading.Thread(target=self._work, name=f"notify {number}", daemon=True)
         self._thread.start()
 
     @property
     def failed(self) -> str | None:
-        """Since when a delivery has been going on, once an attempt has failed; None if all is well."""
-        since_s = self._failing_since_s
-        return None if since_s is None else f"delivery to {self._name} has taken {self._clock() - since_s:.0f} s"
+        """Since when a delivery has been going on, once an attempt has failed or does not end; None if all is well."""
+        since_s, overdue = self._failing_since_s, self._busy.overdue
+        if since_s is not None:
+            return f"delivery to {self._name} has taken {self._clock() - since_s:.0f} s"
+        return None if overdue is None else f"{self._name} {overdue}"
+
+    @property
+    def blocked(self) -> bool:
+        """Whether the latest attempt failed: an address that is slow alone is none that takes no messages."""
+        return self._failing_since_s is not None
 
     def close(self) -> None:
         """Try once what waits, then end; `stop` ends at once."""
@@ -140,7 +149,9 @@ class AddressWorker:
         """Deliver messages until closed (the thread's work)."""
         while (message := self._next()) is not None:
             began_s = self._clock()
-            if self._process.deliver(self._job(message)):
+            with self._busy:
+                is_delivered = self._process.deliver(self._job(message))
+            if is_delivered:
                 self._sent_s.append(began_s)
                 self._due_s = self._wait_s = 0.0
                 self._failing_since_s = None

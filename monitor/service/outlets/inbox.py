@@ -8,6 +8,7 @@ import os
 import secrets
 import stat
 import time
+from collections import deque
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from pydantic import ValidationError
 from monitor.core import finish, partial, settings_problems
 from monitor.service.outlets.base import Outlet
 from monitor.service.requests import MAX_REQUEST_BYTES, Answer, RateLimit, Request
+from monitor.service.threads import Chores
 
 _log = logging.getLogger(__name__)
 _EVERY_S = 0.5
@@ -35,44 +37,81 @@ class Inbox(Outlet):
         Folder of the requests; it is created if it does not exist.
     clock : callable
         Seconds of a clock that never goes back.
+    worker : Chores, optional
+        Worker in whose thread files are read and removed, so that `take_requests` waits for no disk; without one they are at
+        once.
     """
 
-    def __init__(self, folder: Path, clock: Callable[[], float] = time.monotonic) -> None:
-        self._folder, self._clock = folder, clock
+    def __init__(self, folder: Path, clock: Callable[[], float] = time.monotonic, worker: Chores | None = None) -> None:
+        self._folder, self._clock, self._worker = folder, clock, worker
         self._polled_s = float("-inf")
         self._limit = RateLimit(clock)
+        self._looking = False
+        self._found: list[tuple[Path, Request]] = []
+        """Requests that were read and wait to be taken."""
         self._taken: list[Path] = []
+        self._done: deque[Path] = deque()
+        """Files to remove."""
         self._stuck: set[Path] = set()
         with contextlib.suppress(OSError):  # created here, so that the daemon's user owns it, whoever asks first
             folder.mkdir(parents=True, exist_ok=True)
 
+    @property
+    def failed(self) -> str | None:
+        """Words that say that the folder's disk does not answer; None while it does."""
+        return None if self._worker is None else self._worker.failed
+
     def take_requests(self) -> Sequence[Request]:
-        """Return the requests that wait; files that are none are removed."""
+        """Return the requests that were read; the folder is looked at again if none waits."""
         now = self._clock()
-        if now - self._polled_s < _EVERY_S:
+        if not self._found and not self._looking and now - self._polled_s >= _EVERY_S:
+            self._polled_s, self._looking = now, True
+            self._run("look", self._look)
+        if self._looking:
             return ()
-        self._polled_s = now
-        try:
-            files = {self._folder / name for name in os.listdir(self._folder) if name.endswith(".json")}
-        except OSError:
-            return ()
-        self._stuck &= files
-        requests, self._taken = [], []
-        for path in sorted(files - self._stuck)[:_MOST]:
-            request = _read(path)
-            if request is None:
-                self._remove(path)
-            elif self._limit.refusal(request.who) is None:
-                self._taken.append(path)
-                requests.append(request)
-        return requests
+        found, self._found = self._found, []
+        self._taken = [path for path, _ in found]
+        return [request for _, request in found]
 
     def answer_requests(self, answers: Sequence[Answer]) -> None:
         """Remove the files of the requests, but for those that may be applied later."""
-        for path, answer in zip(self._taken, answers, strict=True):
-            if not answer.again:
-                self._remove(path)
+        self._done += [path for path, answer in zip(self._taken, answers, strict=True) if not answer.again]
         self._taken = []
+        if self._done:
+            self._run("remove", self._remove_done)
+
+    def close(self, timeout_s: float) -> None:
+        """Remove the files of the requests that were answered, for at most `timeout_s`."""
+        if self._worker is not None:
+            self._worker.close(timeout_s)
+
+    def _run(self, name: str, job: Callable[[], None]) -> None:
+        """Do a job in the worker's thread; without a worker at once."""
+        if self._worker is None:
+            job()
+        else:
+            self._worker.do(name, job)
+
+    def _look(self) -> None:
+        """Read the requests that wait; files that are none are removed."""
+        try:
+            files = {self._folder / name for name in os.listdir(self._folder) if name.endswith(".json")}
+            self._stuck &= files
+            for path in sorted(files - self._stuck)[:_MOST]:
+                request = _read(path)
+                if request is None:
+                    self._remove(path)
+                elif self._limit.refusal(request.who) is None:
+                    self._found.append((path, request))
+        except OSError:
+            return
+        finally:
+            self._looking = False
+
+    def _remove_done(self) -> None:
+        """Remove the files of answered requests."""
+        while self._done:
+            self._remove(self._done.popleft())
 
     def _remove(self, path: Path) -> None:
         """Remove a file; one that stays is not read again."""

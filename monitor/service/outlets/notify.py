@@ -20,7 +20,7 @@ from typing import Any
 
 from pydantic import Field
 
-from monitor.core import WindowResult
+from monitor.core import Busy, WindowResult
 from monitor.service.outlets import notices
 from monitor.service.outlets.base import Outlet
 from monitor.service.outlets.delivery_workers import AddressWorker, HeartbeatWorker
@@ -141,8 +141,9 @@ class Notifier(Outlet):
         self._site, self._place, self._clock = site, place, clock
         self._settings, self._to = settings, to
         self._workers: dict[str, AddressWorker] = {}
-        self._heartbeat = HeartbeatWorker(lambda: any(w.failed for w in self._workers.values()), clock)
+        self._heartbeat = HeartbeatWorker(lambda: any(w.blocked for w in self._workers.values()), clock)
         self._outbox: Outbox | None = None
+        self._saving = Busy(clock)
         self._data_s = clock()
         self._closed = threading.Event()
         self._storing = threading.Thread(target=self._store, name="outbox", daemon=True)
@@ -150,7 +151,7 @@ class Notifier(Outlet):
     @property
     def failed(self) -> str | None:
         """Addresses that cannot be reached, or why messages cannot be stored; None if all is well."""
-        stored = None if self._outbox is None else self._outbox.failed
+        stored = None if self._outbox is None else self._saving.overdue or self._outbox.failed
         reasons = [stored, self._heartbeat.failed, *(worker.failed for worker in self._workers.values())]
         return "; ".join(reason for reason in reasons if reason) or None
 
@@ -235,7 +236,8 @@ class Notifier(Outlet):
         assert outbox is not None
         while not self._closed.is_set():
             outbox.wait_for_change(self._closed.is_set)
-            outbox.save()
+            with self._saving:
+                outbox.save()
             if outbox.failed:
                 self._closed.wait(_RETRY_SAVE_S)
         outbox.save()

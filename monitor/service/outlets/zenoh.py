@@ -76,6 +76,8 @@ class ZenohOut(Outlet):
         self._answers: deque[tuple[zenoh.Query, str | None]] = deque()
         self._limit = RateLimit()
         self._latest: dict[str, str] = {}
+        self._heard_s: float | None = None
+        """When the latest line of health came, by a clock that nobody sets."""
         self._alarm: tuple[Any, ...] = ()
         self._changed = threading.Condition()
         self._closed = False
@@ -108,6 +110,7 @@ class ZenohOut(Outlet):
 
     def health_line(self, line: Mapping[str, Any]) -> None:
         """Publish a line of health.jsonl."""
+        self._heard_s = time.monotonic()
         self._put("health", to_json(dict(line)))
 
     def finding(self, finding: Mapping[str, Any]) -> None:
@@ -216,9 +219,14 @@ class ZenohOut(Outlet):
             return self._waiting.popleft() if self._waiting else None
 
     def answer(self) -> str:
-        """Write the answer to a query of the state: the state of the structure, and the latest of every other key."""
+        """Write the answer to a query of the state: the state of the structure, and the latest of every other key.
+
+        How long no line of health has come, ``silent_s``, is said by this clock, for that of who asks may be wrong.
+        """
         with self._changed:
             latest = [f'"{name}": {self._latest.get(name, "null")}' for name in _CACHES]
+            if self._heard_s is not None:
+                latest.append(f'"silent_s": {time.monotonic() - self._heard_s:.1f}')
             return ", ".join([to_json(self.present.content)[:-1], *latest]) + "}"
 
     def _on_state(self, query: zenoh.Query) -> None:
