@@ -33,10 +33,11 @@ _SEARCHED = (0.6, 1.25)
 stiffness gives]"""
 _PADDING = 8
 """Factor by which spectra are interpolated. [ratio; cost]"""
-_WEAK_ACCELERATION, _STRONG_ACCELERATION = (2.20, 1.00), (3.66, -1.66)
-_WEAK_VELOCITY, _STRONG_VELOCITY = (2.10, 3.40), (3.47, 2.35)
-"""Slope and offset of the intensity over the decimal logarithm of the peak acceleration, cm/s^2, and velocity, cm/s, below
-and from intensity V. [1; D. Wald et al., Earthquake Spectra 15 (1999) 557]"""
+_BY_ACCELERATION = ((2.20, 1.00), (3.66, -1.66))
+"""Slope and offset of the intensity over the decimal logarithm of the peak acceleration in cm/s^2, of weak and of strong
+motion. [MMI; D. Wald et al., Earthquake Spectra 15 (1999) 557]"""
+_BY_VELOCITY = ((2.10, 3.40), (3.47, 2.35))
+"""The same over that of the peak velocity in cm/s. [MMI; D. Wald et al. 1999]"""
 _STRONG = 5.0
 """Intensity from which the relations of strong motion hold. [MMI; Wald et al. 1999]"""
 _VELOCITY_ALONE = 7.0
@@ -209,8 +210,8 @@ def instrumental_intensity(peak_m_s2: float, peak_m_s: float) -> float:
     >>> round(instrumental_intensity(1.8, 0.16), 1)  # 18 % g and 16 cm/s: strong shaking
     6.6
     """
-    acceleration = _intensity(100.0 * peak_m_s2, _WEAK_ACCELERATION, _STRONG_ACCELERATION)
-    velocity = _intensity(100.0 * peak_m_s, _WEAK_VELOCITY, _STRONG_VELOCITY)
+    acceleration = _intensity(100.0 * peak_m_s2, *_BY_ACCELERATION)
+    velocity = _intensity(100.0 * peak_m_s, *_BY_VELOCITY)
     if acceleration < _STRONG:
         return float(max(acceleration, 1.0))
     value = velocity if velocity >= _VELOCITY_ALONE else 0.5 * (acceleration + velocity)
