@@ -192,8 +192,8 @@ class Pipeline:
         """Keep the measured ground motion for the events that it may belong to."""
         state, pieces = ground.step(self.state.ground, block, self.front_end)
         found = self.state.events
-        for t_ns, rate_hz, values in pieces:
-            found = stage.keep_ground(found, t_ns, rate_hz, values, self.config.events)
+        for piece in pieces:
+            found = stage.keep_ground(found, piece, state.conditioner, self.config.events)
         self.state = replace(self.state, ground=state, events=found)
 
     def _begin(self, piece: alignment.Piece, previous: Run | None) -> Run:

@@ -1,7 +1,7 @@
 from . import ground, stage
-from .event import Event, FloorMotion, Spectrum
+from .event import Event, FloorMotion
 from .ground import GroundState
-from .settings import EventSettings, LimitTable
+from .settings import EventSettings
 from .site import Site
 from .stage import EventState
 
@@ -11,9 +11,7 @@ __all__ = [
     "EventState",
     "FloorMotion",
     "GroundState",
-    "LimitTable",
     "Site",
-    "Spectrum",
     "ground",
     "stage",
 ]

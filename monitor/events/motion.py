@@ -17,7 +17,7 @@ _G = 9.80665
 _CORNER_ORDER = 4
 """Order of the high-pass filter's power response (Butterworth). [1; D. Boore, J. Bommer, Soil Dynamics and Earthquake
 Engineering 25 (2005) 93: low orders ring less]"""
-_FINER = 4
+_INTERPOLATION = 4
 """Factor by which motions are interpolated before their peak is taken. [ratio; a peak at a tenth of the rate lies less than 1 %
 above its nearest sample]"""
 _LEAST_M = 1e-12
@@ -160,8 +160,8 @@ def _peaks_above(drift_acceleration: Array, rate_hz: float, corner_hz: float, st
 def _peaks(motion: Array, strong: slice) -> Array:
     """Find the largest magnitude of motions, shape (n, k), within a slice, between samples too, shape (k,)."""
     n = motion.shape[0]
-    between = np.fft.irfft(np.fft.rfft(motion, axis=0), _FINER * n, axis=0) * _FINER
-    return np.asarray(np.abs(between[_FINER * strong.start : _FINER * strong.stop]).max(axis=0))
+    between = np.fft.irfft(np.fft.rfft(motion, axis=0), _INTERPOLATION * n, axis=0) * _INTERPOLATION
+    return np.asarray(np.abs(between[_INTERPOLATION * strong.start : _INTERPOLATION * strong.stop]).max(axis=0))
 
 
 def response_spectrum(acceleration: Array, rate_hz: float) -> Spectrum:

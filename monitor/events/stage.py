@@ -16,6 +16,7 @@ from monitor.core import Array, Skipped, WindowResult
 from monitor.events import recognition
 from monitor.events.ambient import AmbientReading, lasting_loss, mean_frequencies, reading_of
 from monitor.events.event import Event
+from monitor.events.ground import Ground
 from monitor.events.settings import EventSettings
 from monitor.events.site import Site
 from monitor.signals import Conditioner
@@ -38,17 +39,6 @@ _CORNERS = (0.4, 0.2, 0.1, 0.05, 0.025)
 follows the ground, and its drift is the ground's acceleration over the squared angular frequency]"""
 _LOWEST_CORNER = 2.0
 """Lowest corner, over the reciprocal of the time before the event that is kept. [ratio; two periods of quiet motion]"""
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class Ground:
-    """Latest samples of the measured ground motion."""
-
-    t_ns: int
-    """UTC of the first sample, less the delay of its filter."""
-    rate_hz: float
-    values: Array
-    """Shape (n,), m/s^2."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -97,6 +87,8 @@ class EventState:
     marks: tuple[tuple[int, int], ...] = ()
     """Begin and end, as grid indices, of every step in which motion was strong or may have been; oldest first."""
     ground: tuple[Ground, ...] = ()
+    ground_filter: Conditioner | None = None
+    """Filter of the ground's samples; None before the first."""
     recent: tuple[AmbientReading, ...] = ()
     """What the latest windows told, which do not overlap."""
     awaiting: tuple[Awaiting, ...] = ()
@@ -112,11 +104,16 @@ def start() -> EventState:
     return EventState()
 
 
-def keep_ground(state: EventState, t_ns: int, rate_hz: float, values: Array, settings: EventSettings) -> EventState:
-    """Keep samples of the measured ground motion, shape (n,), m/s^2, for the event that they may belong to."""
-    reach_ns = round((settings.pre_s + settings.longest_s + settings.post_s + settings.merge_s) * 1e9)
-    kept = [g for g in state.ground if g.t_ns + round(g.values.size / g.rate_hz * 1e9) > t_ns - reach_ns]
-    return replace(state, ground=(*kept, Ground(t_ns, rate_hz, values)))
+def keep_ground(
+    state: EventState, piece: Ground, conditioner: Conditioner | None, settings: EventSettings
+) -> EventState:
+    """Keep samples of the measured ground motion, filtered by `conditioner`, as long as the floors' samples beside them."""
+    reach_s = settings.pre_s + settings.longest_s + settings.post_s + settings.merge_s
+    oldest_ns = piece.t_ns - round(reach_s * 1e9)
+    if state.conditioner is not None:
+        oldest_ns = max(oldest_ns, state.t0_ns + round((state.first / state.rate_hz - _GROUND_LATE_S) * 1e9))
+    kept = [g for g in state.ground if g.t_ns + round(g.values.size / g.rate_hz * 1e9) > oldest_ns]
+    return replace(state, ground=(*kept, piece), ground_filter=conditioner)
 
 
 def step(
@@ -316,7 +313,9 @@ def _ground_of(state: EventState, first: int, end: int) -> Array | None:
     """Interpolate the measured ground motion to the samples of the grid, shape (n,); None where it does not cover them."""
     from scipy.interpolate import make_interp_spline  # takes a while to load
 
-    if not state.ground:
+    from monitor.events.motion import without_filter
+
+    if not state.ground or state.ground_filter is None:
         return None
     t_s, values = [], []
     for piece in state.ground:
@@ -328,7 +327,8 @@ def _ground_of(state: EventState, first: int, end: int) -> Array | None:
     at, moved = at[near], np.concatenate(values)[index][near]
     if not at.size or at[0] > wanted[0] or at[-1] < wanted[-1]:
         return None
-    return np.asarray(make_interp_spline(at, moved)(wanted))
+    moved = make_interp_spline(at, moved)(wanted)
+    return without_filter(moved[:, None], state.rate_hz, state.ground_filter)[:, 0]
 
 
 def _forget(state: EventState, site: Site) -> EventState:
