@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 PAGE = Path(__file__).with_suffix(".md")
 ROOT = PAGE.parents[1]
-ROOMS = ("signals", "model", "identification", "inference", "damage", "diagnosis")
+ROOMS = ("signals", "model", "identification", "inference", "damage", "diagnosis", "events")
 """Rooms of the engine, in the order of the data's way."""
 _HEAD = """# Constants
 

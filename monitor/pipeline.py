@@ -8,10 +8,11 @@ from math import ceil, floor, inf
 
 import numpy as np
 
-from drivers.base import ACCELERATION, TEMPERATURE, SampleBlock
+from drivers.base import ACCELERATION, GROUND, TEMPERATURE, SampleBlock
 from monitor.config import Configuration
 from monitor.core import (
     Alarm,
+    Array,
     BadInputError,
     DamageReading,
     Gap,
@@ -26,6 +27,7 @@ from monitor.core import (
     name_stories,
 )
 from monitor.damage import Baseline, alarm, damage_index, smallest_detectable_loss
+from monitor.events import Event, EventState, GroundState, Site, ground, stage
 from monitor.identification import expected_modes, identify, refine, sensor_correction, tracking
 from monitor.signals import (
     Conditioner,
@@ -48,7 +50,7 @@ _LEAST_SHARE = 0.5
 _CHECK = "check floors, signs and units of the channels, and what 'check' says of the lags"
 """What to do where not even the lowest mode is found. [words]"""
 
-Result = Samples | Gap | WindowResult | Health
+Result = Samples | Gap | WindowResult | Health | Event
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -73,6 +75,8 @@ class PipelineState:
     temperature: temperature.TemperatureState
     track: tracking.TrackState
     health: HealthState
+    events: EventState
+    ground: GroundState
 
 
 class Pipeline:
@@ -99,11 +103,19 @@ class Pipeline:
         self.context = instrumented.context(config.processing.rate_hz)
         self.shown = sensor_correction.seen_by_sensors(self.acquisition, self.context)
         self.prior_std = instrumented.stiffness_prior_std
+        self.site = Site.of(instrumented, config.story_names, config.processing.window_s, config.events)
         names = config.identification.reference_channels or config.channels
         self.past = tuple(config.channels.index(name) for name in names)
         alarms = alarm.start(self.reference.structure.n_stories, config.processing.window_s)
         self.state = PipelineState(
-            alignment.start(), None, alarms, temperature.start(), tracking.TrackState(), HealthState()
+            alignment.start(),
+            None,
+            alarms,
+            temperature.start(),
+            tracking.TrackState(),
+            HealthState(),
+            EventState(),
+            GroundState(),
         )
 
     def push(self, block: SampleBlock) -> list[Result]:
@@ -126,6 +138,8 @@ class Pipeline:
         """Process a block of samples as `push`, without restoring the state on an error."""
         if block.topic == TEMPERATURE:
             self._store_temperature(block)
+        if block.topic == GROUND and self.config.events.enabled:
+            self._keep_ground(block)
         if block.topic != ACCELERATION:
             return []
         align_state, pieces = self.front_end.align(self.state.align, block)
@@ -148,10 +162,39 @@ class Pipeline:
             run = replace(run, condition=condition, window=window_state)
             self.state = replace(self.state, run=run)
             for item in windows:
-                results.append(
+                end_ns = item.t_end_ns if isinstance(item, Window) else item[1]
+                end = round((end_ns - run.t0_ns) * 1e-9 * run.grid.rate_hz)
+                results += self._watch(run, first, values[: max(end - first, 0)])
+                values, first = values[max(end - first, 0) :], max(end, first)
+                result = (
                     self._assess(item, run.conditioner.cutoff_hz) if isinstance(item, Window) else self._skip(*item)
                 )
+                results.append(result)
+                results += self._remember(result)
+            results += self._watch(run, first, values)
         return results
+
+    def _watch(self, run: Run, first: int, values: Array) -> list[Event]:
+        """Look for events in conditioned samples, of which the first has grid index `first`."""
+        if not (self.config.events.enabled and len(values)):
+            return []
+        state, told = stage.step(self.state.events, first, run.t0_ns, run.conditioner, values, self.site)
+        self.state = replace(self.state, events=state)
+        return told
+
+    def _remember(self, result: WindowResult) -> list[Event]:
+        """Keep what a window tells of the motion before and after events, and tell the lasting losses that are known now."""
+        state, told = stage.window(self.state.events, result, self.site)
+        self.state = replace(self.state, events=state)
+        return told
+
+    def _keep_ground(self, block: SampleBlock) -> None:
+        """Keep the measured ground motion for the events that it may belong to."""
+        state, pieces = ground.step(self.state.ground, block, self.front_end)
+        found = self.state.events
+        for piece in pieces:
+            found = stage.keep_ground(found, piece, state.conditioner, self.config.events)
+        self.state = replace(self.state, ground=state, events=found)
 
     def _begin(self, piece: alignment.Piece, previous: Run | None) -> Run:
         """Begin a new run of samples: filters start at rest, windows stay on the stream's grid."""
@@ -206,6 +249,7 @@ class Pipeline:
         skipped = window_quality.check(item.sums, item.rate_hz, cutoff_hz, c.channels, c.quality)
         begin_ns = item.t_end_ns - round(item.window_s * 1e9)
         skipped = skipped or sensor_health.check(self.state.health, begin_ns, item.t_end_ns, c.health)
+        skipped = skipped or stage.skipped(self.state.events, item.t_end_ns, item.window_s, c.events)
         if skipped is not None:
             return skip(skipped)
         modes = self._identify(item, cutoff_hz)

@@ -23,7 +23,7 @@ def replay(
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Run recordings through the monitor.  Writes results.jsonl, results.mcap, live.rrd and summary.json in DIR."""
+    """Run recordings through the monitor.  Writes results.jsonl, events.jsonl, results.mcap, live.rrd and summary.json in DIR."""
     from monitor.config import configuration
     from monitor.damage import load_baseline
     from monitor.publish import replay_text

@@ -20,6 +20,7 @@ from monitor.config.state_settings import StateSettings
 from monitor.core import BadConfigurationError, MissingInputError, Settings, parse_address, settings_problems
 from monitor.damage import AlarmSettings, UpdatingSettings
 from monitor.diagnosis import DiagnosisSettings, WatchSettings
+from monitor.events import EventSettings
 from monitor.identification import RefinementSettings, SelectionSettings, SsiSettings, TrackSettings
 from monitor.model import (
     FORMS,
@@ -142,6 +143,7 @@ class Configuration(Settings):
     alarm: AlarmSettings = AlarmSettings()
     diagnosis: DiagnosisSettings = DiagnosisSettings()
     watch: WatchSettings = WatchSettings()
+    events: EventSettings = EventSettings()
     topics: dict[str, str] = Field(default_factory=dict)
     """Topic map for foreign recordings: ROS 2 Imu topic to channel, as ``"/imu/top" = "a1.x"``."""
     site: SiteSettings = SiteSettings()

@@ -2,6 +2,7 @@ from .base import Publisher
 from .reports.diagnosis_report import write_report
 from .reports.period_report import read_period, write_period
 from .results.arrow_table import WINDOWS_SCHEMA, windows_table
+from .results.event_lines import EVENTS, event_line, event_text
 from .results.files import closed_files, month_file, pack_month, read_lines
 from .results.lines import (
     LinesFile,
@@ -21,6 +22,7 @@ from .viewer.publisher import RerunPublisher
 from .viewer.scene import make_scene, utc
 
 __all__ = [
+    "EVENTS",
     "LINE_SCHEMA",
     "WINDOWS_SCHEMA",
     "LinesFile",
@@ -33,6 +35,8 @@ __all__ = [
     "closed_files",
     "current_alarm_line",
     "episode_content",
+    "event_line",
+    "event_text",
     "facts_of_line",
     "make_scene",
     "month_file",

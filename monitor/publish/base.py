@@ -6,6 +6,7 @@ from typing import Any
 
 from monitor.core import Gap, Samples, WindowResult
 from monitor.damage import Assessment
+from monitor.events import Event
 from monitor.signals import Health
 
 
@@ -43,6 +44,16 @@ class Publisher:
             The estimates of the window, or why there are none.
         line : str
             The same result as its line of results.jsonl, without the newline.
+        """
+
+    def event(self, event: Event, line: str) -> None:
+        """Take what is told of an event: preliminarily, for good, or once more with what is known since.
+
+        Parameters
+        ----------
+        event : Event
+        line : str
+            The same as its line of events.jsonl, without the newline.
         """
 
     def health(self, health: Health) -> None:

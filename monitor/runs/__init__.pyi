@@ -3,6 +3,7 @@ from .archive.inventory import expand_patterns
 from .archive.jobs import WINDOWS
 from .archive.reprocess import reprocess
 from .emulate import send_all
+from .event_recordings import EventRecordings
 from .importers import import_files
 from .recordings import Progress, duration_s
 from .session import Session, SessionState
@@ -11,6 +12,7 @@ from .warming import warm_up
 
 __all__ = [
     "WINDOWS",
+    "EventRecordings",
     "Progress",
     "Session",
     "SessionState",

@@ -13,14 +13,16 @@ from drivers.mcap_file import McapWriter
 from monitor.config import Configuration
 from monitor.core import MissingInputError, WindowResult, demand_place, write_atomically
 from monitor.damage import Baseline
-from monitor.publish import LINE_SCHEMA, LinesFile, Publisher, RerunPublisher, to_json
+from monitor.events import Event
+from monitor.publish import EVENTS, LINE_SCHEMA, LinesFile, Publisher, RerunPublisher, to_json
+from monitor.runs.event_recordings import EventRecordings
 from monitor.runs.recordings import OnProgress, OnWarning, Progress, duration_s, push_block, read_blocks
 from monitor.runs.session import Session
 from monitor.runs.viewer import open_viewer
 
 __all__ = ["RESULT_FILES", "pass_through", "replay", "with_first_block_read"]
 
-RESULT_FILES = ("results.jsonl", "results.mcap", "live.rrd", "summary.json")
+RESULT_FILES = ("results.jsonl", EVENTS, "results.mcap", "live.rrd", "summary.json")
 """Files that `replay` writes to its folder."""
 
 
@@ -32,17 +34,23 @@ class _ResultFiles(Publisher):
             demand_place(out / name)
         self._out = out
         self._lines = LinesFile(out / "results.jsonl")
+        self._events = LinesFile(out / EVENTS)
         self._results = McapWriter(out / "results.mcap")
 
     def window(self, result: WindowResult, line: str) -> None:
         self._lines.write(line)
         self._results.write_json("/results", result.t_end_ns, line, LINE_SCHEMA)
 
+    def event(self, event: Event, line: str) -> None:
+        if event.revision is not None:
+            self._events.write(line)
+
     def close(self, summary: dict[str, Any], findings: Iterable[dict[str, Any]]) -> None:
         try:
             for finding in findings:
                 self._results.write_json("/findings", finding["t_ns"], to_json(finding))
             self._lines.close()
+            self._events.close()
             self._results.close()
             write_atomically(self._out / "summary.json", to_json(summary) + "\n")
         except OSError as error:
@@ -50,6 +58,7 @@ class _ResultFiles(Publisher):
 
     def abandon(self) -> None:
         self._lines.abandon()
+        self._events.abandon()
         self._results.abort()
 
 
@@ -95,7 +104,8 @@ def replay(
     )  # bad input shows before any output is begun
     written = _ResultFiles(out)
     view = open_viewer(config, baseline, file=out / "live.rrd", serve=serve, lossless=True)
-    session = Session(config, baseline, (written, view), files, out / "findings", whole=True)
+    recordings = EventRecordings(out, config.events)
+    session = Session(config, baseline, (written, view), files, out / "findings", whole=True, recordings=recordings)
     try:
         factor = pass_through(session, source, paths, speed=speed, on_progress=on_progress)
         content = session.content(factor)

@@ -27,8 +27,10 @@ from monitor.damage import (
     follow,
     hold,
 )
+from monitor.events import Event
 from monitor.pipeline import Pipeline, PipelineState, Result
-from monitor.publish import Publisher, Quality, Summary, to_json, window_line
+from monitor.publish import Publisher, Quality, Summary, event_line, to_json, window_line
+from monitor.runs.event_recordings import EventRecordings
 from monitor.runs.online_diagnosis import FINDING_KEYS, OnlineDiagnosis, OnlineDiagnosisState
 from monitor.signals import Health
 
@@ -60,6 +62,8 @@ class Session:
         Folder of the findings of these diagnoses.
     whole : bool
         Whether the state is that of the whole run, as of a recording, or the present one, as of a site.
+    recordings : EventRecordings, optional
+        Writes the samples of events; without it they have none of their own.
     """
 
     def __init__(
@@ -71,11 +75,12 @@ class Session:
         findings: Path,
         *,
         whole: bool = False,
+        recordings: EventRecordings | None = None,
     ) -> None:
         self.config = config
         self.pipeline = Pipeline(config, baseline)
         self.online_diagnosis = OnlineDiagnosis(config, files, findings)
-        self._publishers = publishers
+        self._publishers, self._recordings = publishers, recordings
         self._summary, self._quality = Summary(), Quality()
         self._model_hz = config.model().modes().frequencies_hz.tolist()
         self._baseline, self._whole = baseline, whole
@@ -142,6 +147,8 @@ class Session:
         """
         results = self.pipeline.push(block)
         accepted(results)
+        if self._recordings is not None:
+            self._recordings.push(block, active=bool(self.pipeline.state.events.strong))
         self._publish_findings(self.online_diagnosis.push(block))
         for result in results:
             self._publish(result)
@@ -230,6 +237,11 @@ class Session:
             self._quality.add(result)
             for publisher in self._publishers:
                 publisher.health(result)
+        elif isinstance(result, Event):
+            recording = None if self._recordings is None else self._recordings.save(result)
+            line = to_json(event_line(result, recording))
+            for publisher in self._publishers:
+                publisher.event(result, line)
         else:
             misfit = self.config.watch.misfit
             for index in sorted(i for i in self.stated if i < result.index):  # their samples were lost with that run

@@ -24,12 +24,14 @@ from drivers.recorder import unfit
 from monitor.config import configuration
 from monitor.core import BadConfigurationError, BadInputError, Gap, MissingInputError, WindowResult
 from monitor.damage import Assessment, Baseline, load_baseline, outdated, utc
+from monitor.events import Event
 from monitor.pipeline import Result
-from monitor.publish import Publisher, current_alarm_line, episode_content, to_json
-from monitor.runs import Progress, Session, duration_s, ledger, open_viewer, warm_up
+from monitor.publish import EVENTS, Publisher, current_alarm_line, episode_content, to_json
+from monitor.runs import EventRecordings, Progress, Session, duration_s, ledger, open_viewer, warm_up
 from monitor.service import restart, systemd
 from monitor.service.appended_lines import AppendedLines
 from monitor.service.daemon_health import Vitals, Way, failures, plain
+from monitor.service.events_file import EventsFile
 from monitor.service.history import History
 from monitor.service.outlets import Outlet, make_outlets
 from monitor.service.reload import Reloaded, reread
@@ -147,6 +149,8 @@ class Daemon(Publisher):
             health = self.out / "health.jsonl"
             self._health_lines = AppendedLines(health, _HEALTH_FILE_BYTES, partial(later, "health.jsonl"))
             undo.callback(self._health_lines.close)
+            self._events = EventsFile(self.out / EVENTS, partial(later, EVENTS))
+            undo.callback(self._events.close)
             self._tell_start()
             self._recording = Recording(self.out / "recordings", settings.recorder)
             undo.callback(self._recording.close, _END_S)
@@ -161,7 +165,10 @@ class Daemon(Publisher):
             undo.callback(self._view.close, _END_S)
         publishers = (self,) if self._view is None else (self, self._view)
         findings = self.out / "findings" / f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}"
-        self._begin = partial(Session, settings, healthy, publishers, (self._path, healthy_path), findings)
+        recordings = EventRecordings(self.out, settings.events, partial(self._chores.do, "events"))
+        self._begin = partial(
+            Session, settings, healthy, publishers, (self._path, healthy_path), findings, recordings=recordings
+        )
         spans = settings.processing.hop_s, settings.health.span_s
         self._history = History(self.out / "state" / "history.db", settings.state, *spans)
         undo.callback(self._history.close, _END_S)
@@ -230,6 +237,16 @@ class Daemon(Publisher):
         self._lines.write_window(line, result.t_end_ns)
         for outlet in self._outlets:
             outlet.window(result, line)
+
+    def event(self, event: Event, line: str) -> None:
+        """Write and publish what is told of an event, unless a previous run did so."""
+        if event.revision is None:
+            if self._keeper.resuming:
+                return
+        elif not self._events.write_event(event.id, event.revision, line):
+            return
+        for outlet in self._outlets:
+            outlet.event(event, line)
 
     def gap(self, gap: Gap) -> None:
         """Store and publish a gap in the data."""
@@ -424,7 +441,12 @@ class Daemon(Publisher):
         own: dict[str, Way | None] = {"source": self.reader, "recorder": self._recording, "viewer": self._view}
         own |= {"checkpoint": self._keeper, "history": self._history}
         own |= {"ledger.jsonl": self._requests, "storage": self._storage}
-        own |= {"results.jsonl": self._lines, "health.jsonl": self._health_lines, "summary.json": self._chores}
+        own |= {
+            "results.jsonl": self._lines,
+            EVENTS: self._events,
+            "health.jsonl": self._health_lines,
+            "summary.json": self._chores,
+        }
         return [(n, way) for n, way in own.items() if way is not None] + [(type(o).__name__, o) for o in self._outlets]
 
     def _close(self) -> None:
@@ -438,7 +460,7 @@ class Daemon(Publisher):
         self._write_summary()
         self._history.close(self._share_s())
         self._line_writer.close(self._share_s())
-        for lines in (self._lines, self._health_lines):
+        for lines in (self._lines, self._events, self._health_lines):
             self._chores.do(f"close {id(lines)}", lines.close)
         for outlet in reversed(self._outlets):
             outlet.close(self._share_s())

@@ -24,6 +24,7 @@ import numpy as np
 
 from drivers.disk import sync_folder
 from monitor.core import finish, partial
+from monitor.events import EventState, GroundState
 
 _log = logging.getLogger(__name__)
 
@@ -70,9 +71,21 @@ def _with_span_faults(tree: Any) -> Any:
     return tree
 
 
-VERSION = 4
+def _with_events(tree: Any) -> Any:
+    """Upgrade from version 4, which knew no events: the stage begins anew."""
+    if "session" in tree:
+        tree["session"]["pipeline"] |= {"events": plain(EventState()), "ground": plain(GroundState())}
+    return tree
+
+
+VERSION = 5
 """Version of the state; to be raised, with an entry in `UPGRADES`, when a field is added, removed or changes its meaning."""
-UPGRADES: dict[int, Callable[[Any], Any]] = {1: _without_doubled_sums, 2: _with_course, 3: _with_span_faults}
+UPGRADES: dict[int, Callable[[Any], Any]] = {
+    1: _without_doubled_sums,
+    2: _with_course,
+    3: _with_span_faults,
+    4: _with_events,
+}
 """Version -> function that converts its plain value (`plain`) to that of the next version."""
 _DTYPES = ("<f8", "<c16", "<i8", "<f4", "|b1")
 _ARRAY = "@array"

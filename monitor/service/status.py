@@ -14,7 +14,7 @@ from typing import Any
 
 from monitor.core import MissingInputError, name_stories, parse_json
 from monitor.damage import Assessment, State, outdated, utc
-from monitor.publish import read_line
+from monitor.publish import EVENTS, read_line
 from monitor.runs import ledger, ledger_chain
 from monitor.service.boot import boot_time
 
@@ -96,6 +96,7 @@ def look(out: Path) -> dict[str, Any]:
         "summary": summary,
         "health": health,
         "result": result,
+        "event": _last_line(out / EVENTS, _read_event),
         "ledger_head": ledger_chain.read_head(out / ledger.LEDGER),
     }
 
@@ -155,6 +156,7 @@ def tell(status: dict[str, Any]) -> str:
         "alarm": lambda: name_stories(_alarm(summary.get("alarm"), result), _names(summary)) + _reference(result)[1],
         "recorder": lambda: _recorder(recorder, health),
         "findings": lambda: _findings(summary.get("findings") or []),
+        "event": lambda: _event(status["event"]),
     }
     rows = [(name, _readable(make)) for name, make in makers.items() if name != "doubts" or status["doubts"]]
     return "\n".join(f"{name:<9} {text}" for name, text in rows)
@@ -194,6 +196,29 @@ def _names(summary: dict[str, Any]) -> list[str]:
 
 def _findings(found: list[dict[str, Any]]) -> str:
     return f"{len(found)}; latest: {found[-1].get('says') or found[-1].get('reason')}" if found else "none"
+
+
+def _read_event(text: bytes) -> dict[str, Any]:
+    """Read a line of events.jsonl.
+
+    Raises
+    ------
+    ValueError
+        It is no line of an event.
+    """
+    line = parse_json(text)
+    if not isinstance(line, dict) or not isinstance(line.get("id"), str):
+        raise ValueError("it has no id")
+    return line
+
+
+def _event(event: Mapping[str, Any] | None) -> str:
+    """State the last event: when, the verdict, and the largest drift."""
+    if event is None:
+        return "none"
+    drifts = [(value, j) for j, value in enumerate(event["drift_peak_m"], 1) if value is not None]
+    largest = f"; largest drift {1e3 * max(drifts)[0]:.3g} mm in story {max(drifts)[1]}" if drifts else ""
+    return f"{event['id']}: {event['verdict'] or 'no limit was judged'}{largest}"
 
 
 def _age_s(health: dict[str, Any]) -> float | None:

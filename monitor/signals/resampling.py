@@ -15,7 +15,7 @@ from math import floor
 
 import numpy as np
 
-from monitor.core import Array
+from monitor.core import Array, ComplexArray
 from monitor.signals.chebyshev import chebyshev_lowpass
 
 _LOWPASS_ORDER = 8
@@ -67,6 +67,19 @@ class Conditioner:
         sos = chebyshev_lowpass(_LOWPASS_ORDER, _RIPPLE_DB, cutoff_hz, rate_in_hz)
         step = 1 / Fraction(out_hz / rate_in_hz).limit_denominator(_MAX_PHASES)
         return cls(rate_in_hz, out_hz, cutoff_hz, sos, step, _interpolator(step, cutoff_hz / rate_in_hz))
+
+    @property
+    def delay_s(self) -> float:
+        """Time by which slow motion is late after the lowpass, s: its group delay at 0 Hz."""
+        b, a = self.sos[:, :3], self.sos[:, 3:]
+        taps = np.arange(3)
+        return float(((b @ taps) / b.sum(axis=1) - (a @ taps) / a.sum(axis=1)).sum()) / self.rate_in_hz
+
+    def response(self, hz: Array) -> ComplexArray:
+        """Compute the lowpass's frequency response without its delay, shape (n_hz,), at frequencies in Hz."""
+        z = np.exp(-2j * np.pi * hz / self.rate_in_hz)[:, None] ** np.arange(3)
+        sections = (z @ self.sos[:, :3].T) / (z @ self.sos[:, 3:].T)
+        return np.asarray(sections.prod(axis=1) * np.exp(2j * np.pi * hz * self.delay_s))
 
     def start(self, n_channels: int) -> ConditionState:
         """Return the state at rest, before the first sample."""

@@ -129,11 +129,12 @@ def plain(site: Site) -> tuple[Done, Path]:
     return site.cli("replay", recording, "--structure", site.quick, "--out", out), out
 
 
-def test_replay_writes_its_four_files_and_is_quiet_in_a_pipe(plain: tuple[Done, Path]) -> None:
+def test_replay_writes_its_files_and_is_quiet_in_a_pipe(plain: tuple[Done, Path]) -> None:
     done, out = plain
     assert_ok(done)
     assert done.stderr == ""
-    assert sorted(p.name for p in out.iterdir()) == ["live.rrd", "results.jsonl", "results.mcap", "summary.json"]
+    files = ["events.jsonl", "live.rrd", "results.jsonl", "results.mcap", "summary.json"]
+    assert sorted(p.name for p in out.iterdir()) == files
     assert all(p.stat().st_size > 0 for p in out.iterdir())
 
 

@@ -14,10 +14,12 @@ from pydantic import Field
 
 from monitor.core import WHOLE, AlarmCondition, Level, Settings, WindowResult
 from monitor.damage import Assessment, State
+from monitor.events import Event
+from monitor.publish import event_text
 
 _MOST_TEXT = 1000
 
-URGENT = ("alarm", "doubtful", "finding")
+URGENT = ("event", "alarm", "doubtful", "finding")
 """Kinds of notices on the state of the structure, the most urgent first."""
 HOUSEKEEPING = ("blind", "source", "recorder")
 """Kinds of notices on the monitor itself, the most urgent first; they wait for every urgent one."""
@@ -218,3 +220,10 @@ def of_finding(
     if present.state is State.DOUBTFUL and text.rstrip(".") in present.headline:
         told, text = replace(told, doubtful=True, doubt_ns=None), f"{present.state.words}: {_text(present)}"
     return told, [Notice("finding", False, f"diagnosis: {finding['verdict']}", text[:_MOST_TEXT])]
+
+
+def of_event(event: Event) -> Notice:
+    """Announce what is told of an event, the first exceeded limit in the title."""
+    told = {None: "preliminary", 0: "measured", 1: "lasting loss"}
+    good = not event.exceeded
+    return Notice("event", good, f"strong motion ({told[event.revision]}), {event.id}", event_text(event))

@@ -21,6 +21,7 @@ from typing import Any
 from pydantic import Field
 
 from monitor.core import Busy, WindowResult
+from monitor.events import Event
 from monitor.service.outlets import notices
 from monitor.service.outlets.base import Outlet
 from monitor.service.outlets.delivery_workers import AddressWorker, HeartbeatWorker
@@ -165,6 +166,11 @@ class Notifier(Outlet):
         outbox = self._begun()
         self._heartbeat.window()
         self._add(outbox, *notices.of_window(outbox.told, result, self.present, self._settings))
+
+    def event(self, event: Event, line: str) -> None:
+        """Announce an event: at the end of strong motion, with its final line, and with its lasting loss."""
+        outbox = self._begun()
+        self._add(outbox, outbox.told, [notices.of_event(event)])
 
     def health_line(self, line: Mapping[str, Any]) -> None:
         """Announce changes of the source's and the recorder's state."""

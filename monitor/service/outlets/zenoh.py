@@ -24,13 +24,14 @@ from zenoh import ext
 from drivers.zenoh_session import Callbacks, Key, SessionSettings, leave, open_session
 from monitor.core import Busy, Gap, WindowResult, settings_problems
 from monitor.damage import Assessment
+from monitor.events import Event
 from monitor.publish import alarm_line, to_json
 from monitor.service.outlets.base import Outlet
 from monitor.service.requests import MAX_REQUEST_BYTES, Answer, RateLimit, Request
 
 _log = logging.getLogger(__name__)
 _RETRY_S = (0.5, 30.0)
-_CACHES = {"results": 64, "alarm": 64, "health": 1, "gap": 64, "finding": 64}
+_CACHES = {"results": 64, "alarm": 64, "health": 1, "gap": 64, "finding": 64, "event": 64}
 """Key below the prefix -> number of values kept for subscribers that join late; `state` answers with the latest of each."""
 _STATE_CACHE = {"state": 64}
 """The same of the state, whose keys the answer holds themselves."""
@@ -103,6 +104,10 @@ class ZenohOut(Outlet):
         """Publish the present state of the structure."""
         super().state(assessment)
         self._put("state", to_json(assessment.content))
+
+    def event(self, event: Event, line: str) -> None:
+        """Publish a line of events.jsonl, and before it the preliminary message, whose revision is null."""
+        self._put("event", line)
 
     def gap(self, gap: Gap) -> None:
         """Publish that samples are missing."""

@@ -1,0 +1,159 @@
+"""Description of an event from its samples: drifts by the best that the sensors allow, and the site's limits."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from monitor.core import Array
+from monitor.events.event import Event
+from monitor.events.motion import (
+    floor_motion,
+    instrumental_intensity,
+    modal_frequencies,
+    peak_drifts,
+    response_spectrum,
+)
+from monitor.events.site import Site
+
+_UNRELATED = 1e-9
+"""Share of a drift that a sensor must see to tell of it. [ratio; rounding]"""
+NO_LIMIT = "no limit exceeded"
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Record:
+    """Samples of an event, with quiet motion before it and, for the final line, after it."""
+
+    t_ns: int
+    rate_hz: float
+    floors: Array
+    """Shape (n, c), m/s^2."""
+    ground: Array | None
+    """Shape (n,), m/s^2."""
+    strong: slice
+    corners_hz: Array
+    """Shape (n_corners,): corners of the integration to choose from."""
+
+
+def describe(
+    record: Record,
+    site: Site,
+    *,
+    id: str,
+    revision: int | None,
+    begin_ns: int,
+    end_ns: int,
+    before_hz: Array,
+    note: str = "",
+) -> Event:
+    """Measure an event from its samples, and compare it with the site's limits."""
+    rate_hz, strong = record.rate_hz, record.strong
+    drift, std, corner_hz, limits = story_drifts(record, site)
+    floors = tuple(
+        floor_motion(name, record.floors[:, i], rate_hz, corner_hz, strong) for i, name in enumerate(site.channels)
+    )
+    ground = None if record.ground is None else floor_motion("ground", record.ground, rate_hz, corner_hz, strong)
+    heights = np.full(site.n_stories, np.nan) if site.heights_m is None else site.heights_m
+    near_hz = np.where(np.isfinite(before_hz), before_hz, site.modes_hz)
+    after = np.full(site.modes_hz.size, np.nan)
+    if revision is not None and len(record.floors) - strong.stop > rate_hz / site.modes_hz[0]:
+        after = modal_frequencies(record.floors[strong.stop :], site.shapes, near_hz, rate_hz)
+    relative = record.floors if record.ground is None else record.floors - record.ground[:, None] * site.rides
+    return judge(
+        Event(
+            id=id,
+            revision=revision,
+            begin_ns=begin_ns,
+            end_ns=end_ns,
+            floors=floors,
+            ground=ground,
+            spectrum=None if record.ground is None else response_spectrum(record.ground, rate_hz),
+            instrumental_intensity=None
+            if ground is None
+            else instrumental_intensity(ground.peak_m_s2, ground.peak_m_s),
+            corner_hz=corner_hz,
+            drift_m=drift,
+            drift_std_m=std,
+            drift_ratio=drift / heights,
+            before_hz=before_hz,
+            during_hz=modal_frequencies(relative[strong], site.shapes, near_hz, rate_hz),
+            after_hz=after,
+            loss=np.full(site.n_stories, np.nan),
+            loss_std=np.full(site.n_stories, np.nan),
+            verdict=None,
+            note="; ".join(filter(None, (note, limits))),
+        ),
+        site,
+    )
+
+
+def story_drifts(record: Record, site: Site) -> tuple[Array, Array, float, str]:
+    """Compute the largest dynamic drift of each story and its standard deviation, shape (n,), m, the corner in Hz, and a note.
+
+    Where sensors move as both floors of a story, their accelerations are integrated.  For a story that they do not enclose, as
+    the lowest one without a measured ground, the drift follows from the inertia of the floors above over the story's stiffness,
+    if every floor has a sensor; its standard deviation is the most by which the same estimate is wrong in another story.
+    """
+    n, motion = site.n_stories, record.floors
+    drift, std, corner_hz = np.full(n, np.nan), np.full(n, np.nan), float(record.corners_hz[0])
+    if not site.is_chain:
+        return drift, std, corner_hz, "no drifts: the structure's stiffnesses are no stories"
+    sensors = site.sensors
+    if record.ground is not None:
+        motion = motion - record.ground[:, None] * site.rides
+    # Rows of weights on the channels that give a story's drift; without a ground they must not move with it.
+    weights, *_ = np.linalg.lstsq(sensors.T, site.drifts.T, rcond=None)
+    exact = np.abs(sensors.T @ weights - site.drifts.T).max(axis=0) < _UNRELATED
+    rigid = np.abs(site.rides @ weights) < _UNRELATED
+    told = exact & (rigid | (record.ground is not None))
+    if told.any():
+        drift[told], std[told], corner_hz = peak_drifts(
+            motion @ weights[:, told], record.rate_hz, record.corners_hz, record.strong
+        )
+    note = f"drifts are dynamic, above {corner_hz:.2g} Hz: a permanent one is not seen"
+    if told.all() or np.linalg.matrix_rank(site.sensors) < site.sensors.shape[1]:
+        return (
+            drift,
+            std,
+            corner_hz,
+            note if told.all() else f"{note}; without a sensor on every floor some are not known",
+        )
+    by_inertia = _drifts_by_inertia(record, site)
+    if not told.any():
+        return drift, std, corner_hz, f"{note}; without a measured ground the drift of the one story is not known"
+    error = np.abs(by_inertia[told] / drift[told] - 1.0).max()
+    drift[~told], std[~told] = by_inertia[~told], error * by_inertia[~told]
+    return drift, std, corner_hz, f"{note}; without a measured ground the lowest story's follows from its stiffness"
+
+
+def _drifts_by_inertia(record: Record, site: Site) -> Array:
+    """Compute the largest drift of each story as the inertia of all floors above over its stiffness, shape (n,), m."""
+    floors = np.linalg.lstsq(
+        site.sensors, (record.floors - record.floors[: max(record.strong.start, 1)].mean(axis=0)).T, rcond=None
+    )[0]
+    # The force of story j holds up the inertia of floors 1 (top) to j, absolute accelerations.
+    force = np.cumsum(site.masses_kg[:, None] * floors, axis=0)
+    return np.asarray(np.abs(force[:, record.strong]).max(axis=1) / site.stiffness_n_per_m)
+
+
+def judge(event: Event, site: Site) -> Event:
+    """Compare an event with the site's limits; the verdict is None where a limit cannot be judged."""
+    limits = site.settings.limits
+    words, exceeded, known = list[str](), list[str](), bool(limits)
+    for limit in limits:
+        values, most, what = (
+            (event.drift_ratio, limit.drift_ratio, "drift ratio")
+            if limit.drift_ratio is not None
+            else (event.loss, limit.residual_loss, "lasting loss")
+        )
+        assert most is not None
+        judged = np.isfinite(values)
+        # A lasting loss is only known from the revision on; until then the drifts decide.
+        known = known and bool(judged.all() or (limit.residual_loss is not None and event.revision != 1))
+        for j in np.flatnonzero(judged & (np.nan_to_num(values) > most)):
+            words.append(limit.says)
+            exceeded.append(f"{limit.says} ({site.names[j]}: {what} {values[j]:.2g}, limit {most:.2g})")
+    verdict = words[0] if words else NO_LIMIT if known else None
+    return replace(event, verdict=verdict, exceeded=tuple(exceeded))

@@ -1,0 +1,364 @@
+"""The stage of events: from conditioned samples to what is told of each event, in the data's own time.
+
+`step` takes the samples that the windows are made of, on the same grid, and `window` what the windows tell.  An event has three
+tellings: a preliminary one when strong motion ends, a final one after a stretch of quiet motion, and a revision with the lasting
+loss after an hour of ambient motion.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+
+import numpy as np
+
+from monitor.core import Array, Skipped, WindowResult
+from monitor.events import recognition
+from monitor.events.ambient import AmbientReading, lasting_loss, mean_frequencies, reading_of
+from monitor.events.event import Event
+from monitor.events.ground import Ground
+from monitor.events.settings import EventSettings
+from monitor.events.site import Site
+from monitor.signals import Conditioner
+
+_SETTLED_STEPS = 2
+"""Steps after a gap that are not judged, while the filters, which begin at rest, settle. [steps of 2 s; a lowpass of 40 Hz
+settles in 1 s]"""
+_KEPT_STEPS = 3
+"""Steps before the last judged one in which an event may turn out to have begun. [steps; definition: the frames in a row that
+confirm it]"""
+_PRELIMINARY_S = 2.0
+"""Quiet time after which the preliminary message is sent. [s; one step]"""
+_GROUND_LATE_S = 2.0
+"""Time by which the ground's samples may arrive after the floors'. [s; the time after which the preliminary message is sent]"""
+_SPLINE_S = 1.0
+"""Time beyond an event's samples within which the ground's samples take part in their interpolation. [s; less than
+`_GROUND_LATE_S`, so that they are there however late they arrive]"""
+_CORNERS = (0.4, 0.2, 0.1, 0.05, 0.025)
+"""Corners of the integrated drifts to choose from, over the lowest frequency. [ratio; below the lowest frequency a frame
+follows the ground, and its drift is the ground's acceleration over the squared angular frequency]"""
+_LOWEST_CORNER = 2.0
+"""Lowest corner, over the reciprocal of the time before the event that is kept. [ratio; two periods of quiet motion]"""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Strong:
+    """Strong motion, by indices of the samples' grid."""
+
+    begin: int
+    end: int
+    """End of the last loud frame so far."""
+    told: bool = False
+    """Whether the preliminary message was sent."""
+    closed: bool = False
+    """Whether it has ended, and only quiet motion is waited for."""
+    note: str = ""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Awaiting:
+    """Event whose lasting loss is still to be told."""
+
+    event: Event
+    before: tuple[AmbientReading, ...]
+    after: tuple[AmbientReading, ...] = ()
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class EventState:
+    """State of the stage between spans of samples."""
+
+    recognition: recognition.RecognitionState | None = None
+    """None before the first sample."""
+    conditioner: Conditioner | None = None
+    """Filter of the samples, with their rate; None before the first sample."""
+    t0_ns: int = 0
+    """UTC of grid index 0, less the delay of the floors' filter."""
+    first: int = 0
+    """Grid index of the first sample in `kept`."""
+    kept: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    """Shape (n, c): latest samples, m/s^2."""
+    judged: int = 0
+    """Grid index of the end of the last judged step."""
+    settling: int = 0
+    """Steps that are still not judged."""
+    strong: tuple[Strong, ...] = ()
+    """Events of which the final line is still to come; only the last may still go on."""
+    marks: tuple[tuple[int, int], ...] = ()
+    """Begin and end, as grid indices, of every step in which motion was strong or may have been; oldest first."""
+    ground: tuple[Ground, ...] = ()
+    ground_filter: Conditioner | None = None
+    """Filter of the ground's samples; None before the first."""
+    recent: tuple[AmbientReading, ...] = ()
+    """What the latest windows told, which do not overlap."""
+    awaiting: tuple[Awaiting, ...] = ()
+
+    @property
+    def rate_hz(self) -> float:
+        """Rate of the samples; 0 before the first."""
+        return 0.0 if self.conditioner is None else self.conditioner.rate_hz
+
+
+def start() -> EventState:
+    """Return the state before the first sample."""
+    return EventState()
+
+
+def keep_ground(
+    state: EventState, piece: Ground, conditioner: Conditioner | None, settings: EventSettings
+) -> EventState:
+    """Keep samples of the measured ground motion, filtered by `conditioner`, as long as the floors' samples beside them."""
+    reach_s = settings.pre_s + settings.longest_s + settings.post_s + settings.merge_s
+    oldest_ns = piece.t_ns - round(reach_s * 1e9)
+    if state.conditioner is not None:
+        oldest_ns = max(oldest_ns, state.t0_ns + round((state.first / state.rate_hz - _GROUND_LATE_S) * 1e9))
+    kept = [g for g in state.ground if g.t_ns + round(g.values.size / g.rate_hz * 1e9) > oldest_ns]
+    return replace(state, ground=(*kept, piece), ground_filter=conditioner)
+
+
+def step(
+    state: EventState, first: int, t0_ns: int, conditioner: Conditioner, values: Array, site: Site
+) -> tuple[EventState, list[Event]]:
+    """Take a span of conditioned samples.
+
+    Parameters
+    ----------
+    state : EventState
+    first : int
+        Grid index of the span's first sample; not that after the last span's where samples are missing.
+    t0_ns : int
+        UTC of grid index 0.
+    conditioner : Conditioner
+        Filter of the samples, with their rate.
+    values : ndarray, shape (n_samples, c), m/s^2
+    site : Site
+        What the site's files say of structure, sensors and limits.
+
+    Returns
+    -------
+    EventState
+    list of Event
+        Preliminary messages and final lines, in order.
+    """
+    rate_hz = conditioner.rate_hz
+    n, told = recognition.step_n(rate_hz), list[Event]()
+    follows = state.recognition is not None and rate_hz == state.rate_hz and first == state.first + len(state.kept)
+    if not follows:
+        state, told = _break_off(state, site)
+        state = _begin(state, first, conditioner, values.shape[1])
+    t0_ns -= round(conditioner.delay_s * 1e9)
+    state = replace(state, t0_ns=t0_ns, kept=np.concatenate([state.kept, values]))
+    end = state.first + len(state.kept)
+    while state.judged + n <= end:
+        state, new = _judge_step(state, conditioner.cutoff_hz, site)
+        told += new
+    return _forget(state, site), told
+
+
+def window(state: EventState, result: WindowResult, site: Site) -> tuple[EventState, list[Event]]:
+    """Take what a window tells of stiffness and frequencies, and tell the lasting loss of events where an hour has passed."""
+    reading = reading_of(result)
+    if reading is None:
+        return state, []
+    state = replace(state, recent=_joined(state.recent, reading, site.settings.revision_s))
+    told, awaiting = [], []
+    for item in state.awaiting:
+        if reading.begin_ns >= item.event.end_ns:
+            item = replace(item, after=_joined(item.after, reading, site.settings.revision_s))
+        if reading.end_ns - item.event.end_ns >= round(site.settings.revision_s * 1e9):
+            told.append(_revised(item, site))
+        else:
+            awaiting.append(item)
+    return replace(state, awaiting=tuple(awaiting)), told
+
+
+def skipped(state: EventState, end_ns: int, window_s: float, settings: EventSettings) -> Skipped | None:
+    """Say why a window is not judged: strong motion, known or suspected when it ended; None where there was none."""
+    if not settings.skip_windows or state.rate_hz == 0.0:
+        return None
+    end = round((end_ns - state.t0_ns) * 1e-9 * state.rate_hz)
+    begin = end - round(window_s * state.rate_hz)
+    held = any(mark[0] < end and mark[1] > begin for mark in state.marks)
+    return (
+        Skipped("strong motion, which is told as an event or was a short disturbance of all floors") if held else None
+    )
+
+
+def _begin(state: EventState, first: int, conditioner: Conditioner, n_channels: int) -> EventState:
+    """Begin anew at the first sample, or after a gap, with steps on the grid."""
+    rate_hz, cutoff_hz = conditioner.rate_hz, conditioner.cutoff_hz
+    n = recognition.step_n(rate_hz)
+    same = state.recognition is not None and rate_hz == state.rate_hz
+    known = state.recognition if same else recognition.start(n_channels, rate_hz, cutoff_hz)
+    assert known is not None
+    aligned = -(-first // n) * n
+    return replace(
+        state,
+        recognition=replace(known, raised=0),
+        conditioner=conditioner,
+        first=first,
+        kept=np.zeros((0, n_channels)),
+        judged=aligned,
+        settling=_SETTLED_STEPS,
+        marks=state.marks if same else (),
+    )
+
+
+def _judge_step(state: EventState, cutoff_hz: float, site: Site) -> tuple[EventState, list[Event]]:
+    """Judge the next step of samples."""
+    assert state.recognition is not None
+    settings, rate_hz = site.settings, state.rate_hz
+    n = recognition.step_n(rate_hz)
+    first, end = state.judged, state.judged + n
+    span = state.kept[first - state.first : end - state.first]
+    if state.settling:
+        known = replace(state.recognition, tail=span[n // 2 :])
+        return replace(state, recognition=known, judged=end, settling=state.settling - 1), []
+    going = state.strong[-1] if state.strong and not state.strong[-1].closed else None
+    known, found = recognition.step(state.recognition, span, rate_hz, cutoff_hz, settings, active=going is not None)
+    half, told = n // 2, list[Event]()
+    starts = [first - half, first]
+    for k, at in enumerate(starts):
+        if going is None and found.on[k]:
+            # The frames in a row that confirm an event belong to it.
+            going = Strong(max(at - (recognition.FRAMES_IN_A_ROW - 1) * half, state.first), at + n)
+        elif going is not None and found.loud[k]:
+            going = replace(going, end=at + n)
+    state = replace(state, recognition=known, judged=end)
+    if going is not None or known.raised:
+        state = replace(state, marks=(*state.marks, (first, end)))
+    before = state.strong if not state.strong or state.strong[-1].closed else state.strong[:-1]
+    if going is not None:
+        quiet_s, length_s = (end - going.end) / rate_hz, (end - going.begin) / rate_hz
+        if quiet_s >= _PRELIMINARY_S and not going.told:
+            told.append(_describe(state, going, None, site))
+            going = replace(going, told=True)
+        if quiet_s >= settings.merge_s:
+            going = replace(going, closed=True)
+        elif length_s >= settings.longest_s:
+            note = f"it went on: cut after {settings.longest_s:g} s"
+            going = replace(going, closed=True, end=end, note=note)
+            state = replace(state, recognition=recognition.begin_anew(known))
+    strong = before if going is None else (*before, going)
+    state = replace(state, strong=strong)
+    return _tell_final(state, end, site, told)
+
+
+def _tell_final(state: EventState, end: int, site: Site, told: list[Event]) -> tuple[EventState, list[Event]]:
+    """Tell the final line of every event that is followed by enough quiet motion, or by another event."""
+    wanted, waiting = round(site.settings.post_s * state.rate_hz), list[Strong]()
+    for i, item in enumerate(state.strong):
+        later = state.strong[i + 1 :]
+        if item.closed and (later or end >= item.end + wanted):
+            state, final = _final(state, item, min([end, *(next_.begin for next_ in later[:1])]), site)
+            told = [*told, final]
+        else:
+            waiting.append(item)
+    return replace(state, strong=tuple(waiting)), told
+
+
+def _break_off(state: EventState, site: Site) -> tuple[EventState, list[Event]]:
+    """Tell what is known of events that a gap in the data cuts."""
+    told = list[Event]()
+    for item in state.strong:
+        cut = item if item.closed else replace(item, note="a gap in the data cut it")
+        state, final = _final(state, cut, state.first + len(state.kept), site)
+        told.append(final)
+    return replace(state, strong=()), told
+
+
+def _final(state: EventState, item: Strong, end: int, site: Site) -> tuple[EventState, Event]:
+    """Describe an event for good, by the samples up to grid index `end`, and wait for what the windows tell after it."""
+    event = _describe(state, item, end, site)
+    before = tuple(r for r in state.recent if r.end_ns <= event.begin_ns)
+    return replace(state, awaiting=(*state.awaiting, Awaiting(event, before))), event
+
+
+def _describe(state: EventState, item: Strong, end: int | None, site: Site) -> Event:
+    """Describe an event: preliminarily, by the samples so far, or for good by those up to grid index `end`."""
+    from monitor.events.description import Record, describe  # filters take a while to load
+    from monitor.events.motion import without_filter
+
+    assert state.conditioner is not None
+
+    settings, rate_hz = site.settings, state.rate_hz
+    last = max(item.end, (state.judged if end is None else end) - round(_GROUND_LATE_S * rate_hz))
+    first = max(state.first, item.begin - round(settings.pre_s * rate_hz))
+    values = state.kept[first - state.first : last - state.first]
+    begin_ns, end_ns = (state.t0_ns + round(i / rate_hz * 1e9) for i in (item.begin, item.end))
+    lowest_hz = float(site.modes_hz[0])
+    before = tuple(r for r in state.recent if r.end_ns <= begin_ns)
+    record = Record(
+        t_ns=state.t0_ns + round(first / rate_hz * 1e9),
+        rate_hz=rate_hz,
+        floors=without_filter(values, rate_hz, state.conditioner),
+        ground=_ground_of(state, first, last),
+        strong=slice(item.begin - first, item.end - first),
+        corners_hz=np.maximum(np.array(_CORNERS) * lowest_hz, _LOWEST_CORNER / settings.pre_s),
+    )
+    name = datetime.fromtimestamp(begin_ns // 10**9, UTC).strftime("%Y%m%dT%H%M%S") + f".{begin_ns // 10**7 % 100:02d}Z"
+    return describe(
+        record,
+        site,
+        id=name,
+        revision=None if end is None else 0,
+        begin_ns=begin_ns,
+        end_ns=end_ns,
+        before_hz=mean_frequencies(before, site.modes_hz.size),
+        note=item.note,
+    )
+
+
+def _ground_of(state: EventState, first: int, end: int) -> Array | None:
+    """Interpolate the measured ground motion to the samples of the grid, shape (n,); None where it does not cover them."""
+    from scipy.interpolate import make_interp_spline  # takes a while to load
+
+    from monitor.events.motion import without_filter
+
+    if not state.ground or state.ground_filter is None:
+        return None
+    t_s, values = [], []
+    for piece in state.ground:
+        t_s.append((piece.t_ns - state.t0_ns) * 1e-9 + np.arange(piece.values.size) / piece.rate_hz)
+        values.append(piece.values)
+    wanted = np.arange(first, end) / state.rate_hz
+    at, index = np.unique(np.concatenate(t_s), return_index=True)
+    near = (at > wanted[0] - _SPLINE_S) & (at < wanted[-1] + _SPLINE_S)
+    at, moved = at[near], np.concatenate(values)[index][near]
+    if not at.size or at[0] > wanted[0] or at[-1] < wanted[-1]:
+        return None
+    moved = make_interp_spline(at, moved)(wanted)
+    return without_filter(moved[:, None], state.rate_hz, state.ground_filter)[:, 0]
+
+
+def _forget(state: EventState, site: Site) -> EventState:
+    """Drop samples and marks that nothing needs any more."""
+    begun = [item.begin for item in state.strong]
+    # An event may turn out to have begun some frames before the last judged step.
+    oldest = min([state.judged - _KEPT_STEPS * recognition.step_n(state.rate_hz), *begun])
+    oldest -= round(site.settings.pre_s * state.rate_hz)
+    drop = max(0, oldest - state.first)
+    old = state.judged - round(site.window_s * state.rate_hz)
+    marks = state.marks if not state.marks or state.marks[0][1] > old else tuple(m for m in state.marks if m[1] > old)
+    if not drop:
+        return replace(state, marks=marks)
+    return replace(state, first=state.first + drop, kept=state.kept[drop:], marks=marks)
+
+
+def _joined(readings: tuple[AmbientReading, ...], new: AmbientReading, length_s: float) -> tuple[AmbientReading, ...]:
+    """Add a window's reading if it overlaps none, and drop those older than a length in seconds."""
+    if readings and new.begin_ns < readings[-1].end_ns:
+        return readings
+    oldest = new.end_ns - round(length_s * 1e9)
+    return (*(r for r in readings if r.begin_ns >= oldest), new)
+
+
+def _revised(item: Awaiting, site: Site) -> Event:
+    """Tell the lasting loss of an event, by ambient motion after and before it."""
+    from monitor.events.description import judge
+
+    loss, std, note = lasting_loss(item.before, item.after, site.n_stories)
+    after = mean_frequencies(item.after, site.modes_hz.size)
+    notes = "; ".join(filter(None, (item.event.note, note)))
+    revised = replace(item.event, revision=1, after_hz=after, loss=loss, loss_std=std, note=notes)
+    return judge(revised, site)

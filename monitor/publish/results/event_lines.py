@@ -1,0 +1,101 @@
+"""Lines of events.jsonl: an event as JSON, and in words."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from monitor.core import Array
+from monitor.events import Event, FloorMotion
+
+EVENTS = "events.jsonl"
+"""File of the events, beside results.jsonl. [name; contract]"""
+
+
+def event_line(event: Event, recording: str | None = None) -> dict[str, Any]:
+    """Collect the values of an event's line of events.jsonl; None where a value cannot be said.
+
+    Parameters
+    ----------
+    event : Event
+    recording : str, optional
+        File with the event's samples.
+    """
+    return {
+        "id": event.id,
+        "revision": event.revision,
+        "t_begin_ns": event.begin_ns,
+        "t_end_ns": event.end_ns,
+        "peak_acceleration_m_s2": {f.channel: _number(f.peak_m_s2) for f in event.floors},
+        "ground_peak_m_s2": None if event.ground is None else _number(event.ground.peak_m_s2),
+        "drift_peak_m": _numbers(event.drift_m),
+        "drift_peak_std_m": _numbers(event.drift_std_m),
+        "drift_ratio_peak": _numbers(event.drift_ratio) if np.isfinite(event.drift_ratio).any() else None,
+        "drift_corner_hz": _number(event.corner_hz),
+        "frequencies_before_hz": _numbers(event.before_hz),
+        "frequencies_during_hz": _numbers(event.during_hz),
+        "frequencies_after_hz": _numbers(event.after_hz),
+        "loss": _numbers(event.loss),
+        "loss_std": _numbers(event.loss_std),
+        "verdict": event.verdict,
+        "exceeded": list(event.exceeded),
+        "floors": [_motion(f) for f in event.floors],
+        "ground": None if event.ground is None else _motion(event.ground),
+        "instrumental_intensity": None
+        if event.instrumental_intensity is None
+        else _number(event.instrumental_intensity),
+        "spectrum": None
+        if event.spectrum is None
+        else {
+            "period_s": _numbers(event.spectrum.period_s),
+            "pseudo_acceleration_m_s2": _numbers(event.spectrum.pseudo_acceleration_m_s2),
+        },
+        "recording": recording,
+        "note": event.note,
+    }
+
+
+def event_text(event: Event) -> str:
+    """Tell an event in one sentence, as for a message.
+
+    The sentence has the verdict first, then the largest acceleration and the largest drift.
+    """
+    strongest = max(event.floors, key=lambda f: f.peak_m_s2)
+    parts = [f"{event.verdict}" if event.verdict else "no limit was judged"]
+    parts.append(f"largest acceleration {strongest.peak_m_s2:.2g} m/s^2 at {strongest.channel}")
+    if event.ground is not None:
+        parts.append(f"ground {event.ground.peak_m_s2:.2g} m/s^2")
+    if np.isfinite(event.drift_m).any():
+        j = int(np.nanargmax(event.drift_m))
+        std = f" ± {2e3 * event.drift_std_m[j]:.2g}" if math.isfinite(event.drift_std_m[j]) else ""
+        parts.append(f"largest drift {1e3 * event.drift_m[j]:.3g}{std} mm in story {j + 1}")
+    if np.isfinite(event.loss).any():
+        j = int(np.nanargmax(event.loss))
+        lost, std = 100.0 * event.loss[j], 200.0 * event.loss_std[j]
+        parts.append(f"largest lasting loss {lost:.2g} ± {std:.2g} % of stiffness in story {j + 1}")
+    text = "; ".join(parts)
+    return text[0].upper() + text[1:] + "."
+
+
+def _motion(floor: FloorMotion) -> dict[str, Any]:
+    """Collect the motion of one channel."""
+    return {
+        "channel": floor.channel,
+        "peak_m_s2": _number(floor.peak_m_s2),
+        "rms_m_s2": _number(floor.rms_m_s2),
+        "peak_m_s": _number(floor.peak_m_s),
+        "arias_m_s": _number(floor.arias_m_s),
+        "cav_m_s": _number(floor.cav_m_s),
+    }
+
+
+def _numbers(values: Array) -> list[float | None]:
+    """Round numbers to nine significant digits; None for one that is not finite."""
+    return [_number(float(v)) for v in values]
+
+
+def _number(value: float) -> float | None:
+    """Round a number to nine significant digits; None where it is not finite."""
+    return float(f"{value:.9g}") if math.isfinite(value) else None

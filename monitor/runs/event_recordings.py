@@ -1,0 +1,87 @@
+"""Recordings of events: the samples of each event as they came, in a file of its own."""
+
+from __future__ import annotations
+
+import logging
+from collections import deque
+from collections.abc import Callable
+from pathlib import Path
+
+from drivers.base import SampleBlock
+from drivers.mcap_file import McapWriter
+from monitor.events import Event, EventSettings
+
+_log = logging.getLogger(__name__)
+
+_GB = 1 << 30
+"""One GiB. [bytes; definition]"""
+FOLDER = "events"
+"""Folder of the recordings, beside results.jsonl. [name; contract of events.jsonl]"""
+_MARGIN_S = 20.0
+"""Data that are kept beyond the time before an event, since an event is recognized some seconds after it began. [s]"""
+
+
+def at_once(job: Callable[[], None]) -> None:
+    """Do a job now."""
+    job()
+
+
+class EventRecordings:
+    """Keep the latest blocks, and write those of each event.
+
+    Parameters
+    ----------
+    out : Path
+        Folder of the results; the recordings go into its folder ``events``.
+    settings : EventSettings
+    run : callable
+        Does a job that writes a file, now or in another thread.
+    """
+
+    def __init__(self, out: Path, settings: EventSettings, run: Callable[[Callable[[], None]], None] = at_once) -> None:
+        self._out, self._settings, self._run = out, settings, run
+        self._blocks: deque[SampleBlock] = deque()
+        self._bytes = sum(path.stat().st_size for path in (out / FOLDER).glob("*.mcap"))
+        self._refused: set[str] = set()
+
+    def push(self, block: SampleBlock, *, active: bool) -> None:
+        """Keep a block; without an event that goes on, only those that the next one may need."""
+        self._blocks.append(block)
+        reach_ns = round((self._settings.pre_s + _MARGIN_S) * 1e9)
+        while not active and self._blocks[0].t_ns < block.t_ns - reach_ns:
+            self._blocks.popleft()
+
+    def save(self, event: Event) -> str | None:
+        """Write the samples of an event's final line; return the file's name, or None where it has none.
+
+        Where the budget of ``[events] keep_gb`` is full, nothing is written, and a log line says so.
+        """
+        name = f"{FOLDER}/{event.id}.mcap"
+        if event.revision is None or event.id in self._refused:
+            return None
+        if event.revision == 0:
+            if self._bytes > self._settings.keep_gb * _GB:
+                _log.error(
+                    "events: %s has no recording: [events] keep_gb = %g is full", event.id, self._settings.keep_gb
+                )
+                self._refused.add(event.id)
+                return None
+            first_ns = event.begin_ns - round(self._settings.pre_s * 1e9)
+            last_ns = event.end_ns + round(self._settings.post_s * 1e9)
+            blocks = [
+                b
+                for b in self._blocks
+                if b.t_ns + round(b.samples.shape[0] / b.sample_rate_hz * 1e9) >= first_ns and b.t_ns < last_ns
+            ]
+            self._run(lambda: self._write(self._out / name, blocks))
+        return name
+
+    def _write(self, path: Path, blocks: list[SampleBlock]) -> None:
+        """Write blocks in the order of their times."""
+        try:
+            with McapWriter(path) as file:
+                for block in sorted(blocks, key=lambda b: b.t_ns):
+                    file.write(block)
+            self._bytes += path.stat().st_size
+        except OSError as error:
+            _log.error("events: %s cannot be written: %s", path, error.strerror)

@@ -1,0 +1,266 @@
+"""Events: recognized as motion of the whole structure alone, measured against simulated truth, told once and in time."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.signal import resample_poly
+
+from drivers.base import ACCELERATION, SampleBlock
+from monitor.config import Configuration
+from monitor.core import Skipped, WindowResult
+from monitor.events import Event, stage
+from monitor.events.ambient import AmbientReading, lasting_loss
+from monitor.events.motion import instrumental_intensity, integrated, response_spectrum
+from monitor.pipeline import Pipeline, Result
+from monitor.publish import event_line, event_text, to_json
+from monitor.service.serialization import build, plain
+from tests.events.shaken import (
+    HEIGHTS,
+    RATE,
+    STIFFNESS,
+    T0_NS,
+    Array,
+    Shaken,
+    blocks,
+    configuration,
+    kanai_tajimi,
+    shake,
+)
+
+WINDOWS = {"processing": {"window_s": 100.0, "hop_s": 50.0}}
+
+
+def run(config: Configuration, data: Sequence[SampleBlock]) -> list[Result]:
+    pipeline, out = Pipeline(config), []
+    for block in data:
+        out += pipeline.push(block)
+    return out
+
+
+def events(results: Sequence[Result]) -> list[Event]:
+    return [r for r in results if isinstance(r, Event)]
+
+
+def ground(duration_s: float, *quakes: tuple[float, float, int]) -> Array:
+    """Ground motion of which each quake has a begin, s, a peak, m/s^2, and a seed."""
+    out = np.zeros(round(duration_s * RATE))
+    for at_s, peak, seed in quakes:
+        rng = np.random.default_rng(seed)
+        wave = kanai_tajimi(20.0, peak, 2.5, rng)
+        out[round(at_s * RATE) :][: wave.size] += wave
+    return out
+
+
+@cache
+def shaken() -> Shaken:
+    """150 s with one quake at 80 s."""
+    return shake(ground(150.0, (80.0, 1.0, 3)), np.random.default_rng(4))[0]
+
+
+def true_drifts(motion: Shaken, event: Event) -> Array:
+    begin, end = (round((t - T0_NS) * 1e-9 * RATE) for t in (event.begin_ns, event.end_ns))
+    return np.asarray(np.abs(motion.drifts[begin:end]).max(axis=0))
+
+
+@pytest.mark.parametrize(("with_ground", "error"), [(True, 0.05), (False, 0.15)])
+def test_peak_drifts_are_those_of_the_simulation(with_ground: bool, error: float) -> None:
+    told = events(run(configuration(), blocks(shaken(), with_ground=with_ground)))
+    assert [e.revision for e in told] == [None, 0]
+    truth = true_drifts(shaken(), told[1])
+    assert told[1].drift_m == pytest.approx(truth, rel=error)
+    assert (np.abs(told[1].drift_m - truth) < 3.0 * told[1].drift_std_m).all()
+    assert told[1].drift_ratio == pytest.approx(told[1].drift_m / HEIGHTS)
+    assert (told[1].ground is not None) is with_ground
+    peak = np.abs(shaken().floors).max(axis=0)
+    assert [f.peak_m_s2 for f in told[1].floors] == pytest.approx(peak, rel=0.05)
+    assert told[1].during_hz[0] == pytest.approx(3.14, rel=0.05)
+
+
+def test_any_block_size_tells_the_same() -> None:
+    first, second = (run(configuration(**WINDOWS), blocks(shaken(), n=n)) for n in (37, 4000))
+    for one, other in zip(events(first), events(second), strict=True):
+        assert to_json(event_line(one)) == to_json(event_line(other))
+    assert [w.skipped for w in first if isinstance(w, WindowResult)] == [
+        w.skipped for w in second if isinstance(w, WindowResult)
+    ]
+
+
+def test_it_is_told_when_strong_motion_ends_and_again_within_a_minute() -> None:
+    pipeline, told = Pipeline(configuration()), list[tuple[float, Event]]()
+    for block in blocks(shaken(), n=10):
+        told += [((block.t_ns - T0_NS) * 1e-9, e) for e in events(pipeline.push(block))]
+    (at_first, first), (at_final, final) = told
+    end_s = (final.end_ns - T0_NS) * 1e-9
+    assert at_first - (first.end_ns - T0_NS) * 1e-9 < 5.0
+    assert at_final - end_s < 60.0
+    assert abs((final.begin_ns - T0_NS) * 1e-9 - 80.0) < 2.5
+
+
+def test_two_events_twenty_seconds_apart_are_two_and_ten_are_one() -> None:
+    def count(gap_s: float) -> int:
+        wave = ground(230.0, (80.0, 1.0, 3), (80.0 + 17.0 + gap_s, 1.0, 5))
+        motion = shake(wave, np.random.default_rng(4))[0]
+        return sum(e.revision == 0 for e in events(run(configuration(), blocks(motion, n=400))))
+
+    assert (count(22.0), count(0.0)) == (2, 1)
+
+
+def test_spikes_steps_a_knocked_sensor_a_dead_channel_and_a_gale_are_no_events() -> None:
+    n, rng = round(600.0 * RATE), np.random.default_rng(8)
+    gale = 1.0 + 4.0 * np.clip((np.arange(n) / RATE - 200.0) / 120.0, 0.0, 1.0)
+    motion = shake(np.zeros(n), rng, level=gale)[0]
+    floors = motion.floors.copy()
+    for at in (90.0, 130.0, 170.0):  # a door: all floors for a tenth of a second
+        i = round(at * RATE)
+        floors[i : i + 20] += rng.normal(0.0, 3.0, (20, 3))
+    floors[round(400 * RATE) : round(408 * RATE), 1] += rng.normal(0.0, 5.0, (round(8 * RATE), 1))[:, 0]  # knocked
+    floors[round(450 * RATE) :, 2] = 0.0  # dead
+    floors[round(500 * RATE) :, 0] += 4.0  # a step
+    assert not events(run(configuration(), blocks(replace(motion, floors=floors), with_ground=False, n=500)))
+
+
+def test_a_weak_quake_at_six_times_the_ambient_motion_is_recognized() -> None:
+    for seed in range(3):
+        motion = shake(ground(150.0, (80.0, 0.05, seed)), np.random.default_rng(seed))[0]
+        strong, quiet = (motion.floors[part].std(axis=0).mean() for part in (slice(16400, 17600), slice(8000, 16000)))
+        assert 4.0 < strong / quiet < 12.0
+        found = events(run(configuration(), blocks(motion, n=500)))
+        assert [e.revision for e in found] == [None, 0], seed
+
+
+def test_windows_that_hold_an_event_are_skipped_by_name() -> None:
+    motion = shake(ground(420.0, (80.0, 1.0, 3)), np.random.default_rng(4))[0]
+    results = run(configuration(**WINDOWS), blocks(motion, n=500))
+    windows = [r for r in results if isinstance(r, WindowResult)]
+    (event,) = (e for e in events(results) if e.revision == 0)
+    begin, end = ((t - T0_NS) * 1e-9 for t in (event.begin_ns, event.end_ns))
+    begins = [(w.t_end_ns - T0_NS) * 1e-9 - 100.0 for w in windows]
+    held = [b < end + 10.0 and b + 100.0 > begin for b in begins]  # 10 s: what begins again by then belongs to it
+    named = [w.skipped is not None and w.skipped.reason.startswith("strong motion") for w in windows]
+    assert named == held and not all(held)
+
+
+def _lasting(lost: float, seed: int) -> Event:
+    rng, half = np.random.default_rng(seed), 800.0
+    first, state = shake(ground(half, (half - 60.0, 1.0, seed)), rng)
+    after = STIFFNESS * np.array([1.0, 1.0 - lost, 1.0])
+    second, _ = shake(np.zeros(round(half * RATE)), rng, stiffness=after, start=state)
+    motion = Shaken(*(np.concatenate([getattr(first, n), getattr(second, n)]) for n in ("floors", "ground", "drifts")))
+    config = configuration(**WINDOWS, events={"revision_s": 700.0, "limits": [LOSS_LIMIT]})
+    told = events(run(config, blocks(motion, n=500)))
+    assert [e.revision for e in told] == [None, 0, 1]
+    assert np.isnan(told[1].loss).all()
+    return told[2]
+
+
+LOSS_LIMIT = {"residual_loss": 0.05, "says": "send the engineer"}
+
+
+@pytest.mark.parametrize("lost", [0.0, 0.1])
+def test_the_lasting_loss_is_told_after_ambient_motion(lost: float) -> None:
+    event = _lasting(lost, 11)
+    truth = np.array([0.0, lost, 0.0])
+    assert np.abs(event.loss - truth).max() < 0.02
+    assert (np.abs(event.loss - truth) < 4.0 * event.loss_std + 0.002).all()
+    assert event.verdict == ("send the engineer" if lost else "no limit exceeded")
+    assert event.after_hz[0] == pytest.approx(event.before_hz[0], rel=0.005 + 0.5 * lost)
+
+
+def test_limits_of_the_site_decide_in_its_own_words() -> None:
+    def verdict(*limits: dict[str, object], **tables: object) -> Event:
+        return events(run(configuration(events={"limits": limits}), blocks(shaken(), n=500)))[-1]
+
+    assert verdict().verdict is None
+    assert verdict({"drift_ratio": 0.1, "says": "clear the house"}).verdict == "no limit exceeded"
+    beyond = verdict({"drift_ratio": 1e-4, "says": "clear the house"})
+    assert beyond.verdict == "clear the house" and "story" in beyond.exceeded[0]
+    assert "lear the house" in event_text(beyond)
+
+
+def test_a_gap_ends_an_event_and_says_so() -> None:
+    data = [b for b in blocks(shaken(), n=50) if not 90.0 < (b.t_ns - T0_NS) * 1e-9 < 95.0]
+    told = [e for e in events(run(configuration(), data)) if e.revision == 0]
+    assert told and "gap" in told[0].note
+
+
+def test_the_state_survives_a_checkpoint_in_the_middle_of_an_event() -> None:
+    data = blocks(shaken(), n=50)
+    whole = [to_json(event_line(e)) for e in events(run(configuration(), data))]
+    half = Pipeline(configuration())
+    told = [e for b in data[:720] for e in events(half.push(b))]
+    state = build(type(half.state), plain(half.state))
+    rest = Pipeline(configuration())
+    rest.state = state
+    told += [e for b in data[720:] for e in events(rest.push(b))]
+    assert [to_json(event_line(e)) for e in told] == whole
+
+
+def test_the_line_is_strict_json_with_null_for_what_cannot_be_said() -> None:
+    told = events(run(configuration(), blocks(shaken(), with_ground=False, n=500)))
+    line = json.loads(to_json(event_line(told[0])))
+    assert line["revision"] is None and line["ground_peak_m_s2"] is None and line["loss"] == [None] * 3
+    assert line["id"] == told[1].id and set(line["peak_acceleration_m_s2"]) == {"a1", "a2", "a3"}
+
+
+def test_disabled_nothing_is_told_and_no_window_is_skipped() -> None:
+    results = run(configuration(**WINDOWS, events={"enabled": False}), blocks(shaken(), n=500))
+    assert not events(results)
+    windows = [r for r in results if isinstance(r, WindowResult)]
+    assert windows and not any(isinstance(w.skipped, Skipped) and "strong motion" in w.skipped.reason for w in windows)
+
+
+def test_a_lasting_loss_needs_windows_on_both_sides() -> None:
+    one = AmbientReading(0, 100, np.ones(1), np.zeros(1), np.zeros(2), np.full(2, 1e-4), 1.0)
+    loss, std, note = lasting_loss((one,), (one, one), 2)
+    assert np.isnan(loss).all() and np.isnan(std).all() and "before" in note
+    louder = replace(one, loss=np.array([0.1, 0.0]), rms_m_s2=3.0)
+    loss, std, note = lasting_loss((one, one), (louder, louder), 2)
+    assert loss == pytest.approx([0.1, 0.0]) and std == pytest.approx([0.01, 0.01]) and "3 times" in note
+
+
+def test_an_oscillator_s_response_is_that_of_the_convolution() -> None:
+    rng = np.random.default_rng(2)
+    wave = np.concatenate([rng.standard_normal(400), np.zeros(600)])
+    found = response_spectrum(wave, 100.0)
+    k = 30
+    w, z, t = 2.0 * np.pi / found.period_s[k], 0.05, np.arange(100_000) / 10_000.0
+    damped = w * np.sqrt(1.0 - z * z)
+    impulse = np.exp(-z * w * t) * np.sin(damped * t) / damped
+    fine = np.interp(t, np.arange(wave.size) / 100.0, wave)
+    moved = np.convolve(fine, impulse)[: t.size] / 10_000.0
+    assert found.pseudo_acceleration_m_s2[k] == pytest.approx(w * w * np.abs(moved).max(), rel=0.01)
+
+
+def test_integration_leaves_out_what_lies_below_the_corner() -> None:
+    t = np.arange(0.0, 100.0, 0.01)
+    slow, fast = np.sin(2.0 * np.pi * 0.02 * t), np.sin(2.0 * np.pi * 2.0 * t) * np.hanning(t.size)
+    moved = integrated((slow + fast)[:, None], 100.0, 0.2, 2)[2000:-2000, 0]
+    assert np.abs(moved).max() == pytest.approx(1.0 / (4.0 * np.pi) ** 2, rel=0.05)
+
+
+def test_the_intensity_is_that_of_the_relation() -> None:
+    assert instrumental_intensity(1e-4, 1e-5) == 1.0
+    assert instrumental_intensity(1.2, 0.1) == pytest.approx(0.5 * (3.66 * np.log10(120.0) - 1.66 + 3.47 + 2.35))
+
+
+def test_the_stage_begins_without_samples() -> None:
+    state = stage.start()
+    assert stage.skipped(state, T0_NS, 100.0, configuration().events) is None
+
+
+def test_a_ground_of_another_rate_is_read_too() -> None:
+    data = blocks(shaken(), with_ground=False, n=50)
+    half = resample_poly(shaken().ground, 1, 2).astype(np.float32)
+    for i in range(0, half.size, 25):
+        t_ns = T0_NS + round(i / 100.0 * 1e9)
+        data.append(SampleBlock("/acceleration/ground", t_ns, i, 100.0, ("g",), "m/s^2", half[i : i + 25, None]))
+    data.sort(key=lambda b: (b.t_ns, b.topic == ACCELERATION))
+    final = events(run(configuration(), data))[-1]
+    assert final.ground is not None
+    assert final.drift_m == pytest.approx(true_drifts(shaken(), final), rel=0.05)
