@@ -12,6 +12,7 @@ from drivers.base import ACCELERATION, TEMPERATURE, SampleBlock
 from monitor.config import Configuration
 from monitor.core import (
     Alarm,
+    Array,
     BadInputError,
     DamageReading,
     Gap,
@@ -25,7 +26,17 @@ from monitor.core import (
     WindowResult,
     name_stories,
 )
-from monitor.damage import Baseline, alarm, damage_index, smallest_detectable_loss
+from monitor.damage import (
+    LEVEL,
+    Baseline,
+    Effect,
+    alarm,
+    beyond_words,
+    damage_index,
+    drift_weights,
+    level_db,
+    smallest_detectable_loss,
+)
 from monitor.identification import expected_modes, identify, refine, sensor_correction, tracking
 from monitor.signals import (
     Conditioner,
@@ -70,6 +81,8 @@ class PipelineState:
     align: alignment.AlignState
     run: Run | None
     alarm: alarm.AlarmState
+    covariates: dict[str, temperature.TemperatureState]
+    """Readings of the covariates that the site file names."""
     temperature: temperature.TemperatureState
     track: tracking.TrackState
     health: HealthState
@@ -99,11 +112,20 @@ class Pipeline:
         self.context = instrumented.context(config.processing.rate_hz)
         self.shown = sensor_correction.seen_by_sensors(self.acquisition, self.context)
         self.prior_std = instrumented.stiffness_prior_std
+        stored = None if baseline is None else baseline.drift_weights
+        cutoff_hz = config.processing.cutoff_hz
+        self.drift_weights = drift_weights(nominal.model, self.sensors, cutoff_hz) if stored is None else stored
         names = config.identification.reference_channels or config.channels
         self.past = tuple(config.channels.index(name) for name in names)
         alarms = alarm.start(self.reference.structure.n_stories, config.processing.window_s)
         self.state = PipelineState(
-            alignment.start(), None, alarms, temperature.start(), tracking.TrackState(), HealthState()
+            alignment.start(),
+            None,
+            alarms,
+            {table.name: temperature.start() for table in config.covariates},
+            temperature.start(),
+            tracking.TrackState(),
+            HealthState(),
         )
 
     def push(self, block: SampleBlock) -> list[Result]:
@@ -127,6 +149,7 @@ class Pipeline:
         if block.topic == TEMPERATURE:
             self._store_temperature(block)
         if block.topic != ACCELERATION:
+            self._store_covariates(block)
             return []
         align_state, pieces = self.front_end.align(self.state.align, block)
         self.state = replace(self.state, align=align_state)
@@ -185,23 +208,63 @@ class Pipeline:
 
     def _store_temperature(self, block: SampleBlock) -> None:
         """Store the temperatures that later windows may need."""
+        state = temperature.push(self.state.temperature, block, self._oldest_ns())
+        self.state = replace(self.state, temperature=state)
+
+    def _store_covariates(self, block: SampleBlock) -> None:
+        """Store the readings of the covariates that this topic carries, for later windows."""
+        for table in self.config.covariates:
+            if table.topic == block.topic:
+                before = self.state.covariates
+                state = temperature.push_channel(
+                    before[table.name], block, table.channel, table.unit, self._oldest_ns()
+                )
+                self.state = replace(self.state, covariates={**before, table.name: state})
+
+    def _oldest_ns(self) -> int:
+        """Return the time (UTC, ns) before which no later window needs a covariate."""
         c, align = self.config, self.state.align
         reach_ns = temperature.reach_ns(c.processing.window_s, c.temperature)
-        oldest_ns = align.t_next_ns() - reach_ns if align.n_run else 0
-        self.state = replace(self.state, temperature=temperature.push(self.state.temperature, block, oldest_ns))
+        return align.t_next_ns() - reach_ns if align.n_run else 0
 
-    def _window_temperature(self, t_end_ns: int) -> Temperature | None:
-        """Return the temperature of the window that ends at `t_end_ns` (UTC)."""
+    def _covariates(self, t_end_ns: int, item: Window | None = None) -> dict[str, Array]:
+        """Return the lagged values of the covariates that are known of the window that ends at `t_end_ns` (UTC)."""
         c = self.config
-        return temperature.window_temperature(self.state.temperature, t_end_ns, c.processing.window_s, c.temperature)
+        known: dict[str, Array] = {}
+        for name, state in {"temperature": self.state.temperature, **self.state.covariates}.items():
+            mean = temperature.window_temperature(state, t_end_ns, c.processing.window_s, c.temperature)
+            if mean is not None:
+                known[name] = mean.lagged_degc
+        if item is not None:
+            covariance = item.sums.total[0] / item.sums.counts.sum()
+            known[LEVEL] = np.array([level_db(self.drift_weights, covariance)])
+        return known
+
+    def _effect(self, covariates: dict[str, Array]) -> Effect | Skipped | None:
+        """Predict what the covariates do to the healthy stiffness.
+
+        Returns
+        -------
+        Effect, Skipped or None
+            `Skipped` where the law's uncertainty alone would leave the loss of an `alarm` insignificant; None without a law.
+        """
+        if self.baseline is None or self.baseline.law is None:
+            return None
+        effect, limits = self.baseline.law.expected(covariates), self.config.alarm
+        if limits.significance * float(np.sqrt(effect.covariance.diagonal().max())) > limits.alarm_loss:
+            return Skipped(beyond_words(self.baseline.law, covariates))
+        return effect
 
     def _assess(self, item: Window, cutoff_hz: float) -> WindowResult:
         """Process one complete window: identification, updating, damage index, alarm."""
         c = self.config
 
+        covariates = self._covariates(item.t_end_ns, item)
+
         def skip(reason: Skipped, found: ModalEstimate | None = None, tracks: tuple[int, ...] = ()) -> WindowResult:
             """Skip the window, with the modes found in it."""
-            return self._skip(item.index, item.t_end_ns, item.window_s, reason, item.rms_m_s2, found, tracks)
+            skipped = self._skip(item.index, item.t_end_ns, item.window_s, reason, item.rms_m_s2, found, tracks)
+            return replace(skipped, covariates=covariates)
 
         skipped = window_quality.check(item.sums, item.rate_hz, cutoff_hz, c.channels, c.quality)
         begin_ns = item.t_end_ns - round(item.window_s * 1e9)
@@ -209,13 +272,13 @@ class Pipeline:
         if skipped is not None:
             return skip(skipped)
         modes = self._identify(item, cutoff_hz)
-        judged = modes if isinstance(modes, Skipped) else self._update(modes, item.t_end_ns)
+        judged = modes if isinstance(modes, Skipped) else self._update(modes, covariates)
         if isinstance(judged, Skipped):
             found = None if isinstance(modes, Skipped) else modes
             return skip(judged, found, self._track_modes(found, item))
         modes, stiffness, reading = judged
         tracks = self._track_modes(modes, item)
-        degc = self._window_temperature(item.t_end_ns)
+        degc = covariates.get("temperature")
         detectable = None
         if self.baseline is None:
             verdict = Alarm(Level.NORMAL, (), "no baseline: a difference from the structure file is no change")
@@ -234,9 +297,10 @@ class Pipeline:
             verdict,
             None,
             item.rms_m_s2,
-            degc,
+            None if degc is None else Temperature(degc),
             tracks,
             detectable,
+            covariates,
         )
 
     def _identify(self, item: Window, cutoff_hz: float) -> ModalEstimate | Skipped:
@@ -256,7 +320,7 @@ class Pipeline:
         return modes
 
     def _update(
-        self, modes: ModalEstimate, t_end_ns: int
+        self, modes: ModalEstimate, covariates: dict[str, Array]
     ) -> tuple[ModalEstimate, StiffnessEstimate, DamageReading] | Skipped:
         """Update the stiffness to a window's modes and compare it with the baseline's.
 
@@ -283,11 +347,13 @@ class Pipeline:
         healthy = None if baseline is None else baseline.only(identified)
         if healthy is not None and healthy.model_mode != identified:
             return Skipped("modes are not the baseline's")
-        degc = self._window_temperature(t_end_ns)
+        effect = self._effect(covariates)
+        if isinstance(effect, Skipped):
+            return effect
 
         def step(modes: ModalEstimate) -> tuple[StiffnessEstimate, DamageReading]:
             """Update the stiffness to modes."""
-            return damage_index.step(modes, self.reference, healthy, self.sensors, c.updating, degc, self.prior_std)
+            return damage_index.step(modes, self.reference, healthy, self.sensors, c.updating, effect, self.prior_std)
 
         stiffness, reading = step(modes)
         while not stiffness.converged:
@@ -343,8 +409,11 @@ class Pipeline:
         alarms, verdict = alarm.hold(self.state.alarm, t_end_ns)
         verdict = replace(verdict, reason=name_stories(verdict.reason, self.config.story_names))
         self.state = replace(self.state, alarm=alarms)
-        degc = self._window_temperature(t_end_ns)
-        return WindowResult(index, t_end_ns, data_s, modes, None, None, verdict, skipped, rms, degc, tracks)
+        covariates = self._covariates(t_end_ns)
+        degc = None if "temperature" not in covariates else Temperature(covariates["temperature"])
+        return WindowResult(
+            index, t_end_ns, data_s, modes, None, None, verdict, skipped, rms, degc, tracks, covariates=covariates
+        )
 
 
 def _convert_rate(state: WindowState, ratio: float) -> WindowState:

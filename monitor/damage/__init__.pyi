@@ -18,16 +18,26 @@ from .assessment import (
 )
 from .baseline import Baseline, learn_baseline, rebase_baseline
 from .baseline_file import load_baseline, save_baseline
+from .covariate_law import Effect
+from .covariates import LEVEL, CovariateSettings, beyond_words, law_lines
 from .detectable_loss import smallest_detectable_loss
+from .feature_test import FeatureJudge, FeatureTable, FeatureVerdict, judge_features
+from .level import drift_m, drift_weights, level_db
 from .origin import Origin
 from .updating import Observation, Update, UpdatingSettings, observe, update
 
 __all__ = [
+    "LEVEL",
     "AlarmSettings",
     "AlarmState",
     "Assessment",
     "Baseline",
     "Course",
+    "CovariateSettings",
+    "Effect",
+    "FeatureJudge",
+    "FeatureTable",
+    "FeatureVerdict",
     "Known",
     "Loss",
     "Observation",
@@ -39,13 +49,19 @@ __all__ = [
     "WindowFacts",
     "alarm",
     "assess",
+    "beyond_words",
     "damage_index",
     "diagnosis_of",
+    "drift_m",
+    "drift_weights",
     "facts_of",
     "follow",
     "hold",
     "is_seen",
+    "judge_features",
+    "law_lines",
     "learn_baseline",
+    "level_db",
     "load_baseline",
     "observe",
     "outdated",

@@ -70,9 +70,29 @@ def _with_span_faults(tree: Any) -> Any:
     return tree
 
 
-VERSION = 4
+def _with_covariates(tree: Any) -> Any:
+    """Upgrade from version 4, which had temperature alone, and whose sequential test kept no common covariance.
+
+    The test begins anew: what its windows had in common is not known.
+    """
+    if "session" in tree:
+        pipeline = tree["session"]["pipeline"]
+        pipeline["covariates"] = []
+        history = pipeline["alarm"]["history"]
+        n = history["ddi"].shape[1]
+        history |= {name: history[name][:0] for name in ("t_ns", "ddi", "variance")}
+        history |= {"common": np.zeros((0, n, n)), "memory_s": 0.0}
+    return tree
+
+
+VERSION = 5
 """Version of the state; to be raised, with an entry in `UPGRADES`, when a field is added, removed or changes its meaning."""
-UPGRADES: dict[int, Callable[[Any], Any]] = {1: _without_doubled_sums, 2: _with_course, 3: _with_span_faults}
+UPGRADES: dict[int, Callable[[Any], Any]] = {
+    1: _without_doubled_sums,
+    2: _with_course,
+    3: _with_span_faults,
+    4: _with_covariates,
+}
 """Version -> function that converts its plain value (`plain`) to that of the next version."""
 _DTYPES = ("<f8", "<c16", "<i8", "<f4", "|b1")
 _ARRAY = "@array"
