@@ -58,6 +58,8 @@ _LEAST_SHARE = 0.5
 """Share of the lowest required modes that must be found for the model to be updated without a baseline. [ratio; judgement]"""
 _CHECK = "check floors, signs and units of the channels, and what 'check' says of the lags"
 """What to do where not even the lowest mode is found. [words]"""
+_USELESS_LOSS = 0.5
+"""Loss of a story's stiffness that a window must be able to show to be judged at all. [1; judgement: near collapse]"""
 
 Result = Samples | Gap | WindowResult | Health
 
@@ -246,14 +248,20 @@ class Pipeline:
         Returns
         -------
         Effect, Skipped or None
-            `Skipped` where the law's uncertainty alone would leave the loss of an `alarm` insignificant; None without a law.
+            `Skipped` where the law's uncertainty alone would hide the loss of half a story's stiffness; None without a law.
         """
         if self.baseline is None or self.baseline.law is None:
             return None
-        effect, limits = self.baseline.law.expected(covariates), self.config.alarm
-        if limits.significance * float(np.sqrt(effect.covariance.diagonal().max())) > limits.alarm_loss:
-            return Skipped(beyond_words(self.baseline.law, covariates))
-        return effect
+        effect = self.baseline.law.expected(covariates)
+        hidden = self.config.alarm.significance * float(np.sqrt(effect.covariance.diagonal().max()))
+        return Skipped(beyond_words(self.baseline.law, covariates)) if hidden > _USELESS_LOSS else effect
+
+    def _beyond(self, effect: Effect | None, covariates: dict[str, Array]) -> str:
+        """Say what lies beyond calibration where the law's uncertainty alone would hide the loss of an `alarm`."""
+        if effect is None or self.baseline is None or self.baseline.law is None:
+            return ""
+        limits, std = self.config.alarm, float(np.sqrt(effect.covariance.diagonal().max()))
+        return beyond_words(self.baseline.law, covariates) if limits.significance * std > limits.alarm_loss else ""
 
     def _assess(self, item: Window, cutoff_hz: float) -> WindowResult:
         """Process one complete window: identification, updating, damage index, alarm."""
@@ -368,7 +376,7 @@ class Pipeline:
                 return Skipped(f"{self._unfitting(worst, modes)}; {mend if worst else _CHECK}")
             best = left.index(min(left))
             modes, (stiffness, reading) = less[best], fits[best]
-        return modes, stiffness, reading
+        return modes, stiffness, replace(reading, beyond=self._beyond(effect, covariates))
 
     def _missing(self, modes: ModalEstimate) -> dict[int, str]:
         """Return the missing modes (0 = lowest) without which a window is not judged, and why they are missing.

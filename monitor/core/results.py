@@ -248,6 +248,8 @@ class DamageReading:
     no dependence is known."""
     covariate_effect: dict[str, Array] = field(default_factory=dict)
     """Shape (n,) for each known covariate: change of the logarithm of stiffness explained by it, removed from the index."""
+    beyond: str = ""
+    """What lies beyond calibration, in words, where what is not known of the covariates would hide the loss of an `alarm`."""
     unidentified: tuple[int, ...] = ()
     """Stories, from 1, that the window's modes hardly determine: their index is determined by the prior alone."""
 
