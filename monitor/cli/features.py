@@ -22,7 +22,7 @@ def features(
     ] = "",
     as_json: Json = False,
 ) -> None:
-    """Take out of features what covariates explain, and test the rest for a change.
+    """Judge features without waveforms, less what covariates explain.
 
     Writes results.jsonl and summary.json in DIR.
     """
