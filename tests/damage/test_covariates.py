@@ -130,15 +130,17 @@ def test_the_law_survives_the_baselines_file(healthy: tuple[Baseline, Baseline])
     np.testing.assert_array_equal(learned.drift_weights, read.drift_weights)
 
 
-def test_a_storm_beyond_calibration_is_uncertain_then_skipped_in_words(
+def test_a_storm_beyond_calibration_is_uncertain_and_said(
     site: Configuration, healthy: tuple[Baseline, Baseline], cut: Cut
 ) -> None:
     same, twice, eight = (windows(Pipeline(site, healthy[1]), cut, s, 60, 9) for s in (1.0, 2.0, 8.0))
-    calm, storm = (np.mean([r.damage.ddi_std for r in x if r.damage is not None], axis=0) for x in (same, twice))
-    assert (storm > calm).all()
-    assert all(r.damage is None for r in eight)
-    said = {r.skipped.reason for r in eight if r.skipped is not None}
-    assert all(reason.startswith("stronger than anything at calibration: level") for reason in said)
+    calm, storm, gale = (np.mean([r.damage.ddi_std for r in x if r.damage], axis=0) for x in (same, twice, eight))
+    assert (storm > calm).all() and (gale > 2.0 * calm).all()
+    for r in eight:
+        assert r.damage is not None
+        assert r.damage.beyond.startswith("stronger than anything at calibration: level")
+        assert not r.alarm.active
+    assert not any(r.damage.beyond for r in same if r.damage)
 
 
 def law_of(level: np.ndarray, degc: np.ndarray, slope: np.ndarray, seed: int):

@@ -2,10 +2,10 @@
 
     .venv/bin/python -m tests.statistics.storm a|b [SEEDS]
 
-Each story's stiffness falls by ``s a^2 / (a^2 + h^2)``, where a is the level of the forces and h three times that of the day.  (a)
-Baseline of one ordinary hour, then an hour at 2, 3 and 4 times its level, with ordinary hours between.  (b) Baseline of 48 windows
-at levels 0.5 to 3, then an hour of storm at 3 times the level, intact and with 5 % lost in story 2.  Windows are of 400 s, each
-simulated as a linear frame with the stiffness of its level.
+Each story's stiffness falls by ``s a^2 / (a^2 + h^2)``, where a is the level of the forces and h three times that of the day.
+(a) Baseline of one ordinary hour, then an hour at 2, 3 and 4 times its level, with ordinary hours between.  (b) Baseline of 48
+windows at levels 0.5 to 3, then an hour of storm at 3 times the level, intact and with 5 % lost in story 2.  Windows are of
+400 s, each simulated as a linear frame with the stiffness of its level.
 """
 
 from __future__ import annotations
