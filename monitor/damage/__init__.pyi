@@ -1,4 +1,4 @@
-from . import alarm, damage_index
+from . import alarm, damage_index, slow_learning
 from .alarm import AlarmSettings, AlarmState, StoryState, hold
 from .alternative_solutions import second_solutions
 from .assessment import (
@@ -18,8 +18,8 @@ from .assessment import (
 )
 from .baseline import Baseline, learn_baseline, rebase_baseline
 from .baseline_file import load_baseline, save_baseline
-from .covariate_law import Effect
-from .covariates import LEVEL, CovariateSettings, beyond_words, law_lines
+from .covariate_law import CovariateLaw, Effect
+from .covariates import LEVEL, CovariateSettings, LearnedRange, beyond_words, law_lines, learned_ranges
 from .detectable_loss import smallest_detectable_loss
 from .feature_test import FeatureJudge, FeatureTable, FeatureVerdict, judge_features
 from .level import drift_m, drift_weights, level_db
@@ -33,12 +33,14 @@ __all__ = [
     "Assessment",
     "Baseline",
     "Course",
+    "CovariateLaw",
     "CovariateSettings",
     "Effect",
     "FeatureJudge",
     "FeatureTable",
     "FeatureVerdict",
     "Known",
+    "LearnedRange",
     "Loss",
     "Observation",
     "Origin",
@@ -61,6 +63,7 @@ __all__ = [
     "judge_features",
     "law_lines",
     "learn_baseline",
+    "learned_ranges",
     "level_db",
     "load_baseline",
     "observe",
@@ -68,6 +71,7 @@ __all__ = [
     "rebase_baseline",
     "save_baseline",
     "second_solutions",
+    "slow_learning",
     "smallest_detectable_loss",
     "update",
     "utc",

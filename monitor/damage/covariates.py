@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -51,6 +51,8 @@ class CovariateSettings(Settings):
     """The same per K below 0 degC: the Z24 bridge gained some 10 % of frequency in 10 K of frost (Peeters and De Roeck)."""
     other: float = Field(default=0.05, gt=0)
     """The same for any other covariate, over its learned range."""
+    learn_in_service: bool = True
+    """Learn the slopes on from windows of healthy service, the healthy stiffness never."""
     unevenness: float = Field(default=0.5, gt=0)
     """Scatter of the stories' slopes about a common one, relative to its size."""
 
@@ -67,6 +69,14 @@ class Change:
     """Stretch of data of each row of `deviations`: overlapping windows share stretches."""
     covariates: Mapping[str, Array]
     """Lagged values of each known covariate, shape (n_lags,) each."""
+
+
+class LearnedRange(NamedTuple):
+    """Values of a covariate over the healthy windows, as people read them: the level in m of RMS drift."""
+
+    unit: str
+    low: float
+    high: float
 
 
 def learn_law(
@@ -180,6 +190,13 @@ def law_lines(law: CovariateLaw | None) -> list[str]:
             f"{axis.name} from {low:.3g} to {high:.3g} {shown_unit(axis)} changes the stiffness of the stories by {sizes} %{lag}"
         )
     return lines
+
+
+def learned_ranges(law: CovariateLaw | None) -> dict[str, LearnedRange]:
+    """Return the unit, lowest and highest value that each covariate had at calibration, for people."""
+    if law is None:
+        return {}
+    return {a.name: LearnedRange(shown_unit(a), shown(a, a.range[0]), shown(a, a.range[1])) for a in law.axes}
 
 
 def shown(axis: Axis, value: float) -> float:

@@ -16,7 +16,9 @@ from monitor.damage import Baseline, learn_baseline, load_baseline, save_baselin
 from monitor.damage.covariate_law import Axis, learn, stories_prior
 from monitor.damage.level import drift_m, drift_weights, level_db
 from monitor.model.simulation import simulate
-from monitor.pipeline import Pipeline
+from monitor.pipeline import Pipeline, PipelineState
+from monitor.publish.results.lines import to_json, window_line
+from monitor.service.serialization import from_bytes, to_bytes
 from tests.conftest import T0_NS, Cut
 
 WIND = """
@@ -133,7 +135,7 @@ def test_the_law_survives_the_baselines_file(healthy: tuple[Baseline, Baseline])
 def test_a_storm_beyond_calibration_is_uncertain_and_said(
     site: Configuration, healthy: tuple[Baseline, Baseline], cut: Cut
 ) -> None:
-    same, twice, eight = (windows(Pipeline(site, healthy[1]), cut, s, 60, 9) for s in (1.0, 2.0, 8.0))
+    same, twice, eight, most = (windows(Pipeline(site, healthy[1]), cut, s, 60, 9) for s in (1.0, 2.0, 8.0, 80.0))
     calm, storm, gale = (np.mean([r.damage.ddi_std for r in x if r.damage], axis=0) for x in (same, twice, eight))
     assert (storm > calm).all() and (gale > 2.0 * calm).all()
     for r in eight:
@@ -141,6 +143,8 @@ def test_a_storm_beyond_calibration_is_uncertain_and_said(
         assert r.damage.beyond.startswith("stronger than anything at calibration: level")
         assert not r.alarm.active
     assert not any(r.damage.beyond for r in same if r.damage)
+    assert all(r.damage is None and r.skipped is not None for r in most)
+    assert {r.skipped.reason[:42] for r in most if r.skipped} == {"stronger than anything at calibration: lev"}
 
 
 def law_of(level: np.ndarray, degc: np.ndarray, slope: np.ndarray, seed: int):
@@ -182,3 +186,22 @@ def test_a_kink_in_frost_is_learned_within_its_error() -> None:
         effect = law.expected({"temperature": np.array([at])})
         error = np.log1p(effect.relative) - (wanted - true.mean()) * np.array([1.0, 0.5, 1.5])
         assert (np.abs(error) < 4.0 * np.sqrt(effect.covariance.diagonal()) + 2e-4).all()
+
+
+def test_a_restart_goes_on_with_what_was_learned(
+    site: Configuration, healthy: tuple[Baseline, Baseline], cut: Cut
+) -> None:
+    """The state goes through a checkpoint half way; the law itself is in it."""
+    whole, first = Pipeline(site, healthy[1]), Pipeline(site, healthy[1])
+    floors = simulate(site.model(), duration_s=80.0, rate_hz=128.0, noise=0.03, seed=12).floors
+    blocks = [wind(np.full(80, 5.0)), *cut(floors, 128.0, [128])]
+    lines = [r for b in blocks for r in whole.push(b) if isinstance(r, WindowResult)]
+    for b in blocks[:40]:
+        first.push(b)
+    assert first.state.learning is not None
+    second = Pipeline(site, healthy[1])
+    second.state = from_bytes(to_bytes("k", first.state), "k", PipelineState)
+    rest = [r for b in blocks[40:] for r in second.push(b) if isinstance(r, WindowResult)]
+    assert [to_json(window_line(r)) for r in rest] == [to_json(window_line(r)) for r in lines[-len(rest) :]]
+    assert second.law is not None and healthy[1].law is not None
+    np.testing.assert_array_equal(second.law.slopes, healthy[1].law.slopes)  # nothing has waited for two days yet
