@@ -29,12 +29,14 @@ from monitor.core import (
 from monitor.damage import (
     LEVEL,
     Baseline,
+    CovariateLaw,
     Effect,
     alarm,
     beyond_words,
     damage_index,
     drift_weights,
     level_db,
+    slow_learning,
     smallest_detectable_loss,
 )
 from monitor.identification import expected_modes, identify, refine, sensor_correction, tracking
@@ -88,6 +90,8 @@ class PipelineState:
     temperature: temperature.TemperatureState
     track: tracking.TrackState
     health: HealthState
+    learning: slow_learning.LearningState | None = None
+    """The covariates' law as it was learned on in service; None before the first judged window."""
 
 
 class Pipeline:
@@ -242,6 +246,24 @@ class Pipeline:
             known[LEVEL] = np.array([level_db(self.drift_weights, covariance)])
         return known
 
+    @property
+    def law(self) -> CovariateLaw | None:
+        """The covariates' law: as calibrated, and as learned on in service."""
+        if self.state.learning is not None:
+            return self.state.learning.law
+        return None if self.baseline is None else self.baseline.law
+
+    def _learn(self, reading: DamageReading, covariates: dict[str, Array], t_end_ns: int, normal: bool) -> None:
+        """Learn the covariates' law on from healthy service."""
+        settings = self.config.compensation
+        if self.law is None or not settings.learn_in_service:
+            return
+        state = self.state.learning or slow_learning.start(self.law, t_end_ns)
+        # The index has what the law explains taken out; it is put back.
+        change = np.log1p(-np.minimum(reading.ddi, 1.0 - 1e-6)) + sum(reading.covariate_effect.values(), np.zeros(1))
+        state = slow_learning.step(state, covariates, change, t_end_ns, settings.unevenness, normal=normal)
+        self.state = replace(self.state, learning=state)
+
     def _effect(self, covariates: dict[str, Array]) -> Effect | Skipped | None:
         """Predict what the covariates do to the healthy stiffness.
 
@@ -250,18 +272,18 @@ class Pipeline:
         Effect, Skipped or None
             `Skipped` where the law's uncertainty alone would hide the loss of half a story's stiffness; None without a law.
         """
-        if self.baseline is None or self.baseline.law is None:
+        if self.law is None:
             return None
-        effect = self.baseline.law.expected(covariates)
+        effect = self.law.expected(covariates)
         hidden = self.config.alarm.significance * float(np.sqrt(effect.covariance.diagonal().max()))
-        return Skipped(beyond_words(self.baseline.law, covariates)) if hidden > _USELESS_LOSS else effect
+        return Skipped(beyond_words(self.law, covariates)) if hidden > _USELESS_LOSS else effect
 
     def _beyond(self, effect: Effect | None, covariates: dict[str, Array]) -> str:
         """Say what lies beyond calibration where the law's uncertainty alone would hide the loss of an `alarm`."""
-        if effect is None or self.baseline is None or self.baseline.law is None:
+        if effect is None or self.law is None:
             return ""
         limits, std = self.config.alarm, float(np.sqrt(effect.covariance.diagonal().max()))
-        return beyond_words(self.baseline.law, covariates) if limits.significance * std > limits.alarm_loss else ""
+        return beyond_words(self.law, covariates) if limits.significance * std > limits.alarm_loss else ""
 
     def _assess(self, item: Window, cutoff_hz: float) -> WindowResult:
         """Process one complete window: identification, updating, damage index, alarm."""
@@ -294,6 +316,7 @@ class Pipeline:
             alarms, verdict = alarm.step(self.state.alarm, reading, item.t_end_ns, c.alarm)
             verdict = replace(verdict, reason=name_stories(verdict.reason, c.story_names))
             self.state = replace(self.state, alarm=alarms)
+            self._learn(reading, covariates, item.t_end_ns, verdict.level is Level.NORMAL)
             detectable = smallest_detectable_loss(reading, alarms.history, c.processing.hop_s, c.alarm)
         return WindowResult(
             item.index,

@@ -77,7 +77,7 @@ def _with_covariates(tree: Any) -> Any:
     """
     if "session" in tree:
         pipeline = tree["session"]["pipeline"]
-        pipeline["covariates"] = []
+        pipeline |= {"covariates": [], "learning": None}
         history = pipeline["alarm"]["history"]
         n = history["ddi"].shape[1]
         history |= {name: history[name][:0] for name in ("t_ns", "ddi", "variance")}

@@ -227,7 +227,7 @@ def as_version(data: bytes, version: int) -> bytes:
     if version < 5:
         tree = json.loads(text)
         pipeline = tree["session"]["pipeline"]
-        del pipeline["covariates"], pipeline["alarm"]["history"]["common"]
+        del pipeline["covariates"], pipeline["learning"], pipeline["alarm"]["history"]["common"]
         text = json.dumps(tree, separators=(",", ":")).encode()
     if version < 4:
         tree = json.loads(text)
