@@ -27,7 +27,7 @@ _LOOKS_A_WINDOW = 20
 _LN_STEP = 0.1
 """Step to which the logarithms of standard deviations are rounded, so that one simulation serves many windows. [1; cost: half of
 it is below the scatter of a window's own deviation, 0.13]"""
-_CORRELATION_STEP = 0.1
+_CORRELATION_STEP = 0.2
 """The same for correlations. [1; cost]"""
 
 
@@ -55,7 +55,7 @@ def smallest_detectable_loss(reading: DamageReading, history: History, hop_s: fl
     """
     if (history.t_ns.size - 1) * hop_s < settings.confirm_s:
         return np.full(reading.ddi.size, np.inf)
-    common = np.atleast_2d(reading.common_covariance)
+    common = history.common.mean(axis=0)  # of the windows' conditions since the longest stretch began
     own_std = np.exp(0.5 * history.ln_variance)
     window_s = history.window_ns * 1e-9
     common_std = np.sqrt(np.maximum(np.diag(common), 1e-24))
