@@ -14,7 +14,7 @@ from drivers.can_open import CanSettings
 from drivers.mcap_source import McapSettings
 from drivers.zenoh_bus import ZenohSettings
 from drivers.zenoh_session import TlsSettings
-from monitor.config.configuration import Configuration, EffectTable, InputTable, SensorTable
+from monitor.config.configuration import Configuration, CovariateTable, EffectTable, InputTable, SensorTable
 from monitor.model.structures.drawing import LineTable, NodeTable
 from monitor.model.structures.tables import MatricesTable, ShearFrameTable
 from monitor.service.fleet import FleetSettings
@@ -43,6 +43,7 @@ def tables() -> dict[str, type[BaseModel]]:
         '`[structure]`, `kind = "matrices"`': MatricesTable,
         "`[[sensors]]`": SensorTable,
         "`[[inputs]]`": InputTable,
+        "`[[covariates]]`": CovariateTable,
         "`[[effects]]`": EffectTable,
         "`[[nodes]]`": NodeTable,
         "`[[lines]]`": LineTable,

@@ -61,7 +61,7 @@ class SampleBlock:
             raise ValueError(f"sample rate must be positive and finite, got {self.sample_rate_hz}")
         if self.sequence < 0:
             raise ValueError(f"sequence must not be negative, got {self.sequence}")
-        if self.unit not in UNITS:
+        if self.unit not in UNITS and (self.topic in UNIT_OF or not self.unit.strip()):  # a covariate may have any unit
             raise ValueError(f"unknown unit {self.unit!r}; known: {', '.join(UNITS)}")
 
     @property

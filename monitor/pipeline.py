@@ -26,7 +26,19 @@ from monitor.core import (
     WindowResult,
     name_stories,
 )
-from monitor.damage import Baseline, alarm, damage_index, smallest_detectable_loss
+from monitor.damage import (
+    LEVEL,
+    Baseline,
+    CovariateLaw,
+    Effect,
+    alarm,
+    beyond_words,
+    damage_index,
+    drift_weights,
+    level_db,
+    slow_learning,
+    smallest_detectable_loss,
+)
 from monitor.events import Event, EventState, GroundState, Site, ground, stage
 from monitor.identification import expected_modes, identify, refine, sensor_correction, tracking
 from monitor.signals import (
@@ -49,6 +61,8 @@ _LEAST_SHARE = 0.5
 """Share of the lowest required modes that must be found for the model to be updated without a baseline. [ratio; judgement]"""
 _CHECK = "check floors, signs and units of the channels, and what 'check' says of the lags"
 """What to do where not even the lowest mode is found. [words]"""
+_USELESS_LOSS = 0.5
+"""Loss of a story's stiffness that a window must be able to show to be judged at all. [1; judgement: near collapse]"""
 
 Result = Samples | Gap | WindowResult | Health | Event
 
@@ -72,11 +86,15 @@ class PipelineState:
     align: alignment.AlignState
     run: Run | None
     alarm: alarm.AlarmState
+    covariates: dict[str, temperature.TemperatureState]
+    """Readings of the covariates that the site file names."""
     temperature: temperature.TemperatureState
     track: tracking.TrackState
     health: HealthState
     events: EventState
     ground: GroundState
+    learning: slow_learning.LearningState | None = None
+    """The covariates' law as it was learned on in service; None before the first judged window."""
 
 
 class Pipeline:
@@ -104,6 +122,9 @@ class Pipeline:
         self.shown = sensor_correction.seen_by_sensors(self.acquisition, self.context)
         self.prior_std = instrumented.stiffness_prior_std
         self.site = Site.of(instrumented, config.story_names, config.processing.window_s, config.events)
+        stored = None if baseline is None else baseline.drift_weights
+        cutoff_hz = config.processing.cutoff_hz
+        self.drift_weights = drift_weights(nominal.model, self.sensors, cutoff_hz) if stored is None else stored
         names = config.identification.reference_channels or config.channels
         self.past = tuple(config.channels.index(name) for name in names)
         alarms = alarm.start(self.reference.structure.n_stories, config.processing.window_s)
@@ -111,6 +132,7 @@ class Pipeline:
             alignment.start(),
             None,
             alarms,
+            {table.name: temperature.start() for table in config.covariates},
             temperature.start(),
             tracking.TrackState(),
             HealthState(),
@@ -141,6 +163,7 @@ class Pipeline:
         if block.topic == GROUND and self.config.events.enabled:
             self._keep_ground(block)
         if block.topic != ACCELERATION:
+            self._store_covariates(block)
             return []
         align_state, pieces = self.front_end.align(self.state.align, block)
         self.state = replace(self.state, align=align_state)
@@ -228,23 +251,87 @@ class Pipeline:
 
     def _store_temperature(self, block: SampleBlock) -> None:
         """Store the temperatures that later windows may need."""
+        state = temperature.push(self.state.temperature, block, self._oldest_ns())
+        self.state = replace(self.state, temperature=state)
+
+    def _store_covariates(self, block: SampleBlock) -> None:
+        """Store the readings of the covariates that this topic carries, for later windows."""
+        for table in self.config.covariates:
+            if table.topic == block.topic:
+                before = self.state.covariates
+                state = temperature.push_channel(
+                    before[table.name], block, table.channel, table.unit, self._oldest_ns()
+                )
+                self.state = replace(self.state, covariates={**before, table.name: state})
+
+    def _oldest_ns(self) -> int:
+        """Return the time (UTC, ns) before which no later window needs a covariate."""
         c, align = self.config, self.state.align
         reach_ns = temperature.reach_ns(c.processing.window_s, c.temperature)
-        oldest_ns = align.t_next_ns() - reach_ns if align.n_run else 0
-        self.state = replace(self.state, temperature=temperature.push(self.state.temperature, block, oldest_ns))
+        return align.t_next_ns() - reach_ns if align.n_run else 0
 
-    def _window_temperature(self, t_end_ns: int) -> Temperature | None:
-        """Return the temperature of the window that ends at `t_end_ns` (UTC)."""
+    def _covariates(self, t_end_ns: int, item: Window | None = None) -> dict[str, Array]:
+        """Return the lagged values of the covariates that are known of the window that ends at `t_end_ns` (UTC)."""
         c = self.config
-        return temperature.window_temperature(self.state.temperature, t_end_ns, c.processing.window_s, c.temperature)
+        known: dict[str, Array] = {}
+        for name, state in {"temperature": self.state.temperature, **self.state.covariates}.items():
+            mean = temperature.window_temperature(state, t_end_ns, c.processing.window_s, c.temperature)
+            if mean is not None:
+                known[name] = mean.lagged_degc
+        if item is not None:
+            covariance = item.sums.total[0] / item.sums.counts.sum()
+            known[LEVEL] = np.array([level_db(self.drift_weights, covariance)])
+        return known
+
+    @property
+    def law(self) -> CovariateLaw | None:
+        """The covariates' law: as calibrated, and as learned on in service."""
+        if self.state.learning is not None:
+            return self.state.learning.law
+        return None if self.baseline is None else self.baseline.law
+
+    def _learn(self, reading: DamageReading, covariates: dict[str, Array], t_end_ns: int, normal: bool) -> None:
+        """Learn the covariates' law on from healthy service."""
+        settings = self.config.compensation
+        if self.law is None or not settings.learn_in_service:
+            return
+        state = self.state.learning or slow_learning.start(self.law, t_end_ns)
+        # The index has what the law explains taken out; it is put back.
+        change = np.log1p(-np.minimum(reading.ddi, 1.0 - 1e-6)) + sum(reading.covariate_effect.values(), np.zeros(1))
+        state = slow_learning.step(state, covariates, change, t_end_ns, settings.unevenness, normal=normal)
+        self.state = replace(self.state, learning=state)
+
+    def _effect(self, covariates: dict[str, Array]) -> Effect | Skipped | None:
+        """Predict what the covariates do to the healthy stiffness.
+
+        Returns
+        -------
+        Effect, Skipped or None
+            `Skipped` where the law's uncertainty alone would hide the loss of half a story's stiffness; None without a law.
+        """
+        if self.law is None:
+            return None
+        effect = self.law.expected(covariates)
+        hidden = self.config.alarm.significance * float(np.sqrt(effect.covariance.diagonal().max()))
+        return Skipped(beyond_words(self.law, covariates)) if hidden > _USELESS_LOSS else effect
+
+    def _beyond(self, effect: Effect | None, covariates: dict[str, Array]) -> str:
+        """Say what lies beyond calibration where the law's uncertainty alone would hide the loss of an `alarm`."""
+        if effect is None or self.law is None:
+            return ""
+        limits, std = self.config.alarm, float(np.sqrt(effect.covariance.diagonal().max()))
+        return beyond_words(self.law, covariates) if limits.significance * std > limits.alarm_loss else ""
 
     def _assess(self, item: Window, cutoff_hz: float) -> WindowResult:
         """Process one complete window: identification, updating, damage index, alarm."""
         c = self.config
 
+        covariates = self._covariates(item.t_end_ns, item)
+
         def skip(reason: Skipped, found: ModalEstimate | None = None, tracks: tuple[int, ...] = ()) -> WindowResult:
             """Skip the window, with the modes found in it."""
-            return self._skip(item.index, item.t_end_ns, item.window_s, reason, item.rms_m_s2, found, tracks)
+            skipped = self._skip(item.index, item.t_end_ns, item.window_s, reason, item.rms_m_s2, found, tracks)
+            return replace(skipped, covariates=covariates)
 
         skipped = window_quality.check(item.sums, item.rate_hz, cutoff_hz, c.channels, c.quality)
         begin_ns = item.t_end_ns - round(item.window_s * 1e9)
@@ -253,13 +340,13 @@ class Pipeline:
         if skipped is not None:
             return skip(skipped)
         modes = self._identify(item, cutoff_hz)
-        judged = modes if isinstance(modes, Skipped) else self._update(modes, item.t_end_ns)
+        judged = modes if isinstance(modes, Skipped) else self._update(modes, covariates)
         if isinstance(judged, Skipped):
             found = None if isinstance(modes, Skipped) else modes
             return skip(judged, found, self._track_modes(found, item))
         modes, stiffness, reading = judged
         tracks = self._track_modes(modes, item)
-        degc = self._window_temperature(item.t_end_ns)
+        degc = covariates.get("temperature")
         detectable = None
         if self.baseline is None:
             verdict = Alarm(Level.NORMAL, (), "no baseline: a difference from the structure file is no change")
@@ -267,6 +354,7 @@ class Pipeline:
             alarms, verdict = alarm.step(self.state.alarm, reading, item.t_end_ns, c.alarm)
             verdict = replace(verdict, reason=name_stories(verdict.reason, c.story_names))
             self.state = replace(self.state, alarm=alarms)
+            self._learn(reading, covariates, item.t_end_ns, verdict.level is Level.NORMAL)
             detectable = smallest_detectable_loss(reading, alarms.history, c.processing.hop_s, c.alarm)
         return WindowResult(
             item.index,
@@ -278,9 +366,10 @@ class Pipeline:
             verdict,
             None,
             item.rms_m_s2,
-            degc,
+            None if degc is None else Temperature(degc),
             tracks,
             detectable,
+            covariates,
         )
 
     def _identify(self, item: Window, cutoff_hz: float) -> ModalEstimate | Skipped:
@@ -300,7 +389,7 @@ class Pipeline:
         return modes
 
     def _update(
-        self, modes: ModalEstimate, t_end_ns: int
+        self, modes: ModalEstimate, covariates: dict[str, Array]
     ) -> tuple[ModalEstimate, StiffnessEstimate, DamageReading] | Skipped:
         """Update the stiffness to a window's modes and compare it with the baseline's.
 
@@ -327,11 +416,13 @@ class Pipeline:
         healthy = None if baseline is None else baseline.only(identified)
         if healthy is not None and healthy.model_mode != identified:
             return Skipped("modes are not the baseline's")
-        degc = self._window_temperature(t_end_ns)
+        effect = self._effect(covariates)
+        if isinstance(effect, Skipped):
+            return effect
 
         def step(modes: ModalEstimate) -> tuple[StiffnessEstimate, DamageReading]:
             """Update the stiffness to modes."""
-            return damage_index.step(modes, self.reference, healthy, self.sensors, c.updating, degc, self.prior_std)
+            return damage_index.step(modes, self.reference, healthy, self.sensors, c.updating, effect, self.prior_std)
 
         stiffness, reading = step(modes)
         while not stiffness.converged:
@@ -346,7 +437,7 @@ class Pipeline:
                 return Skipped(f"{self._unfitting(worst, modes)}; {mend if worst else _CHECK}")
             best = left.index(min(left))
             modes, (stiffness, reading) = less[best], fits[best]
-        return modes, stiffness, reading
+        return modes, stiffness, replace(reading, beyond=self._beyond(effect, covariates))
 
     def _missing(self, modes: ModalEstimate) -> dict[int, str]:
         """Return the missing modes (0 = lowest) without which a window is not judged, and why they are missing.
@@ -387,8 +478,11 @@ class Pipeline:
         alarms, verdict = alarm.hold(self.state.alarm, t_end_ns)
         verdict = replace(verdict, reason=name_stories(verdict.reason, self.config.story_names))
         self.state = replace(self.state, alarm=alarms)
-        degc = self._window_temperature(t_end_ns)
-        return WindowResult(index, t_end_ns, data_s, modes, None, None, verdict, skipped, rms, degc, tracks)
+        covariates = self._covariates(t_end_ns)
+        degc = None if "temperature" not in covariates else Temperature(covariates["temperature"])
+        return WindowResult(
+            index, t_end_ns, data_s, modes, None, None, verdict, skipped, rms, degc, tracks, covariates=covariates
+        )
 
 
 def _convert_rate(state: WindowState, ratio: float) -> WindowState:

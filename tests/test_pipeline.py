@@ -367,7 +367,7 @@ def test_modes_that_the_model_cannot_show_give_no_baseline() -> None:
             np.ones(1),
             (),
             updating=config.updating,
-            temperature=config.temperature,
+            compensation=config.compensation,
         )
 
 
@@ -449,7 +449,7 @@ def test_a_mode_of_another_shape_is_not_taken_for_the_nearest_of_the_model() -> 
         np.ones(4),
         (),
         updating=site.updating,
-        temperature=site.temperature,
+        compensation=site.compensation,
     )[0]
     assert healthy.model_mode == (0, 1, 3, 4)
 
@@ -493,7 +493,7 @@ def test_a_mode_of_the_baseline_that_is_missing_is_named_and_its_window_keeps_it
         np.ones(len(judged)),
         (),
         updating=site.updating,
-        temperature=site.temperature,
+        compensation=site.compensation,
     )[0]
     without = shapes.copy()
     without[:, 2] = TWIST

@@ -69,7 +69,7 @@ def calibrate(
     them.
     """
     from monitor.config import configuration
-    from monitor.damage import save_baseline
+    from monitor.damage import law_lines, save_baseline
     from monitor.diagnosis import standing_causes
     from monitor.model import interval
     from monitor.runs import calibrate as run
@@ -101,16 +101,7 @@ def calibrate(
         lines.append(f"{name}: {size}; structure file {drawn:.5g} N/m ({100.0 * (k / drawn - 1.0):+.1f} %)")
     if baseline.reference is not None:
         lines += [f"already so at calibration: {cause['says']}" for cause in standing_causes(baseline.reference)]
-    if (law := baseline.temperature) is not None:
-        slopes = ", ".join(f"{1e3 * a:+.2f}" for a in law.per_degc)
-        lines.append(
-            f"stiffness follows the temperature by {slopes} per mille a kelvin, lag {law.lag_s:.0f} s; "
-            f"seen from {law.range_degc[0]:.1f} to {law.range_degc[1]:.1f} degC"
-        )
-    elif baseline.reference_temperature_degc is not None:
-        lines.append(
-            "no dependence on the temperature learned: too narrow a range, too short a record, or nothing showed"
-        )
+    lines += law_lines(baseline.law)
     lines.append(f"baseline in {out}: what differs from the structure file here counts as healthy from now on")
     content |= {
         "baseline": str(out),

@@ -21,6 +21,7 @@ from monitor.cli import (
     demo,
     diagnose,
     emulate,
+    features,
     fleet,
     operate,
     recordings,
@@ -63,6 +64,7 @@ for command in (
     fleet.fleet,
     analyse.replay,
     analyse.calibrate,
+    features.features,
     recordings.simulate,
 ):
     app.command()(command)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from pydantic import Field, ValidationError, field_validator, model_validator
 
-from drivers.base import Source, SourceContext, SourceError
+from drivers.base import UNIT_OF, Source, SourceContext, SourceError
 from drivers.live import LiveBounds, LiveSettings
 from drivers.recorder_settings import RecorderSettings
 from drivers.registry import UnknownSourceError, source_type
@@ -18,7 +18,7 @@ from monitor.config.log_settings import LogSettings
 from monitor.config.matrix_files import read_matrices
 from monitor.config.state_settings import StateSettings
 from monitor.core import BadConfigurationError, MissingInputError, Settings, parse_address, settings_problems
-from monitor.damage import AlarmSettings, UpdatingSettings
+from monitor.damage import LEVEL, AlarmSettings, CovariateSettings, UpdatingSettings
 from monitor.diagnosis import DiagnosisSettings, WatchSettings
 from monitor.events import EventSettings
 from monitor.identification import RefinementSettings, SelectionSettings, SsiSettings, TrackSettings
@@ -62,6 +62,19 @@ class InputTable(Settings):
         if isinstance(table, dict) and "node" in table and "floor" not in table:
             return {**{k: v for k, v in table.items() if k != "node"}, "floor": table["node"]}
         return table
+
+
+class CovariateTable(Settings):
+    """``[[covariates]]``: one measured quantity that the healthy stiffness may depend on."""
+
+    name: str = Field(min_length=1)
+    """Name in the results.  ``temperature`` and ``level`` are covariates without being named."""
+    topic: str = Field(pattern="^/.+")
+    """Topic of the samples, as ``/wind``."""
+    channel: str | None = None
+    """Channel of the topic; by default the mean of all its channels."""
+    unit: str
+    """Unit of the samples, as ``m/s``."""
 
 
 class EffectTable(Settings):
@@ -128,6 +141,7 @@ class Configuration(Settings):
     structure: StructureTable
     sensors: tuple[SensorTable, ...] = Field(min_length=1)
     inputs: tuple[InputTable, ...] = ()
+    covariates: tuple[CovariateTable, ...] = ()
     effects: tuple[EffectTable, ...] = ()
     nodes: tuple[NodeTable, ...] = ()
     lines: tuple[LineTable, ...] = ()
@@ -140,6 +154,7 @@ class Configuration(Settings):
     tracking: TrackSettings = TrackSettings()
     updating: UpdatingSettings = UpdatingSettings()
     temperature: TemperatureSettings = TemperatureSettings()
+    compensation: CovariateSettings = CovariateSettings()
     alarm: AlarmSettings = AlarmSettings()
     diagnosis: DiagnosisSettings = DiagnosisSettings()
     watch: WatchSettings = WatchSettings()
@@ -165,6 +180,7 @@ class Configuration(Settings):
         forced = [i.channel for i in self.inputs]
         problems += [f"inputs: channel {c!r} stands twice" for c in sorted({c for c in forced if forced.count(c) > 1})]
         problems += [f"inputs: {i.channel!r} acts on floor {i.floor} of {n}" for i in self.inputs if i.floor > n]
+        problems += self._covariate_problems()
         references = self.identification.reference_channels
         problems += [f"identification: no channel {c!r}" for c in references if c not in names]
         for table in self.effects:
@@ -188,6 +204,14 @@ class Configuration(Settings):
         if problems:
             raise ValueError("\n".join(problems))
         return self
+
+    def _covariate_problems(self) -> list[str]:
+        """Check the names and topics of the covariates."""
+        named = [t.name for t in self.covariates]
+        problems = [f"covariates: {name!r} stands twice" for name in sorted({n for n in named if named.count(n) > 1})]
+        problems += [f"covariates: {n!r} is one without being named" for n in named if n in (LEVEL, "temperature")]
+        taken = [t for t in self.covariates if t.topic in UNIT_OF]
+        return problems + [f"covariates: {t.name!r}: the topic {t.topic} carries {UNIT_OF[t.topic]}" for t in taken]
 
     def _model_problems(self) -> list[str]:
         """Check the assembled model: a positive definite stiffness, and a natural frequency within the analysed band."""

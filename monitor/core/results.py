@@ -246,6 +246,10 @@ class DamageReading:
     temperature_effect: Array | None = None
     """Shape (n,): relative change of stiffness explained by the temperature, removed from the index; None where
     no dependence is known."""
+    covariate_effect: dict[str, Array] = field(default_factory=dict)
+    """Shape (n,) for each known covariate: change of the logarithm of stiffness explained by it, removed from the index."""
+    beyond: str = ""
+    """What lies beyond calibration, in words, where what is not known of the covariates would hide the loss of an `alarm`."""
     unidentified: tuple[int, ...] = ()
     """Stories, from 1, that the window's modes hardly determine: their index is determined by the prior alone."""
 
@@ -303,6 +307,9 @@ class WindowResult:
     detectable_loss: Array | None = None
     """Shape (n,): smallest sudden loss of each story that would be seen (`damage.detectable_loss`), infinite where none would;
     None without a baseline."""
+    covariates: dict[str, Array] = field(default_factory=dict)
+    """Shape (n_lags,) for each covariate that is known: its mean over the window after each thermal lag of
+    `temperature.LAGS_S`, in its unit; the level of motion has one value, in dB of 1 m of RMS drift."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -116,7 +116,11 @@ def start(n_stories: int, window_s: float = 400.0) -> AlarmState:
 
 
 def step(state: AlarmState, damage: DamageReading, t_ns: int, settings: AlarmSettings) -> tuple[AlarmState, Alarm]:
-    """Update the alarms by one window's damage reading; `t_ns` is the UTC of the window's end."""
+    """Update the alarms by one window's damage reading; `t_ns` is the UTC of the window's end.
+
+    A window beyond calibration (`DamageReading.beyond`) may announce a loss and ends no announcement: there a loss becomes
+    insignificant because less is known.
+    """
     history, evidence = sequential_test.look(state.history, damage, t_ns, settings.model_form)
     shared = sequential_test.shared_change(evidence.loss, evidence.std)
     own = evidence.loss - sequential_test.shared_by_others(evidence.loss, evidence.std)
@@ -133,8 +137,12 @@ def step(state: AlarmState, damage: DamageReading, t_ns: int, settings: AlarmSet
     }
     lost[WHOLE] = f"all stories lost {100 * shared:.1f} % alike (weather, mass, clock or stiffness)"
     alike = f"all stories changed alike, stiffness by {-100 * shared:+.1f} % (weather, mass, clock or stiffness)"
-    state = AlarmState(tuple(_end_shelving(s, t_ns) for s in (*updated, whole)), history)
-    return state, _summarize(state.stories, lost, alike if shared else "")
+    stories = [*updated, whole]
+    if damage.beyond:
+        stories = [_unless_fallen(s, now) for s, now in zip(state.stories, stories, strict=True)]
+    state = AlarmState(tuple(_end_shelving(s, t_ns) for s in stories), history)
+    announced = _summarize(state.stories, lost, alike if shared else "")
+    return state, replace(announced, reason=f"{announced.reason}; {damage.beyond}") if damage.beyond else announced
 
 
 def hold(state: AlarmState, t_ns: int) -> tuple[AlarmState, Alarm]:
@@ -251,6 +259,11 @@ def _update_alarm(
     if t_ns - quiet < settings.clear_s * 1e9:
         return replace(alarm, since_ns=None, quiet_since_ns=quiet)
     return replace(alarm, level=Level.NORMAL, since_ns=None, quiet_since_ns=None)
+
+
+def _unless_fallen(before: StoryState, now: StoryState) -> StoryState:
+    """Return the present state of an alarm, or the one before where the alarm fell or began to fall."""
+    return before if now.quiet_since_ns is not None or now.level.rank < before.level.rank else now
 
 
 def _summarize(stories: tuple[StoryState, ...], lost: dict[int, str], otherwise: str) -> Alarm:

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
-from monitor.core import Array, BadInputError, ModalEstimate, Temperature
-from monitor.damage import temperature_compensation
+from monitor.core import Array, BadInputError, ModalEstimate
+from monitor.damage.covariate_law import CovariateLaw
+from monitor.damage.covariates import TEMPERATURE, Change, CovariateSettings, learn_law
 from monitor.damage.observations import mean_observation
 from monitor.damage.origin import Origin
-from monitor.damage.temperature_compensation import Dependence
 from monitor.damage.updating import Observation, Update, UpdatingSettings, counterparts, observe, predict, update
 from monitor.model import InstrumentedModel, Model, StructuralPrior, inverse
-from monitor.signals import TemperatureSettings
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -47,8 +46,10 @@ class Baseline:
     """Smallest and largest response level of the windows: RMS, mean over channels."""
     reference_temperature_degc: float | None = None
     """Mean temperature over the windows; None without a temperature channel."""
-    temperature: Dependence | None = None
-    """Temperature dependence of the healthy stiffness; None where none was found."""
+    law: CovariateLaw | None = None
+    """Dependence of the healthy stiffness on temperature, level and other covariates; None where none was learned."""
+    drift_weights: Array | None = None
+    """Shape (c, c), s^4: how the level that the law was learned at was measured (`level.drift_weights`)."""
     recordings: tuple[dict[str, Any], ...] = field(default=())
     """Name and sha256 of every recording used."""
     span_ns: tuple[int, int] = (0, 0)
@@ -100,10 +101,12 @@ def learn_baseline(
     rms: Array,
     recordings: tuple[dict[str, Any], ...],
     span_ns: tuple[int, int] = (0, 0),
-    temperatures: Sequence[Temperature | None] = (),
+    covariates: Sequence[Mapping[str, Array]] = (),
+    units: Mapping[str, str] | None = None,
+    drift_weights: Array | None = None,
     *,
     updating: UpdatingSettings,
-    temperature: TemperatureSettings,
+    compensation: CovariateSettings,
 ) -> tuple[Baseline, Update]:
     """Learn the baseline from the windows of healthy recordings.
 
@@ -113,8 +116,12 @@ def learn_baseline(
         Windows may overlap: the covariance of their mean counts shared data once.
     rms : ndarray, shape (n_windows,)
         Response level of each window, m/s^2.
-    temperatures : sequence of Temperature or None
-        Temperature of each window; empty without a temperature channel.
+    covariates : sequence of mapping
+        Lagged values of each covariate that is known in each window; empty where nothing is to be learned from them.
+    units : mapping, optional
+        Unit of each covariate, by its name.
+    drift_weights : ndarray, shape (c, c), optional
+        How the covariate `LEVEL` was measured.
 
     Returns
     -------
@@ -148,15 +155,15 @@ def learn_baseline(
         level_range_m_s2=(float(rms.min()), float(rms.max())),
         recordings=recordings,
         span_ns=span_ns,
+        drift_weights=drift_weights,
     )
-    if all(t is None for t in temperatures):
+    if not units or not covariates:
         return baseline, fit
     mean = replace(mean, model_mode=baseline.model_mode)
-    changes = _changes(baseline, mean, windows, temperatures, instrumented.sensor_matrix, updating)
-    known = [float(t.lagged_degc[0]) for t in temperatures if t is not None]
-    span_s = (span_ns[1] - span_ns[0]) * 1e-9
-    dependence = temperature_compensation.learn(changes, span_s, temperature)
-    return replace(baseline, reference_temperature_degc=float(np.mean(known)), temperature=dependence), fit
+    changes = _changes(baseline, mean, windows, covariates, instrumented.sensor_matrix, updating)
+    degc = [float(c[TEMPERATURE][0]) for c in covariates if TEMPERATURE in c]
+    law = learn_law(changes, (span_ns[1] - span_ns[0]) * 1e-9, units, compensation)
+    return replace(baseline, reference_temperature_degc=float(np.mean(degc)) if degc else None, law=law), fit
 
 
 def rebase_baseline(
@@ -164,7 +171,7 @@ def rebase_baseline(
 ) -> tuple[Baseline, Update]:
     """Update a changed drawing of the same structure to the baseline's healthy modes.
 
-    The modes are kept, and so is the temperature dependence: a relative change that all stories have alike is the same in every
+    The modes are kept, and so is the dependence on covariates: a relative change that all stories have alike is the same in every
     drawing.  `Baseline.reference`, which was fitted to spectra with the old drawing, is left out.
 
     Parameters
@@ -239,18 +246,18 @@ def _changes(
     baseline: Baseline,
     mean: Observation,
     windows: list[ModalEstimate],
-    temperatures: Sequence[Temperature | None],
+    covariates: Sequence[Mapping[str, Array]],
     sensors: Array,
     updating: UpdatingSettings,
-) -> list[temperature_compensation.Change]:
+) -> list[Change]:
     """Estimate each window's stiffness change from the baseline, as `damage_index.step` would."""
     fit = update(baseline.model, sensors, baseline.target(mean), updating)
     gain = fit.gain / fit.parameters[:, None]
     changes = []
-    for modes, degc in zip(windows, temperatures, strict=True):
+    for modes, under in zip(windows, covariates, strict=True):
         o = observe(modes, updating, mean.gauges if updating.use_shapes else None)
         places = tuple((modes.refined, modes.first + b) for b in range(len(o.deviations)))
-        changes.append(temperature_compensation.Change(gain @ (o.z - mean.z), o.deviations @ gain.T, places, degc))
+        changes.append(Change(gain @ (o.z - mean.z), o.deviations @ gain.T, places, under))
     return changes
 
 

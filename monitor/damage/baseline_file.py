@@ -18,7 +18,7 @@ from monitor.core import (
     settings_problems,
     write_atomically,
 )
-from monitor.damage import temperature_compensation
+from monitor.damage import covariates
 from monitor.damage.baseline import Baseline
 from monitor.damage.origin import Origin, far_values, number_differences, sensor_differences
 from monitor.damage.updating import UpdatingSettings
@@ -37,7 +37,7 @@ class _Strict(Settings):
 
 
 class _Temperature(_Strict):
-    """`Dependence` in the file."""
+    """Temperature dependence in files of older versions."""
 
     per_degc: Vector
     covariance: Matrix
@@ -45,6 +45,31 @@ class _Temperature(_Strict):
     reference_degc: float
     range_degc: tuple[float, float]
     extrapolation: float
+
+
+class _Axis(_Strict):
+    """`covariate_law.Axis` in the file."""
+
+    name: str
+    unit: str
+    knots: Vector
+    slope_std: Vector
+    lag: int
+    lag_s: float
+    reference: float
+    range: tuple[float, float]
+
+
+class _Law(_Strict):
+    """`CovariateLaw` in the file."""
+
+    axes: tuple[_Axis, ...]
+    centre: Vector
+    spread: Matrix
+    slopes: Matrix
+    posterior: tuple[Matrix, ...]
+    mixing: Matrix
+    scatter: float
 
 
 class _Effect(_Strict):
@@ -114,6 +139,8 @@ class _Content(_Strict):
     recordings: tuple[dict[str, str], ...]
     span_ns: tuple[int, int]
     temperature: _Temperature | None = None
+    law: _Law | None = None
+    drift_weights: Matrix | None = None
     stiffness_correction_n_per_m: Matrix | None = None
     reference: _Reference | None = None
     origin: _Origin | None = None
@@ -131,7 +158,8 @@ def save_baseline(baseline: Baseline, path: Path) -> None:
         "format": FORMAT,
         "stiffness_n_per_m": structure.stiffness_n_per_m.tolist(),
         "masses_kg": structure.masses_kg.tolist(),
-        "temperature": temperature_compensation.to_plain(baseline.temperature),
+        "temperature": None,
+        "law": covariates.to_plain(baseline.law),
         "stiffness_correction_n_per_m": _plain(baseline.model.correction),
         "reference": prior_file.to_plain(baseline.reference),
         "origin": None if baseline.origin is None else asdict(baseline.origin),
@@ -248,7 +276,9 @@ def _build(c: _Content, instrumented: InstrumentedModel) -> Baseline:
     # The correction known at calibration: a correction that a diagnosis added later is contained in `misfit` already.
     known = c.stiffness_correction_n_per_m
     model = replace(model, correction=None if known is None else np.array(known).reshape(size, size))
-    temperature = None if c.temperature is None else c.temperature.model_dump()
+    former = None if c.temperature is None else c.temperature.model_dump()
+    law = None if c.law is None else c.law.model_dump()
+    n_stories = len(c.stiffness_n_per_m)
     reference = None if c.reference is None else c.reference.model_dump()
     return Baseline(
         model=model.with_stiffness(np.array(c.stiffness_n_per_m)).with_masses(np.array(c.masses_kg)),
@@ -267,7 +297,8 @@ def _build(c: _Content, instrumented: InstrumentedModel) -> Baseline:
         windows=c.windows,
         level_range_m_s2=c.level_range_m_s2,
         reference_temperature_degc=c.reference_temperature_degc,
-        temperature=temperature_compensation.from_plain(temperature, len(c.stiffness_n_per_m)),
+        law=covariates.from_plain(law, n_stories) or covariates.from_former(former, n_stories),
+        drift_weights=None if c.drift_weights is None else np.array(c.drift_weights),
         recordings=c.recordings,
         span_ns=c.span_ns,
         reference=prior_file.from_plain(reference, model, instrumented.channels),

@@ -6,8 +6,10 @@ from functools import lru_cache
 
 import numpy as np
 
-from monitor.core import Array, DamageReading, ModalEstimate, StiffnessEstimate, Temperature
+from monitor.core import Array, DamageReading, ModalEstimate, StiffnessEstimate
 from monitor.damage.baseline import Baseline
+from monitor.damage.covariate_law import Effect
+from monitor.damage.covariates import TEMPERATURE
 from monitor.damage.updating import UNSEEN, Observation, Update, UpdatingSettings, observe, update
 from monitor.model import Model, ShearFrame
 
@@ -22,7 +24,7 @@ def step(
     baseline: Baseline | None,
     sensors: Array,
     settings: UpdatingSettings,
-    temperature: Temperature | None = None,
+    effect: Effect | None = None,
     prior_std: Array | None = None,
 ) -> tuple[StiffnessEstimate, DamageReading]:
     """Update the stiffness to a window's modes and compute its loss since the baseline.
@@ -39,9 +41,9 @@ def step(
         The baseline's model, or the structure file's where there is no baseline.
     sensors : ndarray, shape (c, n)
         Sensor matrix: channels by floors.
-    temperature : Temperature, optional
-        Temperature of the window.  Where the baseline has a temperature dependence, the loss refers to the healthy
-        stiffness at this temperature.
+    effect : Effect, optional
+        What the covariates explain of the window's stiffness (`CovariateLaw.expected`).  The loss refers to the healthy
+        stiffness under them.
     prior_std : ndarray, shape (p,), optional
         Prior standard deviation of each stiffness, relative to the reference.  It determines directions that the modes do
         not observe, and bounds their uncertainty.  By default `settings.parameter_std` for all.
@@ -67,11 +69,10 @@ def step(
         misfit = _misfit_of_change(fit, observation, uncertain)
     # Where stiffness explains the change badly (a window across the onset, another cause), the noise understates its error.
     widened = max(1.0, misfit / _TOLERATED_MISFIT)
-    effect: Array | None = None
     effect_covariance = np.zeros((fit.parameters.size, fit.parameters.size))
-    if baseline is not None and baseline.temperature is not None:
-        effect, effect_covariance = baseline.temperature.expected(temperature)
-        reference = reference.with_stiffness(reference.structure.stiffness_n_per_m * (1.0 + effect))
+    if effect is not None:
+        effect_covariance = effect.covariance
+        reference = reference.with_stiffness(reference.structure.stiffness_n_per_m * (1.0 + effect.relative))
     healthy = reference.structure.stiffness_n_per_m
     estimate = StiffnessEstimate(
         stiffness_n_per_m=fit.parameters,
@@ -96,7 +97,8 @@ def step(
         ddi_sequential=sequential_reading(healthy_k, now_k) if is_chain else ddi,
         loss_n_per_m=healthy - fit.parameters,
         common_covariance=common / np.outer(healthy, healthy) + effect_covariance,
-        temperature_effect=effect,
+        temperature_effect=None if effect is None else effect.parts.get(TEMPERATURE),
+        covariate_effect={} if effect is None else dict(effect.parts),
         unidentified=tuple(int(j) + 1 for j in np.flatnonzero(fit.identifiable < 1.0 - UNSEEN**2)),
     )
     return estimate, reading

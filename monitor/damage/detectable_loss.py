@@ -27,7 +27,9 @@ _LOOKS_A_WINDOW = 20
 _LN_STEP = 0.1
 """Step to which the logarithms of standard deviations are rounded, so that one simulation serves many windows. [1; cost: half of
 it is below the scatter of a window's own deviation, 0.13]"""
-_CORRELATION_STEP = 0.1
+_LN_COMMON_STEP = 0.3
+"""The same for what windows have in common, which follows the covariates. [1; cost: half of it is 15 percent of a deviation]"""
+_CORRELATION_STEP = 0.2
 """The same for correlations. [1; cost]"""
 
 
@@ -55,13 +57,13 @@ def smallest_detectable_loss(reading: DamageReading, history: History, hop_s: fl
     """
     if (history.t_ns.size - 1) * hop_s < settings.confirm_s:
         return np.full(reading.ddi.size, np.inf)
-    common = np.atleast_2d(reading.common_covariance)
+    common = history.common.mean(axis=0)  # of the windows' conditions since the longest stretch began
     own_std = np.exp(0.5 * history.ln_variance)
     window_s = history.window_ns * 1e-9
     common_std = np.sqrt(np.maximum(np.diag(common), 1e-24))
     loss = _simulated(
-        _steps(own_std),
-        _steps(common_std),
+        _steps(own_std, _LN_STEP),
+        _steps(common_std, _LN_COMMON_STEP),
         _correlation(common),
         round(max(hop_s / window_s, 1.0 / _LOOKS_A_WINDOW), 6),
         int((_judged_s(history, hop_s) + 1e-6) // window_s),
@@ -83,9 +85,9 @@ def _judged_s(history: History, hop_s: float) -> float:
     return min(begun_s, WITHIN_S) * min(judged_s / remembered_s, 1.0)
 
 
-def _steps(std: Array) -> tuple[int, ...]:
+def _steps(std: Array, step: float) -> tuple[int, ...]:
     """Round the logarithms of standard deviations."""
-    return tuple(int(v) for v in np.rint(np.log(std) / _LN_STEP))
+    return tuple(int(v) for v in np.rint(np.log(std) / step))
 
 
 def _correlation(covariance: Array) -> tuple[int, ...]:
@@ -94,9 +96,9 @@ def _correlation(covariance: Array) -> tuple[int, ...]:
     return tuple(int(v) for v in np.rint(covariance / np.outer(std, std) / _CORRELATION_STEP).ravel())
 
 
-def _covariance(steps: tuple[int, ...], correlation: tuple[int, ...]) -> Array:
+def _covariance(steps: tuple[int, ...], step: float, correlation: tuple[int, ...]) -> Array:
     """Make the nearest covariance of rounded standard deviations and correlations."""
-    std, n = np.exp(np.array(steps) * _LN_STEP), len(steps)
+    std, n = np.exp(np.array(steps) * step), len(steps)
     values, vectors = np.linalg.eigh(np.clip(np.reshape(correlation, (n, n)) * _CORRELATION_STEP, -1.0, 1.0))
     rho = (vectors * np.maximum(values, 1e-6)) @ vectors.T
     return np.asarray(rho * np.outer(std, std) / np.sqrt(np.outer(np.diag(rho), np.diag(rho))))
@@ -121,7 +123,8 @@ def _simulated(
     `hop` is the time between looks, `windows` the length of the data after the loss and `confirm` the on-delay, all in window
     lengths.
     """
-    own, common = _covariance(own_steps, correlation), _covariance(common_steps, correlation)
+    own = _covariance(own_steps, _LN_STEP, correlation)
+    common = _covariance(common_steps, _LN_COMMON_STEP, correlation)
     n, rng = len(own), np.random.default_rng(0)
     apart, longest = max(1, round(1.0 / hop)), max(STRETCHES)  # looks in a window
     looks = np.arange(1, windows * apart + 1)

@@ -1,8 +1,9 @@
 """Sequential test for a loss of stiffness: a window-limited likelihood ratio over stretches of one to eight windows.
 
 Windows overlap, so a stretch of k window lengths is averaged from the k readings that share no data.  That is the mean over
-exactly this stretch, with the variance of one window over k.  The baseline's error is common to all windows.  It is added after
-averaging, so averaging does not reduce it.  Large losses are detected in one window, small ones in eight.
+exactly this stretch, with the variance of one window over k.  The errors of the baseline and of the covariates' law are common
+to all windows.  Their mean covariance, an upper bound where the covariates moved, is added after averaging, so averaging does
+not reduce it.  Large losses are detected in one window, small ones in eight.
 
 References
 ----------
@@ -49,6 +50,8 @@ class History:
     """Shape (h, n): damage index."""
     variance: Array
     """Shape (h, n): variance of the damage index in each window, without the baseline's error."""
+    common: Array
+    """Shape (h, n, n): covariance that a window has in common with the others."""
     ln_variance: Array
     """Shape (n,): smoothed logarithm of the variance."""
     memory_s: float
@@ -69,8 +72,9 @@ class SequentialStatistic:
 
 def begin(n_stories: int, window_s: float) -> History:
     """Return the empty history of n stories, for windows of `window_s` seconds."""
-    none = np.zeros((0, n_stories))
-    return History(round(window_s * 1e9), np.zeros(0, dtype=np.int64), none, none, np.zeros(n_stories), 0.0)
+    none, shared = np.zeros((0, n_stories)), np.zeros((0, n_stories, n_stories))
+    t_ns = np.zeros(0, dtype=np.int64)
+    return History(round(window_s * 1e9), t_ns, none, none, shared, np.zeros(n_stories), 0.0)
 
 
 def look(history: History, reading: DamageReading, t_ns: int, model_form: float) -> tuple[History, SequentialStatistic]:
@@ -89,7 +93,8 @@ def look(history: History, reading: DamageReading, t_ns: int, model_form: float)
     own = reading.ddi_covariance - reading.common_covariance + (1e-24 - reading.form_variance) * np.eye(n)
     model_form = max(model_form, reading.model_form)
     variance = own.diagonal()
-    history = _append(history, reading.ddi, variance, t_ns)
+    common = np.broadcast_to(reading.common_covariance, (n, n))
+    history = _append(history, reading.ddi, variance, common, t_ns)
     chain = _disjoint_readings(history)
     age = (t_ns - history.t_ns[chain]) / history.window_ns
     counts = np.array([np.count_nonzero(age < stretch - 1e-6) for stretch in STRETCHES])
@@ -97,7 +102,8 @@ def look(history: History, reading: DamageReading, t_ns: int, model_form: float)
     means = np.cumsum(ddi, axis=0)[counts - 1] / counts[:, None]
     variances = np.cumsum(variance, axis=0)[counts - 1] / counts[:, None] ** 2
     scale = np.sqrt(variances / own.diagonal())
-    covariance = own * scale[:, :, None] * scale[:, None, :] + reading.common_covariance
+    common = np.cumsum(history.common[chain], axis=0)[counts - 1] / counts[:, None, None]
+    covariance = own * scale[:, :, None] * scale[:, None, :] + common
     z, std = statistic(means, covariance, model_form)
     agrees = np.abs(ddi[0] - means) <= _MAX_DISAGREEMENT * np.sqrt(
         variance[0] * (1.0 - 2.0 / counts[:, None]) + variances
@@ -107,8 +113,10 @@ def look(history: History, reading: DamageReading, t_ns: int, model_form: float)
     return history, SequentialStatistic(np.where(agrees, z, -np.inf).max(axis=0), means[longest], std[longest])
 
 
-def _append(history: History, ddi: Array, variance: Array, t_ns: int) -> History:
-    """Append a reading, damage index and variance of shape (n,), and drop readings that no stretch needs any more.
+def _append(history: History, ddi: Array, variance: Array, common: Array, t_ns: int) -> History:
+    """Append a reading, and drop readings that no stretch needs any more.
+
+    Damage index and variance have shape (n,), the common covariance (n, n).
 
     The smoothed standard deviation is used, because a window's own may be too small by chance.  The window's own is used where
     it is clearly larger: conditions got worse, or the window lies across the onset of a change.
@@ -126,6 +134,7 @@ def _append(history: History, ddi: Array, variance: Array, t_ns: int) -> History
         np.append(history.t_ns[keep], t_ns),
         np.concatenate([history.ddi[keep], ddi[None]]),
         np.concatenate([history.variance[keep], np.maximum(variance / _STD_EXCESS**2, np.exp(ln_variance))[None]]),
+        np.concatenate([history.common[keep], common[None]]),
         ln_variance,
         memory_s,
     )

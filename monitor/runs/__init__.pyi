@@ -1,4 +1,4 @@
-from . import calibrate, demo, diagnose, ledger, ledger_chain, paper_tables, replay, synthetic_recording
+from . import calibrate, demo, diagnose, features, ledger, ledger_chain, paper_tables, replay, synthetic_recording
 from .archive.inventory import expand_patterns
 from .archive.jobs import WINDOWS
 from .archive.reprocess import reprocess
@@ -21,6 +21,7 @@ __all__ = [
     "diagnose",
     "duration_s",
     "expand_patterns",
+    "features",
     "import_files",
     "ledger",
     "ledger_chain",

@@ -89,17 +89,20 @@ def calibrate(
     rms = np.array([r.rms_m_s2 for r in good])
     assert progress.first is not None
     span_ns = (progress.first.t_ns, pipeline.state.align.t_next_ns())
-    temperatures = [r.temperature for r in good if r.modes is not None]
+    units = {"level": "dB", "temperature": "degC", **{t.name: t.unit for t in config.covariates}}
     baseline, fit = learn_baseline(
         config.instrumented(),
         windows,
         rms,
         recordings,
         span_ns,
-        temperatures,
+        [r.covariates for r in good if r.modes is not None],
+        units,
+        pipeline.drift_weights,
         updating=config.updating,
-        temperature=config.temperature,
+        compensation=config.compensation,
     )
+    _warn_of_confounding(baseline, on_warning)
     _warn_of_ambiguities(baseline, config, good[-1], on_warning)
     if segments is None:
         on_warning("too short for a diagnosis to learn from; 'diagnose' will not take this baseline")
@@ -154,9 +157,9 @@ def rebase(path: Path, config: Configuration) -> tuple[Baseline, tuple[str, ...]
     says.append(
         f"the model's form leaves an error of {100 * new.model_form:.2g} % of a loss, {100 * old.model_form:.2g} % before"
     )
-    if old.temperature is not None:
+    if old.law is not None:
         says.append(
-            "the dependence on the temperature is kept: a change that all stories have alike does not depend on the drawing"
+            "the dependence on level and temperature is kept: a change that all stories have alike does not depend on the drawing"
         )
     if old.reference is not None:
         says.append(
@@ -229,6 +232,15 @@ def _warn_of_missing_modes(windows: list[WindowResult], kept: list[WindowResult]
     if len(kept) < len(windows):
         on_warning(
             f"{len(windows) - len(kept)} of {len(windows)} windows were left out: they lack a mode of the others"
+        )
+
+
+def _warn_of_confounding(baseline: Baseline, on_warning: OnWarning) -> None:
+    """Warn of covariates that ran together, so that their effects are not told apart."""
+    for one, other, r in () if baseline.law is None else baseline.law.confounded():
+        on_warning(
+            f"{one} and {other} ran together at calibration (their effects have a correlation of {r:+.2f}): which of them "
+            "moves the stiffness is not known; longer healthy data would tell"
         )
 
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Protocol
 
-from drivers.base import ACCELERATION, RecordingError, RecordingMissingError, SampleBlock
+from drivers.base import ACCELERATION, UNIT_OF, RecordingError, RecordingMissingError, SampleBlock
 from drivers.mcap_file import read_recordings
 from monitor.config import Configuration
 from monitor.core import BadInputError, MissingInputError
@@ -33,7 +33,13 @@ def read_blocks(
         If a recording is missing or unusable.
     """
     try:
-        yield from read_recordings(paths, topic_map=config.topics or None, on_warning=on_warning, longest_s=longest_s)
+        yield from read_recordings(
+            paths,
+            topics=tuple(dict.fromkeys([*UNIT_OF, *(table.topic for table in config.covariates)])),
+            topic_map=config.topics or None,
+            on_warning=on_warning,
+            longest_s=longest_s,
+        )
     except RecordingMissingError as error:
         raise MissingInputError(str(error)) from error
     except RecordingError as error:

@@ -26,6 +26,7 @@ from monitor.damage import (
     diagnosis_of,
     follow,
     hold,
+    learned_ranges,
 )
 from monitor.events import Event
 from monitor.pipeline import Pipeline, PipelineState, Result
@@ -186,6 +187,10 @@ class Session:
             **self.assessment.content,
             **summary,
             "known": asdict(self._known),
+            "covariates_learned": {
+                name: learned._asdict()
+                for name, learned in learned_ranges(None if self._baseline is None else self._baseline.law).items()
+            },
             "findings": [{key: f.get(key) for key in FINDING_KEYS} for f in findings],
             "quality": self._quality.content(),
             "thresholds": self.config.alarm.model_dump(include={"significance", "min_loss", "alarm_loss"}),

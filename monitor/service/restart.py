@@ -46,6 +46,8 @@ _KEYED = (
     "tracking",
     "updating",
     "temperature",
+    "covariates",
+    "compensation",
 )
 """Tables of the site file on which the results depend, besides the structure.  Limits of alarm, quality and watch may change."""
 _MOST_LINES_BYTES = 64 << 20

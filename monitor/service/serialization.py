@@ -71,10 +71,18 @@ def _with_span_faults(tree: Any) -> Any:
     return tree
 
 
-def _with_events(tree: Any) -> Any:
-    """Upgrade from version 4, which knew no events: the stage begins anew."""
+def _with_events_and_covariates(tree: Any) -> Any:
+    """Upgrade from version 4, which had temperature alone and no events, and whose sequential test kept no common covariance.
+
+    The stage of events begins anew, and so does the test: what its windows had in common is not known.
+    """
     if "session" in tree:
-        tree["session"]["pipeline"] |= {"events": plain(EventState()), "ground": plain(GroundState())}
+        pipeline = tree["session"]["pipeline"]
+        pipeline |= {"events": plain(EventState()), "ground": plain(GroundState()), "covariates": [], "learning": None}
+        history = pipeline["alarm"]["history"]
+        n = history["ddi"].shape[1]
+        history |= {name: history[name][:0] for name in ("t_ns", "ddi", "variance")}
+        history |= {"common": np.zeros((0, n, n)), "memory_s": 0.0}
     return tree
 
 
@@ -84,7 +92,7 @@ UPGRADES: dict[int, Callable[[Any], Any]] = {
     1: _without_doubled_sums,
     2: _with_course,
     3: _with_span_faults,
-    4: _with_events,
+    4: _with_events_and_covariates,
 }
 """Version -> function that converts its plain value (`plain`) to that of the next version."""
 _DTYPES = ("<f8", "<c16", "<i8", "<f4", "|b1")

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from pydantic import Field
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
 
 from drivers.base import SampleBlock
 from monitor.core import Array, BadInputError, Settings, Temperature
@@ -21,27 +23,28 @@ _PLAUSIBLE_DEGC = (-100.0, 200.0)
 """Range outside which a reading is no temperature. [degC; judgement: a broken sensor says -127, say]"""
 _CLOCK_JUMP_NS = 86_400_000_000_000
 """Step back of the clock from which earlier readings are dropped. [ns; judgement: a day]"""
+_FORMER_KEYS = ("min_range_k", "significance", "unevenness", "extrapolation")
+"""Keys of ``[temperature]`` in files of former versions. [names]"""
 _S_PER_NS = 1e-9
 """Seconds of a nanosecond. [s/ns; definition]"""
 
 
 class TemperatureSettings(Settings):
-    """``[temperature]``: the temperature of a window, and the dependence of stiffness on temperature."""
+    """``[temperature]``: the temperature, and every other covariate, of a window."""
 
     patience_s: float = Field(default=60.0, ge=0)
     """A window's temperature is the mean over a stretch of the window's length that ends this much before the window.
     Temperatures that arrive up to this late, or in another order than the accelerations, then change no result."""
     max_age_s: float = Field(default=600.0, gt=0)
     """A window whose newest temperature is older than this has no temperature."""
-    min_range_k: float = Field(default=2.0, gt=0)
-    """Least range of the healthy windows' temperatures from which a dependence is learned."""
-    significance: float = Field(default=4.0, gt=0)
-    """Significance from which a dependence is accepted, in standard deviations (all stories jointly)."""
-    unevenness: float = Field(default=0.2, gt=0)
-    """Expected scatter of the stories' coefficients about a common one, relative to their size (one standard deviation)."""
-    extrapolation: float = Field(default=0.5, ge=0)
-    """Standard deviation of the extrapolated change, as a share of the change that the law predicts from the end of the
-    learned range."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _former_keys(cls, table: Any) -> Any:
+        """Accept the keys of former versions: the law's posterior and ``[compensation]`` took their place."""
+        if isinstance(table, dict):
+            return {k: v for k, v in table.items() if k not in _FORMER_KEYS}
+        return table
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -80,7 +83,33 @@ def push(state: TemperatureState, block: SampleBlock, oldest_ns: int = 0) -> Tem
         raise BadInputError(f"{block.topic}: unit {block.unit!r}, expected 'degC'")
     degc = np.asarray(block.samples, dtype=np.float64)
     low, high = _PLAUSIBLE_DEGC
-    good = ((degc > low) & (degc < high)).all(axis=1) & bool(block.channels)  # NaN compares as false: left out as well
+    good = np.asarray(((degc > low) & (degc < high)).all(axis=1) & bool(block.channels))  # NaN compares as false
+    return _append(state, block, degc.mean(axis=1), good, oldest_ns)
+
+
+def push_channel(
+    state: TemperatureState, block: SampleBlock, channel: str | None, unit: str, oldest_ns: int = 0
+) -> TemperatureState:
+    """Add a block of readings of any covariate: one channel, or the mean of all, after each lag; missing values are left out.
+
+    Raises
+    ------
+    BadInputError
+        If the unit is another, or the block has no such channel.
+    """
+    if block.unit != unit:
+        raise BadInputError(f"{block.topic}: unit {block.unit!r}, expected {unit!r}: correct [[covariates]]")
+    if channel is not None and channel not in block.channels:
+        raise BadInputError(f"{block.topic}: no channel {channel!r} among {', '.join(block.channels)}")
+    columns = [block.channels.index(channel)] if channel is not None else list(range(len(block.channels)))
+    values = np.asarray(block.samples, dtype=np.float64)[:, columns].mean(axis=1)
+    return _append(state, block, values, np.isfinite(values), oldest_ns)
+
+
+def _append(
+    state: TemperatureState, block: SampleBlock, values: Array, good: NDArray[np.bool_], oldest_ns: int
+) -> TemperatureState:
+    """Append the good values of a block, one for each sample, after each lag."""
     t_ns = block.t_ns + np.round(np.arange(block.n_samples) / block.sample_rate_hz / _S_PER_NS).astype(np.int64)
     if state.t_ns.size and state.t_ns[-1] - block.t_ns > _CLOCK_JUMP_NS:
         state = start()  # the earlier clock was wrong: no window will need the readings that it stamped
@@ -88,7 +117,7 @@ def push(state: TemperatureState, block: SampleBlock, oldest_ns: int = 0) -> Tem
     y = state.lagged_degc[-1] if state.t_ns.size else None
     lags, times, rows = np.maximum(LAGS_S, _S_PER_NS), [], []
     # One reading at a time: the lag is recursive, and any division into blocks must give the same bits.
-    for t, value in zip(t_ns[good].tolist(), degc[good].mean(axis=1).tolist(), strict=True):
+    for t, value in zip(t_ns[good].tolist(), values[good].tolist(), strict=True):
         if t // _SPACING_NS <= last_ns // _SPACING_NS:
             continue  # repeated, late, or closer than one reading per spacing
         y = np.full(lags.size, value) if y is None else value + (y - value) * np.exp((last_ns - t) * _S_PER_NS / lags)

@@ -60,7 +60,7 @@ def baseline(config: Configuration) -> Baseline:
     ]
     modes = [r.modes for r in results if isinstance(r, WindowResult) and r.modes]
     return learn_baseline(
-        config.instrumented(), modes, np.ones(1), (), updating=config.updating, temperature=config.temperature
+        config.instrumented(), modes, np.ones(1), (), updating=config.updating, compensation=config.compensation
     )[0]
 
 

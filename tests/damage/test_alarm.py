@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -146,6 +148,22 @@ def test_skipped_windows_hold_the_state() -> None:
     verdict = site.skip_one()
     assert (verdict.level, verdict.stories) == (Level.WARNING, (1,))
     assert "skipped" in verdict.reason
+
+
+def test_a_storm_beyond_calibration_ends_no_announcement_and_may_begin_one() -> None:
+    """There the errors of the covariates' law hide the loss, which is still there."""
+    storm = replace(reading(0.05, common=0.05), beyond="stronger than anything at calibration")
+    site = Site()
+    assert site.see(0.05, times=20)[-1] == "warning"
+    for _ in range(100):
+        site.states, verdict = alarm.step(site.states, storm, site.t_ns, SETTINGS)
+        site.t_ns += HOP_NS
+        assert verdict.level is Level.WARNING
+    assert "stronger than anything at calibration" in verdict.reason
+    assert site.see(0.0, times=100)[-1] == "normal"
+    severe = replace(reading(0.5, common=0.05), beyond="stronger than anything at calibration")
+    _, verdict = alarm.step(site.states, severe, site.t_ns, SETTINGS)
+    assert verdict.level is Level.ADVISORY
 
 
 def test_stories_are_judged_each_on_its_own() -> None:

@@ -76,7 +76,7 @@ def test_wrong_masses_and_flexible_joints_bias_a_5_percent_loss_by_less_than_hal
         np.ones(1),
         (),
         updating=config.updating,
-        temperature=config.temperature,
+        compensation=config.compensation,
     )
     loss = tuple(0.05 if j + 1 == story else 0.0 for j in range(3))
     _, reading = damage_index.step(exact_modes(truth(loss)), healthy.model, healthy, np.eye(3), config.updating)
@@ -95,7 +95,7 @@ def test_beside_joints_that_the_model_knows_a_loss_is_that_of_the_columns(story:
         np.ones(1),
         (),
         updating=config.updating,
-        temperature=config.temperature,
+        compensation=config.compensation,
     )
     lost = parse_effect(f"stiffness_change:story {story}:relative=-0.15")
     now = exact_modes(Model(truth((0, 0, 0)).structure, (*JOINTS, lost)))
@@ -111,7 +111,7 @@ def test_an_unchanged_structure_reads_zero_however_wrong_the_drawing() -> None:
         np.ones(1),
         (),
         updating=config.updating,
-        temperature=config.temperature,
+        compensation=config.compensation,
     )
     assert np.abs(healthy.misfit).max() > 0.005  # the drawing is wrong indeed, and stays so
     _, reading = damage_index.step(exact_modes(truth((0, 0, 0))), healthy.model, healthy, np.eye(3), config.updating)
@@ -143,7 +143,7 @@ def test_from_samples_a_5_percent_loss_is_found_at_the_right_story() -> None:
         np.array([r.rms_m_s2 for r in calm]),
         (),
         updating=config.updating,
-        temperature=config.temperature,
+        compensation=config.compensation,
     )
     for story in (1, 2, 3):
         loss = tuple(0.05 if j + 1 == story else 0.0 for j in range(3))
@@ -196,7 +196,7 @@ def test_a_baseline_with_one_wrong_key_is_refused_by_name(tmp_path, key: str, va
         np.ones(1),
         ({"file": "x"},),
         updating=config.updating,
-        temperature=config.temperature,
+        compensation=config.compensation,
     )
     save_baseline(healthy, place)
     content = json.loads(place.read_text())
@@ -213,11 +213,18 @@ def test_a_baseline_without_one_of_its_keys_is_refused_by_name(tmp_path) -> None
         np.ones(1),
         (),
         updating=config.updating,
-        temperature=config.temperature,
+        compensation=config.compensation,
     )
     save_baseline(healthy, place)
     content = json.loads(place.read_text())
-    for key in content.keys() - {"temperature", "stiffness_correction_n_per_m", "reference", "origin"}:
+    for key in content.keys() - {
+        "temperature",
+        "law",
+        "drift_weights",
+        "stiffness_correction_n_per_m",
+        "reference",
+        "origin",
+    }:
         place.write_text(json.dumps({name: value for name, value in content.items() if name != key}))
         with pytest.raises(BadInputError, match=key):
             load_baseline(place, config.instrumented(), config.updating)
@@ -231,7 +238,7 @@ def test_a_baseline_survives_its_file(tmp_path) -> None:
         np.ones(1),
         ({"file": "x"},),
         updating=config.updating,
-        temperature=config.temperature,
+        compensation=config.compensation,
     )
     save_baseline(healthy, tmp_path / "b.json")
     again = load_baseline(tmp_path / "b.json", config.instrumented(), config.updating)

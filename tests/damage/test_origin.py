@@ -22,7 +22,7 @@ def learned(config: Configuration) -> Baseline:
         np.ones(1),
         (),
         updating=config.updating,
-        temperature=config.temperature,
+        compensation=config.compensation,
     )[0]
 
 

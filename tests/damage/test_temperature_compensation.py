@@ -10,14 +10,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import monitor.damage.covariates as covariates
 from drivers.base import ACCELERATION, TEMPERATURE, SampleBlock
 from drivers.mcap_file import McapWriter
 from monitor.config import configuration
 from monitor.config.configuration import Configuration
 from monitor.core.errors import BadInputError
 from monitor.core.results import Temperature, WindowResult
-from monitor.damage import Baseline, load_baseline, save_baseline, temperature_compensation
-from monitor.damage.temperature_compensation import Change, Dependence
+from monitor.damage import Baseline, CovariateSettings, load_baseline, save_baseline
+from monitor.damage.covariate_law import CovariateLaw
+from monitor.damage.covariates import Change, learn_law
 from monitor.model.model import Model
 from monitor.model.simulation import simulate
 from monitor.pipeline import Pipeline
@@ -142,92 +144,114 @@ def changes(degc: np.ndarray, slope: np.ndarray, seed: int, lag_s: float = 0.0, 
     for k in range(n):
         places = tuple((True, 3 * (k + b) + j) for b in range(OVERLAP) for j in range(3))
         relative = slope * (driver[k] - driver.mean()) + blocks[k : k + OVERLAP].sum(axis=0)
-        out.append(Change(relative, rows.reshape(-1, 3), places, Temperature(lagged[k])))
+        out.append(Change(relative, rows.reshape(-1, 3), places, {"temperature": lagged[k]}))
     return out
 
 
 RAMP = np.linspace(10.0, 16.0, 150)
 UNIFORM = np.full(3, PER_DEGC)
+LAW_SETTINGS = CovariateSettings()
+DEGC = {"temperature": "degC"}
 
 
-def test_learned_slopes_lie_within_their_stated_errors() -> None:
-    """Also where the stories follow unlike: 12 draws, three slopes each."""
+def learned(some: list[Change], span_s: float = 0.0) -> CovariateLaw:
+    law = learn_law(some, span_s, DEGC, LAW_SETTINGS)
+    assert law is not None
+    return law
+
+
+def at(degc: float) -> dict[str, np.ndarray]:
+    return {"temperature": np.full(len(LAGS_S), degc)}
+
+
+def errors(law: CovariateLaw, slope: np.ndarray, span_k: float) -> np.ndarray:
+    """Error of the change over the learned range, over its stated standard deviation."""
+    change, std = law.over_range("temperature")
+    return np.asarray((change - np.expm1(slope * span_k)) / std)
+
+
+def test_learned_changes_lie_within_their_stated_errors() -> None:
+    """Also where the stories follow unlike: 12 draws, three stories each."""
     for slope in (UNIFORM, np.array([1.2e-3, 1.5e-3, 1.8e-3])):
-        errors = []
-        for seed in range(12):
-            found = temperature_compensation.learn(changes(RAMP, slope, seed), 0.0, SETTINGS)
-            assert found is not None
-            errors.append((found.per_degc - slope) / np.sqrt(np.diag(found.covariance)))
-        assert 0.6 < np.sqrt(np.mean(np.square(errors))) < 1.25
+        all_errors = [errors(learned(changes(RAMP, slope, seed)), slope, 6.0) for seed in range(12)]
+        assert 0.6 < np.sqrt(np.mean(np.square(all_errors))) < 1.25
 
 
 def test_stories_that_follow_unlike_in_sign_are_not_pulled_to_a_common_slope() -> None:
     slope = np.array([2.0e-3, -2.0e-3, 0.0])
-    found = [temperature_compensation.learn(changes(RAMP, slope, seed), 0.0, SETTINGS) for seed in range(6)]
-    errors = [(d.per_degc - slope) / np.sqrt(np.diag(d.covariance)) for d in found if d is not None]
-    assert len(errors) == 6
-    assert np.sqrt(np.mean(np.square(errors))) < 1.5
+    all_errors = [errors(learned(changes(RAMP, slope, seed)), slope, 6.0) for seed in range(6)]
+    assert np.sqrt(np.mean(np.square(all_errors))) < 1.5
 
 
 def test_a_days_record_tells_the_lag() -> None:
     day = 15.0 + 5.0 * np.sin(np.arange(540) * 160.0 / 86_400 * 2 * np.pi)
     for lag_s in (0.0, 960.0, 5431.0):
-        found = temperature_compensation.learn(changes(day, UNIFORM, 3, lag_s, 160.0), 86_400.0, SETTINGS)
-        assert found is not None
-        assert abs(LAGS_S.index(found.lag_s) - LAGS_S.index(lag_s)) <= (1 if lag_s else 3)
+        (axis,) = learned(changes(day, UNIFORM, 3, lag_s, 160.0), 86_400.0).axes
+        assert abs(axis.lag - LAGS_S.index(lag_s)) <= (1 if lag_s else 3)
 
 
-def test_nothing_is_learned_from_what_tells_nothing() -> None:
-    assert temperature_compensation.learn(changes(RAMP, UNIFORM, 0), 0.0, SETTINGS) is not None
-    assert (
-        temperature_compensation.learn(changes(10.0 + 0.3 * (RAMP - 10.0), UNIFORM, 0), 0.0, SETTINGS) is None
-    )  # too narrow
-    assert temperature_compensation.learn(changes(RAMP, 0.0 * UNIFORM, 0), 0.0, SETTINGS) is None  # not significant
-    assert (
-        temperature_compensation.learn(changes(RAMP[::50], 2.0 * UNIFORM, 0), 0.0, SETTINGS) is None
-    )  # too few windows
+def test_what_tells_nothing_leaves_the_prior_and_too_few_windows_no_law() -> None:
+    narrow, wide = (learned(changes(degc, UNIFORM, 0)) for degc in (10.0 + 0.03 * (RAMP - 10.0), RAMP))
+    assert np.abs(narrow.slopes[:, 0]).max() < 0.5 * PER_DEGC
+    std = [np.sqrt(law.expected(at(13.0)).covariance.diagonal()) for law in (narrow, wide)]
+    assert (std[0] > 5.0 * std[1]).all()  # 3 K above a range of 0.2 K, and within one of 6 K
+    still = learned(changes(RAMP, 0.0 * UNIFORM, 0))
+    assert np.abs(errors(still, 0.0 * UNIFORM, 6.0)).max() < 3.0
+    assert learn_law(changes(RAMP[::50], 2.0 * UNIFORM, 0), 0.0, DEGC, LAW_SETTINGS) is None
     some = changes(RAMP, UNIFORM, 0)
-    unknown = [Change(c.relative, c.deviations, c.places, None) for c in some]
-    assert (
-        temperature_compensation.learn([*some[:120], *unknown[120:]], 0.0, SETTINGS) is None
-    )  # their mean is another's
+    unknown = [Change(c.relative, c.deviations, c.places, {}) for c in some]
+    assert learn_law([*some[:120], *unknown[120:]], 0.0, DEGC, LAW_SETTINGS) is None  # their mean is another's
 
 
 def test_what_sensors_do_not_see_follows_what_they_see() -> None:
     """Three stories of which only two combinations show, the changes being the shortest that explain them."""
     shown = np.linalg.qr(np.array([[1.0, 1.0, 0.0], [0.5, 0.0, 1.0]]).T)[0]
     onto = shown @ shown.T
-    some = [Change(c.relative @ onto, c.deviations @ onto, c.places, c.temperature) for c in changes(RAMP, UNIFORM, 4)]
-    found = temperature_compensation.learn(some, 0.0, SETTINGS)
-    assert found is not None
-    std = np.sqrt(np.diag(found.covariance))
-    assert (np.abs(found.per_degc - PER_DEGC) < 3.0 * std).all()
-    assert (std < 0.5 * PER_DEGC).all()
+    some = [Change(c.relative @ onto, c.deviations @ onto, c.places, c.covariates) for c in changes(RAMP, UNIFORM, 4)]
+    change, std = learned(some).over_range("temperature")
+    assert (np.abs(change - np.expm1(6.0 * PER_DEGC)) < 3.0 * std).all()
+    assert (std < 6.0 * PER_DEGC).all()
 
 
-def test_scatter_beyond_the_windows_own_widens_the_slopes_error() -> None:
+def test_scatter_beyond_the_windows_own_widens_the_laws_error() -> None:
     some = changes(RAMP, UNIFORM, 1)
     rng = np.random.default_rng(2)
-    wild = [Change(c.relative + 3e-3 * rng.standard_normal(3), c.deviations, c.places, c.temperature) for c in some]
-    calm, widened = (temperature_compensation.learn(c, 0.0, SETTINGS) for c in (some, wild))
-    assert calm is not None
-    assert widened is not None
-    assert (np.diag(widened.covariance) > 1.5 * np.diag(calm.covariance)).all()
+    wild = [Change(c.relative + 3e-3 * rng.standard_normal(3), c.deviations, c.places, c.covariates) for c in some]
+    calm, widened = (learned(c) for c in (some, wild))
+    assert (widened.over_range("temperature")[1] > 1.2 * calm.over_range("temperature")[1]).all()
+    assert widened.scatter > 1.5 > calm.scatter
 
 
-LAW = Dependence(UNIFORM, np.diag([1e-8, 2e-8, 3e-8]), 0.0, 15.0, (10.0, 20.0))
+FORMER = {
+    "per_degc": [PER_DEGC] * 3,
+    "covariance": np.diag([1e-8, 2e-8, 3e-8]).tolist(),
+    "lag_s": 0.0,
+    "reference_degc": 15.0,
+    "range_degc": [10.0, 20.0],
+    "extrapolation": 0.5,
+}
+"""Temperature dependence in a file of an older version."""
 
 
-def test_uncertainty_grows_away_from_the_reference_and_faster_outside_the_range_seen() -> None:
-    def std(degc: float) -> float:
-        return float(np.sqrt(LAW.expected(Temperature(np.full(len(LAGS_S), degc)))[1][0, 0]))
+def test_a_former_dependence_predicts_as_it_did() -> None:
+    law = covariates.from_former(FORMER, 3)
+    assert law is not None
+    for degc, beyond in ((15.0, 0.0), (20.0, 0.0), (4.0, 6.0), (25.0, 5.0)):
+        effect, away = law.expected(at(degc)), degc - 15.0
+        scale = np.exp(PER_DEGC * away)
+        np.testing.assert_allclose(effect.relative, np.full(3, scale - 1.0), atol=1e-12)
+        outside = np.full((3, 3), (0.5 * PER_DEGC * beyond) ** 2)
+        was = (np.array(FORMER["covariance"]) * away**2 + outside) * scale**2
+        np.testing.assert_allclose(effect.covariance, was, atol=1e-12)
+    effect = law.expected({})
+    assert not effect.relative.any()
+    assert np.sqrt(np.diag(effect.covariance)) == pytest.approx(UNIFORM * 10.0 / np.sqrt(12.0))
 
-    assert std(15.0) == 0.0
-    assert std(20.0) == pytest.approx(5e-4, rel=0.02)
-    assert std(25.0) > 0.5 * PER_DEGC * 5.0 > 3 * std(20.0)
-    relative, covariance = LAW.expected(None)
-    assert not relative.any()
-    assert np.sqrt(np.diag(covariance)) == pytest.approx(UNIFORM * 10.0 / np.sqrt(12.0))
+
+def test_uncertainty_grows_beyond_the_range_seen() -> None:
+    law = learned(changes(RAMP, UNIFORM, 0))
+    std = [float(np.sqrt(law.expected(at(degc)).covariance[0, 0])) for degc in (13.0, 16.0, 20.0, 30.0)]
+    assert std[0] < std[1] < 0.5 * std[2] < 0.5 * std[3]
 
 
 @pytest.fixture(scope="module")
@@ -293,12 +317,13 @@ def healthy(slow_site: Configuration, tmp_path_factory: pytest.TempPathFactory) 
 
 @pytest.mark.engine
 def test_calibrate_learns_the_dependence_from_a_recording(healthy: Baseline) -> None:
-    law = healthy.temperature
+    law = healthy.law
     assert law is not None
     assert healthy.reference_temperature_degc == pytest.approx(14.8, abs=0.2)
-    std = np.sqrt(np.diag(law.covariance))
-    assert (np.abs(law.per_degc - PER_DEGC) < 4.0 * std).all()
-    assert (std < 0.25 * PER_DEGC).all()
+    low, high = next(axis.range for axis in law.axes if axis.name == "temperature")
+    change, std = law.over_range("temperature")
+    assert (np.abs(change - np.expm1(PER_DEGC * (high - low))) < 4.0 * std).all()
+    assert (std < 0.25 * PER_DEGC * (high - low)).all()
 
 
 @pytest.mark.engine

@@ -92,9 +92,9 @@ def test_random_bytes_give_a_block_or_a_value_error(data: bytes) -> None:
     ],
 )
 def test_contradictions_are_refused_with_their_reason(change, reason: str) -> None:  # type: ignore[no-untyped-def]
-    block = SampleBlock("/x", 0, 0, 100.0, ("a",), "m/s^2", np.ones((4, 1), np.float32))
+    block = SampleBlock(ACCELERATION, 0, 0, 100.0, ("a",), "m/s^2", np.ones((4, 1), np.float32))
     with pytest.raises(ValueError, match=reason):
-        codec.decode(change(codec.encode(block)), "/x")
+        codec.decode(change(codec.encode(block)), ACCELERATION)
 
 
 def test_joined_blocks_are_those_that_go_on(cut: Cut) -> None:

@@ -66,7 +66,7 @@ def learned(settings: Configuration, truth: Model, seed: int, duration_s: float)
         np.array([r.rms_m_s2 for r in windows]),
         (),
         updating=settings.updating,
-        temperature=settings.temperature,
+        compensation=settings.compensation,
     )[0]
 
 

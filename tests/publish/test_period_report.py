@@ -115,6 +115,28 @@ def test_the_figures_of_the_run_are_said(page: ElementTree.Element) -> None:
     assert not any((th.text or "").startswith(("#", "@")) for th in page.iter("th"))
 
 
+def test_the_range_learned_and_where_the_latest_value_lies_are_said(months: Path, tmp_path: Path) -> None:
+    for name in ("results.jsonl", "summary.json"):
+        (tmp_path / name).write_text((months / name).read_text())
+    rows = [json.loads(raw) for raw in (tmp_path / "results.jsonl").read_text().splitlines()[-500:]]
+    for row in rows:
+        row["covariates"] = {"level": 4e-6 if row is rows[-1] else 1e-6, "temperature": 12.0, "wind": 3.0}
+    json_lines(tmp_path / "results.jsonl", rows)
+    learned = {
+        "level": {"unit": "m", "low": 5e-7, "high": 2e-6},
+        "temperature": {"unit": "degC", "low": -3.0, "high": 25.0},
+    }
+    summary = json.loads((months / "summary.json").read_text())
+    (tmp_path / "summary.json").write_text(json.dumps({**summary, "covariates_learned": learned}))
+    write_period(tmp_path / "report.html", read_period(tmp_path, None, None))
+    page = parsed(tmp_path / "report.html")
+    said = words(page)
+    assert "level m 5e-07 2e-06 1e-06 4e-06 4e-06 above it: stiffness is compared by extrapolation" in said
+    assert "temperature degC -3 25 12 12 12 within it" in said
+    assert "wind – – 3 3 3 not learned" in said.replace("wind  ", "wind ")
+    assert chart(page, "level, m") is not None
+
+
 def test_curves_are_light_and_drawn_where_the_values_are(page: ElementTree.Element) -> None:
     """Every curve at most 2000 points, inside its frame, in the right place, broken where nothing was seen."""
     boxes = [svg for svg in page.iter("svg") if svg.get("viewBox")]

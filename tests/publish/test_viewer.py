@@ -33,14 +33,14 @@ from monitor.core.results import (
     StiffnessEstimate,
     WindowResult,
 )
-from monitor.damage import Assessment, State
+from monitor.damage import Assessment, LearnedRange, State
 from monitor.model.model import Model
 from monitor.model.simulation import simulate
 from monitor.model.structures import ShearFrame
 from monitor.model.structures.drawing import Drawing
 from monitor.publish.viewer import picture
 from monitor.publish.viewer import scene as rerun_scene
-from monitor.publish.viewer.layout import _healthy
+from monitor.publish.viewer.layout import _healthy, _trust
 from monitor.publish.viewer.mode_shapes import expand_shape
 from monitor.publish.viewer.output import Output
 from monitor.publish.viewer.publisher import RerunPublisher
@@ -463,6 +463,20 @@ def test_sensors_clocks_and_verdicts_are_shown(tmp_path: Path) -> None:
     text = found["/verdict"][at][0]
     assert all(words in text for words in ("ambiguous", "story 1 or 2", "push each"))
     assert found["/trust/misfit/line"][window(0).t_end_ns] == [1.5]
+
+
+def test_a_covariate_is_shown_beside_the_range_that_was_learned(tmp_path: Path) -> None:
+    scene = replace(SCENE, learned={"level": LearnedRange("m", 1e-6, 3e-6)})
+    view = RerunPublisher(scene, file=tmp_path / "live.rrd", serve=None, lossless=True)
+    storm = replace(window(0), covariates={"level": np.array([-100.0]), "wind": np.array([20.0])})
+    view.window(storm, "")
+    view.close(60.0)
+    assert view.failed is None
+    found = {path: at[storm.t_end_ns] for path, at in read(tmp_path / "live.rrd").items() if "covariate" in path}
+    assert {path.rsplit("/", 1)[1]: value for path, value in found.items()} == {
+        "value": [pytest.approx(1e-5)], "low": [1e-6], "high": [3e-6],
+    }  # fmt: skip
+    assert "/trust/covariate/level" in _origins(_trust(scene))
 
 
 def test_the_models_spectrum_lies_on_a_simulated_one(tmp_path: Path) -> None:

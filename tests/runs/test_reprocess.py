@@ -86,6 +86,8 @@ def lines(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     for row in rows:
         row["alarm"] = {key: row.pop(f"alarm_{key}") for key in ("level", "stories", "reason", "shelved")}
         assert row.pop("t_end").value == row["t_end_ns"]
+        for key in ("covariates", "covariate_effect"):
+            row[key] = None if row[key] is None else dict(row[key])
         told.append({k: v for k, v in row.items() if k != "stream"})
     return told
 

@@ -147,7 +147,7 @@ def raw_baseline(seconds: float, seed: int) -> Baseline:
         np.ones(1),
         (),
         updating=configuration(HOP_S).updating,
-        temperature=configuration(HOP_S).temperature,
+        compensation=configuration(HOP_S).compensation,
     )
     return healthy
 

@@ -142,7 +142,7 @@ def calibrated(number: int, spread: float, seed: int) -> Baseline:
         np.ones(1),
         (),
         updating=config.updating,
-        temperature=config.temperature,
+        compensation=config.compensation,
     )[0]
 
 

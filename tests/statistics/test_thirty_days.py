@@ -9,9 +9,11 @@ from tests.statistics.thirty_days import PER_DEGC, Month, month
 
 
 def _judge(result: Month) -> None:
-    law = result.baselines["with the channel"].temperature
+    law = result.baselines["with the channel"].law
     assert law is not None
-    assert (np.abs(law.per_degc - PER_DEGC) < 4.0 * np.sqrt(np.diag(law.covariance))).all()
+    low, high = law.axes[0].range
+    change, std = law.over_range("temperature")
+    assert (np.abs(change - np.expm1(PER_DEGC * (high - low))) < 4.0 * std).all()
     for name, seen in result.raw.items():
         assert not seen.story_alarms and not result.twin[name].story_alarms, name
         for hurt in (result.raw_loss[name], result.twin_loss[name]):

@@ -19,8 +19,9 @@ from PIL import Image, ImageDraw
 from threadpoolctl import threadpool_limits
 
 from drivers.base import ACCELERATION, TEMPERATURE, SampleBlock
-from monitor.core.results import WHOLE, DamageReading, Temperature, WindowResult
-from monitor.damage import Baseline, alarm, damage_index, learn_baseline
+from monitor.core.results import WHOLE, DamageReading, WindowResult
+from monitor.damage import Baseline, Effect, alarm, damage_index, law_lines, learn_baseline
+from monitor.damage.covariate_law import CovariateLaw
 from monitor.model.simulation import simulate
 from monitor.pipeline import Pipeline
 from monitor.runs.synthetic_recording import cut_into_blocks
@@ -79,7 +80,7 @@ def raw(hours: range, seed: int, loss: np.ndarray = NO_LOSS) -> list[WindowResul
 
 def calibrated(windows: list[WindowResult], channel: bool) -> Baseline:
     span_ns = (windows[0].t_end_ns - WINDOW_S * 10**9, windows[-1].t_end_ns)
-    felt = [r.temperature for r in windows] if channel else []
+    felt = [{"temperature": r.covariates["temperature"]} for r in windows] if channel else []
     return learn_baseline(
         CONFIG.instrumented(),
         [r.modes for r in windows if r.modes],
@@ -87,8 +88,9 @@ def calibrated(windows: list[WindowResult], channel: bool) -> Baseline:
         (),
         span_ns,
         felt,
+        {"temperature": "degC"},
         updating=CONFIG.updating,
-        temperature=CONFIG.temperature,
+        compensation=CONFIG.compensation,
     )[0]
 
 
@@ -124,21 +126,35 @@ def watch(readings: list[tuple[int, DamageReading]]) -> Watch:
 
 
 def readings(windows: list[WindowResult], baseline: Baseline) -> list[tuple[int, DamageReading]]:
-    sensors = CONFIG.instrumented().sensor_matrix
+    sensors, law = CONFIG.instrumented().sensor_matrix, baseline.law
     return [
-        (r.t_end_ns, damage_index.step(r.modes, baseline.model, baseline, sensors, CONFIG.updating, r.temperature)[1])
+        (
+            r.t_end_ns,
+            damage_index.step(
+                r.modes,
+                baseline.model,
+                baseline,
+                sensors,
+                CONFIG.updating,
+                None if law is None else law.expected(r.covariates),
+            )[1],
+        )
         for r in windows
         if r.modes is not None
     ]
 
 
+def effects(t_s: np.ndarray, law: CovariateLaw) -> list[Effect]:
+    """What the law predicts at the end of windows."""
+    felt = weather(t_s - 0.5 * WINDOW_S - CONFIG.temperature.patience_s, law.axes[0].lag_s)
+    return [law.expected({"temperature": np.full(len(temperature.LAGS_S), degc)}) for degc in felt]
+
+
 def explained(t_s: np.ndarray, baseline: Baseline, onset_s: float, loss: np.ndarray) -> np.ndarray:
     """The index that windows without noise would read, shape (n, 3): what temperature leaves unexplained, and a loss."""
-    dependence = baseline.temperature
     expected = np.zeros((t_s.size, 3))
-    if dependence is not None:
-        felt = weather(t_s - 0.5 * WINDOW_S - CONFIG.temperature.patience_s, dependence.lag_s)
-        expected = np.expm1((felt - dependence.reference_degc)[:, None] * dependence.per_degc)
+    if baseline.law is not None:
+        expected = np.array([effect.relative for effect in effects(t_s, baseline.law)])
     ramp = np.clip((t_s - onset_s) / WINDOW_S, 0.0, 1.0)[:, None] * loss
     begin_s, end_s = (t_ns // 10**9 for t_ns in baseline.span_ns)
     at_calibration = healthy_ratio(np.arange(begin_s + WINDOW_S, end_s + 1, HOUR_S)).mean()
@@ -158,11 +174,9 @@ def twin(
     sums = np.cumsum(white, axis=0)
     noise = sums[per_window:] - sums[:-per_window] + rng.multivariate_normal(np.zeros(3), like.common_covariance)
     made = []
-    for t, ddi in zip(t_s, mean + noise, strict=True):
-        common = like.common_covariance
-        if baseline.temperature is not None:
-            degc = weather(np.array(t - 0.5 * WINDOW_S - CONFIG.temperature.patience_s), baseline.temperature.lag_s)
-            common = common + baseline.temperature.expected(Temperature(np.full(len(temperature.LAGS_S), degc)))[1]
+    added = [0.0] * t_s.size if baseline.law is None else [e.covariance for e in effects(t_s, baseline.law)]
+    for t, ddi, more in zip(t_s, mean + noise, added, strict=True):
+        common = like.common_covariance + more
         made.append((round(t * 1e9), replace(like, ddi=ddi, ddi_covariance=own + common, common_covariance=common)))
     return watch(made)
 
@@ -187,15 +201,7 @@ class Month:
 
     def _case(self, name: str) -> str:
         b, r, t, z = self.baselines[name], self.raw[name], self.twin[name], self.unexplained[name]
-        d = b.temperature
-        law = (
-            "nothing learned"
-            if d is None
-            else (
-                f"learned {np.round(1e3 * d.per_degc, 3)} +- {np.round(1e3 * np.sqrt(np.diag(d.covariance)), 3)} 1e-3/K, "
-                f"lag {d.lag_s:.0f} s, seen {d.range_degc[0]:.1f} to {d.range_degc[1]:.1f} degC"
-            )
-        )
+        law = law_lines(b.law)[0]
         return "\n".join(
             [
                 f"{name}: {law}",
@@ -240,7 +246,7 @@ def month(days: int, seed: int, calibration_days: int = 2, loss_hours: int = 24,
     for name in ("with the channel", "without it"):
         b = calibrated(windows[:n_calm], name == "with the channel")
         calm = readings(windows[n_calm:], b)
-        plain = [r for _, r in readings(windows[n_calm : n_calm + 48], replace(b, temperature=None))]
+        plain = [r for _, r in readings(windows[n_calm : n_calm + 48], replace(b, law=None))]
         like = replace(
             plain[0],
             ddi_covariance=np.mean([r.ddi_covariance for r in plain], axis=0),

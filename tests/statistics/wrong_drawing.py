@@ -48,7 +48,7 @@ def one_baseline(number: int, n_windows: int) -> list[tuple[int, np.ndarray, np.
         np.ones(1),
         (),
         updating=overlapping.updating,
-        temperature=overlapping.temperature,
+        compensation=overlapping.compensation,
     )[0]
     out = []
     for story in range(4):

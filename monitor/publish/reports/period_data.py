@@ -115,7 +115,8 @@ class PeriodResults:
     """Frequencies with two standard deviations, Hz."""
     ddi: list[Curve] = field(default_factory=list)
     """Damage index of each story, with two standard deviations."""
-    temperature: Curve | None = None
+    covariates: dict[str, Curve] = field(default_factory=dict)
+    """Temperature, level and named covariates of every window, judged or not."""
     misfit: Curve | None = None
     unidentified: set[int] = field(default_factory=set)
     damaged: int = 0
@@ -148,6 +149,10 @@ class PeriodResults:
             f, std = other["frequency_hz"], other["frequency_std_hz"]
             self._mode(other["track"], f, _SAME_OTHER_MODE).add(at, f, 2.0 * (std or 0.0))
         self.course = course
+        degc = line.get("temperature_degc")
+        before = {} if degc is None else {"temperature": degc}  # lines of older versions have this alone
+        for name, value in line.get("covariates", before).items():
+            self.covariates.setdefault(name, Curve(self.grid)).add(at, value)
         if line["skipped"] is not None:
             self.refused[at] += 1
             return
@@ -157,11 +162,9 @@ class PeriodResults:
             for curve, value, std in zip(self.ddi, line["ddi"], line["ddi_std"], strict=False):
                 curve.add(at, value, 2.0 * std)
             self.unidentified |= set(line.get("unidentified") or [])
-        for name in ("temperature_degc", "misfit"):
-            if (value := line.get(name)) is not None:
-                curve = getattr(self, name.partition("_")[0]) or Curve(self.grid)
-                setattr(self, name.partition("_")[0], curve)
-                curve.add(at, value)
+        if (misfit := line.get("misfit")) is not None:
+            self.misfit = self.misfit or Curve(self.grid)
+            self.misfit.add(at, misfit)
         self.no_baseline = line["alarm"]["reason"].startswith("no baseline")
 
     def _mode(self, track: int, frequency: float, apart: float = _SAME_MODE) -> Curve:

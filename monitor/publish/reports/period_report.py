@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from html import escape
 from itertools import groupby
 from pathlib import Path
@@ -14,7 +14,7 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from monitor.core import WHOLE, BadInputError, Level, Skipped, write_atomically
-from monitor.damage import Assessment, Course, Known, Loss, assess, diagnosis_of, is_seen
+from monitor.damage import Assessment, Course, Known, LearnedRange, Loss, assess, diagnosis_of, is_seen
 from monitor.publish.reports import period_notes as notes
 from monitor.publish.reports.page import document, table
 from monitor.publish.reports.period_data import PeriodResults, read_results, utc
@@ -24,6 +24,8 @@ from monitor.publish.reports.time_charts import TIME, TimeAxes, draw_envelope, p
 _MAX_ROWS = 200
 """Largest number of rows of a table."""
 _UNKNOWN = "–"
+_UNITS = {"temperature": "degC", "level": "m"}
+"""Units of the covariates that are not named in the site file. [units; definition]"""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -41,6 +43,8 @@ class Period:
     decisions: list[Decision]
     thresholds: Mapping[str, float]
     """`alarm_loss`, `min_loss`, `significance`; empty where the run did not record them."""
+    learned: Mapping[str, LearnedRange] = field(default_factory=dict)
+    """Range of each covariate at calibration."""
 
 
 def read_period(folder: Path, from_ns: int | None, to_ns: int | None) -> Period:
@@ -70,6 +74,7 @@ def read_period(folder: Path, from_ns: int | None, to_ns: int | None) -> Period:
         losses = (*losses, *_hidden_losses(losses, summary, start, stop))
         course = replace(results.course, losses=tuple(sorted(losses, key=lambda loss: loss.t_first_ns)))
         thresholds = {str(name): float(value) for name, value in summary.get("thresholds", {}).items()}
+        learned = {str(n): LearnedRange(**r) for n, r in summary.get("covariates_learned", {}).items()}
     with _name_file_in_errors(folder / "ledger.jsonl"):
         decisions = [d for d in notes.read_decisions(folder, health) if start < d.t_ns <= stop]
     with _name_file_in_errors(folder / "findings"):
@@ -80,7 +85,7 @@ def read_period(folder: Path, from_ns: int | None, to_ns: int | None) -> Period:
     with _name_file_in_errors(folder / "results.jsonl"):
         assessment = assess(course, known, findings, whole=True)
     name = folder.resolve().name
-    return Period(name, results, quality, course, assessment, known, findings, decisions, thresholds)
+    return Period(name, results, quality, course, assessment, known, findings, decisions, thresholds, learned)
 
 
 def _known_of(summary: Mapping[str, Any]) -> Known:
@@ -121,7 +126,8 @@ def write_period(path: Path, period: Period) -> None:
 
 def page(period: Period) -> str:
     """Write the page, which is well-formed XML as well."""
-    parts = [_head(period), _damage(period), _alarms(period), _modes(period), _trust(period), _findings(period)]
+    parts = [_head(period), _damage(period), _alarms(period), _modes(period), _covariates(period), _trust(period)]
+    parts.append(_findings(period))
     return document(f"{period.name}: {_span(period)}", parts)
 
 
@@ -258,15 +264,38 @@ def _rest_count(count: int) -> str:
 
 
 def _modes(period: Period) -> str:
-    """Draw the frequencies, and the temperature on the same time axis."""
+    """Draw the frequencies."""
     curves = period.results.common_modes()
     if not curves:
         return ""
     names = [f"mode {c.mode}" if c.mode is not None else "another mode, not of the model" for c in curves]
     panels = [panel(period.results.grid, c, f"{name}: frequency, Hz") for name, c in zip(names, curves, strict=True)]
-    return (
-        "<h2>Modes</h2>" + "".join(panels) + panel(period.results.grid, period.results.temperature, "temperature, degC")
-    )
+    return "<h2>Modes</h2>" + "".join(panels)
+
+
+def _covariates(period: Period) -> str:
+    """Draw level of motion and weather, with the range that calibration learned from and where the latest value lies in it."""
+    rows, panels = [], []
+    for name, curve in sorted(period.results.covariates.items()):
+        e, learned = curve.envelope(), period.learned.get(name)
+        unit = learned.unit if learned is not None else _UNITS.get(name, "")
+        extent = f"{e.low.min():.3g}", f"{e.high.max():.3g}", f"{curve.latest:.3g}"
+        known = (_UNKNOWN, _UNKNOWN) if learned is None else (f"{learned.low:.3g}", f"{learned.high:.3g}")
+        rows.append((name, unit, *known, *extent, _place(curve.latest, learned)))
+        panels.append(panel(period.results.grid, curve, f"{name}, {unit}".rstrip(", ")))
+    if not rows:
+        return ""
+    head = ["covariate", "unit", "#learned from", "#to", "#here from", "#to", "#latest", "the latest lies"]
+    return "<h2>Level of motion and weather</h2>" + table(head, rows) + "".join(panels)
+
+
+def _place(value: float, learned: LearnedRange | None) -> str:
+    """Say where a value lies in the range that calibration learned from."""
+    if learned is None:
+        return "not learned"
+    if value < learned.low:
+        return "below it: stiffness is compared by extrapolation"
+    return "above it: stiffness is compared by extrapolation" if value > learned.high else "within it"
 
 
 def _trust(period: Period) -> str:

@@ -48,6 +48,8 @@ WINDOWS_SCHEMA = pa.schema(
         ("misfit", pa.float64()),
         ("temperature_degc", pa.float64()),
         ("temperature_effect", _MANY),
+        ("covariates", pa.map_(pa.string(), pa.float64())),
+        ("covariate_effect", pa.map_(pa.string(), _MANY)),
         ("alarm_level", pa.string()),
         ("alarm_stories", _NUMBERS),
         ("alarm_reason", pa.string()),
@@ -78,5 +80,7 @@ def windows_table(lines: Iterable[Mapping[str, Any]], stream: str) -> pa.Table:
     rows = []
     for line in lines:
         alarm = {f"alarm_{key}": value for key, value in line["alarm"].items()}
-        rows.append({**line, **alarm, "stream": stream, "t_end": line["t_end_ns"]})
+        given = {key: line.get(key) for key in ("covariates", "covariate_effect")}
+        maps = {key: None if value is None else list(dict(value).items()) for key, value in given.items()}
+        rows.append({**line, **alarm, **maps, "stream": stream, "t_end": line["t_end_ns"]})
     return pa.Table.from_pylist(rows, schema=WINDOWS_SCHEMA)

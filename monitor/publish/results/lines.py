@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from monitor.core import WHOLE, Alarm, AlarmCondition, Level, OtherMode, WindowResult, finish, parse_json, partial
-from monitor.damage import AlarmState, State, WindowFacts, hold
+from monitor.damage import LEVEL, AlarmState, State, WindowFacts, drift_m, hold
 from monitor.publish.results.schema import LINE_SCHEMA
 
 _KINDS: dict[str, type] = {
@@ -93,6 +93,8 @@ def window_line(result: WindowResult) -> dict[str, Any]:
         "temperature_effect": None
         if damage is None or damage.temperature_effect is None
         else _rounded(damage.temperature_effect),
+        "covariates": {name: _rounded(_as_shown(name, values[0])) for name, values in result.covariates.items()},
+        "covariate_effect": damage and {name: _rounded(part) for name, part in damage.covariate_effect.items()},
         "alarm": {
             "level": result.alarm.level.value,
             "stories": list(result.alarm.stories),
@@ -101,6 +103,11 @@ def window_line(result: WindowResult) -> dict[str, Any]:
         },
         "skipped": result.skipped and result.skipped.reason,
     }
+
+
+def _as_shown(name: str, value: float) -> float:
+    """Return a covariate's value as it is published: the level as RMS drift in m."""
+    return drift_m(value) if name == LEVEL else value
 
 
 def _other_modes(others: Sequence[OtherMode], tracks: Sequence[int]) -> list[dict[str, Any]]:

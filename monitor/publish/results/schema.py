@@ -31,6 +31,8 @@ LINE_SCHEMA: dict[str, Any] = {
         "other_modes": {"type": ["array", "null"], "items": {"type": "object"}},
         "misfit": _NUMBER,
         "temperature_degc": _NUMBER,
+        "covariates": {"type": "object", "additionalProperties": _NUMBER},
+        "covariate_effect": {"type": ["object", "null"], "additionalProperties": _NUMBERS},
         "alarm": {
             "type": "object",
             "properties": {

@@ -110,7 +110,17 @@ def _trust(scene: Scene) -> rrb.Horizontal:
     left = rrb.Vertical(
         rrb.TextDocumentView(origin="/verdict", name="Latest diagnosis"),
         _canvas("/stabilisation", "Stabilisation diagram: order over frequency, Hz"),
-        _plot("/trust/misfit", f"Goodness of fit: 1 is expected, doubtful above {scene.misfit_threshold:g}"),
+        rrb.Tabs(
+            _plot("/trust/misfit", f"Goodness of fit: 1 is expected, doubtful above {scene.misfit_threshold:g}"),
+            *[
+                _plot(
+                    f"/trust/covariate/{rr.escape_entity_path_part(name)}",
+                    f"{name}, {learned.unit}, and the range learned",
+                )
+                for name, learned in scene.learned.items()
+            ],
+            active_tab=0,
+        ),
         row_shares=[2, 3, 2],
     )
     right = rrb.Vertical(

@@ -8,7 +8,7 @@ import numpy as np
 import rerun as rr
 
 from monitor.core import Gap, ModalEstimate, Samples, StiffnessEstimate, WindowResult
-from monitor.damage import Assessment, is_seen
+from monitor.damage import LEVEL, Assessment, drift_m, is_seen
 from monitor.publish.viewer.layout import blueprint
 from monitor.publish.viewer.mode_shapes import ModeShapes, label
 from monitor.publish.viewer.rows import Rows, Strips, ui_radius
@@ -202,6 +202,7 @@ class ResultDrawing:
         self._damage(result)
         self._shapes.draw(result.modes if modes else None)
         self._trust.misfit(None if result.stiffness is None else result.stiffness.misfit)
+        self._trust.covariates({n: drift_m(v[0]) if n == LEVEL else float(v[0]) for n, v in result.covariates.items()})
         self._spectra.window(result)
         if result.modes is not None:
             self._stabilisation(result.modes)

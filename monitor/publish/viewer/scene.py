@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from itertools import pairwise
 from typing import NamedTuple
@@ -12,7 +12,7 @@ import numpy as np
 
 from drivers.base import ClockHealth
 from monitor.core import Array, ModalEstimate, WindowResult
-from monitor.damage import Baseline
+from monitor.damage import Baseline, LearnedRange, learned_ranges
 from monitor.model import Drawing, Model
 
 Colour = tuple[int, int, int]
@@ -125,6 +125,8 @@ class Scene:
     """Goodness of fit from which a diagnosis is requested."""
     n_modes: int = 3
     """Number of the model's modes, the lowest ones, that are shown."""
+    learned: Mapping[str, LearnedRange] = field(default_factory=dict)
+    """Range of each covariate at calibration."""
 
     @property
     def n_stories(self) -> int:
@@ -197,6 +199,7 @@ def make_scene(
         cutoff_hz=cutoff_hz,
         misfit_threshold=misfit_threshold,
         n_modes=max(1, min(below, max_modes)),
+        learned={} if baseline is None else learned_ranges(baseline.law),
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import rerun as rr
@@ -39,6 +40,21 @@ class TrustDrawing:
         self._stream.log(
             "/trust/misfit/asks", rr.SeriesLines(names=["a diagnosis is asked for"], colors=[RED]), static=True
         )
+
+        for name, learned in self._scene.learned.items():
+            path = f"/trust/covariate/{rr.escape_entity_path_part(name)}"
+            self._stream.log(f"{path}/value", rr.SeriesLines(names=[learned.unit], colors=[SERIES[0]]), static=True)
+            for side in ("low", "high"):
+                says = f"{side}est at calibration"
+                self._stream.log(f"{path}/{side}", rr.SeriesLines(names=[says], colors=[GREY]), static=True)
+
+    def covariates(self, values: Mapping[str, float]) -> None:
+        """Draw each covariate beside the range that calibration learned from; the recording's time is the window's end."""
+        for name, learned in self._scene.learned.items():
+            if name in values:
+                path = f"/trust/covariate/{rr.escape_entity_path_part(name)}"
+                for line, size in (("value", values[name]), ("low", learned.low), ("high", learned.high)):
+                    self._to.scalars(f"{path}/{line}", size)
 
     def misfit(self, value: float | None) -> None:
         """Draw the goodness of fit; the recording's time is the window's end."""

@@ -1,0 +1,46 @@
+"""Command that judges features without waveforms."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from monitor.cli.common import Json, say, time_ns, warn
+from monitor.core import spare_inputs
+
+
+def features(
+    table: Annotated[Path, typer.Argument(metavar="FILE.csv", help="Times, features and covariates in columns.")],
+    time: Annotated[str, typer.Option(metavar="COLUMN", help="Column of the times (ISO 8601, or s since 1970).")],
+    names: Annotated[str, typer.Option("--features", metavar="F1,F2", help="Columns of the features.")],
+    train_until: Annotated[str, typer.Option(metavar="TIME", help="End of the healthy part, ISO 8601.")],
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the results.")],
+    covariates: Annotated[
+        str, typer.Option(metavar="C1,C2", help="Columns of the covariates, as temperature and wind.")
+    ] = "",
+    as_json: Json = False,
+) -> None:
+    """Judge features without waveforms, less what covariates explain.
+
+    Writes results.jsonl and summary.json in DIR.
+    """
+    from monitor.runs import features as run
+
+    until_ns = time_ns("--train-until", train_until)
+    assert until_ns is not None
+    spare_inputs([out / name for name in run.RESULT_FILES], [table])
+    wanted = [name.strip() for name in names.split(",") if name.strip()]
+    if not wanted:
+        raise typer.BadParameter("--features: name at least one column")
+    others = [name.strip() for name in covariates.split(",") if name.strip()]
+    summary = run.features(table, time, wanted, others, until_ns, out, warn)
+    lines = [
+        f"{f['feature']}: {100 * f['variance_explained']:.0f} % of its healthy variance explained, "
+        f"{f['residual_std']:.3g} left (one standard deviation)"
+        for f in summary["features"]
+    ]
+    lines.append(f"{summary['judged']} rows judged, {summary['skipped']} not; {summary['announced']} announced")
+    lines += [alarm["reason"] for alarm in summary["alarms"][:3]]
+    say("\n".join([*lines, f"results in {out}"]), {**summary, "out": str(out)}, as_json)

@@ -1,0 +1,61 @@
+"""The level of motion: RMS drift of the stories, from a window's accelerations and the model's modes."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from monitor.core import Array
+from monitor.model import Model
+
+_LEAST_M = 1e-15
+"""Drift below which a sensor that stands still is not told from another. [m; rounding]"""
+
+
+def drift_weights(model: Model, sensors: Array, cutoff_hz: float) -> Array:
+    """Compute the weights of the accelerations' covariance in the mean square drift.
+
+    The accelerations are resolved into the modes below the cutoff, as many as there are channels at most.  A mode's
+    displacement is its acceleration over ``omega^2``; modes are taken as uncorrelated.
+
+    Parameters
+    ----------
+    model : Model
+        Drawing of the structure.  Weights and level then do not depend on the baseline.
+    sensors : ndarray, shape (c, n)
+        Sensor matrix: channels by floors.
+
+    Returns
+    -------
+    ndarray, shape (c, c), s^4
+        Mean over the stories of the square drift is the sum of the products with the covariance, (m/s^2)^2.
+    """
+    modes = model.modes()
+    used = max(1, min(len(sensors), int(np.count_nonzero(modes.frequencies_hz < cutoff_hz))))
+    shapes = modes.shapes[:, :used]
+    resolved = np.linalg.pinv(sensors @ shapes, rcond=1e-6)
+    drift = ((model.structure.drift_matrix() @ shapes) ** 2).mean(axis=0) / modes.eigenvalues[:used] ** 2
+    return np.asarray(resolved.T @ (drift[:, None] * resolved))
+
+
+def level_db(weights: Array, covariance: Array) -> float:
+    """Compute the RMS drift, mean over the stories, in dB of 1 m.
+
+    Parameters
+    ----------
+    weights : ndarray, shape (c, c)
+        See `drift_weights`.
+    covariance : ndarray, shape (c, c), (m/s^2)^2
+        Covariance of a window's accelerations.
+    """
+    return float(10.0 * np.log10(max(float(np.sum(weights * covariance)), _LEAST_M**2)))
+
+
+def drift_m(db: float) -> float:
+    """Convert a level in dB to the RMS drift in m.
+
+    Examples
+    --------
+    >>> drift_m(-120.0)
+    1e-06
+    """
+    return float(10.0 ** (db / 20.0))

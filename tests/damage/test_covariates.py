@@ -1,0 +1,207 @@
+"""Level of motion and named covariates: measured, learned, kept in the baseline's file, and what lies beyond said."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drivers.base import SampleBlock
+from monitor.config import configuration
+from monitor.config.configuration import Configuration
+from monitor.core.errors import BadConfigurationError, BadInputError
+from monitor.core.results import WindowResult
+from monitor.damage import Baseline, learn_baseline, load_baseline, save_baseline
+from monitor.damage.covariate_law import Axis, learn, stories_prior
+from monitor.damage.level import drift_m, drift_weights, level_db
+from monitor.model.simulation import simulate
+from monitor.pipeline import Pipeline, PipelineState
+from monitor.publish.results.lines import to_json, window_line
+from monitor.service.serialization import from_bytes, to_bytes
+from tests.conftest import T0_NS, Cut
+
+WIND = """
+[[covariates]]
+name = "wind"
+topic = "/wind"
+channel = "speed"
+unit = "m/s"
+
+[temperature]
+patience_s = 0.0
+"""
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory, frame_text: str) -> Configuration:
+    path = tmp_path_factory.mktemp("site") / "frame.toml"
+    path.write_text(frame_text + WIND)
+    return configuration.load(path)
+
+
+def wind(speed: np.ndarray, unit: str = "m/s", channel: str = "speed") -> SampleBlock:
+    samples = np.column_stack([speed, -speed]).astype(np.float32)
+    return SampleBlock("/wind", T0_NS, 0, 1.0, (channel, "direction"), unit, samples)
+
+
+def windows(pipeline: Pipeline, cut: Cut, scale: float, seconds: int, seed: int) -> list[WindowResult]:
+    floors = simulate(pipeline.config.model(), duration_s=float(seconds), rate_hz=128.0, noise=0.03, seed=seed).floors
+    pipeline.push(wind(5.0 + 3.0 * np.sin(np.arange(seconds) / 20.0)))
+    return [r for b in cut(scale * floors, 128.0, [128]) for r in pipeline.push(b) if isinstance(r, WindowResult)]
+
+
+@pytest.fixture(scope="module")
+def healthy(site: Configuration, cut: Cut, tmp_path_factory: pytest.TempPathFactory) -> tuple[Baseline, Baseline]:
+    """A baseline of 200 s as learned, and as read back from its file."""
+    pipeline = Pipeline(site)
+    good = [r for r in windows(pipeline, cut, 1.0, 200, 3) if r.modes is not None]
+    learned, _ = learn_baseline(
+        site.instrumented(),
+        [r.modes for r in good if r.modes is not None],
+        np.array([r.rms_m_s2 for r in good]),
+        (),
+        (T0_NS, T0_NS + 200 * 10**9),
+        [r.covariates for r in good],
+        {"level": "dB", "wind": "m/s"},
+        pipeline.drift_weights,
+        updating=site.updating,
+        compensation=site.compensation,
+    )
+    path = tmp_path_factory.mktemp("baseline") / "b.json"
+    save_baseline(learned, path)
+    return learned, load_baseline(path, site.instrumented(), site.updating)
+
+
+def test_the_level_is_the_drift_of_the_stories(site: Configuration) -> None:
+    """Checked against the displacements: each mode shaken at its own frequency alone."""
+    model, sensors = site.model(), site.instrumented().sensor_matrix
+    weights, modes = drift_weights(model, sensors, 50.0), model.modes()
+    for shape, eigenvalue in zip(modes.shapes.T, modes.eigenvalues, strict=True):
+        acceleration = sensors @ (shape * 0.3)
+        drift = model.structure.drift_matrix() @ (shape * 0.3) / eigenvalue
+        level = drift_m(level_db(weights, np.outer(acceleration, acceleration)))
+        assert level == pytest.approx(float(np.sqrt((drift**2).mean())), rel=1e-6)
+
+
+def test_twice_the_motion_is_six_decibels(site: Configuration, cut: Cut) -> None:
+    one, two = (windows(Pipeline(site), cut, scale, 40, 5) for scale in (1.0, 2.0))
+    for a, b in zip(one, two, strict=True):
+        assert b.covariates["level"][0] - a.covariates["level"][0] == pytest.approx(6.0206, abs=1e-3)
+
+
+def test_a_named_covariate_is_the_mean_of_its_channel(site: Configuration, cut: Cut) -> None:
+    result = windows(Pipeline(site), cut, 1.0, 60, 6)[-1]
+    speed = 5.0 + 3.0 * np.sin(np.arange(40, 60) / 20.0)
+    assert result.covariates["wind"][0] == pytest.approx(float(speed.mean()), rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("block", "words"),
+    [
+        (wind(np.ones(3), unit="km/h"), "unit 'km/h', expected 'm/s'"),
+        (wind(np.ones(3), channel="gust"), "no channel 'speed'"),
+    ],
+)
+def test_other_units_and_channels_are_refused(site: Configuration, block: SampleBlock, words: str) -> None:
+    with pytest.raises(BadInputError, match=words):
+        Pipeline(site).push(block)
+
+
+@pytest.mark.parametrize(
+    ("name", "topic", "words"),
+    [("level", "/x", "without being named"), ("gust", "/acceleration", "carries m/s"), ("wind", "/w", "stands twice")],
+)
+def test_a_covariate_that_cannot_be_is_refused(
+    frame_text: str, tmp_path: Path, name: str, topic: str, words: str
+) -> None:
+    path = tmp_path / "s.toml"
+    path.write_text(frame_text + WIND + f'\n[[covariates]]\nname = "{name}"\ntopic = "{topic}"\nunit = "m/s"\n')
+    with pytest.raises(BadConfigurationError, match=words):
+        configuration.load(path)
+
+
+def test_the_law_survives_the_baselines_file(healthy: tuple[Baseline, Baseline]) -> None:
+    learned, read = healthy
+    assert learned.law is not None and read.law is not None
+    assert [axis.name for axis in read.law.axes] == ["level", "wind"]
+    for under in ({"level": np.array([-90.0])}, {"wind": np.full(14, 9.0)}, {}):
+        a, b = learned.law.expected(under), read.law.expected(under)
+        np.testing.assert_array_equal(a.covariance, b.covariance)
+        np.testing.assert_array_equal(a.relative, b.relative)
+    np.testing.assert_array_equal(learned.drift_weights, read.drift_weights)
+
+
+def test_a_storm_beyond_calibration_is_uncertain_and_said(
+    site: Configuration, healthy: tuple[Baseline, Baseline], cut: Cut
+) -> None:
+    same, twice, eight, most = (windows(Pipeline(site, healthy[1]), cut, s, 60, 9) for s in (1.0, 2.0, 8.0, 80.0))
+    calm, storm, gale = (np.mean([r.damage.ddi_std for r in x if r.damage], axis=0) for x in (same, twice, eight))
+    assert (storm > calm).all() and (gale > 2.0 * calm).all()
+    for r in eight:
+        assert r.damage is not None
+        assert r.damage.beyond.startswith("stronger than anything at calibration: level")
+        assert not r.alarm.active
+    assert not any(r.damage.beyond for r in same if r.damage)
+    assert all(r.damage is None and r.skipped is not None for r in most)
+    assert {r.skipped.reason[:42] for r in most if r.skipped} == {"stronger than anything at calibration: lev"}
+
+
+def law_of(level: np.ndarray, degc: np.ndarray, slope: np.ndarray, seed: int):
+    """Law of three stories that follow level and temperature, from windows without overlap."""
+    rng = np.random.default_rng(seed)
+    noise = np.diag([1e-6, 2e-6, 2e-6])
+    x = np.outer(degc - degc.mean(), slope) + rng.multivariate_normal(np.zeros(3), noise, level.size)
+    axes = (
+        Axis("level", "dB", np.arange(-108.0, -90.0, 3.0), np.full(8, 2.5e-3)),
+        Axis("temperature", "degC", np.arange(-20.0, 40.0, 5.0), np.full(14, 3e-3)),
+    )
+    return learn(x, noise, stories_prior(3, 0.5), axes, [level[:, None], degc[:, None]], 1.0)
+
+
+def test_level_and_temperature_that_ran_together_are_said_to_be_confounded() -> None:
+    rng, degc = np.random.default_rng(1), np.linspace(0.0, 20.0, 300)
+    slope = np.full(3, 1e-3)
+    together = law_of(-100.0 + 0.3 * (degc - 10.0), degc, slope, 1)
+    apart = law_of(-100.0 + rng.uniform(-3, 3, 300), degc, slope, 1)
+    assert [pair[:2] for pair in together.confounded()] == [("level", "temperature")]
+    assert not apart.confounded()
+    calm = {"level": np.array([-100.0]), "temperature": np.array([10.0])}
+    for name, value in (
+        ("level", -97.0),
+        ("temperature", 20.0),
+    ):  # along one covariate alone the first law is less certain
+        moved = {**calm, name: np.array([value])}
+        assert together.expected(moved).covariance[0, 0] > 4.0 * apart.expected(moved).covariance[0, 0]
+
+
+def test_a_kink_in_frost_is_learned_within_its_error() -> None:
+    degc = np.random.default_rng(2).uniform(-12.0, 25.0, 800)
+    rng = np.random.default_rng(3)
+    true = np.where(degc < 0.0, -0.008 * degc, -0.001 * degc)
+    x = np.outer(true, [1.0, 0.5, 1.5]) + 1e-3 * rng.standard_normal((800, 3))
+    axis = Axis("temperature", "degC", np.arange(-25.0, 45.0, 5.0), np.full(16, 5e-3))
+    law = learn(x, 1e-6 * np.eye(3), stories_prior(3, 0.5), (axis,), [degc[:, None]], 1.0)
+    for at, wanted in ((-10.0, 0.08), (20.0, -0.02)):
+        effect = law.expected({"temperature": np.array([at])})
+        error = np.log1p(effect.relative) - (wanted - true.mean()) * np.array([1.0, 0.5, 1.5])
+        assert (np.abs(error) < 4.0 * np.sqrt(effect.covariance.diagonal()) + 2e-4).all()
+
+
+def test_a_restart_goes_on_with_what_was_learned(
+    site: Configuration, healthy: tuple[Baseline, Baseline], cut: Cut
+) -> None:
+    """The state goes through a checkpoint half way; the law itself is in it."""
+    whole, first = Pipeline(site, healthy[1]), Pipeline(site, healthy[1])
+    floors = simulate(site.model(), duration_s=80.0, rate_hz=128.0, noise=0.03, seed=12).floors
+    blocks = [wind(np.full(80, 5.0)), *cut(floors, 128.0, [128])]
+    lines = [r for b in blocks for r in whole.push(b) if isinstance(r, WindowResult)]
+    for b in blocks[:40]:
+        first.push(b)
+    assert first.state.learning is not None
+    second = Pipeline(site, healthy[1])
+    second.state = from_bytes(to_bytes("k", first.state), "k", PipelineState)
+    rest = [r for b in blocks[40:] for r in second.push(b) if isinstance(r, WindowResult)]
+    assert [to_json(window_line(r)) for r in rest] == [to_json(window_line(r)) for r in lines[-len(rest) :]]
+    assert second.law is not None and healthy[1].law is not None
+    np.testing.assert_array_equal(second.law.slopes, healthy[1].law.slopes)  # nothing has waited for two days yet

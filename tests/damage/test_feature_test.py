@@ -1,0 +1,90 @@
+"""Features without waveforms: kinks learned, outliers and missing values borne, autocorrelation counted, damage found."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from monitor.core import BadInputError, Level
+from monitor.damage import FeatureTable, FeatureVerdict, judge_features
+
+HOUR_NS = 3_600_000_000_000
+
+
+def bridge(seed: int, loss: float = 0.0, days: int = 160, coldest: float = -8.0) -> FeatureTable:
+    """Two frequencies of a bridge, every two hours, that stiffens in frost; the second scatters more; `loss` from day 120 on."""
+    rng = np.random.default_rng(seed)
+    day = np.arange(12 * days) / 12.0 + rng.uniform(-0.01, 0.01, 12 * days)
+    middle, swing = 0.5 * (20.0 + coldest), 0.5 * (20.0 - coldest)
+    degc = middle + swing * np.cos(2 * np.pi * day / 60.0) + 3.0 * np.sin(2 * np.pi * day)
+    slow = np.zeros(day.size)
+    for k in range(1, day.size):
+        slow[k] = 0.9 * slow[k - 1] + 0.44 * rng.standard_normal()
+    common = -0.001 * np.maximum(degc, 0.0) - 0.008 * np.minimum(degc, 0.0) + 0.001 * slow
+    hz = {}
+    for name, f, scatter in (("f1", 4.0, 0.003), ("f2", 10.0, 0.008)):
+        ln = common + scatter * rng.standard_normal(day.size) - loss * (day >= 120.0)
+        values = f * np.exp(ln)
+        values[rng.random(day.size) < 0.01] *= 1.1  # another mode taken for this one
+        values[rng.random(day.size) < 0.1] = np.nan
+        hz[name] = values
+    return FeatureTable((day * 24 * HOUR_NS).astype(np.int64), hz, {"temperature": degc})
+
+
+def first_warning_h(verdicts: list[FeatureVerdict]) -> float | None:
+    return next(((v.t_ns / HOUR_NS - 120 * 24) for v in verdicts if v.level is Level.WARNING), None)
+
+
+def share_announced(verdicts: list[FeatureVerdict]) -> float:
+    return float(np.mean([v.level is not Level.NORMAL for v in verdicts]))
+
+
+@pytest.mark.parametrize("seed", [11, 12, 13])
+def test_weather_is_taken_out_and_a_loss_is_found(seed: int) -> None:
+    judge, healthy = judge_features(bridge(seed), 80 * 24 * HOUR_NS)
+    assert share_announced(healthy) < 0.01
+    assert judge.models[0].explained > 0.9
+    assert 0.003 < judge.models[0].std < 0.0045
+    _, hurt = judge_features(bridge(seed, 0.02), 80 * 24 * HOUR_NS)
+    delay_h = first_warning_h(hurt)
+    assert delay_h is not None
+    assert 0.0 < delay_h < 72.0
+    assert "f1" in hurt[-1].changed and hurt[-1].residual_sigma[0] is not None
+
+
+def test_without_the_covariate_the_loss_drowns_in_the_weather() -> None:
+    table = bridge(11, 0.02)
+    blind = FeatureTable(table.t_ns, table.features, {})
+    assert first_warning_h(judge_features(blind, 80 * 24 * HOUR_NS)[1]) is None
+
+
+def test_frost_that_training_did_not_see_is_no_damage() -> None:
+    """Learned in mild weather; then frost, in which the true slope is eight times as large."""
+    mild, cold = bridge(21, days=80, coldest=4.0), bridge(22, days=80, coldest=-12.0)
+    table = FeatureTable(
+        np.concatenate([mild.t_ns, cold.t_ns + 80 * 24 * HOUR_NS]),
+        {name: np.concatenate([mild.features[name], cold.features[name]]) for name in mild.features},
+        {name: np.concatenate([mild.covariates[name], cold.covariates[name]]) for name in mild.covariates},
+    )
+    _, verdicts = judge_features(table, 80 * 24 * HOUR_NS)
+    assert share_announced(verdicts) < 0.01
+    said = {v.skipped.reason for v in verdicts if v.skipped is not None}
+    assert any("temperature" in reason and "below" in reason for reason in said)
+
+
+def test_missing_covariates_widen_and_do_not_silence() -> None:
+    table = bridge(31)
+    degc = table.covariates["temperature"].copy()
+    degc[1200:1300] = np.nan
+    _, verdicts = judge_features(FeatureTable(table.t_ns, table.features, {"temperature": degc}), 80 * 24 * HOUR_NS)
+    assert share_announced(verdicts) < 0.01
+    assert [v for v in verdicts if v.skipped is None]
+
+
+def test_too_few_or_constant_readings_are_refused_by_name() -> None:
+    table = bridge(41)
+    with pytest.raises(BadInputError, match=r"'f1'.*healthy readings"):
+        judge_features(table, int(1.5 * 24 * HOUR_NS))
+    stuck = FeatureTable(table.t_ns, {"f3": np.full(table.t_ns.size, 2.0)}, table.covariates)
+    with pytest.raises(BadInputError, match="'f3'"):
+        judge_features(stuck, 80 * 24 * HOUR_NS)
