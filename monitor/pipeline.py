@@ -156,6 +156,12 @@ class Pipeline:
             self.state = before
             raise
 
+    def finish(self) -> list[Event]:
+        """Return what is known of events that the end of the data cuts."""
+        state, told = stage.finish(self.state.events, self.site)
+        self.state = replace(self.state, events=state)
+        return told
+
     def _advance(self, block: SampleBlock) -> list[Result]:
         """Process a block of samples as `push`, without restoring the state on an error."""
         if block.topic == TEMPERATURE:

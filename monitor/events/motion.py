@@ -20,7 +20,7 @@ Engineering 25 (2005) 93: low orders ring less]"""
 _INTERPOLATION = 4
 """Factor by which motions are interpolated before their peak is taken. [ratio; a peak at a tenth of the rate lies less than 1 %
 above its nearest sample]"""
-_LEAST_M = 1e-12
+_SMALLEST_DRIFT_M = 1e-12
 """Least drift over which an error is taken. [m; rounding]"""
 _SPECTRUM_DAMPING = 0.05
 """Damping ratio of response spectra. [ratio; convention]"""
@@ -153,7 +153,7 @@ def _peaks_above(drift_acceleration: Array, rate_hz: float, corner_hz: float, st
     quiet = drift[strong.start // 2 : strong.start]
     noise = np.sqrt((quiet**2).mean(axis=0)) if len(quiet) else np.zeros_like(peak)
     # The corner changes all stories by like shares, though that of one may happen to be none.
-    changed = np.sqrt(np.mean((other / np.maximum(peak, _LEAST_M) - 1.0) ** 2)) * peak
+    changed = np.sqrt(np.mean((other / np.maximum(peak, _SMALLEST_DRIFT_M) - 1.0) ** 2)) * peak
     return peak, np.hypot(noise, changed)
 
 

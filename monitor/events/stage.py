@@ -144,7 +144,7 @@ def step(
     n, told = recognition.step_n(rate_hz), list[Event]()
     follows = state.recognition is not None and rate_hz == state.rate_hz and first == state.first + len(state.kept)
     if not follows:
-        state, told = _break_off(state, site)
+        state, told = _break_off(state, site, "a gap in the data cut it")
         state = _begin(state, first, conditioner, values.shape[1])
     t0_ns -= round(conditioner.delay_s * 1e9)
     state = replace(state, t0_ns=t0_ns, kept=np.concatenate([state.kept, values]))
@@ -153,6 +153,11 @@ def step(
         state, new = _judge_step(state, conditioner.cutoff_hz, site)
         told += new
     return _forget(state, site), told
+
+
+def finish(state: EventState, site: Site) -> tuple[EventState, list[Event]]:
+    """Tell what is known of events whose final line is still to come where the data end."""
+    return _break_off(state, site, "the data end in it")
 
 
 def window(state: EventState, result: WindowResult, site: Site) -> tuple[EventState, list[Event]]:
@@ -257,11 +262,11 @@ def _tell_final(state: EventState, end: int, site: Site, told: list[Event]) -> t
     return replace(state, strong=tuple(waiting)), told
 
 
-def _break_off(state: EventState, site: Site) -> tuple[EventState, list[Event]]:
-    """Tell what is known of events that a gap in the data cuts."""
+def _break_off(state: EventState, site: Site, note: str) -> tuple[EventState, list[Event]]:
+    """Tell what is known of events that a gap, or the end of the data, cuts."""
     told = list[Event]()
     for item in state.strong:
-        cut = item if item.closed else replace(item, note="a gap in the data cut it")
+        cut = item if item.closed else replace(item, note=note)
         state, final = _final(state, cut, state.first + len(state.kept), site)
         told.append(final)
     return replace(state, strong=()), told

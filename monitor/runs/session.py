@@ -156,7 +156,9 @@ class Session:
         return results
 
     def finish(self, stop: Callable[[], bool] = lambda: False) -> None:
-        """Wait for the last findings, unless `stop` returns True, and publish them."""
+        """Publish events that the end of the data cuts, and the last findings, waited for unless `stop` returns True."""
+        for event in self.pipeline.finish():
+            self._publish(event)
         self._publish_findings(self.online_diagnosis.finish(stop))
 
     def alter_alarm(self, change: Callable[[AlarmState], AlarmState]) -> None:

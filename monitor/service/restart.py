@@ -48,6 +48,7 @@ _KEYED = (
     "temperature",
     "covariates",
     "compensation",
+    "events",
 )
 """Tables of the site file on which the results depend, besides the structure.  Limits of alarm, quality and watch may change."""
 _MOST_LINES_BYTES = 64 << 20

@@ -135,7 +135,7 @@ def test_replay_writes_its_files_and_is_quiet_in_a_pipe(plain: tuple[Done, Path]
     assert done.stderr == ""
     files = ["events.jsonl", "live.rrd", "results.jsonl", "results.mcap", "summary.json"]
     assert sorted(p.name for p in out.iterdir()) == files
-    assert all(p.stat().st_size > 0 for p in out.iterdir())
+    assert all(p.stat().st_size > 0 for p in out.iterdir() if p.name != "events.jsonl")  # nothing happened
 
 
 def test_lines_are_strict_json_with_every_key_of_the_contract(plain: tuple[Done, Path]) -> None:

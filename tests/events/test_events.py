@@ -189,6 +189,15 @@ def test_a_gap_ends_an_event_and_says_so() -> None:
     assert told and "gap" in told[0].note
 
 
+def test_an_event_that_the_data_end_in_is_told() -> None:
+    pipeline = Pipeline(configuration())
+    for block in blocks(shaken(), n=50):
+        if (block.t_ns - T0_NS) * 1e-9 < 90.0:
+            pipeline.push(block)
+    (told,) = pipeline.finish()
+    assert told.revision == 0 and "the data end" in told.note and not pipeline.finish()
+
+
 def test_the_state_survives_a_checkpoint_in_the_middle_of_an_event() -> None:
     data = blocks(shaken(), n=50)
     whole = [to_json(event_line(e)) for e in events(run(configuration(), data))]

@@ -101,7 +101,7 @@ def test_results_as_in_the_file_and_alarms_when_they_change(out: ZenohOut, perso
 def test_the_state_is_the_latest_of_everything(out: ZenohOut, person: zenoh.Session) -> None:
     seen, lost = listen(person), Assessment(State.ALARM, "Story 2 lost 12 %.", ("A doubt.",))
     until(lambda: ask(person, "state"), "the monitor is there")
-    nothing = dict.fromkeys(("results", "alarm", "health", "gap", "finding"))
+    nothing = dict.fromkeys(("results", "alarm", "health", "gap", "finding", "event"))
     state = {"state": "not_judged", "headline": "No window of data yet.", "doubts": []}
     assert ask(person, "state") == state | nothing
     out.state(lost)
