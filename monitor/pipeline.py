@@ -15,6 +15,7 @@ from monitor.core import (
     BadInputError,
     DamageReading,
     Gap,
+    LeftOut,
     Level,
     ModalEstimate,
     Samples,
@@ -26,15 +27,19 @@ from monitor.core import (
     name_stories,
 )
 from monitor.damage import Baseline, alarm, damage_index, smallest_detectable_loss
-from monitor.identification import expected_modes, identify, refine, sensor_correction, tracking
+from monitor.identification import SubArray, expected_modes, identify, refine, tracking
 from monitor.signals import (
     Conditioner,
     ConditionState,
     Health,
     HealthState,
+    LostState,
+    WatchState,
     WindowGrid,
     WindowState,
     alignment,
+    channel_watch,
+    lost_samples,
     sensor_health,
     temperature,
     window_quality,
@@ -45,6 +50,8 @@ _SET_BACK_S = 0.25
 """Step back of the clock from which the windows' times follow the clock, s."""
 _LEAST_SHARE = 0.5
 """Share of the lowest required modes that must be found for the model to be updated without a baseline. [ratio; judgement]"""
+_MOST_VIEWS = 16
+"""Sets of channels in use for which the healthy state is kept at hand. [count; cost]"""
 _CHECK = "check floors, signs and units of the channels, and what 'check' says of the lags"
 """What to do where not even the lowest mode is found. [words]"""
 
@@ -61,6 +68,7 @@ class Run:
     conditioner: Conditioner
     condition: ConditionState
     window: WindowState
+    lost: LostState
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -73,6 +81,15 @@ class PipelineState:
     temperature: temperature.TemperatureState
     track: tracking.TrackState
     health: HealthState
+    watch: WatchState
+
+
+@dataclass(frozen=True, slots=True)
+class _View:
+    """What a window is judged with: the channels in use, and the healthy state as these see it."""
+
+    array: SubArray
+    baseline: Baseline | None
 
 
 class Pipeline:
@@ -97,13 +114,13 @@ class Pipeline:
         self.sensors = instrumented.sensor_matrix
         self.acquisition = tuple(e for e in nominal.model.effects if e.family == "sensor")
         self.context = instrumented.context(config.processing.rate_hz)
-        self.shown = sensor_correction.seen_by_sensors(self.acquisition, self.context)
         self.prior_std = instrumented.stiffness_prior_std
         names = config.identification.reference_channels or config.channels
         self.past = tuple(config.channels.index(name) for name in names)
+        self._views: dict[tuple[int, ...], _View] = {}
         alarms = alarm.start(self.reference.structure.n_stories, config.processing.window_s)
         self.state = PipelineState(
-            alignment.start(), None, alarms, temperature.start(), tracking.TrackState(), HealthState()
+            alignment.start(), None, alarms, temperature.start(), tracking.TrackState(), HealthState(), WatchState()
         )
 
     def push(self, block: SampleBlock) -> list[Result]:
@@ -128,7 +145,7 @@ class Pipeline:
             self._store_temperature(block)
         if block.topic != ACCELERATION:
             return []
-        align_state, pieces = self.front_end.align(self.state.align, block)
+        align_state, pieces = self.front_end.align(self.state.align, block, keep_partial=True)
         self.state = replace(self.state, align=align_state)
         results: list[Result] = []
         for piece in pieces:
@@ -140,12 +157,13 @@ class Pipeline:
             elif piece.shift_ns:
                 run = replace(run, t0_ns=run.t0_ns + piece.shift_ns)
             results += self._check_sensors(piece, align_state.dropped)
-            condition, values = run.conditioner.step_block(run.condition, piece.values)
+            lost_state, finite, lost = lost_samples.step(run.lost, piece, run.conditioner, run.condition)
+            condition, values = run.conditioner.step_block(run.condition, finite)
             first = run.window.start + run.window.n
             t_ns = run.t0_ns + round(first / run.grid.rate_hz * 1e9)
-            results.append(Samples(t_ns, run.grid.rate_hz, values))
-            window_state, windows = window.step(run.grid, run.window, values, run.t0_ns)
-            run = replace(run, condition=condition, window=window_state)
+            results.append(Samples(t_ns, run.grid.rate_hz, values if lost is None else np.where(lost, np.nan, values)))
+            window_state, windows = window.step(run.grid, run.window, values, run.t0_ns, lost)
+            run = replace(run, condition=condition, window=window_state, lost=lost_state)
             self.state = replace(self.state, run=run)
             for item in windows:
                 results.append(
@@ -173,7 +191,7 @@ class Pipeline:
                 t0_ns = piece.t_ns - round(end / rate_hz * 1e9)
             index = max(index, end)
         begun = window.start(grid, n_channels, index=index, previous=last)
-        return Run(t0_ns, grid, conditioner, conditioner.start(n_channels), begun)
+        return Run(t0_ns, grid, conditioner, conditioner.start(n_channels), begun, lost_samples.start(n_channels))
 
     def _check_sensors(self, piece: alignment.Piece, dropped: int) -> list[Health]:
         """Update the health of the sensors, and return that of the spans that are complete."""
@@ -198,23 +216,34 @@ class Pipeline:
     def _assess(self, item: Window, cutoff_hz: float) -> WindowResult:
         """Process one complete window: identification, updating, damage index, alarm."""
         c = self.config
+        in_use, left_out = self._choose_channels(item)
+        if not in_use:
+            # The level of motion is not known either.
+            why = Skipped("; ".join(f"channel {gone.channel} {gone.reason}" for gone in left_out))
+            return self._skip(item.index, item.t_end_ns, item.window_s, why, left_out=left_out)
+        if left_out:
+            item = item.only(in_use)
+        view = self._view(in_use)
 
         def skip(reason: Skipped, found: ModalEstimate | None = None, tracks: tuple[int, ...] = ()) -> WindowResult:
             """Skip the window, with the modes found in it."""
-            return self._skip(item.index, item.t_end_ns, item.window_s, reason, item.rms_m_s2, found, tracks)
+            if left_out:
+                reason = Skipped(f"{reason.reason}; left out: {', '.join(gone.channel for gone in left_out)}")
+            found = None if found is None else view.array.spread(found)
+            return self._skip(item.index, item.t_end_ns, item.window_s, reason, item.rms_m_s2, found, tracks, left_out)
 
-        skipped = window_quality.check(item.sums, item.rate_hz, cutoff_hz, c.channels, c.quality)
-        begin_ns = item.t_end_ns - round(item.window_s * 1e9)
-        skipped = skipped or sensor_health.check(self.state.health, begin_ns, item.t_end_ns, c.health)
+        skipped = window_quality.check(item.sums, item.rate_hz, cutoff_hz, c.quality)
         if skipped is not None:
             return skip(skipped)
-        modes = self._identify(item, cutoff_hz)
-        judged = modes if isinstance(modes, Skipped) else self._update(modes, item.t_end_ns)
+        modes = self._identify(item, cutoff_hz, view)
+        judged = modes if isinstance(modes, Skipped) else self._update(modes, item.t_end_ns, view)
         if isinstance(judged, Skipped):
             found = None if isinstance(modes, Skipped) else modes
-            return skip(judged, found, self._track_modes(found, item))
+            return skip(judged, found, self._track_modes(found, item, view))
         modes, stiffness, reading = judged
-        tracks = self._track_modes(modes, item)
+        if left_out:
+            reading = replace(reading, channels=in_use)
+        tracks = self._track_modes(modes, item, view)
         degc = self._window_temperature(item.t_end_ns)
         detectable = None
         if self.baseline is None:
@@ -228,7 +257,7 @@ class Pipeline:
             item.index,
             item.t_end_ns,
             item.window_s,
-            modes,
+            view.array.spread(modes),
             stiffness,
             reading,
             verdict,
@@ -237,10 +266,31 @@ class Pipeline:
             degc,
             tracks,
             detectable,
+            left_out,
         )
 
-    def _identify(self, item: Window, cutoff_hz: float) -> ModalEstimate | Skipped:
-        """Identify the modes of a window, and remove the stated sensor effects from them."""
+    def _choose_channels(self, item: Window) -> tuple[tuple[int, ...], tuple[LeftOut, ...]]:
+        """Choose the channels that a window is judged with, and note why the others are left out."""
+        c = self.config
+        begin_ns = item.t_end_ns - round(item.window_s * 1e9)
+        unhealthy = sensor_health.check(self.state.health, begin_ns, item.t_end_ns, c.health)
+        found = channel_watch.find_faults(item, unhealthy, c.channels, c.health)
+        state, in_use, left_out = channel_watch.step(self.state.watch, found, c.channels, item.t_end_ns, item.window_s)
+        self.state = replace(self.state, watch=state)
+        return in_use, left_out
+
+    def _view(self, in_use: tuple[int, ...]) -> _View:
+        """Return what windows of some channels are judged with; the latest views are kept."""
+        if in_use not in self._views:
+            if len(self._views) == _MOST_VIEWS:
+                self._views.pop(next(iter(self._views)))
+            array = SubArray.of(in_use, self.past, self.sensors, self.acquisition, self.context)
+            healthy = None if self.baseline is None else self.baseline.seen_by(array.places)
+            self._views[in_use] = _View(array, healthy)
+        return self._views[in_use]
+
+    def _identify(self, item: Window, cutoff_hz: float, view: _View) -> ModalEstimate | Skipped:
+        """Identify the modes of a window of the channels in use, and remove the stated sensor effects from them."""
         c = self.config
         wanted = (
             expected_modes(self.reference_modes, cutoff_hz, c.selection)
@@ -249,14 +299,20 @@ class Pipeline:
         )
         refiner = partial(refine, item, settings=c.refinement)
         modes = identify(
-            item, self.past, self.reference_modes, self.shown, c.identification, c.selection, wanted, cutoff_hz, refiner
+            item,
+            view.array.past,
+            self.reference_modes,
+            view.array.shown,
+            c.identification,
+            c.selection,
+            wanted,
+            cutoff_hz,
+            refiner,
         )
-        if self.acquisition and not isinstance(modes, Skipped):
-            modes = sensor_correction.correct_modes(modes, self.acquisition, self.context)
-        return modes
+        return modes if isinstance(modes, Skipped) else view.array.correct(modes)
 
     def _update(
-        self, modes: ModalEstimate, t_end_ns: int
+        self, modes: ModalEstimate, t_end_ns: int, view: _View
     ) -> tuple[ModalEstimate, StiffnessEstimate, DamageReading] | Skipped:
         """Update the stiffness to a window's modes and compare it with the baseline's.
 
@@ -270,7 +326,7 @@ class Pipeline:
         StiffnessEstimate
         DamageReading
         """
-        c, baseline = self.config, self.baseline
+        c, baseline = self.config, view.baseline
         missing = self._missing(modes)
         if missing:
             required = () if baseline is None else baseline.model_mode
@@ -287,7 +343,9 @@ class Pipeline:
 
         def step(modes: ModalEstimate) -> tuple[StiffnessEstimate, DamageReading]:
             """Update the stiffness to modes."""
-            return damage_index.step(modes, self.reference, healthy, self.sensors, c.updating, degc, self.prior_std)
+            return damage_index.step(
+                modes, self.reference, healthy, view.array.sensors, c.updating, degc, self.prior_std
+            )
 
         stiffness, reading = step(modes)
         while not stiffness.converged:
@@ -322,9 +380,9 @@ class Pipeline:
         there = f"{self.reference_modes.frequencies_hz[mode]:.3g} Hz by the model, {measured_hz:.3g} Hz in the data"
         return f"model updating did not converge with mode {mode + 1} ({there}): another direction, or torsion?"
 
-    def _track_modes(self, modes: ModalEstimate | None, item: Window) -> tuple[int, ...]:
+    def _track_modes(self, modes: ModalEstimate | None, item: Window, view: _View) -> tuple[int, ...]:
         """Assign the modes of a window to tracks and return their numbers; a window without modes counts as a look too."""
-        observed = tracking.observed(modes, item.window_s)
+        observed = tracking.observed(None if modes is None else view.array.spread(modes), item.window_s)
         state, tracked = tracking.step(self.state.track, observed, item.t_end_ns, self.config.tracking)
         self.state = replace(self.state, track=state)
         return tuple(int(number) for number in tracked.observed)
@@ -338,13 +396,16 @@ class Pipeline:
         rms: float | None = None,
         modes: ModalEstimate | None = None,
         tracks: tuple[int, ...] = (),
+        left_out: tuple[LeftOut, ...] = (),
     ) -> WindowResult:
         """Return the result of a window without damage index: the alarm is unchanged."""
         alarms, verdict = alarm.hold(self.state.alarm, t_end_ns)
         verdict = replace(verdict, reason=name_stories(verdict.reason, self.config.story_names))
         self.state = replace(self.state, alarm=alarms)
         degc = self._window_temperature(t_end_ns)
-        return WindowResult(index, t_end_ns, data_s, modes, None, None, verdict, skipped, rms, degc, tracks)
+        return WindowResult(
+            index, t_end_ns, data_s, modes, None, None, verdict, skipped, rms, degc, tracks, left_out=left_out
+        )
 
 
 def _convert_rate(state: WindowState, ratio: float) -> WindowState:

@@ -13,7 +13,7 @@ T. L. Lai, Sequential changepoint detection in quality control and dynamical sys
 from __future__ import annotations
 
 from bisect import bisect_right
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,6 +38,21 @@ _SIGNIFICANT_STDS = 3.0
 """Size from which a change counts as significant. [standard deviations; convention: three sigma]"""
 
 
+_COMPARABLE = 4.0
+"""Largest ratio of the baseline's variances at which readings of other channels are averaged with the present one's. [ratio;
+judgement: twice the standard deviation]"""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Smoothed:
+    """Smoothed variance of the readings of other channels, for their return."""
+
+    channels: tuple[int, ...]
+    ln_variance: Array
+    """Shape (n,)."""
+    memory_s: float
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class History:
     """History of the h latest readings, as many as the longest stretch needs."""
@@ -53,6 +68,16 @@ class History:
     """Shape (n,): smoothed logarithm of the variance."""
     memory_s: float
     """Time over which the variance has been smoothed so far."""
+    channels: tuple[tuple[int, ...], ...] = ()
+    """Channels of each of the h readings, as in `DamageReading.channels`; of all where none is stated."""
+    common: Array = field(default_factory=lambda: np.zeros((0, 0)))
+    """Shape (h, n): the baseline's part of each reading's variance; zeros where it is not known."""
+    before: Smoothed | None = None
+    """Variance of the readings before the channels in use changed."""
+
+    def channels_of(self, reading: int) -> tuple[int, ...]:
+        """Return the channels of one of the readings."""
+        return self.channels[reading] if self.channels else ()
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -70,7 +95,9 @@ class SequentialStatistic:
 def begin(n_stories: int, window_s: float) -> History:
     """Return the empty history of n stories, for windows of `window_s` seconds."""
     none = np.zeros((0, n_stories))
-    return History(round(window_s * 1e9), np.zeros(0, dtype=np.int64), none, none, np.zeros(n_stories), 0.0)
+    return History(
+        round(window_s * 1e9), np.zeros(0, dtype=np.int64), none, none, np.zeros(n_stories), 0.0, common=none
+    )
 
 
 def look(history: History, reading: DamageReading, t_ns: int, model_form: float) -> tuple[History, SequentialStatistic]:
@@ -89,15 +116,16 @@ def look(history: History, reading: DamageReading, t_ns: int, model_form: float)
     own = reading.ddi_covariance - reading.common_covariance + (1e-24 - reading.form_variance) * np.eye(n)
     model_form = max(model_form, reading.model_form)
     variance = own.diagonal()
-    history = _append(history, reading.ddi, variance, t_ns)
-    chain = _disjoint_readings(history)
+    common = reading.common_covariance.diagonal()
+    history = _append(_of_channels(history, reading.channels), reading, variance, t_ns)
+    chain = _comparable(history, _disjoint_readings(history), common)
     age = (t_ns - history.t_ns[chain]) / history.window_ns
     counts = np.array([np.count_nonzero(age < stretch - 1e-6) for stretch in STRETCHES])
     ddi, variance = history.ddi[chain], history.variance[chain]
     means = np.cumsum(ddi, axis=0)[counts - 1] / counts[:, None]
     variances = np.cumsum(variance, axis=0)[counts - 1] / counts[:, None] ** 2
     scale = np.sqrt(variances / own.diagonal())
-    covariance = own * scale[:, :, None] * scale[:, None, :] + reading.common_covariance
+    covariance = own * scale[:, :, None] * scale[:, None, :] + _common_covariance(history, chain, counts, reading)
     z, std = statistic(means, covariance, model_form)
     agrees = np.abs(ddi[0] - means) <= _MAX_DISAGREEMENT * np.sqrt(
         variance[0] * (1.0 - 2.0 / counts[:, None]) + variances
@@ -107,8 +135,39 @@ def look(history: History, reading: DamageReading, t_ns: int, model_form: float)
     return history, SequentialStatistic(np.where(agrees, z, -np.inf).max(axis=0), means[longest], std[longest])
 
 
-def _append(history: History, ddi: Array, variance: Array, t_ns: int) -> History:
-    """Append a reading, damage index and variance of shape (n,), and drop readings that no stretch needs any more.
+def _of_channels(history: History, channels: tuple[int, ...]) -> History:
+    """Take up the smoothed variance of readings of these channels: other channels have another variance."""
+    if not history.t_ns.size or history.channels_of(-1) == channels:
+        return history
+    left = Smoothed(history.channels_of(-1), history.ln_variance, history.memory_s)
+    if history.before is not None and history.before.channels == channels:
+        return replace(history, ln_variance=history.before.ln_variance, memory_s=history.before.memory_s, before=left)
+    return replace(history, memory_s=0.0, before=left)
+
+
+def _comparable(history: History, chain: list[int], common: Array) -> list[int]:
+    """Leave out of a chain the readings of channels that saw far less of a story than the newest reading's."""
+    newest = history.channels_of(-1)
+    return [
+        i for i in chain if history.channels_of(i) == newest or bool((history.common[i] <= _COMPARABLE * common).all())
+    ]
+
+
+def _common_covariance(history: History, chain: list[int], counts: NDArray[np.intp], reading: DamageReading) -> Array:
+    """Compute the baseline's part of the covariance of the mean over each stretch, shape (n, n) or (k, n, n).
+
+    Where readings of other channels take part it is the largest of theirs: their errors have the baseline in common.
+    """
+    if all(history.channels_of(i) == reading.channels for i in chain):
+        return reading.common_covariance
+    own = np.maximum(reading.common_covariance.diagonal(), np.finfo(float).tiny)
+    largest = np.maximum.accumulate(history.common[chain], axis=0)[counts - 1]
+    wider = np.sqrt(np.maximum(largest / own, 1.0))
+    return np.asarray(reading.common_covariance * wider[:, :, None] * wider[:, None, :])
+
+
+def _append(history: History, reading: DamageReading, variance: Array, t_ns: int) -> History:
+    """Append a reading, with its own variance of shape (n,), and drop readings that no stretch needs any more.
 
     The smoothed standard deviation is used, because a window's own may be too small by chance.  The window's own is used where
     it is clearly larger: conditions got worse, or the window lies across the onset of a change.
@@ -116,7 +175,11 @@ def _append(history: History, ddi: Array, variance: Array, t_ns: int) -> History
     first, last = np.searchsorted(history.t_ns, (t_ns - max(STRETCHES) * history.window_ns + 1, t_ns))
     keep = slice(first, last)
     ln_variance, memory_s = np.log(variance), 0.0
-    if history.t_ns.size:
+    n_before = history.t_ns.size
+    is_new = history.before is not None and history.memory_s == 0.0  # the first reading of these channels
+    channels = history.channels or ((),) * n_before
+    common = history.common if len(history.common) == n_before else np.zeros(history.ddi.shape)
+    if n_before and not is_new:
         since_s = (t_ns - int(history.t_ns[-1])) * 1e-9
         step_s = float(np.clip(since_s, 1e-9, history.window_ns * 1e-9))
         memory_s = min(history.memory_s + step_s, _STD_MEMORY_S)
@@ -124,10 +187,13 @@ def _append(history: History, ddi: Array, variance: Array, t_ns: int) -> History
     return History(
         history.window_ns,
         np.append(history.t_ns[keep], t_ns),
-        np.concatenate([history.ddi[keep], ddi[None]]),
+        np.concatenate([history.ddi[keep], reading.ddi[None]]),
         np.concatenate([history.variance[keep], np.maximum(variance / _STD_EXCESS**2, np.exp(ln_variance))[None]]),
         ln_variance,
         memory_s,
+        (*channels[keep], reading.channels),
+        np.concatenate([common[keep], reading.common_covariance.diagonal()[None]]),
+        history.before,
     )
 
 

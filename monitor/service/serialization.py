@@ -70,9 +70,35 @@ def _with_span_faults(tree: Any) -> Any:
     return tree
 
 
-VERSION = 4
+def _with_left_out_channels(tree: Any) -> Any:
+    """Upgrade from version 4, in which one channel without samples left no window to judge."""
+    if "session" in tree:
+        pipeline = tree["session"]["pipeline"]
+        pipeline["watch"] = {"channels": []}
+        if (run := pipeline["run"]) is not None:
+            n_channels = run["window"]["samples"].shape[1]
+            run["lost"] = {"held": np.zeros(n_channels), "pending": np.zeros(n_channels, dtype=bool)}
+            run["window"]["lost"] = []
+        history = pipeline["alarm"]["history"]
+        history |= {"channels": [[] for _ in history["t_ns"]], "common": np.zeros(history["ddi"].shape), "before": None}
+        for span in pipeline["health"]["spans"]:
+            span["channels"] = [channel | {"lost": 0.0} for channel in span["channels"]]
+        course = tree["session"]["summary"]["course"]
+        course["outages"] = []
+        for name in ("last", "judged"):
+            if course[name] is not None:
+                course[name]["left_out"] = []
+    return tree
+
+
+VERSION = 5
 """Version of the state; to be raised, with an entry in `UPGRADES`, when a field is added, removed or changes its meaning."""
-UPGRADES: dict[int, Callable[[Any], Any]] = {1: _without_doubled_sums, 2: _with_course, 3: _with_span_faults}
+UPGRADES: dict[int, Callable[[Any], Any]] = {
+    1: _without_doubled_sums,
+    2: _with_course,
+    3: _with_span_faults,
+    4: _with_left_out_channels,
+}
 """Version -> function that converts its plain value (`plain`) to that of the next version."""
 _DTYPES = ("<f8", "<c16", "<i8", "<f4", "|b1")
 _ARRAY = "@array"
