@@ -465,7 +465,7 @@ def _silent(course: Course, known: Known) -> list[Fact]:
     return [
         (
             State.DOUBTFUL,
-            _sentence(f"{o.channel} {_without_numbers(o.reason)}, since {utc(o.t_first_ns)} UTC; {judged}"),
+            _sentence(f"channel {o.channel} {_without_numbers(o.reason)}, since {utc(o.t_first_ns)} UTC; {judged}"),
         )
         for o in gone
     ]
@@ -588,7 +588,7 @@ def _remarks(course: Course, known: Known, whole: bool) -> list[str]:
         says.append(f"{course.skipped} of {course.windows} windows could not be judged ({reasons})")
     outages = [o for o in course.outages if o.t_last_ns is not None][-_MOST_TOLD:]
     says += [
-        f"{o.channel} was left out ({o.reason}) from {utc(o.t_first_ns)} to {utc(o.t_last_ns or 0)} UTC"
+        f"channel {o.channel} was left out ({_without_numbers(o.reason)}) from {utc(o.t_first_ns)} to {utc(o.t_last_ns or 0)} UTC"
         for o in outages
     ]
     ended = [loss for loss in course.losses if loss.t_last_ns is not None]
