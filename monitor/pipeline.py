@@ -15,7 +15,7 @@ from monitor.core import (
     BadInputError,
     DamageReading,
     Gap,
-    LeftOut,
+    LeftOutChannel,
     Level,
     ModalEstimate,
     Samples,
@@ -269,7 +269,7 @@ class Pipeline:
             left_out,
         )
 
-    def _choose_channels(self, item: Window) -> tuple[tuple[int, ...], tuple[LeftOut, ...]]:
+    def _choose_channels(self, item: Window) -> tuple[tuple[int, ...], tuple[LeftOutChannel, ...]]:
         """Choose the channels that a window is judged with, and note why the others are left out."""
         c = self.config
         begin_ns = item.t_end_ns - round(item.window_s * 1e9)
@@ -396,7 +396,7 @@ class Pipeline:
         rms: float | None = None,
         modes: ModalEstimate | None = None,
         tracks: tuple[int, ...] = (),
-        left_out: tuple[LeftOut, ...] = (),
+        left_out: tuple[LeftOutChannel, ...] = (),
     ) -> WindowResult:
         """Return the result of a window without damage index: the alarm is unchanged."""
         alarms, verdict = alarm.hold(self.state.alarm, t_end_ns)

@@ -357,12 +357,12 @@ class WindowResult:
     detectable_loss: Array | None = None
     """Shape (n,): smallest sudden loss of each story that would be seen (`damage.detectable_loss`), infinite where none would;
     None without a baseline."""
-    left_out: tuple[LeftOut, ...] = ()
+    left_out: tuple[LeftOutChannel, ...] = ()
     """Channels of which the window makes no use; their components of `modes.shapes` are NaN."""
 
 
 @dataclass(frozen=True, slots=True)
-class LeftOut:
+class LeftOutChannel:
     """Channel that is left out of a window, or of windows until it has been well for long enough."""
 
     channel: str

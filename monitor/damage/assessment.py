@@ -83,7 +83,7 @@ class Outage:
 
     channel: str
     reason: str
-    """What was wrong with it at the latest window without it, as in `core.LeftOut`."""
+    """What was wrong with it at the latest window without it, as in `core.LeftOutChannel`."""
     t_first_ns: int
     """End of the first window without it."""
     t_last_ns: int | None = None

@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-from monitor.core import LeftOut, Window
+from monitor.core import LeftOutChannel, Window
 from monitor.signals import window_quality
 from monitor.signals.neighbours import silent_channels
 from monitor.signals.sensor_health import HealthSettings
@@ -29,7 +29,7 @@ class ChannelState:
     """State of one channel between windows."""
 
     fault: str = ""
-    """What was wrong in the latest window in which it was not well, as in `LeftOut.reason`; empty while it is in use."""
+    """What was wrong in the latest window in which it was not well, as in `LeftOutChannel.reason`; empty while it is in use."""
     since_ns: int = 0
     """End of the first window without it, or of the first with it again, UTC."""
     well_since_ns: int | None = None
@@ -62,7 +62,7 @@ def find_faults(
     Returns
     -------
     dict
-        What is wrong with each channel (0 = first), as in `LeftOut.reason`.
+        What is wrong with each channel (0 = first), as in `LeftOutChannel.reason`.
     """
     found = {c: "lost samples" for c in window.lost}
     found |= {c: "does not move" for c in window_quality.still_channels(window.sums) if c not in found}
@@ -77,7 +77,7 @@ def find_faults(
 
 def step(
     state: WatchState, found: Mapping[int, str], channels: tuple[str, ...], t_ns: int, window_s: float
-) -> tuple[WatchState, tuple[int, ...], tuple[LeftOut, ...]]:
+) -> tuple[WatchState, tuple[int, ...], tuple[LeftOutChannel, ...]]:
     """Decide which channels a window is judged with.
 
     Parameters
@@ -94,7 +94,7 @@ def step(
     state : WatchState
     in_use : tuple of int
         Channels that the window is judged with.
-    left_out : tuple of LeftOut
+    left_out : tuple of LeftOutChannel
         The others.
 
     Examples
@@ -109,7 +109,9 @@ def step(
         return state, tuple(range(len(channels))), ()
     before = state.channels or (ChannelState(),) * len(channels)
     now = tuple(_follow(c, found.get(k, ""), t_ns, round(window_s * 1e9)) for k, c in enumerate(before))
-    left_out = tuple(LeftOut(name, c.fault, c.since_ns) for name, c in zip(channels, now, strict=True) if c.fault)
+    left_out = tuple(
+        LeftOutChannel(name, c.fault, c.since_ns) for name, c in zip(channels, now, strict=True) if c.fault
+    )
     return WatchState(now), tuple(k for k, c in enumerate(now) if not c.fault), left_out
 
 

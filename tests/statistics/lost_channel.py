@@ -177,8 +177,8 @@ def main() -> None:
     rows = [json.loads(line) for line in options.out.read_text().splitlines()] if options.out.exists() else []
     made = {(r["fault"], r["loss"], r["seed"]) for r in rows}
     first, last = map(int, options.seeds.split(":"))
-    for seed, fault, loss in itertools.product(
-        range(first, last), options.faults.split(","), map(float, options.losses.split(","))
+    for seed, loss, fault in itertools.product(
+        range(first, last), map(float, options.losses.split(",")), options.faults.split(",")
     ):
         if (fault, loss, seed) in made:
             continue
