@@ -1,4 +1,4 @@
-from . import sensor_correction, stabilization, tracking
+from . import stabilization, tracking
 from .free_decay import with_decay_deviations
 from .ssi import SsiSettings
 from .stabilization import SelectionSettings, expected_modes, identify
@@ -15,7 +15,6 @@ __all__ = [
     "expected_modes",
     "identify",
     "refine",
-    "sensor_correction",
     "stabilization",
     "tracking",
     "with_decay_deviations",

@@ -20,8 +20,8 @@ from monitor.signals import window_quality
 from monitor.signals.neighbours import silent_channels
 from monitor.signals.sensor_health import HealthSettings
 
-_DAY_NS = 86_400_000_000_000
-"""One day. [ns; definition]"""
+_LONGEST_WAIT_NS = 86_400_000_000_000
+"""Time within which a fault counts as a relapse, and longest time for which a channel has to be well: a day. [ns; judgement]"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,12 +120,12 @@ def _follow(channel: ChannelState, fault: str, t_ns: int, window_ns: int) -> Cha
     if not channel.fault:
         if not fault:
             return channel
-        again = channel.since_ns > 0 and t_ns - channel.since_ns < _DAY_NS
+        again = channel.since_ns > 0 and t_ns - channel.since_ns < _LONGEST_WAIT_NS
         return ChannelState(fault, t_ns, relapses=channel.relapses + 1 if again else 0)
     if fault:
         return replace(channel, fault=fault, well_since_ns=None)
     well_since_ns = t_ns if channel.well_since_ns is None else channel.well_since_ns
-    wait_ns = min((2**channel.relapses - 1) * window_ns, _DAY_NS)
+    wait_ns = min((2**channel.relapses - 1) * window_ns, _LONGEST_WAIT_NS)
     if t_ns - well_since_ns < wait_ns:
         return replace(channel, well_since_ns=well_since_ns)
     return ChannelState("", t_ns, relapses=channel.relapses)

@@ -22,9 +22,9 @@ from monitor.core import Array, LagSums
 
 _HALF_LENGTH = 10
 """Half the length of the filter on each neighbour. [samples after resampling; judgement: longer filters gain nothing]"""
-_MOST_NEIGHBOURS = 5
+_MOST_PREDICTORS = 5
 """Neighbours that predict a channel, those of the largest correlation. [count; cost]"""
-_RIDGE = 1e-3
+_ASSUMED_NOISE = 1e-3
 """White noise that is assumed in each channel beside what it shows, over its power: the lowpass leaves none near the Nyquist
 frequency, and a prediction would rest on that. [ratio; judgement]"""
 _WHITER = 2.0
@@ -118,10 +118,10 @@ def _flagged(
 def _neighbours(power: Array, channel: int, channels: tuple[int, ...]) -> tuple[int, ...]:
     """List the channels that predict a channel, those of the largest correlation."""
     others = [c for c in channels if c != channel]
-    if len(others) > _MOST_NEIGHBOURS:
+    if len(others) > _MOST_PREDICTORS:
         scale = np.sqrt(power.diagonal())
         others.sort(key=lambda c: -abs(power[channel, c]) / scale[c])
-        others = sorted(others[:_MOST_NEIGHBOURS])
+        others = sorted(others[:_MOST_PREDICTORS])
     return tuple(others)
 
 
@@ -134,7 +134,7 @@ def _gain(covariances: Array, counts: NDArray[np.int64], channel: int, others: t
     lag, first, second = _columns(len(others), len(total) // 2)
     rows = np.asarray(others)
     gram = _at(total, lag, rows[first], rows[second])
-    gram[np.diag_indices(len(gram))] += _RIDGE * total[0].diagonal()[rows[first].diagonal()]
+    gram[np.diag_indices(len(gram))] += _ASSUMED_NOISE * total[0].diagonal()[rows[first].diagonal()]
     offsets, owner = _offsets(len(others), len(total) // 2)
     weights = np.linalg.solve(gram, _at(total, offsets, np.full(owner.size, channel), rows[owner]))
     # Both sums are linear in a block's lag sums: their coefficients are formed once for all blocks.
@@ -158,7 +158,7 @@ def _predictability(covariances: Array, channel: int) -> float:
     for block in covariances[:, :, channel, channel]:
         n = len(block) - 1
         at = np.arange(n)
-        gram = block[np.abs(at[:, None] - at)] + _RIDGE * block[0] * np.eye(n)
+        gram = block[np.abs(at[:, None] - at)] + _ASSUMED_NOISE * block[0] * np.eye(n)
         past = block[1:]
         least = min(least, float(past @ np.linalg.solve(gram, past)) / float(block[0])) if block[0] > 0.0 else 0.0
     return least
