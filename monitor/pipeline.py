@@ -16,6 +16,7 @@ from monitor.core import (
     BadInputError,
     DamageReading,
     Gap,
+    LeftOutChannel,
     Level,
     ModalEstimate,
     Samples,
@@ -40,15 +41,19 @@ from monitor.damage import (
     smallest_detectable_loss,
 )
 from monitor.events import Event, EventState, GroundState, Site, ground, stage
-from monitor.identification import expected_modes, identify, refine, sensor_correction, tracking
+from monitor.identification import SubArray, expected_modes, identify, refine, tracking
 from monitor.signals import (
     Conditioner,
     ConditionState,
     Health,
     HealthState,
+    LostState,
+    WatchState,
     WindowGrid,
     WindowState,
     alignment,
+    channel_watch,
+    lost_samples,
     sensor_health,
     temperature,
     window_quality,
@@ -59,6 +64,8 @@ _SET_BACK_S = 0.25
 """Step back of the clock from which the windows' times follow the clock, s."""
 _LEAST_SHARE = 0.5
 """Share of the lowest required modes that must be found for the model to be updated without a baseline. [ratio; judgement]"""
+_MOST_VIEWS = 16
+"""Sets of channels in use for which the healthy state is kept at hand. [count; cost]"""
 _CHECK = "check floors, signs and units of the channels, and what 'check' says of the lags"
 """What to do where not even the lowest mode is found. [words]"""
 _USELESS_LOSS = 0.5
@@ -77,6 +84,7 @@ class Run:
     conditioner: Conditioner
     condition: ConditionState
     window: WindowState
+    lost: LostState
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -93,8 +101,19 @@ class PipelineState:
     health: HealthState
     events: EventState
     ground: GroundState
+    watch: WatchState
     learning: slow_learning.LearningState | None = None
     """The covariates' law as it was learned on in service; None before the first judged window."""
+
+
+@dataclass(frozen=True, slots=True)
+class _View:
+    """What a window is judged with: the channels in use, and the healthy state as these see it."""
+
+    array: SubArray
+    baseline: Baseline | None
+    drift_weights: Array
+    """Shape (c, c): from the covariance of these channels' accelerations to the level of motion."""
 
 
 class Pipeline:
@@ -119,14 +138,15 @@ class Pipeline:
         self.sensors = instrumented.sensor_matrix
         self.acquisition = tuple(e for e in nominal.model.effects if e.family == "sensor")
         self.context = instrumented.context(config.processing.rate_hz)
-        self.shown = sensor_correction.seen_by_sensors(self.acquisition, self.context)
         self.prior_std = instrumented.stiffness_prior_std
         self.site = Site.of(instrumented, config.story_names, config.processing.window_s, config.events)
         stored = None if baseline is None else baseline.drift_weights
         cutoff_hz = config.processing.cutoff_hz
-        self.drift_weights = drift_weights(nominal.model, self.sensors, cutoff_hz) if stored is None else stored
+        self.drawing = nominal.model
+        self.drift_weights = drift_weights(self.drawing, self.sensors, cutoff_hz) if stored is None else stored
         names = config.identification.reference_channels or config.channels
         self.past = tuple(config.channels.index(name) for name in names)
+        self._views: dict[tuple[int, ...], _View] = {}
         alarms = alarm.start(self.reference.structure.n_stories, config.processing.window_s)
         self.state = PipelineState(
             alignment.start(),
@@ -138,6 +158,7 @@ class Pipeline:
             HealthState(),
             EventState(),
             GroundState(),
+            WatchState(),
         )
 
     def push(self, block: SampleBlock) -> list[Result]:
@@ -171,7 +192,7 @@ class Pipeline:
         if block.topic != ACCELERATION:
             self._store_covariates(block)
             return []
-        align_state, pieces = self.front_end.align(self.state.align, block)
+        align_state, pieces = self.front_end.align(self.state.align, block, keep_partial=True)
         self.state = replace(self.state, align=align_state)
         results: list[Result] = []
         for piece in pieces:
@@ -183,12 +204,13 @@ class Pipeline:
             elif piece.shift_ns:
                 run = replace(run, t0_ns=run.t0_ns + piece.shift_ns)
             results += self._check_sensors(piece, align_state.dropped)
-            condition, values = run.conditioner.step_block(run.condition, piece.values)
+            lost_state, finite, lost = lost_samples.step(run.lost, piece, run.conditioner, run.condition)
+            condition, values = run.conditioner.step_block(run.condition, finite)
             first = run.window.start + run.window.n
             t_ns = run.t0_ns + round(first / run.grid.rate_hz * 1e9)
-            results.append(Samples(t_ns, run.grid.rate_hz, values))
-            window_state, windows = window.step(run.grid, run.window, values, run.t0_ns)
-            run = replace(run, condition=condition, window=window_state)
+            results.append(Samples(t_ns, run.grid.rate_hz, values if lost is None else np.where(lost, np.nan, values)))
+            window_state, windows = window.step(run.grid, run.window, values, run.t0_ns, lost)
+            run = replace(run, condition=condition, window=window_state, lost=lost_state)
             self.state = replace(self.state, run=run)
             for item in windows:
                 end_ns = item.t_end_ns if isinstance(item, Window) else item[1]
@@ -245,7 +267,7 @@ class Pipeline:
                 t0_ns = piece.t_ns - round(end / rate_hz * 1e9)
             index = max(index, end)
         begun = window.start(grid, n_channels, index=index, previous=last)
-        return Run(t0_ns, grid, conditioner, conditioner.start(n_channels), begun)
+        return Run(t0_ns, grid, conditioner, conditioner.start(n_channels), begun, lost_samples.start(n_channels))
 
     def _check_sensors(self, piece: alignment.Piece, dropped: int) -> list[Health]:
         """Update the health of the sensors, and return that of the spans that are complete."""
@@ -276,17 +298,20 @@ class Pipeline:
         reach_ns = temperature.reach_ns(c.processing.window_s, c.temperature)
         return align.t_next_ns() - reach_ns if align.n_run else 0
 
-    def _covariates(self, t_end_ns: int, item: Window | None = None) -> dict[str, Array]:
-        """Return the lagged values of the covariates that are known of the window that ends at `t_end_ns` (UTC)."""
+    def _covariates(self, t_end_ns: int, item: Window | None = None, weights: Array | None = None) -> dict[str, Array]:
+        """Return the lagged values of the covariates that are known of the window that ends at `t_end_ns` (UTC).
+
+        The level of motion is that of the window `item`, by the weights of its channels; it is not known without them.
+        """
         c = self.config
         known: dict[str, Array] = {}
         for name, state in {"temperature": self.state.temperature, **self.state.covariates}.items():
             mean = temperature.window_temperature(state, t_end_ns, c.processing.window_s, c.temperature)
             if mean is not None:
                 known[name] = mean.lagged_degc
-        if item is not None:
+        if item is not None and weights is not None:
             covariance = item.sums.total[0] / item.sums.counts.sum()
-            known[LEVEL] = np.array([level_db(self.drift_weights, covariance)])
+            known[LEVEL] = np.array([level_db(weights, covariance)])
         return known
 
     @property
@@ -331,27 +356,40 @@ class Pipeline:
     def _assess(self, item: Window, cutoff_hz: float) -> WindowResult:
         """Process one complete window: identification, updating, damage index, alarm."""
         c = self.config
+        in_use, left_out = self._choose_channels(item)
+        if not in_use:
+            # The level of motion is not known either.
+            why = Skipped("; ".join(f"channel {gone.channel} {gone.reason}" for gone in left_out))
+            return self._skip(item.index, item.t_end_ns, item.window_s, why, left_out=left_out)
+        if left_out:
+            item = item.only(in_use)
+        view = self._view(in_use)
 
-        covariates = self._covariates(item.t_end_ns, item)
+        covariates = self._covariates(item.t_end_ns, item, view.drift_weights)
 
         def skip(reason: Skipped, found: ModalEstimate | None = None, tracks: tuple[int, ...] = ()) -> WindowResult:
             """Skip the window, with the modes found in it."""
-            skipped = self._skip(item.index, item.t_end_ns, item.window_s, reason, item.rms_m_s2, found, tracks)
+            if left_out:
+                reason = Skipped(f"{reason.reason}; left out: {', '.join(gone.channel for gone in left_out)}")
+            found = None if found is None else view.array.spread(found)
+            skipped = self._skip(
+                item.index, item.t_end_ns, item.window_s, reason, item.rms_m_s2, found, tracks, left_out
+            )
             return replace(skipped, covariates=covariates)
 
-        skipped = window_quality.check(item.sums, item.rate_hz, cutoff_hz, c.channels, c.quality)
-        begin_ns = item.t_end_ns - round(item.window_s * 1e9)
-        skipped = skipped or sensor_health.check(self.state.health, begin_ns, item.t_end_ns, c.health)
+        skipped = window_quality.check(item.sums, item.rate_hz, cutoff_hz, c.quality)
         skipped = skipped or stage.skipped(self.state.events, item.t_end_ns, item.window_s, c.events)
         if skipped is not None:
             return skip(skipped)
-        modes = self._identify(item, cutoff_hz)
-        judged = modes if isinstance(modes, Skipped) else self._update(modes, covariates)
+        modes = self._identify(item, cutoff_hz, view)
+        judged = modes if isinstance(modes, Skipped) else self._update(modes, covariates, view)
         if isinstance(judged, Skipped):
             found = None if isinstance(modes, Skipped) else modes
-            return skip(judged, found, self._track_modes(found, item))
+            return skip(judged, found, self._track_modes(found, item, view))
         modes, stiffness, reading = judged
-        tracks = self._track_modes(modes, item)
+        if left_out:
+            reading = replace(reading, channels=in_use)
+        tracks = self._track_modes(modes, item, view)
         degc = covariates.get("temperature")
         detectable = None
         if self.baseline is None:
@@ -366,7 +404,7 @@ class Pipeline:
             item.index,
             item.t_end_ns,
             item.window_s,
-            modes,
+            view.array.spread(modes),
             stiffness,
             reading,
             verdict,
@@ -376,10 +414,34 @@ class Pipeline:
             tracks,
             detectable,
             covariates,
+            left_out,
         )
 
-    def _identify(self, item: Window, cutoff_hz: float) -> ModalEstimate | Skipped:
-        """Identify the modes of a window, and remove the stated sensor effects from them."""
+    def _choose_channels(self, item: Window) -> tuple[tuple[int, ...], tuple[LeftOutChannel, ...]]:
+        """Choose the channels that a window is judged with, and note why the others are left out."""
+        c = self.config
+        begin_ns = item.t_end_ns - round(item.window_s * 1e9)
+        unhealthy = sensor_health.check(self.state.health, begin_ns, item.t_end_ns, c.health)
+        found = channel_watch.find_faults(item, unhealthy, c.channels, c.health)
+        state, in_use, left_out = channel_watch.step(self.state.watch, found, c.channels, item.t_end_ns, item.window_s)
+        self.state = replace(self.state, watch=state)
+        return in_use, left_out
+
+    def _view(self, in_use: tuple[int, ...]) -> _View:
+        """Return what windows of some channels are judged with; the latest views are kept."""
+        if in_use not in self._views:
+            if len(self._views) == _MOST_VIEWS:
+                self._views.pop(next(iter(self._views)))
+            array = SubArray.of(in_use, self.past, self.sensors, self.acquisition, self.context)
+            healthy = None if self.baseline is None else self.baseline.seen_by(array.places)
+            weights = self.drift_weights
+            if len(in_use) < len(self.config.channels):
+                weights = drift_weights(self.drawing, self.sensors[list(in_use)], self.config.processing.cutoff_hz)
+            self._views[in_use] = _View(array, healthy, weights)
+        return self._views[in_use]
+
+    def _identify(self, item: Window, cutoff_hz: float, view: _View) -> ModalEstimate | Skipped:
+        """Identify the modes of a window of the channels in use, and remove the stated sensor effects from them."""
         c = self.config
         wanted = (
             expected_modes(self.reference_modes, cutoff_hz, c.selection)
@@ -388,14 +450,20 @@ class Pipeline:
         )
         refiner = partial(refine, item, settings=c.refinement)
         modes = identify(
-            item, self.past, self.reference_modes, self.shown, c.identification, c.selection, wanted, cutoff_hz, refiner
+            item,
+            view.array.past,
+            self.reference_modes,
+            view.array.shown,
+            c.identification,
+            c.selection,
+            wanted,
+            cutoff_hz,
+            refiner,
         )
-        if self.acquisition and not isinstance(modes, Skipped):
-            modes = sensor_correction.correct_modes(modes, self.acquisition, self.context)
-        return modes
+        return modes if isinstance(modes, Skipped) else view.array.correct(modes)
 
     def _update(
-        self, modes: ModalEstimate, covariates: dict[str, Array]
+        self, modes: ModalEstimate, covariates: dict[str, Array], view: _View
     ) -> tuple[ModalEstimate, StiffnessEstimate, DamageReading] | Skipped:
         """Update the stiffness to a window's modes and compare it with the baseline's.
 
@@ -409,7 +477,7 @@ class Pipeline:
         StiffnessEstimate
         DamageReading
         """
-        c, baseline = self.config, self.baseline
+        c, baseline = self.config, view.baseline
         missing = self._missing(modes)
         if missing:
             required = () if baseline is None else baseline.model_mode
@@ -428,7 +496,9 @@ class Pipeline:
 
         def step(modes: ModalEstimate) -> tuple[StiffnessEstimate, DamageReading]:
             """Update the stiffness to modes."""
-            return damage_index.step(modes, self.reference, healthy, self.sensors, c.updating, effect, self.prior_std)
+            return damage_index.step(
+                modes, self.reference, healthy, view.array.sensors, c.updating, effect, self.prior_std
+            )
 
         stiffness, reading = step(modes)
         while not stiffness.converged:
@@ -463,9 +533,9 @@ class Pipeline:
         there = f"{self.reference_modes.frequencies_hz[mode]:.3g} Hz by the model, {measured_hz:.3g} Hz in the data"
         return f"model updating did not converge with mode {mode + 1} ({there}): another direction, or torsion?"
 
-    def _track_modes(self, modes: ModalEstimate | None, item: Window) -> tuple[int, ...]:
+    def _track_modes(self, modes: ModalEstimate | None, item: Window, view: _View) -> tuple[int, ...]:
         """Assign the modes of a window to tracks and return their numbers; a window without modes counts as a look too."""
-        observed = tracking.observed(modes, item.window_s)
+        observed = tracking.observed(None if modes is None else view.array.spread(modes), item.window_s)
         state, tracked = tracking.step(self.state.track, observed, item.t_end_ns, self.config.tracking)
         self.state = replace(self.state, track=state)
         return tuple(int(number) for number in tracked.observed)
@@ -479,6 +549,7 @@ class Pipeline:
         rms: float | None = None,
         modes: ModalEstimate | None = None,
         tracks: tuple[int, ...] = (),
+        left_out: tuple[LeftOutChannel, ...] = (),
     ) -> WindowResult:
         """Return the result of a window without damage index: the alarm is unchanged."""
         alarms, verdict = alarm.hold(self.state.alarm, t_end_ns)
@@ -487,7 +558,19 @@ class Pipeline:
         covariates = self._covariates(t_end_ns)
         degc = None if "temperature" not in covariates else Temperature(covariates["temperature"])
         return WindowResult(
-            index, t_end_ns, data_s, modes, None, None, verdict, skipped, rms, degc, tracks, covariates=covariates
+            index,
+            t_end_ns,
+            data_s,
+            modes,
+            None,
+            None,
+            verdict,
+            skipped,
+            rms,
+            degc,
+            tracks,
+            covariates=covariates,
+            left_out=left_out,
         )
 
 

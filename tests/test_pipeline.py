@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import json
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -112,6 +113,52 @@ def test_any_block_sizes_give_the_same_bits(
     assert told(push(Pipeline(site), cut(record, RATE, sizes))) == whole
 
 
+LOST = slice(2600, 3300)
+"""Samples without a2: from 20.3 s to 25.8 s."""
+
+
+@pytest.fixture(scope="module")
+def partly_lost(record: np.ndarray) -> np.ndarray:
+    spoilt = record.copy()
+    spoilt[LOST, 1] = np.nan
+    return spoilt
+
+
+@given(sizes=st.lists(st.integers(1, 1500), min_size=1, max_size=8))
+@settings(deadline=None, max_examples=12)
+def test_any_block_sizes_give_the_same_bits_without_samples_of_one_channel(
+    site: Configuration, partly_lost: np.ndarray, cut: Cut, sizes: list[int]
+) -> None:
+    pipeline, one = Pipeline(site), Pipeline(site)
+    assert told(push(pipeline, cut(partly_lost, RATE, sizes))) == told(push(one, cut(partly_lost, RATE, [5376])))
+    assert pipeline.state.align.dropped == 0
+
+
+def test_a_channel_that_loses_samples_is_left_out_of_their_windows_alone(
+    site: Configuration, record: np.ndarray, partly_lost: np.ndarray, cut: Cut
+) -> None:
+    whole = {r.index: r for r in windows(push(Pipeline(site), cut(record, RATE)))}
+    parts = {r.index: r for r in windows(push(Pipeline(site), cut(partly_lost, RATE)))}
+    assert [[gone.channel for gone in r.left_out] for r in parts.values()] == [[], ["a2"], ["a2"], ["a2"], ["a2"]]
+    assert all(r.skipped is None for r in parts.values())
+    assert to_json(window_line(parts[0])) == to_json(window_line(whole[0]))
+    for k in (1, 2, 3, 4):
+        line = json.loads(to_json(window_line(parts[k])))
+        assert line["channels_left_out"] == ["a2"] and line["left_out_reasons"] == ["lost samples"]
+        assert [[pair is None for pair in shape] for shape in line["mode_shapes"]] == [[False, True, False]] * 3
+        np.testing.assert_allclose(line["frequencies_hz"], window_line(whole[k])["frequencies_hz"], rtol=5e-3)
+
+
+def test_what_stands_in_place_of_lost_samples_reaches_no_other_channel(
+    site: Configuration, record: np.ndarray, partly_lost: np.ndarray, cut: Cut
+) -> None:
+    """The windows without a2 are those of a recording whose a2 holds anything else there."""
+    loud = partly_lost.copy()
+    loud[: LOST.start, 1] += 30.0 * record.std() * np.random.default_rng(3).normal(size=LOST.start)
+    one, other = (windows(push(Pipeline(site), cut(x, RATE))) for x in (partly_lost, loud))
+    assert [to_json(window_line(r)) for r in one[1:]] == [to_json(window_line(r)) for r in other[1:]]
+
+
 @given(sizes=st.lists(st.integers(20, 1500), min_size=1, max_size=5), files=st.integers(1, 4), order=st.randoms())
 @settings(deadline=None, max_examples=10)
 def test_files_split_anywhere_and_named_in_any_order_give_the_same_bits(
@@ -181,11 +228,11 @@ def test_windows_around_a_gap_are_skipped_with_their_data_length(
             assert r.modes is None and r.damage is None
 
 
-def test_samples_that_are_not_finite_are_a_gap_like_lost_ones(
+def test_instants_at_which_no_channel_is_finite_are_a_gap_like_lost_ones(
     site: Configuration, record: np.ndarray, cut: Cut
 ) -> None:
     spoilt = record.copy()
-    spoilt[HOLE, 1] = np.inf
+    spoilt[HOLE] = np.inf
     pipeline = Pipeline(site)
     spoilt_results = told(push(pipeline, cut(spoilt, RATE, [500])))
     assert spoilt_results == told(push(Pipeline(site), with_hole(record, cut, [500])))

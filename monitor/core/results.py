@@ -96,6 +96,19 @@ class LagSums:
     total: Array
     """Shape (2 i, c, c): sum of the blocks' lagged products about the window's mean, (m/s^2)^2."""
 
+    def only(self, channels: tuple[int, ...]) -> LagSums:
+        """Select some channels (0 = first): a sub-block of every sum, which no other channel reaches."""
+        rows = list(channels)
+        return replace(
+            self,
+            products=np.ascontiguousarray(self.products[:, :, rows][..., rows]),
+            shifted=np.ascontiguousarray(self.shifted[..., rows]),
+            mean=self.mean[rows],
+            head=np.ascontiguousarray(self.head[:, rows]),
+            tail=np.ascontiguousarray(self.tail[:, rows]),
+            total=np.ascontiguousarray(self.total[:, rows][..., rows]),
+        )
+
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Window:
@@ -116,6 +129,18 @@ class Window:
     """Spacing of the bins, which begin at 0 Hz, in Hz."""
     first_segment: int
     """Number of the first segment on the stream's grid."""
+    lost: tuple[int, ...] = ()
+    """Numbers of the channels (0 = first) that lost samples in the window: what `sums` and `segments` hold of them is made up."""
+
+    def only(self, channels: tuple[int, ...]) -> Window:
+        """Select some channels (0 = first): what the window would hold without the others."""
+        rows = list(channels)
+        return replace(
+            self,
+            sums=self.sums.only(channels),
+            segments=tuple(np.ascontiguousarray(x[:, rows]) for x in self.segments),
+            lost=tuple(k for k, channel in enumerate(channels) if channel in self.lost),
+        )
 
     @property
     def rms_m_s2(self) -> float:
@@ -145,7 +170,7 @@ class ModalEstimate:
     damping_ratio: Array
     """Shape (m,)."""
     shapes: ComplexArray
-    """Shape (m, c); the component that is largest in the subspace estimate is 1."""
+    """Shape (m, c); the component that is largest in the subspace estimate is 1, that of a channel left out is NaN."""
     model_mode: NDArray[np.int64]
     """Shape (m,): number of the model's mode (0 = lowest) that each mode was matched to."""
     deviations: Array
@@ -194,6 +219,33 @@ class ModalEstimate:
             model_mode=self.model_mode[rows],
             deviations=self.deviations[:, rows],
             weight_factor=None if self.weight_factor is None else self.weight_factor[:, rows],
+        )
+
+    def at_channels(self, channels: tuple[int, ...], n_channels: int) -> ModalEstimate:
+        """Place the estimates of some channels (0 = first) among all `n_channels`; the others are NaN."""
+        if len(channels) == n_channels:
+            return self
+        shapes = np.full((len(self.shapes), n_channels), np.nan, dtype=complex)
+        shapes[:, list(channels)] = self.shapes
+        columns = [0, 1, *(2 + k for k in channels), *(2 + n_channels + k for k in channels)]
+
+        def spread(rows: Array) -> Array:
+            """Place deviations, shape (n_rows, m, 2 + 2 c)."""
+            out = np.full((*rows.shape[:2], 2 + 2 * n_channels), np.nan)
+            out[:, :, columns] = rows
+            return out
+
+        others = []
+        for mode in self.others:
+            shape = np.full(n_channels, np.nan, dtype=complex)
+            shape[list(channels)] = mode.shape
+            others.append(replace(mode, shape=shape))
+        return replace(
+            self,
+            shapes=shapes,
+            deviations=spread(self.deviations),
+            weight_factor=None if self.weight_factor is None else spread(self.weight_factor),
+            others=tuple(others),
         )
 
     def set_aside(self, model_mode: int, why: str) -> ModalEstimate:
@@ -252,6 +304,8 @@ class DamageReading:
     """What lies beyond calibration, in words, where what is not known of the covariates would hide the loss of an `alarm`."""
     unidentified: tuple[int, ...] = ()
     """Stories, from 1, that the window's modes hardly determine: their index is determined by the prior alone."""
+    channels: tuple[int, ...] = ()
+    """Channels (0 = first) that the reading rests on; empty: all."""
 
     @property
     def ddi_std(self) -> Array:
@@ -310,6 +364,19 @@ class WindowResult:
     covariates: dict[str, Array] = field(default_factory=dict)
     """Shape (n_lags,) for each covariate that is known: its mean over the window after each thermal lag of
     `temperature.LAGS_S`, in its unit; the level of motion has one value, in dB of 1 m of RMS drift."""
+    left_out: tuple[LeftOutChannel, ...] = ()
+    """Channels of which the window makes no use; their components of `modes.shapes` are NaN."""
+
+
+@dataclass(frozen=True, slots=True)
+class LeftOutChannel:
+    """Channel that is left out of a window, or of windows until it has been well for long enough."""
+
+    channel: str
+    reason: str
+    """What is wrong with it, as a clause whose subject is the channel, such as "does not move"."""
+    since_ns: int
+    """End of the first window without it, UTC."""
 
 
 @dataclass(frozen=True, slots=True)

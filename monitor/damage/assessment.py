@@ -30,6 +30,11 @@ _RISE_STDS = 4.0
 """Least rise of a story's stiffness that asks whether the baseline is a healthy one. [standard deviations; judgement: what
 several stories and windows do not give by chance]"""
 
+_MOST_OUTAGES = 64
+"""Most ended times without a channel that are kept. [count; cost]"""
+_MOST_TOLD = 3
+"""Most ended times without a channel that the state tells. [count; judgement]"""
+
 
 class State(StrEnum):
     """What is known of the structure, in rising gravity."""
@@ -73,6 +78,19 @@ class Loss:
 
 
 @dataclass(frozen=True, slots=True)
+class Outage:
+    """Time without a channel."""
+
+    channel: str
+    reason: str
+    """What was wrong with it at the latest window without it, as in `core.LeftOutChannel`."""
+    t_first_ns: int
+    """End of the first window without it."""
+    t_last_ns: int | None = None
+    """End of the first window with it again; None while it is left out."""
+
+
+@dataclass(frozen=True, slots=True)
 class WindowFacts:
     """What the state needs of one window."""
 
@@ -94,6 +112,8 @@ class WindowFacts:
     """Level of motion, mean over channels."""
     changes: tuple[tuple[float, float], ...] = ()
     """Relative loss of stiffness, negative for a rise, and its standard deviation, of every story."""
+    left_out: tuple[tuple[str, str], ...] = ()
+    """Channels of which no use was made, and what was wrong with each."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,6 +138,8 @@ class Course:
     """Largest goodness of fit of a run that lasted a window's length: data without the onset of a change."""
     rms_range: tuple[float, float] | None = None
     """Least and largest level of motion, m/s^2."""
+    outages: tuple[Outage, ...] = ()
+    """The latest `_MOST_OUTAGES` times without a channel, in the order in which they began, and all that last."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,6 +161,8 @@ class Known:
     """Stories that the site's owner knows to be unseen."""
     accepted: tuple[tuple[str, str], ...] = ()
     """Name and place of the effects that the structure file states."""
+    channels: tuple[str, ...] = ()
+    """Names of the channels; empty where they are not known."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,6 +198,7 @@ def facts_of(result: WindowResult) -> WindowFacts:
         None if result.stiffness is None else result.stiffness.misfit,
         result.rms_m_s2,
         () if damage is None else tuple(zip(damage.ddi.tolist(), damage.ddi_std.tolist(), strict=True)),
+        tuple((gone.channel, gone.reason) for gone in result.left_out),
     )
 
 
@@ -191,6 +216,7 @@ def follow(course: Course, window: WindowFacts, misfit: float) -> Course:
         windows=course.windows + 1,
         recent=(*recent, (window.t_end_ns, window.skipped is None)),
         last=window,
+        outages=_with_outages(course.outages, window),
     )
     if window.rms_m_s2 is not None:
         low, high = course.rms_range or (window.rms_m_s2, window.rms_m_s2)
@@ -211,6 +237,21 @@ def follow(course: Course, window: WindowFacts, misfit: float) -> Course:
         misfit_since_ns=since_ns,
         unexplained=unexplained,
     )
+
+
+def _with_outages(outages: tuple[Outage, ...], window: WindowFacts) -> tuple[Outage, ...]:
+    """Begin and end times without a channel."""
+    if not window.left_out and all(o.t_last_ns is not None for o in outages):
+        return outages
+    left_out, out = dict(window.left_out), []
+    for o in outages:
+        if o.t_last_ns is None:
+            reason = left_out.pop(o.channel, None)
+            o = replace(o, t_last_ns=window.t_end_ns) if reason is None else replace(o, reason=reason)
+        out.append(o)
+    out += [Outage(channel, reason, window.t_end_ns) for channel, reason in left_out.items()]
+    ended = [o for o in out if o.t_last_ns is not None]
+    return tuple(o for o in out if o not in ended[:-_MOST_OUTAGES])
 
 
 def _without_numbers(reason: str) -> str:
@@ -269,6 +310,7 @@ def assess(
         *_alarms(course, known, findings, whole),
         *_kept(course, known, standing or {}),
         *_doubts(course, known, findings, whole),
+        *_silent(course, known),
         *_alike(course, known),
         *_unjudged(course, known),
     ]
@@ -413,6 +455,22 @@ def _proposal(finding: Mapping[str, Any]) -> str:
     return f"{says} ({'a proposal until it is accepted' if finding['verdict'] == 'named' else 'not accepted yet'})"
 
 
+def _silent(course: Course, known: Known) -> list[Fact]:
+    """State the channels that are left out at present."""
+    gone = [o for o in course.outages if o.t_last_ns is None]
+    names = {o.channel for o in gone}
+    left = [name for name in known.channels if name not in names]
+    judged = f"judged with {', '.join(left)}" if left else "judged without it"
+    judged = judged if course.last is not None and course.last.skipped is None else "the others are too few"
+    return [
+        (
+            State.DOUBTFUL,
+            _sentence(f"channel {o.channel} {_without_numbers(o.reason)}, since {utc(o.t_first_ns)} UTC; {judged}"),
+        )
+        for o in gone
+    ]
+
+
 def _levels(course: Course, known: Known, whole: bool) -> list[str]:
     """Ask whether the unit is right where the motion is far stronger, or weaker, than at calibration.
 
@@ -528,6 +586,11 @@ def _remarks(course: Course, known: Known, whole: bool) -> list[str]:
     if course.skipped and course.judged is not None:
         reasons = "; ".join(f"{n}: {Skipped(reason).mend}" for reason, n in course.skip_reasons.items())
         says.append(f"{course.skipped} of {course.windows} windows could not be judged ({reasons})")
+    outages = [o for o in course.outages if o.t_last_ns is not None][-_MOST_TOLD:]
+    says += [
+        f"channel {o.channel} was left out ({_without_numbers(o.reason)}) from {utc(o.t_first_ns)} to {utc(o.t_last_ns or 0)} UTC"
+        for o in outages
+    ]
     ended = [loss for loss in course.losses if loss.t_last_ns is not None]
     if ended and not whole:
         loss = ended[-1]

@@ -80,6 +80,43 @@ class Baseline:
             damping_ratio=self.damping_ratio[keep],
         )
 
+    def seen_by(self, channels: tuple[int, ...]) -> Baseline:
+        """Reduce the healthy state to what some of the channels (0 = first) see of it.
+
+        A shape whose gauge is not among them is normalized by the one of them where it is largest, and so is the model's: the
+        misfit that remains is that of the same quantities.
+        """
+        m, c = len(self.model_mode), len(self.channels)
+        rows = list(channels)
+        kept = replace(self, channels=tuple(self.channels[k] for k in rows), floors=tuple(self.floors[k] for k in rows))
+        if channels == tuple(range(c)) or not self.gauges:
+            return kept
+        shapes, predicted = self._shapes(self.z), self._shapes(self.z - self.misfit)
+        gauges = tuple(
+            rows.index(gauge) if gauge in rows else int(np.abs(shape[rows]).argmax())
+            for gauge, shape in zip(self.gauges, shapes, strict=True)
+        )
+        z, slope = np.concatenate([self.z[:m], np.zeros(m * (len(rows) - 1))]), np.zeros((m * len(rows), self.z.size))
+        slope[:m, :m] = np.eye(m)
+        model_z = np.concatenate([(self.z - self.misfit)[:m], z[m:]])
+        for i, gauge in enumerate(gauges):
+            # Rows of d(all components) / d(components but the old gauge's), then of d(ratios to the new gauge).
+            free = np.eye(c)[:, [k for k in range(c) if k != self.gauges[i]]]
+            others = [k for k in rows if k != rows[gauge]]
+            ratio = shapes[i, others] / shapes[i, rows[gauge]]
+            at = slice(m + i * len(others), m + (i + 1) * len(others))
+            z[at], model_z[at] = ratio, predicted[i, others] / predicted[i, rows[gauge]]
+            change = (free[others] - ratio[:, None] * free[rows[gauge]]) / shapes[i, rows[gauge]]
+            slope[at, m + i * (c - 1) : m + (i + 1) * (c - 1)] = change
+        return replace(kept, z=z, z_covariance=slope @ self.z_covariance @ slope.T, misfit=z - model_z, gauges=gauges)
+
+    def _shapes(self, z: Array) -> Array:
+        """Return the shapes that a measured vector holds, shape (m, c), 1 at their gauges."""
+        m, c = len(self.model_mode), len(self.channels)
+        shapes = np.ones((m, c))
+        shapes[np.arange(c) != np.array(self.gauges)[:, None]] = z[m:]
+        return shapes
+
     @property
     def model_form(self) -> float:
         """Relative error of a loss from the model's form, one standard deviation.

@@ -14,7 +14,7 @@ T. L. Lai, Sequential changepoint detection in quality control and dynamical sys
 from __future__ import annotations
 
 from bisect import bisect_right
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +39,21 @@ _SIGNIFICANT_STDS = 3.0
 """Size from which a change counts as significant. [standard deviations; convention: three sigma]"""
 
 
+_COMPARABLE = 4.0
+"""Largest ratio of the baseline's variances at which readings of other channels are averaged with the present one's. [ratio;
+judgement: twice the standard deviation]"""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Smoothed:
+    """Smoothed variance of the readings of other channels, for their return."""
+
+    channels: tuple[int, ...]
+    ln_variance: Array
+    """Shape (n,)."""
+    memory_s: float
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class History:
     """History of the h latest readings, as many as the longest stretch needs."""
@@ -51,11 +66,19 @@ class History:
     variance: Array
     """Shape (h, n): variance of the damage index in each window, without the baseline's error."""
     common: Array
-    """Shape (h, n, n): covariance that a window has in common with the others."""
+    """Shape (h, n, n): covariance that a window has in common with the others: the baseline's and the covariates' law's."""
     ln_variance: Array
     """Shape (n,): smoothed logarithm of the variance."""
     memory_s: float
     """Time over which the variance has been smoothed so far."""
+    channels: tuple[tuple[int, ...], ...] = ()
+    """Channels of each of the h readings, as in `DamageReading.channels`; of all where none is stated."""
+    before: Smoothed | None = None
+    """Variance of the readings before the channels in use changed."""
+
+    def channels_of(self, reading: int) -> tuple[int, ...]:
+        """Return the channels of one of the readings."""
+        return self.channels[reading] if self.channels else ()
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -94,8 +117,8 @@ def look(history: History, reading: DamageReading, t_ns: int, model_form: float)
     model_form = max(model_form, reading.model_form)
     variance = own.diagonal()
     common = np.broadcast_to(reading.common_covariance, (n, n))
-    history = _append(history, reading.ddi, variance, common, t_ns)
-    chain = _disjoint_readings(history)
+    history = _append(_of_channels(history, reading.channels), reading, variance, common, t_ns)
+    chain = _comparable(history, _disjoint_readings(history), common)
     age = (t_ns - history.t_ns[chain]) / history.window_ns
     counts = np.array([np.count_nonzero(age < stretch - 1e-6) for stretch in STRETCHES])
     ddi, variance = history.ddi[chain], history.variance[chain]
@@ -113,10 +136,28 @@ def look(history: History, reading: DamageReading, t_ns: int, model_form: float)
     return history, SequentialStatistic(np.where(agrees, z, -np.inf).max(axis=0), means[longest], std[longest])
 
 
-def _append(history: History, ddi: Array, variance: Array, common: Array, t_ns: int) -> History:
+def _of_channels(history: History, channels: tuple[int, ...]) -> History:
+    """Take up the smoothed variance of readings of these channels: other channels have another variance."""
+    if not history.t_ns.size or history.channels_of(-1) == channels:
+        return history
+    left = Smoothed(history.channels_of(-1), history.ln_variance, history.memory_s)
+    if history.before is not None and history.before.channels == channels:
+        return replace(history, ln_variance=history.before.ln_variance, memory_s=history.before.memory_s, before=left)
+    return replace(history, memory_s=0.0, before=left)
+
+
+def _comparable(history: History, chain: list[int], common: Array) -> list[int]:
+    """Leave out of a chain the readings of channels that saw far less of a story than the newest reading's."""
+    newest, largest = history.channels_of(-1), _COMPARABLE * common.diagonal()
+    return [
+        i for i in chain if history.channels_of(i) == newest or bool((history.common[i].diagonal() <= largest).all())
+    ]
+
+
+def _append(history: History, reading: DamageReading, variance: Array, common: Array, t_ns: int) -> History:
     """Append a reading, and drop readings that no stretch needs any more.
 
-    Damage index and variance have shape (n,), the common covariance (n, n).
+    Its own variance has shape (n,), its common covariance (n, n).
 
     The smoothed standard deviation is used, because a window's own may be too small by chance.  The window's own is used where
     it is clearly larger: conditions got worse, or the window lies across the onset of a change.
@@ -124,7 +165,10 @@ def _append(history: History, ddi: Array, variance: Array, common: Array, t_ns: 
     first, last = np.searchsorted(history.t_ns, (t_ns - max(STRETCHES) * history.window_ns + 1, t_ns))
     keep = slice(first, last)
     ln_variance, memory_s = np.log(variance), 0.0
-    if history.t_ns.size:
+    n_before = history.t_ns.size
+    is_new = history.before is not None and history.memory_s == 0.0  # the first reading of these channels
+    channels = history.channels or ((),) * n_before
+    if n_before and not is_new:
         since_s = (t_ns - int(history.t_ns[-1])) * 1e-9
         step_s = float(np.clip(since_s, 1e-9, history.window_ns * 1e-9))
         memory_s = min(history.memory_s + step_s, _STD_MEMORY_S)
@@ -132,11 +176,13 @@ def _append(history: History, ddi: Array, variance: Array, common: Array, t_ns: 
     return History(
         history.window_ns,
         np.append(history.t_ns[keep], t_ns),
-        np.concatenate([history.ddi[keep], ddi[None]]),
+        np.concatenate([history.ddi[keep], reading.ddi[None]]),
         np.concatenate([history.variance[keep], np.maximum(variance / _STD_EXCESS**2, np.exp(ln_variance))[None]]),
         np.concatenate([history.common[keep], common[None]]),
         ln_variance,
         memory_s,
+        (*channels[keep], reading.channels),
+        history.before,
     )
 
 

@@ -1,7 +1,8 @@
-from . import sensor_correction, stabilization, tracking
+from . import stabilization, tracking
 from .free_decay import with_decay_deviations
 from .ssi import SsiSettings
 from .stabilization import SelectionSettings, expected_modes, identify
+from .sub_array import SubArray
 from .tracking import TrackSettings
 from .whittle import RefinementSettings, refine
 
@@ -9,11 +10,11 @@ __all__ = [
     "RefinementSettings",
     "SelectionSettings",
     "SsiSettings",
+    "SubArray",
     "TrackSettings",
     "expected_modes",
     "identify",
     "refine",
-    "sensor_correction",
     "stabilization",
     "tracking",
     "with_decay_deviations",

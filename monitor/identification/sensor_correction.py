@@ -28,24 +28,42 @@ def seen_by_sensors(effects: Sequence[Effect], context: Context) -> Array:
     return np.asarray(response(effects, 0.0, context).real @ context.sensors)
 
 
-def correct_modes(modes: ModalEstimate, effects: Sequence[Effect], context: Context) -> ModalEstimate:
-    """Remove the sensor effects and the clock error from identified modes; the largest component of each shape is 1 again."""
+def true_channels(effects: Sequence[Effect], context: Context, rows: tuple[int, ...]) -> tuple[int, ...]:
+    """Find the channels (0 = first) whose motion the measured channels `rows` hold: others where two cables are swapped."""
+    return tuple(np.abs(response(effects, 0.0, context)[list(rows)]).argmax(axis=1).tolist())
+
+
+def correct_modes(
+    modes: ModalEstimate,
+    effects: Sequence[Effect],
+    context: Context,
+    rows: tuple[int, ...] | None = None,
+    true_channels: tuple[int, ...] | None = None,
+) -> ModalEstimate:
+    """Remove the sensor effects and the clock error from identified modes; the largest component of each shape is 1 again.
+
+    Parameters
+    ----------
+    rows, true_channels : tuple of int, optional
+        Channels that the shapes hold, and those that they hold without the effects (`true_channels`); by default all.
+    """
     clock = float(np.prod([e.clock_factor for e in effects]))
     shapes, deviations = modes.shapes.copy(), modes.deviations.copy()
     factor = None if modes.weight_factor is None else modes.weight_factor.copy()
 
     def back_at(hz: float) -> ComplexArray:
         """Compute the inverse of the response at a frequency of the wrong clock."""
-        return np.asarray(np.linalg.inv(response(effects, hz * clock, context)))
+        forward = response(effects, hz * clock, context)
+        return np.asarray(np.linalg.inv(forward if rows is None else forward[np.ix_(rows, true_channels or rows)]))
 
     for i, hz in enumerate(modes.frequencies_hz):
         back = back_at(hz)
         true = back @ modes.shapes[i]
         largest = int(np.abs(true).argmax())
         shapes[i] = true / true[largest]
-        for rows in (deviations, factor):
-            if rows is not None:
-                rows[:, i, 2:] = _propagate(rows[:, i, 2:], back, true, largest)
+        for part in (deviations, factor):
+            if part is not None:
+                part[:, i, 2:] = _propagate(part[:, i, 2:], back, true, largest)
     others = []
     for mode in modes.others:
         true = back_at(mode.frequency_hz) @ mode.shape

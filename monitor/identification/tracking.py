@@ -68,7 +68,7 @@ class Observed:
     frequencies_std_hz: Array
     """Shape (m,)."""
     shapes: ComplexArray
-    """Shape (m, c), of any scale and phase; c = 0 where only frequencies are known."""
+    """Shape (m, c), of any scale and phase; c = 0 where only frequencies are known.  A channel that is left out is NaN."""
     window_s: float
     """Length of the window, s; the weight of an overlapping window is its share of new data."""
 
@@ -89,7 +89,7 @@ class Track:
     noise: float
     """Estimated ratio of the observations' variance to their stated variance."""
     shape: ComplexArray
-    """Shape (c,): running average, unit norm; empty while unknown."""
+    """Shape (c,): running average, unit norm; empty while unknown, NaN at channels that were left out ever since."""
     hits: float
     """Number of looks with an observation of the track."""
     misses: float
@@ -220,7 +220,7 @@ def _candidate_tracks(seen: Observed, t_ns: int, settings: TrackSettings) -> dic
     usable = np.flatnonzero(np.isfinite(f) & (f > 0) & (std <= settings.max_std * f)).tolist()
     if not usable:
         return {}
-    shapes = seen.shapes / np.linalg.norm(seen.shapes, axis=1)[:, None]
+    shapes = seen.shapes / np.sqrt(np.nansum(np.abs(seen.shapes) ** 2, axis=1))[:, None]
     fresh = {}
     for j in usable:
         variance = max(float(std[j] / f[j]), _MIN_FREQUENCY_STD) ** 2
@@ -274,8 +274,23 @@ def _mac(tracks: Sequence[Track], fresh: Sequence[Track]) -> Array:
     """Compute the modal assurance criterion of tracks and observations, shape (k, m); NaN where a shape is unknown."""
     mac = np.full((len(tracks), len(fresh)), np.nan)
     known = [i for i, t in enumerate(tracks) if t.shape.size == fresh[0].shape.size > 0]
-    if known:
-        mac[known] = np.abs(np.conj([tracks[i].shape for i in known]) @ np.transpose([o.shape for o in fresh])) ** 2
+    if not known:
+        return mac
+    a, b = np.array([tracks[i].shape for i in known]), np.array([o.shape for o in fresh])
+    if not (np.isfinite(a).all() and np.isfinite(b).all()):
+        return _partial_mac(mac, known, a, b)
+    mac[known] = np.abs(np.conj(a) @ b.T) ** 2
+    return mac
+
+
+def _partial_mac(mac: Array, known: Sequence[int], a: ComplexArray, b: ComplexArray) -> Array:
+    """Fill in the criterion of shapes, (k, c) and (m, c), by the channels that both have; one channel alone tells nothing."""
+    for i, track in zip(known, a, strict=True):
+        for j, seen in enumerate(b):
+            common = np.isfinite(track) & np.isfinite(seen)
+            if common.sum() > 1:
+                power = np.vdot(track[common], track[common]).real * np.vdot(seen[common], seen[common]).real
+                mac[i, j] = abs(np.vdot(track[common], seen[common])) ** 2 / max(power, 1e-300)
     return mac
 
 
@@ -288,8 +303,12 @@ def _is_explained(seen: Track, tracks: Sequence[Track], settings: TrackSettings)
             near.append(track.shape)
     if not near or not all(shape.size == seen.shape.size > 0 for shape in near):
         return bool(near)
-    basis, _ = np.linalg.qr(np.transpose(near))
-    return bool(np.linalg.norm(basis.conj().T @ seen.shape) ** 2 >= settings.min_mac)
+    common = np.isfinite(seen.shape) & np.isfinite(near).all(axis=0)
+    if not common.any():
+        return True
+    basis, _ = np.linalg.qr(np.transpose(near)[common])
+    own = seen.shape[common]
+    return bool(np.linalg.norm(basis.conj().T @ own) ** 2 >= settings.min_mac * np.linalg.norm(own) ** 2)
 
 
 def _update_track(track: Track, seen: Track, weight: float, settings: TrackSettings) -> Track:
@@ -305,8 +324,7 @@ def _update_track(track: Track, seen: Track, weight: float, settings: TrackSetti
     shape = track.shape if track.shape.size else seen.shape
     if track.shape.size == seen.shape.size > 0:
         share = weight / min(track.hits + weight, settings.shape_memory)
-        shape = (1.0 - share) * shape + rect(share, phase(np.vdot(seen.shape, shape))) * seen.shape
-        shape = shape / sqrt(np.vdot(shape, shape).real)
+        shape = _averaged(shape, seen.shape, share)
     return replace(
         track,
         last_ns=seen.last_ns,
@@ -316,6 +334,21 @@ def _update_track(track: Track, seen: Track, weight: float, settings: TrackSetti
         shape=shape,
         hits=track.hits + weight,
     )
+
+
+def _averaged(shape: ComplexArray, seen: ComplexArray, share: float) -> ComplexArray:
+    """Average a track's shape with an observed one, of weight `share`; both (c,), channels that are left out are NaN."""
+    here, there = np.isfinite(shape), np.isfinite(seen)
+    if here.all() and there.all():
+        shape = (1.0 - share) * shape + rect(share, phase(np.vdot(seen, shape))) * seen
+        return np.asarray(shape / sqrt(np.vdot(shape, shape).real))
+    common = here & there
+    if not common.any():
+        return shape
+    # The observed shape in the scale and phase of the track's; a channel that only one of them has is taken from that one.
+    seen = seen * (np.vdot(seen[common], shape[common]) / np.vdot(seen[common], seen[common]).real)
+    shape = np.where(common, (1.0 - share) * shape + share * seen, np.where(there, seen, shape))
+    return np.asarray(shape / sqrt(np.nansum(np.abs(shape) ** 2)))
 
 
 def _confirm(tracks: list[Track], number: int, settings: TrackSettings) -> tuple[int, ...]:

@@ -194,6 +194,7 @@ def gather(blocks: Iterable[SampleBlock], front_end: FrontEnd) -> Segments:
     if len(floors.segments) < _FEWEST_SEGMENTS:
         raise BadInputError(
             f"{floors.seconds:.0f} s of usable data without a gap; a diagnosis takes at least {floors.least_s:.0f} s"
+            f"{floors.silent_channels()}"
         )
     assert floors.design is not None
     n_all = len(floors.segments)
@@ -296,6 +297,9 @@ class _Stream:
     def __init__(self, front_end: FrontEnd, segment_s: float, *, is_input: bool = False) -> None:
         self.front_end, self._segment_s, self._is_input = front_end, segment_s, is_input
         self._align = alignment.start()
+        self._n = 0
+        self._lost = np.zeros(len(front_end.channels), dtype=np.int64)
+        """Number of samples of each channel that are not finite."""
         self._rest: Array | None = None
         self._state: ConditionState
         self._run_ns = 0
@@ -323,6 +327,9 @@ class _Stream:
     def push(self, block: SampleBlock) -> None:
         """Condition a block's samples and cut the segments that they complete."""
         self._align, pieces = self.front_end.align(self._align, block)
+        if sum(len(piece.values) for piece in pieces) < len(block.samples):
+            self._lost += (~np.isfinite(alignment.select(block, self.front_end.channels))).sum(axis=0)
+        self._n += len(block.samples)
         for piece in pieces:
             if self._rest is None or piece.gap is not None:
                 self._begin_run(piece)
@@ -336,6 +343,14 @@ class _Stream:
             self._update_peak(np.abs(piece.values))
             self._raw.append(piece.values)
             self._cut_segments(values)
+
+    def silent_channels(self) -> str:
+        """Say which channels have next to no samples, so that no instant has all channels; empty where none has so few."""
+        shares = zip(self.front_end.channels, (self._lost / max(self._n, 1)).tolist(), strict=True)
+        silent = [
+            f"channel {name} has no finite sample in {100 * share:.0f} % of it" for name, share in shares if share > 0.5
+        ]
+        return f" ({'; '.join(silent)}; a diagnosis takes all channels)" if silent else ""
 
     def _update_peak(self, magnitude: Array) -> None:
         """Update the largest magnitude of each channel and the number of samples that share it."""

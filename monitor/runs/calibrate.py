@@ -71,8 +71,9 @@ def calibrate(
             progress.add(block)
             for result in push_block(pipeline, block, paths):
                 if isinstance(result, WindowResult):
-                    good.extend([result] if result.skipped is None else [])
-                    reasons.extend([result.skipped.mend] if result.skipped is not None else [])
+                    why = _why_not_learned(result)
+                    good.extend([] if why else [result])
+                    reasons.extend([why] if why else [])
             yield block
 
     segments = _gather_hourly(pass_to_pipeline(), config, _learned_share(paths, config))
@@ -201,6 +202,13 @@ def _gather_hourly(blocks: Iterator[SampleBlock], config: Configuration, share: 
         if refused:
             raise
         return None
+
+
+def _why_not_learned(result: WindowResult) -> str:
+    """Say why nothing is learned from a window: it was skipped, or lacks a channel; empty otherwise."""
+    if result.skipped is not None:
+        return result.skipped.mend
+    return "; ".join(f"channel {gone.channel} {gone.reason}" for gone in result.left_out)
 
 
 def with_common_modes(windows: list[WindowResult], required: int) -> list[WindowResult]:

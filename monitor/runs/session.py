@@ -216,6 +216,7 @@ class Session:
             baseline_doubts=() if b is None else b.doubts,
             unwatched=c.alarm.unwatched,
             accepted=tuple((e.name, e.location) for e in c.model().effects),
+            channels=c.channels,
         )
 
     def _publish_findings(self, findings: Iterable[dict[str, Any]]) -> None:

@@ -71,18 +71,30 @@ def _with_span_faults(tree: Any) -> Any:
     return tree
 
 
-def _with_events_and_covariates(tree: Any) -> Any:
-    """Upgrade from version 4, which had temperature alone and no events, and whose sequential test kept no common covariance.
+def _with_events_covariates_and_left_out_channels(tree: Any) -> Any:
+    """Upgrade from version 4, which had temperature alone, no events, and no windows without one of the channels.
 
-    The stage of events begins anew, and so does the test: what its windows had in common is not known.
+    The stage of events begins anew, and so does the sequential test: what its windows had in common is not known.
     """
     if "session" in tree:
         pipeline = tree["session"]["pipeline"]
         pipeline |= {"events": plain(EventState()), "ground": plain(GroundState()), "covariates": [], "learning": None}
+        pipeline["watch"] = {"channels": []}
+        if (run := pipeline["run"]) is not None:
+            n_channels = run["window"]["samples"].shape[1]
+            run["lost"] = {"held": np.zeros(n_channels), "pending": np.zeros(n_channels, dtype=bool)}
+            run["window"]["lost"] = []
         history = pipeline["alarm"]["history"]
         n = history["ddi"].shape[1]
         history |= {name: history[name][:0] for name in ("t_ns", "ddi", "variance")}
-        history |= {"common": np.zeros((0, n, n)), "memory_s": 0.0}
+        history |= {"common": np.zeros((0, n, n)), "memory_s": 0.0, "channels": [], "before": None}
+        for span in pipeline["health"]["spans"]:
+            span["channels"] = [channel | {"lost": 0.0} for channel in span["channels"]]
+        course = tree["session"]["summary"]["course"]
+        course["outages"] = []
+        for name in ("last", "judged"):
+            if course[name] is not None:
+                course[name]["left_out"] = []
     return tree
 
 
@@ -92,7 +104,7 @@ UPGRADES: dict[int, Callable[[Any], Any]] = {
     1: _without_doubled_sums,
     2: _with_course,
     3: _with_span_faults,
-    4: _with_events_and_covariates,
+    4: _with_events_covariates_and_left_out_channels,
 }
 """Version -> function that converts its plain value (`plain`) to that of the next version."""
 _DTYPES = ("<f8", "<c16", "<i8", "<f4", "|b1")

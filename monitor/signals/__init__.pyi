@@ -1,5 +1,18 @@
-from . import alignment, channel_faults, mains_hum, sensor_drift, sensor_health, temperature, window_quality, windows
+from . import (
+    alignment,
+    channel_faults,
+    channel_watch,
+    lost_samples,
+    mains_hum,
+    sensor_drift,
+    sensor_health,
+    temperature,
+    window_quality,
+    windows,
+)
+from .channel_watch import WatchState
 from .front_end import FrontEnd
+from .lost_samples import LostState
 from .resampling import Conditioner, ConditionState
 from .sensor_drift import Drift
 from .sensor_health import Health, HealthSettings, HealthState
@@ -19,16 +32,20 @@ __all__ = [
     "Health",
     "HealthSettings",
     "HealthState",
+    "LostState",
     "ProcessingSettings",
     "QualitySettings",
     "SegmentDesign",
     "TemperatureSettings",
+    "WatchState",
     "WindowGrid",
     "WindowState",
     "alignment",
     "channel_faults",
+    "channel_watch",
     "hann_amplitude",
     "leakage",
+    "lost_samples",
     "mains_hum",
     "overlap_correlation",
     "sensor_drift",

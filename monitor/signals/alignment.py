@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from math import ceil
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drivers.base import UNIT_OF, SampleBlock
 from monitor.core import Array, BadInputError, Gap
@@ -58,7 +59,7 @@ def start() -> AlignState:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Piece:
-    """Consecutive finite samples, with the gap before them, if any."""
+    """Consecutive samples, with the gap before them, if any."""
 
     t_ns: int
     values: Array
@@ -67,6 +68,8 @@ class Piece:
     rate_hz: float
     shift_ns: int = 0
     """Correction of the times of samples from this piece on, for the drift of the clock."""
+    lost: NDArray[np.bool_] | None = None
+    """Shape (n_samples, c): which samples are not finite; None where all are finite."""
 
 
 def select(block: SampleBlock, channels: tuple[str, ...]) -> Array:
@@ -99,8 +102,15 @@ def select(block: SampleBlock, channels: tuple[str, ...]) -> Array:
         return block.samples[:, columns].astype(np.float64)
 
 
-def step(state: AlignState, block: SampleBlock, channels: tuple[str, ...]) -> tuple[AlignState, list[Piece]]:
+def step(
+    state: AlignState, block: SampleBlock, channels: tuple[str, ...], *, keep_partial: bool = False
+) -> tuple[AlignState, list[Piece]]:
     """Append a block to the stream and cut it at gaps and non-finite samples.
+
+    Parameters
+    ----------
+    keep_partial : bool
+        Keep instants at which only some of the channels are finite (`Piece.lost`); without it they are a gap.
 
     Returns
     -------
@@ -117,20 +127,27 @@ def step(state: AlignState, block: SampleBlock, channels: tuple[str, ...]) -> tu
     values = select(block, channels)
     if np.isfinite(values).all():
         return _place(state, block, values, 0)
-    finite = np.asarray(np.isfinite(values).all(axis=1))
+    finite = np.isfinite(values)
+    finite = np.asarray(finite.any(axis=1) if keep_partial else finite.all(axis=1))
     pieces: list[Piece] = []
     edges = np.flatnonzero(np.diff(finite)) + 1
     for begin, end in zip([0, *edges], [*edges, len(finite)], strict=True):
         if finite[begin]:
             state, new = _place(state, block, values[begin:end], int(begin))
-            pieces.extend(new)
+            pieces.extend(_with_lost(piece) for piece in new)
         else:
             state = replace(state, dropped=state.dropped + int(end - begin))
     return state, pieces
 
 
+def _with_lost(piece: Piece) -> Piece:
+    """Note which samples of a piece are not finite."""
+    lost = ~np.isfinite(piece.values)
+    return replace(piece, lost=lost) if lost.any() else piece
+
+
 def _place(state: AlignState, block: SampleBlock, values: Array, offset: int) -> tuple[AlignState, list[Piece]]:
-    """Append one run of finite samples that begins `offset` samples into the block."""
+    """Append one run of samples that begins `offset` samples into the block."""
     rate, n = block.sample_rate_hz, values.shape[0]
     t_ns, sequence = block.t_ns + round(offset / rate * 1e9), block.sequence + offset
     if n == 0:

@@ -68,16 +68,16 @@ class FrontEnd:
             )
 
     def align(
-        self, state: alignment.AlignState, block: SampleBlock
+        self, state: alignment.AlignState, block: SampleBlock, *, keep_partial: bool = False
     ) -> tuple[alignment.AlignState, list[alignment.Piece]]:
-        """Order the channels of a block and cut it at gaps.
+        """Order the channels of a block and cut it at gaps (`alignment.step`).
 
         Raises
         ------
         BadInputError
             If a channel is missing or the unit is not that of the topic.
         """
-        return alignment.step(state, block, self.channels)
+        return alignment.step(state, block, self.channels, keep_partial=keep_partial)
 
     def conditioner(self, rate_in_hz: float) -> Conditioner:
         """Design the lowpass and the resampler for a source of `rate_in_hz` (Hz)."""

@@ -1,8 +1,9 @@
-"""Health of the sensors and of the stream over spans of data time, and the check whether a window is usable.
+"""Health of the sensors and of the stream over spans of data time, and the check which channels a window can use.
 
-Reported for each channel: level, spikes, stuck and clipped samples, noise floor, resolution, steps of the offset, drift, dropouts
-and hum; for the stream: availability, gaps, overlaps.
-A window is skipped only where no estimate is possible.  A clipped or noisy channel is left to the diagnosis.
+Reported for each channel: level, spikes, stuck, clipped and lost samples, noise floor, resolution, steps of the offset, drift,
+dropouts and hum; for the stream: availability, gaps, overlaps.
+A channel is left out of a window (`channel_watch`) only where it tells nothing.  A moderately clipped one is left to the
+diagnosis.
 
 References
 ----------
@@ -19,7 +20,7 @@ from typing import Protocol
 import numpy as np
 from pydantic import Field
 
-from monitor.core import Array, Gap, Settings, Skipped
+from monitor.core import Array, Gap, Settings
 from monitor.signals.span_faults import find_span_faults
 
 _MAX_SPAN_SAMPLES = 1 << 18
@@ -30,6 +31,8 @@ _MIN_PILED_SAMPLES = 8
 """Samples at the largest magnitude that show a clipped channel. [samples; judgement]"""
 _PILED_RATIO = 4
 """Samples at the largest magnitude over those just below it, from which the channel is clipped. [ratio; judgement]"""
+_LEAST_FINITE = 16
+"""Fewest finite samples of a channel in a span that its figures are computed from. [samples; judgement]"""
 _FFT_N = 2048
 """Length of the periodograms from which noise is read. [samples; judgement]"""
 _LOWER_TENTH = -np.log(0.9)
@@ -46,6 +49,11 @@ class HealthSettings(Settings):
     """Share of a window in which a channel may give one constant value while another moves."""
     max_clipped: float = Field(default=0.5, gt=0, le=1)
     """Share of a window's samples that may lie at a channel's limits."""
+    min_gain: float = Field(default=0.6, gt=0, lt=1)
+    """A channel that shows, in any ten seconds of a window, less than this share of the motion it shows in others is left out.
+    The other channels say how much it should show."""
+    min_explained: float = Field(default=0.05, gt=0, lt=1)
+    """Share of a channel's power that the other channels explain; one with less is left out: it is noise, or drifts."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,6 +86,8 @@ class ChannelHealth:
     """Frequency of a hum of the mains, as seen; None where there is none."""
     mains_hz: float | None = None
     """Frequency of the mains whose harmonic, or its alias, the hum is."""
+    lost: float = 0.0
+    """Share of samples that are not finite; the other figures are those of the rest, zeros where there is none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +105,7 @@ class Health:
     gaps: int
     lost_s: float
     overlaps: int
-    """Samples that were repeated, late or not finite, and dropped."""
+    """Samples that were repeated, late or not finite in any channel, and dropped."""
     channels: tuple[ChannelHealth, ...]
 
 
@@ -185,18 +195,18 @@ def step(
     return state, found
 
 
-def check(state: HealthState, begin_ns: int, end_ns: int, settings: HealthSettings) -> Skipped | None:
+def check(state: HealthState, begin_ns: int, end_ns: int, settings: HealthSettings) -> dict[str, str]:
     """Check the health of the sensors over the window from `begin_ns` to `end_ns` (UTC), by the spans wholly within it.
 
     Returns
     -------
-    Skipped or None
-        The reason why the window cannot be identified; None if it can.
+    dict
+        What is wrong with each channel that cannot be used, by its name, as a clause whose subject is the channel.
     """
     inside = [s for s in state.spans if begin_ns <= s.t_ns and s.t_end_ns <= end_ns + 1000]  # times are rounded
     n = sum(s.samples for s in inside)
     if not n:
-        return None
+        return {}
     stuck: defaultdict[str, int] = defaultdict(int)
     clipped: defaultdict[str, float] = defaultdict(float)
     for s in inside:
@@ -206,12 +216,13 @@ def check(state: HealthState, begin_ns: int, end_ns: int, settings: HealthSettin
                 stuck[c.channel] += s.samples
             if c.clipped:
                 clipped[c.channel] += s.samples * c.clipped
+    found = {}
     for c in inside[0].channels:
         if stuck[c.channel] > settings.max_stuck * n:
-            return Skipped(f"channel {c.channel} is stuck ({100 * stuck[c.channel] / n:.0f} % of the window)")
-        if clipped[c.channel] / n > settings.max_clipped:
-            return Skipped(f"channel {c.channel} is clipped ({100 * clipped[c.channel] / n:.0f} % of its samples)")
-    return None
+            found[c.channel] = f"is stuck ({100 * stuck[c.channel] / n:.0f} % of the window)"
+        elif clipped[c.channel] / n > settings.max_clipped:
+            found[c.channel] = f"is clipped ({100 * clipped[c.channel] / n:.0f} % of its samples)"
+    return found
 
 
 def _span_health(state: HealthState, dropped: int, channels: tuple[str, ...]) -> Health:
@@ -232,7 +243,26 @@ def _span_health(state: HealthState, dropped: int, channels: tuple[str, ...]) ->
 
 
 def _channel_health(x: Array, rate_hz: float, channels: tuple[str, ...]) -> tuple[ChannelHealth, ...]:
-    """Compute the health of each channel, a row of `x`, shape (c, n), m/s^2."""
+    """Compute the health of each channel, a row of `x`, shape (c, n), m/s^2, which may hold samples that are not finite."""
+    finite = np.isfinite(x)
+    whole = finite.all(axis=1)
+    if whole.all():
+        return _finite_health(x, rate_hz, channels)
+    sound = _finite_health(np.ascontiguousarray(x[whole]), rate_hz, channels) if whole.any() else ()
+    left, found = list(sound), []
+    for name, row, has in zip(channels, x, finite, strict=True):
+        if has.all():
+            found.append(replace(left.pop(0), channel=name))
+            continue
+        known = has.sum() >= _LEAST_FINITE
+        (one,) = _finite_health((row[has] if known else np.zeros(_LEAST_FINITE))[None], rate_hz, (name,))
+        repeated = one.repeated if known else 0.0
+        found.append(replace(one, repeated=repeated, lost=1.0 - float(has.mean())))
+    return tuple(found)
+
+
+def _finite_health(x: Array, rate_hz: float, channels: tuple[str, ...]) -> tuple[ChannelHealth, ...]:
+    """Compute the health of the first channels, each a row of `x`, shape (c, n), m/s^2, of finite samples."""
     from monitor.signals.kernels import described  # compiled code takes a while to load
 
     centred, (mean, rms, peak, spikes, moves, clipped) = described(x, _SPIKE_RMS, _MIN_PILED_SAMPLES, _PILED_RATIO)
@@ -242,7 +272,7 @@ def _channel_health(x: Array, rate_hz: float, channels: tuple[str, ...]) -> tupl
     found = find_span_faults(x, rate_hz)
     return tuple(
         ChannelHealth(*one, **asdict(faults))
-        for one, faults in zip(zip(channels, *(values.tolist() for values in fields), strict=True), found, strict=True)
+        for one, faults in zip(zip(channels, *(values.tolist() for values in fields), strict=False), found, strict=True)
     )
 
 

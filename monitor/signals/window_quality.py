@@ -1,4 +1,4 @@
-"""Quality check of a window: every channel moves, and the response stands out from white noise."""
+"""Quality check of a window: which channels move, and whether the response stands out from white noise."""
 
 from __future__ import annotations
 
@@ -17,9 +17,15 @@ class QualitySettings(Settings):
     """Geometric over arithmetic mean of the spectrum: 1 for white noise alone, about 0.1 for a vibrating frame."""
 
 
-def check(
-    sums: LagSums, rate_hz: float, cutoff_hz: float, channels: tuple[str, ...], settings: QualitySettings
-) -> Skipped | None:
+def still_channels(sums: LagSums) -> tuple[int, ...]:
+    """List the channels (0 = first) that do not move in a window."""
+    variance = (sums.total[0].diagonal() / sums.counts.sum()).tolist()
+    # A constant channel has a variance of rounding errors only.
+    least = max(1e-20, 1e-10 * max(variance))
+    return tuple(channel for channel, v in enumerate(variance) if not v > least)
+
+
+def check(sums: LagSums, rate_hz: float, cutoff_hz: float, settings: QualitySettings) -> Skipped | None:
     """Check that a window holds a response from which modes can be identified.
 
     The spectral flatness is that of the lag window estimate (Bartlett) of the summed channels, from 1 Hz to 0.9 of the cutoff.
@@ -27,13 +33,11 @@ def check(
     Parameters
     ----------
     sums : LagSums
-        Lagged products of the window, c channels.
+        Lagged products of the window, of channels that move.
     rate_hz : float
         Sampling rate, Hz.
     cutoff_hz : float
         Cutoff of the lowpass, Hz.
-    channels : tuple of str, length c
-        Names of the channels, for the message.
 
     Returns
     -------
@@ -42,12 +46,6 @@ def check(
     """
     from monitor.signals.kernels import flatness  # compiled code takes a while to load
 
-    variance = (sums.total[0].diagonal() / sums.counts.sum()).tolist()
-    # A constant channel has a variance of rounding errors only.
-    least = max(1e-20, 1e-10 * max(variance))
-    dead = [name for name, v in zip(channels, variance, strict=True) if not v > least]
-    if dead:
-        return Skipped(f"channel {', '.join(dead)} does not move")
     flat = flatness(sums.total, _bartlett(len(sums.total), rate_hz, cutoff_hz))
     if flat > settings.max_spectral_flatness:
         return Skipped(f"response too close to the noise (spectral flatness {flat:.2f})")

@@ -13,6 +13,7 @@ from functools import lru_cache
 from math import ceil, gcd
 
 import numpy as np
+from numpy.typing import NDArray
 
 from monitor.core import GAP, Array, ComplexArray, LagSums, Skipped, Window
 from monitor.signals.welch import SegmentDesign, transform
@@ -121,6 +122,8 @@ class WindowState:
     past_runs: tuple[tuple[int, int, int], ...] = ()
     """(start, end, samples) of earlier runs that a later window may overlap.  Runs within one block are one entry, so
     that many gaps in a short time do not lengthen the list."""
+    lost: tuple[int, ...] = ()
+    """Grid index of the run's latest lost sample of each channel, -1 for none; empty before the first."""
 
 
 def start(grid: WindowGrid, n_channels: int, *, index: int, previous: WindowState | None = None) -> WindowState:
@@ -145,7 +148,7 @@ def _all_runs(grid: WindowGrid, state: WindowState) -> tuple[tuple[int, int, int
 
 
 def step(
-    grid: WindowGrid, state: WindowState, samples: Array, t0_ns: int
+    grid: WindowGrid, state: WindowState, samples: Array, t0_ns: int, lost: NDArray[np.bool_] | None = None
 ) -> tuple[WindowState, list[Window | tuple[int, int, float, Skipped]]]:
     """Add samples and emit every window that they complete.
 
@@ -154,6 +157,8 @@ def step(
     samples : ndarray, shape (n_samples, c), m/s^2
     t0_ns : int
         UTC of grid index 0.
+    lost : ndarray of bool, shape (n_samples, c), optional
+        Samples whose values are made up: a window names their channels in `Window.lost`.
 
     Returns
     -------
@@ -166,6 +171,8 @@ def step(
         # Cut at block boundaries: each block is then formed from the same samples, however the input was divided.
         room = grid.block_n - (state.start + state.n) % grid.block_n
         part, samples = samples[:room], samples[room:]
+        if lost is not None:
+            state, lost = replace(state, lost=_latest_lost(state, lost[:room])), lost[room:]
         state = _append(grid, state, part)
         end = state.start + state.n
         if end % grid.block_n == 0:
@@ -192,6 +199,12 @@ def _append(grid: WindowGrid, state: WindowState, part: Array) -> WindowState:
     keep = max(2 * grid.block_n, grid.segments.n)
     joined = np.concatenate([state.samples, part])[-keep:]
     return replace(state, n=state.n + part.shape[0], samples=joined)
+
+
+def _latest_lost(state: WindowState, lost: NDArray[np.bool_]) -> tuple[int, ...]:
+    """Find each channel's latest lost sample, with those of the next samples, shape (n_samples, c)."""
+    before, at = state.lost or (-1,) * lost.shape[1], state.start + state.n
+    return tuple(at + int(np.flatnonzero(own)[-1]) if own.any() else b for own, b in zip(lost.T, before, strict=True))
 
 
 def _close_block(grid: WindowGrid, state: WindowState) -> WindowState:
@@ -246,6 +259,7 @@ def _emit(
             segments=tuple(x for _, x in inside),
             segment_bin_hz=grid.segments.step_hz if inside else 0.0,
             first_segment=inside[0][0] if inside else 0,
+            lost=tuple(channel for channel, latest in enumerate(state.lost) if latest >= begin),
         )
         return
     data_n = sum(max(0, min(n, end - s, e - begin, grid.window_n)) for s, e, n in _all_runs(grid, state))

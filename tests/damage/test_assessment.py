@@ -209,3 +209,30 @@ def test_skipped_windows_are_counted_beside_green() -> None:
     gap = replace(WELL, skipped="gap in the data", detectable=None, misfit=None)
     told = said(WELL, gap, WELL)
     assert told.state is State.NORMAL and told.doubts[0].startswith("1 of 3 windows could not be judged (1: gap")
+
+
+def test_a_channel_that_is_left_out_is_the_headline_until_it_is_back() -> None:
+    known = replace(KNOWN, channels=("a1", "a2", "a3"))
+    without = replace(WELL, left_out=(("a2", "is stuck (40 % of the window)"),))
+    out = said(WELL, without, without, known=known)
+    assert out.state is State.DOUBTFUL
+    assert out.headline == "Channel a2 is stuck, since 2027-01-15 08:00 UTC; judged with a1, a3."
+    more = replace(WELL, left_out=(("a2", "is stuck (90 % of the window)"),))
+    assert said(WELL, without, more, known=known).headline == out.headline  # told once
+    back = said(WELL, without, more, WELL, known=known)
+    assert back.state is State.NORMAL
+    assert any(doubt.startswith("Channel a2 was left out (is stuck)") for doubt in back.doubts)
+    lost = replace(without, skipped="too few modes", changes=())
+    assert "too few" in said(WELL, lost, known=known).headline
+
+
+def test_an_alarm_stands_above_a_channel_that_is_left_out() -> None:
+    out = said(WELL, replace(LOST, left_out=(("a2", "does not move"),)), known=KNOWN)
+    assert out.state is State.ALARM
+    assert any("a2" in doubt.lower() for doubt in out.doubts)
+
+
+def test_times_without_a_channel_are_kept_up_to_a_number() -> None:
+    without = replace(WELL, left_out=(("a2", "does not move"),))
+    kept = course(*[without, WELL] * 80, without).outages
+    assert len(kept) == 65 and kept[-1].t_last_ns is None and all(o.t_last_ns is not None for o in kept[:-1])

@@ -8,6 +8,7 @@ import pytest
 from monitor.config.configuration import load as load_config
 from monitor.core.results import ModalEstimate, WindowResult
 from monitor.damage import load_baseline, save_baseline
+from monitor.identification import SubArray
 from monitor.identification.sensor_correction import correct_modes, seen_by_sensors
 from monitor.model.effects import Context, parse_effect
 from monitor.model.structures import ShearFrame
@@ -98,3 +99,22 @@ def test_an_accepted_sensor_fault_no_longer_moves_the_index(fault: str, tmp_path
         assert np.abs(result.damage.ddi).max() < 0.02
     blamed = index(plain)
     assert any(r.damage is None or np.abs(r.damage.ddi).max() > 0.04 for r in blamed)
+
+
+def test_the_modes_of_fewer_channels_are_corrected_like_those_of_all() -> None:
+    """Without the third channel; the cables of a1 and a3 are swapped, so that it is a1's motion that is not known."""
+    hz, true = np.array([5.0, 16.0]), np.array([[1.0, 0.7, 0.3], [0.8, -0.4, 1.0]])
+    seen = _seen(true, hz)[:, :2]
+    scale = seen[np.arange(2), np.abs(seen).argmax(axis=1)][:, None]
+    deviations = np.random.default_rng(3).normal(size=(4, 2, 6))
+    array = SubArray.of((0, 1), (0, 1, 2), np.eye(3), FAULTS, CONTEXT)
+    assert array.places == (2, 1) and array.past == (0, 1)
+    np.testing.assert_array_equal(array.sensors, np.eye(3)[[2, 1]])
+    back = array.correct(_estimate(seen / scale, hz / 1.01, deviations))
+    expected = true[:, [2, 1]] / true[[0, 1], [1, 2]][:, None]
+    np.testing.assert_allclose(back.shapes, expected, atol=1e-12)
+    spread = array.spread(back)
+    assert np.isnan(spread.shapes[:, 0]).all()
+    np.testing.assert_allclose(spread.shapes[:, [2, 1]], expected, atol=1e-12)
+    np.testing.assert_array_equal(spread.deviations[:, :, [0, 1, 4, 3, 7, 6]], back.deviations)
+    assert np.isnan(spread.deviations[:, :, [2, 5]]).all()

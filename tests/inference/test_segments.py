@@ -85,3 +85,15 @@ def test_hum_and_drift_are_told_with_their_frequencies(floors: np.ndarray, cut: 
     observed = classify(segments)
     assert observed.drift is segments.drift and isinstance(observed.segments, Segments)
     assert isinstance(hum, LeftOut) and "60 Hz" in hum.says and "20" not in hum.channel
+
+
+def test_a_channel_without_samples_is_named_where_nothing_is_left_to_compare(floors: np.ndarray, cut: Cut) -> None:
+    x = floors.copy()
+    x[500:, 1] = np.nan
+    with pytest.raises(
+        BadInputError, match=r"channel a2 has no finite sample in 99 % of it; a diagnosis takes all channels"
+    ):
+        gather(cut(x, RATE), FRONT_END)
+    x[500:] = np.nan
+    with pytest.raises(BadInputError, match=r"channel a1 .* channel a2 .* channel a3"):
+        gather(cut(x, RATE), FRONT_END)

@@ -221,15 +221,31 @@ def without_span_faults(state: PipelineState) -> PipelineState:
     return replace(state, health=replace(state.health, spans=spans))
 
 
+def without_channel_states(state: PipelineState) -> PipelineState:
+    """The state as one of a version before 5 is read: which samples single channels lost is not known."""
+    run = state.run and replace(state.run, lost=replace(state.run.lost, held=np.zeros(3)))
+    return replace(state, run=run)
+
+
 def as_version(data: bytes, version: int) -> bytes:
     """The checkpoint as an older program wrote it: a summary that counts itself, sums in each block that others tell as well."""
     line, _, body = data.partition(b"\n")
     text, _, arrays = body.partition(b"\n")
     if version < 5:
         tree = json.loads(text)
-        pipeline = tree["session"]["pipeline"]
-        del pipeline["covariates"], pipeline["learning"], pipeline["alarm"]["history"]["common"]
-        del pipeline["events"], pipeline["ground"]
+        pipeline, course = tree["session"]["pipeline"], tree["session"]["summary"]["course"]
+        assert pipeline.pop("watch") == {"channels": []} and course.pop("outages") == []
+        if pipeline["run"] is not None:
+            del pipeline["run"]["lost"], pipeline["run"]["window"]["lost"]
+        del pipeline["covariates"], pipeline["learning"], pipeline["events"], pipeline["ground"]
+        for key in ("channels", "common", "before"):
+            del pipeline["alarm"]["history"][key]
+        for span in pipeline["health"]["spans"]:
+            for channel in span["channels"]:
+                del channel["lost"]
+        for name in ("last", "judged"):
+            if course[name] is not None:
+                del course[name]["left_out"]
         text = json.dumps(tree, separators=(",", ":")).encode()
     if version < 4:
         tree = json.loads(text)
@@ -275,11 +291,12 @@ def test_a_pipeline_goes_on_from_its_state_as_if_nothing_had_been(
     data = to_bytes("k", Saved(first.state, 5, 6))
     assert version <= serialization.VERSION
     saved = from_bytes(as_version(data, version) if version < serialization.VERSION else data, "k", Saved)
-    newer = without_span_faults if version < 4 else lambda state: state
 
     def known(state: PipelineState) -> PipelineState:
         """The state without what the older version did not know."""
-        return newer(state if version >= 5 else replace(state, events=EventState(), ground=GroundState()))
+        if version < 5:
+            state = replace(without_channel_states(state), events=EventState(), ground=GroundState())
+        return without_span_faults(state) if version < 4 else state
 
     assert same(known(first.state.pipeline), saved.session.pipeline)
     assert saved.session.summary.course.windows == first.windows

@@ -54,6 +54,8 @@ WINDOWS_SCHEMA = pa.schema(
         ("alarm_stories", _NUMBERS),
         ("alarm_reason", pa.string()),
         ("alarm_shelved", _NUMBERS),
+        ("channels_left_out", pa.list_(pa.string())),
+        ("left_out_reasons", pa.list_(pa.string())),
         ("skipped", pa.string()),
     ]
 )

@@ -12,7 +12,18 @@ from typing import Any
 
 import numpy as np
 
-from monitor.core import WHOLE, Alarm, AlarmCondition, Level, OtherMode, WindowResult, finish, parse_json, partial
+from monitor.core import (
+    WHOLE,
+    Alarm,
+    AlarmCondition,
+    ComplexArray,
+    Level,
+    OtherMode,
+    WindowResult,
+    finish,
+    parse_json,
+    partial,
+)
 from monitor.damage import LEVEL, AlarmState, State, WindowFacts, drift_m, hold
 from monitor.publish.results.schema import LINE_SCHEMA
 
@@ -62,9 +73,6 @@ def window_line(result: WindowResult) -> dict[str, Any]:
     """
     modes, stiffness, damage = result.modes, result.stiffness, result.damage
     n_modes = 0 if modes is None else len(modes.frequencies_hz)
-    shapes = None
-    if modes is not None:
-        shapes = _rounded(np.stack([modes.shapes.real, modes.shapes.imag], axis=-1))
     return {
         "window": result.index,
         "t_end_ns": result.t_end_ns,
@@ -73,7 +81,7 @@ def window_line(result: WindowResult) -> dict[str, Any]:
         "frequencies_std_hz": modes and _rounded(modes.frequencies_std_hz),
         "damping_ratio": modes and _rounded(modes.damping_ratio),
         "damping_std": modes and _rounded(modes.damping_std),
-        "mode_shapes": shapes,
+        "mode_shapes": modes and [_shape(shape) for shape in modes.shapes],
         "order": modes and modes.order,
         "refined": modes and modes.refined,
         "stiffness_n_per_m": stiffness and _rounded(stiffness.stiffness_n_per_m),
@@ -101,6 +109,8 @@ def window_line(result: WindowResult) -> dict[str, Any]:
             "reason": result.alarm.reason,
             "shelved": [j for j, c in result.alarm.conditions.items() if c is AlarmCondition.SHELVED],
         },
+        "channels_left_out": [gone.channel for gone in result.left_out],
+        "left_out_reasons": [gone.reason for gone in result.left_out],
         "skipped": result.skipped and result.skipped.reason,
     }
 
@@ -110,6 +120,12 @@ def _as_shown(name: str, value: float) -> float:
     return drift_m(value) if name == LEVEL else value
 
 
+def _shape(shape: ComplexArray) -> list[list[float] | None]:
+    """Write a mode's shape, a pair of real and imaginary part for each channel; None for a channel that is left out."""
+    pairs = _rounded(np.stack([shape.real, shape.imag], axis=-1))
+    return [pair if np.isfinite(value) else None for pair, value in zip(pairs, shape, strict=True)]
+
+
 def _other_modes(others: Sequence[OtherMode], tracks: Sequence[int]) -> list[dict[str, Any]]:
     """Collect the values of the modes that the model has no counterpart for."""
     return [
@@ -117,7 +133,7 @@ def _other_modes(others: Sequence[OtherMode], tracks: Sequence[int]) -> list[dic
             "frequency_hz": _rounded(mode.frequency_hz),
             "frequency_std_hz": _rounded(mode.frequency_std_hz),
             "damping_ratio": _rounded(mode.damping_ratio),
-            "mode_shape": _rounded(np.stack([mode.shape.real, mode.shape.imag], axis=-1)),
+            "mode_shape": _shape(mode.shape),
             "track": track,
         }
         for mode, track in zip(others, tracks, strict=True)
@@ -252,6 +268,7 @@ def facts_of_line(line: Mapping[str, Any]) -> WindowFacts:
         line.get("misfit"),
         line.get("rms_m_s2"),
         () if line["ddi"] is None else tuple(zip(line["ddi"], line["ddi_std"], strict=True)),
+        tuple(zip(line.get("channels_left_out") or (), line.get("left_out_reasons") or (), strict=False)),
     )
 
 

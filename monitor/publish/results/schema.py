@@ -7,6 +7,7 @@ from typing import Any
 _NUMBER = {"type": ["number", "null"]}
 _NUMBERS = {"type": ["array", "null"], "items": _NUMBER}
 _INTEGERS = {"type": ["array", "null"], "items": {"type": "integer"}}
+_STRINGS = {"type": ["array", "null"], "items": {"type": "string"}}
 _LISTS = (
     "frequencies_hz", "frequencies_std_hz", "damping_ratio", "damping_std", "stiffness_n_per_m", "stiffness_std",
     "ddi", "ddi_std", "ddi_sequential", "loss_n_per_m", "temperature_effect",
@@ -20,7 +21,7 @@ LINE_SCHEMA: dict[str, Any] = {
         "t_end_ns": {"type": "integer"},
         "window_s": {"type": "number"},
         **dict.fromkeys(_LISTS, _NUMBERS),
-        "mode_shapes": {"type": ["array", "null"], "items": {"type": "array", "items": {"type": "array"}}},
+        "mode_shapes": {"type": ["array", "null"], "items": {"type": "array", "items": {"type": ["array", "null"]}}},
         "order": {"type": ["integer", "null"]},
         "refined": {"type": ["boolean", "null"]},
         "unidentified": _INTEGERS,
@@ -42,6 +43,8 @@ LINE_SCHEMA: dict[str, Any] = {
                 "shelved": _INTEGERS,
             },
         },
+        "channels_left_out": _STRINGS,
+        "left_out_reasons": _STRINGS,
         "skipped": {"type": ["string", "null"]},
     },
     "required": ["t_end_ns", "alarm", "skipped"],

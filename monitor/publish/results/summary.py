@@ -102,6 +102,7 @@ class Summary:
             "skipped": self.course.skipped,
             "skip_reasons": self.course.skip_reasons,
             "alarms": [episode_content(loss) for loss in self.course.losses],
+            "channels_left_out": [asdict(outage) for outage in self.course.outages],
             "dropped_samples": self.dropped_samples,
             "gaps": self.gaps,
             "realtime_factor": round(realtime_factor, 1),

@@ -30,7 +30,7 @@ def expand_shape(shape: ComplexArray, model_shape: Array, sensors: Array) -> Com
     Parameters
     ----------
     shape : ndarray, shape (c,)
-        Measured shape.
+        Measured shape; NaN at a channel that is left out.
     model_shape : ndarray, shape (N,)
         The model's shape of the same mode.
     sensors : ndarray, shape (c,)
@@ -45,6 +45,8 @@ def expand_shape(shape: ComplexArray, model_shape: Array, sensors: Array) -> Com
     >>> expand_shape(np.array([2.0 + 0j]), np.array([1.0, 0.5]), np.array([0])).real.tolist()
     [2.0, 1.0]
     """
+    known = np.isfinite(shape)
+    shape, sensors = shape[known], sensors[known]
     at_sensors = model_shape[sensors]
     size = float(at_sensors @ at_sensors)
     out = model_shape * ((at_sensors @ shape) / size if size > 0.0 else 0.0 + 0.0j)

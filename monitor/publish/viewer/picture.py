@@ -54,6 +54,7 @@ class ResultDrawing:
         self._found: set[int] = set()
         """Modes that were found at least once."""
         self._skipped: str | None = None
+        self._left_out: set[str] = set()
         self._extent = (1.0, 1.0)
         every_s = LIVE_EVERY_S if block_s <= LIVE_BLOCK_S else FILE_EVERY_S
         self._spectra, self._trust = (
@@ -189,6 +190,15 @@ class ResultDrawing:
             text = f"no result: {reason}" if reason else "results again"
             self._event(result.t_end_ns, text, rr.TextLogLevel.INFO)
             self._skipped = reason
+        left_out = {gone.channel: gone.reason for gone in result.left_out}
+        for channel in sorted(left_out.keys() ^ self._left_out):
+            text = (
+                f"{channel} is left out: it {left_out[channel]}"
+                if channel in left_out
+                else f"{channel} is in use again"
+            )
+            self._event(result.t_end_ns, text, rr.TextLogLevel.WARN)
+        self._left_out = set(left_out)
         modes = {row[0]: row for row in mode_rows(result.modes)} if result.modes else {}
         self._found |= modes.keys()
         for k in sorted(self._found):

@@ -103,6 +103,7 @@ class Metrics(Collector, Outlet):
         self._health: Mapping[str, Any] = {}
         self._result: WindowResult | None = None
         self._active: Mapping[int, Level] = {}
+        self._left_out: tuple[str, ...] = ()
         self._windows = self._gaps = self._samples = self._dropped = 0
         self._lost_s = 0.0
         self._skipped = dict.fromkeys([*_REASONS.values(), "other"], 0)
@@ -113,6 +114,7 @@ class Metrics(Collector, Outlet):
         with self._lock:
             self._windows += 1
             self._active = result.alarm.active
+            self._left_out = tuple(gone.channel for gone in result.left_out)
             if result.skipped is None:
                 self._result = result
             else:
@@ -164,6 +166,10 @@ class Metrics(Collector, Outlet):
         yield CounterMetricFamily("shm_lost_seconds", "Data missing in gaps.", self._lost_s)
         yield CounterMetricFamily("shm_dropped_samples", "Repeated, late or not finite.", self._dropped)
         yield CounterMetricFamily("shm_findings", "Diagnoses made.", self._findings)
+        left_out = dict.fromkeys(self._left_out, 1.0)
+        yield _labelled(
+            GaugeMetricFamily, "shm_channel_left_out", "Channels in no use at present.", left_out, "channel"
+        )
         if self._result is not None:
             yield from _result_metrics(self._result, self._active)
         if self._health:

@@ -1,0 +1,68 @@
+"""The sensors that a window is identified with: all of a structure's, or those that are left when some are left out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Self
+
+from monitor.core import Array, ModalEstimate
+from monitor.identification import sensor_correction
+from monitor.model import Context, Effect
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class SubArray:
+    """Some of the channels of a structure, in their order."""
+
+    channels: tuple[int, ...]
+    """Channels (0 = first), as measured."""
+    past: tuple[int, ...]
+    """Reference channels, as places in `channels`: those that are left, or else all."""
+    shown: Array
+    """Shape (c, n): what the channels show of the floors' motion, with the stated sensor effects; shapes are matched by it."""
+    places: tuple[int, ...]
+    """Channels whose motion the shapes hold once the sensor effects are removed: others than `channels` where cables are
+    swapped."""
+    sensors: Array
+    """Shape (c, n): sensor matrix of `places`."""
+    effects: tuple[Effect, ...]
+    context: Context
+
+    @classmethod
+    def of(
+        cls,
+        channels: tuple[int, ...],
+        past: Sequence[int],
+        sensors: Array,
+        effects: tuple[Effect, ...],
+        context: Context,
+    ) -> Self:
+        """Select some channels of a structure.
+
+        Parameters
+        ----------
+        channels : tuple of int
+            Channels to select (0 = first).
+        past : sequence of int
+            Reference channels of the whole structure.
+        sensors : ndarray, shape (all channels, n)
+            Sensor matrix of the whole structure.
+        effects : tuple of Effect
+            Sensor effects that the structure file states.
+        """
+        rows = list(channels)
+        places = sensor_correction.true_channels(effects, context, channels) if effects else channels
+        left = tuple(k for k, channel in enumerate(channels) if channel in past)
+        shown = sensor_correction.seen_by_sensors(effects, context)[rows]
+        return cls(channels, left or tuple(range(len(rows))), shown, places, sensors[list(places)], effects, context)
+
+    def correct(self, modes: ModalEstimate) -> ModalEstimate:
+        """Remove the stated sensor effects from modes of these channels."""
+        if not self.effects:
+            return modes
+        return sensor_correction.correct_modes(modes, self.effects, self.context, self.channels, self.places)
+
+    def spread(self, modes: ModalEstimate) -> ModalEstimate:
+        """Place modes of these channels among all channels (`ModalEstimate.at_channels`)."""
+        return modes.at_channels(self.places, len(self.context.channels))

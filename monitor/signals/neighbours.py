@@ -1,0 +1,193 @@
+"""Channels that no longer follow the structure's motion, told by their neighbours from a window's lag sums.
+
+A linear structure ties its channels together: a filter on the neighbours predicts a channel.  Its coefficients follow from the
+lag sums of the whole window, and each block's lag sums then say how much of the predicted motion the channel shows there (its
+gain: 1 where it is well, 0 where it is dead, stuck or gives nothing but noise).  Neither the strength of the motion nor noise in
+the channel moves the gain, and damage moves it little, because the filter has to fit the structure before and after.
+
+References
+----------
+J. Kullaa, Detection, identification, and quantification of sensor fault in a sensor network, Mechanical Systems and Signal
+Processing 40 (2013) 208-221 (a sensor predicted by the others).
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from monitor.core import Array, LagSums
+
+_HALF_LENGTH = 10
+"""Half the length of the filter on each neighbour. [samples after resampling; judgement: longer filters gain nothing]"""
+_MOST_PREDICTORS = 5
+"""Neighbours that predict a channel, those of the largest correlation. [count; cost]"""
+_ASSUMED_NOISE = 1e-3
+"""White noise that is assumed in each channel beside what it shows, over its power: the lowpass leaves none near the Nyquist
+frequency, and a prediction would rest on that. [ratio; judgement]"""
+_WHITER = 2.0
+"""Share of a channel's power that its own past does not explain, over that of its only neighbour, from which the channel rather
+than the neighbour is noise. [ratio; judgement]"""
+_CERTAIN_STDS = 5.0
+"""Standard deviations by which the gains of two blocks must differ beyond the least ratio. [1; judgement: one block in some
+millions]"""
+_LEAST_PREDICTED = 0.1
+"""Share of the usual power of the prediction below which a block says nothing of the channel: its neighbours stand still.
+[ratio; judgement]"""
+
+
+def silent_channels(
+    sums: LagSums, channels: tuple[int, ...], min_gain: float, min_explained: float
+) -> dict[int, tuple[float, float]]:
+    """Find the channels that do not show the motion that their neighbours say they should show.
+
+    Parameters
+    ----------
+    sums : LagSums
+        Lag sums of a window.
+    channels : tuple of int
+        Channels to look at (0 = first), all of which move.
+    min_gain : float
+        Least gain of a well channel in any block, over that in any other.
+    min_explained : float
+        Least share of a well channel's power that its neighbours explain.
+
+    Returns
+    -------
+    dict
+        Share of the power explained, and least gain, of each channel found.  Empty where the channels left do not confirm one
+        another: the motion is then not one that ties them together, which is no fault of a sensor.
+    """
+    covariances = _block_covariances(sums)
+    found: dict[int, tuple[float, float]] = {}
+    left, flagged = channels, _flagged(covariances, sums.counts, channels, min_gain, min_explained)
+    while flagged and len(left) > 2:
+        # A channel at fault spoils the prediction of its neighbours: it is the one without which fewest are flagged.
+        tried = {c: tuple(other for other in left if other != c) for c in flagged}
+        after = {c: _flagged(covariances, sums.counts, rest, min_gain, min_explained) for c, rest in tried.items()}
+        worst = min(flagged, key=lambda c: (len(after[c]), flagged[c][1]))
+        found[worst] = flagged[worst]
+        left, flagged = tried[worst], after[worst]
+    if len(left) == 2 and flagged:
+        return _of_the_last_two(covariances, found, left, flagged)
+    return {} if flagged else found
+
+
+def _of_the_last_two(
+    covariances: Array,
+    found: dict[int, tuple[float, float]],
+    left: tuple[int, ...],
+    flagged: dict[int, tuple[float, float]],
+) -> dict[int, tuple[float, float]]:
+    """Decide which of the last two channels is at fault: of a pair the one flagged alone, else the one nearer to white noise."""
+    if len(flagged) == 1 and not found:
+        return found | flagged
+    white, coloured = sorted(left, key=lambda c: _predictability(covariances, c))
+    if white in flagged and 1.0 - _predictability(covariances, white) > _WHITER * (
+        1.0 - _predictability(covariances, coloured)
+    ):
+        return found | {white: flagged[white]}
+    return {}
+
+
+def _block_covariances(sums: LagSums) -> Array:
+    """Form the lagged products of every block about the window's mean, shape (n_blocks, 2 _HALF_LENGTH + 1, c, c)."""
+    n = 2 * min(_HALF_LENGTH, (sums.products.shape[1] - 1) // 2) + 1  # as many lags to either side
+    shifted, mean = sums.shifted[:, :n], sums.mean
+    moved = shifted[:, :1, :, None] * mean + mean[:, None] * shifted[:, :, None, :]
+    return np.asarray(sums.products[:, :n] - moved + sums.counts[:, None, None, None] * np.outer(mean, mean))
+
+
+def _flagged(
+    covariances: Array, counts: NDArray[np.int64], channels: tuple[int, ...], min_gain: float, min_explained: float
+) -> dict[int, tuple[float, float]]:
+    """Find the channels that are not as their neighbours among `channels` predict: share explained, and least gain, of each."""
+    if len(channels) < 2:
+        return {}
+    power = covariances[:, 0].sum(axis=0)
+    found = {}
+    for channel in channels:
+        explained, gain = _gain(covariances, counts, channel, _neighbours(power, channel, channels))
+        if explained < min_explained or gain < min_gain:
+            found[channel] = explained, gain
+    return found
+
+
+def _neighbours(power: Array, channel: int, channels: tuple[int, ...]) -> tuple[int, ...]:
+    """List the channels that predict a channel, those of the largest correlation."""
+    others = [c for c in channels if c != channel]
+    if len(others) > _MOST_PREDICTORS:
+        scale = np.sqrt(power.diagonal())
+        others.sort(key=lambda c: -abs(power[channel, c]) / scale[c])
+        others = sorted(others[:_MOST_PREDICTORS])
+    return tuple(others)
+
+
+def _gain(covariances: Array, counts: NDArray[np.int64], channel: int, others: tuple[int, ...]) -> tuple[float, float]:
+    """Compute the share of a channel's power that its neighbours explain, and its least gain over its largest, in any block.
+
+    Both gains are taken `_CERTAIN_STDS` standard deviations nearer to each other.  Where no block has a gain the ratio is 1.
+    """
+    total = covariances.sum(axis=0)
+    lag, first, second = _columns(len(others), len(total) // 2)
+    rows = np.asarray(others)
+    gram = _at(total, lag, rows[first], rows[second])
+    gram[np.diag_indices(len(gram))] += _ASSUMED_NOISE * total[0].diagonal()[rows[first].diagonal()]
+    offsets, owner = _offsets(len(others), len(total) // 2)
+    weights = np.linalg.solve(gram, _at(total, offsets, np.full(owner.size, channel), rows[owner]))
+    # Both sums are linear in a block's lag sums: their coefficients are formed once for all blocks.
+    shown, predicted = np.zeros(total.shape), np.zeros(total.shape)
+    _add(shown, weights, offsets, np.full(owner.size, channel), rows[owner])
+    _add(predicted, np.outer(weights, weights), lag, rows[first], rows[second])
+    shares = covariances.reshape(len(covariances), -1) @ np.stack([shown.ravel(), predicted.ravel()], axis=1)
+    explained = float(2.0 * shares[:, 0].sum() - shares[:, 1].sum()) / float(total[0, channel, channel])
+    known = shares[:, 1] > _LEAST_PREDICTED * np.median(shares[:, 1])
+    (shown_here, predicted_here), own = shares[known].T, covariances[known, 0, channel, channel]
+    gain = shown_here / predicted_here
+    rest = np.maximum(own - 2.0 * shown_here + predicted_here, 0.0)
+    std = np.sqrt(rest / (counts[known] * predicted_here))
+    most, least = float((gain - _CERTAIN_STDS * std).max()), float((gain + _CERTAIN_STDS * std).min())
+    return explained, least / most if most > 0.0 else 1.0
+
+
+def _predictability(covariances: Array, channel: int) -> float:
+    """Compute the least share of a channel's power in a block that its own past explains, 0 for white noise."""
+    least = 1.0
+    for block in covariances[:, :, channel, channel]:
+        n = len(block) - 1
+        at = np.arange(n)
+        gram = block[np.abs(at[:, None] - at)] + _ASSUMED_NOISE * block[0] * np.eye(n)
+        past = block[1:]
+        least = min(least, float(past @ np.linalg.solve(gram, past)) / float(block[0])) if block[0] > 0.0 else 0.0
+    return least
+
+
+@lru_cache(maxsize=64)
+def _offsets(n_others: int, half: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return the lag and the neighbour of each coefficient of the filters."""
+    lags = np.arange(-half, half + 1)
+    return np.tile(lags, n_others), np.repeat(np.arange(n_others), lags.size)
+
+
+@lru_cache(maxsize=64)
+def _columns(n_others: int, half: int) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
+    """Return the difference of lags and both neighbours of each pair of coefficients."""
+    offsets, owner = _offsets(n_others, half)
+    lag = offsets[None, :] - offsets[:, None]
+    return lag, np.broadcast_to(owner[:, None], lag.shape), np.broadcast_to(owner[None, :], lag.shape)
+
+
+def _at(sums: Array, lag: NDArray[np.intp], first: NDArray[np.intp], second: NDArray[np.intp]) -> Array:
+    """Read lag sums of `first` at k with `second` at k + lag; a negative lag is that of the pair in reverse."""
+    forward = lag >= 0
+    return np.asarray(sums[np.abs(lag), np.where(forward, first, second), np.where(forward, second, first)])
+
+
+def _add(
+    into: Array, values: NDArray[np.floating], lag: NDArray[np.intp], first: NDArray[np.intp], second: NDArray[np.intp]
+) -> None:
+    """Add values at the places that `_at` reads, in place."""
+    forward = lag >= 0
+    np.add.at(into, (np.abs(lag), np.where(forward, first, second), np.where(forward, second, first)), values)
