@@ -51,11 +51,14 @@ class SubArray:
         effects : tuple of Effect
             Sensor effects that the structure file states.
         """
-        rows = list(channels)
         places = sensor_correction.true_channels(effects, context, channels) if effects else channels
         left = tuple(k for k, channel in enumerate(channels) if channel in past)
-        shown = sensor_correction.seen_by_sensors(effects, context)[rows]
-        return cls(channels, left or tuple(range(len(rows))), shown, places, sensors[list(places)], effects, context)
+        shown = sensor_correction.seen_by_sensors(effects, context)
+        if len(channels) < len(shown):  # else as they are: the rounding of products depends on the order in memory
+            shown = shown[list(channels)]
+        if places != tuple(range(len(sensors))):
+            sensors = sensors[list(places)]
+        return cls(channels, left or tuple(range(len(channels))), shown, places, sensors, effects, context)
 
     def correct(self, modes: ModalEstimate) -> ModalEstimate:
         """Remove the stated sensor effects from modes of these channels."""

@@ -131,17 +131,14 @@ def _gain(covariances: Array, counts: NDArray[np.int64], channel: int, others: t
     Both gains are taken `_CERTAIN_STDS` standard deviations nearer to each other.  Where no block has a gain the ratio is 1.
     """
     total = covariances.sum(axis=0)
-    lag, first, second = _columns(len(others), len(total) // 2)
-    rows = np.asarray(others)
-    gram = _at(total, lag, rows[first], rows[second])
-    gram[np.diag_indices(len(gram))] += _ASSUMED_NOISE * total[0].diagonal()[rows[first].diagonal()]
-    offsets, owner = _offsets(len(others), len(total) // 2)
-    weights = np.linalg.solve(gram, _at(total, offsets, np.full(owner.size, channel), rows[owner]))
+    past, pairs = _places(channel, others, *total.shape[:2])
+    gram = total.ravel()[pairs]
+    gram[np.diag_indices(len(gram))] *= 1.0 + _ASSUMED_NOISE
+    weights = np.linalg.solve(gram, total.ravel()[past])
     # Both sums are linear in a block's lag sums: their coefficients are formed once for all blocks.
-    shown, predicted = np.zeros(total.shape), np.zeros(total.shape)
-    _add(shown, weights, offsets, np.full(owner.size, channel), rows[owner])
-    _add(predicted, np.outer(weights, weights), lag, rows[first], rows[second])
-    shares = covariances.reshape(len(covariances), -1) @ np.stack([shown.ravel(), predicted.ravel()], axis=1)
+    shown = np.bincount(past, weights, total.size)
+    predicted = np.bincount(pairs.ravel(), np.outer(weights, weights).ravel(), total.size)
+    shares = covariances.reshape(len(covariances), -1) @ np.stack([shown, predicted], axis=1)
     explained = float(2.0 * shares[:, 0].sum() - shares[:, 1].sum()) / float(total[0, channel, channel])
     known = shares[:, 1] > _LEAST_PREDICTED * np.median(shares[:, 1])
     (shown_here, predicted_here), own = shares[known].T, covariances[known, 0, channel, channel]
@@ -164,30 +161,26 @@ def _predictability(covariances: Array, channel: int) -> float:
     return least
 
 
-@lru_cache(maxsize=64)
-def _offsets(n_others: int, half: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the lag and the neighbour of each coefficient of the filters."""
-    lags = np.arange(-half, half + 1)
-    return np.tile(lags, n_others), np.repeat(np.arange(n_others), lags.size)
+@lru_cache(maxsize=1024)
+def _places(
+    channel: int, others: tuple[int, ...], n_lags: int, n_channels: int
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Find where lag sums of shape (n_lags, c, c), flattened, hold what the filters on the other channels need.
 
+    Returns
+    -------
+    past : ndarray, shape (n_coefficients,)
+        Products of the channel with each filtered sample.
+    gram : ndarray, shape (n_coefficients, n_coefficients)
+        Products of the filtered samples with one another.
+    """
+    half = n_lags // 2
+    lags = np.tile(np.arange(-half, half + 1), len(others))
+    owner = np.repeat(np.asarray(others), 2 * half + 1)
 
-@lru_cache(maxsize=64)
-def _columns(n_others: int, half: int) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
-    """Return the difference of lags and both neighbours of each pair of coefficients."""
-    offsets, owner = _offsets(n_others, half)
-    lag = offsets[None, :] - offsets[:, None]
-    return lag, np.broadcast_to(owner[:, None], lag.shape), np.broadcast_to(owner[None, :], lag.shape)
+    def at(first: NDArray[np.intp] | int, second: NDArray[np.intp], lag: NDArray[np.intp]) -> NDArray[np.intp]:
+        """Find the products of `first` at k with `second` at k + lag; a negative lag is that of the pair in reverse."""
+        forward = np.where(lag >= 0, first, second), np.where(lag >= 0, second, first)
+        return np.asarray(np.ravel_multi_index((np.abs(lag), *forward), (n_lags, n_channels, n_channels)))
 
-
-def _at(sums: Array, lag: NDArray[np.intp], first: NDArray[np.intp], second: NDArray[np.intp]) -> Array:
-    """Read lag sums of `first` at k with `second` at k + lag; a negative lag is that of the pair in reverse."""
-    forward = lag >= 0
-    return np.asarray(sums[np.abs(lag), np.where(forward, first, second), np.where(forward, second, first)])
-
-
-def _add(
-    into: Array, values: NDArray[np.floating], lag: NDArray[np.intp], first: NDArray[np.intp], second: NDArray[np.intp]
-) -> None:
-    """Add values at the places that `_at` reads, in place."""
-    forward = lag >= 0
-    np.add.at(into, (np.abs(lag), np.where(forward, first, second), np.where(forward, second, first)), values)
+    return at(channel, owner, lags), at(owner[:, None], owner[None, :], lags[None, :] - lags[:, None])

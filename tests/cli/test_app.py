@@ -984,14 +984,28 @@ def test_a_replay_never_overwrites_its_own_baseline(site: Site, tmp_path: Path) 
 
 
 def test_a_replay_that_judged_nothing_says_so_and_why(site: Site, tmp_path: Path) -> None:
-    values = site.values(25)
-    values[:, 1] = 0.0
+    values = np.zeros_like(site.values(25))
     done = site.main("replay", site.write("dead.mcap", values), "--structure", site.quick, "--out", tmp_path / "o")
     assert done.returncode == 0
     assert "channel a2 does not move" in done.stdout
     assert "no alarm" not in done.stdout
     summary = json.loads((tmp_path / "o" / "summary.json").read_text())
-    assert summary["skip_reasons"] == {"channel a2 does not move": summary["windows"]}
+    why = "; ".join(f"channel a{i} does not move" for i in (1, 2, 3))
+    assert summary["skip_reasons"] == {why: summary["windows"]}
+
+
+@pytest.mark.parametrize("value", [0.0, np.nan])
+def test_a_replay_with_a_dead_channel_judges_the_rest_says_so_and_is_drawn(
+    site: Site, tmp_path: Path, value: float
+) -> None:
+    values = site.values(25)
+    values[:, 1] = value
+    done = site.main("replay", site.write("dead.mcap", values), "--structure", site.quick, "--out", tmp_path / "o")
+    assert done.returncode == 0
+    assert "was not written" not in done.stderr + done.stdout
+    summary = json.loads((tmp_path / "o" / "summary.json").read_text())
+    assert summary["skipped"] == 0 and [o["channel"] for o in summary["channels_left_out"]] == ["a2"]
+    assert any("a2" in sentence for sentence in [summary["headline"], *summary["doubts"]])
 
 
 def test_masses_in_tonnes_are_told_as_such(site: Site, tmp_path: Path, frame_text: str) -> None:

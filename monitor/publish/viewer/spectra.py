@@ -89,13 +89,16 @@ class SpectraDrawing:
         width, height = STABILISATION
         scale = (width / self._scene.cutoff_hz, -height / lanes, 1.0)
         colours = [SERIES[c % len(SERIES)] for c in range(lanes)]
+        moves = np.isfinite(power).all(axis=0) & (power.max(axis=0) > 0.0)
+        power[:, ~moves] = 0.0  # a dead channel, or one that lost samples: a line at the foot of its lane
+        power = np.maximum(power, 1e-30 * max(power.max(), 1e-270))
         top_db = 10.0 * float(np.ceil(np.log10(max(power.max(), 1e-300)) + 0.5))  # alike for all, for comparison
         lines = Strips(_scale_to_lane(hz, p, top_db, lanes - 1 - c) for c, p in enumerate(power.T))
         self._to.add("/spectra", rr.Transform3D, scale=[scale])
         self._to.add("/spectra/measured", rr.LineStrips2D, strips=lines, colors=colours, radii=ui_radius(0.7))
         if self._scene.model is not None:
             model = predict_power(self._scene, result, hz)[:, :lanes]
-            model *= power.sum() / model.sum()
+            model *= power[:, moves].sum() / max(model[:, moves].sum(), 1e-300)
             lines = Strips(_scale_to_lane(hz, p, top_db, lanes - 1 - c) for c, p in enumerate(model.T))
             self._to.add("/spectra/model", rr.LineStrips2D, strips=lines, colors=[MODEL], radii=ui_radius(0.4))
         if top_db != self._top_db:
