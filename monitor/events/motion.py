@@ -145,15 +145,16 @@ def _peaks_above(drift_acceleration: Array, rate_hz: float, corner_hz: float, st
     """Compute the largest drifts above a corner and their standard deviation, shape (k,) each, m.
 
     The standard deviation joins what the same integration makes of the motion before the event, noise and ambient vibration, and
-    what half the corner changes.
+    what half and a quarter of the corner change.
     """
-    drift, slower = (integrated(drift_acceleration, rate_hz, f, 2) for f in (corner_hz, 0.5 * corner_hz))
-    peak, other = (_peaks(d, strong) for d in (drift, slower))
+    drift, *slower = (integrated(drift_acceleration, rate_hz, share * corner_hz, 2) for share in (1.0, 0.5, 0.25))
+    peak, *others = (_peaks(d, strong) for d in (drift, *slower))
     # The ends of the record are tapered by nothing but quiet motion, so the first seconds of its integral are left out.
     quiet = drift[strong.start // 2 : strong.start]
     noise = np.sqrt((quiet**2).mean(axis=0)) if len(quiet) else np.zeros_like(peak)
     # The corner changes all stories by like shares, though that of one may happen to be none.
-    changed = np.sqrt(np.mean((other / np.maximum(peak, _SMALLEST_DRIFT_M) - 1.0) ** 2)) * peak
+    changes = np.array(others) / np.maximum(peak, _SMALLEST_DRIFT_M) - 1.0
+    changed = np.sqrt((changes**2).mean(axis=1).sum()) * peak
     return peak, np.hypot(noise, changed)
 
 
