@@ -2,9 +2,10 @@
 
 A frame is 2 s of samples, and one begins each second.  Its power in every band and channel is divided by the long-term average of
 that band and channel, so that neither a lightly damped mode nor a channel's noise decides alone.  More than half of the live
-channels must show the same band raised (the lower median over channels), and three bands must be raised (the third largest over
-bands).  So one knocked, dead or disturbed sensor, or a machine's line, is no motion of the whole structure.  A spike or a step
-touches two frames; an event takes three in a row.
+channels must show the same band raised (the lower median over channels).  Three bands must be raised (the third largest over
+bands), and among them that of the structure's lowest frequency.  So one knocked, dead or disturbed sensor, a machine's line, or
+doors and people, who shake floors at higher frequencies, are no motion of the whole structure.  A spike or a step touches two
+frames; an event takes three in a row.
 
 References
 ----------
@@ -99,7 +100,14 @@ def start(n_channels: int, rate_hz: float, cutoff_hz: float) -> RecognitionState
 
 
 def step(
-    state: RecognitionState, span: Array, rate_hz: float, cutoff_hz: float, settings: EventSettings, *, active: bool
+    state: RecognitionState,
+    span: Array,
+    rate_hz: float,
+    cutoff_hz: float,
+    lowest_hz: float,
+    settings: EventSettings,
+    *,
+    active: bool,
 ) -> tuple[RecognitionState, Trigger]:
     """Compare the two frames that a step of samples completes with the long-term average.
 
@@ -110,6 +118,8 @@ def step(
         The next conditioned samples.
     rate_hz, cutoff_hz : float
         Rate and cutoff of the samples.
+    lowest_hz : float
+        Lowest frequency of the structure.
     active : bool
         Whether an event is going on: the long-term average then stays as it is.
 
@@ -125,7 +135,7 @@ def step(
     >>> state, ratios = start(3, 100.0, 40.0), []
     >>> for level in [1.0] * 40 + [20.0] * 3:
     ...     span = level * rng.standard_normal((200, 3))
-    ...     state, trigger = step(state, span, 100.0, 40.0, settings, active=False)
+    ...     state, trigger = step(state, span, 100.0, 40.0, 2.0, settings, active=False)
     ...     ratios.append(trigger)
     >>> bool(ratios[39].on.any()), bool(ratios[-1].on.all())
     (False, True)
@@ -139,7 +149,9 @@ def step(
     transforms = np.fft.rfft(frames * bands.taper)[:, :, : bands.end]
     power = np.add.reduceat(transforms.real**2 + transforms.imag**2, bands.edges, axis=2)
     warm = state.steps * STEP_S >= _LONG_TERM_S
-    ratio = _voted_ratio(power, state.long_term) if warm else np.zeros(_FRAMES)
+    own = int(np.searchsorted(bands.edges, lowest_hz * n / rate_hz + 0.5, side="right")) - 1
+    own = min(max(own, 0), bands.edges.size - 1)
+    ratio = _voted_ratio(power, state.long_term, own) if warm else np.zeros(_FRAMES)
     above, loud = ratio >= settings.ratio_on, ratio >= settings.ratio_off
     if settings.level_m_s2 is not None:
         peaks = np.sort(np.abs(frames).max(axis=2), axis=1)
@@ -162,13 +174,15 @@ def begin_anew(state: RecognitionState) -> RecognitionState:
     return replace(state, long_term=np.zeros_like(state.long_term), steps=0, raised=0)
 
 
-def _voted_ratio(power: Array, long_term: Array) -> Array:
-    """Compute the amplitude ratio that more than half of the live channels show in three bands, shape (2,).
+def _voted_ratio(power: Array, long_term: Array, own: int) -> Array:
+    """Compute the amplitude ratio that more than half of the live channels show in three bands and in one, shape (2,).
 
     Parameters
     ----------
     power : ndarray, shape (2, c, b)
     long_term : ndarray, shape (c, b)
+    own : int
+        Index of the band of the structure's lowest frequency.
     """
     strength = long_term.sum(axis=1)
     live = strength > _DEAD * strength.max()
@@ -177,5 +191,6 @@ def _voted_ratio(power: Array, long_term: Array) -> Array:
             return np.zeros(_FRAMES)
         power, long_term = power[:, live], long_term[live]
     ratios = np.sort(power / np.maximum(long_term, np.finfo(float).tiny), axis=1)
-    voted = np.sort(ratios[:, (ratios.shape[1] - 1) // 2], axis=1)
-    return np.asarray(np.sqrt(voted[:, -min(_RAISED_BANDS, voted.shape[1])]))
+    voted = ratios[:, (ratios.shape[1] - 1) // 2]
+    several = np.sort(voted, axis=1)[:, -min(_RAISED_BANDS, voted.shape[1])]
+    return np.asarray(np.sqrt(np.minimum(several, voted[:, own])))

@@ -220,7 +220,8 @@ def _judge_step(state: EventState, cutoff_hz: float, site: Site) -> tuple[EventS
         known = replace(state.recognition, tail=span[n // 2 :])
         return replace(state, recognition=known, judged=end, settling=state.settling - 1), []
     going = state.strong[-1] if state.strong and not state.strong[-1].closed else None
-    known, found = recognition.step(state.recognition, span, rate_hz, cutoff_hz, settings, active=going is not None)
+    lowest_hz, active = float(site.modes_hz[0]), going is not None
+    known, found = recognition.step(state.recognition, span, rate_hz, cutoff_hz, lowest_hz, settings, active=active)
     half, told = n // 2, list[Event]()
     starts = [first - half, first]
     for k, at in enumerate(starts):
