@@ -33,6 +33,8 @@ than the neighbour is noise. [ratio; judgement]"""
 _CERTAIN_STDS = 5.0
 """Standard deviations by which the gains of two blocks must differ beyond the least ratio. [1; judgement: one block in some
 millions]"""
+_NORMAL_MAD = 1.4826
+"""Standard deviation of a normal variable over its median absolute deviation. [ratio; definition]"""
 _LEAST_PREDICTED = 0.1
 """Share of the usual power of the prediction below which a block says nothing of the channel: its neighbours stand still.
 [ratio; judgement]"""
@@ -144,7 +146,10 @@ def _gain(covariances: Array, counts: NDArray[np.int64], channel: int, others: t
     (shown_here, predicted_here), own = shares[known].T, covariances[known, 0, channel, channel]
     gain = shown_here / predicted_here
     rest = np.maximum(own - 2.0 * shown_here + predicted_here, 0.0)
-    std = np.sqrt(rest / (counts[known] * predicted_here))
+    # What the neighbours do not explain may be a slow motion, of which a block has far fewer values than samples: the scatter
+    # of most blocks' gains says so.
+    scatter = _NORMAL_MAD * float(np.median(np.abs(gain - np.median(gain))))
+    std = np.maximum(np.sqrt(rest / (counts[known] * predicted_here)), scatter)
     most, least = float((gain - _CERTAIN_STDS * std).max()), float((gain + _CERTAIN_STDS * std).min())
     return explained, least / most if most > 0.0 else 1.0
 
