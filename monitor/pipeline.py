@@ -356,6 +356,9 @@ class Pipeline:
     def _assess(self, item: Window, cutoff_hz: float) -> WindowResult:
         """Process one complete window: identification, updating, damage index, alarm."""
         c = self.config
+        strong = stage.skipped(self.state.events, item.t_end_ns, item.window_s, c.events)
+        if strong is not None:  # nor does it tell which channels are well
+            return self._skip(item.index, item.t_end_ns, item.window_s, strong, item.rms_m_s2)
         in_use, left_out = self._choose_channels(item)
         if not in_use:
             # The level of motion is not known either.
@@ -378,7 +381,6 @@ class Pipeline:
             return replace(skipped, covariates=covariates)
 
         skipped = window_quality.check(item.sums, item.rate_hz, cutoff_hz, c.quality)
-        skipped = skipped or stage.skipped(self.state.events, item.t_end_ns, item.window_s, c.events)
         if skipped is not None:
             return skip(skipped)
         modes = self._identify(item, cutoff_hz, view)

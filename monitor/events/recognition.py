@@ -162,7 +162,7 @@ def step(
         raised = raised + 1 if above[k] else 0
         on[k] = raised >= FRAMES_IN_A_ROW
     long_term, steps = state.long_term, state.steps
-    if not (active or on.any()):
+    if not (active or above.any()):  # what may be an event is no part of the average before it
         steps = min(steps + 1, round(_LONG_TERM_S / STEP_S))
         long_term = long_term + (0.5 * (power[0] + power[1]) - long_term) / steps
     state = replace(state, tail=span[half:], long_term=long_term, steps=steps, raised=raised)

@@ -36,8 +36,8 @@ millions]"""
 _NORMAL_MAD = 1.4826
 """Standard deviation of a normal variable over its median absolute deviation. [ratio; definition]"""
 _LEAST_PREDICTED = 0.1
-"""Share of the usual power of the prediction below which a block says nothing of the channel: its neighbours stand still.
-[ratio; judgement]"""
+"""Share of the prediction's mean power below which a block says nothing of the channel: its neighbours stand still, or stood
+still before an earthquake. [ratio; judgement]"""
 
 
 def silent_channels(
@@ -130,7 +130,8 @@ def _neighbours(power: Array, channel: int, channels: tuple[int, ...]) -> tuple[
 def _gain(covariances: Array, counts: NDArray[np.int64], channel: int, others: tuple[int, ...]) -> tuple[float, float]:
     """Compute the share of a channel's power that its neighbours explain, and its least gain over its largest, in any block.
 
-    Both gains are taken `_CERTAIN_STDS` standard deviations nearer to each other.  Where no block has a gain the ratio is 1.
+    Both gains are taken `_CERTAIN_STDS` standard deviations nearer to each other.  Where no block has a gain the ratio is 1,
+    and where the lag sums admit no prediction both are 1.
     """
     total = covariances.sum(axis=0)
     past, pairs = _places(channel, others, *total.shape[:2])
@@ -142,7 +143,10 @@ def _gain(covariances: Array, counts: NDArray[np.int64], channel: int, others: t
     predicted = np.bincount(pairs.ravel(), np.outer(weights, weights).ravel(), total.size)
     shares = covariances.reshape(len(covariances), -1) @ np.stack([shown, predicted], axis=1)
     explained = float(2.0 * shares[:, 0].sum() - shares[:, 1].sum()) / float(total[0, channel, channel])
-    known = shares[:, 1] > _LEAST_PREDICTED * np.median(shares[:, 1])
+    if not shares[:, 1].sum() > 0.0 or explained > 1.0:
+        # The lag sums of a motion that begins or dies out in the window need not be those of any stationary motion.
+        return 1.0, 1.0
+    known = shares[:, 1] > _LEAST_PREDICTED * shares[:, 1].mean()
     (shown_here, predicted_here), own = shares[known].T, covariances[known, 0, channel, channel]
     gain = shown_here / predicted_here
     rest = np.maximum(own - 2.0 * shown_here + predicted_here, 0.0)
