@@ -86,7 +86,7 @@ class Identification:
                 item,
                 line.past,
                 line.reference_modes,
-                line.shown,
+                line.sensors,
                 c.identification,
                 c.selection,
                 cutoff_hz=c.processing.cutoff_hz,

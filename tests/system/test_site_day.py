@@ -1,4 +1,4 @@
-"""A day with everything wrong at once: half an hour of data in CI, the whole with `make test-slow`."""
+"""A day with everything wrong at once: half an hour of data, and the whole; both with `make test-slow`, for they watch clocks."""
 
 from __future__ import annotations
 
@@ -25,6 +25,7 @@ def check(report: Report) -> None:
     assert growth["threads"] <= 8 and growth["handles"] <= 120 and growth["memory_mb"] < 150.0, growth
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(600)
 def test_half_an_hour_with_everything_wrong_at_once(tmp_path: Path) -> None:
     check(live_through(tmp_path, 0.5, 15.0, 3))
