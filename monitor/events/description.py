@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from monitor.core import Array
 from monitor.events.event import Event
@@ -14,11 +15,15 @@ from monitor.events.motion import (
     modal_frequencies,
     peak_drifts,
     response_spectrum,
+    unknown_motion,
 )
 from monitor.events.site import Site
 
 _UNRELATED = 1e-9
 """Share of a drift that a sensor must see to tell of it. [ratio; rounding]"""
+_STILL = 1e-3
+"""Range of a channel's motion in a second of strong motion, over the largest of all channels, below which it stood still.
+[ratio; -60 dB, as of dead channels]"""
 NO_LIMIT = "no limit exceeded"
 
 
@@ -26,15 +31,31 @@ NO_LIMIT = "no limit exceeded"
 class Record:
     """Samples of an event, with quiet motion before it and, for the final line, after it."""
 
-    t_ns: int
     rate_hz: float
     floors: Array
     """Shape (n, c), m/s^2."""
     ground: Array | None
     """Shape (n,), m/s^2."""
     strong: slice
+    still: NDArray[np.bool_]
+    """Shape (c,): channels that stood still while others moved, as dead ones and those that lost samples do."""
     corners_hz: Array
     """Shape (n_corners,): corners of the integration to choose from."""
+
+
+def still_channels(values: Array, strong: slice, rate_hz: float) -> NDArray[np.bool_]:
+    """Find the channels that stood still in some second of strong motion, shape (c,).
+
+    Parameters
+    ----------
+    values : ndarray, shape (n, c), m/s^2
+        Samples as conditioned, in which lost samples are held.
+    """
+    n = max(1, round(rate_hz))
+    part = values[strong]
+    seconds = part[: len(part) // n * n].reshape(-1, n, part.shape[1])
+    ranges = np.ptp(seconds, axis=1)
+    return np.asarray((ranges < _STILL * ranges.max(axis=1, keepdims=True, initial=0.0)).any(axis=0))
 
 
 def describe(
@@ -51,15 +72,19 @@ def describe(
     """Measure an event from its samples, and compare it with the site's limits."""
     rate_hz, strong = record.rate_hz, record.strong
     drift, std, corner_hz, limits = story_drifts(record, site)
+    live = ~record.still
     floors = tuple(
-        floor_motion(name, record.floors[:, i], rate_hz, corner_hz, strong) for i, name in enumerate(site.channels)
+        floor_motion(name, record.floors[:, i], rate_hz, corner_hz, strong) if live[i] else unknown_motion(name)
+        for i, name in enumerate(site.channels)
     )
+    gone = ", ".join(name for name, known in zip(site.channels, live, strict=True) if not known)
+    gone = f"{gone} gave no motion, and nothing is told from it" if gone else ""
     ground = None if record.ground is None else floor_motion("ground", record.ground, rate_hz, corner_hz, strong)
     heights = np.full(site.n_stories, np.nan) if site.heights_m is None else site.heights_m
     near_hz = np.where(np.isfinite(before_hz), before_hz, site.modes_hz)
     after = np.full(site.modes_hz.size, np.nan)
     if revision is not None and len(record.floors) - strong.stop > rate_hz / site.modes_hz[0]:
-        after = modal_frequencies(record.floors[strong.stop :], site.shapes, near_hz, rate_hz)
+        after = modal_frequencies(record.floors[strong.stop :, live], site.shapes[:, live], near_hz, rate_hz)
     relative = record.floors if record.ground is None else record.floors - record.ground[:, None] * site.rides
     return judge(
         Event(
@@ -78,12 +103,12 @@ def describe(
             drift_std_m=std,
             drift_ratio=drift / heights,
             before_hz=before_hz,
-            during_hz=modal_frequencies(relative[strong], site.shapes, near_hz, rate_hz),
+            during_hz=modal_frequencies(relative[strong][:, live], site.shapes[:, live], near_hz, rate_hz),
             after_hz=after,
             loss=np.full(site.n_stories, np.nan),
             loss_std=np.full(site.n_stories, np.nan),
             verdict=None,
-            note="; ".join(filter(None, (note, limits))),
+            note="; ".join(filter(None, (note, gone, limits))),
         ),
         site,
     )
@@ -96,24 +121,24 @@ def story_drifts(record: Record, site: Site) -> tuple[Array, Array, float, str]:
     the lowest one without a measured ground, the drift follows from the inertia of the floors above over the story's stiffness,
     if every floor has a sensor; its standard deviation is the most by which the same estimate is wrong in another story.
     """
-    n, motion = site.n_stories, record.floors
+    live = ~record.still
+    n, motion, sensors, rides = site.n_stories, record.floors[:, live], site.sensors[live], site.rides[live]
     drift, std, corner_hz = np.full(n, np.nan), np.full(n, np.nan), float(record.corners_hz[0])
     if not site.is_chain:
         return drift, std, corner_hz, "no drifts: the structure's stiffnesses are no stories"
-    sensors = site.sensors
     if record.ground is not None:
-        motion = motion - record.ground[:, None] * site.rides
+        motion = motion - record.ground[:, None] * rides
     # Rows of weights on the channels that give a story's drift; without a ground they must not move with it.
     weights, *_ = np.linalg.lstsq(sensors.T, site.drifts.T, rcond=None)
     exact = np.abs(sensors.T @ weights - site.drifts.T).max(axis=0) < _UNRELATED
-    rigid = np.abs(site.rides @ weights) < _UNRELATED
+    rigid = np.abs(rides @ weights) < _UNRELATED
     told = exact & (rigid | (record.ground is not None))
     if told.any():
         drift[told], std[told], corner_hz = peak_drifts(
             motion @ weights[:, told], record.rate_hz, record.corners_hz, record.strong
         )
     note = f"drifts are dynamic, above {corner_hz:.2g} Hz: a permanent one is not seen"
-    if told.all() or np.linalg.matrix_rank(site.sensors) < site.sensors.shape[1]:
+    if told.all() or np.linalg.matrix_rank(sensors) < sensors.shape[1]:
         return (
             drift,
             std,
@@ -141,7 +166,7 @@ def _drifts_by_inertia(record: Record, site: Site) -> Array:
 def judge(event: Event, site: Site) -> Event:
     """Compare an event with the site's limits; the verdict is None where a limit cannot be judged."""
     limits = site.settings.limits
-    words, exceeded, known = list[str](), list[str](), bool(limits)
+    words, exceeded, known, n_judged = list[str](), list[str](), True, 0
     for limit in limits:
         values, most, what = (
             (event.drift_ratio, limit.drift_ratio, "drift ratio")
@@ -150,10 +175,11 @@ def judge(event: Event, site: Site) -> Event:
         )
         assert most is not None
         judged = np.isfinite(values)
+        n_judged += bool(judged.all())
         # A lasting loss is only known from the revision on; until then the drifts decide.
         known = known and bool(judged.all() or (limit.residual_loss is not None and event.revision != 1))
         for j in np.flatnonzero(judged & (np.nan_to_num(values) > most)):
             words.append(limit.says)
             exceeded.append(f"{limit.says} ({site.names[j]}: {what} {values[j]:.2g}, limit {most:.2g})")
-    verdict = words[0] if words else NO_LIMIT if known else None
+    verdict = words[0] if words else NO_LIMIT if known and n_judged else None
     return replace(event, verdict=verdict, exceeded=tuple(exceeded))

@@ -115,6 +115,11 @@ def floor_motion(channel: str, acceleration: Array, rate_hz: float, corner_hz: f
     )
 
 
+def unknown_motion(channel: str) -> FloorMotion:
+    """Return the motion of a channel of which nothing is known."""
+    return FloorMotion(channel, *(np.nan,) * 5)
+
+
 def peak_drifts(
     drift_acceleration: Array, rate_hz: float, corners_hz: Array, strong: slice
 ) -> tuple[Array, Array, float]:

@@ -282,7 +282,7 @@ def _final(state: EventState, item: Strong, end: int, site: Site) -> tuple[Event
 
 def _describe(state: EventState, item: Strong, end: int | None, site: Site) -> Event:
     """Describe an event: preliminarily, by the samples so far, or for good by those up to grid index `end`."""
-    from monitor.events.description import Record, describe  # filters take a while to load
+    from monitor.events.description import Record, describe, still_channels  # filters take a while to load
     from monitor.events.motion import without_filter
 
     assert state.conditioner is not None
@@ -294,12 +294,13 @@ def _describe(state: EventState, item: Strong, end: int | None, site: Site) -> E
     begin_ns, end_ns = (state.t0_ns + round(i / rate_hz * 1e9) for i in (item.begin, item.end))
     lowest_hz = float(site.modes_hz[0])
     before = tuple(r for r in state.recent if r.end_ns <= begin_ns)
+    strong = slice(item.begin - first, item.end - first)
     record = Record(
-        t_ns=state.t0_ns + round(first / rate_hz * 1e9),
         rate_hz=rate_hz,
         floors=without_filter(values, rate_hz, state.conditioner),
         ground=_ground_of(state, first, last),
-        strong=slice(item.begin - first, item.end - first),
+        strong=strong,
+        still=still_channels(values, strong, rate_hz),
         corners_hz=np.maximum(np.array(_CORNERS) * lowest_hz, _LOWEST_CORNER / settings.pre_s),
     )
     name = datetime.fromtimestamp(begin_ns // 10**9, UTC).strftime("%Y%m%dT%H%M%S") + f".{begin_ns // 10**7 % 100:02d}Z"

@@ -183,6 +183,22 @@ def test_limits_of_the_site_decide_in_its_own_words() -> None:
     assert "lear the house" in event_text(beyond)
 
 
+def test_a_limit_of_the_lasting_loss_alone_is_not_judged_before_the_revision() -> None:
+    told = events(run(configuration(events={"limits": [LOSS_LIMIT]}), blocks(shaken(), n=500)))
+    assert [e.revision for e in told] == [None, 0] and [e.verdict for e in told] == [None, None]
+
+
+@pytest.mark.parametrize("fault", [0.0, np.nan])
+def test_a_dead_channel_tells_no_drift_and_no_limit_is_judged(fault: float) -> None:
+    floors = shaken().floors.copy()
+    floors[round(85 * RATE) : round(92 * RATE), 1] = fault
+    config = configuration(events={"limits": [{"drift_ratio": 0.1, "says": "clear the house"}]})
+    event = events(run(config, blocks(replace(shaken(), floors=floors), n=500)))[-1]
+    assert np.isnan(event.drift_m[:2]).all() and event.verdict is None and "a2 gave no motion" in event.note
+    assert json.loads(to_json(event_line(event)))["peak_acceleration_m_s2"]["a2"] is None
+    assert "a2" not in event_text(event)
+
+
 def test_a_gap_ends_an_event_and_says_so() -> None:
     data = [b for b in blocks(shaken(), n=50) if not 90.0 < (b.t_ns - T0_NS) * 1e-9 < 95.0]
     told = [e for e in events(run(configuration(), data)) if e.revision == 0]

@@ -62,9 +62,11 @@ def event_text(event: Event) -> str:
 
     The sentence has the verdict first, then the largest acceleration and the largest drift.
     """
-    strongest = max(event.floors, key=lambda f: f.peak_m_s2)
-    parts = [f"{event.verdict}" if event.verdict else "no limit was judged"]
-    parts.append(f"largest acceleration {strongest.peak_m_s2:.2g} m/s^2 at {strongest.channel}")
+    parts = [event.verdict or "no limit was judged"]
+    known = [f for f in event.floors if math.isfinite(f.peak_m_s2)]
+    if known:
+        strongest = max(known, key=lambda f: f.peak_m_s2)
+        parts.append(f"largest acceleration {strongest.peak_m_s2:.2g} m/s^2 at {strongest.channel}")
     if event.ground is not None:
         parts.append(f"ground {event.ground.peak_m_s2:.2g} m/s^2")
     if np.isfinite(event.drift_m).any():

@@ -223,7 +223,6 @@ def of_finding(
 
 
 def of_event(event: Event) -> Notice:
-    """Announce what is told of an event, the first exceeded limit in the title."""
+    """Announce what is told of an event; the verdict stands first in the text."""
     told = {None: "preliminary", 0: "measured", 1: "lasting loss"}
-    good = not event.exceeded
-    return Notice("event", good, f"strong motion ({told[event.revision]}), {event.id}", event_text(event))
+    return Notice("event", False, f"strong motion ({told[event.revision]}), {event.id}", event_text(event))
