@@ -60,8 +60,6 @@ class RecognitionState:
 class Trigger:
     """What two frames say, in order; frame k begins ``(k - 1) / 2`` frames after the step's first sample."""
 
-    ratio: Array
-    """Shape (2,): amplitude over that of the long-term average; 0 before there is one."""
     on: NDArray[np.bool_]
     """Shape (2,): whether this and the two frames before are above the threshold."""
     loud: NDArray[np.bool_]
@@ -132,12 +130,12 @@ def step(
     --------
     >>> import numpy as np
     >>> settings, rng = EventSettings(), np.random.default_rng(0)
-    >>> state, ratios = start(3, 100.0, 40.0), []
+    >>> state, found = start(3, 100.0, 40.0), []
     >>> for level in [1.0] * 40 + [20.0] * 3:
     ...     span = level * rng.standard_normal((200, 3))
     ...     state, trigger = step(state, span, 100.0, 40.0, 2.0, settings, active=False)
-    ...     ratios.append(trigger)
-    >>> bool(ratios[39].on.any()), bool(ratios[-1].on.all())
+    ...     found.append(trigger)
+    >>> bool(found[39].on.any()), bool(found[-1].on.all())
     (False, True)
     """
     n = span.shape[0]
@@ -166,7 +164,7 @@ def step(
         steps = min(steps + 1, round(_LONG_TERM_S / STEP_S))
         long_term = long_term + (0.5 * (power[0] + power[1]) - long_term) / steps
     state = replace(state, tail=span[half:], long_term=long_term, steps=steps, raised=raised)
-    return state, Trigger(ratio, on, loud)
+    return state, Trigger(on, loud)
 
 
 def begin_anew(state: RecognitionState) -> RecognitionState:
