@@ -1,8 +1,9 @@
 from .base import Publisher
 from .reports.diagnosis_report import write_report
+from .reports.event_report import EventPage, write_event
 from .reports.period_report import read_period, write_period
 from .results.arrow_table import WINDOWS_SCHEMA, windows_table
-from .results.event_lines import EVENTS, event_line, event_text
+from .results.event_lines import EVENTS, event_line, event_text, read_event
 from .results.files import closed_files, month_file, pack_month, read_lines
 from .results.lines import (
     LinesFile,
@@ -25,6 +26,7 @@ __all__ = [
     "EVENTS",
     "LINE_SCHEMA",
     "WINDOWS_SCHEMA",
+    "EventPage",
     "LinesFile",
     "Output",
     "Publisher",
@@ -41,6 +43,7 @@ __all__ = [
     "make_scene",
     "month_file",
     "pack_month",
+    "read_event",
     "read_line",
     "read_lines",
     "read_period",
@@ -49,6 +52,7 @@ __all__ = [
     "utc",
     "window_line",
     "windows_table",
+    "write_event",
     "write_period",
     "write_report",
     "write_view",
