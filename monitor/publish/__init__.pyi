@@ -3,7 +3,7 @@ from .reports.diagnosis_report import write_report
 from .reports.event_report import EventPage, write_event
 from .reports.period_report import read_period, write_period
 from .results.arrow_table import WINDOWS_SCHEMA, windows_table
-from .results.event_lines import EVENTS, event_line, event_text, read_event
+from .results.event_lines import EVENTS, event_line, event_text, read_event, telling
 from .results.files import closed_files, month_file, pack_month, read_lines
 from .results.lines import (
     LinesFile,
@@ -48,6 +48,7 @@ __all__ = [
     "read_lines",
     "read_period",
     "replay_text",
+    "telling",
     "to_json",
     "utc",
     "window_line",

@@ -132,6 +132,8 @@ class Daemon(Publisher):
             self._outlets: tuple[Outlet, ...] = (*make_outlets(path, settings), *outlets)
             for outlet in self._outlets:
                 undo.callback(outlet.close, _END_S)
+                if self._events.last is not None:
+                    outlet.known_event(self._events.last)
             self._requests = RequestHandler(
                 self._outlets, self.out / ledger.LEDGER, self._chores, self._keeper, self._history, clock
             )

@@ -156,7 +156,7 @@ def tell(status: dict[str, Any]) -> str:
         "alarm": lambda: name_stories(_alarm(summary.get("alarm"), result), _names(summary)) + _reference(result)[1],
         "recorder": lambda: _recorder(recorder, health),
         "findings": lambda: _findings(summary.get("findings") or []),
-        "event": lambda: _event(status["event"]),
+        "event": lambda: last_event(status["event"]) or "none",
     }
     rows = [(name, _readable(make)) for name, make in makers.items() if name != "doubts" or status["doubts"]]
     return "\n".join(f"{name:<9} {text}" for name, text in rows)
@@ -212,10 +212,10 @@ def _read_event(text: bytes) -> dict[str, Any]:
     return line
 
 
-def _event(event: Mapping[str, Any] | None) -> str:
-    """State the last event: when, the verdict, and the largest drift."""
+def last_event(event: Mapping[str, Any] | None) -> str:
+    """State an event by its line: when, the verdict, and the largest drift; empty where there was none."""
     if event is None:
-        return "none"
+        return ""
     drifts = [(value, j) for j, value in enumerate(event["drift_peak_m"], 1) if value is not None]
     largest = f"; largest drift {1e3 * max(drifts)[0]:.3g} mm in story {max(drifts)[1]}" if drifts else ""
     return f"{event['id']}: {event['verdict'] or 'no limit was judged'}{largest}"

@@ -15,7 +15,7 @@ from drivers.mcap_file import recording_info
 from monitor.core import BadInputError, MissingInputError, WrongUsageError
 from monitor.events import Event, Review, Site, review
 from monitor.pipeline import Pipeline
-from monitor.publish import EventPage, event_line, read_event, to_json
+from monitor.publish import EventPage, Publisher, event_line, read_event, to_json
 from monitor.publish.reports.event_report import event_html
 from monitor.runs import page_of, read_event_line, write_event_page
 from monitor.runs.event_recordings import EventRecordings
@@ -139,3 +139,22 @@ def test_a_damaged_recording_is_named_and_a_missing_one_told(folder: tuple[Path,
     with pytest.raises(BadInputError, match=event.id):
         write_event_page(tmp_path, line, tmp_path / "y.html")
     assert not (tmp_path / "y.html").exists()
+
+
+def test_where_the_budget_is_full_the_line_and_peaks_are_kept_and_it_is_told(tmp_path: Path) -> None:
+    config = configuration(events={"post_s": 15.0, "merge_s": 5.0, "keep_gb": 1e-9})
+    (tmp_path / "events").mkdir()
+    (tmp_path / "events" / "earlier.mcap").write_bytes(b"0123")
+    got = list[tuple[Event, str]]()
+
+    class Kept(Publisher):
+        def event(self, event: Event, line: str) -> None:
+            got.append((event, line))
+
+    recordings = EventRecordings(tmp_path, config.events)
+    session = Session(config, None, (Kept(),), None, tmp_path / "findings", recordings=recordings)
+    for block in blocks(shaken()):
+        session.push(block)
+    line = json.loads(got[-1][1])
+    assert line["revision"] == 0 and line["recording"] is None and "keep_gb is full" in line["note"]
+    assert min(line["peak_acceleration_m_s2"].values()) > 0.5 and len(list((tmp_path / "events").iterdir())) == 1

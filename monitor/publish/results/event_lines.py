@@ -94,6 +94,12 @@ def read_event(line: Mapping[str, Any]) -> Event:
     )
 
 
+def telling(event: Event) -> str:
+    """Say which telling of an event this is, and its id."""
+    told = {None: "preliminary", 0: "measured", 1: "lasting loss"}
+    return f"strong motion ({told[event.revision]}), {event.id}"
+
+
 def event_text(event: Event) -> str:
     """Tell an event in one sentence, as for a message.
 

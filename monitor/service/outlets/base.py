@@ -39,6 +39,9 @@ class Outlet(Publisher):
         """Keep the present state of the structure."""
         self.present = assessment
 
+    def known_event(self, line: str) -> None:
+        """Take the last event of a run before this one, as its line of events.jsonl: it is known and no news."""
+
     def health_line(self, line: Mapping[str, Any]) -> None:
         """Take a line of health.jsonl: the sensors' health of a span, if one ended, and the daemon's own health."""
 
