@@ -1,7 +1,7 @@
 from . import ground, stage
 from .event import Event, FloorMotion, Spectrum
 from .ground import GroundState
-from .review import FirstMode, Review, review
+from .review import FirstMode, Review, review_event
 from .settings import EventSettings, LimitTable
 from .site import Site
 from .stage import EventState
@@ -18,6 +18,6 @@ __all__ = [
     "Site",
     "Spectrum",
     "ground",
-    "review",
+    "review_event",
     "stage",
 ]

@@ -20,12 +20,12 @@ from monitor.signals import Conditioner, ConditionState, FrontEnd, LostState, al
 _SETTLED_S = 2.0
 """Length of samples after a gap that are left out, while the filters, which begin at rest, settle. [s; a lowpass of 40 Hz
 settles in 1 s]"""
-_PERIODS = 10.0
+_STRETCH_PERIODS = 10.0
 """Periods of the first mode in a stretch of which its frequency and damping are told. [count; judgement: a few, of which the
 standard deviation is stated]"""
-_BAND = (0.5, 1.5)
+_BAND_OF_FIRST = (0.5, 1.5)
 """Band about the first mode's frequency in which they are fitted. [ratio; judgement: other modes lie outside]"""
-_TOLD = 0.02
+_TOLD_FREQUENCY = 0.02
 """Largest relative standard deviation of a frequency that is told. [ratio; judgement]"""
 
 
@@ -86,7 +86,7 @@ class _Run:
     """Shape (c,): those that are not finite."""
 
 
-def review(
+def review_event(
     blocks: Iterable[SampleBlock], front_end: FrontEnd, site: Site, begin_ns: int, end_ns: int, corner_hz: float
 ) -> Review | Skipped:
     """Compute what an event's recording shows.
@@ -191,9 +191,9 @@ def _first_mode(record: Record, site: Site) -> FirstMode | None:
     absolute = record.floors @ project
     columns = np.column_stack([absolute, relative @ project, relative @ project])
     a, v, q = (_band(columns[:, i], rate_hz, near_hz, times) for i, times in enumerate((0, 1, 2)))
-    length = max(8, round(_PERIODS * rate_hz / near_hz))
+    length = max(8, round(_STRETCH_PERIODS * rate_hz / near_hz))
     # Samples of motion in a band of this width that tell something new.
-    independent = length / rate_hz * (_BAND[1] - _BAND[0]) * near_hz
+    independent = length / rate_hz * (_BAND_OF_FIRST[1] - _BAND_OF_FIRST[0]) * near_hz
     rows = []
     for first in range(0, len(a) - length + 1, length // 2):
         part = slice(first, first + length)
@@ -210,7 +210,7 @@ def _first_mode(record: Record, site: Site) -> FirstMode | None:
             continue
         w = np.sqrt(x[0])
         w_std, zeta_std = np.sqrt(covariance[0, 0]) / (2.0 * w), np.sqrt(covariance[1, 1]) / (2.0 * w)
-        if w_std < _TOLD * w:
+        if w_std < _TOLD_FREQUENCY * w:
             middle_s = (first + 0.5 * length - record.strong.start) / rate_hz
             rows.append((middle_s, w, w_std, x[1] / (2.0 * w), zeta_std, np.abs(q[part]).max()))
     if not rows:
@@ -223,7 +223,7 @@ def _band(motion: Array, rate_hz: float, near_hz: float, times: int) -> Array:
     """Integrate a motion, shape (n,), so many times within the band of the first mode, without phase."""
     n = motion.size
     hz = np.fft.rfftfreq(2 * n, 1.0 / rate_hz)
-    low, high = (share * near_hz for share in _BAND)
+    low, high = (share * near_hz for share in _BAND_OF_FIRST)
     response = np.zeros(hz.size, dtype=complex)
     response[1:] = (2j * np.pi * hz[1:]) ** -times
     # Raised cosine flanks of half an octave, so that the band's edges do not ring.

@@ -9,7 +9,7 @@ from typing import Any
 from drivers.base import ACCELERATION, GROUND, RecordingError, RecordingMissingError
 from drivers.mcap_file import read_metadata, read_recordings
 from monitor.core import BadInputError, MissingInputError, Skipped, WrongUsageError, parse_json, sha256
-from monitor.events import Event, Review, Site, review
+from monitor.events import Event, Review, Site, review_event
 from monitor.publish import EVENTS, EventPage, read_event, write_event
 from monitor.runs.event_recordings import ABOUT, FOLDER
 from monitor.signals import FrontEnd, ProcessingSettings
@@ -108,7 +108,7 @@ def _read_recording(path: Path, event: Event) -> tuple[Site | None, Review | Ski
         processing = ProcessingSettings.model_validate_json(about["processing"])
         front_end = FrontEnd(site.channels, processing, segment_s=0.0, n_lags=0)
         blocks = read_recordings([path], (ACCELERATION, GROUND))
-        return site, review(blocks, front_end, site, event.begin_ns, event.end_ns, event.corner_hz)
+        return site, review_event(blocks, front_end, site, event.begin_ns, event.end_ns, event.corner_hz)
     except RecordingMissingError:
         return None, Skipped(f"the event's recording {path.name} is not there")
     except (RecordingError, KeyError, TypeError, ValueError) as error:

@@ -12,7 +12,7 @@ import pytest
 
 from monitor.config import configuration
 from monitor.core import Skipped
-from monitor.events import Event, Review, Site, review
+from monitor.events import Event, Review, Site
 from monitor.pipeline import Pipeline
 from monitor.runs.recordings import read_blocks
 from tests.events.shaken import MASSES, RATE, T0_NS, Shaken, blocks, kanai_tajimi, shake
@@ -35,7 +35,7 @@ def seen(motion: Shaken, *, with_ground: bool = True) -> Review:
     config = frame()
     begin_ns, end_ns = (T0_NS + round(t * 1e9) for t in (BEGIN_S, END_S))
     data = blocks(motion, with_ground=with_ground)
-    found = review(data, config.front_end(), Pipeline(config).site, begin_ns, end_ns, 0.2)
+    found = review_event(data, config.front_end(), Pipeline(config).site, begin_ns, end_ns, 0.2)
     assert isinstance(found, Review)
     return found
 
@@ -95,7 +95,7 @@ def test_a_dead_channel_hides_the_drifts_that_need_it() -> None:
 
 def test_a_recording_that_lacks_the_event_is_told() -> None:
     config, later_ns = frame(), T0_NS + 3600 * 10**9
-    found = review(blocks(shaken()), config.front_end(), Pipeline(config).site, later_ns, later_ns + 10**9, 0.2)
+    found = review_event(blocks(shaken()), config.front_end(), Pipeline(config).site, later_ns, later_ns + 10**9, 0.2)
     assert isinstance(found, Skipped)
 
 
@@ -115,7 +115,7 @@ def test_what_the_first_mode_of_the_shake_table_frame_did() -> None:
     (event,) = [r for r in [*results, *pipeline.finish()] if isinstance(r, Event)]
     assert event.revision == 0 and "only 6 s of motion before it" in event.note
     assert 9.0 < (event.begin_ns - data[0].t_ns) * 1e-9 < 11.0
-    found = review(data, config.front_end(), pipeline.site, event.begin_ns, event.end_ns, event.corner_hz)
+    found = review_event(data, config.front_end(), pipeline.site, event.begin_ns, event.end_ns, event.corner_hz)
     assert isinstance(found, Review) and found.first_mode is not None
     mode = found.first_mode
     strong, weak = mode.level_m > 0.03, (mode.level_m < 0.004) & (mode.hz_std < 0.01)

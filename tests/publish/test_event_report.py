@@ -13,7 +13,7 @@ import pytest
 
 from drivers.mcap_file import recording_info
 from monitor.core import BadInputError, MissingInputError, WrongUsageError
-from monitor.events import Event, Review, Site, review
+from monitor.events import Event, Review, Site, review_event
 from monitor.pipeline import Pipeline
 from monitor.publish import EventPage, Publisher, event_line, read_event, to_json
 from monitor.publish.reports.event_report import event_html
@@ -32,7 +32,9 @@ def told() -> tuple[Event, Site, Review]:
     pipeline = Pipeline(config)
     events = [e for b in blocks(shaken()) for e in pipeline.push(b) if isinstance(e, Event)]
     (event,) = [e for e in [*events, *pipeline.finish()] if e.revision == 0]
-    found = review(blocks(shaken()), config.front_end(), pipeline.site, event.begin_ns, event.end_ns, event.corner_hz)
+    found = review_event(
+        blocks(shaken()), config.front_end(), pipeline.site, event.begin_ns, event.end_ns, event.corner_hz
+    )
     assert isinstance(found, Review)
     return event, pipeline.site, found
 

@@ -26,10 +26,10 @@ from tests.system.test_service_faults import until
 
 pytestmark = pytest.mark.system
 
-QUIET_S, QUAKE_S, AFTER_S = 50.0, 30.0, 50.0
+QUIET_S, QUAKE_S, AFTER_S = 25.0, 25.0, 30.0
 """Of the stream's time."""
-PACE_S = 0.05
-"""Between two blocks of half a second: ten times real time."""
+PACE_S = 0.04
+"""Between two blocks of half a second: twelve times real time."""
 SITE = """
 [site]
 name = "bench"
