@@ -12,7 +12,7 @@ import pytest
 
 from monitor.config import configuration
 from monitor.core import Skipped
-from monitor.events import Event, Review, Site
+from monitor.events import Event, Review, Site, review_event
 from monitor.pipeline import Pipeline
 from monitor.runs.recordings import read_blocks
 from tests.events.shaken import MASSES, RATE, T0_NS, Shaken, blocks, kanai_tajimi, shake

@@ -79,8 +79,8 @@ class ResultDrawing:
         for i, name in enumerate(self._scene.story_names):
             for entity in ("ddi", "stiffness"):
                 self._style(f"/{entity}/story_{i + 1}", [name] * 3, i)
-            points = rr.SeriesPoints(names=[name], colors=[SERIES[i % len(SERIES)]], marker_sizes=[5.0])
-            self._stream.log(f"{DRIFT}/story_{i + 1}", points, static=True)
+            marks = rr.SeriesPoints(names=[name], colors=[SERIES[i % len(SERIES)]], marker_sizes=[5.0])
+            self._stream.log(f"{DRIFT}/story_{i + 1}", marks, static=True)
         for i in range(self._scene.n_modes):
             for entity in ("frequency", "change", "damping"):
                 self._style(f"/modes/{entity}/{i + 1}", [f"mode {i + 1}"] * 3, i)
