@@ -23,6 +23,8 @@ settles in 1 s]"""
 _STRETCH_PERIODS = 10.0
 """Periods of the first mode in a stretch of which its frequency and damping are told. [count; judgement: a few, of which the
 standard deviation is stated]"""
+_FEWEST_STRETCHES = 3
+"""Fewest stretches before and after the strongest motion that are compared. [count; judgement]"""
 _BAND_OF_FIRST = (0.5, 1.5)
 """Band about the first mode's frequency in which they are fitted. [ratio; judgement: other modes lie outside]"""
 _TOLD_FREQUENCY = 0.02
@@ -45,6 +47,38 @@ class FirstMode:
     damping_std: Array
     level_m: Array
     """Largest relative displacement of the mode at the top in each stretch, m."""
+
+    @property
+    def change(self) -> tuple[float, float, float, float] | None:
+        """Relative change of the frequency from before the strongest motion to after it, at like levels of motion.
+
+        The frequency is fitted as a line over the level's logarithm, with a step, to the stretches of levels that there were on
+        both sides.  None where there were fewer than three on one of them.
+
+        Returns
+        -------
+        change, std : float
+        low, high : float
+            Levels compared, m.
+        """
+        strongest = int(self.level_m.argmax())
+        after = np.arange(self.level_m.size) > strongest
+        sides = self.level_m[~after], self.level_m[after]
+        if min(side.size for side in sides) < _FEWEST_STRETCHES:
+            return None
+        low, high = max(side.min() for side in sides), min(side.max() for side in sides)
+        used = (self.level_m >= low) & (self.level_m <= high)
+        if min(int((used & after).sum()), int((used & ~after).sum())) < _FEWEST_STRETCHES:
+            return None
+        level = np.log(self.level_m[used])
+        design = np.column_stack([np.ones(level.size), level - level.mean(), after[used]]) / self.hz_std[used, None]
+        measured = self.hz[used] / self.hz_std[used]
+        covariance = np.linalg.inv(design.T @ design)
+        found = covariance @ design.T @ measured
+        left = measured - design @ found
+        # Stretches overlap by half: each tells half of what it would alone.
+        spread = 2.0 * max(1.0, float(left @ left) / max(0.5 * measured.size - 3.0, 1.0))
+        return float(found[2] / found[0]), float(np.sqrt(spread * covariance[2, 2]) / found[0]), float(low), float(high)
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -9,13 +9,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.linalg import eigh
 
 from monitor.config import configuration
 from monitor.core import Skipped
 from monitor.events import Event, Review, Site, review_event
 from monitor.pipeline import Pipeline
 from monitor.runs.recordings import read_blocks
-from tests.events.shaken import MASSES, RATE, T0_NS, Shaken, blocks, kanai_tajimi, shake
+from tests.events.shaken import MASSES, RATE, STIFFNESS, T0_NS, Array, Shaken, blocks, kanai_tajimi, shake
 from tests.events.shaken import configuration as frame
 
 RECORDINGS = Path(__file__).parents[2] / "recordings"
@@ -77,6 +78,34 @@ def test_the_first_mode_has_the_frequency_and_damping_of_the_simulation() -> Non
     assert mode.damping[strong] == pytest.approx(0.02, abs=0.004)
     assert (np.abs(mode.hz - true_hz) < 4.0 * mode.hz_std).all()
     assert (np.abs(mode.damping - 0.02) < 4.0 * mode.damping_std).all()
+
+
+def lowest_hz(stiffness: Array) -> float:
+    drift = np.eye(3) - np.eye(3, k=1)
+    return float(
+        np.sqrt(eigh(drift.T @ np.diag(stiffness) @ drift, np.diag(MASSES), eigvals_only=True)[0]) / (2.0 * np.pi)
+    )
+
+
+@pytest.mark.parametrize("lost", [0.0, 0.2])
+def test_the_change_at_like_levels_is_that_of_the_structure(lost: float) -> None:
+    """Story 2 loses stiffness between two quakes; an elastic frame changes nothing, whatever the level."""
+    rng, half = np.random.default_rng(1), round(40.0 * RATE)
+    quakes = np.zeros(2 * half)
+    for k in range(2):
+        quakes[k * half + round(5.0 * RATE) :][: round(30.0 * RATE)] += kanai_tajimi(30.0, 1.0, 2.5, rng)
+    weak = STIFFNESS * np.array([1.0, 1.0 - lost, 1.0])
+    first, state = shake(quakes[:half], rng)
+    second, _ = shake(quakes[half:], rng, stiffness=weak, start=state)
+    motion = Shaken(*(np.concatenate([getattr(first, n), getattr(second, n)]) for n in ("floors", "ground", "drifts")))
+    config = frame()
+    ends = (T0_NS + round(t * 1e9) for t in (5.0, 75.0))
+    found = review_event(blocks(motion), config.front_end(), Pipeline(config).site, *ends, 0.2)
+    assert isinstance(found, Review) and found.first_mode is not None and found.first_mode.change is not None
+    change, std, low, high = found.first_mode.change
+    true = lowest_hz(weak) / lowest_hz(STIFFNESS) - 1.0
+    assert change == pytest.approx(true, abs=0.01) and abs(change - true) < 3.0 * std and 0.0 < low < high
+    assert std < (0.02 if lost else 0.001)
 
 
 def test_without_a_ground_there_are_neither_loops_nor_a_first_mode() -> None:

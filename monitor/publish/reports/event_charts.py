@@ -134,10 +134,9 @@ def drift_profile(event: Event, names: Sequence[str], heights_m: Array | None, l
     return axes.chart(title, *marks, x_title=x_title) + f"<p class='muted'>{said}</p>"
 
 
-def first_mode(mode: FirstMode) -> str:
-    """Draw frequency, damping and level of the first mode over time."""
-    margin_s = 0.5 * float(np.median(np.diff(mode.t_s))) if mode.t_s.size > 1 else 1.0
-    span = (float(mode.t_s[0]) - margin_s, float(mode.t_s[-1]) + margin_s)
+def first_mode(mode: FirstMode, review: Review) -> str:
+    """Draw frequency, damping and level of the first mode over the time of the review."""
+    span = (float(review.t_s[0]), float(review.t_s[-1]))
     series = (
         ("First mode: frequency, Hz", mode.hz, 2.0 * mode.hz_std),
         ("Damping ratio, %", 100.0 * mode.damping, 200.0 * mode.damping_std),

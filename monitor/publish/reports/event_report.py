@@ -185,12 +185,18 @@ def _frequencies(page: EventPage) -> str:
     )
     out.append(f"<p class='muted'>Before: by windows; during: of the largest power; after: {after}.</p>")
     if page.review is not None and page.review.first_mode is not None:
-        out.append(charts.first_mode(page.review.first_mode))
+        out.append(charts.first_mode(page.review.first_mode, page.review))
         out.append(
             "<p class='muted'>First mode, stretch by stretch of ten periods, with 95 % intervals: its absolute acceleration "
             "against its displacement and velocity relative to the measured ground. A frequency that falls with the level and "
             "comes back is no damage.</p>"
         )
+        if (change := page.review.first_mode.change) is not None:
+            value, std, low, high = change
+            out.append(
+                f"<p>At like levels of motion, {1e3 * low:.2g} to {1e3 * high:.2g} mm, the first frequency after the strongest "
+                f"motion was <b>{with_interval(100 * value, 200 * std)} %</b> against before it.</p>"
+            )
     return "".join(out)
 
 
