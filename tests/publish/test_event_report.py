@@ -20,6 +20,7 @@ from monitor.publish.reports.event_report import event_html
 from monitor.runs import page_of, read_event_line, write_event_page
 from monitor.runs.event_recordings import EventRecordings
 from monitor.runs.session import Session
+from tests.conftest import Cli
 from tests.events.shaken import blocks, configuration
 from tests.events.test_review import shaken
 
@@ -111,6 +112,17 @@ def test_the_page_is_made_of_the_folder_alone(folder: tuple[Path, Event]) -> Non
         assert write_event_page(out, read_event_line(out, wanted), place).id == event.id
         html = place.read_text()
         assert "story 3: force" in html and "inspect &lt;this&gt; story" in html and "0 s before the event" not in html
+
+
+def test_the_command_writes_the_page_beside_the_recording(folder: tuple[Path, Event], main: Cli) -> None:
+    out, event = folder
+    done = main("report", out, "--event", "last", "--json")
+    assert done.returncode == 0, done.stderr
+    told_of = json.loads(done.stdout)
+    assert (told_of["id"], told_of["verdict"]) == (event.id, "inspect <this> story")
+    assert Path(told_of["report"]) == page_of(out, event.id) and page_of(out, event.id).exists()
+    wrong = main("report", out, "--event", "yesterday")
+    assert (wrong.returncode, event.id in wrong.stderr, "Traceback" in wrong.stderr) == (2, True, False)
 
 
 def test_the_recording_reaches_from_before_the_event_to_after_it(folder: tuple[Path, Event]) -> None:
