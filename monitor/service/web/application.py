@@ -75,7 +75,9 @@ def make_application(snapshots: Snapshots, token: str | None) -> Starlette:
         Middleware(_Guard, token=token),
         Middleware(GZipMiddleware, minimum_size=1000, compresslevel=_ZIP_LEVEL),
     ]
-    return Starlette(routes=routes, middleware=middleware, exception_handlers={HTTPException: _refusal})
+    application = Starlette(routes=routes, middleware=middleware, exception_handlers={HTTPException: _refusal})
+    application.router.redirect_slashes = False  # a redirection would repeat the name that the reader asked for
+    return application
 
 
 class _Guard:
