@@ -24,7 +24,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import NameOID
 
 from monitor.service.outlets import http_server
-from monitor.service.outlets.http_server import HttpServer, wsgi
+from monitor.service.outlets.http_server import Bounds, HttpServer, wsgi
 from monitor.service.outlets.metrics import Metrics, MetricsSettings
 
 PAGE = b"x" * 1000
@@ -154,6 +154,23 @@ def test_requests_are_taken_no_faster_than_they_may_cost(server: HttpServer, mon
     for _ in range(6):
         fetch(server.port)
     assert time.monotonic() - begun > 0.35
+
+
+def test_costly_answers_take_a_share_of_a_core_and_the_next_waits() -> None:
+    def costly(environment: dict[str, Any], start: Callable[[str, list[tuple[str, str]]], object]) -> Iterable[bytes]:
+        until = time.thread_time() + 0.05
+        while time.thread_time() < until:
+            pass
+        return application(environment, start)
+
+    one = HttpServer("127.0.0.1", 0, wsgi(costly), bounds=Bounds(per_s=1000.0, share=0.2))
+    try:
+        begun = time.monotonic()
+        for _ in range(5):
+            assert fetch(one.port) == PAGE
+        assert time.monotonic() - begun > 3 * 0.05 / 0.2
+    finally:
+        one.close(5.0)
 
 
 def test_no_room_for_a_connection_is_one_line_and_passes(

@@ -264,7 +264,7 @@ def test_without_a_token_a_name_from_elsewhere_is_refused() -> None:
         ("/api/v1/status", "POST", 405),
         ("/api/v1/status", "DELETE", 405),
         ("/api/v1/windows?limit=0", "GET", 400),
-        ("/api/v1/windows?limit=5001", "GET", 400),
+        ("/api/v1/windows?limit=2001", "GET", 400),
         ("/api/v1/windows?limit=x", "GET", 400),
         ("/api/v1/windows?limit=%C2%B2", "GET", 400),
         ("/api/v1/windows?since_ns=-1", "GET", 400),
@@ -375,6 +375,9 @@ def test_the_past_is_read_from_the_output_folder(tmp_path: Path, monkeypatch: py
     monkeypatch.setattr(snapshots, "_TAIL_BYTES", 2000)
     assert 0 < len(rows := [row["window"] for row in latest_windows(tmp_path)]) < 10
     assert rows[-1] == 49, "the end, whole lines of it"
+    monkeypatch.undo()
+    monkeypatch.setattr(snapshots, "_MOST_READ", 20)
+    assert [row["window"] for row in latest_windows(tmp_path)] == [*range(0, 40, 4), *range(40, 50)]
 
 
 @pytest.mark.parametrize("text", ["", "short", "two words that are long enough", "ümlaut-ümlaut-ümlaut", "a\nb" * 10])

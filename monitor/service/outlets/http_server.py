@@ -8,6 +8,7 @@ import logging
 import socket
 import ssl
 import threading
+import time
 from collections.abc import Awaitable, Callable, Iterable, MutableMapping
 from dataclasses import dataclass
 from http import HTTPStatus
@@ -22,6 +23,8 @@ _MAX_PER_S = 20
 """Largest number of connections accepted in a second. [1/s; cost: an answer takes some ms of the interpreter]"""
 _CONNECTION_S = 5.0
 """Longest time of a connection, from its start to the last byte of its answer. [s; judgement]"""
+_MAX_SHARE = 0.25
+"""Largest share of a core that answers take while many are asked for. [1; judgement: the rest is the monitor's]"""
 _MAX_HEAD_BYTES = 8192
 """Largest size of the head of a request. [B; judgement]"""
 _REST_S = 1.0
@@ -48,6 +51,8 @@ class Bounds:
     """Largest number of connections accepted in a second."""
     connection_s: float = _CONNECTION_S
     """Longest time of a connection, from its start to the last byte of its answer, s."""
+    share: float = _MAX_SHARE
+    """Largest share of a core's time that answers take: after costly ones the next connection waits longer."""
     waiting: int = _MAX_CONNECTIONS
     """Number of connections that the system keeps until they are accepted."""
 
@@ -128,7 +133,7 @@ class HttpServer:
 
     async def _accept(self) -> None:
         """Accept connections, no faster than the bounds allow."""
-        refused = False
+        refused, spent_s = False, time.thread_time()
         while True:
             try:
                 connection, _ = await self._loop.sock_accept(self._listener)
@@ -145,6 +150,9 @@ class HttpServer:
             self._serving[task] = None
             task.add_done_callback(lambda done: self._serving.pop(done, None))
             await asyncio.sleep(1.0 / self._bounds.per_s)
+            now_s = time.thread_time()
+            await asyncio.sleep((now_s - spent_s) / self._bounds.share - 1.0 / self._bounds.per_s)
+            spent_s = now_s
 
     async def _serve(self, connection: socket.socket) -> None:
         """Answer one request, or close the connection where it does not come or its answer is not taken in time."""
