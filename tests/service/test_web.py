@@ -194,16 +194,15 @@ def test_the_answers_hold_what_was_published() -> None:
 
 def test_a_site_without_a_model_and_skipped_windows_are_shown() -> None:
     shown = Snapshots("bench")
-    shown.window(
-        line(
-            0, ddi=None, ddi_std=None, stiffness_n_per_m=None, stiffness_std=None, model_modes=None, mode_tracks=[0, 1]
-        )
-    )
+    none = dict.fromkeys(("ddi", "ddi_std", "stiffness_n_per_m", "stiffness_std"))
+    alarm = {**ALARM, "level": "warning", "changed": ["the shape of mode 2"]}
+    shown.window(line(0, **none, alarm=alarm, frequency_change=[-0.01, None], frequency_change_std=[0.002, None]))
     shown.window({"t_end_ns": T0_NS + SECOND, "alarm": ALARM, "skipped": "gap"})
     status = content(asking(shown), "/api/v1/status")
     assert status["latest"]["skipped"] == "gap"
     assert status["judged"]["ddi"] is None
-    assert status["judged"]["mode_tracks"] == [0, 1]
+    assert status["judged"]["frequency_change"] == [-0.01, None]
+    assert (status["judged"]["level"], status["judged"]["changed"]) == ("warning", ["the shape of mode 2"])
 
 
 def test_what_a_reader_has_is_not_sent_again() -> None:

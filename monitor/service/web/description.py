@@ -88,7 +88,11 @@ def _range_parameters() -> list[dict[str, Any]]:
 
 def _schemas() -> dict[str, Any]:
     window = {key: {**_KINDS.get(key, _NUMBERS), "description": words} for key, words in WINDOW_KEYS.items()}
-    window |= {"level": _TEXT, "stories": {"type": "array", "items": {"type": "integer"}}}
+    window |= {
+        "level": _TEXT,
+        "stories": {"type": "array", "items": {"type": "integer"}},
+        "changed": _list({"type": "string"}),
+    }
     status: dict[str, Any] = {
         "site": {"type": "string", "description": "Name of the site."},
         "version": {"type": "string", "description": "Version of shm-monitor."},

@@ -50,12 +50,15 @@ WINDOW_KEYS: dict[str, str] = {
     "frequencies_std_hz": "Their standard deviations, Hz.",
     "damping_ratio": "Damping ratios.",
     "damping_std": "Their standard deviations.",
-    "model_modes": "Which mode of the model each frequency is, 1 = lowest.",
-    "mode_tracks": "Which mode each frequency is over time, also without a model.",
+    "model_modes": "Which mode of the model, or without one of the baseline, each frequency is; 1 = lowest.",
     "stiffness_n_per_m": "Stiffness of each story, N/m; null without a model.",
     "stiffness_std": "Its standard deviation, N/m.",
     "ddi": "Damage index of each story: relative stiffness lost since the baseline; null without a model.",
     "ddi_std": "Its standard deviation, the baseline's own uncertainty included.",
+    "frequency_change": "Without a model: relative change of each mode's frequency since the baseline.",
+    "frequency_change_std": "Its standard deviation.",
+    "shape_change": "Without a model: largest change of each mode's shape since the baseline.",
+    "shape_change_std": "Its standard deviation.",
     "detectable_loss": "Smallest loss of each story that would have been seen; null where none would.",
     "misfit": "Goodness of fit of the change since the baseline; 1 is expected.",
     "temperature_degc": "Temperature, degC.",
@@ -64,7 +67,7 @@ WINDOW_KEYS: dict[str, str] = {
     "left_out_reasons": "What was wrong with each of them.",
     "skipped": "Why nothing was estimated; null where something was.",
 }
-"""Key of a window -> what it means; besides there are `level` and `stories` of the alarm. [none; definition]"""
+"""Key of a window -> what it means; besides there are `level`, `stories` and `changed` of the alarm. [none; definition]"""
 FINDING_KEYS = ("id", "t_ns", "from_ns", "reason", "verdict", "says", "causes")
 """Keys of a finding. [none; definition]"""
 _BULKY = ("floors", "ground", "spectrum")
@@ -310,7 +313,11 @@ def _window(line: Mapping[str, Any]) -> dict[str, Any]:
     kept = {key: line.get(key) for key in WINDOW_KEYS}
     if line["skipped"]:
         kept = {key: value for key, value in kept.items() if value not in (None, [])}
-    return {**_rounded(kept), "level": alarm.get("level"), "stories": alarm.get("stories") or []}
+    return {
+        **_rounded(kept),
+        "level": alarm.get("level"),
+        **{key: alarm.get(key) or [] for key in ("stories", "changed")},
+    }
 
 
 def _rounded(value: Any) -> Any:

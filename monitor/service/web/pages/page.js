@@ -92,7 +92,7 @@ function element(kind, text, attributes = {}) {
   return made;
 }
 const tag = (level) => element("span", level.replace("_", " "), { class: `tag ${level}` });
-const story = (j) => (j === null || j === 0 ? "whole structure" : (status.stories[j - 1] || `story ${j}`));
+const story = (j) => (!j ? "whole structure" : (status.stories[j - 1] || `story ${j}`));
 const capital = (text) => text.charAt(0).toUpperCase() + text.slice(1);
 
 function fill(place, ...items) { $(place).replaceChildren(...items); }
@@ -183,33 +183,32 @@ function draw() {
 }
 
 function drawLoss() {
-  const judged = rows.findLast((row) => row.ddi || row.stiffness_n_per_m);
-  const isLoss = $("quantity").value === "ddi";
-  const count = judged ? (judged.ddi || judged.stiffness_n_per_m).length : 0;
-  $("s-loss").hidden = rows.length > 0 && !judged && rows.some((row) => row.frequencies_hz);
-  $("h-loss").textContent = isLoss ? "Stiffness lost since the baseline" : "Stiffness";
-  const words = { true: "since the baseline", false: "against the structure file, as there is no baseline", null: "", undefined: "" };
-  $("loss-note").textContent = !rows.length ? "No window yet."
-    : `Line: estimate. Band: 95 % interval. ${isLoss && status.has_baseline === false ? `Loss ${words.false}. ` : ""}`
-      + (isLoss && known(status.alarm_loss) ? `Dashed: ${100 * status.alarm_loss} %, from which a confirmed loss is an alarm.` : "")
-      + (matched > rows.length ? ` ${rows.length} of ${matched} windows are drawn.` : "");
-  const [key, std, scale, unit] = isLoss ? ["ddi", "ddi_std", 100, "%"] : ["stiffness_n_per_m", "stiffness_std", 1, "N/m"];
-  const level = status.latest ? status.latest.level : null;
-  const limits = isLoss ? common(key, std, scale) : null;
+  const isModal = rows.some((row) => row.frequency_change), isLoss = !isModal && $("quantity").value === "ddi";
+  const [key, std, scale, unit] = isModal ? ["frequency_change", "frequency_change_std", 100, "%"]
+    : isLoss ? ["ddi", "ddi_std", 100, "%"] : ["stiffness_n_per_m", "stiffness_std", 1, "N/m"];
+  const judged = rows.findLast((row) => row[key]), count = judged ? judged[key].length : 0;
+  // A frequency goes with the square root of the stiffness: half the loss.
+  const limit = !known(status.alarm_loss) ? null : isModal ? -50 * status.alarm_loss : isLoss ? 100 * status.alarm_loss : null;
+  const limits = isModal || isLoss ? common(key, std, scale, limit) : null;
+  $("s-loss").hidden = !judged && rows.some((row) => row.frequencies_hz);
+  $("pick-quantity").hidden = isModal;
+  $("h-loss").textContent = isModal ? "Change of the natural frequencies since the baseline" : isLoss ? "Stiffness lost since the baseline" : "Stiffness";
+  $("loss-note").textContent = !rows.length ? "No window yet." : "Line: estimate. Band: 95 % interval."
+    + (isLoss && status.has_baseline === false ? " There is no baseline: the loss is that against the structure file." : "")
+    + (limits && limit ? ` Dashed: ${number(limit)} %, from which a confirmed ${isModal ? "change" : "loss"} is an alarm.` : "")
+    + (matched > rows.length ? ` ${rows.length} of ${matched} windows are drawn.` : "");
+  const { level = null, stories = [], changed = [] } = status.latest || {};
+  const detectable = isLoss && status.judged && status.judged.detectable_loss;
   const list = [];
   for (let j = 0; j < count; j++) {
-    const latest = rows.findLast((row) => row[key] && known(row[key][j]));
-    const [caption, first, second] = captionOf(capital(story(j + 1)), latest ? pair(latest[key][j], latest[std] && latest[std][j], unit, scale, isLoss ? 1 : 0) : "not known");
-    if (isLoss) {
-      const stands = level && level !== "normal" && (status.latest.stories.includes(j + 1) || status.latest.stories.includes(0));
-      const detectable = status.judged && status.judged.detectable_loss ? status.judged.detectable_loss[j] : null;
-      if (stands) first.append(" ", tag(level));
-      if (known(detectable)) second.textContent = `a loss of ${number(100 * detectable, 2)} % would be seen`;
-      else if (status.judged && status.judged.detectable_loss) second.textContent = "a loss would not be seen";
-    }
+    const name = isModal ? `mode ${j + 1}` : story(j + 1), latest = rows.findLast((row) => row[key] && known(row[key][j]));
+    const [caption, first, second] = captionOf(capital(name), latest ? pair(latest[key][j], latest[std] && latest[std][j], unit, scale, scale === 100 ? 1 : 0) : "not known");
+    const stands = level && level !== "normal" && (isModal ? changed.some((part) => part.endsWith(name)) : stories.includes(j + 1));
+    if (stands) first.append(" ", tag(level));
+    else if (detectable) second.textContent = known(detectable[j]) ? `a loss of ${number(100 * detectable[j], 2)} % would be seen` : "a loss would not be seen";
     list.push([caption, rows.map((row) => (row[key] ? row[key][j] : null)), rows.map((row) => (row[std] ? row[std][j] : null)), scale, unit, limits]);
   }
-  place("loss", list, isLoss && known(status.alarm_loss) ? 100 * status.alarm_loss : null);
+  place("loss", list, limits ? limit : null);
 }
 
 function captionOf(name, text) {
@@ -219,20 +218,19 @@ function captionOf(name, text) {
   return [caption, first, second];
 }
 
-function common(key, std, scale) {
-  let low = Infinity, high = -Infinity;
+function common(key, std, scale, limit) {
+  let low = Math.min(-1, limit || 0), high = Math.max(0, limit || 0);
   for (const row of rows) (row[key] || []).forEach((value, j) => {
     if (!known(value)) return;
     const half = row[std] && known(row[std][j]) ? SIGMAS * row[std][j] : 0;
     low = Math.min(low, scale * (value - half));
     high = Math.max(high, scale * (value + half));
   });
-  if (!Number.isFinite(low)) return null;
-  const pad = 0.05 * (high - low || 1);
-  return [Math.min(low - pad, -1), Math.max(high + pad, known(status.alarm_loss) ? 110 * status.alarm_loss : 0)];
+  const pad = 0.07 * (high - low);
+  return [low - pad, high + pad];
 }
 
-const modeNames = (row) => row.model_modes || (row.mode_tracks || []).map((k) => k + 1);
+const modeNames = (row) => row.model_modes || [];
 
 function drawModes() {
   const names = new Set();
@@ -316,8 +314,8 @@ function dashed(chart, value, colour) {
 
 async function showAlarms() {
   const { alarms } = await ask("alarms");
-  table("alarms", ["Level", "Where", "Lost", "Since", "Until"], alarms.map((a) => [
-    tag(a.level), story(a.story), known(a.ddi) ? pair(a.ddi, a.ddi_std, "%", 100, 1) : "–",
+  table("alarms", ["Level", "Where", alarms.some((a) => known(a.change)) ? "Change" : "Lost", "Since", "Until"], alarms.map((a) => [
+    tag(a.level), story(a.story || a.part), known(a.ddi) ? pair(a.ddi, a.ddi_std, "%", 100, 1) : known(a.change) ? pair(a.change, a.change_std, "%", 100, 1) : "–",
     utc(a.t_first_ns), a.t_last_ns ? utc(a.t_last_ns) : "lasts",
   ]), "No alarm so far.");
 }
