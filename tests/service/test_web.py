@@ -11,6 +11,7 @@ import time
 import urllib.error
 import urllib.request
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -246,7 +247,7 @@ def test_data_need_the_token_in_the_header_and_pages_hold_none() -> None:
 def test_without_a_token_a_name_from_elsewhere_is_refused() -> None:
     """Else a page from elsewhere could give its name this machine's address, and read."""
     ask = asking(filled())
-    for host in ("127.0.0.1", "localhost:8080", "[::1]:8080", "127.0.0.1:1"):
+    for host in ("127.0.0.1", "localhost:8080", "[::1]:8080", "[::1]", "127.0.0.2:1"):
         assert ask("/api/v1/status", Host=host)[0] == 200
     for host in ("evil.example", "evil.example:8080", "", "127.0.0.1.evil.example:8080"):
         assert ask("/api/v1/status", Host=host)[0] == 403
@@ -491,6 +492,22 @@ def test_a_page_that_hangs_costs_the_main_thread_nothing(page: WebPage, monkeypa
     assert page.dropped >= 9
     go_on.set()
     until(lambda: not page._waiting, "it goes on")
+
+
+def test_readers_that_hang_do_not_hold_up_the_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(outlet, "_BOUNDS", replace(outlet._BOUNDS, connection_s=3600.0))
+    one = WebPage("bench", ("127.0.0.1", 0), None, tmp_path)
+    assert one.url is not None and one._server is not None
+    port = int(one.url.rstrip("/").rpartition(":")[2])
+    held = [socket.create_connection(("127.0.0.1", port), 30.0) for _ in range(4)]
+    for k, connection in enumerate(held):
+        connection.sendall(b"GET /uplot.js HTTP/1.1\r\n" + (b"Host: localhost\r\n\r\n" if k % 2 else b""))
+    server = one._server
+    until(lambda: len(server._serving) >= 2, "the connections are open")
+    one.close(60.0)
+    assert not any(thread.name == "http" for thread in threading.enumerate())
+    for connection in held:
+        connection.close()
 
 
 def test_a_port_that_is_taken_is_told_and_tried_again(

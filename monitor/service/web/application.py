@@ -17,6 +17,7 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from monitor.config import security_check
 from monitor.service.web.description import describe
 from monitor.service.web.snapshots import DEFAULT_LIMIT, MOST_IN_ANSWER, Answer, Snapshots
 
@@ -46,7 +47,6 @@ _HEADERS = {
 _ZIP_LEVEL = 1
 """Level of compression. [1; cost: the fastest]"""
 _LARGEST_NS = (1 << 63) - 1
-_LOCAL = {"127.0.0.1", "localhost", "::1"}
 
 
 def make_application(snapshots: Snapshots, token: str | None) -> Starlette:
@@ -102,7 +102,7 @@ class _Guard:
         if self._token is None:
             host = headers.get("host", "")
             name = host.rpartition(":")[0] if not host.endswith("]") and ":" in host else host
-            if name.strip("[]") in _LOCAL:
+            if security_check.is_loopback(name):
                 return None
             return _error(403, "without a token the page is read under the names 127.0.0.1 and localhost only")
         if not str(scope["path"]).startswith(f"{API}/"):

@@ -96,6 +96,10 @@ def _schemas() -> dict[str, Any]:
     status: dict[str, Any] = {
         "site": {"type": "string", "description": "Name of the site."},
         "version": {"type": "string", "description": "Version of shm-monitor."},
+        "begun_ns": {
+            "type": "integer",
+            "description": "When the page began to be served; another one: `revisions` count anew.",
+        },
         "state": {"type": "string", "enum": [state.value for state in State]},
         "headline": {"type": "string", "description": "The state in one sentence."},
         "doubts": {"type": "array", "items": {"type": "string"}, "description": "What else holds."},

@@ -97,7 +97,7 @@ class Snapshots:
     def __init__(self, site: str, clock: Callable[[], float] = time.monotonic) -> None:
         self._site, self._clock = site, clock
         self._lock = threading.Lock()
-        self._begun = time.time_ns()  # so that no tag of an earlier run is taken for one of this run
+        self._begun = time.time_ns()  # in every tag, so that none of an earlier run is taken for one of this run
         self._revisions = dict.fromkeys(("status", "windows", "events", "findings", "alarms", "sensors"), 0)
         self._assessment = Assessment(State.NOT_JUDGED, "No window of data yet.")
         self._windows: list[tuple[int, bytes]] = []
@@ -188,6 +188,7 @@ class Snapshots:
             content = {
                 "site": self._site,
                 "version": __version__,
+                "begun_ns": self._begun,
                 **shown.content,
                 "monitor": "starting" if not health else "silent" if silent else "running",
                 "troubles": [f"{name}: {why}" for name, why in (troubles | (health.get("failed") or {})).items()],

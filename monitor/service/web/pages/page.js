@@ -33,7 +33,9 @@ async function refresh() {
   if (busy) return;
   busy = true;
   try {
-    status = await ask("status");
+    const fresh = await ask("status");
+    if (status && fresh.begun_ns !== status.begun_ns) seen = {}; // started anew: it counts anew
+    status = fresh;
     heard = Date.now();
     $("login").hidden = true;
     $("shown").hidden = false;
