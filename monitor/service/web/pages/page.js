@@ -4,12 +4,13 @@
 const EVERY_MS = 5000;      // between two questions for the status
 const LATE_MS = 20000;      // without an answer: what is shown may be out of date
 const POINTS = 1000;        // of a chart, at most
+const GAP_STEPS = 5;        // a step in time so many times longer than those about it is a gap
 const SIGMAS = 1.96;        // half width of a 95 % interval
 const RANGES = [["6 hours", 6 * 3600], ["day", 86400], ["week", 7 * 86400], ["all", Infinity]];
 const SIGNS = { normal: "✓", not_judged: "?", advisory: "!", doubtful: "?!", warning: "!", alarm: "▲" };
 const $ = (id) => document.getElementById(id);
 
-let status = null, rows = [], matched = 0, range = RANGES[1][1], heard = 0, charts = [], busy = false;
+let status = null, rows = [], drawn = [], matched = 0, range = RANGES[1][1], heard = 0, charts = [], busy = false;
 let seen = {}, etags = {};
 
 /* ---- asking ---- */
@@ -134,7 +135,10 @@ function showState() {
   const headline = late ? `The monitor has not answered since ${clock}. Before: ${status.headline}` : status.headline;
   if ($("word").textContent !== word) $("word").textContent = word;
   if ($("headline").textContent !== headline) $("headline").textContent = headline;
-  fill("doubts", ...(late ? [] : status.doubts).map((text) => element("li", text)));
+  const doubts = late ? [] : status.doubts;
+  if (doubts.join() !== [...$("doubts").children].map((item) => item.textContent).join()) { // else it would be read out again
+    fill("doubts", ...doubts.map((text) => element("li", text)));
+  }
   document.title = `${word}: ${status.site}`;
   $("version").textContent = `shm-monitor ${status.version}`;
   const facts = [
@@ -177,9 +181,20 @@ async function showWindows() {
   draw();
 }
 
+/* Puts a row without values where windows are missing: a step in time far longer than those about it. */
+function withGaps(all) {
+  const steps = all.slice(1).map((row, i) => row.t_end_ns - all[i].t_end_ns);
+  return all.flatMap((row, i) => {
+    const about = steps.slice(Math.max(0, i - 4), i + 3).sort((a, b) => a - b);
+    const isGap = i > 0 && steps[i - 1] > GAP_STEPS * about[about.length >> 1];
+    return isGap ? [{ t_end_ns: row.t_end_ns - steps[i - 1] / 2, skipped: "no data" }, row] : [row];
+  });
+}
+
 function draw() {
   for (const chart of charts) chart.destroy();
   charts = [];
+  drawn = withGaps(rows);
   drawLoss();
   drawModes();
 }
@@ -208,7 +223,7 @@ function drawLoss() {
     const stands = level && level !== "normal" && (isModal ? changed.some((part) => part.endsWith(name)) : stories.includes(j + 1));
     if (stands) first.append(" ", tag(level));
     else if (detectable) second.textContent = known(detectable[j]) ? `a loss of ${number(100 * detectable[j], 2)} % would be seen` : "a loss would not be seen";
-    list.push([caption, rows.map((row) => (row[key] ? row[key][j] : null)), rows.map((row) => (row[std] ? row[std][j] : null)), scale, unit, limits]);
+    list.push([caption, drawn.map((row) => (row[key] ? row[key][j] : null)), drawn.map((row) => (row[std] ? row[std][j] : null)), scale, unit, limits]);
   }
   place("loss", list, limits ? limit : null);
 }
@@ -245,7 +260,7 @@ function drawModes() {
     const [caption, , second] = captionOf(`Mode ${name}`, pair(pick(latest, "frequencies_hz"), pick(latest, "frequencies_std_hz"), "Hz"));
     const damping = pick(latest, "damping_ratio");
     if (known(damping)) second.textContent = `damping ${pair(damping, pick(latest, "damping_std"), "%", 100)}`;
-    list.push([caption, rows.map((row) => pick(row, "frequencies_hz")), rows.map((row) => pick(row, "frequencies_std_hz")), 1, "Hz", null]);
+    list.push([caption, drawn.map((row) => pick(row, "frequencies_hz")), drawn.map((row) => pick(row, "frequencies_std_hz")), 1, "Hz", null]);
   }
   $("modes-note").textContent = list.length ? "Line: estimate. Band: 95 % interval. A gap: no estimate." : "No modes yet.";
   place("modes", list, null);
@@ -254,7 +269,7 @@ function drawModes() {
 function place(where, list, threshold) {
   const style = getComputedStyle(document.documentElement), colour = (name) => style.getPropertyValue(name).trim();
   fill(where);
-  const times = rows.map((row) => row.t_end_ns / 1e9);
+  const times = drawn.map((row) => row.t_end_ns / 1e9);
   for (const [caption, values, stds, scale, unit, limits] of list) {
     const figure = element("figure"), box = element("div", null, { role: "img", "aria-label": `${caption.textContent}; over time from ${utc(rows[0].t_end_ns)} to ${utc(rows[rows.length - 1].t_end_ns)} UTC` });
     const second = caption.lastChild, usual = second.textContent;
@@ -285,7 +300,7 @@ function place(where, list, threshold) {
 }
 
 function cursorText(i, values, stds, scale, unit) {
-  return known(i) && rows[i] ? `${utc(rows[i].t_end_ns, true)} UTC: ${known(values[i]) ? pair(values[i], stds[i], unit, scale) : rows[i].skipped || "no estimate"}` : "";
+  return known(i) && drawn[i] ? `${utc(drawn[i].t_end_ns, true)} UTC: ${known(values[i]) ? pair(values[i], stds[i], unit, scale) : drawn[i].skipped || "no estimate"}` : "";
 }
 
 function timeLabels(_, ticks) {
