@@ -313,6 +313,7 @@ class Daemon(Publisher):
         self._line_writer.do("free space", self._vitals.look_at_disk)
         line = self._vitals.line(span, self.reader, self._recording.health(), self._outputs())
         line["ledger_head"] = self._requests.head
+        line["web"] = next((outlet.url for outlet in self._outlets if outlet.url), None)
         for name in line["failed"].keys() - self._failed:
             _log.warning("blocked: %s: %s", name, line["failed"][name])
         self._failed = set(line["failed"])

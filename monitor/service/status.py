@@ -95,6 +95,7 @@ def look(out: Path) -> dict[str, Any]:
         "silent_s": age_s,
         "summary": summary,
         "health": health,
+        "web": (health or {}).get("web") if is_running else None,
         "result": result,
         "event": _last_line(out / EVENTS, _read_event),
         "ledger_head": ledger_chain.read_head(out / ledger.LEDGER),
@@ -139,7 +140,7 @@ def exit_code(state: State, troubles: Collection[str]) -> int:
 
 
 def tell(status: dict[str, Any]) -> str:
-    """Format the status of a daemon in ten lines, and one of doubts where there are any; the state stands first."""
+    """Format the status of a daemon in ten lines, the state first; doubts and the page's address have one more each."""
     summary, health, result = (status[k] or {} for k in ("summary", "health", "result"))
     source, recorder, quality = (
         d or {} for d in (health.get("source"), health.get("recorder"), summary.get("quality"))
@@ -157,8 +158,9 @@ def tell(status: dict[str, Any]) -> str:
         "recorder": lambda: _recorder(recorder, health),
         "findings": lambda: _findings(summary.get("findings") or []),
         "event": lambda: last_event(status["event"]) or "none",
+        "web": lambda: str(status["web"]),
     }
-    rows = [(name, _readable(make)) for name, make in makers.items() if name != "doubts" or status["doubts"]]
+    rows = [(n, _readable(make)) for n, make in makers.items() if n not in {"doubts", "web"} or status.get(n)]
     return "\n".join(f"{name:<9} {text}" for name, text in rows)
 
 

@@ -23,6 +23,8 @@ class Outlet(Publisher):
         The present state of the structure.
     """
 
+    url: str | None = None
+    """Address at which people read it; None of one that has none, or does not listen."""
     present = Assessment(State.NOT_JUDGED, "No window of data yet.")
 
     @property
