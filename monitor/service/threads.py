@@ -36,10 +36,14 @@ class BlockQueue(Generic[T]):
         Largest number of items.
     most_bytes : int
         Largest size of the samples of all blocks, bytes.  A single block of any size fits an empty queue.
+    changed : callable
+        Called when an item was appended or the queue was closed, so that one thread can wait for many queues.
     """
 
-    def __init__(self, most_blocks: int = 1024, most_bytes: int = 8 << 20) -> None:
-        self._most_blocks, self._most_bytes = most_blocks, most_bytes
+    def __init__(
+        self, most_blocks: int = 1024, most_bytes: int = 8 << 20, changed: Callable[[], None] = lambda: None
+    ) -> None:
+        self._most_blocks, self._most_bytes, self._tell = most_blocks, most_bytes, changed
         self._items: deque[tuple[T, float]] = deque()
         self._bytes = 0
         self._closed = self._unbounded = False
@@ -85,6 +89,13 @@ class BlockQueue(Generic[T]):
         with self._changed:
             self._closed = True
             self._changed.notify_all()
+        self._tell()
+
+    @property
+    def first_s(self) -> float | None:
+        """Time of arrival of the next block (monotonic clock, s); None if no block waits."""
+        with self._changed:
+            return self._items[0][1] if self._items else None
 
     @property
     def over(self) -> bool:
@@ -99,6 +110,7 @@ class BlockQueue(Generic[T]):
         self._items.append((block, arrived_s))
         self._bytes += _size(block)
         self._changed.notify_all()
+        self._tell()
 
     def _has_room(self, size: int) -> bool:
         fits = len(self._items) < self._most_blocks and self._bytes + size <= self._most_bytes
