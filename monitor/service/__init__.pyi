@@ -1,6 +1,7 @@
 from . import export, fleet, logs, outlets, status
 from .daemon import Daemon
 from .fleet_view import FleetView, text
+from .host import Host
 from .outlets.inbox import leave_request
 from .outlets.zenoh import ZenohOutSettings, ask, key_prefix
 from .requests import Request
@@ -8,6 +9,7 @@ from .requests import Request
 __all__ = [
     "Daemon",
     "FleetView",
+    "Host",
     "Request",
     "ZenohOutSettings",
     "ask",

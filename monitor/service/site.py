@@ -8,7 +8,6 @@ from __future__ import annotations
 import json
 import logging
 import os
-import threading
 import time
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
@@ -35,7 +34,7 @@ from monitor.service.outlets import Outlet, make_outlets
 from monitor.service.reload import Reloaded, reread
 from monitor.service.request_handler import RequestHandler
 from monitor.service.storage import ResultsFile, Storage
-from monitor.service.threads import Chores, Reader, Recording
+from monitor.service.threads import BlockQueue, Chores, Reader, Recording, background
 from monitor.signals import Health
 
 if TYPE_CHECKING:
@@ -73,6 +72,8 @@ class Site(Publisher):
         Seconds of a clock that never goes back.
     quiet_s : float
         Interval between health lines while no data arrive, and shortest interval between summaries, s.
+    queue : BlockQueue, optional
+        Queue of the reader's blocks; a new one by default.
     warm : callable
         Compiles what the windows of a configuration and its baseline need.
     viewer : bool
@@ -96,6 +97,7 @@ class Site(Publisher):
         *,
         clock: Callable[[], float] = time.monotonic,
         quiet_s: float = 10.0,
+        queue: BlockQueue[SampleBlock] | None = None,
         warm: Callable[[Configuration, Baseline | None], object],
         viewer: bool = True,
     ) -> None:
@@ -137,7 +139,7 @@ class Site(Publisher):
             if source is None:
                 assert settings.source is not None
                 source = configuration.make_source(settings.source, SourceContext(settings.channels, folder, known_ns))
-            self.reader = Reader(source)
+            self.reader = Reader(source, queue)
             self._bounds = configuration.make_bounds(settings.source)
             undo.pop_all()
 
@@ -191,7 +193,7 @@ class Site(Publisher):
             except Exception:  # noqa: BLE001 - what is not compiled now is compiled when it is needed
                 _log.warning("not all is compiled before the first window", exc_info=True)
 
-        thread = threading.Thread(target=work, name="warm-up", daemon=True)
+        thread = background(work, "warm-up")
         thread.start()
         while thread.is_alive():
             thread.join(self._quiet_s)

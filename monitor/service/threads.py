@@ -8,6 +8,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from contextvars import copy_context
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -25,6 +26,11 @@ _MOST_TEXT = 300
 
 
 T = TypeVar("T")
+
+
+def background(work: Callable[[], None], name: str) -> threading.Thread:
+    """Create a thread that knows the site for whose work it is created (`monitor.service.logs`), and ends with the process."""
+    return threading.Thread(target=copy_context().run, args=(work,), name=name, daemon=True)
 
 
 class BlockQueue(Generic[T]):
@@ -157,7 +163,7 @@ class Reader:
         self._received = 0
         self._busy = Busy()
         self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._work, name="reader", daemon=True)
+        self._thread = background(self._work, "reader")
 
     @property
     def failed(self) -> str | None:
@@ -254,7 +260,7 @@ class Recording:
         self._queue: BlockQueue[SampleBlock | Job] = BlockQueue(4096, 64 << 20)
         self._busy = Busy()
         self.dropped, self._losing = 0, False
-        self._thread = threading.Thread(target=self._work, name="recorder", daemon=True)
+        self._thread = background(self._work, "recorder")
         self._thread.start()
 
     def health(self) -> RecorderHealth | None:
@@ -342,7 +348,7 @@ class Chores:
         self._changed = threading.Condition()
         self._closed = False
         self._busy = Busy()
-        self._thread = threading.Thread(target=self._work, name=name, daemon=True)
+        self._thread = background(self._work, name)
         self._thread.start()
 
     def do(self, name: str, job: Callable[[], None]) -> None:

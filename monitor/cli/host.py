@@ -1,0 +1,41 @@
+"""Command `host`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from monitor.cli.common import address
+
+
+def host(
+    places: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="SITE.toml...|DIR",
+            help="Site files; or a folder, of which each *.toml is a site while it is there.",
+        ),
+    ],
+    metrics: Annotated[
+        str | None,
+        typer.Option(metavar="HOST:PORT", help="Answer Prometheus here for all sites, as 127.0.0.1:9464."),
+    ] = None,
+) -> None:
+    """Monitor many sites in one process, each as `run` would.
+
+    Fills each site's [output] dir.  A site that cannot start or fails is told by its name and tried again; the others run on.
+    Prints READY on standard error when every site's source is open or it was told why not.  Ends on SIGTERM; or, of files alone,
+    when all sources have ended.
+    """
+    from monitor.config import LogSettings
+    from monitor.core import MissingInputError
+    from monitor.service import Host, logs
+
+    for place in places:
+        if not place.exists():
+            raise MissingInputError(f"{place}: there is no such file or folder")
+    served = address(metrics, "--metrics", any_port=True)
+    logs.begin(LogSettings(), "host")
+    Host(places, served).run()
