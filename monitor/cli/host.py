@@ -18,6 +18,9 @@ def host(
             help="Site files; or a folder, of which each *.toml is a site while it is there.",
         ),
     ],
+    workers: Annotated[
+        int, typer.Option(min=1, max=256, help="Processes over which the sites are spread: one a core at most.")
+    ] = 1,
     metrics: Annotated[
         str | None,
         typer.Option(metavar="HOST:PORT", help="Answer Prometheus here for all sites, as 127.0.0.1:9464."),
@@ -31,11 +34,12 @@ def host(
     """
     from monitor.config import LogSettings
     from monitor.core import MissingInputError
-    from monitor.service import Host, logs
+    from monitor.service import Host, HostWorkers, logs
 
     for place in places:
         if not place.exists():
             raise MissingInputError(f"{place}: there is no such file or folder")
     served = address(metrics, "--metrics", any_port=True)
     logs.begin(LogSettings(), "host")
-    Host(places, served).run()
+    service = Host(places, served) if workers == 1 else HostWorkers(places, workers, served)
+    service.run()

@@ -5,6 +5,7 @@ from .archive.reprocess import reprocess
 from .emulate import send_all
 from .event_recordings import EventRecordings
 from .importers import import_files
+from .online_diagnosis import RecentBlocks, longest_diagnosis_s
 from .recordings import Progress, duration_s
 from .session import Session, SessionState
 from .viewer import open_viewer
@@ -14,6 +15,7 @@ __all__ = [
     "WINDOWS",
     "EventRecordings",
     "Progress",
+    "RecentBlocks",
     "Session",
     "SessionState",
     "calibrate",
@@ -25,6 +27,7 @@ __all__ = [
     "import_files",
     "ledger",
     "ledger_chain",
+    "longest_diagnosis_s",
     "open_viewer",
     "paper_tables",
     "replay",

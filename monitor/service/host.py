@@ -433,7 +433,13 @@ class Host:
             place.queue = BlockQueue(_MOST_BLOCKS, _MOST_BYTES, lambda: self._tell_arrival(place))
             outlets: tuple[Outlet, ...] = () if self.metrics is None else (self.metrics.outlet(place.name),)
             site = Site(
-                place.path, outlets=outlets, clock=self._clock, queue=place.queue, warm=self._warm_up, viewer=False
+                place.path,
+                outlets=outlets,
+                clock=self._clock,
+                queue=place.queue,
+                warm=self._warm_up,
+                lean=True,
+                viewer=False,
             )
         except UserError as error:
             says = str(error)

@@ -24,13 +24,14 @@ from monitor.damage import Assessment, Baseline, load_baseline, outdated, utc
 from monitor.events import Event
 from monitor.pipeline import Result
 from monitor.publish import EVENTS, Publisher, current_alarm_line, episode_content, to_json
-from monitor.runs import EventRecordings, Progress, Session, duration_s, ledger
+from monitor.runs import EventRecordings, Progress, Session, duration_s, ledger, longest_diagnosis_s
 from monitor.service import restart
 from monitor.service.appended_lines import AppendedLines
 from monitor.service.daemon_health import Vitals, Way, failures, plain
 from monitor.service.events_file import EventsFile
 from monitor.service.history import History
 from monitor.service.outlets import Outlet, make_outlets
+from monitor.service.recorded_blocks import RecordedBlocks
 from monitor.service.reload import Reloaded, reread
 from monitor.service.request_handler import RequestHandler
 from monitor.service.storage import ResultsFile, Storage
@@ -76,6 +77,8 @@ class Site(Publisher):
         Queue of the reader's blocks; a new one by default.
     warm : callable
         Compiles what the windows of a configuration and its baseline need.
+    lean : bool
+        Whether a diagnosis reads its data from the recordings, where these are written, so that none are kept in memory for it.
     viewer : bool
         Whether Rerun viewers are served where the site file says so.
 
@@ -99,9 +102,10 @@ class Site(Publisher):
         quiet_s: float = 10.0,
         queue: BlockQueue[SampleBlock] | None = None,
         warm: Callable[[Configuration, Baseline | None], object],
+        lean: bool = False,
         viewer: bool = True,
     ) -> None:
-        self._clock, self._quiet_s, self._warm, self._served = clock, quiet_s, warm, viewer
+        self._clock, self._quiet_s, self._warm, self._served, self._lean = clock, quiet_s, warm, viewer, lean
         self.settings = settings = configuration.load(path)
         folder = path.resolve().parent
         if source is None and settings.source is None:
@@ -177,8 +181,12 @@ class Site(Publisher):
         publishers = (self,) if self._view is None else (self, self._view)
         findings = self.out / "findings" / f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}"
         recordings = EventRecordings(self.out, settings.events, partial(self._chores.do, "events"))
+        store = None
+        if self._lean and settings.recorder.enabled:
+            store = RecordedBlocks(self.out / "recordings", self._recording, longest_diagnosis_s(settings))
+        files = self._path, healthy_path
         self._begin = partial(
-            Session, settings, healthy, publishers, (self._path, healthy_path), findings, recordings=recordings
+            Session, settings, healthy, publishers, files, findings, recordings=recordings, store=store
         )
         spans = settings.processing.hop_s, settings.health.span_s
         self._history = History(self.out / "state" / "history.db", settings.state, *spans)
