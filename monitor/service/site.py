@@ -52,6 +52,8 @@ _TIDY_S = 60.0
 _CHECK_S = 1.0
 """Interval at which the outputs are asked whether they fail, so that a line of health tells a failure soon. [s; judgement]"""
 _LATEST = 50
+_LEAN_POLL_S = 1.0
+"""Longest wait of a reader for a block where threads of many sites share the processor. [s; judgement: below `_STOP_S`]"""
 _HEALTH_FILE_BYTES = 16 << 20
 
 
@@ -78,7 +80,8 @@ class Site(Publisher):
     warm : callable
         Compiles what the windows of a configuration and its baseline need.
     lean : bool
-        Whether a diagnosis reads its data from the recordings, where these are written, so that none are kept in memory for it.
+        Whether memory and processor are spared for other sites in the process: a diagnosis then reads its data from the
+        recordings, where these are written, and the reader looks up less often.
     viewer : bool
         Whether Rerun viewers are served where the site file says so.
 
@@ -143,7 +146,7 @@ class Site(Publisher):
             if source is None:
                 assert settings.source is not None
                 source = configuration.make_source(settings.source, SourceContext(settings.channels, folder, known_ns))
-            self.reader = Reader(source, queue)
+            self.reader = Reader(source, queue, _LEAN_POLL_S) if self._lean else Reader(source, queue)
             self._bounds = configuration.make_bounds(settings.source)
             undo.pop_all()
 

@@ -136,6 +136,8 @@ class Reader:
         Source to read, not yet open.
     queue : BlockQueue, optional
         Queue for the blocks; a new one by default.
+    poll_s : float
+        Longest wait for a block before the thread looks whether it is to stop, s.
 
     Attributes
     ----------
@@ -153,8 +155,8 @@ class Reader:
         Reason of the latest loss; empty while the source is open.
     """
 
-    def __init__(self, source: Source, queue: BlockQueue[SampleBlock] | None = None) -> None:
-        self.source = source
+    def __init__(self, source: Source, queue: BlockQueue[SampleBlock] | None = None, poll_s: float = _POLL_S) -> None:
+        self.source, self._poll_s = source, poll_s
         self.queue: BlockQueue[SampleBlock] = BlockQueue() if queue is None else queue
         self.opened = self.ended = False
         self.failure: Exception | None = None
@@ -226,7 +228,7 @@ class Reader:
         self.error = ""
         while not self._stop.is_set():
             with self._busy:
-                block = self.source.read(_POLL_S)
+                block = self.source.read(self._poll_s)
             if block is not None:
                 self._received += 1
                 self.queue.put(block)

@@ -162,3 +162,55 @@ def test_sites_go_on_from_their_checkpoints(bench: Path, frame_text: str) -> Non
         assert equal(bench, folder, f"s{k}")
         assert alarms(folder, f"s{k}") == alarms(bench / "run", f"s{k}")
     assert os.listdir(folder / "out-s0" / "recordings")
+
+
+def children(host: Command) -> list[int]:
+    pid = host.process.pid
+    return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+
+
+def test_a_worker_that_is_killed_is_started_again_and_its_sites_go_on(bench: Path, frame_text: str) -> None:
+    folder, port = bench / "workers", free_port()
+    paths = [site(folder, frame_text, f"s{k}", f"r{k}", "speed = 8.0") for k in range(3)]
+    host = Command(folder / "host.log", "host", *paths, "--workers", 2, "--metrics", f"127.0.0.1:{port}")
+    try:
+        host.wait_for("READY")
+        first = children(host)
+        assert len(first) == 2
+        until(lambda: all(results(folder, f"s{k}") for k in range(3)), "a window of each")
+        with urllib.request.urlopen(f"http://127.0.0.1:{port}/metrics") as answer:
+            metrics = answer.read().decode()
+        assert all(f'shm_windows_total{{site="s{k}"}}' in metrics for k in range(3))
+        os.kill(first[0], signal.SIGKILL)
+        until(lambda: len(children(host)) == 2 and children(host) != first, "another process")
+        host.finish(60.0)
+    finally:
+        host.kill()
+    for k in range(3):
+        assert equal(bench, folder, f"s{k}")
+        assert alarms(folder, f"s{k}") == alarms(bench / "run", f"s{k}")
+
+
+def test_workers_end_in_order_on_sigterm_and_with_their_parent(bench: Path, frame_text: str) -> None:
+    folder = bench / "ended"
+    site(folder, frame_text, "s0", "r0", "speed = 1.0")
+    site(folder, frame_text, "s1", "r1", "speed = 1.0")
+    for number in (signal.SIGTERM, signal.SIGKILL):
+        host = Command(folder / "host.log", "host", folder, "--workers", 2)
+        try:
+            host.wait_for("READY")
+            workers = children(host)
+            code, seconds = host.stop(number)
+            assert code == (0 if number is signal.SIGTERM else -number) and seconds < 40.0
+            until(lambda workers=workers: not any(map(lives, workers)), "no process is left")
+        finally:
+            host.kill()
+        assert (folder / "out-s0" / "state" / "checkpoint").exists()
+
+
+def lives(pid: int) -> bool:
+    """Whether a process runs: one whose parent was killed may stay as a zombie where nobody waits for it."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
