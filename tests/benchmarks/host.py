@@ -272,14 +272,14 @@ def _waits(sites: int, plain_s: float, window_s: float, hops: int = 6) -> dict[s
     empty = np.zeros((1, 1), np.float32)
     line, now_s, waits = Line(), 0.0, []
     places = [Place(Path(f"{k}"), str(k), None, queue=BlockQueue(1 << 20)) for k in range(sites)]
-    clock = [0.0]
     for second in range(10 * hops):
-        clock[0] = float(second)
         for place in places:
             assert place.queue is not None
-            place.queue._append(SampleBlock(ACCELERATION, second, 0, 1.0, ("a",), "m/s^2", empty), clock[0])
+            block = SampleBlock(ACCELERATION, second, 0, 1.0, ("a",), "m/s^2", empty)
+            with place.queue._changed:  # as `put` does, at the time of the simulation
+                place.queue._append(block, float(second))
             line.join(place)
-        now_s = max(now_s, clock[0])
+        now_s = max(now_s, float(second))
         while (now_s < second + 1 or second == 10 * hops - 1) and (place := line.next()) is not None:
             assert place.queue is not None
             item = place.queue.take(0.0)
