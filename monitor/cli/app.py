@@ -56,6 +56,7 @@ for command in (
     run.run,
     run.warm,
     host.host,
+    host.dataset,
     emulate.emulate,
     report.report,
     operate.status,

@@ -1,4 +1,4 @@
-"""Command `host`."""
+"""Commands over many sites: host, dataset."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from monitor.cli.common import address
+from monitor.cli.common import Json, address, say
 
 
 def host(
@@ -43,3 +43,25 @@ def host(
     logs.begin(LogSettings(), "host")
     service = Host(places, served) if workers == 1 else HostWorkers(places, workers, served)
     service.run()
+
+
+def dataset(
+    places: Annotated[
+        list[Path], typer.Argument(metavar="SITE.toml...|DIR", help="Site files; or folders of them, as of 'host'.")
+    ],
+    out: Annotated[Path, typer.Option(metavar="DATASET", help="Folder of the dataset; months that stand are kept.")],
+    as_json: Json = False,
+) -> None:
+    """Write the results of many sites as one Parquet dataset, partitioned by site and month.
+
+    The sites may be running.  Times of day are UTC; the columns are those of 'reprocess'.
+    """
+    from monitor.core import MissingInputError
+    from monitor.service import dataset as datasets
+
+    for place in places:
+        if not place.exists():
+            raise MissingInputError(f"{place}: there is no such file or folder")
+    written = datasets.write_dataset(datasets.site_folders(places), out)
+    windows = sum(written.values())
+    say(f"{out}: {windows} windows of {len(written)} sites", {"out": str(out), "windows": written}, as_json)

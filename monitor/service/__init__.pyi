@@ -1,5 +1,6 @@
-from . import export, fleet, logs, outlets, status
+from . import dataset, export, fleet, logs, outlets, status
 from .daemon import Daemon
+from .fleet_page import page as fleet_page
 from .fleet_view import FleetView, text
 from .host import Host
 from .host_workers import HostWorkers
@@ -15,8 +16,10 @@ __all__ = [
     "Request",
     "ZenohOutSettings",
     "ask",
+    "dataset",
     "export",
     "fleet",
+    "fleet_page",
     "key_prefix",
     "leave_request",
     "logs",

@@ -20,7 +20,7 @@ from drivers.base import SourceError
 from drivers.zenoh_session import Key, SessionSettings, leave, open_session
 from monitor.config import read_toml
 from monitor.core import BadConfigurationError, MissingInputError, Settings, settings_problems
-from monitor.damage import Assessment, State, outdated
+from monitor.damage import Assessment, State, outdated, utc
 from monitor.service.status import ALARM, HEALTHY, TROUBLE, exit_code, read_assessment
 
 _MOST_BYTES = 1 << 20
@@ -70,11 +70,16 @@ class SiteStatus:
     """End of the latest window, UTC, ns since 1970."""
     silent_s: float | None = None
     """Time since the monitor's latest health line."""
+    availability: float | None = None
+    """Share of the samples that came in the latest span of health."""
+    event: str | None = None
+    """What the latest line of events.jsonl says; None without one."""
 
     @property
     def says(self) -> str:
-        """The headline, and what of the monitor does not work."""
-        return " ".join([self.headline, *(f"{trouble}." for trouble in self.troubles)])[:_MOST_TEXT]
+        """The headline, what of the monitor does not work, and the latest event."""
+        event = [] if self.event is None else [self.event]
+        return " ".join([self.headline, *(f"{trouble}." for trouble in self.troubles), *event])[:_MOST_TEXT]
 
     @property
     def content(self) -> dict[str, Any]:
@@ -211,7 +216,21 @@ def _parse_status(site: str, answer: Mapping[str, Any], now_ns: int, silent_s: f
         frequency_hz=None if frequencies[0] is None else float(frequencies[0]),
         t_end_ns=result.get("t_end_ns") and int(result["t_end_ns"]),
         silent_s=quiet_s,
+        availability=_share((health.get("stream") or {}).get("availability")),
+        event=_event(answer.get("event")),
     )
+
+
+def _share(value: Any) -> float | None:
+    return None if value is None else float(value)
+
+
+def _event(line: Mapping[str, Any] | None) -> str | None:
+    """Say the latest event in words."""
+    if line is None:
+        return None
+    verdict = line["verdict"] or "strong motion"
+    return f"Event of {utc(int(line['t_begin_ns']))} UTC: {verdict}."
 
 
 def _troubles(health: Mapping[str, Any]) -> list[str]:

@@ -10,6 +10,8 @@ import urllib.request
 from pathlib import Path
 
 import numpy as np
+import pyarrow.compute
+import pyarrow.dataset
 import pytest
 
 from drivers.mcap_file import McapWriter
@@ -162,6 +164,21 @@ def test_sites_go_on_from_their_checkpoints(bench: Path, frame_text: str) -> Non
         assert equal(bench, folder, f"s{k}")
         assert alarms(folder, f"s{k}") == alarms(bench / "run", f"s{k}")
     assert os.listdir(folder / "out-s0" / "recordings")
+
+
+def test_the_results_of_all_sites_are_one_dataset(bench: Path, frame_text: str, main: Cli) -> None:
+    folder, out = bench / "run", bench / "dataset"
+    done = main("dataset", folder, "--out", out, "--json")
+    assert done.returncode == 0, done.stderr
+    told = json.loads(done.stdout)["windows"]
+    table = pyarrow.dataset.dataset(out, partitioning="hive").to_table()
+    for name in ("s0", "s1", "s2"):
+        lines = [json.loads(line) for line in results(folder, name).splitlines()]
+        rows = table.filter(pyarrow.compute.field("site") == name)
+        assert told[name] == len(lines) == rows.num_rows
+        assert rows["ddi"].to_pylist() == [line["ddi"] for line in lines]
+        assert rows["alarm_level"].to_pylist() == [line["alarm"]["level"] for line in lines]
+    assert set(table["month"].to_pylist()) == {"2026-01"}
 
 
 def children(host: Command) -> list[int]:
