@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 import logging
+import resource
 import signal
 import sys
 import threading
@@ -197,6 +198,7 @@ class Host:
         """Monitor until SIGTERM or SIGINT arrives, or, where only files are named, until all sources have ended."""
         previous = {number: signal.signal(number, self._request_stop) for number in (signal.SIGTERM, signal.SIGINT)}
         previous[signal.SIGHUP] = signal.signal(signal.SIGHUP, self._request_reload)
+        _take_all_files()
         self._look()
         opener = threading.Thread(target=self._open_all, name="opener", daemon=True)
         opener.start()
@@ -526,6 +528,13 @@ class Host:
         self._stop(place)
         if place.is_over:
             self._over(place, "")
+
+
+def _take_all_files() -> None:
+    """Raise the number of files that this process may open to what it is allowed: a site has some ten."""
+    _, most = resource.getrlimit(resource.RLIMIT_NOFILE)
+    with suppress(OSError, ValueError):
+        resource.setrlimit(resource.RLIMIT_NOFILE, (most, most))
 
 
 def _stamp(path: Path) -> tuple[int, int] | None:
