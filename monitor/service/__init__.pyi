@@ -1,6 +1,6 @@
 from . import dataset, export, fleet, logs, outlets, status
 from .daemon import Daemon
-from .fleet_page import page as fleet_page
+from .fleet_html import fleet_page
 from .fleet_view import FleetView, text
 from .host import Host
 from .host_workers import HostWorkers

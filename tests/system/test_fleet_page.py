@@ -8,7 +8,7 @@ import pytest
 
 from monitor.damage import State
 from monitor.service.fleet import SiteStatus
-from monitor.service.fleet_page import page
+from monitor.service.fleet_html import fleet_page
 from tests.support.debian import demand
 from tests.system.test_browser import browser_tool
 
@@ -26,7 +26,7 @@ def sites(count: int) -> list[SiteStatus]:
 def test_ten_thousand_sites_are_filtered_and_sorted(tmp_path: Path) -> None:
     demand("chromium")
     file = tmp_path / "fleet.html"
-    file.write_text(page(sites(10_000), "Fleet", 10**18))
+    file.write_text(fleet_page(sites(10_000), "Fleet", 10**18))
     assert file.stat().st_size < 2e6
     with browser_tool().browser(1140, 800) as shown:
         shown.call("Page.navigate", url=file.as_uri())

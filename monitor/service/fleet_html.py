@@ -101,7 +101,7 @@ _HEAD = (
 )
 
 
-def page(statuses: Sequence[SiteStatus], title: str, at_ns: int) -> str:
+def fleet_page(statuses: Sequence[SiteStatus], title: str, at_ns: int) -> str:
     """Write the page of a fleet; only the rows in view are elements of it, so that ten thousand sites are drawn at once.
 
     Parameters
