@@ -26,10 +26,10 @@ _log = logging.getLogger(__name__)
 
 _TICK_S = 0.2
 """Longest wait for a word of a process. [s; judgement]"""
-_RETRY_S = (0.5, 60.0)
-"""First and longest pause before a process that died is started again. [s; judgement]"""
-_STEADY_S = 300.0
-"""Time after which a process that died had been well. [s; judgement]"""
+_RETRY_S = (0.5, 20.0)
+"""First and longest pause before a process that died is started again. [s; judgement: its sites go on within half a minute]"""
+_STEADY_S = 10.0
+"""Time after which a process that died had been well, so that another is started at once. [s; judgement: longer than a start]"""
 _SILENT_S = 120.0
 """Time without a word after which a process counts as hung, and is ended. [s; judgement: a window takes milliseconds]"""
 _END_S = 40.0
