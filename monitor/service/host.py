@@ -22,6 +22,7 @@ from enum import Enum
 from heapq import heappop, heappush
 from pathlib import Path
 
+from drivers.base import SampleBlock
 from monitor.config import Configuration, configuration
 from monitor.core import BadConfigurationError, UserError
 from monitor.damage import Baseline
@@ -76,7 +77,7 @@ class Place:
     """Time of change (ns) and size of the file when it was last looked at; None where it could not be."""
     state: State = State.WAITING
     site: Site | None = None
-    queue: BlockQueue | None = None  # type: ignore[type-arg]
+    queue: BlockQueue[SampleBlock] | None = None
     due_s: float = float("-inf")
     """When a waiting site is started."""
     pause_s: float = 0.0
@@ -237,7 +238,7 @@ class Host:
         is_stopping = False
         watchdog_s, notified_s = systemd.watchdog_s(), self._clock()
         while True:
-            if not self._line:
+            if not (self._line or self._is_step_due(self._clock())):
                 self._wake.wait(_TICK_S)
             self._wake.clear()
             while self._done:
@@ -313,10 +314,14 @@ class Host:
         self._line.spend(place, arrived_s, block.n_samples / block.sample_rate_hz, self._clock() - begun_s)
         self._go_on(place)
 
+    def _is_step_due(self, now: float) -> bool:
+        """Return whether it is time to look after a site."""
+        return bool(self._rounds) and now - self._rounds[0].stepped_s >= _STEP_S
+
     def _step(self, now: float) -> None:
         """Look after requests, health and summaries of the sites for which it is time."""
-        for _ in range(min(_STEPS, len(self._rounds))):
-            if now - self._rounds[0].stepped_s < _STEP_S:
+        for _ in range(_STEPS):
+            if not self._is_step_due(now):
                 return
             place = self._rounds.popleft()
             if place.site is None or place.queue is None:

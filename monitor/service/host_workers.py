@@ -54,7 +54,6 @@ class Worker:
     """Whether all its sources have ended."""
     port: int | None = None
     """Port of its metrics on the loopback address."""
-    deaths: int = 0
 
 
 class HostWorkers:
@@ -200,7 +199,6 @@ class HostWorkers:
         if code == 0 or self._stopping:
             worker.is_over = True
             return
-        worker.deaths += 1
         worker.pause_s = 0.0 if now - worker.begun_s > _STEADY_S else worker.pause_s
         worker.due_s = now + worker.pause_s
         _log.error("process %d of the host died (%d); started again in %.1f s", worker.number, code, worker.pause_s)
