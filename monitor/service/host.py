@@ -50,7 +50,7 @@ _RETRY_S = (1.0, 300.0)
 """First and longest pause before a site that failed is started again. [s; judgement]"""
 _ENDERS = 8
 """Threads that end sites: each waits for the disk most of the time. [1; judgement]"""
-_END_ALL_S = 30.0
+_END_ALL_S = 60.0
 """Time in which all sites end after the stop signal; the process ends then in any case. [s; judgement]"""
 _MOST_BLOCKS, _MOST_BYTES = 1024, 2 << 20
 """Bounds of the queue of a site; beyond them its source waits. [1, bytes; cost]"""

@@ -32,7 +32,7 @@ _STEADY_S = 10.0
 """Time after which a process that died had been well, so that another is started at once. [s; judgement: longer than a start]"""
 _SILENT_S = 120.0
 """Time without a word after which a process counts as hung, and is ended. [s; judgement: a window takes milliseconds]"""
-_END_S = 40.0
+_END_S = 70.0
 """Time in which the processes end after the stop signal, longer than they take themselves; others are killed. [s; judgement]"""
 
 

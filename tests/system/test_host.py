@@ -218,7 +218,7 @@ def test_workers_end_in_order_on_sigterm_and_with_their_parent(bench: Path, fram
             host.wait_for("READY")
             workers = children(host)
             code, seconds = host.stop(number)
-            assert code == (0 if number is signal.SIGTERM else -number) and seconds < 40.0
+            assert code == (0 if number is signal.SIGTERM else -number) and seconds < 75.0
             until(lambda workers=workers: not any(map(lives, workers)), "no process is left")
         finally:
             host.kill()
