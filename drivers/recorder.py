@@ -26,6 +26,8 @@ _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _MB, _GB = 1 << 20, 1 << 30
 _NAME = re.compile(r"\d{8}T\d{6}\.\d{6}Z-\d{4}(?:-c(\d{1,9}))?\.mcap")
 """Name of a recording: UTC of its first block, a number, and how often the clock had been set back if it had been."""
+_PART = ".part"
+"""Ending of the name of a file that is being written. [name; drivers.mcap_writer]"""
 _MAX_UNFLUSHED_BYTES = 8 * _MB
 _MAX_BLOCK_BYTES = 64 * _MB
 _FLUSH_SHARE = 0.8
@@ -278,17 +280,19 @@ def recover(folder: Path) -> None:
     sync_folder(folder)
 
 
-def recorded(folder: Path, after_ns: int) -> Iterator[tuple[int, SampleBlock]]:
+def recorded(folder: Path, after_ns: int, *, unfinished: bool = False) -> Iterator[tuple[int, SampleBlock]]:
     """Read the recorded blocks after a place in the order of arrival, each with its place (`Recorder.stamp_ns`).
 
-    Damaged blocks and files are logged and left out.
+    Damaged blocks and files are logged and left out.  With `unfinished` the file being written is read too, as far as it was
+    flushed.
     """
-    paths = _recordings(folder)
+    paths = _recordings(folder, _PART if unfinished else "")
     ends = [*(arrival(_begun_ns(path), _clock(path)) for path in paths[1:]), None]
     for path, end in zip(paths, ends, strict=True) if paths else ():
         if end is not None and end <= after_ns:
             continue
-        for log_ns, (topic, data) in _messages([path]):
+        place = path if path.exists() or not unfinished else path.with_name(path.name + _PART)
+        for log_ns, (topic, data) in _messages([place]):
             stamp_ns = arrival(log_ns, _clock(path))
             if stamp_ns <= after_ns:
                 continue
@@ -308,9 +312,10 @@ def _messages(paths: Sequence[Path]) -> Iterator[tuple[int, tuple[str, bytes]]]:
             _log.warning("%s; the rest of it is left out", error)
 
 
-def _recordings(folder: Path) -> list[Path]:
-    """List the recordings in a folder in the order of their arrival."""
-    paths = (path for path in folder.iterdir() if _NAME.fullmatch(path.name))
+def _recordings(folder: Path, but_for: str = "") -> list[Path]:
+    """List the recordings in a folder in the order of their arrival, by their names without the ending `but_for`."""
+    named = {path.with_name(path.name.removesuffix(but_for)) for path in folder.iterdir()}
+    paths = (path for path in named if _NAME.fullmatch(path.name))
     return sorted(paths, key=lambda path: (_clock(path), path.name))
 
 

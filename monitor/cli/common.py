@@ -43,8 +43,8 @@ def progress(label: str) -> Callable[[float], None]:
     return show
 
 
-def address(text: str | None) -> tuple[str, int] | None:
-    """Parse the value HOST:PORT of --serve into host and port.
+def address(text: str | None, option: str = "--serve", *, any_port: bool = False) -> tuple[str, int] | None:
+    """Parse the value HOST:PORT of an option into host and port; port 0 only where it may be any.
 
     Raises
     ------
@@ -52,9 +52,9 @@ def address(text: str | None) -> tuple[str, int] | None:
         The value is no address.
     """
     try:
-        return None if text is None else parse_address(text)
+        return None if text is None else parse_address(text, any_port=any_port)
     except ValueError as error:
-        raise typer.BadParameter(f"--serve: {error}") from error
+        raise typer.BadParameter(f"{option}: {error}") from error
 
 
 def time_ns(option: str, text: str | None) -> int | None:

@@ -11,7 +11,7 @@ from typing import Annotated
 import typer
 
 from monitor.cli.common import address
-from monitor.core import MissingInputError, demand_place, spare_inputs
+from monitor.core import MissingInputError, demand_place, spare_inputs, write_atomically
 
 
 def fleet(
@@ -23,6 +23,9 @@ def fleet(
     count: Annotated[int | None, typer.Option(min=1, help="Number of queries; endless by default.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object a query.")] = False,
     out: Annotated[Path | None, typer.Option(metavar="F.rrd", help="Also draw into a Rerun recording.")] = None,
+    page: Annotated[
+        Path | None, typer.Option(metavar="F.html", help="Also write a page that a browser filters and sorts.")
+    ] = None,
     serve: Annotated[
         str | None, typer.Option(metavar="HOST:PORT", help="Serve Rerun viewers here, as 127.0.0.1:9876.")
     ] = None,
@@ -32,15 +35,16 @@ def fleet(
     Exit code of the last query: 0 all normal; 10 advisory, warning or alarm; 11 doubtful, not judged, or a part of a monitor
     does not work.
     """
-    from monitor.service import FleetView, text
+    from monitor.service import FleetView, fleet_page, text
     from monitor.service import fleet as fleet_status
 
     if count is not None and every is None:
         raise typer.BadParameter("--count says how often to look: needs --every")
-    spare_inputs([] if out is None else [out], [file])
+    spare_inputs([place for place in (out, page) if place is not None], [file])
     settings, served = fleet_status.load(file), address(serve)
-    if out is not None:
-        demand_place(out)
+    for place in (out, page):
+        if place is not None:
+            demand_place(place)
     statuses: list[fleet_status.SiteStatus] = []
     with fleet_status.Fleet(settings, file.resolve().parent) as network:
         try:
@@ -56,6 +60,8 @@ def fleet(
                     print(lines, flush=True)
                     if view is not None:
                         view.show(statuses)
+                    if page is not None:
+                        write_atomically(page, fleet_page(statuses, f"Fleet {settings.prefix}", time.time_ns()))
                     remaining = None if remaining is None else remaining - 1
                     if remaining != 0:
                         time.sleep(every or 0.0)

@@ -6,6 +6,7 @@ from .emulate import send_all
 from .event_page import page_of, read_event_line, write_event_page
 from .event_recordings import EventRecordings
 from .importers import import_files
+from .online_diagnosis import RecentBlocks, longest_diagnosis_s
 from .recordings import Progress, duration_s
 from .session import Session, SessionState
 from .viewer import open_viewer
@@ -15,6 +16,7 @@ __all__ = [
     "WINDOWS",
     "EventRecordings",
     "Progress",
+    "RecentBlocks",
     "Session",
     "SessionState",
     "calibrate",
@@ -26,6 +28,7 @@ __all__ = [
     "import_files",
     "ledger",
     "ledger_chain",
+    "longest_diagnosis_s",
     "open_viewer",
     "page_of",
     "paper_tables",

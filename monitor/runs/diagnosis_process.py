@@ -14,7 +14,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from queue import Empty, SimpleQueue
@@ -79,7 +79,7 @@ class DiagnosisQueue:
         self._structure, self._healthy, self._folder = structure, healthy, folder
         self._time_limit_s = time_limit_s
         self._scratch = tempfile.TemporaryDirectory(prefix="shm-diagnosis-", ignore_cleanup_errors=True)
-        self._jobs: SimpleQueue[tuple[_Job, list[SampleBlock]] | None] = SimpleQueue()
+        self._jobs: SimpleQueue[tuple[_Job, Iterable[SampleBlock]] | None] = SimpleQueue()
         self._ready: SimpleQueue[tuple[int, dict[str, Any]]] = SimpleQueue()
         self._pending: dict[int, Request] = {}
         self.submitted = 0
@@ -96,8 +96,8 @@ class DiagnosisQueue:
         """Requests that have no finding yet."""
         return tuple(self._pending.values())
 
-    def submit(self, request: Request, blocks: list[SampleBlock]) -> None:
-        """Queue a diagnosis of the blocks; never waits."""
+    def submit(self, request: Request, blocks: Iterable[SampleBlock]) -> None:
+        """Queue a diagnosis of the blocks, which the queue's thread reads; never waits."""
         self.submitted += 1
         self._pending[self.submitted] = request
         recording = Path(self._scratch.name) / f"{self.submitted:03d}.mcap"
@@ -141,7 +141,7 @@ class DiagnosisQueue:
             if not self._closing.is_set():
                 self._ready.put((job.number, self._collect(job, error)))
 
-    def _run(self, job: _Job, blocks: list[SampleBlock]) -> str:
+    def _run(self, job: _Job, blocks: Iterable[SampleBlock]) -> str:
         """Run one diagnosis in a process, and return why it failed, or an empty text."""
         with McapWriter(job.recording) as writer:
             for block in blocks:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import json
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from math import ceil
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from drivers.base import ACCELERATION, SampleBlock
 from monitor.config import Configuration
@@ -25,6 +25,19 @@ _MARGIN_S = 30.0
 that block may be long."""
 FINDING_KEYS = ("id", "t_ns", "from_ns", "reason", "verdict", "says", "causes", "ddi_effect")
 """Keys of a finding that summary.json repeats."""
+
+
+class BlockStore(Protocol):
+    """Store of the latest blocks of samples, from which a diagnosis takes its span."""
+
+    longest_s: float
+    """Length of data that are to be pushed again after a restart, s."""
+
+    def push(self, block: SampleBlock) -> None:
+        """Keep a block."""
+
+    def between(self, from_ns: int, to_ns: int) -> Iterable[SampleBlock]:
+        """Return the samples taken from `from_ns` to `to_ns` (UTC, ns); another thread may read them."""
 
 
 class RecentBlocks:
@@ -45,7 +58,7 @@ class RecentBlocks:
     """
 
     def __init__(self, longest_s: float) -> None:
-        self._longest_s = longest_s
+        self.longest_s = longest_s
         self._seconds = 0.0
         self._blocks: deque[SampleBlock] = deque()
 
@@ -56,7 +69,7 @@ class RecentBlocks:
         """
         self._blocks.append(block)
         self._seconds += _length_s(block)
-        longest_s = self._longest_s + _MARGIN_S
+        longest_s = self.longest_s + _MARGIN_S
         while self._seconds - _length_s(self._blocks[0]) > longest_s or len(self._blocks) > _MAX_BLOCKS:
             self._seconds -= _length_s(self._blocks.popleft())
 
@@ -80,6 +93,11 @@ def _cut_to_span(block: SampleBlock, from_ns: int, to_ns: int) -> SampleBlock:
 def _length_s(block: SampleBlock) -> float:
     """Return the length of a block of acceleration, s; 0 for other topics, which run in parallel."""
     return block.n_samples / block.sample_rate_hz if block.topic == ACCELERATION else 0.0
+
+
+def longest_diagnosis_s(config: Configuration) -> float:
+    """Return the length of data that a diagnosis may be given, s."""
+    return max(config.watch.longest_s, 2.0 * config.processing.window_s)
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,17 +126,28 @@ class OnlineDiagnosis:
         Structure or site file, and baseline, that a diagnosis reads; no diagnosis is made without.
     folder : Path
         Folder of the findings.
+    store : BlockStore, optional
+        Store of the latest blocks; in memory by default.
     """
 
-    def __init__(self, config: Configuration, files: tuple[Path, Path | None] | None, folder: Path) -> None:
+    def __init__(
+        self,
+        config: Configuration,
+        files: tuple[Path, Path | None] | None,
+        folder: Path,
+        store: BlockStore | None = None,
+    ) -> None:
         self.settings, self._window_s = config.watch, config.processing.window_s
-        self.longest_s = max(self.settings.longest_s, 2.0 * self._window_s)
-        """Length of data that a diagnosis may be given, s."""
-        self._recent = RecentBlocks(self.longest_s)
+        self._recent = RecentBlocks(longest_diagnosis_s(config)) if store is None else store
         self._episode, self._t_ns = trigger.WatchState(), 0
         self.findings: deque[dict[str, Any]] = deque(maxlen=_MAX_FINDINGS)
         """The latest findings."""
         self._queue = DiagnosisQueue(*files, folder, self.settings.time_limit_s) if files is not None else None
+
+    @property
+    def longest_s(self) -> float:
+        """Length of data that must be kept again before `restore`, s."""
+        return self._recent.longest_s
 
     @property
     def state(self) -> OnlineDiagnosisState:

@@ -32,7 +32,7 @@ from monitor.events import Event
 from monitor.pipeline import Pipeline, PipelineState, Result
 from monitor.publish import Publisher, Quality, Summary, event_line, to_json, window_line
 from monitor.runs.event_recordings import EventRecordings
-from monitor.runs.online_diagnosis import FINDING_KEYS, OnlineDiagnosis, OnlineDiagnosisState
+from monitor.runs.online_diagnosis import FINDING_KEYS, BlockStore, OnlineDiagnosis, OnlineDiagnosisState
 from monitor.signals import Health
 
 
@@ -65,6 +65,8 @@ class Session:
         Whether the state is that of the whole run, as of a recording, or the present one, as of a site.
     recordings : EventRecordings, optional
         Writes the samples of events; without it they have none of their own.
+    store : BlockStore, optional
+        Store of the latest blocks for diagnoses; in memory by default.
     """
 
     def __init__(
@@ -77,10 +79,11 @@ class Session:
         *,
         whole: bool = False,
         recordings: EventRecordings | None = None,
+        store: BlockStore | None = None,
     ) -> None:
         self.config = config
         self.pipeline = Pipeline(config, baseline)
-        self.online_diagnosis = OnlineDiagnosis(config, files, findings)
+        self.online_diagnosis = OnlineDiagnosis(config, files, findings, store)
         self._publishers, self._recordings = publishers, recordings
         self._summary, self._quality = Summary(), Quality()
         self._model_hz = config.model().modes().frequencies_hz.tolist()

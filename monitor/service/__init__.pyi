@@ -1,6 +1,9 @@
-from . import export, fleet, logs, outlets, status
+from . import dataset, export, fleet, logs, outlets, status
 from .daemon import Daemon
+from .fleet_html import fleet_page
 from .fleet_view import FleetView, text
+from .host import Host
+from .host_workers import HostWorkers
 from .outlets.inbox import leave_request
 from .outlets.zenoh import ZenohOutSettings, ask, key_prefix
 from .requests import Request
@@ -8,11 +11,15 @@ from .requests import Request
 __all__ = [
     "Daemon",
     "FleetView",
+    "Host",
+    "HostWorkers",
     "Request",
     "ZenohOutSettings",
     "ask",
+    "dataset",
     "export",
     "fleet",
+    "fleet_page",
     "key_prefix",
     "leave_request",
     "logs",

@@ -1,95 +1,34 @@
-"""Long-running monitoring service of one site.
-
-One thread reads the source, the main thread evaluates, and one thread records.  Nothing else keeps state of the evaluation.
-"""
+"""Long-running monitoring service of one site, as a process of its own: signals, systemd, and the loop that drives a `Site`."""
 
 from __future__ import annotations
 
-import json
-import logging
-import os
 import signal
 import sys
-import threading
 import time
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
-from datetime import UTC, datetime
-from functools import partial
 from pathlib import Path
-from typing import Any
 
-from drivers.base import RecordingError, RecordingMissingError, SampleBlock, Source, SourceContext
-from drivers.recorder import unfit
-from monitor.config import configuration
-from monitor.core import BadConfigurationError, BadInputError, Gap, MissingInputError, UserError, WindowResult
-from monitor.damage import Assessment, Baseline, load_baseline, outdated, utc
-from monitor.events import Event
-from monitor.pipeline import Result
-from monitor.publish import EVENTS, Publisher, current_alarm_line, episode_content, to_json
-from monitor.runs import (
-    EventRecordings,
-    Progress,
-    Session,
-    duration_s,
-    ledger,
-    open_viewer,
-    page_of,
-    warm_up,
-    write_event_page,
-)
-from monitor.service import restart, systemd
-from monitor.service.appended_lines import AppendedLines
-from monitor.service.daemon_health import Vitals, Way, failures, plain
-from monitor.service.events_file import EventsFile
-from monitor.service.history import History
-from monitor.service.outlets import Outlet, make_outlets
-from monitor.service.reload import Reloaded, reread
-from monitor.service.request_handler import RequestHandler
-from monitor.service.storage import ResultsFile, Storage
-from monitor.service.threads import Chores, Reader, Recording
-from monitor.signals import Health
-
-_log = logging.getLogger(__name__)
-
-_STOP_S, _DRAIN_S, _END_S = 1.5, 2.5, 4.5
-"""Deadlines after the stop signal: for the source to close, for the queue to empty, and for everything else to end."""
-_DURABLE_S = 0.5
-"""Longest wait for the disk before a change of an alarm is announced."""
-_TIDY_S = 60.0
-"""Interval at which closed months are packed and the budget of the folder is looked after. [s; judgement]"""
-_CHECK_S = 1.0
-"""Interval at which the outputs are asked whether they fail, so that a line of health tells a failure soon. [s; judgement]"""
-_LATEST = 50
-_HEALTH_FILE_BYTES = 16 << 20
+from drivers.base import Source
+from monitor.runs import warm_up
+from monitor.service import systemd
+from monitor.service.outlets import Outlet
+from monitor.service.site import Site
 
 
-class Daemon(Publisher):
+class Daemon(Site):
     """Monitoring service of one site.
 
     Parameters
     ----------
-    path : Path
-        Site file; its paths are relative to its folder.
-    source : Source, optional
-        Source to read in place of the one that the file names.
-    outlets : sequence of Outlet, optional
-        Outlets in addition to those that the file names; they are closed in reverse order.
-    clock : callable
-        Seconds of a clock that never goes back.
+    path, source, outlets, clock, quiet_s
+        As of `Site`.
     tick_s : float
         Longest wait for a block before requests and deadlines are looked at, s.
-    quiet_s : float
-        Interval between health lines while no data arrive, and shortest interval between summaries, s.
 
     Raises
     ------
-    MissingInputError
-        A file is missing, or the output folder cannot be written.
-    BadInputError
-        The baseline file is unusable.
-    BadConfigurationError
-        The site file is invalid, the baseline is another structure's, or another daemon writes into the output folder.
+    MissingInputError, BadInputError, BadConfigurationError
+        As `Site` raises them.
     """
 
     def __init__(
@@ -102,116 +41,8 @@ class Daemon(Publisher):
         tick_s: float = 0.2,
         quiet_s: float = 10.0,
     ) -> None:
-        self._clock, self._tick_s, self._quiet_s = clock, tick_s, quiet_s
-        self.settings = settings = configuration.load(path)
-        folder = path.resolve().parent
-        if source is None and settings.source is None:
-            raise BadConfigurationError(f"{path}: source: missing; name a kind, as in deploy/*.toml")
-        healthy_path = None if settings.site.baseline is None else folder / settings.site.baseline
-        healthy = (
-            None if healthy_path is None else load_baseline(healthy_path, settings.instrumented(), settings.updating)
-        )
-        make_outlets(path, settings, dry=True)
-        self.out = folder / settings.output.dir
-        self._vitals, self._progress = Vitals(self.out), Progress(lambda _: None)
-        self._begun_s = self._health_s = self._summary_s = self._sync_s = self._checked_s = self._clock()
-        self._tidied_s = float("-inf")
-        self._failed: set[str] = set()
-        self._said: Assessment | None = None
-        self._data_s = float("-inf")  # no window has come yet: what a checkpoint knows is no present state
-        self._path, self._stopping, self._end_s = path, False, float("inf")
-        self._reload_requested = self._rereading = False
-        self._reloaded: Reloaded | None = None
-        self._alarm: object = None
-        with ExitStack() as undo:
-            self._lock = restart.lock(
-                self.out / "state" / "lock", self.out
-            )  # before anything of this daemon can be seen from outside
-            undo.callback(os.close, self._lock)
-            self._open_parts(undo, healthy_path, healthy)
-            self._outlets: tuple[Outlet, ...] = (*make_outlets(path, settings), *outlets)
-            for outlet in self._outlets:
-                undo.callback(outlet.close, _END_S)
-                if self._events.last is not None:
-                    outlet.known_event(self._events.last)
-            self._requests = RequestHandler(
-                self._outlets, self.out / ledger.LEDGER, self._chores, self._keeper, self._history, clock
-            )
-            self._warm_up(healthy)
-            known_ns = self._keeper.resume(self._new_session, self._history.window)
-            if source is None:
-                assert settings.source is not None
-                source = configuration.make_source(settings.source, SourceContext(settings.channels, folder, known_ns))
-            self.reader = Reader(source)
-            self._bounds = configuration.make_bounds(settings.source)
-            undo.pop_all()
-
-    def _open_parts(self, undo: ExitStack, healthy_path: Path | None, healthy: Baseline | None) -> None:
-        """Open the files, the viewer and the threads behind them; `undo` closes them again."""
-        settings = self.settings
-        # Lines are written by a thread that waits for no fsync, so that health.jsonl can say that the others wait for one.
-        self._chores, self._line_writer = Chores(), Chores("lines")
-        self._event_writer = Chores("events")  # a page takes a second or two, for which no other file waits
-        undo.callback(self._chores.close, _END_S)
-        undo.callback(self._line_writer.close, _END_S)
-        undo.callback(self._event_writer.close, _END_S)
-        later = self._line_writer.do
-        try:
-            results, by_month = self.out / "results.jsonl", settings.output.pack_months
-            self._lines = ResultsFile(results, by_month=by_month, run=partial(later, "results.jsonl"))
-            undo.callback(self._lines.close)
-            health = self.out / "health.jsonl"
-            self._health_lines = AppendedLines(health, _HEALTH_FILE_BYTES, partial(later, "health.jsonl"))
-            undo.callback(self._health_lines.close)
-            self._events = EventsFile(self.out / EVENTS, partial(later, EVENTS))
-            undo.callback(self._events.close)
-            self._tell_start()
-            self._recording = Recording(self.out / "recordings", settings.recorder)
-            undo.callback(self._recording.close, _END_S)
-            self._storage = Storage(self.out, settings.output, self._recording)
-            self._keeper = restart.Checkpointer(self.out, settings, healthy_path, self._recording, self._lines)
-            restart.note_baseline(self.out, self._path, healthy_path)
-        except OSError as error:
-            raise MissingInputError(f"{self.out}: cannot be written: {error.strerror}") from error
-        serve = settings.output.address
-        self._view = None if serve is None else open_viewer(settings, healthy, file=None, serve=serve, lossless=False)
-        if self._view is not None:
-            undo.callback(self._view.close, _END_S)
-        publishers = (self,) if self._view is None else (self, self._view)
-        findings = self.out / "findings" / f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}"
-        self._event_recordings = EventRecordings(self.out, settings.events, self._event_writer.do)
-        self._begin = partial(
-            Session,
-            settings,
-            healthy,
-            publishers,
-            (self._path, healthy_path),
-            findings,
-            recordings=self._event_recordings,
-        )
-        spans = settings.processing.hop_s, settings.health.span_s
-        self._history = History(self.out / "state" / "history.db", settings.state, *spans)
-        undo.callback(self._history.close, _END_S)
-
-    def _warm_up(self, healthy: Baseline | None) -> None:
-        """Compile what a window needs, so that no window waits for it; meanwhile lines of health say that the daemon starts."""
-
-        def work() -> None:
-            try:
-                warm_up(self.settings, healthy)
-            except Exception:  # noqa: BLE001 - what is not compiled now is compiled when it is needed
-                _log.warning("not all is compiled before the first window", exc_info=True)
-
-        thread = threading.Thread(target=work, name="warm-up", daemon=True)
-        thread.start()
-        while thread.is_alive():
-            thread.join(self._quiet_s)
-            self._tell_start()
-
-    def _new_session(self) -> Session:
-        """Begin a new session and make it the current one."""
-        self.session = self._begin()
-        return self.session
+        super().__init__(path, source, outlets, clock=clock, quiet_s=quiet_s, warm=warm_up)
+        self._tick_s = tick_s
 
     def run(self) -> None:
         """Monitor until the source ends or SIGTERM or SIGINT arrives; SIGHUP reads the site file again.
@@ -224,122 +55,23 @@ class Daemon(Publisher):
         previous = {number: signal.signal(number, self._request_stop) for number in (signal.SIGTERM, signal.SIGINT)}
         previous[signal.SIGHUP] = signal.signal(signal.SIGHUP, self._request_reload)
         try:
-            self._publish_state()
-            self._vitals.look_at_disk()
-            self.reader.start()
+            self.start()
             self._loop()
-            self._requests.finish(self.session, _DURABLE_S)
-            if self.reader.ended:
-                self.session.finish(lambda: self._stopping)
-                self._keeper.forget()
-            else:
-                self._keeper.save(self.session)
+            self.finish()
         finally:
-            self._close()
+            self.close()
             for number, handler in previous.items():
                 signal.signal(number, handler)
-        if isinstance(self.reader.failure, RecordingMissingError):
-            raise MissingInputError(str(self.reader.failure)) from self.reader.failure
-        if isinstance(self.reader.failure, RecordingError):
-            raise BadInputError(str(self.reader.failure)) from self.reader.failure
-        if self.reader.failure is not None:
-            raise self.reader.failure
-
-    def window(self, result: WindowResult, line: str) -> None:
-        """Write and publish the result of a window, unless a previous run did so."""
-        if not self._keeper.resuming:
-            self._data_s = self._clock()
-        present = self._publish_state()
-        self._history.episodes([episode_content(e) for e in self.session.episodes[-_LATEST:]])
-        if result.index in self._keeper.written:
-            return
-        self._history.window(json.loads(line) | {"state": present.state.value})
-        self._lines.write_window(line, result.t_end_ns)
-        for outlet in self._outlets:
-            outlet.window(result, line)
-
-    def event(self, event: Event, line: str) -> None:
-        """Write and publish what is told of an event, unless a previous run did so."""
-        if event.revision is None:
-            if self._keeper.resuming:
-                return
-        elif not self._events.write_event(event.id, event.revision, line):
-            return
-        else:
-            # After the job that writes its recording, in the same thread.
-            self._event_writer.do(f"page {event.id}", partial(self._write_page, event.id, line))
-        for outlet in self._outlets:
-            outlet.event(event, line)
-
-    def _write_page(self, id: str, line: str) -> None:
-        """Write the page of an event beside its recording (in the thread of events)."""
-        try:
-            write_event_page(self.out, json.loads(line), page_of(self.out, id))
-        except (UserError, OSError) as error:
-            _log.error("%s: the page of event %s is not written: %s", self.out, id, error)
-
-    def gap(self, gap: Gap) -> None:
-        """Store and publish a gap in the data."""
-        self._history.gap(gap.t_ns, gap.duration_s, gap.reason)
-        if self._keeper.resuming:
-            return
-        for outlet in self._outlets:
-            outlet.gap(gap)
-
-    def state(self, assessment: Assessment) -> None:
-        """Publish the present state of the structure."""
-        if self._keeper.resuming:  # a past state is none to tell as the present one
-            return
-        self._said = assessment
-        for outlet in self._outlets:
-            outlet.state(assessment)
-
-    def health(self, health: Health | None) -> None:
-        """Write and publish the sensors' health together with the daemon's own health."""
-        span: dict[str, Any] | None = None
-        if health is not None:
-            span = plain(health)
-            self._history.health(span)
-            if (
-                self._view is not None and not self._keeper.resuming
-            ):  # the source is not open yet, and its clocks are the present ones
-                self._view.clocks(health.t_end_ns, self.reader.source.health().clocks)
-        if self._keeper.resuming:
-            if self._clock() - self._health_s >= self._quiet_s:
-                self._tell_start()
-            return
-        self._publish_state()
-        self._health_s = self._checked_s = self._clock()
-        self._line_writer.do("free space", self._vitals.look_at_disk)
-        line = self._vitals.line(span, self.reader, self._recording.health(), self._outputs())
-        line["ledger_head"] = self._requests.head
-        line["web"] = next((outlet.url for outlet in self._outlets if outlet.url), None)
-        for name in line["failed"].keys() - self._failed:
-            _log.warning("blocked: %s: %s", name, line["failed"][name])
-        self._failed = set(line["failed"])
-        self._health_lines.write(json.dumps(line, allow_nan=False))
-        for outlet in self._outlets:
-            outlet.health_line(line)
-
-    def finding(self, finding: dict[str, Any]) -> None:
-        """Store and publish the finding of a diagnosis."""
-        self._history.finding(finding)
-        for outlet in self._outlets:
-            outlet.finding(finding)
-
-    def _tell_start(self) -> None:
-        """Write a line of health that says that the daemon is starting."""
-        self._health_s = self._clock()
-        self._health_lines.write(json.dumps(self._vitals.line(None, None, None, ()), allow_nan=False))
+        self.raise_failure()
 
     def _request_stop(self, number: int, _: object) -> None:
-        """Handle SIGTERM and SIGINT: stop within `_END_S`."""
-        self._stopping, self._end_s = True, self._clock() + _END_S
+        """Handle SIGTERM and SIGINT: stop within the deadlines."""
+        self.ask_to_stop()
         signal.signal(number, signal.SIG_DFL)  # a second signal ends the process at once
 
     def _request_reload(self, number: int, _: object) -> None:
         """Handle SIGHUP: read the site file again in the main loop."""
-        self._reload_requested = True
+        self.ask_to_reload()
 
     def _loop(self) -> None:
         """Evaluate blocks from the queue until it is closed and empty."""
@@ -352,157 +84,14 @@ class Daemon(Publisher):
                 ready = True
                 print("READY", file=sys.stderr, flush=True)
                 systemd.notify("READY=1")
-                self.health(None)
+                self.tell_open()
             if watchdog_s is not None and now - notified_s >= watchdog_s:
                 notified_s = now
                 systemd.notify("WATCHDOG=1")
-            if item is not None and now < self._end_s - (_END_S - _DRAIN_S):
-                self._process(*item)
-            elif item is not None:
-                self._vitals.unprocessed += 1
-            self._do_periodic_work(now)
+            if item is not None:
+                self.take(*item)
+            self.step(now)
             if self._stopping and not stop_sent:
                 stop_sent = True
                 systemd.notify("STOPPING=1")
-                self.reader.stop(max(0.0, self._end_s - (_END_S - _STOP_S) - self._clock()))
-
-    def _process(self, block: SampleBlock, arrived_s: float) -> None:
-        """Evaluate a block, record it if it was accepted, then publish the results.
-
-        In this order a replay of the recordings repeats the run exactly.
-        """
-        self._vitals.received(block)
-        reason = unfit(block)
-        if reason is None and self._bounds is not None:
-            reason = self._bounds.refusal(block)
-        if reason is not None:
-            self._vitals.refuse(reason)
-            return
-        before = self.session.windows
-        try:
-            self.session.push(block, partial(self._record, block))
-        except BadInputError as error:
-            self._vitals.refuse(str(error))
-            return
-        self._progress.add(block)
-        if self.session.windows > before:
-            self._vitals.published(arrived_s)
-        self._keeper.took(self.session, block)
-
-    def _record(self, block: SampleBlock, results: Sequence[Result]) -> None:
-        """Record an accepted block; a block that changes an alarm is on the disk before the change is announced."""
-        self._recording.write(block)
-        alarms = [(r.alarm.active, r.alarm.conditions) for r in results if isinstance(r, WindowResult)]
-        if any(alarm != self._alarm for alarm in alarms):
-            self._alarm = alarms[-1]
-            self._recording.flush(_DURABLE_S)
-
-    def _reread(self) -> None:
-        """Read the site file again (in a thread that may wait for the disk)."""
-        try:
-            self._reloaded = reread(self._path, self.settings, self._outlets, self.out)
-            self._requests.read_head()
-        finally:
-            self._rereading = False
-
-    def _reload(self) -> None:
-        """Have the site file read again where that was asked for, and continue with its thresholds once it has been read."""
-        if self._rereading:
-            return
-        if (reloaded := self._reloaded) is not None:
-            self._reloaded = None
-            reloaded.apply()
-            self.settings = reloaded.settings
-            self.session.reconfigure(self.settings)
-        elif self._reload_requested:
-            self._reload_requested, self._rereading = False, True
-            self._chores.do("reload", self._reread)
-
-    def _do_periodic_work(self, now: float) -> None:
-        """Reload settings, apply requests, and write health, results and the summary when they are due."""
-        self._reload()
-        self._requests.step(self.session, timed=self._progress.first is not None)
-        if now - self._health_s >= self._quiet_s or self._failures_changed(now):
-            self.health(None)
-        if now - self._sync_s >= self.settings.recorder.flush_s:
-            self._sync_s = now
-            self._chores.do("sync", self._lines.sync)
-        if now - self._tidied_s >= _TIDY_S:
-            self._tidied_s = now
-            self._chores.do("storage", self._storage.tidy)
-        if now - self._summary_s >= self._quiet_s:
-            self._write_summary()
-
-    def _failures_changed(self, now: float) -> bool:
-        """Return whether other outputs fail than the latest line of health says; they are asked every `_CHECK_S`."""
-        if now - self._checked_s < _CHECK_S:
-            return False
-        self._checked_s = now
-        return failures(self._outputs()).keys() != self._failed
-
-    @property
-    def _present(self) -> Assessment:
-        """The present state of the structure: that of the session, outdated once no window has come for a window's length."""
-        present, silent_s, p = self.session.present, self._clock() - self._data_s, self.settings.processing
-        if silent_s < p.window_s + p.hop_s or not self.session.windows:
-            return present
-        return outdated(present, f"no data since {utc(self.session.now_ns)} UTC")
-
-    def _publish_state(self) -> Assessment:
-        """Publish the present state where it is not what was published last, and return it."""
-        present = self._present
-        if present != self._said:
-            self.state(present)
-            if self._view is not None:
-                self._view.state(present)
-        return present
-
-    def _write_summary(self) -> None:
-        self._summary_s = self._clock()
-        seconds = duration_s(self._progress.first, self._progress.last)
-        content = self.session.content(seconds / max(self._summary_s - self._begun_s, 1e-9))
-        v = self._vitals
-        content |= {"refused_blocks": v.refused, "unprocessed_blocks": v.unprocessed, "latency_ms": v.latency()}
-        content["alarm"] = current_alarm_line(self.session.pipeline.state.alarm)
-        content |= self._present.content
-        self._chores.write(self.out / "summary.json", to_json(plain(content)) + "\n")
-
-    def _outputs(self) -> list[tuple[str, Way]]:
-        """List every part beside the main thread with its name: source, recorder, outlets, viewer, checkpoint, history, files."""
-        own: dict[str, Way | None] = {"source": self.reader, "recorder": self._recording, "viewer": self._view}
-        own |= {"checkpoint": self._keeper, "history": self._history}
-        own |= {"ledger.jsonl": self._requests, "storage": self._storage}
-        own |= {
-            "results.jsonl": self._lines,
-            EVENTS: self._events,
-            "events": self._event_recordings,
-            "pages of events": self._event_writer,
-            "health.jsonl": self._health_lines,
-            "summary.json": self._chores,
-        }
-        return [(n, way) for n, way in own.items() if way is not None] + [(type(o).__name__, o) for o in self._outlets]
-
-    def _close(self) -> None:
-        """Close everything before the deadline; what hangs does not use up the time of the others."""
-        self._end_s = min(self._end_s, self._clock() + _END_S)
-        self.reader.stop(0.1)  # it has ended already, except after an error
-        self._recording.close(self._share_s())
-        self._requests.close()
-        self.session.online_diagnosis.close(self._share_s())
-        self.health(None)
-        self._write_summary()
-        self._history.close(self._share_s())
-        self._line_writer.close(self._share_s())
-        self._event_writer.close(self._share_s())
-        for lines in (self._lines, self._events, self._health_lines):
-            self._chores.do(f"close {id(lines)}", lines.close)
-        for outlet in reversed(self._outlets):
-            outlet.close(self._share_s())
-        if self._view is not None:
-            self._view.close(self._share_s())
-        self._chores.close(self._share_s())
-        os.close(self._lock)
-
-    def _share_s(self) -> float:
-        """Return the time that the next part may take to close, s: half of the remaining time, so that the others have some."""
-        return max(0.0, self._end_s - self._clock()) / 2.0
+                self.stop_reading()

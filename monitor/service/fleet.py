@@ -70,13 +70,16 @@ class SiteStatus:
     """End of the latest window, UTC, ns since 1970."""
     silent_s: float | None = None
     """Time since the monitor's latest health line."""
+    availability: float | None = None
+    """Share of the samples that came in the latest span of health."""
     event: str = ""
     """The last event: when, the verdict, and the largest drift; empty where there was none."""
 
     @property
     def says(self) -> str:
-        """The headline, and what of the monitor does not work."""
-        return " ".join([self.headline, *(f"{trouble}." for trouble in self.troubles)])[:_MOST_TEXT]
+        """The headline, what of the monitor does not work, and the latest event."""
+        event = [f"Last event {self.event}."] if self.event else []
+        return " ".join([self.headline, *(f"{trouble}." for trouble in self.troubles), *event])[:_MOST_TEXT]
 
     @property
     def content(self) -> dict[str, Any]:
@@ -213,8 +216,13 @@ def _parse_status(site: str, answer: Mapping[str, Any], now_ns: int, silent_s: f
         frequency_hz=None if frequencies[0] is None else float(frequencies[0]),
         t_end_ns=result.get("t_end_ns") and int(result["t_end_ns"]),
         silent_s=quiet_s,
+        availability=_share((health.get("stream") or {}).get("availability")),
         event=last_event(answer.get("event"))[:_MOST_TEXT],
     )
+
+
+def _share(value: Any) -> float | None:
+    return None if value is None else float(value)
 
 
 def _troubles(health: Mapping[str, Any]) -> list[str]:

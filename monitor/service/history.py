@@ -19,6 +19,7 @@ from typing import Any
 from monitor.config import StateSettings
 from monitor.core import Busy
 from monitor.core import set_aside as rename_aside
+from monitor.service.threads import background
 
 _log = logging.getLogger(__name__)
 
@@ -100,7 +101,7 @@ class History:
         self.dropped, self._losing = 0, False
         self._failure: str | None = None
         self._busy = Busy()
-        self._thread = threading.Thread(target=self._work, name="history", daemon=True)
+        self._thread = background(self._work, "history")
         if self._enabled:
             self._thread.start()
 

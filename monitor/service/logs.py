@@ -7,6 +7,7 @@ import logging
 import re
 import sys
 import threading
+from contextvars import ContextVar
 from datetime import UTC, datetime
 from typing import Literal
 
@@ -15,6 +16,8 @@ from monitor.config import LogSettings
 _log = logging.getLogger(__name__)
 _PLAIN = re.compile(r"[^\s\"=\\\x00-\x1f\x7f-\x9f]+")
 _MOST_TEXT = 4000
+site_name: ContextVar[str | None] = ContextVar("site_name", default=None)
+"""Name of the site whose work is done, where a process works for many."""
 
 
 class LineFormatter(logging.Formatter):
@@ -25,7 +28,7 @@ class LineFormatter(logging.Formatter):
     style : {"text", "json"}
         ``key=value`` pairs, or JSON.
     site : str
-        Name of the site, written into each line.
+        Name of the site, written into each line, but for the work of a site that `site_name` names.
     """
 
     def __init__(self, style: Literal["text", "json"], site: str) -> None:
@@ -37,7 +40,7 @@ class LineFormatter(logging.Formatter):
         fields = {
             "time": datetime.fromtimestamp(record.created, UTC).isoformat(timespec="milliseconds"),
             "level": record.levelname.lower(),
-            "site": self._site,
+            "site": site_name.get() or self._site,
             "logger": record.name,
             "message": record.getMessage()[:_MOST_TEXT],
         }

@@ -8,6 +8,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
+from contextvars import copy_context
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -27,6 +28,11 @@ _MOST_TEXT = 300
 T = TypeVar("T")
 
 
+def background(work: Callable[[], None], name: str) -> threading.Thread:
+    """Create a thread that knows the site for whose work it is created (`monitor.service.logs`), and ends with the process."""
+    return threading.Thread(target=copy_context().run, args=(work,), name=name, daemon=True)
+
+
 class BlockQueue(Generic[T]):
     """Bounded queue of blocks and other items, in order; when it is full, `put` waits, and `offer` refuses.
 
@@ -36,10 +42,14 @@ class BlockQueue(Generic[T]):
         Largest number of items.
     most_bytes : int
         Largest size of the samples of all blocks, bytes.  A single block of any size fits an empty queue.
+    changed : callable
+        Called when an item was appended or the queue was closed, so that one thread can wait for many queues.
     """
 
-    def __init__(self, most_blocks: int = 1024, most_bytes: int = 8 << 20) -> None:
-        self._most_blocks, self._most_bytes = most_blocks, most_bytes
+    def __init__(
+        self, most_blocks: int = 1024, most_bytes: int = 8 << 20, changed: Callable[[], None] = lambda: None
+    ) -> None:
+        self._most_blocks, self._most_bytes, self._tell = most_blocks, most_bytes, changed
         self._items: deque[tuple[T, float]] = deque()
         self._bytes = 0
         self._closed = self._unbounded = False
@@ -85,6 +95,13 @@ class BlockQueue(Generic[T]):
         with self._changed:
             self._closed = True
             self._changed.notify_all()
+        self._tell()
+
+    @property
+    def first_s(self) -> float | None:
+        """Time of arrival of the next block (monotonic clock, s); None if no block waits."""
+        with self._changed:
+            return self._items[0][1] if self._items else None
 
     @property
     def over(self) -> bool:
@@ -99,6 +116,7 @@ class BlockQueue(Generic[T]):
         self._items.append((block, arrived_s))
         self._bytes += _size(block)
         self._changed.notify_all()
+        self._tell()
 
     def _has_room(self, size: int) -> bool:
         fits = len(self._items) < self._most_blocks and self._bytes + size <= self._most_bytes
@@ -118,6 +136,8 @@ class Reader:
         Source to read, not yet open.
     queue : BlockQueue, optional
         Queue for the blocks; a new one by default.
+    poll_s : float
+        Longest wait for a block before the thread looks whether it is to stop, s.
 
     Attributes
     ----------
@@ -135,8 +155,8 @@ class Reader:
         Reason of the latest loss; empty while the source is open.
     """
 
-    def __init__(self, source: Source, queue: BlockQueue[SampleBlock] | None = None) -> None:
-        self.source = source
+    def __init__(self, source: Source, queue: BlockQueue[SampleBlock] | None = None, poll_s: float = _POLL_S) -> None:
+        self.source, self._poll_s = source, poll_s
         self.queue: BlockQueue[SampleBlock] = BlockQueue() if queue is None else queue
         self.opened = self.ended = False
         self.failure: Exception | None = None
@@ -145,7 +165,7 @@ class Reader:
         self._received = 0
         self._busy = Busy()
         self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._work, name="reader", daemon=True)
+        self._thread = background(self._work, "reader")
 
     @property
     def failed(self) -> str | None:
@@ -208,7 +228,7 @@ class Reader:
         self.error = ""
         while not self._stop.is_set():
             with self._busy:
-                block = self.source.read(_POLL_S)
+                block = self.source.read(self._poll_s)
             if block is not None:
                 self._received += 1
                 self.queue.put(block)
@@ -242,7 +262,7 @@ class Recording:
         self._queue: BlockQueue[SampleBlock | Job] = BlockQueue(4096, 64 << 20)
         self._busy = Busy()
         self.dropped, self._losing = 0, False
-        self._thread = threading.Thread(target=self._work, name="recorder", daemon=True)
+        self._thread = background(self._work, "recorder")
         self._thread.start()
 
     def health(self) -> RecorderHealth | None:
@@ -330,7 +350,7 @@ class Chores:
         self._changed = threading.Condition()
         self._closed = False
         self._busy = Busy()
-        self._thread = threading.Thread(target=self._work, name=name, daemon=True)
+        self._thread = background(self._work, name)
         self._thread.start()
 
     def do(self, name: str, job: Callable[[], None]) -> None:

@@ -20,6 +20,7 @@ from typing import Any
 
 from monitor.core import Busy
 from monitor.service.outlets.outbox import Message, Outbox
+from monitor.service.threads import background
 
 _log = logging.getLogger(__name__)
 
@@ -107,7 +108,7 @@ class AddressWorker:
         self._closing = False
         self._busy = Busy(clock)
         self._process = _Process()
-        self._thread = threading.Thread(target=self._work, name=f"notify {number}", daemon=True)
+        self._thread = background(self._work, f"notify {number}")
         self._thread.start()
 
     @property
@@ -251,7 +252,7 @@ class HeartbeatWorker:
             self._failing_since_s = None
             self._changed.notify_all()
         if url is not None and self._thread is None:
-            self._thread = threading.Thread(target=self._work, name="heartbeat", daemon=True)
+            self._thread = background(self._work, "heartbeat")
             self._thread.start()
 
     def window(self) -> None:

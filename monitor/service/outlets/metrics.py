@@ -82,8 +82,8 @@ class Metrics(Collector, Outlet):
     ----------
     site : str
         Name of the site.
-    settings : MetricsSettings
-        Settings of ``[output.metrics]``.
+    settings : MetricsSettings or None
+        Settings of ``[output.metrics]``; with None it does not listen, and others ask it to `collect`.
     folder : Path
         Folder to which relative paths of the settings refer.
 
@@ -95,7 +95,7 @@ class Metrics(Collector, Outlet):
 
     failed: str | None = None
 
-    def __init__(self, site: str, settings: MetricsSettings, folder: Path = Path()) -> None:
+    def __init__(self, site: str, settings: MetricsSettings | None, folder: Path = Path()) -> None:
         self.port: int | None = None
         self._site, self._settings, self._folder = site, settings, folder
         self._server: HttpServer | None = None
@@ -133,8 +133,8 @@ class Metrics(Collector, Outlet):
             if (stream := line["stream"]) is not None:
                 self._samples += stream["samples"]
                 self._dropped += stream["overlaps"]
-        if self._server is None:
-            self._listen()
+        if self._server is None and self._settings is not None:
+            self._listen(self._settings)
 
     def finding(self, finding: Mapping[str, Any]) -> None:
         """Count a finding."""
@@ -175,20 +175,19 @@ class Metrics(Collector, Outlet):
         if self._health:
             yield from _health_metrics(self._health)
 
-    def _listen(self) -> None:
+    def _listen(self, s: MetricsSettings) -> None:
         """Start the HTTP server; a failure is kept in `failed` and logged once."""
-        s = self._settings
         registry = CollectorRegistry(auto_describe=False)
         registry.register(self)
         try:
-            self._server = HttpServer(*s.address, wsgi(make_wsgi_app(registry)), self._tls())
+            self._server = HttpServer(*s.address, wsgi(make_wsgi_app(registry)), self._tls(s))
             self.port, self.failed = self._server.port, None
         except (OSError, ValueError) as error:
             if self.failed is None:
                 _log.error("no metrics at %s for now: %s", s.listen, error)
             self.failed = f"{s.listen}: {error}"
 
-    def _tls(self) -> ssl.SSLContext | None:
+    def _tls(self, s: MetricsSettings) -> ssl.SSLContext | None:
         """Load the certificates; None without one.
 
         Raises
@@ -196,7 +195,6 @@ class Metrics(Collector, Outlet):
         OSError
             A file is missing or not what it should be; the message names the files.
         """
-        s = self._settings
         if s.certificate is None or s.private_key is None:
             return None
         names = [str(path) for path in (s.certificate, s.private_key, s.client_ca) if path is not None]

@@ -27,6 +27,7 @@ from monitor.service.outlets.base import Outlet
 from monitor.service.outlets.delivery_workers import AddressWorker, HeartbeatWorker
 from monitor.service.outlets.notices import NoticeSettings
 from monitor.service.outlets.outbox import Outbox
+from monitor.service.threads import background
 
 _log = logging.getLogger(__name__)
 _RETRY_SAVE_S = 10.0
@@ -147,7 +148,7 @@ class Notifier(Outlet):
         self._saving = Busy(clock)
         self._data_s = clock()
         self._closed = threading.Event()
-        self._storing = threading.Thread(target=self._store, name="outbox", daemon=True)
+        self._storing = background(self._store, "outbox")
 
     @property
     def failed(self) -> str | None:

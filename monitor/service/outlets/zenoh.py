@@ -28,6 +28,7 @@ from monitor.events import Event
 from monitor.publish import alarm_line, to_json
 from monitor.service.outlets.base import Outlet
 from monitor.service.requests import MAX_REQUEST_BYTES, Answer, RateLimit, Request
+from monitor.service.threads import background
 
 _log = logging.getLogger(__name__)
 _RETRY_S = (0.5, 30.0)
@@ -84,7 +85,7 @@ class ZenohOut(Outlet):
         self._closed = False
         self._failure: str | None = None
         self._busy = Busy()
-        self._thread = threading.Thread(target=self._run, name="zenoh-out", daemon=True)
+        self._thread = background(self._run, "zenoh-out")
         self._thread.start()
 
     @property

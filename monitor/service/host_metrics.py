@@ -1,0 +1,143 @@
+"""Prometheus metrics of many sites at one address: those of each site with its name as the label ``site``."""
+
+from __future__ import annotations
+
+import threading
+import urllib.request
+from collections.abc import Callable, Iterable, Iterator, Mapping
+
+from prometheus_client import CollectorRegistry, make_wsgi_app
+from prometheus_client.core import GaugeMetricFamily, Metric
+from prometheus_client.parser import text_string_to_metric_families
+from prometheus_client.registry import Collector
+
+from monitor.core import MissingInputError
+from monitor.service.outlets.http_server import HttpServer
+from monitor.service.outlets.metrics import Metrics
+
+_ASK_S = 2.0
+"""Longest wait for the metrics of a process. [s; judgement: shorter than a scrape]"""
+_STATES = ("waiting", "running", "ending", "over")
+"""What a host may do with a site. [words; monitor.service.host]"""
+
+
+class _Endpoint(Collector):
+    """Answer Prometheus over HTTP with metrics of many sites.
+
+    Parameters
+    ----------
+    address : (str, int)
+        Host and port; port 0 for any.
+
+    Attributes
+    ----------
+    port : int
+        Port at which it listens.
+
+    Raises
+    ------
+    MissingInputError
+        The port cannot be opened.
+    """
+
+    def __init__(self, address: tuple[str, int]) -> None:
+        registry = CollectorRegistry(auto_describe=False)
+        registry.register(self)
+        try:
+            self._server = HttpServer(*address, make_wsgi_app(registry))
+        except OSError as error:
+            raise MissingInputError(f"--metrics {address[0]}:{address[1]}: {error.strerror or error}") from error
+        self.port = self._server.port
+
+    def close(self, timeout_s: float) -> None:
+        """Stop listening."""
+        self._server.close(timeout_s)
+
+
+class HostMetrics(_Endpoint):
+    """Metrics of the sites of this process.
+
+    Parameters
+    ----------
+    address : (str, int)
+        As of the endpoint.
+    states : callable
+        Returns what the host does with each site, by its name.
+    """
+
+    def __init__(self, address: tuple[str, int], states: Callable[[], Mapping[str, str]]) -> None:
+        self._states = states
+        self._sites: dict[str, Metrics] = {}
+        self._lock = threading.Lock()
+        super().__init__(address)
+
+    def outlet(self, name: str) -> Metrics:
+        """Create the outlet of a site, whose metrics are shown from then on."""
+        outlet = Metrics(name, None)
+        with self._lock:
+            self._sites[name] = outlet
+        return outlet
+
+    def remove(self, name: str) -> None:
+        """Show the metrics of a site no more."""
+        with self._lock:
+            self._sites.pop(name, None)
+
+    def collect(self) -> Iterator[Metric]:
+        """Build the metrics of all sites from their present states."""
+        with self._lock:
+            sites = list(self._sites.items())
+        families: dict[str, Metric] = {}
+        for name, outlet in sites:
+            _add(families, outlet.collect(), {"site": name})
+        states = GaugeMetricFamily("shm_host_site", "What the host does with a site.", labels=("site", "is"))
+        for name, present in self._states().items():
+            for state in _STATES:
+                states.add_metric((name, state), float(state == present))
+        yield states
+        yield from families.values()
+
+
+class WorkersMetrics(_Endpoint):
+    """Metrics of the sites of several processes, each of which is asked for its own.
+
+    Parameters
+    ----------
+    address : (str, int)
+        As of the endpoint.
+    ports : callable
+        Returns the port of each process on the loopback address, by its number; None while it has none.
+    """
+
+    def __init__(self, address: tuple[str, int], ports: Callable[[], Mapping[int, int | None]]) -> None:
+        self._ports = ports
+        super().__init__(address)
+
+    def collect(self) -> Iterator[Metric]:
+        """Ask the processes for their metrics, and put them together."""
+        families: dict[str, Metric] = {}
+        workers = GaugeMetricFamily("shm_host_worker_up", "Processes of the host that answer.", labels=("worker",))
+        for number, port in self._ports().items():
+            answer = None if port is None else _ask(port)
+            workers.add_metric((str(number),), float(answer is not None))
+            if answer is not None:
+                _add(families, text_string_to_metric_families(answer), {})
+        yield workers
+        yield from families.values()
+
+
+def _add(families: dict[str, Metric], more: Iterable[Metric], labels: Mapping[str, str]) -> None:
+    """Add the samples of metrics, with labels besides their own, to those of the same names."""
+    for family in more:
+        known = families.setdefault(family.name, Metric(family.name, family.documentation, family.type))
+        known.samples += [sample._replace(labels={**labels, **sample.labels}) for sample in family.samples]
+
+
+def _ask(port: int) -> str | None:
+    """Fetch the metrics of a process; None if it does not answer."""
+    try:
+        with urllib.request.urlopen(f"http://127.0.0.1:{port}/metrics", timeout=_ASK_S) as answer:
+            text: str = answer.read().decode()
+            return text
+    except (OSError, ValueError):
+        return None

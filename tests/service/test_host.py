@@ -1,0 +1,64 @@
+"""The line of sites: who came first goes first, and a site that sends too much waits behind the others."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import numpy as np
+
+from drivers.base import ACCELERATION, SampleBlock
+from monitor.service.host import Line, Place
+from monitor.service.threads import BlockQueue
+
+
+def block(seconds: float = 1.0) -> SampleBlock:
+    n = round(100 * seconds)
+    return SampleBlock(ACCELERATION, 0, 0, 100.0, ("a1",), "m/s^2", np.zeros((n, 1), np.float32))
+
+
+def place(name: str) -> Place:
+    return Place(Path(f"{name}.toml"), name, None, queue=BlockQueue())
+
+
+def served(line: Line, places: list[Place], *, cost_s: float) -> list[str]:
+    """Names of the sites in the order in which their blocks are evaluated."""
+    order = []
+    for one in places:
+        line.join(one)
+    while (one := line.next()) is not None:
+        assert one.queue is not None
+        item = one.queue.take(0.0)
+        assert item is not None
+        order.append(one.name)
+        line.spend(one, item[1], item[0].n_samples / item[0].sample_rate_hz, cost_s)
+        line.join(one)
+    return order
+
+
+def test_who_came_first_is_evaluated_first() -> None:
+    places = [place(name) for name in "abc"]
+    for one in (places[2], places[0], places[1]):
+        one.queue.put(block())  # type: ignore[union-attr]
+        time.sleep(0.002)  # the clock of arrivals moves on
+    assert served(Line(), places, cost_s=0.0) == ["c", "a", "b"]
+
+
+def test_a_flood_costs_the_others_one_block() -> None:
+    flood, calm = place("flood"), place("calm")
+    for _ in range(50):
+        flood.queue.put(block(10.0))  # type: ignore[union-attr]
+    time.sleep(0.002)
+    for _ in range(3):
+        calm.queue.put(block(0.01))  # type: ignore[union-attr]
+    order = served(Line(), [flood, calm], cost_s=1e-4)
+    assert order[:4] == ["flood", "calm", "calm", "calm"]
+    assert order.count("flood") == 50  # and nothing of it is lost
+
+
+def test_blocks_that_cost_much_for_little_data_wait_too() -> None:
+    heavy, calm = place("heavy"), place("calm")
+    for _ in range(5):
+        heavy.queue.put(block(0.01))  # type: ignore[union-attr]
+    calm.queue.put(block())  # type: ignore[union-attr]
+    assert served(Line(), [heavy, calm], cost_s=5.0)[:2] == ["heavy", "calm"]

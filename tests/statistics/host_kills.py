@@ -1,0 +1,187 @@
+"""Workers of a host killed again and again: windows, alarms and messages beside those of an undisturbed `run`.
+
+``python -m tests.statistics.host_kills --kills 50 --out DIR`` plays recordings in which a story softens and recovers, and kills
+one of two workers at random moments.  It prints one JSON object: lines that differ, messages that are lost, by their numbers, and
+those that came again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import random
+import re
+import signal
+import threading
+import time
+from collections import Counter
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from drivers.base import ACCELERATION
+from drivers.mcap_file import McapWriter
+from monitor.config import configuration
+from monitor.model.simulation import simulate
+from monitor.runs.synthetic_recording import cut_into_blocks
+from tests.conftest import CHANNELS, FRAME, T0_NS
+from tests.support.live_rig import Command, shm_monitor, until
+
+_RATE = 128.0
+_SITES = 4
+_SITE = """
+[site]
+name = "{name}"
+baseline = "../baseline.json"
+[source]
+kind = "mcap"
+files = ["../{name}.mcap"]
+{speed}
+[output]
+dir = "out-{name}"
+[recorder]
+min_free_gb = 0.0
+flush_s = 1.0
+[watch]
+diagnose = false
+[state]
+checkpoint_s = 20.0
+[notify]
+urls = ["json://127.0.0.1:{port}"]
+most_per_hour = 1000
+"""
+
+
+class Sink:
+    """Address that takes messages: who sent which number with which words, in the order in which they came."""
+
+    def __init__(self) -> None:
+        self.taken: list[tuple[str, int, str]] = []
+        sink = self
+
+        class Handler(BaseHTTPRequestHandler):
+            def do_POST(self) -> None:
+                body = json.loads(self.rfile.read(int(self.headers["Content-Length"])))
+                found = re.search(r"site (\S+), message (\d+)", body["message"])
+                assert found is not None
+                sink.taken.append((found[1], int(found[2]), body["title"]))
+                self.send_response(200)
+                self.end_headers()
+
+            def log_message(self, *_: object) -> None: ...
+
+        self._server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+        self.port = self._server.server_address[1]
+        threading.Thread(target=self._server.serve_forever, daemon=True).start()
+
+
+def main() -> None:
+    """Run, kill and compare."""
+    options = argparse.ArgumentParser(description=__doc__)
+    options.add_argument("--kills", type=int, default=50)
+    options.add_argument("--every", type=float, default=6.0, help="mean time between kills, s")
+    options.add_argument("--out", type=Path, default=Path("out/kills"))
+    given = options.parse_args()
+    out = given.out.resolve()
+    out.mkdir(parents=True)
+    seconds = 4.0 * given.kills * given.every + 120.0
+    _record(out, seconds)
+    calm, killed = Sink(), Sink()
+    names = [f"s{k}" for k in range(_SITES)]
+    for folder, sink, speed in (("run", calm, ""), ("host", killed, "speed = 4.0")):
+        (out / folder).mkdir()
+        for name in names:
+            (out / folder / f"{name}.toml").write_text(_SITE.format(name=name, speed=speed, port=sink.port) + FRAME)
+    for name in names:
+        shm_monitor("run", out / "run" / f"{name}.toml")
+    host = Command(out / "host.log", "host", *sorted((out / "host").glob("*.toml")), "--workers", 2)
+    kills, away = _kill(host, given.kills, given.every)
+    host.finish(seconds)
+    time.sleep(2.0)
+    found = {"kills": kills, "seconds_of_data_a_site": seconds, "sites": _SITES, "away_s": away}
+    print(json.dumps({**found, **_compare(out, names, killed)}, indent=1))
+
+
+def _record(out: Path, seconds: float) -> None:
+    """Write healthy data for the baseline, and for each site data in which story 2 softens every few minutes."""
+    (out / "s.toml").write_text(FRAME)
+    (out / "weak.toml").write_text(FRAME.replace("1514.8507", "900.0"))
+    sound, weak = (configuration.load(out / name).model() for name in ("s.toml", "weak.toml"))
+    parts = {
+        k: simulate(model, duration_s=length, rate_hz=_RATE, noise=0.03, seed=k).floors
+        for k, (model, length) in enumerate(((sound, 400.0), (sound, 120.0), (weak, 120.0)))
+    }
+    course = np.tile(np.concatenate([parts[1], parts[2]]), (int(seconds // 240.0) + 1, 1))[: round(seconds * _RATE)]
+    streams = {"healthy": parts[0]} | {f"s{k}": np.roll(course, 1000 * k, axis=0) for k in range(_SITES)}
+    for name, floors in streams.items():
+        with McapWriter(out / f"{name}.mcap") as writer:
+            for block in cut_into_blocks(ACCELERATION, floors, CHANNELS, _RATE, T0_NS, 64):
+                writer.write(block)
+    shm_monitor("calibrate", out / "healthy.mcap", "--structure", out / "s.toml", "--out", out / "baseline.json")
+
+
+def _children(host: Command) -> list[int]:
+    pid = host.process.pid
+    return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+
+
+def _kill(host: Command, kills: int, every_s: float) -> tuple[int, dict[str, float]]:
+    """Kill a worker at random moments; return how often, and how long it was until another process had its place, s."""
+    chance, away = random.Random(1), []
+    host.wait_for("READY")
+    for _ in range(kills):
+        time.sleep(chance.uniform(0.3, 1.7) * every_s)
+        before = _children(host)
+        if len(before) < 2 or host.process.poll() is not None:
+            break
+        victim, begun_s = chance.choice(before), time.monotonic()
+        os.kill(victim, signal.SIGKILL)
+        until(
+            lambda victim=victim: len(_children(host)) == 2 and victim not in _children(host), "another process", 120.0
+        )  # type: ignore[misc]
+        away.append(time.monotonic() - begun_s)
+    return len(away), {"median": round(float(np.median(away)), 2), "max": round(max(away), 2)}
+
+
+def _compare(out: Path, names: list[str], killed: Sink) -> dict[str, Any]:
+    """Compare windows, alarms and messages."""
+    differing = {}
+    for name in names:
+        files = [
+            (out / folder / f"out-{name}" / "results.jsonl").read_text().splitlines() for folder in ("run", "host")
+        ]
+        differing[name] = sum(a != b for a, b in zip(*files, strict=False)) + abs(len(files[0]) - len(files[1]))
+    alarms = {
+        folder: [json.loads((out / folder / f"out-{name}" / "summary.json").read_text())["alarms"] for name in names]
+        for folder in ("run", "host")
+    }
+    numbers = {folder: {name: _numbers(out / folder / f"out-{name}") for name in names} for folder in ("run", "host")}
+    told = dict.fromkeys(killed.taken)
+    words = Counter((site, number) for site, number, _ in told)
+    lost = {}
+    for name in names:
+        last, waiting = numbers["host"][name]
+        lost[name] = sorted(set(range(1, last + 1)) - waiting - {n for site, n, _ in told if site == name})
+    return {
+        "lines_that_differ": differing,
+        "alarm_episodes": sum(map(len, alarms["run"])),
+        "alarm_episodes_equal": alarms["run"] == alarms["host"],
+        "messages_of_run": {name: numbers["run"][name][0] for name in names},
+        "messages_of_host": {name: numbers["host"][name][0] for name in names},
+        "numbers_lost": lost,
+        "repeats_with_their_number": len(killed.taken) - len(told),
+        "numbers_used_for_other_words": sum(n > 1 for n in words.values()),
+    }
+
+
+def _numbers(folder: Path) -> tuple[int, set[int]]:
+    """Number of messages of a site so far, and those that still wait."""
+    head, *rows = (folder / "state" / "outbox.jsonl").read_text().splitlines()
+    return json.loads(head)["next_id"] - 1, {json.loads(row)["id"] for row in rows}
+
+
+if __name__ == "__main__":
+    main()

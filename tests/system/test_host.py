@@ -1,0 +1,233 @@
+"""Many sites in one process: each is filled as `run` fills it, whatever becomes of the others."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import urllib.request
+from pathlib import Path
+
+import numpy as np
+import pyarrow.compute
+import pyarrow.dataset
+import pytest
+
+from drivers.mcap_file import McapWriter
+from monitor.config import configuration
+from monitor.model.simulation import simulate
+from tests.conftest import Cli, Cut
+from tests.support.live_rig import Command, until
+from tests.support.zenoh_router import free_port
+
+pytestmark = pytest.mark.system
+
+RATE = 128.0
+SITE = """
+[site]
+name = "{name}"
+baseline = "../baseline.json"
+
+[source]
+kind = "mcap"
+files = ["../{recording}.mcap"]
+{speed}
+
+[output]
+dir = "out-{name}"
+
+[recorder]
+min_free_gb = 0.0
+flush_s = 1.0
+
+[watch]
+diagnose = false
+
+[state]
+checkpoint_s = 5.0
+"""
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory, frame_text: str, cut: Cut, main: Cli) -> Path:
+    """A baseline, recordings in some of which story 2 softens, and what `run` makes of each."""
+    folder = tmp_path_factory.mktemp("bench")
+    (folder / "s.toml").write_text(frame_text)
+    (folder / "weak.toml").write_text(frame_text.replace("1514.8507", "900.0"))
+    sound, weak = (configuration.load(folder / name).model() for name in ("s.toml", "weak.toml"))
+
+    def write(name: str, floors: np.ndarray) -> None:
+        with McapWriter(folder / f"{name}.mcap") as writer:
+            for block in cut(floors, RATE):
+                writer.write(block)
+
+    def moved(model: object, seconds: float, seed: int) -> np.ndarray:
+        return simulate(model, duration_s=seconds, rate_hz=RATE, noise=0.03, seed=seed).floors  # type: ignore[arg-type]
+
+    write("healthy", moved(sound, 400.0, 6))
+    for k in range(3):
+        write(f"r{k}", np.concatenate([moved(sound, 30.0, 10 + k), moved(weak, 45.0, 20 + k)]))
+    write("flood", np.tile(moved(sound, 100.0, 30), (30, 1)))
+    (folder / "garbage.mcap").write_bytes(bytes(range(256)) * 100)
+    done = main(
+        "calibrate", folder / "healthy.mcap", "--structure", folder / "s.toml", "--out", folder / "baseline.json"
+    )
+    assert done.returncode == 0, done.stderr
+    for k in range(3):
+        path = site(folder / "run", frame_text, f"s{k}", f"r{k}")
+        assert main("run", path).returncode == 0
+    return folder
+
+
+def site(folder: Path, frame_text: str, name: str, recording: str, speed: str = "") -> Path:
+    folder.mkdir(exist_ok=True)
+    path = folder / f"{name}.toml"
+    path.write_text(SITE.format(name=name, recording=recording, speed=speed) + frame_text)
+    return path
+
+
+def results(folder: Path, name: str) -> bytes:
+    file = folder / f"out-{name}" / "results.jsonl"
+    return file.read_bytes() if file.exists() else b""
+
+
+def equal(bench: Path, folder: Path, name: str) -> bool:
+    """Whether the windows and alarms are those of `run`, bit for bit."""
+    lines = results(folder, name)
+    assert results(bench / "run", name).startswith(lines), name
+    return lines == results(bench / "run", name)
+
+
+def alarms(folder: Path, name: str) -> list[object]:
+    return list(json.loads((folder / f"out-{name}" / "summary.json").read_text())["alarms"])
+
+
+def test_each_site_is_filled_as_run_fills_it(bench: Path, frame_text: str, main: Cli) -> None:
+    paths = [site(bench / "files", frame_text, f"s{k}", f"r{k}") for k in range(3)]
+    done = main("host", *paths)
+    assert done.returncode == 0 and "READY" in done.stderr.splitlines(), done.stderr
+    for k in range(3):
+        assert equal(bench, bench / "files", f"s{k}")
+        assert alarms(bench / "files", f"s{k}") == alarms(bench / "run", f"s{k}") != []
+
+
+def test_a_folder_is_watched_and_faults_stay_with_their_site(bench: Path, frame_text: str) -> None:
+    folder, port = bench / "watched", free_port()
+    for k in range(2):
+        site(folder, frame_text, f"s{k}", f"r{k}", "speed = 12.0")
+    site(folder, frame_text, "flood", "flood")
+    site(folder, frame_text, "garbage", "garbage")
+    twin = site(folder, frame_text, "twin", "r0")
+    twin.write_text(twin.read_text().replace('name = "twin"', 'name = "s1"'))
+    (folder / "bad.toml").write_text("[site\n")
+    host = Command(folder / "host.log", "host", folder, "--metrics", f"127.0.0.1:{port}")
+    try:
+        host.wait_for("READY")
+        for name in ("bad", "garbage", "twin"):  # told by name
+            host.wait_for(f"{name} is started again")
+        with urllib.request.urlopen(f"http://127.0.0.1:{port}/metrics") as answer:
+            metrics = answer.read().decode()
+        assert 'shm_host_site{is="waiting",site="bad"} 1.0' in metrics
+        site(folder, frame_text, "s2", "r2")
+        shutil.copy(site(folder, frame_text, "late", "r0", "speed = 2.0"), folder / "late.kept")
+        until(lambda: results(folder, "late"), "a site that came later")
+        (folder / "late.toml").unlink()
+        host.wait_for("late ends")
+        until(lambda: all(equal(bench, folder, f"s{k}") for k in range(3)), "all windows of the others")
+        with urllib.request.urlopen(f"http://127.0.0.1:{port}/metrics") as answer:
+            metrics = answer.read().decode()
+        assert 'shm_windows_total{site="s0"}' in metrics or 'shm_host_site{is="over",site="s0"} 1.0' in metrics
+        code, seconds = host.stop()
+        assert code == 0 and seconds < 30.0, host.said
+    finally:
+        host.kill()
+    for k in range(2):
+        assert alarms(folder, f"s{k}") == alarms(bench / "run", f"s{k}")
+
+
+def test_sites_go_on_from_their_checkpoints(bench: Path, frame_text: str) -> None:
+    folder = bench / "restarted"
+    paths = [site(folder, frame_text, f"s{k}", f"r{k}", "speed = 8.0") for k in range(3)]
+    for number in (signal.SIGTERM, signal.SIGKILL, None):
+        host = Command(folder / "host.log", "host", *paths)
+        try:
+            if number is None:
+                host.finish(60.0)
+            else:
+                before = sum(len(results(folder, f"s{k}")) for k in range(3))
+                until(lambda before=before: sum(len(results(folder, f"s{k}")) for k in range(3)) > before, "a window")
+                assert host.stop(number)[0] == (0 if number is signal.SIGTERM else -number)
+        finally:
+            host.kill()
+    for k in range(3):
+        assert equal(bench, folder, f"s{k}")
+        assert alarms(folder, f"s{k}") == alarms(bench / "run", f"s{k}")
+    assert os.listdir(folder / "out-s0" / "recordings")
+
+
+def test_the_results_of_all_sites_are_one_dataset(bench: Path, frame_text: str, main: Cli) -> None:
+    folder, out = bench / "run", bench / "dataset"
+    done = main("dataset", folder, "--out", out, "--json")
+    assert done.returncode == 0, done.stderr
+    told = json.loads(done.stdout)["windows"]
+    table = pyarrow.dataset.dataset(out, partitioning="hive").to_table()
+    for name in ("s0", "s1", "s2"):
+        lines = [json.loads(line) for line in results(folder, name).splitlines()]
+        rows = table.filter(pyarrow.compute.field("site") == name)
+        assert told[name] == len(lines) == rows.num_rows
+        assert rows["ddi"].to_pylist() == [line["ddi"] for line in lines]
+        assert rows["alarm_level"].to_pylist() == [line["alarm"]["level"] for line in lines]
+    assert set(table["month"].to_pylist()) == {"2026-01"}
+
+
+def children(host: Command) -> list[int]:
+    pid = host.process.pid
+    return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+
+
+def test_a_worker_that_is_killed_is_started_again_and_its_sites_go_on(bench: Path, frame_text: str) -> None:
+    folder, port = bench / "workers", free_port()
+    paths = [site(folder, frame_text, f"s{k}", f"r{k}", "speed = 8.0") for k in range(3)]
+    host = Command(folder / "host.log", "host", *paths, "--workers", 2, "--metrics", f"127.0.0.1:{port}")
+    try:
+        host.wait_for("READY")
+        first = children(host)
+        assert len(first) == 2
+        until(lambda: all(results(folder, f"s{k}") for k in range(3)), "a window of each")
+        with urllib.request.urlopen(f"http://127.0.0.1:{port}/metrics") as answer:
+            metrics = answer.read().decode()
+        assert all(f'shm_windows_total{{site="s{k}"}}' in metrics for k in range(3))
+        os.kill(first[0], signal.SIGKILL)
+        until(lambda: len(children(host)) == 2 and children(host) != first, "another process")
+        host.finish(60.0)
+    finally:
+        host.kill()
+    for k in range(3):
+        assert equal(bench, folder, f"s{k}")
+        assert alarms(folder, f"s{k}") == alarms(bench / "run", f"s{k}")
+
+
+def test_workers_end_in_order_on_sigterm_and_with_their_parent(bench: Path, frame_text: str) -> None:
+    folder = bench / "ended"
+    site(folder, frame_text, "s0", "r0", "speed = 1.0")
+    site(folder, frame_text, "s1", "r1", "speed = 1.0")
+    for number in (signal.SIGTERM, signal.SIGKILL):
+        host = Command(folder / "host.log", "host", folder, "--workers", 2)
+        try:
+            host.wait_for("READY")
+            workers = children(host)
+            code, seconds = host.stop(number)
+            assert code == (0 if number is signal.SIGTERM else -number) and seconds < 75.0
+            until(lambda workers=workers: not any(map(lives, workers)), "no process is left")
+        finally:
+            host.kill()
+        assert (folder / "out-s0" / "state" / "checkpoint").exists()
+
+
+def lives(pid: int) -> bool:
+    """Whether a process runs: one whose parent was killed may stay as a zombie where nobody waits for it."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
