@@ -23,6 +23,7 @@ from monitor.cli import (
     emulate,
     features,
     fleet,
+    look,
     operate,
     recordings,
     report,
@@ -66,6 +67,7 @@ for command in (
     analyse.calibrate,
     features.features,
     recordings.simulate,
+    look.look,
 ):
     app.command()(command)
 app.command("import")(recordings.import_)

@@ -118,9 +118,7 @@ def _fit(
     return SingleMode(f, f * f_std, d, d * damping_std, float(macs.max()))
 
 
-def _scoring(
-    power: Array, bins: Array, bin_hz: float, start: Array, n_segments: int
-) -> tuple[Array, Array] | None:
+def _scoring(power: Array, bins: Array, bin_hz: float, start: Array, n_segments: int) -> tuple[Array, Array] | None:
     """Fit ln f, ln damping, ln of the bell's size and ln noise to a spectrum, shape (k,), by Fisher scoring.
 
     Returns

@@ -1,4 +1,4 @@
-from . import calibrate, demo, diagnose, features, ledger, ledger_chain, paper_tables, replay, synthetic_recording
+from . import calibrate, demo, diagnose, features, ledger, ledger_chain, look, paper_tables, replay, synthetic_recording
 from .archive.inventory import expand_patterns
 from .archive.jobs import WINDOWS
 from .archive.reprocess import reprocess
@@ -25,6 +25,7 @@ __all__ = [
     "import_files",
     "ledger",
     "ledger_chain",
+    "look",
     "open_viewer",
     "paper_tables",
     "replay",

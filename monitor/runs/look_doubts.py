@@ -226,4 +226,6 @@ def _of_signs(facts: Facts) -> Iterator[str]:
 
 def _names(facts: Facts, channels: Sequence[int]) -> str:
     """Join the names of channels; all of them in two words."""
-    return "all channels" if len(channels) == len(facts.channels) > 1 else ", ".join(facts.channels[k] for k in channels)
+    return (
+        "all channels" if len(channels) == len(facts.channels) > 1 else ", ".join(facts.channels[k] for k in channels)
+    )
