@@ -18,6 +18,7 @@ from monitor import __version__
 from monitor.cli import (
     analyse,
     check,
+    compare,
     demo,
     diagnose,
     emulate,
@@ -68,6 +69,7 @@ for command in (
     features.features,
     recordings.simulate,
     look.look,
+    compare.compare,
 ):
     app.command()(command)
 app.command("import")(recordings.import_)

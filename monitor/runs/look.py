@@ -59,7 +59,7 @@ _MOST_VALUES = 1 << 27
 _BAND_RATIO = 4
 """Ratio of the sampling rates of neighbouring bands. [1; cost: each band spans a range of frequencies of 1 to 20]"""
 _LEAST_CYCLES = 100.0
-"""Cycles of the lowest mode that is looked for. [count; judgement: its frequency is then known within 1 %, its damping roughly]"""
+"""Cycles of the lowest mode that is looked for. [count; judgement: its frequency is then known within 1 %]"""
 _LEAST_BLOCKS = 12
 """Blocks from which an uncertainty is estimated. [count; judgement: it is then known within a fifth]"""
 _SEGMENT_BLOCKS_S = 10.0
@@ -198,7 +198,7 @@ def _look(
         mean_m_s2=mean,
         rms_m_s2=rms,
         peak_m_s2=peak,
-        hz=np.arange(design.n_bins) * design.step_hz,
+        hz=np.asarray(np.arange(design.n_bins) * design.step_hz, dtype=float),
         power=2.0 * np.einsum("kaa->ak", spectra).real,
         singular_values=2.0 * np.linalg.eigvalsh(spectra)[:, ::-1].T,
         n_segments=len(transforms),

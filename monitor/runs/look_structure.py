@@ -17,7 +17,8 @@ from monitor.signals import ProcessingSettings
 _MASS_SPREAD = 0.2
 """Spread of the floors' masses about their mean that is taken for granted. [ratio; judgement: floors of one building]"""
 _LEAST_EQUATION_STD = 0.01
-"""Least standard deviation of an equation of motion, over the inertia of a floor. [ratio; judgement: shear frames are not exact]"""
+"""Least standard deviation of an equation of motion, over the inertia of a floor. [ratio; judgement: no structure
+is quite a shear frame]"""
 _LEAST_FRAME_MAC = 0.9
 """Modal assurance criterion between every mode and its counterpart in the frame, from which it is taken. [1; judgement]"""
 _MOST_FRAME_ERROR = 0.1

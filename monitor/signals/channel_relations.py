@@ -96,10 +96,10 @@ def find_delays(transforms: ComplexArray, step_hz: float, rate_hz: float, stretc
         if len(bins) < _LEAST_BINS:
             continue
         independent = per / (1.0 + 2.0 * overlap_correlation())
-        weight = (
-            2.0 * independent * informative[bins, a, b] / 2.0
-        )  # of a phase; neighbouring bins share half their data
-        delay = _delay(spectra[:, bins, a, b], whole[bins, a, b], 2.0 * np.pi * step_hz * bins, weight, stretch_s)
+        omega = np.asarray(2.0 * np.pi * step_hz * bins, dtype=float)
+        # Of a phase, by Bendat and Piersol; neighbouring bins share half their data.
+        weight = np.asarray(0.5 * 2.0 * independent * informative[bins, a, b])
+        delay = _delay(spectra[:, bins, a, b], whole[bins, a, b], omega, weight, stretch_s)
         late = abs(delay.delay_s) > max(limit * delay.delay_std_s, _LEAST_DELAY / rate_hz)
         drifts = abs(delay.drift) > max(limit * delay.drift_std, _LEAST_DELAY / (rate_hz * stretch_s))
         if late or drifts:

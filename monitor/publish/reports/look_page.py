@@ -203,8 +203,8 @@ def _stabilisations(found: LookedRecording) -> str:
     if not charts:
         return ""
     words = (
-        "Each point is a pole of one order; blue: it recurs from the next lower order. Orange lines: modes that were chosen. Line: "
-        "first singular value of the spectral matrix. Lower rates resolve lower modes."
+        "Each point is a pole of one order; blue: it recurs from the next lower order. Orange lines: modes that were chosen. "
+        "Line: first singular value of the spectral matrix. Lower rates resolve lower modes."
     )
     return f'<h2>Stabilisation diagrams</h2>{"".join(charts)}<p class="muted">{words}</p>'
 
@@ -288,7 +288,8 @@ def _spectrograms(found: LookedRecording, top_hz: float) -> str:
         axes = Axes((begin, max(end, begin + 1e-9)), (0.0, top_hz), 150.0)
         picture = png((level - low) / max(high - low, 1e-9))
         data = b64encode(picture).decode()
-        image = f'<image href="data:image/png;base64,{data}" width="{WIDTH:g}" height="{axes.height:g}" preserveAspectRatio="none"/>'
+        size = f'width="{WIDTH:g}" height="{axes.height:g}" preserveAspectRatio="none"'
+        image = f'<image href="data:image/png;base64,{data}" {size}/>'
         out.append(axes.chart(f"{name}: frequency, Hz, over time", image, x_title="time, s"))
     return "".join(out)
 
