@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 
@@ -23,6 +24,8 @@ _LEAST_SHARE = 0.001
 """Share of a recording's samples or spans from which a fault is told. [1; judgement]"""
 _OPPOSITE = 0.2
 """Size of a component of the lowest mode, over the largest, from which its sign tells something. [1; judgement]"""
+_LEAST_CHANNELS = 3
+"""Channels from which one can be told to be out of line. [count; definition]"""
 _TONE_OFFSET_BINS = 4
 """Bins from a peak where its background begins. [bins; the Hann taper's leakage is then below a thousandth]"""
 
@@ -197,32 +200,37 @@ def _of_signs(facts: Facts) -> Iterator[str]:
     In the lowest mode of a building or a mast all of it moves to one side, the more the higher.
     """
     first = next((mode for mode in facts.modes if not mode.remark), None)
-    if first is None or len(facts.channels) < 3:
+    moving = np.flatnonzero(facts.rms > 0.0)
+    if first is None or len(moving) < _LEAST_CHANNELS:
         return
-    shape = first.shape.real
-    large = [k for k, x in enumerate(shape) if abs(x) > _OPPOSITE]
+    shape, slack = first.shape.real[moving], 2.0 * first.shape_std[moving]
+    large = np.flatnonzero(np.abs(shape) > _OPPOSITE)
     signs = np.sign(shape[large])
-    against = [k for k, sign in zip(large, signs, strict=True) if sign != np.sign(signs.sum())]
-    if len(against) == 1 and len(large) > 2:
+    against = [int(k) for k in large[signs != np.sign(signs.sum())]]
+    if len(against) == 1 and len(large) >= _LEAST_CHANNELS:
         yield (
-            f"{_names(facts, against)}: moves against all others in the lowest mode ({first.frequency_hz:.4g} Hz): "
+            f"{facts.channels[moving[against[0]]]}: moves against all others in the lowest mode ({first.frequency_hz:.4g} Hz): "
             "may be reversed"
         )
-    size, slack = np.abs(shape), 2.0 * first.shape_std
-    order = np.argsort(-size)
-    straight = [list(range(len(size))), list(range(len(size)))[::-1]]
-    if len(against) or order.tolist() in straight:
+    if against or _is_straight(np.abs(shape)):
         return
-    for a in range(len(size)):
-        for b in range(a + 1, len(size)):
-            swapped = size.copy()
-            swapped[[a, b]] = swapped[[b, a]]
-            if np.argsort(-swapped).tolist() in straight and abs(size[a] - size[b]) > slack[a] + slack[b]:
-                yield (
-                    f"{facts.channels[a]} and {facts.channels[b]}: may be swapped, if the channels go up or down the structure "
-                    "one by one: in the lowest mode they move out of order"
-                )
-                return
+    pairs = []
+    for a, b in combinations(range(len(shape)), 2):
+        swapped = np.abs(shape)
+        swapped[[a, b]] = swapped[[b, a]]
+        if _is_straight(swapped) and abs(swapped[a] - swapped[b]) > slack[a] + slack[b]:
+            pairs.append(f"{facts.channels[moving[a]]} and {facts.channels[moving[b]]}")
+    if pairs:
+        yield (
+            f"{', or '.join(pairs)}: may be swapped, if the channels go up or down the structure one by one: in the lowest mode "
+            "they move out of order"
+        )
+
+
+def _is_straight(size: Array) -> bool:
+    """Check whether values rise all along, or fall."""
+    steps = np.diff(size)
+    return bool((steps > 0.0).all() or (steps < 0.0).all())
 
 
 def _names(facts: Facts, channels: Sequence[int]) -> str:

@@ -142,7 +142,7 @@ def find_copies(transforms: ComplexArray) -> tuple[tuple[int, int], ...]:
 
 
 def folded_share(power: Array) -> Array:
-    """Compare the power density just below half the rate with the median of the upper half of the band, shape (n_bins, c) to (c,).
+    """Compare the power density just below half the rate with the median of the upper half of the band, (n_bins, c) to (c,).
 
     A lowpass before the samples were taken leaves next to nothing there; about 1 means that none was at work.
     """
