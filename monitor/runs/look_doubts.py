@@ -24,6 +24,8 @@ _LEAST_SHARE = 0.001
 """Share of a recording's samples or spans from which a fault is told. [1; judgement]"""
 _OPPOSITE = 0.2
 """Size of a component of the lowest mode, over the largest, from which its sign tells something. [1; judgement]"""
+_MOST_NAMED = 5
+"""Most sinusoids that are named. [count; judgement]"""
 _LEAST_CHANNELS = 3
 """Channels from which one can be told to be out of line. [count; definition]"""
 _TONE_OFFSET_BINS = 4
@@ -81,21 +83,32 @@ def remark_modes(facts: Facts) -> tuple[LookedMode, ...]:
 def _is_tone(facts: Facts, mode: LookedMode) -> bool:
     """Test whether the power at a mode's frequency is as constant over time as that of a sinusoid."""
     at = round(mode.frequency_hz / facts.step_hz)
-    n_bins = facts.transforms.shape[1]
-    if not _TONE_OFFSET_BINS < at < n_bins - 2 * _TONE_OFFSET_BINS:
+    if not 1 < at < facts.transforms.shape[1] - 2:
         return False
-    weights = mode.shape.conj() / np.linalg.norm(mode.shape)
-    near = np.abs(facts.transforms[:, at - 1 : at + 2] @ weights) ** 2
-    at += int(near.mean(axis=0).argmax()) - 1
-    around = [at - 2 * _TONE_OFFSET_BINS + k for k in range(_TONE_OFFSET_BINS)]
-    around += [at + _TONE_OFFSET_BINS + 1 + k for k in range(_TONE_OFFSET_BINS)]
-    around = [k for k in around if 0 < k < n_bins]
-    background = float((np.abs(facts.transforms[:, around] @ weights) ** 2).mean())
-    power = np.abs(facts.transforms[:, at] @ weights) ** 2
-    if not background > 0.0:
-        return False
+    power = np.abs(facts.transforms @ (mode.shape.conj() / np.linalg.norm(mode.shape))) ** 2
+    at += int(power[:, at - 1 : at + 2].mean(axis=0).argmax()) - 1
+    return _is_constant(power, at, len(facts.modes))
+
+
+def _is_constant(power: Array, at: int, tests: int) -> bool:
+    """Test whether the power in a bin, of shape (n_segments, n_bins), is as constant over the segments as a sinusoid's."""
+    offsets = np.arange(_TONE_OFFSET_BINS, 2 * _TONE_OFFSET_BINS)
+    around = np.concatenate([at - offsets, at + offsets])
+    around = around[(around > 0) & (around < power.shape[1])]
+    background = float(power[:, around].mean()) if around.size else 0.0
     # Half-overlapping segments share data, which makes steady what is random: every other one is independent.
-    return bool(mains_hum.constancy(power[::2], background) > np.log(len(facts.modes) / FALSE_RATE))
+    return background > 0.0 and mains_hum.constancy(power[::2, at], background) > np.log(tests / FALSE_RATE)
+
+
+def _tones(facts: Facts) -> Iterator[float]:
+    """Find the frequencies at which the power of a channel is as constant as that of a sinusoid, Hz."""
+    power = np.abs(facts.transforms) ** 2
+    mean = power.mean(axis=0)
+    n_bins, c = mean.shape
+    for at in range(2, n_bins - 2):
+        peaks = [k for k in range(c) if mean[at, k] == mean[at - 2 : at + 3, k].max() > 0.0]
+        if any(_is_constant(power[:, :, k], at, n_bins * c) for k in peaks):
+            yield at * facts.step_hz
 
 
 def _of_level(facts: Facts) -> Iterator[str]:
@@ -159,13 +172,26 @@ def _of_sensors(facts: Facts) -> Iterator[str]:
 
 def _of_spectra(facts: Facts) -> Iterator[str]:
     """Tell of hum, of drift and of a missing lowpass."""
-    for hum in mains_hum.find_hum(facts.transforms, facts.step_hz, facts.rate_hz):
+    hums = mains_hum.find_hum(facts.transforms, facts.step_hz, facts.rate_hz)
+    for hum in hums:
         where = "all channels" if hum.channel is None else facts.channels[hum.channel]
         seen = f", folded from {hum.harmonic * hum.mains_hz:g} Hz" if hum.is_aliased else ""
         yield f"{where}: hum of the mains at {hum.hz:.4g} Hz{seen}: earth the cable's screen on one side"
+    tones = [hz for hz in _tones(facts) if not any(hum.low_hz <= hz <= hum.high_hz for hum in hums)]
+    if tones:
+        of_mains = mains_hum.harmonic_bins(facts.rate_hz, facts.step_hz, facts.transforms.shape[1] - 1)
+        said = []
+        for hz in tones[:_MOST_NAMED]:
+            at = round(hz / facts.step_hz)
+            said.append(
+                f"{hz:.4g} Hz" + (" (the mains?)" if any(low <= at <= high for _, low, high in of_mains) else "")
+            )
+        more = f" and {len(tones) - _MOST_NAMED} more" if len(tones) > _MOST_NAMED else ""
+        yield f"sinusoids at {', '.join(said)}{more}: a machine, a shaker, or hum"
     lowest = min((mode.frequency_hz for mode in facts.modes), default=0.02 * facts.rate_hz)
-    for drift in sensor_drift.find_drift(facts.transforms, int(0.5 * lowest / facts.step_hz)):
-        yield f"{facts.channels[drift.channel]}: drifts alone, slower than {0.5 * lowest:.3g} Hz"
+    drifts = sensor_drift.find_drift(facts.transforms, int(0.5 * lowest / facts.step_hz))
+    if len(drifts) < len(facts.channels):  # what all do is the motion's
+        yield from (f"{facts.channels[one.channel]}: drifts alone, slower than {0.5 * lowest:.3g} Hz" for one in drifts)
     folded = channel_relations.folded_share((np.abs(facts.transforms) ** 2).mean(axis=0))
     bare = [k for k, share in enumerate(folded) if share > _LEAST_UNFOLDED and facts.rms[k] > 0.0]
     if bare:
@@ -190,7 +216,7 @@ def _of_channels(facts: Facts) -> Iterator[str]:
             yield f"{a} and {b}: their clocks differ by {abs(delay.drift) * 1e6:.3g} parts in a million: may be two clocks"
         else:
             late, early = (a, b) if delay.delay_s > 0.0 else (b, a)
-            yield f"{late}: may be {abs(delay.delay_s) * 1e3:.3g} ms later than {early}"
+            yield f"{late}: may be about {abs(delay.delay_s) * 1e3:.3g} ms later than {early}"
     yield from _of_signs(facts)
 
 
