@@ -45,9 +45,9 @@ def test_few_modes_are_missed_and_few_are_false(seconds: float, capsys: pytest.C
     within_second = (np.abs(second_scores) < 1.96).mean(axis=0)
     with capsys.disabled():
         print(
-            f"\n{seconds:g} s: {total} modes, {missed} missed, {false} false; in their 95 % interval: frequency "
-            f"{100 * within[0]:.0f} %, damping {100 * within[1]:.0f} %; second opinion of {len(second_scores)}: {100 * within_second[0]:.0f} and "
-            f"{100 * within_second[1]:.0f} %, {differing} differ by three standard deviations"
+            f"\n{seconds:g} s: {total} modes, {missed} missed, {false} false; in their 95 % interval: "
+            f"frequency {100 * within[0]:.0f} %, damping {100 * within[1]:.0f} %; second opinion of {len(second_scores)}: "
+            f"{100 * within_second[0]:.0f} and {100 * within_second[1]:.0f} %, {differing} differ by three standard deviations"
         )
     assert missed <= 0.02 * total
     assert false <= 0.02 * total
