@@ -24,6 +24,9 @@ _LEAST_SHARE = 0.001
 """Share of a recording's samples or spans from which a fault is told. [1; judgement]"""
 _OPPOSITE = 0.2
 """Size of a component of the lowest mode, over the largest, from which its sign tells something. [1; judgement]"""
+_ROOM_BELOW = 4.0
+"""Frequency of the lowest mode found, over the lowest that was looked for, from which it counts as the structure's lowest. [1;
+judgement: the second mode of a building lies two and a half to six times above the first]"""
 _MOST_NAMED = 5
 """Most sinusoids that are named. [count; judgement]"""
 _LEAST_CHANNELS = 3
@@ -53,6 +56,8 @@ class Facts:
     """Shape (n_segments, n_bins, c), Hann taper."""
     step_hz: float
     modes: tuple[LookedMode, ...]
+    lowest_hz: float
+    """Lowest frequency at which modes were looked for, Hz."""
 
 
 def find_doubts(facts: Facts) -> tuple[str, ...]:
@@ -227,7 +232,7 @@ def _of_signs(facts: Facts) -> Iterator[str]:
     """
     first = next((mode for mode in facts.modes if not mode.remark), None)
     moving = np.flatnonzero(facts.rms > 0.0)
-    if first is None or len(moving) < _LEAST_CHANNELS:
+    if first is None or len(moving) < _LEAST_CHANNELS or first.frequency_hz < _ROOM_BELOW * facts.lowest_hz:
         return
     shape, slack = first.shape.real[moving], 2.0 * first.shape_std[moving]
     large = np.flatnonzero(np.abs(shape) > _OPPOSITE)
