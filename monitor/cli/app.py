@@ -18,12 +18,14 @@ from monitor import __version__
 from monitor.cli import (
     analyse,
     check,
+    compare,
     demo,
     diagnose,
     emulate,
     features,
     fleet,
     host,
+    look,
     operate,
     recordings,
     report,
@@ -69,6 +71,8 @@ for command in (
     analyse.calibrate,
     features.features,
     recordings.simulate,
+    look.look,
+    compare.compare,
 ):
     app.command()(command)
 app.command("import")(recordings.import_)

@@ -1,6 +1,8 @@
 from .base import Publisher
 from .reports.diagnosis_report import write_report
 from .reports.event_report import EventPage, write_event
+from .reports.look_data import G_M_S2, LookedBand, LookedMode, LookedRecording
+from .reports.look_page import mode_rows, write_look
 from .reports.period_report import read_period, write_period
 from .results.arrow_table import WINDOWS_SCHEMA, windows_table
 from .results.event_lines import EVENTS, event_line, event_text, read_event, telling
@@ -24,10 +26,14 @@ from .viewer.scene import make_scene, utc
 
 __all__ = [
     "EVENTS",
+    "G_M_S2",
     "LINE_SCHEMA",
     "WINDOWS_SCHEMA",
     "EventPage",
     "LinesFile",
+    "LookedBand",
+    "LookedMode",
+    "LookedRecording",
     "Output",
     "Publisher",
     "Quality",
@@ -41,6 +47,7 @@ __all__ = [
     "event_text",
     "facts_of_line",
     "make_scene",
+    "mode_rows",
     "month_file",
     "pack_month",
     "read_event",
@@ -54,6 +61,7 @@ __all__ = [
     "window_line",
     "windows_table",
     "write_event",
+    "write_look",
     "write_period",
     "write_report",
     "write_view",

@@ -1,4 +1,16 @@
-from . import calibrate, demo, diagnose, features, ledger, ledger_chain, paper_tables, replay, synthetic_recording
+from . import (
+    calibrate,
+    compare,
+    demo,
+    diagnose,
+    features,
+    ledger,
+    ledger_chain,
+    look,
+    paper_tables,
+    replay,
+    synthetic_recording,
+)
 from .archive.inventory import expand_patterns
 from .archive.jobs import WINDOWS
 from .archive.reprocess import reprocess
@@ -20,6 +32,7 @@ __all__ = [
     "Session",
     "SessionState",
     "calibrate",
+    "compare",
     "demo",
     "diagnose",
     "duration_s",
@@ -29,6 +42,7 @@ __all__ = [
     "ledger",
     "ledger_chain",
     "longest_diagnosis_s",
+    "look",
     "open_viewer",
     "page_of",
     "paper_tables",
