@@ -110,6 +110,8 @@ class OutputSettings(Settings):
     """HOST:PORT of the server that Rerun viewers may join."""
     zenoh: dict[str, Any] | None = None
     """Table of the publisher of results, alarms and health over Zenoh (`monitor.service.outlets`)."""
+    mqtt: dict[str, Any] | None = None
+    """Table of the publisher of results, alarms and health over MQTT (`monitor.service.outlets`)."""
     metrics: dict[str, Any] | None = None
     """Table of the endpoint for Prometheus (`monitor.service.outlets`)."""
 

@@ -32,7 +32,7 @@ from can.interfaces.udp_multicast.bus import UdpMulticastBus
 from can.interfaces.udp_multicast.utils import pack_message
 from pydantic import ValidationError
 
-from drivers import codec, frames
+from drivers import codec, frames, mqtt
 from drivers.base import (
     ACCELERATION,
     GROUND,
@@ -46,6 +46,7 @@ from drivers.base import (
 from drivers.can_bus import CanSource
 from drivers.can_open import CanSettings
 from drivers.mcap_file import McapWriter, read_recordings
+from drivers.mqtt import MqttSettings, MqttSource, _Delivery
 from drivers.recorder import recorded, recover, unfit
 from drivers.ros2_imu import decode_imu
 from drivers.socketcand_client import SocketcandBus
@@ -204,6 +205,18 @@ def _zenoh_seeds() -> list[bytes]:
         stream(b"\xffshm/a/alive/x", blocks[0], b"\xffshm/a/alive/xy"),
         stream(codec.encode(block(0, sequence=(1 << 63) - 1)), codec.encode(block(1, t_ns=1 << 61))),
     ]
+
+
+def _mqtt_json(data: bytes) -> None:
+    source = MqttSource(MqttSettings(host="127.0.0.1", topic="a/b", format="json"), SourceContext(CHANNELS, Path()))
+    source._accept(_Delivery(ACCELERATION, 1, 1), data)
+    for got in source._ready:
+        sound(got)
+    assert len(source._ready) + source.health().counts["undecodable"] == 1
+
+
+def _mqtt_json_seeds() -> list[bytes]:
+    return [mqtt.encode(block(k, 4), "json") for k in range(2)]
 
 
 def _json_request(data: bytes) -> None:
@@ -422,7 +435,10 @@ def _toml(data: bytes) -> None:
 
 
 def _toml_seeds() -> list[bytes]:
-    deployed = [(ROOT / "deploy" / name).read_bytes() for name in ("site.toml", "can.toml", "zenoh.toml", "mcap.toml")]
+    deployed = [
+        (ROOT / "deploy" / name).read_bytes()
+        for name in ("site.toml", "can.toml", "zenoh.toml", "mqtt.toml", "mcap.toml")
+    ]
     return [STRUCTURE.encode(), *deployed]
 
 
@@ -612,6 +628,7 @@ TARGETS: dict[str, Target] = {
     "udp_multicast": Target(_udp_multicast, _udp_multicast_seeds, 0.02, 8000),
     "can_log": Target(_can_log, _can_log_seeds, 0.02, 4000),
     "zenoh": Target(_zenoh, _zenoh_seeds, 0.08),
+    "mqtt_json": Target(_mqtt_json, _mqtt_json_seeds, 0.02),
     "request_file": Target(_request_file, _request_seeds, 0.03),
     "mcap": Target(_mcap, _mcap_seeds, 0.05),
     "crash_file": Target(_crash_file, _mcap_seeds, 0.02),

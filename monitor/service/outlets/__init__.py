@@ -41,6 +41,7 @@ def make_outlets(path: Path, config: Configuration, *, dry: bool = False) -> tup
     problems: list[str] = []
     makers = [
         _maker("zenoh", config.output.zenoh, _zenoh, folder, problems),
+        _maker("mqtt", config.output.mqtt, _mqtt, folder, problems),
         _maker("metrics", config.output.metrics, _metrics, folder, problems),
     ]
     settings, to = _notify(config, folder, problems)
@@ -93,6 +94,12 @@ def _zenoh() -> tuple[Any, type[BaseModel]]:
     from monitor.service.outlets.zenoh import ZenohOut, ZenohOutSettings
 
     return ZenohOut, ZenohOutSettings
+
+
+def _mqtt() -> tuple[Any, type[BaseModel]]:
+    from monitor.service.outlets.mqtt import MqttOut, MqttOutSettings
+
+    return MqttOut, MqttOutSettings
 
 
 def _metrics() -> tuple[Any, type[BaseModel]]:
