@@ -90,25 +90,47 @@ def ack(
 
 
 def export(
-    place: Annotated[Path, typer.Argument(metavar="SITE.toml|DIR", help="Site file, or the daemon's output folder.")],
-    out: Annotated[
-        Path, typer.Option(metavar="FILE.parquet|FILE.csv", help="File to write; it appears when it is complete.")
+    place: Annotated[
+        Path, typer.Argument(metavar="SITE.toml|DIR", help="Site file, or the folder that run or replay wrote.")
     ],
+    out: Annotated[Path, typer.Option(metavar="FILE", help="File to write; it appears when it is complete.")],
     table: Annotated[
-        str, typer.Option(help="windows, alarms, requests (acknowledgements), findings, gaps or health.")
-    ] = "windows",
+        str | None,
+        typer.Option(
+            help="windows, modes (with their shapes), alarms; of a daemon also requests (acknowledgements), findings, gaps or "
+            "health. By default windows, for UFF modes."
+        ),
+    ] = None,
+    form: Annotated[
+        str | None,
+        typer.Option(
+            "--format",
+            help="csv, parquet, uff (modes as datasets 55 and 58) or influx (line protocol); by default told by the suffix: "
+            ".csv, .parquet, .uff or .unv, .lp.",
+        ),
+    ] = None,
+    structure: Annotated[
+        Path | None,
+        typer.Option(metavar="S.toml", help="Structure file, for the names of the channels in mode shapes."),
+    ] = None,
     begin: Annotated[str | None, typer.Option("--from", metavar="TIME", help="ISO 8601, UTC; included.")] = None,
     end: Annotated[str | None, typer.Option("--to", metavar="TIME", help="ISO 8601, UTC; not included.")] = None,
     as_json: Json = False,
 ) -> None:
-    """Export the history as a table.  SI units, times in UTC as ns since 1970; a running daemon is not disturbed."""
+    """Export the results of a run as a table.  SI units, times in UTC as ns since 1970; a running daemon is not disturbed."""
+    from monitor.config import configuration
     from monitor.service import export as writer
 
-    spare_inputs([out], [place])
+    spare_inputs([out], [place, structure])
     until_ns = time_ns("--to", end)
     span = time_ns("--from", begin) or 0, (1 << 63) - 1 if until_ns is None else until_ns
-    rows = writer.export(_folder(place) / "state" / "history.db", table, out, span)
-    say(f"{rows} rows of {table} in {out}", {"rows": rows, "table": table, "out": str(out)}, as_json)
+    form = writer.form_of(out, form)
+    table = table or ("modes" if form == "uff" else "windows")
+    named = structure or (None if place.is_dir() else place)
+    channels = configuration.load(named).channels if named is not None else ()
+    rows = writer.export(_folder(place), table, out, span, form=form, channels=channels)
+    what = f"{rows} modes" if form == "uff" else f"{rows} rows of {table}"
+    say(f"{what} in {out}", {"rows": rows, "table": table, "format": form, "out": str(out)}, as_json)
 
 
 def _folder(place: Path) -> Path:
