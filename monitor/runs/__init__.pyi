@@ -4,7 +4,7 @@ from .archive.jobs import WINDOWS
 from .archive.reprocess import reprocess
 from .emulate import send_all
 from .event_recordings import EventRecordings
-from .importers import import_files
+from .importers import ImportedChannel, acceleration_unit, import_files
 from .recordings import Progress, duration_s
 from .session import Session, SessionState
 from .viewer import open_viewer
@@ -13,9 +13,11 @@ from .warming import warm_up
 __all__ = [
     "WINDOWS",
     "EventRecordings",
+    "ImportedChannel",
     "Progress",
     "Session",
     "SessionState",
+    "acceleration_unit",
     "calibrate",
     "demo",
     "diagnose",

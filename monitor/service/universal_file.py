@@ -76,7 +76,7 @@ def _shape(pyuff: Any, mode: int, course: Sequence[Mapping[str, Any]], channels:
         float(np.mean([row[name] for row in course])) for name in ("frequency_hz", "damping_ratio")
     )
     omega = 2.0 * np.pi * frequency_hz
-    nodes = np.flatnonzero(np.isfinite(shape))
+    nodes = [k for k in range(len(shape)) if np.isfinite(shape[k])]
     zero = np.zeros(len(nodes), dtype=complex)
     named = " ".join(f"{k + 1}={channels[k]}" for k in nodes if k < len(channels))
     data: dict[str, Any] = pyuff.prepare_55(
@@ -94,7 +94,7 @@ def _shape(pyuff: Any, mode: int, course: Sequence[Mapping[str, Any]], channels:
         eig=complex(-damping * omega, omega * np.sqrt(max(0.0, 1.0 - damping**2))),
         modal_a=0j,
         modal_b=0j,
-        node_nums=[int(k) + 1 for k in nodes],
+        node_nums=[k + 1 for k in nodes],
         r1=shape[nodes],
         r2=zero,
         r3=zero,
