@@ -58,6 +58,7 @@ for command in (
     report.report,
     operate.status,
     operate.ack,
+    operate.notify,
     operate.export,
     reprocess.reprocess,
     view.view,

@@ -1,4 +1,4 @@
-"""Commands by which operators inspect and control a running daemon: status, ack, export."""
+"""Commands by which operators inspect and control a running daemon: status, ack, notify, export."""
 
 from __future__ import annotations
 
@@ -87,6 +87,29 @@ def ack(
     if not applied:
         applied, outcome = _send_by_file(file.resolve().parent / settings.output.dir, request)
     say(outcome, {"applied": applied, "says": outcome}, as_json)
+
+
+def notify(
+    file: Annotated[Path, typer.Argument(metavar="SITE.toml", help="Site file with a table [notify].")],
+    test: Annotated[bool, typer.Option("--test", help="Send a test message to every address.")] = False,
+    as_json: Json = False,
+) -> None:
+    """Send a test message to every address of [notify], heartbeats too, and print what became of each.
+
+    Exit code 0: all have taken it; 1: one has not.  The exit code of each delivery is printed too: 0 taken, 1 refused or not
+    reached, negative: ended after 30 s without an answer.
+    """
+    from monitor.config import configuration
+    from monitor.service import outlets
+
+    if not test:
+        raise WrongUsageError("give --test: the daemon itself sends all other messages")
+    trials = outlets.send_test_messages(file, configuration.load(file))
+    code = 0 if all(trial.exit_code == 0 for trial in trials) else 1
+    content = [{"address": t.name, "exit_code": t.exit_code, "took_s": t.took_s, "says": t.says} for t in trials]
+    lines = [f"{t.name}: {t.says} (exit code {t.exit_code})" for t in trials]
+    say("\n".join(lines), {"exit_code": code, "addresses": content}, as_json)
+    raise typer.Exit(code)
 
 
 def export(
