@@ -257,6 +257,9 @@ class Connection:
         self._problem = self._problem or "closed"
         self._client.disconnect()
         self._client.loop_stop()
+        left = self._client.socket()
+        if left is not None:
+            left.close()
 
     def _on_connect(
         self, client: Client, _data: Any, flags: ConnectFlags, reason: ReasonCode, _properties: Properties | None

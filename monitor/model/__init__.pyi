@@ -35,7 +35,7 @@ from .simulation import (
     simulate,
     with_own_forces,
 )
-from .structures import MatrixStructure, ShearFrame, condense_massless
+from .structures import MatrixStructure, ShearFrame
 from .structures.drawing import Drawing, LineTable, NodeTable, drawing_problems
 from .structures.tables import Matrix, Positive, StructureTable
 
@@ -72,7 +72,6 @@ __all__ = [
     "StructureTable",
     "System",
     "channel_motion",
-    "condense_massless",
     "correction_basis",
     "drawing_problems",
     "interval",

@@ -21,6 +21,7 @@ from monitor.config import configuration, security_check
 from monitor.core.errors import BadConfigurationError
 from tests.drivers.test_zenoh_bus import CHANNELS, T0_NS, N, block, until
 from tests.support.mosquitto import PATIENCE_S, Broker
+from tests.system.test_zenoh_tls import _certify as certify
 
 TOPIC = "shm/test-frame/acceleration"
 broker_test = pytest.mark.system
@@ -238,6 +239,38 @@ def test_user_and_password(tmp_path: Path) -> None:
         with pytest.raises(SourceError, match=r"absent: the password cannot be read: No such file"):
             source(password_file="absent").open()
         assert "guess" not in repr(refused._settings) + refused.health().detail
+    finally:
+        broker.kill()
+
+
+@broker_test
+@pytest.mark.filterwarnings(
+    "ignore::pytest.PytestUnraisableExceptionWarning"
+)  # paho leaves a refused connection unclosed
+def test_only_a_broker_of_the_right_authority_is_trusted(tmp_path: Path) -> None:
+    ours, _ = certify(tmp_path, "ca", "our authority", None), certify(tmp_path, "other", "another authority", None)
+    for name in ("broker", "monitor"):
+        certify(tmp_path, name, name, ours)
+    files = [f"cafile {tmp_path}/ca.pem", f"certfile {tmp_path}/broker.pem", f"keyfile {tmp_path}/broker.key"]
+    broker = Broker(tmp_path / "broker", lines=[*files, "require_certificate true"])
+    try:
+
+        def source(**tls: str) -> MqttSource:
+            table = {"host": "127.0.0.1", "port": broker.port, "topic": TOPIC, "tls": tls}
+            return MqttSource(MqttSettings.model_validate(table), SourceContext(CHANNELS, tmp_path))
+
+        mine = {"certificate": "monitor.pem", "private_key": "monitor.key"}
+        good = source(root_ca="ca.pem", **mine)
+        good.open()
+        assert good.health().connected
+        good.close()
+        for wrong, says in (
+            ({"root_ca": "other.pem", **mine}, "CERTIFICATE_VERIFY_FAILED"),
+            ({"root_ca": "ca.pem"}, rf"127\.0\.0\.1:{broker.port}"),
+            ({"root_ca": "absent.pem"}, r"absent\.pem: cannot be used for TLS"),
+        ):
+            with pytest.raises(SourceError, match=says):
+                source(**wrong).open()
     finally:
         broker.kill()
 

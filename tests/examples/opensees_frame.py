@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import openseespy.opensees as ops
 
-from monitor.model import condense_massless
+from monitor.model.structures import condense_massless
 
 STORIES, HEIGHT_M, SPAN_M = 3, 3.5, 6.0
 MASS_KG, MODULUS_PA, AREA_M2 = 20e3, 210e9, 0.012

@@ -484,6 +484,41 @@ def _npz_seeds() -> list[bytes]:
     return made
 
 
+def _array_file(suffix: str, write: Callable[[Path], object]) -> Target:
+    """A file of arrays or functions, as the library that reads it writes it."""
+
+    def run(data: bytes) -> None:
+        path, out = _file("a" + suffix, data), scratch() / "out.mcap"
+        with contextlib.suppress(UserError):
+            importers.import_files([path], out, rate_hz=100.0)
+        out.unlink(missing_ok=True)
+
+    def seeds() -> list[bytes]:
+        path = scratch() / ("seed" + suffix)
+        path.unlink(missing_ok=True)
+        write(path)
+        return [path.read_bytes()]
+
+    return Target(run, seeds, 0.01, 4000)
+
+
+def _write_mat(path: Path) -> None:
+    from scipy.io import savemat
+
+    savemat(path, {"acc": np.sin(np.arange(90.0).reshape(30, 3)), "fs": 100.0, "unit": "g"}, do_compression=True)
+
+
+def _write_uff(path: Path) -> None:
+    import pyuff
+
+    x = np.arange(30) / 100
+    data = pyuff.prepare_58(
+        func_type=1, rsp_node=1, rsp_dir=3, ref_node=0, ref_dir=0, data=np.sin(x), x=x, abscissa_spacing=1,
+        abscissa_spec_data_type=17, ordinate_spec_data_type=12, orddenom_spec_data_type=0, id1="x",
+    )  # fmt: skip
+    pyuff.UFF(str(path)).write_sets(data, "add")
+
+
 def _log_of_kind(suffix: str) -> Target:
     """A log of CAN frames as another program writes it."""
 
@@ -635,6 +670,8 @@ TARGETS: dict[str, Target] = {
     "toml": Target(_toml, _toml_seeds, 0.03),
     "csv": Target(_csv, _csv_seeds, 0.03),
     "npz": Target(_npz, _npz_seeds, 0.02),
+    "mat": _array_file(".mat", _write_mat),
+    "uff": _array_file(".uff", _write_uff),
     "asc": _log_of_kind(".asc"),
     "blf": _log_of_kind(".blf"),
     "trc": _log_of_kind(".trc"),

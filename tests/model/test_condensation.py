@@ -13,7 +13,7 @@ import pytest
 import scipy.linalg
 
 from monitor.config import configuration
-from monitor.model import condense_massless
+from monitor.model.structures import condense_massless
 from tests.conftest import Cli
 
 ROOT = Path(__file__).parents[2]

@@ -6,6 +6,7 @@ import getpass
 import socket
 import subprocess
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 from tests.support.debian import demand, mosquitto
@@ -25,14 +26,19 @@ class Broker:
         User -> password; without any, everybody may do everything.
     port : int, optional
         Where it listens; a free one by default.
+    lines : sequence of str
+        More lines of its listener's configuration.
     """
 
-    def __init__(self, folder: Path, users: dict[str, str] | None = None, port: int | None = None) -> None:
+    def __init__(
+        self, folder: Path, users: dict[str, str] | None = None, port: int | None = None, lines: Sequence[str] = ()
+    ) -> None:
         demand("mosquitto")
         self._folder, self.port = folder, port or free_port()
         folder.mkdir(parents=True, exist_ok=True)
-        lines = [
+        configured = [
             f"listener {self.port} 127.0.0.1",
+            *lines,
             f"user {getpass.getuser()}",  # else it gives up root's rights, and cannot write here
             "persistence true",
             f"persistence_location {folder}/",
@@ -43,8 +49,8 @@ class Broker:
             passwords.touch(mode=0o700)
             for user, password in users.items():
                 subprocess.run(["mosquitto_passwd", "-b", passwords, user, password], check=True, capture_output=True)
-        lines += ["allow_anonymous true"] if not users else [f"password_file {folder}/passwords"]
-        (folder / "mosquitto.conf").write_text("\n".join(lines) + "\n")
+        configured += ["allow_anonymous true"] if not users else [f"password_file {folder}/passwords"]
+        (folder / "mosquitto.conf").write_text("\n".join(configured) + "\n")
         self.start()
 
     def start(self) -> None:
