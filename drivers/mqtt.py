@@ -17,7 +17,7 @@ from drivers.base import ACCELERATION, EndOfStream, SampleBlock, SourceContext, 
 from drivers.inbox import Inbox
 from drivers.limits import BlockLimits, within_limits
 from drivers.live import LiveSettings
-from drivers.mqtt_session import BrokerSettings, Connection, Message, Topic
+from drivers.mqtt_session import BrokerSettings, Connection, Message, Topic, client_id
 from drivers.reorder import Reorder
 
 _WAIT_S = 1.0
@@ -86,6 +86,8 @@ class MqttSource:
         self._topics = {topic: ours for ours, topic in settings.carried.items()}
         if len(self._topics) < len(settings.carried):
             raise ValueError("an MQTT topic stands twice; each carries one quantity")
+        if settings.password_file is not None and not (context.folder / settings.password_file).is_file():
+            raise ValueError(f"password_file: {settings.password_file}: no such file")
         self._inbox = Inbox[_Delivery](settings.queue_bytes)
         self._counts: Counter[str] = Counter(dict.fromkeys(_EVENTS, 0))
         self._orders = {topic: Reorder(self._counts, settings.hold_blocks) for topic in settings.carried}
@@ -103,7 +105,7 @@ class MqttSource:
         self._connection = connection = Connection(
             settings,
             self._context.folder,
-            settings.client_id or f"shm-monitor {settings.topic}",
+            settings.client_id or client_id("monitor", settings.topic),
             subscriptions=tuple(self._topics),
             on_message=self._on_message,
             session_s=settings.session_s,
@@ -284,7 +286,7 @@ class MqttPublisher:
 
     def __init__(self, settings: PublisherSettings, folder: Path = Path()) -> None:
         self._settings = settings
-        self._connection = Connection(settings, folder, settings.client_id or f"shm-sensor {settings.topic}")
+        self._connection = Connection(settings, folder, settings.client_id or client_id("sensor", settings.topic))
         self._connection.open()
         self._under_way: deque[int] = deque()
 

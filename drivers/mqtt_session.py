@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -98,6 +99,17 @@ class _Client(Client):
         except Exception as error:  # noqa: BLE001 - kept for whoever asks: what a broken broker causes is not known
             self.ended = f"{type(error).__name__}: {error}"
             return MQTTErrorCode.MQTT_ERR_UNKNOWN
+
+
+def client_id(role: str, topic: str) -> str:
+    """Return the name of a client, which a broker must accept: letters, digits and hyphens.
+
+    Examples
+    --------
+    >>> client_id("monitor", "shm/lab frame/acceleration")
+    'shm-monitor-shm-lab-frame-acceleration'
+    """
+    return re.sub(r"[^0-9A-Za-z]+", "-", f"shm-{role}-{topic}")
 
 
 class Connection:

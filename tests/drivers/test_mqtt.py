@@ -236,8 +236,11 @@ def test_user_and_password(tmp_path: Path) -> None:
         with pytest.raises(SourceError, match=rf"127\.0\.0\.1:{broker.port} refuses user 'monitor': Not authorized"):
             refused.open()
         assert not refused.health().connected
-        with pytest.raises(SourceError, match=r"absent: the password cannot be read: No such file"):
-            source(password_file="absent").open()
+        with pytest.raises(ValueError, match="password_file: absent: no such file"):
+            source(password_file="absent")
+        (tmp_path / "right").write_bytes(b"\xff")
+        with pytest.raises(SourceError, match=r"right: the password cannot be read: it is no text"):
+            good.open()
         assert "guess" not in repr(refused._settings) + refused.health().detail
     finally:
         broker.kill()

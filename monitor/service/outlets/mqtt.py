@@ -13,7 +13,7 @@ from collections import deque
 from pathlib import Path
 
 from drivers.base import SourceError
-from drivers.mqtt_session import BrokerSettings, Connection, Topic
+from drivers.mqtt_session import BrokerSettings, Connection, Topic, client_id
 from monitor.core import Busy
 from monitor.service.outlets.messages import Messages, site_prefix
 
@@ -103,9 +103,7 @@ class MqttOut(Messages):
     def _publish(self) -> None:
         """Connect and publish the queued messages until the outlet is closed."""
         alive = f"{self.prefix}/alive"
-        connection = Connection(
-            self._settings, self._folder, f"shm-monitor results {self.prefix}", will=(alive, b"false")
-        )
+        connection = Connection(self._settings, self._folder, client_id("results", self.prefix), will=(alive, b"false"))
         connection.open()
         self._failure, self._connection = None, connection
         try:
