@@ -224,7 +224,7 @@ def _load_table(path: Path, on_warning: OnWarning) -> Table:
     most = _most_unpacked(raw)
     demand_room = partial(_demand_room, path, most=most)
     if hdf5.is_hdf5(raw):
-        return _require_samples(hdf5.to_table(path, raw, most, demand_room, on_warning))
+        return _require_samples(hdf5.to_table(path, raw, most, on_warning))
     if raw.startswith(mat.MAGIC) or path.suffix.casefold() == ".mat":
         return _require_samples(mat.to_table(path, raw, most, demand_room, on_warning))
     if uff.is_uff(raw):

@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
-import io
+import json
+import os
+import resource
+import subprocess
+import sys
+import zipfile
 import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -24,6 +30,12 @@ _DEFLATE, _SHUFFLE, _CHECKSUM, _LZF = 1, 2, 3, 32000
 _LZF_RATIO = 132
 """Most that LZF unpacks a byte to. [ratio; definition: two bytes stand for at most 264]"""
 _WORDS = ("unit", "units", "channels")
+_UNITS = "/units of the arrays"
+"""Name of what the process tells besides the arrays; no dataset's name begins with a slash."""
+_LEAST_S, _BYTES_PER_S = 120.0, 1e6
+"""Longest time of reading, and bytes of the file for each second more. [s, bytes; judgement]"""
+_PROGRAM_BYTES = 4 << 30
+"""Addresses of the process besides the arrays. [bytes; measured: libraries take some 2 GB]"""
 
 
 def is_hdf5(raw: bytes) -> bool:
@@ -31,17 +43,16 @@ def is_hdf5(raw: bytes) -> bool:
     return any(raw.startswith(MAGIC, at) for at in _USER_BLOCKS)
 
 
-def to_table(
-    path: Path, raw: bytes, most_bytes: int, demand_room: Callable[[int], None], on_warning: OnWarning
-) -> Table:
+def to_table(path: Path, raw: bytes, most_bytes: int, on_warning: OnWarning) -> Table:
     """Convert the datasets of a file to a table of at most `most_bytes`.
 
     A dataset's attribute `unit` or `units` is its unit; attributes `rate_hz`, `fs` or `dt` of the file are read too.  What lies
-    in other files (external links and storage, virtual datasets) is never read.
+    in other files (external links and storage, virtual datasets) is never read.  The library runs in a process of its own,
+    because a damaged file may make it wait for ever, crash, or take all memory.
 
     Parameters
     ----------
-    path, raw, most_bytes, demand_room, on_warning
+    path, raw, most_bytes, on_warning
         As of `mat.to_table`.
 
     Raises
@@ -51,27 +62,62 @@ def to_table(
     BadConfigurationError
         The library h5py is not installed.
     """
-    h5py = load_extra("h5py", "formats", f"{path}: HDF5 (MAT 7.3)")
-    try:
-        with h5py.File(io.BytesIO(raw), "r") as file:
-            datasets = list(_datasets(h5py, file))
-            arrays: dict[str, AnyArray] = {name: np.asarray(value) for name, value in file.attrs.items()}
-            units, held = dict[str, str](), 0
-            for name, dataset in datasets:
-                told = dataset.attrs.get("unit", dataset.attrs.get("units", ""))
-                units[name] = told.decode() if isinstance(told, bytes) else str(told)
-                if dataset.dtype.kind in "iufb":
-                    held += max(VALUE_BYTES, dataset.dtype.itemsize) * dataset.size
-                    demand_room(held)
-                    _demand_honest_chunks(name, dataset, demand_room)
-                    arrays[name] = _words(dataset) if _is_text(dataset) else dataset[()]
-                elif name.rpartition("/")[2].casefold() in _WORDS and dataset.size < _MOST_OBJECTS:
-                    arrays[name] = dataset.asstr()[()] if h5py.check_string_dtype(dataset.dtype) else np.empty(0)
-            return build_table(path, {n: np.asarray(a) for n, a in arrays.items()}, on_warning, units)
-    except BadInputError:
-        raise
-    except Exception as error:
-        raise BadInputError(f"{path}: cannot be used as HDF5: {error}") from error
+    load_extra("h5py", "formats", f"{path}: HDF5 (MAT 7.3)")
+    with TemporaryDirectory() as folder:
+        out = Path(folder, "arrays.npz")
+        command = [sys.executable, "-m", __name__, str(path), str(out), str(most_bytes)]
+        paths = os.pathsep.join(sys.path)
+        limit_s = _LEAST_S + len(raw) / _BYTES_PER_S
+        try:
+            done = subprocess.run(
+                command,
+                capture_output=True,
+                text=True,
+                timeout=limit_s,
+                check=False,
+                env={**os.environ, "PYTHONPATH": paths},
+            )
+        except subprocess.TimeoutExpired:
+            raise BadInputError(f"{path}: damaged HDF5: its reading did not end within {limit_s:.0f} s") from None
+        if done.returncode == BadInputError.exit_code:
+            raise BadInputError(f"{path}: {done.stderr.strip()}")
+        if done.returncode:
+            raise BadInputError(f"{path}: damaged HDF5: its reading failed (exit code {done.returncode})")
+        try:
+            with np.load(out, allow_pickle=False) as archive:
+                arrays: dict[str, AnyArray] = {name: archive[name] for name in archive.files if name != _UNITS}
+                units = json.loads(str(archive[_UNITS]))
+            return build_table(path, arrays, on_warning, units)
+        except (ValueError, TypeError) as error:
+            raise BadInputError(f"{path}: cannot be used as HDF5: {error}") from error
+
+
+def read(path: Path, most_bytes: int) -> tuple[dict[str, AnyArray], dict[str, str]]:
+    """Read the arrays of a file and their units; raise ValueError if they would take more than `most_bytes`."""
+    import h5py
+
+    def demand_room(size: int) -> None:
+        if size > most_bytes:
+            raise ValueError(
+                f"would unpack to {size >> 20} MiB or more; at most {most_bytes >> 20} MiB are read: "
+                "cut it into several files"
+            )
+
+    with h5py.File(path, "r") as file:
+        arrays: dict[str, AnyArray] = {name: np.asarray(value) for name, value in file.attrs.items()}
+        units, held = dict[str, str](), 0
+        for name, dataset in _datasets(h5py, file):
+            told = dataset.attrs.get("unit", dataset.attrs.get("units", ""))
+            units[name] = told.decode() if isinstance(told, bytes) else str(told)
+            if dataset.dtype.kind in "iufb":
+                held += max(VALUE_BYTES, dataset.dtype.itemsize) * dataset.size
+                demand_room(held)
+                _demand_honest_chunks(name, dataset, demand_room)
+                arrays[name] = _words(dataset) if _is_text(dataset) else np.asarray(dataset[()])
+            elif name.rpartition("/")[2].casefold() in _WORDS and dataset.size < _MOST_OBJECTS:
+                words = dataset.asstr()[()] if h5py.check_string_dtype(dataset.dtype) else np.empty(0)
+                arrays[name] = np.asarray(words).astype(str)
+    return {name: array for name, array in arrays.items() if array.dtype.kind in "iufbU"}, units
 
 
 def _datasets(h5py: Any, file: Any) -> Iterator[tuple[str, Any]]:
@@ -111,7 +157,7 @@ def _words(dataset: Any) -> AnyArray:
 
 
 def _demand_honest_chunks(name: str, dataset: Any, demand_room: Callable[[int], None]) -> None:
-    """Raise BadInputError or ValueError if a packed chunk unpacks to more than it holds, all of which the library would keep."""
+    """Raise ValueError if a packed chunk unpacks to more than it holds, all of which the library would keep."""
     if dataset.chunks is None:
         return
     plist = dataset.id.get_create_plist()
@@ -129,3 +175,24 @@ def _demand_honest_chunks(name: str, dataset: Any, demand_room: Callable[[int], 
             data = dataset.id.read_direct_chunk(stored.chunk_offset)[1]
             if len(zlib.decompressobj().decompress(data, size + 1)) > size:
                 raise ValueError(f"a chunk of dataset {name} unpacks to more than its {size} bytes")
+
+
+def main(path: str, out: str, most_bytes: str) -> int:
+    """Read a file and write its arrays as NPZ (the process that `to_table` starts); return the exit code."""
+    room = 4 * int(most_bytes) + _PROGRAM_BYTES
+    resource.setrlimit(resource.RLIMIT_AS, (room, room))
+    try:
+        arrays, units = read(Path(path), int(most_bytes))
+    except Exception as error:  # noqa: BLE001 - h5py raises whatever a damaged file makes the HDF5 library say
+        print(f"cannot be used as HDF5: {error}", file=sys.stderr)
+        return BadInputError.exit_code
+    content: dict[str, Any] = {**arrays, _UNITS: np.array(json.dumps(units))}
+    with zipfile.ZipFile(out, "w", zipfile.ZIP_STORED) as archive:  # not np.savez: a dataset may be called `file`
+        for name, array in content.items():
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                np.lib.format.write_array(member, np.asarray(array), allow_pickle=False)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(*sys.argv[1:]))
