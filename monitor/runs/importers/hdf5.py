@@ -94,7 +94,7 @@ def to_table(path: Path, raw: bytes, most_bytes: int, on_warning: OnWarning) -> 
 
 def read(path: Path, most_bytes: int) -> tuple[dict[str, AnyArray], dict[str, str]]:
     """Read the arrays of a file and their units; raise ValueError if they would take more than `most_bytes`."""
-    import h5py
+    h5py = load_extra("h5py", "formats", "HDF5")
 
     def demand_room(size: int) -> None:
         if size > most_bytes:
