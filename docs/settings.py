@@ -12,6 +12,8 @@ from pydantic import BaseModel
 
 from drivers.can_open import CanSettings
 from drivers.mcap_source import McapSettings
+from drivers.mqtt import MqttSettings
+from drivers.mqtt_session import MqttTls
 from drivers.zenoh_bus import ZenohSettings
 from drivers.zenoh_session import TlsSettings
 from monitor.config.configuration import Configuration, CovariateTable, EffectTable, InputTable, SensorTable
@@ -19,6 +21,7 @@ from monitor.model.structures.drawing import LineTable, NodeTable
 from monitor.model.structures.tables import MatricesTable, ShearFrameTable
 from monitor.service.fleet import FleetSettings
 from monitor.service.outlets.metrics import MetricsSettings
+from monitor.service.outlets.mqtt import MqttOutSettings
 from monitor.service.outlets.notify import NotifySettings
 from monitor.service.outlets.zenoh import ZenohOutSettings
 
@@ -51,10 +54,13 @@ def tables() -> dict[str, type[BaseModel]]:
         '`[source]`, `kind = "mcap"`': McapSettings,
         '`[source]`, `kind = "can"`': CanSettings,
         '`[source]`, `kind = "zenoh"`': ZenohSettings,
+        '`[source]`, `kind = "mqtt"`': MqttSettings,
         "`[output.zenoh]`": ZenohOutSettings,
+        "`[output.mqtt]`": MqttOutSettings,
         "`[output.metrics]`": MetricsSettings,
         "`[notify]`": NotifySettings,
         "`tls` of a Zenoh table": TlsSettings,
+        "`tls` of an MQTT table": MqttTls,
         "`[fleet]` of a fleet file": FleetSettings,
     }
 

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import threading
 from collections import deque
+from typing import Generic, TypeVar
+
+L = TypeVar("L")
 
 
-class Inbox:
-    """Queue of payloads with their topics, bounded in bytes; `put` waits while the queue is full.
+class Inbox(Generic[L]):
+    """Queue of payloads, each with a label such as its topic, bounded in bytes; `put` waits while the queue is full.
 
     A closed inbox accepts no payload and makes no caller wait.  Payloads that it already holds can still be read.
 
@@ -19,7 +22,7 @@ class Inbox:
 
     def __init__(self, limit_bytes: int) -> None:
         self._limit, self._n_bytes = limit_bytes, 0
-        self._items: deque[tuple[str, bytes]] = deque()
+        self._items: deque[tuple[L, bytes]] = deque()
         self._changed = threading.Condition()
         self._open = False
 
@@ -31,19 +34,19 @@ class Inbox:
         """Accept no more payloads, and wake all waiting threads."""
         self._set_open(False)
 
-    def put(self, topic: str, data: bytes) -> None:
+    def put(self, label: L, data: bytes) -> None:
         """Add a payload as soon as there is room; discard the payload if the inbox is closed."""
         with self._changed:
             self._changed.wait_for(
                 lambda: not self._open or not self._items or self._n_bytes + len(data) <= self._limit
             )
             if self._open:
-                self._items.append((topic, data))
+                self._items.append((label, data))
                 self._n_bytes += len(data)
                 self._changed.notify_all()
 
-    def get(self, timeout_s: float) -> tuple[str, bytes] | None:
-        """Remove and return the oldest payload with its topic.
+    def get(self, timeout_s: float) -> tuple[L, bytes] | None:
+        """Remove and return the oldest payload with its label.
 
         Returns None if no payload arrives within `timeout_s`, or if the inbox is empty and closed.
         """

@@ -9,6 +9,7 @@ from typing import Any
 SOURCES = {
     "can": "drivers.can_bus:CanSource",
     "mcap": "drivers.mcap_source:McapSource",
+    "mqtt": "drivers.mqtt:MqttSource",
     "zenoh": "drivers.zenoh_bus:ZenohSource",
 }
 """Kind -> module and class (see `drivers.base.Source`)."""

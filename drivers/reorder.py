@@ -46,6 +46,11 @@ class Reorder:
         self._early: dict[int, SampleBlock] = {}
         self._past: list[SampleBlock] = []
 
+    @property
+    def waiting(self) -> int:
+        """Number of blocks that wait for earlier ones."""
+        return len(self._early)
+
     def push(self, block: SampleBlock) -> list[SampleBlock]:
         """Take a block, and return the blocks that can be released now, in order."""
         mark = (block.sequence, block.n_samples, block.t_ns)

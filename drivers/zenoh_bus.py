@@ -19,7 +19,6 @@ from drivers.base import (
     FORCE,
     GROUND,
     TEMPERATURE,
-    UNIT_OF,
     EndOfStream,
     SampleBlock,
     SourceContext,
@@ -27,6 +26,7 @@ from drivers.base import (
     SourceHealth,
 )
 from drivers.inbox import Inbox
+from drivers.limits import BlockLimits, within_limits
 from drivers.live import LiveSettings
 from drivers.reorder import Reorder
 from drivers.zenoh_session import Callbacks, Key, SessionSettings, leave, open_session, where
@@ -35,8 +35,6 @@ ENCODING = f"application/protobuf;{codec.SCHEMA_NAME}"
 _QUERY_PERIOD: Any = timedelta(seconds=10)
 """Interval at which publishers are queried for missed blocks.  Heartbeats would stop the stream for good: with a direct peer
 as publisher and a slow reader, the subscriber's handling of a heartbeat deadlocks in Zenoh 1.10."""
-_LIMIT = 1 << 62
-"""Bound of valid times, ns, and sequence numbers; the sum of two still fits 64 bits."""
 _MAX_ALIVE = 256
 """Greatest number of sensors listed as alive, so that no participant can fill the memory."""
 _EVENTS = ("blocks", "samples", "lost_samples", "gaps", "repeated", "reordered", "late", "restarts", "undecodable", "oversized",
@@ -77,7 +75,7 @@ def _received_key(key: str) -> str:
     return f"{key}/received"
 
 
-class ZenohSettings(StreamSettings, LiveSettings):
+class ZenohSettings(StreamSettings, BlockLimits, LiveSettings):
     """Table ``[source]`` with ``kind = "zenoh"``."""
 
     kind: Literal["zenoh"] = "zenoh"
@@ -85,14 +83,6 @@ class ZenohSettings(StreamSettings, LiveSettings):
     """Number of blocks requested from the publishers' caches when the source is opened."""
     hold_blocks: int = Field(default=4, ge=0, le=64)
     """Number of blocks that may wait for an earlier block before the earlier block counts as lost."""
-    queue_bytes: int = Field(default=32 << 20, ge=1 << 12)
-    """Greatest size of the data that wait to be read; beyond it the network waits."""
-    max_payload_bytes: int = Field(default=1 << 20, ge=1, le=16 << 20)
-    """Greatest size of a message; larger messages are counted, never decoded."""
-    max_channels: int = Field(default=256, ge=1)
-    """Greatest number of channels; blocks with more are refused."""
-    max_rate_hz: float = Field(default=100e3, gt=0)
-    """Greatest sample rate; blocks that state a higher rate are refused."""
 
 
 class ZenohSource:
@@ -106,7 +96,7 @@ class ZenohSource:
 
     def __init__(self, settings: ZenohSettings, context: SourceContext) -> None:
         self._settings, self._context = settings, context
-        self._inbox = Inbox(settings.queue_bytes)
+        self._inbox = Inbox[str](settings.queue_bytes)
         self._counts: Counter[str] = Counter(dict.fromkeys(_EVENTS, 0))
         self._lock = threading.Lock()
         self._orders = {topic: Reorder(self._counts, settings.hold_blocks) for topic in settings.topics}
@@ -178,27 +168,11 @@ class ZenohSource:
     def _accept(self, topic: str, data: bytes) -> None:
         """Decode a payload, and queue the blocks that can be released."""
         try:
-            block = self._decode(data, topic)
+            block = within_limits(codec.decode(data, topic), self._settings)
         except ValueError:
             self._counts["undecodable"] += 1
         else:
             self._ready.extend(self._orders[topic].push(block))
-
-    def _decode(self, data: bytes, topic: str) -> SampleBlock:
-        """Decode a block; raise ValueError if it exceeds the limits of the settings."""
-        block = codec.decode(data, topic)
-        limits = self._settings
-        if not (
-            0 < len(block.channels) <= limits.max_channels
-            and len(set(block.channels)) == len(block.channels)
-            and block.n_samples > 0
-            and 1e-3 <= block.sample_rate_hz <= limits.max_rate_hz
-            and 0 <= block.t_ns < _LIMIT
-            and block.sequence < _LIMIT
-            and block.unit == UNIT_OF[topic]
-        ):
-            raise ValueError(f"{topic}: a block beyond the limits of the settings")
-        return block
 
     def _flush(self) -> bool:
         """Queue the blocks that still wait for earlier ones; False if there are none."""

@@ -63,6 +63,7 @@ for command in (
     report.report,
     operate.status,
     operate.ack,
+    operate.notify,
     operate.export,
     reprocess.reprocess,
     view.view,

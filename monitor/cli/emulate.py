@@ -11,7 +11,7 @@ from typing import Annotated
 
 import typer
 
-_FORMS = "can:socketcand-server:HOST:PORT, can:INTERFACE:CHANNEL or zenoh:MODE:ENDPOINT:KEY."
+_FORMS = "can:socketcand-server:HOST:PORT, can:INTERFACE:CHANNEL, zenoh:MODE:ENDPOINT:KEY or mqtt:HOST:PORT:TOPIC."
 To = Annotated[str, typer.Option(metavar="DESTINATION", help=_FORMS)]
 OptionalTo = Annotated[str | None, typer.Option(metavar="DESTINATION", help=f"Also send it: {_FORMS}")]
 Dbc = Annotated[Path | None, typer.Option(metavar="FILE.dbc", help="Layout of the CAN frames; its factors quantise.")]
@@ -24,7 +24,7 @@ def emulate(
     dbc: Dbc = None,
     speed: Speed = None,
 ) -> None:
-    """Send recordings as sensor nodes would, over CAN or Zenoh.  They are sent in real time unless --speed says otherwise."""
+    """Send recordings as sensor nodes would, over CAN, Zenoh or MQTT; in real time unless --speed says otherwise."""
     send(recordings, to, dbc, speed)
 
 

@@ -1,4 +1,4 @@
-"""Commands by which operators inspect and control a running daemon: status, ack, export."""
+"""Commands by which operators inspect and control a running daemon: status, ack, notify, export."""
 
 from __future__ import annotations
 
@@ -89,26 +89,71 @@ def ack(
     say(outcome, {"applied": applied, "says": outcome}, as_json)
 
 
+def notify(
+    file: Annotated[Path, typer.Argument(metavar="SITE.toml", help="Site file with a table [notify].")],
+    test: Annotated[bool, typer.Option("--test", help="Send a test message to every address.")] = False,
+    as_json: Json = False,
+) -> None:
+    """Send a test message to every address of [notify], heartbeats too, and print what became of each.
+
+    Exit code 0: all have taken it; 1: one has not.  The exit code of each delivery is printed too: 0 taken, 1 refused or not
+    reached, negative: ended after 30 s without an answer.
+    """
+    from monitor.config import configuration
+    from monitor.service import outlets
+
+    if not test:
+        raise WrongUsageError("give --test: the daemon itself sends all other messages")
+    trials = outlets.send_test_messages(file, configuration.load(file))
+    code = 0 if all(trial.exit_code == 0 for trial in trials) else 1
+    content = [{"address": t.name, "exit_code": t.exit_code, "took_s": t.took_s, "says": t.says} for t in trials]
+    lines = [f"{t.name}: {t.says} (exit code {t.exit_code})" for t in trials]
+    say("\n".join(lines), {"exit_code": code, "addresses": content}, as_json)
+    raise typer.Exit(code)
+
+
 def export(
-    place: Annotated[Path, typer.Argument(metavar="SITE.toml|DIR", help="Site file, or the daemon's output folder.")],
-    out: Annotated[
-        Path, typer.Option(metavar="FILE.parquet|FILE.csv", help="File to write; it appears when it is complete.")
+    place: Annotated[
+        Path, typer.Argument(metavar="SITE.toml|DIR", help="Site file, or the folder that run or replay wrote.")
     ],
+    out: Annotated[Path, typer.Option(metavar="FILE", help="File to write; it appears when it is complete.")],
     table: Annotated[
-        str, typer.Option(help="windows, alarms, requests (acknowledgements), findings, gaps or health.")
-    ] = "windows",
+        str | None,
+        typer.Option(
+            help="windows, modes (with their shapes), alarms; of a daemon also requests (acknowledgements), findings, gaps or "
+            "health. By default windows, for UFF modes."
+        ),
+    ] = None,
+    form: Annotated[
+        str | None,
+        typer.Option(
+            "--format",
+            help="csv, parquet, uff (modes as datasets 55 and 58) or influx (line protocol); by default told by the suffix: "
+            ".csv, .parquet, .uff or .unv, .lp.",
+        ),
+    ] = None,
+    structure: Annotated[
+        Path | None,
+        typer.Option(metavar="S.toml", help="Structure file, for the names of the channels in mode shapes."),
+    ] = None,
     begin: Annotated[str | None, typer.Option("--from", metavar="TIME", help="ISO 8601, UTC; included.")] = None,
     end: Annotated[str | None, typer.Option("--to", metavar="TIME", help="ISO 8601, UTC; not included.")] = None,
     as_json: Json = False,
 ) -> None:
-    """Export the history as a table.  SI units, times in UTC as ns since 1970; a running daemon is not disturbed."""
+    """Export the results of a run as a table.  SI units, times in UTC as ns since 1970; a running daemon is not disturbed."""
+    from monitor.config import configuration
     from monitor.service import export as writer
 
-    spare_inputs([out], [place])
+    spare_inputs([out], [place, structure])
     until_ns = time_ns("--to", end)
     span = time_ns("--from", begin) or 0, (1 << 63) - 1 if until_ns is None else until_ns
-    rows = writer.export(_folder(place) / "state" / "history.db", table, out, span)
-    say(f"{rows} rows of {table} in {out}", {"rows": rows, "table": table, "out": str(out)}, as_json)
+    form = writer.form_of(out, form)
+    table = table or ("modes" if form == "uff" else "windows")
+    named = structure or (None if place.is_dir() else place)
+    channels = configuration.load(named).channels if named is not None else ()
+    rows = writer.export(_folder(place), table, out, span, form=form, channels=channels)
+    what = f"{rows} modes" if form == "uff" else f"{rows} rows of {table}"
+    say(f"{what} in {out}", {"rows": rows, "table": table, "format": form, "out": str(out)}, as_json)
 
 
 def _folder(place: Path) -> Path:

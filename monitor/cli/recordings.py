@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Sequence
+from dataclasses import asdict
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated
 
@@ -77,13 +81,21 @@ def simulate(
 
 def import_(
     files: Annotated[
-        list[Path], typer.Argument(metavar="FILE...", help="CSV, NPZ, CAN log, MiniSEED or K-NET; or one file a level.")
+        list[Path],
+        typer.Argument(
+            metavar="FILE...", help="CSV, NPZ, MAT, HDF5, UFF, MiniSEED, K-NET or CAN log; or one file a level."
+        ),
     ],
     out: Annotated[Path, typer.Option(metavar="REC.mcap", help="Recording to write.")],
     rate: Annotated[
         float | None, typer.Option(min=0.001, max=1e7, help="Sample rate in Hz, where the file has no time.")
     ] = None,
-    unit: Annotated[str, typer.Option(help="Unit of the samples: m/s^2, g, mg or gal.")] = "m/s^2",
+    unit: Annotated[
+        str | None,
+        typer.Option(
+            help="Unit where a file states none: m/s^2, g, mg or gal. Without it you are asked on a terminal; in a pipe m/s^2."
+        ),
+    ] = None,
     channel: Annotated[
         list[str], typer.Option(metavar="NAME=FILE[:COLUMN]", help="A channel; of one file, NAME=COLUMN.")
     ] = [],  # noqa: B006
@@ -97,12 +109,19 @@ def import_(
     inventory: Annotated[
         Path | None, typer.Option(metavar="STATION.xml", help="Of MiniSEED: the channels' sensitivities.")
     ] = None,
+    align: Annotated[
+        bool,
+        typer.Option(
+            "--align", help="Shift files whose clocks do not agree until their readings fit the first file's."
+        ),
+    ] = False,
     as_json: Json = False,
 ) -> None:
-    """Convert foreign data to the recording format."""
-    from monitor.runs import import_files
+    """Convert foreign data to the recording format, and print what was taken: start, rate, unit and level."""
+    from monitor.runs import ImportedChannel, import_files
 
     spare_inputs([out], [*files, dbc, inventory])
+    taken: list[ImportedChannel] = []
     info = import_files(
         files,
         out,
@@ -115,12 +134,39 @@ def import_(
         dbc=dbc,
         scale=scale,
         inventory=inventory,
+        align=align,
+        ask_unit=_ask_unit if sys.stdin.isatty() and sys.stderr.isatty() else None,
         on_warning=warn,
+        on_channel=taken.append,
     )
+    start_text = f"{datetime.fromtimestamp(info.t_start_ns / 1e9, UTC):%Y-%m-%d %H:%M:%S} UTC"
     names = "; ".join(f"{topic}: {', '.join(c)}" for topic, c in info.channels.items())
-    text = f"{info.duration_s:.2f} s at {info.sample_rate_hz:g} Hz in {out}: {names}"
-    content = {"duration_s": info.duration_s, "sample_rate_hz": info.sample_rate_hz, "channels": dict(info.channels)}
-    say(text, {"recording": str(out), **content}, as_json)
+    text = [f"{info.duration_s:.2f} s at {info.sample_rate_hz:g} Hz from {start_text} in {out}: {names}"]
+    for one in taken:
+        origin = "stated in the file" if one.stated else "taken"
+        level = f"mean {one.mean:.4g}, RMS about it {one.rms:.4g} {'N' if one.topic == '/force' else 'm/s^2'}"
+        text.append(f"  {one.name}: {one.source}, unit {one.unit} ({origin}), {level}")
+    content = {
+        "recording": str(out),
+        "start_ns": info.t_start_ns,
+        "duration_s": info.duration_s,
+        "sample_rate_hz": info.sample_rate_hz,
+        "channels": dict(info.channels),
+        "taken": [asdict(one) for one in taken],
+    }
+    say("\n".join(text), content, as_json)
+
+
+def _ask_unit(columns: Sequence[str]) -> str:
+    """Ask on the terminal for the unit of columns whose file states none, until the answer is a unit."""
+    from monitor.runs import acceleration_unit
+
+    shown = ", ".join(columns[:4]) + (f" and {len(columns) - 4} more" if len(columns) > 4 else "")
+    while True:
+        answer = str(typer.prompt(f"Unit of {shown} (m/s^2, g, mg, gal)", default="m/s^2", err=True))
+        if acceleration_unit(answer):
+            return answer
+        print(f"{answer!r} is no unit of acceleration", file=sys.stderr)
 
 
 def _places(option: str, items: list[str]) -> dict[str, str]:

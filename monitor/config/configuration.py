@@ -114,6 +114,8 @@ class OutputSettings(Settings):
     """File with the token that readers of the web page must show, mode 0600."""
     zenoh: dict[str, Any] | None = None
     """Table of the publisher of results, alarms and health over Zenoh (`monitor.service.outlets`)."""
+    mqtt: dict[str, Any] | None = None
+    """Table of the publisher of results, alarms and health over MQTT (`monitor.service.outlets`)."""
     metrics: dict[str, Any] | None = None
     """Table of the endpoint for Prometheus (`monitor.service.outlets`)."""
 

@@ -43,6 +43,11 @@ def warnings(path: Path, config: Configuration) -> list[str]:
             endpoints = (e for e in _endpoints(table, key) if e.startswith("tcp/"))
             remote = (e for e in endpoints if not is_loopback(e[4:].rpartition(":")[0]))
             found += [f"{name}.{key}: {endpoint} {risk}" for endpoint in remote]
+    for name, broker in _mqtt_tables(config).items():
+        if not is_loopback(str(broker.get("host"))) and not broker.get("tls"):
+            found.append(
+                f"{name}.host: {broker.get('host')} is reached without TLS: data and password may be read on the way"
+            )
     return found + _readable_secrets(path, config)
 
 
@@ -66,9 +71,16 @@ def _endpoints(table: Mapping[str, Any] | None, key: str) -> list[str]:
     return [str(item) for item in value] if isinstance(value, list | tuple) else []
 
 
+def _mqtt_tables(config: Configuration) -> dict[str, Mapping[str, Any]]:
+    """Return the tables that name an MQTT broker, by their names."""
+    source, out = config.source or {}, config.output.mqtt
+    return ({"source": source} if source.get("kind") == "mqtt" else {}) | ({} if out is None else {"output.mqtt": out})
+
+
 def _readable_secrets(path: Path, config: Configuration) -> list[str]:
     """Warn of files with secrets that every user of this machine may read."""
     files = {"notify.url_file": config.notify.get("url_file"), "output.web_token_file": config.output.web_token_file}
+    files |= {f"{name}.password_file": table.get("password_file") for name, table in _mqtt_tables(config).items()}
     return [
         f"{key}: {name} can be read by everyone: chmod o-r"
         for key, name in files.items()

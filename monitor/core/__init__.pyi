@@ -9,6 +9,7 @@ from .errors import (
     UserError,
     WrongUsageError,
 )
+from .extras import load_extra
 from .files import demand_place, finish, partial, set_aside, sha256, spare_inputs, write_atomically
 from .memory import keep_freed
 from .naming import name_stories, name_stories_in
@@ -71,6 +72,7 @@ __all__ = [
     "finish",
     "keep_freed",
     "levenberg_marquardt",
+    "load_extra",
     "name_stories",
     "name_stories_in",
     "parallel_map",

@@ -17,7 +17,7 @@ from .archive.reprocess import reprocess
 from .emulate import send_all
 from .event_page import page_of, read_event_line, write_event_page
 from .event_recordings import EventRecordings
-from .importers import import_files
+from .importers import ImportedChannel, acceleration_unit, import_files
 from .online_diagnosis import RecentBlocks, longest_diagnosis_s
 from .recordings import Progress, duration_s
 from .session import Session, SessionState
@@ -27,10 +27,12 @@ from .warming import warm_up
 __all__ = [
     "WINDOWS",
     "EventRecordings",
+    "ImportedChannel",
     "Progress",
     "RecentBlocks",
     "Session",
     "SessionState",
+    "acceleration_unit",
     "calibrate",
     "compare",
     "demo",

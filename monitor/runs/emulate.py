@@ -1,4 +1,4 @@
-"""Emulates sensor nodes: sends a stream of blocks over CAN or Zenoh at its real pace."""
+"""Emulates sensor nodes: sends a stream of blocks over CAN, Zenoh or MQTT at its real pace."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ from monitor.core import BadConfigurationError, BadInputError, MissingInputError
 CAN_BURST_S = 0.01
 """Length of data, s, whose frames are sent in one burst, as by a node's transmit queue."""
 BLOCK_SAMPLES = 128
-"""Number of samples in a block over Zenoh."""
-DESTINATIONS = "can:socketcand-server:HOST:PORT, can:INTERFACE:CHANNEL or zenoh:MODE:ENDPOINT:KEY"
+"""Number of samples in a block over Zenoh or MQTT."""
+DESTINATIONS = "can:socketcand-server:HOST:PORT, can:INTERFACE:CHANNEL, zenoh:MODE:ENDPOINT:KEY or mqtt:HOST:PORT:TOPIC"
 
 
 class Sink(Protocol):
@@ -218,10 +218,10 @@ def open_sink(
         If the destination cannot be reached.
     """
     kind, _, rest = to.partition(":")
-    if kind == "zenoh":
+    if kind in ("zenoh", "mqtt"):
         if dbc is not None:
             raise BadConfigurationError(f"--to {to!r}: --dbc is for CAN")
-        return _open_zenoh(to, rest), BLOCK_SAMPLES
+        return (_open_zenoh if kind == "zenoh" else _open_mqtt)(to, rest), BLOCK_SAMPLES
     interface, _, channel = rest.partition(":")
     if kind != "can" or not interface or not channel:
         raise BadConfigurationError(f"--to {to!r}: expected {DESTINATIONS}")
@@ -250,6 +250,24 @@ def open_sink(
         server.close()
         raise MissingInputError(f"--to {to!r}: no client came within {wait_s:g} s")
     return CanSink(layouts, _transmit_over_tcp(server), server.close), CAN_BURST_S
+
+
+def _open_mqtt(to: str, rest: str) -> Sink:
+    try:
+        from drivers.mqtt import MqttPublisher, PublisherSettings
+    except ImportError as error:
+        raise BadConfigurationError(f"--to {to!r}: {error}") from error
+    place, _, topic = rest.rpartition(":")
+    try:
+        host, port = parse_address(place)
+        settings = PublisherSettings.model_validate({"host": host, "port": port, "topic": topic})
+        return MqttPublisher(settings)
+    except ValidationError as error:
+        raise BadConfigurationError(f"--to {to!r}: {'; '.join(settings_problems(error))}") from error
+    except ValueError:
+        raise BadConfigurationError(f"--to {to!r}: expected {DESTINATIONS}") from None
+    except SourceError as error:
+        raise MissingInputError(f"--to {to!r}: {error}") from error
 
 
 def _open_zenoh(to: str, rest: str) -> Sink:

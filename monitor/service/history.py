@@ -112,18 +112,7 @@ class History:
 
     def window(self, line: Mapping[str, Any]) -> None:
         """Store the result of a window, given as its line of results.jsonl, and with `state` the structure's."""
-        names = ("t_end_ns", "window", "window_s", "skipped", "temperature_degc", "misfit", "state")
-        row = {name: line.get(name) for name in names}
-        lists = (
-            "frequencies_hz",
-            "frequencies_std_hz",
-            "damping_ratio",
-            "damping_std",
-            "ddi",
-            "ddi_std",
-            "loss_n_per_m",
-        )
-        self._put("windows", row | {name: _text(line.get(name)) for name in lists} | {"level": line["alarm"]["level"]})
+        self._put("windows", window_row(line))
 
     def episodes(self, episodes: Iterable[Mapping[str, Any]]) -> None:
         """Store those of the latest alarms that are new or changed; story None is the structure as a whole."""
@@ -212,7 +201,7 @@ class History:
         with database:
             for table, row in batch:
                 if table != "gaps" or not merge_gap(database, row, self._neighbour_ns):
-                    database.execute(_statement(table, tuple(row)), tuple(row.values()))
+                    insert(database, table, row)
         for _ in batch:
             self._rows.popleft()
         self._inserted += len(batch)
@@ -237,17 +226,41 @@ def open_database(path: Path) -> sqlite3.Connection:
     try:
         database.execute("PRAGMA journal_mode = WAL")
         database.execute("PRAGMA synchronous = NORMAL")
-        (version,) = database.execute("PRAGMA user_version").fetchone()
-        if version > VERSION:
-            raise sqlite3.DatabaseError(f"written by a newer program (version {version}, this one knows {VERSION})")
-        while version < VERSION:
-            script = _SCHEMA if version == 0 else UPGRADES[version]
-            version = _SCHEMA_VERSION if version == 0 else version + 1
-            database.executescript(f"BEGIN; {script} PRAGMA user_version = {version}; COMMIT;")
+        make_tables(database)
     except BaseException:
         database.close()
         raise
     return database
+
+
+def make_tables(database: sqlite3.Connection) -> None:
+    """Create the tables of an empty database, or upgrade those of an older one.
+
+    Raises
+    ------
+    sqlite3.Error
+        The database cannot be used, or was written by a newer program.
+    """
+    (version,) = database.execute("PRAGMA user_version").fetchone()
+    if version > VERSION:
+        raise sqlite3.DatabaseError(f"written by a newer program (version {version}, this one knows {VERSION})")
+    while version < VERSION:
+        script = _SCHEMA if version == 0 else UPGRADES[version]
+        version = _SCHEMA_VERSION if version == 0 else version + 1
+        database.executescript(f"BEGIN; {script} PRAGMA user_version = {version}; COMMIT;")
+
+
+def window_row(line: Mapping[str, Any]) -> Row:
+    """Return the row of a window, given as its line of results.jsonl, and with `state` the structure's."""
+    names = ("t_end_ns", "window", "window_s", "skipped", "temperature_degc", "misfit", "state")
+    lists = ("frequencies_hz", "frequencies_std_hz", "damping_ratio", "damping_std", "ddi", "ddi_std", "loss_n_per_m")
+    row = {name: line.get(name) for name in names} | {name: _text(line.get(name)) for name in lists}
+    return row | {"level": line["alarm"]["level"]}
+
+
+def insert(database: sqlite3.Connection, table: str, row: Row) -> None:
+    """Insert a row; once more, it updates the row in the tables of `_UPDATED` and has no effect in the others."""
+    database.execute(_statement(table, tuple(row)), tuple(row.values()))
 
 
 def is_damage(error: Exception) -> bool:

@@ -1,6 +1,6 @@
-"""Emulator and daemon as two processes on this machine, over CAN (socketcand on loopback) or Zenoh (through a router).
+"""Emulator and daemon as two processes on this machine, over CAN (socketcand on loopback), Zenoh (a router) or MQTT (a broker).
 
-Run: ``python tests/benchmarks/live.py [can|zenoh] [--seconds 600] [--speed 1]``; without a kind both at the same time.
+Run: ``python tests/benchmarks/live.py [can|zenoh|mqtt] [--seconds 600] [--speed 1]``; without a kind the first two at once.
 Three channels at 1024 Hz with a baseline and a loss of stiffness, so that an alarm asks for a diagnosis on the way.  Prints a
 line of figures for each kind; exit code 1 if one is beyond its bound.
 """
@@ -126,7 +126,7 @@ def wrong(found: dict[str, Any]) -> list[str]:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print a line for each kind."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("kind", nargs="?", choices=("can", "zenoh"), help="both without")
+    parser.add_argument("kind", nargs="?", choices=("can", "zenoh", "mqtt"), help="the first two without")
     parser.add_argument("--seconds", type=float, default=600.0, help="of data")
     parser.add_argument("--speed", type=float, default=1.0, help="times real time")
     parser.add_argument("--window", type=float, default=200.0, help="s")

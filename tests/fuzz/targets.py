@@ -32,7 +32,7 @@ from can.interfaces.udp_multicast.bus import UdpMulticastBus
 from can.interfaces.udp_multicast.utils import pack_message
 from pydantic import ValidationError
 
-from drivers import codec, frames
+from drivers import codec, frames, mqtt
 from drivers.base import (
     ACCELERATION,
     GROUND,
@@ -46,6 +46,7 @@ from drivers.base import (
 from drivers.can_bus import CanSource
 from drivers.can_open import CanSettings
 from drivers.mcap_file import McapWriter, read_recordings
+from drivers.mqtt import MqttSettings, MqttSource, _Delivery
 from drivers.recorder import recorded, recover, unfit
 from drivers.ros2_imu import decode_imu
 from drivers.socketcand_client import SocketcandBus
@@ -204,6 +205,18 @@ def _zenoh_seeds() -> list[bytes]:
         stream(b"\xffshm/a/alive/x", blocks[0], b"\xffshm/a/alive/xy"),
         stream(codec.encode(block(0, sequence=(1 << 63) - 1)), codec.encode(block(1, t_ns=1 << 61))),
     ]
+
+
+def _mqtt_json(data: bytes) -> None:
+    source = MqttSource(MqttSettings(host="127.0.0.1", topic="a/b", format="json"), SourceContext(CHANNELS, Path()))
+    source._accept(_Delivery(ACCELERATION, 1, 1), data)
+    for got in source._ready:
+        sound(got)
+    assert len(source._ready) + source.health().counts["undecodable"] == 1
+
+
+def _mqtt_json_seeds() -> list[bytes]:
+    return [mqtt.encode(block(k, 4), "json") for k in range(2)]
 
 
 def _json_request(data: bytes) -> None:
@@ -422,7 +435,10 @@ def _toml(data: bytes) -> None:
 
 
 def _toml_seeds() -> list[bytes]:
-    deployed = [(ROOT / "deploy" / name).read_bytes() for name in ("site.toml", "can.toml", "zenoh.toml", "mcap.toml")]
+    deployed = [
+        (ROOT / "deploy" / name).read_bytes()
+        for name in ("site.toml", "can.toml", "zenoh.toml", "mqtt.toml", "mcap.toml")
+    ]
     return [STRUCTURE.encode(), *deployed]
 
 
@@ -466,6 +482,41 @@ def _npz_seeds() -> list[bytes]:
             save(file, **cast(Any, arrays))
             made.append(file.getvalue())
     return made
+
+
+def _array_file(suffix: str, write: Callable[[Path], object]) -> Target:
+    """A file of arrays or functions, as the library that reads it writes it."""
+
+    def run(data: bytes) -> None:
+        path, out = _file("a" + suffix, data), scratch() / "out.mcap"
+        with contextlib.suppress(UserError):
+            importers.import_files([path], out, rate_hz=100.0)
+        out.unlink(missing_ok=True)
+
+    def seeds() -> list[bytes]:
+        path = scratch() / ("seed" + suffix)
+        path.unlink(missing_ok=True)
+        write(path)
+        return [path.read_bytes()]
+
+    return Target(run, seeds, 0.01, 4000)
+
+
+def _write_mat(path: Path) -> None:
+    from scipy.io import savemat
+
+    savemat(path, {"acc": np.sin(np.arange(90.0).reshape(30, 3)), "fs": 100.0, "unit": "g"}, do_compression=True)
+
+
+def _write_uff(path: Path) -> None:
+    import pyuff
+
+    x = np.arange(30) / 100
+    data = pyuff.prepare_58(
+        func_type=1, rsp_node=1, rsp_dir=3, ref_node=0, ref_dir=0, data=np.sin(x), x=x, abscissa_spacing=1,
+        abscissa_spec_data_type=17, ordinate_spec_data_type=12, orddenom_spec_data_type=0, id1="x",
+    )  # fmt: skip
+    pyuff.UFF(str(path)).write_sets(data, "add")
 
 
 def _log_of_kind(suffix: str) -> Target:
@@ -612,12 +663,15 @@ TARGETS: dict[str, Target] = {
     "udp_multicast": Target(_udp_multicast, _udp_multicast_seeds, 0.02, 8000),
     "can_log": Target(_can_log, _can_log_seeds, 0.02, 4000),
     "zenoh": Target(_zenoh, _zenoh_seeds, 0.08),
+    "mqtt_json": Target(_mqtt_json, _mqtt_json_seeds, 0.02),
     "request_file": Target(_request_file, _request_seeds, 0.03),
     "mcap": Target(_mcap, _mcap_seeds, 0.05),
     "crash_file": Target(_crash_file, _mcap_seeds, 0.02),
     "toml": Target(_toml, _toml_seeds, 0.03),
     "csv": Target(_csv, _csv_seeds, 0.03),
     "npz": Target(_npz, _npz_seeds, 0.02),
+    "mat": _array_file(".mat", _write_mat),
+    "uff": _array_file(".uff", _write_uff),
     "asc": _log_of_kind(".asc"),
     "blf": _log_of_kind(".blf"),
     "trc": _log_of_kind(".trc"),

@@ -23,6 +23,7 @@ def convert(path: Path, content: str | bytes, **options: object) -> tuple[Record
     path.write_bytes(content.encode() if isinstance(content, str) else content)
     warnings: list[str] = []
     options.setdefault("start_ns", WHEN_NS)
+    options.setdefault("unit", "m/s^2")
     out = path.with_suffix(".mcap")
     info = import_files([path], out, on_warning=warnings.append, **options)  # type: ignore[arg-type]
     return info, samples(out), warnings

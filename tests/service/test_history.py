@@ -40,7 +40,8 @@ def until(true: Callable[[], object], what: str) -> None:
 
 @pytest.fixture
 def place(tmp_path: Path) -> Path:
-    return tmp_path / "history.db"
+    (tmp_path / "state").mkdir()
+    return tmp_path / "state" / "history.db"
 
 
 @pytest.fixture
@@ -125,7 +126,7 @@ def test_the_state_of_a_window_is_kept_also_in_a_database_that_knew_no_state(
     one.window(line(1, state="doubtful"))
     one.close(10.0)
     assert rows(place, "SELECT window, state FROM windows ORDER BY window") == [(0, None), (1, "doubtful")]
-    assert export(place, "windows", tmp_path / "w.parquet", ALL) == 2
+    assert export(tmp_path, "windows", tmp_path / "w.parquet", ALL) == 2
     assert pyarrow.parquet.read_table(tmp_path / "w.parquet")["state"].to_pylist() == [None, "doubtful"]
 
 
@@ -135,7 +136,7 @@ def test_without_a_history_there_is_no_database(place: Path, tmp_path: Path) -> 
     none.close(10.0)
     assert not place.exists()
     with pytest.raises(MissingInputError, match="no history here"):
-        export(place, "windows", tmp_path / "w.csv", ALL)
+        export(tmp_path, "windows", tmp_path / "w.csv", ALL)
 
 
 def test_an_alarm_is_one_row_that_follows_it(begin: Callable[[], History], place: Path) -> None:
@@ -223,6 +224,11 @@ def test_a_queue_that_is_full_counts_what_it_refuses(
     assert len([r for r in caplog.records if "rows are lost" in r.getMessage()]) == 1
 
 
+def _folder(place: Path) -> Path:
+    """The run's folder."""
+    return place.parents[1]
+
+
 def filled(place: Path) -> Path:
     with closing(open_database(place)) as database:
         for number in range(5):
@@ -236,14 +242,14 @@ def filled(place: Path) -> Path:
 
 
 def test_export_gives_a_column_a_number(place: Path, tmp_path: Path) -> None:
-    assert export(filled(place), "windows", tmp_path / "w.parquet", (T0_NS + HOP_NS, T0_NS + 4 * HOP_NS)) == 3
+    assert export(_folder(filled(place)), "windows", tmp_path / "w.parquet", (T0_NS + HOP_NS, T0_NS + 4 * HOP_NS)) == 3
     table = pyarrow.parquet.read_table(tmp_path / "w.parquet").to_pydict()
     assert table["window"] == [1, 2, 3] and table["ddi_1"] == [0.001, 0.002, None]
     assert table["frequencies_hz_3"] == [17.25] * 3 and table["skipped"] == [None, None, "gap"]
-    assert export(place, "windows", tmp_path / "w.csv", ALL) == 5
+    assert export(tmp_path, "windows", tmp_path / "w.csv", ALL) == 5
     head, *body = (tmp_path / "w.csv").read_text().splitlines()
     assert '"t_end_ns"' in head and '"ddi_3"' in head and len(body) == 5
-    assert export(place, "gaps", tmp_path / "g.csv", ALL) == 0
+    assert export(tmp_path, "gaps", tmp_path / "g.csv", ALL) == 0
     assert not list(tmp_path.glob("*.part"))
 
 

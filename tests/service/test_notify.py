@@ -26,6 +26,7 @@ from monitor.service.outlets import delivery_workers, notices
 from monitor.service.outlets.notices import Notice, NoticeSettings, Told, of_finding, of_health, of_window
 from monitor.service.outlets.notify import Addresses, Notifier, NotifySettings, addresses
 from monitor.service.outlets.outbox import Outbox
+from tests.conftest import Cli
 from tests.support.zenoh_router import free_port
 
 SETTINGS = NoticeSettings()
@@ -592,3 +593,30 @@ def test_an_address_and_a_disk_that_do_not_answer_are_told_within_ten_seconds(
     answers.set()
     until(lambda: one.failed == "address 1 (json) does not answer for 6 s", "the disk answers")
     one.close(0.2)
+
+
+@pytest.mark.system
+def test_the_command_tells_what_became_of_a_test_message_at_every_address(
+    tmp_path: Path, hook: Hook, main: Cli, frame_text: str
+) -> None:
+    site, away = tmp_path / "site.toml", f"json://127.0.0.1:{free_port()}/hush-hush"
+    beat = f"http://127.0.0.1:{hook.server_port}/hush"
+
+    def table(*urls: str, beat: str = "") -> None:
+        heartbeat = f'heartbeat_url = "{beat}"' if beat else ""
+        site.write_text(f'{frame_text}\n[site]\nname = "lab"\n[notify]\nurls = {json.dumps(urls)}\n{heartbeat}\n')
+
+    table(hook.url, away, beat=beat)
+    done = main("notify", site, "--test")
+    assert done.returncode == 1, done.stderr
+    first, second, third = done.stdout.splitlines()
+    assert re.fullmatch(r"address 1 \(json\): taken after [\d.]+ s \(exit code 0\)", first)
+    assert second == "address 2 (json): refused, or not reached (exit code 1)"
+    assert third.startswith("heartbeat: taken after") and hook.paths == ["/hush"]
+    assert hook.titles == ["[lab] test"] and "hush" not in done.stdout + done.stderr
+    table(hook.url)
+    told = main("notify", site, "--test", "--json")
+    assert told.returncode == 0 and json.loads(told.stdout)["addresses"][0]["exit_code"] == 0
+    table()
+    assert main("notify", site, "--test").returncode == 78
+    assert main("notify", site).returncode == 2

@@ -22,6 +22,7 @@ from drivers.mcap_file import McapWriter, read_recordings
 from monitor.config import configuration
 from monitor.model.simulation import simulate
 from monitor.runs.synthetic_recording import cut_into_blocks, parse_damage
+from tests.support.mosquitto import Broker
 from tests.support.zenoh_router import Router, free_port
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -128,6 +129,8 @@ class Site:
         """Options of ``emulate``."""
         if self.kind == "can":
             return ["--to", f"can:socketcand-server:127.0.0.1:{self.port}", "--dbc", DEPLOY / "frame.dbc"]
+        if self.kind == "mqtt":
+            return ["--to", f"mqtt:127.0.0.1:{self.port}:{KEY}"]
         return ["--to", f"zenoh:client:tcp/127.0.0.1:{self.port}:{KEY}"]
 
     @property
@@ -171,6 +174,9 @@ def make_site(folder: Path, kind: str, processing: dict[str, float], **tables: d
     table: Any = tomlkit.parse((DEPLOY / f"{kind}.toml").read_text())
     if kind == "can":
         table["source"] |= {"options": {"host": "127.0.0.1", "port": port}, "dbc": str(DEPLOY / "frame.dbc")}
+    elif kind == "mqtt":
+        table["source"]["port"] = port
+        table["output"]["mqtt"] = {"host": "127.0.0.1", "port": port}
     else:
         table["source"]["connect"] = [f"tcp/127.0.0.1:{port}"]
         table["output"]["zenoh"] = {"mode": "client", "connect": [f"tcp/127.0.0.1:{port}"]}
@@ -213,9 +219,13 @@ def samples(recordings: list[Path]) -> int:
 
 
 @contextmanager
-def router_for(site: Site) -> Iterator[Router | None]:
+def router_for(site: Site) -> Iterator[Router | Broker | None]:
     """What lies between nodes and daemon, if anything."""
-    router = Router(f"tcp/127.0.0.1:{site.port}") if site.kind == "zenoh" else None
+    router: Router | Broker | None = None
+    if site.kind == "zenoh":
+        router = Router(f"tcp/127.0.0.1:{site.port}")
+    elif site.kind == "mqtt":
+        router = Broker(site.path.parent / "broker", port=site.port)
     try:
         yield router
     finally:

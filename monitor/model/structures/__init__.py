@@ -4,7 +4,8 @@ Each kind has a file of its own; `tables` reads their parameters from TOML.
 """
 
 from monitor.model.structures.base import Structure
+from monitor.model.structures.condensation import condense_massless
 from monitor.model.structures.matrices import MatrixStructure
 from monitor.model.structures.shear_frame import ShearFrame
 
-__all__ = ["MatrixStructure", "ShearFrame", "Structure"]
+__all__ = ["MatrixStructure", "ShearFrame", "Structure", "condense_massless"]

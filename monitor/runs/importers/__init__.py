@@ -1,10 +1,13 @@
-"""Imports foreign data as recordings: CSV of any dialect, Xsens DOT, zipped CSV, NPZ, CAN logs, MiniSEED, K-NET."""
+"""Imports foreign data: CSV of any dialect, Xsens DOT, zipped CSV, NPZ, MAT, HDF5, UFF, MiniSEED, K-NET, CAN logs."""
 
 from __future__ import annotations
 
 import io
 import zipfile
 import zlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -13,10 +16,10 @@ from drivers.base import ACCELERATION, FORCE, GROUND, UNIT_OF, RecordingError, S
 from drivers.mcap_file import McapWriter, RecordingInfo, recording_info
 from drivers.mcap_records import MAGIC
 from monitor.core import BadInputError, MissingInputError
-from monitor.runs.importers import can_log, csv_table, npz, seismic, xsens_dot
-from monitor.runs.importers.table import UNITS, Array, OnWarning, Table, Ticks, join_tables, sample_numbers, unit_factor
+from monitor.runs.importers import can_log, clocks, csv_table, hdf5, mat, npz, seismic, uff, xsens_dot
+from monitor.runs.importers.table import UNITS, Array, OnWarning, Table, Ticks, sample_numbers, unit_factor
 
-__all__ = ["import_files"]
+__all__ = ["ImportedChannel", "acceleration_unit", "import_files"]
 _UNPACKED_BYTES = 1 << 28
 """Most that any archive may unpack to, however small it is. [bytes; as a chunk of an MCAP file, `drivers.mcap_records`]"""
 _UNPACKED_RATIO = 16
@@ -29,12 +32,35 @@ _PIECE_BYTES = 1 << 20
 """Length of the pieces in which an archive is unpacked and counted. [bytes; cost]"""
 
 
+def acceleration_unit(text: str) -> bool:
+    """Return whether a text is a unit of acceleration."""
+    return unit_factor(text) is not None
+
+
+@dataclass(frozen=True, slots=True)
+class ImportedChannel:
+    """What was taken for a channel."""
+
+    topic: str
+    name: str
+    source: str
+    """File and column, as FILE:COLUMN."""
+    unit: str
+    """Unit of the column."""
+    stated: bool
+    """Whether the file states the unit."""
+    mean: float
+    """Mean of the finite readings, in the unit of the topic."""
+    rms: float
+    """Root mean square of the finite readings about their mean, in the unit of the topic."""
+
+
 def import_files(
     files: list[Path],
     out: Path,
     *,
     rate_hz: float | None = None,
-    unit: str = "m/s^2",
+    unit: str | None = None,
     channels: dict[str, str] | None = None,
     ground: str | None = None,
     forces: dict[str, str] | None = None,
@@ -42,7 +68,10 @@ def import_files(
     dbc: Path | None = None,
     scale: float | None = None,
     inventory: Path | None = None,
+    align: bool = False,
+    ask_unit: Callable[[Sequence[str]], str] | None = None,
     on_warning: OnWarning = lambda _: None,
+    on_channel: Callable[[ImportedChannel], None] = lambda _: None,
 ) -> RecordingInfo:
     """Write the readings of `files` as one recording, and return the content of the recording.
 
@@ -55,7 +84,8 @@ def import_files(
     rate_hz
         Sample rate, Hz.  Required if no file states it; overrides the rate of a time column.
     unit
-        Unit of columns whose header states none: m/s^2, g, mg, gal.
+        Unit of columns whose header states none: m/s^2, g, mg, gal.  Without it `ask_unit` is asked for it, else m/s^2 is taken
+        with a warning.
     channels
         Channel name -> "FILE" or "FILE:COLUMN", with FILE by name or stem.  By default the channels are the columns of a
         single file, or the stems of several files.
@@ -71,8 +101,14 @@ def import_files(
         m/s^2 of a count of MiniSEED.
     inventory
         StationXML with the sensitivities of MiniSEED.
+    align
+        Shift the clocks of the files so that their readings fit each other (`clocks.align`).
+    ask_unit
+        Asks the user for the unit of columns, given as "FILE:COLUMN".
     on_warning
         Shows a warning to the user.
+    on_channel
+        Told of each channel that was written; not of those of a CAN log.
 
     Raises
     ------
@@ -93,18 +129,26 @@ def import_files(
     """
     if rate_hz is not None and not (np.isfinite(rate_hz) and rate_hz > 0):
         raise BadInputError(f"--rate {rate_hz}: must be a positive number of Hz")
-    if unit_factor(unit) is None:
+    if unit is not None and unit_factor(unit) is None:
         raise BadInputError(f"--unit {unit!r}: known for acceleration: {', '.join(UNITS)}")
     if scale is not None and not (np.isfinite(scale) and scale != 0.0):
         raise BadInputError(f"--scale {scale}: must be a number of m/s^2 a count, not 0")
     try:
         if any(map(can_log.is_log, files)):
+            if align:
+                raise BadInputError(
+                    f"{files[0]}: --align is for several files with clocks of their own; this is a CAN log"
+                )
             can_log.check_options(files, dbc, channels or forces, ground, start_ns)
             assert dbc is not None
             return can_log.import_log(files[0], out, dbc=dbc, rate_hz=rate_hz, on_warning=on_warning)
         if dbc is not None:
             raise BadInputError(f"{dbc}: --dbc is for CAN logs; {files[0]} is none by its name")
-        tables, clock = join_tables([_load_table(path, on_warning, scale, inventory) for path in files], on_warning)
+        tables = [_load_table(path, on_warning, scale, inventory) for path in files]
+        if align:
+            leading = {name: _find_column(tables, place) for name, place in (channels or {}).items()}
+            tables = clocks.align(tables, list(leading.values()), on_warning)
+        tables, clock = clocks.join(tables, on_warning)
         pushed = {name: _find_column(tables, reference) for name, reference in (forces or {}).items()}
         chosen, base = _choose_columns(tables, channels, ground, list(pushed.values()))
         rate, numbers = _timing(tables, clock, rate_hz, on_warning)
@@ -112,20 +156,56 @@ def import_files(
         # The time of the last sample must fit 64-bit nanoseconds, which a damaged counter violates.
         if not 1e-3 <= rate <= 1e7 or start_ns + numbers[-1] * 1e9 / rate > 4e18:
             raise BadInputError(f"{files[0]}: {rate} Hz and {numbers[-1]} samples in all are absurd")
+        unit = _unit(chosen, base, unit, ask_unit, on_warning)
         samples = np.column_stack([table.acceleration(column, unit) for table, column in chosen.values()])
         _warn_of_missing(samples, numbers, rate, on_warning)
         streams = {ACCELERATION: (tuple(chosen), samples)}
         if base is not None:
             streams[GROUND] = (("ground",), base[0].acceleration(base[1], unit)[:, None])
         if pushed:
-            columns = [table.force(column) for table, column in pushed.values()]
-            streams[FORCE] = (tuple(pushed), np.column_stack(columns))
+            streams[FORCE] = (
+                tuple(pushed),
+                np.column_stack([table.force(column) for table, column in pushed.values()]),
+            )
         _write(out, streams, rate, numbers, start_ns)
+        grounds = {} if base is None else {"ground": base}
+        for topic, columns_of in ((ACCELERATION, chosen), (GROUND, grounds), (FORCE, pushed)):
+            for at, (name, (table, column)) in enumerate(columns_of.items()):
+                readings = streams[topic][1][:, at]
+                stated = table.unit(column)
+                taken = stated or ("N" if topic == FORCE else unit)
+                on_channel(_channel(topic, name, f"{table.path.name}:{column}", taken, bool(stated), readings))
         return recording_info(out)
     except OSError as error:
         raise MissingInputError(f"{out}: cannot be written: {error.strerror or error}") from error
     except RecordingError as error:
         raise BadInputError(str(error)) from error
+
+
+def _channel(topic: str, name: str, source: str, unit: str, stated: bool, readings: Array) -> ImportedChannel:
+    finite = readings[np.isfinite(readings)]
+    with np.errstate(over="ignore", invalid="ignore"):
+        level = (float(finite.mean()), float(finite.std())) if len(finite) else (0.0, 0.0)
+    mean, rms = (value if np.isfinite(value) else 0.0 for value in level)
+    return ImportedChannel(topic, name, source, unit, stated, mean, rms)
+
+
+def _unit(
+    chosen: dict[str, _Column],
+    base: _Column | None,
+    unit: str | None,
+    ask_unit: Callable[[Sequence[str]], str] | None,
+    on_warning: OnWarning,
+) -> str:
+    """Return the unit of the columns whose file states none."""
+    columns = [*chosen.values(), *([] if base is None else [base])]
+    bare = [f"{table.path.name}:{column}" for table, column in columns if not table.unit(column)]
+    if unit is not None or not bare:
+        return unit or "m/s^2"
+    if ask_unit is not None:
+        return ask_unit(bare)
+    on_warning(f"no unit is stated of {', '.join(bare)}; taken as m/s^2 (see --unit)")
+    return "m/s^2"
 
 
 def _warn_of_missing(samples: Array, numbers: Ticks, rate_hz: float, on_warning: OnWarning) -> None:
@@ -149,14 +229,23 @@ def _load_table(path: Path, on_warning: OnWarning, scale: float | None, inventor
         raise BadInputError(f"{path}: is a CAN log; name it with the suffix .blf")
     if raw.startswith(MAGIC):
         raise BadInputError(f"{path}: is an MCAP recording already; use it as it is")
+    most = _most_unpacked(raw)
     if seismic.is_seismic(raw):
-        return _require_samples(seismic.to_table(path, raw, _most_unpacked(raw), scale, inventory))
+        return _require_samples(seismic.to_table(path, raw, most, scale, inventory))
     if scale is not None or inventory is not None:
         raise BadInputError(f"{path}: --scale and --inventory are for MiniSEED; this is none")
+    demand_room = partial(_demand_room, path, most=most)
+    if hdf5.is_hdf5(raw):
+        return _require_samples(hdf5.to_table(path, raw, most, on_warning))
+    if raw.startswith(mat.MAGIC) or path.suffix.casefold() == ".mat":
+        return _require_samples(mat.to_table(path, raw, most, demand_room, on_warning))
+    if uff.is_uff(raw):
+        demand_room(len(raw) + _LINE_BYTES * raw.count(b"\n"))
+        return _require_samples(uff.to_table(path, raw, on_warning))
     if raw.startswith(b"PK\x03\x04"):
         members = _zip_members(path, raw)
         if all(name.endswith(".npy") for name in members):
-            return _require_samples(npz.to_table(path, raw, _most_unpacked(raw)))
+            return _require_samples(npz.to_table(path, raw, most, on_warning))
         raw = _unzip(path, raw, members)
     cells = csv_table.cut_into_cells(path, csv_table.decode_text(path, raw), on_warning)
     dialect = xsens_dot if xsens_dot.is_xsens(cells) else csv_table

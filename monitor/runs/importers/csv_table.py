@@ -93,7 +93,9 @@ def decode_text(path: Path, raw: bytes) -> str:
     if not raw.strip():
         raise BadInputError(f"{path}: is empty")
     if b"\0" in raw:
-        raise BadInputError(f"{path}: is no text table and no other known format (CSV, zipped CSV, NPZ)")
+        raise BadInputError(
+            f"{path}: is no text table and no other known format (CSV, zipped CSV, NPZ, MAT, HDF5, UFF)"
+        )
     for encoding in ("utf-8-sig", "cp1252"):
         try:
             return raw.decode(encoding)

@@ -47,6 +47,18 @@ class Table:
         stem = self.path.stem.removesuffix(".csv")  # x.csv.zip
         return (stem, self.path.stem, self.path.name, str(self.path))
 
+    def unit(self, column: str) -> str:
+        """Return the unit that the file states of a column; empty if it states none.
+
+        Raises
+        ------
+        BadInputError
+            If there is no such column.
+        """
+        if column not in self.columns:
+            raise BadInputError(f"{self.path}: no column {column!r}; it has {', '.join(self.columns)}")
+        return self.units[self.columns.index(column)]
+
     def acceleration(self, column: str, unit: str) -> Array:
         """Convert a column to m/s^2, shape (n_samples,).
 
@@ -78,16 +90,13 @@ class Table:
         self, column: str, unit: str, factor_of: Callable[[str], float | None], quantity: str, known: Iterable[str]
     ) -> Array:
         """Convert a column to the SI unit of a quantity, shape (n_samples,); `unit` is that of a column without one."""
-        if column not in self.columns:
-            raise BadInputError(f"{self.path}: no column {column!r}; it has {', '.join(self.columns)}")
-        at = self.columns.index(column)
-        stated = self.units[at] or unit
+        stated = self.unit(column) or unit
         factor = factor_of(stated)
         if factor is None:
             raise BadInputError(
                 f"{self.path}: column {column!r} has unit {stated!r}; known for {quantity}: {', '.join(known)}"
             )
-        scaled: Array = self.values[:, at] * factor
+        scaled: Array = self.values[:, self.columns.index(column)] * factor
         return scaled
 
 
@@ -141,81 +150,3 @@ def sample_numbers(path: Path, time_ns: Ticks) -> tuple[float, Ticks]:
     rate = 1e9 * float(numbers[-1]) / float(time_ns[-1] - time_ns[0])
     nominal = float(round(rate))
     return (nominal if nominal and abs(rate / nominal - 1) < 1e-4 else round(rate, 6)), numbers
-
-
-def join_tables(tables: list[Table], on_warning: OnWarning) -> tuple[list[Table], Ticks | None]:
-    """Cut tables to their common samples.
-
-    With clocks, only the samples whose times agree in all files within half a step are kept.  Without clocks, all files are
-    assumed to begin at the same time.
-
-    Returns
-    -------
-    list of Table
-        Tables with n samples each.
-    array, shape (n,), or None
-        Common clock, ns; None without clocks.
-
-    Raises
-    ------
-    BadInputError
-        If only some files have a clock, the clocks run at different rates or not forwards, or the files have less than half of
-        the shortest file in common.
-    """
-    clocks = [table.time_ns for table in tables if table.time_ns is not None]
-    if len(tables) == 1:
-        return tables, tables[0].time_ns
-    shortest = min(len(table.values) for table in tables)
-    if not clocks:
-        if shortest != max(len(table.values) for table in tables):
-            on_warning(f"files of different lengths without a clock: taken as begun together, cut to {shortest}")
-        return [_select_rows(table, np.arange(shortest)) for table in tables], None
-    if len(clocks) != len(tables):
-        without = ", ".join(str(table.path) for table in tables if table.time_ns is None)
-        raise BadInputError(f"{without}: no time column, but other files have one; give all or none")
-    base = clocks[0]
-    steps = [float(np.median(np.diff(clock))) for clock in clocks]
-    if any((np.diff(clock) <= 0).any() for clock in clocks) or max(steps) > 1.02 * min(steps):
-        each = "; ".join(
-            f"{table.path}: {1e9 / step if step else 0:.2f} Hz" for table, step in zip(tables, steps, strict=True)
-        )
-        raise BadInputError(f"the files' times must rise throughout and have one rate: {each}")
-    half = steps[0] / 2
-    keep = np.ones(len(base), dtype=bool)
-    partners = []
-    for clock in clocks:
-        right = np.clip(np.searchsorted(clock, base), 1, max(len(clock) - 1, 1))
-        nearest = right - (base - clock[right - 1] < clock[np.minimum(right, len(clock) - 1)] - base)
-        nearest = np.minimum(nearest, len(clock) - 1)
-        keep &= np.abs(clock[nearest] - base) <= half
-        partners.append(nearest)
-    if keep.sum() * 2 < shortest:
-        offsets = "; ".join(
-            f"{table.path.name} starts {(clock[0] - base[0]) / 1e9:+.3f} s"
-            for table, clock in zip(tables[1:], clocks[1:], strict=True)
-        )
-        raise BadInputError(
-            f"the clocks of the files do not agree: they share {keep.sum()} of {shortest} samples. "
-            f"Against {tables[0].path.name}: {offsets}. Record with synchronised sensors"
-        )
-    if keep.sum() < max(len(clock) for clock in clocks):
-        on_warning(f"{keep.sum()} samples are common to all files; the others are left out")
-    return [_select_rows(table, near[keep]) for table, near in zip(tables, partners, strict=True)], base[keep]
-
-
-def _select_rows(table: Table, rows: NDArray[np.int64]) -> Table:
-    """Select rows, shape (n,), of a table; its start moves to the first of these rows."""
-    start = table.start_ns
-    if start is not None and table.time_ns is not None and len(rows):
-        start += int(table.time_ns[rows[0]] - table.time_ns[0])
-    return Table(
-        path=table.path,
-        columns=table.columns,
-        units=table.units,
-        values=table.values[rows],
-        default=table.default,
-        time_ns=None if table.time_ns is None else table.time_ns[rows],
-        index=None if table.index is None else table.index[rows],
-        start_ns=start,
-        rate_hz=table.rate_hz,
-    )

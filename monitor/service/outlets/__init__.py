@@ -15,6 +15,7 @@ from pydantic import BaseModel, ValidationError
 from monitor.config import Configuration, security_check
 from monitor.core import BadConfigurationError, settings_problems
 from monitor.service.outlets.base import Outlet as Outlet
+from monitor.service.outlets.delivery_workers import Trial, send_test
 from monitor.service.outlets.inbox import Inbox
 from monitor.service.outlets.notify import Addresses, Notifier, NotifySettings, addresses
 from monitor.service.threads import Chores
@@ -42,6 +43,7 @@ def make_outlets(path: Path, config: Configuration, *, dry: bool = False) -> tup
     problems: list[str] = []
     makers = [
         _maker("zenoh", config.output.zenoh, _zenoh, folder, problems),
+        _maker("mqtt", config.output.mqtt, _mqtt, folder, problems),
         _maker("metrics", config.output.metrics, _metrics, folder, problems),
     ]
     page = _web(config, folder, problems)
@@ -78,6 +80,29 @@ def prepare_change(path: Path, config: Configuration, outlets: Sequence[Outlet])
                 outlet.change(settings, to)
 
     return apply
+
+
+def send_test_messages(path: Path, config: Configuration) -> list[Trial]:
+    """Send a test message to every address of ``[notify]``, and return the outcomes.
+
+    Parameters
+    ----------
+    path, config : Path, Configuration
+        As of `make_outlets`.
+
+    Raises
+    ------
+    BadConfigurationError
+        The table is invalid, or names no address.
+    """
+    problems: list[str] = []
+    _, to = _notify(config, path.resolve().parent, problems)
+    beats = [url for url in (to.heartbeat_url, to.heartbeat_blocked_url) if url is not None]
+    if not problems and not to.urls and not beats:
+        problems.append("notify: no address; give urls, url_file or heartbeat_url")
+    if problems:
+        raise BadConfigurationError("\n".join(f"{path}: {problem}" for problem in problems))
+    return send_test(to.urls, beats, config.site_name)
 
 
 def _notify(config: Configuration, folder: Path, problems: list[str]) -> tuple[NotifySettings, Addresses]:
@@ -123,6 +148,12 @@ def _zenoh() -> tuple[Any, type[BaseModel]]:
     from monitor.service.outlets.zenoh import ZenohOut, ZenohOutSettings
 
     return ZenohOut, ZenohOutSettings
+
+
+def _mqtt() -> tuple[Any, type[BaseModel]]:
+    from monitor.service.outlets.mqtt import MqttOut, MqttOutSettings
+
+    return MqttOut, MqttOutSettings
 
 
 def _metrics() -> tuple[Any, type[BaseModel]]:

@@ -14,7 +14,9 @@ import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -47,11 +49,15 @@ class _Process:
 
     def deliver(self, job: Mapping[str, Any]) -> bool:
         """Do a job; return whether it was done within `_DEADLINE_S`."""
+        return self.run(job) == 0
+
+    def run(self, job: Mapping[str, Any]) -> int | None:
+        """Do a job; return the exit code of its process, negative where a signal ended it, None where there was no process."""
         command = [sys.executable, "-P", str(_PROGRAM)]  # -P: the modules beside the program hide no library
         try:
             with self._lock:
                 if self._stopped:
-                    return False
+                    return None
                 self._running = process = subprocess.Popen(
                     command,
                     stdin=subprocess.PIPE,
@@ -60,13 +66,13 @@ class _Process:
                     start_new_session=True,  # a signal from the keyboard is the daemon's
                 )
         except OSError:  # no room for a process: as an address that does not answer
-            return False
+            return None
         try:
             process.communicate(json.dumps({**job, "deadline_s": _DEADLINE_S}).encode(), _DEADLINE_S)
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()
-        return process.returncode == 0
+        return process.returncode
 
     def stop(self) -> None:
         """End the present delivery and allow no other."""
@@ -74,6 +80,58 @@ class _Process:
             self._stopped = True
             if self._running is not None:
                 self._running.kill()
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """Outcome of one test delivery."""
+
+    name: str
+    """Number and kind of the address, without any other part of it."""
+    exit_code: int | None
+    """Of the delivery's process: 0 where the address took it; negative for the signal that ended it; None without a process."""
+    took_s: float
+
+    @property
+    def says(self) -> str:
+        """The outcome in words."""
+        if self.exit_code == 0:
+            return f"taken after {self.took_s:.1f} s"
+        late = self.exit_code is not None and self.exit_code < 0
+        return f"no answer within {_DEADLINE_S:g} s" if late else "refused, or not reached"
+
+
+def send_test(urls: Sequence[str], beats: Sequence[str], site: str) -> list[Trial]:
+    """Send a test message to every address, and fetch every heartbeat's address once, all at a time.
+
+    Parameters
+    ----------
+    urls : sequence of str
+        Addresses of messages (apprise).
+    beats : sequence of str
+        Addresses of the heartbeat.
+    site : str
+        Name of the site, given in the message.
+    """
+    message = {"title": f"[{site}] test", "body": "A test of the notifications: nothing has happened.", "type": "info"}
+    jobs: list[tuple[str, Mapping[str, Any]]] = [
+        (_name(number, url), {"url": url, **message}) for number, url in enumerate(urls, start=1)
+    ]
+    jobs += [("heartbeat" if k == 0 else "heartbeat, blocked", {"url": url}) for k, url in enumerate(beats)]
+
+    def deliver(job: tuple[str, Mapping[str, Any]]) -> Trial:
+        begun_s = time.monotonic()
+        code = _Process().run(job[1])
+        return Trial(job[0], code, round(time.monotonic() - begun_s, 2))
+
+    with ThreadPoolExecutor(len(jobs) or 1) as pool:
+        return list(pool.map(deliver, jobs))
+
+
+def _name(number: int, url: str) -> str:
+    """Return number and kind of an address, without any other part of it."""
+    scheme = re.match(r"(\w+)://", url)
+    return f"address {number}" + (f" ({scheme[1]})" if scheme else "")
 
 
 class AddressWorker:
@@ -143,8 +201,7 @@ class AddressWorker:
     @property
     def _name(self) -> str:
         """Number and kind of the address, without any other part of it."""
-        scheme = re.match(r"(\w+)://", self._url)
-        return f"address {self.number}" + (f" ({scheme[1]})" if scheme else "")
+        return _name(self.number, self._url)
 
     def _work(self) -> None:
         """Deliver messages until closed (the thread's work)."""

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import logging
-import re
 import threading
 import time
 from collections import deque
@@ -22,11 +21,9 @@ from pydantic import Field, ValidationError
 from zenoh import ext
 
 from drivers.zenoh_session import Callbacks, Key, SessionSettings, leave, open_session
-from monitor.core import Busy, Gap, WindowResult, settings_problems
-from monitor.damage import Assessment
-from monitor.events import Event
-from monitor.publish import alarm_line, to_json
-from monitor.service.outlets.base import Outlet
+from monitor.core import Busy, settings_problems
+from monitor.publish import to_json
+from monitor.service.outlets.messages import Messages, site_prefix
 from monitor.service.requests import MAX_REQUEST_BYTES, Answer, RateLimit, Request
 from monitor.service.threads import background
 
@@ -47,7 +44,7 @@ class ZenohOutSettings(SessionSettings):
     """Largest number of waiting requests of operators; further requests are refused."""
 
 
-class ZenohOut(Outlet):
+class ZenohOut(Messages):
     """Publish results over Zenoh and collect operators' requests; no method but `close` waits, and none raises.
 
     Parameters
@@ -70,6 +67,7 @@ class ZenohOut(Outlet):
     dropped: int = 0
 
     def __init__(self, site: str, settings: ZenohOutSettings, folder: Path = Path(), *, queue_size: int = 256) -> None:
+        super().__init__()
         self.prefix = key_prefix(site, settings)
         self._settings, self._folder = settings, folder
         self._waiting: deque[tuple[str, str]] = deque(maxlen=queue_size)
@@ -80,7 +78,6 @@ class ZenohOut(Outlet):
         self._latest: dict[str, str] = {}
         self._heard_s: float | None = None
         """When the latest line of health came, by a clock that nobody sets."""
-        self._alarm: tuple[Any, ...] = ()
         self._changed = threading.Condition()
         self._closed = False
         self._failure: str | None = None
@@ -93,41 +90,15 @@ class ZenohOut(Outlet):
         """Reason for which nothing can be published at present; None if everything is published."""
         return self._busy.overdue or self._failure
 
-    def window(self, result: WindowResult, line: str) -> None:
-        """Publish a window's line of results.jsonl, and its alarm if that changed."""
-        self._put("results", line)
-        alarm = alarm_line(result.alarm)
-        if (alarm["level"], alarm["active"], alarm["conditions"]) != self._alarm:
-            self._alarm = alarm["level"], alarm["active"], alarm["conditions"]
-            self._put("alarm", to_json({"t_end_ns": result.t_end_ns, **alarm}))
-
-    def state(self, assessment: Assessment) -> None:
-        """Publish the present state of the structure."""
-        super().state(assessment)
-        self._put("state", to_json(assessment.content))
-
-    def event(self, event: Event, line: str) -> None:
-        """Publish a line of events.jsonl, and before it the preliminary message, whose revision is null."""
-        self._put("event", line)
-
     def known_event(self, line: str) -> None:
         """Answer queries of the state with an event of an earlier run, until there is another."""
         with self._changed:
             self._latest.setdefault("event", line)
 
-    def gap(self, gap: Gap) -> None:
-        """Publish that samples are missing."""
-        self._put("gap", to_json({"t_ns": gap.t_ns, "duration_s": gap.duration_s, "reason": gap.reason}))
-
     def health_line(self, line: Mapping[str, Any]) -> None:
         """Publish a line of health.jsonl."""
         self._heard_s = time.monotonic()
-        self._put("health", to_json(dict(line)))
-
-    def finding(self, finding: Mapping[str, Any]) -> None:
-        """Publish the finding of a diagnosis."""
-        keys = ("id", "t_ns", "from_ns", "reason", "verdict", "says", "causes")
-        self._put("finding", to_json({key: finding[key] for key in keys}))
+        super().health_line(line)
 
     def take_requests(self) -> list[Request]:
         """Return the operators' requests that wait, oldest first; called by the thread that owns the alarms."""
@@ -281,7 +252,7 @@ def _answer_text(refusal: str | None) -> str:
 
 def key_prefix(site: str, settings: ZenohOutSettings) -> str:
     """Return the common prefix of a site's keys; in the name of the site, characters that a key may not hold become hyphens."""
-    return settings.prefix or "shm/" + (re.sub(r"[^0-9A-Za-z._-]+", "-", site) or "site")
+    return settings.prefix or site_prefix(site)
 
 
 def ask(settings: ZenohOutSettings, folder: Path, prefix: str, request: str, timeout_s: float) -> dict[str, Any] | None:

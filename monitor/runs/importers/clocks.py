@@ -1,0 +1,233 @@
+"""Joins files by their clocks, and aligns clocks that do not agree by what the files hold."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from monitor.core import BadInputError
+from monitor.runs.importers.table import Array, OnWarning, Table, Ticks
+
+_LEAST_CORRELATION = 0.1
+"""Whitened correlation below which a shift is not believed. [1; judgement: unlike records of 20 s at 100 Hz reach 0.06]"""
+_DOUBTFUL = 0.6
+"""Share of the best correlation from which another shift may be the true one. [ratio; judgement]"""
+_LEAST_SHARE = 1e-6
+"""Part of the largest cross-spectrum below which a frequency counts less. [ratio; rounding]"""
+_MOST_ALIGNED = 1 << 24
+"""Most samples of a file to be aligned. [samples; cost: half a GB of memory]"""
+
+
+def join(tables: list[Table], on_warning: OnWarning) -> tuple[list[Table], Ticks | None]:
+    """Cut tables to their common samples.
+
+    With clocks, only the samples whose times agree in all files within half a step are kept.  Without clocks, all files are
+    assumed to begin at the same time.
+
+    Returns
+    -------
+    list of Table
+        Tables with n samples each.
+    array, shape (n,), or None
+        Common clock, ns; None without clocks.
+
+    Raises
+    ------
+    BadInputError
+        If only some files have a clock, the clocks run at different rates or not forwards, or the files have less than half of
+        the shortest file in common.
+    """
+    clocks = [table.time_ns for table in tables if table.time_ns is not None]
+    if len(tables) == 1:
+        return tables, tables[0].time_ns
+    shortest = min(len(table.values) for table in tables)
+    if not clocks:
+        if shortest != max(len(table.values) for table in tables):
+            on_warning(f"files of different lengths without a clock: taken as begun together, cut to {shortest}")
+        return [_select_rows(table, np.arange(shortest)) for table in tables], None
+    if len(clocks) != len(tables):
+        without = ", ".join(str(table.path) for table in tables if table.time_ns is None)
+        raise BadInputError(f"{without}: no time column, but other files have one; give all or none")
+    base = clocks[0]
+    steps = [float(np.median(np.diff(clock))) for clock in clocks]
+    if any((np.diff(clock) <= 0).any() for clock in clocks) or max(steps) > 1.02 * min(steps):
+        each = "; ".join(
+            f"{table.path}: {1e9 / step if step else 0:.2f} Hz" for table, step in zip(tables, steps, strict=True)
+        )
+        raise BadInputError(f"the files' times must rise throughout and have one rate: {each}")
+    half = steps[0] / 2
+    keep = np.ones(len(base), dtype=bool)
+    partners = []
+    for clock in clocks:
+        right = np.clip(np.searchsorted(clock, base), 1, max(len(clock) - 1, 1))
+        nearest = right - (base - clock[right - 1] < clock[np.minimum(right, len(clock) - 1)] - base)
+        nearest = np.minimum(nearest, len(clock) - 1)
+        keep &= np.abs(clock[nearest] - base) <= half
+        partners.append(nearest)
+    if keep.sum() * 2 < shortest:
+        offsets = "; ".join(
+            f"{table.path.name} starts {(clock[0] - base[0]) / 1e9:+.3f} s"
+            for table, clock in zip(tables[1:], clocks[1:], strict=True)
+        )
+        raise BadInputError(
+            f"the clocks of the files do not agree: they share {keep.sum()} of {shortest} samples. "
+            f"Against {tables[0].path.name}: {offsets}. {_overlaps(tables)} "
+            "Record with synchronised sensors, or give --align, which shifts the files until their readings fit each other"
+        )
+    if keep.sum() < max(len(clock) for clock in clocks):
+        on_warning(f"{keep.sum()} samples are common to all files; the others are left out")
+    return [_select_rows(table, near[keep]) for table, near in zip(tables, partners, strict=True)], base[keep]
+
+
+def _select_rows(table: Table, rows: NDArray[np.int64]) -> Table:
+    """Select rows, shape (n,), of a table; its start moves to the first of these rows."""
+    start = table.start_ns
+    if start is not None and table.time_ns is not None and len(rows):
+        start += int(table.time_ns[rows[0]] - table.time_ns[0])
+    return Table(
+        path=table.path,
+        columns=table.columns,
+        units=table.units,
+        values=table.values[rows],
+        default=table.default,
+        time_ns=None if table.time_ns is None else table.time_ns[rows],
+        index=None if table.index is None else table.index[rows],
+        start_ns=start,
+        rate_hz=table.rate_hz,
+    )
+
+
+def _overlaps(tables: Sequence[Table]) -> str:
+    """Say which files overlap by their clocks, and for how long."""
+    spans = {
+        table.path.name: (int(table.time_ns[0]), int(table.time_ns[-1]))
+        for table in tables
+        if table.time_ns is not None
+    }
+    shared = [
+        (one, other, (min(spans[one][1], spans[other][1]) - max(spans[one][0], spans[other][0])) / 1e9)
+        for one, other in combinations(spans, 2)
+    ]
+    told = [f"{one} with {other} ({length_s:.1f} s)" for one, other, length_s in shared if length_s > 0]
+    return f"By their clocks these overlap: {', '.join(told)}." if told else "By their clocks no two files overlap."
+
+
+def align(tables: list[Table], columns: Sequence[tuple[Table, str]], on_warning: OnWarning) -> list[Table]:
+    """Shift the clock of each file so that its readings fit those of the first file best, by their correlation.
+
+    Parameters
+    ----------
+    tables : list of Table
+        Files, each with a clock.
+    columns : sequence of (Table, str)
+        Columns to compare, by files; of other files, the first of their default columns.
+    on_warning : callable
+        Told of each shift and of its correlation, for the user to judge.
+
+    Returns
+    -------
+    list of Table
+        The files with their clocks shifted by whole steps; half a step remains unknown.
+
+    Raises
+    ------
+    BadInputError
+        A file has no clock, the rates differ, or the readings of a file fit nowhere.
+    """
+    if len(tables) < 2 or any(table.time_ns is None or len(table.time_ns) < 2 for table in tables):
+        raise BadInputError(f"{tables[0].path}: --align is for several files, each with a column of time")
+    chosen = {id(table): column for table, column in reversed(columns)}
+    base, *others = tables
+    assert base.time_ns is not None
+    step_ns = float(np.median(np.diff(base.time_ns)))
+    reference = _on_grid(base, chosen.get(id(base)), step_ns)
+    aligned = [base]
+    for table in others:
+        assert table.time_ns is not None
+        steps = np.diff(table.time_ns)
+        if steps.min() <= 0 or not 1 / 1.02 < float(np.median(steps)) / step_ns < 1.02:
+            raise BadInputError(f"{table.path}: its times must rise throughout at the rate of {base.path.name}")
+        found = best_shift(reference, _on_grid(table, chosen.get(id(table)), step_ns))
+        if abs(found.correlation) < _LEAST_CORRELATION:
+            raise BadInputError(
+                f"{table.path}: its readings fit those of {base.path.name} nowhere (correlation {found.correlation:.2f}); "
+                "--align needs a motion that both took"
+            )
+        moved_ns = int(base.time_ns[0]) + round(found.shift * step_ns) - int(table.time_ns[0])
+        told = f"{table.path.name}: clock shifted by {moved_ns / 1e9:+.3f} s to fit {base.path.name}"
+        if abs(found.other_correlation) > _DOUBTFUL * abs(found.correlation):
+            other_s = (found.other - found.shift) * step_ns / 1e9
+            told += f", or by {other_s:+.3f} s more, which fits nearly as well: shapes and phases of modes are in doubt"
+        on_warning(f"{told} (correlation {found.correlation:.2f}; half a sample remains unknown)")
+        start_ns = None if table.start_ns is None else table.start_ns + moved_ns
+        aligned.append(replace(table, time_ns=table.time_ns + moved_ns, start_ns=start_ns))
+    return aligned
+
+
+@dataclass(frozen=True, slots=True)
+class Shift:
+    """Shift at which readings fit a reference best, and the next best one."""
+
+    shift: int
+    """Place of the first reading in the reference, steps; negative if it lies before."""
+    correlation: float
+    """Whitened correlation there; negative for a sensor that was mounted the other way round."""
+    other: int
+    """Next best shift, not beside the best one, steps."""
+    other_correlation: float
+
+
+def best_shift(reference: Array, readings: Array) -> Shift:
+    """Find the shift at which readings fit a reference best, by the correlation of both whitened (phase transform).
+
+    All frequencies count alike: by the plain correlation a structure's record fits itself once a period of its mode.
+
+    Parameters
+    ----------
+    reference, readings : array, shape (n,), shape (m,)
+        Readings on the same step, without mean; lost ones are 0.
+
+    References
+    ----------
+    Knapp and Carter, The generalized correlation method for estimation of time delay, IEEE Trans. ASSP 24 (1976) 320-327.
+
+    Examples
+    --------
+    >>> noise = np.random.default_rng(0).normal(size=1000)
+    >>> best_shift(noise, noise[300:900]).shift
+    300
+    """
+    from scipy.fft import irfft, next_fast_len, rfft
+
+    n = next_fast_len(len(reference) + len(readings), real=True)
+    cross = rfft(reference, n) * np.conj(rfft(readings, n))
+    size = np.abs(cross)
+    if not size.any():
+        return Shift(0, 0.0, 0, 0.0)
+    white = cross / np.maximum(size, _LEAST_SHARE * size.max())
+    correlation = irfft(white, n) * (n / (2.0 * np.abs(white).sum()))
+    best = int(np.argmax(np.abs(correlation)))
+    apart = np.abs(correlation)
+    apart[np.arange(best - 1, best + 2) % n] = 0.0  # a delay of half a sample shows at both
+    other = int(np.argmax(apart))
+    return Shift(
+        *(best if best < len(reference) else best - n, float(correlation[best])),
+        *(other if other < len(reference) else other - n, float(correlation[other])),
+    )
+
+
+def _on_grid(table: Table, column: str | None, step_ns: float) -> Array:
+    """Return a column on a regular grid of its clock, shape (n,), without its mean; 0 where a reading is missing."""
+    assert table.time_ns is not None
+    values = table.values[:, table.columns.index(column or table.default[0])]
+    place = np.rint((table.time_ns - table.time_ns[0]) / step_ns).astype(np.int64)
+    if place.min() < 0 or place[-1] >= _MOST_ALIGNED:
+        raise BadInputError(f"{table.path}: its times jump or do not rise; --align cannot use them")
+    grid, finite = np.zeros(int(place.max()) + 1), np.isfinite(values)
+    if finite.any():
+        grid[place[finite]] = values[finite] - values[finite].mean()
+    return grid

@@ -1,0 +1,198 @@
+"""Reads HDF5 files, MATLAB's of version 7.3 among them; `arrays.build_table` says which datasets are readings."""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import subprocess
+import sys
+import zipfile
+import zlib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+from monitor.core import BadInputError, load_extra
+from monitor.runs.importers.arrays import VALUE_BYTES, AnyArray, build_table
+from monitor.runs.importers.table import OnWarning, Table
+
+MAGIC = b"\x89HDF\r\n\x1a\n"
+_USER_BLOCKS = (0, 512, 1024, 2048)
+"""Lengths of what may stand before it; MATLAB writes a header of 512. [bytes; definition: HDF5 superblock]"""
+_MOST_OBJECTS = 10_000
+"""Most groups and datasets of a file. [1; judgement]"""
+_DEFLATE, _SHUFFLE, _CHECKSUM, _LZF = 1, 2, 3, 32000
+"""Filters of chunks. [1; definition: registered filters of HDF5]"""
+_LZF_RATIO = 132
+"""Most that LZF unpacks a byte to. [ratio; definition: two bytes stand for at most 264]"""
+_WORDS = ("unit", "units", "channels")
+_UNITS = "/units of the arrays"
+"""Name of what the process tells besides the arrays; no dataset's name begins with a slash."""
+_LEAST_S, _BYTES_PER_S = 120.0, 1e6
+"""Longest time of reading, and bytes of the file for each second more. [s, bytes; judgement]"""
+_PROGRAM_BYTES = 4 << 30
+"""Addresses of the process besides the arrays. [bytes; measured: libraries take some 2 GB]"""
+
+
+def is_hdf5(raw: bytes) -> bool:
+    """Test whether a file is HDF5, with MATLAB's header or without."""
+    return any(raw.startswith(MAGIC, at) for at in _USER_BLOCKS)
+
+
+def to_table(path: Path, raw: bytes, most_bytes: int, on_warning: OnWarning) -> Table:
+    """Convert the datasets of a file to a table of at most `most_bytes`.
+
+    A dataset's attribute `unit` or `units` is its unit; attributes `rate_hz`, `fs` or `dt` of the file are read too.  What lies
+    in other files (external links and storage, virtual datasets) is never read.  The library runs in a process of its own,
+    because a damaged file may make it wait for ever, crash, or take all memory.
+
+    Parameters
+    ----------
+    path, raw, most_bytes, on_warning
+        As of `mat.to_table`.
+
+    Raises
+    ------
+    BadInputError
+        If the file is damaged, would unpack to too much, or its datasets do not fit each other.
+    BadConfigurationError
+        The library h5py is not installed.
+    """
+    load_extra("h5py", "formats", f"{path}: HDF5 (MAT 7.3)")
+    with TemporaryDirectory() as folder:
+        out = Path(folder, "arrays.npz")
+        command = [sys.executable, "-m", __name__, str(path), str(out), str(most_bytes)]
+        paths = os.pathsep.join(sys.path)
+        limit_s = _LEAST_S + len(raw) / _BYTES_PER_S
+        try:
+            done = subprocess.run(
+                command,
+                capture_output=True,
+                text=True,
+                timeout=limit_s,
+                check=False,
+                env={**os.environ, "PYTHONPATH": paths},
+            )
+        except subprocess.TimeoutExpired:
+            raise BadInputError(f"{path}: damaged HDF5: its reading did not end within {limit_s:.0f} s") from None
+        if done.returncode == BadInputError.exit_code:
+            raise BadInputError(f"{path}: {done.stderr.strip()}")
+        if done.returncode:
+            raise BadInputError(f"{path}: damaged HDF5: its reading failed (exit code {done.returncode})")
+        try:
+            with np.load(out, allow_pickle=False) as archive:
+                arrays: dict[str, AnyArray] = {name: archive[name] for name in archive.files if name != _UNITS}
+                units = json.loads(str(archive[_UNITS]))
+            return build_table(path, arrays, on_warning, units)
+        except (ValueError, TypeError) as error:
+            raise BadInputError(f"{path}: cannot be used as HDF5: {error}") from error
+
+
+def read(path: Path, most_bytes: int) -> tuple[dict[str, AnyArray], dict[str, str]]:
+    """Read the arrays of a file and their units; raise ValueError if they would take more than `most_bytes`."""
+    h5py = load_extra("h5py", "formats", "HDF5")
+
+    def demand_room(size: int) -> None:
+        if size > most_bytes:
+            raise ValueError(
+                f"would unpack to {size >> 20} MiB or more; at most {most_bytes >> 20} MiB are read: "
+                "cut it into several files"
+            )
+
+    with h5py.File(path, "r") as file:
+        arrays: dict[str, AnyArray] = {name: np.asarray(value) for name, value in file.attrs.items()}
+        units, held = dict[str, str](), 0
+        for name, dataset in _datasets(h5py, file):
+            told = dataset.attrs.get("unit", dataset.attrs.get("units", ""))
+            units[name] = told.decode() if isinstance(told, bytes) else str(told)
+            if dataset.dtype.kind in "iufb":
+                held += max(VALUE_BYTES, dataset.dtype.itemsize) * dataset.size
+                demand_room(held)
+                _demand_honest_chunks(name, dataset, demand_room)
+                arrays[name] = _words(dataset) if _is_text(dataset) else np.asarray(dataset[()])
+            elif name.rpartition("/")[2].casefold() in _WORDS and dataset.size < _MOST_OBJECTS:
+                words = dataset.asstr()[()] if h5py.check_string_dtype(dataset.dtype) else np.empty(0)
+                arrays[name] = np.asarray(words).astype(str)
+    return {name: array for name, array in arrays.items() if array.dtype.kind in "iufbU"}, units
+
+
+def _datasets(h5py: Any, file: Any) -> Iterator[tuple[str, Any]]:
+    """Yield the datasets that the file itself holds, by their path; MATLAB's own groups (#refs#) are left out."""
+    waiting, count = [("", file)], 0
+    seen = set()
+    while waiting:
+        prefix, group = waiting.pop(0)
+        for name in group:
+            count += 1
+            if count > _MOST_OBJECTS:
+                raise ValueError(f"more than {_MOST_OBJECTS} groups and datasets")
+            link = group.get(name, getlink=True)
+            if not isinstance(link, h5py.HardLink) or name.startswith("#"):
+                continue
+            child = group[name]
+            address = h5py.h5o.get_info(child.id).addr
+            if address in seen:  # a group that holds itself has no end
+                continue
+            seen.add(address)
+            place = f"{prefix}{name}"
+            if isinstance(child, h5py.Group):
+                waiting.append((f"{place}/", child))
+            elif isinstance(child, h5py.Dataset):
+                if child.external is not None or child.is_virtual:
+                    raise ValueError(f"dataset {place} lies in other files; copy it into this one")
+                yield place, child
+
+
+def _is_text(dataset: Any) -> bool:
+    """Test whether MATLAB stored characters in a dataset."""
+    return bool(dataset.attrs.get("MATLAB_class", b"") == b"char")
+
+
+def _words(dataset: Any) -> AnyArray:
+    return np.array("".join(chr(code) for code in np.asarray(dataset[()]).ravel()[:80]))
+
+
+def _demand_honest_chunks(name: str, dataset: Any, demand_room: Callable[[int], None]) -> None:
+    """Raise ValueError if a packed chunk unpacks to more than it holds, all of which the library would keep."""
+    if dataset.chunks is None:
+        return
+    plist = dataset.id.get_create_plist()
+    filters = [plist.get_filter(k)[0] for k in range(plist.get_nfilters())]
+    strange = [code for code in filters if code not in (_DEFLATE, _SHUFFLE, _CHECKSUM, _LZF)]
+    if strange:
+        raise ValueError(f"dataset {name} is packed by filter {strange[0]}; pack it by gzip, or not at all")
+    size = int(np.prod(dataset.chunks, dtype=object)) * dataset.dtype.itemsize
+    demand_room(size)
+    for k in range(dataset.id.get_num_chunks()):
+        stored = dataset.id.get_chunk_info(k)
+        if _LZF in filters:
+            demand_room(_LZF_RATIO * stored.size)
+        if _DEFLATE in filters and not stored.filter_mask:
+            data = dataset.id.read_direct_chunk(stored.chunk_offset)[1]
+            if len(zlib.decompressobj().decompress(data, size + 1)) > size:
+                raise ValueError(f"a chunk of dataset {name} unpacks to more than its {size} bytes")
+
+
+def main(path: str, out: str, most_bytes: str) -> int:
+    """Read a file and write its arrays as NPZ (the process that `to_table` starts); return the exit code."""
+    room = 4 * int(most_bytes) + _PROGRAM_BYTES
+    resource.setrlimit(resource.RLIMIT_AS, (room, room))
+    try:
+        arrays, units = read(Path(path), int(most_bytes))
+    except Exception as error:  # noqa: BLE001 - h5py raises whatever a damaged file makes the HDF5 library say
+        print(f"cannot be used as HDF5: {error}", file=sys.stderr)
+        return BadInputError.exit_code
+    content: dict[str, Any] = {**arrays, _UNITS: np.array(json.dumps(units))}
+    with zipfile.ZipFile(out, "w", zipfile.ZIP_STORED) as archive:  # not np.savez: a dataset may be called `file`
+        for name, array in content.items():
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                np.lib.format.write_array(member, np.asarray(array), allow_pickle=False)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(*sys.argv[1:]))

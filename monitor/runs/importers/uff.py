@@ -1,0 +1,129 @@
+"""Reads universal files: the time responses among their datasets 58 and 58b, with their names, units and times."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from pathlib import Path
+from tempfile import NamedTemporaryFile
+from typing import Any
+
+import numpy as np
+
+from monitor.core import BadInputError, load_extra
+from monitor.runs.importers.table import OnWarning, Table
+
+_MARK = b"    -1"
+_TIME_RESPONSE = 1
+_ACCELERATION, _FORCE = 12, 13
+"""Specific data types. [1; definition: universal dataset 58]"""
+_SI = 1
+"""Units code of dataset 164. [1; definition: m, N, kg]"""
+_DIRECTIONS = {1: "x", 2: "y", 3: "z", 4: "rx", 5: "ry", 6: "rz"}
+_FUNCTIONS = {0: "general function", 2: "autospectrum", 3: "cross-spectrum", 4: "frequency response", 6: "coherence",
+              9: "power spectral density"}  # fmt: skip
+_DATES = ("%d-%b-%y %H:%M:%S", "%d-%b-%Y %H:%M:%S")
+_NONE = ("", "NONE", "none")
+
+
+def is_uff(raw: bytes) -> bool:
+    """Test whether the first lines are those of a universal file."""
+    first, _, rest = raw[:200].lstrip(b"\r\n").partition(b"\n")
+    return first.rstrip() == _MARK.rstrip() and rest[:6].strip().isdigit()
+
+
+def to_table(path: Path, raw: bytes, on_warning: OnWarning) -> Table:
+    """Convert the time responses of a file to a table; a channel is named by its node and direction (``12z``) or its label.
+
+    Raises
+    ------
+    BadInputError
+        If the file is damaged, holds no time response, or they differ in rate or length.
+    BadConfigurationError
+        The library pyuff is not installed.
+    """
+    pyuff = load_extra("pyuff", "formats", f"{path}: a universal file (UFF)")
+    with NamedTemporaryFile(suffix=".uff") as copy:  # the library reads files, by their bytes as they were checked
+        copy.write(raw)
+        copy.flush()
+        try:
+            file = pyuff.UFF(copy.name)
+            kinds = [int(kind) for kind in file.get_set_types()]
+            system = [file.read_sets([k]) for k, kind in enumerate(kinds) if kind == 164]
+            functions = [file.read_sets([k]) for k, kind in enumerate(kinds) if kind == 58]
+        except Exception as error:
+            raise BadInputError(f"{path}: damaged UFF: {error}") from error
+    try:
+        return _build(path, functions, any(units.get("units_code") == _SI for units in system), on_warning)
+    except (ValueError, TypeError, KeyError, OverflowError) as error:
+        raise BadInputError(f"{path}: cannot be used as UFF: {error}") from error
+
+
+def _build(path: Path, functions: list[dict[str, Any]], si: bool, on_warning: OnWarning) -> Table:
+    """Build a table of the time responses; raise ValueError if they do not fit each other."""
+    responses = [f for f in functions if f["func_type"] == _TIME_RESPONSE and np.isrealobj(f["data"])]
+    if not responses:
+        held = ", ".join(sorted({_FUNCTIONS.get(f["func_type"], f"type {f['func_type']}") for f in functions}))
+        raise ValueError(f"it holds no time response (dataset 58 of function type 1) but {held or 'no dataset 58'}")
+    first = responses[0]
+    for other in responses:
+        if len(other["data"]) != len(first["data"]) or not np.allclose(other["x"], first["x"], rtol=0, atol=1e-6):
+            raise ValueError(
+                f"{_label(first)} has {len(first['data'])} samples and {_label(other)} {len(other['data'])}, or other times; "
+                "save those of one rate and length together"
+            )
+    names = [_label(f) for f in responses]
+    columns = tuple(
+        name if names.count(name) == 1 else f"{name}_{names[: at + 1].count(name)}" for at, name in enumerate(names)
+    )
+    x = np.asarray(first["x"], dtype=np.float64)
+    if not (np.abs(x) < 4e9).all():
+        raise ValueError("its times are absurd")
+    even = bool(first["abscissa_spacing"])
+    if even and not first["abscissa_inc"] > 0:
+        raise ValueError(f"a step of {first['abscissa_inc']} s between samples")
+    return Table(
+        path=path,
+        columns=columns,
+        units=tuple(_unit(f, si) for f in responses),
+        values=np.column_stack([f["data"] for f in responses]).astype(np.float64),
+        default=columns,
+        time_ns=None if even else np.rint(1e9 * x).astype(np.int64),
+        start_ns=_start_ns(path, first, float(x[0]) if len(x) else 0.0, on_warning),
+        rate_hz=_rounded(1.0 / float(first["abscissa_inc"])) if even else None,
+    )
+
+
+def _rounded(rate_hz: float) -> float:
+    """Return the whole number that a rate means: the step has six digits in the file."""
+    return float(round(rate_hz)) if round(rate_hz) and abs(rate_hz / round(rate_hz) - 1) < 1e-5 else round(rate_hz, 6)
+
+
+def _label(function: dict[str, Any]) -> str:
+    """Return the name of a channel: entity, node and direction, else what labels its ordinate or the dataset."""
+    node, direction = int(function["rsp_node"]), int(function["rsp_dir"])
+    entity, label = (str(function.get(key, "")).strip() for key in ("rsp_ent_name", "ordinate_axis_lab"))
+    if node or (direction and entity in _NONE):
+        place = f"{node}{'-' if direction < 0 else ''}{_DIRECTIONS.get(abs(direction), '')}"
+        return place if entity in _NONE else f"{entity}{place}"
+    return next((t for t in (entity, label, str(function["id1"]).strip()) if t not in _NONE), "a")
+
+
+def _unit(function: dict[str, Any], si: bool) -> str:
+    """Return the unit of a channel: its label, or SI where dataset 164 says so; empty where none is stated."""
+    label = str(function.get("ordinate_axis_units_lab", "")).strip().replace("\ufffd", "²")
+    if label not in _NONE:
+        return label
+    return {_ACCELERATION: "m/s^2", _FORCE: "N"}.get(int(function["ordinate_spec_data_type"]), "") if si else ""
+
+
+def _start_ns(path: Path, function: dict[str, Any], begun_s: float, on_warning: OnWarning) -> int | None:
+    """Return the time of the first sample that the dataset states, taken as UTC, ns since 1970; None where it states none."""
+    text = str(function["id3"]).strip()
+    for form in _DATES:
+        try:
+            moment = datetime.strptime(text, form).replace(tzinfo=UTC)
+        except ValueError:
+            continue
+        on_warning(f"{path}: its time {text} has no zone; taken as UTC")
+        return round(moment.timestamp()) * 10**9 + round(1e9 * begun_s)
+    return None
