@@ -13,23 +13,31 @@ from .assessment import (
     facts_of,
     follow,
     is_seen,
+    modal_facts,
     outdated,
     utc,
 )
 from .baseline import Baseline, learn_baseline, rebase_baseline
 from .baseline_file import load_baseline, save_baseline
 from .covariate_law import CovariateLaw, Effect
-from .covariates import LEVEL, CovariateSettings, LearnedRange, beyond_words, law_lines, learned_ranges
+from .covariates import LEVEL, CovariateSettings, LearnedRange, law_lines, learned_ranges
 from .detectable_loss import smallest_detectable_loss
 from .feature_test import FeatureJudge, FeatureTable, FeatureVerdict, judge_features
+from .judge import AnyBaseline, Judge, Judged, Memory, View
 from .level import drift_m, drift_weights, level_db
+from .modal_alarm import change_words, modal_parts
+from .modal_baseline import ModalBaseline, ModalOrigin, learn_modal_baseline
+from .modal_baseline_file import load_modal_baseline, save_modal_baseline
+from .modal_judge import ModalJudge
 from .origin import Origin
+from .stiffness_judge import StiffnessJudge
 from .updating import Observation, Update, UpdatingSettings, observe, update
 
 __all__ = [
     "LEVEL",
     "AlarmSettings",
     "AlarmState",
+    "AnyBaseline",
     "Assessment",
     "Baseline",
     "Course",
@@ -39,19 +47,27 @@ __all__ = [
     "FeatureJudge",
     "FeatureTable",
     "FeatureVerdict",
+    "Judge",
+    "Judged",
     "Known",
     "LearnedRange",
     "Loss",
+    "Memory",
+    "ModalBaseline",
+    "ModalJudge",
+    "ModalOrigin",
     "Observation",
     "Origin",
     "State",
+    "StiffnessJudge",
     "StoryState",
     "Update",
     "UpdatingSettings",
+    "View",
     "WindowFacts",
     "alarm",
     "assess",
-    "beyond_words",
+    "change_words",
     "damage_index",
     "diagnosis_of",
     "drift_m",
@@ -63,13 +79,18 @@ __all__ = [
     "judge_features",
     "law_lines",
     "learn_baseline",
+    "learn_modal_baseline",
     "learned_ranges",
     "level_db",
     "load_baseline",
+    "load_modal_baseline",
+    "modal_facts",
+    "modal_parts",
     "observe",
     "outdated",
     "rebase_baseline",
     "save_baseline",
+    "save_modal_baseline",
     "second_solutions",
     "slow_learning",
     "smallest_detectable_loss",

@@ -8,7 +8,7 @@ import numpy as np
 
 from monitor.core import Array
 from monitor.events.settings import EventSettings
-from monitor.model import InstrumentedModel, ShearFrame
+from monitor.model import InstrumentedModel, Modes, ShearFrame
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -37,6 +37,8 @@ class Site:
     window_s: float
     """Length of the windows of ambient motion, s."""
     settings: EventSettings
+    lowest_hz: float
+    """Lowest frequency of the structure."""
 
     @classmethod
     def of(cls, site: InstrumentedModel, names: tuple[str, ...], window_s: float, settings: EventSettings) -> Site:
@@ -56,6 +58,29 @@ class Site:
             names,
             window_s,
             settings,
+            float(modes.frequencies_hz[0]),
+        )
+
+    @classmethod
+    def of_channels(
+        cls, channels: tuple[str, ...], modes: Modes | None, lowest_hz: float, window_s: float, settings: EventSettings
+    ) -> Site:
+        """Collect what is needed where nothing but the channels and perhaps their modes is known: there are no stories.
+
+        Parameters
+        ----------
+        modes : Modes, optional
+            As the channels show them.
+        lowest_hz : float
+            Lowest frequency of the structure where the modes are not known.
+        """
+        c = len(channels)
+        hz = np.zeros(0) if modes is None else modes.frequencies_hz
+        shapes = np.zeros((0, c)) if modes is None else modes.shapes.T
+        none, lowest_hz = np.zeros(0), float(hz[0]) if hz.size else lowest_hz
+        drifts = np.zeros((0, c))
+        return cls(
+            channels, np.eye(c), drifts, none, none, False, None, hz, shapes, (), window_s, settings, lowest_hz
         )
 
     @property

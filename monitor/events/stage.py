@@ -220,8 +220,8 @@ def _judge_step(state: EventState, cutoff_hz: float, site: Site) -> tuple[EventS
         known = replace(state.recognition, tail=span[n // 2 :])
         return replace(state, recognition=known, judged=end, settling=state.settling - 1), []
     going = state.strong[-1] if state.strong and not state.strong[-1].closed else None
-    lowest_hz, active = float(site.modes_hz[0]), going is not None
-    known, found = recognition.step(state.recognition, span, rate_hz, cutoff_hz, lowest_hz, settings, active=active)
+    active = going is not None
+    known, found = recognition.step(state.recognition, span, rate_hz, cutoff_hz, site.lowest_hz, settings, active=active)
     half, told = n // 2, list[Event]()
     starts = [first - half, first]
     for k, at in enumerate(starts):
@@ -292,7 +292,6 @@ def _describe(state: EventState, item: Strong, end: int | None, site: Site) -> E
     first = max(state.first, item.begin - round(settings.pre_s * rate_hz))
     values = state.kept[first - state.first : last - state.first]
     begin_ns, end_ns = (state.t0_ns + round(i / rate_hz * 1e9) for i in (item.begin, item.end))
-    lowest_hz = float(site.modes_hz[0])
     before = tuple(r for r in state.recent if r.end_ns <= begin_ns)
     strong = slice(item.begin - first, item.end - first)
     record = Record(
@@ -301,7 +300,7 @@ def _describe(state: EventState, item: Strong, end: int | None, site: Site) -> E
         ground=_ground_of(state, first, last),
         strong=strong,
         still=still_channels(values, strong, rate_hz),
-        corners_hz=np.maximum(np.array(_CORNERS) * lowest_hz, _LOWEST_CORNER / settings.pre_s),
+        corners_hz=np.maximum(np.array(_CORNERS) * site.lowest_hz, _LOWEST_CORNER / settings.pre_s),
     )
     name = datetime.fromtimestamp(begin_ns // 10**9, UTC).strftime("%Y%m%dT%H%M%S") + f".{begin_ns // 10**7 % 100:02d}Z"
     return describe(

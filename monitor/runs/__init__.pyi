@@ -2,6 +2,8 @@ from . import calibrate, demo, diagnose, features, ledger, ledger_chain, paper_t
 from .archive.inventory import expand_patterns
 from .archive.jobs import WINDOWS
 from .archive.reprocess import reprocess
+from .baselines import load_healthy
+from .calibrate_modes import calibrate_modes
 from .emulate import send_all
 from .event_recordings import EventRecordings
 from .importers import import_files
@@ -17,6 +19,7 @@ __all__ = [
     "Session",
     "SessionState",
     "calibrate",
+    "calibrate_modes",
     "demo",
     "diagnose",
     "duration_s",
@@ -25,6 +28,7 @@ __all__ = [
     "import_files",
     "ledger",
     "ledger_chain",
+    "load_healthy",
     "open_viewer",
     "paper_tables",
     "replay",

@@ -5,13 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 from monitor.config import Configuration
-from monitor.damage import Baseline
+from monitor.damage import AnyBaseline
 from monitor.publish import RerunPublisher, make_scene
 
 
 def open_viewer(
     config: Configuration,
-    baseline: Baseline | None,
+    baseline: AnyBaseline | None,
     *,
     file: Path | None,
     serve: tuple[str, int] | None,
@@ -23,7 +23,7 @@ def open_viewer(
     ----------
     config : Configuration
         Settings of the site.
-    baseline : Baseline, optional
+    baseline : Baseline or ModalBaseline, optional
         Reference whose model and frequencies the viewer shows; by default the model of the structure file.
     file, serve, lossless
         As of `monitor.publish.RerunPublisher`.

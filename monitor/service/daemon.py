@@ -23,11 +23,11 @@ from drivers.base import RecordingError, RecordingMissingError, SampleBlock, Sou
 from drivers.recorder import unfit
 from monitor.config import configuration
 from monitor.core import BadConfigurationError, BadInputError, Gap, MissingInputError, WindowResult
-from monitor.damage import Assessment, Baseline, load_baseline, outdated, utc
+from monitor.damage import AnyBaseline, Assessment, outdated, utc
 from monitor.events import Event
 from monitor.pipeline import Result
 from monitor.publish import EVENTS, Publisher, current_alarm_line, episode_content, to_json
-from monitor.runs import EventRecordings, Progress, Session, duration_s, ledger, open_viewer, warm_up
+from monitor.runs import EventRecordings, Progress, Session, duration_s, ledger, load_healthy, open_viewer, warm_up
 from monitor.service import restart, systemd
 from monitor.service.appended_lines import AppendedLines
 from monitor.service.daemon_health import Vitals, Way, failures, plain
@@ -99,7 +99,7 @@ class Daemon(Publisher):
             raise BadConfigurationError(f"{path}: source: missing; name a kind, as in deploy/*.toml")
         healthy_path = None if settings.site.baseline is None else folder / settings.site.baseline
         healthy = (
-            None if healthy_path is None else load_baseline(healthy_path, settings.instrumented(), settings.updating)
+            None if healthy_path is None else load_healthy(healthy_path, settings)
         )
         make_outlets(path, settings, dry=True)
         self.out = folder / settings.output.dir
@@ -134,7 +134,7 @@ class Daemon(Publisher):
             self._bounds = configuration.make_bounds(settings.source)
             undo.pop_all()
 
-    def _open_parts(self, undo: ExitStack, healthy_path: Path | None, healthy: Baseline | None) -> None:
+    def _open_parts(self, undo: ExitStack, healthy_path: Path | None, healthy: AnyBaseline | None) -> None:
         """Open the files, the viewer and the threads behind them; `undo` closes them again."""
         settings = self.settings
         # Lines are written by a thread that waits for no fsync, so that health.jsonl can say that the others wait for one.
@@ -173,7 +173,7 @@ class Daemon(Publisher):
         self._history = History(self.out / "state" / "history.db", settings.state, *spans)
         undo.callback(self._history.close, _END_S)
 
-    def _warm_up(self, healthy: Baseline | None) -> None:
+    def _warm_up(self, healthy: AnyBaseline | None) -> None:
         """Compile what a window needs, so that no window waits for it; meanwhile lines of health say that the daemon starts."""
 
         def work() -> None:
