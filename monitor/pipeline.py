@@ -400,9 +400,7 @@ class Pipeline:
         )
 
 
-def _judge(
-    config: Configuration, baseline: AnyBaseline | None, reference: Modes | None
-) -> tuple[Judge, Site]:
+def _judge(config: Configuration, baseline: AnyBaseline | None, reference: Modes | None) -> tuple[Judge, Site]:
     """Make the judge of a site's windows, by a model or by the modes alone, and what its events are described with."""
     names = config.identification.reference_channels or config.channels
     past = tuple(config.channels.index(name) for name in names)

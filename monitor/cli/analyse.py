@@ -101,7 +101,7 @@ def calibrate(
     relative_std = baseline.covariance.diagonal() ** 0.5
     stiffness = baseline.model.structure.stiffness_n_per_m
     for name, k, drawn, std in zip(
-        settings.story_names, stiffness, settings.structure.stiffness_n_per_m, relative_std, strict=False
+        settings.story_names, stiffness, settings.drawn.stiffness_n_per_m, relative_std, strict=False
     ):
         size = interval({"value": float(k), "std": float(k * std)}, 1.0, "N/m")
         lines.append(f"{name}: {size}; structure file {drawn:.5g} N/m ({100.0 * (k / drawn - 1.0):+.1f} %)")
@@ -116,7 +116,7 @@ def calibrate(
         "frequencies_std_hz": baseline.frequencies_std_hz.tolist(),
         "stiffness_n_per_m": baseline.model.structure.stiffness_n_per_m.tolist(),
         "structure_file_frequencies_hz": nominal_hz.tolist(),
-        "structure_file_stiffness_n_per_m": list(settings.structure.stiffness_n_per_m),
+        "structure_file_stiffness_n_per_m": list(settings.drawn.stiffness_n_per_m),
     }
     say("\n".join(lines), content, as_json)
 
@@ -129,7 +129,9 @@ def _calibrate_modes(recordings: list[Path], settings: Configuration, out: Path,
     baseline = calibrate_modes(recordings, settings, on_warning=warn, on_progress=progress("calibrate"))
     save_modal_baseline(baseline, out)
     lines = [f"{baseline.windows} windows"]
-    rows = zip(baseline.frequencies_hz, baseline.frequencies_std_hz, baseline.damping_ratio, baseline.shapes, strict=True)
+    rows = zip(
+        baseline.frequencies_hz, baseline.frequencies_std_hz, baseline.damping_ratio, baseline.shapes, strict=True
+    )
     for k, (f, std, damping, shape) in enumerate(rows, 1):
         moves = ", ".join(f"{c} {x:+.2f}" for c, x in zip(baseline.channels, shape, strict=True))
         lines.append(f"mode {k}: {f:.4f} ± {2 * std:.4f} Hz, damping {100 * damping:.2g} %; {moves}")

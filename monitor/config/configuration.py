@@ -39,7 +39,6 @@ from monitor.model import (
 )
 from monitor.signals import FrontEnd, HealthSettings, ProcessingSettings, QualitySettings, TemperatureSettings
 
-
 NO_MODEL = (
     'structure.kind: "modal" has no model of masses and stiffnesses, and this needs one: state kind = "shear_frame" or '
     '"matrices" with the floor of each sensor'
@@ -221,7 +220,9 @@ class Configuration(Settings):
 
     def _modal_problems(self) -> list[str]:
         """Check that nothing is stated that needs a model."""
-        problems = [f"sensors.{i}.floor: there are no floors" for i, s in enumerate(self.sensors) if s.floor is not None]
+        problems = [
+            f"sensors.{i}.floor: there are no floors" for i, s in enumerate(self.sensors) if s.floor is not None
+        ]
         problems += [f"inputs: {i.channel!r}: a force needs a model to act on" for i in self.inputs]
         problems += [f"effects: {t.effect!r}: there is no model that it could extend" for t in self.effects]
         problems += [f"alarm.unwatched: there is no story {j}" for j in self.alarm.unwatched]
@@ -307,7 +308,11 @@ class Configuration(Settings):
         """The structure as it is drawn: by its ``[[nodes]]`` and ``[[lines]]``, else by what its kind tells of its form."""
         if self.nodes:
             return Drawing.of(self.nodes, self.lines)
-        return self.drawn.drawing() if self.has_model else Drawing.of_channels(len(self.sensors))
+        return (
+            self.drawn.drawing()
+            if self.has_model
+            else Drawing.of_channels([s.label or s.channel for s in self.sensors])
+        )
 
     @property
     def size_words(self) -> str:

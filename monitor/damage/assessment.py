@@ -278,7 +278,9 @@ def modal_facts(
     frequencies = [(size, std) for size, std in sizes[:n_modes] if size is not None and std is not None]
     losses: dict[int, tuple[float, float, float | None]] = {}
     for part in active:
-        size, std = min(frequencies, key=lambda s: abs(s[0]), default=(None, None)) if part == WHOLE else sizes[part - 1]
+        size, std = (
+            min(frequencies, key=lambda s: abs(s[0]), default=(None, None)) if part == WHOLE else sizes[part - 1]
+        )
         if size is not None and std is not None:
             losses[part] = size, std, None
     seen = [None if v is None or not np.isfinite(v) else float(v) for v in detectable or ()]
@@ -447,7 +449,7 @@ def _alarms(course: Course, known: Known, findings: Sequence[Mapping[str, Any]],
     facts = []
     shelved = () if course.last is None else course.last.shelved
     losses = [loss for loss in course.losses if whole or (loss.t_last_ns is None and loss.story not in shelved)]
-    for loss in sorted(losses, key=lambda item: (-item.level.rank, -abs(item.ddi))):
+    for loss in sorted(losses, key=lambda item: (-item.level.rank, _is_shape(item, known), -abs(item.ddi))):
         now = None if course.judged is None or whole else course.judged.active.get(loss.story)
         if loss.modal:
             says = f"changed since the baseline: {_change(loss, known)}"
@@ -698,9 +700,9 @@ def _remarks(course: Course, known: Known, whole: bool) -> list[str]:
     ended = [loss for loss in course.losses if loss.t_last_ns is not None]
     if ended and not whole:
         loss = ended[-1]
+        size = _change(loss, known) if loss.modal else _percent(loss)
         says.append(
-            f"an earlier {loss.level.value} of {_name(loss.story, known)} ({_change(loss, known) if loss.modal else _percent(loss)}) "
-            f"ended {utc(loss.t_last_ns or 0)} UTC"
+            f"an earlier {loss.level.value} of {_name(loss.story, known)} ({size}) ended {utc(loss.t_last_ns or 0)} UTC"
         )
     return [_sentence(sentence) for sentence in says]
 
@@ -709,6 +711,11 @@ def _name(story: int, known: Known) -> str:
     if story == WHOLE:
         return known.words.every
     return known.names[story - 1] if story <= len(known.names) else f"story {story}"
+
+
+def _is_shape(loss: Loss, known: Known) -> bool:
+    """Tell whether a shape changed, not a frequency."""
+    return known.n_modes is not None and loss.story > known.n_modes
 
 
 def _change(loss: Loss, known: Known) -> str:

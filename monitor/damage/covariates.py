@@ -194,9 +194,7 @@ def law_lines(law: CovariateLaw | None, moved: str = "the stiffness of the stori
         sizes = ", ".join(f"{100 * c:+.2f} ± {200 * s:.2f}" for c, s in zip(change, std, strict=True))
         low, high = (shown(axis, v) for v in axis.range)
         lag = f", lag {axis.lag_s:.0f} s" if axis.lag else ""
-        lines.append(
-            f"{axis.name} from {low:.3g} to {high:.3g} {shown_unit(axis)} changes {moved} by {sizes} %{lag}"
-        )
+        lines.append(f"{axis.name} from {low:.3g} to {high:.3g} {shown_unit(axis)} changes {moved} by {sizes} %{lag}")
     return lines
 
 

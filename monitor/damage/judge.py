@@ -20,7 +20,7 @@ from monitor.identification import RefinementSettings, SelectionSettings, SsiSet
 from monitor.signals import ProcessingSettings
 
 LEAST_SHARE = 0.5
-"""Share of the modes looked for that must be found: without a model those of the baseline, with a model and without a baseline the
+"""Share of the modes looked for that must be found: without a model, of the baseline's; with a model and without a baseline, of the
 lowest required ones. [ratio; judgement]"""
 _USELESS_LOSS = 0.5
 """Loss of a story's stiffness that a window must be able to show to be judged at all. [1; judgement: near collapse]"""
@@ -33,20 +33,13 @@ AnyBaseline = Baseline | ModalBaseline
 class JudgeSettings(Protocol):
     """Settings that judging needs, as a site's configuration has them."""
 
-    @property
-    def processing(self) -> ProcessingSettings: ...
-    @property
-    def identification(self) -> SsiSettings: ...
-    @property
-    def selection(self) -> SelectionSettings: ...
-    @property
-    def refinement(self) -> RefinementSettings: ...
-    @property
-    def updating(self) -> UpdatingSettings: ...
-    @property
-    def compensation(self) -> CovariateSettings: ...
-    @property
-    def alarm(self) -> AlarmSettings: ...
+    processing: ProcessingSettings
+    identification: SsiSettings
+    selection: SelectionSettings
+    refinement: RefinementSettings
+    updating: UpdatingSettings
+    compensation: CovariateSettings
+    alarm: AlarmSettings
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -87,7 +87,8 @@ def step(
     std = float(evidence.std.max())
     whole = abs(shared), abs(shared) / std, std
     updated[-1] = alarm.update_alarm(state.stories[-1], *whole, t_ns, alarm.advisory_only(settings))
-    alike = f"all modes {'fell' if shared > 0.0 else 'rose'} by {50 * abs(shared):.1f} % alike (weather, mass, clock or stiffness)"
+    verb = "fell" if shared > 0.0 else "rose"
+    alike = f"all modes {verb} by {50 * abs(shared):.1f} % alike (weather, mass, clock or stiffness)"
     words[WHOLE] = alike
     if reading.beyond:
         updated = [alarm.unless_fallen(s, now) for s, now in zip(state.stories, updated, strict=True)]
@@ -113,9 +114,7 @@ def detectable(state: AlarmState, reading: ModalReading, hop_s: float, settings:
     """Compute the smallest sudden change of each frequency that the alarm sees, shape (m,), relative; infinite where none."""
     known = np.flatnonzero(np.isfinite(reading.ln_frequency))
     h = state.history
-    shown = replace(
-        h, ddi=h.ddi[:, known], common=h.common[:, known][:, :, known], ln_variance=h.ln_variance[known]
-    )
+    shown = replace(h, ddi=h.ddi[:, known], common=h.common[:, known][:, :, known], ln_variance=h.ln_variance[known])
     out = np.full(reading.ln_frequency.size, np.inf)
     out[known] = 0.5 * detectable_change(shown, hop_s, settings)
     return out
@@ -128,9 +127,7 @@ def _of_frequencies(
     own = 4.0 * (reading.covariance - reading.common_covariance)
     common = 4.0 * reading.common_covariance
     values = -2.0 * reading.ln_frequency
-    history, over = sequential_test.average(
-        state.history, values, own.diagonal(), common, reading.channels, t_ns
-    )
+    history, over = sequential_test.average(state.history, values, own.diagonal(), common, reading.channels, t_ns)
     known = np.flatnonzero(np.isfinite(values))
     shown = replace(
         over,

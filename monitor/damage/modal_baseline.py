@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from monitor.core import Array, ModalEstimate
 from monitor.damage.covariate_law import CovariateLaw
@@ -74,9 +75,9 @@ class ModalBaseline:
         return Modes((2.0 * np.pi * self.frequencies_hz) ** 2, self.shapes.T)
 
     @property
-    def free(self) -> Array:
+    def free(self) -> NDArray[np.bool_]:
         """Mask of the components that can change, all but the gauges', shape (m, c)."""
-        return np.arange(len(self.channels)) != np.array(self.gauges)[:, None]
+        return np.asarray(np.arange(len(self.channels)) != np.array(self.gauges)[:, None])
 
 
 def learn_modal_baseline(

@@ -116,12 +116,14 @@ def load_modal_baseline(path: Path, channels: tuple[str, ...], here: ModalOrigin
     ]
     if says:
         raise BadConfigurationError(
-            f"{path}: the baseline is not of this structure: {'; '.join(says)}. Remedy: name this structure's own baseline, or make "
-            "it with 'calibrate'"
+            f"{path}: the baseline is not of this structure: {'; '.join(says)}. Remedy: name this structure's own baseline, or "
+            "make it with 'calibrate'"
         )
     if there.name and here.name and there.name != here.name:
-        doubt = f"the baseline {path.name} is of {there.name!r}, and this is {here.name!r}: calibrate anew if it is another structure"
-        return replace(loaded, doubts=(doubt,))
+        names = f"{there.name!r}, and this is {here.name!r}"
+        return replace(
+            loaded, doubts=(f"the baseline {path.name} is of {names}: calibrate anew if that is another structure",)
+        )
     return loaded
 
 
@@ -136,7 +138,7 @@ def _build(c: _Content) -> ModalBaseline:
     m, n = len(c.frequencies_hz), len(c.channels)
     shapes: dict[str, tuple[int, ...]] = dict.fromkeys(("frequencies_hz", "frequencies_std_hz", "damping_ratio"), (m,))
     shapes |= {"shapes": (m, n), "covariance": (m, m), "shape_variance": (m, n)}
-    arrays = {name: np.array(getattr(c, name), dtype=float) for name in shapes}
+    arrays: dict[str, Any] = {name: np.array(getattr(c, name), dtype=float) for name in shapes}
     if any(arrays[name].shape != shape or not np.isfinite(arrays[name]).all() for name, shape in shapes.items()):
         raise ValueError("its modes are damaged")
     if len(c.gauges) != m or any(g >= n for g in c.gauges):

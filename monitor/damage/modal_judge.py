@@ -18,7 +18,7 @@ from monitor.identification import SubArray, identify, identify_modes, refine
 from monitor.model import Modes
 
 _LEAST_MODES = 2
-"""Fewest modes that tell a change of one of them from a change of all alike, where the baseline has as many. [count; definition]"""
+"""Fewest modes that tell a change of one from a change of all alike, if the baseline has as many. [count; definition]"""
 
 
 class ModalJudge:
@@ -65,7 +65,7 @@ class ModalJudge:
         refiner = partial(refine, window, settings=settings.refinement)
         ssi, select, past = settings.identification, settings.selection, view.array.past
         if self.reference is None:
-            return identify_modes(window, ssi, select, past, cutoff_hz, refiner)
+            return identify_modes(window, ssi, select, settings.refinement, past, cutoff_hz)
         wanted = tuple(range(self.reference.eigenvalues.size))
         return identify(
             window, past, self.reference, view.array.shown, ssi, select, wanted, cutoff_hz, refiner, "at calibration"
@@ -133,7 +133,7 @@ def _reading(
     if not isinstance(of_shapes, Skipped):
         shape[found], variance[found] = _ratios(modes, [healthy.gauges[k] for k in found])
         shape -= healthy.shapes
-        shape[~healthy.free] = np.nan
+        shape[~healthy.free] = variance[~healthy.free] = np.nan
         if of_shapes is not None:
             shape[healthy.free] -= np.log1p(of_shapes.relative)
             shape_common[healthy.free] += of_shapes.covariance.diagonal()

@@ -107,7 +107,7 @@ class Averages:
     agrees: NDArray[np.bool_]
     """Shape (k, n): whether the newest reading agrees with the mean."""
 
-    def longest(self) -> tuple[Array, Array]:
+    def longest(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Return the index, into (k, n), of the longest stretch of each quantity with which the newest reading agrees."""
         return len(self.agrees) - 1 - self.agrees[::-1].argmax(axis=0), np.arange(self.agrees.shape[1])
 

@@ -62,7 +62,8 @@ class StiffnessJudge:
     ) -> None:
         instrumented = nominal if baseline is None else replace(nominal, model=baseline.model)
         rate_hz, cutoff_hz = nominal.rate_hz, nominal.cutoff_hz
-        assert rate_hz is not None and cutoff_hz is not None
+        assert rate_hz is not None
+        assert cutoff_hz is not None
         self.baseline = baseline
         self.instrumented = instrumented
         self.reference = instrumented.model
@@ -132,7 +133,9 @@ class StiffnessJudge:
             nothing = Alarm(Level.NORMAL, (), "no baseline: a difference from the structure file is no change")
             return memory, Judged(modes, nothing, stiffness, reading)
         alarms, verdict = alarm.step(memory.alarm, reading, t_end_ns, settings.alarm)
-        learning = self._learn(memory, law, reading, covariates, t_end_ns, settings, normal=verdict.level is Level.NORMAL)
+        learning = self._learn(
+            memory, law, reading, covariates, t_end_ns, settings, normal=verdict.level is Level.NORMAL
+        )
         detectable = smallest_detectable_loss(reading, alarms.history, settings.processing.hop_s, settings.alarm)
         judged = Judged(modes, self._named(verdict), stiffness, reading, detectable_loss=detectable)
         return Memory(alarms, learning), judged
@@ -169,9 +172,7 @@ class StiffnessJudge:
         state = memory.learning or slow_learning.start(law, t_end_ns)
         # The index has what the law explains taken out; it is put back.
         change = np.log1p(-np.minimum(reading.ddi, 1.0 - 1e-6)) + sum(reading.covariate_effect.values(), np.zeros(1))
-        return slow_learning.step(
-            state, covariates, change, t_end_ns, settings.compensation.unevenness, normal=normal
-        )
+        return slow_learning.step(state, covariates, change, t_end_ns, settings.compensation.unevenness, normal=normal)
 
     def _update(
         self,

@@ -125,8 +125,16 @@ def story_drifts(record: Record, site: Site) -> tuple[Array, Array, float, str]:
     n, motion, sensors, rides = site.n_stories, record.floors[:, live], site.sensors[live], site.rides[live]
     drift, std, corner_hz = np.full(n, np.nan), np.full(n, np.nan), float(record.corners_hz[0])
     if not site.is_chain:
-        return drift, std, corner_hz, "no drifts: " + (
-            "the structure's stiffnesses are no stories" if n else "nothing is known of the structure but its channels"
+        return (
+            drift,
+            std,
+            corner_hz,
+            "no drifts: "
+            + (
+                "the structure's stiffnesses are no stories"
+                if n
+                else "nothing is known of the structure but its channels"
+            ),
         )
     if record.ground is not None:
         motion = motion - record.ground[:, None] * rides

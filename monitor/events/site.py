@@ -79,9 +79,7 @@ class Site:
         shapes = np.zeros((0, c)) if modes is None else modes.shapes.T
         none, lowest_hz = np.zeros(0), float(hz[0]) if hz.size else lowest_hz
         drifts = np.zeros((0, c))
-        return cls(
-            channels, np.eye(c), drifts, none, none, False, None, hz, shapes, (), window_s, settings, lowest_hz
-        )
+        return cls(channels, np.eye(c), drifts, none, none, False, None, hz, shapes, (), window_s, settings, lowest_hz)
 
     @property
     def n_stories(self) -> int:

@@ -221,7 +221,9 @@ def _judge_step(state: EventState, cutoff_hz: float, site: Site) -> tuple[EventS
         return replace(state, recognition=known, judged=end, settling=state.settling - 1), []
     going = state.strong[-1] if state.strong and not state.strong[-1].closed else None
     active = going is not None
-    known, found = recognition.step(state.recognition, span, rate_hz, cutoff_hz, site.lowest_hz, settings, active=active)
+    known, found = recognition.step(
+        state.recognition, span, rate_hz, cutoff_hz, site.lowest_hz, settings, active=active
+    )
     half, told = n // 2, list[Event]()
     starts = [first - half, first]
     for k, at in enumerate(starts):

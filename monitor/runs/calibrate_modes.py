@@ -48,8 +48,8 @@ def calibrate_modes(
     results, _ = _windows(paths, config, first, on_warning, on_progress)
     reference = common_modes(first.state.track, config.selection.max_modes)
     if reference is None:
-        why = [r.skipped.mend for r in results if r.skipped is not None]
-        because = f", the last because: {why[-1]}" if why else "; record for longer"
+        skipped = [r.skipped.mend for r in results if r.skipped is not None]
+        because = f", the last because: {skipped[-1]}" if skipped else "; record for longer"
         raise BadInputError(f"{file_names(paths)}: no mode is found again and again{because}")
     second = Pipeline(config, reference=reference)
     results, span_ns = _windows(paths, config, second, lambda _: None, on_progress)

@@ -98,6 +98,11 @@ class Session:
         return self._summary.course.windows
 
     @property
+    def story_names(self) -> tuple[str, ...]:
+        """What people call the stories, or what else the alarms are about."""
+        return self._known.names
+
+    @property
     def dropped(self) -> int:
         """Number of samples dropped because they were repeated, late or not finite."""
         return self.pipeline.state.align.dropped

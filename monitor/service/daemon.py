@@ -98,9 +98,7 @@ class Daemon(Publisher):
         if source is None and settings.source is None:
             raise BadConfigurationError(f"{path}: source: missing; name a kind, as in deploy/*.toml")
         healthy_path = None if settings.site.baseline is None else folder / settings.site.baseline
-        healthy = (
-            None if healthy_path is None else load_healthy(healthy_path, settings)
-        )
+        healthy = None if healthy_path is None else load_healthy(healthy_path, settings)
         make_outlets(path, settings, dry=True)
         self.out = folder / settings.output.dir
         self._vitals, self._progress = Vitals(self.out), Progress(lambda _: None)

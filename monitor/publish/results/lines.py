@@ -329,17 +329,16 @@ def replay_text(summary: Mapping[str, Any]) -> str:
     text = [f"{summary['windows']} windows, {summary['skipped']} skipped, {pace}"]
     drawn_hz = summary["structure_file_frequencies_hz"]
     modes = summary["model_modes"] or []
-    if not drawn_hz:
-        text += [f"mode {mode}: {hz:.4g} Hz" for mode, hz in zip(modes, summary["frequencies_hz"] or [], strict=True)]
-    rows = zip(modes, summary["frequencies_hz"] or [], summary["frequency_misfit"] or [], strict=True) if drawn_hz else ()
-    for mode, measured, misfit in rows:
-        text.append(
-            f"mode {mode}: {measured:.4g} Hz measured, {drawn_hz[mode - 1]:.4g} Hz by the structure file "
-            f"(the data lie {100 * misfit:+.1f} % off)"
-        )
+    means = list(zip(modes, summary["frequencies_hz"] or [], strict=True))
+    for (mode, measured), misfit in zip(means, summary["frequency_misfit"] or [None] * len(means), strict=True):
+        line = f"mode {mode}: {measured:.4g} Hz measured"
+        if misfit is not None:  # there is a model
+            line += f", {drawn_hz[mode - 1]:.4g} Hz by the structure file (the data lie {100 * misfit:+.1f} % off)"
+        text.append(line)
     for other in summary["other_modes"]:
         where = f"in {other['windows']} of {summary['windows']} windows"
-        text.append(f"besides: {other['frequency_hz']:.4g} Hz measured {where}, {'no mode of the model' if drawn_hz else 'no mode of calibration'}")
+        whose = "the model" if drawn_hz else "the baseline"
+        text.append(f"besides: {other['frequency_hz']:.4g} Hz measured {where}, no mode of {whose}")
     text += summary["missing_modes"]
     state = State(summary["state"])
     return "\n".join([*text, f"{state.words}: {summary['headline']}", *(f"  {doubt}" for doubt in summary["doubts"])])
