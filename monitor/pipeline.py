@@ -147,6 +147,11 @@ class Pipeline:
             self.state = before
             raise
 
+    @property
+    def level_weights(self) -> Array | None:
+        """How the level of motion is measured with all channels, shape (c, c) (`View.level_weights`)."""
+        return self._view(tuple(range(len(self.config.channels)))).level_weights
+
     def finish(self) -> list[Event]:
         """Return what is known of events that the end of the data cuts."""
         state, told = stage.finish(self.state.events, self.site)

@@ -20,7 +20,7 @@ from monitor.identification import RefinementSettings, SelectionSettings, SsiSet
 from monitor.signals import ProcessingSettings
 
 LEAST_SHARE = 0.5
-"""Share of the modes looked for that must be found: without a model, of the baseline's; with a model and without a baseline, of the
+"""Share of the modes looked for that must be found: without a model, of the baseline's; with a model and no baseline, of the
 lowest required ones. [ratio; judgement]"""
 _USELESS_LOSS = 0.5
 """Loss of a story's stiffness that a window must be able to show to be judged at all. [1; judgement: near collapse]"""

@@ -74,7 +74,7 @@ class StiffnessJudge:
         self._prior_std = instrumented.stiffness_prior_std
         self._drawing, self._cutoff_hz = nominal.model, cutoff_hz
         stored = None if baseline is None else baseline.drift_weights
-        self.drift_weights = drift_weights(self._drawing, self._sensors, cutoff_hz) if stored is None else stored
+        self._drift_weights = drift_weights(self._drawing, self._sensors, cutoff_hz) if stored is None else stored
 
     def start(self, window_s: float) -> AlarmState:
         """Return the state of the alarms before the first window."""
@@ -84,7 +84,7 @@ class StiffnessJudge:
         """Return what windows of some channels (0 = first) are judged with."""
         array = SubArray.of(channels, self._past, self._sensors, self._acquisition, self._context)
         healthy = None if self.baseline is None else self.baseline.seen_by(array.places)
-        weights = self.drift_weights
+        weights = self._drift_weights
         if len(channels) < len(self._sensors):
             weights = drift_weights(self._drawing, self._sensors[list(channels)], self._cutoff_hz)
         return StiffnessView(array, weights, healthy)

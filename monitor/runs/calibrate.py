@@ -18,7 +18,6 @@ from monitor.damage import (
     Baseline,
     Observation,
     Origin,
-    StiffnessJudge,
     Update,
     learn_baseline,
     load_baseline,
@@ -92,7 +91,6 @@ def calibrate(
     rms = np.array([r.rms_m_s2 for r in good])
     assert progress.first is not None
     span_ns = (progress.first.t_ns, pipeline.state.align.t_next_ns())
-    assert isinstance(pipeline.judge, StiffnessJudge)
     baseline, fit = learn_baseline(
         config.instrumented(),
         windows,
@@ -101,7 +99,7 @@ def calibrate(
         span_ns,
         [r.covariates for r in good if r.modes is not None],
         covariate_units(config),
-        pipeline.judge.drift_weights,
+        pipeline.level_weights,
         updating=config.updating,
         compensation=config.compensation,
     )
