@@ -143,13 +143,22 @@ def _reading(
 
 
 def _ratios(modes: ModalEstimate, gauges: list[int]) -> tuple[Array, Array]:
-    """Compute the real parts of the shapes over their components at the gauges, and their variances, shape (m, c)."""
-    rows, c = np.arange(len(gauges)), modes.shapes.shape[1]
-    at_gauge = modes.shapes[rows, gauges][:, None]
-    ratio = modes.shapes / at_gauge
-    moved = modes.deviations[:, :, 2 : 2 + c] + 1j * modes.deviations[:, :, 2 + c :]
-    moved = (moved - ratio * moved[:, rows, gauges][:, :, None]) / at_gauge
-    return ratio.real, np.asarray((moved.real**2).sum(axis=0))
+    """Compute the real parts of the shapes over their components at the gauges, and their variances, shape (m, c).
+
+    They are NaN at channels that are left out, and as a whole where that is the gauge.
+    """
+    m, c = modes.shapes.shape
+    seen = np.flatnonzero(np.isfinite(modes.shapes).all(axis=0))
+    rows = np.array([row for row, gauge in enumerate(gauges) if gauge in seen], dtype=np.intp)
+    at = np.array([gauges[row] for row in rows], dtype=np.intp)
+    ratio, variance = np.full((m, c), np.nan), np.full((m, c), np.nan)
+    at_gauge = modes.shapes[rows, at][:, None]
+    shown = modes.shapes[np.ix_(rows, seen)] / at_gauge
+    influence = modes.deviations[:, rows, 2 : 2 + c] + 1j * modes.deviations[:, rows, 2 + c :]
+    of_gauge = influence[:, np.arange(rows.size), at][:, :, None]
+    moved = (influence[:, :, seen] - shown * of_gauge) / at_gauge
+    ratio[np.ix_(rows, seen)], variance[np.ix_(rows, seen)] = shown.real, (moved.real**2).sum(axis=0)
+    return ratio, variance
 
 
 def _learned(

@@ -21,7 +21,9 @@ def reading(frequencies: list[float], shape: float = 0.0, std: float = STD) -> M
     variance, known = np.where(np.isnan(shapes), np.nan, SHAPE_STD**2), np.isfinite(frequencies)
     own = np.where(known[:, None] & known, std**2 * np.eye(3), np.nan)
     common = 0.5 * std**2 * np.eye(3)
-    return ModalReading(np.array(frequencies), own + common, common, shapes, 1.5 * variance, 0.5 * np.nan_to_num(variance))
+    return ModalReading(
+        np.array(frequencies), own + common, common, shapes, 1.5 * variance, 0.5 * np.nan_to_num(variance)
+    )
 
 
 def run(readings: list[ModalReading], state: AlarmState | None = None) -> tuple[AlarmState, list[Alarm]]:

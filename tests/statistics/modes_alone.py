@@ -91,7 +91,7 @@ def main(seeds: int, hours: float, calibration_s: float) -> None:
         healthy = watch(Pipeline(SITE, baseline), 3600.0 * hours, 20_000 + seed)
         n, skipped = healthy.announced(), sum(w.skipped is not None for w in healthy.windows)
         false, watched_h = false + n, watched_h + hours
-        line = f"seed {seed}: {baseline.frequencies_hz.size} modes, {n} false in {len(healthy.windows)} windows, {skipped} skipped"
+        line = f"seed {seed}: {baseline.frequencies_hz.size} modes, {n} false, {len(healthy.windows)} windows, {skipped} skipped"
         for size in found:
             loss = tuple(size if j == seed % 3 else 0.0 for j in range(3))
             damaged = watch(Pipeline(SITE, baseline), 1800.0, 30_000 + seed, loss)

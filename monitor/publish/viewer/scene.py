@@ -87,7 +87,10 @@ class Plan:
             step = _LABEL_STEP * max(1.0, 1.3 * room)
             for above, j in pairwise(np.argsort(-labels[:, 2], kind="stable")):
                 labels[j, 2] = min(labels[j, 2], labels[above, 2] - step)
-            low, high = (-room - 0.1, 0.0, -0.15), (size[0] + length + _MARGIN, 0.0, size[2] + (0.05 if n_stories else 0.2))
+            low, high = (
+                (-room - 0.1, 0.0, -0.15),
+                (size[0] + length + _MARGIN, 0.0, size[2] + (0.05 if n_stories else 0.2)),
+            )
         return cls(points, labels, size, is_long, np.array(low), np.array(high))
 
     def offset(self, mode: int) -> Array:
