@@ -1,4 +1,4 @@
-from . import alarm, damage_index, slow_learning
+from . import alarm, slow_learning
 from .alarm import AlarmSettings, AlarmState, StoryState, hold
 from .alternative_solutions import second_solutions
 from .assessment import (
@@ -19,13 +19,11 @@ from .assessment import (
 )
 from .baseline import Baseline, learn_baseline, rebase_baseline
 from .baseline_file import load_baseline, save_baseline
-from .covariate_law import CovariateLaw, Effect
 from .covariates import LEVEL, CovariateSettings, LearnedRange, law_lines, learned_ranges
-from .detectable_loss import smallest_detectable_loss
 from .feature_test import FeatureJudge, FeatureTable, FeatureVerdict, judge_features
-from .judge import AnyBaseline, Judge, Judged, Memory, View
-from .level import drift_m, drift_weights, level_db
-from .modal_alarm import change_words, modal_parts
+from .judge import AnyBaseline, Judge, Memory, View
+from .level import drift_m, level_db
+from .modal_alarm import modal_parts
 from .modal_baseline import ModalBaseline, ModalOrigin, learn_modal_baseline
 from .modal_baseline_file import load_modal_baseline, save_modal_baseline
 from .modal_judge import ModalJudge
@@ -41,14 +39,11 @@ __all__ = [
     "Assessment",
     "Baseline",
     "Course",
-    "CovariateLaw",
     "CovariateSettings",
-    "Effect",
     "FeatureJudge",
     "FeatureTable",
     "FeatureVerdict",
     "Judge",
-    "Judged",
     "Known",
     "LearnedRange",
     "Loss",
@@ -67,11 +62,8 @@ __all__ = [
     "WindowFacts",
     "alarm",
     "assess",
-    "change_words",
-    "damage_index",
     "diagnosis_of",
     "drift_m",
-    "drift_weights",
     "facts_of",
     "follow",
     "hold",
@@ -93,7 +85,6 @@ __all__ = [
     "save_modal_baseline",
     "second_solutions",
     "slow_learning",
-    "smallest_detectable_loss",
     "update",
     "utc",
 ]

@@ -697,6 +697,7 @@ def _remarks(course: Course, known: Known, whole: bool) -> list[str]:
         f"channel {o.channel} was left out ({_without_numbers(o.reason)}) from {utc(o.t_first_ns)} to {utc(o.t_last_ns or 0)} UTC"
         for o in outages
     ]
+    says += _all_frequencies(course, known)
     ended = [loss for loss in course.losses if loss.t_last_ns is not None]
     if ended and not whole:
         loss = ended[-1]
@@ -711,6 +712,15 @@ def _name(story: int, known: Known) -> str:
     if story == WHOLE:
         return known.words.every
     return known.names[story - 1] if story <= len(known.names) else f"story {story}"
+
+
+def _all_frequencies(course: Course, known: Known) -> list[str]:
+    """Say how all frequencies changed, where modes alone are judged, all are known and something was announced."""
+    window = course.judged
+    if window is None or not course.losses or known.n_modes is None or len(window.changes) != known.n_modes:
+        return []
+    changes = [change_words(f"mode {k}", size, std) for k, (size, std) in enumerate(window.changes, 1)]
+    return [f"by the latest window {', '.join(changes)}"]
 
 
 def _is_shape(loss: Loss, known: Known) -> bool:

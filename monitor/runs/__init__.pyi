@@ -3,7 +3,7 @@ from .archive.inventory import expand_patterns
 from .archive.jobs import WINDOWS
 from .archive.reprocess import reprocess
 from .baselines import load_healthy
-from .calibrate_modes import calibrate_modes
+from .modal_calibration import calibrate_modes
 from .emulate import send_all
 from .event_recordings import EventRecordings
 from .importers import import_files

@@ -22,12 +22,14 @@ from monitor.core import set_aside as rename_aside
 
 _log = logging.getLogger(__name__)
 
-VERSION = 3
+VERSION = 4
 """Version of the schema, stored as the database's user_version; to be raised with an entry in `UPGRADES`."""
 UPGRADES: dict[int, str] = {
     1: "ALTER TABLE windows ADD COLUMN state TEXT;",
     2: "ALTER TABLE gaps ADD COLUMN number INTEGER NOT NULL DEFAULT 1; ALTER TABLE gaps ADD COLUMN lost_s REAL; "
     "UPDATE gaps SET lost_s = duration_s;",
+    3: "ALTER TABLE windows ADD COLUMN frequency_change TEXT; ALTER TABLE windows ADD COLUMN frequency_change_std TEXT; "
+    "ALTER TABLE alarms ADD COLUMN change REAL; ALTER TABLE alarms ADD COLUMN change_std REAL;",
 }
 """Version -> SQL that upgrades a database of that version to the next version."""
 _SCHEMA_VERSION = 2
@@ -121,12 +123,21 @@ class History:
             "ddi",
             "ddi_std",
             "loss_n_per_m",
+            "frequency_change",
+            "frequency_change_std",
         )
         self._put("windows", row | {name: _text(line.get(name)) for name in lists} | {"level": line["alarm"]["level"]})
 
     def episodes(self, episodes: Iterable[Mapping[str, Any]]) -> None:
-        """Store those of the latest alarms that are new or changed; story None is the structure as a whole."""
-        latest = {(e["story"], e["t_first_ns"]): {**e, "story": e["story"] or 0} for e in episodes}
+        """Store those of the latest alarms that are new or changed; story None is the structure as a whole.
+
+        Where modes alone are judged, the column `story` has the number of the mode or shape (`damage.modal_parts`).
+        """
+        latest = {}
+        for episode in episodes:
+            row = {key: value for key, value in episode.items() if key != "part"}
+            row["story"] = episode.get("part", episode["story"]) or 0
+            latest[row["story"], row["t_first_ns"]] = row
         for key, row in latest.items():
             if self._stored_alarms.get(key) != row:
                 self._put("alarms", row)

@@ -22,7 +22,7 @@ from monitor.model.simulation import simulate
 from monitor.pipeline import Pipeline
 from monitor.runs.baselines import modal_origin
 from monitor.runs.calibrate import covariate_units, with_common_modes
-from monitor.runs.calibrate_modes import common_modes
+from monitor.runs.modal_calibration import common_modes
 from monitor.runs.synthetic_recording import cut_into_blocks
 from tests.statistics.estimates import configuration
 

@@ -278,7 +278,7 @@ def _alarms(period: Period) -> str:
         asked = notes.requests_for(e, period.decisions, next(later, float("inf")))
         actions = "; ".join(f"{d.action} by {d.who}, {utc(d.t_ns)}" for d in asked) or "nobody yet"
         ended = "lasts" if e.t_last_ns is None else utc(e.t_last_ns)
-        verdict = diagnosis_of(e, period.findings) or "not diagnosed"
+        verdict = diagnosis_of(e, period.findings) or ("needs a model" if e.modal else "not diagnosed")
         size = _percent(e.ddi, e.ddi_std)
         rows.append((e.level, _story(e.story, period), utc(e.t_first_ns), ended, size, verdict, actions))
     size = "#stiffness lost" if period.known.n_modes is None else "#change"

@@ -114,11 +114,12 @@ def _trust(scene: Scene) -> rrb.Horizontal:
         )
         for name, learned in scene.learned.items()
     ]
+    known = [fit, *covariates] if scene.n_stories else covariates
     left = rrb.Vertical(
         rrb.TextDocumentView(origin="/verdict", name="Latest diagnosis"),
         _canvas("/stabilisation", "Stabilisation diagram: order over frequency, Hz"),
-        rrb.Tabs(*([fit] if scene.n_stories else []), *covariates, active_tab=0),
-        row_shares=[2, 3, 2],
+        *([rrb.Tabs(*known, active_tab=0)] if known else []),
+        row_shares=[2, 3, 2][: 3 if known else 2],
     )
     right = rrb.Vertical(
         _plot("/quality/availability", "Samples that came, %", legend=False),

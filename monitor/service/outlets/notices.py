@@ -12,8 +12,8 @@ from typing import Any
 
 from pydantic import Field
 
-from monitor.core import WHOLE, AlarmCondition, Level, Settings, WindowResult, name_stories
-from monitor.damage import Assessment, State, modal_parts
+from monitor.core import WHOLE, AlarmCondition, Level, Settings, WindowResult
+from monitor.damage import Assessment, State
 from monitor.events import Event
 from monitor.publish import event_text
 
@@ -154,13 +154,15 @@ def _alarms(
     told: Told, result: WindowResult, present: Assessment, settings: NoticeSettings
 ) -> tuple[Told, list[Notice]]:
     """Derive the notices of alarms raised, escalated and cleared."""
-    names = () if result.modal is None else modal_parts(result.modal.ln_frequency.size)
+    active = result.alarm.active
+    if result.modal is not None and active:  # one change moves several modes and shapes: it is told once
+        active = {WHOLE: result.alarm.level}
     notices, levels, least = [], dict(told.levels), max(settings.level.rank, Level.ADVISORY.rank)
-    for story in sorted(levels.keys() | result.alarm.active.keys()):
+    for story in sorted(levels.keys() | active.keys()):
         if result.alarm.conditions.get(story) is AlarmCondition.SHELVED:
             continue  # neither its rise nor its end is announced, as the operator asked
-        before, now = levels.get(story, Level.NORMAL), result.alarm.active.get(story, Level.NORMAL)
-        place = "the whole structure" if story == WHOLE else name_stories(f"story {story}", names)
+        before, now = levels.get(story, Level.NORMAL), active.get(story, Level.NORMAL)
+        place = "the whole structure" if story == WHOLE else f"story {story}"
         if now.rank > before.rank and now.rank >= least:
             levels[story] = now
             notices.append(Notice("alarm", False, f"{now.value}: {place}", _text(present)))
