@@ -3,10 +3,10 @@ from .archive.inventory import expand_patterns
 from .archive.jobs import WINDOWS
 from .archive.reprocess import reprocess
 from .baselines import load_healthy
-from .modal_calibration import calibrate_modes
 from .emulate import send_all
 from .event_recordings import EventRecordings
 from .importers import import_files
+from .modal_calibration import calibrate_modes
 from .recordings import Progress, duration_s
 from .session import Session, SessionState
 from .viewer import open_viewer
