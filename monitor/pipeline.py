@@ -3,45 +3,41 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import partial
-from math import ceil, floor, inf
+from math import ceil, floor
 
 import numpy as np
 
 from drivers.base import ACCELERATION, GROUND, TEMPERATURE, SampleBlock
 from monitor.config import Configuration
 from monitor.core import (
-    Alarm,
     Array,
     BadInputError,
-    DamageReading,
     Gap,
     LeftOutChannel,
-    Level,
     ModalEstimate,
     Samples,
     Skipped,
-    StiffnessEstimate,
     Temperature,
     Window,
     WindowResult,
-    name_stories,
 )
 from monitor.damage import (
     LEVEL,
+    AnyBaseline,
     Baseline,
-    CovariateLaw,
-    Effect,
+    Judge,
+    Memory,
+    ModalBaseline,
+    ModalJudge,
+    StiffnessJudge,
+    View,
     alarm,
-    beyond_words,
-    damage_index,
-    drift_weights,
     level_db,
     slow_learning,
-    smallest_detectable_loss,
 )
 from monitor.events import Event, EventState, GroundState, Site, ground, stage
-from monitor.identification import SubArray, expected_modes, identify, refine, tracking
+from monitor.identification import tracking
+from monitor.model import Modes
 from monitor.signals import (
     Conditioner,
     ConditionState,
@@ -62,15 +58,8 @@ from monitor.signals import windows as window
 
 _SET_BACK_S = 0.25
 """Step back of the clock from which the windows' times follow the clock, s."""
-_LEAST_SHARE = 0.5
-"""Share of the lowest required modes that must be found for the model to be updated without a baseline. [ratio; judgement]"""
 _MOST_VIEWS = 16
 """Sets of channels in use for which the healthy state is kept at hand. [count; cost]"""
-_CHECK = "check floors, signs and units of the channels, and what 'check' says of the lags"
-"""What to do where not even the lowest mode is found. [words]"""
-_USELESS_LOSS = 0.5
-"""Loss of a story's stiffness that a window must be able to show to be judged at all. [1; judgement: near collapse]"""
-
 Result = Samples | Gap | WindowResult | Health | Event
 
 
@@ -106,52 +95,33 @@ class PipelineState:
     """The covariates' law as it was learned on in service; None before the first judged window."""
 
 
-@dataclass(frozen=True, slots=True)
-class _View:
-    """What a window is judged with: the channels in use, and the healthy state as these see it."""
-
-    array: SubArray
-    baseline: Baseline | None
-    drift_weights: Array
-    """Shape (c, c): from the covariance of these channels' accelerations to the level of motion."""
-
-
 class Pipeline:
     """Chain of the stages from samples to alarms; all times are those of the data.
 
     Parameters
     ----------
     config : Configuration
-    baseline : Baseline, optional
-        Without a baseline, modes and stiffness are compared with the structure file's, and no alarm is announced: the
-        structure file is never exact, so a difference from it is no change.
+    baseline : Baseline or ModalBaseline, optional
+        Without a baseline no alarm is announced.
+    reference : Modes, optional
+        Modes by which those of the windows are numbered, where there is neither a model nor a baseline.
     """
 
-    def __init__(self, config: Configuration, baseline: Baseline | None = None) -> None:
+    def __init__(
+        self,
+        config: Configuration,
+        baseline: AnyBaseline | None = None,
+        reference: Modes | None = None,
+    ) -> None:
         self.config = config
         self.baseline = baseline
         self.front_end = config.front_end()
-        nominal = config.instrumented()
-        instrumented = nominal if baseline is None else replace(nominal, model=baseline.model)
-        self.reference = instrumented.model
-        self.reference_modes = self.reference.modes()
-        self.sensors = instrumented.sensor_matrix
-        self.acquisition = tuple(e for e in nominal.model.effects if e.family == "sensor")
-        self.context = instrumented.context(config.processing.rate_hz)
-        self.prior_std = instrumented.stiffness_prior_std
-        self.site = Site.of(instrumented, config.story_names, config.processing.window_s, config.events)
-        stored = None if baseline is None else baseline.drift_weights
-        cutoff_hz = config.processing.cutoff_hz
-        self.drawing = nominal.model
-        self.drift_weights = drift_weights(self.drawing, self.sensors, cutoff_hz) if stored is None else stored
-        names = config.identification.reference_channels or config.channels
-        self.past = tuple(config.channels.index(name) for name in names)
-        self._views: dict[tuple[int, ...], _View] = {}
-        alarms = alarm.start(self.reference.structure.n_stories, config.processing.window_s)
+        self.judge, self.site = _judge(config, baseline, reference)
+        self._views: dict[tuple[int, ...], View] = {}
         self.state = PipelineState(
             alignment.start(),
             None,
-            alarms,
+            self.judge.start(config.processing.window_s),
             {table.name: temperature.start() for table in config.covariates},
             temperature.start(),
             tracking.TrackState(),
@@ -176,6 +146,11 @@ class Pipeline:
         except BadInputError:
             self.state = before
             raise
+
+    @property
+    def level_weights(self) -> Array | None:
+        """How the level of motion is measured with all channels, shape (c, c) (`View.level_weights`)."""
+        return self._view(tuple(range(len(self.config.channels)))).level_weights
 
     def finish(self) -> list[Event]:
         """Return what is known of events that the end of the data cuts."""
@@ -314,47 +289,8 @@ class Pipeline:
             known[LEVEL] = np.array([level_db(weights, covariance)])
         return known
 
-    @property
-    def law(self) -> CovariateLaw | None:
-        """The covariates' law: as calibrated, and as learned on in service."""
-        if self.state.learning is not None:
-            return self.state.learning.law
-        return None if self.baseline is None else self.baseline.law
-
-    def _learn(self, reading: DamageReading, covariates: dict[str, Array], t_end_ns: int, normal: bool) -> None:
-        """Learn the covariates' law on from healthy service."""
-        settings = self.config.compensation
-        if self.law is None or not settings.learn_in_service:
-            return
-        state = self.state.learning or slow_learning.start(self.law, t_end_ns)
-        # The index has what the law explains taken out; it is put back.
-        change = np.log1p(-np.minimum(reading.ddi, 1.0 - 1e-6)) + sum(reading.covariate_effect.values(), np.zeros(1))
-        state = slow_learning.step(state, covariates, change, t_end_ns, settings.unevenness, normal=normal)
-        self.state = replace(self.state, learning=state)
-
-    def _effect(self, covariates: dict[str, Array]) -> Effect | Skipped | None:
-        """Predict what the covariates do to the healthy stiffness.
-
-        Returns
-        -------
-        Effect, Skipped or None
-            `Skipped` where the law's uncertainty alone would hide the loss of half a story's stiffness; None without a law.
-        """
-        if self.law is None:
-            return None
-        effect = self.law.expected(covariates)
-        hidden = self.config.alarm.significance * float(np.sqrt(effect.covariance.diagonal().max()))
-        return Skipped(beyond_words(self.law, covariates)) if hidden > _USELESS_LOSS else effect
-
-    def _beyond(self, effect: Effect | None, covariates: dict[str, Array]) -> str:
-        """Say what lies beyond calibration where the law's uncertainty alone would hide the loss of an `alarm`."""
-        if effect is None or self.law is None:
-            return ""
-        limits, std = self.config.alarm, float(np.sqrt(effect.covariance.diagonal().max()))
-        return beyond_words(self.law, covariates) if limits.significance * std > limits.alarm_loss else ""
-
     def _assess(self, item: Window, cutoff_hz: float) -> WindowResult:
-        """Process one complete window: identification, updating, damage index, alarm."""
+        """Process one complete window: identification, comparison with the reference, alarm."""
         c = self.config
         strong = stage.skipped(self.state.events, item.t_end_ns, item.window_s, c.events)
         if strong is not None:  # nor does it tell which channels are well
@@ -368,7 +304,7 @@ class Pipeline:
             item = item.only(in_use)
         view = self._view(in_use)
 
-        covariates = self._covariates(item.t_end_ns, item, view.drift_weights)
+        covariates = self._covariates(item.t_end_ns, item, view.level_weights)
 
         def skip(reason: Skipped, found: ModalEstimate | None = None, tracks: tuple[int, ...] = ()) -> WindowResult:
             """Skip the window, with the modes found in it."""
@@ -383,40 +319,32 @@ class Pipeline:
         skipped = window_quality.check(item.sums, item.rate_hz, cutoff_hz, c.quality)
         if skipped is not None:
             return skip(skipped)
-        modes = self._identify(item, cutoff_hz, view)
-        judged = modes if isinstance(modes, Skipped) else self._update(modes, covariates, view)
+        modes = self.judge.identify(item, cutoff_hz, view, c)
+        if isinstance(modes, Skipped):
+            return skip(modes, None, self._track_modes(None, item, view))
+        memory = Memory(self.state.alarm, self.state.learning)
+        judged = self.judge.judge(memory, modes, covariates, view, item.t_end_ns, c)
         if isinstance(judged, Skipped):
-            found = None if isinstance(modes, Skipped) else modes
-            return skip(judged, found, self._track_modes(found, item, view))
-        modes, stiffness, reading = judged
-        if left_out:
-            reading = replace(reading, channels=in_use)
-        tracks = self._track_modes(modes, item, view)
+            return skip(judged, modes, self._track_modes(modes, item, view))
+        memory, said = judged
+        self.state = replace(self.state, alarm=memory.alarm, learning=memory.learning)
         degc = covariates.get("temperature")
-        detectable = None
-        if self.baseline is None:
-            verdict = Alarm(Level.NORMAL, (), "no baseline: a difference from the structure file is no change")
-        else:
-            alarms, verdict = alarm.step(self.state.alarm, reading, item.t_end_ns, c.alarm)
-            verdict = replace(verdict, reason=name_stories(verdict.reason, c.story_names))
-            self.state = replace(self.state, alarm=alarms)
-            self._learn(reading, covariates, item.t_end_ns, verdict.level is Level.NORMAL)
-            detectable = smallest_detectable_loss(reading, alarms.history, c.processing.hop_s, c.alarm)
         return WindowResult(
             item.index,
             item.t_end_ns,
             item.window_s,
-            view.array.spread(modes),
-            stiffness,
-            reading,
-            verdict,
+            view.array.spread(said.modes),
+            said.stiffness,
+            said.damage,
+            said.alarm,
             None,
             item.rms_m_s2,
             None if degc is None else Temperature(degc),
-            tracks,
-            detectable,
+            self._track_modes(said.modes, item, view),
+            said.detectable_loss,
             covariates,
             left_out,
+            said.modal,
         )
 
     def _choose_channels(self, item: Window) -> tuple[tuple[int, ...], tuple[LeftOutChannel, ...]]:
@@ -429,113 +357,15 @@ class Pipeline:
         self.state = replace(self.state, watch=state)
         return in_use, left_out
 
-    def _view(self, in_use: tuple[int, ...]) -> _View:
+    def _view(self, in_use: tuple[int, ...]) -> View:
         """Return what windows of some channels are judged with; the latest views are kept."""
         if in_use not in self._views:
             if len(self._views) == _MOST_VIEWS:
                 self._views.pop(next(iter(self._views)))
-            array = SubArray.of(in_use, self.past, self.sensors, self.acquisition, self.context)
-            healthy = None if self.baseline is None else self.baseline.seen_by(array.places)
-            weights = self.drift_weights
-            if len(in_use) < len(self.config.channels):
-                weights = drift_weights(self.drawing, self.sensors[list(in_use)], self.config.processing.cutoff_hz)
-            self._views[in_use] = _View(array, healthy, weights)
+            self._views[in_use] = self.judge.view(in_use)
         return self._views[in_use]
 
-    def _identify(self, item: Window, cutoff_hz: float, view: _View) -> ModalEstimate | Skipped:
-        """Identify the modes of a window of the channels in use, and remove the stated sensor effects from them."""
-        c = self.config
-        wanted = (
-            expected_modes(self.reference_modes, cutoff_hz, c.selection)
-            if self.baseline is None
-            else self.baseline.model_mode
-        )
-        refiner = partial(refine, item, settings=c.refinement)
-        modes = identify(
-            item,
-            view.array.past,
-            self.reference_modes,
-            view.array.shown,
-            c.identification,
-            c.selection,
-            wanted,
-            cutoff_hz,
-            refiner,
-        )
-        return modes if isinstance(modes, Skipped) else view.array.correct(modes)
-
-    def _update(
-        self, modes: ModalEstimate, covariates: dict[str, Array], view: _View
-    ) -> tuple[ModalEstimate, StiffnessEstimate, DamageReading] | Skipped:
-        """Update the stiffness to a window's modes and compare it with the baseline's.
-
-        With a baseline, a mode that is missing or that the model cannot follow may be the change itself, and the window is not
-        judged.  Without one the modes that the model can follow are enough.
-
-        Returns
-        -------
-        ModalEstimate
-            The modes that the stiffness was updated to.
-        StiffnessEstimate
-        DamageReading
-        """
-        c, baseline = self.config, view.baseline
-        missing = self._missing(modes)
-        if missing:
-            required = () if baseline is None else baseline.model_mode
-            fewer = min(required.index(mode) for mode in missing) if required else 0
-            mend = f"set [selection] required_modes = {fewer}, or calibrate anew" if fewer else _CHECK
-            return Skipped(f"{'; '.join(missing.values())}; {mend}")
-        if not len(modes.deviations):
-            return Skipped("the modes' uncertainty is not asked for, so nothing is judged")
-        identified = tuple(int(k) for k in modes.model_mode)
-        healthy = None if baseline is None else baseline.only(identified)
-        if healthy is not None and healthy.model_mode != identified:
-            return Skipped("modes are not the baseline's")
-        effect = self._effect(covariates)
-        if isinstance(effect, Skipped):
-            return effect
-
-        def step(modes: ModalEstimate) -> tuple[StiffnessEstimate, DamageReading]:
-            """Update the stiffness to modes."""
-            return damage_index.step(
-                modes, self.reference, healthy, view.array.sensors, c.updating, effect, self.prior_std
-            )
-
-        stiffness, reading = step(modes)
-        while not stiffness.converged:
-            # Of the modes without each of which the updating converges, that is set aside whose absence leaves the least misfit.
-            less = [modes.set_aside(k, self._unfitting(k, modes)) for k in modes.model_mode.tolist()]
-            less = [] if baseline is not None else [fewer for fewer in less if not self._missing(fewer)]
-            fits = [step(fewer) for fewer in less]
-            left = [float(fit.mode_misfit.sum()) if fit.converged else inf for fit, _ in fits]
-            if min(left, default=inf) == inf:
-                worst = int(modes.model_mode[stiffness.mode_misfit.argmax()])
-                mend = f"calibrate with [selection] max_modes = {worst}, or a lower [processing] cutoff_hz"
-                return Skipped(f"{self._unfitting(worst, modes)}; {mend if worst else _CHECK}")
-            best = left.index(min(left))
-            modes, (stiffness, reading) = less[best], fits[best]
-        return modes, stiffness, replace(reading, beyond=self._beyond(effect, covariates))
-
-    def _missing(self, modes: ModalEstimate) -> dict[int, str]:
-        """Return the missing modes (0 = lowest) without which a window is not judged, and why they are missing.
-
-        With a baseline these are its lowest `required_modes`; without one, half of the model's lowest are enough.
-        """
-        n = self.config.selection.required_modes
-        if self.baseline is not None:
-            return {mode: why for mode, why in modes.missing if mode in self.baseline.model_mode[:n]}
-        missing = {mode: why for mode, why in modes.missing if mode < n}
-        found = int(np.count_nonzero(modes.model_mode < n))
-        return missing if found < _LEAST_SHARE * (found + len(missing)) or not modes.model_mode.size else {}
-
-    def _unfitting(self, mode: int, modes: ModalEstimate) -> str:
-        """State that the model cannot follow the counterpart of its `mode` (0 = lowest)."""
-        measured_hz = modes.frequencies_hz[modes.model_mode.tolist().index(mode)]
-        there = f"{self.reference_modes.frequencies_hz[mode]:.3g} Hz by the model, {measured_hz:.3g} Hz in the data"
-        return f"model updating did not converge with mode {mode + 1} ({there}): another direction, or torsion?"
-
-    def _track_modes(self, modes: ModalEstimate | None, item: Window, view: _View) -> tuple[int, ...]:
+    def _track_modes(self, modes: ModalEstimate | None, item: Window, view: View) -> tuple[int, ...]:
         """Assign the modes of a window to tracks and return their numbers; a window without modes counts as a look too."""
         observed = tracking.observed(None if modes is None else view.array.spread(modes), item.window_s)
         state, tracked = tracking.step(self.state.track, observed, item.t_end_ns, self.config.tracking)
@@ -554,8 +384,7 @@ class Pipeline:
         left_out: tuple[LeftOutChannel, ...] = (),
     ) -> WindowResult:
         """Return the result of a window without damage index: the alarm is unchanged."""
-        alarms, verdict = alarm.hold(self.state.alarm, t_end_ns)
-        verdict = replace(verdict, reason=name_stories(verdict.reason, self.config.story_names))
+        alarms, verdict = self.judge.hold(self.state.alarm, t_end_ns)
         self.state = replace(self.state, alarm=alarms)
         covariates = self._covariates(t_end_ns)
         degc = None if "temperature" not in covariates else Temperature(covariates["temperature"])
@@ -574,6 +403,21 @@ class Pipeline:
             covariates=covariates,
             left_out=left_out,
         )
+
+
+def _judge(config: Configuration, baseline: AnyBaseline | None, reference: Modes | None) -> tuple[Judge, Site]:
+    """Make the judge of a site's windows, by a model or by the modes alone, and what its events are described with."""
+    names = config.identification.reference_channels or config.channels
+    past = tuple(config.channels.index(name) for name in names)
+    window_s, events = config.processing.window_s, config.events
+    if config.has_model:
+        assert not isinstance(baseline, ModalBaseline)
+        by_model = StiffnessJudge(config.instrumented(), baseline, past, config.story_names)
+        return by_model, Site.of(by_model.instrumented, config.story_names, window_s, events)
+    assert not isinstance(baseline, Baseline)
+    by_modes = ModalJudge(config.channels, baseline, past, reference)
+    lowest_hz = config.selection.min_frequency_hz
+    return by_modes, Site.of_channels(config.channels, by_modes.reference, lowest_hz, window_s, events)
 
 
 def _convert_rate(state: WindowState, ratio: float) -> WindowState:

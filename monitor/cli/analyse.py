@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from monitor.cli.common import Json, Recordings, Structure, address, progress, say, warn
 from monitor.cli.emulate import parse_speed
 from monitor.core import demand_place, spare_inputs
+
+if TYPE_CHECKING:
+    from monitor.config import Configuration
 
 
 def replay(
@@ -25,14 +28,14 @@ def replay(
 ) -> None:
     """Run recordings through the monitor.  Writes results.jsonl, events.jsonl, results.mcap, live.rrd and summary.json in DIR."""
     from monitor.config import configuration
-    from monitor.damage import load_baseline
     from monitor.publish import replay_text
+    from monitor.runs import load_healthy
     from monitor.runs import replay as run
 
     spare_inputs([out / name for name in run.RESULT_FILES], [*recordings, structure, baseline])
     pace, served = parse_speed(speed), address(serve)
     settings = configuration.load(structure)
-    healthy = None if baseline is None else load_baseline(baseline, settings.instrumented(), settings.updating)
+    healthy = None if baseline is None else load_healthy(baseline, settings)
     summary = run.replay(
         recordings,
         settings,
@@ -78,8 +81,11 @@ def calibrate(
     if bool(recordings) == (rebase is not None):
         raise typer.BadParameter("name either healthy recordings, or a baseline with --rebase")
     spare_inputs([out], [*recordings, structure, rebase])
-    settings = configuration.load(structure)
+    settings = configuration.load(structure) if rebase is None else configuration.load_with_model(structure)
     demand_place(out)
+    if not settings.has_model:
+        _calibrate_modes(recordings, settings, out, as_json)
+        return
     if rebase is not None:
         baseline, says = run.rebase(rebase, settings)
         lines = [f"{rebase} with the drawing of {structure}:", *says]
@@ -95,7 +101,7 @@ def calibrate(
     relative_std = baseline.covariance.diagonal() ** 0.5
     stiffness = baseline.model.structure.stiffness_n_per_m
     for name, k, drawn, std in zip(
-        settings.story_names, stiffness, settings.structure.stiffness_n_per_m, relative_std, strict=False
+        settings.story_names, stiffness, settings.drawn.stiffness_n_per_m, relative_std, strict=False
     ):
         size = interval({"value": float(k), "std": float(k * std)}, 1.0, "N/m")
         lines.append(f"{name}: {size}; structure file {drawn:.5g} N/m ({100.0 * (k / drawn - 1.0):+.1f} %)")
@@ -110,6 +116,33 @@ def calibrate(
         "frequencies_std_hz": baseline.frequencies_std_hz.tolist(),
         "stiffness_n_per_m": baseline.model.structure.stiffness_n_per_m.tolist(),
         "structure_file_frequencies_hz": nominal_hz.tolist(),
-        "structure_file_stiffness_n_per_m": list(settings.structure.stiffness_n_per_m),
+        "structure_file_stiffness_n_per_m": list(settings.drawn.stiffness_n_per_m),
+    }
+    say("\n".join(lines), content, as_json)
+
+
+def _calibrate_modes(recordings: list[Path], settings: Configuration, out: Path, as_json: bool) -> None:
+    """Learn the healthy modes of a structure without a model, and tell them."""
+    from monitor.damage import law_lines, save_modal_baseline
+    from monitor.runs import calibrate_modes
+
+    baseline = calibrate_modes(recordings, settings, on_warning=warn, on_progress=progress("calibrate"))
+    save_modal_baseline(baseline, out)
+    lines = [f"{baseline.windows} windows"]
+    rows = zip(
+        baseline.frequencies_hz, baseline.frequencies_std_hz, baseline.damping_ratio, baseline.shapes, strict=True
+    )
+    for k, (f, std, damping, shape) in enumerate(rows, 1):
+        moves = ", ".join(f"{c} {x:+.2f}" for c, x in zip(baseline.channels, shape, strict=True))
+        lines.append(f"mode {k}: {f:.4f} ± {2 * std:.4f} Hz, damping {100 * damping:.2g} %; {moves}")
+    lines += law_lines(baseline.law, "the squares of the frequencies")
+    lines.append(f"baseline in {out}: the modes of this structure, with which later ones are compared")
+    content = {
+        "baseline": str(out),
+        "windows": baseline.windows,
+        "frequencies_hz": baseline.frequencies_hz.tolist(),
+        "frequencies_std_hz": baseline.frequencies_std_hz.tolist(),
+        "damping_ratio": baseline.damping_ratio.tolist(),
+        "mode_shapes": baseline.shapes.tolist(),
     }
     say("\n".join(lines), content, as_json)

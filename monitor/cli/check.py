@@ -27,27 +27,30 @@ def check(
             as_json,
         )
         return
-    from monitor.damage import load_baseline
     from monitor.identification import stabilization
+    from monitor.runs import load_healthy
     from monitor.service import outlets
 
     settings = configuration.load(file)
     if settings.site.baseline is not None:
         baseline = file.parent / settings.site.baseline
         if baseline.exists():
-            for doubt in load_baseline(baseline, settings.instrumented(), settings.updating).doubts:
+            for doubt in load_healthy(baseline, settings).doubts:
                 warn(doubt)
         else:
             warn(f"{baseline}: there is no such baseline yet; make it with 'calibrate'")
     outlets.make_outlets(file, settings, dry=True)
     for warning in security_check.warnings(file, settings):
         warn(warning)
+    head = f"{file}: no problems; {settings.size_words}; channels {', '.join(settings.channels)}"
+    content = {"file": str(file), "channels": list(settings.channels)}
+    if not settings.has_model:
+        say(head, {**content, "frequencies_hz": []}, as_json)
+        return
     modes, p = settings.model().modes(), settings.processing
     frequencies = modes.frequencies_hz
-    head = f"{file}: no problems; {settings.size_words}; channels {', '.join(settings.channels)}"
     text = f"{head}\nnatural frequencies: {', '.join(f'{f:.4g}' for f in frequencies)} Hz"
-    content = {"file": str(file), "channels": list(settings.channels), "frequencies_hz": frequencies.tolist()}
-    say(text, content, as_json)
+    say(text, {**content, "frequencies_hz": frequencies.tolist()}, as_json)
     beyond = [f"{f:.4g}" for f in frequencies if f > p.cutoff_hz]
     if beyond:
         warn(f"modes at {', '.join(beyond)} Hz lie beyond cutoff_hz = {p.cutoff_hz:g}")

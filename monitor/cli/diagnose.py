@@ -33,7 +33,7 @@ def diagnose(
     names = ("diagnosis.json", "report.html", "structure.updated.toml", "structure.extended.toml", "diagnosis.rrd")
     content, report, updated, extended, view = (out / name for name in names)
     spare_inputs([content, report, updated, extended, view], [*recordings, structure, baseline])
-    settings = configuration.load(structure)
+    settings = configuration.load_with_model(structure)
     healthy = None if baseline is None else load_baseline(baseline, settings.instrumented(), settings.updating)
     for path in (content, report, updated, extended, view):
         demand_place(path)
@@ -75,7 +75,7 @@ def evaluate(recordings: Recordings, structure: Structure) -> None:
     from monitor.config import configuration
     from monitor.runs import diagnose as job
 
-    score = job.evaluate(recordings, configuration.load(structure), warn, progress("evaluate"))
+    score = job.evaluate(recordings, configuration.load_with_model(structure), warn, progress("evaluate"))
     content = {
         "log_score_per_sample": score.log_score_per_sample,
         "csd_error": score.csd_error,

@@ -69,8 +69,8 @@ def ack(
     from monitor.service import Request
 
     settings = configuration.load(file)
-    stories = settings.model().structure.n_stories
-    if story > stories:
+    stories = len(settings.story_names)
+    if settings.has_model and story > stories:
         raise WrongUsageError(f"--story {story}: {file} has {stories}, and 0 for the whole")
     if sum((shelve is not None, unshelve, reset)) > 1:
         raise WrongUsageError("--shelve, --unshelve and --reset exclude each other")

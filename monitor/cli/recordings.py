@@ -54,7 +54,7 @@ def simulate(
     spare_inputs([] if out is None else [out], [structure, dbc])
     t0_ns = time_ns("--start", start) or 0
     with recording_for(out, to, dbc, speed) as file:
-        settings = configuration.load(structure)
+        settings = configuration.load_with_model(structure)
         highest_hz = float(settings.model().modes().frequencies_hz[-1])
         if highest_hz > rate / 2.0:
             warn(

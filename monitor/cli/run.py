@@ -33,8 +33,7 @@ def warm(
     Run it as the daemon's user, with its NUMBA_CACHE_DIR, after an installation.  A daemon does the same before READY.
     """
     from monitor.config import configuration
-    from monitor.damage import load_baseline
-    from monitor.runs import warm_up
+    from monitor.runs import load_healthy, warm_up
 
     if file is None:
         warm_up()
@@ -42,4 +41,4 @@ def warm(
     settings = configuration.load(file)
     name = settings.site.baseline
     path = None if name is None else file.resolve().parent / name
-    warm_up(settings, None if path is None else load_baseline(path, settings.instrumented(), settings.updating))
+    warm_up(settings, None if path is None else load_healthy(path, settings))

@@ -25,10 +25,12 @@ from monitor.identification import RefinementSettings, SelectionSettings, SsiSet
 from monitor.model import (
     FORMS,
     Drawing,
+    DrawnTable,
     Effect,
     EffectError,
     InstrumentedModel,
     LineTable,
+    ModalTable,
     Model,
     NodeTable,
     ShearFrame,
@@ -37,14 +39,22 @@ from monitor.model import (
 )
 from monitor.signals import FrontEnd, HealthSettings, ProcessingSettings, QualitySettings, TemperatureSettings
 
+NO_MODEL = (
+    'structure.kind: "modal" has no model of masses and stiffnesses, and this needs one: state kind = "shear_frame" or '
+    '"matrices" with the floor of each sensor'
+)
+"""What is said where a model is needed and none is drawn. [words]"""
+
 
 class SensorTable(Settings):
     """``[[sensors]]``: one accelerometer."""
 
     channel: str = Field(min_length=1)
     """Name of the channel in the data."""
-    floor: int = Field(ge=1)
-    """Floor (degree of freedom) on which the sensor is mounted; 1 is the top floor."""
+    floor: int | None = Field(default=None, ge=1)
+    """Floor (degree of freedom) on which the sensor is mounted; 1 is the top floor.  Needed unless the structure is ``modal``."""
+    label: str = ""
+    """Where the sensor is, for people, as ``mid-span, north``."""
 
 
 class InputTable(Settings):
@@ -190,22 +200,12 @@ class Configuration(Settings):
 
     @model_validator(mode="after")
     def _consistent(self) -> Configuration:
-        problems = []
-        n = len(self.structure.masses_kg)
         names = [s.channel for s in self.sensors]
-        problems += [f"sensors: channel {c!r} stands twice" for c in sorted({c for c in names if names.count(c) > 1})]
-        problems += [f"sensors: {s.channel!r} is on floor {s.floor} of {n}" for s in self.sensors if s.floor > n]
-        forced = [i.channel for i in self.inputs]
-        problems += [f"inputs: channel {c!r} stands twice" for c in sorted({c for c in forced if forced.count(c) > 1})]
-        problems += [f"inputs: {i.channel!r} acts on floor {i.floor} of {n}" for i in self.inputs if i.floor > n]
+        problems = [f"sensors: channel {c!r} stands twice" for c in sorted({c for c in names if names.count(c) > 1})]
+        problems += self._modal_problems() if isinstance(self.structure, ModalTable) else self._drawn_problems()
         problems += self._covariate_problems()
         references = self.identification.reference_channels
         problems += [f"identification: no channel {c!r}" for c in references if c not in names]
-        for table in self.effects:
-            try:
-                self._effect(table)
-            except EffectError as error:
-                problems.append(f"effects: {error}")
         p, lags, step_s = self.processing, self.front_end().n_lags, self.front_end().step_s
         if step_s * p.rate_hz < lags:
             problems.append(
@@ -214,14 +214,39 @@ class Configuration(Settings):
             )
         elif abs(step_s * p.rate_hz - round(step_s * p.rate_hz)) > 1e-6:
             problems.append(f"processing: window_s and hop_s must be whole numbers of samples at {p.rate_hz:g} Hz")
-        stories = len(self.structure.stiffness_n_per_m)
-        problems += [f"alarm.unwatched: there is no story {j}" for j in self.alarm.unwatched if not 1 <= j <= stories]
-        problems += drawing_problems(self.nodes, self.lines, n, stories)
-        if not problems:
+        if not problems and self.has_model:
             problems += self._model_problems()
         if problems:
             raise ValueError("\n".join(problems))
         return self
+
+    def _drawn_problems(self) -> list[str]:
+        """Check that the tables fit the floors and stories of the drawing."""
+        n, stories = len(self.drawn.masses_kg), len(self.drawn.stiffness_n_per_m)
+        problems = [f"sensors.{i}.floor: Field required" for i, s in enumerate(self.sensors) if s.floor is None]
+        problems += [f"sensors: {s.channel!r} is on floor {s.floor} of {n}" for s in self.sensors if (s.floor or 0) > n]
+        forced = [i.channel for i in self.inputs]
+        problems += [f"inputs: channel {c!r} stands twice" for c in sorted({c for c in forced if forced.count(c) > 1})]
+        problems += [f"inputs: {i.channel!r} acts on floor {i.floor} of {n}" for i in self.inputs if i.floor > n]
+        for table in self.effects:
+            try:
+                self._effect(table)
+            except EffectError as error:
+                problems.append(f"effects: {error}")
+        problems += [f"alarm.unwatched: there is no story {j}" for j in self.alarm.unwatched if not 1 <= j <= stories]
+        return problems + drawing_problems(self.nodes, self.lines, n, stories)
+
+    def _modal_problems(self) -> list[str]:
+        """Check that nothing is stated that needs a model."""
+        problems = [
+            f"sensors.{i}.floor: there are no floors" for i, s in enumerate(self.sensors) if s.floor is not None
+        ]
+        problems += [f"inputs: {i.channel!r}: a force needs a model to act on" for i in self.inputs]
+        problems += [f"effects: {t.effect!r}: there is no model that it could extend" for t in self.effects]
+        problems += [f"alarm.unwatched: there is no story {j}" for j in self.alarm.unwatched]
+        problems += [f"events.limits: {x.says!r}: there are no stories to judge" for x in self.events.limits]
+        problems = [f'{problem} with [structure] kind = "modal"' for problem in problems]
+        return problems + drawing_problems(self.nodes, self.lines, len(self.sensors), 0)
 
     def _covariate_problems(self) -> list[str]:
         """Check the names and topics of the covariates."""
@@ -247,7 +272,7 @@ class Configuration(Settings):
         if table.effect not in FORMS:
             raise EffectError(f"unknown effect {table.effect!r}; known: {', '.join(sorted(FORMS))}")
         effect = FORMS[table.effect].create(table.location, table.parameters)
-        effect.check(self.structure.structure(), self.channels)
+        effect.check(self.drawn.structure(), self.channels)
         return effect
 
     @property
@@ -260,15 +285,36 @@ class Configuration(Settings):
         """Name of the site in messages and keys: `site.name`, else the structure's name, else ``site``."""
         return self.site.name or self.structure.name or "site"
 
+    @property
+    def has_model(self) -> bool:
+        """Whether masses and stiffnesses are drawn; without them the modes alone are monitored."""
+        return not isinstance(self.structure, ModalTable)
+
+    @property
+    def drawn(self) -> DrawnTable:
+        """The structure as drawn.
+
+        Raises
+        ------
+        BadConfigurationError
+            If nothing is drawn.
+        """
+        if isinstance(self.structure, ModalTable):
+            raise BadConfigurationError(NO_MODEL)
+        return self.structure
+
     def model(self) -> Model:
         """Build the nominal model with the effects of the file."""
-        table = self.structure
+        table = self.drawn
         effects = tuple(self._effect(t) for t in self.effects)
         return Model(table.structure(), effects, table.correction(), table.modal_damping())
 
     @property
     def story_names(self) -> tuple[str, ...]:
-        """What people call each stiffness, shape (p,): its number, with its name where the structure file has one."""
+        """What people call each stiffness, shape (p,): its number, with its name where the structure file has one.  Without a
+        model there are none."""
+        if isinstance(self.structure, ModalTable):
+            return ()
         names = self.structure.story_names or ()
         return tuple(
             f"story {j}" + (f" ({names[j - 1]})" if names else "")
@@ -278,13 +324,21 @@ class Configuration(Settings):
     @property
     def drawing(self) -> Drawing:
         """The structure as it is drawn: by its ``[[nodes]]`` and ``[[lines]]``, else by what its kind tells of its form."""
-        return Drawing.of(self.nodes, self.lines) if self.nodes else self.structure.drawing()
+        if self.nodes:
+            return Drawing.of(self.nodes, self.lines)
+        return (
+            self.drawn.drawing()
+            if self.has_model
+            else Drawing.of_channels([s.label or s.channel for s in self.sensors])
+        )
 
     @property
     def size_words(self) -> str:
         """What the model consists of, in words: ``3 stories``, or ``6 stiffnesses, 12 degrees of freedom``."""
-        stories, dofs = len(self.structure.stiffness_n_per_m), len(self.structure.masses_kg)
-        if isinstance(self.structure.structure(), ShearFrame):
+        if not self.has_model:
+            return "no model, the modes alone"
+        stories, dofs = len(self.drawn.stiffness_n_per_m), len(self.drawn.masses_kg)
+        if isinstance(self.drawn.structure(), ShearFrame):
             return f"{stories} {'story' if stories == 1 else 'stories'}"
         stiffnesses = "1 stiffness" if stories == 1 else f"{stories} stiffnesses"
         return f"{stiffnesses}, {dofs} degree{'s' if dofs > 1 else ''} of freedom"
@@ -301,8 +355,8 @@ class Configuration(Settings):
 
     def instrumented(self) -> InstrumentedModel:
         """Build the nominal model with its sensors and the prior standard deviations of its parameters."""
-        floors = tuple(s.floor for s in self.sensors)
-        drawn, samples = self.structure, self.processing
+        drawn, samples = self.drawn, self.processing
+        floors = tuple(s.floor for s in self.sensors if s.floor is not None)
         return InstrumentedModel(
             self.model(),
             self.channels,
@@ -335,6 +389,20 @@ def read_toml(path: Path) -> dict[str, Any]:
         return tomllib.loads(text)
     except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise BadConfigurationError(f"{path}: not a TOML file: {error}") from error
+
+
+def load_with_model(path: Path) -> Configuration:
+    """Load the settings of a structure file or a site file that has a model, as `load`.
+
+    Raises
+    ------
+    BadConfigurationError
+        The file states the modes alone.
+    """
+    config = load(path)
+    if not config.has_model:
+        raise BadConfigurationError(f"{path}: {NO_MODEL}")
+    return config
 
 
 def load(path: Path) -> Configuration:

@@ -19,7 +19,8 @@ def name_stories(text: str, names: Sequence[str]) -> str:
     text : str
         With ``story 3``, which becomes ``story 3 (girder)``.
     names : sequence of str
-        What people call each story, as ``story 3 (girder)``, the first one first; no change where there are none.
+        What people call each story, as ``story 3 (girder)``, the first one first; no change where there are none.  A name of
+        another form, as ``mode 3``, takes the place of ``story 3``.
 
     Examples
     --------
@@ -29,7 +30,10 @@ def name_stories(text: str, names: Sequence[str]) -> str:
 
     def named(match: re.Match[str]) -> str:
         j = int(match[2])
-        return match[1] + names[j - 1][len("story") :] if 1 <= j <= len(names) else match[0]
+        if not 1 <= j <= len(names):
+            return match[0]
+        name = names[j - 1]
+        return match[1] + name.removeprefix("story") if name.startswith("story") else name
 
     return _STORY.sub(named, text)
 

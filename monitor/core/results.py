@@ -319,6 +319,41 @@ class DamageReading:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
+class ModalReading:
+    """Change of each mode since the baseline, less what the covariates explain; NaN for what the window does not show."""
+
+    ln_frequency: Array
+    """Shape (m,): change of the logarithm of each frequency of the baseline's modes."""
+    covariance: Array
+    """Shape (m, m): covariance of `ln_frequency`, with that of the baseline and of the covariates' law."""
+    common_covariance: Array
+    """Shape (m, m): the part of it that windows share; averaging does not reduce it."""
+    shape: Array
+    """Shape (m, c): change of the shapes' real parts, 1 at the largest component of the healthy shape, where it is NaN."""
+    shape_variance: Array
+    """Shape (m, c): variance of `shape`, with that of the baseline and of the covariates' law."""
+    shape_common_variance: Array
+    """Shape (m, c): the part of it that windows share."""
+    covariate_effect: dict[str, Array] = field(default_factory=dict)
+    """Shape (m,) for each known covariate: change of the logarithm of the frequency that it explains, removed from the change."""
+    beyond: str = ""
+    """What lies beyond calibration, in words, where what is not known of the covariates would hide an `alarm`."""
+    channels: tuple[int, ...] = ()
+    """Channels (0 = first) that the reading rests on; empty: all."""
+
+    @property
+    def ln_frequency_std(self) -> Array:
+        """Standard deviations of the changes of frequency, shape (m,)."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+    def largest_shape_change(self) -> tuple[Array, Array]:
+        """Return the most significant change of each shape and its standard deviation, shape (m,); NaN where none is known."""
+        z = np.abs(self.shape) / np.sqrt(self.shape_variance)
+        rows, best = np.arange(len(z)), np.where(np.isfinite(z), z, -1.0).argmax(axis=1)
+        return self.shape[rows, best], np.sqrt(self.shape_variance[rows, best])
+
+
+@dataclass(frozen=True, eq=False, slots=True)
 class Temperature:
     """Temperature of a window."""
 
@@ -335,7 +370,8 @@ class Alarm:
     """Story numbers from 1 at this level; empty if only the structure as a whole, or no story, is at it."""
     reason: str
     active: dict[int, Level] = field(default_factory=dict)
-    """Announced level of every story that is not normal; the key of the structure as a whole is `WHOLE`."""
+    """Announced level of every story that is not normal; the key of the structure as a whole is `WHOLE`.  Without a model the
+    numbers are those of the modes' frequencies, then of their shapes (`damage.modal_parts`)."""
     conditions: dict[int, AlarmCondition] = field(default_factory=dict)
     """Condition of every alarm that is not normal, including shelved alarms."""
 
@@ -366,6 +402,8 @@ class WindowResult:
     `temperature.LAGS_S`, in its unit; the level of motion has one value, in dB of 1 m of RMS drift."""
     left_out: tuple[LeftOutChannel, ...] = ()
     """Channels of which the window makes no use; their components of `modes.shapes` are NaN."""
+    modal: ModalReading | None = None
+    """Change of the modes, where they are all that is judged."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-from . import alarm, damage_index, slow_learning
+from . import alarm, slow_learning
 from .alarm import AlarmSettings, AlarmState, StoryState, hold
 from .alternative_solutions import second_solutions
 from .assessment import (
@@ -13,49 +13,57 @@ from .assessment import (
     facts_of,
     follow,
     is_seen,
+    modal_facts,
     outdated,
     utc,
 )
 from .baseline import Baseline, learn_baseline, rebase_baseline
 from .baseline_file import load_baseline, save_baseline
-from .covariate_law import CovariateLaw, Effect
-from .covariates import LEVEL, CovariateSettings, LearnedRange, beyond_words, law_lines, learned_ranges
-from .detectable_loss import smallest_detectable_loss
+from .covariates import LEVEL, CovariateSettings, LearnedRange, law_lines, learned_ranges
 from .feature_test import FeatureJudge, FeatureTable, FeatureVerdict, judge_features
-from .level import drift_m, drift_weights, level_db
+from .judge import AnyBaseline, Judge, Memory, View
+from .level import drift_m, level_db
+from .modal_alarm import modal_parts
+from .modal_baseline import ModalBaseline, ModalOrigin, learn_modal_baseline
+from .modal_baseline_file import load_modal_baseline, save_modal_baseline
+from .modal_judge import ModalJudge
 from .origin import Origin
+from .stiffness_judge import StiffnessJudge
 from .updating import Observation, Update, UpdatingSettings, observe, update
 
 __all__ = [
     "LEVEL",
     "AlarmSettings",
     "AlarmState",
+    "AnyBaseline",
     "Assessment",
     "Baseline",
     "Course",
-    "CovariateLaw",
     "CovariateSettings",
-    "Effect",
     "FeatureJudge",
     "FeatureTable",
     "FeatureVerdict",
+    "Judge",
     "Known",
     "LearnedRange",
     "Loss",
+    "Memory",
+    "ModalBaseline",
+    "ModalJudge",
+    "ModalOrigin",
     "Observation",
     "Origin",
     "State",
+    "StiffnessJudge",
     "StoryState",
     "Update",
     "UpdatingSettings",
+    "View",
     "WindowFacts",
     "alarm",
     "assess",
-    "beyond_words",
-    "damage_index",
     "diagnosis_of",
     "drift_m",
-    "drift_weights",
     "facts_of",
     "follow",
     "hold",
@@ -63,16 +71,20 @@ __all__ = [
     "judge_features",
     "law_lines",
     "learn_baseline",
+    "learn_modal_baseline",
     "learned_ranges",
     "level_db",
     "load_baseline",
+    "load_modal_baseline",
+    "modal_facts",
+    "modal_parts",
     "observe",
     "outdated",
     "rebase_baseline",
     "save_baseline",
+    "save_modal_baseline",
     "second_solutions",
     "slow_learning",
-    "smallest_detectable_loss",
     "update",
     "utc",
 ]

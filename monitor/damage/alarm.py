@@ -11,6 +11,7 @@ IEC 62682, Management of alarm systems for the process industries; ANSI/ISA-18.2
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -96,6 +97,8 @@ class AlarmState:
     stories: tuple[StoryState, ...]
     """Alarms of the stories, then the alarm of the structure as a whole."""
     history: History
+    shapes: History | None = None
+    """History of the mode shapes, where the modes alone are judged."""
 
 
 def start(n_stories: int, window_s: float = 400.0) -> AlarmState:
@@ -126,11 +129,11 @@ def step(state: AlarmState, damage: DamageReading, t_ns: int, settings: AlarmSet
     own = evidence.loss - sequential_test.shared_by_others(evidence.loss, evidence.std)
     *before, whole_before = state.stories
     updated = [
-        s if j in damage.unidentified else _update_alarm(s, float(loss), float(z), float(std), t_ns, settings)
+        s if j in damage.unidentified else update_alarm(s, float(loss), float(z), float(std), t_ns, settings)
         for j, (s, loss, z, std) in enumerate(zip(before, own, evidence.z, evidence.std, strict=True), start=1)
     ]
     std = float(evidence.std.max())
-    whole = _update_alarm(whole_before, shared, shared / std, std, t_ns, _advisory_only(settings))
+    whole = update_alarm(whole_before, shared, shared / std, std, t_ns, advisory_only(settings))
     lost = {
         j: f"story {j} lost {100 * d:.1f} ± {200 * s:.1f} % (mean of the latest windows)"
         for j, (d, s) in enumerate(zip(own, evidence.std, strict=True), start=1)
@@ -139,16 +142,22 @@ def step(state: AlarmState, damage: DamageReading, t_ns: int, settings: AlarmSet
     alike = f"all stories changed alike, stiffness by {-100 * shared:+.1f} % (weather, mass, clock or stiffness)"
     stories = [*updated, whole]
     if damage.beyond:
-        stories = [_unless_fallen(s, now) for s, now in zip(state.stories, stories, strict=True)]
-    state = AlarmState(tuple(_end_shelving(s, t_ns) for s in stories), history)
-    announced = _summarize(state.stories, lost, alike if shared else "")
+        stories = [unless_fallen(s, now) for s, now in zip(state.stories, stories, strict=True)]
+    state = AlarmState(tuple(end_shelving(s, t_ns) for s in stories), history)
+    announced = summarize(state.stories, lost, alike if shared else "")
     return state, replace(announced, reason=f"{announced.reason}; {damage.beyond}") if damage.beyond else announced
 
 
-def hold(state: AlarmState, t_ns: int) -> tuple[AlarmState, Alarm]:
-    """Keep the alarms over a skipped window; only shelving whose time is over ends."""
-    stories = tuple(_end_shelving(s, t_ns) for s in state.stories)
-    return replace(state, stories=stories), _summarize(stories, {}, "unchanged: the window was skipped")
+def hold(state: AlarmState, t_ns: int, names: Sequence[str] = ()) -> tuple[AlarmState, Alarm]:
+    """Keep the alarms over a skipped window; only shelving whose time is over ends.
+
+    Parameters
+    ----------
+    names : sequence of str
+        What the alarms are about; stories by default.
+    """
+    stories = tuple(end_shelving(s, t_ns) for s in state.stories)
+    return replace(state, stories=stories), summarize(stories, {}, "unchanged: the window was skipped", names)
 
 
 def acknowledge(state: AlarmState, story: int, who: str) -> AlarmState:
@@ -217,18 +226,18 @@ def _replace_alarm(state: AlarmState, story: int, alarm: StoryState) -> AlarmSta
     return replace(state, stories=tuple(stories))
 
 
-def _end_shelving(alarm: StoryState, t_ns: int) -> StoryState:
+def end_shelving(alarm: StoryState, t_ns: int) -> StoryState:
     """End the shelving of an alarm if its time is over."""
     return replace(alarm, shelved=None) if alarm.shelved is not None and t_ns >= alarm.shelved.until_ns else alarm
 
 
 @lru_cache(maxsize=8)
-def _advisory_only(settings: AlarmSettings) -> AlarmSettings:
+def advisory_only(settings: AlarmSettings) -> AlarmSettings:
     """Return the settings for the structure as a whole: the cause is unknown, so its level never exceeds advisory."""
     return settings.model_copy(update={"confirm_s": np.inf, "min_loss": settings.uniform_loss})
 
 
-def _update_alarm(
+def update_alarm(
     alarm: StoryState, loss: float, z: float, std: float, t_ns: int, settings: AlarmSettings
 ) -> StoryState:
     """Update one alarm by relative loss, z-score, and standard deviation of the loss."""
@@ -261,13 +270,25 @@ def _update_alarm(
     return replace(alarm, level=Level.NORMAL, since_ns=None, quiet_since_ns=None)
 
 
-def _unless_fallen(before: StoryState, now: StoryState) -> StoryState:
+def unless_fallen(before: StoryState, now: StoryState) -> StoryState:
     """Return the present state of an alarm, or the one before where the alarm fell or began to fall."""
     return before if now.quiet_since_ns is not None or now.level.rank < before.level.rank else now
 
 
-def _summarize(stories: tuple[StoryState, ...], lost: dict[int, str], otherwise: str) -> Alarm:
-    """Combine all alarms to the announced level with its reason; `lost` words each story's loss, `otherwise` a common change."""
+def summarize(
+    stories: tuple[StoryState, ...], lost: dict[int, str], otherwise: str, names: Sequence[str] = ()
+) -> Alarm:
+    """Combine all alarms to the announced level with its reason.
+
+    Parameters
+    ----------
+    lost : dict
+        Words for each story's loss, by its number.
+    otherwise : str
+        Words for a common change.
+    names : sequence of str
+        What the alarms are about; stories by default.
+    """
     alarms = dict(zip([*range(1, len(stories)), WHOLE], stories, strict=True))
     active: dict[int, Level] = {j: a.announced for j, a in alarms.items() if a.announced is not Level.NORMAL}
     conditions: dict[int, AlarmCondition] = {
@@ -280,10 +301,12 @@ def _summarize(stories: tuple[StoryState, ...], lost: dict[int, str], otherwise:
         words.append(otherwise)
     if level is Level.ADVISORY and highest != [WHOLE]:
         words.append("not confirmed yet")
-    words += [f"{_name(j)} shelved: {a.shelved.reason}" for j, a in alarms.items() if a.shelved is not None]
+    words += [f"{_name(j, names)} shelved: {a.shelved.reason}" for j, a in alarms.items() if a.shelved is not None]
     return Alarm(level, tuple(j for j in highest if j != WHOLE), ", ".join(words), active, conditions)
 
 
-def _name(story: int) -> str:
-    """Name a story in a message."""
-    return f"story {story}" if story != WHOLE else "the whole structure"
+def _name(story: int, names: Sequence[str]) -> str:
+    """Name a story, or what else alarms are about, in a message."""
+    if story == WHOLE:
+        return "the whole structure"
+    return names[story - 1] if names else f"story {story}"

@@ -17,8 +17,9 @@ from typing import Any
 
 import numpy as np
 
-from monitor.core import WHOLE, AlarmCondition, DamageReading, Level, Skipped, WindowResult
+from monitor.core import WHOLE, AlarmCondition, DamageReading, Level, ModalReading, Skipped, WindowResult
 from monitor.damage.detectable_loss import WITHIN_S
+from monitor.damage.modal_alarm import change_words
 from monitor.model import FORMS
 
 _UNIT_FACTOR = 4.9
@@ -75,6 +76,9 @@ class Loss:
     t_first_ns: int
     t_last_ns: int | None = None
     """None while the alarm lasts."""
+    modal: bool = False
+    """Whether `story` is the number of a mode or of a shape (`modal_alarm.modal_parts`), and `ddi` its relative change, negative
+    for a fall."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,6 +118,8 @@ class WindowFacts:
     """Relative loss of stiffness, negative for a rise, and its standard deviation, of every story."""
     left_out: tuple[tuple[str, str], ...] = ()
     """Channels of which no use was made, and what was wrong with each."""
+    modal: bool = False
+    """Whether modes alone are judged: stories are then numbers of modes and shapes, and losses their changes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,6 +149,22 @@ class Course:
 
 
 @dataclass(frozen=True, slots=True)
+class Words:
+    """What is judged, as people call it."""
+
+    part: str
+    every: str
+    loss: str
+    """What is looked for, with its article left out."""
+
+
+_STORIES = Words("story", "every story", "loss")
+"""Words with a model. [words]"""
+_MODES = Words("mode", "every mode", "change of frequency")
+"""Words without a model. [words]"""
+
+
+@dataclass(frozen=True, slots=True)
 class Known:
     """What does not change from window to window."""
 
@@ -163,6 +185,18 @@ class Known:
     """Name and place of the effects that the structure file states."""
     channels: tuple[str, ...] = ()
     """Names of the channels; empty where they are not known."""
+    n_modes: int | None = None
+    """Number of the modes, where these alone are judged; `names` are then theirs and their shapes'."""
+
+    @property
+    def words(self) -> Words:
+        """What is judged, in words."""
+        return _STORIES if self.n_modes is None else _MODES
+
+    @property
+    def seen_from(self) -> float:
+        """Change that must have been seen for an all-clear, as `detectable` counts it."""
+        return self.alarm_loss if self.n_modes is None else 0.5 * self.alarm_loss
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,6 +216,8 @@ class Assessment:
 def facts_of(result: WindowResult) -> WindowFacts:
     """Collect what the state needs of a window's result."""
     alarm, damage = result.alarm, result.damage
+    if result.modal is not None:
+        return _of_modes(result, result.modal)
     shelved = tuple(j for j, condition in alarm.conditions.items() if condition is AlarmCondition.SHELVED)
     losses = {} if damage is None else {story: _reading(damage, story) for story in alarm.active}
     detectable = None
@@ -199,6 +235,68 @@ def facts_of(result: WindowResult) -> WindowFacts:
         result.rms_m_s2,
         () if damage is None else tuple(zip(damage.ddi.tolist(), damage.ddi_std.tolist(), strict=True)),
         tuple((gone.channel, gone.reason) for gone in result.left_out),
+    )
+
+
+def _of_modes(result: WindowResult, modal: ModalReading) -> WindowFacts:
+    """Collect what the state needs of a window of modes alone."""
+    shape, shape_std = modal.largest_shape_change()
+    sizes = np.concatenate([np.expm1(modal.ln_frequency), shape])
+    stds = np.concatenate([modal.ln_frequency_std, shape_std])
+    return modal_facts(
+        result.t_end_ns,
+        result.window_s,
+        dict(result.alarm.active),
+        [(s, d) if np.isfinite(s) else (None, None) for s, d in zip(sizes.tolist(), stds.tolist(), strict=True)],
+        tuple(j for j, condition in result.alarm.conditions.items() if condition is AlarmCondition.SHELVED),
+        None if result.detectable_loss is None else result.detectable_loss.tolist(),
+        result.rms_m_s2,
+        tuple((gone.channel, gone.reason) for gone in result.left_out),
+    )
+
+
+def modal_facts(
+    t_end_ns: int,
+    window_s: float,
+    active: dict[int, Level],
+    sizes: Sequence[tuple[float | None, float | None]],
+    shelved: tuple[int, ...],
+    detectable: Sequence[float | None] | None,
+    rms_m_s2: float | None,
+    left_out: tuple[tuple[str, str], ...],
+) -> WindowFacts:
+    """Make the facts of a judged window of modes alone.
+
+    Parameters
+    ----------
+    sizes : sequence
+        Change of each mode's frequency, then of each shape, with its standard deviation; None where it was not seen.
+    detectable : sequence of float or None
+        Smallest change of each frequency that would have been seen.
+    """
+    n_modes = len(sizes) // 2
+    frequencies = [(size, std) for size, std in sizes[:n_modes] if size is not None and std is not None]
+    losses: dict[int, tuple[float, float, float | None]] = {}
+    for part in active:
+        size, std = (
+            min(frequencies, key=lambda s: abs(s[0]), default=(None, None)) if part == WHOLE else sizes[part - 1]
+        )
+        if size is not None and std is not None:
+            losses[part] = size, std, None
+    seen = [None if v is None or not np.isfinite(v) else float(v) for v in detectable or ()]
+    return WindowFacts(
+        t_end_ns,
+        window_s,
+        None,
+        active,
+        losses,
+        shelved,
+        None if detectable is None else tuple(seen),
+        None,
+        rms_m_s2,
+        tuple(frequencies),
+        left_out,
+        modal=True,
     )
 
 
@@ -268,13 +366,13 @@ def _followed(losses: Sequence[Loss], window: WindowFacts) -> tuple[Loss, ...]:
                 loss = replace(loss, t_last_ns=window.t_end_ns)
         elif loss.t_last_ns is None and loss.story in window.losses:
             level, (ddi, std, stiffness) = window.active[loss.story], window.losses[loss.story]
-            if level.rank >= loss.level.rank and ddi > 2.0 * std:
+            if level.rank >= loss.level.rank and (abs(ddi) if window.modal else ddi) > 2.0 * std:
                 loss = replace(loss, level=level, ddi=ddi, ddi_std=std, loss_n_per_m=stiffness)
         out.append(loss)
     known = {loss.story for loss in out if loss.t_last_ns is None}
     for story, level in window.active.items():
         if story not in known and story in window.losses:
-            out.append(Loss(level, story, *window.losses[story], window.t_end_ns))
+            out.append(Loss(level, story, *window.losses[story], window.t_end_ns, modal=window.modal))
     return tuple(out)
 
 
@@ -351,9 +449,12 @@ def _alarms(course: Course, known: Known, findings: Sequence[Mapping[str, Any]],
     facts = []
     shelved = () if course.last is None else course.last.shelved
     losses = [loss for loss in course.losses if whole or (loss.t_last_ns is None and loss.story not in shelved)]
-    for loss in sorted(losses, key=lambda item: (-item.level.rank, -item.ddi)):
+    for loss in sorted(losses, key=lambda item: (-item.level.rank, _is_shape(item, known), -abs(item.ddi))):
         now = None if course.judged is None or whole else course.judged.active.get(loss.story)
-        if loss.story == WHOLE:
+        if loss.modal:
+            says = f"changed since the baseline: {_change(loss, known)}"
+            says += ", not confirmed yet" if loss.level is Level.ADVISORY and loss.story != WHOLE else ""
+        elif loss.story == WHOLE:
             says = f"every story lost {100 * loss.ddi:.1f} % alike (weather, mass, clock or stiffness)"
         else:
             says = f"{_name(loss.story, known)} lost {_percent(loss)} of its stiffness since the baseline"
@@ -440,7 +541,7 @@ def _unalarmed(course: Course, findings: Sequence[Mapping[str, Any]], known: Kno
 
 def _risen(course: Course, known: Known) -> list[str]:
     """Ask about the baseline where a story is stiffer than at calibration by as much as an alarm's loss."""
-    changes = () if course.judged is None else course.judged.changes
+    changes = () if course.judged is None or known.n_modes is not None else course.judged.changes
     return [
         f"{_name(j, known)} is {-100 * change:.1f} ± {200 * std:.1f} % stiffer than at calibration: was it damaged then, or is "
         "a sensor, a mass or the temperature another?"
@@ -497,11 +598,16 @@ def _alike(course: Course, known: Known) -> list[Fact]:
     window = course.judged
     if window is None or not known.has_baseline or window.active or len(window.changes) < 2:
         return []
-    least, std = min(window.changes)
+    changes = window.changes
+    if window.modal:  # of the same sign, as losses
+        falls = sum(size < 0.0 for size, _ in changes) > 0.5 * len(changes)
+        changes = tuple((-size if falls else size, std) for size, std in changes)
+    least, std = min(changes)
     seen = [loss for loss in window.detectable or () if loss is not None]
     if not seen or least < max(max(seen), _RISE_STDS * std):
         return []
-    says = f"every story lost {100 * least:.1f} % alike, too little for an alarm (weather, mass, clock or stiffness)"
+    what = f"{known.words.every} {'changed by' if window.modal else 'lost'} {100 * least:.1f} % alike"
+    says = f"{what}, too little for an alarm (weather, mass, clock or stiffness)"
     return [(State.NOT_JUDGED, _sentence(says))]
 
 
@@ -536,7 +642,7 @@ def _unseen(window: WindowFacts, known: Known) -> list[int]:
     return [
         j
         for j, loss in enumerate(window.detectable or (), start=1)
-        if j not in known.unwatched and not ({j, WHOLE}.isdisjoint(window.shelved) and is_seen(loss, known.alarm_loss))
+        if j not in known.unwatched and not ({j, WHOLE}.isdisjoint(window.shelved) and is_seen(loss, known.seen_from))
     ]
 
 
@@ -549,17 +655,17 @@ def _seen(course: Course, known: Known) -> str:
     """State the smallest loss that would have been seen, and the stories in which none would."""
     window = course.judged
     if window is None or window.detectable is None:
-        return "how small a loss would have been seen is not recorded in these results"
+        return f"how small a {known.words.loss} would have been seen is not recorded in these results"
     unseen = _unseen(window, known)
     blind = sorted({*unseen, *known.unwatched})
     losses = [loss for j, loss in enumerate(window.detectable, start=1) if j not in blind and loss is not None]
     if all(loss is None for loss in window.detectable):
-        return "no loss would have been seen in any story"
+        return f"no {known.words.loss} would have been seen in any {known.words.part}"
     notes = [_why_unseen(j, window, known) for j in blind]
     if not losses:
-        return "no loss would have been seen: " + "; ".join(notes)
-    where = "any story" if not blind else "any other story"
-    loss = f"no loss above {100 * max(losses):.2g} % in {where}"
+        return f"no {known.words.loss} would have been seen: " + "; ".join(notes)
+    where = f"any {known.words.part}" if not blind else f"any other {known.words.part}"
+    loss = f"no {known.words.loss} above {100 * max(losses):.2g} % in {where}"
     if unseen:
         return f"{'; '.join(notes)}; {loss}"
     return "; ".join([loss, *notes])
@@ -570,14 +676,14 @@ def _why_unseen(story: int, window: WindowFacts, known: Known) -> str:
     name = _name(story, known)
     loss = None if window.detectable is None else window.detectable[story - 1]
     if WHOLE in window.shelved:
-        return f"the alarm of every story alike is shelved, so nothing is said of {name}"
+        return f"the alarm of {known.words.every} alike is shelved, so nothing is said of {name}"
     if story in window.shelved:
         return f"the alarm of {name} is shelved"
     if story in known.unwatched:
         return f"{name} is not watched"
     if loss is None or loss >= 1.0:
         return f"{name} is not seen"
-    return f"in {name} only a loss above {100 * loss:.2g} % would be seen"
+    return f"in {name} only a {known.words.loss} above {100 * loss:.2g} % would be seen"
 
 
 def _remarks(course: Course, known: Known, whole: bool) -> list[str]:
@@ -591,20 +697,41 @@ def _remarks(course: Course, known: Known, whole: bool) -> list[str]:
         f"channel {o.channel} was left out ({_without_numbers(o.reason)}) from {utc(o.t_first_ns)} to {utc(o.t_last_ns or 0)} UTC"
         for o in outages
     ]
+    says += _all_frequencies(course, known)
     ended = [loss for loss in course.losses if loss.t_last_ns is not None]
     if ended and not whole:
         loss = ended[-1]
+        size = _change(loss, known) if loss.modal else _percent(loss)
         says.append(
-            f"an earlier {loss.level.value} of {_name(loss.story, known)} ({_percent(loss)}) "
-            f"ended {utc(loss.t_last_ns or 0)} UTC"
+            f"an earlier {loss.level.value} of {_name(loss.story, known)} ({size}) ended {utc(loss.t_last_ns or 0)} UTC"
         )
     return [_sentence(sentence) for sentence in says]
 
 
 def _name(story: int, known: Known) -> str:
     if story == WHOLE:
-        return "every story"
+        return known.words.every
     return known.names[story - 1] if story <= len(known.names) else f"story {story}"
+
+
+def _all_frequencies(course: Course, known: Known) -> list[str]:
+    """Say how all frequencies changed, where modes alone are judged, all are known and something was announced."""
+    window = course.judged
+    if window is None or not course.losses or known.n_modes is None or len(window.changes) != known.n_modes:
+        return []
+    changes = [change_words(f"mode {k}", size, std) for k, (size, std) in enumerate(window.changes, 1)]
+    return [f"by the latest window {', '.join(changes)}"]
+
+
+def _is_shape(loss: Loss, known: Known) -> bool:
+    """Tell whether a shape changed, not a frequency."""
+    return known.n_modes is not None and loss.story > known.n_modes
+
+
+def _change(loss: Loss, known: Known) -> str:
+    """Say how a mode or a shape changed."""
+    words = change_words(_name(loss.story, known), loss.ddi, loss.ddi_std)
+    return f"{words} alike (weather, mass, clock or stiffness)" if loss.story == WHOLE else words
 
 
 def _percent(loss: Loss) -> str:

@@ -60,7 +60,7 @@ class _Axis(_Strict):
     range: tuple[float, float]
 
 
-class _Law(_Strict):
+class Law(_Strict):
     """`CovariateLaw` in the file."""
 
     axes: tuple[_Axis, ...]
@@ -139,7 +139,7 @@ class _Content(_Strict):
     recordings: tuple[dict[str, str], ...]
     span_ns: tuple[int, int]
     temperature: _Temperature | None = None
-    law: _Law | None = None
+    law: Law | None = None
     drift_weights: Matrix | None = None
     stiffness_correction_n_per_m: Matrix | None = None
     reference: _Reference | None = None
@@ -168,6 +168,30 @@ def save_baseline(baseline: Baseline, path: Path) -> None:
     write_atomically(path, json.dumps(content, indent=1, allow_nan=False) + "\n")
 
 
+def read_content(path: Path) -> tuple[str, dict[str, Any]]:
+    """Read the text of a baseline's file, of any kind, and the JSON object that it holds.
+
+    Raises
+    ------
+    MissingInputError, BadInputError
+        If the file cannot be read.
+    ValueError, RecursionError
+        If it holds no JSON.
+    TypeError
+        If it holds no object.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except UnicodeDecodeError as error:
+        raise BadInputError(f"{path}: not a baseline file (no UTF-8 text); make one with 'calibrate'") from error
+    except OSError as error:
+        raise MissingInputError(f"{path}: {error.strerror}") from error
+    tree = json.loads(text)
+    if not isinstance(tree, dict):
+        raise TypeError("it is no JSON object")
+    return text, tree
+
+
 def load_baseline(
     path: Path, instrumented: InstrumentedModel, updating: UpdatingSettings, *, redrawn: bool = False
 ) -> Baseline:
@@ -193,13 +217,13 @@ def load_baseline(
         If the baseline is another structure's.
     """
     try:
-        text = path.read_text(encoding="utf-8")
-    except UnicodeDecodeError as error:
-        raise BadInputError(f"{path}: not a baseline file (no UTF-8 text); make one with 'calibrate'") from error
-    except OSError as error:
-        raise MissingInputError(f"{path}: {error.strerror}") from error
-    try:
-        if (written := json.loads(text)["format"]) != FORMAT:
+        text, tree = read_content(path)
+        if "kind" in tree:
+            raise BadConfigurationError(
+                f"{path}: the baseline is of modes alone, and this structure has a model; make one with 'calibrate' and this "
+                "structure file"
+            )
+        if (written := tree["format"]) != FORMAT:
             raise BadInputError(f"{path}: baseline format {written!r}, expected {FORMAT}; calibrate anew")
         content = _Content.model_validate_json(text)
         _demand_own(path, content, instrumented, updating, redrawn)

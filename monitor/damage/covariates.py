@@ -80,9 +80,14 @@ class LearnedRange(NamedTuple):
 
 
 def learn_law(
-    changes: Sequence[Change], span_s: float, units: Mapping[str, str], settings: CovariateSettings
+    changes: Sequence[Change],
+    span_s: float,
+    units: Mapping[str, str],
+    settings: CovariateSettings,
+    *,
+    alike: bool = True,
 ) -> CovariateLaw | None:
-    """Learn the dependence of the stories on all covariates over healthy windows.
+    """Learn the dependence of the stories, or of other quantities, on all covariates over healthy windows.
 
     Parameters
     ----------
@@ -92,6 +97,8 @@ def learn_law(
         Time from the first window to the last, s; lags up to a quarter of it are tried.
     units : mapping
         Unit of each covariate that may be learned from, by its name.
+    alike : bool
+        Whether the quantities follow the covariates in about the same way, before anything is learned.
 
     Returns
     -------
@@ -117,7 +124,8 @@ def learn_law(
         return None
     relative = np.log1p(np.array([c.relative for c in changes]))
     noise = np.mean([c.deviations.T @ c.deviations for c in changes], axis=0)
-    prior = stories_prior(relative.shape[1], settings.unevenness)
+    n = relative.shape[1]
+    prior = stories_prior(n, settings.unevenness) if alike else np.eye(n)
     lags = [lag_s for lag_s in LAGS_S if lag_s <= span_s / 4.0]
     return learn(relative, noise, prior, axes, values, overlap, lags)
 
@@ -176,8 +184,8 @@ def beyond_words(law: CovariateLaw, covariates: Mapping[str, Array]) -> str:
     )
 
 
-def law_lines(law: CovariateLaw | None) -> list[str]:
-    """Say for people how far each covariate moved the healthy stiffness, one line each."""
+def law_lines(law: CovariateLaw | None, moved: str = "the stiffness of the stories") -> list[str]:
+    """Say for people how far each covariate `moved` the healthy stiffness, one line each."""
     if law is None:
         return ["no dependence on temperature or level learned: too short a record"]
     lines = []
@@ -186,9 +194,7 @@ def law_lines(law: CovariateLaw | None) -> list[str]:
         sizes = ", ".join(f"{100 * c:+.2f} ± {200 * s:.2f}" for c, s in zip(change, std, strict=True))
         low, high = (shown(axis, v) for v in axis.range)
         lag = f", lag {axis.lag_s:.0f} s" if axis.lag else ""
-        lines.append(
-            f"{axis.name} from {low:.3g} to {high:.3g} {shown_unit(axis)} changes the stiffness of the stories by {sizes} %{lag}"
-        )
+        lines.append(f"{axis.name} from {low:.3g} to {high:.3g} {shown_unit(axis)} changes {moved} by {sizes} %{lag}")
     return lines
 
 

@@ -55,13 +55,20 @@ def smallest_detectable_loss(reading: DamageReading, history: History, hop_s: fl
         Relative losses of stiffness (0.02 = 2 %); infinite where no loss can be confirmed: too few windows, or modes that say
         next to nothing of the story.
     """
+    loss = detectable_change(history, hop_s, settings, reading.model_form)
+    loss[[j - 1 for j in reading.unidentified]] = np.inf
+    return loss
+
+
+def detectable_change(history: History, hop_s: float, settings: AlarmSettings, model_form: float = 0.0) -> Array:
+    """Compute the smallest sudden change of each quantity that the alarm sees, as `smallest_detectable_loss`, shape (n,)."""
     if (history.t_ns.size - 1) * hop_s < settings.confirm_s:
-        return np.full(reading.ddi.size, np.inf)
+        return np.full(history.ddi.shape[1], np.inf)
     common = history.common.mean(axis=0)  # of the windows' conditions since the longest stretch began
     own_std = np.exp(0.5 * history.ln_variance)
     window_s = history.window_ns * 1e-9
     common_std = np.sqrt(np.maximum(np.diag(common), 1e-24))
-    loss = _simulated(
+    return _simulated(
         _steps(own_std, _LN_STEP),
         _steps(common_std, _LN_COMMON_STEP),
         _correlation(common),
@@ -69,11 +76,9 @@ def smallest_detectable_loss(reading: DamageReading, history: History, hop_s: fl
         int((_judged_s(history, hop_s) + 1e-6) // window_s),
         round(settings.confirm_s / window_s, 6),
         settings.significance,
-        max(settings.model_form, reading.model_form),
+        max(settings.model_form, model_form),
         settings.min_loss,
     ).copy()
-    loss[[j - 1 for j in reading.unidentified]] = np.inf
-    return loss
 
 
 def _judged_s(history: History, hop_s: float) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from monitor.core import Array
-from monitor.model import Model
+from monitor.model import Model, Modes
 
 _LEAST_M = 1e-15
 """Drift below which a sensor that stands still is not told from another. [m; rounding]"""
@@ -29,11 +29,28 @@ def drift_weights(model: Model, sensors: Array, cutoff_hz: float) -> Array:
     ndarray, shape (c, c), s^4
         Mean over the stories of the square drift is the sum of the products with the covariance, (m/s^2)^2.
     """
-    modes = model.modes()
+    return _weights(model.modes(), model.structure.drift_matrix(), sensors, cutoff_hz)
+
+
+def displacement_weights(modes: Modes, sensors: Array) -> Array:
+    """Compute the weights of the accelerations' covariance in the mean square displacement of all channels, as `drift_weights`.
+
+    Parameters
+    ----------
+    modes : Modes
+        Modes as the channels show them.
+    sensors : ndarray, shape (c, n)
+        Channels in use by all channels.
+    """
+    return _weights(modes, np.eye(sensors.shape[1]), sensors, np.inf)
+
+
+def _weights(modes: Modes, displayed: Array, sensors: Array, cutoff_hz: float) -> Array:
+    """Compute the weights, shape (c, c), of a mean square of motions that the rows of `displayed` make of the displacements."""
     used = max(1, min(len(sensors), int(np.count_nonzero(modes.frequencies_hz < cutoff_hz))))
     shapes = modes.shapes[:, :used]
     resolved = np.linalg.pinv(sensors @ shapes, rcond=1e-6)
-    drift = ((model.structure.drift_matrix() @ shapes) ** 2).mean(axis=0) / modes.eigenvalues[:used] ** 2
+    drift = ((displayed @ shapes) ** 2).mean(axis=0) / modes.eigenvalues[:used] ** 2
     return np.asarray(resolved.T @ (drift[:, None] * resolved))
 
 

@@ -62,11 +62,12 @@ class History:
     t_ns: NDArray[np.int64]
     """Shape (h,): ends of the windows, UTC."""
     ddi: Array
-    """Shape (h, n): damage index."""
+    """Shape (h, n): damage index, or the change of another quantity; NaN where a window does not show it."""
     variance: Array
     """Shape (h, n): variance of the damage index in each window, without the baseline's error."""
     common: Array
-    """Shape (h, n, n): covariance that a window has in common with the others: the baseline's and the covariates' law's."""
+    """Shape (h, n, n): covariance that a window has in common with the others: the baseline's and the covariates' law's.  Shape
+    (h, n) where only its variances are kept."""
     ln_variance: Array
     """Shape (n,): smoothed logarithm of the variance."""
     memory_s: float
@@ -93,9 +94,34 @@ class SequentialStatistic:
     """Shape (n,): standard deviation of `loss`."""
 
 
-def begin(n_stories: int, window_s: float) -> History:
-    """Return the empty history of n stories, for windows of `window_s` seconds."""
-    none, shared = np.zeros((0, n_stories)), np.zeros((0, n_stories, n_stories))
+@dataclass(frozen=True, eq=False, slots=True)
+class Averages:
+    """Means over the k stretches that end with the newest reading."""
+
+    means: Array
+    """Shape (k, n); 0 where the newest reading does not show the quantity."""
+    variances: Array
+    """Shape (k, n): their own variances, without what readings have in common."""
+    common: Array
+    """Shape (k, n, n) or (k, n), as `History.common`: mean of what the readings have in common."""
+    agrees: NDArray[np.bool_]
+    """Shape (k, n): whether the newest reading agrees with the mean."""
+
+    def longest(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Return the index, into (k, n), of the longest stretch of each quantity with which the newest reading agrees."""
+        return len(self.agrees) - 1 - self.agrees[::-1].argmax(axis=0), np.arange(self.agrees.shape[1])
+
+
+def begin(n_stories: int, window_s: float, *, variances_only: bool = False) -> History:
+    """Return the empty history of n stories, or other quantities, for windows of `window_s` seconds.
+
+    Parameters
+    ----------
+    variances_only : bool
+        Keep of what windows have in common the variances alone.
+    """
+    none = np.zeros((0, n_stories))
+    shared = none if variances_only else np.zeros((0, n_stories, n_stories))
     t_ns = np.zeros(0, dtype=np.int64)
     return History(round(window_s * 1e9), t_ns, none, none, shared, np.zeros(n_stories), 0.0)
 
@@ -115,25 +141,74 @@ def look(history: History, reading: DamageReading, t_ns: int, model_form: float)
     n = reading.ddi.size
     own = reading.ddi_covariance - reading.common_covariance + (1e-24 - reading.form_variance) * np.eye(n)
     model_form = max(model_form, reading.model_form)
-    variance = own.diagonal()
     common = np.broadcast_to(reading.common_covariance, (n, n))
-    history = _append(_of_channels(history, reading.channels), reading, variance, common, t_ns)
+    history, over = average(history, reading.ddi, own.diagonal(), common, reading.channels, t_ns)
+    z, std = statistic(over.means, _covariance_of(over, own), model_form)
+    longest = over.longest()
+    best = np.where(over.agrees, z, -np.inf).max(axis=0)
+    return history, SequentialStatistic(best, over.means[longest], std[longest])
+
+
+def average(
+    history: History, values: Array, variance: Array, common: Array, channels: tuple[int, ...], t_ns: int
+) -> tuple[History, Averages]:
+    """Append a reading of n quantities and average the readings over all stretches that end with it.
+
+    Parameters
+    ----------
+    values, variance : ndarray, shape (n,)
+        NaN for a quantity that the window does not show.
+    common : ndarray, shape (n, n) or (n,)
+        As one item of `History.common`.
+    channels : tuple of int
+        Channels that the reading rests on; empty: all.
+    t_ns : int
+        End of the window, UTC.
+    """
+    history = _append(_of_channels(history, channels), values, variance, common, channels, t_ns)
     chain = _comparable(history, _disjoint_readings(history), common)
     age = (t_ns - history.t_ns[chain]) / history.window_ns
-    counts = np.array([np.count_nonzero(age < stretch - 1e-6) for stretch in STRETCHES])
-    ddi, variance = history.ddi[chain], history.variance[chain]
-    means = np.cumsum(ddi, axis=0)[counts - 1] / counts[:, None]
-    variances = np.cumsum(variance, axis=0)[counts - 1] / counts[:, None] ** 2
-    scale = np.sqrt(variances / own.diagonal())
-    common = np.cumsum(history.common[chain], axis=0)[counts - 1] / counts[:, None, None]
-    covariance = own * scale[:, :, None] * scale[:, None, :] + common
-    z, std = statistic(means, covariance, model_form)
-    agrees = np.abs(ddi[0] - means) <= _MAX_DISAGREEMENT * np.sqrt(
-        variance[0] * (1.0 - 2.0 / counts[:, None]) + variances
-    )
+    last = np.array([np.count_nonzero(age < stretch - 1e-6) for stretch in STRETCHES]) - 1
+    shown = np.isfinite(history.ddi[chain])
+    counts = np.maximum(np.cumsum(shown, axis=0)[last], 1)
+    means = np.cumsum(np.where(shown, history.ddi[chain], 0.0), axis=0)[last] / counts
+    variances = np.cumsum(np.where(shown, history.variance[chain], 0.0), axis=0)[last] / counts**2
+    readings = (last + 1).reshape(-1, *[1] * common.ndim)
+    shared = np.cumsum(history.common[chain], axis=0)[last] / readings
+    newest, own = np.where(shown[0], history.ddi[-1], 0.0), np.where(shown[0], history.variance[-1], 0.0)
+    agrees = np.abs(newest - means) <= _MAX_DISAGREEMENT * np.sqrt(own * (1.0 - 2.0 / counts) + variances)
     agrees[0] = True
-    longest = len(STRETCHES) - 1 - agrees[::-1].argmax(axis=0), np.arange(z.shape[1])
-    return history, SequentialStatistic(np.where(agrees, z, -np.inf).max(axis=0), means[longest], std[longest])
+    return history, Averages(means, variances, shared, agrees)
+
+
+def _covariance_of(over: Averages, own: Array) -> Array:
+    """Compute the covariance of the means, shape (k, n, n): correlated as `own`, that of one reading, and what is common."""
+    scale = np.sqrt(over.variances / own.diagonal())
+    return np.asarray(own * scale[:, :, None] * scale[:, None, :] + over.common)
+
+
+def change_statistic(over: Averages, own: Array, model_form: float) -> SequentialStatistic:
+    """Compute the test statistic of changes to either side, each beyond a change common to all quantities.
+
+    Parameters
+    ----------
+    own : ndarray, shape (n, n)
+        Covariance of one reading, without what readings have in common.
+    """
+    covariance = _covariance_of(over, own)
+    rise, std = statistic(over.means, covariance, model_form)
+    fall, _ = statistic(-over.means, covariance, model_form)
+    longest = over.longest()
+    z = np.where(over.agrees, np.maximum(rise, fall), -np.inf).max(axis=0)
+    return SequentialStatistic(z, over.means[longest], std[longest])
+
+
+def lone_statistic(over: Averages) -> SequentialStatistic:
+    """Compute the test statistic of changes to either side, each quantity by itself, where only variances are kept."""
+    std = np.sqrt(over.variances + over.common)
+    z = np.abs(over.means) / np.maximum(std, 1e-12)
+    longest = over.longest()
+    return SequentialStatistic(np.where(over.agrees, z, -np.inf).max(axis=0), over.means[longest], std[longest])
 
 
 def _of_channels(history: History, channels: tuple[int, ...]) -> History:
@@ -148,16 +223,23 @@ def _of_channels(history: History, channels: tuple[int, ...]) -> History:
 
 def _comparable(history: History, chain: list[int], common: Array) -> list[int]:
     """Leave out of a chain the readings of channels that saw far less of a story than the newest reading's."""
-    newest, largest = history.channels_of(-1), _COMPARABLE * common.diagonal()
+    newest, largest = history.channels_of(-1), _COMPARABLE * _diagonal(common)
     return [
-        i for i in chain if history.channels_of(i) == newest or bool((history.common[i].diagonal() <= largest).all())
+        i for i in chain if history.channels_of(i) == newest or bool((_diagonal(history.common[i]) <= largest).all())
     ]
 
 
-def _append(history: History, reading: DamageReading, variance: Array, common: Array, t_ns: int) -> History:
+def _diagonal(common: Array) -> Array:
+    """Return the variances of what is common, which may be kept alone, shape (n,)."""
+    return common if common.ndim == 1 else common.diagonal()
+
+
+def _append(
+    history: History, values: Array, variance: Array, common: Array, channels: tuple[int, ...], t_ns: int
+) -> History:
     """Append a reading, and drop readings that no stretch needs any more.
 
-    Its own variance has shape (n,), its common covariance (n, n).
+    Its own variance has shape (n,), its common covariance (n, n) or (n,).
 
     The smoothed standard deviation is used, because a window's own may be too small by chance.  The window's own is used where
     it is clearly larger: conditions got worse, or the window lies across the onset of a change.
@@ -167,21 +249,24 @@ def _append(history: History, reading: DamageReading, variance: Array, common: A
     ln_variance, memory_s = np.log(variance), 0.0
     n_before = history.t_ns.size
     is_new = history.before is not None and history.memory_s == 0.0  # the first reading of these channels
-    channels = history.channels or ((),) * n_before
+    before = history.channels or ((),) * n_before
     if n_before and not is_new:
         since_s = (t_ns - int(history.t_ns[-1])) * 1e-9
         step_s = float(np.clip(since_s, 1e-9, history.window_ns * 1e-9))
         memory_s = min(history.memory_s + step_s, _STD_MEMORY_S)
-        ln_variance = history.ln_variance + (ln_variance - history.ln_variance) * step_s / (memory_s + step_s)
+        smooth = history.ln_variance + (ln_variance - history.ln_variance) * step_s / (memory_s + step_s)
+        # What a window does not show keeps its variance, and what was not shown before begins with this one.
+        kept = np.where(np.isnan(ln_variance), history.ln_variance, ln_variance)
+        ln_variance = np.where(np.isnan(smooth), kept, smooth)
     return History(
         history.window_ns,
         np.append(history.t_ns[keep], t_ns),
-        np.concatenate([history.ddi[keep], reading.ddi[None]]),
+        np.concatenate([history.ddi[keep], values[None]]),
         np.concatenate([history.variance[keep], np.maximum(variance / _STD_EXCESS**2, np.exp(ln_variance))[None]]),
         np.concatenate([history.common[keep], common[None]]),
         ln_variance,
         memory_s,
-        (*channels[keep], reading.channels),
+        (*before[keep], channels),
         history.before,
     )
 

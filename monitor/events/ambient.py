@@ -34,16 +34,18 @@ class AmbientReading:
 
 def reading_of(result: WindowResult) -> AmbientReading | None:
     """Return what a window tells; None where it was not judged."""
-    if result.modes is None or result.damage is None or result.skipped is not None:
+    if result.modes is None or result.skipped is not None:
         return None
-    damage = result.damage
-    own = np.diag(damage.ddi_covariance) - (np.diag(damage.common_covariance) if damage.common_covariance.ndim else 0.0)
+    loss = own = np.zeros(0)  # without a model there are no stories
+    if (damage := result.damage) is not None:
+        loss, common = damage.ddi, damage.common_covariance
+        own = np.diag(damage.ddi_covariance) - (np.diag(common) if common.ndim else 0.0)
     return AmbientReading(
         result.t_end_ns - round(result.window_s * 1e9),
         result.t_end_ns,
         result.modes.frequencies_hz,
         np.asarray(result.modes.model_mode, dtype=float),
-        damage.ddi,
+        loss,
         np.maximum(own, 0.0),
         result.rms_m_s2 or 0.0,
     )
@@ -77,6 +79,8 @@ def lasting_loss(
         What limits the comparison, in words.
     """
     nothing = np.full(n_stories, np.nan)
+    if not n_stories:
+        return nothing, nothing, ""
     if min(len(before), len(after)) < _FEWEST:
         where = "before" if len(before) < _FEWEST else "after"
         return nothing, nothing, f"too few windows {where} it to tell a lasting loss"

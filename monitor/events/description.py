@@ -50,7 +50,7 @@ def describe(
     heights = np.full(site.n_stories, np.nan) if site.heights_m is None else site.heights_m
     near_hz = np.where(np.isfinite(before_hz), before_hz, site.modes_hz)
     after = np.full(site.modes_hz.size, np.nan)
-    if revision is not None and len(record.floors) - strong.stop > rate_hz / site.modes_hz[0]:
+    if revision is not None and len(record.floors) - strong.stop > rate_hz / site.lowest_hz:
         after = modal_frequencies(record.floors[strong.stop :, live], site.shapes[:, live], near_hz, rate_hz)
     relative = record.floors if record.ground is None else record.floors - record.ground[:, None] * site.rides
     return judge(
@@ -92,7 +92,10 @@ def story_drifts(record: Record, site: Site) -> tuple[Array, Array, float, str]:
     n, sensors = site.n_stories, site.sensors[live]
     drift, std, corner_hz = np.full(n, np.nan), np.full(n, np.nan), float(record.corners_hz[0])
     if not site.is_chain:
-        return drift, std, corner_hz, "no drifts: the structure's stiffnesses are no stories"
+        known = (
+            "the structure's stiffnesses are no stories" if n else "nothing is known of the structure but its channels"
+        )
+        return drift, std, corner_hz, f"no drifts: {known}"
     told, accelerations = drift_accelerations(record, site)
     if told.any():
         drift[told], std[told], corner_hz = peak_drifts(accelerations, record.rate_hz, record.corners_hz, record.strong)

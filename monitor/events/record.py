@@ -70,8 +70,7 @@ def make_record(
         The samples from begin to end.
     site : Site
     """
-    rate_hz, lowest_hz = conditioner.rate_hz, float(site.modes_hz[0])
-    corners_hz = np.array(_CORNERS) * lowest_hz
+    rate_hz, corners_hz = conditioner.rate_hz, np.array(_CORNERS) * site.lowest_hz
     return Record(
         t_ns=t_ns,
         rate_hz=rate_hz,

@@ -9,7 +9,7 @@ import numpy as np
 
 from monitor.core import Array
 from monitor.events.settings import EventSettings
-from monitor.model import InstrumentedModel, ShearFrame
+from monitor.model import InstrumentedModel, Modes, ShearFrame
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -38,6 +38,8 @@ class Site:
     window_s: float
     """Length of the windows of ambient motion, s."""
     settings: EventSettings
+    lowest_hz: float
+    """Lowest frequency of the structure."""
 
     @classmethod
     def of(cls, site: InstrumentedModel, names: tuple[str, ...], window_s: float, settings: EventSettings) -> Site:
@@ -57,6 +59,7 @@ class Site:
             names,
             window_s,
             settings,
+            float(modes.frequencies_hz[0]),
         )
 
     def content(self) -> dict[str, Any]:
@@ -75,6 +78,26 @@ class Site:
             known[name] = None if known[name] is None else np.array(known[name], dtype=float)
         names = {name: tuple(known[name]) for name in ("channels", "names")}
         return cls(**known | names | {"settings": EventSettings.model_validate(known["settings"])})
+
+    @classmethod
+    def of_channels(
+        cls, channels: tuple[str, ...], modes: Modes | None, lowest_hz: float, window_s: float, settings: EventSettings
+    ) -> Site:
+        """Collect what is needed where nothing but the channels and perhaps their modes is known: there are no stories.
+
+        Parameters
+        ----------
+        modes : Modes, optional
+            As the channels show them.
+        lowest_hz : float
+            Lowest frequency of the structure where the modes are not known.
+        """
+        c = len(channels)
+        hz = np.zeros(0) if modes is None else modes.frequencies_hz
+        shapes = np.zeros((0, c)) if modes is None else modes.shapes.T
+        none, lowest_hz = np.zeros(0), float(hz[0]) if hz.size else lowest_hz
+        drifts = np.zeros((0, c))
+        return cls(channels, np.eye(c), drifts, none, none, False, None, hz, shapes, (), window_s, settings, lowest_hz)
 
     @property
     def n_stories(self) -> int:

@@ -212,8 +212,10 @@ def _judge_step(state: EventState, cutoff_hz: float, site: Site) -> tuple[EventS
         known, kept = replace(state.recognition, tail=span[n // 2 :]), state.kept[end - state.first :]
         return replace(state, recognition=known, judged=end, settling=state.settling - 1, first=end, kept=kept), []
     going = state.strong[-1] if state.strong and not state.strong[-1].closed else None
-    lowest_hz, active = float(site.modes_hz[0]), going is not None
-    known, found = recognition.step(state.recognition, span, rate_hz, cutoff_hz, lowest_hz, settings, active=active)
+    active = going is not None
+    known, found = recognition.step(
+        state.recognition, span, rate_hz, cutoff_hz, site.lowest_hz, settings, active=active
+    )
     half, told = n // 2, list[Event]()
     starts = [first - half, first]
     for k, at in enumerate(starts):

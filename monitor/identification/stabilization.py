@@ -108,6 +108,7 @@ def identify(
     wanted: tuple[int, ...] | None = None,
     cutoff_hz: float | None = None,
     refiner: Callable[[ModalEstimate], ModalEstimate] | None = None,
+    known: str = "by the model",
 ) -> ModalEstimate | Skipped:
     """Identify the modes of a window: poles of all orders, stabilisation, and match to the model's modes.
 
@@ -118,7 +119,7 @@ def identify(
     past : tuple of int
         Numbers of the reference channels.
     reference : Modes
-        The model's modes, to which the identified modes are matched.
+        The model's modes, or those of an earlier time, to which the identified modes are matched.
     sensors : ndarray, shape (c, n)
         Sensor matrix: channels by the model's floors.
     wanted : tuple of int, optional
@@ -128,6 +129,8 @@ def identify(
     refiner : callable, optional
         Refines an estimate without deviations, and computes its deviations (`refine`).  If the refiner returns the estimate
         unchanged, the deviations are those of the subspace identification; their costly covariance is computed only then.
+    known : str
+        Where the reference is from, in words.
 
     Returns
     -------
@@ -164,7 +167,7 @@ def identify(
     ]
     others = _other_modes(window, realisation, poles, beside, select, with_std=ssi.uncertainty)
     missing = tuple(
-        (i, _why_missing(i, f, shape, others, select))
+        (i, _why_missing(i, f, shape, others, select, known))
         for i, f, shape, m in zip(wanted, frequencies.tolist(), shapes, modes, strict=True)
         if m is None
     )
@@ -261,10 +264,10 @@ def distinct(
 
 
 def _why_missing(
-    mode: int, frequency_hz: float, shape: Array, others: tuple[OtherMode, ...], select: SelectionSettings
+    mode: int, frequency_hz: float, shape: Array, others: tuple[OtherMode, ...], select: SelectionSettings, known: str
 ) -> str:
     """State why a mode of the model, of shape (c,), has no counterpart beside `others`."""
-    says = f"mode {mode + 1} ({frequency_hz:.3g} Hz by the model): "
+    says = f"mode {mode + 1} ({frequency_hz:.3g} Hz {known}): "
     nearest = min(others, key=lambda other: abs(log(other.frequency_hz / frequency_hz)), default=None)
     if nearest is None or abs(log(nearest.frequency_hz / frequency_hz)) > log(select.max_frequency_ratio):
         return says + "no stable pole near it"

@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Self
 
+import numpy as np
+
 from monitor.core import Array, ModalEstimate
 from monitor.identification import sensor_correction
 from monitor.model import Context, Effect
@@ -26,8 +28,18 @@ class SubArray:
     swapped."""
     sensors: Array
     """Shape (c, n): sensor matrix of `places`."""
-    effects: tuple[Effect, ...]
-    context: Context
+    n_channels: int
+    """Number of all channels."""
+    effects: tuple[Effect, ...] = ()
+    context: Context | None = None
+    """Structure and sensors on which the effects act; None without effects where there is no model."""
+
+    @classmethod
+    def plain(cls, channels: tuple[int, ...], past: Sequence[int], n_channels: int) -> Self:
+        """Select some channels where nothing but the channels is known: shapes are those of all `n_channels`."""
+        left = tuple(k for k, channel in enumerate(channels) if channel in past)
+        sensors = np.eye(n_channels)[list(channels)]
+        return cls(channels, left or tuple(range(len(channels))), sensors, channels, sensors, n_channels)
 
     @classmethod
     def of(
@@ -58,14 +70,15 @@ class SubArray:
             shown = shown[list(channels)]
         if places != tuple(range(len(sensors))):
             sensors = sensors[list(places)]
-        return cls(channels, left or tuple(range(len(channels))), shown, places, sensors, effects, context)
+        n = len(context.channels)
+        return cls(channels, left or tuple(range(len(channels))), shown, places, sensors, n, effects, context)
 
     def correct(self, modes: ModalEstimate) -> ModalEstimate:
         """Remove the stated sensor effects from modes of these channels."""
-        if not self.effects:
+        if not self.effects or self.context is None:
             return modes
         return sensor_correction.correct_modes(modes, self.effects, self.context, self.channels, self.places)
 
     def spread(self, modes: ModalEstimate) -> ModalEstimate:
         """Place modes of these channels among all channels (`ModalEstimate.at_channels`)."""
-        return modes.at_channels(self.places, len(self.context.channels))
+        return modes.at_channels(self.places, self.n_channels)

@@ -37,7 +37,7 @@ from .simulation import (
 )
 from .structures import MatrixStructure, ShearFrame
 from .structures.drawing import Drawing, LineTable, NodeTable, drawing_problems
-from .structures.tables import Matrix, Positive, StructureTable
+from .structures.tables import DrawnTable, Matrix, ModalTable, Positive, StructureTable
 
 __all__ = [
     "CALIBRATION_EFFECTS",
@@ -46,6 +46,7 @@ __all__ = [
     "Condition",
     "Context",
     "Drawing",
+    "DrawnTable",
     "Effect",
     "EffectError",
     "ExcitationKind",
@@ -59,6 +60,7 @@ __all__ = [
     "LineTable",
     "Matrix",
     "MatrixStructure",
+    "ModalTable",
     "Model",
     "ModelDiscrepancy",
     "Modes",

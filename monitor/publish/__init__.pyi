@@ -22,7 +22,7 @@ from .results.summary import Quality, Summary, episode_content
 from .viewer.diagnosis_view import write_view
 from .viewer.output import Output
 from .viewer.publisher import RerunPublisher
-from .viewer.scene import make_scene, utc
+from .viewer.scene import make_modal_scene, make_scene, utc
 
 __all__ = [
     "EVENTS",
@@ -46,6 +46,7 @@ __all__ = [
     "event_line",
     "event_text",
     "facts_of_line",
+    "make_modal_scene",
     "make_scene",
     "mode_rows",
     "month_file",

@@ -14,10 +14,12 @@ from . import (
 from .archive.inventory import expand_patterns
 from .archive.jobs import WINDOWS
 from .archive.reprocess import reprocess
+from .baselines import load_healthy
 from .emulate import send_all
 from .event_page import page_of, read_event_line, write_event_page
 from .event_recordings import EventRecordings
 from .importers import ImportedChannel, acceleration_unit, import_files
+from .modal_calibration import calibrate_modes
 from .online_diagnosis import RecentBlocks, longest_diagnosis_s
 from .recordings import Progress, duration_s
 from .session import Session, SessionState
@@ -34,6 +36,7 @@ __all__ = [
     "SessionState",
     "acceleration_unit",
     "calibrate",
+    "calibrate_modes",
     "compare",
     "demo",
     "diagnose",
@@ -43,6 +46,7 @@ __all__ = [
     "import_files",
     "ledger",
     "ledger_chain",
+    "load_healthy",
     "longest_diagnosis_s",
     "look",
     "open_viewer",

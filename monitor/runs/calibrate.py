@@ -14,6 +14,7 @@ from drivers.mcap_file import recording_info
 from monitor.config import Configuration
 from monitor.core import BadInputError, WindowResult, sha256
 from monitor.damage import (
+    AnyBaseline,
     Baseline,
     Observation,
     Origin,
@@ -71,7 +72,7 @@ def calibrate(
             progress.add(block)
             for result in push_block(pipeline, block, paths):
                 if isinstance(result, WindowResult):
-                    why = _why_not_learned(result)
+                    why = why_not_learned(result)
                     good.extend([] if why else [result])
                     reasons.extend([why] if why else [])
             yield block
@@ -83,14 +84,13 @@ def calibrate(
     if reasons:
         on_warning(f"{len(reasons)} of {len(good) + len(reasons)} windows were left out, the last: {reasons[-1]}")
     kept = with_common_modes(good, config.selection.required_modes)
-    _warn_of_missing_modes(good, kept, on_warning)
+    warn_of_missing_modes(good, kept, on_warning)
     good = kept
     recordings = tuple({"file": p.name, "sha256": sha256(p)} for p in paths)
     windows = [r.modes for r in good if r.modes is not None]
     rms = np.array([r.rms_m_s2 for r in good])
     assert progress.first is not None
     span_ns = (progress.first.t_ns, pipeline.state.align.t_next_ns())
-    units = {"level": "dB", "temperature": "degC", **{t.name: t.unit for t in config.covariates}}
     baseline, fit = learn_baseline(
         config.instrumented(),
         windows,
@@ -98,12 +98,12 @@ def calibrate(
         recordings,
         span_ns,
         [r.covariates for r in good if r.modes is not None],
-        units,
-        pipeline.drift_weights,
+        covariate_units(config),
+        pipeline.level_weights,
         updating=config.updating,
         compensation=config.compensation,
     )
-    _warn_of_confounding(baseline, on_warning)
+    warn_of_confounding(baseline, on_warning)
     _warn_of_ambiguities(baseline, config, good[-1], on_warning)
     if segments is None:
         on_warning("too short for a diagnosis to learn from; 'diagnose' will not take this baseline")
@@ -117,6 +117,11 @@ def calibrate(
     if reference.error is not None:
         on_warning(contradicted(reference.error))
     return replace(baseline, reference=reference), fit
+
+
+def covariate_units(config: Configuration) -> dict[str, str]:
+    """Return the unit of every covariate that may be learned from, by its name."""
+    return {"level": "dB", "temperature": "degC", **{t.name: t.unit for t in config.covariates}}
 
 
 def rebase(path: Path, config: Configuration) -> tuple[Baseline, tuple[str, ...]]:
@@ -204,7 +209,7 @@ def _gather_hourly(blocks: Iterator[SampleBlock], config: Configuration, share: 
         return None
 
 
-def _why_not_learned(result: WindowResult) -> str:
+def why_not_learned(result: WindowResult) -> str:
     """Say why nothing is learned from a window: it was skipped, or lacks a channel; empty otherwise."""
     if result.skipped is not None:
         return result.skipped.mend
@@ -230,7 +235,7 @@ def _modes_in(windows: list[WindowResult], share: float, among: range | None = N
     return frozenset(k for k, n in seen.items() if n >= share * len(windows) and (among is None or k in among))
 
 
-def _warn_of_missing_modes(windows: list[WindowResult], kept: list[WindowResult], on_warning: OnWarning) -> None:
+def warn_of_missing_modes(windows: list[WindowResult], kept: list[WindowResult], on_warning: OnWarning) -> None:
     """Warn of modes of the model that the baseline lacks, and of windows left out for lack of its modes."""
     why = {mode: text for w in windows if w.modes is not None for mode, text in w.modes.missing}
     has = {int(mode) for w in kept[:1] if w.modes is not None for mode in w.modes.model_mode}
@@ -243,7 +248,7 @@ def _warn_of_missing_modes(windows: list[WindowResult], kept: list[WindowResult]
         )
 
 
-def _warn_of_confounding(baseline: Baseline, on_warning: OnWarning) -> None:
+def warn_of_confounding(baseline: AnyBaseline, on_warning: OnWarning) -> None:
     """Warn of covariates that ran together, so that their effects are not told apart."""
     for one, other, r in () if baseline.law is None else baseline.law.confounded():
         on_warning(

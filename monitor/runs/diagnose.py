@@ -103,7 +103,7 @@ def diagnose(
     degc = prior.reference_degc
     if degc is None and segments.temperature.size:
         degc = float(segments.temperature[:, 1].mean())
-    rows = refit(confirmed, config.structure.tolerance(), config.story_names) if baseline is None else []
+    rows = refit(confirmed, config.drawn.tolerance(), config.story_names) if baseline is None else []
     detectable: list[float | None] = []
     if baseline is not None and confirmed.verdict == "none":
         detectable = detectable_losses(confirmed.posterior, confirmed.null_fit, config.diagnosis.margin)
@@ -219,7 +219,7 @@ def evaluate(
         If a recording cannot be used.
     """
     segments = _read(paths, config, on_warning, on_progress)
-    degc = config.structure.reference_temperature_degc
+    degc = config.drawn.reference_temperature_degc
     return score(segments, config.model(), _context(segments, config), degc)
 
 
@@ -247,7 +247,7 @@ def _context(segments: Segments, config: Configuration) -> Context:
 def _drawing_prior(config: Configuration) -> StructuralPrior:
     """Build the prior of the structure from the structure file."""
     known = prior_from_drawing(config.model(), config.instrumented().prior_std, len(config.channels))
-    return replace(known, reference_degc=config.structure.reference_temperature_degc)
+    return replace(known, reference_degc=config.drawn.reference_temperature_degc)
 
 
 def _gains_more_than_cost(wider: StructuralPrior, found: Diagnosis) -> bool:

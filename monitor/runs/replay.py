@@ -12,7 +12,7 @@ from drivers.base import SampleBlock
 from drivers.mcap_file import McapWriter
 from monitor.config import Configuration
 from monitor.core import MissingInputError, WindowResult, demand_place, write_atomically
-from monitor.damage import Baseline
+from monitor.damage import AnyBaseline
 from monitor.events import Event
 from monitor.publish import EVENTS, LINE_SCHEMA, LinesFile, Publisher, RerunPublisher, to_json
 from monitor.runs.event_recordings import EventRecordings
@@ -65,7 +65,7 @@ class _ResultFiles(Publisher):
 def replay(
     paths: list[Path],
     config: Configuration,
-    baseline: Baseline | None,
+    baseline: AnyBaseline | None,
     out: Path,
     *,
     speed: float | None = None,
@@ -82,7 +82,7 @@ def replay(
         Recordings.
     config : Configuration
         Settings of the site.
-    baseline : Baseline, optional
+    baseline : Baseline or ModalBaseline, optional
         Healthy reference; no alarm is raised without one.
     out : Path
         Folder of the results.

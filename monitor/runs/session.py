@@ -17,16 +17,18 @@ from monitor.config import Configuration
 from monitor.core import Gap, Samples
 from monitor.damage import (
     AlarmState,
+    AnyBaseline,
     Assessment,
-    Baseline,
     Known,
     Loss,
+    ModalBaseline,
     WindowFacts,
     assess,
     diagnosis_of,
     follow,
     hold,
     learned_ranges,
+    modal_parts,
 )
 from monitor.events import Event
 from monitor.pipeline import Pipeline, PipelineState, Result
@@ -53,12 +55,13 @@ class Session:
     ----------
     config : Configuration
         Settings of the site.
-    baseline : Baseline, optional
+    baseline : Baseline or ModalBaseline, optional
         Healthy reference; no alarm is raised without one.
     publishers : sequence of Publisher
         Publishers, in the order in which they take each result.
     files : (Path, Path or None), optional
-        Structure or site file, and baseline, for the diagnoses that alarms request; no diagnosis is made without.
+        Structure or site file, and baseline, for the diagnoses that alarms request; no diagnosis is made without, nor where
+        there is no model.
     findings : Path
         Folder of the findings of these diagnoses.
     whole : bool
@@ -72,7 +75,7 @@ class Session:
     def __init__(
         self,
         config: Configuration,
-        baseline: Baseline | None,
+        baseline: AnyBaseline | None,
         publishers: Sequence[Publisher],
         files: tuple[Path, Path | None] | None,
         findings: Path,
@@ -83,10 +86,10 @@ class Session:
     ) -> None:
         self.config = config
         self.pipeline = Pipeline(config, baseline)
-        self.online_diagnosis = OnlineDiagnosis(config, files, findings, store)
+        self.online_diagnosis = OnlineDiagnosis(config, files if config.has_model else None, findings, store)
         self._publishers, self._recordings = publishers, recordings
         self._summary, self._quality = Summary(), Quality()
-        self._model_hz = config.model().modes().frequencies_hz.tolist()
+        self._model_hz = config.model().modes().frequencies_hz.tolist() if config.has_model else []
         self._baseline, self._whole = baseline, whole
         self._assessment: Assessment | None = None
         self.stated: dict[int, WindowFacts] = {}
@@ -96,6 +99,11 @@ class Session:
     def windows(self) -> int:
         """Number of windows so far."""
         return self._summary.course.windows
+
+    @property
+    def story_names(self) -> tuple[str, ...]:
+        """What people call the stories, or what else the alarms are about."""
+        return self._known.names
 
     @property
     def dropped(self) -> int:
@@ -229,16 +237,18 @@ class Session:
     def _known(self) -> Known:
         """Collect what the state depends on and no window changes; the model is built for it, so once."""
         c, b = self.config, self._baseline
+        modes = b.frequencies_hz.size if isinstance(b, ModalBaseline) else 0
         return Known(
-            names=c.story_names,
+            names=c.story_names if c.has_model else modal_parts(modes),
             has_baseline=b is not None,
             alarm_loss=c.alarm.alarm_loss,
             misfit=c.watch.misfit,
             level_range_m_s2=None if b is None else b.level_range_m_s2,
             baseline_doubts=() if b is None else b.doubts,
             unwatched=c.alarm.unwatched,
-            accepted=tuple((e.name, e.location) for e in c.model().effects),
+            accepted=tuple((e.name, e.location) for e in c.model().effects) if c.has_model else (),
             channels=c.channels,
+            n_modes=None if c.has_model else modes,
         )
 
     def _publish_findings(self, findings: Iterable[dict[str, Any]]) -> None:

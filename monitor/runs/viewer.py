@@ -5,13 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 from monitor.config import Configuration
-from monitor.damage import Baseline
-from monitor.publish import RerunPublisher, make_scene
+from monitor.damage import AnyBaseline, Baseline, ModalBaseline
+from monitor.publish import RerunPublisher, make_modal_scene, make_scene
 
 
 def open_viewer(
     config: Configuration,
-    baseline: Baseline | None,
+    baseline: AnyBaseline | None,
     *,
     file: Path | None,
     serve: tuple[str, int] | None,
@@ -23,16 +23,28 @@ def open_viewer(
     ----------
     config : Configuration
         Settings of the site.
-    baseline : Baseline, optional
-        Reference whose model and frequencies the viewer shows; by default the model of the structure file.
+    baseline : Baseline or ModalBaseline, optional
+        Reference whose model and frequencies the viewer shows; by default the model of the structure file, if there is one.
     file, serve, lossless
         As of `monitor.publish.RerunPublisher`.
     """
+    if isinstance(baseline, ModalBaseline) or not config.has_model:
+        assert not isinstance(baseline, Baseline)
+        view = make_modal_scene(
+            config.site.name or config.structure.name or "structure",
+            config.drawing,
+            config.channels,
+            baseline,
+            alarm_loss=config.alarm.alarm_loss,
+            cutoff_hz=config.processing.cutoff_hz,
+            max_modes=config.selection.max_modes,
+        )
+        return RerunPublisher(view, file=file, serve=serve, lossless=lossless)
     scene = make_scene(
         config.site.name or config.structure.name or "structure",
         config.drawing,
         config.story_names,
-        {sensor.channel: sensor.floor for sensor in config.sensors},
+        {sensor.channel: sensor.floor for sensor in config.sensors if sensor.floor is not None},
         config.model(),
         baseline,
         alarm_loss=config.alarm.alarm_loss,

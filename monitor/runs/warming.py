@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from drivers.base import ACCELERATION
 from monitor.config import Configuration
 from monitor.core import WindowResult
-from monitor.damage import Baseline
-from monitor.model import simulate
+from monitor.damage import AnyBaseline, Baseline
+from monitor.model import Model, ShearFrame, simulate
 from monitor.pipeline import Pipeline
 from monitor.runs.synthetic_recording import cut_into_blocks
 
@@ -14,6 +16,8 @@ _NOISE = 0.03
 """Noise of the simulated sensors over the RMS of the motion, so that no channel counts as dead. [ratio; judgement]"""
 _RATIO = 1.25
 """Rate of the simulated samples over that of the windows; not whole, so that samples are interpolated. [ratio; judgement]"""
+_FRAME_HZ = 2.0
+"""Lowest frequency of the frame that stands for a structure without a model. [Hz; judgement: within any band in use]"""
 _FRAME = {
     "structure": {
         "kind": "shear_frame",
@@ -26,7 +30,19 @@ _FRAME = {
 """Structure for a machine whose site file does not exist yet. [SI; the three-story frame of the README]"""
 
 
-def warm_up(config: Configuration | None = None, baseline: Baseline | None = None) -> int:
+def _model(config: Configuration, baseline: AnyBaseline | None) -> Model:
+    """Return the site's model, or a frame with a floor for each channel where there is none."""
+    if isinstance(baseline, Baseline):
+        return baseline.model
+    if config.has_model:
+        return config.model()
+    n = len(config.sensors)
+    # The lowest frequency of a shear frame is near that of a single floor over its number.
+    stiffness = (2.0 * np.pi * _FRAME_HZ * n) ** 2
+    return Model(ShearFrame(np.ones(n), np.full(n, stiffness), 0.01))
+
+
+def warm_up(config: Configuration | None = None, baseline: AnyBaseline | None = None) -> int:
     """Push simulated samples through pipelines of a site's settings, and return the number of windows judged.
 
     What a window needs is compiled by that, with and without refinement, or loaded where an earlier process compiled it
@@ -36,14 +52,13 @@ def warm_up(config: Configuration | None = None, baseline: Baseline | None = Non
     ----------
     config : Configuration, optional
         Settings of the site; those of a small frame by default.
-    baseline : Baseline, optional
+    baseline : Baseline or ModalBaseline, optional
         Healthy reference of the site; the functions that alarms need are compiled only with one.
     """
     config = Configuration.model_validate(_FRAME) if config is None else config
     p = config.processing
     rate_hz = _RATIO * p.rate_hz
-    model = Pipeline(config, baseline).reference
-    motion = simulate(model, duration_s=p.window_s + 2.0 * p.hop_s, rate_hz=rate_hz, noise=_NOISE)
+    motion = simulate(_model(config, baseline), duration_s=p.window_s + 2.0 * p.hop_s, rate_hz=rate_hz, noise=_NOISE)
     blocks = list(cut_into_blocks(ACCELERATION, motion.floors, config.channels, rate_hz, 0, round(rate_hz)))
     judged = 0
     for is_refined in {config.refinement.enabled, False}:

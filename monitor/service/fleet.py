@@ -210,7 +210,7 @@ def _parse_status(site: str, answer: Mapping[str, Any], now_ns: int, silent_s: f
         headline=said.headline,
         doubts=said.doubts,
         troubles=tuple(_troubles(health)),
-        stories=tuple(int(story) for story in alarm.get("active", {})),
+        stories=() if result.get("frequency_change") is not None else tuple(int(j) for j in alarm.get("active", {})),
         ddi=ddi,
         ddi_std=ddi_std,
         frequency_hz=None if frequencies[0] is None else float(frequencies[0]),

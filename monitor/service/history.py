@@ -23,12 +23,14 @@ from monitor.service.threads import background
 
 _log = logging.getLogger(__name__)
 
-VERSION = 3
+VERSION = 4
 """Version of the schema, stored as the database's user_version; to be raised with an entry in `UPGRADES`."""
 UPGRADES: dict[int, str] = {
     1: "ALTER TABLE windows ADD COLUMN state TEXT;",
     2: "ALTER TABLE gaps ADD COLUMN number INTEGER NOT NULL DEFAULT 1; ALTER TABLE gaps ADD COLUMN lost_s REAL; "
     "UPDATE gaps SET lost_s = duration_s;",
+    3: "ALTER TABLE windows ADD COLUMN frequency_change TEXT; ALTER TABLE windows ADD COLUMN frequency_change_std TEXT; "
+    "ALTER TABLE alarms ADD COLUMN change REAL; ALTER TABLE alarms ADD COLUMN change_std REAL;",
 }
 """Version -> SQL that upgrades a database of that version to the next version."""
 _SCHEMA_VERSION = 2
@@ -115,8 +117,15 @@ class History:
         self._put("windows", window_row(line))
 
     def episodes(self, episodes: Iterable[Mapping[str, Any]]) -> None:
-        """Store those of the latest alarms that are new or changed; story None is the structure as a whole."""
-        latest = {(e["story"], e["t_first_ns"]): {**e, "story": e["story"] or 0} for e in episodes}
+        """Store those of the latest alarms that are new or changed; story None is the structure as a whole.
+
+        Where modes alone are judged, the column `story` has the number of the mode or shape (`damage.modal_parts`).
+        """
+        latest = {}
+        for episode in episodes:
+            row = {key: value for key, value in episode.items() if key != "part"}
+            row["story"] = episode.get("part", episode["story"]) or 0
+            latest[row["story"], row["t_first_ns"]] = row
         for key, row in latest.items():
             if self._stored_alarms.get(key) != row:
                 self._put("alarms", row)
@@ -253,7 +262,10 @@ def make_tables(database: sqlite3.Connection) -> None:
 def window_row(line: Mapping[str, Any]) -> Row:
     """Return the row of a window, given as its line of results.jsonl, and with `state` the structure's."""
     names = ("t_end_ns", "window", "window_s", "skipped", "temperature_degc", "misfit", "state")
-    lists = ("frequencies_hz", "frequencies_std_hz", "damping_ratio", "damping_std", "ddi", "ddi_std", "loss_n_per_m")
+    lists = (
+        *("frequencies_hz", "frequencies_std_hz", "damping_ratio", "damping_std", "ddi", "ddi_std", "loss_n_per_m"),
+        *("frequency_change", "frequency_change_std"),
+    )
     row = {name: line.get(name) for name in names} | {name: _text(line.get(name)) for name in lists}
     return row | {"level": line["alarm"]["level"]}
 

@@ -25,7 +25,7 @@ from pathlib import Path
 from drivers.base import SampleBlock
 from monitor.config import Configuration, configuration
 from monitor.core import BadConfigurationError, UserError
-from monitor.damage import Baseline
+from monitor.damage import AnyBaseline
 from monitor.runs import warm_up
 from monitor.service import logs, systemd
 from monitor.service.host_metrics import HostMetrics
@@ -475,7 +475,7 @@ class Host:
             )
         place.name = name
 
-    def _warm_up(self, settings: Configuration, healthy: Baseline | None) -> None:
+    def _warm_up(self, settings: Configuration, healthy: AnyBaseline | None) -> None:
         """Compile what the windows of a site need, once for all sites alike."""
         alike = (type(settings.structure.structure()), settings.refinement.enabled, healthy is None)
         if alike not in self._warmed:

@@ -146,7 +146,7 @@ class RequestHandler:
         batch = _Batch(items, self._clock())
         if any(item.changes for item in items):
             self._batch = batch
-            names = session.config.story_names
+            names = session.story_names
             entries = [_entry(item.request, names) for item in items if item.changes]
             self._chores.do("ledger", partial(self._write, batch, entries))
         else:

@@ -115,8 +115,7 @@ class Checkpointer:
         structure = config.structure.model_dump(mode="json", exclude={"name"})
         baseline = None if healthy is None else sha256(healthy)
         self._key = serialization.fingerprint({"tables": tables, "structure": structure, "baseline": baseline})
-        # Alarms are identified by their stories, so their states fit any configuration with the same number of stories.
-        self._alarm_key = serialization.fingerprint({"stories": len(config.structure.stiffness_n_per_m)})
+        self._alarm_key = ""
         self._place, self._alarms = out / "state" / "checkpoint", out / "state" / "alarms"
         self._seconds, self._due, self._busy = 0.0, False, False
         self._stories: tuple[StoryState, ...] | None = None
@@ -146,6 +145,10 @@ class Checkpointer:
         """
         saved = serialization.load(self._place, self._key, Saved) if self._config.state.checkpoint_s else None
         session = begin()
+        # Alarms are identified by their stories, so their states fit any configuration with the same number of stories.
+        stories = {"stories": len(session.pipeline.state.alarm.stories) - 1}
+        kind = {} if self._config.has_model else {"kind": "modal"}
+        self._alarm_key = serialization.fingerprint(stories | kind)
         if saved is not None:
             for line, facts in self._lines_since(saved.results_bytes):
                 self.written[line["window"]] = facts

@@ -98,13 +98,25 @@ def _with_events_covariates_and_left_out_channels(tree: Any) -> Any:
     return tree
 
 
-VERSION = 5
+def _with_modes_alone(tree: Any) -> Any:
+    """Upgrade from version 5, which knew no structure without a model."""
+    if "session" in tree:
+        tree["session"]["pipeline"]["alarm"]["shapes"] = None
+        course = tree["session"]["summary"]["course"]
+        for part in (course["last"], course["judged"], *course["losses"]):
+            if part is not None:
+                part["modal"] = False
+    return tree
+
+
+VERSION = 6
 """Version of the state; to be raised, with an entry in `UPGRADES`, when a field is added, removed or changes its meaning."""
 UPGRADES: dict[int, Callable[[Any], Any]] = {
     1: _without_doubled_sums,
     2: _with_course,
     3: _with_span_faults,
     4: _with_events_covariates_and_left_out_channels,
+    5: _with_modes_alone,
 }
 """Version -> function that converts its plain value (`plain`) to that of the next version."""
 _DTYPES = ("<f8", "<c16", "<i8", "<f4", "|b1")

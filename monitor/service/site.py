@@ -20,7 +20,7 @@ from drivers.base import RecordingError, RecordingMissingError, SampleBlock, Sou
 from drivers.recorder import unfit
 from monitor.config import Configuration, configuration
 from monitor.core import BadConfigurationError, BadInputError, Gap, MissingInputError, UserError, WindowResult
-from monitor.damage import Assessment, Baseline, load_baseline, outdated, utc
+from monitor.damage import AnyBaseline, Assessment, outdated, utc
 from monitor.events import Event
 from monitor.pipeline import Result
 from monitor.publish import EVENTS, Publisher, current_alarm_line, episode_content, to_json
@@ -30,6 +30,7 @@ from monitor.runs import (
     Session,
     duration_s,
     ledger,
+    load_healthy,
     longest_diagnosis_s,
     page_of,
     write_event_page,
@@ -113,7 +114,7 @@ class Site(Publisher):
         clock: Callable[[], float] = time.monotonic,
         quiet_s: float = 10.0,
         queue: BlockQueue[SampleBlock] | None = None,
-        warm: Callable[[Configuration, Baseline | None], object],
+        warm: Callable[[Configuration, AnyBaseline | None], object],
         lean: bool = False,
         viewer: bool = True,
     ) -> None:
@@ -123,9 +124,7 @@ class Site(Publisher):
         if source is None and settings.source is None:
             raise BadConfigurationError(f"{path}: source: missing; name a kind, as in deploy/*.toml")
         healthy_path = None if settings.site.baseline is None else folder / settings.site.baseline
-        healthy = (
-            None if healthy_path is None else load_baseline(healthy_path, settings.instrumented(), settings.updating)
-        )
+        healthy = None if healthy_path is None else load_healthy(healthy_path, settings)
         make_outlets(path, settings, dry=True)
         self.out = folder / settings.output.dir
         self._vitals, self._progress = Vitals(self.out), Progress(lambda _: None)
@@ -161,7 +160,7 @@ class Site(Publisher):
             self._bounds = configuration.make_bounds(settings.source)
             undo.pop_all()
 
-    def _open_parts(self, undo: ExitStack, healthy_path: Path | None, healthy: Baseline | None) -> None:
+    def _open_parts(self, undo: ExitStack, healthy_path: Path | None, healthy: AnyBaseline | None) -> None:
         """Open the files, the viewer and the threads behind them; `undo` closes them again."""
         settings = self.settings
         # Lines are written by a thread that waits for no fsync, so that health.jsonl can say that the others wait for one.
@@ -208,7 +207,7 @@ class Site(Publisher):
         self._history = History(self.out / "state" / "history.db", settings.state, *spans)
         undo.callback(self._history.close, _END_S)
 
-    def _warm_up(self, healthy: Baseline | None) -> None:
+    def _warm_up(self, healthy: AnyBaseline | None) -> None:
         """Compile what a window needs, so that no window waits for it; meanwhile lines of health say that the daemon starts."""
 
         def work() -> None:
@@ -516,7 +515,7 @@ class Site(Publisher):
         return max(0.0, self._end_s - self._clock()) / 2.0
 
 
-def _open_viewer(settings: Configuration, healthy: Baseline | None, serve: tuple[str, int]) -> RerunPublisher:
+def _open_viewer(settings: Configuration, healthy: AnyBaseline | None, serve: tuple[str, int]) -> RerunPublisher:
     """Open the viewer of a site; its library is loaded only where one is served."""
     from monitor.runs import open_viewer
 

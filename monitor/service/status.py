@@ -153,7 +153,7 @@ def tell(status: dict[str, Any]) -> str:
         "quality": lambda: _quality(quality, health),
         "windows": lambda: f"{summary.get('windows', 0)}, {summary.get('skipped', 0)} skipped; {_latest(result)}",
         "modes": lambda: _pairs(result.get("frequencies_hz"), result.get("frequencies_std_hz"), "Hz", 1.0),
-        "loss": lambda: _pairs(result.get("ddi"), result.get("ddi_std"), "%" + _reference(result)[0], 100.0),
+        **_changes(summary, result),
         "alarm": lambda: name_stories(_alarm(summary.get("alarm"), result), _names(summary)) + _reference(result)[1],
         "recorder": lambda: _recorder(recorder, health),
         "findings": lambda: _findings(summary.get("findings") or []),
@@ -194,6 +194,14 @@ def _reference(result: dict[str, Any]) -> tuple[str, str]:
 
 def _names(summary: dict[str, Any]) -> list[str]:
     return list((summary.get("known") or {}).get("names") or ())
+
+
+def _changes(summary: dict[str, Any], result: dict[str, Any]) -> dict[str, Callable[[], str]]:
+    """Return the row of what was lost, or without a model of how the frequencies changed."""
+    if (summary.get("known") or {}).get("n_modes") is None:
+        return {"loss": lambda: _pairs(result.get("ddi"), result.get("ddi_std"), "%" + _reference(result)[0], 100.0)}
+    unit = "% of each frequency"
+    return {"change": lambda: _pairs(result.get("frequency_change"), result.get("frequency_change_std"), unit, 100.0)}
 
 
 def _findings(found: list[dict[str, Any]]) -> str:
@@ -272,7 +280,11 @@ def _pairs(values: list[float] | None, stds: list[float] | None, unit: str, scal
     """Format values with their standard deviations, scaled to `unit`."""
     if not values or not stds:
         return "the latest window says nothing"
-    texts = (f"{scale * v:.3f} +- {scale * s:.3f}" for v, s in zip(values, stds, strict=False) if s is not None)
+    texts = (
+        f"{scale * v:.3f} +- {scale * s:.3f}"
+        for v, s in zip(values, stds, strict=False)
+        if v is not None and s is not None
+    )
     return ", ".join(texts) + f" {unit}"
 
 

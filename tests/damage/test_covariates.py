@@ -64,7 +64,7 @@ def healthy(site: Configuration, cut: Cut, tmp_path_factory: pytest.TempPathFact
         (T0_NS, T0_NS + 200 * 10**9),
         [r.covariates for r in good],
         {"level": "dB", "wind": "m/s"},
-        pipeline.drift_weights,
+        pipeline.level_weights,
         updating=site.updating,
         compensation=site.compensation,
     )
@@ -203,5 +203,8 @@ def test_a_restart_goes_on_with_what_was_learned(
     second.state = from_bytes(to_bytes("k", first.state), "k", PipelineState)
     rest = [r for b in blocks[40:] for r in second.push(b) if isinstance(r, WindowResult)]
     assert [to_json(window_line(r)) for r in rest] == [to_json(window_line(r)) for r in lines[-len(rest) :]]
-    assert second.law is not None and healthy[1].law is not None
-    np.testing.assert_array_equal(second.law.slopes, healthy[1].law.slopes)  # nothing has waited for two days yet
+    assert second.state.learning is not None
+    assert healthy[1].law is not None
+    np.testing.assert_array_equal(
+        second.state.learning.law.slopes, healthy[1].law.slopes
+    )  # nothing has waited for two days yet

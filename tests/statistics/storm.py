@@ -68,7 +68,7 @@ def calibrated(levels: list[float], shape: tuple[float, ...], seed: int) -> Base
         (0, len(levels) * WINDOW_S * 10**9),
         [r.covariates for r in good],
         {"level": "dB"},
-        pipeline.drift_weights,
+        pipeline.level_weights,
         updating=CONFIG.updating,
         compensation=CONFIG.compensation,
     )[0]

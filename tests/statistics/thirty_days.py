@@ -20,8 +20,8 @@ from threadpoolctl import threadpool_limits
 
 from drivers.base import ACCELERATION, TEMPERATURE, SampleBlock
 from monitor.core.results import WHOLE, DamageReading, WindowResult
-from monitor.damage import Baseline, Effect, alarm, damage_index, law_lines, learn_baseline
-from monitor.damage.covariate_law import CovariateLaw
+from monitor.damage import Baseline, alarm, damage_index, law_lines, learn_baseline
+from monitor.damage.covariate_law import CovariateLaw, Effect
 from monitor.model.simulation import simulate
 from monitor.pipeline import Pipeline
 from monitor.runs.synthetic_recording import cut_into_blocks

@@ -99,6 +99,18 @@ class Drawing:
         none = np.full((2 * n_stories, 3), -1, dtype=np.intp)
         return cls(np.array(ends), none, np.stack([2 * index, 2 * index + 1], axis=1), index)
 
+    @classmethod
+    def of_channels(cls, names: Sequence[str]) -> Self:
+        """Make a row of points, the first channel on top, each of which moves with its channel: their places are not known."""
+        n_channels = len(names)
+        points = np.zeros((n_channels, 3))
+        points[:, 2] = np.arange(n_channels)[::-1]
+        dofs = np.full((n_channels, 3), -1, dtype=np.intp)
+        dofs[:, 0] = np.arange(n_channels)
+        between = np.arange(n_channels - 1, dtype=np.intp)
+        none = np.full(n_channels - 1, -1, dtype=np.intp)
+        return cls(points, dofs, np.stack([between, between + 1], axis=1), none, tuple(names))
+
 
 def drawing_problems(nodes: Sequence[NodeTable], lines: Sequence[LineTable], n_dofs: int, n_stories: int) -> list[str]:
     """List what is wrong with the tables of a drawing of a structure; nothing where there are none."""

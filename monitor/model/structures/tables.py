@@ -185,7 +185,16 @@ class MatricesTable(_Drawing):
         return Drawing.of_bars(len(self.stiffness_n_per_m))
 
 
-StructureTable = Annotated[ShearFrameTable | MatricesTable, Field(discriminator="kind")]
+class ModalTable(Settings):
+    """Table of a structure of which nothing is drawn, ``kind = "modal"``: its modes alone are monitored."""
+
+    kind: Literal["modal"]
+    name: str = ""
+    """Name of the structure, for people."""
+
+
+DrawnTable = ShearFrameTable | MatricesTable
+StructureTable = Annotated[DrawnTable | ModalTable, Field(discriminator="kind")]
 
 
 def _symmetric(name: str, rows: Matrix, n: int) -> Array:

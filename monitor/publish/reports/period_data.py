@@ -115,6 +115,8 @@ class PeriodResults:
     """Frequencies with two standard deviations, Hz."""
     ddi: list[Curve] = field(default_factory=list)
     """Damage index of each story, with two standard deviations."""
+    changes: list[Curve] = field(default_factory=list)
+    """Change of each mode's frequency since the baseline, with two standard deviations, where there is no model."""
     covariates: dict[str, Curve] = field(default_factory=dict)
     """Temperature, level and named covariates of every window, judged or not."""
     misfit: Curve | None = None
@@ -162,6 +164,11 @@ class PeriodResults:
             for curve, value, std in zip(self.ddi, line["ddi"], line["ddi_std"], strict=False):
                 curve.add(at, value, 2.0 * std)
             self.unidentified |= set(line.get("unidentified") or [])
+        if (sizes := line.get("frequency_change")) is not None:
+            self.changes = self.changes or [Curve(self.grid) for _ in sizes]
+            for curve, size, std in zip(self.changes, sizes, line["frequency_change_std"], strict=False):
+                if size is not None and std is not None:
+                    curve.add(at, size, 2.0 * std)
         if (misfit := line.get("misfit")) is not None:
             self.misfit = self.misfit or Curve(self.grid)
             self.misfit.add(at, misfit)

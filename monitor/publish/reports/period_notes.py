@@ -14,7 +14,9 @@ from monitor.core import parse_json, utc_ns
 from monitor.damage import Loss
 from monitor.publish.reports.period_data import utc
 
-_REQUEST = re.compile(r"(acknowledge|reset|shelve|unshelve) alarm of story (\d+): ?(.*)", re.DOTALL)
+_REQUEST = re.compile(
+    r"(acknowledge|reset|shelve|unshelve) alarm of (story|mode|the shape of mode) (\d+)[^:]*: ?(.*)", re.DOTALL
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +58,7 @@ class Decision:
     what: str
     action: str = ""
     story: int = -1
-    """Story of an operator's request; `WHOLE` is the structure."""
+    """Story of an operator's request, or what else has this alarm; `WHOLE` is the structure."""
 
 
 @dataclass(slots=True)
@@ -166,13 +168,15 @@ def read_findings(folder: Path, from_ns: int, to_ns: int) -> list[dict[str, Any]
     return sorted((f for f in found if from_ns < f.get("t_ns", 0) <= to_ns), key=lambda f: int(f["t_ns"]))
 
 
-def read_decisions(folder: Path, health: HealthFile) -> list[Decision]:
-    """Read the ledger in a folder, with its times converted to the data's time."""
+def read_decisions(folder: Path, health: HealthFile, n_modes: int = 0) -> list[Decision]:
+    """Read the ledger in a folder, with its times converted to the data's time; of `n_modes` modes where these are judged."""
     out = []
     for line in _read_json_objects(folder / "ledger.jsonl"):
         t_ns = health.data_ns(utc_ns(line["when"]))
         asked = _REQUEST.fullmatch(line["what"])
-        action, story = (asked[1], int(asked[2])) if asked else ("", -1)
+        action, story = (asked[1], int(asked[3])) if asked else ("", -1)
+        if asked and asked[2].startswith("the shape"):  # numbered after the modes' frequencies
+            story += n_modes
         out.append(Decision(t_ns, line["who"], line["what"], action, story))
     return out
 

@@ -76,7 +76,7 @@ def read_period(folder: Path, from_ns: int | None, to_ns: int | None) -> Period:
         thresholds = {str(name): float(value) for name, value in summary.get("thresholds", {}).items()}
         learned = {str(n): LearnedRange(**r) for n, r in summary.get("covariates_learned", {}).items()}
     with _name_file_in_errors(folder / "ledger.jsonl"):
-        decisions = [d for d in notes.read_decisions(folder, health) if start < d.t_ns <= stop]
+        decisions = [d for d in notes.read_decisions(folder, health, known.n_modes or 0) if start < d.t_ns <= stop]
     with _name_file_in_errors(folder / "findings"):
         findings = notes.read_findings(folder, start, stop)
     if not known.names:  # a run of an older version
@@ -108,9 +108,10 @@ def _hidden_losses(known: Sequence[Loss], summary: Mapping[str, Any], start: int
     """List from the summary the alarms that the lines do not show, since another story had a higher alarm."""
     out = []
     for a in summary.get("alarms", ()):
-        last = a["t_last_ns"]
+        last, modal = a["t_last_ns"], bool(a.get("part"))
+        story, size, std = ("part", "change", "change_std") if "part" in a else ("story", "ddi", "ddi_std")
         loss = Loss(
-            Level(a["level"]), a["story"] or WHOLE, a["ddi"], a["ddi_std"], a.get("loss_n_per_m"), a["t_first_ns"], last
+            Level(a["level"]), a[story] or WHOLE, a[size], a[std], a.get("loss_n_per_m"), a["t_first_ns"], last, modal
         )
         same = [k for k in known if k.story == loss.story and (last is None or k.t_first_ns <= last)]
         same = [k for k in same if k.t_last_ns is None or k.t_last_ns >= loss.t_first_ns]
@@ -126,9 +127,8 @@ def write_period(path: Path, period: Period) -> None:
 
 def page(period: Period) -> str:
     """Write the page, which is well-formed XML as well."""
-    parts = [_head(period), _damage(period), _alarms(period), _modes(period), _covariates(period), _trust(period)]
-    parts.append(_findings(period))
-    return document(f"{period.name}: {_span(period)}", parts)
+    sections = (_head, _damage, _changes, _alarms, _modes, _covariates, _trust, _findings)
+    return document(f"{period.name}: {_span(period)}", [section(period) for section in sections])
 
 
 def _span(period: Period) -> str:
@@ -139,7 +139,7 @@ def _span(period: Period) -> str:
 def _story(story: int, period: Period) -> str:
     """Write the name of a story."""
     if story == WHOLE:
-        return "every story"
+        return period.known.words.every
     return period.known.names[story - 1] if story <= len(period.known.names) else f"story {story}"
 
 
@@ -165,6 +165,7 @@ def _head(period: Period) -> str:
             if _sight(j, period)[0]
         ]
         figures += latest if len(latest) <= 4 else [max(latest, key=lambda f: float(f[0].split()[0]))]
+    figures += [(f"{100 * c.latest:+.2f} %", f"mode {k}, latest") for k, c in enumerate(r.changes[:4], 1) if c.values]
     boxes = "".join(f"<div><b>{a}</b>{escape(b)}</div>" for a, b in figures)
     return (
         f'<span class="verdict {said.state}">{said.state.words}</span><h1>{escape(said.headline)}</h1>'
@@ -201,6 +202,33 @@ def _damage(period: Period) -> str:
         out.append(axes.chart(title, *marks, x_title=TIME, kind="" if seen else " unseen"))
     how = _thresholds(period.thresholds) if judged else "Without a baseline this is no damage index."
     return "".join(out) + f"<p class='muted'>{how}</p>"
+
+
+def _changes(period: Period) -> str:
+    """Draw the change of every mode's frequency on one scale, with alarms and threshold, where there is no model."""
+    r = period.results
+    if not any(c.values for c in r.changes):
+        return ""
+    limit = 50 * period.thresholds.get("alarm_loss", period.known.alarm_loss)
+    curves = [(k, c.envelope()) for k, c in enumerate(r.changes, 1) if c.values]
+    low = 100 * min(-0.001, *(float(e.low.min()) for _, e in curves))
+    high = 100 * max(0.001, *(float(e.high.max()) for _, e in curves))
+    out = ["<h2>Change of the modes</h2>"]
+    for k, e in curves:
+        axes = time_axes(r.grid, min(low, -limit), max(high, 0.2 * limit))
+        of_shape = k + (period.known.n_modes or 0)
+        marks = [
+            axes.shade(_clipped(axes, a.t_first_ns, a.t_last_ns), "still" if a.level == "alarm" else "off")
+            for a in period.course.losses
+            if a.story in (k, of_shape, WHOLE)
+        ]
+        lines = [(0.0, "before dashed"), (-limit, "limit dashed")]
+        marks += [axes.line(np.array(axes.x), np.full(2, y), kind) for y, kind in lines]
+        marks += draw_envelope(axes, e, 100.0)
+        title = f"mode {k}: frequency since the baseline, less what covariates explain, %"
+        out.append(axes.chart(title, *marks, x_title=TIME))
+    says = "Shaded where frequency or shape was announced as changed; dashed red: a confirmed fall of this size is an alarm."
+    return "".join(out) + f"<p class='muted'>{says}</p>"
 
 
 def _sight(story: int, period: Period) -> tuple[bool, str]:
@@ -250,11 +278,11 @@ def _alarms(period: Period) -> str:
         asked = notes.requests_for(e, period.decisions, next(later, float("inf")))
         actions = "; ".join(f"{d.action} by {d.who}, {utc(d.t_ns)}" for d in asked) or "nobody yet"
         ended = "lasts" if e.t_last_ns is None else utc(e.t_last_ns)
-        verdict = diagnosis_of(e, period.findings) or "not diagnosed"
-        rows.append(
-            (e.level, _story(e.story, period), utc(e.t_first_ns), ended, _percent(e.ddi, e.ddi_std), verdict, actions)
-        )
-    head = ["level", "where", "@from, UTC", "@to, UTC", "#stiffness lost", "diagnosis", "acknowledged"]
+        verdict = diagnosis_of(e, period.findings) or ("needs a model" if e.modal else "not diagnosed")
+        size = _percent(e.ddi, e.ddi_std)
+        rows.append((e.level, _story(e.story, period), utc(e.t_first_ns), ended, size, verdict, actions))
+    size = "#stiffness lost" if period.known.n_modes is None else "#change"
+    head = ["level", "where", "@from, UTC", "@to, UTC", size, "diagnosis", "acknowledged"]
     return "<h2>Alarms</h2>" + table(head, rows) + _rest_count(len(period.course.losses))
 
 
@@ -268,7 +296,8 @@ def _modes(period: Period) -> str:
     curves = period.results.common_modes()
     if not curves:
         return ""
-    names = [f"mode {c.mode}" if c.mode is not None else "another mode, not of the model" for c in curves]
+    other = "another mode, not of the model" if period.known.n_modes is None else "another mode"
+    names = [f"mode {c.mode}" if c.mode is not None else other for c in curves]
     panels = [panel(period.results.grid, c, f"{name}: frequency, Hz") for name, c in zip(names, curves, strict=True)]
     return "<h2>Modes</h2>" + "".join(panels)
 
@@ -281,7 +310,7 @@ def _covariates(period: Period) -> str:
         unit = learned.unit if learned is not None else _UNITS.get(name, "")
         extent = f"{e.low.min():.3g}", f"{e.high.max():.3g}", f"{curve.latest:.3g}"
         known = (_UNKNOWN, _UNKNOWN) if learned is None else (f"{learned.low:.3g}", f"{learned.high:.3g}")
-        rows.append((name, unit, *known, *extent, _place(curve.latest, learned)))
+        rows.append((name, unit, *known, *extent, _place(curve.latest, learned, period)))
         panels.append(panel(period.results.grid, curve, f"{name}, {unit}".rstrip(", ")))
     if not rows:
         return ""
@@ -289,13 +318,14 @@ def _covariates(period: Period) -> str:
     return "<h2>Level of motion and weather</h2>" + table(head, rows) + "".join(panels)
 
 
-def _place(value: float, learned: LearnedRange | None) -> str:
+def _place(value: float, learned: LearnedRange | None, period: Period) -> str:
     """Say where a value lies in the range that calibration learned from."""
     if learned is None:
         return "not learned"
+    what = "stiffness is" if period.known.n_modes is None else "frequencies are"
     if value < learned.low:
-        return "below it: stiffness is compared by extrapolation"
-    return "above it: stiffness is compared by extrapolation" if value > learned.high else "within it"
+        return f"below it: {what} compared by extrapolation"
+    return f"above it: {what} compared by extrapolation" if value > learned.high else "within it"
 
 
 def _trust(period: Period) -> str:

@@ -50,16 +50,22 @@ WINDOWS_SCHEMA = pa.schema(
         ("temperature_effect", _MANY),
         ("covariates", pa.map_(pa.string(), pa.float64())),
         ("covariate_effect", pa.map_(pa.string(), _MANY)),
+        ("frequency_change", _MANY),
+        ("frequency_change_std", _MANY),
+        ("shape_change", _MANY),
+        ("shape_change_std", _MANY),
+        ("frequency_effect", pa.map_(pa.string(), _MANY)),
         ("alarm_level", pa.string()),
         ("alarm_stories", _NUMBERS),
         ("alarm_reason", pa.string()),
         ("alarm_shelved", _NUMBERS),
+        ("alarm_changed", pa.list_(pa.string())),
         ("channels_left_out", pa.list_(pa.string())),
         ("left_out_reasons", pa.list_(pa.string())),
         ("skipped", pa.string()),
     ]
 )
-"""Columns of the table: the keys of a line of results.jsonl, with `alarm` as four columns, the stream's name, and the end of the
+"""Columns of the table: the keys of a line of results.jsonl, with `alarm` as five columns, the stream's name, and the end of the
 window as a timestamp.
 """
 
@@ -82,7 +88,7 @@ def windows_table(lines: Iterable[Mapping[str, Any]], stream: str) -> pa.Table:
     rows = []
     for line in lines:
         alarm = {f"alarm_{key}": value for key, value in line["alarm"].items()}
-        given = {key: line.get(key) for key in ("covariates", "covariate_effect")}
+        given = {key: line.get(key) for key in ("covariates", "covariate_effect", "frequency_effect")}
         maps = {key: None if value is None else list(dict(value).items()) for key, value in given.items()}
         rows.append({**line, **alarm, **maps, "stream": stream, "t_end": line["t_end_ns"]})
     return pa.Table.from_pylist(rows, schema=WINDOWS_SCHEMA)

@@ -18,14 +18,15 @@ from monitor.core import (
     AlarmCondition,
     ComplexArray,
     Level,
+    ModalReading,
     OtherMode,
     WindowResult,
     finish,
     parse_json,
     partial,
 )
-from monitor.damage import LEVEL, AlarmState, State, WindowFacts, drift_m, hold
-from monitor.publish.results.schema import LINE_SCHEMA
+from monitor.damage import LEVEL, AlarmState, State, WindowFacts, drift_m, hold, modal_facts, modal_parts
+from monitor.publish.results.schema import LINE_SCHEMA, MODAL_KEYS
 
 _KINDS: dict[str, type] = {
     "array": list,
@@ -71,7 +72,7 @@ def window_line(result: WindowResult) -> dict[str, Any]:
     >>> line["t_end_ns"], line["alarm"]["level"], line["skipped"], line["ddi"]
     (400000000000, 'normal', 'too few poles', None)
     """
-    modes, stiffness, damage = result.modes, result.stiffness, result.damage
+    modes, stiffness, damage, modal = result.modes, result.stiffness, result.damage, result.modal
     n_modes = 0 if modes is None else len(modes.frequencies_hz)
     return {
         "window": result.index,
@@ -103,16 +104,38 @@ def window_line(result: WindowResult) -> dict[str, Any]:
         else _rounded(damage.temperature_effect),
         "covariates": {name: _rounded(_as_shown(name, values[0])) for name, values in result.covariates.items()},
         "covariate_effect": damage and {name: _rounded(part) for name, part in damage.covariate_effect.items()},
+        **_modal_changes(modal),
         "alarm": {
             "level": result.alarm.level.value,
             "stories": list(result.alarm.stories),
             "reason": result.alarm.reason,
             "shelved": [j for j, c in result.alarm.conditions.items() if c is AlarmCondition.SHELVED],
+            "changed": [] if modal is None else _changed(modal, result.alarm),
         },
         "channels_left_out": [gone.channel for gone in result.left_out],
         "left_out_reasons": [gone.reason for gone in result.left_out],
         "skipped": result.skipped and result.skipped.reason,
     }
+
+
+def _modal_changes(modal: ModalReading | None) -> dict[str, Any]:
+    """Collect the changes of the modes since the baseline; None where they are not what is judged."""
+    if modal is None:
+        return dict.fromkeys(MODAL_KEYS)
+    shape, shape_std = modal.largest_shape_change()
+    return {
+        "frequency_change": _rounded(np.expm1(modal.ln_frequency)),
+        "frequency_change_std": _rounded(modal.ln_frequency_std),
+        "shape_change": _rounded(shape),
+        "shape_change_std": _rounded(shape_std),
+        "frequency_effect": {name: _rounded(np.expm1(part)) for name, part in modal.covariate_effect.items()},
+    }
+
+
+def _changed(modal: ModalReading, alarm: Alarm) -> list[str]:
+    """Name the modes and shapes at the announced level; none where all modes changed alike, or nothing did."""
+    parts = modal_parts(modal.ln_frequency.size)
+    return [parts[j - 1] for j, level in alarm.active.items() if j != WHOLE and level is alarm.level]
 
 
 def _as_shown(name: str, value: float) -> float:
@@ -252,6 +275,8 @@ def _is_of(value: Any, kind: str) -> bool:
 def facts_of_line(line: Mapping[str, Any]) -> WindowFacts:
     """Collect what the state needs of a window from its line of results.jsonl."""
     level = Level(line["alarm"]["level"])
+    if line.get("frequency_change") is not None:
+        return _modal_facts(line, level)
     active: dict[int, Level] = (
         {} if level is Level.NORMAL else dict.fromkeys(line["alarm"]["stories"] or [WHOLE], level)
     )
@@ -272,6 +297,25 @@ def facts_of_line(line: Mapping[str, Any]) -> WindowFacts:
     )
 
 
+def _modal_facts(line: Mapping[str, Any], level: Level) -> WindowFacts:
+    """Collect what the state needs of a window of modes alone."""
+    frequency, shape = line["frequency_change"], line["shape_change"]
+    sizes = zip([*frequency, *shape], [*line["frequency_change_std"], *line["shape_change_std"]], strict=True)
+    parts, known = modal_parts(len(frequency)), list(sizes)
+    changed = [parts.index(part) + 1 for part in line["alarm"]["changed"]]
+    active: dict[int, Level] = {} if level is Level.NORMAL else dict.fromkeys(changed or [WHOLE], level)
+    return modal_facts(
+        line["t_end_ns"],
+        line.get("window_s") or 0.0,
+        active,
+        [(None, None) if size is None else (size, std) for size, std in known],
+        tuple(line["alarm"].get("shelved", ())),
+        line.get("detectable_loss"),
+        line.get("rms_m_s2"),
+        tuple(zip(line.get("channels_left_out") or (), line.get("left_out_reasons") or (), strict=False)),
+    )
+
+
 def _reading(line: Mapping[str, Any], story: int) -> tuple[float, float, float | None]:
     """Return a story's damage index, its standard deviation and the stiffness lost in N/m; `WHOLE`: of what lost least."""
     j = int(np.argmin(line["ddi"])) if story == WHOLE else story - 1
@@ -285,16 +329,16 @@ def replay_text(summary: Mapping[str, Any]) -> str:
     text = [f"{summary['windows']} windows, {summary['skipped']} skipped, {pace}"]
     drawn_hz = summary["structure_file_frequencies_hz"]
     modes = summary["model_modes"] or []
-    for mode, measured, misfit in zip(
-        modes, summary["frequencies_hz"] or [], summary["frequency_misfit"] or [], strict=True
-    ):
-        text.append(
-            f"mode {mode}: {measured:.4g} Hz measured, {drawn_hz[mode - 1]:.4g} Hz by the structure file "
-            f"(the data lie {100 * misfit:+.1f} % off)"
-        )
+    means = list(zip(modes, summary["frequencies_hz"] or [], strict=True))
+    for (mode, measured), misfit in zip(means, summary["frequency_misfit"] or [None] * len(means), strict=True):
+        line = f"mode {mode}: {measured:.4g} Hz measured"
+        if misfit is not None:  # there is a model
+            line += f", {drawn_hz[mode - 1]:.4g} Hz by the structure file (the data lie {100 * misfit:+.1f} % off)"
+        text.append(line)
     for other in summary["other_modes"]:
         where = f"in {other['windows']} of {summary['windows']} windows"
-        text.append(f"besides: {other['frequency_hz']:.4g} Hz measured {where}, no mode of the model")
+        whose = "the model" if drawn_hz else "the baseline"
+        text.append(f"besides: {other['frequency_hz']:.4g} Hz measured {where}, no mode of {whose}")
     text += summary["missing_modes"]
     state = State(summary["state"])
     return "\n".join([*text, f"{state.words}: {summary['headline']}", *(f"  {doubt}" for doubt in summary["doubts"])])

@@ -12,6 +12,8 @@ _LISTS = (
     "frequencies_hz", "frequencies_std_hz", "damping_ratio", "damping_std", "stiffness_n_per_m", "stiffness_std",
     "ddi", "ddi_std", "ddi_sequential", "loss_n_per_m", "temperature_effect",
 )  # fmt: skip
+MODAL_KEYS = ("frequency_change", "frequency_change_std", "shape_change", "shape_change_std", "frequency_effect")
+"""Keys of what is judged without a model. [names; definition]"""
 
 LINE_SCHEMA: dict[str, Any] = {
     "title": "shm.Window",
@@ -34,6 +36,8 @@ LINE_SCHEMA: dict[str, Any] = {
         "temperature_degc": _NUMBER,
         "covariates": {"type": "object", "additionalProperties": _NUMBER},
         "covariate_effect": {"type": ["object", "null"], "additionalProperties": _NUMBERS},
+        **dict.fromkeys(MODAL_KEYS[:-1], _NUMBERS),
+        "frequency_effect": {"type": ["object", "null"], "additionalProperties": _NUMBERS},
         "alarm": {
             "type": "object",
             "properties": {
@@ -41,6 +45,7 @@ LINE_SCHEMA: dict[str, Any] = {
                 "stories": _INTEGERS,
                 "reason": {"type": "string"},
                 "shelved": _INTEGERS,
+                "changed": _STRINGS,
             },
         },
         "channels_left_out": _STRINGS,

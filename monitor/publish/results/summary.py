@@ -92,7 +92,7 @@ class Summary:
         realtime_factor : float
             Length of the data over the time that its evaluation took.
         model_frequencies_hz : list of float
-            Natural frequencies of the structure file's model, Hz.
+            Natural frequencies of the structure file's model, Hz; empty without a model.
         """
         most = max((n for n, _ in [*self.modes.values(), *self.other_modes]), default=0)
         means = {mode: hz for mode, (n, hz) in sorted(self.modes.items()) if n >= _COMMON_MODE * most}
@@ -109,7 +109,9 @@ class Summary:
             "frequencies_hz": list(means.values()) or None,
             "model_modes": list(means) or None,
             "structure_file_frequencies_hz": model_frequencies_hz,
-            "frequency_misfit": [hz / model_frequencies_hz[mode - 1] - 1.0 for mode, hz in means.items()] or None,
+            "frequency_misfit": [hz / model_frequencies_hz[mode - 1] - 1.0 for mode, hz in means.items()] or None
+            if model_frequencies_hz
+            else None,
             "other_modes": [{"frequency_hz": hz, "windows": n} for hz, n in others],
             "missing_modes": [why for mode, why in sorted(self.missing_modes.items()) if mode not in means],
             "temperature_range_degc": self.temperature_range_degc,
@@ -123,8 +125,16 @@ def _with_value(mean: tuple[int, float], value: float) -> tuple[int, float]:
 
 
 def episode_content(loss: Loss) -> dict[str, Any]:
-    """Return an alarm episode as it stands in summary.json; `story` is None for the whole structure."""
-    return asdict(loss) | {"level": loss.level.value, "story": None if loss.story == WHOLE else loss.story}
+    """Return an alarm episode as it stands in summary.json; `story` is None for the whole structure, and of modes alone.
+
+    Of modes alone `part` is the number of what changed (`damage.modal_parts`), and `change` its size in place of a loss.
+    """
+    content = asdict(loss) | {"level": loss.level.value, "story": None if loss.story == WHOLE else loss.story}
+    del content["modal"]
+    if loss.modal:
+        size, std = content.pop("ddi"), content.pop("ddi_std")
+        content |= {"story": None, "part": loss.story, "change": size, "change_std": std, "ddi": None, "ddi_std": None}
+    return content
 
 
 @dataclass(slots=True)

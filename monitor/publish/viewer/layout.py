@@ -45,7 +45,7 @@ def _frame(scene: Scene) -> rrb.Spatial3DView:
     away = max(_DISTANCE_TO_WIDTH * width, _DISTANCE_TO_HEIGHT * height)
     eye = rrb.EyeControls3D(position=centre + away * np.array([0.0, -1.0, 0.15]), look_target=centre)
     return rrb.Spatial3DView(
-        origin="/frame", name="Stiffness lost and mode shapes", eye_controls=eye,
+        origin="/frame", name="Stiffness lost and mode shapes" if scene.n_stories else "Mode shapes", eye_controls=eye,
         line_grid=rrb.LineGrid3D(visible=False), background=_DARK,
     )  # fmt: skip
 
@@ -89,19 +89,18 @@ def _healthy(scene: Scene) -> rrb.Horizontal:
         ),
         row_shares=[0.4, 3.4, 5.6, 4.4],
     )
+    change = _plot("/modes/change", f"Frequencies: change since {first}, %")
+    frequencies = rrb.Grid(*modes, grid_columns=1 if n <= _MODES_IN_A_COLUMN else 2, name="Frequencies, Hz")
+    stiffness = rrb.Tabs(
+        _plot("/ddi", f"Stiffness lost {since} (DDI), %"),
+        _plot("/stiffness", "Stiffness, N/m"),
+        _plot(DRIFT, "Events: largest drift, mm"),
+        active_tab=0 if scene.has_baseline else 1,
+    )
     right = rrb.Vertical(
-        rrb.Tabs(
-            _plot("/ddi", f"Stiffness lost {since} (DDI), %"),
-            _plot("/stiffness", "Stiffness, N/m"),
-            _plot(DRIFT, "Events: largest drift, mm"),
-            active_tab=0 if scene.has_baseline else 1,
-        ),
+        stiffness if scene.n_stories else change,
         rrb.StateTimelineView(origin="/state", contents="/state", name="State over time", time_view=ALL_TIME),
-        rrb.Tabs(
-            _plot("/modes/change", f"Frequencies: change since {first}, %"),
-            rrb.Grid(*modes, grid_columns=1 if n <= _MODES_IN_A_COLUMN else 2, name="Frequencies, Hz"),
-            active_tab=0,
-        ),
+        rrb.Tabs(change, frequencies, active_tab=0) if scene.n_stories else frequencies,
         _events(),
         row_shares=[6, 2, 6, 3],
     )
@@ -110,21 +109,20 @@ def _healthy(scene: Scene) -> rrb.Horizontal:
 
 def _trust(scene: Scene) -> rrb.Horizontal:
     """Make the page of trust, with the verdict and the fit at the left, and the sensors and clocks at the right."""
+    fit = _plot("/trust/misfit", f"Goodness of fit: 1 is expected, doubtful above {scene.misfit_threshold:g}")
+    covariates = [
+        _plot(
+            f"/trust/covariate/{rr.escape_entity_path_part(name)}",
+            f"{name}, {learned.unit}, and the range learned",
+        )
+        for name, learned in scene.learned.items()
+    ]
+    known = [fit, *covariates] if scene.n_stories else covariates
     left = rrb.Vertical(
         rrb.TextDocumentView(origin="/verdict", name="Latest diagnosis"),
         _canvas("/stabilisation", "Stabilisation diagram: order over frequency, Hz"),
-        rrb.Tabs(
-            _plot("/trust/misfit", f"Goodness of fit: 1 is expected, doubtful above {scene.misfit_threshold:g}"),
-            *[
-                _plot(
-                    f"/trust/covariate/{rr.escape_entity_path_part(name)}",
-                    f"{name}, {learned.unit}, and the range learned",
-                )
-                for name, learned in scene.learned.items()
-            ],
-            active_tab=0,
-        ),
-        row_shares=[2, 3, 2],
+        *([rrb.Tabs(*known, active_tab=0)] if known else []),
+        row_shares=[2, 3, 2][: 3 if known else 2],
     )
     right = rrb.Vertical(
         _plot("/quality/availability", "Samples that came, %", legend=False),

@@ -222,6 +222,8 @@ class ResultDrawing:
             self._bounded(f"/modes/damping/{k + 1}", d, ds, 100.0)
             reference = self._reference_hz.setdefault(k, f or np.nan)
             change, change_std = (None, None) if f is None or fs is None else (f / reference - 1.0, fs / reference)
+            if result.modal is not None and f is not None:  # less what the covariates explain
+                change, change_std = np.expm1(result.modal.ln_frequency[k]), result.modal.ln_frequency_std[k]
             self._bounded(f"/modes/change/{k + 1}", change, change_std, 100.0)
         self._stiffness(result.stiffness)
         self._damage(result)
@@ -257,6 +259,8 @@ class ResultDrawing:
 
     def _damage(self, result: WindowResult) -> None:
         """Draw the damage index over time, and colour the frame by it: green only where a loss would have been seen."""
+        if not self._scene.n_stories:
+            return
         damage, detectable = result.damage, result.detectable_loss
         loss_at, n = self._scene.alarm_loss, self._scene.n_stories
         readings: list[tuple[float | None, float | None]] = [(None, None)] * n

@@ -12,7 +12,7 @@ import numpy as np
 
 from drivers.base import ClockHealth
 from monitor.core import Array, ModalEstimate, WindowResult
-from monitor.damage import Baseline, LearnedRange, learned_ranges
+from monitor.damage import Baseline, LearnedRange, ModalBaseline, learned_ranges
 from monitor.model import Drawing, Model
 
 Colour = tuple[int, int, int]
@@ -69,24 +69,28 @@ class Plan:
 
     @classmethod
     def of(cls, drawing: Drawing, n_stories: int, n_modes: int) -> Plan:
-        """Plan the view of a drawing: labels in a column at its left, or in rows above a long one."""
+        """Plan the view of a drawing: labels in a column at its left, or in rows above a long one; none without stories."""
         low, high = drawing.points.min(axis=0), drawing.points.max(axis=0)
         scale = max(float((high - low).max()), 1e-12)
         points, size = (drawing.points - low) / scale, (high - low) / scale
         is_long = bool(size[2] < _LONG * size[0])
         ends = [points[drawing.lines[drawing.stories == j]].reshape(-1, 3) for j in range(n_stories)]
-        labels = np.array([e.mean(axis=0) for e in ends])
+        labels = np.array([e.mean(axis=0) for e in ends]).reshape(-1, 3)
         length = n_modes * _pitch(size, is_long=is_long)  # of the mode shapes
         if is_long:
             labels[:, 2] = size[2] + _LABEL_STEP * (1 + np.arange(n_stories) % _LABEL_ROWS)
             low, high = (-0.4, 0.0, -length - 0.15), (1.15, 0.0, size[2] + _LABEL_STEP * (1 + _LABEL_ROWS))
         else:
-            room = _LABEL_SHARE / (1.0 - _LABEL_SHARE) * (size[0] + length + _MARGIN)
+            share = _LABEL_SHARE if n_stories else 0.0
+            room = share / (1.0 - share) * (size[0] + length + _MARGIN)
             labels[:, 0] = -0.5 * room - 0.05
             step = _LABEL_STEP * max(1.0, 1.3 * room)
             for above, j in pairwise(np.argsort(-labels[:, 2], kind="stable")):
                 labels[j, 2] = min(labels[j, 2], labels[above, 2] - step)
-            low, high = (-room - 0.1, 0.0, -0.15), (size[0] + length + _MARGIN, 0.0, size[2] + 0.05)
+            low, high = (
+                (-room - 0.1, 0.0, -0.15),
+                (size[0] + length + _MARGIN, 0.0, size[2] + (0.05 if n_stories else 0.2)),
+            )
         return cls(points, labels, size, is_long, np.array(low), np.array(high))
 
     def offset(self, mode: int) -> Array:
@@ -203,6 +207,40 @@ def make_scene(
     )
 
 
+def make_modal_scene(
+    name: str,
+    drawing: Drawing,
+    channels: tuple[str, ...],
+    baseline: ModalBaseline | None,
+    *,
+    alarm_loss: float,
+    cutoff_hz: float,
+    max_modes: int,
+) -> Scene:
+    """Describe to the viewer a site without a model, of which the modes alone are judged.
+
+    Parameters
+    ----------
+    channels : tuple of str
+        Names of the channels, each a degree of freedom of the drawing.
+    alarm_loss, cutoff_hz, max_modes
+        As of `make_scene`.
+    """
+    return Scene(
+        name=name,
+        channels=channels,
+        sensor_floor=tuple(range(1, len(channels) + 1)),
+        drawing=drawing,
+        story_names=(),
+        baseline_frequencies_hz=None if baseline is None else baseline.frequencies_hz,
+        has_baseline=baseline is not None,
+        alarm_loss=alarm_loss,
+        cutoff_hz=cutoff_hz,
+        n_modes=max_modes if baseline is None else baseline.frequencies_hz.size,
+        learned={} if baseline is None else learned_ranges(baseline.law),
+    )
+
+
 def _by_model_mode(baseline: Baseline) -> Array:
     """Order the baseline's frequencies by number of the model's mode."""
     out = np.full(max(baseline.model_mode, default=-1) + 1, np.nan)
@@ -249,16 +287,36 @@ def status_markdown(scene: Scene, result: WindowResult) -> str:
         rows = zip(scene.story_names, damage.ddi, damage.ddi_std, strict=True)
         lines += [f"| {name.removeprefix('story ')} | {plus_minus(d, s, 100)} |" for name, d, s in rows] + [""]
     if modes is not None:
-        lines += ["| mode | frequency, Hz (± 2σ) | baseline, Hz | damping, % (± 2σ) |", "|---|---|---|---|"]
+        changes = dict(enumerate(_modal_changes(result)))
+        lines += [
+            "| mode | frequency, Hz (± 2σ) | baseline, Hz | damping, % (± 2σ) |"
+            + (" change, % (± 2σ) |" if changes else "")
+        ]
+        lines += ["|---|---|---|---|" + ("---|" if changes else "")]
         for k, f, fs, d, ds in mode_rows(modes):
             base = scene.baseline_frequencies_hz
             was = f"{base[k]:.3f}" if base is not None and k < len(base) and base[k] > 0 else "-"
             lines.append(f"| {k + 1} | {plus_minus(f, fs, digits=3)} | {was} | {plus_minus(d, ds, 100, 2)} |")
+            lines[-1] += f" {changes[k]} |" if changes else ""
         for other in modes.others:
             f, fs, d = other.frequency_hz, other.frequency_std_hz, other.damping_ratio
-            lines.append(f"| not of the model | {plus_minus(f, fs, digits=3)} | - | {100 * d:.2f} |")
+            which = "not of the model" if scene.n_stories else "another one"
+            lines.append(
+                f"| {which} | {plus_minus(f, fs, digits=3)} | - | {100 * d:.2f} |" + (" - |" if changes else "")
+            )
     lines += ["", f"{scene.name}, window of {result.window_s:g} s to {end:%Y-%m-%d %H:%M:%S} UTC"]
     return "\n".join(lines)
+
+
+def _modal_changes(result: WindowResult) -> list[str]:
+    """Write the change of each mode's frequency since the baseline; empty where a model is judged."""
+    if result.modal is None:
+        return []
+    change = np.expm1(result.modal.ln_frequency).tolist()
+    return [
+        plus_minus(c, s, 100, 2) if np.isfinite(c) else "-"
+        for c, s in zip(change, result.modal.ln_frequency_std.tolist(), strict=True)
+    ]
 
 
 def mode_rows(modes: ModalEstimate) -> list[tuple[int, float, float, float, float]]:

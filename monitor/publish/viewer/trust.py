@@ -59,7 +59,10 @@ class TrustDrawing:
     def misfit(self, value: float | None) -> None:
         """Draw the goodness of fit; the recording's time is the window's end."""
         if not self._has_verdict:
-            self._verdict("No diagnosis was asked for so far.")
+            none = "No diagnosis was asked for so far."
+            self._verdict(
+                none if self._scene.n_stories else "No diagnosis: it needs a model, and the modes alone are judged."
+            )
         if value is not None:
             lines = (("line", value), ("one", 1.0), ("asks", self._scene.misfit_threshold))
             for name, size in lines:

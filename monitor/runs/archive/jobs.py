@@ -18,6 +18,7 @@ from monitor.core import UserError, WindowResult, keep_freed, write_atomically
 from monitor.damage import load_baseline
 from monitor.publish import WINDOWS_SCHEMA, Publisher, to_json, windows_table
 from monitor.runs.archive.inventory import Survey
+from monitor.runs.baselines import load_healthy
 from monitor.runs.recordings import read_blocks
 from monitor.runs.replay import pass_through, with_first_block_read
 from monitor.runs.session import Session
@@ -118,9 +119,7 @@ def replay_run(task: Task) -> Outcome:
 def _replay(task: Task, warnings: list[str]) -> None:
     """Replay a run as `replay_run`; errors are raised."""
     settings = configuration.load(task.structure)
-    healthy = (
-        None if task.baseline is None else load_baseline(task.baseline, settings.instrumented(), settings.updating)
-    )
+    healthy = None if task.baseline is None else load_healthy(task.baseline, settings)
     paths, folder = list(task.paths), task.out / RUNS / task.name
     source = with_first_block_read(read_blocks(paths, settings, warnings.append))
     folder.mkdir(parents=True, exist_ok=True)

@@ -23,7 +23,6 @@ from dask.callbacks import Callback
 
 from monitor.config import configuration as config
 from monitor.core import MissingInputError, parse_json, spare_inputs, write_atomically
-from monitor.damage import load_baseline
 from monitor.runs.archive.inventory import Run, Survey, file_version, fingerprint, group_into_runs
 from monitor.runs.archive.jobs import (
     DIAGNOSES,
@@ -36,6 +35,7 @@ from monitor.runs.archive.jobs import (
     replay_run,
     survey_recording,
 )
+from monitor.runs.baselines import load_healthy
 
 Job = TypeVar("Job")
 Done = TypeVar("Done")
@@ -92,9 +92,9 @@ def reprocess(
         If the structure file or the baseline cannot be used.  An error of a recording is part of its outcome.
     """
     spare_inputs([out / _SURVEYS], [*recordings, structure, baseline])
-    settings = config.load(structure)
+    settings = config.load_with_model(structure) if diagnose else config.load(structure)
     if baseline is not None:
-        load_baseline(baseline, settings.instrumented(), settings.updating)
+        load_healthy(baseline, settings)
     configuration = _configuration_fingerprint(settings, baseline)
     try:
         for folder in (WINDOWS, RUNS, DIAGNOSES):

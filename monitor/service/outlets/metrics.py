@@ -14,6 +14,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, cast
 
+import numpy as np
 from prometheus_client import CollectorRegistry, make_wsgi_app
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, HistogramMetricFamily, Metric
 from prometheus_client.registry import Collector
@@ -221,11 +222,21 @@ def reason_class(reason: str) -> str:
 
 def _result_metrics(result: WindowResult, active: Mapping[int, Level]) -> Iterator[Metric]:
     """Yield the metrics of the latest window that was not skipped, and the levels of active alarms."""
-    assert result.damage is not None
     assert result.modes is not None
-    assert result.stiffness is not None
-    stories = [str(j) for j in range(1, len(result.damage.ddi) + 1)]
     yield GaugeMetricFamily("shm_window_end_timestamp_seconds", "UTC of the data.", result.t_end_ns * 1e-9)
+    yield from _of_stories(result, active) if result.damage is not None else _of_modes(result, active)
+    hz = {str(k): float(f) for k, f in enumerate(result.modes.frequencies_hz, start=1)}
+    yield _labelled(GaugeMetricFamily, "shm_frequency_hertz", "Natural frequencies.", hz, "mode")
+    if result.stiffness is not None:
+        yield GaugeMetricFamily(
+            "shm_goodness_of_fit", "1 where stiffness explains the change.", result.stiffness.misfit
+        )
+
+
+def _of_stories(result: WindowResult, active: Mapping[int, Level]) -> Iterator[Metric]:
+    """Yield the damage index and the alarm of every story."""
+    assert result.damage is not None
+    stories = [str(j) for j in range(1, len(result.damage.ddi) + 1)]
     for name, help_text, values in (
         ("shm_ddi", "Relative stiffness loss since the baseline.", result.damage.ddi),
         ("shm_ddi_std", "Its standard deviation.", result.damage.ddi_std),
@@ -235,9 +246,29 @@ def _result_metrics(result: WindowResult, active: Mapping[int, Level]) -> Iterat
     ranks = {j: active.get(int(j), Level.NORMAL).rank for j in [*stories, str(WHOLE)]}
     help_text = "0 normal, 1 advisory, 2 warning, 3 alarm; story 0 is the whole structure."
     yield _labelled(GaugeMetricFamily, "shm_alarm_level", help_text, ranks, "story")
-    hz = {str(k): float(f) for k, f in enumerate(result.modes.frequencies_hz, start=1)}
-    yield _labelled(GaugeMetricFamily, "shm_frequency_hertz", "Natural frequencies.", hz, "mode")
-    yield GaugeMetricFamily("shm_goodness_of_fit", "1 where stiffness explains the change.", result.stiffness.misfit)
+
+
+def _of_modes(result: WindowResult, active: Mapping[int, Level]) -> Iterator[Metric]:
+    """Yield the change and the alarm of every mode, where there is no model; nothing without a baseline."""
+    if result.modal is None:
+        return
+    change = np.expm1(result.modal.ln_frequency).tolist()
+    for name, help_text, values in (
+        (
+            "shm_frequency_change",
+            "Relative change of the frequency since the baseline, less what covariates explain.",
+            change,
+        ),
+        ("shm_frequency_change_std", "Its standard deviation.", result.modal.ln_frequency_std.tolist()),
+    ):
+        shown = {str(k): x for k, x in enumerate(values, start=1) if np.isfinite(x)}
+        yield _labelled(GaugeMetricFamily, name, help_text, shown, "mode")
+    m = len(change)
+    # A mode's level is the higher one of its frequency's and its shape's.
+    ranks = {str(k): max(active.get(p, Level.NORMAL).rank for p in (k, m + k)) for k in range(1, m + 1)}
+    ranks[str(WHOLE)] = active.get(WHOLE, Level.NORMAL).rank
+    help_text = "0 normal, 1 advisory, 2 warning, 3 alarm; mode 0 is the whole structure."
+    yield _labelled(GaugeMetricFamily, "shm_alarm_level", help_text, ranks, "mode")
 
 
 def _health_metrics(health: Mapping[str, Any]) -> Iterator[Metric]:

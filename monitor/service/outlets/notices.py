@@ -154,11 +154,14 @@ def _alarms(
     told: Told, result: WindowResult, present: Assessment, settings: NoticeSettings
 ) -> tuple[Told, list[Notice]]:
     """Derive the notices of alarms raised, escalated and cleared."""
+    active = result.alarm.active
+    if result.modal is not None and active:  # one change moves several modes and shapes: it is told once
+        active = {WHOLE: result.alarm.level}
     notices, levels, least = [], dict(told.levels), max(settings.level.rank, Level.ADVISORY.rank)
-    for story in sorted(levels.keys() | result.alarm.active.keys()):
+    for story in sorted(levels.keys() | active.keys()):
         if result.alarm.conditions.get(story) is AlarmCondition.SHELVED:
             continue  # neither its rise nor its end is announced, as the operator asked
-        before, now = levels.get(story, Level.NORMAL), result.alarm.active.get(story, Level.NORMAL)
+        before, now = levels.get(story, Level.NORMAL), active.get(story, Level.NORMAL)
         place = "the whole structure" if story == WHOLE else f"story {story}"
         if now.rank > before.rank and now.rank >= least:
             levels[story] = now

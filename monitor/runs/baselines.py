@@ -1,0 +1,36 @@
+"""Reads a site's healthy baseline, of the kind that its structure file asks for."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from monitor.config import Configuration
+from monitor.damage import AnyBaseline, ModalOrigin, load_baseline, load_modal_baseline
+
+
+def load_healthy(path: Path, config: Configuration) -> AnyBaseline:
+    """Read the baseline of a site and check that it belongs to it.
+
+    Returns
+    -------
+    Baseline or ModalBaseline
+        With the reasons in `doubts` why it may not be this structure's.
+
+    Raises
+    ------
+    MissingInputError
+        If the file cannot be read.
+    BadInputError
+        If the file is no baseline or damaged.
+    BadConfigurationError
+        If the baseline is another structure's, or of another kind.
+    """
+    if config.has_model:
+        return load_baseline(path, config.instrumented(), config.updating)
+    return load_modal_baseline(path, config.channels, modal_origin(config))
+
+
+def modal_origin(config: Configuration) -> ModalOrigin:
+    """Describe the structure and the samples of a structure file without a model."""
+    samples = config.processing
+    return ModalOrigin(config.structure.name, "m/s^2", samples.rate_hz, samples.cutoff_hz)
