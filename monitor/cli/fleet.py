@@ -11,7 +11,7 @@ from typing import Annotated
 import typer
 
 from monitor.cli.common import address
-from monitor.core import MissingInputError, demand_place, spare_inputs
+from monitor.core import MissingInputError, demand_place, require_extra, spare_inputs
 
 
 def fleet(
@@ -39,6 +39,8 @@ def fleet(
         raise typer.BadParameter("--count says how often to look: needs --every")
     spare_inputs([] if out is None else [out], [file])
     settings, served = fleet_status.load(file), address(serve)
+    if out is not None or served is not None:
+        require_extra("viewer", "--out and --serve: the view")
     if out is not None:
         demand_place(out)
     statuses: list[fleet_status.SiteStatus] = []

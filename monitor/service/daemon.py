@@ -160,7 +160,11 @@ class Daemon(Publisher):
         except OSError as error:
             raise MissingInputError(f"{self.out}: cannot be written: {error.strerror}") from error
         serve = settings.output.address
-        self._view = None if serve is None else open_viewer(settings, healthy, file=None, serve=serve, lossless=False)
+        self._view = (
+            None
+            if serve is None
+            else open_viewer(settings, healthy, file=None, serve=serve, lossless=False, on_warning=_log.warning)
+        )
         if self._view is not None:
             undo.callback(self._view.close, _END_S)
         publishers = (self,) if self._view is None else (self, self._view)

@@ -9,7 +9,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
-from monitor.core import BadInputError, MissingInputError, WrongUsageError, demand_place, finish, partial
+from monitor.core import BadInputError, MissingInputError, WrongUsageError, demand_place, finish, partial, require_extra
 from monitor.service.history import TABLES
 
 _BATCH = 20_000
@@ -46,6 +46,8 @@ def export(database: Path, table: str, out: Path, span_ns: tuple[int, int]) -> i
         The database does not exist, or the file cannot be written.
     BadInputError
         The database cannot be read.
+    MissingExtraError
+        The extra `archive` is not installed.
     """
     if table not in TABLES:
         raise WrongUsageError(f"--table {table}: known: {', '.join(TABLES)}")
@@ -53,6 +55,7 @@ def export(database: Path, table: str, out: Path, span_ns: tuple[int, int]) -> i
         raise WrongUsageError(f"{out}: name a file that ends in {' or '.join(FORMATS)}")
     if not database.is_file():
         raise MissingInputError(f"{database}: no history here; give a site file, or the dir of its [output]")
+    require_extra("archive", "export")
     demand_place(out)
     try:
         with closing(sqlite3.connect(f"{database.resolve().as_uri()}?mode=ro", uri=True, timeout=10.0)) as source:

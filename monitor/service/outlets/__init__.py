@@ -5,6 +5,7 @@ The module of an outlet is imported only when the site file has its table.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Protocol, cast
@@ -17,6 +18,8 @@ from monitor.service.outlets.base import Outlet as Outlet
 from monitor.service.outlets.inbox import Inbox
 from monitor.service.outlets.notify import Addresses, Notifier, NotifySettings, addresses
 from monitor.service.threads import Chores
+
+_log = logging.getLogger(__name__)
 
 
 def make_outlets(path: Path, config: Configuration, *, dry: bool = False) -> tuple[Outlet, ...]:
@@ -46,6 +49,8 @@ def make_outlets(path: Path, config: Configuration, *, dry: bool = False) -> tup
     settings, to = _notify(config, folder, problems)
     if problems:
         raise BadConfigurationError("\n".join(f"{path}: {problem}" for problem in problems))
+    if to.left_out is not None:
+        _log.warning(to.left_out)
     if dry:
         return ()
     optional = tuple(make(name) for make in makers if make is not None)
