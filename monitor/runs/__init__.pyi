@@ -7,6 +7,7 @@ from .event_recordings import EventRecordings
 from .importers import import_files
 from .recordings import Progress, duration_s
 from .session import Session, SessionState
+from .synthetic_recording import cut_into_blocks, require_stable
 from .viewer import open_viewer
 from .warming import warm_up
 
@@ -17,6 +18,7 @@ __all__ = [
     "Session",
     "SessionState",
     "calibrate",
+    "cut_into_blocks",
     "demo",
     "diagnose",
     "duration_s",
@@ -29,6 +31,7 @@ __all__ = [
     "paper_tables",
     "replay",
     "reprocess",
+    "require_stable",
     "send_all",
     "synthetic_recording",
     "warm_up",
