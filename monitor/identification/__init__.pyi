@@ -1,5 +1,6 @@
 from . import stabilization, tracking
 from .free_decay import with_decay_deviations
+from .model_free import identify_modes
 from .ssi import SsiSettings
 from .stabilization import SelectionSettings, expected_modes, identify
 from .sub_array import SubArray
@@ -14,6 +15,7 @@ __all__ = [
     "TrackSettings",
     "expected_modes",
     "identify",
+    "identify_modes",
     "refine",
     "stabilization",
     "tracking",

@@ -12,6 +12,7 @@ from dataclasses import replace
 from math import ceil, log
 
 import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from monitor.core import Array, ComplexArray, ModalEstimate, OtherMode, Settings, Skipped, Window
@@ -20,10 +21,10 @@ from monitor.identification.ssi import poles as all_poles
 from monitor.identification.ssi_uncertainty import mode_deviations
 from monitor.model import Modes
 
-_BAND = 0.45
+BAND = 0.45
 """Share of the sampling rate up to which modes are looked for. [ratio; the lowpass: 0.4 of the rate, and a little
 more]"""
-_ORDERS_PER_MODE = 6
+ORDERS_PER_MODE = 6
 """Least largest order for each mode looked for. [count; a mode needs two, and must be stable in half of the orders that
 have room]"""
 _RATE_STEPS = 0.7
@@ -135,16 +136,16 @@ def identify(
         model.  Skipped where there is no stable pole at all.
     """
     if wanted is None:
-        wanted = expected_modes(reference, _BAND * window.rate_hz, select)
+        wanted = expected_modes(reference, BAND * window.rate_hz, select)
     if not wanted:
         return Skipped("every mode of the model lies beyond the band; check the units of masses and stiffness")
-    max_order = max(ssi.max_order, _ORDERS_PER_MODE * len(wanted))
+    max_order = max(ssi.max_order, ORDERS_PER_MODE * len(wanted))
     shapes = (sensors @ reference.shapes[:, list(wanted)]).T
-    band_hz, damping = (select.min_frequency_hz, _BAND * window.rate_hz), (0.0, select.max_damping_ratio)
+    band_hz, damping = (select.min_frequency_hz, BAND * window.rate_hz), (0.0, select.max_damping_ratio)
     cutoff = 0.5 if cutoff_hz is None else cutoff_hz / window.rate_hz
     realisation = realise(window.sums, ssi, past, max_order, cutoff)
     poles = all_poles(realisation, range(2, max_order + 1, 2), window.rate_hz, band_hz, damping)
-    stable = _stable(poles, select, realisation.singular_values.size < max_order)
+    stable = mark_stable(poles, select, realisation.singular_values.size < max_order)
     in_band = int(np.count_nonzero(reference.frequencies_hz < cutoff * window.rate_hz))
     frequencies = reference.frequencies_hz[list(wanted)]
     modes, rest = _match(poles, stable, frequencies, shapes, select, in_band)
@@ -157,7 +158,7 @@ def identify(
         return Skipped("no order shows every mode")
     beside = [
         row
-        for cluster in _distinct(poles, clusters, rest, select)
+        for cluster in distinct(poles, clusters, rest, select)
         for row in _common_order(poles, [cluster], enough) or []
         if poles.frequency[row] < cutoff * window.rate_hz
     ]
@@ -174,7 +175,7 @@ def identify(
     return replace(estimate, others=others, missing=missing)
 
 
-def _stable(poles: PoleTable, select: SelectionSettings, complete: bool) -> Array:
+def mark_stable(poles: PoleTable, select: SelectionSettings, complete: bool) -> Array:
     """Mark with 1 each pole that recurs from the next lower order, shape (n_poles,), else 0.
 
     If the orders cover all states of the data (`complete`), all poles of the last order are stable.
@@ -187,26 +188,16 @@ def _stable(poles: PoleTable, select: SelectionSettings, complete: bool) -> Arra
     return stable
 
 
-def _match(
-    poles: PoleTable, stable: Array, frequencies: Array, shapes: Array, select: SelectionSettings, in_band: int
-) -> tuple[list[list[int] | None], list[list[int]]]:
-    """Find for each of the model's modes the stable poles of its counterpart, None where there is none, and the other modes'.
+def group_poles(poles: PoleTable, stable: Array, select: SelectionSettings, in_band: int) -> NDArray[np.intp]:
+    """Group the stable poles of all orders into modes, shape (n_poles,): the number of each pole's mode, -1 for none.
 
-    A mode must be stable in the share `min_stable_share` of the orders with room for all modes in the band.  At least a third
-    of all orders count as such.
-
-    Parameters
-    ----------
-    frequencies : ndarray, shape (k,), Hz
-    shapes : ndarray, shape (k, c)
-        Frequencies and shapes of the model's modes.
+    A mode must be stable in the share `min_stable_share` of the orders with room for `in_band` modes.  At least a third of all
+    orders count as such.
     """
-    from monitor.identification.kernels import IMPOSSIBLE, grouped, unlikeness
+    from monitor.identification.kernels import grouped  # compiled code takes a while to load
 
     roomy = sum(order >= 2 * in_band for order in poles.orders)
     enough = max(1.0, select.min_stable_share * min(len(poles.orders) - 1, max(roomy, len(poles.orders) // 3)))
-    from scipy.optimize import linear_sum_assignment  # takes a third of a second to load
-
     rows = np.flatnonzero(stable)
     group = np.full(stable.size, -1)
     group[rows] = grouped(
@@ -217,6 +208,25 @@ def _match(
         select.stable_mac,
         enough,
     )
+    return group
+
+
+def _match(
+    poles: PoleTable, stable: Array, frequencies: Array, shapes: Array, select: SelectionSettings, in_band: int
+) -> tuple[list[list[int] | None], list[list[int]]]:
+    """Find for each of the model's modes the stable poles of its counterpart, None where there is none, and the other modes'.
+
+    Parameters
+    ----------
+    frequencies : ndarray, shape (k,), Hz
+    shapes : ndarray, shape (k, c)
+        Frequencies and shapes of the model's modes.
+    """
+    from scipy.optimize import linear_sum_assignment  # takes a third of a second to load
+
+    from monitor.identification.kernels import IMPOSSIBLE, unlikeness
+
+    group = group_poles(poles, stable, select, in_band)
     cost = unlikeness(
         group,
         poles.frequency,
@@ -235,7 +245,7 @@ def _match(
     return found, list(rest.values())
 
 
-def _distinct(
+def distinct(
     poles: PoleTable, clusters: list[list[int]], rest: list[list[int]], select: SelectionSettings
 ) -> list[list[int]]:
     """Select from `rest`, by frequency, the modes that are no second finding of another one: its frequency and shape."""
@@ -279,14 +289,14 @@ def _other_modes(
     relative = dict.fromkeys(rows, float("nan"))
     for space in sorted(set(poles.space[rows].tolist())) if with_std else ():
         alike = [row for row in rows if poles.space[row] == space]
-        squares = (_deviations(window, realisation, poles, alike)[:, :, 0] ** 2).sum(axis=0)
+        squares = (deviations_of(window, realisation, poles, alike)[:, :, 0] ** 2).sum(axis=0)
         relative |= dict(zip(alike, np.sqrt(squares).tolist(), strict=True))
     return tuple(
         OtherMode(
             frequency_hz=float(poles.frequency[row]),
             frequency_std_hz=float(poles.frequency[row]) * relative[row],
             damping_ratio=float(poles.damping[row]),
-            shape=_normalize(poles.shape[[row]])[0],
+            shape=normalize(poles.shape[[row]])[0],
         )
         for row in rows
         if not relative[row] > select.stable_frequency
@@ -323,7 +333,7 @@ def _estimate(
     estimate = ModalEstimate(
         frequencies_hz=poles.frequency[rows],
         damping_ratio=poles.damping[rows],
-        shapes=_normalize(poles.shape[rows]),
+        shapes=normalize(poles.shape[rows]),
         model_mode=np.array(wanted, dtype=np.int64),
         deviations=np.zeros((0, len(rows), 2 + 2 * poles.shape.shape[1])),
         first=window.first_block,
@@ -333,11 +343,11 @@ def _estimate(
     better = estimate if refiner is None or not rows else refiner(estimate)
     if better is not estimate or not ssi.uncertainty or not rows:
         return better
-    estimate = replace(estimate, deviations=_deviations(window, realisation, poles, rows))
-    return _replace_split_modes(window, realisation, poles, rows, estimate, select)
+    estimate = replace(estimate, deviations=deviations_of(window, realisation, poles, rows))
+    return replace_split_modes(window, realisation, poles, rows, estimate, select)
 
 
-def _normalize(shapes: ComplexArray) -> ComplexArray:
+def normalize(shapes: ComplexArray) -> ComplexArray:
     """Scale shapes, shape (m, c), so that the largest component of each is exactly 1."""
     every, largest = np.arange(len(shapes)), np.abs(shapes).argmax(axis=1)
     scaled = shapes / shapes[every, largest][:, None]
@@ -345,14 +355,14 @@ def _normalize(shapes: ComplexArray) -> ComplexArray:
     return np.asarray(scaled)
 
 
-def _deviations(window: Window, realisation: Realisation, poles: PoleTable, rows: list[int]) -> Array:
+def deviations_of(window: Window, realisation: Realisation, poles: PoleTable, rows: list[int]) -> Array:
     """Compute the deviations (`mode_deviations`) of modes whose poles (`rows`) are all of one order."""
     space = state_space(realisation, poles.orders[poles.space[rows[0]]])
     columns = [int(np.abs(space.poles - pole).argmin()) for pole in poles.value[rows]]
-    return mode_deviations(window.sums, realisation, space, columns, _normalize(poles.shape[rows]), window.rate_hz)
+    return mode_deviations(window.sums, realisation, space, columns, normalize(poles.shape[rows]), window.rate_hz)
 
 
-def _replace_split_modes(
+def replace_split_modes(
     window: Window,
     realisation: Realisation,
     poles: PoleTable,
@@ -377,13 +387,13 @@ def _replace_split_modes(
         near = np.abs(poles.frequency / poles.frequency[rows[m]] - 1.0) < 2.0 * select.stable_frequency
         alike = np.abs(poles.shape @ poles.shape[rows[m]].conj()) ** 2 > select.stable_mac
         same = np.flatnonzero(near & alike)
-        candidates = [_deviations(window, realisation, poles, [row])[:, 0] for row in same.tolist()]
+        candidates = [deviations_of(window, realisation, poles, [row])[:, 0] for row in same.tolist()]
         best = int(np.argmin([(d[:, 0] ** 2).sum() for d in candidates]))
         chosen[m], deviations[:, m] = same[best], candidates[best]
     return replace(
         found,
         frequencies_hz=poles.frequency[chosen],
         damping_ratio=poles.damping[chosen],
-        shapes=_normalize(poles.shape[chosen]),
+        shapes=normalize(poles.shape[chosen]),
         deviations=deviations,
     )

@@ -1,0 +1,186 @@
+"""Automatic choice of modes without a model: groups of stable poles over the orders, and their uncertainty.
+
+With a model, its modes say how many to look for, and which pole is whose (`stabilization`).  Without one the number of modes
+and the choice depend on each other, and are found together.  The criteria are those of `SelectionSettings`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from monitor.core import Array, ModalEstimate, Skipped, Window
+from monitor.identification.ssi import PoleTable, Realisation, SsiSettings, realise
+from monitor.identification.ssi import poles as all_poles
+from monitor.identification.stabilization import (
+    BAND,
+    ORDERS_PER_MODE,
+    SelectionSettings,
+    deviations_of,
+    distinct,
+    group_poles,
+    mark_stable,
+    normalize,
+    replace_split_modes,
+)
+from monitor.identification.whittle import RefinementSettings, refine
+
+Refiner = Callable[[ModalEstimate], ModalEstimate]
+
+
+def identify_modes(
+    window: Window,
+    ssi: SsiSettings,
+    select: SelectionSettings,
+    refinement: RefinementSettings,
+    past: tuple[int, ...] = (),
+    cutoff_hz: float | None = None,
+) -> ModalEstimate | Skipped:
+    """Identify the modes of a window without a model.
+
+    Parameters
+    ----------
+    window : Window
+        Lag sums, and segments for the refinement, of c channels.
+    past : tuple of int
+        Numbers of the reference channels (0 = first); all when empty.
+    cutoff_hz : float, optional
+        Cutoff of the lowpass of the samples, Hz; modes beyond it are left out.
+
+    Returns
+    -------
+    ModalEstimate or Skipped
+        Modes by frequency, with their deviations; `model_mode` numbers them from 0.  Skipped where there is none.
+    """
+    n_channels = window.sums.head.shape[1]
+    max_order = max(ssi.max_order, ORDERS_PER_MODE * select.max_modes)
+    highest_hz = BAND * window.rate_hz if cutoff_hz is None else cutoff_hz
+    realisation = realise(
+        window.sums,
+        ssi,
+        past or tuple(range(n_channels)),
+        max_order,
+        0.5 if cutoff_hz is None else cutoff_hz / window.rate_hz,
+    )
+    poles = all_poles(
+        realisation,
+        range(2, max_order + 1, 2),
+        window.rate_hz,
+        (select.min_frequency_hz, highest_hz),
+        (0.0, select.max_damping_ratio),
+    )
+    stable = mark_stable(poles, select, realisation.singular_values.size < max_order)
+    clusters = _certain(window, realisation, poles, _clusters(poles, stable, select), select)
+    if not clusters:
+        return Skipped("no mode is stable over the orders of identification and certain enough")
+    refiner = partial(refine, window, settings=refinement)
+    estimates = [_estimate(window, poles, stable, rows) for rows in _starts(poles, clusters)]
+    refined = _refine(estimates, refiner)
+    if refined is not None:
+        return refined
+    found, rows = estimates[0], _starts(poles, clusters)[0]
+    found = replace(found, deviations=_deviations(window, realisation, poles, rows))
+    return replace_split_modes(window, realisation, poles, rows, found, select)
+
+
+def _clusters(poles: PoleTable, stable: Array, select: SelectionSettings) -> list[list[int]]:
+    """Group the stable poles into modes, by frequency: each a list of rows of the table, by order.
+
+    In how many orders a mode must be stable depends on how many orders have room for all modes, and so on their number.  It is
+    increased from 0 until it is that of the groups.
+    """
+    count = 0
+    while True:
+        group = group_poles(poles, stable, select, count)
+        found = [np.flatnonzero(group == k).tolist() for k in range(group.max(initial=-1) + 1)]
+        kept = distinct(poles, [], found, select)
+        if len(kept) <= count:
+            return kept
+        count = len(kept)
+
+
+def _certain(
+    window: Window, realisation: Realisation, poles: PoleTable, clusters: list[list[int]], select: SelectionSettings
+) -> list[list[int]]:
+    """Select the clusters with a pole that is more certain than stable poles may differ: the others are chance, or forces."""
+    rows = [row for cluster in clusters for row in cluster]
+    square = dict(
+        zip(rows, (_deviations(window, realisation, poles, rows)[:, :, 0] ** 2).sum(axis=0).tolist(), strict=True)
+    )
+    return [cluster for cluster in clusters if min(square[row] for row in cluster) <= select.stable_frequency**2]
+
+
+def _deviations(window: Window, realisation: Realisation, poles: PoleTable, rows: list[int]) -> Array:
+    """Compute the deviations of poles of any orders, shape (n_blocks, len(rows), 2 + 2 c)."""
+    out = np.zeros((len(window.sums.products), len(rows), 2 + 2 * window.sums.head.shape[1]))
+    for space in np.unique(poles.space[rows]):
+        alike = np.flatnonzero(poles.space[rows] == space)
+        out[:, alike] = deviations_of(window, realisation, poles, [rows[k] for k in alike])
+    return out
+
+
+def _starts(poles: PoleTable, clusters: list[list[int]]) -> list[list[int]]:
+    """List choices of one pole for each cluster: by the lowest order with room for all modes, then by each higher one.
+
+    The exact order is biased; two more pairs of poles remove the bias.
+    """
+    orders = np.array(poles.orders)[poles.space]
+    choices: list[list[int]] = []
+    for order in poles.orders:
+        rows = [next((row for row in cluster if orders[row] >= order), cluster[-1]) for cluster in clusters]
+        if order >= 2 * len(clusters) + 4 and rows not in choices:
+            choices.append(rows)
+    return choices or [[cluster[-1] for cluster in clusters]]
+
+
+def _estimate(window: Window, poles: PoleTable, stable: Array, rows: list[int]) -> ModalEstimate:
+    """Form the estimate of the poles `rows`, without deviations."""
+    orders = np.array(poles.orders, float)[poles.space]
+    return ModalEstimate(
+        frequencies_hz=poles.frequency[rows],
+        damping_ratio=poles.damping[rows],
+        shapes=normalize(poles.shape[rows]),
+        model_mode=np.arange(len(rows)),
+        deviations=np.zeros((0, len(rows), 2 + 2 * poles.shape.shape[1])),
+        first=window.first_block,
+        order=int(orders[rows].max()),
+        poles=np.stack([orders, poles.frequency, poles.damping, stable], axis=1),
+    )
+
+
+def _refine(starts: list[ModalEstimate], refiner: Refiner) -> ModalEstimate | None:
+    """Refine all modes together from the first start that converges, else in two parts where they lie furthest apart."""
+    for start in starts:
+        refined = refiner(start)
+        if refined is not start:
+            return refined
+    modes = starts[0].model_mode.tolist()
+    if len(modes) == 1:
+        return None
+    cut = 1 + int(np.diff(np.log(starts[0].frequencies_hz)).argmax())
+    lower = _refine([start.only(frozenset(modes[:cut])) for start in starts], refiner)
+    upper = None if lower is None else _refine([start.only(frozenset(modes[cut:])) for start in starts], refiner)
+    return None if lower is None or upper is None else _joined(lower, upper)
+
+
+def _joined(a: ModalEstimate, b: ModalEstimate) -> ModalEstimate:
+    """Join the estimates of two groups of modes from the same segments."""
+    weights = None
+    if a.weight_factor is not None and b.weight_factor is not None:  # of each group alone: no covariance between them
+        weights = np.concatenate(
+            [np.pad(a.weight_factor, ((0, 0), (0, len(b.model_mode)), (0, 0))),
+             np.pad(b.weight_factor, ((0, 0), (len(a.model_mode), 0), (0, 0)))]
+        )  # fmt: skip
+    return replace(
+        a,
+        frequencies_hz=np.concatenate([a.frequencies_hz, b.frequencies_hz]),
+        damping_ratio=np.concatenate([a.damping_ratio, b.damping_ratio]),
+        shapes=np.concatenate([a.shapes, b.shapes]),
+        model_mode=np.concatenate([a.model_mode, b.model_mode]),
+        deviations=np.concatenate([a.deviations, b.deviations], axis=1),
+        order=max(a.order, b.order),
+        weight_factor=weights,
+    )
