@@ -57,7 +57,9 @@ class Recording:
         return axes
 
 
-def read(file: str | Path, *, unit: str = "m/s^2", rate_hz: float | None = None) -> Recording:
+def read(
+    file: str | Path, *, unit: str = "m/s^2", rate_hz: float | None = None, start_ns: int | None = None
+) -> Recording:
     """Read a recording (MCAP), or a table (CSV of any delimiter, NPZ, Xsens DOT), as arrays in SI units.
 
     Parameters
@@ -68,6 +70,8 @@ def read(file: str | Path, *, unit: str = "m/s^2", rate_hz: float | None = None)
         Unit of columns of a table whose header states none: m/s^2, g, mg, gal.
     rate_hz : float, optional
         Rate of a table without a column of time, Hz.
+    start_ns : int, optional
+        UTC of the first sample of a table that does not tell it, ns since 1970.
 
     Returns
     -------
@@ -89,7 +93,7 @@ def read(file: str | Path, *, unit: str = "m/s^2", rate_hz: float | None = None)
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     table = Path(folder, "a.csv")
     ...     _ = table.write_text("t,top [g]\\n0.00,0.1\\n0.01,0.2\\n0.02,0.1\\n")
-    ...     record = shm.read(table)
+    ...     record = shm.read(table, start_ns=0)
     >>> record.rate_hz, record.channels, record.samples[1].round(3)
     (100.0, ('top',), array([1.961]))
     """
@@ -103,7 +107,7 @@ def read(file: str | Path, *, unit: str = "m/s^2", rate_hz: float | None = None)
         return _gathered(path)
     with tempfile.TemporaryDirectory() as folder:
         imported = Path(folder, "imported.mcap")
-        import_files([path], imported, rate_hz=rate_hz, unit=unit, on_warning=_warn)
+        import_files([path], imported, rate_hz=rate_hz, unit=unit, start_ns=start_ns, on_warning=_warn)
         return _gathered(imported)
 
 

@@ -23,19 +23,23 @@ def checked(samples: Any, rate_hz: float, channels: Sequence[str] | None = None)
     values = values[:, None] if values.ndim == 1 else values
     if values.ndim != 2 or (channels is not None and values.shape[1] != len(channels)):
         wanted = "c" if channels is None else f"{len(channels)} ({', '.join(channels)})"
-        raise BadInputError(f"samples: shape {values.shape}, but (n_samples, {wanted}) is wanted: a column for each channel")
+        raise BadInputError(
+            f"samples: shape {values.shape}, but (n_samples, {wanted}) is wanted: a column for each channel"
+        )
     if not (np.isfinite(rate_hz) and rate_hz > 0):
         raise BadInputError(f"rate_hz: {rate_hz}: must be a positive number of Hz")
     bad = ~np.isfinite(values).all(axis=1)
     if bad.any():
         raise BadInputError(
-            f"samples: {np.count_nonzero(bad)} of {len(values)} rows hold missing or infinite values, the first at {bad.argmax()}; "
-            "cut them out, and use the longest piece that is left"
+            f"samples: {np.count_nonzero(bad)} of {len(values)} rows hold missing or infinite values, the first is row "
+            f"{bad.argmax()}; cut them out, and use the longest piece that is left"
         )
     return values
 
 
-def whole_window(front_end: FrontEnd, samples: Array, rate_hz: float, *, with_segments: bool) -> tuple[Window, Conditioner]:
+def whole_window(
+    front_end: FrontEnd, samples: Array, rate_hz: float, *, with_segments: bool
+) -> tuple[Window, Conditioner]:
     """Condition samples, shape (n_samples, c), m/s^2, into one window of the length that `front_end` states.
 
     Raises

@@ -108,7 +108,9 @@ def structure(
     if isinstance(file, str | Path):
         config = configuration.load(Path(file))
     else:
-        config = _validated(_tables(masses_kg, stiffness_n_per_m, damping_ratio, channels, floors) if file is None else file)
+        config = _validated(
+            _tables(masses_kg, stiffness_n_per_m, damping_ratio, channels, floors) if file is None else file
+        )
     if baseline is None:
         return Structure(config)
     return Structure(config, load_baseline(Path(baseline), config.instrumented(), config.updating))

@@ -115,7 +115,9 @@ def update(modes: Modes, structure: Structure) -> Updated:
     wanted = tuple(int(k) for k in found.model_mode)
     healthy = None if baseline is None else baseline.only(wanted)
     if healthy is not None and healthy.model_mode != wanted:
-        raise BadInputError("update: the modes are not the baseline's; give the structure with its baseline to identify()")
+        raise BadInputError(
+            "update: the modes are not the baseline's; give the structure with its baseline to identify()"
+        )
     site = structure.instrumented
     estimate, reading = damage_index.step(
         found,
