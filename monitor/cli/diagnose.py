@@ -44,11 +44,13 @@ def diagnose(
     write_atomically(content, json.dumps(found.content, indent=1, allow_nan=False) + "\n")
     write_atomically(updated, structure_text(text, found.updated, found.reference_degc))
     write_atomically(extended, structure_text(text, found.extended, found.reference_degc))
-    # Imported only now: Rerun starts threads, and no process should be forked while threads run.
-    from monitor.publish import write_report, write_view
+    from monitor.publish import write_report
 
     write_report(report, found.diagnosis, found.content, found.segments, settings.story_names)
     if (missing := missing_extra("viewer")) is None:
+        # Imported only now: Rerun starts threads, and no process should be forked while threads run.
+        from monitor.publish import write_view
+
         write_view(view, found.diagnosis, found.content, found.segments, settings.story_names)
     else:
         view.unlink(missing_ok=True)  # an earlier one would be taken for this diagnosis
