@@ -48,7 +48,7 @@ docs: $(DEV)
 
 # The pages of docs/ as a site that needs no network, in out/site.
 site: $(DEV)
-	$(BIN)/python docs/site.py out/site
+	$(BIN)/python docs/site_builder.py out/site
 
 # Writes versions and hashes, no address: what is needed to run, what tests and development add to it, what a site's daemon may use.
 lock:

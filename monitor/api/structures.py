@@ -64,8 +64,8 @@ def structure(
     file: str | Path | Mapping[str, Any] | None = None,
     *,
     baseline: str | Path | None = None,
-    masses_kg: Sequence[float] | None = None,
-    stiffness_n_per_m: Sequence[float] | None = None,
+    masses_kg: Sequence[float] | Array | None = None,
+    stiffness_n_per_m: Sequence[float] | Array | None = None,
     damping_ratio: float = 0.01,
     channels: Sequence[str] | None = None,
     floors: Sequence[int] | None = None,
@@ -78,7 +78,7 @@ def structure(
         Structure file (TOML), or its tables as a mapping; a site file will do.
     baseline : path, optional
         Healthy baseline by the command ``calibrate``.
-    masses_kg, stiffness_n_per_m : sequence of float, optional
+    masses_kg, stiffness_n_per_m : sequence of float or array, optional
         Instead of a file: mass of each floor and stiffness of each story of a shear frame, from the top.
     damping_ratio : float
         Damping ratio of all its modes.
@@ -117,14 +117,16 @@ def structure(
 
 
 def _tables(
-    masses_kg: Sequence[float] | None,
-    stiffness_n_per_m: Sequence[float] | None,
+    masses_kg: Sequence[float] | Array | None,
+    stiffness_n_per_m: Sequence[float] | Array | None,
     damping_ratio: float,
     channels: Sequence[str] | None,
     floors: Sequence[int] | None,
 ) -> dict[str, Any]:
     """Write the tables of a shear frame."""
-    masses, stiffness = [float(m) for m in masses_kg or ()], [float(k) for k in stiffness_n_per_m or ()]
+    masses, stiffness = (
+        [] if given is None else [float(one) for one in given] for given in (masses_kg, stiffness_n_per_m)
+    )
     on = list(range(1, len(masses) + 1)) if floors is None else [int(floor) for floor in floors]
     names = [f"a{j}" for j in range(1, len(on) + 1)] if channels is None else list(channels)
     if len(names) != len(on):

@@ -104,7 +104,7 @@ def test_a_structure_comes_from_a_file_a_mapping_or_numbers(tmp_path: Path) -> N
     for one in (shm.structure(str(tmp_path / "s.toml")), shm.structure(tables)):
         assert one.channels == ("a1", "a2", "a3")
         assert one.floors == (1, 2, 3)
-    two = shm.structure(masses_kg=[2.0, 3.0], stiffness_n_per_m=[1e3, 2e3], channels=["roof"], floors=[1])
+    two = shm.structure(masses_kg=np.array([2.0, 3.0]), stiffness_n_per_m=[1e3, 2e3], channels=["roof"], floors=[1])
     assert (two.channels, two.floors, two.masses_kg.tolist()) == (("roof",), (1,), [2.0, 3.0])
     assert two.shapes.shape == (2, 2)
     for wrong in ({}, {"file": tables, "masses_kg": [1.0], "stiffness_n_per_m": [1.0]}):
